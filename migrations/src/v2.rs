@@ -11,9 +11,9 @@
 //! | `history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
 //! | `history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
 //!
-//! The records of states in checkpoints and in the index are [`map::State`]; in the index chunks from [`HOURS_CHUNK`]
-//! on are those of its `hours`, from [`PROFILE_CHUNK`] on those of its calibrated model's `profile`, and from
-//! [`FITS_CHUNK`] on those of its `fits`.
+//! The records of states in checkpoints are [`map::State`]. The index holds what a generation publishes: [`published`].
+//! Indexes of earlier builds held whole snapshots, in the trees of [`crate::v1::index::OLD_TREES`]. An index is always
+//! rebuilt from a checkpoint, so such a one is dropped.
 //!
 //! The containers (segments, frames, files, records, trailers) are those of format 1 and still say 1. A log of a map
 //! that was created under this format may begin at a later record than the first.
@@ -27,20 +27,11 @@ pub mod file;
 pub mod fits;
 pub mod grid;
 pub mod history;
-pub mod index;
 pub mod log;
 pub mod map;
+pub mod published;
 pub mod site;
 pub mod topology;
 
 /// The number of this format.
 pub const FORMAT: u32 = 2;
-
-/// Chunks of a state in the index with this number and above are those of [`map::Alternatives::hours`].
-pub const HOURS_CHUNK: u16 = 0x8000;
-
-/// Chunks of a state in the index with this number and above are those of [`map::Calibrated::profile`].
-pub const PROFILE_CHUNK: u16 = 0xC000;
-
-/// Chunks of a state in the index with this number and above are those of [`map::Alternatives::fits`].
-pub const FITS_CHUNK: u16 = 0xE000;

@@ -1,45 +1,32 @@
-//! The sled database in `index/`: three trees whose keys begin with the map's number.
-//!
-//! | tree | key | value |
-//! | --- | --- | --- |
-//! | `states` | map u32, state u32 | [`crate::v2::map::State`] without its spectrum |
-//! | `models` | map u32, state u32, chunk u16 | up to [`CHUNK_LENGTH`] bytes of the spectrum |
-//! | `marks` | map u32 | [`crate::v2::index::Mark`] |
-//! | `marks` | map u32, producer u32 | [`crate::v2::map::Producer`] |
+//! Keys and values of the sled database in `index/`. Its rows are those of [`crate::v2::published`].
 //!
 //! Numbers in keys are big-endian, so that they sort. A value is a version byte, the CRC-32C of everything else, and
 //! the payload; the CRC covers the tree's name and the key as well, so a value in the wrong place is detected.
 //!
-//! Invariant: no value is longer than 4 KB, because sled keeps long ones in files that it never syncs.
+//! Invariant: what is written here is read back bit by bit, or refused.
 
 use super::u32_at;
 
-/// Name of the tree of states.
-pub const STATES: &str = "states";
-/// Name of the tree of spectra.
-pub const MODELS: &str = "models";
-/// Name of the tree of marks and producers.
-pub const MARKS: &str = "marks";
+/// The trees of earlier builds, which held whole snapshots.
+pub const OLD_TREES: [&str; 3] = ["states", "models", "marks"];
 /// Version of a value.
 pub const VALUE_VERSION: u8 = 1;
-/// Most bytes of the spectrum in one value: 120 periodicities.
-pub const CHUNK_LENGTH: usize = 3840;
 
 /// Key of a map's mark, and the prefix of all its keys.
 pub fn map_key(map: u32) -> [u8; 4] {
     map.to_be_bytes()
 }
 
-/// Key of a state or of a producer.
+/// Prefix of the keys of a state, tile or producer.
 pub fn item_key(map: u32, item: u32) -> [u8; 8] {
     ((u64::from(map) << 32) | u64::from(item)).to_be_bytes()
 }
 
-/// Key of a chunk of a state's spectrum.
-pub fn chunk_key(map: u32, state: u32, chunk: u16) -> [u8; 10] {
+/// Key of a part of a state, tile or producer.
+pub fn part_key(map: u32, item: u32, part: u16) -> [u8; 10] {
     let mut key = [0; 10];
-    key[..8].copy_from_slice(&item_key(map, state));
-    key[8..].copy_from_slice(&chunk.to_be_bytes());
+    key[..8].copy_from_slice(&item_key(map, item));
+    key[8..].copy_from_slice(&part.to_be_bytes());
     key
 }
 
@@ -82,22 +69,22 @@ mod tests {
     #[test]
     fn values_come_back_only_whole_and_in_their_place() {
         let key = item_key(1, 2);
-        let value = encode_value(STATES, &key, b"payload");
-        assert_eq!(decode_value(STATES, &key, &value), Some(&b"payload"[..]));
-        assert_eq!(decode_value(MARKS, &key, &value), None);
-        assert_eq!(decode_value(STATES, &item_key(1, 3), &value), None);
-        assert_eq!(decode_value(STATES, &key, &[]), None);
+        let value = encode_value("one", &key, b"payload");
+        assert_eq!(decode_value("one", &key, &value), Some(&b"payload"[..]));
+        assert_eq!(decode_value("other", &key, &value), None);
+        assert_eq!(decode_value("one", &item_key(1, 3), &value), None);
+        assert_eq!(decode_value("one", &key, &[]), None);
         for bit in 0..value.len() * 8 {
             let mut bad = value.clone();
             bad[bit / 8] ^= 1 << (bit % 8);
-            assert_eq!(decode_value(STATES, &key, &bad), None, "bit {bit}");
+            assert_eq!(decode_value("one", &key, &bad), None, "bit {bit}");
         }
     }
 
     #[test]
     fn keys_sort_by_map_then_by_item() {
         assert!(item_key(1, u32::MAX) < item_key(2, 0));
-        assert!(chunk_key(1, 1, u16::MAX) < chunk_key(1, 2, 0));
+        assert!(part_key(1, 1, u16::MAX) < part_key(1, 2, 0));
         assert!(map_key(1).as_slice() < item_key(1, 0).as_slice());
     }
 }

@@ -178,8 +178,7 @@ pub struct CellBox {
     pub max: Vec<i32>,
 }
 
-/// One state: that of format 1, and what is known apart from its spectrum. In the index it has neither `spectrum` nor
-/// `hours` nor `profile` nor `fits`; the chunks of those have keys of their own.
+/// One state: that of format 1, and what is known apart from its spectrum.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct State {
     #[prost(uint32, tag = "1")]

@@ -42,6 +42,27 @@ pub struct MapSnapshot {
     pub history: Vec<Arc<HistoryPiece>>,
 }
 
+impl MapSnapshot {
+    /// What the generation publishes: the same without the sums, the pending scans and the history that it is made of.
+    /// A view of it answers as one of the snapshot does before anything is pending.
+    #[must_use]
+    pub fn published(&self) -> MapSnapshot {
+        let state = |state: &StateSnapshot| StateSnapshot {
+            name: state.name.clone(),
+            model: Arc::new(state.model.published()),
+            ..*state
+        };
+        MapSnapshot {
+            producers: self.producers.clone(),
+            states: self.states.iter().map(state).collect(),
+            site: Arc::clone(&self.site),
+            grid: self.grid.as_ref().map(GridSnapshot::published),
+            history: Vec::new(),
+            ..*self
+        }
+    }
+}
+
 /// How far a producer's sequence is durable.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProducerMark {

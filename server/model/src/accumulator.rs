@@ -190,6 +190,27 @@ impl Accumulator {
         parts: AccumulatorParts,
     ) -> Result<Accumulator, InvalidParts> {
         let expected = if parts.observations == 0 { 0 } else { periodicities.len() };
+        Accumulator::checked(kind, expected, parts)
+    }
+
+    /// An accumulator without its spectrum, as readers have it ([`crate::StateModel::published`]), from stored parts.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where there is a spectrum or a number is outside its range.
+    pub fn published_from_parts(kind: StateKind, parts: AccumulatorParts) -> Result<Accumulator, InvalidParts> {
+        Accumulator::checked(kind, 0, parts)
+    }
+
+    /// The same without its spectrum, from which only an update computes anything.
+    pub(crate) fn published(&self) -> Accumulator {
+        let AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, .. } = self.parts;
+        let spectrum = Vec::new();
+        let parts = AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, spectrum };
+        Accumulator { kind: self.kind, parts }
+    }
+
+    /// Checks the parts; the spectrum must have the length `expected`.
+    fn checked(kind: StateKind, expected: usize, parts: AccumulatorParts) -> Result<Accumulator, InvalidParts> {
         if parts.spectrum.len() != expected {
             return Err(InvalidParts::SpectrumLength { expected, found: parts.spectrum.len() });
         }

@@ -91,6 +91,19 @@ impl StateModel {
         StateModel { alternatives: Some(Box::new(alternatives)), ..self }
     }
 
+    /// What readers need of the model: the same without the sums over periodicities, and without fitted models that are
+    /// not in force. It predicts the same to the last bit, and cannot be updated.
+    #[must_use]
+    pub fn published(&self) -> StateModel {
+        StateModel {
+            accumulator: self.accumulator.published(),
+            spectral: self.spectral.clone(),
+            order: self.order,
+            errors: self.errors,
+            alternatives: self.alternatives.as_ref().map(|known| Box::new(known.published())),
+        }
+    }
+
     /// The alternatives to the spectral model; `None` while the state is untrained.
     pub fn alternatives(&self) -> Option<&Alternatives> {
         self.alternatives.as_deref()

@@ -32,6 +32,7 @@ mod tiles;
 
 use grid_reader::{Keep, ReadGrid};
 pub(crate) use grid_writer::WriteError;
+pub(crate) use model_cache::ModelCache;
 pub(crate) use tiles::CheckpointTiles;
 
 const SUFFIX: &str = ".tmc";
@@ -146,7 +147,7 @@ impl Checkpoints<'_> {
         }
         for (id, state) in snapshot.states.iter().enumerate() {
             let message = reader.record(RecordKind::State)?;
-            same(record::decode_state(id, &message, &spec.periodicities)? == *state)?;
+            same(record::decode_state(id, &message, Some(&spec.periodicities))? == *state)?;
         }
         same(read_site(&mut reader, &record::encode(snapshot))? == *snapshot.site)?;
         let read = match &snapshot.grid {
@@ -189,7 +190,7 @@ impl Checkpoints<'_> {
         let producers = producers.collect::<Result<_, String>>()?;
         let states = (0..message.states as usize).map(|id| {
             let state = reader.record(RecordKind::State)?;
-            record::decode_state(id, &state, &spec.periodicities)
+            record::decode_state(id, &state, Some(&spec.periodicities))
         });
         let states = states.collect::<Result<_, String>>()?;
         let site = read_site(&mut reader, &message)?;

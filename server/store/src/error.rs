@@ -132,6 +132,8 @@ pub enum Report {
     CheckpointSetAside { file: PathBuf, reason: String },
     /// The index cannot be read; its folder was renamed and an empty one created.
     IndexSetAside { folder: PathBuf, reason: String },
+    /// An earlier version wrote the index, and it was dropped; it is written again from the checkpoints.
+    IndexDropped,
     /// The index of a map was written again from its checkpoint.
     IndexRebuilt { map: MapId, reason: String },
     /// There is no index; checkpoints and logs do not need it.
@@ -151,6 +153,9 @@ impl fmt::Display for Report {
             }
             Report::IndexSetAside { folder, reason } => {
                 write!(f, "set the damaged index aside as {}: {reason}", folder.display())
+            }
+            Report::IndexDropped => {
+                write!(f, "dropped the index, which an earlier version wrote; it is written again from the checkpoints")
             }
             Report::IndexRebuilt { map, reason } => {
                 write!(f, "rebuilt the index of map number {}: {reason}", map.0)

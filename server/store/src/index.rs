@@ -1,24 +1,32 @@
-//! The index: the newest snapshot of every map in sled. A save rewrites only the records that have changed.
+//! The index: what the newest generation of every map publishes, in sled. A save rewrites only rows that have changed.
 //!
-//! A checkpoint holds the same data and has priority, so a damaged index is dropped and written again.
-//! The index is read only when a map is opened. Invariant: a map's mark is clean only when all its records are durable,
-//! and holds their number and a sum over them, so that a missing, stale or foreign record is detected.
+//! Checkpoint and log have priority: they hold what the rows are made of, so a damaged index is dropped and written
+//! again. Invariant: a map's mark is clean only when all its rows are durable, and holds their number and a sum over
+//! them, so that a generation is whole or absent: a missing, stale or foreign row is detected.
 
 use std::{
     collections::BTreeMap,
     fs::{self, File},
     path::{Path, PathBuf},
+    sync::Weak,
 };
 
-use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_map::{grid::tile::TileModel, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_migrations::{
+    v1::index::OLD_TREES,
+    v2::published::{GENERATIONS, Total},
+};
 
+mod cells;
 mod folder;
-mod load;
 mod panics;
+mod read;
+mod rewrite;
 mod rows;
 mod save;
 
-use rows::Sum;
+use read::Marked;
+use rows::{Kind, Sum};
 
 /// The reason why an index must be replaced as a whole.
 pub(crate) type Damage = String;
@@ -26,30 +34,53 @@ pub(crate) type Damage = String;
 /// The open database.
 struct Trees {
     db: sled::Db,
-    states: sled::Tree,
-    models: sled::Tree,
-    marks: sled::Tree,
+    /// In the order of [`Kind::ALL`].
+    rows: [sled::Tree; Kind::ALL.len()],
+    generations: sled::Tree,
     folder: PathBuf,
 }
 
-/// The records of a map in the database: a sum for each state, for each producer and for the site.
+/// The rows of a map in the database.
 #[derive(Default)]
 struct KnownRows {
-    states: Vec<Sum>,
-    producers: Vec<Sum>,
-    site: Sum,
+    /// By [`Kind`], a sum for each item.
+    items: [Vec<Sum>; Kind::ALL.len()],
+    /// The models of tiles that were written, by tile.
+    models: Vec<Weak<TileModel>>,
 }
 
-/// The content of the index for a map.
-pub(crate) enum IndexContent {
-    /// The index is not used for this map.
-    Unused,
-    /// Nothing.
+impl KnownRows {
+    fn of(&self, kind: Kind) -> &Vec<Sum> {
+        &self.items[kind as usize]
+    }
+
+    fn take(&mut self, kind: Kind) -> Vec<Sum> {
+        std::mem::take(&mut self.items[kind as usize])
+    }
+
+    fn put(&mut self, kind: Kind, sums: Vec<Sum>) {
+        self.items[kind as usize] = sums;
+    }
+
+    fn totals(&self) -> Vec<Total> {
+        self.items.iter().map(|sums| rows::total(sums)).collect()
+    }
+}
+
+/// Whether the rows of a map are those of its newest snapshot.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum RowsState {
+    /// They are whole, and of the snapshot at this log position and this generation.
+    Whole {
+        /// Log position of the snapshot.
+        position: u64,
+        /// Number of the generation.
+        generation: u64,
+    },
+    /// There are none.
     Nothing,
-    /// Records that were not completely written.
+    /// They were not completely written.
     Unfinished,
-    /// A snapshot.
-    Snapshot(Box<MapSnapshot>),
 }
 
 /// The index, or what is left of it.
@@ -58,8 +89,17 @@ pub(crate) struct Index {
     cache_bytes: u64,
     /// `None` after a failure: the store continues without it.
     trees: Option<Trees>,
-    /// Maps whose records are all known.
+    /// Maps whose rows are all known.
     written: BTreeMap<u32, KnownRows>,
+}
+
+/// What was repaired while the index was opened.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum OpenRepair {
+    /// It could not be opened, was renamed to this, and an empty one was created.
+    SetAside(PathBuf, Damage),
+    /// It was one of an earlier build and was dropped.
+    Dropped,
 }
 
 impl Trees {
@@ -70,16 +110,24 @@ impl Trees {
             let config = sled::Config::new().path(folder).cache_capacity(cache_bytes).flush_every_ms(None);
             let text = |error: sled::Error| error.to_string();
             let db = config.open().map_err(text)?;
-            let tree = |name| db.open_tree(name).map_err(text);
-            use tidemap_migrations::v1::index::{MARKS, MODELS, STATES};
+            let tree = |kind: Kind| db.open_tree(kind.name()).map_err(text);
+            let [states, tiles, cells, sites, producers] = Kind::ALL.map(tree);
             Ok(Trees {
-                states: tree(STATES)?,
-                models: tree(MODELS)?,
-                marks: tree(MARKS)?,
+                rows: [states?, tiles?, cells?, sites?, producers?],
+                generations: db.open_tree(GENERATIONS).map_err(text)?,
                 folder: folder.to_owned(),
                 db,
             })
         })?
+    }
+
+    fn of(&self, kind: Kind) -> &sled::Tree {
+        &self.rows[kind as usize]
+    }
+
+    /// Whether an earlier build has written it.
+    fn is_old(&self) -> bool {
+        self.db.tree_names().iter().any(|name| OLD_TREES.iter().any(|old| old.as_bytes() == &name[..]))
     }
 
     /// Makes everything durable: sled's flush does not fsync.
@@ -90,10 +138,19 @@ impl Trees {
 }
 
 impl Index {
-    /// Opens the index. One that cannot be opened is renamed and an empty one created; the second value reports that.
-    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> (Index, Option<(PathBuf, Damage)>) {
+    /// Opens the index. One that cannot be opened is renamed and an empty one created, one of an earlier build is
+    /// replaced by an empty one; the second value reports that.
+    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> (Index, Option<OpenRepair>) {
         let mut index = Index { folder, cache_bytes, trees: None, written: BTreeMap::new() };
-        match Trees::open(&index.folder, cache_bytes) {
+        let opened = rewrite::remove_leftovers(&index.folder).map_err(|error| error.to_string());
+        match opened.and_then(|()| Trees::open(&index.folder, cache_bytes)) {
+            Ok(trees) if trees.is_old() => {
+                index.trees = Some(trees);
+                let dropped = index
+                    .drop_all()
+                    .map_or_else(|damage| OpenRepair::SetAside(index.folder.clone(), damage), |()| OpenRepair::Dropped);
+                (index, Some(dropped))
+            }
             Ok(trees) => {
                 index.trees = Some(trees);
                 (index, None)
@@ -101,7 +158,7 @@ impl Index {
             Err(damage) => {
                 let aside = index.replace();
                 let aside = aside.unwrap_or_else(|_| index.folder.clone());
-                (index, Some((aside, damage)))
+                (index, Some(OpenRepair::SetAside(aside, damage)))
             }
         }
     }
@@ -121,9 +178,20 @@ impl Index {
     pub(crate) fn replace(&mut self) -> Result<PathBuf, Damage> {
         self.give_up();
         let aside = folder::set_aside(&self.folder).map_err(|error| error.to_string())?;
-        self.trees = Some(Trees::open(&self.folder, self.cache_bytes)?);
-        folder::sync_with_parent(&self.folder).map_err(|error| error.to_string())?;
+        self.create()?;
         Ok(aside)
+    }
+
+    /// Removes the index and creates an empty one.
+    fn drop_all(&mut self) -> Result<(), Damage> {
+        self.give_up();
+        fs::remove_dir_all(&self.folder).map_err(|error| error.to_string())?;
+        self.create()
+    }
+
+    fn create(&mut self) -> Result<(), Damage> {
+        self.trees = Some(Trees::open(&self.folder, self.cache_bytes)?);
+        folder::sync_with_parent(&self.folder).map_err(|error| error.to_string())
     }
 
     /// Continues without an index.
@@ -134,38 +202,73 @@ impl Index {
         let _ = panics::catch(move || drop(trees));
     }
 
-    /// The records of a map.
-    pub(crate) fn load(&mut self, map: u32, spec: &MapSpec) -> Result<IndexContent, Damage> {
-        let Some(trees) = &self.trees else { return Ok(IndexContent::Nothing) };
-        let (found, written) = panics::catch(|| load::load(trees, map, spec))??;
-        if let Some(written) = written {
-            self.written.insert(map, written);
-        }
-        Ok(found)
+    /// What the rows of a map publish; `None` where they are not whole. Changes nothing.
+    pub(crate) fn read(&self, map: u32, spec: &MapSpec) -> Result<Option<MapSnapshot>, Damage> {
+        let Some(trees) = &self.trees else { return Ok(None) };
+        panics::catch(|| read::read(trees, map, spec))?
     }
 
-    /// Saves a snapshot. An index that fails is dropped; the checkpoint holds the same data.
+    /// Reads and checks all rows of a map.
+    pub(crate) fn check(&mut self, map: u32) -> Result<RowsState, Damage> {
+        let Some(trees) = &self.trees else { return Ok(RowsState::Nothing) };
+        let checked = panics::catch(|| match read::mark(trees, map)? {
+            Marked::Nothing => Ok(Err(RowsState::Nothing)),
+            Marked::Unfinished => Ok(Err(RowsState::Unfinished)),
+            Marked::Clean(mark, _) => {
+                let known = read::check(trees, map, &mark)?;
+                let snapshot = mark.snapshot.unwrap_or_default();
+                Ok::<_, Damage>(Ok((known, snapshot.position, snapshot.generation)))
+            }
+        })??;
+        Ok(match checked {
+            Ok((known, position, generation)) => {
+                self.written.insert(map, known);
+                RowsState::Whole { position, generation }
+            }
+            Err(state) => state,
+        })
+    }
+
+    /// Saves what a snapshot publishes. An index that fails is dropped; the checkpoint holds more.
     pub(crate) fn save(&mut self, map: u32, snapshot: &MapSnapshot) {
         let Some(trees) = &self.trees else { return };
         let before = self.written.remove(&map);
-        match panics::catch(|| save::save(trees, map, snapshot, before)).flatten() {
-            Ok(written) => {
+        let saved = panics::catch(|| {
+            let written = save::save(trees, map, snapshot, before)?;
+            Ok((written, rewrite::is_worth_it(trees)))
+        });
+        match saved.flatten() {
+            Ok((written, is_worth_it)) => {
                 self.written.insert(map, written);
+                if is_worth_it {
+                    self.rewrite();
+                }
             }
-            Err(damage) => {
-                tracing::warn!(map, %damage, "the index has failed and is not used until the next start");
-                self.give_up();
-            }
+            Err(damage) => self.fail(&damage),
         }
     }
 
-    /// Removes the records of a map.
+    /// Copies everything into a new folder, because sled frees little of what it has used.
+    fn rewrite(&mut self) {
+        let (folder, cache_bytes) = (self.folder.clone(), self.cache_bytes);
+        let Some(trees) = self.trees.take() else { return };
+        match panics::catch(move || rewrite::rewrite(trees, &folder, cache_bytes)).flatten() {
+            Ok(trees) => self.trees = Some(trees),
+            Err(damage) => self.fail(&damage),
+        }
+    }
+
+    fn fail(&mut self, damage: &str) {
+        tracing::warn!(damage, "the index has failed and is not used until the next start");
+        self.give_up();
+    }
+
+    /// Removes the rows of a map.
     pub(crate) fn purge(&mut self, map: u32) {
         self.written.remove(&map);
         let Some(trees) = &self.trees else { return };
         if let Err(damage) = panics::catch(|| save::purge(trees, map)).flatten() {
-            tracing::warn!(map, %damage, "the index has failed and is not used until the next start");
-            self.give_up();
+            self.fail(&damage);
         }
     }
 
@@ -192,11 +295,16 @@ pub(crate) mod tests_only {
 
     use super::rows;
 
-    /// CRC-32C over all keys and values of a snapshot.
+    /// CRC-32C over all keys and values of what a snapshot publishes.
     pub(crate) fn rows_checksum(map: u32, snapshot: &MapSnapshot) -> u32 {
         let states = (0..).zip(&snapshot.states).flat_map(|(id, state)| rows::of_state(map, id, state));
         let producers = (0..).zip(&snapshot.producers).flat_map(|(id, mark)| rows::of_producer(map, id, mark));
-        let rows = states.chain(producers).chain(rows::of_site(map, &snapshot.site));
+        let grid = snapshot.grid.iter();
+        let tiles = grid.clone().flat_map(|grid| (0..).zip(&grid.tiles));
+        let tiles = tiles.flat_map(|(id, tile)| rows::of_tile(map, id, tile).expect("valid"));
+        let cells = grid.flat_map(|grid| (0..).zip(&grid.models));
+        let cells = cells.flat_map(|(id, model)| rows::of_cells(map, id, &model.get().expect("readable")));
+        let rows = states.chain(producers).chain(rows::of_site(map, &snapshot.site)).chain(tiles).chain(cells);
         rows.fold(0, |crc, row| crc32c::crc32c_append(crc32c::crc32c_append(crc, &row.key), &row.value))
     }
 }

@@ -14,6 +14,7 @@ pub(crate) mod history;
 mod ids;
 mod observation_runs;
 mod offsets;
+pub(crate) mod published;
 pub(crate) mod scans;
 mod sensors;
 pub(crate) mod site;

@@ -114,8 +114,6 @@ impl MapEntry {
 pub enum Source {
     /// The map is new and empty.
     Empty,
-    /// The index.
-    Index,
     /// A checkpoint.
     Checkpoint,
     /// There is no snapshot: the whole log is replayed.
@@ -195,6 +193,18 @@ impl Store {
     /// Identity of the store. A restored backup may be given a new one.
     pub fn store_id(&self) -> &str {
         &self.inner.store_id
+    }
+
+    /// What the newest generation of a map publishes, from the index; `None` where it is not there or not whole. Of a
+    /// grid, the models of tiles are read when they are asked for. Does not wait for the log.
+    #[must_use]
+    pub fn published(&self, map: MapId, spec: &MapSpec) -> Option<MapSnapshot> {
+        let read = self.inner.index().read(map.0, spec);
+        read.unwrap_or_else(|damage| {
+            // Opening the map repairs it.
+            tracing::debug!(map = map.0, damage, "the index does not tell what a map publishes");
+            None
+        })
     }
 
     /// What was repaired when the store was opened.

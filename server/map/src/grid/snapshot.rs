@@ -43,3 +43,21 @@ pub struct GridSnapshot {
     /// When the first of the pending scans was received, or earlier; nanoseconds UTC of the server's clock.
     pub received_nanos: Option<i64>,
 }
+
+impl GridSnapshot {
+    /// What the generation publishes: the same without the sums and the pending scans.
+    #[must_use]
+    pub fn published(&self) -> GridSnapshot {
+        GridSnapshot {
+            tiles: self.tiles.clone(),
+            models: self.models.clone(),
+            sums: vec![SumsSlot::default(); self.models.len()],
+            last_seen: Arc::default(),
+            days: Vec::new(),
+            future: Vec::new(),
+            scans: self.scans,
+            cell_observations: self.cell_observations,
+            received_nanos: None,
+        }
+    }
+}

@@ -221,6 +221,15 @@ impl Alternatives {
         *fit = Some(FitRecord { model: Arc::new(model), day, error });
     }
 
+    /// The same without the fitted models that are not in force.
+    pub(super) fn published(&self) -> Alternatives {
+        let mut published = self.clone();
+        for (kind, fit) in FitKind::ALL.into_iter().zip(&mut published.fits) {
+            *fit = fit.take().filter(|_| self.parts.choice == ModelChoice::Fitted(kind));
+        }
+        published
+    }
+
     /// Removes models that are not enabled.
     fn restrict(&mut self, models: EnabledModels) {
         self.parts.histograms = self.parts.histograms.filter(|_| models.histograms);

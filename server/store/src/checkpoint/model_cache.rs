@@ -10,7 +10,7 @@ use std::{
 use tidemap_map::grid::{index::TileId, tile::TileModel};
 
 /// A few models, up to a limit in bytes.
-pub(super) struct ModelCache {
+pub(crate) struct ModelCache {
     bytes_max: usize,
     bytes: usize,
     /// Number of uses so far.
@@ -20,11 +20,11 @@ pub(super) struct ModelCache {
 }
 
 impl ModelCache {
-    pub(super) fn new(bytes_max: usize) -> ModelCache {
+    pub(crate) fn new(bytes_max: usize) -> ModelCache {
         ModelCache { bytes_max, bytes: 0, now: 0, models: HashMap::new(), by_use: BTreeMap::new() }
     }
 
-    pub(super) fn get(&mut self, tile: TileId) -> Option<Arc<TileModel>> {
+    pub(crate) fn get(&mut self, tile: TileId) -> Option<Arc<TileModel>> {
         let (used, model) = self.models.get_mut(&tile)?;
         self.now += 1;
         self.by_use.remove(used);
@@ -33,7 +33,7 @@ impl ModelCache {
         Some(Arc::clone(model))
     }
 
-    pub(super) fn insert(&mut self, tile: TileId, model: &Arc<TileModel>) {
+    pub(crate) fn insert(&mut self, tile: TileId, model: &Arc<TileModel>) {
         self.now += 1;
         self.bytes += model.bytes();
         self.by_use.insert(self.now, tile);

@@ -1,94 +1,182 @@
-//! The records of a snapshot as keys and values of the index.
+//! What a generation publishes, as rows of the index.
 //!
-//! Invariant: equal states give equal records, so an unchanged state is not written again.
+//! Invariant: equal content gives equal rows, so an unchanged state or tile is not written again.
 
-use prost::Message as _;
+use prost::Message;
 use tidemap_map::{
+    grid::{live_tile::LiveTile, tile::TileModel},
     site::Site,
     snapshot::{ProducerMark, StateSnapshot},
 };
 use tidemap_migrations::{
-    v1::index::{CHUNK_LENGTH, MARKS, MODELS, STATES, chunk_key, encode_value, fingerprint, item_key},
-    v2::{FITS_CHUNK, HOURS_CHUNK, PROFILE_CHUNK, index::SITE_ITEM},
+    v1::index::{decode_value, encode_value, fingerprint, part_key},
+    v2::published::{CELLS, PART_LENGTH, PRODUCERS, SITES, STATES, TILES, Total},
 };
 
-use crate::record::{site as record_site, snapshot as record};
+use super::Damage;
+use crate::record::{published, site as record_site, snapshot as record, tile, tile_model};
 
-/// The tree of a record.
+/// A tree of rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Tree {
+pub(super) enum Kind {
     States,
-    Models,
-    Marks,
+    Tiles,
+    Cells,
+    Sites,
+    Producers,
 }
 
-/// One record.
+impl Kind {
+    /// All, in the order of a mark's totals.
+    pub(super) const ALL: [Kind; 5] = [Kind::States, Kind::Tiles, Kind::Cells, Kind::Sites, Kind::Producers];
+
+    /// The name of the tree.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Kind::States => STATES,
+            Kind::Tiles => TILES,
+            Kind::Cells => CELLS,
+            Kind::Sites => SITES,
+            Kind::Producers => PRODUCERS,
+        }
+    }
+}
+
+/// One row.
 pub(super) struct IndexRow {
-    pub(super) tree: Tree,
-    pub(super) key: Vec<u8>,
+    pub(super) key: [u8; 10],
     pub(super) value: Vec<u8>,
 }
 
-/// Number of records and the sum of their fingerprints, which does not depend on their order.
+/// Number and bytes of rows, and the sum of their fingerprints, which does not depend on their order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Sum {
-    pub(super) records: u64,
+    pub(super) records: u32,
+    pub(super) bytes: u32,
     pub(super) fingerprint: u64,
 }
 
 impl Sum {
-    pub(super) fn add_value(&mut self, value: &[u8]) {
-        self.add(Sum { records: 1, fingerprint: fingerprint(value) });
+    pub(super) fn add(&mut self, key: &[u8], value: &[u8]) {
+        self.records += 1;
+        self.bytes += (key.len() + value.len()) as u32;
+        self.fingerprint = self.fingerprint.wrapping_add(fingerprint(value));
     }
 
-    pub(super) fn add(&mut self, other: Sum) {
-        self.records += other.records;
-        self.fingerprint = self.fingerprint.wrapping_add(other.fingerprint);
+    pub(super) fn of(rows: &[IndexRow]) -> Sum {
+        let mut sum = Sum::default();
+        rows.iter().for_each(|row| sum.add(&row.key, &row.value));
+        sum
     }
 }
 
-/// The sum over some rows.
-pub(super) fn sum(rows: &[IndexRow]) -> Sum {
-    let mut sum = Sum::default();
-    for row in rows {
-        sum.add_value(&row.value);
+/// The sum over some items.
+pub(super) fn total(sums: &[Sum]) -> Total {
+    let mut total = Total::default();
+    for sum in sums {
+        total.records += u64::from(sum.records);
+        total.bytes += u64::from(sum.bytes);
+        total.fingerprint_sum = total.fingerprint_sum.wrapping_add(sum.fingerprint);
     }
-    sum
+    total
 }
 
-/// The records of a state: one for the state, then its spectrum, hours, calibrated profile and other fits in chunks.
-pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<IndexRow> {
-    let mut message = record::encode_state(id, state);
-    let spectrum = std::mem::take(&mut message.spectrum);
-    let mut known = message.alternatives.as_mut();
-    let hours = known.as_mut().map(|known| std::mem::take(&mut known.hours)).unwrap_or_default();
-    let fits = known.as_mut().map(|known| std::mem::take(&mut known.fits)).unwrap_or_default();
-    let calibrated = known.and_then(|known| known.calibrated.as_mut());
-    let profile = calibrated.map(|fit| std::mem::take(&mut fit.profile)).unwrap_or_default();
-    let key = item_key(map, id).to_vec();
-    let value = encode_value(STATES, &key, &message.encode_to_vec());
-    let chunks = [(0, &spectrum), (HOURS_CHUNK, &hours), (PROFILE_CHUNK, &profile), (FITS_CHUNK, &fits)];
-    let chunks = chunks.into_iter().flat_map(|(first, bytes)| (first..).zip(bytes.chunks(CHUNK_LENGTH)));
-    let chunks = chunks.map(|(chunk, bytes)| {
-        let key = chunk_key(map, id, chunk).to_vec();
-        IndexRow { tree: Tree::Models, value: encode_value(MODELS, &key, bytes), key }
-    });
-    std::iter::once(IndexRow { tree: Tree::States, key, value }).chain(chunks).collect()
-}
-
-/// The records of a site; none for an empty site.
-pub(super) fn of_site(map: u32, site: &Site) -> Vec<IndexRow> {
-    let bytes = record_site::encode(site).map(|message| message.encode_to_vec()).unwrap_or_default();
-    let chunk = |(chunk, bytes): (u16, &[u8])| {
-        let key = chunk_key(map, SITE_ITEM, chunk).to_vec();
-        IndexRow { tree: Tree::Models, value: encode_value(MODELS, &key, bytes), key }
+/// The rows of a message: at least one.
+fn parts(kind: Kind, map: u32, item: u32, message: &impl Message) -> Vec<IndexRow> {
+    let bytes = message.encode_to_vec();
+    let count = bytes.len().div_ceil(PART_LENGTH).max(1);
+    let part = |part: usize| {
+        let (from, to) = (part * PART_LENGTH, bytes.len().min((part + 1) * PART_LENGTH));
+        // A message of 240 MB would have as many parts as there are numbers.
+        let key = part_key(map, item, u16::try_from(part).unwrap_or(u16::MAX));
+        IndexRow { key, value: encode_value(kind.name(), &key, &bytes[from..to]) }
     };
-    (0..).zip(bytes.chunks(CHUNK_LENGTH)).map(chunk).collect()
+    (0..count).map(part).collect()
 }
 
-/// The record of a producer.
+/// The rows of a state.
+pub(super) fn of_state(map: u32, id: u32, state: &StateSnapshot) -> Vec<IndexRow> {
+    parts(Kind::States, map, id, &published::encode(id, state))
+}
+
+/// The rows of a tile's known cells and last values.
+pub(super) fn of_tile(map: u32, id: u32, live: &LiveTile) -> Result<Vec<IndexRow>, Damage> {
+    Ok(parts(Kind::Tiles, map, id, &tile::encode(live, false)?))
+}
+
+/// The rows of a tile's models; none for a tile that no update has seen.
+pub(super) fn of_cells(map: u32, id: u32, model: &TileModel) -> Vec<IndexRow> {
+    if *model == TileModel::default() {
+        return Vec::new();
+    }
+    parts(Kind::Cells, map, id, &tile_model::encode(model))
+}
+
+/// The rows of a site; none for an empty site.
+pub(super) fn of_site(map: u32, site: &Site) -> Vec<IndexRow> {
+    record_site::encode(site).map_or_else(Vec::new, |message| parts(Kind::Sites, map, 0, &message))
+}
+
+/// The rows of a producer.
 pub(super) fn of_producer(map: u32, id: u32, producer: &ProducerMark) -> Vec<IndexRow> {
-    let key = item_key(map, id).to_vec();
-    let value = encode_value(MARKS, &key, &record::encode_producer(id, producer).encode_to_vec());
-    vec![IndexRow { tree: Tree::Marks, key, value }]
+    parts(Kind::Producers, map, id, &record::encode_producer(id, producer))
+}
+
+/// The rows of one item, read in order.
+pub(super) struct Item {
+    pub(super) number: u32,
+    pub(super) bytes: Vec<u8>,
+    pub(super) sum: Sum,
+}
+
+impl Item {
+    /// The message that the rows make up.
+    pub(super) fn message<M: Message + Default>(&self, kind: Kind) -> Result<M, Damage> {
+        M::decode(&self.bytes[..]).map_err(|_| format!("row {} of {} is not a message", self.number, kind.name()))
+    }
+}
+
+/// Groups the rows of a range of a tree by item. Each row is checked by itself.
+pub(super) fn items(
+    kind: Kind,
+    rows: impl Iterator<Item = sled::Result<(sled::IVec, sled::IVec)>>,
+) -> impl Iterator<Item = Result<Item, Damage>> {
+    let mut rows = rows.peekable();
+    std::iter::from_fn(move || {
+        let mut item: Option<Item> = None;
+        loop {
+            let next = rows.next_if(|row| match (row, &item) {
+                (Ok((key, _)), Some(item)) => number(key).is_ok_and(|(number, _)| number == item.number),
+                _ => item.is_none(),
+            });
+            let (key, value) = match next {
+                None => return item.map(Ok),
+                Some(Err(error)) => return Some(Err(error.to_string())),
+                Some(Ok(row)) => row,
+            };
+            let of_row = number(&key).and_then(|(number, part)| {
+                let payload = decode_value(kind.name(), &key, &value);
+                let payload =
+                    payload.ok_or_else(|| format!("a row in {} is damaged or in the wrong place", kind.name()))?;
+                Ok((number, part, payload))
+            });
+            let (number, part, payload) = match of_row {
+                Ok(row) => row,
+                Err(damage) => return Some(Err(damage)),
+            };
+            let item = item.get_or_insert_with(|| Item { number, bytes: Vec::new(), sum: Sum::default() });
+            if item.sum.records != u32::from(part) {
+                return Some(Err(format!("a part of row {number} of {} is missing", kind.name())));
+            }
+            item.bytes.extend_from_slice(payload);
+            item.sum.add(&key, &value);
+        }
+    })
+}
+
+/// The number of an item, and of its part.
+fn number(key: &[u8]) -> Result<(u32, u16), Damage> {
+    let (rest, part) = key.split_last_chunk::<2>().ok_or("a key is too short")?;
+    let (_, item) = rest.split_last_chunk::<4>().filter(|(map, _)| map.len() == 4).ok_or("a key has another length")?;
+    Ok((u32::from_be_bytes(*item), u16::from_be_bytes(*part)))
 }

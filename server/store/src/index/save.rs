@@ -1,97 +1,116 @@
-//! Writing a map's snapshot to the index.
+//! Writing what a generation publishes to the index.
 //!
-//! Invariant: the mark is dirty and durable before the first record changes, and clean only after the last is durable.
+//! Invariant: the mark is dirty and durable before the first row changes, and clean only after the last is durable.
+
+use std::sync::Arc;
 
 use prost::Message as _;
-use tidemap_map::snapshot::MapSnapshot;
+use tidemap_map::{grid::tile::ModelSlot, snapshot::MapSnapshot};
 use tidemap_migrations::{
-    v1::index::{MARKS, chunk_key, encode_value, map_key},
-    v2::{HOURS_CHUNK, index::Mark},
+    v1::index::{encode_value, map_key, part_key},
+    v2::published::{GENERATIONS, GridMark, Mark},
 };
 
 use super::{
     Damage, KnownRows, Trees,
-    rows::{self, IndexRow, Sum, Tree},
+    rows::{self, IndexRow, Kind, Sum},
 };
 use crate::record::snapshot as record;
 
-/// Records in one batch of sled; larger batches hold its lock for too long.
-const BATCH_RECORDS: usize = 32;
+/// Rows in one batch of sled; larger batches hold its lock for too long.
+const BATCH_ROWS: usize = 32;
 /// Bytes in one batch of sled.
 const BATCH_BYTES: usize = 64 << 10;
 
-/// Rows that are collected for the trees.
+/// Rows of one tree that are collected until there are enough.
 #[derive(Default)]
-struct Batches {
-    states: sled::Batch,
-    models: sled::Batch,
-    marks: sled::Batch,
-    records: usize,
+pub(super) struct Collected {
+    batch: sled::Batch,
+    rows: usize,
     bytes: usize,
 }
 
-impl Batches {
-    fn push(&mut self, trees: &Trees, row: IndexRow) -> Result<(), Damage> {
-        self.records += 1;
-        self.bytes += row.key.len() + row.value.len();
-        let batch = match row.tree {
-            Tree::States => &mut self.states,
-            Tree::Models => &mut self.models,
-            Tree::Marks => &mut self.marks,
-        };
-        batch.insert(row.key, row.value);
-        if self.records >= BATCH_RECORDS || self.bytes >= BATCH_BYTES { self.apply(trees) } else { Ok(()) }
+impl Collected {
+    pub(super) fn insert(&mut self, tree: &sled::Tree, key: &[u8], value: Vec<u8>) -> Result<(), Damage> {
+        self.rows += 1;
+        self.bytes += key.len() + value.len();
+        self.batch.insert(key, value);
+        self.apply_if_full(tree)
     }
 
-    fn apply(&mut self, trees: &Trees) -> Result<(), Damage> {
+    fn remove(&mut self, tree: &sled::Tree, key: &[u8]) -> Result<(), Damage> {
+        self.rows += 1;
+        self.batch.remove(key);
+        self.apply_if_full(tree)
+    }
+
+    fn apply_if_full(&mut self, tree: &sled::Tree) -> Result<(), Damage> {
+        if self.rows >= BATCH_ROWS || self.bytes >= BATCH_BYTES { self.apply(tree) } else { Ok(()) }
+    }
+
+    pub(super) fn apply(&mut self, tree: &sled::Tree) -> Result<(), Damage> {
         let full = std::mem::take(self);
-        trees.states.apply_batch(full.states).map_err(|error| error.to_string())?;
-        trees.models.apply_batch(full.models).map_err(|error| error.to_string())?;
-        trees.marks.apply_batch(full.marks).map_err(|error| error.to_string())
-    }
-}
-
-impl KnownRows {
-    /// The sum over everything.
-    pub(super) fn total(&self) -> Sum {
-        let mut total = Sum::default();
-        for &sum in self.states.iter().chain(&self.producers).chain([&self.site]) {
-            total.add(sum);
-        }
-        total
+        if full.rows == 0 { Ok(()) } else { tree.apply_batch(full.batch).map_err(|error| error.to_string()) }
     }
 }
 
 fn set_mark(trees: &Trees, map: u32, mark: &Mark) -> Result<(), Damage> {
     let key = map_key(map);
-    trees.marks.insert(key, encode_value(MARKS, &key, &mark.encode_to_vec())).map_err(|error| error.to_string())?;
+    let value = encode_value(GENERATIONS, &key, &mark.encode_to_vec());
+    trees.generations.insert(key, value).map_err(|error| error.to_string())?;
     trees.flush()
 }
 
-/// Removes all records of a map except the mark.
+/// Removes all rows of a map except the mark.
 fn clear(trees: &Trees, map: u32) -> Result<(), Damage> {
-    let prefix = map_key(map);
-    for tree in [&trees.states, &trees.models, &trees.marks] {
-        let mut batch = sled::Batch::default();
-        let mut records = 0;
-        for key in tree.scan_prefix(prefix).keys() {
-            let key = key.map_err(|error| error.to_string())?;
-            if key.len() == prefix.len() {
-                continue;
-            }
-            batch.remove(key);
-            records += 1;
-            if records == BATCH_RECORDS {
-                tree.apply_batch(std::mem::take(&mut batch)).map_err(|error| error.to_string())?;
-                records = 0;
-            }
+    for kind in Kind::ALL {
+        let tree = trees.of(kind);
+        let mut collected = Collected::default();
+        for key in tree.scan_prefix(map_key(map)).keys() {
+            collected.remove(tree, &key.map_err(|error| error.to_string())?)?;
         }
-        tree.apply_batch(batch).map_err(|error| error.to_string())?;
+        collected.apply(tree)?;
     }
     Ok(())
 }
 
-/// Writes the records that differ from `before`, or all records if `before` is unknown.
+/// Writes the items of one tree.
+struct Writer<'trees> {
+    tree: &'trees sled::Tree,
+    map: u32,
+    collected: Collected,
+    sums: Vec<Sum>,
+}
+
+impl Writer<'_> {
+    /// Writes the rows of an item if they differ from those that are there.
+    fn write(&mut self, item: u32, rows: Vec<IndexRow>) -> Result<(), Damage> {
+        let at = item as usize;
+        if self.sums.len() <= at {
+            self.sums.resize(at + 1, Sum::default());
+        }
+        let sum = Sum::of(&rows);
+        let before = std::mem::replace(&mut self.sums[at], sum);
+        if before == sum {
+            return Ok(());
+        }
+        for row in rows {
+            self.collected.insert(self.tree, &row.key, row.value)?;
+        }
+        for part in sum.records..before.records {
+            // Parts are numbered in 16 bits.
+            self.collected.remove(self.tree, &part_key(self.map, item, part as u16))?;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<Vec<Sum>, Damage> {
+        self.collected.apply(self.tree)?;
+        Ok(self.sums)
+    }
+}
+
+/// Writes the rows that differ from `before`, or all rows if `before` is unknown.
 pub(super) fn save(
     trees: &Trees,
     map: u32,
@@ -99,94 +118,74 @@ pub(super) fn save(
     before: Option<KnownRows>,
 ) -> Result<KnownRows, Damage> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
-    let site = rows::of_site(map, &snapshot.site);
-    // States and producers are only added; after any other change all records are written again.
-    let before = before.filter(|before| {
-        before.states.len() <= snapshot.states.len()
-            && before.producers.len() <= snapshot.producers.len()
-            && before.site.records <= site.len() as u64
-    });
-    let mut before = match before {
+    let grid = snapshot.grid.as_ref();
+    // States, producers and tiles are only added; after any other change all rows are written again.
+    let counts = [snapshot.states.len(), grid.map_or(0, |grid| grid.tiles.len()), snapshot.producers.len()];
+    let fits = |known: &KnownRows| {
+        let kinds = [Kind::States, Kind::Tiles, Kind::Producers];
+        kinds.iter().zip(counts).all(|(&kind, count)| known.of(kind).len() <= count)
+    };
+    let mut before = match before.filter(fits) {
         Some(before) => before,
         None => {
             clear(trees, map)?;
             KnownRows::default()
         }
     };
-    let mut batches = Batches::default();
+    let mut writer =
+        |kind: Kind| Writer { tree: trees.of(kind), map, collected: Collected::default(), sums: before.take(kind) };
+    let mut states = writer(Kind::States);
     for (id, state) in (0..).zip(&snapshot.states) {
-        let rows = rows::of_state(map, id, state);
-        let keys: Vec<Vec<u8>> = rows.iter().map(|row| row.key.clone()).collect();
-        if write_changed(trees, &mut batches, &mut before.states, id, rows)? {
-            remove_others(trees, &keys, map, id)?;
-        }
+        states.write(id, rows::of_state(map, id, state))?;
     }
+    let mut producers = writer(Kind::Producers);
     for (id, producer) in (0..).zip(&snapshot.producers) {
-        let rows = rows::of_producer(map, id, producer);
-        write_changed(trees, &mut batches, &mut before.producers, id, rows)?;
+        producers.write(id, rows::of_producer(map, id, producer))?;
     }
-    let sum = rows::sum(&site);
-    if sum != before.site {
-        before.site = sum;
-        for row in site {
-            batches.push(trees, row)?;
+    let mut sites = writer(Kind::Sites);
+    sites.write(0, rows::of_site(map, &snapshot.site))?;
+    let (mut tiles, mut cells) = (writer(Kind::Tiles), writer(Kind::Cells));
+    let mut models = std::mem::take(&mut before.models);
+    if let Some(grid) = grid {
+        for (id, live) in (0..).zip(&grid.tiles) {
+            tiles.write(id, rows::of_tile(map, id, live)?)?;
+        }
+        models.resize_with(grid.models.len(), Default::default);
+        for ((id, slot), known) in (0..).zip(&grid.models).zip(&mut models) {
+            let is_there = cells.sums.len() > id as usize;
+            let model = match slot {
+                ModelSlot::Resident(model) if std::ptr::eq(known.as_ptr(), Arc::as_ptr(model)) => continue,
+                // It has left memory after it was saved, here and in a checkpoint.
+                ModelSlot::Cold(_) if is_there => continue,
+                slot => slot.get().map_err(|error| error.to_string())?,
+            };
+            cells.write(id, rows::of_cells(map, id, &model))?;
+            *known = Arc::downgrade(&model);
         }
     }
-    batches.apply(trees)?;
+    before.put(Kind::States, states.finish()?);
+    before.put(Kind::Producers, producers.finish()?);
+    before.put(Kind::Sites, sites.finish()?);
+    before.put(Kind::Tiles, tiles.finish()?);
+    before.put(Kind::Cells, cells.finish()?);
+    before.models = models;
     trees.flush()?;
-    let total = before.total();
-    let mark = Mark {
-        dirty: false,
-        snapshot: Some(record::encode(snapshot)),
-        records: total.records,
-        fingerprint_sum: total.fingerprint,
-    };
-    set_mark(trees, map, &mark)?;
+    // There are at most as many tiles as 32 bits can number.
+    let grid = grid.map(|grid| GridMark {
+        tiles: grid.tiles.len() as u32,
+        models: grid.models.len() as u32,
+        scans: grid.scans,
+        cell_observations: grid.cell_observations,
+    });
+    let snapshot = Some(record::encode(snapshot));
+    set_mark(trees, map, &Mark { dirty: false, snapshot, grid, totals: before.totals() })?;
     Ok(before)
-}
-
-/// Removes the chunks of a state's models that are not among `keys`. The chunks of a spectrum are never removed.
-fn remove_others(trees: &Trees, keys: &[Vec<u8>], map: u32, state: u32) -> Result<(), Damage> {
-    let text = |error: sled::Error| error.to_string();
-    for key in trees.models.range(chunk_key(map, state, HOURS_CHUNK)..=chunk_key(map, state, u16::MAX)).keys() {
-        let key = key.map_err(text)?;
-        if !keys.iter().any(|kept| kept[..] == key[..]) {
-            trees.models.remove(key).map_err(text)?;
-        }
-    }
-    Ok(())
-}
-
-/// Writes the rows of one item if their sum has changed. Returns whether the item existed before with another sum.
-fn write_changed(
-    trees: &Trees,
-    batches: &mut Batches,
-    sums: &mut Vec<Sum>,
-    id: u32,
-    rows: Vec<IndexRow>,
-) -> Result<bool, Damage> {
-    let sum = rows::sum(&rows);
-    let was_there = match sums.get_mut(id as usize) {
-        Some(before) if *before == sum => return Ok(false),
-        Some(before) => {
-            *before = sum;
-            true
-        }
-        None => {
-            sums.push(sum);
-            false
-        }
-    };
-    for row in rows {
-        batches.push(trees, row)?;
-    }
-    Ok(was_there)
 }
 
 /// Removes everything of a map.
 pub(super) fn purge(trees: &Trees, map: u32) -> Result<(), Damage> {
     set_mark(trees, map, &Mark { dirty: true, ..Mark::default() })?;
     clear(trees, map)?;
-    trees.marks.remove(map_key(map)).map_err(|error| error.to_string())?;
+    trees.generations.remove(map_key(map)).map_err(|error| error.to_string())?;
     trees.flush()
 }

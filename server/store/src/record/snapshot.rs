@@ -1,6 +1,5 @@
 //! Producers, states and the counters of a snapshot as records, and back.
 //!
-//! A state's spectrum is encoded separately, because it is by far the largest part: the index cuts it into chunks.
 //! Invariant: every number is read back bit by bit.
 
 use std::{collections::HashSet, sync::Arc};
@@ -172,11 +171,12 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v2::State {
     }
 }
 
-/// The state that must have number `id`.
+/// The state that must have number `id`. With `periodicities` it has its spectrum; without, it is one that was
+/// published, and has none.
 pub(crate) fn decode_state(
     id: usize,
     message: &v2::State,
-    periodicities: &Periodicities,
+    periodicities: Option<&Periodicities>,
 ) -> Result<StateSnapshot, String> {
     if message.id as usize != id {
         return Err("a state is missing or out of order".to_owned());
@@ -196,7 +196,11 @@ pub(crate) fn decode_state(
     })
 }
 
-fn decode_model(kind: StateKind, message: &v2::State, periodicities: &Periodicities) -> Result<StateModel, String> {
+fn decode_model(
+    kind: StateKind,
+    message: &v2::State,
+    periodicities: Option<&Periodicities>,
+) -> Result<StateModel, String> {
     let sums = message.accumulator.as_ref().ok_or("a state has no accumulator")?;
     let spectral = message.spectral.as_ref().ok_or("a state has no spectral model")?;
     let (numbers, rest) = message.spectrum.as_chunks::<8>();
@@ -227,8 +231,12 @@ fn decode_model(kind: StateKind, message: &v2::State, periodicities: &Periodicit
         last_day: message.errors_last_day.map(LocalDay),
     };
     let invalid = |error: tidemap_model::InvalidParts| error.to_string();
+    let accumulator = match periodicities {
+        Some(periodicities) => Accumulator::from_parts_of(kind, periodicities, accumulator),
+        None => Accumulator::published_from_parts(kind, accumulator),
+    };
     let model = StateModel::from_parts(
-        Accumulator::from_parts_of(kind, periodicities, accumulator).map_err(invalid)?,
+        accumulator.map_err(invalid)?,
         SpectralModel::from_parts_of(kind, f64::from_bits(spectral.mean_bits), spectral.observations, components)
             .map_err(invalid)?,
         message.order as usize,

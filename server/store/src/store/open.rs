@@ -24,7 +24,7 @@ use crate::{
     committer::Committer,
     disk::{Disk, RealDisk},
     error::{OpenError, Report, open_io},
-    index::{Index, is_present},
+    index::{Index, OpenRepair, is_present},
 };
 
 /// The parts of a store.
@@ -81,10 +81,12 @@ impl Store {
         // Also if it existed: its name, and that of the manifest, may not be durable yet.
         File::open(directory).and_then(|folder| folder.sync_all()).map_err(open_io(directory))?;
 
-        let (index, damage) = Index::open(directory.join("index"), options.index_cache_bytes);
+        let (index, repair) = Index::open(directory.join("index"), options.index_cache_bytes);
         let mut reports = Vec::new();
-        if let Some((folder, reason)) = damage {
-            reports.push(Report::IndexSetAside { folder, reason });
+        match repair {
+            Some(OpenRepair::SetAside(folder, reason)) => reports.push(Report::IndexSetAside { folder, reason }),
+            Some(OpenRepair::Dropped) => reports.push(Report::IndexDropped),
+            None => {}
         }
         if !index.is_available() {
             reports.push(Report::IndexUnavailable { reason: "it cannot be created".to_owned() });

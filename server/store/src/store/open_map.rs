@@ -1,4 +1,4 @@
-//! Opening a map: the newest snapshot that can be trusted, and the log after it.
+//! Opening a map: the newest checkpoint that can be trusted, and the log after it.
 //!
 //! Invariant: the log is read to its end and checked before anything is repaired.
 
@@ -14,7 +14,7 @@ use crate::{
     MapId,
     checkpoint::DamagedCheckpoint,
     error::{OpenError, Report, open_io},
-    index::IndexContent,
+    index::RowsState,
     log::{
         Log,
         recovery::{Expectation, Recovered, recover},
@@ -103,38 +103,32 @@ impl OpenStore {
         }
     }
 
-    /// Prefers the index where it is at least as new as every checkpoint. Changes nothing.
+    /// The newest good checkpoint, and whether the index has its rows. Changes nothing.
     fn newest_snapshot(&self, map: MapId, spec: &MapSpec) -> Result<Newest, OpenError> {
         let checkpoints = self.checkpoints(map);
         let names = checkpoints.positions().map_err(open_io(&checkpoints.folder))?;
-        let newest_name = names.last().copied().unwrap_or(0);
-        let mut state = IndexState::Good;
-        let mut indexed = None;
-        // The index does not hold grids.
-        let found = if spec.grid.is_some() { Ok(IndexContent::Unused) } else { self.index().load(map.0, spec) };
-        match found {
-            Ok(IndexContent::Unused) => {}
-            Ok(IndexContent::Snapshot(snapshot)) => indexed = Some(*snapshot),
-            Ok(IndexContent::Nothing) => state = IndexState::Stale("it held nothing of this map"),
-            Ok(IndexContent::Unfinished) => state = IndexState::Stale("it was being written when the process stopped"),
-            Err(damage) => state = IndexState::Damaged(damage),
-        }
-        let known = newest_name.max(indexed.as_ref().map_or(0, |snapshot| snapshot.position));
-        if let Some(snapshot) = indexed.take_if(|snapshot| snapshot.position >= newest_name) {
-            let (snapshot, damaged, source) = (Some(snapshot), Vec::new(), Source::Index);
-            return Ok(Newest { snapshot, source, known, damaged, index: state });
-        }
+        let found = self.index().check(map.0);
         let (snapshot, damaged) =
             checkpoints.load(spec, self.options.tile_cache_bytes).map_err(open_io(&checkpoints.folder))?;
-        let position = |snapshot: &Option<MapSnapshot>| snapshot.as_ref().map(|snapshot| snapshot.position);
-        if indexed.is_some() && position(&indexed) >= position(&snapshot) {
-            return Ok(Newest { snapshot: indexed, source: Source::Index, known, damaged, index: state });
-        }
-        if indexed.is_some() {
-            state = IndexState::Stale("it is older than the newest checkpoint");
-        }
+        let mut known = names.last().copied().unwrap_or(0);
+        let index = match found {
+            Ok(RowsState::Nothing) if snapshot.is_none() => IndexState::Good,
+            Ok(RowsState::Nothing) => IndexState::Stale("it held nothing of this map"),
+            Ok(RowsState::Unfinished) => IndexState::Stale("it was being written when the process stopped"),
+            Ok(RowsState::Whole { position, generation }) => {
+                known = known.max(position);
+                match snapshot.as_ref().map(|snapshot| (snapshot.position, snapshot.generation)) {
+                    Some(newest) if newest == (position, generation) => IndexState::Good,
+                    Some((newest, _)) if newest > position => {
+                        IndexState::Stale("it is older than the newest checkpoint")
+                    }
+                    _ => IndexState::Stale("it is newer than the newest good checkpoint"),
+                }
+            }
+            Err(damage) => IndexState::Damaged(damage),
+        };
         let source = if snapshot.is_some() { Source::Checkpoint } else { Source::Log };
-        Ok(Newest { snapshot, source, known, damaged, index: state })
+        Ok(Newest { snapshot, source, known, damaged, index })
     }
 
     fn open_log(
@@ -181,6 +175,8 @@ impl OpenStore {
                     Report::IndexUnavailable { reason: "it cannot be written".to_owned() }
                 });
             }
+            // Rows of a generation that is no longer known.
+            None if index.is_available() => index.purge(map.0),
             _ => {}
         }
     }

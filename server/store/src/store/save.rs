@@ -1,4 +1,4 @@
-//! Saving a map: its history, a checkpoint, the index; then everything that these replace is deleted.
+//! Saving a map: its history, a checkpoint, what it publishes in the index; then everything that these replace is deleted.
 //!
 //! Invariant: at every moment the kept checkpoints, the log after the oldest of them and the history files restore the
 //! map with all observations that its retention keeps. The newest segment of a log is never deleted.
@@ -19,7 +19,7 @@ use crate::{
 
 impl Store {
     /// Writes the history of the observations that the snapshot's updates have learned, then a checkpoint, and the
-    /// snapshot to the index. Durable when this returns. Appends continue meanwhile. Files that are no longer needed
+    /// what it publishes to the index. Durable when this returns. Appends continue meanwhile. Files that are no longer needed
     /// are deleted: old checkpoints, history beyond the map's retention, and the log's segments that every kept
     /// checkpoint covers.
     ///
@@ -40,9 +40,7 @@ impl Store {
         if let Some(log) = &entry.log {
             log.cover(snapshot.position);
         }
-        if entry.spec.grid.is_none() {
-            inner.index().save(map.0, snapshot);
-        }
+        inner.index().save(map.0, snapshot);
         inner.forget(map, &entry, snapshot);
         Ok(tiles.map(|tiles| tiles as Arc<dyn TileSource>))
     }

@@ -5,7 +5,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_migrations::v1::index::{MARKS, MODELS, STATES, chunk_key, item_key, map_key};
+use tidemap_migrations::{
+    v1::index::{encode_value, map_key, part_key},
+    v2::published::{GENERATIONS, Mark, PRODUCERS, STATES},
+};
 
 use super::example::{Example, fill, options, snapshot};
 use crate::{MapId, OpenedMap, Report, Source, Store};
@@ -31,7 +34,7 @@ fn check_repaired(example: &Example, directory: &Path) {
         assert_eq!(opened.source, Source::Checkpoint);
         opened = example.check(directory).expect("opens");
     }
-    assert_eq!((opened.source, opened.reports), (Source::Index, vec![]));
+    assert_eq!((opened.source, opened.reports), (Source::Checkpoint, vec![]));
 }
 
 fn set_aside(opened: &OpenedMap) -> usize {
@@ -72,7 +75,7 @@ fn a_checkpoint_that_is_newer_than_the_index_wins() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let mut example = example(directory.path());
     let index = directory.path().join("index");
-    let old = directory.path().join("index.old");
+    let old = directory.path().join("kept");
     super::example::copy(&index, &old);
     let newest = snapshot(&example.spec, 20, 3);
     {
@@ -88,11 +91,12 @@ fn a_checkpoint_that_is_newer_than_the_index_wins() {
     assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
     check_repaired(&example, directory.path());
 
-    // Where that checkpoint is damaged, the index is the best there is.
-    fs::remove_dir_all(directory.path().join("index")).expect("removable");
+    // Where that checkpoint is damaged, the one before it is used, and the index follows it.
     fs::write(checkpoint(directory.path(), 20), "nonsense").expect("writable");
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.snapshot.as_ref(), Some(&example.snapshots[2]));
+    assert!(opened.reports.iter().any(|report| matches!(report, Report::IndexRebuilt { .. })), "{:?}", opened.reports);
+    check_repaired(&example, directory.path());
 }
 
 #[test]
@@ -177,24 +181,26 @@ fn edit(directory: &Path, change: impl FnOnce(&sled::Db)) {
 fn missing_stale_foreign_and_damaged_records_are_noticed() {
     type Change = fn(&sled::Tree, &sled::Tree, &sled::Tree);
     let changes: [(&str, Change); 8] = [
-        ("a state is missing", |states, _, _| drop(states.remove(item_key(1, 2)).expect("removes"))),
-        ("a chunk is missing", |_, models, _| drop(models.remove(chunk_key(1, 1, 1)).expect("removes"))),
-        ("a producer is missing", |_, _, marks| drop(marks.remove(item_key(1, 0)).expect("removes"))),
+        ("a state is missing", |states, _, _| drop(states.remove(part_key(1, 2, 0)).expect("removes"))),
+        ("the last state is missing", |states, _, _| {
+            let (key, _) = states.last().expect("reads").expect("there");
+            states.remove(key).expect("removes");
+        }),
+        ("a producer is missing", |_, producers, _| drop(producers.remove(part_key(1, 0, 0)).expect("removes"))),
         ("all states are missing", |states, _, _| states.clear().expect("clears")),
         ("a state is in the place of another", |states, _, _| {
-            let value = states.get(item_key(1, 1)).expect("reads").expect("there");
-            states.insert(item_key(1, 2), value).expect("inserts");
+            let value = states.get(part_key(1, 1, 0)).expect("reads").expect("there");
+            states.insert(&part_key(1, 2, 0), value).expect("inserts");
         }),
-        ("a bit is flipped", |_, models, _| {
-            let mut value = models.get(chunk_key(1, 1, 0)).expect("reads").expect("there").to_vec();
+        ("a bit is flipped", |states, _, _| {
+            let mut value = states.get(part_key(1, 1, 0)).expect("reads").expect("there").to_vec();
             value[100] ^= 4;
-            models.insert(chunk_key(1, 1, 0), value).expect("inserts");
+            states.insert(&part_key(1, 1, 0), value).expect("inserts");
         }),
         ("the mark is damaged", |_, _, marks| drop(marks.insert(map_key(1), "?").expect("inserts"))),
-        ("a chunk too many", |_, models, _| {
-            let key = chunk_key(1, 2, 9);
-            let value = tidemap_migrations::v1::index::encode_value(MODELS, &key, &[0; 32]);
-            models.insert(key, value).expect("inserts");
+        ("a state too many", |states, _, _| {
+            let key = part_key(1, 9, 0);
+            states.insert(&key, encode_value(STATES, &key, &[0; 32])).expect("inserts");
         }),
     ];
     let directory = tempfile::tempdir().expect("temporary directory");
@@ -202,7 +208,7 @@ fn missing_stale_foreign_and_damaged_records_are_noticed() {
     for (what, change) in changes {
         edit(directory.path(), |db| {
             let tree = |name| db.open_tree(name).expect("opens");
-            change(&tree(STATES), &tree(MODELS), &tree(MARKS));
+            change(&tree(STATES), &tree(PRODUCERS), &tree(GENERATIONS));
         });
         let opened = example.check(directory.path()).expect("opens");
         assert_eq!(opened.source, Source::Checkpoint, "{what}");
@@ -218,11 +224,10 @@ fn a_save_into_the_index_that_was_cut_off_is_done_again() {
     let example = example(directory.path());
     edit(directory.path(), |db| {
         use prost::Message as _;
-        use tidemap_migrations::{v1::index::encode_value, v2::index::Mark};
         let mark = Mark { dirty: true, ..Mark::default() };
-        let value = encode_value(MARKS, &map_key(1), &mark.encode_to_vec());
-        db.open_tree(MARKS).expect("opens").insert(map_key(1), value).expect("inserts");
-        db.open_tree(STATES).expect("opens").remove(item_key(1, 1)).expect("removes");
+        let value = encode_value(GENERATIONS, &map_key(1), &mark.encode_to_vec());
+        db.open_tree(GENERATIONS).expect("opens").insert(map_key(1), value).expect("inserts");
+        db.open_tree(STATES).expect("opens").remove(part_key(1, 1, 0)).expect("removes");
     });
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.source, Source::Checkpoint);
@@ -242,5 +247,5 @@ fn a_second_save_rewrites_what_has_changed() {
     }
     example.snapshots.push(newest.clone());
     let opened = example.check(directory.path()).expect("opens");
-    assert_eq!((opened.source, opened.snapshot), (Source::Index, Some(newest)));
+    assert_eq!((opened.source, opened.snapshot), (Source::Checkpoint, Some(newest)));
 }

@@ -232,7 +232,12 @@ impl Example {
         let store = Store::open(directory, options())?;
         assert_eq!(store.store_id(), STORE_ID);
         assert_eq!(store.maps(), [(MapId(1), self.spec.clone())]);
+        let published = store.published(MapId(1), &self.spec);
+        let is_known = |found: &MapSnapshot| self.snapshots.iter().any(|snapshot| snapshot.published() == *found);
+        assert!(published.iter().all(is_known), "the index publishes what was never saved");
         let mut opened = store.open_map(MapId(1), &self.spec)?;
+        let published = opened.snapshot.as_ref().map(MapSnapshot::published);
+        assert_eq!(store.published(MapId(1), &self.spec), published, "the index differs from the generation");
         let from = match &opened.snapshot {
             Some(snapshot) => {
                 assert!(self.snapshots.contains(snapshot), "another snapshot than any that was saved");

@@ -120,15 +120,61 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
 }
 
 #[test]
-fn the_index_is_not_used_for_a_grid() {
+fn the_index_has_what_a_grid_publishes_and_is_built_again_where_it_is_lost() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let spec = spec("office");
     let saved = [snapshot(&spec, 10, 3), snapshot(&spec, 15, 4)];
     fill(directory.path(), &spec, &saved);
+    let newest = saved[1].published();
+    for bytes in [1 << 30, 0] {
+        let store = Store::open(directory.path(), options(bytes, 2)).expect("opens");
+        assert_eq!(store.published(MapId(1), &spec).as_ref(), Some(&newest), "before the map is open");
+    }
     fs::remove_dir_all(directory.path().join("index")).expect("removable");
-    let (_store, opened) = reopen(directory.path(), &spec, options(1 << 30, 2));
+    let (store, opened) = reopen(directory.path(), &spec, options(0, 2));
     assert_eq!((opened.source, opened.snapshot.as_ref()), (Source::Checkpoint, saved.last()));
+    assert!(matches!(opened.reports[..], [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
+    assert_eq!(store.published(MapId(1), &spec).as_ref(), Some(&newest), "from tiles that are not in memory");
+    drop((store, opened));
+    let (store, opened) = reopen(directory.path(), &spec, options(1 << 30, 2));
     assert_eq!(opened.reports, []);
+    // A tile of the generation before is not given out as one of this.
+    let before = store.published(MapId(1), &spec).expect("whole");
+    store.save(MapId(1), &snapshot(&spec, 20, 5)).expect("saves");
+    assert_eq!(store.published(MapId(1), &spec), Some(snapshot(&spec, 20, 5).published()));
+    let tiles = &before.grid.expect("has a grid").models;
+    assert!(tiles.iter().all(|tile| tile.get().is_err()));
+}
+
+#[test]
+fn each_save_leaves_the_rows_of_its_generation() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let spec = spec("office");
+    let store = Store::open(directory.path(), options(1 << 30, 2)).expect("opens");
+    let map = store.create_map(&spec).expect("creates");
+    let mut opened = Some(store.open_map(map, &spec).expect("opens"));
+    let mut random = SmallRng::seed_from_u64(7);
+    let mut store = Some(store);
+    let mut tiles = 3;
+    for position in 1..40_u64 {
+        if random.random_bool(0.2) {
+            (store, opened) = (None, None);
+        }
+        let open = store.get_or_insert_with(|| Store::open(directory.path(), options(1 << 30, 2)).expect("opens"));
+        opened.get_or_insert_with(|| open.open_map(map, &spec).expect("opens"));
+        // Sometimes fewer: then all rows are written again.
+        tiles = (tiles + random.random_range(0..3_u32)).saturating_sub(random.random_range(0..3)).max(1);
+        let mut saved = snapshot(&spec, 0, tiles);
+        let mut other = snapshot(&spec, position, tiles);
+        let (grid, others) = (saved.grid.as_mut().expect("a grid"), other.grid.take().expect("a grid"));
+        for (tile, (model, sums)) in others.models.into_iter().zip(others.sums).enumerate() {
+            if random.random_bool(0.3) {
+                (grid.models[tile], grid.sums[tile]) = (model, sums);
+            }
+        }
+        open.save(map, &saved).expect("saves");
+        assert_eq!(open.published(map, &spec), Some(saved.published()), "{position}");
+    }
 }
 
 #[test]
@@ -328,7 +374,10 @@ fn every_damaged_byte_of_a_checkpoint_is_noticed() {
     drop(store);
     let (_store, opened) = reopen(directory.path(), &spec, options(0, 2));
     assert_eq!(opened.snapshot.as_ref(), Some(&saved[0]));
-    assert!(matches!(opened.reports[..], [Report::CheckpointSetAside { .. }]), "{:?}", opened.reports);
+    // The index is of the damaged one.
+    let (aside, index) = (&opened.reports[0], &opened.reports[1..]);
+    assert!(matches!(aside, Report::CheckpointSetAside { .. }), "{:?}", opened.reports);
+    assert!(matches!(index, [Report::IndexRebuilt { .. }]), "{:?}", opened.reports);
 }
 
 #[test]

@@ -12,7 +12,7 @@ fn a_map_is_the_same_after_a_restart() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let example = fill(directory.path(), 23, &[5, 10, 15], 64 << 20);
     let opened = example.check(directory.path()).expect("opens");
-    assert_eq!(opened.source, Source::Index);
+    assert_eq!(opened.source, Source::Checkpoint);
     assert_eq!(opened.reports, []);
     assert_eq!(opened.snapshot.as_ref(), example.snapshots.last());
 }
@@ -134,7 +134,7 @@ fn a_deleted_map_is_gone_and_its_number_is_never_given_again() {
     }
     let store = Store::open(directory.path(), options()).expect("opens");
     let opened = store.open_map(MapId(2), &spec_b).expect("opens");
-    assert_eq!(opened.source, Source::Index, "the other map is untouched");
+    assert_eq!(opened.source, Source::Checkpoint, "the other map is untouched");
     store.delete_map(MapId(2)).expect("deletes");
     drop((store, opened));
     let store = Store::open(directory.path(), options()).expect("opens");

@@ -37,7 +37,7 @@ fn segments_that_every_checkpoint_covers_are_deleted() {
     // The older of the two replays from record 18.
     assert!(left[0] > 1 && left[0] <= 18 && left[1] > 18, "{left:?}");
     let opened = example.check(directory.path()).expect("opens");
-    assert_eq!((opened.source, opened.reports), (Source::Index, vec![]));
+    assert_eq!((opened.source, opened.reports), (Source::Checkpoint, vec![]));
     assert!(!segment(directory.path()).exists());
 }
 

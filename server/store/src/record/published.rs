@@ -1,0 +1,46 @@
+//! A state as readers need it, as a message, and back: without the sums it is made of, and with short hours.
+//!
+//! Invariant: every number is read back bit by bit.
+
+use tidemap_map::snapshot::StateSnapshot;
+use tidemap_migrations::v2::published::StateRow;
+
+use super::{
+    doubles, snapshot,
+    varint::{push_varint, take_varint},
+};
+
+/// The row of a state; what readers do not need of it is left out.
+pub(crate) fn encode(id: u32, state: &StateSnapshot) -> StateRow {
+    let published =
+        StateSnapshot { name: state.name.clone(), model: std::sync::Arc::new(state.model.published()), ..*state };
+    let mut message = snapshot::encode_state(id, &published);
+    let mut hours = Vec::new();
+    if let Some(known) = &mut message.alternatives {
+        let mut numbers = Vec::new();
+        doubles::take(&std::mem::take(&mut known.hours), &mut numbers);
+        for number in numbers {
+            // The last bytes of small numbers, and of halves of them, are 0.
+            push_varint(&mut hours, number.to_bits().swap_bytes());
+        }
+    }
+    StateRow { state: Some(message), hours }
+}
+
+/// The state of a row, which must have number `id`.
+pub(crate) fn decode(id: usize, row: StateRow) -> Result<StateSnapshot, String> {
+    let mut message = row.state.ok_or("a row has no state")?;
+    match &mut message.alternatives {
+        Some(known) => {
+            let mut bytes = &row.hours[..];
+            let mut numbers = Vec::new();
+            while !bytes.is_empty() {
+                numbers.push(f64::from_bits(take_varint(&mut bytes)?.swap_bytes()));
+            }
+            doubles::push(&mut known.hours, &numbers);
+        }
+        None if row.hours.is_empty() => {}
+        None => return Err("a row has hours of an untrained state".to_owned()),
+    }
+    snapshot::decode_state(id, &message, None)
+}
