@@ -182,23 +182,6 @@ pub(crate) struct State {
     pub(crate) errors_last_day: Option<i32>,
 }
 
-/// How far the index of a map goes.
-#[derive(Clone, PartialEq, prost::Message)]
-pub(crate) struct Mark {
-    /// While it is set, records are being written and must not be used.
-    #[prost(bool, tag = "1")]
-    pub(crate) dirty: bool,
-    /// The snapshot that the records make up.
-    #[prost(message, optional, tag = "2")]
-    pub(crate) snapshot: Option<Snapshot>,
-    /// Number of records of the map, except the mark.
-    #[prost(uint64, tag = "3")]
-    pub(crate) records: u64,
-    /// Sum of the fingerprints over all records of the map, except the mark.
-    #[prost(fixed64, tag = "4")]
-    pub(crate) fingerprint_sum: u64,
-}
-
 /// What a record is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RecordKind {

@@ -24,8 +24,7 @@
 //!   brings them back, so that they are in memory once.
 //! - **A snapshot holds the pending scans.** A restart replays the log from the snapshot's position, and differences
 //!   never lack their base.
-//! - **The index of the store does not hold grids**: a night rewrites tens of megabytes. The checkpoint is the only
-//!   snapshot, and tiles beyond the memory budget are read from it on demand.
+//! - **Tiles beyond the memory budget** are read from the checkpoint on demand.
 //!
 //! Invariant: unknown, free and occupied are three different things everywhere. A cell is observed when a scan says so;
 //! an occupied cell is observed.

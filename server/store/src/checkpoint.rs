@@ -147,7 +147,7 @@ impl Checkpoints<'_> {
         }
         for (id, state) in snapshot.states.iter().enumerate() {
             let message = reader.record(RecordKind::State)?;
-            same(record::decode_state(id, &message, Some(&spec.periodicities))? == *state)?;
+            same(record::decode_state(id, &message, &spec.periodicities, record::SpectrumIn::Checkpoint)? == *state)?;
         }
         same(read_site(&mut reader, &record::encode(snapshot))? == *snapshot.site)?;
         let read = match &snapshot.grid {
@@ -190,7 +190,7 @@ impl Checkpoints<'_> {
         let producers = producers.collect::<Result<_, String>>()?;
         let states = (0..message.states as usize).map(|id| {
             let state = reader.record(RecordKind::State)?;
-            record::decode_state(id, &state, Some(&spec.periodicities))
+            record::decode_state(id, &state, &spec.periodicities, record::SpectrumIn::Checkpoint)
         });
         let states = states.collect::<Result<_, String>>()?;
         let site = read_site(&mut reader, &message)?;

@@ -25,6 +25,8 @@ use tidemap_migrations::{
     },
 };
 
+use tidemap_model::Periodicities;
+
 use super::{
     Damage, KnownRows, Trees,
     cells::IndexedCells,
@@ -122,7 +124,7 @@ pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<Map
         producers.push(record::decode_producer(producers.len(), &message)?);
         Ok(())
     })?;
-    let states = read_states(trees, map, &mark)?;
+    let states = read_states(trees, map, &mark, &spec.periodicities)?;
     let mut site = Site::default();
     each(trees, map, &mark, Kind::Sites, |item| {
         let message: v2_site::Site = item.message(Kind::Sites)?;
@@ -141,14 +143,20 @@ pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<Map
 }
 
 /// Reads the states with several threads: each decodes a range of their numbers.
-fn read_states(trees: &Trees, map: u32, mark: &Mark) -> Result<Vec<StateSnapshot>, Damage> {
+fn read_states(
+    trees: &Trees,
+    map: u32,
+    mark: &Mark,
+    periodicities: &Periodicities,
+) -> Result<Vec<StateSnapshot>, Damage> {
     let count = limit(mark, Kind::States);
     let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX);
     let threads = threads.min(count as usize / STATES_PER_THREAD + 1) as u32;
     let each = count.div_ceil(threads);
     let ranges = (0..threads).map(|thread| thread * each..count.min((thread + 1) * each));
     let parts = thread::scope(|scope| {
-        let threads: Vec<_> = ranges.map(|range| scope.spawn(move || read_range(trees, map, range))).collect();
+        let threads: Vec<_> =
+            ranges.map(|range| scope.spawn(move || read_range(trees, map, range, periodicities))).collect();
         let joined = threads.into_iter().map(|thread| thread.join().map_err(|_| "sled panicked".to_owned()));
         joined.map(|part| part.and_then(|part| part)).collect::<Result<Vec<_>, Damage>>()
     })?;
@@ -163,7 +171,12 @@ fn read_states(trees: &Trees, map: u32, mark: &Mark) -> Result<Vec<StateSnapshot
     Ok(states)
 }
 
-fn read_range(trees: &Trees, map: u32, range: Range<u32>) -> Result<(Vec<StateSnapshot>, Vec<Sum>), Damage> {
+fn read_range(
+    trees: &Trees,
+    map: u32,
+    range: Range<u32>,
+    periodicities: &Periodicities,
+) -> Result<(Vec<StateSnapshot>, Vec<Sum>), Damage> {
     super::panics::catch(|| {
         let mut states = Vec::with_capacity(range.len());
         let mut sums = Vec::with_capacity(range.len());
@@ -171,7 +184,7 @@ fn read_range(trees: &Trees, map: u32, range: Range<u32>) -> Result<(Vec<StateSn
         for (number, item) in range.clone().zip(rows::items(Kind::States, rows)) {
             let item = item?;
             let row: StateRow = item.message(Kind::States)?;
-            states.push(published::decode(number as usize, row)?);
+            states.push(published::decode(number as usize, row, periodicities)?);
             sums.push(item.sum);
         }
         Ok((states, sums))

@@ -4,9 +4,11 @@
 
 use tidemap_map::snapshot::StateSnapshot;
 use tidemap_migrations::v2::published::StateRow;
+use tidemap_model::Periodicities;
 
 use super::{
-    doubles, snapshot,
+    doubles,
+    snapshot::{self, SpectrumIn},
     varint::{push_varint, take_varint},
 };
 
@@ -28,7 +30,7 @@ pub(crate) fn encode(id: u32, state: &StateSnapshot) -> StateRow {
 }
 
 /// The state of a row, which must have number `id`.
-pub(crate) fn decode(id: usize, row: StateRow) -> Result<StateSnapshot, String> {
+pub(crate) fn decode(id: usize, row: StateRow, periodicities: &Periodicities) -> Result<StateSnapshot, String> {
     let mut message = row.state.ok_or("a row has no state")?;
     match &mut message.alternatives {
         Some(known) => {
@@ -42,5 +44,5 @@ pub(crate) fn decode(id: usize, row: StateRow) -> Result<StateSnapshot, String> 
         None if row.hours.is_empty() => {}
         None => return Err("a row has hours of an untrained state".to_owned()),
     }
-    snapshot::decode_state(id, &message, None)
+    snapshot::decode_state(id, &message, periodicities, SpectrumIn::Nowhere)
 }

@@ -171,12 +171,21 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v2::State {
     }
 }
 
-/// The state that must have number `id`. With `periodicities` it has its spectrum; without, it is one that was
-/// published, and has none.
+/// Whether the message of a state has its spectrum.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum SpectrumIn {
+    /// In a checkpoint.
+    Checkpoint,
+    /// Not in the index, which holds what is published.
+    Nowhere,
+}
+
+/// The state that must have number `id`.
 pub(crate) fn decode_state(
     id: usize,
     message: &v2::State,
-    periodicities: Option<&Periodicities>,
+    periodicities: &Periodicities,
+    spectrum: SpectrumIn,
 ) -> Result<StateSnapshot, String> {
     if message.id as usize != id {
         return Err("a state is missing or out of order".to_owned());
@@ -192,14 +201,15 @@ pub(crate) fn decode_state(
         kind,
         observations: message.observations,
         persistence: Persistence::from_parts_of(kind, persistence).map_err(|error| error.to_string())?,
-        model: Arc::new(decode_model(kind, message, periodicities)?),
+        model: Arc::new(decode_model(kind, message, periodicities, spectrum)?),
     })
 }
 
 fn decode_model(
     kind: StateKind,
     message: &v2::State,
-    periodicities: Option<&Periodicities>,
+    periodicities: &Periodicities,
+    spectrum_in: SpectrumIn,
 ) -> Result<StateModel, String> {
     let sums = message.accumulator.as_ref().ok_or("a state has no accumulator")?;
     let spectral = message.spectral.as_ref().ok_or("a state has no spectral model")?;
@@ -231,9 +241,9 @@ fn decode_model(
         last_day: message.errors_last_day.map(LocalDay),
     };
     let invalid = |error: tidemap_model::InvalidParts| error.to_string();
-    let accumulator = match periodicities {
-        Some(periodicities) => Accumulator::from_parts_of(kind, periodicities, accumulator),
-        None => Accumulator::published_from_parts(kind, accumulator),
+    let accumulator = match spectrum_in {
+        SpectrumIn::Checkpoint => Accumulator::from_parts_of(kind, periodicities, accumulator),
+        SpectrumIn::Nowhere => Accumulator::published_from_parts(kind, accumulator),
     };
     let model = StateModel::from_parts(
         accumulator.map_err(invalid)?,

@@ -286,8 +286,8 @@ proptest! {
         let mut random = SmallRng::seed_from_u64(seed);
         let state = state(&spec, "door", &mut random);
         let message = record::snapshot::encode_state(7, &state);
-        prop_assert_eq!(record::snapshot::decode_state(7, &message, Some(&spec.periodicities)), Ok(state));
-        prop_assert!(record::snapshot::decode_state(8, &message, Some(&spec.periodicities)).is_err());
+        prop_assert_eq!(record::snapshot::decode_state(7, &message, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint), Ok(state));
+        prop_assert!(record::snapshot::decode_state(8, &message, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint).is_err());
     }
 
     #[test]
@@ -310,9 +310,9 @@ proptest! {
         persistence.observe(2, last);
         let state = StateSnapshot { kind, persistence, model: Arc::new(model), ..of_unit };
         let message = record::snapshot::encode_state(7, &state);
-        prop_assert_eq!(record::snapshot::decode_state(7, &message, Some(&spec.periodicities)), Ok(state));
+        prop_assert_eq!(record::snapshot::decode_state(7, &message, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint), Ok(state));
         let as_probability = tidemap_migrations::v2::map::State { kind: 0, ..message };
-        prop_assert!(last <= 1.0 || record::snapshot::decode_state(7, &as_probability, Some(&spec.periodicities)).is_err());
+        prop_assert!(last <= 1.0 || record::snapshot::decode_state(7, &as_probability, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint).is_err());
     }
 
     #[test]
