@@ -14,7 +14,7 @@ pub(crate) use site::{point_from_wire, point_to_wire};
 use std::str::FromStr;
 
 pub use tidemap_map::grid::spec::{Retention, SensorNoise};
-use tidemap_model::StateKind as Rule;
+use tidemap_model::{ANGLE_EXPECTED, StateKind as Rule, allows_angle};
 pub use tidemap_model::{OrderCriterion, PeriodicityDefinition};
 use tidemap_proto::convert::time::{duration, instant, span};
 use tidemap_proto::convert::{
@@ -120,6 +120,8 @@ pub enum StateKind {
     Count,
     /// A position: two or three coordinates, each with a magnitude up to 1e12.
     Vector,
+    /// An angle in radians: observed from -2π to 2π, predicted in [-π, π).
+    Angle,
     /// A kind that this version does not know.
     Other,
 }
@@ -133,6 +135,7 @@ impl StateKind {
             Self::Continuous => "continuous",
             Self::Count => "count",
             Self::Vector => "vector",
+            Self::Angle => "angle",
             Self::Other => "other",
         }
     }
@@ -145,6 +148,7 @@ impl StateKind {
             Self::Continuous => Rule::Continuous,
             Self::Count => Rule::Count,
             Self::Vector => return Some("a position: a vector has coordinates x and y"),
+            Self::Angle => return (!allows_angle(value)).then_some(ANGLE_EXPECTED),
             Self::Other => return None,
         };
         (!rule.allows(value)).then(|| rule.expected())
@@ -156,6 +160,7 @@ impl StateKind {
             Self::Continuous => v1::StateKind::Continuous,
             Self::Count => v1::StateKind::Count,
             Self::Vector => v1::StateKind::Vector,
+            Self::Angle => v1::StateKind::Angle,
             Self::Other => v1::StateKind::Unspecified,
         }
     }
@@ -166,6 +171,7 @@ impl StateKind {
             v1::StateKind::Continuous => Self::Continuous,
             v1::StateKind::Count => Self::Count,
             v1::StateKind::Vector => Self::Vector,
+            v1::StateKind::Angle => Self::Angle,
             v1::StateKind::Unspecified => Self::Other,
         }
     }
@@ -173,14 +179,14 @@ impl StateKind {
 
 /// A text that is not the name of a kind.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a kind of states: use probability, continuous, count or vector")]
+#[error("{0:?} is not a kind of states: use probability, continuous, count, vector or angle")]
 pub struct InvalidKind(pub String);
 
 impl FromStr for StateKind {
     type Err = InvalidKind;
 
     fn from_str(text: &str) -> Result<Self, InvalidKind> {
-        let kinds = [Self::Probability, Self::Continuous, Self::Count, Self::Vector];
+        let kinds = [Self::Probability, Self::Continuous, Self::Count, Self::Vector, Self::Angle];
         kinds.into_iter().find(|kind| kind.name() == text).ok_or_else(|| InvalidKind(text.to_owned()))
     }
 }
@@ -196,7 +202,7 @@ pub struct State {
     pub dimensions: u32,
     /// Number of its acknowledged observations.
     pub observations: u64,
-    /// Order of its selected model; 0 for a vector, whose axes have orders of their own.
+    /// Order of its selected model; 0 for a vector or an angle, whose axes have orders of their own.
     pub order: u32,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,

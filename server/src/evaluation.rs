@@ -9,10 +9,11 @@ use std::{
 
 use tidemap_map::{
     ids::StateId,
+    predict::PreparedTimes,
     selector::{ModelKind, ModelSelector},
     view::MapView,
 };
-use tidemap_model::{Evaluation, Sample};
+use tidemap_model::{Evaluation, Sample, direction_rad};
 
 use crate::model_cache::CachedModel;
 
@@ -40,11 +41,13 @@ pub(crate) struct Evaluator {
     sums: HashMap<StateId, ErrorSums>,
 }
 
-/// The sums of one state, each as long as the rows.
+/// The sums of one state, or of an angle, each as long as the rows.
 #[derive(Debug)]
 struct ErrorSums {
     /// What predicts, if not the view.
     answering: Vec<Option<AnswerSource>>,
+    /// Of an angle the state of its sine, and what predicts that. The state itself is the cosine.
+    sine: Option<(StateId, Vec<Option<AnswerSource>>)>,
     errors: Vec<Evaluation>,
 }
 
@@ -92,13 +95,21 @@ impl Evaluator {
     /// known.
     pub(crate) fn begin(&mut self, id: StateId, fitted: impl IntoIterator<Item = AnswerSource>) {
         if let Entry::Vacant(entry) = self.sums.entry(id) {
-            let mut fitted = fitted.into_iter();
-            let answering = self.rows.iter().map(|row| if row.kind.needs_readings() { fitted.next() } else { None });
-            entry.insert(ErrorSums {
-                answering: answering.collect(),
-                errors: vec![Evaluation::default(); self.rows.len()],
-            });
+            let answering = by_row(&self.rows, fitted);
+            entry.insert(ErrorSums { answering, sine: None, errors: vec![Evaluation::default(); self.rows.len()] });
             self.states.push(id);
+        }
+    }
+
+    /// Makes a state with its answer sources the sine of an angle whose cosine has just begun: observations are angles.
+    pub(crate) fn begin_sine(
+        &mut self,
+        cosine: StateId,
+        sine: StateId,
+        fitted: impl IntoIterator<Item = AnswerSource>,
+    ) {
+        if let Some(sums) = self.sums.get_mut(&cosine) {
+            sums.sine = Some((sine, by_row(&self.rows, fitted)));
         }
     }
 
@@ -110,15 +121,20 @@ impl Evaluator {
                 let times: Vec<i64> = block.iter().map(|sample| sample.utc_nanos).collect();
                 let prepared = self.view.prepare(&times);
                 let mut predicted = vec![0.0; block.len()];
-                let rows = self.rows.iter().zip(&sums.answering).zip(&mut sums.errors);
-                for ((row, answering), sum) in rows {
-                    match answering {
-                        None => self.view.predict_into(*id, &prepared, *row, &mut predicted),
-                        Some(AnswerSource::Fitted(fitted)) => {
-                            let moments = prepared.moments();
-                            fitted.predict_into(&self.view, *id, moments, *row, &mut predicted);
+                let mut sines = vec![0.0; block.len()];
+                let rows = self.rows.iter().zip(&sums.answering).zip(&mut sums.errors).enumerate();
+                for (index, ((row, answering), sum)) in rows {
+                    if !answer(&self.view, *id, answering.as_ref(), &prepared, *row, &mut predicted) {
+                        continue;
+                    }
+                    if let Some((sine, answering)) = &sums.sine {
+                        let answering = answering.get(index).and_then(Option::as_ref);
+                        if answer(&self.view, *sine, answering, &prepared, *row, &mut sines) {
+                            for ((sample, &cos), &sin) in block.iter().zip(&predicted).zip(&sines) {
+                                sum.add_angle(direction_rad([cos, sin]), sample.value);
+                            }
                         }
-                        Some(AnswerSource::Nothing(_)) => continue,
+                        continue;
                     }
                     for (sample, &probability) in block.iter().zip(&predicted) {
                         sum.add(probability, sample.value);
@@ -167,6 +183,32 @@ impl Evaluator {
     }
 
     fn name(&self, id: StateId) -> &str {
-        self.view.info(id).map_or("", |info| info.name.as_str())
+        let is_angle = self.sums.get(&id).is_some_and(|sums| sums.sine.is_some());
+        let name = self.view.info(id).map(|info| &info.name);
+        let angle = name.filter(|_| is_angle).and_then(|name| name.as_angle_axis()).map(|(angle, _)| angle);
+        angle.or(name.map(|name| name.as_str())).unwrap_or_default()
     }
+}
+
+/// The answer source of each row, from those of the rows that are fitted to readings.
+fn by_row(rows: &[ModelSelector], fitted: impl IntoIterator<Item = AnswerSource>) -> Vec<Option<AnswerSource>> {
+    let mut fitted = fitted.into_iter();
+    rows.iter().map(|row| if row.kind.needs_readings() { fitted.next() } else { None }).collect()
+}
+
+/// Predicts a state; `false` if there is no model.
+fn answer(
+    view: &MapView,
+    id: StateId,
+    answering: Option<&AnswerSource>,
+    prepared: &PreparedTimes,
+    row: ModelSelector,
+    predicted: &mut [f64],
+) -> bool {
+    match answering {
+        None => view.predict_into(id, prepared, row, predicted),
+        Some(AnswerSource::Fitted(fitted)) => fitted.predict_into(view, id, prepared.moments(), row, predicted),
+        Some(AnswerSource::Nothing(_)) => return false,
+    }
+    true
 }

@@ -1,4 +1,4 @@
-//! Continuous values and counts, from the command line: speeds of a real robot, counts, invalid values,
+//! Continuous values, counts and angles, from the command line: speeds of a real robot, counts, invalid values,
 //! and both after a kill.
 
 use std::{fmt::Write as _, fs, path::Path};
@@ -235,4 +235,97 @@ fn what_is_not_a_value_of_the_kind_is_refused_by_itself() {
     // Invalid values of a file are left out of a comparison, for every kind of state.
     let compared = evaluate(&daemon, "1,people,7\n2,people,-1\n3,speed,9\n4,door,3\n", "mean");
     assert_eq!(compared.table_with(1).column("n"), ["1", "1"]);
+}
+
+/// The least angle between two directions in radians.
+fn apart(one: f64, other: f64) -> f64 {
+    let turns = (one - other) / std::f64::consts::TAU;
+    (turns - turns.round()).abs() * std::f64::consts::TAU
+}
+
+#[test]
+fn angles_are_averaged_on_the_circle_and_survive_a_kill() {
+    const NIGHT: i64 = START_SECS + 28 * DAY_SECS + 3 * 3600;
+    const DAY: i64 = START_SECS + 28 * DAY_SECS + 15 * 3600;
+    let folder = tempfile::tempdir().expect("temporary directory");
+    let (launch, daemon) = office(folder.path());
+    let added = tidemap(&daemon, ["state", "add", "office", "wind", "--kind", "angle"]);
+    assert_eq!(added.table().rows[0][..3], ["wind", "angle", "0"]);
+    // Until noon from 350 or from 10 degrees, then from 170 or from 190, without an order.
+    let angle = |slot: i64| {
+        let mixed = (slot as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        let is_left = ((mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) % 2 == 0;
+        let degrees: f64 = if slot % 48 < 24 { 0.0 } else { 180.0 } + if is_left { 350.0 } else { 10.0 };
+        (degrees % 360.0).to_radians()
+    };
+    let rows = |slots: std::ops::Range<i64>| {
+        slots.fold(String::new(), |mut rows, slot| {
+            let _ = writeln!(rows, "{},wind,{}", START_SECS + 1800 * slot, angle(slot));
+            rows
+        })
+    };
+    assert_eq!(observe(&daemon, "winds", &rows(0..28 * 48), &[]).table().number("accepted"), 1_344.0);
+    tidemap(&daemon, ["update", "office"]).table();
+
+    let ask = |daemon: &Daemon, model: &str| {
+        let at = format!("{NIGHT},{DAY}");
+        let told = tidemap(daemon, ["predict", "office", "wind", "--at", &at, "--interval", "0.9", "--model", model]);
+        let table = told.table();
+        assert_eq!(table.column("state"), ["wind"; 2], "one row for each time");
+        assert_eq!((table.column("lower"), table.column("entropy_bits")), (vec![""; 2], vec![""; 2]));
+        let angles = table.numbers("probability");
+        assert!(angles.iter().all(|angle| (-std::f64::consts::PI..std::f64::consts::PI).contains(angle)), "{angles:?}");
+        angles
+    };
+    for model in ["auto", "spectral", "histogram:24", "calibrated", "hypertime-em:2"] {
+        let angles = ask(&daemon, model);
+        let errors = (apart(angles[0], 0.0), apart(angles[1], std::f64::consts::PI));
+        assert!(errors.0 < 0.1 && errors.1 < 0.1, "{model}: {angles:?}");
+    }
+    assert!(apart(ask(&daemon, "latest")[0], angle(28 * 48 - 1)) < 1e-5);
+
+    // The error of the best constant direction half a turn away is 2, that of the night's mean 1 - cos 10°.
+    let test = rows(28 * 48..29 * 48);
+    let table = evaluate(&daemon, &test, "auto,mean,histogram:24").table();
+    assert_eq!(table.column("state"), ["wind"; 3]);
+    let wanted = 1.0 - 10_f64.to_radians().cos();
+    assert!((mse(&table, "histogram:24") - wanted).abs() < 0.002, "{table:?}");
+    assert!((mse(&table, "auto") - wanted).abs() < 0.01 && mse(&table, "mean") > 0.5, "{table:?}");
+
+    let before = answers_of_angle(&daemon, DAY);
+    daemon.kill();
+    let daemon = launch.start();
+    assert_eq!(answers_of_angle(&daemon, DAY), before);
+    assert_eq!(kinds(&daemon), [("wind".to_owned(), "angle".to_owned())]);
+    // A stream without a kind finds it as well.
+    assert_eq!(observe(&daemon, "more", &test, &["--kind", "angle"]).table().number("accepted"), 48.0);
+}
+
+fn answers_of_angle(daemon: &Daemon, at: i64) -> Vec<String> {
+    let at = at.to_string();
+    let commands: [&[&str]; 3] = [
+        &["predict", "office", "wind", "--at", &at],
+        &["predict", "office", "wind/cos", "wind/sin", "--at", &at, "--interval", "0.9"],
+        &["state", "list", "office"],
+    ];
+    commands.iter().map(|args| tidemap(daemon, args.iter().copied())).map(|told| told.stdout).collect()
+}
+
+#[test]
+fn what_is_no_angle_is_refused() {
+    let folder = tempfile::tempdir().expect("temporary directory");
+    let (_launch, daemon) = office(folder.path());
+    let sent = observe(&daemon, "a", "1,wind,3.1\n2,wind,90\n3,wind,NaN\n4,wind,-6.2\n", &["--kind", "angle"]);
+    assert_eq!(sent.table_with(1).rows, [["4", "2", "0", "2"]]);
+    assert!(sent.stderr.contains("value 90 is not an angle in radians, from -2π to 2π"), "{}", sent.stderr);
+    let other = observe(&daemon, "b", "5,wind,1\n", &["--kind", "continuous"]);
+    other.fails(1, &["\"wind\" exists and is an angle, not a continuous"]);
+    tidemap(&daemon, ["state", "add", "office", "wind", "--kind", "count"]).fails(1, &["is an angle, not a count"]);
+    tidemap(&daemon, ["state", "add", "office", "cell", "--kind", "angle"]).fails(1, &["not for a vector or an angle"]);
+    // Where single numbers are needed, an angle is its cosine and its sine.
+    let refused = tidemap(&daemon, ["model", "show", "office", "wind"]);
+    refused.fails(1, &["is an angle", "wind/cos", "wind/sin"]);
+    tidemap(&daemon, ["model", "show", "office", "wind/cos"]).table();
+    tidemap(&daemon, ["position", "office", "wind", "--at", "1"]).fails(1, &["only a vector has positions"]);
+    evaluate(&daemon, "5,wind,1\n6,wind/cos,1\n", "mean").fails(1, &["not both"]);
 }

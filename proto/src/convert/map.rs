@@ -118,24 +118,25 @@ pub fn update_to_wire(generation: u64, cut_nanos: Option<i64>) -> v1::UpdateSumm
     v1::UpdateSummary { generation, cut: cut_nanos.map(timestamp) }
 }
 
-/// A state for the wire; a vector takes the place of its first axis. `None` if the view has no such state, and for the
+/// A state for the wire; a vector or an angle takes the place of its first axis. `None` if the view has no such state, and for the
 /// other axes.
 #[must_use]
 pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
     let info = view.info(id)?;
     let live = view.live(id);
-    let (name, kind, order, dimensions) = match info.name.as_axis() {
-        None => {
+    let (name, kind, order, dimensions) = match (info.name.as_axis(), info.name.as_angle_axis()) {
+        (None, None) => {
             let order = u32::try_from(view.model(id).order()).unwrap_or(u32::MAX);
             (info.name.as_str(), kind_to_wire(info.kind), order, 0)
         }
-        Some((vector, 0)) => {
+        (Some((vector, 0)), _) => {
             let dimensions =
                 view.shape(vector).map_or(0, |(_, shape)| u32::try_from(shape.states()).unwrap_or(u32::MAX));
             (vector, v1::StateKind::Vector, 0, dimensions)
         }
+        (None, Some((angle, 0))) => (angle, v1::StateKind::Angle, 0, 0),
         // Included in the entry of its first axis.
-        Some(_) => return None,
+        _ => return None,
     };
     Some(v1::State {
         name: name.to_owned(),

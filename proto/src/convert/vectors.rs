@@ -16,11 +16,12 @@ pub fn shape_from_wire(
     (kind_field, kind): (&str, i32),
     (dimensions_field, dimensions): (&str, u32),
 ) -> Result<Option<StateShape>, InvalidField> {
-    let kind = match v1::StateKind::try_from(kind) {
+    let shape = match v1::StateKind::try_from(kind) {
         Ok(v1::StateKind::Unspecified) => None,
-        Ok(v1::StateKind::Probability) => Some(StateKind::Probability),
-        Ok(v1::StateKind::Continuous) => Some(StateKind::Continuous),
-        Ok(v1::StateKind::Count) => Some(StateKind::Count),
+        Ok(v1::StateKind::Angle) => Some(StateShape::Angle),
+        Ok(v1::StateKind::Probability) => Some(StateKind::Probability.into()),
+        Ok(v1::StateKind::Continuous) => Some(StateKind::Continuous.into()),
+        Ok(v1::StateKind::Count) => Some(StateKind::Count.into()),
         Ok(v1::StateKind::Vector) => {
             let count = usize::try_from(dimensions).ok().and_then(Dimensions::of);
             let text = || format!("{dimensions} coordinates: a vector has 2 or 3");
@@ -34,7 +35,7 @@ pub fn shape_from_wire(
         let text = format!("{dimensions} coordinates of what is no vector: should be 0");
         return Err(InvalidField::new(dimensions_field, text));
     }
-    Ok(kind.map(StateShape::Scalar))
+    Ok(shape)
 }
 
 /// The shapes that a message declares for its new names, one each; `None`: not declared.

@@ -66,8 +66,14 @@ impl Directory {
         if let Some(id) = self.find(name) {
             return Some((id, StateShape::Scalar(self.info(id)?.kind)));
         }
-        // A vector has a plain name: `edge/A/B/x` is an edge with the action x.
-        let first = self.find(&format!("{name}/x")).filter(|_| !name.contains('/'))?;
+        // A vector has a plain name: `edge/A/B/x` is an edge with the action x. So has an angle.
+        if name.contains('/') {
+            return None;
+        }
+        if let Some(cos) = self.find(&format!("{name}/cos")) {
+            return Some((cos, StateShape::Angle));
+        }
+        let first = self.find(&format!("{name}/x"))?;
         let beyond = self.info(StateId(first.0.saturating_add(2)));
         let has_z = beyond.and_then(|info| info.name.as_axis()) == Some((name, 2));
         Some((first, StateShape::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))

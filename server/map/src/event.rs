@@ -3,12 +3,12 @@
 //! A position is a vector of two or three coordinates. For the map it is its axes: continuous states `NAME/x`, `NAME/y`
 //! and `NAME/z` with consecutive ids ([`NewState::states`]), so that log, checkpoints, history, updates and models do
 //! not know vectors. A plain name has no `/`, so no producer can send to a single axis. A position is accepted or
-//! refused as a whole, and its axes are observed in one event.
+//! refused as a whole, and its axes are observed in one event. An angle likewise is the states `NAME/cos` and `NAME/sin`.
 //!
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
-use tidemap_model::Sample;
+use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, Sample, allows_angle};
 pub use tidemap_model::{Dimensions, Position, StateKind};
 
 use crate::{
@@ -84,7 +84,7 @@ impl Observations {
 /// A state, or a vector of states, that appears for the first time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewState {
-    /// Its id; for a vector, the id of the first axis, followed by the others.
+    /// Its id; for a vector or an angle, the id of the first axis, followed by the others.
     pub id: StateId,
     /// Its name.
     pub name: StateName,
@@ -93,24 +93,30 @@ pub struct NewState {
 }
 
 impl NewState {
-    /// The states that it adds to a map: the state itself, or one continuous state per axis of the vector.
+    /// The states that it adds to a map: the state itself, or one continuous state per axis.
     pub fn states(&self) -> impl Iterator<Item = (StateId, StateName, StateKind)> + use<'_> {
         let (count, kind) = (self.shape.states(), self.shape.kind());
         (0..count).map(move |axis| {
             let id = StateId(self.id.0.saturating_add(u32::try_from(axis).unwrap_or(u32::MAX)));
-            let name = if self.shape == StateShape::Scalar(kind) { self.name.clone() } else { self.name.axis(axis) };
+            let name = match self.shape {
+                StateShape::Scalar(_) => self.name.clone(),
+                StateShape::Vector(_) => self.name.axis(axis),
+                StateShape::Angle => self.name.angle_axis(axis),
+            };
             (id, name, kind)
         })
     }
 }
 
-/// What observations of a name are: values of a kind, or positions.
+/// What observations of a name are: values of a kind, positions, or angles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum StateShape {
     /// Values.
     Scalar(StateKind),
     /// Positions. For the map, each axis is a state of continuous values ([`StateName::axis`]).
     Vector(Dimensions),
+    /// Angles in radians. For the map, cosine and sine are states of continuous values ([`StateName::angle_axis`]).
+    Angle,
 }
 
 impl StateShape {
@@ -120,7 +126,15 @@ impl StateShape {
             StateShape::Scalar(kind) => kind.name(),
             StateShape::Vector(Dimensions::Two) => "vector of 2 coordinates",
             StateShape::Vector(Dimensions::Three) => "vector of 3 coordinates",
+            StateShape::Angle => "angle",
         }
+    }
+
+    /// As people write it, with its article.
+    #[must_use]
+    pub fn with_article(self) -> String {
+        let article = if self == StateShape::Angle { "an" } else { "a" };
+        format!("{article} {}", self.name())
     }
 
     /// Number of states of the map.
@@ -128,6 +142,7 @@ impl StateShape {
         match self {
             StateShape::Scalar(_) => 1,
             StateShape::Vector(dimensions) => dimensions.count(),
+            StateShape::Angle => 2,
         }
     }
 
@@ -135,7 +150,39 @@ impl StateShape {
     pub fn kind(self) -> StateKind {
         match self {
             StateShape::Scalar(kind) => kind,
-            StateShape::Vector(_) => StateKind::Continuous,
+            StateShape::Vector(_) | StateShape::Angle => StateKind::Continuous,
+        }
+    }
+
+    /// Whether an observation is one number, not a position.
+    #[must_use]
+    pub fn is_single(self) -> bool {
+        !matches!(self, StateShape::Vector(_))
+    }
+
+    /// Whether an observation that is one number may have this value.
+    #[must_use]
+    pub fn allows(self, value: f64) -> bool {
+        match self {
+            StateShape::Scalar(kind) => kind.allows(value),
+            StateShape::Vector(_) => false,
+            StateShape::Angle => allows_angle(value),
+        }
+    }
+
+    /// What [`StateShape::allows`], in words, for a message that ends "… is not".
+    #[must_use]
+    pub fn expected(self) -> &'static str {
+        if self == StateShape::Angle { ANGLE_EXPECTED } else { self.kind().expected() }
+    }
+
+    /// Names of the states of which a name with this shape consists, in order of their ids; none of a single state.
+    #[must_use]
+    pub fn axes(self) -> &'static [&'static str] {
+        match self {
+            StateShape::Scalar(_) => &[],
+            StateShape::Vector(dimensions) => dimensions.axes(),
+            StateShape::Angle => &ANGLE_AXES,
         }
     }
 }

@@ -4,7 +4,7 @@
 
 use std::{fmt, sync::Arc};
 
-use tidemap_model::Dimensions;
+use tidemap_model::{ANGLE_AXES, Dimensions};
 use unicode_normalization::is_nfc;
 
 use crate::grid::index::{CellIndex, TILE_EDGE, TILE_LIMIT};
@@ -52,8 +52,8 @@ pub enum InvalidName {
     /// Contains a slash, which is reserved for `edge/A/B`, `node/N` and similar names.
     #[error("name {0:?} holds '/', which is reserved for cells, edges, nodes and landmarks")]
     Slash(String),
-    /// Not allowed for a vector: its axes would have names like those of a cell, an edge, a node or a landmark.
-    #[error("name {0:?} is not for a vector: {0}/x is how cells, edges, nodes and landmarks are called")]
+    /// Not allowed for a vector or an angle: its axes would have names like those of a cell, an edge, a node or a landmark.
+    #[error("name {0:?} is not for a vector or an angle: {0}/x is how cells, edges, nodes and landmarks are called")]
     Reserved(String),
 }
 
@@ -118,7 +118,7 @@ impl fmt::Display for MapName {
     }
 }
 
-/// First parts of names that a vector may not have.
+/// First parts of names that a vector or an angle may not have.
 const RESERVED: [&str; 4] = ["cell", "edge", "node", "landmark"];
 
 /// `NAME/x` as name and number of the axis.
@@ -126,6 +126,13 @@ fn split_axis(name: &str) -> Option<(&str, usize)> {
     let (vector, axis) = name.rsplit_once('/')?;
     // A vector has a plain name: what is called `node/N/x` is at a node.
     Some((vector, Dimensions::axis(axis)?)).filter(|(vector, _)| !vector.contains('/'))
+}
+
+/// `NAME/cos` or `NAME/sin` as name and number of the axis.
+fn split_angle_axis(name: &str) -> Option<(&str, usize)> {
+    let (angle, axis) = name.rsplit_once('/')?;
+    let axis = ANGLE_AXES.iter().position(|other| *other == axis)?;
+    Some((angle, axis)).filter(|(angle, _)| !angle.contains('/'))
 }
 
 /// `node/N/KIND` as the node and the kind of what is there.
@@ -139,7 +146,7 @@ pub(crate) fn asked_for(name: &str) -> &str {
 }
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. Or the name of an axis of a
-/// vector, such a name with `/x`, `/y` or `/z`; or `node/N/KIND`, whether an object of a kind is at node N; or the name
+/// vector, such a name with `/x`, `/y` or `/z`, or of an angle, with `/cos` or `/sin`; or `node/N/KIND`, whether an object of a kind is at node N; or the name
 /// of a state of an edge, [`EdgeName::state`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
@@ -177,7 +184,14 @@ impl StateName {
         Self(format!("{}/{axis}", self.0).into())
     }
 
-    /// Checks that a vector may have the name.
+    /// Name of the state of the cosine (axis 0) or the sine (axis 1) of an angle with this name: `NAME/cos`, `NAME/sin`.
+    #[must_use]
+    pub fn angle_axis(&self, axis: usize) -> Self {
+        let axis = ANGLE_AXES.get(axis).copied().unwrap_or_default();
+        Self(format!("{}/{axis}", self.0).into())
+    }
+
+    /// Checks that a vector or an angle may have the name.
     ///
     /// # Errors
     /// [`InvalidName::Reserved`].
@@ -189,14 +203,19 @@ impl StateName {
         }
     }
 
-    /// As [`StateName::observed`], or the name of an axis of a vector, as [`StateName::axis`] gives it, or of a state
-    /// of an edge, as [`EdgeName::state`] does.
+    /// As [`StateName::observed`], or the name of an axis of a vector or an angle, as [`StateName::axis`] and
+    /// [`StateName::angle_axis`] give it, or of a state of an edge, as [`EdgeName::state`] does.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
     pub fn stored(name: &str) -> Result<Self, InvalidName> {
         if let Some((what, edge)) = edge::split_edge(name) {
             return Ok(EdgeName::parse(edge)?.state(what));
+        }
+        if let Some((angle, axis)) = split_angle_axis(name) {
+            let angle = Self::new(angle)?;
+            angle.check_vector()?;
+            return Ok(angle.angle_axis(axis));
         }
         match split_axis(name) {
             Some((vector, axis)) => {
@@ -230,6 +249,12 @@ impl StateName {
     /// For the name of an axis: the name of its vector, and the axis, 0 for x.
     pub fn as_axis(&self) -> Option<(&str, usize)> {
         split_axis(&self.0)
+    }
+
+    /// For the name of an axis of an angle: the name of the angle, and the axis, 0 for the cosine.
+    #[must_use]
+    pub fn as_angle_axis(&self) -> Option<(&str, usize)> {
+        split_angle_axis(&self.0)
     }
 
     /// The name.

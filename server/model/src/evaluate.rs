@@ -31,6 +31,13 @@ impl Evaluation {
         self.wrong += u64::from((predicted >= 0.5) != (value >= 0.5));
     }
 
+    /// Counts one angle and its prediction, in radians: the error is 1 − cos of their difference, which is half the
+    /// squared distance between the points on the unit circle, and for small differences half their square.
+    pub fn add_angle(&mut self, predicted_rad: f64, angle_rad: f64) {
+        self.observations += 1;
+        self.squared_error += 1.0 - libm::cos(predicted_rad - angle_rad);
+    }
+
     /// Mean squared error in the squared unit of the value (0 to 1 for probabilities); 0 without observations.
     pub fn mse(&self) -> f64 {
         self.squared_error / self.observations.max(1) as f64

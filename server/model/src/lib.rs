@@ -32,6 +32,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod accumulator;
+mod angle;
 mod civil;
 mod entropy;
 mod evaluate;
@@ -49,6 +50,7 @@ mod spectral;
 mod state;
 
 pub use accumulator::{Accumulator, AccumulatorParts};
+pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};

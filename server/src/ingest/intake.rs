@@ -80,13 +80,13 @@ impl TableEntry {
     fn may_have(&self, value: f64, position: Option<Position>) -> bool {
         match position {
             Some(position) => position.invalid_coordinate().is_none(),
-            None => self.expected_kind().allows(value),
+            None => self.expected_shape().allows(value),
         }
     }
 
-    /// The kind that its values must have, as far as is known here.
-    fn expected_kind(&self) -> StateKind {
-        self.shape.map_or(StateKind::Continuous, StateShape::kind)
+    /// What its values must be, as far as is known here.
+    fn expected_shape(&self) -> StateShape {
+        self.shape.unwrap_or(StateShape::Scalar(StateKind::Continuous))
     }
 
     fn dimensions(&self) -> Option<Dimensions> {
@@ -199,10 +199,10 @@ impl Intake {
     fn extend_table(&mut self, names: Vec<String>, shapes: Vec<Option<StateShape>>) -> Vec<Option<NewName>> {
         let mut checked = Vec::with_capacity(names.len());
         for (raw, shape) in names.into_iter().zip(shapes) {
-            let is_vector = matches!(shape, Some(StateShape::Vector(_)));
-            self.has_vectors |= is_vector;
+            let has_axes = shape.is_some_and(|shape| !shape.axes().is_empty());
+            self.has_vectors |= shape.is_some_and(|shape| !shape.is_single());
             let name = StateName::observed(&raw)
-                .and_then(|name| if is_vector { name.check_vector().map(|()| name) } else { Ok(name) });
+                .and_then(|name| if has_axes { name.check_vector().map(|()| name) } else { Ok(name) });
             let (name, refusal) = match name {
                 Ok(name) => (Some(NewName { name, shape }), None),
                 Err(error) => (None, Some(format!("state {error}"))),
@@ -297,9 +297,9 @@ fn shortened(detail: &str) -> String {
     detail.chars().take(DETAIL_CHARS_MAX).collect()
 }
 
-/// A refusal: a state of that kind cannot have the value.
-pub(super) fn refuse_value(value: f64, kind: StateKind) -> (RefusalReason, String) {
-    (RefusalReason::Value, format!("value {value} is not {}", kind.expected()))
+/// A refusal: a state of that shape cannot have the value.
+pub(super) fn refuse_value(value: f64, shape: StateShape) -> (RefusalReason, String) {
+    (RefusalReason::Value, format!("value {value} is not {}", shape.expected()))
 }
 
 fn refuse(
@@ -321,7 +321,7 @@ fn refuse(
                 let expected = StateKind::Continuous.expected();
                 (RefusalReason::Value, format!("coordinate {axis} {coordinate} is not {expected}"))
             }
-            None => refuse_value(value, entry.expected_kind()),
+            None => refuse_value(value, entry.expected_shape()),
         },
     }
 }

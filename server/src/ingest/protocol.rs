@@ -235,7 +235,7 @@ pub(crate) struct AddState {
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum AddStateError {
-    #[error("state {name:?} exists and is a {found}, not a {asked}: the kind of a state never changes", name = .name.as_str(), found = .found.name(), asked = .asked.name())]
+    #[error("state {name:?} exists and is {found}, not {asked}: the kind of a state never changes", name = .name.as_str(), found = .found.with_article(), asked = .asked.with_article())]
     OtherKind { name: StateName, found: StateShape, asked: StateShape },
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
     TooMany { max: usize },

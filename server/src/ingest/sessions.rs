@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
     FUTURE_MAX_NANOS,
-    event::{Event, NewState, Observations, OffsetRun, Position, StateKind},
+    event::{Event, NewState, Observations, OffsetRun, StateKind, StateShape},
     grid::{
         log_head::{LogHead, StreamTiles},
         sensors::ProducerSensor,
@@ -17,7 +17,7 @@ use tidemap_map::{
     name::{ProducerKey, StateName},
     traversal::EdgeFailure,
 };
-use tidemap_model::OffsetCache;
+use tidemap_model::{OffsetCache, cos_sin};
 use tokio::sync::mpsc;
 
 use super::{
@@ -297,7 +297,7 @@ impl Sessions {
                 renames: &self.renames_in_flight,
                 max: self.limits.states,
             };
-            let state =
+            let (state, shape) =
                 match slot.state_for(batch.values[i], position.is_some(), &mut allocator, &mut columns.new_states) {
                     Ok(state) => state,
                     Err(Some((reason, text))) => {
@@ -307,7 +307,15 @@ impl Sessions {
                     Err(None) => continue,
                 };
             let offset_secs = self.offsets.offset_secs(time);
-            let numbers = position.as_ref().map_or(&batch.values[i..=i], Position::coordinates);
+            let angle;
+            let numbers = match (&position, shape) {
+                (Some(position), _) => position.coordinates(),
+                (None, StateShape::Angle) => {
+                    angle = cos_sin(batch.values[i]);
+                    &angle[..]
+                }
+                (None, _) => &batch.values[i..=i],
+            };
             for (&number, state) in numbers.iter().zip(state.0..) {
                 columns.push(StateId(state), time, number, offset_secs);
             }

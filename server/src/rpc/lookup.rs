@@ -5,7 +5,6 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::StateShape,
     grid::{index::CellIndex, view::CellDescription},
     ids::StateId,
     view::MapView,
@@ -29,14 +28,14 @@ pub(super) fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, 
     })
 }
 
-/// The state of this name, or an error that lists some existing ones, or the axes of a vector.
+/// The state of this name, or an error that lists some existing ones, or the axes of a vector or an angle.
 pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError> {
     if let Some(id) = view.find(name) {
         return Ok(id);
     }
     let map = || view.spec().name.as_str().to_owned();
-    if let Some((_, shape @ StateShape::Vector(dimensions))) = view.shape(name) {
-        let axes = dimensions.axes().iter().map(|axis| format!("{name}/{axis}")).collect();
+    if let Some((_, shape)) = view.shape(name).filter(|(_, shape)| !shape.axes().is_empty()) {
+        let axes = shape.axes().iter().map(|axis| format!("{name}/{axis}")).collect();
         return Err(RpcError::IsVector { map: map(), name: name.to_owned(), shape, axes });
     }
     Err(RpcError::UnknownState {

@@ -83,7 +83,7 @@ impl MapService for Maps {
         let name = StateName::observed(&state).map_err(invalid)?;
         let shape = shape_from_wire(("kind", kind), ("dimensions", dimensions)).map_err(RpcError::from)?;
         let shape = shape.unwrap_or_default();
-        if let StateShape::Vector(_) = shape {
+        if let StateShape::Vector(_) | StateShape::Angle = shape {
             name.check_vector().map_err(invalid)?;
         }
         let (reply, answer) = oneshot::channel();

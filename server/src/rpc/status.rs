@@ -43,7 +43,7 @@ pub(crate) enum RpcError {
     UnknownMap { name: String, known: Vec<String> },
     #[error("state {name:?} does not exist in map {map:?}; {}", known_names(.known, "states"))]
     UnknownState { map: String, name: String, known: Vec<String> },
-    #[error("state {name:?} of map {map:?} is a {}: use its axes, {}", .shape.name(), .axes.join(", "))]
+    #[error("state {name:?} of map {map:?} is {}: use its axes, {}", .shape.with_article(), .axes.join(", "))]
     IsVector { map: String, name: String, shape: StateShape, axes: Vec<String> },
     #[error("map {map:?} has no grid: create a map with one, with option --grid")]
     NoGrid { map: String },

@@ -42,7 +42,7 @@ pub(crate) struct ObserveArgs {
     file: PathBuf,
     #[command(flatten)]
     sender: SenderArgs,
-    /// Kind of the file's states: probability, continuous or count; new states get it, and rows of states of another
+    /// Kind of the file's states: probability, continuous, count or angle (radians); new states get it, and rows of states of another
     /// kind are refused; a file with columns x and y has kind vector [default: each state keeps its kind; new states
     /// are probabilities]
     #[arg(long, value_name = "KIND")]

@@ -23,7 +23,7 @@ pub(crate) enum StateCommand {
         map: String,
         /// Name of the state
         state: String,
-        /// Kind of its values: probability (0 to 1), continuous (any number), count (0, 1, 2, …) or vector
+        /// Kind of its values: probability (0 to 1), continuous (any number), count (0, 1, 2, …), vector, or angle (radians)
         #[arg(long, value_name = "KIND", default_value = "probability")]
         kind: StateKind,
         /// Number of coordinates of a vector, 2 or 3

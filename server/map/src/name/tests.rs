@@ -71,6 +71,20 @@ fn axes_of_vectors_have_names_that_nobody_can_send() {
 }
 
 #[test]
+fn axes_of_angles_have_names_that_nobody_can_send() {
+    let heading = StateName::new("heading").expect("valid");
+    let sin = heading.angle_axis(1);
+    assert_eq!((sin.as_str(), sin.as_angle_axis(), sin.as_axis()), ("heading/sin", Some(("heading", 1)), None));
+    assert_eq!(heading.as_angle_axis(), None);
+    assert!(matches!(StateName::new("heading/sin"), Err(InvalidName::Slash(_))));
+    assert_eq!(StateName::stored("heading/sin"), Ok(sin));
+    for bad in ["heading/tan", "heading/cos/sin", "/cos", "cell/cos", "node/sin", "a\nb/cos"] {
+        assert!(StateName::stored(bad).is_err(), "{bad}");
+    }
+    assert!(StateName::observed("heading/cos").is_err());
+}
+
+#[test]
 fn the_states_of_a_node_are_renamed_with_it() {
     let to = StateName::new("Hall").expect("valid");
     let renamed = |name: &str| {

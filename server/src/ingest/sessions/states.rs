@@ -1,7 +1,7 @@
 //! The states of a map, with their kinds, after everything in flight is applied.
 //!
-//! Invariant: a state in flight keeps its number and its kind: the next stream that names it gets the same. A vector is
-//! in flight as all its axes.
+//! Invariant: a state in flight keeps its number and its kind: the next stream that names it gets the same. A vector or
+//! an angle is in flight as all its axes.
 
 use std::collections::HashMap;
 
@@ -46,7 +46,7 @@ pub(super) struct StateAllocator<'a> {
 }
 
 impl StreamState {
-    /// The state of an observation with this value, or the first axis if it has a position; it may be new. `Err(None)`:
+    /// The state of an observation with this value, or the first axis, and its shape; it may be new. `Err(None)`:
     /// intake has refused it already.
     pub(super) fn state_for(
         &mut self,
@@ -54,15 +54,15 @@ impl StreamState {
         is_position: bool,
         allocator: &mut StateAllocator<'_>,
         new_states: &mut Vec<NewState>,
-    ) -> Result<StateId, Option<Refusal>> {
+    ) -> Result<(StateId, StateShape), Option<Refusal>> {
         if let StreamState::Unused(name) = self {
             *self = used(name, value, allocator, new_states)?;
         }
         match self {
             // Intake passes a position only if a vector was declared.
-            StreamState::State(state, StateShape::Vector(_)) if is_position => Ok(*state),
-            StreamState::State(state, StateShape::Scalar(kind)) if !is_position && kind.allows(value) => Ok(*state),
-            StreamState::State(_, shape) => Err(Some(refuse_value(value, shape.kind()))),
+            StreamState::State(state, shape @ StateShape::Vector(_)) if is_position => Ok((*state, *shape)),
+            StreamState::State(state, shape) if !is_position && shape.allows(value) => Ok((*state, *shape)),
+            StreamState::State(_, shape) => Err(Some(refuse_value(value, *shape))),
             StreamState::OtherShape(name, found, said) => Err(Some(other_shape(name, *found, *said))),
             StreamState::Unused(_) | StreamState::Invalid => Err(None),
         }
@@ -78,13 +78,13 @@ fn used(
 ) -> Result<StreamState, Refusal> {
     let shape = said.unwrap_or_default();
     match known_state(allocator.map, allocator.in_flight, allocator.renames, name) {
-        // A name without a declared shape has values.
-        Some((state, found)) if *said == Some(found) || (said.is_none() && is_scalar(found)) => {
+        // A name without a declared shape has single values.
+        Some((state, found)) if *said == Some(found) || (said.is_none() && found.is_single()) => {
             Ok(StreamState::State(state, found))
         }
         Some((_, found)) => Ok(StreamState::OtherShape(name.clone(), found, *said)),
         // An invalid value does not create a state. Intake has checked positions.
-        None if is_scalar(shape) && !shape.kind().allows(value) => Err(refuse_value(value, shape.kind())),
+        None if shape.is_single() && !shape.allows(value) => Err(refuse_value(value, shape)),
         None => match allocator.add(name, shape) {
             Some(new) => {
                 let state = new.id;
@@ -229,19 +229,18 @@ fn known_state(
     if name.as_str().contains('/') {
         return None;
     }
+    if let Some(&(cos, _)) = in_flight.get(&name.angle_axis(0)) {
+        return Some((cos, StateShape::Angle));
+    }
     let &(first, _) = in_flight.get(&name.axis(0))?;
     let has_z = in_flight.contains_key(&name.axis(2));
     Some((first, StateShape::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
 }
 
-fn is_scalar(shape: StateShape) -> bool {
-    matches!(shape, StateShape::Scalar(_))
-}
-
 /// The refusal of a state whose shape differs from the declared one.
 fn other_shape(name: &StateName, found: StateShape, said: Option<StateShape>) -> Refusal {
     let name = name.as_str().chars().take(60).collect::<String>();
-    let said = said.map_or("single value", StateShape::name);
-    let text = format!("state {name:?} exists and is a {}, not a {said}", found.name());
+    let said = said.map_or("a single value".to_owned(), StateShape::with_article);
+    let text = format!("state {name:?} exists and is {}, not {said}", found.with_article());
     (RefusalReason::StateKind, text)
 }

@@ -8,9 +8,10 @@ use std::{
 };
 
 use tidemap_map::{
-    event::StateKind,
+    event::{StateKind, StateShape},
     ids::StateId,
     selector::{ModelKind, ModelSelector},
+    view::MapView,
 };
 use tidemap_model::Sample;
 use tidemap_proto::{
@@ -62,7 +63,7 @@ pub(super) async fn evaluate_states(
     }
     check_limit("models", models.len() as u64, 64, "one request")?;
     let mut evaluator = Evaluator::new(Arc::clone(&view), models, max_order);
-    let mut table: Vec<StateId> = Vec::new();
+    let mut table: Vec<Subject> = Vec::new();
     let mut reserved = queries.fitting.reserve(0)?;
     while let Some(request) = stream.message().await? {
         let Some(v1::evaluate_states_request::Message::Observations(mut columns)) = request.message else {
@@ -74,7 +75,7 @@ pub(super) async fn evaluate_states(
             check_limit("states", states as u64, STATES_MAX as u64, "one evaluation")?;
             let sums = states.saturating_mul(evaluator.sums_per_state()) as u64;
             check_limit("states times models and orders", sums, SUMS_MAX as u64, "one evaluation")?;
-            table.push(find_state(&view, &name)?);
+            table.push(Subject::find(&view, &name, &table)?);
         }
         let max = queries.max_batch as u64;
         let setting = "setting max_batch_observations";
@@ -89,7 +90,7 @@ pub(super) async fn evaluate_states(
         let mut first_seen = Vec::new();
         for i in 0..columns.values.len() {
             let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
-            let Some(&state) = table.get(index as usize) else {
+            let Some(&subject) = table.get(index as usize) else {
                 let text = format!("{index} is beyond the stream's table of {} names", table.len());
                 return Err(RpcError::from(InvalidField::new("observations.state_indices", text)).into());
             };
@@ -97,9 +98,11 @@ pub(super) async fn evaluate_states(
                 let text = format!("{time} ns is before 1970");
                 return Err(RpcError::from(InvalidField::new("observations.times", text)).into());
             }
-            let kind = view.kind(state);
-            if !kind.bounds().contains(&value) {
-                let text = format!("value {value} is not {}", kind.expected());
+            let (state, shape) = (subject.state, subject.shape(&view));
+            let is_allowed =
+                if subject.is_angle { shape.allows(value) } else { shape.kind().bounds().contains(&value) };
+            if !is_allowed {
+                let text = format!("value {value} is not {}", shape.expected());
                 return Err(RpcError::from(InvalidField::new("observations.values", text)).into());
             }
             let samples = match by_state.entry(state) {
@@ -112,15 +115,22 @@ pub(super) async fn evaluate_states(
             samples.push(make(time, value));
         }
         for &state in first_seen.iter().filter(|state| evaluator.is_new(**state)).collect::<Vec<_>>() {
-            let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), state);
-            let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
-            reserved.merge(queries.fitting.reserve(models.iter().flatten().count())?);
-            let answering = |model| match model {
-                Ok(fitted) => AnswerSource::Fitted(fitted),
-                Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),
-            };
-            let answering: Vec<AnswerSource> = models.into_iter().map(answering).collect();
-            evaluator.begin(state, answering);
+            let is_angle = table.iter().any(|subject| subject.state == state && subject.is_angle);
+            for axis in [state].into_iter().chain(is_angle.then(|| sine_of(state))) {
+                let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), axis);
+                let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
+                reserved.merge(queries.fitting.reserve(models.iter().flatten().count())?);
+                let answering = |model| match model {
+                    Ok(fitted) => AnswerSource::Fitted(fitted),
+                    Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),
+                };
+                let answering: Vec<AnswerSource> = models.into_iter().map(answering).collect();
+                if axis == state {
+                    evaluator.begin(state, answering);
+                } else {
+                    evaluator.begin_sine(state, axis, answering);
+                }
+            }
         }
         evaluator = tokio::task::spawn_blocking(move || {
             evaluator.add(&first_seen, &by_state);
@@ -145,4 +155,37 @@ pub(super) async fn evaluate_states(
         states: states.into_iter().map(str::to_owned).collect(),
     });
     Ok(v1::EvaluateStatesResponse { evaluations: evaluations.collect(), unavailable: unavailable.collect() })
+}
+
+/// What observations of a name are compared with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Subject {
+    /// The state, or the cosine of an angle.
+    state: StateId,
+    is_angle: bool,
+}
+
+impl Subject {
+    /// The subject of a name, beside those of the names before.
+    fn find(view: &MapView, name: &str, others: &[Subject]) -> Result<Subject, RpcError> {
+        let subject = match view.shape(name) {
+            Some((state, StateShape::Angle)) => Subject { state, is_angle: true },
+            _ => Subject { state: find_state(view, name)?, is_angle: false },
+        };
+        let is_other = |other: &Subject| other.state == subject.state && other.is_angle != subject.is_angle;
+        if others.iter().any(is_other) {
+            let text = format!("{name:?}: compare an angle or its cosine, not both in one evaluation");
+            return Err(InvalidField::new("observations.new_states", text).into());
+        }
+        Ok(subject)
+    }
+
+    fn shape(self, view: &MapView) -> StateShape {
+        if self.is_angle { StateShape::Angle } else { StateShape::Scalar(view.kind(self.state)) }
+    }
+}
+
+/// The state of the sine of an angle, which follows that of the cosine.
+fn sine_of(cosine: StateId) -> StateId {
+    StateId(cosine.0.saturating_add(1))
 }

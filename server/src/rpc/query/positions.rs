@@ -127,7 +127,7 @@ pub(super) async fn predict_positions(
 fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcError> {
     match view.shape(name) {
         Some((first, StateShape::Vector(dimensions))) => Ok((first, dimensions)),
-        Some((_, shape @ StateShape::Scalar(_))) => {
+        Some((_, shape @ (StateShape::Scalar(_) | StateShape::Angle))) => {
             let text = format!("{name:?} is a {} state, and only a vector has positions", shape.name());
             Err(InvalidField::new("state", text).into())
         }

@@ -10,11 +10,12 @@ use tidemap_map::{
     grid::{index::CellIndex, view::CellDescription},
     ids::StateId,
     interval::cell_intervals,
+    predict::PreparedTimes,
     selector::ModelSelector,
     view::MapView,
 };
 use tidemap_model::{
-    Persistence, entropy_bits,
+    Persistence, direction_rad, entropy_bits,
     models::{Interval, Moment},
 };
 use tidemap_proto::{
@@ -48,22 +49,25 @@ const TIMES_PER_BLOCK: usize = 4096;
 struct StateAxis {
     state_index: usize,
     axis: u32,
+    /// Whether it is the cosine or the sine of an angle, which follow one another and have one reply.
+    is_angle: bool,
 }
 
-/// The names of a request, each vector replaced by its axes.
+/// The names of a request, each vector and angle replaced by its axes.
 fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<StateAxis>, Vec<String>) {
     let mut places = Vec::with_capacity(names.len());
     let mut all = Vec::with_capacity(names.len());
     for (state_index, name) in names.into_iter().enumerate() {
         match view.shape(&name) {
-            Some((_, StateShape::Vector(dimensions))) => {
-                for (axis, letter) in (1..).zip(dimensions.axes()) {
-                    places.push(StateAxis { state_index, axis });
+            Some((_, shape @ (StateShape::Vector(_) | StateShape::Angle))) => {
+                let is_angle = shape == StateShape::Angle;
+                for (axis, letter) in (1..).zip(shape.axes()) {
+                    places.push(StateAxis { state_index, axis: if is_angle { 0 } else { axis }, is_angle });
                     all.push(format!("{name}/{letter}"));
                 }
             }
             _ => {
-                places.push(StateAxis { state_index, axis: 0 });
+                places.push(StateAxis { state_index, axis: 0, is_angle: false });
                 all.push(name);
             }
         }
@@ -159,14 +163,20 @@ fn predict_fitted(
     let (fitting, permits) = (Arc::clone(&queries.fitting), queries.permits.clone());
     let moments: Arc<[Moment]> = view.moments(times_nanos).into();
     stream_replies(move |sink| async move {
+        let mut cosine = None;
         for (place, id) in states {
             let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), id);
             let fitted = tokio::select! {
                 () = sink.closed() => return Ok(()),
                 fitted = fitting.fitted(&learned, selector.kind) => fitted?,
             };
+            if place.is_angle && cosine.is_none() {
+                cosine = Some((id, fitted));
+                continue;
+            }
+            let sources: Vec<_> = cosine.take().into_iter().chain([(id, fitted)]).collect();
             let (view, moments, sink) = (Arc::clone(&view), Arc::clone(&moments), sink.clone());
-            let predict = move || predict_one(&view, (place, id), &fitted, &moments, (selector, level), &sink);
+            let predict = move || predict_one(&view, (place, &sources), &moments, (selector, level), &sink);
             if !run_blocking(permits.take().await?, predict).await? {
                 break;
             }
@@ -175,28 +185,25 @@ fn predict_fitted(
     })
 }
 
-/// Predicts one state by a fitted model. `false`: the client is gone.
+/// Predicts one state by a fitted model, or an angle by those of its cosine and its sine. `false`: the client is gone.
 fn predict_one(
     view: &MapView,
-    (place, id): (StateAxis, StateId),
-    fitted: &CachedModel,
+    (place, sources): (StateAxis, &[(StateId, Arc<CachedModel>)]),
     moments: &[Moment],
     (selector, level): (ModelSelector, f64),
     sink: &ReplySink<v1::PredictStatesResponse>,
 ) -> bool {
-    let live = view.live(id);
     let mut blocks = moments.chunks(TIMES_PER_BLOCK).enumerate();
     blocks.all(|(block, moments)| {
-        let mut probabilities = vec![0.0; moments.len()];
-        fitted.predict_into(view, id, moments, selector, &mut probabilities);
-        let about = About {
-            kind: view.kind(id),
-            order: selector.order_for(view.model(id)),
-            observations: live.observations,
-            persistence: live.persistence,
-        };
-        let intervals = view.intervals(id, moments, &probabilities, Some(level).filter(|&level| level > 0.0));
-        sink.send(reply(place, block * TIMES_PER_BLOCK, probabilities, &intervals, about))
+        let forecast = sources.iter().map(|(id, fitted)| {
+            let mut values = vec![0.0; moments.len()];
+            fitted.predict_into(view, *id, moments, selector, &mut values);
+            let level = Some(level).filter(|&level| level > 0.0 && !place.is_angle);
+            let intervals = view.intervals(*id, moments, &values, level);
+            Forecast { values, intervals, about: About::of_state(view, *id, selector) }
+        });
+        let Some(forecast) = forecast.reduce(Forecast::angle) else { return false };
+        sink.send(reply(place, block * TIMES_PER_BLOCK, forecast))
     })
 }
 
@@ -210,7 +217,9 @@ fn predict(
 ) {
     let blocks = blocks(times_nanos.len());
     let shared = (blocks.len() == 1).then(|| view.prepare(times_nanos));
-    for (place, named) in named {
+    // The cosine and the sine of an angle are neighbours.
+    for subjects in named.chunk_by(|(one, _), (other, _)| one.is_angle && one.state_index == other.state_index) {
+        let Some((place, _)) = subjects.first() else { continue };
         for block in &blocks {
             let own;
             let prepared = match &shared {
@@ -220,34 +229,40 @@ fn predict(
                     &own
                 }
             };
-            let mut probabilities = vec![0.0; block.len()];
-            let level = Some(level).filter(|&level| level > 0.0);
-            let (about, intervals) = match named {
-                StateOrCell::State(id) => {
-                    view.predict_into(*id, prepared, selector, &mut probabilities);
-                    let live = view.live(*id);
-                    let about = About {
-                        kind: view.kind(*id),
-                        order: selector.order_for(view.model(*id)),
-                        observations: live.observations,
-                        persistence: live.persistence,
-                    };
-                    (about, view.intervals(*id, prepared.moments(), &probabilities, level))
-                }
-                StateOrCell::Cell(_, cell) => {
-                    view.predict_cell_into(cell, prepared, selector, &mut probabilities);
-                    let about = About {
-                        kind: StateKind::Probability,
-                        order: selector.order_for_cell(cell),
-                        observations: cell.observations,
-                        persistence: cell.persistence,
-                    };
-                    (about, cell_intervals(cell, &probabilities, level))
-                }
-            };
-            if !sink.send(reply(*place, block.start, probabilities, &intervals, about)) {
+            let level = Some(level).filter(|&level| level > 0.0 && !place.is_angle);
+            let forecast = subjects.iter().map(|(_, subject)| forecast(view, subject, prepared, selector, level));
+            let Some(forecast) = forecast.reduce(Forecast::angle) else { continue };
+            if !sink.send(reply(*place, block.start, forecast)) {
                 return;
             }
+        }
+    }
+}
+
+fn forecast(
+    view: &MapView,
+    subject: &StateOrCell,
+    prepared: &PreparedTimes,
+    selector: ModelSelector,
+    level: Option<f64>,
+) -> Forecast {
+    let mut values = vec![0.0; prepared.moments().len()];
+    match subject {
+        StateOrCell::State(id) => {
+            view.predict_into(*id, prepared, selector, &mut values);
+            let intervals = view.intervals(*id, prepared.moments(), &values, level);
+            Forecast { values, intervals, about: About::of_state(view, *id, selector) }
+        }
+        StateOrCell::Cell(_, cell) => {
+            view.predict_cell_into(cell, prepared, selector, &mut values);
+            let about = About {
+                kind: StateKind::Probability,
+                order: selector.order_for_cell(cell),
+                observations: cell.observations,
+                persistence: cell.persistence,
+            };
+            let intervals = cell_intervals(cell, &values, level);
+            Forecast { values, intervals, about }
         }
     }
 }
@@ -265,22 +280,49 @@ struct About {
     persistence: Persistence,
 }
 
+impl About {
+    fn of_state(view: &MapView, id: StateId, selector: ModelSelector) -> About {
+        let live = view.live(id);
+        About {
+            kind: view.kind(id),
+            order: selector.order_for(view.model(id)),
+            observations: live.observations,
+            persistence: live.persistence,
+        }
+    }
+}
+
+/// Predictions of one state at a block of times.
+struct Forecast {
+    values: Vec<f64>,
+    /// Empty if none were requested.
+    intervals: Vec<Interval>,
+    about: About,
+}
+
+impl Forecast {
+    /// The angle whose cosine and sine these are: the direction of both, without intervals.
+    fn angle(cosine: Forecast, sine: Forecast) -> Forecast {
+        let pairs = cosine.values.into_iter().zip(sine.values);
+        let about = About { order: cosine.about.order.max(sine.about.order), ..cosine.about };
+        Forecast { values: pairs.map(|(cos, sin)| direction_rad([cos, sin])).collect(), intervals: Vec::new(), about }
+    }
+}
+
 /// Predictions of one state.
 fn reply(
     place: StateAxis,
     first_time_index: usize,
-    probabilities: Vec<f64>,
-    intervals: &[Interval],
-    About { kind, order, observations, persistence }: About,
+    Forecast { values, intervals, about: About { kind, order, observations, persistence } }: Forecast,
 ) -> v1::PredictStatesResponse {
     v1::PredictStatesResponse {
         state_index: u32::try_from(place.state_index).unwrap_or(u32::MAX),
         first_time_index: u32::try_from(first_time_index).unwrap_or(u32::MAX),
         entropies_bits: match kind {
-            StateKind::Probability => probabilities.iter().map(|&probability| entropy_bits(probability)).collect(),
+            StateKind::Probability => values.iter().map(|&probability| entropy_bits(probability)).collect(),
             StateKind::Continuous | StateKind::Count => Vec::new(),
         },
-        probabilities,
+        probabilities: values,
         lower: intervals.iter().map(|interval| interval.lower).collect(),
         upper: intervals.iter().map(|interval| interval.upper).collect(),
         order: u32::try_from(order).unwrap_or(u32::MAX),

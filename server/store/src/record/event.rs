@@ -22,6 +22,8 @@ use super::{
 /// Kinds of new vector states. The map stores a vector as states of continuous values, one per axis.
 const VECTOR_OF_TWO: u32 = 3;
 const VECTOR_OF_THREE: u32 = 4;
+/// Kind of a new angle, which the map stores as cosine and sine.
+const ANGLE: u32 = 5;
 
 /// Limit of observations in one event. Constant columns take no space, so the payload's length does not limit it.
 const COUNT_MAX: usize = 1 << 20;
@@ -172,6 +174,7 @@ fn encode_new_state(state: &NewState) -> v1::NewState {
         StateShape::Scalar(kind) => encode_kind(kind),
         StateShape::Vector(Dimensions::Two) => VECTOR_OF_TWO,
         StateShape::Vector(Dimensions::Three) => VECTOR_OF_THREE,
+        StateShape::Angle => ANGLE,
     };
     v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind }
 }
@@ -182,13 +185,14 @@ fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
     let shape = match state.kind {
         VECTOR_OF_TWO => StateShape::Vector(Dimensions::Two),
         VECTOR_OF_THREE => StateShape::Vector(Dimensions::Three),
+        ANGLE => StateShape::Angle,
         kind => StateShape::Scalar(decode_kind(kind)?),
     };
-    // Axes are created with their vector only.
-    if name.as_axis().is_some() {
+    // Axes are created with their vector or angle only.
+    if name.as_axis().or(name.as_angle_axis()).is_some() {
         return Err(NAME);
     }
-    if let StateShape::Vector(_) = shape {
+    if let StateShape::Vector(_) | StateShape::Angle = shape {
         name.check_vector().map_err(|_| NAME)?;
     }
     Ok(NewState { id: StateId(state.id), name, shape })

@@ -43,21 +43,29 @@ pub(crate) fn check(snapshot: &MapSnapshot) -> Result<(), Invalid> {
     check_positions(&encode(snapshot))
 }
 
-/// Refuses vectors with an axis that is missing, out of order or not continuous, or with the same name as another
-/// state.
+/// Of the name of an axis: the name of the vector or angle, whether it is an angle, and the number of the axis.
+fn axis_of(state: &StateSnapshot) -> Option<(&str, bool, usize)> {
+    let of_vector = state.name.as_axis().map(|(name, number)| (name, false, number));
+    of_vector.or_else(|| state.name.as_angle_axis().map(|(name, number)| (name, true, number)))
+}
+
+/// Refuses vectors and angles with an axis that is missing, out of order or not continuous, or with the same name as
+/// another state.
 fn check_axes(states: &[StateSnapshot]) -> Result<(), Invalid> {
-    let axis = |index: usize| states.get(index).and_then(|state| state.name.as_axis());
+    let axis = |index: usize| states.get(index).and_then(axis_of);
     let mut vectors = HashSet::new();
     for (index, state) in states.iter().enumerate() {
-        let Some((vector, number)) = state.name.as_axis() else { continue };
+        let Some((vector, is_angle, number)) = axis_of(state) else { continue };
         let is_whole = match number {
-            0 => axis(index + 1) == Some((vector, 1)),
-            _ => index > 0 && axis(index - 1) == Some((vector, number - 1)),
+            0 => axis(index + 1) == Some((vector, is_angle, 1)),
+            _ => index > 0 && axis(index - 1) == Some((vector, is_angle, number - 1)),
         };
         if !is_whole || state.kind != StateKind::Continuous {
-            return Err("an axis of a vector is missing, out of order or of another kind");
+            return Err("an axis of a vector or an angle is missing, out of order or of another kind");
         }
-        vectors.insert(vector);
+        if number == 0 && !vectors.insert(vector) {
+            return Err("two vectors or angles have the same name");
+        }
     }
     if !vectors.is_empty() && states.iter().any(|state| vectors.contains(state.name.as_str())) {
         return Err("a vector and a state have the same name");

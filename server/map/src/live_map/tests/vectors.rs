@@ -43,6 +43,28 @@ fn a_vector_is_there_with_all_its_axes() {
 }
 
 #[test]
+fn an_angle_is_there_with_its_cosine_and_its_sine() {
+    let mut map = LiveMap::new(spec());
+    let angle = |id: u32, name: &str| {
+        let name = StateName::new(name).expect("valid");
+        Event::AddState(NewState { id: StateId(id), name, shape: StateShape::Angle })
+    };
+    apply(&mut map, &angle(0, "heading"));
+    apply(&mut map, &vector(2, "anna", Dimensions::Two));
+    let view = map.publish();
+    let names: Vec<&str> = view.infos().map(|info| info.name.as_str()).collect();
+    assert_eq!(names, ["heading/cos", "heading/sin", "anna/x", "anna/y"]);
+    assert_eq!(view.shape("heading"), Some((StateId(0), StateShape::Angle)));
+    for wrong in [angle(4, "anna"), angle(4, "heading"), scalar(4, "heading"), vector(4, "heading", Dimensions::Two)] {
+        let error = map.apply(map.position() + 1, &wrong).expect_err("not new");
+        assert!(error.reason.contains("is not new"), "{error}");
+    }
+    let snapshot = update(&mut map, None);
+    let mut restored = LiveMap::restore(spec(), snapshot);
+    assert_eq!(restored.publish().shape("heading"), Some((StateId(0), StateShape::Angle)));
+}
+
+#[test]
 fn positions_are_learned_by_axis_and_restored() {
     let mut map = LiveMap::new(spec());
     apply(&mut map, &vector(0, "anna", Dimensions::Two));
