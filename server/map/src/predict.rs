@@ -4,7 +4,7 @@
 //! times are computed once and shared by all states.
 
 use tidemap_model::{
-    InstantPhasors, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
+    ActiveModel, InstantPhasors, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     models::{Moment, TemporalModel},
 };
 
@@ -86,8 +86,26 @@ impl MapView {
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
-        let chosen = if selector.kind == ModelKind::Auto && selector.order.is_none() { model.chosen() } else { None };
+        let chosen = if selector.kind == ModelKind::Auto && selector.order.is_none() {
+            model.chosen(&self.spec.periodicities)
+        } else {
+            None
+        };
         match chosen {
+            // Faster than [`Combination`]'s own prediction: all times share their phasors.
+            Some(ActiveModel::Combination(models)) => {
+                let (kind, weight) = (model.kind(), models.spectral_weight());
+                out.fill(0.0);
+                if weight > 0.0 {
+                    model.spectral().predict_values_into(kind, model.order(), &times.phasors, out);
+                }
+                for (out, &moment) in out.iter_mut().zip(&times.moments) {
+                    *out = kind.saturate(weight * *out + models.others_at(moment));
+                }
+                if selector.persistence {
+                    blend(&live.persistence, model.usual_change(), &times.moments, out);
+                }
+            }
             Some(chosen) => self.predict_fitted_into(id, &times.moments, &chosen, selector.persistence, out),
             None if selector.kind == ModelKind::Latest && live.persistence.last().is_none() => {
                 out.fill(self.prior_models.of(model.kind()).spectral().mean());

@@ -25,7 +25,7 @@ use std::sync::{
 };
 
 use rayon::prelude::*;
-use tidemap_model::{Sample, StateModel, UpdateOutcome};
+use tidemap_model::{Sample, StateModel, UpdateOutcome, UpdateRules};
 
 #[cfg(test)]
 use crate::grid::update::rules::UpdateLimits;
@@ -43,7 +43,7 @@ use crate::{
     ids::StateId,
     name::StateName,
     prior_models::PriorModels,
-    refit::{Refits, StateReadings, refit},
+    refit::{REFITS_MAX, Refits, StateReadings, refit},
     site::Site,
     snapshot::ProducerMark,
     spec::MapSpec,
@@ -154,12 +154,17 @@ impl UpdateWork {
         models.extend(self.models.iter().cloned());
         models
             .extend(self.basis.directory.iter().skip(models.len()).map(|info| self.prior_models.of(info.kind).clone()));
+        // An update that makes room must be quick: what is due waits for the next of another cause.
+        let readings = self.readings.filter(|_| self.basis.start.cause != UpdateCause::PendingLimit);
+        let untrained = |(id, _): &&(StateId, Vec<Sample>)| models[id.0 as usize].accumulator().observations() == 0;
+        let rehearsal = readings.is_some() && self.samples.iter().filter(untrained).count() <= REFITS_MAX;
+        let rules = UpdateRules { rehearsal, ..self.spec.update_rules() };
         let learned: Vec<(StateId, Arc<StateModel>, UpdateOutcome)> = self
             .samples
             .into_par_iter()
             .map(|(id, samples)| {
                 let mut model = StateModel::clone(&models[id.0 as usize]);
-                let outcome = model.update(&self.spec.periodicities, self.spec.update_rules(), samples);
+                let outcome = model.update(&self.spec.periodicities, rules, samples);
                 progress.fetch_add(1, Ordering::Relaxed);
                 (id, Arc::new(model), outcome)
             })
@@ -171,8 +176,6 @@ impl UpdateWork {
                 outcomes.push(StateOutcome { name: info.name.clone(), outcome });
             }
         }
-        // An update that makes room must be quick: what is due waits for the next of another cause.
-        let readings = self.readings.filter(|_| self.basis.start.cause != UpdateCause::PendingLimit);
         let refits = readings.map_or_else(Refits::default, |readings| {
             refit(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
         });

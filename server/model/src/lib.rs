@@ -64,8 +64,8 @@ pub use position::{Dimensions, Position};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
 pub use state::{
-    ActiveModel, Alternatives, AlternativesParts, EnabledModels, FitKind, FitParts, FittedModel, FittedModelParts,
-    HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome, UpdateRules,
+    ActiveModel, Alternatives, AlternativesParts, Combination, EnabledModels, FitKind, FitParts, FittedModel,
+    FittedModelParts, HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome, UpdateRules,
 };
 
 /// The highest model order: at most this many spectral components are kept and used.

@@ -8,6 +8,7 @@
 
 use crate::SpectralModel;
 use crate::evaluate::score_samples;
+use crate::models::TemporalModel as _;
 use crate::{
     Accumulator, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Sample, StateKind,
 };
@@ -16,10 +17,14 @@ mod alternatives;
 mod fits;
 #[cfg(test)]
 mod kind_tests;
+mod rehearsal;
 #[cfg(test)]
 mod tests;
 
-pub use alternatives::{ActiveModel, Alternatives, AlternativesParts, FitParts, HISTOGRAMS, ModelChoice, UpdateRules};
+use alternatives::SpectralAtOrder;
+pub use alternatives::{
+    ActiveModel, Alternatives, AlternativesParts, Combination, FitParts, HISTOGRAMS, ModelChoice, UpdateRules,
+};
 pub use fits::{EnabledModels, FitKind, FittedModel, FittedModelParts};
 
 /// The long-term model of one state.
@@ -109,18 +114,20 @@ impl StateModel {
         self.alternatives.as_deref()
     }
 
-    /// The model that has predicted best so far.
+    /// The model that has predicted best so far; it has the highest weight if several answer together.
     pub fn choice(&self) -> ModelChoice {
         self.alternatives.as_ref().map_or(ModelChoice::Spectral, |alternatives| alternatives.choice())
     }
 
-    /// The model in force; `None` if it is the spectral one.
-    pub fn chosen(&self) -> Option<ActiveModel<'_>> {
-        self.alternatives.as_ref()?.chosen()
+    /// What answers: the models that have predicted best so far; `None` if it is the spectral model alone.
+    /// `periodicities` are those of its map.
+    pub fn chosen<'a>(&'a self, periodicities: &'a Periodicities) -> Option<ActiveModel<'a>> {
+        let (model, order, kind) = (&self.spectral, self.order(), self.kind());
+        self.alternatives.as_ref()?.chosen(SpectralAtOrder { model, order, kind, periodicities })
     }
 
     /// Whether a refit of the model of this kind is due: after seven observed local days, seven local days after its
-    /// last fit, and after a change alarm. Never for a kind that such states do not support.
+    /// last fit, and after a change alarm; a cheap one also from the third observed day to the seventh. Never for a kind that such states do not support.
     pub fn is_fit_due(&self, kind: FitKind) -> bool {
         kind.is_for(self.kind()) && self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_fit_due(kind))
     }
@@ -179,7 +186,7 @@ impl StateModel {
 
     /// Learns observations, local day by local day: scores those newer than the last learned one with every order and
     /// every enabled model, chooses, learns the day and refits the spectral model. Models fitted to readings stay as
-    /// they are.
+    /// they are, unless the rules ask for a rehearsal.
     ///
     /// A local day that is split over two updates is scored in two parts, the second against the model that has seen
     /// the first. With a half-life, data is weighted by its age in whole local days, late data too.
@@ -198,6 +205,7 @@ impl StateModel {
             samples.sort_by_key(|sample| sample.utc_nanos);
         }
         let mut outcome = UpdateOutcome { order_before: self.order(), ..UpdateOutcome::default() };
+        let rehearsal = self.has_rehearsal(rules, &samples);
         let mut rest = samples.as_slice();
         while let Some(first) = rest.first() {
             let day = first.local_day();
@@ -212,6 +220,9 @@ impl StateModel {
                 alternatives.support(&self.spectral, periodicities, &self.accumulator);
             }
             rest = later;
+            if rehearsal {
+                self.rehearse(periodicities, rules, day, &samples[..samples.len() - rest.len()]);
+            }
         }
         outcome.observations = samples.len() as u64;
         outcome.order = self.order();
@@ -257,6 +268,13 @@ impl StateModel {
             return;
         }
         let sums = score_samples(self.kind(), &self.spectral, periodicities, newer);
+        let combined = match self.chosen(periodicities) {
+            Some(ActiveModel::Combination(models)) => {
+                let error = |sample: &Sample| (models.predict(sample.moment()) - sample.value).powi(2);
+                Some(newer.iter().map(error).sum())
+            }
+            _ => None,
+        };
         let errors = match rules.criterion {
             OrderCriterion::SquaredError => &sums.squared,
             OrderCriterion::ZeroOne => &sums.wrong,
@@ -270,7 +288,7 @@ impl StateModel {
                 let spectral = (errors[order], self.errors.sums()[order]);
                 let unit = if kind == StateKind::Probability { 1.0 } else { self.accumulator.variance() };
                 let was_ringing = alternatives.alarm().is_ringing();
-                let in_force = alternatives.score(day, rules, newer, spectral, (squared, unit));
+                let in_force = alternatives.score(day, rules, newer, spectral, (squared, unit), combined);
                 if alternatives.alarm().is_ringing() && !was_ringing {
                     self.errors.fade(alternatives.discount_errors());
                 }

@@ -18,11 +18,14 @@ use crate::{
     order::{KEPT_PER_DAY, OrderCriterion},
 };
 
+mod combination;
 mod hourly;
 mod parts;
 #[cfg(test)]
 mod tests;
 
+pub use combination::Combination;
+pub(super) use combination::SpectralAtOrder;
 pub use parts::{AlternativesParts, FitParts};
 
 /// The last fit of a model to readings.
@@ -45,6 +48,9 @@ pub struct UpdateRules {
     pub half_life_days: Option<f64>,
     /// Which models there are to choose among.
     pub models: EnabledModels,
+    /// Whether cheap models are fitted while the first observations of a state are learned, if these are of few days:
+    /// as if each day had been learned on its own, so that they are scored by the end.
+    pub rehearsal: bool,
 }
 
 impl From<OrderCriterion> for UpdateRules {
@@ -76,6 +82,10 @@ const ROUNDING: f64 = 1e-20;
 /// Models are fitted to readings first after this many observed local days, and again every this many local days.
 const REFIT_DAYS: u32 = 7;
 
+/// Cheap models are fitted first after this many observed local days, then daily until [`REFIT_DAYS`]: a short record
+/// can already choose among them.
+const EARLY_FIT_DAYS: u32 = 3;
+
 /// The model that predicts a state best so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelChoice {
@@ -88,13 +98,15 @@ pub enum ModelChoice {
     Fitted(FitKind),
 }
 
-/// The model in force, if it is not the spectral one.
+/// What answers, if it is not the spectral model alone.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ActiveModel<'a> {
     /// A histogram of the training data.
     Histogram(Histogram),
     /// A model that was fitted to readings.
     Fitted(&'a FittedModel),
+    /// Several models together.
+    Combination(Combination<'a>),
 }
 
 impl TemporalModel for ActiveModel<'_> {
@@ -102,6 +114,7 @@ impl TemporalModel for ActiveModel<'_> {
         match self {
             ActiveModel::Histogram(model) => model.predict(at),
             ActiveModel::Fitted(model) => model.predict(at),
+            ActiveModel::Combination(model) => model.predict(at),
         }
     }
 }
@@ -193,23 +206,16 @@ impl Alternatives {
         self.fits[kind.index()].as_ref().map(|fit| (&*fit.model, fit.day))
     }
 
-    /// The model in force, if it is not the spectral one.
-    pub(super) fn chosen(&self) -> Option<ActiveModel<'_>> {
-        match self.parts.choice {
-            ModelChoice::Spectral => None,
-            ModelChoice::Histogram(number) => self.histogram(number).map(ActiveModel::Histogram),
-            ModelChoice::Fitted(kind) => self.fit(kind).map(|(model, _)| ActiveModel::Fitted(model)),
-        }
-    }
-
     /// Whether a refit of the model of the given kind is due.
     pub(super) fn is_fit_due(&self, kind: FitKind) -> bool {
         let Some(folded) = self.parts.learned_day else { return false };
         match &self.fits[kind.index()] {
-            None => self.days >= REFIT_DAYS,
+            None => self.days >= if kind.is_cheap() { EARLY_FIT_DAYS } else { REFIT_DAYS },
             Some(fit) => {
                 let age_days = i64::from(folded.0) - i64::from(fit.day.0);
-                age_days >= i64::from(REFIT_DAYS) || self.alarm.rang_on().is_some_and(|rang| rang > fit.day)
+                (kind.is_cheap() && self.days <= REFIT_DAYS && age_days >= 1)
+                    || age_days >= i64::from(REFIT_DAYS)
+                    || self.alarm.rang_on().is_some_and(|rang| rang > fit.day)
             }
         }
     }
@@ -265,7 +271,8 @@ impl Alternatives {
     /// Scores the enabled models on a day's newer samples and chooses. `spectral_day`: the error by the criterion of
     /// the order that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`: the squared
     /// error of the order that was in force, and the squared error of a day that the alarm takes for 1: the variance of
-    /// values that are no probabilities. Gives the squared error of the model that was in force.
+    /// values that are no probabilities. `combined`: the squared error of the models that answered together, if several
+    /// did. Gives the squared error of what answered.
     pub(super) fn score(
         &mut self,
         day: LocalDay,
@@ -273,11 +280,14 @@ impl Alternatives {
         newer: &[Sample],
         (spectral_day, spectral_sum): (f64, f64),
         (spectral_squared, unit): (f64, f64),
+        combined: Option<f64>,
     ) -> f64 {
         let criterion = rules.criterion;
         self.restrict(rules.models);
         let of_day = if rules.models.histograms {
-            let Some(of_day) = self.score_histograms(criterion, newer) else { return spectral_squared };
+            let Some(of_day) = self.score_histograms(criterion, newer) else {
+                return combined.unwrap_or(spectral_squared);
+            };
             of_day
         } else {
             [DayError::default(); HISTOGRAMS.len()]
@@ -289,7 +299,8 @@ impl Alternatives {
             ModelChoice::Histogram(number) => of_day.get(usize::from(number)).copied(),
             ModelChoice::Fitted(kind) => fitted[kind.index()],
         };
-        let squared_in_force = in_force.map_or(spectral_squared, |error| error.squared);
+        let alone = in_force.map_or(spectral_squared, |error| error.squared);
+        let squared_in_force = combined.unwrap_or(alone);
         self.watch(day, squared_in_force / newer.len().max(1) as f64 / unit, newer.len() as u64);
         let elapsed_days = self.parts.last_day.map(|last| (i64::from(day.0) - i64::from(last.0)).max(0));
         let kept = elapsed_days.map(|days| KEPT_PER_DAY.powf(days as f64));

@@ -47,6 +47,11 @@ impl FitKind {
         }
     }
 
+    /// Whether a fit takes milliseconds, so that it may be repeated daily.
+    pub(super) fn is_cheap(self) -> bool {
+        matches!(self, FitKind::Calibrated | FitKind::Poisson)
+    }
+
     /// Its index in [`FitKind::ALL`].
     pub(super) fn index(self) -> usize {
         self as usize

@@ -58,19 +58,24 @@ fn squared_error(model: &impl TemporalModel, samples: &[Sample]) -> f64 {
 }
 
 #[test]
-fn a_fit_is_due_after_seven_observed_days_and_every_seven_days() {
+fn a_fit_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_one_from_the_third_day() {
     let mut state = StateModel::new(&Periodicities::default());
-    assert!(!state.is_fit_due(FitKind::Calibrated));
+    let due = |state: &StateModel| [FitKind::Calibrated, FitKind::Pergam].map(|kind| state.is_fit_due(kind));
+    assert_eq!(due(&state), [false, false]);
     // Every other day: only observed days count.
     for observed in 1..7 {
         learn(&mut state, samples(2 * observed..2 * observed + 1, office));
-        assert!(!state.is_fit_due(FitKind::Calibrated), "{observed} days");
+        assert_eq!(due(&state), [observed >= 3, false], "{observed} days");
+        if observed >= 3 {
+            state = state.refitted(fit(&samples(0..2 * observed + 1, office)), LocalDay(2 * observed as i32));
+            assert_eq!(due(&state), [false, false], "fitted after {observed} days");
+        }
     }
     // Late data does not count as a further day, because the day may be counted already.
     learn(&mut state, samples(1..2, office));
-    assert!(!state.is_fit_due(FitKind::Calibrated));
+    assert_eq!(due(&state), [false, false]);
     learn(&mut state, samples(14..15, office));
-    assert!(state.is_fit_due(FitKind::Calibrated));
+    assert_eq!(due(&state), [true, true]);
     state = state.refitted(fit(&samples(0..15, office)), LocalDay(14));
     assert!(!state.is_fit_due(FitKind::Calibrated));
     // From here on the calendar counts.
@@ -175,7 +180,7 @@ fn the_calibrated_model_is_chosen_where_it_predicts_best() {
         let today = samples(day..day + 1, office);
         let before = state.clone();
         let outcome = state.update(&Periodicities::default(), OrderCriterion::SquaredError, today.clone());
-        if let Some(ActiveModel::Fitted(model)) = before.chosen() {
+        if let Some(ActiveModel::Fitted(model)) = before.chosen(&Periodicities::default()) {
             assert!((outcome.squared_error_in_force - squared_error(model, &today)).abs() < 1e-9);
             in_force[0] += outcome.squared_error_in_force;
             in_force[1] += outcome.squared_errors[before.order()];

@@ -1,0 +1,47 @@
+//! Fits of cheap models while the first days of a state are learned in one update.
+//!
+//! If a short record comes at once, fits after the update would never have been scored, and could not be chosen before
+//! the next day is learned. So cheap models are fitted after each day here, at the days on which nightly updates would
+//! have fitted them. Invariant: a fit has seen only days before those that it is scored on.
+
+use super::{FittedModel, StateModel, UpdateRules};
+use crate::{LocalDay, Periodicities, Sample, models::Readings};
+
+/// With more days, models that are fitted at the end of the update join on the day after.
+const DAYS_MAX: usize = 14;
+/// With more observations, fits would delay the update.
+const OBSERVATIONS_MAX: usize = 500_000;
+
+impl StateModel {
+    /// Whether an update with these samples, in order of time, has a rehearsal.
+    pub(super) fn has_rehearsal(&self, rules: UpdateRules, samples: &[Sample]) -> bool {
+        let is_first = self.accumulator.last_nanos().is_none();
+        let days = || samples.chunk_by(|one, next| one.local_day() == next.local_day()).take(DAYS_MAX + 1).count();
+        rules.rehearsal && is_first && samples.len() <= OBSERVATIONS_MAX && days() <= DAYS_MAX
+    }
+
+    /// Fits the cheap models that are due after a day; `seen`: all samples so far.
+    pub(super) fn rehearse(
+        &mut self,
+        periodicities: &Periodicities,
+        rules: UpdateRules,
+        day: LocalDay,
+        seen: &[Sample],
+    ) {
+        let since = self.alternatives().and_then(|known| known.fit_since());
+        let from = seen.partition_point(|sample| since.is_some_and(|since| sample.local_day() < since));
+        let half_life_secs = rules.half_life_days.map(|days| days * 86_400.0);
+        let readings = Readings { samples: &seen[from..], half_life_secs };
+        for kind in rules.models.fits().filter(|kind| kind.is_cheap()) {
+            if !self.is_fit_due(kind) {
+                continue;
+            }
+            // Without a fit the state keeps what it has.
+            if let Ok(model) = FittedModel::fit(kind, self.kind(), readings, periodicities)
+                && let Some(known) = &mut self.alternatives
+            {
+                known.refit(model, day);
+            }
+        }
+    }
+}
