@@ -14,6 +14,7 @@ use tidemap_map::grid::index::CellIndex;
 use crate::predicted::Lattice;
 
 mod fan;
+mod group;
 mod many;
 mod scene;
 mod timed;
@@ -22,6 +23,7 @@ mod timed;
 mod tests;
 
 pub use fan::Fan;
+pub(crate) use group::{GROUP_MAX, GroupScorer};
 pub use many::{TooMuchWork, ViewLimits, view_many};
 pub use scene::{InvalidThreshold, Scene, SceneOptions, ViewGain, ViewScorer};
 pub use timed::{TimedScene, TimedViewScorer};

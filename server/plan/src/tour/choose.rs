@@ -16,11 +16,15 @@ use tidemap_map::grid::index::CellIndex;
 use super::question::{Suppression, TourCandidate};
 use crate::{
     travel::Column,
-    view::{Fan, Scene, ViewScorer},
+    view::{Fan, GROUP_MAX, GroupScorer, Scene},
 };
 
-/// Candidates that are evaluated at once: a few, because the first may suffice.
+/// Candidates that are evaluated at once at first: a few, because the first may suffice. Each further batch has twice
+/// as many, because views of a group cost far less than single ones.
 const BATCH: usize = 4;
+
+/// Candidates that are evaluated at once at most, for each thread.
+const BATCH_MAX: usize = GROUP_MAX;
 
 /// Maximum number of remembered cells of evaluated candidates; beyond it, they are evaluated again.
 const KEPT_MAX: usize = 1 << 24;
@@ -75,7 +79,9 @@ pub(super) struct GoalSelection<'a> {
     seen: Vec<Option<Vec<u32>>>,
     kept: usize,
     entries: BinaryHeap<GainBound>,
-    scorers: Mutex<Vec<ViewScorer>>,
+    scorers: Mutex<Vec<GroupScorer>>,
+    /// Number of candidates to evaluate next.
+    batch: usize,
     looks: usize,
 }
 
@@ -99,6 +105,7 @@ impl<'a> GoalSelection<'a> {
             kept: 0,
             entries: BinaryHeap::new(),
             scorers: Mutex::default(),
+            batch: BATCH,
             looks: 0,
         };
         choice.entries = (0..candidates.len()).map(|candidate| choice.entry(candidate, false)).collect();
@@ -119,7 +126,7 @@ impl<'a> GoalSelection<'a> {
             let candidate = best.candidate;
             let seen = self.seen[candidate].take().unwrap_or_else(|| {
                 self.looks += 1;
-                self.see(candidate)
+                self.see(&[candidate]).pop().unwrap_or_default().1
             });
             chosen.push(TourGoal { candidate, bits: self.bits[candidate] * self.factors[candidate], seen });
             if let Some(goal) = chosen.last() {
@@ -136,27 +143,45 @@ impl<'a> GoalSelection<'a> {
 
     /// Evaluates candidates until the best is known.
     fn settle(&mut self) {
+        let threads = rayon::current_num_threads().max(1);
         loop {
-            let mut batch = Vec::new();
-            while batch.len() < BATCH && self.entries.peek().is_some_and(|best| !best.is_exact && best.value > 0.0) {
-                batch.extend(self.entries.pop().map(|best| best.candidate));
+            let (mut known, mut unseen) = (Vec::new(), Vec::new());
+            while unseen.len() < self.batch
+                && let Some(best) = self.entries.peek().filter(|best| !best.is_exact && best.value > 0.0)
+            {
+                let candidate = best.candidate;
+                self.entries.pop();
+                if self.seen[candidate].is_some() {
+                    known.push(candidate);
+                    if known.len() >= BATCH {
+                        break;
+                    }
+                } else {
+                    unseen.push(candidate);
+                }
             }
-            if batch.is_empty() {
+            if known.is_empty() && unseen.is_empty() {
                 return;
             }
-            let evaluate = |candidate: usize| match &self.seen[candidate] {
-                Some(seen) => (candidate, self.new_bits(seen), None),
-                None => {
-                    let seen = self.see(candidate);
-                    (candidate, self.new_bits(&seen), Some(seen))
-                }
+            let again = |&candidate: &usize| {
+                let seen = self.seen[candidate].as_deref().unwrap_or_default();
+                (candidate, self.new_bits(seen))
             };
-            let new: Vec<(usize, f64, Option<Vec<u32>>)> = batch.into_par_iter().map(evaluate).collect();
-            for (candidate, bits, seen) in new {
+            let again: Vec<(usize, f64)> = known.par_iter().map(again).collect();
+            for (candidate, bits) in again {
                 self.bits[candidate] = bits;
                 self.entries.push(self.entry(candidate, true));
-                let Some(seen) = seen else { continue };
-                self.looks += 1;
+            }
+            if unseen.is_empty() {
+                continue;
+            }
+            self.looks += unseen.len();
+            self.batch = (2 * self.batch).min(BATCH_MAX * threads);
+            let group = unseen.len().div_ceil(threads).min(GROUP_MAX);
+            let new: Vec<Vec<(f64, Vec<u32>)>> = unseen.par_chunks(group).map(|group| self.see(group)).collect();
+            for (candidate, (bits, seen)) in unseen.into_iter().zip(new.into_iter().flatten()) {
+                self.bits[candidate] = bits;
+                self.entries.push(self.entry(candidate, true));
                 if self.kept + seen.len() <= KEPT_MAX {
                     self.kept += seen.len();
                     self.seen[candidate] = Some(seen);
@@ -171,20 +196,26 @@ impl<'a> GoalSelection<'a> {
         new.fold(0.0, |bits, place| bits + self.scene.bits_at(place))
     }
 
-    /// Evaluates a candidate.
-    fn see(&self, candidate: usize) -> Vec<u32> {
+    /// Evaluates at most [`GROUP_MAX`] candidates: their new information and [`TourGoal::seen`].
+    fn see(&self, candidates: &[usize]) -> Vec<(f64, Vec<u32>)> {
         let scorers = || self.scorers.lock().unwrap_or_else(PoisonError::into_inner);
         let known = scorers().pop();
-        let mut scorer = known.unwrap_or_else(|| ViewScorer::new(self.fan));
-        let mut seen = Vec::new();
-        scorer.each(self.scene, self.fan, self.candidates[candidate].cell, |place| {
-            if self.scene.bits_at(place) > 0.0 {
+        let mut scorer = known.unwrap_or_default();
+        let cells: Vec<CellIndex> = candidates.iter().map(|&candidate| self.candidates[candidate].cell).collect();
+        let mut views = vec![(0.0, Vec::new()); cells.len()];
+        scorer.each(self.scene, self.fan, &cells, |number, place| {
+            let bits = self.scene.bits_at(place);
+            if bits > 0.0 {
+                let (sum, seen) = &mut views[number];
                 seen.push(place as u32);
+                if !self.covered[place] {
+                    *sum += bits;
+                }
             }
         });
         scorers().push(scorer);
-        seen.shrink_to_fit();
-        seen
+        views.iter_mut().for_each(|(_, seen)| seen.shrink_to_fit());
+        views
     }
 
     /// Lowers the values of the candidates around a goal.

@@ -111,6 +111,10 @@ impl Scene {
         self.lattice.place(cell).is_none_or(|place| self.flags[place] & OPAQUE != 0)
     }
 
+    pub(super) fn flags_at(&self, place: usize) -> u8 {
+        self.flags[place]
+    }
+
     pub(crate) fn bits_at(&self, place: usize) -> f64 {
         self.bits[place]
     }

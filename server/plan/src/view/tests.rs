@@ -143,6 +143,33 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
 
     #[test]
+    fn a_group_sees_what_each_of_its_viewpoints_sees_in_the_same_order(
+        sensor in sensors(),
+        seed in any::<u64>(),
+        size in (1_i32..14, 1_i32..14, 1_i32..8),
+        is_flat in any::<bool>(),
+        viewpoints in proptest::collection::vec((-1_i32..15, -1_i32..15, -1_i32..9), 0..70),
+        yaw in -4.0_f64..4.0,
+    ) {
+        let lattice = lattice(size.into(), is_flat);
+        let times = PredictedTimes::from_fn(Arc::clone(&lattice), 1, |at, _| probability(seed, at)).unwrap();
+        let scene = scene(&times.at(0).unwrap());
+        let fan = Fan::new(&sensor, &lattice, yaw).unwrap();
+        let min = lattice.region().min;
+        let from: Vec<CellIndex> = viewpoints.iter().map(|&(x, y, z)| cell(min.x + x, min.y + y, min.z + z)).collect();
+        let (mut single, mut group) = (ViewScorer::new(&fan), GroupScorer::default());
+        // Twice, since the memory is used again.
+        for _ in 0..2 {
+            let mut seen = vec![Vec::new(); from.len()];
+            group.each(&scene, &fan, &from, |number, place| seen[number].extend(lattice.cell(place)));
+            for (number, (seen, &from)) in seen.iter().zip(&from).enumerate() {
+                let expected = if number < GROUP_MAX { single.cells(&scene, &fan, from) } else { Vec::new() };
+                prop_assert_eq!(seen, &expected);
+            }
+        }
+    }
+
+    #[test]
     fn the_same_cells_are_seen_as_by_the_oracle(
         sensor in sensors(),
         seed in any::<u64>(),
