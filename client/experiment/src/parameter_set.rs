@@ -36,6 +36,7 @@ enum Settings {
     Hypertime(HypertimeOptions),
     Poisson { periodicities: Periodicities, bin_nanos: i64 },
     Calibrated,
+    Average { histogram: HistogramSettings, calibrated_weight: f64 },
 }
 
 /// Why the parameters of a model are invalid.
@@ -50,7 +51,7 @@ pub enum WrongParameter {
     Together(String),
 }
 
-/// The kinds of models that can be compared: all kinds of the command line except `auto`.
+/// The kinds of models that can be compared: all kinds of the command line except `auto`, and a mean of two of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ComparableKind {
     Mean,
@@ -64,11 +65,13 @@ pub enum ComparableKind {
     HypertimeKm,
     Poisson,
     Calibrated,
+    /// The weighted mean of the calibrated profile and a histogram.
+    Average,
 }
 
 impl ComparableKind {
     /// All kinds with their names and parameters, in the order of the command line.
-    pub const ALL: [(Self, &str, &[&str]); 11] = [
+    pub const ALL: [(Self, &str, &[&str]); 12] = [
         (Self::Mean, "mean", &[]),
         (Self::Latest, "latest", &[]),
         (Self::Persistence, "persistence", &[]),
@@ -80,6 +83,7 @@ impl ComparableKind {
         (Self::HypertimeKm, "hypertime-km", &["clusters", "seed"]),
         (Self::Poisson, "poisson", &["bin", "period_base", "period_count"]),
         (Self::Calibrated, "calibrated", &[]),
+        (Self::Average, "average", &["bins", "cycle", "smoothing_bins", "prior_readings", "calibrated_weight"]),
     ];
 }
 
@@ -121,6 +125,21 @@ impl ParameterTexts<'_> {
         self.get("order", ORDER_MAX, "a whole number from 0 to 15", order)
     }
 
+    fn histogram(&self) -> Result<HistogramSettings, WrongParameter> {
+        let cycle = self.get("cycle", HistogramCycle::Day, "day, week or weekend", |text| match text {
+            "day" => Some(HistogramCycle::Day),
+            "week" => Some(HistogramCycle::Week),
+            "weekend" => Some(HistogramCycle::WeekdayWeekend),
+            _ => None,
+        })?;
+        Ok(HistogramSettings {
+            cycle,
+            bins: self.whole("bins", 24, "a whole number from 1")?,
+            smoothing_bins: self.number("smoothing_bins", 0.0, "a number of bins, 0 for none")?,
+            prior_readings: self.number("prior_readings", HISTOGRAM_PRIOR_READINGS, "a number from 0")?,
+        })
+    }
+
     fn periodicities(&self) -> Result<Periodicities, WrongParameter> {
         const DEFAULT_BASE_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
         let base_nanos = self.duration("period_base", DEFAULT_BASE_NANOS)?;
@@ -146,19 +165,12 @@ impl ParameterSet {
             ComparableKind::Mean => Settings::Mean,
             ComparableKind::Latest => Settings::Latest,
             ComparableKind::Persistence => Settings::Persistence,
-            ComparableKind::Histogram => {
-                let cycle = given.get("cycle", HistogramCycle::Day, "day, week or weekend", |text| match text {
-                    "day" => Some(HistogramCycle::Day),
-                    "week" => Some(HistogramCycle::Week),
-                    "weekend" => Some(HistogramCycle::WeekdayWeekend),
-                    _ => None,
-                })?;
-                Settings::Histogram(HistogramSettings {
-                    cycle,
-                    bins: given.whole("bins", 24, "a whole number from 1")?,
-                    smoothing_bins: given.number("smoothing_bins", 0.0, "a number of bins, 0 for none")?,
-                    prior_readings: given.number("prior_readings", HISTOGRAM_PRIOR_READINGS, "a number from 0")?,
-                })
+            ComparableKind::Histogram => Settings::Histogram(given.histogram()?),
+            ComparableKind::Average => {
+                let right = "a number from 0 (the histogram alone) to 1 (the calibrated profile alone)";
+                let weight = |text: &str| text.parse().ok().filter(|weight| (0.0..=1.0).contains(weight));
+                let calibrated_weight = given.get("calibrated_weight", 0.5, right, weight)?;
+                Settings::Average { histogram: given.histogram()?, calibrated_weight }
             }
             ComparableKind::Spectral => {
                 Settings::Spectral { order: given.order()?, periodicities: given.periodicities()? }
@@ -236,6 +248,11 @@ impl ParameterSet {
                 Box::new(PoissonSpectral::fit(readings, periodicities, *bin_nanos)?)
             }
             Settings::Calibrated => Box::new(Calibrated::fit(readings, CalibratedOptions::default())?),
+            Settings::Average { histogram, calibrated_weight } => Box::new(Average {
+                calibrated: Calibrated::fit(readings, CalibratedOptions::default())?,
+                histogram: Histogram::fit(readings, histogram)?,
+                calibrated_weight: *calibrated_weight,
+            }),
         })
     }
 }
@@ -247,6 +264,22 @@ fn check_probabilities(samples: &[Sample]) -> Result<(), CannotFit> {
             Err(CannotFit::Parameter { parameter, found: sample.value, expected })
         }
         None => Ok(()),
+    }
+}
+
+/// The weighted mean of two profiles whose errors differ: the calibrated one distinguishes days where they differ for
+/// certain, the smoothed histogram has more readings behind each value.
+struct Average {
+    calibrated: Calibrated,
+    histogram: Histogram,
+    /// From 0 to 1; the histogram has the rest.
+    calibrated_weight: f64,
+}
+
+impl TemporalModel for Average {
+    fn predict(&self, at: Moment) -> f64 {
+        let weight = self.calibrated_weight;
+        weight * self.calibrated.predict(at) + (1.0 - weight) * self.histogram.predict(at)
     }
 }
 

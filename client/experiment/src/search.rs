@@ -10,8 +10,8 @@
 //! - `simulate.rs`: fits models, plans a search for every minute, and computes when the robot arrives at the person;
 //! - `report.rs`: results.csv, folds.csv.
 //!
-//! Parameters are tuned on the mean time until the person is found in the folds, each predicted from the data before
-//! it.
+//! Parameters are tuned on the mean time until the person is found in the folds, or on the log loss of the person's
+//! place there, each predicted from the data before it.
 //!
 //! Invariant: no prediction uses the minute it is for or later ones, parameters are tuned on training days only, and
 //! the same files give the same figures for any number of threads.
@@ -33,7 +33,7 @@ mod simulate;
 #[cfg(test)]
 mod tests;
 
-pub use protocol::{SearchProtocol, read};
+pub use protocol::{SearchProtocol, TuningCriterion, read};
 pub use report::{summary, write};
 
 use crate::{
@@ -83,7 +83,7 @@ pub struct SearchResult {
 pub struct SearchComparison {
     /// The models, in the order of the protocol, then the oracle.
     pub rows: Vec<SearchResult>,
-    /// All parameter sets of models with more than one; their folds are mean times in seconds.
+    /// All parameter sets of models with more than one; their folds are mean times in seconds, or log losses.
     pub trials: Vec<Trial<f64>>,
 }
 
@@ -107,10 +107,15 @@ pub fn run(protocol: &SearchProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> 
         step();
         times
     };
-    let mean_secs = |model: usize, set: usize, fold: usize| {
-        Ok::<_, ReplayError>(times(model, set, folds[fold].start, folds[fold].clone())?.mean_secs())
+    let error = |model: usize, set: usize, fold: usize| match protocol.criterion {
+        TuningCriterion::Seconds => Ok(times(model, set, folds[fold].start, folds[fold].clone())?.mean_secs()),
+        TuningCriterion::LogLoss => {
+            let loss = simulate::log_loss(&world, &protocol.models[model], set, folds[fold].clone());
+            step();
+            loss
+        }
     };
-    let trials = tuning::tune(sets, folds.len(), mean_secs, |&secs| secs)?;
+    let trials = tuning::tune(sets, folds.len(), error, |&error| error)?;
     let mut rows = protocol
         .models
         .par_iter()

@@ -23,6 +23,17 @@ const MINUTE_NANOS: i64 = 60 * 1_000_000_000;
 /// Maximum number of training days: ten years.
 const TRAIN_DAYS_MAX: usize = 3_660;
 
+/// What the tuning of parameters minimises.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TuningCriterion {
+    /// The mean time until the person is found.
+    #[default]
+    Seconds,
+    /// The mean of -ln p of the node where the person is, with p as its share of the predictions of all nodes. Orders
+    /// of nodes change in steps, this does not, so it has less noise on few weeks.
+    LogLoss,
+}
+
 /// The protocol of searches.
 #[derive(Debug)]
 pub struct SearchProtocol {
@@ -40,6 +51,8 @@ pub struct SearchProtocol {
     pub folds: usize,
     /// Length of a fold.
     pub fold_minutes: usize,
+    /// What tuning minimises.
+    pub criterion: TuningCriterion,
     /// The models, at least one.
     pub models: Vec<ModelEntry>,
     /// Folder of the results.
@@ -55,9 +68,18 @@ struct RawSearchProtocol {
     first_day: Option<Word>,
     start: Option<Word>,
     train_days: Option<Word>,
-    tuning: Option<RawTuning>,
+    tuning: Option<RawSearchTuning>,
     models: Option<Vec<RawModel>>,
     out: Option<Word>,
+}
+
+/// The section `tuning`.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawSearchTuning {
+    folds: Word,
+    fold: Word,
+    by: Option<Word>,
 }
 
 /// Reads a protocol.
@@ -82,9 +104,13 @@ pub(super) fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, Protoco
     let days =
         required(written.train_days, "train_days", "the number of training days before the first search, such as 28")?;
     let train_minutes = whole(&days, "train_days", 1..=TRAIN_DAYS_MAX)? * DAY_MINUTES;
-    let (folds, fold_minutes) = match written.tuning {
-        None => (0, 0),
-        Some(written) => folds_of(&written, train_minutes)?,
+    let (folds, fold_minutes, criterion) = match written.tuning {
+        None => (0, 0, TuningCriterion::default()),
+        Some(RawSearchTuning { folds, fold, by }) => {
+            let criterion = criterion_of(by)?;
+            let (folds, fold_minutes) = folds_of(&RawTuning { folds, fold }, train_minutes)?;
+            (folds, fold_minutes, criterion)
+        }
     };
     let models = model_entry::read(written.models, StateKind::Probability, folds > 0)?;
     let out = required(written.out, "out", OUT)?;
@@ -96,8 +122,18 @@ pub(super) fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, Protoco
         train_minutes,
         folds,
         fold_minutes,
+        criterion,
         models,
         out: folder.join(out.text),
+    })
+}
+
+fn criterion_of(by: Option<Word>) -> Result<TuningCriterion, ProtocolError> {
+    let Some(by) = by else { return Ok(TuningCriterion::default()) };
+    parsed(&by, "by", "seconds (the time until somebody is found) or log-loss", |text| match text {
+        "seconds" => Some(TuningCriterion::Seconds),
+        "log-loss" => Some(TuningCriterion::LogLoss),
+        _ => None,
     })
 }
 

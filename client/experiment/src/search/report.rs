@@ -7,7 +7,7 @@ use std::{
     path::Path,
 };
 
-use super::{SearchComparison, SearchProtocol, SearchResult};
+use super::{SearchComparison, SearchProtocol, SearchResult, TuningCriterion};
 use crate::report::file;
 use tidemap_formats::table::{Cell, Format, write_rows};
 
@@ -50,15 +50,19 @@ pub fn write(protocol: &SearchProtocol, outcome: &SearchComparison, folder: &Pat
 
 /// Every parameter set on every fold.
 fn trials<W: Write>(protocol: &SearchProtocol, outcome: &SearchComparison, writer: W) -> io::Result<()> {
-    let columns = ["model", "parameters", "fold", "mean_secs", "mean_of_folds_secs", "chosen"];
+    let [error, mean] = match protocol.criterion {
+        TuningCriterion::Seconds => ["mean_secs", "mean_of_folds_secs"],
+        TuningCriterion::LogLoss => ["log_loss", "mean_of_folds_log_loss"],
+    };
+    let columns = ["model", "parameters", "fold", error, mean, "chosen"];
     let rows = outcome.trials.iter().flat_map(|trial| {
         let model = &protocol.models[trial.model];
-        (1_u64..).zip(&trial.folds).map(move |(number, &mean_secs)| {
+        (1_u64..).zip(&trial.folds).map(move |(number, &error)| {
             vec![
                 Cell::Text(model.label.clone()),
                 model.sets[trial.set].shown().into(),
                 number.into(),
-                mean_secs.into(),
+                error.into(),
                 trial.error.into(),
                 Cell::Flag(trial.is_chosen),
             ]

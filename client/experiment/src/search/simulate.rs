@@ -13,6 +13,8 @@ use crate::{parameter_set::FittedModel, protocol::ModelEntry};
 
 /// Consecutive minutes that one job searches.
 const JOB_MINUTES: usize = 1440;
+/// Least prediction of a node in log losses, so that one surprise does not outweigh a week.
+const SHARE_MIN: f64 = 1e-3;
 
 /// The times until the person was found.
 #[derive(Clone, Debug, Default)]
@@ -48,8 +50,41 @@ pub(super) fn by_model(
     train_minutes: usize,
     minutes: Range<usize>,
 ) -> Result<FindTimes, ReplayError> {
+    let models = fitted(world, entry, set, train_minutes)?;
+    find(world, minutes, |node, minute| models[node].predict(world.moment(minute)))
+}
+
+/// The mean of -ln p of the node where the person is, over the given minutes, by a parameter set of a model that is
+/// trained on all minutes before them; p is the node's share of the predictions of all nodes, each at least
+/// [`SHARE_MIN`].
+pub(super) fn log_loss(
+    world: &RecordedWorld,
+    entry: &ModelEntry,
+    set: usize,
+    minutes: Range<usize>,
+) -> Result<f64, ReplayError> {
+    let models = fitted(world, entry, set, minutes.start)?;
+    let (mut sum, mut count) = (0.0, 0.0);
+    for minute in minutes.clone() {
+        let Some(room) = world.room(minute) else { continue };
+        let moment = world.moment(minute);
+        let predicted = |model: &FittedModel| model.predict(moment).clamp(SHARE_MIN, 1.0);
+        let total: f64 = models.iter().map(predicted).sum();
+        sum -= (predicted(&models[room]) / total).ln();
+        count += 1.0;
+    }
+    if count > 0.0 { Ok(sum / count) } else { Err(ReplayError::Nobody { from: minutes.start, until: minutes.end }) }
+}
+
+/// The models of all nodes, trained on all minutes before `train_minutes`.
+fn fitted(
+    world: &RecordedWorld,
+    entry: &ModelEntry,
+    set: usize,
+    train_minutes: usize,
+) -> Result<Vec<FittedModel>, ReplayError> {
     let set = &entry.sets[set];
-    let models = (0..world.names.len())
+    (0..world.names.len())
         .into_par_iter()
         .map(|node| {
             set.fit(&world.samples(node, train_minutes), StateKind::Probability).map_err(|refused| {
@@ -57,8 +92,7 @@ pub(super) fn by_model(
                 ReplayError::Fit { model, place: world.names[node].clone(), refused }
             })
         })
-        .collect::<Result<Vec<FittedModel>, ReplayError>>()?;
-    find(world, minutes, |node, minute| models[node].predict(world.moment(minute)))
+        .collect()
 }
 
 /// Searches by an oracle that knows where the person is.

@@ -73,7 +73,14 @@ fn a_model_of_regular_hours_finds_the_target_as_fast_as_the_oracle() {
 
 #[test]
 fn parameters_are_tuned_on_training_days_only() {
-    let protocol = PROTOCOL.replace("[mean, histogram]", "[histogram: {bins: [1, 24]}]\ntuning: {folds: 2, fold: 3d}");
+    for by in ["seconds", "log-loss"] {
+        tuned_on_training_days_only(by);
+    }
+}
+
+fn tuned_on_training_days_only(by: &str) {
+    let tuning = format!("[histogram: {{bins: [1, 24]}}]\ntuning: {{folds: 2, fold: 3d, by: {by}}}");
+    let protocol = PROTOCOL.replace("[mean, histogram]", &tuning);
     let chosen = |cellar_from| {
         let outcome = searched(&protocol, ROOMS, &world(21, cellar_from)).unwrap();
         let trials: Vec<(Vec<f64>, bool)> =
@@ -159,6 +166,8 @@ fn invalid_searches_are_refused_with_the_allowed_values() {
     let tuning = |text: &'static str| ("out: results", text);
     refused(tuning("out: results\ntuning: {folds: 2, fold: 7d}"), ROOMS, &fine, "all folds are less than train_days");
     refused(tuning("out: results\ntuning: {folds: 1, fold: 30s}"), ROOMS, &fine, "whole minutes");
+    refused(tuning("out: results\ntuning: {folds: 1, fold: 1d, by: luck}"), ROOMS, &fine, "by is \"luck\"");
+    refused(("histogram]", "average: {calibrated_weight: 2}]"), ROOMS, &fine, "from 0 (the histogram alone) to 1");
     refused(("histogram]", "histogram: {bins: [1, 2]}]"), ROOMS, &fine, "nothing chooses one");
     let missing = parse(PROTOCOL, Path::new("nowhere")).unwrap();
     assert!(run(&missing, &|_, _| ()).unwrap_err().to_string().contains("cannot be read"));
@@ -180,6 +189,8 @@ fn of_the_recorded_flat_the_published_times_are_found() {
         ("omniscient", 17.2, 15.0, 0.1),
         // Ours.
         ("day-96-smoothed", 32.83, 15.0, 0.1),
+        // Tuned on the first four weeks.
+        ("average", 32.83, 15.0, 0.1),
     ];
     protocol.models.retain(|model| published.iter().any(|(label, ..)| *label == model.label));
     let outcome = run(&protocol, &|_, _| ()).unwrap();
