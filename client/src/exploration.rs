@@ -10,6 +10,7 @@ use tidemap_proto::{
     convert::{
         exploration::{budget_to_wire, sensor_to_wire, strategy_to_wire, viewpoint_to_wire},
         query::selector_to_wire,
+        site::point_to_wire,
         time::{duration, timestamp},
     },
     v1::{self, exploration_service_client::ExplorationServiceClient},
@@ -18,7 +19,7 @@ use tidemap_proto::{
 use crate::{
     connection::{Client, Connection},
     error::Error,
-    maps::{point_from_wire, point_to_wire},
+    maps::point_from_wire,
     queries::ModelSelector,
 };
 

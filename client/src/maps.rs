@@ -3,22 +3,23 @@
 //! Invariant: the daemon fills in what a new map leaves out; this library repeats no default.
 
 mod candidate;
-mod grid;
 mod site;
 
 pub use candidate::{Candidate, InvalidCandidate};
-pub use grid::{CellBox, Grid, GridSummary};
 pub use site::Location;
-pub(crate) use site::{point_from_wire, point_to_wire};
+pub(crate) use site::point_from_wire;
 
 use std::str::FromStr;
 
-pub use tidemap_map::grid::spec::{Retention, SensorNoise};
+pub use tidemap_map::grid::{
+    index::{CellBox, CellIndex},
+    spec::{GridSpec, Retention, SensorNoise},
+};
 use tidemap_model::{ANGLE_EXPECTED, StateKind as Rule, allows_angle};
 pub use tidemap_model::{OrderCriterion, PeriodicityDefinition};
 use tidemap_proto::convert::time::{duration, instant, span};
 use tidemap_proto::convert::{
-    grid::{retention_from_wire, retention_to_wire},
+    grid::{cell_box_from_wire, grid_from_wire, grid_to_wire, retention_from_wire, retention_to_wire},
     map::{criterion_from_wire, criterion_to_wire, periodicities_from_wire, periodicities_to_wire},
 };
 use tidemap_proto::v1::{self, map_service_client::MapServiceClient};
@@ -42,7 +43,7 @@ pub struct NewMap {
     /// How long the exact observations of named states are kept; forever if absent.
     pub retention: Option<Retention>,
     /// The occupancy grid; none if absent.
-    pub grid: Option<Grid>,
+    pub grid: Option<GridSpec>,
     /// Half-life of the weight of observations of named states; all have the same weight if absent.
     pub half_life_nanos: Option<i64>,
     /// Prediction of an untrained probability; 0.5 if absent.
@@ -93,7 +94,7 @@ pub struct Map {
     /// How long the exact observations of named states are kept.
     pub retention: Retention,
     /// The occupancy grid, if any.
-    pub grid: Option<Grid>,
+    pub grid: Option<GridSpec>,
     /// Counters of the grid.
     pub grid_summary: Option<GridSummary>,
     /// Half-life of the weight of observations of named states.
@@ -106,6 +107,21 @@ pub struct Map {
     pub locations: u64,
     /// The models that the nightly update selects from; empty if the daemon does not send them.
     pub models: Vec<Candidate>,
+}
+
+/// Counters of a grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct GridSummary {
+    /// Number of tiles of 8x8x8 cells that were ever seen.
+    pub tiles: u64,
+    /// Number of acknowledged scans, without refused ones.
+    pub scans: u64,
+    /// Number of scans that no update has learned yet.
+    pub pending_scans: u64,
+    /// Number of observations of single cells in all scans.
+    pub cell_observations: u64,
+    /// The smallest box of whole tiles that contains every tile.
+    pub bounds: Option<CellBox>,
 }
 
 /// The kind of the values of a state.
@@ -224,7 +240,7 @@ impl Client {
             periodicities: map.periodicities.as_ref().map(periodicities_to_wire),
             order_criterion: criterion_to_wire(map.order_criterion).into(),
             retention: map.retention.map(retention_to_wire),
-            grid: map.grid.as_ref().map(Grid::to_wire),
+            grid: map.grid.as_ref().map(grid_to_wire),
             half_life: map.half_life_nanos.map(duration),
             prior: map.prior,
             models: map.models.into_iter().map(Candidate::to_wire).collect(),
@@ -329,14 +345,24 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         pending_observations: map.pending_observations,
         last_update: UpdateSummary::from_wire(map.last_update),
         retention,
-        grid: map.grid.map(Grid::from_wire),
-        grid_summary: map.grid_summary.as_ref().map(GridSummary::from_wire),
+        grid: map.grid.map(grid_from_wire).transpose().map_err(wrong)?,
+        grid_summary: map.grid_summary.as_ref().map(summary_from_wire),
         half_life_nanos: span(map.half_life),
         prior: map.prior,
         charger_m: map.charger.map(point_from_wire),
         locations: map.locations,
         models: map.models.into_iter().filter_map(Candidate::from_wire).collect(),
     })
+}
+
+fn summary_from_wire(summary: &v1::GridSummary) -> GridSummary {
+    GridSummary {
+        tiles: summary.tiles,
+        scans: summary.scans,
+        pending_scans: summary.pending_scans,
+        cell_observations: summary.cell_observations,
+        bounds: summary.bounds.as_ref().map(cell_box_from_wire),
+    }
 }
 
 fn state_from_wire(state: v1::State) -> State {

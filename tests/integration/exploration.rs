@@ -6,7 +6,7 @@
 use std::{fs, path::Path};
 
 use tidemap_client::{
-    maps::{Grid, NewMap},
+    maps::{GridSpec, NewMap},
     observe::{
         Producer, ProducerOptions,
         scan::Scan,
@@ -56,7 +56,7 @@ fn scan(hour: i64) -> Vec<(TileIndex, TileMasks)> {
 async fn room(folder: &Path) -> (Launch, Daemon) {
     let launch = Launch::on(folder);
     let daemon = launch.start();
-    let grid = Grid { resolution_m: 0.1, is_flat: true, ..Grid::default() };
+    let grid = GridSpec { is_flat: true, ..GridSpec::new(0.1) };
     let new = NewMap { name: MAP.to_owned(), grid: Some(grid), ..NewMap::default() };
     daemon.client().create_map(new).await.expect("a new map");
     let mut robot = Producer::open(&daemon.client(), ProducerOptions::new("robot", "", MAP)).await.expect("a Welcome");

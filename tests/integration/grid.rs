@@ -16,7 +16,7 @@ mod rays;
 
 use tempfile::TempDir;
 use tidemap_client::{
-    maps::{Grid, GridSummary, NewMap, Retention},
+    maps::{GridSpec, GridSummary, NewMap, Retention},
     observe::{
         Producer, ProducerOptions,
         scan::Scan,
@@ -33,17 +33,17 @@ use tidemap_tests::{
 const MAP: &str = "office";
 
 /// Cells of 0.1 m.
-fn grid(retention: Retention) -> Grid {
-    Grid { resolution_m: 0.1, retention: Some(retention), ..Grid::default() }
+fn grid(retention: Retention) -> GridSpec {
+    GridSpec { retention, ..GridSpec::new(0.1) }
 }
 
-fn new_map(grid: Grid) -> NewMap {
+fn new_map(grid: GridSpec) -> NewMap {
     let zone = Some(Film::ZONE.to_owned());
     NewMap { name: MAP.to_owned(), time_zone: zone, grid: Some(grid), ..NewMap::default() }
 }
 
 /// A daemon with an empty map. Its data lives as long as the folder.
-async fn office(grid: Grid) -> (TempDir, Daemon) {
+async fn office(grid: GridSpec) -> (TempDir, Daemon) {
     let data = tempfile::tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     daemon.client().create_map(new_map(grid)).await.expect("a new map");

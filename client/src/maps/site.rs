@@ -2,7 +2,7 @@
 //!
 //! Invariant: a change is durable when the call returns.
 
-use tidemap_proto::v1;
+use tidemap_proto::{convert::site::point_to_wire, v1};
 
 use crate::{connection::Client, error::Error};
 
@@ -15,10 +15,6 @@ pub struct Location {
     pub states: Vec<String>,
     /// Position from which the robot observes them, x and y in metres.
     pub position_m: Option<[f64; 2]>,
-}
-
-pub(crate) fn point_to_wire([x_m, y_m]: [f64; 2]) -> v1::Point {
-    v1::Point { x_m, y_m }
 }
 
 pub(crate) fn point_from_wire(point: v1::Point) -> [f64; 2] {

@@ -5,7 +5,11 @@
 mod tile;
 
 use tidemap_proto::{
-    convert::{query::selector_to_wire, time::timestamp},
+    convert::{
+        grid::{cell_box_from_wire, cell_box_to_wire, grid_from_wire},
+        query::selector_to_wire,
+        time::timestamp,
+    },
     v1::{self, predict_grid_response::Message},
 };
 use tonic::Streaming;
@@ -16,7 +20,7 @@ use super::ModelSelector;
 use crate::{
     connection::Client,
     error::Error,
-    maps::{CellBox, Grid},
+    maps::{CellBox, GridSpec},
 };
 
 /// Number of cells along the edge of a tile.
@@ -55,7 +59,7 @@ pub struct GridQuery {
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridHeader {
     /// The grid.
-    pub grid: Grid,
+    pub grid: GridSpec,
     /// The cells of the tiles; z from 0 to 1 if projected.
     pub region: CellBox,
     /// Number of tiles to come.
@@ -89,26 +93,6 @@ pub struct PredictedGrid {
     pub tiles: Vec<PredictedTile>,
 }
 
-impl GridQuery {
-    fn to_wire(&self, estimate_only: bool) -> v1::PredictGridRequest {
-        let (output, threshold) = match self.output {
-            GridOutput::Probability => (v1::GridOutput::Probability, 0.0),
-            GridOutput::Entropy => (v1::GridOutput::Entropy, 0.0),
-            GridOutput::Threshold(threshold) => (v1::GridOutput::Threshold, threshold),
-        };
-        v1::PredictGridRequest {
-            map: self.map.clone(),
-            time: Some(timestamp(self.time_nanos)),
-            model: Some(selector_to_wire(self.model)),
-            region: self.region.map(CellBox::to_wire),
-            project: self.is_projected,
-            output: output.into(),
-            threshold,
-            estimate_only,
-        }
-    }
-}
-
 impl Client {
     /// Predicts the grid at one time. [`GridPrediction::next`] returns its tiles.
     ///
@@ -128,7 +112,21 @@ impl Client {
     }
 
     async fn asked(&self, query: &GridQuery, estimate_only: bool) -> Result<GridPrediction, Error> {
-        let request = query.to_wire(estimate_only);
+        let (output, threshold) = match query.output {
+            GridOutput::Probability => (v1::GridOutput::Probability, 0.0),
+            GridOutput::Entropy => (v1::GridOutput::Entropy, 0.0),
+            GridOutput::Threshold(threshold) => (v1::GridOutput::Threshold, threshold),
+        };
+        let request = v1::PredictGridRequest {
+            map: query.map.clone(),
+            time: Some(timestamp(query.time_nanos)),
+            model: Some(selector_to_wire(query.model)),
+            region: query.region.as_ref().map(cell_box_to_wire),
+            project: query.is_projected,
+            output: output.into(),
+            threshold,
+            estimate_only,
+        };
         let answer = self.query_service().predict_grid(request).await.map_err(|status| self.error(&status))?;
         let mut replies = answer.into_inner();
         let first = replies.message().await.map_err(|status| self.error(&status))?;
@@ -143,9 +141,10 @@ impl Client {
 
 fn header_from_wire(header: v1::GridHeader) -> Result<GridHeader, Error> {
     Ok(GridHeader {
-        grid: header.grid.map(Grid::from_wire).ok_or(Error::Protocol("no grid in its header"))?,
+        grid: grid_from_wire(header.grid.ok_or(Error::Protocol("no grid in its header"))?)
+            .map_err(|_| Error::Protocol("an invalid grid"))?,
         // A grid without cells has no region.
-        region: header.region.as_ref().map(CellBox::from_wire).unwrap_or_default(),
+        region: header.region.as_ref().map(cell_box_from_wire).unwrap_or_default(),
         tiles: header.tiles,
         cells: header.cells,
         bytes: header.bytes,
@@ -223,7 +222,7 @@ mod tests {
             cells[at] = CellPrediction::Static(0.25);
             PredictedTile { place, cells }
         };
-        let grid = Grid { resolution_m: 0.1, ..Grid::default() };
+        let grid = GridSpec::new(0.1);
         let header = GridHeader { grid, region: CellBox::default(), tiles: 2, cells: 1024, bytes: 0, generation: 1 };
         let grid = PredictedGrid { header, tiles: vec![tile([5, 0, -1], 511), tile([-1, 2, 0], 8)] };
         let known: Vec<[i32; 3]> = (-16..48)

@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use tidemap_client::{
-    maps::{Grid, Retention},
+    maps::{GridSpec, Retention},
     queries::ModelKind,
 };
 use tidemap_tests::{
@@ -89,27 +89,27 @@ async fn grid_files_that_are_cut_off_or_do_not_fit_are_refused_and_harm_nothing(
 async fn grids_that_cannot_be_are_not_created() {
     use tidemap_client::maps::{CellBox, NewMap, SensorNoise};
     let (_data, daemon) = office(grid(Retention::None)).await;
-    let extent = |min: [i32; 3], max: [i32; 3]| Some(CellBox { min, max });
-    let noise = |hit: f64, false_alarm: f64, prior: f64| Some(SensorNoise { hit, false_alarm, prior });
+    let extent = |min: [i32; 3], max: [i32; 3]| Some(CellBox { min: min.into(), max: max.into() });
+    let noise = |hit: f64, false_alarm: f64, prior: f64| SensorNoise { hit, false_alarm, prior };
     let fine = || grid(Retention::None);
     for (grid, words) in [
-        (Grid { resolution_m: 0.0, ..fine() }, ["resolution", "0 m"]),
-        (Grid { resolution_m: f64::NAN, ..fine() }, ["resolution", "NaN"]),
-        (Grid { resolution_m: -0.1, ..fine() }, ["resolution", "-0.1"]),
-        (Grid { resolution_m: 1001.0, ..fine() }, ["resolution", "1001"]),
-        (Grid { origin_m: [0.0, f64::INFINITY, 0.0], ..fine() }, ["origin", "inf"]),
-        (Grid { origin_m: [0.0, 0.0, 1e9], ..fine() }, ["origin", "1000000000"]),
-        (Grid { frame_id: "f".repeat(129), ..fine() }, ["frame", "fff"]),
-        (Grid { frame_id: "a\nb".to_owned(), ..fine() }, ["frame", "a\\nb"]),
-        (Grid { extent: extent([0; 3], [0, 5, 5]), ..fine() }, ["extent", "0x5x5"]),
-        (Grid { extent: extent([5; 3], [2; 3]), ..fine() }, ["extent", "0x0x0"]),
-        (Grid { extent: extent([0; 3], [i32::MAX, 1, 1]), ..fine() }, ["extent", "2147483647"]),
-        (Grid { is_flat: true, extent: extent([0; 3], [9; 3]), ..fine() }, ["extent", "z = 0"]),
-        (Grid { sensor: noise(0.3, 0.4, 0.5), ..fine() }, ["hit 0.3", "false alarm 0.4"]),
-        (Grid { sensor: noise(0.9, 0.1, 1.0), ..fine() }, ["sensor", "prior 1"]),
-        (Grid { sensor: noise(f64::NAN, 0.1, 0.5), ..fine() }, ["sensor", "NaN"]),
-        (Grid { retention: Some(Retention::Duration(0)), ..fine() }, ["retention", "0"]),
-        (Grid { retention: Some(Retention::Duration(-5)), ..fine() }, ["retention", "-5"]),
+        (GridSpec { resolution_m: 0.0, ..fine() }, ["resolution", "0 m"]),
+        (GridSpec { resolution_m: f64::NAN, ..fine() }, ["resolution", "NaN"]),
+        (GridSpec { resolution_m: -0.1, ..fine() }, ["resolution", "-0.1"]),
+        (GridSpec { resolution_m: 1001.0, ..fine() }, ["resolution", "1001"]),
+        (GridSpec { origin_m: [0.0, f64::INFINITY, 0.0], ..fine() }, ["origin", "inf"]),
+        (GridSpec { origin_m: [0.0, 0.0, 1e9], ..fine() }, ["origin", "1000000000"]),
+        (GridSpec { frame_id: "f".repeat(129), ..fine() }, ["frame", "fff"]),
+        (GridSpec { frame_id: "a\nb".to_owned(), ..fine() }, ["frame", "a\\nb"]),
+        (GridSpec { extent: extent([0; 3], [0, 5, 5]), ..fine() }, ["extent", "0x5x5"]),
+        (GridSpec { extent: extent([5; 3], [2; 3]), ..fine() }, ["extent", "0x0x0"]),
+        (GridSpec { extent: extent([0; 3], [i32::MAX, 1, 1]), ..fine() }, ["extent", "2147483647"]),
+        (GridSpec { is_flat: true, extent: extent([0; 3], [9; 3]), ..fine() }, ["extent", "z = 0"]),
+        (GridSpec { sensor: noise(0.3, 0.4, 0.5), ..fine() }, ["hit 0.3", "false alarm 0.4"]),
+        (GridSpec { sensor: noise(0.9, 0.1, 1.0), ..fine() }, ["sensor", "prior 1"]),
+        (GridSpec { sensor: noise(f64::NAN, 0.1, 0.5), ..fine() }, ["sensor", "NaN"]),
+        (GridSpec { retention: Retention::Duration(0), ..fine() }, ["retention", "0"]),
+        (GridSpec { retention: Retention::Duration(-5), ..fine() }, ["retention", "-5"]),
     ] {
         let map = NewMap { name: "lab".to_owned(), grid: Some(grid.clone()), ..NewMap::default() };
         let refused = daemon.client().create_map(map).await.expect_err("refused").to_string();

@@ -1,7 +1,7 @@
 //! Single bad scans: each is refused with its reason and the value, uses up its number, and changes
 //! nothing of the stream's tiles.
 
-use tidemap_client::maps::{CellBox, Grid};
+use tidemap_client::maps::{CellBox, GridSpec};
 use tidemap_proto::v1::{
     ObservationBatch, PointCloud, Pose, RangeScan, RefusalReason, Scan, ScanBatch, TileScan, observe_request::Message,
     scan::Content,
@@ -17,9 +17,9 @@ use tidemap_client::queries::{CellPrediction, ModelKind};
 const NOON_NANOS: i64 = 1_741_000_000_000_000_000;
 
 /// 0.1 m, within 16 cells of the origin along x and y.
-fn small() -> Grid {
-    let extent = Some(CellBox { min: [-16, -16, 0], max: [16, 16, 8] });
-    Grid { resolution_m: 0.1, frame_id: "floor".to_owned(), extent, ..Grid::default() }
+fn small() -> GridSpec {
+    let extent = Some(CellBox { min: [-16, -16, 0].into(), max: [16, 16, 8].into() });
+    GridSpec { frame_id: "floor".to_owned(), extent, ..GridSpec::new(0.1) }
 }
 
 pub(crate) async fn opened(daemon: &Daemon) -> RawStream {

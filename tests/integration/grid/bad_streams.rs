@@ -1,7 +1,7 @@
 //! Messages of scans that end the stream: each is answered with the reason, nothing of it is kept,
 //! and the daemon and other streams continue.
 
-use tidemap_client::maps::Grid;
+use tidemap_client::maps::GridSpec;
 use tidemap_proto::v1::{
     GoodbyeReason, ObserveRequest, PointCloud, ScanBatch, TileScan, observe_request::Message, scan::Content,
 };
@@ -113,7 +113,7 @@ async fn limited() -> (tempfile::TempDir, Daemon) {
     let data = tempfile::tempdir().expect("a folder");
     let launch = Launch::on(data.path()).setting("max_scan_points", 100).setting("max_scan_tiles", 64);
     let daemon = launch.setting("max_batch_scans", 16).setting("max_message_bytes", 16 << 10).start();
-    let grid = Grid { resolution_m: 0.1, ..Grid::default() };
+    let grid = GridSpec::new(0.1);
     daemon.client().create_map(new_map(grid)).await.expect("a new map");
     (data, daemon)
 }

@@ -108,16 +108,16 @@ async fn grid_written_as_pgm_is_read_by_others_as_it_was_meant() {
     let region = expected.header.region;
     let [width, height, layers] = region.size();
     assert_eq!(layers, 1);
-    let corner = [0, 1].map(|axis| f64::from(region.min[axis]) * 0.1);
-    for (found, expected) in numbers.iter().zip([0.1, corner[0], corner[1], width.into(), height.into()]) {
+    let corner = [region.min.x, region.min.y].map(|least| f64::from(least) * 0.1);
+    for (found, expected) in numbers.iter().zip([0.1, corner[0], corner[1], width as f64, height as f64]) {
         assert!((found - expected).abs() < 1e-9, "{numbers:?}");
     }
     let rows: Vec<&str> = lines.collect();
     assert_eq!(rows.len(), height as usize);
     let mut seen = [0; 4];
-    for (y, row) in (region.min[1]..).zip(&rows) {
+    for (y, row) in (region.min.y..).zip(&rows) {
         assert_eq!(row.len(), width as usize);
-        for (x, found) in (region.min[0]..).zip(row.chars()) {
+        for (x, found) in (region.min.x..).zip(row.chars()) {
             let cell = expected.cell([x, y, 0]).value().map(|value| (f64::from(value) * 100.0).round());
             let (kind, meant) = match cell {
                 Some(percent) if percent <= 25.0 => (0, '.'),

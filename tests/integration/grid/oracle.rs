@@ -17,7 +17,7 @@ use super::{
 };
 use tidemap_client::time::format_rfc3339;
 use tidemap_client::{
-    maps::{Grid, Retention, SensorNoise},
+    maps::{GridSpec, Retention, SensorNoise},
     observe::{
         Producer, ProducerOptions, ProducerSensor,
         tiles::{TileIndex, TileMasks},
@@ -172,8 +172,8 @@ async fn with_sensor(daemon: &Daemon, name: &str, sensor: Option<ProducerSensor>
 async fn grid_that_producers_with_sensors_of_their_own_observe_has_the_posterior_means() {
     let film = Film::new(6, 400);
     let own = ProducerSensor { hit: 0.9, false_alarm: 0.05 };
-    let sensor = Some(SensorNoise { hit: own.hit, false_alarm: own.false_alarm, prior: 0.4 });
-    let (data, mut daemon) = office(Grid { sensor, ..grid(Retention::Forever) }).await;
+    let sensor = SensorNoise { hit: own.hit, false_alarm: own.false_alarm, prior: 0.4 };
+    let (data, mut daemon) = office(GridSpec { sensor, ..grid(Retention::Forever) }).await;
     let mut sent = Sent::default();
     let in_the_way = (0..film.tiles().len()).map(|slot| (slot, 3 * 64 + 17)).step_by(3);
     for cell in film.changing(30).chain(film.still(900)).chain(in_the_way) {

@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use tidemap_client::{
     Client, Error,
-    maps::{CellBox, Grid},
+    maps::{CellBox, GridSpec},
     observe::{
         Producer, RefusalReason,
         scan::{Isometry3, PointCloud, Quaternion, RangeScan, Scan, Translation3, UnitQuaternion},
@@ -21,8 +21,8 @@ const NOON_NANOS: i64 = 1_741_000_000_000_000_000;
 const MINUTE_NANOS: i64 = 60_000_000_000;
 
 /// Cells of half a metre.
-fn coarse() -> Grid {
-    Grid { resolution_m: 0.5, ..Grid::default() }
+fn coarse() -> GridSpec {
+    GridSpec::new(0.5)
 }
 
 /// In the middle of cell (0, 0, 0), turned to the left: the sensor's x axis is the map's y axis.
@@ -111,7 +111,7 @@ async fn grid_regions_are_cut_to_the_cells_that_there_are() {
     let client = daemon.client();
     let whole = predicted(&daemon, NOON_NANOS, model(ModelKind::Latest, None)).await;
     let ask = |min: [i32; 3], max: [i32; 3]| {
-        let region = Some(CellBox { min, max });
+        let region = Some(CellBox { min: min.into(), max: max.into() });
         GridQuery { region, model: model(ModelKind::Latest, None), ..question(MAP) }
     };
     // 10^12 cells, and as many as there can be.
@@ -127,10 +127,10 @@ async fn grid_regions_are_cut_to_the_cells_that_there_are() {
         }
     }
     let one = client.predict_grid(&ask([0, 6, 0], [1, 7, 1])).await.expect("an answer").whole().await.expect("it");
-    assert_eq!(one.header.region.cells(), 1);
+    assert_eq!(one.header.region.count(), 1);
     assert_eq!((one.cell([0, 6, 0]).value(), one.cell([0, 5, 0]).value()), (Some(1.0), None));
     let none = client.predict_grid(&ask([900; 3], [990; 3])).await.expect("an answer").whole().await.expect("it");
-    assert_eq!((none.header.region.cells(), none.tiles.len()), (0, 0));
+    assert_eq!((none.header.region.count(), none.tiles.len()), (0, 0));
     // An empty region gives an empty answer or an error, never the whole grid.
     if let Ok(empty) = client.predict_grid(&ask([5, 0, 0], [2, 9, 9])).await {
         assert_eq!(empty.whole().await.expect("an answer").tiles, []);

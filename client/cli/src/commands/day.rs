@@ -82,7 +82,8 @@ async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Resul
     let grid = grid.with_context(|| format!("map {map:?} has no grid"))?;
     let bounds = grid_summary.and_then(|summary| summary.bounds);
     let bounds = bounds.with_context(|| format!("the grid of map {map:?} has no observations yet"))?;
-    let cells = |axis: usize| f64::from(bounds.max[axis] - bounds.min[axis]);
+    let (size, min) = (bounds.size(), <[i32; 3]>::from(bounds.min));
+    let cells = |axis: usize| size[axis] as f64;
     let count = |axis: usize| (cells(axis) * grid.resolution_m / apart_m).floor().max(1.0);
     if count(0) * count(1) > VIEWS_MAX {
         let text =
@@ -91,7 +92,7 @@ async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Resul
     }
     let along = |axis: usize, number: u32| {
         let spare = cells(axis) * grid.resolution_m - count(axis) * apart_m;
-        let low = grid.origin_m[axis] + f64::from(bounds.min[axis]) * grid.resolution_m;
+        let low = grid.origin_m[axis] + f64::from(min[axis]) * grid.resolution_m;
         low + spare / 2.0 + (f64::from(number) + 0.5) * apart_m
     };
     let rounded = |metres: f64| (metres * 1e3).round() / 1e3;

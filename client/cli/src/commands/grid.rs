@@ -12,7 +12,7 @@ mod sensor;
 use std::process::ExitCode;
 
 use clap::Subcommand;
-use tidemap_client::maps::Grid;
+use tidemap_client::maps::GridSpec;
 
 use super::Session;
 
@@ -39,7 +39,7 @@ pub(crate) async fn run(session: &Session, command: GridCommand) -> anyhow::Resu
 }
 
 /// The grid of a map, and the number of its cell observations.
-async fn grid_of(session: &Session, map: &str) -> anyhow::Result<(Grid, u64)> {
+async fn grid_of(session: &Session, map: &str) -> anyhow::Result<(GridSpec, u64)> {
     let map = session.client.map(map).await?;
     let cells = map.grid_summary.map_or(0, |summary| summary.cell_observations);
     match map.grid {

@@ -8,11 +8,11 @@ use std::{process::ExitCode, str::FromStr};
 
 use clap::{Args, Subcommand, ValueEnum};
 use tidemap_client::maps::{
-    Candidate, Grid, InvalidCandidate, Map, NewMap, OrderCriterion, PeriodicityDefinition, Retention,
+    Candidate, GridSpec, InvalidCandidate, Map, NewMap, OrderCriterion, PeriodicityDefinition, Retention,
 };
 use tidemap_map::time::format_duration;
 
-use self::grid_spec::{GridSpec, box_text, retention_text, spec_text};
+use self::grid_spec::{GridArg, box_text, retention_text, spec_text};
 use super::{Session, point::Point, times, usage};
 use crate::progress::status_line;
 use tidemap_formats::table::Cell;
@@ -85,7 +85,7 @@ pub(crate) struct CreateArgs {
     /// An occupancy grid: resolution=M[,flat][,origin=X:Y:Z][,size=NXxNYxNZ or min=X:Y:Z,max=X:Y:Z][,frame=NAME]
     /// [,hit=P][,false-alarm=P][,prior=P]; resolution and origin in metres, the others in cells [default: none]
     #[arg(long, value_name = "SPEC")]
-    grid: Option<GridSpec>,
+    grid: Option<GridArg>,
     /// How long the history of exact cell observations is kept: none, forever or a duration [default: none]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention, requires = "grid")]
     grid_retention: Option<Retention>,
@@ -215,7 +215,8 @@ fn new_map(args: CreateArgs) -> NewMap {
         Criterion::SquaredError => OrderCriterion::SquaredError,
         Criterion::ZeroOne => OrderCriterion::ZeroOne,
     };
-    let grid = args.grid.map(|GridSpec(grid)| Grid { retention: args.grid_retention, ..grid });
+    let grid =
+        args.grid.map(|GridArg(grid)| GridSpec { retention: args.grid_retention.unwrap_or(grid.retention), ..grid });
     NewMap {
         name: args.name,
         time_zone: args.time_zone,
@@ -261,7 +262,7 @@ fn more_cells(map: &Map) -> Vec<Cell> {
     vec![
         text(Some(retention_text(map.retention))),
         text(grid.map(spec_text)),
-        text(grid.and_then(|grid| grid.retention).map(retention_text)),
+        text(grid.map(|grid| retention_text(grid.retention))),
         Cell::maybe(summary.map(|summary| summary.tiles)),
         Cell::maybe(summary.map(|summary| summary.pending_scans)),
         Cell::maybe(summary.map(|summary| summary.cell_observations)),

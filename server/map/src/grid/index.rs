@@ -68,8 +68,20 @@ impl CellIndex {
     }
 }
 
+impl From<[i32; 3]> for CellIndex {
+    fn from([x, y, z]: [i32; 3]) -> CellIndex {
+        CellIndex { x, y, z }
+    }
+}
+
+impl From<CellIndex> for [i32; 3] {
+    fn from(CellIndex { x, y, z }: CellIndex) -> [i32; 3] {
+        [x, y, z]
+    }
+}
+
 /// Cells from `min` up to but not including `max`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct CellBox {
     /// Lowest cell.
     pub min: CellIndex,
@@ -157,6 +169,11 @@ mod tests {
 
     #[test]
     fn boxes_know_their_size() {
+        let cells = CellBox { min: [-8, 0, 3].into(), max: [8, 5, 4].into() };
+        assert_eq!((cells.size(), cells.count()), ([16, 5, 1], 80));
+        assert_eq!(CellBox { min: [3, 0, 0].into(), max: [1, 9, 9].into() }.count(), 0);
+        let all = CellBox { min: [i32::MIN; 3].into(), max: [i32::MAX; 3].into() };
+        assert_eq!(all.size(), [u64::from(u32::MAX); 3]);
         let tile = TileIndex { x: 1, y: 0, z: -1 }.cells();
         assert_eq!((tile.size(), tile.count()), ([8, 8, 8], 512));
         let apart = tile.intersection(&TileIndex { x: 3, y: 0, z: -1 }.cells());

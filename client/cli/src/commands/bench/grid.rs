@@ -19,7 +19,7 @@ use std::{
 use clap::Args;
 use tidemap_client::{
     Client,
-    maps::{Grid, NewMap},
+    maps::{GridSpec, NewMap},
 };
 
 use self::{probe::Probe, recorded_scans::RecordedScans, updates::UpdateTimes};
@@ -95,7 +95,7 @@ impl GridArgs {
 
     /// The map of the scans.
     pub(super) fn new_map(&self, name: String) -> NewMap {
-        let grid = Grid { resolution_m: office::RESOLUTION_M, retention: Some(self.retention), ..Grid::default() };
+        let grid = GridSpec { retention: self.retention, ..GridSpec::new(office::RESOLUTION_M) };
         NewMap { name, time_zone: Some(office::ZONE.to_owned()), grid: Some(grid), ..NewMap::default() }
     }
 }

@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 
 use tidemap_client::{
-    maps::{CellBox, Grid},
+    maps::{CellBox, GridSpec},
     observe::tiles::{Mask, TileIndex, TileMasks},
 };
 
@@ -37,7 +37,7 @@ struct CellFit {
 }
 
 impl CellFit {
-    fn new(resolution_m: f64, origin_m: [f64; 3], grid: &Grid) -> anyhow::Result<Self> {
+    fn new(resolution_m: f64, origin_m: [f64; 3], grid: &GridSpec) -> anyhow::Result<Self> {
         let ratio = resolution_m / grid.resolution_m;
         let times = ratio.round();
         anyhow::ensure!(
@@ -74,11 +74,11 @@ struct TileFill {
 }
 
 impl TileFill {
-    fn new(grid: &Grid) -> Self {
+    fn new(grid: &GridSpec) -> Self {
         let far = i64::from(i32::MAX / 4);
         let (mut min, mut max) = ([-far; 3], [far; 3]);
         if let Some(CellBox { min: lowest, max: beyond }) = grid.extent {
-            (min, max) = (lowest.map(i64::from), beyond.map(i64::from));
+            (min, max) = (<[i32; 3]>::from(lowest).map(i64::from), <[i32; 3]>::from(beyond).map(i64::from));
         }
         if grid.is_flat {
             (min[2], max[2]) = (0, 1);
@@ -142,7 +142,7 @@ fn row_bits(from: u32, to: u32) -> u64 {
 }
 
 /// The known cells of an OctoMap.
-pub(crate) fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<GridMasks> {
+pub(crate) fn of_octomap(map: &OctoMap, grid: &GridSpec) -> anyhow::Result<GridMasks> {
     let fit = CellFit::new(map.resolution_m, [0.0; 3], grid)?;
     let mut tiles = TileFill::new(grid);
     for leaf in &map.leaves {
@@ -154,7 +154,7 @@ pub(crate) fn of_octomap(map: &OctoMap, grid: &Grid) -> anyhow::Result<GridMasks
 }
 
 /// The known cells of a 2D grid.
-pub(crate) fn of_plane(map: &nav2::Grid, grid: &Grid) -> anyhow::Result<GridMasks> {
+pub(crate) fn of_plane(map: &nav2::Grid, grid: &GridSpec) -> anyhow::Result<GridMasks> {
     let [x_m, y_m] = map.origin_m;
     let fit = CellFit::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
     let mut tiles = TileFill::new(grid);
@@ -176,8 +176,8 @@ mod tests {
     use super::*;
     use tidemap_formats::{nav2::GridCell, octomap::Leaf};
 
-    fn grid() -> Grid {
-        Grid { resolution_m: 0.1, origin_m: [-0.8, 0.0, 0.0], ..Grid::default() }
+    fn grid() -> GridSpec {
+        GridSpec { origin_m: [-0.8, 0.0, 0.0], ..GridSpec::new(0.1) }
     }
 
     fn count(tiles: &[(TileIndex, TileMasks)]) -> (u32, u32) {
@@ -203,7 +203,7 @@ mod tests {
         assert_eq!(first.map(|occupied| occupied.0[0]), Some(0xF0F0_F0F0));
         let flat = of_octomap(
             &OctoMap { resolution_m: 0.1, leaves: vec![leaf([0, 0, -4], 8, true)] },
-            &Grid { is_flat: true, ..grid() },
+            &GridSpec { is_flat: true, ..grid() },
         )?;
         assert_eq!(count(&flat.tiles), (64, 64));
         Ok(())
@@ -224,12 +224,12 @@ mod tests {
     fn what_does_not_fit_is_refused_with_the_reason() {
         let leaf = Leaf { min_cell: [-16384; 3], size_cells: 16384, occupied: false, log_odds: -1.0 };
         let map = |resolution_m| OctoMap { resolution_m, leaves: vec![leaf] };
-        let error = |map: &OctoMap, grid: &Grid| of_octomap(map, grid).err().map(|error| error.to_string());
+        let error = |map: &OctoMap, grid: &GridSpec| of_octomap(map, grid).err().map(|error| error.to_string());
         assert!(error(&map(0.15), &grid()).is_some_and(|error| error.contains("0.15 m wide")));
         assert!(error(&map(0.05), &grid()).is_some_and(|error| error.contains("0.05 m wide")));
         assert!(error(&map(0.1), &grid()).is_some_and(|error| error.contains("more than 65536 tiles")));
-        let extent = Some(CellBox { min: [-20; 3], max: [0; 3] });
-        let cut = of_octomap(&map(0.1), &Grid { extent, ..grid() });
+        let extent = Some(CellBox { min: [-20; 3].into(), max: [0; 3].into() });
+        let cut = of_octomap(&map(0.1), &GridSpec { extent, ..grid() });
         assert_eq!(cut.map(|on| count(&on.tiles)).ok(), Some((20 * 20 * 20, 0)), "the rest lies outside of the grid");
     }
 }

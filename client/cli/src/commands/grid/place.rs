@@ -5,7 +5,7 @@
 use std::str::FromStr;
 
 use tidemap_client::{
-    maps::{CellBox, Grid},
+    maps::{CellBox, GridSpec},
     observe::scan::{Isometry3, Quaternion, Translation3, UnitQuaternion},
 };
 
@@ -82,8 +82,13 @@ impl FromStr for Rectangle {
 }
 
 /// The cells that overlap a region; all cells of `all` along axes without limits.
-pub(crate) fn cells(grid: &Grid, all: &CellBox, rectangle: Option<Rectangle>, height: Option<AxisRange>) -> CellBox {
-    let mut cells = *all;
+pub(crate) fn cells(
+    grid: &GridSpec,
+    all: &CellBox,
+    rectangle: Option<Rectangle>,
+    height: Option<AxisRange>,
+) -> CellBox {
+    let (mut min, mut max): ([i32; 3], [i32; 3]) = (all.min.into(), all.max.into());
     let along = [rectangle.map(|rectangle| rectangle.x), rectangle.map(|rectangle| rectangle.y), height];
     for (axis, stretch) in along.into_iter().enumerate() {
         let Some(AxisRange { from_m, to_m }) = stretch else { continue };
@@ -91,10 +96,10 @@ pub(crate) fn cells(grid: &Grid, all: &CellBox, rectangle: Option<Rectangle>, he
         let index = |metres: f64| (metres - grid.origin_m[axis]) / grid.resolution_m;
         let snapped = |index: f64| if (index - index.round()).abs() < 1e-6 { index.round() } else { index };
         // Values beyond i32 saturate, and are then outside of any grid.
-        cells.min[axis] = snapped(index(from_m)).floor() as i32;
-        cells.max[axis] = snapped(index(to_m)).ceil() as i32;
+        min[axis] = snapped(index(from_m)).floor() as i32;
+        max[axis] = snapped(index(to_m)).ceil() as i32;
     }
-    cells
+    CellBox { min: min.into(), max: max.into() }
 }
 
 #[cfg(test)]
@@ -113,13 +118,13 @@ mod tests {
 
     #[test]
     fn a_region_in_metres_is_made_of_whole_cells() -> Result<(), String> {
-        let grid = Grid { resolution_m: 0.1, origin_m: [-1.0, 0.0, 0.0], ..Grid::default() };
-        let all = CellBox { min: [-8, -8, 0], max: [16, 16, 24] };
+        let grid = GridSpec { origin_m: [-1.0, 0.0, 0.0], ..GridSpec::new(0.1) };
+        let all = CellBox { min: [-8, -8, 0].into(), max: [16, 16, 24].into() };
         assert_eq!(cells(&grid, &all, None, None), all);
         let region = cells(&grid, &all, Some("-1:-0.75,0.3:0.7".parse()?), None);
-        assert_eq!(region, CellBox { min: [0, 3, 0], max: [3, 7, 24] });
+        assert_eq!(region, CellBox { min: [0, 3, 0].into(), max: [3, 7, 24].into() });
         let region = cells(&grid, &all, None, Some("0.25:1.05".parse()?));
-        assert_eq!((region.min[2], region.max[2]), (2, 11));
+        assert_eq!((region.min.z, region.max.z), (2, 11));
         for wrong in ["1:0", "1", "a:b", "0:inf"] {
             assert!(wrong.parse::<AxisRange>().is_err(), "{wrong}");
         }

@@ -9,7 +9,7 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use tidemap_client::{
-    maps::{CellBox, Map},
+    maps::{CellBox, CellIndex, Map},
     queries::{CellPrediction, GridOutput, GridQuery, ModelSelector, ORDER_MAX, PredictedGrid},
 };
 
@@ -117,8 +117,8 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     };
     let predicted = session.client.predict_grid(&query).await?;
     let region = predicted.header().region;
-    anyhow::ensure!(region.cells() > 0, "map {:?} has no observed cells in the region", args.map);
-    let cells = region.cells();
+    anyhow::ensure!(region.count() > 0, "map {:?} has no observed cells in the region", args.map);
+    let cells = region.count();
     anyhow::ensure!(
         cells <= u128::from(CELLS_MAX),
         "the region has {cells} cells, and a file takes at most {CELLS_MAX}: choose a part with --region or --z"
@@ -157,7 +157,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
     let Some(bounds) = map.grid_summary.and_then(|summary| summary.bounds) else { return Ok(None) };
     let region = cells(&grid, &bounds, args.region, args.z);
     Ok(Some(if grid.is_flat {
-        CellBox { min: [region.min[0], region.min[1], 0], max: [region.max[0], region.max[1], 1] }
+        CellBox { min: CellIndex { z: 0, ..region.min }, max: CellIndex { z: 1, ..region.max } }
     } else {
         region
     }))
@@ -179,8 +179,9 @@ fn is_full(picture: &MapPicture) -> bool {
 /// The region cell by cell, as files show it.
 pub(crate) fn picture(predicted: &PredictedGrid) -> MapPicture {
     let CellBox { min, max } = predicted.header.region;
+    let (min, max): ([i32; 3], [i32; 3]) = (min.into(), max.into());
     let grid = &predicted.header.grid;
-    let size_cells = predicted.header.region.size();
+    let size_cells = predicted.header.region.size().map(|size| size as u32);
     let [width, height, _] = size_cells.map(|size| size as usize);
     let mut picture = vec![PictureCell::Unknown; size_cells.iter().map(|&size| size as usize).product()];
     for tile in &predicted.tiles {
@@ -231,7 +232,7 @@ fn write(kind: OutputKind, picture: &MapPicture, args: &GridPredictArgs) -> anyh
 #[cfg(test)]
 mod tests {
     use tidemap_client::{
-        maps::Grid,
+        maps::GridSpec,
         queries::{GridHeader, PredictedTile},
     };
 
@@ -244,8 +245,8 @@ mod tests {
         cells[3 + 8 * 2 + 64 * 3] = CellPrediction::Changing(0.5);
         cells[7 + 8 * 7 + 64 * 7] = CellPrediction::Changing(1.0);
         let tiles = vec![PredictedTile { place: [-1, 0, 1], cells }];
-        let grid = Grid { resolution_m: 0.5, origin_m: [10.0, 0.0, 0.0], ..Grid::default() };
-        let region = CellBox { min: [-7, 2, 10], max: [-3, 4, 12] };
+        let grid = GridSpec { origin_m: [10.0, 0.0, 0.0], ..GridSpec::new(0.5) };
+        let region = CellBox { min: [-7, 2, 10].into(), max: [-3, 4, 12].into() };
         let header = GridHeader { grid, region, tiles: 1, cells: 512, bytes: 0, generation: 3 };
         let picture = picture(&PredictedGrid { header, tiles });
         assert_eq!((picture.size_cells, picture.origin_m), ([4, 2, 2], [6.5, 1.0, 5.0]));

@@ -14,7 +14,7 @@ use std::{
 
 use anyhow::Context as _;
 use tidemap_client::{
-    maps::Grid,
+    maps::GridSpec,
     observe::scan::{PointCloud, Scan},
     scan_file::{FileScan, ScanFile, ScanFileHeader},
 };
@@ -49,7 +49,7 @@ pub(super) struct ScanChunk {
 pub(super) type ScanChunks = mpsc::Receiver<anyhow::Result<ScanChunk>>;
 
 /// Starts to read the files; returns their scans and a progress bar.
-pub(super) fn open(plan: ScanPlan, grid: &Grid) -> anyhow::Result<(ScanChunks, Bar)> {
+pub(super) fn open(plan: ScanPlan, grid: &GridSpec) -> anyhow::Result<(ScanChunks, Bar)> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     let (each, options) = match plan {
         ScanPlan::Each(each, options) => (each, options),
@@ -89,7 +89,7 @@ fn scan_file(file: &Path) -> anyhow::Result<(ScanFile<BufReader<File>>, Option<u
 }
 
 /// Checks that a file of scans has the cells of the grid.
-fn fits(header: &ScanFileHeader, grid: &Grid) -> anyhow::Result<()> {
+fn fits(header: &ScanFileHeader, grid: &GridSpec) -> anyhow::Result<()> {
     let ScanFileHeader { resolution_m, frame_id, origin_m } = header;
     let resolution = grid.resolution_m;
     anyhow::ensure!(
@@ -142,7 +142,7 @@ fn spell_out_layers(scan: &mut FileScan) {
 }
 
 /// Reads a file as one scan.
-fn one_scan(file: &Path, kind: FileKind, options: &ScanOptions, grid: &Grid, bar: &Bar) -> anyhow::Result<Scan> {
+fn one_scan(file: &Path, kind: FileKind, options: &ScanOptions, grid: &GridSpec, bar: &Bar) -> anyhow::Result<Scan> {
     let tiles = |on: GridMasks| {
         if let Some(notice) = on.notice {
             bar.status_line(&format!("{}: {notice}", file.display()));
@@ -209,7 +209,7 @@ mod tests {
 
     #[test]
     fn a_file_of_scans_has_to_be_of_the_same_cells() {
-        let grid = Grid { resolution_m: 0.1, frame_id: "map".to_owned(), ..Grid::default() };
+        let grid = GridSpec::new(0.1);
         let header = ScanFileHeader { resolution_m: 0.1, frame_id: "map".to_owned(), origin_m: vec![0.0; 3] };
         let message =
             |header: ScanFileHeader| fits(&header, &grid).err().map(|error| error.to_string()).unwrap_or_default();

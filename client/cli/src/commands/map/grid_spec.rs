@@ -4,12 +4,12 @@
 
 use std::{fmt::Write as _, str::FromStr};
 
-use tidemap_client::maps::{CellBox, Grid, Retention, SensorNoise};
+use tidemap_client::maps::{CellBox, CellIndex, GridSpec, Retention, SensorNoise};
 use tidemap_map::time::{format_duration, parse_duration};
 
 /// A grid, parsed from the command line.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct GridSpec(pub(crate) Grid);
+pub(crate) struct GridArg(pub(crate) GridSpec);
 
 /// An invalid grid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -36,7 +36,7 @@ const SIZE: &str = "has to be cells along each axis, such as 100x80x20, or 100x8
 const PROBABILITY: &str = "has to be a number from 0 to 1";
 const KEYS: [&str; 10] = ["resolution", "flat", "origin", "size", "min", "max", "frame", "hit", "false-alarm", "prior"];
 
-impl FromStr for GridSpec {
+impl FromStr for GridArg {
     type Err = InvalidGridSpec;
 
     fn from_str(text: &str) -> Result<Self, InvalidGridSpec> {
@@ -77,15 +77,12 @@ impl FromStr for GridSpec {
                 return Err(InvalidGridSpec::Together("prior has to be above 0 and below 1"));
             }
         }
-        Ok(Self(Grid {
-            frame_id: frame.unwrap_or_default().to_owned(),
-            is_flat,
-            resolution_m,
-            origin_m,
-            extent: extent(size, min, max, is_flat)?,
-            sensor,
-            retention: None,
-        }))
+        let mut grid = GridSpec::new(resolution_m);
+        if let Some(frame) = frame {
+            grid.frame_id = frame.to_owned();
+        }
+        let extent = extent(size, min, max, is_flat)?;
+        Ok(Self(GridSpec { is_flat, origin_m, extent, sensor: sensor.unwrap_or_default(), ..grid }))
     }
 }
 
@@ -118,21 +115,20 @@ fn extent(
     if !is_flat && size.is_some_and(|size| size.split('x').count() == 2) {
         return Err(wrong("size", size.unwrap_or_default(), SIZE));
     }
-    let is_box = |cells: &CellBox| (0..3).all(|axis| cells.min[axis] < cells.max[axis]);
     match (size, min, max) {
         (None, None, None) => Ok(None),
         (Some(size), None, None) => {
-            let cells = CellBox { min: [0; 3], max: triple("size", size, 'x', 1, SIZE)? };
-            if is_box(&cells) {
-                Ok(Some(cells))
-            } else {
-                Err(wrong("size", size, "has to be at least 1 along each axis"))
+            let cells = CellBox { min: [0; 3].into(), max: triple("size", size, 'x', 1, SIZE)?.into() };
+            if cells.is_empty() {
+                return Err(wrong("size", size, "has to be at least 1 along each axis"));
             }
+            Ok(Some(cells))
         }
         (None, Some(min), Some(max)) => {
-            let cells = CellBox { min: triple("min", min, ':', 0, CELLS)?, max: triple("max", max, ':', 1, CELLS)? };
+            let [min, max] = [triple("min", min, ':', 0, CELLS)?, triple("max", max, ':', 1, CELLS)?];
+            let cells = CellBox { min: min.into(), max: max.into() };
             let unordered = InvalidGridSpec::Together("max has to be above min along each axis, and is not included");
-            if is_box(&cells) { Ok(Some(cells)) } else { Err(unordered) }
+            if cells.is_empty() { Err(unordered) } else { Ok(Some(cells)) }
         }
         (Some(_), ..) => Err(InvalidGridSpec::Together("give either size, or min and max, not both")),
         _ => Err(InvalidGridSpec::Together("min and max go together: give both, in cells")),
@@ -140,9 +136,9 @@ fn extent(
 }
 
 /// A grid in the notation of the command line.
-pub(crate) fn spec_text(grid: &Grid) -> String {
+pub(crate) fn spec_text(grid: &GridSpec) -> String {
     let triple = |[x, y, z]: [f64; 3]| format!("{x}:{y}:{z}");
-    let cells = |[x, y, z]: [i32; 3]| format!("{x}:{y}:{z}");
+    let cells = |CellIndex { x, y, z }| format!("{x}:{y}:{z}");
     let mut text = format!("resolution={}", grid.resolution_m);
     // Writing to a String cannot fail.
     if grid.is_flat {
@@ -157,9 +153,8 @@ pub(crate) fn spec_text(grid: &Grid) -> String {
     if !grid.frame_id.is_empty() {
         let _ = write!(text, ",frame={}", grid.frame_id);
     }
-    if let Some(SensorNoise { hit, false_alarm, prior }) =
-        grid.sensor.filter(|noise| noise.hit < 1.0 || noise.false_alarm > 0.0)
-    {
+    let SensorNoise { hit, false_alarm, prior } = grid.sensor;
+    if hit < 1.0 || false_alarm > 0.0 {
         let _ = write!(text, ",hit={hit},false-alarm={false_alarm},prior={prior}");
     }
     text
@@ -167,8 +162,8 @@ pub(crate) fn spec_text(grid: &Grid) -> String {
 
 /// A box of cells, as `X0:X1,Y0:Y1,Z0:Z1`; the ends are not included.
 pub(crate) fn box_text(cells: &CellBox) -> String {
-    let along = |axis: usize| format!("{}:{}", cells.min[axis], cells.max[axis]);
-    format!("{},{},{}", along(0), along(1), along(2))
+    let CellBox { min, max } = cells;
+    format!("{}:{},{}:{},{}:{}", min.x, max.x, min.y, max.y, min.z, max.z)
 }
 
 /// A retention: `none`, `forever` or a duration.
@@ -195,25 +190,28 @@ pub(crate) fn retention_text(retention: Retention) -> String {
 mod tests {
     use super::*;
 
-    fn parsed(text: &str) -> Result<Grid, String> {
-        text.parse::<GridSpec>().map(|spec| spec.0).map_err(|error| error.to_string())
+    fn parsed(text: &str) -> Result<GridSpec, String> {
+        text.parse::<GridArg>().map(|spec| spec.0).map_err(|error| error.to_string())
     }
 
     #[test]
     fn a_grid_is_shown_as_it_was_said() -> Result<(), String> {
         for text in [
-            "resolution=0.1",
+            "resolution=0.1,frame=map",
             "resolution=0.05,flat,origin=-1.5:2:0,min=-8:0:0,max=8:5:1,frame=odom",
             "resolution=0.1,frame=map,hit=0.9,false-alarm=0.1,prior=0.5",
         ] {
             assert_eq!(spec_text(&parsed(text)?), text);
         }
-        assert_eq!(parsed("resolution=1,size=3x4x5")?.extent, Some(CellBox { min: [0; 3], max: [3, 4, 5] }));
+        assert_eq!(
+            parsed("resolution=1,size=3x4x5")?.extent,
+            Some(CellBox { min: [0; 3].into(), max: [3, 4, 5].into() })
+        );
         let flat = parsed("flat,resolution=1,min=-3:-4,max=3:4,origin=1:2")?;
-        assert_eq!(flat.extent, Some(CellBox { min: [-3, -4, 0], max: [3, 4, 1] }));
+        assert_eq!(flat.extent, Some(CellBox { min: [-3, -4, 0].into(), max: [3, 4, 1].into() }));
         assert_eq!(flat.origin_m, [1.0, 2.0, 0.0]);
         let noise = parsed("resolution=1,hit=0.9")?.sensor;
-        assert_eq!(noise, Some(SensorNoise { hit: 0.9, false_alarm: 0.0, prior: 0.5 }));
+        assert_eq!(noise, SensorNoise { hit: 0.9, false_alarm: 0.0, prior: 0.5 });
         Ok(())
     }
 
