@@ -9,18 +9,17 @@ pub use candidate::{Candidate, InvalidCandidate};
 pub use site::Location;
 pub(crate) use site::point_from_wire;
 
-use std::str::FromStr;
-
+pub use tidemap_map::event::{Dimensions, StateKind, StateShape};
 pub use tidemap_map::grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
 };
-use tidemap_model::{ANGLE_EXPECTED, StateKind as Rule, allows_angle};
 pub use tidemap_model::{OrderCriterion, PeriodicityDefinition};
 use tidemap_proto::convert::time::{duration, instant, span};
 use tidemap_proto::convert::{
     grid::{cell_box_from_wire, grid_from_wire, grid_to_wire, retention_from_wire, retention_to_wire},
     map::{criterion_from_wire, criterion_to_wire, periodicities_from_wire, periodicities_to_wire},
+    vectors::{shape_from_wire, shape_to_wire},
 };
 use tidemap_proto::v1::{self, map_service_client::MapServiceClient};
 
@@ -124,98 +123,13 @@ pub struct GridSummary {
     pub bounds: Option<CellBox>,
 }
 
-/// The kind of the values of a state.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum StateKind {
-    /// A value in [0, 1].
-    #[default]
-    Probability,
-    /// Any number with a magnitude up to 1e12.
-    Continuous,
-    /// A whole number from 0 to 1e12.
-    Count,
-    /// A position: two or three coordinates, each with a magnitude up to 1e12.
-    Vector,
-    /// An angle in radians: observed from -2π to 2π, predicted in [-π, π).
-    Angle,
-    /// A kind that this version does not know.
-    Other,
-}
-
-impl StateKind {
-    /// Name, as on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Probability => "probability",
-            Self::Continuous => "continuous",
-            Self::Count => "count",
-            Self::Vector => "vector",
-            Self::Angle => "angle",
-            Self::Other => "other",
-        }
-    }
-
-    /// Why a value is invalid for a state of this kind; `None` if it is valid.
-    #[must_use]
-    pub fn invalid_reason(self, value: f64) -> Option<&'static str> {
-        let rule = match self {
-            Self::Probability => Rule::Probability,
-            Self::Continuous => Rule::Continuous,
-            Self::Count => Rule::Count,
-            Self::Vector => return Some("a position: a vector has coordinates x and y"),
-            Self::Angle => return (!allows_angle(value)).then_some(ANGLE_EXPECTED),
-            Self::Other => return None,
-        };
-        (!rule.allows(value)).then(|| rule.expected())
-    }
-
-    pub(crate) fn to_wire(self) -> v1::StateKind {
-        match self {
-            Self::Probability => v1::StateKind::Probability,
-            Self::Continuous => v1::StateKind::Continuous,
-            Self::Count => v1::StateKind::Count,
-            Self::Vector => v1::StateKind::Vector,
-            Self::Angle => v1::StateKind::Angle,
-            Self::Other => v1::StateKind::Unspecified,
-        }
-    }
-
-    pub(crate) fn from_wire(kind: v1::StateKind) -> Self {
-        match kind {
-            v1::StateKind::Probability => Self::Probability,
-            v1::StateKind::Continuous => Self::Continuous,
-            v1::StateKind::Count => Self::Count,
-            v1::StateKind::Vector => Self::Vector,
-            v1::StateKind::Angle => Self::Angle,
-            v1::StateKind::Unspecified => Self::Other,
-        }
-    }
-}
-
-/// A text that is not the name of a kind.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a kind of states: use probability, continuous, count, vector or angle")]
-pub struct InvalidKind(pub String);
-
-impl FromStr for StateKind {
-    type Err = InvalidKind;
-
-    fn from_str(text: &str) -> Result<Self, InvalidKind> {
-        let kinds = [Self::Probability, Self::Continuous, Self::Count, Self::Vector, Self::Angle];
-        kinds.into_iter().find(|kind| kind.name() == text).ok_or_else(|| InvalidKind(text.to_owned()))
-    }
-}
-
 /// A state of a map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct State {
     /// Its name.
     pub name: String,
-    /// Its kind.
-    pub kind: StateKind,
-    /// Number of coordinates of a vector, 2 or 3; 0 for other kinds.
-    pub dimensions: u32,
+    /// Values of a kind, positions of a vector, or angles.
+    pub shape: StateShape,
     /// Number of its acknowledged observations.
     pub observations: u64,
     /// Order of its selected model; 0 for a vector or an angle, whose axes have orders of their own.
@@ -289,28 +203,16 @@ impl Client {
         Ok(())
     }
 
-    /// Adds a state with a kind before its first observation; it is durable when this returns. Succeeds if the state
-    /// exists with the same kind.
+    /// Adds a state or a vector before its first observation; it is durable when this returns. Succeeds if it exists with
+    /// the same shape.
     ///
     /// # Errors
-    /// [`Error`]; the code is `ALREADY_EXISTS` if it exists with another kind, `NOT_FOUND` if the map does not exist.
-    pub async fn add_state(&self, map: &str, state: &str, kind: StateKind) -> Result<State, Error> {
-        self.add(map, state, kind, 0).await
-    }
-
-    /// As [`Client::add_state`], for a vector with 2 or 3 coordinates.
-    ///
-    /// # Errors
-    /// [`Error`], as there; the code is `INVALID_ARGUMENT` for another number of coordinates.
-    pub async fn add_vector(&self, map: &str, state: &str, dimensions: u32) -> Result<State, Error> {
-        self.add(map, state, StateKind::Vector, dimensions).await
-    }
-
-    async fn add(&self, map: &str, state: &str, kind: StateKind, dimensions: u32) -> Result<State, Error> {
-        let (map, state) = (map.to_owned(), state.to_owned());
-        let request = v1::AddStateRequest { map, state, kind: kind.to_wire().into(), dimensions };
+    /// [`Error`]; the code is `ALREADY_EXISTS` if it exists with another shape, `NOT_FOUND` if the map does not exist.
+    pub async fn add_state(&self, map: &str, state: &str, shape: StateShape) -> Result<State, Error> {
+        let ((kind, dimensions), map, state) = (shape_to_wire(shape), map.to_owned(), state.to_owned());
+        let request = v1::AddStateRequest { map, state, kind: kind.into(), dimensions };
         let response = self.map_service().add_state(request).await.map_err(|status| self.error(&status))?;
-        response.into_inner().state.map(state_from_wire).ok_or(Error::Protocol("no state in the answer"))
+        response.into_inner().state.map_or(Err(Error::Protocol("no state in the answer")), state_from_wire)
     }
 
     /// A page of the states of a map, in the order in which they were first seen, and the token of the next page; the
@@ -323,7 +225,7 @@ impl Client {
             v1::ListStatesRequest { map: map.to_owned(), page_size: 10_000, page_token: page_token.to_owned() };
         let response = self.map_service().list_states(request).await.map_err(|status| self.error(&status))?;
         let page = response.into_inner();
-        let states = page.states.into_iter().map(state_from_wire).collect();
+        let states = page.states.into_iter().map(state_from_wire).collect::<Result<_, _>>()?;
         Ok((states, Some(page.next_page_token).filter(|token| !token.is_empty())))
     }
 }
@@ -365,13 +267,13 @@ fn summary_from_wire(summary: &v1::GridSummary) -> GridSummary {
     }
 }
 
-fn state_from_wire(state: v1::State) -> State {
-    State {
-        kind: StateKind::from_wire(state.kind()),
+fn state_from_wire(state: v1::State) -> Result<State, Error> {
+    let shape = shape_from_wire(("kind", state.kind), ("dimensions", state.dimensions)).ok().flatten();
+    Ok(State {
+        shape: shape.ok_or(Error::Protocol("a state of a kind that this version does not know"))?,
         name: state.name,
-        dimensions: state.dimensions,
         observations: state.observations,
         order: state.order,
         last_nanos: instant(state.last_time),
-    }
+    })
 }

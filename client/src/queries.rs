@@ -18,17 +18,16 @@ pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader}
 pub use predict::{PredictionRun, Predictions};
 pub use reconstruct::Reconstruction;
 pub use tidemap_map::selector::{InvalidModel, ModelKind, ModelSelector};
-pub use tidemap_model::ORDER_MAX;
+pub use tidemap_model::{ORDER_MAX, StateKind};
 
 use tidemap_proto::{
-    convert::{query::selector_from_wire, time::instant},
+    convert::{map::kind_from_wire, query::selector_from_wire, time::instant},
     v1::{self, query_service_client::QueryServiceClient},
 };
 
 use crate::{
     connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
-    maps::StateKind,
 };
 
 /// The description of the model of one state.
@@ -101,7 +100,7 @@ impl Client {
             phase_rad: component.phase_rad,
         };
         Ok(ModelDescription {
-            kind: StateKind::from_wire(model.kind()),
+            kind: kind_from_wire(model.kind()).unwrap_or_default(),
             state: model.state,
             mean: model.mean,
             learned_observations: model.learned_observations,

@@ -6,7 +6,7 @@
 use std::collections::VecDeque;
 
 use tidemap_proto::{
-    convert::traversals::BATCH_TEXT_BYTES_MAX,
+    convert::{traversals::BATCH_TEXT_BYTES_MAX, vectors::shape_to_wire},
     v1::{ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message},
 };
 
@@ -17,7 +17,7 @@ use super::{
     traversal::wire_bytes,
     window::Window,
 };
-use crate::maps::StateKind;
+use crate::maps::StateShape;
 
 /// Maximum number of bytes of a request in addition to its batch.
 const REQUEST_BYTES_EXTRA: usize = 16;
@@ -45,7 +45,7 @@ pub(super) struct Outgoing {
     limits: MessageLimits,
     names: StreamTable,
     /// The kind that the stream declares for its names.
-    kind: Option<StateKind>,
+    kind: Option<StateShape>,
     /// Absent until the first scan.
     scans: Option<ScanStream>,
     /// Parts of a scan that is too large for one message.
@@ -54,7 +54,7 @@ pub(super) struct Outgoing {
 
 impl Outgoing {
     /// A new connection.
-    pub(super) fn new(limits: MessageLimits, kind: Option<StateKind>) -> Self {
+    pub(super) fn new(limits: MessageLimits, kind: Option<StateShape>) -> Self {
         Self { limits, names: StreamTable::default(), kind, scans: None, parts: VecDeque::new() }
     }
 
@@ -95,9 +95,9 @@ impl Outgoing {
         window.sent(entries.len());
         let mut columns = pack(&entries, window.names(), &mut self.names);
         // Vectors have declared it already.
-        if let Some(kind) = self.kind.filter(|kind| *kind != StateKind::Vector) {
+        if let Some(shape) = self.kind.filter(|shape| shape.is_single()) {
             columns.new_kinds.resize(columns.new_states.len(), 0);
-            columns.new_kinds.iter_mut().filter(|said| **said == 0).for_each(|said| *said = kind.to_wire().into());
+            columns.new_kinds.iter_mut().filter(|said| **said == 0).for_each(|said| *said = shape_to_wire(shape).0.into());
         }
         Some(Message::Batch(ObservationBatch { first_sequence, observations: Some(columns) }))
     }

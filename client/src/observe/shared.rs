@@ -13,7 +13,7 @@ use super::{
     ProducerError, ProducerSensor, Refusal,
     window::{WINDOW_BYTES, Window},
 };
-use crate::{error::Error, maps::StateKind};
+use crate::{error::Error, maps::StateShape};
 
 /// Producer, label, map and options of a stream.
 #[derive(Clone, Debug)]
@@ -26,9 +26,9 @@ pub struct ProducerOptions {
     pub map: String,
     /// Whether the nightly update follows the time of the data.
     pub nightly: bool,
-    /// Kind of its states: new states are created with it, and observations of states of another kind are refused.
+    /// Kind of its values: new states are created with it, and observations of states of another kind are refused.
     /// `None`: existing kinds apply, and new states are probabilities.
-    pub kind: Option<StateKind>,
+    pub kind: Option<StateShape>,
     /// Sensor of its scans. `None`: the sensor that the daemon knows for this producer and label, or the sensor of the
     /// map for a new one. The sensor is fixed once known: announcing another one is refused.
     pub sensor: Option<ProducerSensor>,

@@ -118,8 +118,8 @@ pub fn update_to_wire(generation: u64, cut_nanos: Option<i64>) -> v1::UpdateSumm
     v1::UpdateSummary { generation, cut: cut_nanos.map(timestamp) }
 }
 
-/// A state for the wire; a vector or an angle takes the place of its first axis. `None` if the view has no such state, and for the
-/// other axes.
+/// A state for the wire; a vector or an angle takes the place of its first axis. `None` if the view has no such state,
+/// and for the other axes.
 #[must_use]
 pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
     let info = view.info(id)?;
@@ -148,7 +148,7 @@ pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
     })
 }
 
-/// A kind of state for the wire.
+/// A kind of values for the wire.
 #[must_use]
 pub fn kind_to_wire(kind: StateKind) -> v1::StateKind {
     match kind {
@@ -156,6 +156,12 @@ pub fn kind_to_wire(kind: StateKind) -> v1::StateKind {
         StateKind::Continuous => v1::StateKind::Continuous,
         StateKind::Count => v1::StateKind::Count,
     }
+}
+
+/// The same from the wire; `None` if the kind is unspecified, and for vectors, which are no values.
+#[must_use]
+pub fn kind_from_wire(kind: v1::StateKind) -> Option<StateKind> {
+    StateKind::ALL.into_iter().find(|&known| kind_to_wire(known) == kind)
 }
 
 both_ways!(

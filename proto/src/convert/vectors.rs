@@ -3,9 +3,12 @@
 //! Invariant: decoding checks that the number of coordinates matches the names; whether an observation may have them is
 //! checked for each one later.
 
-use tidemap_map::event::{Dimensions, Position, StateKind, StateShape};
+use tidemap_map::event::{Dimensions, Position, StateShape};
 
-use super::InvalidField;
+use super::{
+    InvalidField,
+    map::{kind_from_wire, kind_to_wire},
+};
 use crate::v1;
 
 /// The shape that a request declares for a name, from these fields; `None`: not declared.
@@ -17,11 +20,7 @@ pub fn shape_from_wire(
     (dimensions_field, dimensions): (&str, u32),
 ) -> Result<Option<StateShape>, InvalidField> {
     let shape = match v1::StateKind::try_from(kind) {
-        Ok(v1::StateKind::Unspecified) => None,
         Ok(v1::StateKind::Angle) => Some(StateShape::Angle),
-        Ok(v1::StateKind::Probability) => Some(StateKind::Probability.into()),
-        Ok(v1::StateKind::Continuous) => Some(StateKind::Continuous.into()),
-        Ok(v1::StateKind::Count) => Some(StateKind::Count.into()),
         Ok(v1::StateKind::Vector) => {
             let count = usize::try_from(dimensions).ok().and_then(Dimensions::of);
             let text = || format!("{dimensions} coordinates: a vector has 2 or 3");
@@ -29,6 +28,7 @@ pub fn shape_from_wire(
                 .map(|count| Some(StateShape::Vector(count)))
                 .ok_or_else(|| InvalidField::new(dimensions_field, text()));
         }
+        Ok(kind) => kind_from_wire(kind).map(StateShape::Scalar),
         Err(_) => return Err(InvalidField::new(kind_field, format!("{kind} is not known"))),
     };
     if dimensions != 0 {
@@ -36,6 +36,18 @@ pub fn shape_from_wire(
         return Err(InvalidField::new(dimensions_field, text));
     }
     Ok(shape)
+}
+
+/// A shape for the wire: its kind, and the number of its coordinates, 0 for values.
+#[must_use]
+pub fn shape_to_wire(shape: StateShape) -> (v1::StateKind, u32) {
+    match shape {
+        StateShape::Scalar(kind) => (kind_to_wire(kind), 0),
+        StateShape::Angle => (v1::StateKind::Angle, 0),
+        StateShape::Vector(dimensions) => {
+            (v1::StateKind::Vector, u32::try_from(dimensions.count()).unwrap_or(u32::MAX))
+        }
+    }
 }
 
 /// The shapes that a message declares for its new names, one each; `None`: not declared.

@@ -137,6 +137,14 @@ impl StateShape {
         format!("{article} {}", self.name())
     }
 
+    /// The coordinates of a vector; `None` for others.
+    pub fn dimensions(self) -> Option<Dimensions> {
+        match self {
+            StateShape::Scalar(_) | StateShape::Angle => None,
+            StateShape::Vector(dimensions) => Some(dimensions),
+        }
+    }
+
     /// Number of states of the map.
     pub fn states(self) -> usize {
         match self {

@@ -16,7 +16,6 @@ use std::{
 use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::{
-    maps::StateKind,
     observe::{Phase, Producer, ProducerError, ProducerOptions, Progress},
     updates::{Job, JobCause, JobState},
 };
@@ -27,7 +26,7 @@ use self::{
     kinds::Kinds,
     transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
 };
-use super::{Session, job, producer_id, times, usage};
+use super::{Session, job, producer_id, state::KindArg, times, usage};
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::{Layout, ObservationColumns},
@@ -42,11 +41,11 @@ pub(crate) struct ObserveArgs {
     file: PathBuf,
     #[command(flatten)]
     sender: SenderArgs,
-    /// Kind of the file's states: probability, continuous, count or angle (radians); new states get it, and rows of states of another
-    /// kind are refused; a file with columns x and y has kind vector [default: each state keeps its kind; new states
-    /// are probabilities]
+    /// Kind of the file's states: probability, continuous, count or angle (radians); new states get it, and rows of
+    /// states of another kind are refused; a file with columns x and y has kind vector [default: each state keeps its
+    /// kind; new states are probabilities]
     #[arg(long, value_name = "KIND")]
-    kind: Option<StateKind>,
+    kind: Option<KindArg>,
 }
 
 /// Who sends a file, and how.
@@ -95,12 +94,12 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     let shown = feed::display_name(&args.file);
     let feed = feed::open::<ObservationColumns>(&args.file)?;
     let has_positions = feed.layout.has_positions();
-    if let Some(kind) = args.kind.filter(|kind| (*kind == StateKind::Vector) != has_positions) {
+    if let Some(kind) = args.kind.filter(|kind| (*kind == KindArg::Vector) != has_positions) {
         let columns = if has_positions { "positions, columns x and y" } else { "single values, column value" };
         return Err(usage(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())));
     }
     let options = args.sender.options(&args.map, &base_name(&args.file))?;
-    send(session, ProducerOptions { kind: args.kind, ..options }, feed, &shown).await
+    send(session, ProducerOptions { kind: args.kind.and_then(KindArg::single), ..options }, feed, &shown).await
 }
 
 /// Sends the rows of a file, prints the counts, and waits for nightly updates if the options announce them.

@@ -16,7 +16,8 @@ use tidemap_formats::table::Cell;
 pub(crate) struct PredictArgs {
     /// Name of the map
     map: String,
-    /// Names of the states; a vector gives one row per axis, NAME/x and so on, an angle one row in radians; a cell of the grid is cell/X/Y/Z
+    /// Names of the states; a vector gives one row per axis, NAME/x and so on, an angle one row in radians; a cell of
+    /// the grid is cell/X/Y/Z
     #[arg(required = true, value_name = "STATE")]
     states: Vec<String>,
     /// Times, separated by commas

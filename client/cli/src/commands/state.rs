@@ -2,10 +2,10 @@
 //!
 //! Invariant: states are listed in the order of their first observation, page by page; an added state is durable.
 
-use std::process::ExitCode;
+use std::{process::ExitCode, str::FromStr};
 
 use clap::Subcommand;
-use tidemap_client::maps::{State, StateKind};
+use tidemap_client::maps::{Dimensions, State, StateKind, StateShape};
 
 use super::{Session, usage};
 use tidemap_formats::table::Cell;
@@ -23,13 +23,54 @@ pub(crate) enum StateCommand {
         map: String,
         /// Name of the state
         state: String,
-        /// Kind of its values: probability (0 to 1), continuous (any number), count (0, 1, 2, …), vector, or angle (radians)
+        /// Kind of its values: probability (0 to 1), continuous (any number), count (0, 1, 2, …), vector, or
+        /// angle (radians)
         #[arg(long, value_name = "KIND", default_value = "probability")]
-        kind: StateKind,
+        kind: KindArg,
         /// Number of coordinates of a vector, 2 or 3
         #[arg(long, value_name = "N", required_if_eq("kind", "vector"), value_parser = clap::value_parser!(u32).range(2..=3))]
         dimensions: Option<u32>,
     },
+}
+
+/// A kind on the command line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum KindArg {
+    /// Values, one a row.
+    Single(StateShape),
+    Vector,
+}
+
+/// A text that is not the name of a kind.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a kind of states: use probability, continuous, count, vector or angle")]
+pub(crate) struct InvalidKind(String);
+
+impl KindArg {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Single(shape) => shape.name(),
+            Self::Vector => "vector",
+        }
+    }
+
+    /// The shape of values; `None` for a vector.
+    pub(crate) fn single(self) -> Option<StateShape> {
+        match self {
+            Self::Single(shape) => Some(shape),
+            Self::Vector => None,
+        }
+    }
+}
+
+impl FromStr for KindArg {
+    type Err = InvalidKind;
+
+    fn from_str(text: &str) -> Result<Self, InvalidKind> {
+        let single = StateKind::ALL.into_iter().map(StateShape::from).chain([StateShape::Angle]);
+        let mut kinds = single.map(Self::Single).chain([Self::Vector]);
+        kinds.find(|kind| kind.name() == text).ok_or_else(|| InvalidKind(text.to_owned()))
+    }
 }
 
 const COLUMNS: [&str; 6] = ["state", "kind", "observations", "order", "last_time", "dimensions"];
@@ -37,11 +78,11 @@ const COLUMNS: [&str; 6] = ["state", "kind", "observations", "order", "last_time
 fn cells(state: State) -> Vec<Cell> {
     vec![
         Cell::Text(state.name),
-        state.kind.name().into(),
+        if state.shape.is_single() { state.shape.name() } else { KindArg::Vector.name() }.into(),
         state.observations.into(),
         state.order.into(),
         Cell::time(state.last_nanos),
-        Cell::maybe(Some(u64::from(state.dimensions)).filter(|&dimensions| dimensions > 0)),
+        Cell::maybe(state.shape.dimensions().map(|dimensions| dimensions.count() as u64)),
     ]
 }
 
@@ -49,13 +90,12 @@ pub(crate) async fn run(session: &Session, command: StateCommand) -> anyhow::Res
     let map = match command {
         StateCommand::List { map } => map,
         StateCommand::Add { map, state, kind, dimensions } => {
-            let added = match (kind, dimensions) {
-                (StateKind::Vector, Some(dimensions)) => session.client.add_vector(&map, &state, dimensions).await?,
-                (_, Some(_)) => {
-                    return Err(usage(format!("--dimensions goes with --kind vector, not {}", kind.name())));
-                }
-                (_, None) => session.client.add_state(&map, &state, kind).await?,
+            let shape = match (kind, dimensions.and_then(|count| Dimensions::of(count as usize))) {
+                (KindArg::Vector, Some(dimensions)) => StateShape::Vector(dimensions),
+                (KindArg::Single(shape), None) => shape,
+                _ => return Err(usage(format!("--dimensions goes with --kind vector, not {}", kind.name()))),
             };
+            let added = session.client.add_state(&map, &state, shape).await?;
             return session.print(&COLUMNS, [cells(added)]);
         }
     };

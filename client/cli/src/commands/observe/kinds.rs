@@ -5,7 +5,10 @@
 
 use std::collections::HashMap;
 
-use tidemap_client::{Client, maps::StateKind};
+use tidemap_client::{
+    Client,
+    maps::{StateKind, StateShape},
+};
 use tonic::Code;
 
 use tidemap_formats::observation_file::ObservationRow;
@@ -18,12 +21,12 @@ pub(crate) struct Kinds {
     client: Client,
     map: String,
     /// The kind that the user gave for all states of the file.
-    given: Option<StateKind>,
-    known: HashMap<String, StateKind>,
+    given: Option<StateShape>,
+    known: HashMap<String, StateShape>,
 }
 
 impl Kinds {
-    pub(crate) fn new(client: Client, map: String, given: Option<StateKind>) -> Self {
+    pub(crate) fn new(client: Client, map: String, given: Option<StateShape>) -> Self {
         Self { client, map, given, known: HashMap::new() }
     }
 
@@ -37,15 +40,16 @@ impl Kinds {
             None if row.wrong.is_none() => return None,
             None => self.kind(&row.state).await?,
         };
-        match kind.invalid_reason(row.value) {
+        match kind {
+            _ if kind.allows(row.value) => None,
             // The reader's message quotes the file.
-            Some(_) if kind == StateKind::Probability => row.wrong.clone(),
-            invalid_reason => invalid_reason.map(|expected| format!("value {} is not {expected}", row.value)),
+            StateShape::Scalar(StateKind::Probability) => row.wrong.clone(),
+            _ => Some(format!("value {} is not {}", row.value, kind.expected())),
         }
     }
 
     /// The kind of a state; `None` if it is unknown.
-    async fn kind(&mut self, state: &str) -> Option<StateKind> {
+    async fn kind(&mut self, state: &str) -> Option<StateShape> {
         if let Some(&kind) = self.known.get(state) {
             return Some(kind);
         }
@@ -53,9 +57,9 @@ impl Kinds {
             return None;
         }
         let kind = match self.client.describe_model(&self.map, state).await {
-            Ok(model) => model.kind,
+            Ok(model) => model.kind.into(),
             // A new state.
-            Err(error) if error.code() == Some(Code::NotFound) => StateKind::default(),
+            Err(error) if error.code() == Some(Code::NotFound) => StateShape::default(),
             Err(_) => return None,
         };
         self.known.insert(state.to_owned(), kind);
