@@ -2,10 +2,8 @@
 //!
 //! Invariant: the daemon fills in what a new map leaves out; this library repeats no default.
 
-mod candidate;
 mod site;
 
-pub use candidate::{Candidate, InvalidCandidate};
 pub use site::Location;
 pub(crate) use site::point_from_wire;
 
@@ -14,9 +12,10 @@ pub use tidemap_map::grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
 };
-pub use tidemap_model::{OrderCriterion, PeriodicityDefinition};
+pub use tidemap_model::{EnabledModels, OrderCriterion, PeriodicityDefinition};
 use tidemap_proto::convert::time::{duration, instant, span};
 use tidemap_proto::convert::{
+    enabled::{enabled_from_wire, enabled_to_wire},
     grid::{cell_box_from_wire, grid_from_wire, grid_to_wire, retention_from_wire, retention_to_wire},
     map::{criterion_from_wire, criterion_to_wire, periodicities_from_wire, periodicities_to_wire},
     vectors::{shape_from_wire, shape_to_wire},
@@ -47,8 +46,8 @@ pub struct NewMap {
     pub half_life_nanos: Option<i64>,
     /// Prediction of an untrained probability; 0.5 if absent.
     pub prior: Option<f64>,
-    /// The models that the nightly update selects from; the daemon's default if empty.
-    pub models: Vec<Candidate>,
+    /// The models that the nightly update selects from; `None`: the daemon's default.
+    pub models: Option<EnabledModels>,
 }
 
 /// The last update of a map.
@@ -104,8 +103,8 @@ pub struct Map {
     pub charger_m: Option<[f64; 2]>,
     /// Number of locations.
     pub locations: u64,
-    /// The models that the nightly update selects from; empty if the daemon does not send them.
-    pub models: Vec<Candidate>,
+    /// The models that the nightly update selects from.
+    pub models: EnabledModels,
 }
 
 /// Counters of a grid.
@@ -157,7 +156,7 @@ impl Client {
             grid: map.grid.as_ref().map(grid_to_wire),
             half_life: map.half_life_nanos.map(duration),
             prior: map.prior,
-            models: map.models.into_iter().map(Candidate::to_wire).collect(),
+            models: map.models.map(enabled_to_wire).unwrap_or_default(),
         };
         let response = self.map_service().create_map(request).await.map_err(|status| self.error(&status))?;
         map_from_wire(response.into_inner().map)
@@ -253,7 +252,7 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         prior: map.prior,
         charger_m: map.charger.map(point_from_wire),
         locations: map.locations,
-        models: map.models.into_iter().filter_map(Candidate::from_wire).collect(),
+        models: enabled_from_wire("models", &map.models, Retention::Forever).map_err(wrong)?,
     })
 }
 

@@ -17,13 +17,12 @@ pub mod retry;
 pub mod scan;
 pub mod scan_stream;
 mod shared;
-mod traversal;
 pub mod window;
 
 pub use producer::Producer;
 pub use replay::Replay;
 pub use shared::{Phase, ProducerOptions, Progress};
-pub use traversal::Traversal;
+pub use tidemap_proto::convert::traversals::TraversalReport;
 
 /// Tiles of a grid, and the table by which scans of them are sent as differences.
 pub mod tiles {

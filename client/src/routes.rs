@@ -2,17 +2,17 @@
 //!
 //! Invariant: a load or edit is durable when the call returns; a load is accepted completely or not at all.
 
-use std::fmt;
-
 use tidemap_proto::{
     convert::{
         query::selector_to_wire,
         search::{effort_to_wire, stop_from_wire},
         time::{duration, timestamp},
+        topology::{edge_name_to_wire, edit_to_wire, new_edge_to_wire, node_to_wire, topology_from_wire},
+        traversals::failure_from_wire,
     },
     v1::{
-        self, edit_topology_request::Edit, route_service_client::RouteServiceClient,
-        search_service_client::SearchServiceClient, topology_service_client::TopologyServiceClient,
+        self, route_service_client::RouteServiceClient, search_service_client::SearchServiceClient,
+        topology_service_client::TopologyServiceClient,
     },
 };
 
@@ -23,6 +23,11 @@ pub use path::{
     Policy, PolicyAction, PolicyEntry, PolicyQuery, PredictedEdge, Route, RouteQuery, RouteStep, RouteTime,
 };
 pub use presence::{Joint, JointQuery, Presence, PresenceAt, PresenceQuery};
+pub use tidemap_map::{
+    name::{EdgeName, StateName},
+    topology::{Edge, EdgeEnds, Extent, NewEdge, NewNode, Node, NodePose, Topology, TopologyEdit},
+    traversal::EdgeFailure,
+};
 pub use tidemap_plan::{
     route::{Certainty, Objective},
     search::{Effort, StopReason},
@@ -38,91 +43,6 @@ use crate::{
 const TOPOLOGY_BYTES: usize = 256 << 20;
 /// Maximum size of a reply with a plan, bytes: the policy of all nodes, or all edges of a map.
 const PLAN_BYTES: usize = 64 << 20;
-
-/// A node: a place that the robot knows by name.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Node {
-    /// Its name.
-    pub name: String,
-    /// x, y in metres and heading in radians; `None`: unknown.
-    pub pose: Option<[f64; 3]>,
-    /// Time that an observation at the node takes; `None`: 0.
-    pub dwell_secs: Option<f64>,
-    /// Number; ignored in requests.
-    pub id: u32,
-}
-
-/// An edge, by the names of its ends.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct EdgeEnds {
-    /// Name of the node where the edge begins.
-    pub from: String,
-    /// Name of the node where the edge ends.
-    pub to: String,
-    /// The robot's action that traverses it; empty: the usual one.
-    pub action: String,
-    /// Also the edge in the opposite direction.
-    pub both_ways: bool,
-}
-
-/// An edge. At least one of length and nominal duration is set.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Edge {
-    /// Which.
-    pub ends: EdgeEnds,
-    /// Length, metres.
-    pub length_m: Option<f64>,
-    /// Nominal duration.
-    pub nominal_secs: Option<f64>,
-    /// Number; ignored in requests.
-    pub id: u32,
-}
-
-/// Nodes and edges.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Topology {
-    /// The nodes.
-    pub nodes: Vec<Node>,
-    /// The edges.
-    pub edges: Vec<Edge>,
-}
-
-/// An edit of one node or edge.
-#[derive(Clone, Debug, PartialEq)]
-pub enum TopologyEdit {
-    /// Adds a node.
-    AddNode(Node),
-    /// Sets the position and the observation time of a node.
-    SetNode(Node),
-    /// Removes a node and all its edges.
-    RemoveNode(String),
-    /// Renames a node.
-    RenameNode {
-        /// The current name.
-        from: String,
-        /// The new name.
-        to: String,
-    },
-    /// Adds an edge, or one in each direction.
-    AddEdge(Edge),
-    /// Sets the length and duration of an edge, or of the existing directions.
-    SetEdge(Edge),
-    /// Removes an edge, or the existing directions.
-    RemoveEdge(EdgeEnds),
-}
-
-/// A traversal that failed.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct EdgeFailure {
-    /// Which edge.
-    pub edge: EdgeEnds,
-    /// When the robot entered the edge, nanoseconds UTC.
-    pub start_nanos: i64,
-    /// When the robot gave up, nanoseconds UTC.
-    pub end_nanos: i64,
-    /// Reason; may be empty.
-    pub reason: String,
-}
 
 /// Number of nodes and edges.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -204,67 +124,6 @@ pub struct Search {
     pub unobserved_nodes: u32,
 }
 
-impl Node {
-    fn to_wire(&self) -> v1::TopologyNode {
-        let pose = self.pose.map(|[x_m, y_m, yaw_rad]| v1::NodePose { x_m, y_m, yaw_rad });
-        v1::TopologyNode { name: self.name.clone(), pose, dwell_secs: self.dwell_secs, id: 0 }
-    }
-
-    fn from_wire(wire: v1::TopologyNode) -> Node {
-        let v1::TopologyNode { name, pose, dwell_secs, id } = wire;
-        Node { name, pose: pose.map(|pose| [pose.x_m, pose.y_m, pose.yaw_rad]), dwell_secs, id }
-    }
-}
-
-impl EdgeEnds {
-    fn to_wire(&self) -> v1::EdgeEnds {
-        let EdgeEnds { from, to, action, both_ways } = self.clone();
-        v1::EdgeEnds { from, to, action, both_ways }
-    }
-
-    fn from_wire(wire: v1::EdgeEnds) -> EdgeEnds {
-        let v1::EdgeEnds { from, to, action, both_ways } = wire;
-        EdgeEnds { from, to, action, both_ways }
-    }
-}
-
-impl fmt::Display for EdgeEnds {
-    /// `A/B`, or `A/B/ACTION`.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.from, self.to)?;
-        if self.action.is_empty() { Ok(()) } else { write!(f, "/{}", self.action) }
-    }
-}
-
-impl Edge {
-    fn to_wire(&self) -> v1::TopologyEdge {
-        let Edge { ends, length_m, nominal_secs, .. } = self;
-        v1::TopologyEdge { ends: Some(ends.to_wire()), length_m: *length_m, nominal_secs: *nominal_secs, id: 0 }
-    }
-
-    fn from_wire(wire: v1::TopologyEdge) -> Result<Edge, Error> {
-        let v1::TopologyEdge { ends, length_m, nominal_secs, id } = wire;
-        let ends = EdgeEnds::from_wire(ends.ok_or(Error::Protocol("an edge has no ends"))?);
-        Ok(Edge { ends, length_m, nominal_secs, id })
-    }
-}
-
-impl TopologyEdit {
-    fn to_wire(&self) -> Edit {
-        match self {
-            TopologyEdit::AddNode(node) => Edit::AddNode(node.to_wire()),
-            TopologyEdit::SetNode(node) => Edit::SetNode(node.to_wire()),
-            TopologyEdit::RemoveNode(name) => Edit::RemoveNode(name.clone()),
-            TopologyEdit::RenameNode { from, to } => {
-                Edit::RenameNode(v1::RenameNode { from: from.clone(), to: to.clone() })
-            }
-            TopologyEdit::AddEdge(edge) => Edit::AddEdge(edge.to_wire()),
-            TopologyEdit::SetEdge(edge) => Edit::SetEdge(edge.to_wire()),
-            TopologyEdit::RemoveEdge(ends) => Edit::RemoveEdge(ends.to_wire()),
-        }
-    }
-}
-
 impl Client {
     fn topology_service(&self) -> TopologyServiceClient<Connection> {
         TopologyServiceClient::new(self.requests()).max_decoding_message_size(TOPOLOGY_BYTES)
@@ -282,11 +141,17 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the message names the invalid node or edge.
-    pub async fn load_topology(&self, map: &str, topology: &Topology, adds: bool) -> Result<TopologySize, Error> {
+    pub async fn load_topology(
+        &self,
+        map: &str,
+        nodes: &[NewNode],
+        edges: &[NewEdge],
+        adds: bool,
+    ) -> Result<TopologySize, Error> {
         let request = v1::LoadTopologyRequest {
             map: map.to_owned(),
-            nodes: topology.nodes.iter().map(Node::to_wire).collect(),
-            edges: topology.edges.iter().map(Edge::to_wire).collect(),
+            nodes: nodes.iter().map(node_to_wire).collect(),
+            edges: edges.iter().map(new_edge_to_wire).collect(),
             adds,
         };
         let answer = self.topology_service().load_topology(request).await.map_err(|status| self.error(&status))?;
@@ -294,12 +159,12 @@ impl Client {
         Ok(TopologySize { nodes, edges })
     }
 
-    /// Changes one node or edge.
+    /// Changes one node or edge; [`TopologyEdit::Load`] is refused: use [`Client::load_topology`].
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the node or edge does not exist.
     pub async fn edit_topology(&self, map: &str, edit: &TopologyEdit) -> Result<TopologySize, Error> {
-        let request = v1::EditTopologyRequest { map: map.to_owned(), edit: Some(edit.to_wire()) };
+        let request = v1::EditTopologyRequest { map: map.to_owned(), edit: edit_to_wire(edit) };
         let answer = self.topology_service().edit_topology(request).await.map_err(|status| self.error(&status))?;
         let v1::EditTopologyResponse { nodes, edges } = answer.into_inner();
         Ok(TopologySize { nodes, edges })
@@ -312,26 +177,18 @@ impl Client {
     pub async fn topology(&self, map: &str) -> Result<Topology, Error> {
         let request = v1::GetTopologyRequest { map: map.to_owned() };
         let answer = self.topology_service().get_topology(request).await.map_err(|status| self.error(&status))?;
-        let v1::GetTopologyResponse { nodes, edges } = answer.into_inner();
-        Ok(Topology {
-            nodes: nodes.into_iter().map(Node::from_wire).collect(),
-            edges: edges.into_iter().map(Edge::from_wire).collect::<Result<_, _>>()?,
-        })
+        topology_from_wire(answer.get_ref()).map_err(|_| Error::Protocol("an invalid topological map"))
     }
 
     /// Failed traversals of one edge or of all edges, newest first; at most `limit`, or all that are kept if it is 0.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
-    pub async fn failures(&self, map: &str, limit: u32, edge: Option<&EdgeEnds>) -> Result<Vec<EdgeFailure>, Error> {
-        let request = v1::ListFailuresRequest { map: map.to_owned(), limit, edge: edge.map(EdgeEnds::to_wire) };
+    pub async fn failures(&self, map: &str, limit: u32, edge: Option<&EdgeName>) -> Result<Vec<EdgeFailure>, Error> {
+        let request = v1::ListFailuresRequest { map: map.to_owned(), limit, edge: edge.map(edge_name_to_wire) };
         let answer = self.topology_service().list_failures(request).await.map_err(|status| self.error(&status))?;
-        let failure = |wire: v1::EdgeFailure| {
-            let v1::EdgeFailure { edge, start_nanos, end_nanos, reason } = wire;
-            let edge = EdgeEnds::from_wire(edge.ok_or(Error::Protocol("a failure has no edge"))?);
-            Ok(EdgeFailure { edge, start_nanos, end_nanos, reason })
-        };
-        answer.into_inner().failures.into_iter().map(failure).collect()
+        let failures = answer.into_inner().failures.into_iter().map(failure_from_wire);
+        failures.collect::<Result<_, _>>().map_err(|_| Error::Protocol("a failure has no valid edge"))
     }
 
     /// Plans the walk that finds the target soonest.

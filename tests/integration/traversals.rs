@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use tidemap_client::observe::{Producer, ProducerOptions, Traversal};
+use tidemap_client::observe::{Producer, ProducerOptions, TraversalReport};
 use tidemap_tests::{
     cli::{self, Outcome},
     daemon::{Daemon, Launch, lasting_port},
@@ -193,14 +193,14 @@ fn a_stream_goes_on_where_a_kill_cut_it_off() {
             let start_nanos = (START_SECS + number * 10) * 1_000_000_000;
             let success = number % 4 != 0;
             let edge = if number % 2 == 0 { ("A", "x") } else { ("x", "A") };
-            let traversal = Traversal {
+            let traversal = TraversalReport {
                 from: edge.0.to_owned(),
                 to: edge.1.to_owned(),
                 start_nanos,
                 end_nanos: start_nanos + 5_000_000_000,
                 success,
                 reason: number.to_string(),
-                ..Traversal::default()
+                ..TraversalReport::default()
             };
             producer.send_traversal(&traversal).await.expect("taken");
             if number % 100 == 7 {

@@ -2,9 +2,10 @@
 //!
 //! Invariant: the bytes are those of `Welcome.content_crc` in `observation.proto`.
 
-use tidemap_proto::{convert::traversals::append_content, v1};
-
-use super::Traversal;
+use tidemap_proto::{
+    convert::traversals::{TraversalReport, append_content, report_to_wire},
+    v1,
+};
 
 /// CRC-32C over observations, scans and traversals in order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,8 +44,8 @@ impl ContentCrc {
     }
 
     /// Adds the next traversal, as it is sent.
-    pub fn add_traversal(&mut self, traversal: &Traversal) {
-        self.add_wire_traversal(&traversal.to_wire());
+    pub fn add_traversal(&mut self, report: &TraversalReport) {
+        self.add_wire_traversal(&report_to_wire(report));
     }
 
     pub(super) fn add_wire_traversal(&mut self, traversal: &v1::Traversal) {
@@ -72,13 +73,13 @@ mod tests {
         crc.add("", 0, 1.0);
         crc.add_scan(7, 8);
         crc.add_position("anna", 2, &[0.25, 4.0]);
-        let stuck = Traversal {
+        let stuck = TraversalReport {
             from: "Hall".to_owned(),
             to: "Lab".to_owned(),
             start_nanos: 3,
             end_nanos: -1,
             reason: "stuck\n".to_owned(),
-            ..Traversal::default()
+            ..TraversalReport::default()
         };
         crc.add_traversal(&stuck);
         let bytes = [

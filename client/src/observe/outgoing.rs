@@ -6,7 +6,10 @@
 use std::collections::VecDeque;
 
 use tidemap_proto::{
-    convert::{traversals::BATCH_TEXT_BYTES_MAX, vectors::shape_to_wire},
+    convert::{
+        traversals::{BATCH_TEXT_BYTES_MAX, wire_bytes},
+        vectors::shape_to_wire,
+    },
     v1::{ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message},
 };
 
@@ -14,7 +17,6 @@ use super::{
     columns::{BatchLimits, Entry, StreamTable, fitting, pack},
     scan_stream::{ScanLimits, ScanStream},
     shared::SharedState,
-    traversal::wire_bytes,
     window::Window,
 };
 use crate::maps::StateShape;

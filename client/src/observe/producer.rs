@@ -7,6 +7,7 @@ mod scans;
 use std::sync::{Arc, Mutex};
 
 use tidemap_model::Position;
+use tidemap_proto::convert::traversals::{TraversalReport, report_to_wire};
 use tokio::{
     sync::{Notify, watch},
     task::JoinHandle,
@@ -16,7 +17,6 @@ use super::{
     Phase, ProducerError, ProducerOptions, Progress, Refusal, STATE_NAME_BYTES_MAX,
     link::Link,
     shared::{Shared, SharedState},
-    traversal::Traversal,
     window::Window,
 };
 use crate::connection::Client;
@@ -74,12 +74,12 @@ impl Producer {
     ///
     /// # Errors
     /// [`ProducerError`]; the traversal is then not accepted.
-    pub async fn send_traversal(&mut self, traversal: &Traversal) -> Result<u64, ProducerError> {
-        let Traversal { from, to, action, .. } = traversal;
+    pub async fn send_traversal(&mut self, report: &TraversalReport) -> Result<u64, ProducerError> {
+        let TraversalReport { from, to, action, .. } = report;
         if let Some(long) = [from, to, action].into_iter().find(|name| name.len() > STATE_NAME_BYTES_MAX) {
             return Err(ProducerError::NameTooLong(long.len()));
         }
-        let wire = traversal.to_wire();
+        let wire = report_to_wire(report);
         self.push(|window| window.push_traversal(wire)).await
     }
 

@@ -12,11 +12,14 @@ use std::collections::{HashMap, VecDeque};
 pub use scans::KeptScan;
 use tidemap_model::{Dimensions, Position};
 use tidemap_proto::{
-    convert::scans::{TilePicture, TileTable},
+    convert::{
+        scans::{TilePicture, TileTable},
+        traversals::wire_bytes,
+    },
     v1,
 };
 
-use super::{ProducerError, columns::Entry, content::ContentCrc, traversal::wire_bytes};
+use super::{ProducerError, columns::Entry, content::ContentCrc};
 
 /// Default maximum number of bytes of kept scans and observations.
 pub const WINDOW_BYTES: usize = 64 << 20;

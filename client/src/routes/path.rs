@@ -7,11 +7,12 @@ use tidemap_proto::{
         query::selector_to_wire,
         route::{objective_to_wire, route_certainty_from_wire},
         time::{duration, instant, timestamp},
+        topology::edge_name_from_wire,
     },
     v1::{self, plan_route_request},
 };
 
-use super::{Certainty, EdgeEnds, Objective};
+use super::{Certainty, EdgeName, Objective};
 use crate::{connection::Client, error::Error, queries::ModelSelector};
 
 /// When to leave or arrive, nanoseconds UTC.
@@ -89,7 +90,7 @@ impl RouteQuery {
 #[derive(Clone, Debug, PartialEq)]
 pub struct RouteStep {
     /// Which.
-    pub edge: EdgeEnds,
+    pub edge: EdgeName,
     /// When the robot reaches the edge if nothing fails.
     pub start_nanos: i64,
     /// Forecast duration.
@@ -148,7 +149,7 @@ pub struct PolicyQuery {
 #[derive(Clone, Debug, PartialEq)]
 pub enum PolicyAction {
     /// Take this edge.
-    Take(EdgeEnds),
+    Take(EdgeName),
     /// Wait for one slot.
     Wait,
     /// No action helps any more.
@@ -183,7 +184,7 @@ pub struct Policy {
 #[derive(Clone, Debug, PartialEq)]
 pub struct PredictedEdge {
     /// Which.
-    pub edge: EdgeEnds,
+    pub edge: EdgeName,
     /// Probability that the robot passes the edge.
     pub success: f64,
     /// Lower and upper end of the interval of `success`.
@@ -194,46 +195,47 @@ pub struct PredictedEdge {
     pub reports: u64,
 }
 
-fn ends(edge: Option<v1::EdgeEnds>) -> EdgeEnds {
-    let v1::EdgeEnds { from, to, action, both_ways } = edge.unwrap_or_default();
-    EdgeEnds { from, to, action, both_ways }
+fn edge_of(edge: Option<&v1::EdgeEnds>) -> Result<EdgeName, Error> {
+    edge_name_from_wire("edge", edge).map_err(|_| Error::Protocol("no valid edge in the answer"))
 }
 
-fn route(route: v1::Route) -> Route {
-    let step = |step: v1::RouteStep| RouteStep {
-        edge: ends(step.edge),
-        start_nanos: step.start_nanos,
-        duration_secs: step.duration_secs,
-        success: step.success,
-        success_interval: [step.success_lower, step.success_upper],
-        reports: step.reports,
+fn route(route: v1::Route) -> Result<Route, Error> {
+    let step = |step: v1::RouteStep| {
+        Ok(RouteStep {
+            edge: edge_of(step.edge.as_ref())?,
+            start_nanos: step.start_nanos,
+            duration_secs: step.duration_secs,
+            success: step.success,
+            success_interval: [step.success_lower, step.success_upper],
+            reports: step.reports,
+        })
     };
-    Route {
+    Ok(Route {
         departure_nanos: route.departure_nanos,
         arrival_nanos: route.arrival_nanos,
         expected_secs: route.expected_secs,
         success: route.success,
         success_interval: [route.success_lower, route.success_upper],
         cost: route.cost,
-        steps: route.steps.into_iter().map(step).collect(),
-    }
+        steps: route.steps.into_iter().map(step).collect::<Result<_, Error>>()?,
+    })
 }
 
-fn entries(node: v1::NodePolicy) -> (String, Vec<PolicyEntry>) {
+fn entries(node: v1::NodePolicy) -> Result<(String, Vec<PolicyEntry>), Error> {
     let actions: Vec<v1::PolicyAction> = node.actions().collect();
     let entry = |(slot, action): (usize, v1::PolicyAction)| {
         let index = node.edge_indices.get(slot).map_or(0, |&index| index as usize);
         let action = match action {
-            v1::PolicyAction::Edge => PolicyAction::Take(ends(node.edges.get(index).cloned())),
+            v1::PolicyAction::Edge => PolicyAction::Take(edge_of(node.edges.get(index))?),
             v1::PolicyAction::Wait => PolicyAction::Wait,
             v1::PolicyAction::Arrived => PolicyAction::Arrived,
             v1::PolicyAction::None | v1::PolicyAction::Unspecified => PolicyAction::Nothing,
         };
         let expected_secs = node.expected_secs.get(slot).copied().unwrap_or(f64::INFINITY);
-        PolicyEntry { action, expected_secs, reach: node.reach.get(slot).copied().unwrap_or_default() }
+        Ok(PolicyEntry { action, expected_secs, reach: node.reach.get(slot).copied().unwrap_or_default() })
     };
-    let entries = actions.into_iter().enumerate().map(entry).collect();
-    (node.node, entries)
+    let entries = actions.into_iter().enumerate().map(entry).collect::<Result<_, Error>>()?;
+    Ok((node.node, entries))
 }
 
 impl Client {
@@ -271,7 +273,7 @@ impl Client {
         let answer = self.route_service().plan_route(request).await.map_err(|status| self.error(&status))?;
         let told = answer.into_inner();
         let certainty = route_certainty_from_wire(told.certainty()).unwrap_or(Certainty::CutOff);
-        Ok((told.routes.into_iter().map(route).collect(), certainty))
+        Ok((told.routes.into_iter().map(route).collect::<Result<_, _>>()?, certainty))
     }
 
     /// Plans a policy: the action at each node in each time slot to reach a node.
@@ -297,7 +299,7 @@ impl Client {
         Ok(Policy {
             time_nanos: instant(told.start_time).unwrap_or(query.time_nanos),
             slot_nanos: slot.seconds.saturating_mul(1_000_000_000).saturating_add(slot.nanos.into()),
-            nodes: told.nodes.into_iter().map(entries).collect(),
+            nodes: told.nodes.into_iter().map(entries).collect::<Result<_, _>>()?,
         })
     }
 
@@ -321,13 +323,15 @@ impl Client {
         };
         let told =
             self.route_service().predict_edges(request).await.map_err(|status| self.error(&status))?.into_inner();
-        let edge = |edge: v1::PredictedEdge| PredictedEdge {
-            edge: ends(edge.edge),
-            success: edge.success,
-            success_interval: [edge.success_lower, edge.success_upper],
-            duration_secs: edge.duration_secs,
-            reports: edge.reports,
+        let edge = |edge: v1::PredictedEdge| {
+            Ok(PredictedEdge {
+                edge: edge_of(edge.edge.as_ref())?,
+                success: edge.success,
+                success_interval: [edge.success_lower, edge.success_upper],
+                duration_secs: edge.duration_secs,
+                reports: edge.reports,
+            })
         };
-        Ok(told.edges.into_iter().map(edge).collect())
+        told.edges.into_iter().map(edge).collect()
     }
 }

@@ -8,17 +8,17 @@ use tidemap_model::{EnabledModels, FitKind};
 use super::InvalidField;
 use crate::v1::ModelKind;
 
-/// The valid models.
+/// The valid models, in words.
 const CANDIDATES: &str = "spectral, histogram, calibrated, poisson, pergam, hypertime-em and hypertime-km";
 
-/// The kind on the wire, and the name, of a model that is fitted to observations.
-fn wire(kind: FitKind) -> (ModelKind, &'static str) {
+/// The kind on the wire of a model that is fitted to observations.
+fn wire(kind: FitKind) -> ModelKind {
     match kind {
-        FitKind::Calibrated => (ModelKind::Calibrated, "calibrated"),
-        FitKind::Pergam => (ModelKind::Pergam, "pergam"),
-        FitKind::HypertimeEm => (ModelKind::HypertimeEm, "hypertime-em"),
-        FitKind::Poisson => (ModelKind::Poisson, "poisson"),
-        FitKind::HypertimeKm => (ModelKind::HypertimeKm, "hypertime-km"),
+        FitKind::Calibrated => ModelKind::Calibrated,
+        FitKind::Pergam => ModelKind::Pergam,
+        FitKind::HypertimeEm => ModelKind::HypertimeEm,
+        FitKind::Poisson => ModelKind::Poisson,
+        FitKind::HypertimeKm => ModelKind::HypertimeKm,
     }
 }
 
@@ -35,7 +35,7 @@ pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> R
     let mut models = EnabledModels::SPECTRAL;
     for &number in wanted {
         let kind = ModelKind::try_from(number).ok();
-        let fit = FitKind::ALL.into_iter().find(|&fit| Some(wire(fit).0) == kind);
+        let fit = FitKind::ALL.into_iter().find(|&fit| Some(wire(fit)) == kind);
         match (kind, fit) {
             (Some(ModelKind::Spectral), _) => {}
             (Some(ModelKind::Histogram), _) => models.histograms = true,
@@ -44,7 +44,7 @@ pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> R
                 let text = format!(
                     "{} is fitted to stored observations, of which this map keeps none: keep them, as with --retention \
                      90d, or leave it out",
-                    wire(fit).1
+                    fit.name()
                 );
                 return Err(InvalidField::new(field, text));
             }
@@ -61,7 +61,7 @@ pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> R
 #[must_use]
 pub fn enabled_to_wire(models: EnabledModels) -> Vec<i32> {
     let histogram = models.histograms.then_some(ModelKind::Histogram);
-    let fits = models.fits().map(|kind| wire(kind).0);
+    let fits = models.fits().map(wire);
     [ModelKind::Spectral].into_iter().chain(histogram).chain(fits).map(i32::from).collect()
 }
 

@@ -183,6 +183,12 @@ both_ways!(
     ]
 );
 
+/// A refused observation for the wire.
+#[must_use]
+pub fn refused_to_wire(sequence: u64, reason: RefusalReason, detail: String) -> v1::Refusal {
+    v1::Refusal { sequence, reason: refusal_to_wire(reason).into(), detail }
+}
+
 both_ways!(
     /// How orders are compared, for the wire.
     criterion_to_wire, criterion_from_wire, OrderCriterion, v1::OrderCriterion,

@@ -8,6 +8,10 @@ use tidemap_map::{
     traversal::{EdgeFailure, Traversal, TraversalError, kept_reason},
 };
 
+use super::{
+    InvalidField,
+    topology::{edge_name_from_wire, edge_name_to_wire},
+};
 use crate::v1;
 
 /// Maximum number of bytes of all texts of one message of traversals: a record of the log has a bounded length and
@@ -52,6 +56,50 @@ pub fn traversal_to_wire(traversal: &Traversal) -> v1::Traversal {
     }
 }
 
+/// Maximum number of bytes of a traversal on the wire in addition to its texts.
+const TRAVERSAL_BYTES_EXTRA: usize = 64;
+
+/// A report of a traversal as a robot or a file gives it: names and times are not checked. The daemon answers an
+/// invalid report with a refusal, so that its sequence number is used up.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TraversalReport {
+    /// Name of the node where the edge begins.
+    pub from: String,
+    /// Name of the node where it ends.
+    pub to: String,
+    /// The robot's action that traversed the edge; empty: the usual one.
+    pub action: String,
+    /// When the robot entered the edge, nanoseconds UTC.
+    pub start_nanos: i64,
+    /// When the robot arrived or gave up, nanoseconds UTC.
+    pub end_nanos: i64,
+    /// Whether the robot arrived.
+    pub success: bool,
+    /// Reason of the failure, in words: the printable part of the first 200 characters. May be empty.
+    pub reason: String,
+}
+
+impl TraversalReport {
+    /// Why the report is invalid, as far as this is known without the map. The daemon refuses it for the same reason.
+    #[must_use]
+    pub fn wrong(&self) -> Option<String> {
+        traversal_from_wire(&report_to_wire(self)).err().map(|(_, text)| text)
+    }
+}
+
+/// A report for the wire, with the reason as the daemon keeps it.
+#[must_use]
+pub fn report_to_wire(report: &TraversalReport) -> v1::Traversal {
+    let TraversalReport { from, to, action, start_nanos, end_nanos, success, reason } = report.clone();
+    v1::Traversal { from, to, action, start_nanos, end_nanos, success, reason: kept_reason(&reason) }
+}
+
+/// Maximum number of bytes of a traversal in a message.
+#[must_use]
+pub fn wire_bytes(traversal: &v1::Traversal) -> usize {
+    TRAVERSAL_BYTES_EXTRA + text_bytes(traversal)
+}
+
 /// The refusal of an edge that the map does not have.
 #[must_use]
 pub fn unknown_edge(error: &dyn std::error::Error) -> (RefusalReason, String) {
@@ -92,14 +140,18 @@ pub fn append_content(traversal: &v1::Traversal, bytes: &mut Vec<u8>) {
 /// A failed traversal for the wire.
 #[must_use]
 pub fn failure_to_wire(failure: &EdgeFailure) -> v1::EdgeFailure {
-    let EdgeFailure { edge: EdgeName { from, to, action }, start_nanos, end_nanos, reason } = failure;
-    let edge = v1::EdgeEnds {
-        from: from.as_str().to_owned(),
-        to: to.as_str().to_owned(),
-        action: action.as_ref().map_or_else(String::new, |action| action.as_str().to_owned()),
-        both_ways: false,
-    };
-    v1::EdgeFailure { edge: Some(edge), start_nanos: *start_nanos, end_nanos: *end_nanos, reason: reason.clone() }
+    let EdgeFailure { edge, start_nanos, end_nanos, reason } = failure;
+    let edge = Some(edge_name_to_wire(edge));
+    v1::EdgeFailure { edge, start_nanos: *start_nanos, end_nanos: *end_nanos, reason: reason.clone() }
+}
+
+/// The same from the wire.
+///
+/// # Errors
+/// An edge without a valid name.
+pub fn failure_from_wire(failure: v1::EdgeFailure) -> Result<EdgeFailure, InvalidField> {
+    let v1::EdgeFailure { edge, start_nanos, end_nanos, reason } = failure;
+    Ok(EdgeFailure { edge: edge_name_from_wire("edge", edge.as_ref())?, start_nanos, end_nanos, reason })
 }
 
 /// Whether a failed traversal belongs to the requested edge, or to the opposite direction if both are requested.

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a refusal is sent before or with an acknowledgement of its sequence number, never after it.
 
-use tidemap_proto::{convert::map::refusal_to_wire, v1};
+use tidemap_proto::{convert::map::refused_to_wire, v1};
 
 use crate::ingest::protocol::RefusedObservation;
 
@@ -20,14 +20,14 @@ pub(super) fn acks(before: u64, durable: u64, refused: Vec<RefusedObservation>) 
             return None;
         }
         is_first = false;
-        let refused: Vec<_> = refused.by_ref().take(REFUSALS_MAX).map(to_wire).collect();
+        let refused: Vec<_> = refused.by_ref().take(REFUSALS_MAX).map(refusal).collect();
         left -= refused.len();
         Some(v1::Ack { durable_sequence: if left == 0 { durable } else { before }, refused })
     })
 }
 
-fn to_wire(refused: RefusedObservation) -> v1::Refusal {
-    v1::Refusal { sequence: refused.sequence, reason: refusal_to_wire(refused.reason).into(), detail: refused.detail }
+fn refusal(RefusedObservation { sequence, reason, detail }: RefusedObservation) -> v1::Refusal {
+    refused_to_wire(sequence, reason, detail)
 }
 
 #[cfg(test)]

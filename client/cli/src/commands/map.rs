@@ -7,9 +7,7 @@ pub(crate) mod grid_spec;
 use std::{process::ExitCode, str::FromStr};
 
 use clap::{Args, Subcommand, ValueEnum};
-use tidemap_client::maps::{
-    Candidate, GridSpec, InvalidCandidate, Map, NewMap, OrderCriterion, PeriodicityDefinition, Retention,
-};
+use tidemap_client::maps::{EnabledModels, GridSpec, Map, NewMap, OrderCriterion, PeriodicityDefinition, Retention};
 use tidemap_map::time::format_duration;
 
 use self::grid_spec::{GridArg, box_text, retention_text, spec_text};
@@ -99,19 +97,19 @@ pub(crate) struct CreateArgs {
     /// Models among which the nightly update chooses for each named state: spectral, histogram, calibrated, poisson,
     /// pergam, hypertime-em, hypertime-km, or all; spectral is always included [default:
     /// spectral,histogram,calibrated,poisson]
-    #[arg(long, value_name = "MODEL,…", value_parser = candidates, value_delimiter = ',')]
-    models: Option<Vec<Candidates>>,
+    #[arg(long, value_name = "MODEL,…", value_parser = enabled_models)]
+    models: Option<EnabledModels>,
 }
 
-/// One name of `--models`.
-#[derive(Clone, Debug)]
-struct Candidates(Vec<Candidate>);
-
-fn candidates(text: &str) -> Result<Candidates, InvalidCandidate> {
-    if text == "all" {
-        return Ok(Candidates(Candidate::ALL.to_vec()));
-    }
-    Ok(Candidates(vec![text.parse()?]))
+/// The value of `--models`: names with commas between.
+fn enabled_models(text: &str) -> Result<EnabledModels, String> {
+    text.split(',').try_fold(EnabledModels::SPECTRAL, |models, name| {
+        models.with_named(name).ok_or_else(|| {
+            let names: Vec<_> = EnabledModels::ALL.names().collect();
+            let names = names.join(", ");
+            format!("{name:?} is not a model that the nightly update chooses among: use {names}, or all")
+        })
+    })
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -226,7 +224,7 @@ fn new_map(args: CreateArgs) -> NewMap {
         grid,
         half_life_nanos: args.half_life,
         prior: args.prior,
-        models: args.models.into_iter().flatten().flat_map(|Candidates(models)| models).collect(),
+        models: args.models,
     }
 }
 
@@ -271,6 +269,6 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         map.prior.into(),
         text(map.charger_m.map(|[x, y]| format!("{x},{y}"))),
         map.locations.into(),
-        Cell::Text(map.models.iter().map(|model| model.name()).collect::<Vec<_>>().join(" ")),
+        Cell::Text(map.models.names().collect::<Vec<_>>().join(" ")),
     ]
 }

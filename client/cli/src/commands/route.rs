@@ -8,7 +8,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{ArgGroup, Args, ValueEnum};
 use tidemap_client::{
     queries::ModelSelector,
-    routes::{Certainty, EdgeEnds, Objective, PolicyAction, PolicyQuery, Route, RouteQuery, RouteTime},
+    routes::{Certainty, EdgeName, Objective, PolicyAction, PolicyQuery, Route, RouteQuery, RouteTime, StateName},
 };
 
 use super::{
@@ -173,7 +173,7 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
                 step.edge.to.as_str().into(),
                 step.success.into(),
                 step.duration_secs.into(),
-                step.edge.action.as_str().into(),
+                step.edge.action.as_ref().map_or("", StateName::as_str).into(),
                 Cell::Secs(step.start_nanos),
                 step.success_interval[0].into(),
                 step.success_interval[1].into(),
@@ -196,9 +196,8 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
         Certainty::CutOff => "the time limit was reached: there may be better routes",
     });
     if let (Some(path), Some(best)) = (&args.picture, routes.first()) {
-        let way = best.steps.iter().map(|step| step.edge.clone());
-        let way = way.map(|EdgeEnds { from, to, action, .. }| (from, to, Some(action))).collect();
-        let overlay = Overlay { way, numbered: Vec::new() };
+        let way = best.steps.iter().map(|step| step.edge.clone()).collect();
+        let overlay = Overlay { way, ..Overlay::default() };
         let picture =
             topology_picture::draw(session, &args.map, best.departure_nanos, args.model, args.speed, "", overlay)
                 .await?;
@@ -245,8 +244,8 @@ pub(crate) async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Resul
                 PolicyAction::Nothing => ("nothing", None),
                 PolicyAction::Arrived => ("arrived", None),
             };
-            let by = |EdgeEnds { action: by, .. }: &EdgeEnds| {
-                if by.is_empty() { action.to_owned() } else { format!("{action}:{by}") }
+            let by = |EdgeName { action: by, .. }: &EdgeName| {
+                by.as_ref().map_or_else(|| action.to_owned(), |by| format!("{action}:{by}"))
             };
             table.row(vec![
                 Cell::Secs(policy.time_nanos.saturating_add(slot.saturating_mul(policy.slot_nanos))),

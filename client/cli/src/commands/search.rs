@@ -7,7 +7,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{Args, ValueEnum};
 use tidemap_client::{
     queries::ModelSelector,
-    routes::{Effort, Search, SearchQuery, SearchStep, StopReason},
+    routes::{EdgeName, Effort, Search, SearchQuery, SearchStep, StopReason},
 };
 
 use super::{
@@ -111,8 +111,9 @@ pub(crate) async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<E
     session.print(&COLUMNS, (1_u64..).zip(&search.steps).map(row))?;
     summary(&search).iter().for_each(|line| status_line(line));
     if let Some(path) = &args.picture {
-        let way = search.walk.windows(2).map(|pair| (pair[0].0.clone(), pair[1].0.clone(), None)).collect();
-        let overlay = Overlay { way, numbered: search.steps.iter().map(|step| step.node.clone()).collect() };
+        let way = search.walk.windows(2).map(|pair| EdgeName::new(&pair[0].0, &pair[1].0, ""));
+        let numbered = search.steps.iter().map(|step| step.node.clone()).collect();
+        let overlay = Overlay { way: way.collect::<Result<_, _>>()?, any_action: true, numbered };
         let drawn =
             topology_picture::draw(session, &args.map, args.at, args.model, args.speed, &args.object, overlay).await?;
         files::write(path, drawn)?;

@@ -10,8 +10,10 @@ use std::{
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use tidemap_client::queries::ModelSelector;
-use tidemap_client::routes::{Edge, EdgeEnds, EdgeFailure, Node, PredictedEdge, Topology, TopologyEdit, TopologySize};
-use tidemap_map::name::EdgeName;
+use tidemap_client::routes::{
+    Edge, EdgeEnds, EdgeFailure, EdgeName, Extent, NewEdge, NewNode, Node, NodePose, PredictedEdge, StateName,
+    Topology, TopologyEdit, TopologySize,
+};
 
 use super::{
     Session, files,
@@ -57,7 +59,7 @@ pub(crate) enum TopologyCommand {
         limit: Option<u32>,
         /// Failures of this edge only
         #[arg(long, value_name = "FROM/TO[/ACTION]", value_parser = edge_of)]
-        edge: Option<EdgeEnds>,
+        edge: Option<EdgeName>,
     },
     /// Predicts the probability of success and the duration of each edge at a time
     ///
@@ -100,16 +102,19 @@ pub(crate) enum EditCommand {
         /// Name of the map
         map: String,
         /// Name of the node
-        node: String,
+        #[arg(value_parser = StateName::new)]
+        node: StateName,
     },
     /// Renames a node and its states
     RenameNode {
         /// Name of the map
         map: String,
         /// Current name
-        from: String,
+        #[arg(value_parser = StateName::new)]
+        from: StateName,
         /// New name
-        to: String,
+        #[arg(value_parser = StateName::new)]
+        to: StateName,
     },
     /// Adds an edge in both directions
     Link(LinkArgs),
@@ -124,7 +129,8 @@ pub(crate) struct NodeArgs {
     /// Name of the map
     map: String,
     /// Name of the node
-    node: String,
+    #[arg(value_parser = StateName::new)]
+    node: StateName,
     /// Its position, metres
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
     position: Option<Point>,
@@ -141,12 +147,14 @@ pub(crate) struct EndsArgs {
     /// Name of the map
     map: String,
     /// Name of the node where it begins
-    from: String,
+    #[arg(value_parser = StateName::new)]
+    from: StateName,
     /// Name of the node where it ends
-    to: String,
+    #[arg(value_parser = StateName::new)]
+    to: StateName,
     /// Action of the robot on the edge [default: none]
-    #[arg(long, default_value = "", hide_default_value = true)]
-    action: String,
+    #[arg(long, value_parser = StateName::new)]
+    action: Option<StateName>,
     /// Only from the first node to the second
     #[arg(long)]
     one_way: bool,
@@ -165,9 +173,9 @@ pub(crate) struct LinkArgs {
 }
 
 impl NodeArgs {
-    fn node(self) -> (String, Node) {
-        let pose = self.position.map(|Point([x, y])| [x, y, self.yaw]);
-        (self.map, Node { name: self.node, pose, dwell_secs: self.dwell, id: 0 })
+    fn node(self) -> (String, NewNode) {
+        let pose = self.position.map(|Point([x_m, y_m])| NodePose { x_m, y_m, yaw_rad: self.yaw });
+        (self.map, NewNode { name: self.node, pose, dwell_secs: self.dwell })
     }
 }
 
@@ -179,9 +187,9 @@ impl EndsArgs {
 }
 
 impl LinkArgs {
-    fn edge(self) -> (String, Edge) {
+    fn edge(self) -> (String, NewEdge) {
         let (map, ends) = self.ends.ends();
-        (map, Edge { ends, length_m: self.length, nominal_secs: self.seconds, id: 0 })
+        (map, NewEdge { ends, extent: Extent { length_m: self.length, nominal_secs: self.seconds } })
     }
 }
 
@@ -196,50 +204,51 @@ impl EditCommand {
             EditCommand::RemoveNode { map, node } => (map, TopologyEdit::RemoveNode(node)),
             EditCommand::RenameNode { map, from, to } => (map, TopologyEdit::RenameNode { from, to }),
             EditCommand::Link(args) => of(args.edge(), TopologyEdit::AddEdge),
-            EditCommand::SetLink(args) => of(args.edge(), TopologyEdit::SetEdge),
+            EditCommand::SetLink(args) => of(args.edge(), TopologyEdit::SetExtent),
             EditCommand::Unlink(args) => of(args.ends(), TopologyEdit::RemoveEdge),
         }
     }
 }
 
 /// An edge by its name.
-fn edge_of(text: &str) -> Result<EdgeEnds, String> {
-    let edge = EdgeName::parse(text).map_err(|_| format!("{text:?} is not an edge: use FROM/TO or FROM/TO/ACTION"))?;
-    let action = edge.action.map_or_else(String::new, |action| action.as_str().to_owned());
-    let (from, to) = (edge.from.as_str().to_owned(), edge.to.as_str().to_owned());
-    Ok(EdgeEnds { from, to, action, both_ways: false })
+fn edge_of(text: &str) -> Result<EdgeName, String> {
+    EdgeName::parse(text).map_err(|_| format!("{text:?} is not an edge: use FROM/TO or FROM/TO/ACTION"))
 }
 
 /// Reads a file in the format of its ending.
-fn read(path: &Path) -> anyhow::Result<Topology> {
+fn read(path: &Path) -> anyhow::Result<(Vec<NewNode>, Vec<NewEdge>)> {
     let text = files::read_text(path)?;
     let is_yaml = matches!(files::ending(path).as_deref(), Some("yaml" | "yml"));
     let topology = if is_yaml { read_yaml(&text) } else { read_lines(&text) };
-    Ok(from_file(topology.with_context(|| path.display().to_string())?))
+    topology.map_err(anyhow::Error::from).and_then(from_file).with_context(|| path.display().to_string())
 }
 
-/// The topology that a file describes.
-pub(crate) fn from_file(file: TopologyFile) -> Topology {
-    let node = |NodeEntry { name, pose }| Node { name, pose, ..Node::default() };
-    let edge = |EdgeEntry { from, to, action, both_ways, length_m, nominal_secs }| {
-        let ends = EdgeEnds { from, to, action, both_ways };
-        Edge { ends, length_m, nominal_secs, id: 0 }
+/// The nodes and edges that a file describes.
+pub(crate) fn from_file(file: TopologyFile) -> anyhow::Result<(Vec<NewNode>, Vec<NewEdge>)> {
+    let node = |NodeEntry { name, pose }| {
+        let pose = pose.map(|[x_m, y_m, yaw_rad]| NodePose { x_m, y_m, yaw_rad });
+        Ok(NewNode { name: StateName::new(&name)?, pose, dwell_secs: None })
     };
-    Topology { nodes: file.nodes.into_iter().map(node).collect(), edges: file.edges.into_iter().map(edge).collect() }
+    let edge = |EdgeEntry { from, to, action, both_ways, length_m, nominal_secs }| {
+        let EdgeName { from, to, action } = EdgeName::new(&from, &to, &action)?;
+        Ok(NewEdge { ends: EdgeEnds { from, to, action, both_ways }, extent: Extent { length_m, nominal_secs } })
+    };
+    let nodes = file.nodes.into_iter().map(node).collect::<anyhow::Result<_>>()?;
+    Ok((nodes, file.edges.into_iter().map(edge).collect::<anyhow::Result<_>>()?))
 }
 
 pub(crate) async fn run(session: &Session, command: TopologyCommand) -> anyhow::Result<ExitCode> {
     let size = match command {
         TopologyCommand::Load { map, file, add } => {
-            let topology = read(&file)?;
-            if topology.nodes.is_empty() && !add {
+            let (nodes, edges) = read(&file)?;
+            if nodes.is_empty() && !add {
                 return Err(usage(format!("{}: it has no nodes: write a line `node NAME` for each", file.display())));
             }
-            session.client.load_topology(&map, &topology, add).await?
+            session.client.load_topology(&map, &nodes, &edges, add).await?
         }
         TopologyCommand::Show { map, edges } => {
             let topology = session.client.topology(&map).await?;
-            return if edges { show_edges(session, topology) } else { show_nodes(session, topology) };
+            return if edges { show_edges(session, &topology) } else { show_nodes(session, &topology) };
         }
         TopologyCommand::Predict(args) => return predict(session, args).await,
         TopologyCommand::Failures { map, limit, edge } => {
@@ -261,7 +270,7 @@ async fn predict(session: &Session, args: EdgeForecastArgs) -> anyhow::Result<Ex
     let columns = ["from", "to", "action", "probability", "lower", "upper", "duration_secs", "reports"];
     let forecasts = session.client.predict_edges(&map, at, model, speed).await?;
     let row = |PredictedEdge { edge, success, success_interval: [lower, upper], duration_secs, reports }| {
-        let [from, to, action] = [edge.from, edge.to, edge.action].map(Cell::Text);
+        let [from, to, action] = edge_cells(&edge);
         let [success, lower, upper, duration] = [success, lower, upper, duration_secs].map(Cell::from);
         vec![from, to, action, success, lower, upper, duration, reports.into()]
     };
@@ -273,21 +282,28 @@ async fn predict(session: &Session, args: EdgeForecastArgs) -> anyhow::Result<Ex
     Ok(ExitCode::SUCCESS)
 }
 
-fn show_nodes(session: &Session, topology: Topology) -> anyhow::Result<ExitCode> {
-    let row = |Node { name, pose, dwell_secs, id }| {
-        let [x, y, yaw] = pose.map_or([None; 3], |pose| pose.map(Some));
-        let [x, y, yaw, dwell] = [x, y, yaw, dwell_secs].map(Cell::maybe);
-        vec![Cell::Text(name), id.into(), x, y, yaw, dwell]
+fn show_nodes(session: &Session, topology: &Topology) -> anyhow::Result<ExitCode> {
+    let row = |node: &Node| {
+        let pose = node.pose.map_or([None; 3], |pose| [pose.x_m, pose.y_m, pose.yaw_rad].map(Some));
+        let ([x, y, yaw], dwell) = (pose.map(Cell::maybe), Cell::maybe(node.dwell_secs));
+        vec![node.name.as_str().into(), node.id.0.into(), x, y, yaw, dwell]
     };
-    session.print(&["node", "id", "x", "y", "yaw_rad", "dwell_secs"], topology.nodes.into_iter().map(row))
+    session.print(&["node", "id", "x", "y", "yaw_rad", "dwell_secs"], topology.nodes().map(row))
 }
 
-fn show_edges(session: &Session, topology: Topology) -> anyhow::Result<ExitCode> {
-    let row = |Edge { ends, length_m, nominal_secs, id }| {
-        let [from, to, action] = [ends.from, ends.to, ends.action].map(Cell::Text);
-        vec![from, to, action, id.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)]
+fn show_edges(session: &Session, topology: &Topology) -> anyhow::Result<ExitCode> {
+    let row = |edge: &Edge| {
+        let [from, to, action] = edge_cells(&topology.edge_in_words(edge)?);
+        let Extent { length_m, nominal_secs } = edge.extent;
+        Ok(vec![from, to, action, edge.id.0.into(), Cell::maybe(nominal_secs), Cell::maybe(length_m)])
     };
-    session.print(&["from", "to", "action", "id", "duration_secs", "length_m"], topology.edges.into_iter().map(row))
+    let rows = topology.edges().map(row).collect::<anyhow::Result<Vec<_>>>()?;
+    session.print(&["from", "to", "action", "id", "duration_secs", "length_m"], rows)
+}
+
+/// The columns from, to and action.
+fn edge_cells(EdgeName { from, to, action }: &EdgeName) -> [Cell; 3] {
+    [from.as_str(), to.as_str(), action.as_ref().map_or("", StateName::as_str)].map(Cell::from)
 }
 
 fn show_failures(session: &Session, failures: Vec<EdgeFailure>) -> anyhow::Result<ExitCode> {

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use tidemap_client::{
     queries::ModelSelector,
-    routes::{EdgeEnds, Presence, PresenceQuery},
+    routes::{EdgeName, NodePose, Presence, PresenceQuery},
 };
 use tidemap_map::time::format_rfc3339;
 use tonic::Code;
@@ -17,8 +17,10 @@ use tidemap_formats::topology_svg::{self, PictureEdge, PictureNode, TopologyPict
 /// A route drawn over the map.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Overlay {
-    /// Edges of the route: from, to, and the action if it is known.
-    pub(crate) way: Vec<(String, String, Option<String>)>,
+    /// Edges of the route.
+    pub(crate) way: Vec<EdgeName>,
+    /// Whether an edge of the route stands for all edges between its nodes, whatever their actions.
+    pub(crate) any_action: bool,
     /// Nodes to number, in their order.
     pub(crate) numbered: Vec<String>,
 }
@@ -45,17 +47,17 @@ pub(crate) async fn draw(
     let likely = presence.times.first().map(|at| at.probabilities.as_slice()).unwrap_or_default();
     let likely: HashMap<&str, f64> = presence.nodes.iter().map(String::as_str).zip(likely.iter().copied()).collect();
     let index: HashMap<&str, usize> =
-        topology.nodes.iter().enumerate().map(|(index, node)| (node.name.as_str(), index)).collect();
+        topology.nodes().enumerate().map(|(index, node)| (node.name.as_str(), index)).collect();
     let step = |name: &str| overlay.numbered.iter().position(|other| other == name).map(|place| place + 1);
-    let nodes = topology.nodes.iter().map(|node| PictureNode {
-        name: node.name.clone(),
-        at_m: node.pose.map(|[x, y, _]| [x, y]),
+    let nodes = topology.nodes().map(|node| PictureNode {
+        name: node.name.to_string(),
+        at_m: node.pose.map(|NodePose { x_m, y_m, .. }| [x_m, y_m]),
         probability: likely.get(node.name.as_str()).copied(),
-        step: step(&node.name),
+        step: step(node.name.as_str()),
     });
-    let is_on_path = |edge: &EdgeEnds| {
-        let is_it = |(from, to, action): &(String, String, Option<String>)| {
-            *from == edge.from && *to == edge.to && action.as_ref().is_none_or(|action| *action == edge.action)
+    let is_on_path = |edge: &EdgeName| {
+        let is_it = |step: &EdgeName| {
+            step.from == edge.from && step.to == edge.to && (overlay.any_action || step.action == edge.action)
         };
         overlay.way.iter().any(is_it)
     };

@@ -6,7 +6,7 @@
 use std::{path::PathBuf, process::ExitCode};
 
 use clap::Args;
-use tidemap_client::observe::{ProducerOptions, Traversal};
+use tidemap_client::observe::{ProducerOptions, TraversalReport};
 
 use super::{
     Session,
@@ -61,9 +61,9 @@ impl TraverseArgs {
     }
 
     /// The report from the options. The command line requires all of them.
-    fn report(&self) -> Traversal {
+    fn report(&self) -> TraversalReport {
         let text = |text: &Option<String>| text.clone().unwrap_or_default();
-        Traversal {
+        TraversalReport {
             from: text(&self.from),
             to: text(&self.to),
             action: text(&self.action),

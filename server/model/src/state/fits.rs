@@ -56,7 +56,21 @@ impl FitKind {
     pub(super) fn index(self) -> usize {
         self as usize
     }
+
+    /// The name, as on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            FitKind::Calibrated => "calibrated",
+            FitKind::Pergam => "pergam",
+            FitKind::HypertimeEm => "hypertime-em",
+            FitKind::HypertimeKm => "hypertime-km",
+            FitKind::Poisson => "poisson",
+        }
+    }
 }
+
+const SPECTRAL_NAME: &str = "spectral";
+const HISTOGRAM_NAME: &str = "histogram";
 
 /// Which models the update of a state chooses among. The spectral model always is one of them; its order 0 is the mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -93,6 +107,24 @@ impl EnabledModels {
     pub fn with_fit(mut self, kind: FitKind) -> EnabledModels {
         self.fits[kind.index()] = true;
         self
+    }
+
+    /// The same with the model of a name (see [`EnabledModels::names`]) or with `all`; `None` for any other name.
+    #[must_use]
+    pub fn with_named(self, name: &str) -> Option<EnabledModels> {
+        let fit = FitKind::ALL.into_iter().find(|kind| kind.name() == name);
+        match (name, fit) {
+            ("all", _) => Some(EnabledModels::ALL),
+            (SPECTRAL_NAME, _) => Some(self),
+            (HISTOGRAM_NAME, _) => Some(self.with_histograms(true)),
+            (_, fit) => fit.map(|kind| self.with_fit(kind)),
+        }
+    }
+
+    /// The names of the models, as on the command line.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        let histogram = self.histograms.then_some(HISTOGRAM_NAME);
+        [SPECTRAL_NAME].into_iter().chain(histogram).chain(self.fits().map(FitKind::name))
     }
 
     /// The same without models that are fitted to readings.
@@ -243,5 +275,22 @@ impl From<Pergam> for FittedModel {
 impl From<Hypertime> for FittedModel {
     fn from(model: Hypertime) -> FittedModel {
         Self::Hypertime(model)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_models_read_back() {
+        for models in [EnabledModels::ALL, EnabledModels::SPECTRAL, EnabledModels::default()] {
+            let read = models.names().try_fold(EnabledModels::SPECTRAL, EnabledModels::with_named);
+            assert_eq!(read, Some(models));
+        }
+        assert_eq!(EnabledModels::SPECTRAL.with_named("all"), Some(EnabledModels::ALL));
+        for name in ["mean", "", "fremen", "pergam:3"] {
+            assert_eq!(EnabledModels::ALL.with_named(name), None, "{name}");
+        }
     }
 }

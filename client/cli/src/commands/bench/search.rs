@@ -3,7 +3,7 @@
 //! Invariant: the nodes have weeks of periodic observations, and every request is for another minute, so that no answer
 //! is cached.
 
-use std::{path::PathBuf, time::Instant};
+use std::{collections::HashMap, path::PathBuf, time::Instant};
 
 use anyhow::Context as _;
 use clap::Args;
@@ -11,7 +11,7 @@ use tidemap_client::{
     Client,
     observe::columns::Entry,
     queries::ModelSelector,
-    routes::{Edge, EdgeEnds, Node, SearchQuery, Topology},
+    routes::{EdgeEnds, Extent, NewEdge, NewNode, SearchQuery, StateName},
 };
 use tidemap_map::time::NANOS_PER_SEC;
 use tokio::task::JoinSet;
@@ -61,15 +61,15 @@ const READINGS: u64 = 4 * 7 * 144;
 const READING_NANOS: i64 = 10 * MINUTE_NANOS;
 
 pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> anyhow::Result<Figures> {
-    let shape = match &args.topology {
+    let (nodes, edges) = match &args.topology {
         Some(path) => {
             let text = files::read_text(path)?;
-            from_file(read_lines(&text).with_context(|| path.display().to_string())?)
+            from_file(read_lines(&text).with_context(|| path.display().to_string())?)?
         }
-        None => tree(args.nodes),
+        None => tree(args.nodes)?,
     };
-    let states = shape.nodes.len() as u64;
-    anyhow::ensure!(args.start < shape.nodes.len(), "--start is {}, of {states} nodes", args.start);
+    let states = nodes.len() as u64;
+    anyhow::ensure!(args.start < nodes.len(), "--start is {}, of {states} nodes", args.start);
     let load = Load {
         map: map.to_owned(),
         streams: 4,
@@ -79,8 +79,8 @@ pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> a
         batch: 4096,
         observation,
     };
-    let topology = renamed(&shape, &load)?;
-    client.load_topology(map, &topology, false).await?;
+    let (nodes, edges) = renamed(nodes, edges, &load)?;
+    client.load_topology(map, &nodes, &edges, false).await?;
     status_line(&format!("sending four weeks of {states} nodes to map {map}"));
     load.send(client).await?;
     updated(client, map).await?;
@@ -88,7 +88,7 @@ pub(super) async fn run(client: &Client, map: &str, args: &SearchBenchArgs) -> a
     let future = START_NANOS + 5 * 7 * 24 * 60 * MINUTE_NANOS;
     let query = |number: u32| SearchQuery {
         map: map.to_owned(),
-        start: topology.nodes[args.start].name.clone(),
+        start: nodes[args.start].name.to_string(),
         time_nanos: future + i64::from(number) * MINUTE_NANOS,
         model: args.model,
         ..SearchQuery::default()
@@ -136,31 +136,35 @@ async fn request(client: Client, queries: Vec<SearchQuery>) -> anyhow::Result<La
     Ok(answers)
 }
 
+/// Nodes and edges to load.
+type Shape = (Vec<NewNode>, Vec<NewEdge>);
+
 /// A tree with three branches per node, of 10 to 26 s each.
-fn tree(nodes: u64) -> Topology {
-    let node = |number: u64| Node { name: number.to_string(), ..Node::default() };
+fn tree(nodes: u64) -> anyhow::Result<Shape> {
+    let name = |number: u64| StateName::new(&number.to_string());
+    let node = |number: u64| Ok(NewNode { name: name(number)?, pose: None, dwell_secs: None });
     let edge = |number: u64| {
-        let (from, to) = (((number - 1) / 3).to_string(), number.to_string());
-        let ends = EdgeEnds { from, to, both_ways: true, ..EdgeEnds::default() };
-        Edge { ends, nominal_secs: Some(10.0 + (scrambled(number) % 17) as f64), ..Edge::default() }
+        let extent = Extent::secs(10.0 + (scrambled(number) % 17) as f64);
+        Ok(NewEdge { ends: EdgeEnds::link(name((number - 1) / 3)?, name(number)?), extent })
     };
-    Topology { nodes: (0..nodes).map(node).collect(), edges: (1..nodes).map(edge).collect() }
+    let nodes_of = (0..nodes).map(node).collect::<anyhow::Result<_>>()?;
+    Ok((nodes_of, (1..nodes).map(edge).collect::<anyhow::Result<_>>()?))
 }
 
-/// The topology with nodes named like the states of the load.
-fn renamed(shape: &Topology, load: &Load) -> anyhow::Result<Topology> {
-    let renamed = |name: &str| {
-        let found = (0..).zip(&shape.nodes).find(|(_, node)| node.name == name);
-        found.map(|(number, _)| load.name(number)).with_context(|| format!("there is no node {name:?}"))
+/// The same with nodes named like the states of the load.
+fn renamed(mut nodes: Vec<NewNode>, mut edges: Vec<NewEdge>, load: &Load) -> anyhow::Result<Shape> {
+    let numbers: HashMap<StateName, u64> = nodes.iter().map(|node| node.name.clone()).zip(0..).collect();
+    let renamed = |name: &StateName| {
+        let number = numbers.get(name).with_context(|| format!("there is no node {:?}", name.as_str()))?;
+        anyhow::Ok(StateName::new(&load.name(*number))?)
     };
-    let mut topology = shape.clone();
-    for node in &mut topology.nodes {
+    for node in &mut nodes {
         node.name = renamed(&node.name)?;
     }
-    for Edge { ends, .. } in &mut topology.edges {
+    for NewEdge { ends, .. } in &mut edges {
         (ends.from, ends.to) = (renamed(&ends.from)?, renamed(&ends.to)?);
     }
-    Ok(topology)
+    Ok((nodes, edges))
 }
 
 /// A target with a daily routine and exceptions: the state of a node is 1 while the target is there.

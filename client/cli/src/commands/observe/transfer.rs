@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, Traversal, content::ContentCrc};
+use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, TraversalReport, content::ContentCrc};
 use tokio::{sync::watch, task::JoinHandle};
 
 use super::{
@@ -69,9 +69,9 @@ impl Sendable for TraversalRow {
     }
 }
 
-fn report(row: &TraversalRow) -> Traversal {
+fn report(row: &TraversalRow) -> TraversalReport {
     let TraversalRow { from, to, action, start_nanos, end_nanos, success, reason, .. } = row.clone();
-    Traversal { from, to, action, start_nanos, end_nanos, success, reason }
+    TraversalReport { from, to, action, start_nanos, end_nanos, success, reason }
 }
 
 /// Sends a file's rows or scans.
