@@ -99,7 +99,11 @@ impl Outgoing {
         // Vectors have declared it already.
         if let Some(shape) = self.kind.filter(|shape| shape.is_single()) {
             columns.new_kinds.resize(columns.new_states.len(), 0);
-            columns.new_kinds.iter_mut().filter(|said| **said == 0).for_each(|said| *said = shape_to_wire(shape).0.into());
+            columns
+                .new_kinds
+                .iter_mut()
+                .filter(|said| **said == 0)
+                .for_each(|said| *said = shape_to_wire(shape).0.into());
         }
         Some(Message::Batch(ObservationBatch { first_sequence, observations: Some(columns) }))
     }
