@@ -20,6 +20,21 @@ pub(super) struct IntervalPrior {
 
 pub(super) const INTERVAL_PRIOR: IntervalPrior = IntervalPrior { scatter_days: 1.0, doubt_days: 1.0, end: 0.0001 };
 
+/// Levels, and the mass that holds the mean of the hour so often. A door is often shut for the whole hour, which a Beta
+/// distribution shows only in part: medium intervals would hold too little, and wide ones too, because routines change.
+/// Found by rolling origin on ten weeks of one office door, from 08 to 18 h of working days.
+const MASSES: [(f64, f64); 9] = [
+    (0.0, 0.0),
+    (0.3, 0.3),
+    (0.4, 0.525),
+    (0.5, 0.57),
+    (0.6, 0.61),
+    (0.8, 0.785),
+    (0.9, 0.9),
+    (0.95, 0.982),
+    (1.0, 1.0),
+];
+
 /// The prior of the scatter: that of the uniform distribution, with the weight of one day.
 const SCATTER_BEFORE: (f64, f64) = (1.0 / 3.0, 1.0);
 
@@ -42,7 +57,14 @@ pub(super) fn interval(p: f64, hour: HourMoments, all: HourMoments, level: f64, 
     let mean = (hour.days * p + borrowed.doubt_days * 0.5) / (hour.days + borrowed.doubt_days);
     let of_all = blend(all.scatter(), SCATTER_BEFORE);
     let scatter = blend(hour.scatter(), (of_all, borrowed.scatter_days));
-    Beta::with_moments(mean, scatter).shortest_around(p, level.max(0.0), borrowed.end)
+    Beta::with_moments(mean, scatter).shortest_around(p, mass_of(level.max(0.0)), borrowed.end)
+}
+
+/// The mass of the Beta distribution that an interval of a level holds, both in `[0,1]`.
+fn mass_of(level: f64) -> f64 {
+    let next = MASSES.partition_point(|(other, _)| *other < level).clamp(1, MASSES.len() - 1);
+    let ((from, low), (to, high)) = (MASSES[next - 1], MASSES[next]);
+    low + (high - low) * (level - from) / (to - from)
 }
 
 /// The mean of two values by weight.
