@@ -8,9 +8,9 @@ use tidemap_map::time::{format_duration, parse_duration};
 use tidemap_model::{
     Accumulator, ORDER_MAX, Periodicities, Sample, SpectralModel, StateKind,
     models::{
-        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle,
-        HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, MarkovChain, Mean, Moment, Pergam,
-        PergamOptions, PoissonSpectral, Readings, TemporalModel, UniformSpectral,
+        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CannotFit, CountRate, HISTOGRAM_PRIOR_READINGS, Histogram,
+        HistogramCycle, HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, MarkovChain, Mean,
+        Moment, Pergam, PergamOptions, Readings, TemporalModel, UniformSpectral,
     },
 };
 
@@ -232,8 +232,7 @@ impl ParameterSet {
             Settings::Persistence => Box::new(MarkovChain::fit(readings)?),
             Settings::Histogram(settings) => Box::new(Histogram::fit(readings, settings)?),
             Settings::Spectral { order, periodicities } => {
-                check_probabilities(samples)?;
-                Box::new(Spectral::fit(samples, *order, periodicities)?)
+                Box::new(Spectral::fit(samples, kind, *order, periodicities)?)
             }
             Settings::Uniform { order } => Box::new(UniformSpectral::fit(readings, *order)?),
             Settings::Pergam(options) => {
@@ -245,7 +244,7 @@ impl ParameterSet {
             }
             Settings::Hypertime(options) => Box::new(Hypertime::fit_continuous(readings, options)?),
             Settings::Poisson { periodicities, bin_nanos } => {
-                Box::new(PoissonSpectral::fit(readings, periodicities, *bin_nanos)?)
+                Box::new(CountRate::fit_in_bins(readings, periodicities, *bin_nanos)?)
             }
             Settings::Calibrated => Box::new(Calibrated::fit(readings, CalibratedOptions::default())?),
             Settings::Average { histogram, calibrated_weight } => Box::new(Average {
@@ -286,24 +285,30 @@ impl TemporalModel for Average {
 /// The spectral model with a fixed order.
 struct Spectral {
     model: SpectralModel,
+    kind: StateKind,
     order: usize,
     periodicities: Periodicities,
 }
 
 impl Spectral {
-    fn fit(samples: &[Sample], order: usize, periodicities: &Periodicities) -> Result<Self, CannotFit> {
+    fn fit(
+        samples: &[Sample],
+        kind: StateKind,
+        order: usize,
+        periodicities: &Periodicities,
+    ) -> Result<Self, CannotFit> {
         if samples.is_empty() {
             return Err(CannotFit::NoReadings);
         }
-        let mut accumulator = Accumulator::new(periodicities);
+        let mut accumulator = Accumulator::of_kind(kind);
         accumulator.add(periodicities, samples);
         let model = SpectralModel::fit(&accumulator, periodicities);
-        Ok(Self { model, order, periodicities: periodicities.clone() })
+        Ok(Self { model, kind, order, periodicities: periodicities.clone() })
     }
 }
 
 impl TemporalModel for Spectral {
     fn predict(&self, at: Moment) -> f64 {
-        self.model.predict(&self.periodicities, self.order, at.civil_nanos())
+        self.model.predict_value(self.kind, &self.periodicities, self.order, at.civil_nanos())
     }
 }

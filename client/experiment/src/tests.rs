@@ -205,8 +205,12 @@ fn values_beyond_a_probability_need_a_kind_and_a_model_that_takes_them() {
     let counts = counts.replace("\n  - [, histogram, poisson: {bin: 1h}]", "\n  - poisson: {bin: 1h}");
     let outcome = ran(folder.path(), &format!("{counts}kind: count\n"));
     assert!(mse(&outcome, "poisson") < 0.5 * mse(&outcome, "mean"), "{}", mse(&outcome, "poisson"));
-    let found = problem(folder.path(), &format!("{}kind: continuous\n", text.replace("histogram", "spectral")));
-    assert_eq!(found, "model spectral cannot be fitted to state \"value\": a reading's value is 2, expected 0 to 1");
+    for kind in ["continuous", "count"] {
+        let outcome = ran(folder.path(), &format!("{}kind: {kind}\n", text.replace("histogram", "spectral")));
+        assert!(mse(&outcome, "spectral") < 0.5 * mse(&outcome, "mean"), "{}", mse(&outcome, "spectral"));
+    }
+    let found = problem(folder.path(), &format!("{}kind: continuous\n", text.replace("histogram", "pergam")));
+    assert_eq!(found, "model pergam cannot be fitted to state \"value\": a reading's value is 2, expected 0 to 1");
 }
 
 #[test]
