@@ -6,7 +6,7 @@
 
 use pulp::Arch;
 
-use crate::{InvalidParts, Periodicities, Sample, StateKind};
+use crate::{InvalidParts, Periodicities, Sample, StateKind, lanes::OnLanes};
 
 mod fold;
 
@@ -128,7 +128,8 @@ impl Accumulator {
             parts.weight += chunk.len() as f64;
             parts.sum += sum;
             parts.sum_squares += sum_squares;
-            arch.dispatch(fold::Fold { cycles: periodicities.cycles(), samples: chunk, spectrum: &mut parts.spectrum });
+            let (cycles, spectrum) = (periodicities.cycles(), &mut parts.spectrum[..]);
+            arch.dispatch(OnLanes(fold::Fold { cycles, samples: chunk, spectrum }));
         }
     }
 

@@ -37,6 +37,7 @@ mod civil;
 mod entropy;
 mod evaluate;
 mod kind;
+mod lanes;
 pub mod models;
 mod order;
 mod periodicity;

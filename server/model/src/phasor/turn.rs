@@ -46,22 +46,22 @@ pub(crate) fn unit_phasor<S: Simd>(simd: S, turns: S::f64s) -> (S::f64s, S::f64s
     let square = simd.mul_f64s(quarter, quarter);
     let mut cos = simd.splat_f64s(COS[7]);
     for &coefficient in COS[..7].iter().rev() {
-        cos = simd.mul_add_e_f64s(cos, square, simd.splat_f64s(coefficient));
+        cos = simd.mul_add_f64s(cos, square, simd.splat_f64s(coefficient));
     }
-    let cos = simd.mul_add_e_f64s(cos, square, simd.splat_f64s(1.0));
+    let cos = simd.mul_add_f64s(cos, square, simd.splat_f64s(1.0));
     let mut sin = simd.splat_f64s(SIN[6]);
     for &coefficient in SIN[..6].iter().rev() {
-        sin = simd.mul_add_e_f64s(sin, square, simd.splat_f64s(coefficient));
+        sin = simd.mul_add_f64s(sin, square, simd.splat_f64s(coefficient));
     }
-    let sin = simd.mul_add_e_f64s(simd.mul_f64s(sin, square), quarter, quarter);
+    let sin = simd.mul_add_f64s(simd.mul_f64s(sin, square), quarter, quarter);
     squared(simd, squared(simd, (cos, sin)))
 }
 
 /// The product of two complex numbers (real, imaginary).
 #[inline(always)]
 pub(crate) fn product<S: Simd>(simd: S, a: (S::f64s, S::f64s), b: (S::f64s, S::f64s)) -> (S::f64s, S::f64s) {
-    let re = simd.negate_mul_add_e_f64s(a.1, b.1, simd.mul_f64s(a.0, b.0));
-    let im = simd.mul_add_e_f64s(a.0, b.1, simd.mul_f64s(a.1, b.0));
+    let re = simd.negate_mul_add_f64s(a.1, b.1, simd.mul_f64s(a.0, b.0));
+    let im = simd.mul_add_f64s(a.0, b.1, simd.mul_f64s(a.1, b.0));
     (re, im)
 }
 

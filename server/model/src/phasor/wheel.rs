@@ -87,8 +87,8 @@ impl<S: Simd> Spin<S> {
     #[inline(always)]
     pub(crate) fn step(&mut self, simd: S) {
         for v in 0..GROUP {
-            let cos = simd.mul_add_e_f64s(self.two_cos_base[v], self.cos[v], simd.neg_f64s(self.previous_cos[v]));
-            let sin = simd.mul_add_e_f64s(self.two_cos_base[v], self.sin[v], simd.neg_f64s(self.previous_sin[v]));
+            let cos = simd.mul_add_f64s(self.two_cos_base[v], self.cos[v], simd.neg_f64s(self.previous_cos[v]));
+            let sin = simd.mul_add_f64s(self.two_cos_base[v], self.sin[v], simd.neg_f64s(self.previous_sin[v]));
             (self.previous_cos[v], self.cos[v]) = (self.cos[v], cos);
             (self.previous_sin[v], self.sin[v]) = (self.sin[v], sin);
         }

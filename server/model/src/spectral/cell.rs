@@ -76,7 +76,7 @@ impl WithSimd for CellFit<'_> {
                 let here = at..used.min(at + S::F64_LANES);
                 let gamma_re = gamma(simd, minus_mean, scale, &a_re[here.clone()], &b_re[here.clone()]);
                 let gamma_im = gamma(simd, minus_mean, scale, &a_im[here.clone()], &b_im[here.clone()]);
-                let square = simd.mul_add_e_f64s(gamma_re, gamma_re, simd.mul_f64s(gamma_im, gamma_im));
+                let square = simd.mul_add_f64s(gamma_re, gamma_re, simd.mul_f64s(gamma_im, gamma_im));
                 simd.partial_store_f64s(&mut re[here.clone()], gamma_re);
                 simd.partial_store_f64s(&mut im[here.clone()], gamma_im);
                 simd.partial_store_f64s(&mut power[here], square);
@@ -95,5 +95,5 @@ impl WithSimd for CellFit<'_> {
 #[inline(always)]
 fn gamma<S: Simd>(simd: S, minus_mean: S::f64s, scale: S::f64s, a: &[f64], b: &[f64]) -> S::f64s {
     let (a, b) = (simd.partial_load_f64s(a), simd.partial_load_f64s(b));
-    simd.mul_f64s(scale, simd.mul_add_e_f64s(minus_mean, b, a))
+    simd.mul_f64s(scale, simd.mul_add_f64s(minus_mean, b, a))
 }

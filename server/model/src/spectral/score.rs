@@ -1,23 +1,22 @@
-//! Scores every order of a model in one pass over a table of phasors: one time per lane.
+//! Scores every order of a model in one pass over a table of phasors: one time per lane of eight.
 //!
 //! An order's prediction is the one below plus one term. The value carried from order to order is prediction minus
 //! value, so that saturating the prediction to `[0,1]` is keeping the error between -value and 1 - value, and omitting
 //! a time is keeping its error between 0 and 0.
 //!
-//! Invariant: an omitted time adds nothing to any sum.
+//! Invariant: an omitted time adds nothing to any sum. Sums have the same bits on every instruction set.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Arch, Simd};
 
 use super::SpectralModel;
 use super::sweep::Term;
+use crate::lanes::{Eight, EightLanes, LANES, OnLanes};
 use crate::{ORDER_MAX, PhasorTable};
 
 #[cfg(test)]
 mod tests;
 
-/// The most lanes that a vector has on any instruction set.
-const LANES_MAX: usize = 8;
-const ONES: [f64; LANES_MAX] = [1.0; LANES_MAX];
+const ONES: [f64; LANES] = [1.0; LANES];
 
 /// Errors of each order 0..=[`ORDER_MAX`], summed over observations.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
@@ -46,14 +45,16 @@ impl SpectralModel {
         let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(ORDER_MAX, phasors, &mut terms) {
             Some(terms) => {
-                Arch::new().dispatch(ScoreKernel { mean: self.mean, terms, values, weights, with_wrong, sums });
+                let mean = self.mean;
+                Arch::new().dispatch(OnLanes(ScoreKernel { mean, terms, values, weights, with_wrong, sums }));
             }
             None => {
                 let own: Vec<u32> = self.components.iter().map(|component| component.periodicity).collect();
                 let phasors = PhasorTable::only(phasors.periodicities(), &phasors.civil_nanos()[..times], &own);
                 let mut terms = [Term::default(); ORDER_MAX];
                 let terms = self.terms(ORDER_MAX, &phasors, &mut terms).unwrap_or(&[]);
-                Arch::new().dispatch(ScoreKernel { mean: self.mean, terms, values, weights, with_wrong, sums });
+                let mean = self.mean;
+                Arch::new().dispatch(OnLanes(ScoreKernel { mean, terms, values, weights, with_wrong, sums }));
             }
         }
     }
@@ -70,44 +71,45 @@ pub(super) struct ScoreKernel<'a, 'b> {
     pub(super) sums: &'b mut ScoreSums,
 }
 
-impl WithSimd for ScoreKernel<'_, '_> {
+impl EightLanes for ScoreKernel<'_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn run<S: Simd, const V: usize>(self, simd: S) {
         // As many vectors side by side as registers hold, each with its error and the error's bounds.
-        match (S::REGISTER_COUNT >= 32, self.with_wrong) {
-            (true, false) => self.run::<S, 8, false>(simd),
-            (true, true) => self.run::<S, 4, true>(simd),
-            (false, false) => self.run::<S, 4, false>(simd),
-            (false, true) => self.run::<S, 2, true>(simd),
+        match (V, self.with_wrong) {
+            (1, false) => self.add::<S, V, 8, false>(simd),
+            (1, true) => self.add::<S, V, 4, true>(simd),
+            (2, false) => self.add::<S, V, 2, false>(simd),
+            (_, false) => self.add::<S, V, 1, false>(simd),
+            (_, true) => self.add::<S, V, 1, true>(simd),
         }
     }
 }
 
 impl ScoreKernel<'_, '_> {
     #[inline(always)]
-    fn run<S: Simd, const SIDE_BY_SIDE: usize, const WRONG: bool>(self, simd: S) {
+    fn add<S: Simd, const V: usize, const SIDE_BY_SIDE: usize, const WRONG: bool>(self, simd: S) {
         let used = self.terms.len().min(ORDER_MAX);
         let terms = &self.terms[..used];
-        let mut lanes = ScoreLanes::<S>::new(simd);
+        let mut lanes = ScoreLanes::<S, V>::new(simd);
         let times = self.values.len();
-        let (group_len, mut at) = (SIDE_BY_SIDE * S::F64_LANES, 0);
-        while at + group_len <= times {
+        let mut at = 0;
+        while at + SIDE_BY_SIDE * LANES <= times {
             let weights = self.weights.map(|weights| &weights[at..]);
             lanes.add::<SIDE_BY_SIDE, WRONG>(simd, self.mean, terms, &self.values[at..], weights, at);
-            at += group_len;
+            at += SIDE_BY_SIDE * LANES;
         }
-        while at + S::F64_LANES <= times {
+        while at + LANES <= times {
             let weights = self.weights.map(|weights| &weights[at..]);
             lanes.add::<1, WRONG>(simd, self.mean, terms, &self.values[at..], weights, at);
-            at += S::F64_LANES;
+            at += LANES;
         }
         if at < times {
-            // The last vector is padded with omitted times.
+            // The last eight are padded with omitted times.
             let padded_values = padded(&self.values[at..]);
             let padded_weights = padded(self.weights.map_or(&ONES[..times - at], |weights| &weights[at..]));
-            let mut rows = [([0.0; LANES_MAX], [0.0; LANES_MAX]); ORDER_MAX];
+            let mut rows = [([0.0; LANES], [0.0; LANES]); ORDER_MAX];
             for (row, term) in rows.iter_mut().zip(terms) {
                 *row = (padded(&term.cos[at..times]), padded(&term.sin[at..times]));
             }
@@ -122,44 +124,50 @@ impl ScoreKernel<'_, '_> {
     }
 }
 
-/// At most [`LANES_MAX`] numbers, and zeros behind them.
+/// At most eight numbers, and zeros behind them.
 #[inline(always)]
-fn padded(numbers: &[f64]) -> [f64; LANES_MAX] {
-    let mut padded = [0.0; LANES_MAX];
+fn padded(numbers: &[f64]) -> [f64; LANES] {
+    let mut padded = [0.0; LANES];
     for (padded, number) in padded.iter_mut().zip(numbers) {
         *padded = *number;
     }
     padded
 }
 
-/// The observations at `N` vectors of times.
-struct ErrorBounds<S: Simd, const N: usize> {
+/// The first `N` times eight numbers in vectors; `None` if there are fewer.
+#[inline(always)]
+fn eights<S: Simd, const V: usize, const N: usize>(numbers: &[f64]) -> Option<&[[S::f64s; V]; N]> {
+    S::as_simd_f64s(numbers).0.as_chunks::<V>().0.first_chunk::<N>()
+}
+
+/// The observations at `N` times eight times.
+struct ErrorBounds<S: Simd, const V: usize, const N: usize> {
     /// The bounds of the error.
-    least: [S::f64s; N],
-    most: [S::f64s; N],
+    least: [[S::f64s; V]; N],
+    most: [[S::f64s; V]; N],
     /// The error from which the prediction is at least 0.5.
-    threshold: [S::f64s; N],
+    threshold: [[S::f64s; V]; N],
     /// How many wrong predictions more there are from there on: 1, or -1 where the value is itself at
     /// least 0.5, or 0 where the time is left out.
-    step: [S::f64s; N],
+    step: [[S::f64s; V]; N],
 }
 
 /// Sums of each order, still in lanes.
-struct ScoreLanes<S: Simd> {
-    squared: [S::f64s; ORDER_MAX + 1],
-    wrong: [S::f64s; ORDER_MAX + 1],
+struct ScoreLanes<S: Simd, const V: usize> {
+    squared: [Eight<S, V>; ORDER_MAX + 1],
+    wrong: [Eight<S, V>; ORDER_MAX + 1],
     /// Values of at least 0.5: wrong predictions of each order if all were below 0.5.
-    positive: S::f64s,
+    positive: Eight<S, V>,
 }
 
-impl<S: Simd> ScoreLanes<S> {
+impl<S: Simd, const V: usize> ScoreLanes<S, V> {
     #[inline(always)]
-    fn new(simd: S) -> ScoreLanes<S> {
-        let zero = simd.splat_f64s(0.0);
+    fn new(simd: S) -> ScoreLanes<S, V> {
+        let zero = Eight::splat(simd, 0.0);
         ScoreLanes { squared: [zero; ORDER_MAX + 1], wrong: [zero; ORDER_MAX + 1], positive: zero }
     }
 
-    /// Adds the errors at `N` vectors of times: the first of `values` and `weights`, and those of the
+    /// Adds the errors at `N` times eight times: the first of `values` and `weights`, and those of the
     /// terms from time `at`.
     #[inline(always)]
     fn add<const N: usize, const WRONG: bool>(
@@ -173,35 +181,41 @@ impl<S: Simd> ScoreLanes<S> {
     ) {
         let (zero, half, one) = (simd.splat_f64s(0.0), simd.splat_f64s(0.5), simd.splat_f64s(1.0));
         let mean = simd.splat_f64s(mean);
-        let Some(values) = S::as_simd_f64s(values).0.first_chunk::<N>() else { return };
-        let mut counted = [one; N];
+        let Some(values) = eights::<S, V, N>(values) else { return };
+        let mut counted = [[one; V]; N];
         if let Some(weights) = weights {
-            let Some(weights) = S::as_simd_f64s(weights).0.first_chunk::<N>() else { return };
-            for (counted, &weight) in counted.iter_mut().zip(weights) {
+            let Some(weights) = eights::<S, V, N>(weights) else { return };
+            for (counted, &weight) in counted.as_flattened_mut().iter_mut().zip(weights.as_flattened()) {
                 *counted = simd.select_f64s(simd.greater_than_f64s(weight, zero), one, zero);
             }
         }
-        let mut error = [zero; N];
+        let mut error = [[zero; V]; N];
         let mut observed = ErrorBounds { least: error, most: error, threshold: error, step: error };
-        for (v, (&value, &counted)) in values.iter().zip(&counted).enumerate() {
-            error[v] = simd.sub_f64s(mean, value);
-            observed.least[v] = simd.neg_f64s(simd.mul_f64s(counted, value));
-            observed.most[v] = simd.add_f64s(counted, observed.least[v]);
-            if WRONG {
-                let positive = simd.greater_than_or_equal_f64s(value, half);
-                observed.threshold[v] = simd.sub_f64s(half, value);
-                observed.step[v] = simd.select_f64s(positive, simd.neg_f64s(counted), counted);
-                self.positive = simd.add_f64s(self.positive, simd.select_f64s(positive, counted, zero));
+        for n in 0..N {
+            for v in 0..V {
+                let (value, counted) = (values[n][v], counted[n][v]);
+                error[n][v] = simd.sub_f64s(mean, value);
+                observed.least[n][v] = simd.neg_f64s(simd.mul_f64s(counted, value));
+                observed.most[n][v] = simd.add_f64s(counted, observed.least[n][v]);
+                if WRONG {
+                    let positive = simd.greater_than_or_equal_f64s(value, half);
+                    observed.threshold[n][v] = simd.sub_f64s(half, value);
+                    observed.step[n][v] = simd.select_f64s(positive, simd.neg_f64s(counted), counted);
+                    let counted = simd.select_f64s(positive, counted, zero);
+                    self.positive.0[v] = simd.add_f64s(self.positive.0[v], counted);
+                }
             }
         }
         self.add_order::<N, WRONG>(simd, 0, &error, &observed);
         for (order, term) in (1..=ORDER_MAX).zip(terms) {
-            let Some(cos) = S::as_simd_f64s(&term.cos[at..]).0.first_chunk::<N>() else { return };
-            let Some(sin) = S::as_simd_f64s(&term.sin[at..]).0.first_chunk::<N>() else { return };
+            let Some(cos) = eights::<S, V, N>(&term.cos[at..]) else { return };
+            let Some(sin) = eights::<S, V, N>(&term.sin[at..]) else { return };
             let (cos_weight, sin_weight) = (simd.splat_f64s(term.cos_weight), simd.splat_f64s(term.sin_weight));
-            for v in 0..N {
-                error[v] = simd.mul_add_e_f64s(cos_weight, cos[v], error[v]);
-                error[v] = simd.mul_add_e_f64s(sin_weight, sin[v], error[v]);
+            for n in 0..N {
+                for v in 0..V {
+                    let once = simd.mul_add_f64s(cos_weight, cos[n][v], error[n][v]);
+                    error[n][v] = simd.mul_add_f64s(sin_weight, sin[n][v], once);
+                }
             }
             self.add_order::<N, WRONG>(simd, order, &error, &observed);
         }
@@ -212,23 +226,29 @@ impl<S: Simd> ScoreLanes<S> {
         &mut self,
         simd: S,
         order: usize,
-        error: &[S::f64s; N],
-        observed: &ErrorBounds<S, N>,
+        error: &[[S::f64s; V]; N],
+        observed: &ErrorBounds<S, V, N>,
     ) {
-        let mut squared = self.squared[order];
-        for (v, &error) in error.iter().enumerate() {
-            let saturated = simd.min_f64s(simd.max_f64s(error, observed.least[v]), observed.most[v]);
-            squared = simd.mul_add_e_f64s(saturated, saturated, squared);
+        let mut squared = self.squared[order].0;
+        for n in 0..N {
+            for v in 0..V {
+                let error = simd.max_f64s(error[n][v], observed.least[n][v]);
+                let saturated = simd.min_f64s(error, observed.most[n][v]);
+                squared[v] = simd.mul_add_f64s(saturated, saturated, squared[v]);
+            }
         }
-        self.squared[order] = squared;
+        self.squared[order].0 = squared;
         if WRONG {
             let zero = simd.splat_f64s(0.0);
-            let mut wrong = self.wrong[order];
-            for (v, &error) in error.iter().enumerate() {
-                let predicted = simd.greater_than_or_equal_f64s(error, observed.threshold[v]);
-                wrong = simd.add_f64s(wrong, simd.select_f64s(predicted, observed.step[v], zero));
+            let mut wrong = self.wrong[order].0;
+            for n in 0..N {
+                for v in 0..V {
+                    let predicted = simd.greater_than_or_equal_f64s(error[n][v], observed.threshold[n][v]);
+                    let step = simd.select_f64s(predicted, observed.step[n][v], zero);
+                    wrong[v] = simd.add_f64s(wrong[v], step);
+                }
             }
-            self.wrong[order] = wrong;
+            self.wrong[order].0 = wrong;
         }
     }
 
@@ -238,9 +258,9 @@ impl<S: Simd> ScoreLanes<S> {
         let (mut squared, mut wrong) = (0.0, 0.0);
         for order in 0..=ORDER_MAX {
             if order <= used {
-                squared = simd.reduce_sum_f64s(self.squared[order]);
+                squared = self.squared[order].sum(simd);
                 if WRONG {
-                    wrong = simd.reduce_sum_f64s(simd.add_f64s(self.positive, self.wrong[order]));
+                    wrong = self.positive.sum(simd) + self.wrong[order].sum(simd);
                 }
             }
             sums.squared[order] += squared;

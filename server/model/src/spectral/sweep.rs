@@ -1,6 +1,6 @@
 //! The kernel that runs a model over a table of phasors: one time per lane.
 //!
-//! Invariant: all slices that it is given are as long as the table has times, or longer.
+//! Invariant: a prediction has the same bits on every instruction set. All slices that it is given are as long as the table has times, or longer.
 
 use pulp::{Simd, WithSimd};
 
@@ -14,13 +14,6 @@ pub(super) struct Term<'a> {
     pub(super) sin: &'a [f64],
     pub(super) cos_weight: f64,
     pub(super) sin_weight: f64,
-}
-
-impl Term<'_> {
-    #[inline(always)]
-    fn at(&self, time: usize) -> f64 {
-        self.cos_weight * self.cos[time] + self.sin_weight * self.sin[time]
-    }
 }
 
 /// Predicts at each time.
@@ -47,9 +40,8 @@ impl WithSimd for Predict<'_> {
             for term in self.terms {
                 let cos = &S::as_simd_f64s(term.cos).0[group * GROUP..(group + 1) * GROUP];
                 let sin = &S::as_simd_f64s(term.sin).0[group * GROUP..(group + 1) * GROUP];
-                let (cos_weight, sin_weight) = (simd.splat_f64s(term.cos_weight), simd.splat_f64s(term.sin_weight));
                 for ((p, &cos), &sin) in p.iter_mut().zip(cos).zip(sin) {
-                    *p = simd.mul_add_e_f64s(cos_weight, cos, simd.mul_add_e_f64s(sin_weight, sin, *p));
+                    *p = add_term(simd, term, cos, sin, *p);
                 }
             }
             for (out, &p) in out.iter_mut().zip(&p) {
@@ -60,16 +52,27 @@ impl WithSimd for Predict<'_> {
             let mut p = mean;
             for term in self.terms {
                 let (cos, sin) = vectors(simd, term, singles_at + single);
-                p = simd.mul_add_e_f64s(simd.splat_f64s(term.cos_weight), cos, p);
-                p = simd.mul_add_e_f64s(simd.splat_f64s(term.sin_weight), sin, p);
+                p = add_term(simd, term, cos, sin, p);
             }
             *out = saturate(simd, p);
         }
-        for (time, out) in rest.iter_mut().enumerate() {
-            let p = self.terms.iter().fold(self.mean, |p, term| p + term.at(rest_at + time));
-            *out = p.clamp(0.0, 1.0);
+        if !rest.is_empty() {
+            let mut p = mean;
+            for term in self.terms {
+                let cos = simd.partial_load_f64s(&term.cos[rest_at..times]);
+                let sin = simd.partial_load_f64s(&term.sin[rest_at..times]);
+                p = add_term(simd, term, cos, sin, p);
+            }
+            simd.partial_store_f64s(rest, saturate(simd, p));
         }
     }
+}
+
+/// The same two roundings at every time, so that a prediction does not depend on the width of vectors.
+#[inline(always)]
+fn add_term<S: Simd>(simd: S, term: &Term<'_>, cos: S::f64s, sin: S::f64s, p: S::f64s) -> S::f64s {
+    let (cos_weight, sin_weight) = (simd.splat_f64s(term.cos_weight), simd.splat_f64s(term.sin_weight));
+    simd.mul_add_f64s(cos_weight, cos, simd.mul_add_f64s(sin_weight, sin, p))
 }
 
 #[inline(always)]

@@ -159,11 +159,14 @@ fn every_instruction_set_gives_the_same_predictions() {
     let (model, table) = (fitted(&week, &samples), PhasorTable::new(&week, &times));
     let mut terms = [Term::default(); ORDER_MAX];
     let terms = model.terms(ORDER_MAX, &table, &mut terms).unwrap();
+    let mut first = None;
     for arch in crate::phasor::every_arch() {
         let mut out = vec![0.0; times.len()];
         arch.dispatch(Predict { mean: model.mean(), terms, times: times.len(), out: &mut out });
         for (&found, &civil) in out.iter().zip(&times) {
             assert!((found - model.predict(&week, ORDER_MAX, civil)).abs() < 1e-10);
         }
+        let bits: Vec<u64> = out.iter().map(|out| out.to_bits()).collect();
+        assert_eq!(first.get_or_insert_with(|| bits.clone()), &bits, "{arch:?}");
     }
 }

@@ -122,6 +122,7 @@ fn every_instruction_set_chooses_the_same() {
     let parts: Vec<f64> = real.iter().copied().chain([0.0; 133]).collect();
     let (a, b) = (PhasorSum::from_slice(&periodicities, &parts).unwrap(), PhasorSum::zero(&periodicities));
     let sums = CellSums { observations: 100, mean: 0.5, a: &a, b: &b, span_nanos: u64::MAX, levels: (0.2, 0.7) };
+    let mut first = None;
     for arch in crate::phasor::every_arch() {
         let mut strongest = Strongest::new();
         arch.dispatch(CellFit { sums: &sums, scale: 0.005, periodicities: &periodicities, strongest: &mut strongest });
@@ -131,5 +132,8 @@ fn every_instruction_set_chooses_the_same() {
             assert_eq!(found.periodicity, expected.periodicity);
             assert!((found.gamma_re - expected.gamma_re).abs() < 1e-12);
         }
+        let bits = |of: &Component| (of.gamma_re.to_bits(), of.gamma_im.to_bits());
+        let bits: Vec<_> = found.iter().map(bits).collect();
+        assert_eq!(first.get_or_insert_with(|| bits.clone()), &bits, "{arch:?}");
     }
 }

@@ -49,11 +49,16 @@ fn every_length_and_instruction_set_gives_the_errors_of_single_predictions() {
                 let expected = oracle(&model, &table, &values, weights);
                 let mut terms = [Term::default(); ORDER_MAX];
                 let terms = model.terms(ORDER_MAX, &table, &mut terms).unwrap();
-                for arch in crate::phasor::every_arch() {
-                    for with_wrong in [false, true] {
+                for with_wrong in [false, true] {
+                    let mut bits = None;
+                    for arch in crate::phasor::every_arch() {
                         let mut sums = ScoreSums::default();
                         let (mean, values) = (model.mean(), &values[..]);
-                        arch.dispatch(ScoreKernel { mean, terms, values, weights, with_wrong, sums: &mut sums });
+                        let sums_of = &mut sums;
+                        let kernel = ScoreKernel { mean, terms, values, weights, with_wrong, sums: sums_of };
+                        arch.dispatch(OnLanes(kernel));
+                        let found = sums.squared.map(f64::to_bits);
+                        assert_eq!(*bits.get_or_insert(found), found, "{arch:?}");
                         if !with_wrong {
                             assert_eq!(sums.wrong, [0.0; ORDER_MAX + 1]);
                             sums.wrong = expected.wrong;
