@@ -3,7 +3,8 @@
 //! A position is a vector of two or three coordinates. For the map it is its axes: continuous states `NAME/x`, `NAME/y`
 //! and `NAME/z` with consecutive ids ([`NewState::states`]), so that log, checkpoints, history, updates and models do
 //! not know vectors. A plain name has no `/`, so no producer can send to a single axis. A position is accepted or
-//! refused as a whole, and its axes are observed in one event. An angle likewise is the states `NAME/cos` and `NAME/sin`.
+//! refused as a whole, and its axes are observed in one event. An angle likewise is the states `NAME/cos` and
+//! `NAME/sin`.
 //!
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.

@@ -52,7 +52,8 @@ pub enum InvalidName {
     /// Contains a slash, which is reserved for `edge/A/B`, `node/N` and similar names.
     #[error("name {0:?} holds '/', which is reserved for cells, edges, nodes and landmarks")]
     Slash(String),
-    /// Not allowed for a vector or an angle: its axes would have names like those of a cell, an edge, a node or a landmark.
+    /// Not allowed for a vector or an angle: its axes would have names like those of a cell, an edge, a node or a
+    /// landmark.
     #[error("name {0:?} is not for a vector or an angle: {0}/x is how cells, edges, nodes and landmarks are called")]
     Reserved(String),
 }
@@ -146,8 +147,8 @@ pub(crate) fn asked_for(name: &str) -> &str {
 }
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. Or the name of an axis of a
-/// vector, such a name with `/x`, `/y` or `/z`, or of an angle, with `/cos` or `/sin`; or `node/N/KIND`, whether an object of a kind is at node N; or the name
-/// of a state of an edge, [`EdgeName::state`].
+/// vector, such a name with `/x`, `/y` or `/z`, or of an angle, with `/cos` or `/sin`; or `node/N/KIND`, whether an
+/// object of a kind is at node N; or the name of a state of an edge, [`EdgeName::state`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -184,7 +185,8 @@ impl StateName {
         Self(format!("{}/{axis}", self.0).into())
     }
 
-    /// Name of the state of the cosine (axis 0) or the sine (axis 1) of an angle with this name: `NAME/cos`, `NAME/sin`.
+    /// Name of the state of the cosine (axis 0) or the sine (axis 1) of an angle with this name: `NAME/cos` or
+    /// `NAME/sin`.
     #[must_use]
     pub fn angle_axis(&self, axis: usize) -> Self {
         let axis = ANGLE_AXES.get(axis).copied().unwrap_or_default();

@@ -28,7 +28,7 @@ pub use axis::HypertimeAxis;
 pub use cluster::HypertimeCluster;
 pub use conditional::HypertimeDistribution;
 pub use field::{FieldReading, HypertimeField, HypertimeFieldParts};
-use grow::{Extent, deal, grow, unit_weight};
+use grow::{Dealing, Extent, deal, grow, unit_weight};
 pub use odds::HypertimeOddsParts;
 use odds::{Folds, Odds, SlotWeights};
 pub use options::{HypertimeMethod, HypertimeOptions};
@@ -73,7 +73,7 @@ impl Hypertime {
         let samples = readings.samples;
         let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return Err(CannotFit::NoReadings) };
         let civil: Vec<i64> = samples.iter().map(|sample| sample.civil_nanos()).collect();
-        let (folds_of, count) = deal(&civil);
+        let (folds_of, count) = deal(&civil, Dealing::InTurn);
         let unit = unit_weight(&civil, readings.weights().sum());
         let mut folds = vec![SlotWeights::new(); count];
         for (((sample, weight), civil), fold) in samples.iter().zip(readings.weights()).zip(civil).zip(folds_of) {

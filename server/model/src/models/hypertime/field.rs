@@ -6,7 +6,7 @@
 use super::axis::{HypertimeAxis, standardised};
 use super::cluster::COORDINATES_MAX;
 use super::conditional::HypertimeDistribution;
-use super::grow::{Extent, deal, grow, unit_weight};
+use super::grow::{Dealing, Extent, deal, grow, unit_weight};
 use super::joint::{FieldPoint, FieldTraining};
 use super::mixture::Mixture;
 use super::week::{check_divisors, project, turn};
@@ -88,7 +88,7 @@ impl HypertimeField {
 
         let kept = FieldPoint::thinned(readings.len(), options.seed);
         let civil: Vec<i64> = kept.iter().map(|&index| readings[index].moment.civil_nanos()).collect();
-        let (folds_of, folds) = deal(&civil);
+        let (folds_of, folds) = deal(&civil, Dealing::Shuffled);
         let unit = unit_weight(&civil, kept.iter().map(|&index| weights[index]).sum());
         let readable = kept.iter().zip(civil).zip(folds_of).map(|((&index, civil_nanos), fold)| FieldPoint {
             civil_nanos,

@@ -6,6 +6,10 @@
 //! likelihood of the held-out readings. Invariant: the result is no worse on these readings than the model without
 //! time.
 
+use rand::SeedableRng;
+use rand::rngs::SmallRng;
+use rand::seq::SliceRandom;
+
 use super::week::{PERIODS_MAX, Residuals};
 use super::{HypertimeMethod, HypertimeOptions};
 use crate::civil::NANOS_PER_SEC;
@@ -161,12 +165,21 @@ fn best_start<M, F: Trainer<M>>(fit: &F, circles: &Circles, clusters: usize, see
     best
 }
 
+/// Which days belong to one fold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Dealing {
+    /// Every fourth day.
+    InTurn,
+    /// Days at random, always the same ones.
+    Shuffled,
+}
+
 /// Splits readings (by their local civil times) into folds of local days, or of hours if there are fewer days than
 /// folds. Returns the fold of each reading and the number of folds.
 ///
-/// Successive days belong to successive folds, so that each day of the week, or hour of the day, comes into each fold.
+/// In turn, successive days belong to successive folds, so that each day of the week, or hour of the day, comes into each fold.
 /// The folds do not depend on the seed: which days judge a circle would otherwise decide more than the data.
-pub(super) fn deal(civil_nanos: &[i64]) -> (Vec<usize>, usize) {
+pub(super) fn deal(civil_nanos: &[i64], dealing: Dealing) -> (Vec<usize>, usize) {
     let blocks_of = |length: i64| {
         let mut blocks: Vec<i64> = civil_nanos.iter().map(|nanos| nanos.div_euclid(length)).collect();
         blocks.sort_unstable();
@@ -186,6 +199,10 @@ pub(super) fn deal(civil_nanos: &[i64]) -> (Vec<usize>, usize) {
     // Such as readings of every fourth day.
     if least.unwrap_or(0) * 2 * folds < blocks.len() {
         dealt = (0..blocks.len()).map(|index| index % folds).collect();
+    }
+    if dealing == Dealing::Shuffled {
+        dealt = (0..blocks.len()).map(|index| index % folds).collect();
+        dealt.shuffle(&mut SmallRng::seed_from_u64(0));
     }
     let fold_of = |nanos: &i64| blocks.binary_search(&nanos.div_euclid(length)).map_or(0, |block| dealt[block]);
     (civil_nanos.iter().map(fold_of).collect(), folds)
