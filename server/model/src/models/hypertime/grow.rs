@@ -177,7 +177,8 @@ pub(super) enum Dealing {
 /// Splits readings (by their local civil times) into folds of local days, or of hours if there are fewer days than
 /// folds. Returns the fold of each reading and the number of folds.
 ///
-/// In turn, successive days belong to successive folds, so that each day of the week, or hour of the day, comes into each fold.
+/// In turn, successive days belong to successive folds, so that each day of the week, or hour of the day, comes into
+/// each fold.
 /// The folds do not depend on the seed: which days judge a circle would otherwise decide more than the data.
 pub(super) fn deal(civil_nanos: &[i64], dealing: Dealing) -> (Vec<usize>, usize) {
     let blocks_of = |length: i64| {

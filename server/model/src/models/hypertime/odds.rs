@@ -2,8 +2,8 @@
 //!
 //! p = γ·n₁f₁/(n₁f₁ + n₀f₀), which is eq. 2 of RA-L 2019 with a fixed at 1 and at 0; a reading between 0 and 1 counts
 //! for both. γ makes the mean prediction over the readings equal to their mean (eq. 3, as its text says; the sum
-//! printed in its denominator runs over the readings that are 1 alone). Densities are those of the plane in which each circle
-//! lies. Invariant: a prediction lies in `[0,1]`, and where there is no data it tends to the mean.
+//! printed in its denominator runs over the readings that are 1 alone). Densities are those of the plane in which each
+//! circle lies. Invariant: a prediction lies in `[0,1]`, and where there is no data it tends to the mean.
 
 use super::grow::{Attempt, Circles, HeldOutScore, Trainer};
 use super::mixture::Mixture;
