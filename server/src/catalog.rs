@@ -1,14 +1,21 @@
 //! The maps that the daemon serves.
 //!
-//! At a start each map is restored from its newest snapshot and the log after it. The log does not say whether its last
+//! At a start each map is restored from its newest checkpoint and the log after it. A map with much of both is listed at
+//! once, with the generation that the index publishes, and restored while the ports are open. The log does not say whether its last
 //! update was cut off or ended without a save: it is repeated beside the served map, so that a client may see the
 //! generation before one that it has seen. Earlier updates in the log had ended, because another followed; they are
-//! repeated before the ports open.
+//! repeated before the map is open.
 //!
 //! Invariant: looking a map up never waits. Maps are created and deleted one at a time, and a listed map is durable. A
 //! change that has begun is completed even if its caller is gone.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 use arc_swap::ArcSwap;
 use tidemap_map::{
@@ -20,12 +27,18 @@ use tracing::{info, warn};
 
 use crate::ingest::{
     ending::Ending,
-    handle::MapHandle,
-    writer::{Context, start},
+    handle::{MapHandle, Opening, Seat},
+    writer::{Context, Restored, start, start_in},
 };
 
 /// History of updates that are repeated at the start is saved when it takes this much memory.
 const HISTORY_BYTES: usize = 64 << 20;
+
+/// A map with more bytes of checkpoints and log is served from the index until it is restored.
+pub(crate) const RESTORED_FIRST_BYTES: u64 = 8 << 20;
+
+/// The progress of a replay is told after this many records.
+const RECORDS_PER_REPORT: u64 = 256;
 
 /// Why a map is not created or deleted.
 #[derive(Debug, thiserror::Error)]
@@ -68,14 +81,29 @@ pub(crate) struct Catalog {
     maps: Arc<ArcSwap<ByName>>,
     // One change at a time; readers use `maps` and never take this lock. `false`: stopped.
     changing: Arc<tokio::sync::Mutex<bool>>,
+    /// Ends the restoring of maps.
+    stopping: Arc<AtomicBool>,
+}
+
+/// A map that shows what the index publishes, and that is still to be restored.
+pub(crate) struct SeatedMap {
+    id: MapId,
+    spec: Arc<MapSpec>,
+    seat: Seat,
 }
 
 impl Catalog {
-    /// Opens all maps of the store.
+    /// Opens all maps of the store: those with at most `restored_first_bytes` of checkpoints and log, and those of which
+    /// the index publishes nothing, completely; the others show what the index publishes until [`Self::restore_rest`]
+    /// has restored them.
     ///
     /// # Errors
     /// The first map that cannot be opened, and why; two maps of the same name.
-    pub(crate) fn open(context: Context, max_maps: usize) -> Result<Self, CatalogError> {
+    pub(crate) fn open(
+        context: Context,
+        max_maps: usize,
+        restored_first_bytes: u64,
+    ) -> Result<(Self, Vec<SeatedMap>), CatalogError> {
         let stored = context.store.maps();
         let mut ids = BTreeMap::new();
         for (second, spec) in &stored {
@@ -83,13 +111,43 @@ impl Catalog {
                 return Err(CatalogError::Duplicate { name: spec.name.clone(), first, second: *second });
             }
         }
-        let mut maps = ByName::new();
+        let (mut maps, mut rest) = (ByName::new(), Vec::new());
+        let stopping = Arc::new(AtomicBool::new(false));
         for (id, spec) in stored {
-            let name = spec.name.clone();
-            maps.insert(name, open_map(&context, id, spec)?);
+            let (name, spec) = (spec.name.clone(), Arc::new(spec));
+            let sizes = context.store.sizes(id);
+            let is_large = sizes.log_bytes + sizes.checkpoint_bytes > restored_first_bytes;
+            let handle = match context.store.published(id, &spec).filter(|_| is_large) {
+                Some(published) => {
+                    let generation = published.generation;
+                    let view = LiveMap::restore(Arc::clone(&spec), published).publish();
+                    info!(map = %name, states = view.len(), generation, "map served from the index");
+                    let (handle, seat) = MapHandle::with_seat(id, Arc::clone(&spec), view);
+                    rest.push(SeatedMap { id, spec, seat });
+                    Arc::new(handle)
+                }
+                None => open_map(&context, id, spec)?,
+            };
+            maps.insert(name, handle);
         }
         let changing = Arc::new(tokio::sync::Mutex::new(true));
-        Ok(Self { context, max_maps, maps: Arc::new(ArcSwap::from_pointee(maps)), changing })
+        Ok((Self { context, max_maps, maps: Arc::new(ArcSwap::from_pointee(maps)), changing, stopping }, rest))
+    }
+
+    /// Restores the maps that show what the index publishes, one after the other.
+    ///
+    /// # Errors
+    /// The first map that cannot be opened, and why; [`CatalogError::Stopping`].
+    pub(crate) fn restore_rest(&self, rest: Vec<SeatedMap>) -> Result<(), CatalogError> {
+        for SeatedMap { id, spec, seat } in rest {
+            let tell = |done, total| {
+                seat.opening.send_replace(Opening::Replay { done, total });
+                !self.stopping.load(Ordering::Relaxed)
+            };
+            let restored = restore_map(&self.context, id, spec, &tell)?;
+            start_in(seat, self.context.clone(), id, restored)?;
+        }
+        Ok(())
     }
 
     /// The map of this name.
@@ -136,7 +194,7 @@ impl Catalog {
         let name = spec.name.clone();
         let handle = ended(tokio::task::spawn_blocking(move || {
             let id = context.store.create_map(&spec)?;
-            open_map(&context, id, spec).inspect_err(|_| {
+            open_map(&context, id, Arc::new(spec)).inspect_err(|_| {
                 // An unlisted map could be neither used nor deleted, and would take its name at the next start.
                 if let Err(error) = context.store.delete_map(id) {
                     warn!(id = id.0, %error, "a map that could not be opened is left in the store");
@@ -188,6 +246,7 @@ impl Catalog {
 
     /// Stops all writers; what is in flight becomes durable and is acknowledged first.
     pub(crate) async fn stop(&self) {
+        self.stopping.store(true, Ordering::Relaxed);
         let mut open = self.changing.lock().await;
         *open = false;
         let maps = self.all();
@@ -215,14 +274,27 @@ async fn ended<T>(task: tokio::task::JoinHandle<Result<T, CatalogError>>) -> Res
     }
 }
 
-/// Restores a map from its newest snapshot and the log after it, and starts its writer. The last update in the log may
-/// have been cut off: the writer repeats it while the map is served from the generation before.
-fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
+/// Restores a map and starts its writer.
+fn open_map(context: &Context, id: MapId, spec: Arc<MapSpec>) -> Result<Arc<MapHandle>, CatalogError> {
+    let restored = restore_map(context, id, spec, &|_, _| true)?;
+    Ok(start(context.clone(), id, restored)?)
+}
+
+/// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off: the
+/// writer repeats it while the map is served from the generation before. `tell` hears now and then how many records of
+/// how many are replayed, and whether to continue.
+fn restore_map(
+    context: &Context,
+    id: MapId,
+    spec: Arc<MapSpec>,
+    tell: &dyn Fn(u64, u64) -> bool,
+) -> Result<Restored, CatalogError> {
     let opened = context.store.open_map(id, &spec)?;
     for report in &opened.reports {
         warn!(map = %spec.name, "{report}");
     }
-    let spec = Arc::new(spec);
+    let from = opened.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
+    let total = (opened.log.end() + 1).saturating_sub(from);
     let (mut map, known) = match opened.snapshot {
         Some(snapshot) => {
             let known = snapshot.position;
@@ -237,6 +309,9 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
     let mut begun: Option<UpdateWork> = None;
     for entry in opened.replay {
         let (position, event) = entry?;
+        if replayed.is_multiple_of(RECORDS_PER_REPORT) && !tell(replayed, total) {
+            return Err(CatalogError::Stopping);
+        }
         replayed += 1;
         if position <= known {
             map.recover_pending(position, &event)
@@ -256,7 +331,7 @@ fn open_map(context: &Context, id: MapId, spec: MapSpec) -> Result<Arc<MapHandle
         map = %spec.name, source = ?opened.source, replayed, states = map.states(), pending = map.pending(),
         "map opened"
     );
-    Ok(start(context.clone(), id, map, opened.log, unsaved, begun)?)
+    Ok(Restored { map, log: opened.log, unsaved, begun })
 }
 
 /// Repeats updates at the start because others followed them, and holds what is not saved of them.

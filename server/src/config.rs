@@ -21,6 +21,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Default, Parser, Serialize)]
 #[command(name = "tidemapd", version)]
 pub(crate) struct Flags {
+    /// What to do instead of serving.
+    #[command(subcommand)]
+    #[serde(skip)]
+    pub command: Option<Command>,
     /// Config file (TOML).
     #[arg(long, value_name = "FILE", env = "TIDEMAP_CONFIG")]
     #[serde(skip)]
@@ -50,6 +54,21 @@ pub(crate) struct Flags {
     #[arg(long, value_name = "FILTER")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub log_level: Option<String>,
+}
+
+/// What to do instead of serving.
+#[derive(Clone, Debug, clap::Subcommand)]
+pub(crate) enum Command {
+    /// Print what the index of a data folder holds; no daemon may use the folder. The exit status is 0 if the index has
+    /// a whole generation of every map, 1 if not, and 2 if it cannot be printed.
+    Index {
+        /// The data folder.
+        #[arg(value_name = "DIR")]
+        dir: PathBuf,
+        /// Print the rows of this map.
+        #[arg(value_name = "MAP")]
+        map: Option<String>,
+    },
 }
 
 /// Format of the log.

@@ -15,7 +15,7 @@ use tokio::{
 use tracing::{error, info, warn};
 
 use crate::{
-    catalog::{Catalog, CatalogError},
+    catalog::{Catalog, CatalogError, RESTORED_FIRST_BYTES},
     clock::SystemClock,
     config::Settings,
     http,
@@ -127,8 +127,8 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     };
     let store = Arc::clone(&context.store);
     let max_maps = settings.max_maps;
-    let catalog =
-        tokio::task::spawn_blocking(move || Catalog::open(context, max_maps)).await.map_err(anyhow::Error::from)??;
+    let open = move || Catalog::open(context, max_maps, RESTORED_FIRST_BYTES);
+    let (catalog, rest) = tokio::task::spawn_blocking(open).await.map_err(anyhow::Error::from)??;
     let catalog = Arc::new(catalog);
 
     let (stop_sender, stopping) = watch::channel(false);
@@ -158,9 +158,19 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let _ = std::io::stdout().flush();
     info!(grpc = %grpc_address, http = %http_address, data = %settings.data_dir.display(), "ready");
 
+    let restoring = Arc::clone(&catalog);
+    let restored = tokio::task::spawn_blocking(move || restoring.restore_rest(rest));
+    let cannot_restore = async {
+        match restored.await {
+            Ok(Err(error)) => DaemonError::from(error),
+            Err(error) => DaemonError::Other(error.into()),
+            Ok(Ok(())) => std::future::pending().await,
+        }
+    };
     let result = tokio::select! {
         _ = terminate.recv() => Ok(()),
         _ = interrupt.recv() => Ok(()),
+        error = cannot_restore => Err(error),
         Some(reason) = fatal.recv() => Err(DaemonError::Storage(reason)),
         ended = &mut grpc_task => Err(DaemonError::Other(anyhow::anyhow!("the gRPC port closed: {ended:?}"))),
         ended = &mut http_task => Err(DaemonError::Other(anyhow::anyhow!("the HTTP port closed: {ended:?}"))),

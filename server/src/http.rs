@@ -8,9 +8,24 @@ use axum::{Router, http::StatusCode, routing::get};
 use metrics_exporter_prometheus::PrometheusHandle;
 use tokio::{net::TcpListener, sync::watch};
 
-use crate::{catalog::Catalog, statistics};
+use crate::{
+    catalog::Catalog,
+    ingest::handle::{MapHandle, Opening},
+    statistics,
+};
 
 const INDEX: &str = "tidemapd\n\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
+
+/// A line for each map that is being opened; no names, because nobody has to log in here.
+fn opening(catalog: &Catalog) -> String {
+    let line = |handle: &Arc<MapHandle>| match handle.opening() {
+        Opening::Open => None,
+        Opening::Replay { done, total } => {
+            Some(format!("opening map number {}: {done} of {total} records of its log are replayed\n", handle.id.0))
+        }
+    };
+    catalog.all().values().filter_map(line).collect()
+}
 
 /// Serves until `stop` is ready.
 ///
@@ -23,9 +38,19 @@ pub(crate) async fn serve(
     stopping: watch::Receiver<bool>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
+    let maps = Arc::clone(&catalog);
     let ready = move || {
         let stopping = *stopping.borrow();
-        async move { if stopping { (StatusCode::SERVICE_UNAVAILABLE, "stopping\n") } else { (StatusCode::OK, "ready\n") } }
+        let opening = opening(&maps);
+        async move {
+            if stopping {
+                (StatusCode::SERVICE_UNAVAILABLE, "stopping\n".to_owned())
+            } else if opening.is_empty() {
+                (StatusCode::OK, "ready\n".to_owned())
+            } else {
+                (StatusCode::SERVICE_UNAVAILABLE, opening)
+            }
+        }
     };
     let router = Router::new()
         .route("/", get(|| async { INDEX }))

@@ -1,7 +1,7 @@
 //! `tidemapd`, the map service that learns when things change. The library has one entry point, [`run`], so that a test
 //! can start the same daemon on another disk; the program is `main.rs`.
 //!
-//! Invariant: every way out has its exit status: 0 stopped as requested, 2 wrong usage, 65 the data cannot be used, 69
+//! Invariant: every way out of the daemon has its exit status: 0 stopped as requested, 2 wrong usage, 65 the data cannot be used, 69
 //! a port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70 anything else.
 
 mod catalog;
@@ -10,6 +10,7 @@ mod config;
 mod daemon;
 mod evaluation;
 mod http;
+mod index_print;
 mod ingest;
 mod jobs;
 mod model_cache;
@@ -22,12 +23,15 @@ use std::{process::ExitCode, sync::Arc};
 use clap::Parser as _;
 use tidemap_store::disk::Disk;
 
-use crate::config::{Flags, Settings};
+use crate::config::{Command, Flags, Settings};
 
 /// Runs the whole daemon: reads the command line and the settings, serves until it is stopped, and returns the exit
 /// status. Everything that must survive a power cut goes through `disk`.
 pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
     let flags = Flags::parse();
+    if let Some(Command::Index { dir, map }) = &flags.command {
+        return index_print::run(dir, map.as_deref());
+    }
     let settings = match Settings::load(&flags).and_then(|settings| {
         telemetry::start_logs(settings.log_format, &settings.log_level)?;
         Ok(settings)

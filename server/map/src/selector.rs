@@ -127,6 +127,12 @@ pub struct ModelSelector {
 }
 
 impl ModelSelector {
+    /// Whether it predicts from what the last update published alone, without newer values.
+    pub fn is_of_generation(&self) -> bool {
+        let is_plain = *self == ModelSelector { kind: self.kind, order: self.order, ..ModelSelector::default() };
+        is_plain && matches!(self.kind, ModelKind::Auto | ModelKind::Mean | ModelKind::Spectral)
+    }
+
     /// Order of the spectral model that predicts this state; 0 for a constant model or another kind.
     pub fn order_for(&self, model: &StateModel) -> usize {
         let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.choice() != ModelChoice::Spectral;

@@ -2,6 +2,11 @@
 
 use std::{path::Path, time::Duration};
 
+use tidemap_map::{
+    event::{NewState, StateKind, UpdateCause, UpdateStart},
+    ids::StateId,
+    name::StateName,
+};
 use tidemap_model::Zone;
 use tidemap_store::{Store, StoreOptions};
 
@@ -13,8 +18,8 @@ fn store(dir: &Path) -> Store {
     Store::open(dir, options).expect("a store")
 }
 
-fn catalog(store: Store) -> Result<Catalog, CatalogError> {
-    let context = Context {
+fn context(store: Store) -> Context {
+    Context {
         store: Arc::new(store),
         jobs: Arc::new(Jobs::default()),
         clock: Arc::new(SystemClock),
@@ -25,8 +30,15 @@ fn catalog(store: Store) -> Result<Catalog, CatalogError> {
         max_pending: tidemap_map::live_map::PendingLimits { observations: 1000, changes: 1000 },
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
-    };
-    Catalog::open(context, 10)
+    }
+}
+
+fn catalog(store: Store) -> Result<Catalog, CatalogError> {
+    Ok(Catalog::open(context(store), 10, u64::MAX)?.0)
+}
+
+fn opened_first(store: Store, restored_first_bytes: u64) -> (Catalog, Vec<SeatedMap>) {
+    Catalog::open(context(store), 10, restored_first_bytes).expect("maps")
 }
 
 fn spec() -> MapSpec {
@@ -89,4 +101,67 @@ fn two_maps_of_one_name_are_not_served() {
     let (first, second) = (store.create_map(&spec()).expect("one"), store.create_map(&spec()).expect("two"));
     let error = catalog(store).expect_err("not both");
     assert!(error.to_string().contains(&format!("maps {} and {} ", first.0, second.0)), "{error}");
+}
+
+#[tokio::test]
+async fn a_large_map_shows_what_the_index_publishes_until_it_is_restored() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let (before, id) = {
+        let store = store(dir.path());
+        let id = store.create_map(&spec()).expect("created");
+        let mut map = LiveMap::new(Arc::new(spec()));
+        let log = store.open_map(id, &spec()).expect("opened").log;
+        let door = StateName::new("door").expect("valid");
+        let new = NewState { id: StateId(0), name: door, shape: StateKind::Probability.into() };
+        let cut_nanos = 1_700_000_000_000_000_000;
+        let start = UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::Request };
+        let events = [Event::AddState(new), Event::UpdateStart(start)];
+        let mut saved = None;
+        for (position, event) in (1..).zip(&events) {
+            let (sender, receiver) = std::sync::mpsc::channel();
+            log.append(event, Box::new(move |result| sender.send(result).expect("waiting"))).expect("queued");
+            assert_eq!(receiver.recv().expect("answered"), Ok(position));
+            if let Some(work) = map.apply(position, event).expect("consistent") {
+                let done = std::sync::atomic::AtomicU64::new(0);
+                saved = Some(map.finish_update(work.run(&done).expect("no tiles")));
+            }
+        }
+        store.save(id, &saved.expect("an update")).expect("saved");
+        // The log has one state more than the index.
+        let hatch = StateName::new("hatch").expect("valid");
+        let new = NewState { id: StateId(1), name: hatch, shape: StateKind::Probability.into() };
+        let (sender, receiver) = std::sync::mpsc::channel();
+        let done: tidemap_store::Done = Box::new(move |result| sender.send(result).expect("waiting"));
+        log.append(&Event::AddState(new), done).expect("queued");
+        assert_eq!(receiver.recv().expect("answered"), Ok(3));
+        (map.publish(), id)
+    };
+    let (catalog, rest) = opened_first(store(dir.path()), 0);
+    let handle = catalog.get("office").expect("listed");
+    assert_eq!((handle.id, rest.len()), (id, 1));
+    assert_eq!(handle.opening(), Opening::Replay { done: 0, total: 0 });
+    let view = handle.view();
+    assert_eq!((view.generation(), view.len(), view.position()), (1, 1, before.position()));
+    assert!(view.find("hatch").is_none(), "the log is not replayed");
+    let waiting = {
+        let handle = Arc::clone(&handle);
+        tokio::spawn(async move { handle.opened().await })
+    };
+    let restoring = catalog.clone();
+    tokio::task::spawn_blocking(move || restoring.restore_rest(rest)).await.expect("ran").expect("restored");
+    assert!(waiting.await.expect("ran"), "it is open");
+    assert_eq!(handle.opening(), Opening::Open);
+    assert!(handle.view().find("hatch").is_some(), "the log is replayed");
+    catalog.stop().await;
+}
+
+#[tokio::test]
+async fn a_stop_does_not_wait_for_a_map_that_is_never_restored() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let catalog = catalog(store(dir.path())).expect("no maps");
+    let map = LiveMap::new(Arc::new(spec())).publish();
+    let (handle, seat) = MapHandle::with_seat(MapId(1), Arc::new(spec()), map);
+    drop(seat);
+    assert!(!handle.opened().await);
+    catalog.stop().await;
 }

@@ -1,5 +1,8 @@
 //! The handle of a map, for everybody except its writer.
 //!
+//! A map that is being opened has its handle before its writer: readers get the view of what the index publishes, and
+//! commands wait for the writer.
+//!
 //! Invariant: reading never waits, and the map changes only by commands to its writer.
 
 use std::sync::{
@@ -15,6 +18,30 @@ use tokio::sync::{oneshot, watch};
 
 use super::{ending::Ending, protocol::Command, tile_totals::TileTotals};
 
+/// How far the opening of a map is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Opening {
+    /// Its checkpoint is being loaded, or records of its log are being replayed.
+    Replay {
+        /// Records replayed.
+        done: u64,
+        /// Records to replay; 0 while the checkpoint is loaded.
+        total: u64,
+    },
+    /// It is open.
+    Open,
+}
+
+/// The place of a map's writer: what it shares with the handle.
+pub(crate) struct Seat {
+    pub(super) view: Arc<ArcSwap<MapView>>,
+    pub(super) commands: mpsc::Sender<Command>,
+    pub(super) inbox: mpsc::Receiver<Command>,
+    pub(super) saturated: watch::Sender<bool>,
+    pub(super) tile_bytes: Arc<AtomicU64>,
+    pub(crate) opening: watch::Sender<Opening>,
+}
+
 /// The handle of a map.
 #[derive(Debug)]
 pub(crate) struct MapHandle {
@@ -26,21 +53,39 @@ pub(crate) struct MapHandle {
     commands: mpsc::Sender<Command>,
     saturated: watch::Receiver<bool>,
     tile_bytes: Arc<AtomicU64>,
+    opening: watch::Receiver<Opening>,
     // A lock, because the totals of a generation are counted once; held to copy them, not while counting.
     tile_totals: Mutex<Option<(u64, TileTotals)>>,
 }
 
 impl MapHandle {
-    /// The handle of a map whose writer publishes to `view`, receives `commands` and sets `saturated` and `tile_bytes`.
-    pub(crate) fn new(
-        id: MapId,
-        spec: Arc<MapSpec>,
-        view: Arc<ArcSwap<MapView>>,
-        commands: mpsc::Sender<Command>,
-        saturated: watch::Receiver<bool>,
-        tile_bytes: Arc<AtomicU64>,
-    ) -> Self {
-        Self { id, spec, view, commands, saturated, tile_bytes, tile_totals: Mutex::new(None) }
+    /// The handle of a map that shows `view`, and the place of its writer.
+    pub(crate) fn with_seat(id: MapId, spec: Arc<MapSpec>, view: MapView) -> (Self, Seat) {
+        let view = Arc::new(ArcSwap::from_pointee(view));
+        let (commands, inbox) = mpsc::channel();
+        let (saturated_sender, saturated) = watch::channel(false);
+        let (opening_sender, opening) = watch::channel(Opening::Replay { done: 0, total: 0 });
+        let tile_bytes = Arc::new(AtomicU64::new(0));
+        let seat = Seat {
+            view: Arc::clone(&view),
+            commands: commands.clone(),
+            inbox,
+            saturated: saturated_sender,
+            tile_bytes: Arc::clone(&tile_bytes),
+            opening: opening_sender,
+        };
+        let tile_totals = Mutex::new(None);
+        (Self { id, spec, view, commands, saturated, tile_bytes, opening, tile_totals }, seat)
+    }
+
+    /// How far the opening of the map is.
+    pub(crate) fn opening(&self) -> Opening {
+        *self.opening.borrow()
+    }
+
+    /// Waits until the map is open; `false`: the daemon stops before.
+    pub(crate) async fn opened(&self) -> bool {
+        self.opening.clone().wait_for(|opening| *opening == Opening::Open).await.is_ok()
     }
 
     /// Memory of the models and sums of tiles, in bytes, about.

@@ -23,7 +23,7 @@
 use std::{
     collections::BTreeMap,
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{Arc, atomic::AtomicU64, mpsc},
+    sync::{Arc, atomic::Ordering, mpsc},
     time::Duration,
 };
 
@@ -41,7 +41,7 @@ use tracing::warn;
 use super::{
     anomaly_feed::AnomalyFeed,
     ending::Ending,
-    handle::MapHandle,
+    handle::{MapHandle, Opening, Seat},
     protocol::{Command, Hello, HelloError, RefusedObservation, SessionEvent, SessionId, Welcome},
     sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
@@ -87,20 +87,35 @@ pub(crate) struct Context {
     pub tile_cache_bytes: u64,
 }
 
-/// Starts the writer of a restored map. `unsaved`: the unsaved result of updates that were repeated during the start.
-/// `begun`: an update that the log has begun, and that may have been cut off.
+/// A map that is restored from its checkpoint and its log.
+pub(crate) struct Restored {
+    /// The map.
+    pub map: LiveMap,
+    /// Its log.
+    pub log: MapLog,
+    /// The unsaved result of updates that were repeated during the start.
+    pub unsaved: Option<MapSnapshot>,
+    /// An update that the log has begun, and that may have been cut off.
+    pub begun: Option<UpdateWork>,
+}
+
+/// Starts the writer of a restored map, with a handle of its own.
 ///
 /// # Errors
 /// The thread cannot be started.
-pub(crate) fn start(
-    context: Context,
-    id: MapId,
-    map: LiveMap,
-    log: MapLog,
-    unsaved: Option<MapSnapshot>,
-    begun: Option<UpdateWork>,
-) -> std::io::Result<Arc<MapHandle>> {
-    let (mut writer, inbox, handle) = build(context, id, map, log, unsaved);
+pub(crate) fn start(context: Context, id: MapId, mut restored: Restored) -> std::io::Result<Arc<MapHandle>> {
+    let (handle, seat) = MapHandle::with_seat(id, Arc::clone(restored.map.spec()), restored.map.publish());
+    start_in(seat, context, id, restored)?;
+    Ok(Arc::new(handle))
+}
+
+/// Starts the writer of a restored map at its place, from which on the map is open.
+///
+/// # Errors
+/// The thread cannot be started.
+pub(crate) fn start_in(seat: Seat, context: Context, id: MapId, restored: Restored) -> std::io::Result<()> {
+    let Restored { map, log, unsaved, begun } = restored;
+    let (mut writer, inbox) = build(seat, context, id, map, log, unsaved);
     begun.into_iter().for_each(|work| writer.repeat_update(work));
     std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
         let fatal = writer.context.fatal.clone();
@@ -109,24 +124,24 @@ pub(crate) fn start(
             drop(fatal.send("the writer of a map panicked; this is a defect of tidemap".to_owned()));
         }
     })?;
-    Ok(Arc::new(handle))
+    Ok(())
 }
 
-/// A writer that does not run yet, the receiver of its commands, and its handle.
+/// A writer that does not run yet, and the receiver of its commands. The map is open when this returns.
 fn build(
+    seat: Seat,
     context: Context,
     id: MapId,
     mut map: LiveMap,
     log: MapLog,
     unsaved: Option<MapSnapshot>,
-) -> (Writer, mpsc::Receiver<Command>, MapHandle) {
+) -> (Writer, mpsc::Receiver<Command>) {
     let spec = Arc::clone(map.spec());
-    let (commands, inbox) = mpsc::channel();
-    let (saturated_sender, saturated) = watch::channel(false);
-    let view = Arc::new(ArcSwap::from_pointee(map.publish()));
-    let tile_bytes = Arc::new(AtomicU64::new(map.tile_memory().bytes));
-    let handle =
-        MapHandle::new(id, Arc::clone(&spec), Arc::clone(&view), commands.clone(), saturated, Arc::clone(&tile_bytes));
+    let Seat { view, commands, inbox, saturated, tile_bytes, opening } = seat;
+    tile_bytes.store(map.tile_memory().bytes, Ordering::Relaxed);
+    // First the view: who has waited for the map sees everything that is acknowledged.
+    view.store(Arc::new(map.publish()));
+    opening.send_replace(Opening::Open);
     let limits = SessionLimits {
         states: context.max_states,
         producers: context.max_producers,
@@ -142,7 +157,7 @@ fn build(
         map,
         log,
         view,
-        saturated: saturated_sender,
+        saturated,
         commands,
         appends: Appends::default(),
         backlog: Backlog::default(),
@@ -154,7 +169,7 @@ fn build(
         changed: false,
         stopping: None,
     };
-    (writer, inbox, handle)
+    (writer, inbox)
 }
 
 /// The acknowledgement that a stream gets with the next view.

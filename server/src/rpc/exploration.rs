@@ -81,7 +81,7 @@ impl Explorations {
     }
 
     async fn visited(&self, request: v1::ReportVisitRequest) -> Result<v1::ReportVisitResponse, RpcError> {
-        let handle = find_map(&self.catalog, &request.map)?;
+        let handle = find_map(&self.catalog, &request.map).await?;
         let at = request
             .at
             .ok_or_else(|| InvalidField::new("at", "missing: give the position that the robot was sent to"))?;

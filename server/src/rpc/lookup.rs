@@ -2,7 +2,7 @@
 //!
 //! Invariant: the error for an unknown name lists some known ones.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use tidemap_map::{
     grid::{index::CellIndex, view::CellDescription},
@@ -14,11 +14,36 @@ use tidemap_proto::convert::{InvalidField, OverLimit};
 use super::status::RpcError;
 use crate::{
     catalog::{Catalog, CatalogError},
-    ingest::handle::MapHandle,
+    ingest::handle::{MapHandle, Opening},
 };
 
-/// The map of this name, or an error that lists the existing ones.
-pub(super) fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
+/// How long a request waits for a map that is being opened.
+const OPEN_WITHIN: Duration = Duration::from_secs(10);
+
+/// The map of this name, or an error that lists the existing ones. Waits until the map is open.
+pub(super) async fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
+    let handle = find_published(catalog, name)?;
+    opened(&handle).await?;
+    Ok(handle)
+}
+
+/// Waits until a map is open.
+pub(super) async fn opened(handle: &MapHandle) -> Result<(), RpcError> {
+    match tokio::time::timeout(OPEN_WITHIN, handle.opened()).await {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(RpcError::Stopping),
+        Err(_) => {
+            let (done, total) = match handle.opening() {
+                Opening::Open => return Ok(()),
+                Opening::Replay { done, total } => (done, total),
+            };
+            Err(RpcError::Opening { map: handle.spec.name.as_str().to_owned(), done, total })
+        }
+    }
+}
+
+/// The map of this name, even if it shows no more yet than the generation that the index publishes.
+pub(super) fn find_published(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
     catalog.get(name).map_err(|error| match error {
         CatalogError::Unknown(name) => {
             let known = catalog.all().keys().map(|name| name.as_str().to_owned()).collect();

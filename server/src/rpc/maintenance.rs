@@ -107,7 +107,7 @@ impl MaintenanceService for Maintenance {
 
     async fn run_update(&self, request: Request<v1::RunUpdateRequest>) -> RpcReply<v1::RunUpdateResponse> {
         let request = request.into_inner();
-        let handle = find_map(&self.catalog, &request.map)?;
+        let handle = find_map(&self.catalog, &request.map).await?;
         let until_nanos = request.until.map(|until| nanos_from_timestamp("until", until)).transpose();
         let until_nanos = until_nanos.map_err(RpcError::from)?;
         let context = self.catalog.context();
@@ -178,7 +178,7 @@ impl MaintenanceService for Maintenance {
 
     async fn get_statistics(&self, request: Request<v1::GetStatisticsRequest>) -> RpcReply<v1::GetStatisticsResponse> {
         let name = request.into_inner().map;
-        let handle = if name.is_empty() { None } else { Some(find_map(&self.catalog, &name)?) };
+        let handle = if name.is_empty() { None } else { Some(find_map(&self.catalog, &name).await?) };
         let catalog = Arc::clone(&self.catalog);
         // Sizes are read from the disk.
         let statistics = tokio::task::spawn_blocking(move || match handle {

@@ -27,7 +27,7 @@ use crate::{
         handle::MapHandle,
         protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
     },
-    rpc::lookup::{find_map, find_state},
+    rpc::lookup::{find_map, find_state, opened},
 };
 
 #[derive(Debug)]
@@ -57,7 +57,7 @@ impl MapService for Maps {
     }
 
     async fn get_map(&self, request: Request<v1::GetMapRequest>) -> RpcReply<v1::GetMapResponse> {
-        let handle = find_map(&self.catalog, &request.get_ref().name)?;
+        let handle = find_map(&self.catalog, &request.get_ref().name).await?;
         Ok(Response::new(v1::GetMapResponse { map: Some(map_to_wire(&handle.view())) }))
     }
 
@@ -65,20 +65,24 @@ impl MapService for Maps {
         let request = request.into_inner();
         let maps = self.catalog.all();
         let (range, next_page_token) = page(maps.len(), request.page_size, 100, 1000, &request.page_token)?;
-        let maps = maps.values().skip(range.start).take(range.len()).map(|handle| map_to_wire(&handle.view()));
-        Ok(Response::new(v1::ListMapsResponse { maps: maps.collect(), next_page_token }))
+        let mut shown = Vec::with_capacity(range.len());
+        for handle in maps.values().skip(range.start).take(range.len()) {
+            opened(handle).await?;
+            shown.push(map_to_wire(&handle.view()));
+        }
+        Ok(Response::new(v1::ListMapsResponse { maps: shown, next_page_token }))
     }
 
     async fn delete_map(&self, request: Request<v1::DeleteMapRequest>) -> RpcReply<v1::DeleteMapResponse> {
         let name = request.into_inner().name;
-        find_map(&self.catalog, &name)?;
+        find_map(&self.catalog, &name).await?;
         self.catalog.delete(&name).await.map_err(RpcError::from)?;
         Ok(Response::new(v1::DeleteMapResponse {}))
     }
 
     async fn add_state(&self, request: Request<v1::AddStateRequest>) -> RpcReply<v1::AddStateResponse> {
         let v1::AddStateRequest { map, state, kind, dimensions } = request.into_inner();
-        let handle = find_map(&self.catalog, &map)?;
+        let handle = find_map(&self.catalog, &map).await?;
         let invalid = |error| RpcError::from(InvalidField::new("state", error));
         let name = StateName::observed(&state).map_err(invalid)?;
         let shape = shape_from_wire(("kind", kind), ("dimensions", dimensions)).map_err(RpcError::from)?;
@@ -97,7 +101,7 @@ impl MapService for Maps {
 
     async fn list_states(&self, request: Request<v1::ListStatesRequest>) -> RpcReply<v1::ListStatesResponse> {
         let request = request.into_inner();
-        let view = find_map(&self.catalog, &request.map)?.view();
+        let view = find_map(&self.catalog, &request.map).await?.view();
         let (range, next_page_token) = page(view.len(), request.page_size, 1000, 10_000, &request.page_token)?;
         let ids = range.filter_map(|index| u32::try_from(index).ok()).map(StateId);
         let states = ids.filter_map(|id| state_to_wire(&view, id)).collect();
@@ -106,7 +110,7 @@ impl MapService for Maps {
 
     async fn set_charger(&self, request: Request<v1::SetChargerRequest>) -> RpcReply<v1::SetChargerResponse> {
         let v1::SetChargerRequest { map, charger } = request.into_inner();
-        let handle = find_map(&self.catalog, &map)?;
+        let handle = find_map(&self.catalog, &map).await?;
         let at_m = charger.map(|at| point_from_wire("charger", at)).transpose().map_err(RpcError::from)?;
         edit_site(&handle, SiteEdit::Charger(at_m)).await?;
         Ok(Response::new(v1::SetChargerResponse {}))
@@ -114,7 +118,7 @@ impl MapService for Maps {
 
     async fn set_location(&self, request: Request<v1::SetLocationRequest>) -> RpcReply<v1::SetLocationResponse> {
         let v1::SetLocationRequest { map, location } = request.into_inner();
-        let handle = find_map(&self.catalog, &map)?;
+        let handle = find_map(&self.catalog, &map).await?;
         let v1::Location { name, states, position } = location.unwrap_or_default();
         let name = location_name("location.name", &name)?;
         let view = handle.view();
@@ -133,7 +137,7 @@ impl MapService for Maps {
         request: Request<v1::DeleteLocationRequest>,
     ) -> RpcReply<v1::DeleteLocationResponse> {
         let v1::DeleteLocationRequest { map, location } = request.into_inner();
-        let handle = find_map(&self.catalog, &map)?;
+        let handle = find_map(&self.catalog, &map).await?;
         let name = location_name("location", &location)?;
         edit_site(&handle, SiteEdit::RemoveLocation(name)).await?;
         Ok(Response::new(v1::DeleteLocationResponse {}))
@@ -141,7 +145,7 @@ impl MapService for Maps {
 
     async fn list_locations(&self, request: Request<v1::ListLocationsRequest>) -> RpcReply<v1::ListLocationsResponse> {
         let request = request.into_inner();
-        let view = find_map(&self.catalog, &request.map)?.view();
+        let view = find_map(&self.catalog, &request.map).await?.view();
         let all = view.site().locations();
         let (range, next_page_token) = page(all.len(), request.page_size, 100, 1000, &request.page_token)?;
         let locations = all.iter().skip(range.start).take(range.len());

@@ -206,7 +206,7 @@ async fn open_and_serve(
         }
         Err(_) => return Err(InvalidField::new("hello", "no Hello within 10 seconds").into()),
     };
-    let handle = find_map(&catalog, &first.map)?;
+    let handle = find_map(&catalog, &first.map).await?;
     let key = key(&first)?;
     let (events_sender, events) = mpsc::unbounded_channel();
     let (answer, answered) = oneshot::channel();

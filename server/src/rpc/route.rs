@@ -70,8 +70,8 @@ impl Routes {
     }
 
     /// A map, its present view and its topology.
-    fn find(&self, map: &str) -> Result<(Arc<MapHandle>, Arc<MapView>, Arc<Topology>), RpcError> {
-        let handle = find_map(&self.catalog, map)?;
+    async fn find(&self, map: &str) -> Result<(Arc<MapHandle>, Arc<MapView>, Arc<Topology>), RpcError> {
+        let handle = find_map(&self.catalog, map).await?;
         let view = handle.view();
         let topology = Arc::clone(view.site().topology());
         Ok((handle, view, topology))
@@ -101,7 +101,7 @@ impl Routes {
 
     /// Edits a map's topology. Gives the numbers of nodes and edges after that.
     async fn edit(&self, map: &str, edit: TopologyEdit) -> Result<(u32, u32), RpcError> {
-        let handle = find_map(&self.catalog, map)?;
+        let handle = find_map(&self.catalog, map).await?;
         edit_site(&handle, SiteEdit::Topology(edit)).await?;
         let view = handle.view();
         let topology = view.site().topology();
@@ -124,7 +124,7 @@ impl TopologyService for Routes {
     async fn load_topology(&self, request: Request<v1::LoadTopologyRequest>) -> RpcReply<v1::LoadTopologyResponse> {
         let request = request.into_inner();
         let map = request.map.clone();
-        find_map(&self.catalog, &map)?;
+        find_map(&self.catalog, &map).await?;
         let edit = self.run_blocking(move || load_from_wire(&request)).await?.map_err(RpcError::from)?;
         let (nodes, edges) = self.edit(&map, edit).await?;
         Ok(Response::new(v1::LoadTopologyResponse { nodes, edges }))
@@ -138,13 +138,13 @@ impl TopologyService for Routes {
     }
 
     async fn get_topology(&self, request: Request<v1::GetTopologyRequest>) -> RpcReply<v1::GetTopologyResponse> {
-        let view = find_map(&self.catalog, &request.get_ref().map)?.view();
+        let view = find_map(&self.catalog, &request.get_ref().map).await?.view();
         Ok(Response::new(self.run_blocking(move || topology_to_wire(view.site().topology())).await?))
     }
 
     async fn list_failures(&self, request: Request<v1::ListFailuresRequest>) -> RpcReply<v1::ListFailuresResponse> {
         let v1::ListFailuresRequest { map, limit, edge } = request.into_inner();
-        let view = find_map(&self.catalog, &map)?.view();
+        let view = find_map(&self.catalog, &map).await?.view();
         let most = if limit == 0 { usize::MAX } else { usize::try_from(limit).unwrap_or(usize::MAX) };
         let asked = view.site().failures().newest_first();
         let asked = asked.filter(|failure| edge.as_ref().is_none_or(|edge| is_of(failure, edge)));

@@ -89,6 +89,8 @@ pub(crate) enum RpcError {
     SlowReader(u64),
     #[error("the connection broke")]
     Broken,
+    #[error("map {map:?} is being opened: {done} of {total} records of its log are replayed; try again")]
+    Opening { map: String, done: u64, total: u64 },
     #[error("the daemon is stopping; connect again later")]
     Stopping,
 }
@@ -204,6 +206,7 @@ impl RpcError {
             },
             Self::SlowReader(_) => (Code::ResourceExhausted, "SLOW_READER"),
             Self::Broken => (Code::Cancelled, "BROKEN"),
+            Self::Opening { .. } => (Code::Unavailable, "OPENING"),
             Self::Stopping => (Code::Unavailable, "STOPPING"),
         }
     }

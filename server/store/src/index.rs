@@ -163,8 +163,13 @@ impl Index {
         }
     }
 
-    /// No index, for simulated disks.
-    #[cfg(test)]
+    /// Opens the index as it is, to look at it.
+    pub(crate) fn inspect(folder: PathBuf, cache_bytes: u64) -> Result<Index, Damage> {
+        let trees = Some(Trees::open(&folder, cache_bytes)?);
+        Ok(Index { folder, cache_bytes, trees, written: BTreeMap::new() })
+    }
+
+    /// No index.
     pub(crate) fn none() -> Index {
         Index { folder: PathBuf::new(), cache_bytes: 0, trees: None, written: BTreeMap::new() }
     }
@@ -227,6 +232,17 @@ impl Index {
             }
             Err(state) => state,
         })
+    }
+
+    /// Number and bytes of the rows of a map that was checked or saved.
+    pub(crate) fn size_of(&self, map: u32) -> (u64, u64) {
+        let totals = self.written.get(&map).map_or_else(Vec::new, KnownRows::totals);
+        totals.iter().fold((0, 0), |(records, bytes), total| (records + total.records, bytes + total.bytes))
+    }
+
+    /// Bytes of the database on the disk.
+    pub(crate) fn disk_bytes(&self) -> u64 {
+        self.trees.as_ref().and_then(|trees| trees.db.size_on_disk().ok()).unwrap_or(0)
     }
 
     /// Saves what a snapshot publishes. An index that fails is dropped; the checkpoint holds more.

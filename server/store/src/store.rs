@@ -25,11 +25,13 @@ use crate::{
 };
 
 mod catalogue;
+mod contents;
 mod lock;
 pub(crate) mod open;
 mod open_map;
 mod save;
 
+pub use contents::{IndexContents, IndexedRows};
 use lock::Lock;
 
 /// Options of a store.

@@ -72,7 +72,7 @@ fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench 
         tile_cache_bytes: 1 << 30,
     };
     change(&mut context);
-    Bench { catalog: Catalog::open(context, 10).expect("maps"), clock, jobs }
+    Bench { catalog: Catalog::open(context, 10, u64::MAX).expect("maps").0, clock, jobs }
 }
 
 async fn create(bench: &Bench) -> Arc<MapHandle> {

@@ -62,7 +62,7 @@ pub(super) async fn plan_day(
     explorations: &Explorations,
     request: v1::PlanDayRequest,
 ) -> Result<v1::PlanDayResponse, RpcError> {
-    let handle = find_map(&explorations.catalog, &request.map)?;
+    let handle = find_map(&explorations.catalog, &request.map).await?;
     let view = handle.view();
     let day = date_from_wire("date", &request.date)?;
     let slots = DaySlots::of(&view.spec().zone, day, slot_from_wire(request.slot)?).map_err(PlanError::from)?;

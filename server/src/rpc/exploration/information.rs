@@ -84,7 +84,7 @@ pub(super) async fn get_information(
     explorations: &Explorations,
     request: v1::GetInformationRequest,
 ) -> Result<Replies<v1::GetInformationResponse>, RpcError> {
-    let handle = find_map(&explorations.catalog, &request.map)?;
+    let handle = find_map(&explorations.catalog, &request.map).await?;
     let view = handle.view();
     let v1::GetInformationRequest { times_nanos, states, locations, region, model, certainty, .. } = request;
     times_from_wire("times_nanos", &times_nanos)?;

@@ -23,7 +23,7 @@ pub(super) async fn plan_slot(
     explorations: &Explorations,
     request: v1::PlanSlotRequest,
 ) -> Result<v1::PlanSlotResponse, RpcError> {
-    let handle = find_map(&explorations.catalog, &request.map)?;
+    let handle = find_map(&explorations.catalog, &request.map).await?;
     let view = handle.view();
     let time_nanos = instant_from_wire("time", request.time)?;
     let unknown = |_| InvalidField::new("strategy", format!("{} is not known", request.strategy));

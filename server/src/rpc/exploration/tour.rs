@@ -23,7 +23,7 @@ pub(super) async fn plan_tour(
     explorations: &Explorations,
     request: v1::PlanTourRequest,
 ) -> Result<v1::PlanTourResponse, RpcError> {
-    let view = find_map(&explorations.catalog, &request.map)?.view();
+    let view = find_map(&explorations.catalog, &request.map).await?.view();
     let time_nanos = instant_from_wire("time", request.time)?;
     let selector = selector_from_wire("model", request.model)?;
     check_for_cells("model", selector)?;

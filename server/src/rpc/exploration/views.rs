@@ -28,7 +28,7 @@ pub(super) async fn evaluate_views(
     explorations: &Explorations,
     request: v1::EvaluateViewsRequest,
 ) -> Result<Replies<v1::EvaluateViewsResponse>, RpcError> {
-    let view = find_map(&explorations.catalog, &request.map)?.view();
+    let view = find_map(&explorations.catalog, &request.map).await?.view();
     times_from_wire("times_nanos", &request.times_nanos)?;
     let selector = selector_from_wire("model", request.model)?;
     check_for_cells("model", selector)?;

@@ -83,7 +83,7 @@ pub(super) async fn find_anomalies(
     request: v1::FindAnomaliesRequest,
 ) -> Result<Replies<v1::FindAnomaliesResponse>, RpcError> {
     let v1::FindAnomaliesRequest { map, state: name, from_time, to_time, confidence, model } = request;
-    let handle = find_map(&queries.catalog, &map)?;
+    let handle = find_map(&queries.catalog, &map).await?;
     let asked = PastQuery { name: name.clone(), within_nanos: interval_from_wire(from_time, to_time)? };
     let confidence = confidence_from_wire("confidence", confidence)?;
     let selector = judge_from_wire("model", model)?;

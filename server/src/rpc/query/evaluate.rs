@@ -47,7 +47,7 @@ pub(super) async fn evaluate_states(
         let error = InvalidField::new("header", "the first message of the stream must be the header");
         return Err(RpcError::from(error).into());
     };
-    let handle = find_map(&queries.catalog, &header.map)?;
+    let handle = find_map(&queries.catalog, &header.map).await?;
     let view = handle.view();
     let max_order = header.max_order.map(|order| order_from_wire("header.max_order", order)).transpose();
     let max_order = max_order.map_err(RpcError::from)?.unwrap_or(tidemap_model::ORDER_MAX);

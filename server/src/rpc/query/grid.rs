@@ -17,7 +17,7 @@ use tokio_stream::wrappers::ReceiverStream;
 
 use super::Queries;
 use crate::rpc::{
-    lookup::{check_limit, find_map},
+    lookup::{check_limit, find_published, opened},
     replies::{Replies, ReplySink, compute_replies},
     status::RpcError,
 };
@@ -29,8 +29,12 @@ pub(super) async fn predict_grid(
     queries: &Queries,
     request: v1::PredictGridRequest,
 ) -> Result<Replies<v1::PredictGridResponse>, RpcError> {
-    let view = find_map(&queries.catalog, &request.map)?.view();
+    let handle = find_published(&queries.catalog, &request.map)?;
     let question = question_from_wire(&request)?;
+    if !question.selector.is_of_generation() {
+        opened(&handle).await?;
+    }
+    let view = handle.view();
     let no_grid = || RpcError::NoGrid { map: view.spec().name.as_str().to_owned() };
     view.grid().ok_or_else(no_grid)?;
     let permit = queries.permits.take().await?;

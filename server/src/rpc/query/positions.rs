@@ -84,7 +84,7 @@ pub(super) async fn predict_positions(
     queries: &Queries,
     request: v1::PredictPositionsRequest,
 ) -> Result<Replies<v1::PredictPositionsResponse>, RpcError> {
-    let handle = find_map(&queries.catalog, &request.map)?;
+    let handle = find_map(&queries.catalog, &request.map).await?;
     let view = handle.view();
     let (first, dimensions) = find_vector(&view, &request.state)?;
     if request.times_nanos.is_empty() {

@@ -35,7 +35,7 @@ pub(super) async fn reconstruct(
     request: v1::ReconstructRequest,
 ) -> Result<Replies<v1::ReconstructResponse>, RpcError> {
     let v1::ReconstructRequest { map, state: name, from_time, to_time } = request;
-    let handle = find_map(&queries.catalog, &map)?;
+    let handle = find_map(&queries.catalog, &map).await?;
     let asked = PastQuery { name, within_nanos: interval_from_wire(from_time, to_time)? };
     let view = handle.view();
     let (permits, gather) = past(queries, &handle, view, asked).await?;

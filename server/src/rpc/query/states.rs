@@ -34,7 +34,7 @@ use crate::{
     ingest::handle::MapHandle,
     model_cache::CachedModel,
     rpc::{
-        lookup::{cell_of, check_limit, find_cell, find_map, find_state},
+        lookup::{cell_of, check_limit, find_cell, find_map, find_published, find_state, opened},
         permits::run_blocking,
         replies::{Replies, ReplySink, compute_replies, stream_replies},
         status::RpcError,
@@ -102,11 +102,24 @@ async fn find_all(
     if any_cell { tokio::task::spawn_blocking(find).await.map_err(|_| RpcError::Stopping)? } else { find() }
 }
 
+/// Whether a view has the state or the cell of this name.
+fn is_in(view: &MapView, name: &str) -> bool {
+    let Some(Ok(cell)) = CellIndex::from_name(name) else { return view.shape(name).is_some() };
+    let (tile, place) = cell.tile();
+    let live = view.grid().and_then(|grid| grid.live(grid.find(tile)?));
+    live.is_some_and(|live| live.known.contains(place))
+}
+
 pub(super) async fn predict_states(
     queries: &Queries,
     request: v1::PredictStatesRequest,
 ) -> Result<Replies<v1::PredictStatesResponse>, RpcError> {
-    let handle = find_map(&queries.catalog, &request.map)?;
+    let handle = find_published(&queries.catalog, &request.map)?;
+    let is_published = selector_from_wire("model", request.model)?.is_of_generation()
+        && request.states.iter().all(|name| is_in(&handle.view(), name));
+    if !is_published {
+        opened(&handle).await?;
+    }
     let view = handle.view();
     if request.states.is_empty() {
         return Err(InvalidField::new("states", "name at least one state").into());
@@ -336,7 +349,7 @@ pub(super) async fn describe_model(
     queries: &Queries,
     request: v1::DescribeModelRequest,
 ) -> Result<v1::DescribeModelResponse, RpcError> {
-    let view = find_map(&queries.catalog, &request.map)?.view();
+    let view = find_map(&queries.catalog, &request.map).await?.view();
     let permit = queries.permits.take().await?;
     let (mut found, _permit) = find_all(&view, permit, |_| "state".to_owned(), vec![request.state]).await?;
     Ok(match found.pop() {

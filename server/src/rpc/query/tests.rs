@@ -69,7 +69,7 @@ impl Bench {
             max_tiles: 5000,
             tile_cache_bytes: 1 << 30,
         };
-        Arc::new(Catalog::open(context, 10).expect("maps"))
+        Arc::new(Catalog::open(context, 10, u64::MAX).expect("maps").0)
     }
 
     /// A new map `office`.

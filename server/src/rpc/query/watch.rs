@@ -83,7 +83,7 @@ pub(super) async fn watch_anomalies(
     request: v1::WatchAnomaliesRequest,
 ) -> Result<Replies<v1::WatchAnomaliesResponse>, RpcError> {
     let v1::WatchAnomaliesRequest { map, states, confidence, model } = request;
-    let handle = find_map(&queries.catalog, &map)?;
+    let handle = find_map(&queries.catalog, &map).await?;
     let confidence = confidence_from_wire("confidence", confidence)?;
     let selector = watching_judge_from_wire("model", model)?;
     check_limit("states", states.len() as u64, STATES_MAX as u64, "one request")?;

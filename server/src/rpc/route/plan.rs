@@ -38,7 +38,7 @@ pub(super) async fn plan_route(
     routes: &Routes,
     request: v1::PlanRouteRequest,
 ) -> Result<v1::PlanRouteResponse, RpcError> {
-    let (handle, view, topology) = routes.find(&request.map)?;
+    let (handle, view, topology) = routes.find(&request.map).await?;
     let from = find_node(&request.map, &topology, &request.from)?;
     let to = find_node(&request.map, &topology, &request.to)?;
     let question = route_from_wire(&request)?;
@@ -75,7 +75,7 @@ pub(super) async fn plan_policy(
     routes: &Routes,
     request: v1::PlanPolicyRequest,
 ) -> Result<v1::PlanPolicyResponse, RpcError> {
-    let (handle, view, topology) = routes.find(&request.map)?;
+    let (handle, view, topology) = routes.find(&request.map).await?;
     let to = find_node(&request.map, &topology, &request.to)?;
     let time_nanos = instant_from_wire("start_time", request.start_time)?;
     let options = policy_from_wire(&request)?;
@@ -98,7 +98,7 @@ pub(super) async fn predict_edges(
     routes: &Routes,
     request: v1::PredictEdgesRequest,
 ) -> Result<v1::PredictEdgesResponse, RpcError> {
-    let (handle, view, topology) = routes.find(&request.map)?;
+    let (handle, view, topology) = routes.find(&request.map).await?;
     let time_nanos = instant_from_wire("time", request.time)?;
     let selector = selector_from_wire("model", request.model)?;
     let speed = speed_from_wire(request.speed_m_per_s)?;

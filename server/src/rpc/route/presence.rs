@@ -28,7 +28,7 @@ pub(super) async fn predict_presence(
     routes: &Routes,
     request: v1::PredictPresenceRequest,
 ) -> Result<v1::PredictPresenceResponse, RpcError> {
-    let handle = find_map(&routes.catalog, &request.map)?;
+    let handle = find_map(&routes.catalog, &request.map).await?;
     let view = handle.view();
     let selector = selector_from_wire("model", request.model)?;
     if request.times_nanos.is_empty() {
@@ -59,7 +59,7 @@ pub(super) async fn next_joint(
     routes: &Routes,
     request: v1::NextJointRequest,
 ) -> Result<v1::NextJointResponse, RpcError> {
-    let handle = find_map(&routes.catalog, &request.map)?;
+    let handle = find_map(&routes.catalog, &request.map).await?;
     let view = handle.view();
     let selector = selector_from_wire("model", request.model)?;
     let threshold = threshold_from_wire(request.threshold)?;

@@ -44,7 +44,7 @@ pub(super) async fn plan_search(
     routes: &Routes,
     request: v1::PlanSearchRequest,
 ) -> Result<v1::PlanSearchResponse, RpcError> {
-    let (handle, view, topology) = routes.find(&request.map)?;
+    let (handle, view, topology) = routes.find(&request.map).await?;
     let start = find_node(&request.map, &topology, &request.start)?;
     let time_nanos = instant_from_wire("start_time", request.start_time)?;
     let selector = selector_from_wire("model", request.model)?;

@@ -102,6 +102,18 @@ pub(super) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>)
     Ok(catalogue)
 }
 
+/// Lists the maps, and changes nothing.
+pub(super) fn list(disk: &dyn Disk, directory: &Path) -> Result<Vec<(MapId, MapSpec)>, OpenError> {
+    let folder = maps_folder(directory);
+    let mut maps = Vec::new();
+    for map in disk.list(&folder).map_err(open_io(&folder))?.iter().filter_map(|name| map_number(name)) {
+        let file = map_folder(directory, map).join("MAP");
+        let found = read_spec(disk, &file, map).map_err(|reason| OpenError::Damaged { file, reason })?;
+        maps.push((map, found.spec));
+    }
+    Ok(maps)
+}
+
 fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<Catalogued, String> {
     let mut reader = RecordReader::open(disk, file, MAP_MAGIC, map.0)?;
     let message: v2::MapSpec = reader.record(RecordKind::Spec)?;

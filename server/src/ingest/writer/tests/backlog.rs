@@ -21,7 +21,9 @@ pub(super) fn bare(dir: &Path, now: i64, grid: Option<GridSpec>) -> Bare {
     let spec = spec_with(grid);
     let id = context.store.create_map(&spec).expect("created");
     let log = context.store.open_map(id, &spec).expect("opened").log;
-    let (writer, inbox, handle) = build(context, id, LiveMap::new(Arc::new(spec)), log, None);
+    let mut map = LiveMap::new(Arc::new(spec));
+    let (handle, seat) = MapHandle::with_seat(id, Arc::clone(map.spec()), map.publish());
+    let (writer, inbox) = build(seat, context, id, map, log, None);
     Bare { bench, writer, inbox, handle: Arc::new(handle), kept: Vec::new() }
 }
 
