@@ -75,3 +75,48 @@ pub(super) fn rewrite(old: Trees, folder: &Path, cache_bytes: u64) -> Result<Tre
     fs::remove_dir_all(&old_folder).map_err(text)?;
     Ok(trees)
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        index::{Index, OpenRepair, RowsState},
+        tests::grid_example::{snapshot, spec},
+    };
+
+    #[test]
+    fn a_rewritten_index_publishes_the_same_and_leaves_nothing_behind() {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let folder = directory.path().join("index");
+        let (mut index, repair) = Index::open(folder.clone(), 1 << 20);
+        assert_eq!(repair, None);
+        let spec = spec("office");
+        let saved = [snapshot(&spec, 10, 3), snapshot(&spec, 15, 4)];
+        for (map, saved) in (1..).zip(&saved) {
+            index.save(map, saved);
+        }
+        index.rewrite();
+        for (map, saved) in (1..).zip(&saved) {
+            assert_eq!(index.read(map, &spec), Ok(Some(saved.published())));
+        }
+        index.close();
+        // What an interrupted rewrite leaves is removed.
+        std::fs::create_dir(directory.path().join("index.new")).expect("writable");
+        let (mut index, repair) = Index::open(folder, 1 << 20);
+        assert_eq!(repair, None);
+        assert_eq!(index.check(1), Ok(RowsState::Whole { position: 10, generation: 2 }));
+        assert_eq!(std::fs::read_dir(directory.path()).expect("readable").count(), 1);
+    }
+
+    #[test]
+    fn the_index_of_an_earlier_build_is_dropped() {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let folder = directory.path().join("index");
+        let old = sled::open(&folder).expect("opens");
+        old.open_tree("states").expect("opens").insert("1", "a state with its sums").expect("inserts");
+        drop(old);
+        let (mut index, repair) = Index::open(folder.clone(), 1 << 20);
+        assert_eq!((repair, index.is_available()), (Some(OpenRepair::Dropped), true));
+        index.close();
+        assert_eq!(Index::open(folder, 1 << 20).1, None);
+    }
+}
