@@ -27,8 +27,8 @@ use tracing::{info, warn};
 
 use crate::ingest::{
     ending::Ending,
-    handle::{MapHandle, Opening, Seat},
-    writer::{Context, Restored, start, start_in},
+    handle::{MapHandle, OpenProgress, Seat},
+    writer::{Context, RestoredMap, start, start_in},
 };
 
 /// History of updates that are repeated at the start is saved when it takes this much memory.
@@ -141,7 +141,7 @@ impl Catalog {
     pub(crate) fn restore_rest(&self, rest: Vec<SeatedMap>) -> Result<(), CatalogError> {
         for SeatedMap { id, spec, seat } in rest {
             let tell = |done, total| {
-                seat.opening.send_replace(Opening::Replay { done, total });
+                seat.opening.send_replace(OpenProgress::Replay { done, total });
                 !self.stopping.load(Ordering::Relaxed)
             };
             let restored = restore_map(&self.context, id, spec, &tell)?;
@@ -288,7 +288,7 @@ fn restore_map(
     id: MapId,
     spec: Arc<MapSpec>,
     tell: &dyn Fn(u64, u64) -> bool,
-) -> Result<Restored, CatalogError> {
+) -> Result<RestoredMap, CatalogError> {
     let opened = context.store.open_map(id, &spec)?;
     for report in &opened.reports {
         warn!(map = %spec.name, "{report}");
@@ -331,7 +331,7 @@ fn restore_map(
         map = %spec.name, source = ?opened.source, replayed, states = map.states(), pending = map.pending(),
         "map opened"
     );
-    Ok(Restored { map, log: opened.log, unsaved, begun })
+    Ok(RestoredMap { map, log: opened.log, unsaved, begun })
 }
 
 /// Repeats updates at the start because others followed them, and holds what is not saved of them.

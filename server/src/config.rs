@@ -24,7 +24,7 @@ pub(crate) struct Flags {
     /// What to do instead of serving.
     #[command(subcommand)]
     #[serde(skip)]
-    pub command: Option<Command>,
+    pub command: Option<OfflineCommand>,
     /// Config file (TOML).
     #[arg(long, value_name = "FILE", env = "TIDEMAP_CONFIG")]
     #[serde(skip)]
@@ -58,7 +58,7 @@ pub(crate) struct Flags {
 
 /// What to do instead of serving.
 #[derive(Clone, Debug, clap::Subcommand)]
-pub(crate) enum Command {
+pub(crate) enum OfflineCommand {
     /// Print what the index of a data folder holds; no daemon may use the folder. The exit status is 0 if the index has
     /// a whole generation of every map, 1 if not, and 2 if it cannot be printed.
     Index {

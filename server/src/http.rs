@@ -10,7 +10,7 @@ use tokio::{net::TcpListener, sync::watch};
 
 use crate::{
     catalog::Catalog,
-    ingest::handle::{MapHandle, Opening},
+    ingest::handle::{MapHandle, OpenProgress},
     statistics,
 };
 
@@ -19,8 +19,8 @@ const INDEX: &str = "tidemapd\n\n/healthz  the process lives\n/readyz   requests
 /// A line for each map that is being opened; no names, because nobody has to log in here.
 fn opening(catalog: &Catalog) -> String {
     let line = |handle: &Arc<MapHandle>| match handle.opening() {
-        Opening::Open => None,
-        Opening::Replay { done, total } => {
+        OpenProgress::Open => None,
+        OpenProgress::Replay { done, total } => {
             Some(format!("opening map number {}: {done} of {total} records of its log are replayed\n", handle.id.0))
         }
     };

@@ -23,13 +23,13 @@ use std::{process::ExitCode, sync::Arc};
 use clap::Parser as _;
 use tidemap_store::disk::Disk;
 
-use crate::config::{Command, Flags, Settings};
+use crate::config::{Flags, OfflineCommand, Settings};
 
 /// Runs the whole daemon: reads the command line and the settings, serves until it is stopped, and returns the exit
 /// status. Everything that must survive a power cut goes through `disk`.
 pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
     let flags = Flags::parse();
-    if let Some(Command::Index { dir, map }) = &flags.command {
+    if let Some(OfflineCommand::Index { dir, map }) = &flags.command {
         return index_print::run(dir, map.as_deref());
     }
     let settings = match Settings::load(&flags).and_then(|settings| {

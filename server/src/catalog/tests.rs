@@ -139,7 +139,7 @@ async fn a_large_map_shows_what_the_index_publishes_until_it_is_restored() {
     let (catalog, rest) = opened_first(store(dir.path()), 0);
     let handle = catalog.get("office").expect("listed");
     assert_eq!((handle.id, rest.len()), (id, 1));
-    assert_eq!(handle.opening(), Opening::Replay { done: 0, total: 0 });
+    assert_eq!(handle.opening(), OpenProgress::Replay { done: 0, total: 0 });
     let view = handle.view();
     assert_eq!((view.generation(), view.len(), view.position()), (1, 1, before.position()));
     assert!(view.find("hatch").is_none(), "the log is not replayed");
@@ -150,7 +150,7 @@ async fn a_large_map_shows_what_the_index_publishes_until_it_is_restored() {
     let restoring = catalog.clone();
     tokio::task::spawn_blocking(move || restoring.restore_rest(rest)).await.expect("ran").expect("restored");
     assert!(waiting.await.expect("ran"), "it is open");
-    assert_eq!(handle.opening(), Opening::Open);
+    assert_eq!(handle.opening(), OpenProgress::Open);
     assert!(handle.view().find("hatch").is_some(), "the log is replayed");
     catalog.stop().await;
 }

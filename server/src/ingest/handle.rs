@@ -20,7 +20,7 @@ use super::{ending::Ending, protocol::Command, tile_totals::TileTotals};
 
 /// How far the opening of a map is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Opening {
+pub(crate) enum OpenProgress {
     /// Its checkpoint is being loaded, or records of its log are being replayed.
     Replay {
         /// Records replayed.
@@ -39,7 +39,7 @@ pub(crate) struct Seat {
     pub(super) inbox: mpsc::Receiver<Command>,
     pub(super) saturated: watch::Sender<bool>,
     pub(super) tile_bytes: Arc<AtomicU64>,
-    pub(crate) opening: watch::Sender<Opening>,
+    pub(crate) opening: watch::Sender<OpenProgress>,
 }
 
 /// The handle of a map.
@@ -53,7 +53,7 @@ pub(crate) struct MapHandle {
     commands: mpsc::Sender<Command>,
     saturated: watch::Receiver<bool>,
     tile_bytes: Arc<AtomicU64>,
-    opening: watch::Receiver<Opening>,
+    opening: watch::Receiver<OpenProgress>,
     // A lock, because the totals of a generation are counted once; held to copy them, not while counting.
     tile_totals: Mutex<Option<(u64, TileTotals)>>,
 }
@@ -64,7 +64,7 @@ impl MapHandle {
         let view = Arc::new(ArcSwap::from_pointee(view));
         let (commands, inbox) = mpsc::channel();
         let (saturated_sender, saturated) = watch::channel(false);
-        let (opening_sender, opening) = watch::channel(Opening::Replay { done: 0, total: 0 });
+        let (opening_sender, opening) = watch::channel(OpenProgress::Replay { done: 0, total: 0 });
         let tile_bytes = Arc::new(AtomicU64::new(0));
         let seat = Seat {
             view: Arc::clone(&view),
@@ -79,13 +79,13 @@ impl MapHandle {
     }
 
     /// How far the opening of the map is.
-    pub(crate) fn opening(&self) -> Opening {
+    pub(crate) fn opening(&self) -> OpenProgress {
         *self.opening.borrow()
     }
 
     /// Waits until the map is open; `false`: the daemon stops before.
     pub(crate) async fn opened(&self) -> bool {
-        self.opening.clone().wait_for(|opening| *opening == Opening::Open).await.is_ok()
+        self.opening.clone().wait_for(|opening| *opening == OpenProgress::Open).await.is_ok()
     }
 
     /// Memory of the models and sums of tiles, in bytes, about.

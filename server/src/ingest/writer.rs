@@ -41,7 +41,7 @@ use tracing::warn;
 use super::{
     anomaly_feed::AnomalyFeed,
     ending::Ending,
-    handle::{MapHandle, Opening, Seat},
+    handle::{MapHandle, OpenProgress, Seat},
     protocol::{Command, Hello, HelloError, RefusedObservation, SessionEvent, SessionId, Welcome},
     sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
@@ -88,7 +88,7 @@ pub(crate) struct Context {
 }
 
 /// A map that is restored from its checkpoint and its log.
-pub(crate) struct Restored {
+pub(crate) struct RestoredMap {
     /// The map.
     pub map: LiveMap,
     /// Its log.
@@ -103,7 +103,7 @@ pub(crate) struct Restored {
 ///
 /// # Errors
 /// The thread cannot be started.
-pub(crate) fn start(context: Context, id: MapId, mut restored: Restored) -> std::io::Result<Arc<MapHandle>> {
+pub(crate) fn start(context: Context, id: MapId, mut restored: RestoredMap) -> std::io::Result<Arc<MapHandle>> {
     let (handle, seat) = MapHandle::with_seat(id, Arc::clone(restored.map.spec()), restored.map.publish());
     start_in(seat, context, id, restored)?;
     Ok(Arc::new(handle))
@@ -113,8 +113,8 @@ pub(crate) fn start(context: Context, id: MapId, mut restored: Restored) -> std:
 ///
 /// # Errors
 /// The thread cannot be started.
-pub(crate) fn start_in(seat: Seat, context: Context, id: MapId, restored: Restored) -> std::io::Result<()> {
-    let Restored { map, log, unsaved, begun } = restored;
+pub(crate) fn start_in(seat: Seat, context: Context, id: MapId, restored: RestoredMap) -> std::io::Result<()> {
+    let RestoredMap { map, log, unsaved, begun } = restored;
     let (mut writer, inbox) = build(seat, context, id, map, log, unsaved);
     begun.into_iter().for_each(|work| writer.repeat_update(work));
     std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
@@ -141,7 +141,7 @@ fn build(
     tile_bytes.store(map.tile_memory().bytes, Ordering::Relaxed);
     // First the view: who has waited for the map sees everything that is acknowledged.
     view.store(Arc::new(map.publish()));
-    opening.send_replace(Opening::Open);
+    opening.send_replace(OpenProgress::Open);
     let limits = SessionLimits {
         states: context.max_states,
         producers: context.max_producers,

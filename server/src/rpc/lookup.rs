@@ -14,7 +14,7 @@ use tidemap_proto::convert::{InvalidField, OverLimit};
 use super::status::RpcError;
 use crate::{
     catalog::{Catalog, CatalogError},
-    ingest::handle::{MapHandle, Opening},
+    ingest::handle::{MapHandle, OpenProgress},
 };
 
 /// How long a request waits for a map that is being opened.
@@ -34,8 +34,8 @@ pub(super) async fn opened(handle: &MapHandle) -> Result<(), RpcError> {
         Ok(false) => Err(RpcError::Stopping),
         Err(_) => {
             let (done, total) = match handle.opening() {
-                Opening::Open => return Ok(()),
-                Opening::Replay { done, total } => (done, total),
+                OpenProgress::Open => return Ok(()),
+                OpenProgress::Replay { done, total } => (done, total),
             };
             Err(RpcError::Opening { map: handle.spec.name.as_str().to_owned(), done, total })
         }

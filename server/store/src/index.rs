@@ -25,7 +25,7 @@ mod rewrite;
 mod rows;
 mod save;
 
-use read::Marked;
+use read::MarkState;
 use rows::{Kind, Sum};
 
 /// The reason why an index must be replaced as a whole.
@@ -217,9 +217,9 @@ impl Index {
     pub(crate) fn check(&mut self, map: u32) -> Result<RowsState, Damage> {
         let Some(trees) = &self.trees else { return Ok(RowsState::Nothing) };
         let checked = panics::catch(|| match read::mark(trees, map)? {
-            Marked::Nothing => Ok(Err(RowsState::Nothing)),
-            Marked::Unfinished => Ok(Err(RowsState::Unfinished)),
-            Marked::Clean(mark, _) => {
+            MarkState::Nothing => Ok(Err(RowsState::Nothing)),
+            MarkState::Unfinished => Ok(Err(RowsState::Unfinished)),
+            MarkState::Clean(mark, _) => {
                 let known = read::check(trees, map, &mark)?;
                 let snapshot = mark.snapshot.unwrap_or_default();
                 Ok::<_, Damage>(Ok((known, snapshot.position, snapshot.generation)))

@@ -227,13 +227,16 @@ impl Alternatives {
         *fit = Some(FitRecord { model: Arc::new(model), day, error });
     }
 
-    /// The same without the fitted models that are not in force.
+    /// The same without the fitted models that do not answer.
     pub(super) fn published(&self) -> Alternatives {
+        let weights = self.weights();
+        let answers = |kind| weights.iter().any(|(choice, _)| *choice == ModelChoice::Fitted(kind));
         let mut published = self.clone();
         for (kind, fit) in FitKind::ALL.into_iter().zip(&mut published.fits) {
-            *fit = fit.take().filter(|_| self.parts.choice == ModelChoice::Fitted(kind));
+            *fit = fit.take().filter(|_| answers(kind));
         }
-        published
+        // A model that does not answer may still decide that others do not.
+        if published.weights() == weights { published } else { self.clone() }
     }
 
     /// Removes models that are not enabled.

@@ -30,7 +30,7 @@ use tidemap_model::Periodicities;
 use super::{
     Damage, KnownRows, Trees,
     cells::IndexedCells,
-    rows::{self, Item, Kind, Sum},
+    rows::{self, ItemRows, Kind, Sum},
 };
 use crate::record::{published, site as record_site, snapshot as record, tile};
 
@@ -40,7 +40,7 @@ const THREADS_MAX: usize = 4;
 const STATES_PER_THREAD: usize = 2_000;
 
 /// The mark of a map.
-pub(super) enum Marked {
+pub(super) enum MarkState {
     /// There is none.
     Nothing,
     /// Rows are not completely written.
@@ -50,15 +50,15 @@ pub(super) enum Marked {
 }
 
 /// The mark of a map.
-pub(super) fn mark(trees: &Trees, map: u32) -> Result<Marked, Damage> {
+pub(super) fn mark(trees: &Trees, map: u32) -> Result<MarkState, Damage> {
     let key = map_key(map);
     let Some(value) = trees.generations.get(key).map_err(|error| error.to_string())? else {
-        return Ok(Marked::Nothing);
+        return Ok(MarkState::Nothing);
     };
     let payload = decode_value(GENERATIONS, &key, &value).ok_or("the mark of a map is damaged")?;
     let mark = Mark::decode(payload).map_err(|_| "the mark of a map is not a message")?;
     let is_clean = !mark.dirty && mark.snapshot.is_some() && mark.totals.len() == Kind::ALL.len();
-    Ok(if is_clean { Marked::Clean(Box::new(mark), value) } else { Marked::Unfinished })
+    Ok(if is_clean { MarkState::Clean(Box::new(mark), value) } else { MarkState::Unfinished })
 }
 
 /// How many items of a kind there may be.
@@ -80,7 +80,7 @@ fn each(
     map: u32,
     mark: &Mark,
     kind: Kind,
-    mut take: impl FnMut(Item) -> Result<(), Damage>,
+    mut take: impl FnMut(ItemRows) -> Result<(), Damage>,
 ) -> Result<Vec<Sum>, Damage> {
     let limit = limit(mark, kind);
     let mut sums = Vec::new();
@@ -116,7 +116,7 @@ pub(super) fn check(trees: &Trees, map: u32, mark: &Mark) -> Result<KnownRows, D
 /// What the rows of a map publish; `None` where they are not whole. The models of a grid's tiles are read when they are
 /// asked for.
 pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<MapSnapshot>, Damage> {
-    let Marked::Clean(mark, raw) = mark(trees, map)? else { return Ok(None) };
+    let MarkState::Clean(mark, raw) = mark(trees, map)? else { return Ok(None) };
     let header = mark.snapshot.ok_or("a mark has no generation")?;
     let mut producers = Vec::new();
     each(trees, map, &mark, Kind::Producers, |item| {

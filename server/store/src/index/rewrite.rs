@@ -14,7 +14,7 @@ use tidemap_migrations::{
     v2::published::{GENERATIONS, Mark},
 };
 
-use super::{Damage, Trees, folder, rows::Kind, save::Collected};
+use super::{Damage, Trees, folder, rows::Kind, save::RowBatch};
 
 /// Rewritten when it takes this many times its data on the disk, in percent.
 const PERCENT_MAX: u64 = 350;
@@ -58,7 +58,7 @@ pub(super) fn rewrite(old: Trees, folder: &Path, cache_bytes: u64) -> Result<Tre
     let new = Trees::open(&new_folder, cache_bytes)?;
     let pairs = Kind::ALL.iter().map(|&kind| (old.of(kind), new.of(kind)));
     for (from, to) in pairs.chain([(&old.generations, &new.generations)]) {
-        let mut collected = Collected::default();
+        let mut collected = RowBatch::default();
         for row in from.iter() {
             let (key, value) = row.map_err(|error| error.to_string())?;
             collected.insert(to, &key, value.to_vec())?;

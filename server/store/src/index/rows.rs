@@ -123,13 +123,13 @@ pub(super) fn of_producer(map: u32, id: u32, producer: &ProducerMark) -> Vec<Ind
 }
 
 /// The rows of one item, read in order.
-pub(super) struct Item {
+pub(super) struct ItemRows {
     pub(super) number: u32,
     pub(super) bytes: Vec<u8>,
     pub(super) sum: Sum,
 }
 
-impl Item {
+impl ItemRows {
     /// The message that the rows make up.
     pub(super) fn message<M: Message + Default>(&self, kind: Kind) -> Result<M, Damage> {
         M::decode(&self.bytes[..]).map_err(|_| format!("row {} of {} is not a message", self.number, kind.name()))
@@ -140,10 +140,10 @@ impl Item {
 pub(super) fn items(
     kind: Kind,
     rows: impl Iterator<Item = sled::Result<(sled::IVec, sled::IVec)>>,
-) -> impl Iterator<Item = Result<Item, Damage>> {
+) -> impl Iterator<Item = Result<ItemRows, Damage>> {
     let mut rows = rows.peekable();
     std::iter::from_fn(move || {
-        let mut item: Option<Item> = None;
+        let mut item: Option<ItemRows> = None;
         loop {
             let next = rows.next_if(|row| match (row, &item) {
                 (Ok((key, _)), Some(item)) => number(key).is_ok_and(|(number, _)| number == item.number),
@@ -164,7 +164,7 @@ pub(super) fn items(
                 Ok(row) => row,
                 Err(damage) => return Some(Err(damage)),
             };
-            let item = item.get_or_insert_with(|| Item { number, bytes: Vec::new(), sum: Sum::default() });
+            let item = item.get_or_insert_with(|| ItemRows { number, bytes: Vec::new(), sum: Sum::default() });
             if item.sum.records != u32::from(part) {
                 return Some(Err(format!("a part of row {number} of {} is missing", kind.name())));
             }

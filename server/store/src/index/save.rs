@@ -24,13 +24,13 @@ const BATCH_BYTES: usize = 64 << 10;
 
 /// Rows of one tree that are collected until there are enough.
 #[derive(Default)]
-pub(super) struct Collected {
+pub(super) struct RowBatch {
     batch: sled::Batch,
     rows: usize,
     bytes: usize,
 }
 
-impl Collected {
+impl RowBatch {
     pub(super) fn insert(&mut self, tree: &sled::Tree, key: &[u8], value: Vec<u8>) -> Result<(), Damage> {
         self.rows += 1;
         self.bytes += key.len() + value.len();
@@ -65,7 +65,7 @@ fn set_mark(trees: &Trees, map: u32, mark: &Mark) -> Result<(), Damage> {
 fn clear(trees: &Trees, map: u32) -> Result<(), Damage> {
     for kind in Kind::ALL {
         let tree = trees.of(kind);
-        let mut collected = Collected::default();
+        let mut collected = RowBatch::default();
         for key in tree.scan_prefix(map_key(map)).keys() {
             collected.remove(tree, &key.map_err(|error| error.to_string())?)?;
         }
@@ -78,7 +78,7 @@ fn clear(trees: &Trees, map: u32) -> Result<(), Damage> {
 struct Writer<'trees> {
     tree: &'trees sled::Tree,
     map: u32,
-    collected: Collected,
+    collected: RowBatch,
     sums: Vec<Sum>,
 }
 
@@ -133,7 +133,7 @@ pub(super) fn save(
         }
     };
     let mut writer =
-        |kind: Kind| Writer { tree: trees.of(kind), map, collected: Collected::default(), sums: before.take(kind) };
+        |kind: Kind| Writer { tree: trees.of(kind), map, collected: RowBatch::default(), sums: before.take(kind) };
     let mut states = writer(Kind::States);
     for (id, state) in (0..).zip(&snapshot.states) {
         states.write(id, rows::of_state(map, id, state))?;
