@@ -277,16 +277,14 @@ impl fmt::Display for StateName {
     }
 }
 
-/// Least index of a cell along an axis.
-const CELL_LEAST: i32 = -TILE_LIMIT * TILE_EDGE;
-/// Greatest index of a cell along an axis.
-const CELL_MOST: i32 = TILE_LIMIT * TILE_EDGE - 1;
+/// Minimum index of a cell along an axis.
+const CELL_MIN: i32 = -TILE_LIMIT * TILE_EDGE;
+/// Maximum index of a cell along an axis.
+const CELL_MAX: i32 = TILE_LIMIT * TILE_EDGE - 1;
 
 /// A name that starts like a cell's and is invalid. The payload is the name, shortened and escaped for display.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{0:?} is not the name of a cell: write cell/X/Y/Z, its index along each axis, from {CELL_LEAST} to {CELL_MOST}"
-)]
+#[error("{0:?} is not the name of a cell: write cell/X/Y/Z, its index along each axis, from {CELL_MIN} to {CELL_MAX}")]
 pub struct InvalidCellName(String);
 
 impl CellIndex {
@@ -300,7 +298,7 @@ impl CellIndex {
             let index = part.parse::<i32>().ok()?;
             // One name for one cell: no +1, 01 or -0.
             let is_plain = part.len() == index.to_string().len() && !part.starts_with('+');
-            Some(index).filter(|index| is_plain && (CELL_LEAST..=CELL_MOST).contains(index))
+            Some(index).filter(|index| is_plain && (CELL_MIN..=CELL_MAX).contains(index))
         });
         let mut next = || indices.next().flatten();
         let cell = next().zip(next()).zip(next()).map(|((x, y), z)| CellIndex { x, y, z });
