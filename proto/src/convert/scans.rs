@@ -14,12 +14,12 @@ use tidemap_map::{
 use super::{InvalidField, OverLimit};
 
 mod decode;
+mod decoder_table;
 mod digest;
 mod flips;
 mod parts;
 mod points;
 mod split;
-mod stream_tiles;
 mod table;
 #[cfg(test)]
 mod tests;

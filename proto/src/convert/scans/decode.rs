@@ -13,10 +13,10 @@ use tidemap_map::{
 
 use super::{
     DecodedScan, ScanContent, ScanError, ScanLimits, ScanRefusal,
+    decoder_table::DecoderTable,
     digest::{points_digest, ranges_digest},
     parts::Parts,
     points,
-    stream_tiles::StreamTiles,
     tile_scan::TileScans,
 };
 use crate::{
@@ -29,7 +29,7 @@ use crate::{
 pub struct ScanDecoder {
     spec: Option<GridSpec>,
     limits: ScanLimits,
-    shown: StreamTiles,
+    shown: DecoderTable,
     tile_scans: TileScans,
     /// A scan that continues in the next message.
     open: Option<Parts>,
@@ -55,7 +55,7 @@ impl ScanDecoder {
         ScanDecoder {
             spec: spec.cloned(),
             limits,
-            shown: StreamTiles::new(spec),
+            shown: DecoderTable::new(spec),
             tile_scans: TileScans::default(),
             open: None,
             message: Message::default(),

@@ -11,8 +11,8 @@ use tidemap_map::grid::{
 
 use super::{
     MASK_BYTES, ScanRefusal,
+    decoder_table::{DecoderTable, LAYER, TableSlot},
     flips::{FlipReader, unpack_runs},
-    stream_tiles::{LAYER, StreamTiles, TableSlot},
 };
 use crate::v1;
 
@@ -90,7 +90,7 @@ impl TileScans {
     /// Reads a scan, and updates what the stream has shown.
     pub(super) fn read(
         &mut self,
-        shown: &mut StreamTiles,
+        shown: &mut DecoderTable,
         scan: &v1::TileScan,
         utc_nanos: i64,
     ) -> Result<StreamScan, ScanRefusal> {
@@ -104,7 +104,7 @@ impl TileScans {
 
     fn read_whole(
         &mut self,
-        shown: &mut StreamTiles,
+        shown: &mut DecoderTable,
         scan: &v1::TileScan,
         utc_nanos: i64,
     ) -> Result<StreamScan, ScanRefusal> {

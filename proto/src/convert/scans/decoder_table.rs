@@ -52,7 +52,7 @@ impl TableSlot {
 
 /// The tiles that a stream has shown.
 #[derive(Debug)]
-pub(super) struct StreamTiles {
+pub(super) struct DecoderTable {
     pub is_flat: bool,
     extent: Option<CellBox>,
     pub slots: Vec<TableSlot>,
@@ -68,9 +68,9 @@ pub(super) struct StreamTiles {
     is_rest_in_doubt: bool,
 }
 
-impl StreamTiles {
-    pub(crate) fn new(spec: Option<&GridSpec>) -> StreamTiles {
-        StreamTiles {
+impl DecoderTable {
+    pub(crate) fn new(spec: Option<&GridSpec>) -> DecoderTable {
+        DecoderTable {
             is_flat: spec.is_some_and(|spec| spec.is_flat),
             // Without an extent every tile that the wire allows lies within.
             extent: spec.filter(|spec| spec.extent.is_some()).map(GridSpec::allowed),
