@@ -14,7 +14,7 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
-    refit::{REFIT_NANOS, StateReadings, WantedReadings},
+    refit::{REFIT_NANOS, ReadingsRequest, StateReadings},
     spec::MapSpec,
 };
 use tidemap_model::Sample;
@@ -39,7 +39,7 @@ fn value(state: u32, minute: i64) -> f64 {
 struct Weeks(Vec<Sample>);
 
 impl StateReadings for Weeks {
-    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
+    fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
         Ok(vec![self.0.clone(); wanted.len()])
     }
 }

@@ -49,7 +49,7 @@ pub const REFIT_READINGS: u64 = 4_000_000;
 
 /// The readings to fetch for a state: those at this instant and later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct WantedReadings {
+pub struct ReadingsRequest {
     /// The state.
     pub state: StateId,
     /// The first instant, nanoseconds UTC.
@@ -63,7 +63,7 @@ pub trait StateReadings: fmt::Debug + Send + Sync {
     ///
     /// # Errors
     /// Why they cannot be had.
-    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String>;
+    fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String>;
 }
 
 /// What became of the models that were due.
@@ -92,7 +92,7 @@ const LIMITS: Limits = Limits { refits: refits_max, readings: REFIT_READINGS };
 
 /// A state with models due.
 struct Due<'a> {
-    wanted: WantedReadings,
+    wanted: ReadingsRequest,
     of: StateKind,
     /// The models to fit.
     kinds: Vec<FitKind>,
@@ -145,7 +145,7 @@ fn refit_within(
         .iter()
         .filter_map(|(id, own)| {
             let (kinds, model) = (kinds.remove(id)?, models.get(id.0 as usize)?);
-            due(WantedReadings { state: *id, from_nanos: kept_from }, kinds, model, own, &mut offsets, limits.readings)
+            due(ReadingsRequest { state: *id, from_nanos: kept_from }, kinds, model, own, &mut offsets, limits.readings)
         })
         .collect();
     // As history has them.
@@ -197,7 +197,7 @@ impl<'a> Iterator for Batches<'a> {
         if batch.is_empty() {
             return None;
         }
-        let wanted: Vec<WantedReadings> = batch.iter().map(|due| due.wanted).collect();
+        let wanted: Vec<ReadingsRequest> = batch.iter().map(|due| due.wanted).collect();
         let found = self.source.readings(&wanted).and_then(|found| match found.len() == wanted.len() {
             true => Ok(found),
             false => Err(format!("of {} states readings of {} were found", wanted.len(), found.len())),
@@ -214,7 +214,7 @@ fn fitted_on(model: &StateModel, kind: FitKind) -> Option<Option<LocalDay>> {
 
 /// The training data of models of these kinds. `wanted`: the readings that the map keeps.
 fn due<'a>(
-    wanted: WantedReadings,
+    wanted: ReadingsRequest,
     kinds: Vec<FitKind>,
     model: &StateModel,
     own: &'a [Sample],
@@ -236,7 +236,7 @@ fn due<'a>(
             from_nanos.max(civil_nanos.saturating_sub(i64::from(offsets.offset_secs(civil_nanos)) * SEC_NANOS));
     }
     let expected = ((expected * share) as u64).max(1);
-    Some(Due { wanted: WantedReadings { from_nanos, ..wanted }, of: model.kind(), kinds, own, day, expected })
+    Some(Due { wanted: ReadingsRequest { from_nanos, ..wanted }, of: model.kind(), kinds, own, day, expected })
 }
 
 /// Number of due states to process together: at least one, if there are any.

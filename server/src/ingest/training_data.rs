@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock};
 
 use tidemap_map::{
     history::HistoryPiece,
-    refit::{StateReadings, WantedReadings},
+    refit::{ReadingsRequest, StateReadings},
 };
 use tidemap_model::Sample;
 use tidemap_store::{History, StateFiles};
@@ -41,7 +41,7 @@ impl TrainingData {
 }
 
 impl StateReadings for TrainingData {
-    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
+    fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
         let files = self.files.get_or_init(|| self.stored.state_files().map_err(|error| error.to_string()));
         let files = files.as_ref().map_err(String::clone)?;
         let mut found = files.readings(wanted).map_err(|error| error.to_string())?;

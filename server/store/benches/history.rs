@@ -10,7 +10,7 @@ use tidemap_map::{
     ids::StateId,
     live_map::LiveMap,
     name::MapName,
-    refit::{REFIT_READINGS, WantedReadings},
+    refit::{REFIT_READINGS, ReadingsRequest},
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
@@ -56,8 +56,8 @@ fn main() {
     let files = history.state_files().expect("readable");
     println!("{NIGHTS} files found in {:.1} ms", started.elapsed().as_secs_f64() * 1e3);
     let batch = (REFIT_READINGS / (NIGHTS as u64 * 1440)) as usize;
-    let wanted: Vec<WantedReadings> =
-        (0..STATES).map(|state| WantedReadings { state: StateId(state), from_nanos: 0 }).collect();
+    let wanted: Vec<ReadingsRequest> =
+        (0..STATES).map(|state| ReadingsRequest { state: StateId(state), from_nanos: 0 }).collect();
     let started = Instant::now();
     let mut readings = 0;
     for batch in wanted.chunks(batch) {

@@ -12,7 +12,7 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey},
-    refit::{StateReadings, WantedReadings},
+    refit::{ReadingsRequest, StateReadings},
     site::SiteEdit,
     spec::MapSpec,
     topology::Topology,
@@ -40,8 +40,8 @@ pub(super) struct Learner {
 struct History(Vec<Arc<HistoryPiece>>);
 
 impl StateReadings for History {
-    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
-        let of = |wanted: &WantedReadings| {
+    fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
+        let of = |wanted: &ReadingsRequest| {
             let of_state = |piece: &Arc<HistoryPiece>| {
                 piece
                     .states

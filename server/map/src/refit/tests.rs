@@ -17,18 +17,18 @@ const HOUR: i64 = DAY / 24;
 #[derive(Debug, Default)]
 struct Kept {
     readings: BTreeMap<StateId, Vec<Sample>>,
-    asked: Mutex<Vec<Vec<WantedReadings>>>,
+    asked: Mutex<Vec<Vec<ReadingsRequest>>>,
     damaged: Option<StateId>,
     is_short: bool,
 }
 
 impl StateReadings for Kept {
-    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
+    fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
         self.asked.lock().expect("sound").push(wanted.to_vec());
         if let Some(damaged) = wanted.iter().find(|wanted| Some(wanted.state) == self.damaged) {
             return Err(format!("the file of {:?} is damaged", damaged.state));
         }
-        let of = |wanted: &WantedReadings| {
+        let of = |wanted: &ReadingsRequest| {
             let all = self.readings.get(&wanted.state).into_iter().flatten();
             all.filter(|sample| sample.utc_nanos >= wanted.from_nanos).copied().collect()
         };
@@ -191,7 +191,7 @@ fn nothing_is_fitted_that_is_not_kept() {
     assert_eq!(world.refit(LIMITS).fitted, 1);
     let newest = 20 * DAY - HOUR;
     let asked = world.kept.asked.lock().expect("sound").clone();
-    assert_eq!(asked, [[WantedReadings { state: StateId(0), from_nanos: newest - 5 * DAY }]]);
+    assert_eq!(asked, [[ReadingsRequest { state: StateId(0), from_nanos: newest - 5 * DAY }]]);
     assert_eq!(world.fit_of(0).map(|(model, _)| model.observations()), Some(5 * 24 + 1));
 }
 

@@ -53,8 +53,8 @@ fn saved(folder: &Path, pieces: &[Arc<HistoryPiece>]) -> Store {
 #[test]
 fn what_is_given_does_not_depend_on_what_was_saved() {
     let pieces = pieces();
-    let wanted: Vec<WantedReadings> = [(1, 0), (4, 30 * HOUR), (2, 0), (1, 50 * HOUR)]
-        .map(|(state, from_nanos)| WantedReadings { state: StateId(state), from_nanos })
+    let wanted: Vec<ReadingsRequest> = [(1, 0), (4, 30 * HOUR), (2, 0), (1, 50 * HOUR)]
+        .map(|(state, from_nanos)| ReadingsRequest { state: StateId(state), from_nanos })
         .to_vec();
     for generation in 1..=7_u64 {
         let mut all: Vec<Vec<Sample>> = Vec::new();
@@ -86,7 +86,7 @@ fn a_damaged_file_is_an_error_that_names_it() {
     let history = saved(folder.path(), &pieces()).history(MapId(1)).expect("known");
     let file = folder.path().join("maps/00000001/history/00000000000000000002.states.tmh");
     std::fs::write(&file, "nothing").expect("written");
-    let wanted = [WantedReadings { state: StateId(1), from_nanos: 0 }];
+    let wanted = [ReadingsRequest { state: StateId(1), from_nanos: 0 }];
     let error = TrainingData::before(7, history.clone(), Vec::new()).readings(&wanted).expect_err("damaged");
     assert!(error.contains(&file.display().to_string()), "{error}");
     assert!(TrainingData::before(2, history, Vec::new()).readings(&wanted).is_ok(), "it is not asked for");

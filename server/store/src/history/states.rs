@@ -2,7 +2,7 @@
 //!
 //! Invariant: the observations of a state are those that [`History::state`] returns.
 
-use tidemap_map::refit::WantedReadings;
+use tidemap_map::refit::ReadingsRequest;
 use tidemap_model::Sample;
 
 use super::{History, Part, table::Table};
@@ -38,7 +38,7 @@ impl StateFiles {
     ///
     /// # Errors
     /// [`HistoryError`] names the file that cannot be read.
-    pub fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, HistoryError> {
+    pub fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, HistoryError> {
         let mut found = vec![Vec::new(); wanted.len()];
         let Some(earliest) = wanted.iter().map(|wanted| wanted.from_nanos).min() else { return Ok(found) };
         // In the order of the tables, which are read record by record.
@@ -51,7 +51,7 @@ impl StateFiles {
             let Some(file) = self.history.open_if_there(generation, Part::States)? else { continue };
             let mut table = Table::new(&file);
             for &index in &order {
-                let WantedReadings { state, from_nanos } = wanted[index];
+                let ReadingsRequest { state, from_nanos } = wanted[index];
                 if to_nanos < from_nanos {
                     continue;
                 }

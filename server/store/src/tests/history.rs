@@ -7,7 +7,7 @@ use tidemap_map::{
     grid::{day::GridDay, index::TileId, spec::Retention},
     history::{HistoryDay, HistoryPiece},
     ids::StateId,
-    refit::WantedReadings,
+    refit::ReadingsRequest,
     snapshot::MapSnapshot,
     spec::MapSpec,
 };
@@ -105,9 +105,9 @@ fn many_states_are_found_as_each_is_by_itself() {
     let history = fill(directory.path(), &spec("office"), &pieces).history(MAP).expect("known");
     let start = 19_001 * DAY_NANOS;
     // In any order, one of them twice, one that does not exist.
-    let wanted: Vec<WantedReadings> =
+    let wanted: Vec<ReadingsRequest> =
         [(4, 0), (0, start + DAY_NANOS), (9, 0), (3, i64::MIN), (0, start), (1, i64::MAX)]
-            .map(|(state, from_nanos)| WantedReadings { state: StateId(state), from_nanos })
+            .map(|(state, from_nanos)| ReadingsRequest { state: StateId(state), from_nanos })
             .to_vec();
     for before in [u64::MAX, 4, 0] {
         let history = history.clone().before(before);

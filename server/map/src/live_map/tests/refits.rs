@@ -5,7 +5,7 @@ use tidemap_model::{EnabledModels, FitKind, ModelChoice, Sample, StateKind};
 use super::*;
 use crate::{
     history::HistoryPiece,
-    refit::{Refits, StateReadings, WantedReadings},
+    refit::{ReadingsRequest, Refits, StateReadings},
     selector::{ModelKind, ModelSelector},
 };
 
@@ -16,8 +16,8 @@ const DAYS: i64 = 40;
 struct Pieces(Vec<Arc<HistoryPiece>>);
 
 impl StateReadings for Pieces {
-    fn readings(&self, wanted: &[WantedReadings]) -> Result<Vec<Vec<Sample>>, String> {
-        let of = |wanted: &WantedReadings| {
+    fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
+        let of = |wanted: &ReadingsRequest| {
             let all = self.0.iter().flat_map(|piece| &piece.states).filter(|(state, _)| *state == wanted.state);
             let mut found: Vec<Sample> =
                 all.flat_map(|(_, samples)| samples).filter(|s| s.utc_nanos >= wanted.from_nanos).copied().collect();
