@@ -202,8 +202,8 @@ impl Client {
         Ok(())
     }
 
-    /// Adds a state or a vector before its first observation; it is durable when this returns. Succeeds if it exists with
-    /// the same shape.
+    /// Adds a state or a vector before its first observation; it is durable when this returns. Succeeds if it exists
+    /// with the same shape.
     ///
     /// # Errors
     /// [`Error`]; the code is `ALREADY_EXISTS` if it exists with another shape, `NOT_FOUND` if the map does not exist.

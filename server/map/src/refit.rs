@@ -1,10 +1,10 @@
 //! Fitting models again at the end of an update, to the readings that updates have learned.
 //!
-//! The calibrated model, the rate of counts, the periodic mixture and warped hypertime are due after seven observed days, seven days after
-//! their last fit, and when the change alarm has rung since. Each is fitted to the last twelve weeks. Starting one week
-//! after an alarm, models are fitted only to data from three days before the alarm onwards. Of each kind, the models
-//! that have waited longest go first, and an update fits a limited number ([`refits_max`]), so that a costly kind does
-//! not delay another. Maps without history of named states have none.
+//! The calibrated model, the rate of counts, the periodic mixture and warped hypertime are due after seven observed
+//! days, seven days after their last fit, and when the change alarm has rung since. Each is fitted to the last twelve
+//! weeks. Starting one week after an alarm, models are fitted only to data from three days before the alarm onwards. Of
+//! each kind, the models that have waited longest go first, and an update fits a limited number ([`refits_max`]), so
+//! that a costly kind does not delay another. Maps without history of named states have none.
 //!
 //! Invariant: a fit depends on the readings, the models and the map's properties alone: an update that is repeated from
 //! the same history fits the same. Readings that cannot be read cost the fit, and nothing else of the update.

@@ -127,7 +127,8 @@ impl StateModel {
     }
 
     /// Whether a refit of the model of this kind is due: after seven observed local days, seven local days after its
-    /// last fit, and after a change alarm; a cheap one also from the third observed day to the seventh. Never for a kind that such states do not support.
+    /// last fit, and after a change alarm; a cheap one also from the third observed day to the seventh. Never for a
+    /// kind that such states do not support.
     pub fn is_fit_due(&self, kind: FitKind) -> bool {
         kind.is_for(self.kind()) && self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_fit_due(kind))
     }

@@ -1,10 +1,9 @@
 //! The kernel that adds a chunk of observations to A_k and B_k: one observation per lane.
 //!
-//! Harmonics run by recurrence over k with four vectors of observations side by side; the sums stay
-//! in eight lanes and are added up once per chunk. Values of 0 cost what others do: a multiply-add is
-//! cheaper than a branch. Invariant: lanes without an observation add
-//! nothing. Observation i of a chunk is added in lane i modulo 8 whatever the width of vectors, so that the sums have the
-//! same bits on every instruction set.
+//! Harmonics run by recurrence over k with four vectors of observations side by side; the sums stay in eight lanes and
+//! are added up once per chunk. Values of 0 cost what others do: a multiply-add is cheaper than a branch. Invariant:
+//! lanes without an observation add nothing. Observation i of a chunk is added in lane i modulo 8 whatever the width of
+//! vectors, so that the sums have the same bits on every instruction set.
 
 use pulp::Simd;
 

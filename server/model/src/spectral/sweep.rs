@@ -1,6 +1,7 @@
 //! The kernel that runs a model over a table of phasors: one time per lane.
 //!
-//! Invariant: a prediction has the same bits on every instruction set. All slices that it is given are as long as the table has times, or longer.
+//! Invariant: a prediction has the same bits on every instruction set. All slices that it is given are as long as the
+//! table has times, or longer.
 
 use pulp::{Simd, WithSimd};
 

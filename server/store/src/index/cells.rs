@@ -1,6 +1,7 @@
 //! The models of a grid's tiles, read from the index one by one.
 //!
-//! Invariant: a tile is of the generation whose mark was found, or is unavailable: the mark is compared after each read.
+//! Invariant: a tile is of the generation whose mark was found, or is unavailable: the mark is compared after each
+//! read.
 
 use std::{
     any::Any,

@@ -1,4 +1,5 @@
-//! Saving a map: its history, a checkpoint, what it publishes in the index; then everything that these replace is deleted.
+//! Saving a map: its history, a checkpoint, what it publishes in the index; then everything that these replace is
+//! deleted.
 //!
 //! Invariant: at every moment the kept checkpoints, the log after the oldest of them and the history files restore the
 //! map with all observations that its retention keeps. The newest segment of a log is never deleted.
@@ -18,9 +19,9 @@ use crate::{
 };
 
 impl Store {
-    /// Writes the history of the observations that the snapshot's updates have learned, then a checkpoint, and the
-    /// what it publishes to the index. Durable when this returns. Appends continue meanwhile. Files that are no longer needed
-    /// are deleted: old checkpoints, history beyond the map's retention, and the log's segments that every kept
+    /// Writes the history of the observations that the snapshot's updates have learned, then a checkpoint, and what it
+    /// publishes to the index. Durable when this returns. Appends continue meanwhile. Files that are no longer
+    /// needed are deleted: old checkpoints, history beyond the map's retention, and the log's segments that every kept
     /// checkpoint covers.
     ///
     /// For a map with a grid, returns the tiles of the checkpoint, so that they need not stay in memory.
