@@ -1,10 +1,10 @@
 //! The maps that the daemon serves.
 //!
-//! At a start each map is restored from its newest checkpoint and the log after it. A map with much of both is listed at
-//! once, with the generation that the index publishes, and restored while the ports are open. The log does not say whether its last
-//! update was cut off or ended without a save: it is repeated beside the served map, so that a client may see the
-//! generation before one that it has seen. Earlier updates in the log had ended, because another followed; they are
-//! repeated before the map is open.
+//! At a start each map is restored from its newest checkpoint and the log after it. A map with much of both is listed
+//! at once, with the generation that the index publishes, and restored while the ports are open. The log does not say
+//! whether its last update was cut off or ended without a save: it is repeated beside the served map, so that a client
+//! may see the generation before one that it has seen. Earlier updates in the log had ended, because another followed;
+//! they are repeated before the map is open.
 //!
 //! Invariant: looking a map up never waits. Maps are created and deleted one at a time, and a listed map is durable. A
 //! change that has begun is completed even if its caller is gone.
@@ -93,9 +93,9 @@ pub(crate) struct SeatedMap {
 }
 
 impl Catalog {
-    /// Opens all maps of the store: those with at most `restored_first_bytes` of checkpoints and log, and those of which
-    /// the index publishes nothing, completely; the others show what the index publishes until [`Self::restore_rest`]
-    /// has restored them.
+    /// Opens all maps of the store: those with at most `restored_first_bytes` of checkpoints and log, and those of
+    /// which the index publishes nothing, completely; the others show what the index publishes until
+    /// [`Self::restore_rest`] has restored them.
     ///
     /// # Errors
     /// The first map that cannot be opened, and why; two maps of the same name.
@@ -280,9 +280,9 @@ fn open_map(context: &Context, id: MapId, spec: Arc<MapSpec>) -> Result<Arc<MapH
     Ok(start(context.clone(), id, restored)?)
 }
 
-/// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off: the
-/// writer repeats it while the map is served from the generation before. `tell` hears now and then how many records of
-/// how many are replayed, and whether to continue.
+/// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off:
+/// the writer repeats it while the map is served from the generation before. `tell` hears now and then how many records
+/// of how many are replayed, and whether to continue.
 fn restore_map(
     context: &Context,
     id: MapId,

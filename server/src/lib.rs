@@ -1,8 +1,9 @@
 //! `tidemapd`, the map service that learns when things change. The library has one entry point, [`run`], so that a test
 //! can start the same daemon on another disk; the program is `main.rs`.
 //!
-//! Invariant: every way out of the daemon has its exit status: 0 stopped as requested, 2 wrong usage, 65 the data cannot be used, 69
-//! a port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70 anything else.
+//! Invariant: every way out of the daemon has its exit status: 0 stopped as requested, 2 wrong usage, 65 the data
+//! cannot be used, 69 a port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70
+//! anything else.
 
 mod catalog;
 mod clock;

@@ -1,4 +1,5 @@
-//! The index at 100,000 dense states and at 213,000 cells, of which 15,000 change: bytes, and seconds to write and read.
+//! The index at 100,000 dense states and at 213,000 cells, of which 15,000 change: bytes, and seconds to write and
+//! read.
 //!
 //! Seconds of a save are those of checkpoint and index together. A save of what is there already writes the checkpoint
 //! alone, so that the difference is the index.

@@ -283,8 +283,11 @@ impl World {
                 (ModelKind::Spectral, Some(15)),
                 (ModelKind::Auto, None),
             ] {
-                if kind == ModelKind::Auto && model.chosen.kind != ModelKind::Spectral {
-                    // The naive map has the spectral model only.
+                // Models with similar errors answer together; the naive map has the spectral model only.
+                let is_alone = model.model_errors.iter().all(|(other, error)| {
+                    other.kind == ModelKind::Spectral || *error > 2.0 * lowest_error(&model.model_errors)
+                });
+                if kind == ModelKind::Auto && !(model.chosen.kind == ModelKind::Spectral && is_alone) {
                     continue;
                 }
                 let selector = ModelSelector { kind, order, ..ModelSelector::default() };
@@ -304,6 +307,10 @@ impl World {
             }
         }
     }
+}
+
+fn lowest_error(errors: &[(ModelSelector, f64)]) -> f64 {
+    errors.iter().map(|(_, error)| *error).fold(f64::INFINITY, f64::min)
 }
 
 #[track_caller]

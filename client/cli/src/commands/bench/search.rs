@@ -137,10 +137,10 @@ async fn request(client: Client, queries: Vec<SearchQuery>) -> anyhow::Result<La
 }
 
 /// Nodes and edges to load.
-type Shape = (Vec<NewNode>, Vec<NewEdge>);
+type NewTopology = (Vec<NewNode>, Vec<NewEdge>);
 
 /// A tree with three branches per node, of 10 to 26 s each.
-fn tree(nodes: u64) -> anyhow::Result<Shape> {
+fn tree(nodes: u64) -> anyhow::Result<NewTopology> {
     let name = |number: u64| StateName::new(&number.to_string());
     let node = |number: u64| Ok(NewNode { name: name(number)?, pose: None, dwell_secs: None });
     let edge = |number: u64| {
@@ -152,7 +152,7 @@ fn tree(nodes: u64) -> anyhow::Result<Shape> {
 }
 
 /// The same with nodes named like the states of the load.
-fn renamed(mut nodes: Vec<NewNode>, mut edges: Vec<NewEdge>, load: &Load) -> anyhow::Result<Shape> {
+fn renamed(mut nodes: Vec<NewNode>, mut edges: Vec<NewEdge>, load: &Load) -> anyhow::Result<NewTopology> {
     let numbers: HashMap<StateName, u64> = nodes.iter().map(|node| node.name.clone()).zip(0..).collect();
     let renamed = |name: &StateName| {
         let number = numbers.get(name).with_context(|| format!("there is no node {:?}", name.as_str()))?;
