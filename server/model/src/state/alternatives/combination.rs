@@ -1,9 +1,9 @@
 //! Several models that answer together, weighted by their past errors.
 //!
 //! A model has the weight (S_min / S)^n: S is its faded sum of errors, S_min the lowest, n the number of observed days,
-//! at least [`DAYS_MIN`]. So after few days similar models share the answer; from [`COMBINED_DAYS_MAX`] days on the best
-//! answers alone. The model in force has its advantage of hysteresis here too. Invariant: weights are above 0 and sum to
-//! 1, and the model in force has the highest one.
+//! at least [`DAYS_MIN`]. So after few days similar models share the answer; from [`COMBINED_DAYS_MAX`] days on the
+//! best answers alone. The model in force has its advantage of hysteresis here too. Invariant: weights are above 0 and
+//! sum to 1, and the model in force has the highest one.
 
 use super::{ActiveModel, Alternatives, CLEARLY_LOWER, ModelChoice};
 use crate::{
@@ -15,8 +15,8 @@ use crate::{
 /// and on simulated counts and temperatures.
 const DAYS_MIN: u32 = 8;
 /// Models answer together for fewer days than this. On the training data of the office door, with the error of the best
-/// member as 1, combined models had .984 after one week and 1.016 after two, where the winner alone had 1.123 and 1.032;
-/// after four weeks the winner alone had 1.018, and combined models 1.024.
+/// member as 1, combined models had .984 after one week and 1.016 after two, where the winner alone had 1.123 and
+/// 1.032; after four weeks the winner alone had 1.018, and combined models 1.024.
 const COMBINED_DAYS_MAX: u32 = 28;
 /// A model with less than this share of the highest weight has none.
 const SHARE_MIN: f64 = 0.01;
