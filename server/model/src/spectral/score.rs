@@ -241,9 +241,9 @@ impl<S: Simd, const V: usize> ScoreLanes<S, V> {
         if WRONG {
             let zero = simd.splat_f64s(0.0);
             let mut wrong = self.wrong[order].0;
-            for n in 0..N {
-                for v in 0..V {
-                    let predicted = simd.greater_than_or_equal_f64s(error[n][v], observed.threshold[n][v]);
+            for (n, error) in error.iter().enumerate() {
+                for (v, &error) in error.iter().enumerate() {
+                    let predicted = simd.greater_than_or_equal_f64s(error, observed.threshold[n][v]);
                     let step = simd.select_f64s(predicted, observed.step[n][v], zero);
                     wrong[v] = simd.add_f64s(wrong[v], step);
                 }
