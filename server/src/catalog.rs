@@ -144,7 +144,7 @@ impl Catalog {
                 seat.opening.send_replace(OpenProgress::Replay { done, total });
                 !self.stopping.load(Ordering::Relaxed)
             };
-            let restored = restore_map(&self.context, id, spec, &tell)?;
+            let restored = restore_map(&self.context, id, &spec, &tell)?;
             start_in(seat, self.context.clone(), id, restored)?;
         }
         Ok(())
@@ -276,7 +276,7 @@ async fn ended<T>(task: tokio::task::JoinHandle<Result<T, CatalogError>>) -> Res
 
 /// Restores a map and starts its writer.
 fn open_map(context: &Context, id: MapId, spec: Arc<MapSpec>) -> Result<Arc<MapHandle>, CatalogError> {
-    let restored = restore_map(context, id, spec, &|_, _| true)?;
+    let restored = restore_map(context, id, &spec, &|_, _| true)?;
     Ok(start(context.clone(), id, restored)?)
 }
 
@@ -286,10 +286,10 @@ fn open_map(context: &Context, id: MapId, spec: Arc<MapSpec>) -> Result<Arc<MapH
 fn restore_map(
     context: &Context,
     id: MapId,
-    spec: Arc<MapSpec>,
+    spec: &Arc<MapSpec>,
     tell: &dyn Fn(u64, u64) -> bool,
 ) -> Result<RestoredMap, CatalogError> {
-    let opened = context.store.open_map(id, &spec)?;
+    let opened = context.store.open_map(id, spec)?;
     for report in &opened.reports {
         warn!(map = %spec.name, "{report}");
     }
@@ -298,12 +298,12 @@ fn restore_map(
     let (mut map, known) = match opened.snapshot {
         Some(snapshot) => {
             let known = snapshot.position;
-            (LiveMap::restore(Arc::clone(&spec), snapshot), known)
+            (LiveMap::restore(Arc::clone(spec), snapshot), known)
         }
-        None => (LiveMap::new(Arc::clone(&spec)), 0),
+        None => (LiveMap::new(Arc::clone(spec)), 0),
     };
     let mut replayed = 0u64;
-    let mut repeated = UpdateReplay { context, id, spec: &spec, unsaved: None, save_above: HISTORY_BYTES };
+    let mut repeated = UpdateReplay { context, id, spec, unsaved: None, save_above: HISTORY_BYTES };
     // The last update that the log has begun. It may take long, so that it is run here only if another event shows that
     // it ended.
     let mut begun: Option<UpdateWork> = None;

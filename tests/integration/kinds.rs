@@ -255,7 +255,7 @@ fn angles_are_averaged_on_the_circle_and_survive_a_kill() {
     // Until noon from 350 or from 10 degrees, then from 170 or from 190, without an order.
     let angle = |slot: i64| {
         let mixed = (slot as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let is_left = ((mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) % 2 == 0;
+        let is_left = ((mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40).is_multiple_of(2);
         let degrees: f64 = if slot % 48 < 24 { 0.0 } else { 180.0 } + if is_left { 350.0 } else { 10.0 };
         (degrees % 360.0).to_radians()
     };

@@ -190,17 +190,17 @@ fn missing_stale_foreign_and_damaged_records_are_noticed() {
         ("all states are missing", |states, _, _| states.clear().expect("clears")),
         ("a state is in the place of another", |states, _, _| {
             let value = states.get(part_key(1, 1, 0)).expect("reads").expect("there");
-            states.insert(&part_key(1, 2, 0), value).expect("inserts");
+            states.insert(part_key(1, 2, 0), value).expect("inserts");
         }),
         ("a bit is flipped", |states, _, _| {
             let mut value = states.get(part_key(1, 1, 0)).expect("reads").expect("there").to_vec();
             value[100] ^= 4;
-            states.insert(&part_key(1, 1, 0), value).expect("inserts");
+            states.insert(part_key(1, 1, 0), value).expect("inserts");
         }),
         ("the mark is damaged", |_, _, marks| drop(marks.insert(map_key(1), "?").expect("inserts"))),
         ("a state too many", |states, _, _| {
             let key = part_key(1, 9, 0);
-            states.insert(&key, encode_value(STATES, &key, &[0; 32])).expect("inserts");
+            states.insert(key, encode_value(STATES, &key, &[0; 32])).expect("inserts");
         }),
     ];
     let directory = tempfile::tempdir().expect("temporary directory");
