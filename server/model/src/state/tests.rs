@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::evaluate;
+use crate::{evaluate, models::Moment};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
@@ -228,5 +228,39 @@ proptest! {
         }
         prop_assert_eq!(&batched, &at_once);
         prop_assert_eq!(scored, whole.scored);
+    }
+}
+
+#[test]
+fn a_published_model_predicts_the_same() {
+    let periodicities = Periodicities::default();
+    let sample = |slot: i64| Sample {
+        utc_nanos: slot * 1_800_000_000_000,
+        offset_secs: 3600,
+        value: f64::from(u8::from((16..36).contains(&(slot % 48)) ^ (slot % 7 == 0))),
+    };
+    let mut model = StateModel::new(&periodicities);
+    for week in 0..4 {
+        let samples: Vec<Sample> = (week * 336..(week + 1) * 336).map(sample).collect();
+        model.update(&periodicities, OrderCriterion::SquaredError, samples.clone());
+        let day = samples.last().expect("readings").local_day();
+        for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(StateKind::Probability)) {
+            let readings = crate::models::Readings::new(&samples);
+            if let Ok(fit) = FittedModel::fit(kind, StateKind::Probability, readings, &periodicities) {
+                model = model.refitted(fit, day);
+            }
+        }
+        let published = model.published();
+        assert_eq!(published.published(), published);
+        assert_eq!((published.order(), published.choice()), (model.order(), model.choice()));
+        assert_eq!(published.spectral(), model.spectral());
+        let (one, other) = (model.chosen(&periodicities), published.chosen(&periodicities));
+        assert_eq!(one.is_some(), other.is_some());
+        for (one, other) in one.iter().zip(&other) {
+            for hour in 0..168 {
+                let at = Moment { utc_nanos: 30 * 86_400_000_000_000 + hour * 3_600_000_000_000, offset_secs: 3600 };
+                assert_eq!(one.predict(at).to_bits(), other.predict(at).to_bits(), "week {week}, hour {hour}");
+            }
+        }
     }
 }
