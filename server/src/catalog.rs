@@ -126,7 +126,7 @@ impl Catalog {
                     rest.push(SeatedMap { id, spec, seat });
                     Arc::new(handle)
                 }
-                None => open_map(&context, id, spec)?,
+                None => open_map(&context, id, &spec)?,
             };
             maps.insert(name, handle);
         }
@@ -194,7 +194,7 @@ impl Catalog {
         let name = spec.name.clone();
         let handle = ended(tokio::task::spawn_blocking(move || {
             let id = context.store.create_map(&spec)?;
-            open_map(&context, id, Arc::new(spec)).inspect_err(|_| {
+            open_map(&context, id, &Arc::new(spec)).inspect_err(|_| {
                 // An unlisted map could be neither used nor deleted, and would take its name at the next start.
                 if let Err(error) = context.store.delete_map(id) {
                     warn!(id = id.0, %error, "a map that could not be opened is left in the store");
@@ -275,8 +275,8 @@ async fn ended<T>(task: tokio::task::JoinHandle<Result<T, CatalogError>>) -> Res
 }
 
 /// Restores a map and starts its writer.
-fn open_map(context: &Context, id: MapId, spec: Arc<MapSpec>) -> Result<Arc<MapHandle>, CatalogError> {
-    let restored = restore_map(context, id, &spec, &|_, _| true)?;
+fn open_map(context: &Context, id: MapId, spec: &Arc<MapSpec>) -> Result<Arc<MapHandle>, CatalogError> {
+    let restored = restore_map(context, id, spec, &|_, _| true)?;
     Ok(start(context.clone(), id, restored)?)
 }
 

@@ -153,6 +153,9 @@ settings! {
     /// The same for the grid of a map, in changes: scans, and cells that differ from the scan before. A change takes 8
     /// to 16 bytes.
     max_pending_changes: u64 = 1_000_000, 1000, 1 << 32;
+    /// Update each map at its local midnight. Without it, a map is updated on request (`tidemap update`), at the
+    /// midnights of imported data, and when too much is pending.
+    update_at_midnight: bool = true;
     /// Maximum number of predictions (states × times) of one request.
     max_predictions: u64 = 10_000_000, 1, 1 << 40;
     /// Maximum number of fitted models in the cache, all maps together, and maximum number that evaluations hold at

@@ -122,6 +122,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
             observations: settings.max_pending_observations,
             changes: settings.max_pending_changes,
         },
+        update_at_midnight: settings.update_at_midnight,
         max_tiles: settings.max_tiles_per_map,
         tile_cache_bytes: settings.tile_cache_bytes,
     };

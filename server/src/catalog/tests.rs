@@ -28,6 +28,7 @@ fn context(store: Store) -> Context {
         max_states: 10,
         max_producers: 10,
         max_pending: tidemap_map::live_map::PendingLimits { observations: 1000, changes: 1000 },
+        update_at_midnight: true,
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
     }

@@ -3,8 +3,9 @@
 //!
 //! The nightly update is due when observations *received* before the map's last local midnight are still pending. So a
 //! daemon that was off at midnight catches up, and history that is imported at noon waits for the night, or for
-//! `tidemap update`. With `observe --nightly` the midnights are those of the data, after all announcing streams have
-//! passed them. An early update takes whole local days if it can.
+//! `tidemap update`. The setting `update_at_midnight = false` turns the nightly update off. With `observe --nightly`
+//! the midnights are those of the data, after all announcing streams have passed them. An early update takes whole
+//! local days if it can.
 //!
 //! Invariant: one update runs at a time, and a bounded number wait. What becomes due while an update of the same cause
 //! waits joins it, because an update steps through each local day of its observations.
@@ -54,10 +55,11 @@ pub(super) struct UpdateSchedule {
     /// The last midnight of the clock that made an update due.
     clock_midnight_nanos: i64,
     limits: PendingLimits,
+    at_midnight: bool,
 }
 
 impl UpdateSchedule {
-    pub(super) fn new(map: MapName, jobs: Arc<Jobs>, limits: PendingLimits) -> Self {
+    pub(super) fn new(map: MapName, jobs: Arc<Jobs>, limits: PendingLimits, at_midnight: bool) -> Self {
         Self {
             map,
             jobs,
@@ -66,6 +68,7 @@ impl UpdateSchedule {
             data_midnight_nanos: i64::MIN,
             clock_midnight_nanos: i64::MIN,
             limits,
+            at_midnight,
         }
     }
 
@@ -117,7 +120,9 @@ impl UpdateSchedule {
     /// Adds what the clock or the number of pending observations has made due. Not while the start of an update is in
     /// flight, because its observations still look pending.
     pub(super) fn look(&mut self, map: &LiveMap, now_nanos: i64) {
-        self.look_at_clock(map, now_nanos);
+        if self.at_midnight {
+            self.look_at_clock(map, now_nanos);
+        }
         self.look_at_pending(map, now_nanos);
     }
 

@@ -81,6 +81,8 @@ pub(crate) struct Context {
     pub max_producers: usize,
     /// Pending observations above which an update runs early.
     pub max_pending: PendingLimits,
+    /// Whether the local midnight of the clock makes an update due.
+    pub update_at_midnight: bool,
     /// Maximum number of tiles of a map.
     pub max_tiles: usize,
     /// Memory for the learned models of a map's tiles, in bytes.
@@ -149,7 +151,12 @@ fn build(
         ahead: context.max_pending.observations / 4,
         tiles: context.max_tiles,
     };
-    let schedule = UpdateSchedule::new(spec.name.clone(), Arc::clone(&context.jobs), context.max_pending);
+    let schedule = UpdateSchedule::new(
+        spec.name.clone(),
+        Arc::clone(&context.jobs),
+        context.max_pending,
+        context.update_at_midnight,
+    );
     let writer = Writer {
         sessions: Sessions::new(spec.zone.offset_cache(), limits),
         context,

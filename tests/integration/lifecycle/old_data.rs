@@ -47,7 +47,8 @@ fn a_folder_of_an_earlier_build_opens_and_answers_alike() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("integration/lifecycle");
     let data = tempfile::tempdir().expect("a folder");
     disk::copy_folder(&here.join("data_of_0_1"), data.path());
-    let daemon = Launch::on(data.path()).start();
+    // The folder has pending observations of a day that is long over: an update of them would change the answers.
+    let daemon = Launch::on(data.path()).setting("update_at_midnight", false).start();
     let answers = std::fs::read_to_string(here.join("answers_of_0_1.txt")).expect("the recorded answers");
     let (mut compared, mut is_updated) = (0, false);
     for block in answers.split("$ tidemap ").filter(|block| !block.is_empty()) {

@@ -68,6 +68,7 @@ fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench 
         max_states: 10,
         max_producers: 10,
         max_pending: PendingLimits { observations: 1000, changes: 1000 },
+        update_at_midnight: true,
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
     };
@@ -325,6 +326,18 @@ async fn an_append_that_is_refused_at_once_does_not_take_the_answer_of_another()
     assert_eq!(a.events.recv().await, Some(SessionEvent::Ack { durable_sequence: 2, refused: Vec::new() }));
     assert!(matches!(b.events.recv().await, Some(SessionEvent::End(Ending::Storage(_)))));
     assert_eq!(handle.view().observations(), 3);
+}
+
+#[tokio::test]
+async fn no_midnight_updates_a_map_whose_operator_turned_that_off() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = bench_with(dir.path(), NOON, |context| context.update_at_midnight = false);
+    let handle = create(&bench).await;
+    let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
+    robot.observe(&handle, NOON).await;
+    bench.clock.0.store(NOON + 13 * HOUR, Ordering::SeqCst);
+    tokio::time::sleep(3 * TICK / 2).await;
+    assert_eq!(bench.jobs.list().len(), 0);
 }
 
 #[tokio::test]

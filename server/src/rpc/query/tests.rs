@@ -66,6 +66,7 @@ impl Bench {
             max_states: 10,
             max_producers: 10,
             max_pending: tidemap_map::live_map::PendingLimits { observations: 1_000_000, changes: 1_000_000 },
+            update_at_midnight: true,
             max_tiles: 5000,
             tile_cache_bytes: 1 << 30,
         };

@@ -7,7 +7,7 @@ use crate::jobs::{Jobs, Phase};
 
 fn updates(jobs: &Arc<Jobs>) -> Updates {
     let limits = PendingLimits { observations: 1, changes: 1 };
-    Updates::new(UpdateSchedule::new(name(), Arc::clone(jobs), limits))
+    Updates::new(UpdateSchedule::new(name(), Arc::clone(jobs), limits, true))
 }
 
 fn name() -> MapName {
