@@ -16,9 +16,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let descriptors = protox::compile(&paths, ["."])?;
     let out = PathBuf::from(env::var("OUT_DIR")?).join("tidemap.v1.bin");
     fs::write(&out, descriptors.encode_to_vec())?;
+    let mut config = prost_build::Config::new();
+    // The codec finds the bounds of a message by its name.
+    config.enable_type_names();
     tonic_prost_build::configure()
+        .codec_path("crate::codec::BoundedCodec")
         .bytes(".tidemap.v1.ObservationColumns.bits")
         .server_mod_attribute(".", "#[cfg(feature = \"server\")]")
-        .compile_fds(descriptors)?;
+        .compile_fds_with_config(descriptors, config)?;
     Ok(())
 }

@@ -3,6 +3,8 @@
 //!
 //! Invariant: nothing here makes decisions. Conversions validate what is received, not what is sent; v1 only grows.
 
+pub mod bounds;
+pub mod codec;
 #[cfg(feature = "convert")]
 pub mod convert;
 

@@ -143,6 +143,8 @@ fn unread(status: &Status, limits: &StreamLimits) -> RpcError {
             let (what, max) = ("bytes of one message", limits.max_message_bytes as u64);
             OverLimit { what, got: None, max, setting: "setting max_message_bytes" }.into()
         }
+        // The codec's bound of elements.
+        Code::ResourceExhausted => InvalidField::new("message", status.message()).into(),
         // With a source it is the connection's error, not the message's.
         Code::Internal | Code::InvalidArgument if std::error::Error::source(status).is_none() => {
             InvalidField::new("message", status.message()).into()

@@ -259,3 +259,31 @@ async fn an_update_until_an_impossible_time_is_refused() {
     }
     assert_eq!(daemon.client().map("office").await.expect("the map").last_update.generation, 0);
 }
+
+/// Peak resident memory of the daemon, in bytes.
+fn peak_bytes(daemon: &tidemap_tests::daemon::Daemon) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", daemon.process().pid())).expect("a process");
+    let line = status.lines().find(|line| line.starts_with("VmHWM:")).expect("a peak");
+    line.split_whitespace().nth(1).and_then(|kib| kib.parse::<u64>().ok()).expect("a number") * 1024
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn empty_elements_are_counted_before_they_take_memory() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let before = peak_bytes(&daemon);
+    // 11 MB of edges without a name would take half a gigabyte.
+    let hostile = || v1::LoadTopologyRequest {
+        map: "office".to_owned(),
+        edges: vec![v1::TopologyEdge::default(); 5_500_000],
+        ..v1::LoadTopologyRequest::default()
+    };
+    let mut topologies = v1::topology_service_client::TopologyServiceClient::new(daemon.client().requests());
+    let refused = topologies.load_topology(hostile()).await.expect_err("too many");
+    check(&refused, Code::ResourceExhausted, &["LoadTopologyRequest.edges", "250000"]);
+    let grown = peak_bytes(&daemon) - before;
+    assert!(grown < 100 << 20, "{grown} bytes for one request");
+    let names = vec![String::new(); 70_000];
+    let many = PredictStatesRequest { map: "office".to_owned(), states: names, ..Default::default() };
+    let refused = QueryServiceClient::new(daemon.client().requests()).predict_states(many).await;
+    check(&refused.expect_err("too many"), Code::ResourceExhausted, &["PredictStatesRequest.states", "65536"]);
+}
