@@ -11,6 +11,7 @@ use crate::InvalidParts;
 mod answer;
 mod cycle;
 mod hours;
+mod narrow;
 
 pub use cycle::HistogramCycle;
 pub(crate) use hours::hour_runs;

@@ -14,7 +14,7 @@ const WEEKDAYS: usize = 5;
 impl HourTable {
     /// The mean of all readings; `None` without readings.
     pub(crate) fn mean(&self) -> Option<f64> {
-        let all = total(self.cells().iter().copied());
+        let all = total(self.cells().iter());
         (all[0] > 0.0).then(|| mean(all))
     }
 
@@ -31,7 +31,7 @@ impl HourTable {
         let hour = hour_of_week % cycle.hours();
         let first = hour - hour % per_bin.max(1);
         let hours = days.flat_map(|day| (0..per_bin).map(move |hour| day * DAY_HOURS + first + hour));
-        let bin = total(hours.map(|hour| self.cells()[hour]));
+        let bin = total(hours.map(|hour| self.readings(hour)));
         shrunk((bin[0], mean(bin)), mean_of_all, HISTOGRAM_PRIOR_READINGS)
     }
 }

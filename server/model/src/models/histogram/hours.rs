@@ -1,10 +1,11 @@
 //! Sums per hour of the week, from which histograms follow without raw data.
 //!
-//! 168 cells of the week and, for the variance between days, the means of single hours of single days: 3.8 kB a state.
-//! Invariant: sums commute, so the table depends neither on order nor on batching beyond 1e-9, as long as no local hour
+//! 168 cells of the week and, for the variance between days, the means of single hours of single days: 0.5 kB of a
+//! state whose readings are 0 and 1, at most 3.8 kB. Invariant: sums commute, so the table depends neither on order nor on batching beyond 1e-9, as long as no local hour
 //! is split over two batches.
 
 use super::cycle::{DAY_HOURS, HOUR_NANOS, WEEK_HOURS, civil_hour, hour_of_week_of, is_weekend};
+use super::narrow::Narrow;
 use super::{HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramSettings};
 use crate::{InvalidParts, Sample};
 
@@ -44,7 +45,10 @@ const WEIGHT_MIN: f64 = 1e-9;
 /// The readings of each hour of the local week, and the variance between days in each hour of the day.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HourTable {
-    parts: HourTableParts,
+    /// As [`HourTableParts::cells`].
+    cells: Narrow<2>,
+    /// As [`HourTableParts::days`].
+    days: Narrow<3>,
 }
 
 /// What an [`HourTable`] consists of, for storage.
@@ -71,7 +75,7 @@ pub struct HourSpread {
 impl Default for HourTable {
     /// An empty table.
     fn default() -> HourTable {
-        HourTable { parts: HourTableParts { cells: vec![[0.0; 2]; WEEK_HOURS], days: vec![[0.0; 3]; 2 * DAY_HOURS] } }
+        HourTable { cells: Narrow::zeros(WEEK_HOURS), days: Narrow::zeros(2 * DAY_HOURS) }
     }
 }
 
@@ -98,23 +102,17 @@ impl HourTable {
                 continue;
             }
             let hour_of_week = hour_of_week_of(hour);
-            add_to(&mut self.parts.cells[hour_of_week], [count, sum]);
+            add_at(&mut self.cells, hour_of_week, [count, sum]);
             let mean = sum / count;
-            add_to(
-                &mut self.parts.days[day_cell(hour_of_week % DAY_HOURS, is_weekend(hour_of_week))],
-                [1.0, mean, mean * mean],
-            );
+            let day = day_cell(hour_of_week % DAY_HOURS, is_weekend(hour_of_week));
+            add_at(&mut self.days, day, [1.0, mean, mean * mean]);
         }
     }
 
     /// Adds the readings of another table.
     pub(crate) fn merge(&mut self, other: &HourTable) {
-        for (cell, &other) in self.parts.cells.iter_mut().zip(&other.parts.cells) {
-            add_to(cell, other);
-        }
-        for (cell, &other) in self.parts.days.iter_mut().zip(&other.parts.days) {
-            add_to(cell, other);
-        }
+        other.cells.iter().enumerate().for_each(|(index, cell)| add_at(&mut self.cells, index, cell));
+        other.days.iter().enumerate().for_each(|(index, cell)| add_at(&mut self.days, index, cell));
     }
 
     /// Forgetting: multiplies the weight of all readings so far by `factor`, 0 to 1. Other factors count as the nearer
@@ -124,8 +122,8 @@ impl HourTable {
             return;
         }
         let factor = factor.clamp(0.0, 1.0);
-        self.parts.cells.iter_mut().for_each(|cell| scale_by(cell, factor));
-        self.parts.days.iter_mut().for_each(|cell| scale_by(cell, factor));
+        self.cells.change(|cell| scale_by(cell, factor));
+        self.days.change(|cell| scale_by(cell, factor));
     }
 
     /// The histogram with the default prior and no smoothing, equal to [`Histogram::fit`] on the same readings. `None`
@@ -138,7 +136,7 @@ impl HourTable {
         let per_bin = cycle.hours() / bins;
         let mut sums = vec![[0.0; 2]; cycle.runs() * bins];
         let mut all = [0.0; 2];
-        for (hour_of_week, &cell) in self.parts.cells.iter().enumerate() {
+        for (hour_of_week, cell) in self.cells.iter().enumerate() {
             let bin = match cycle {
                 HistogramCycle::Day => (hour_of_week % DAY_HOURS) / per_bin,
                 HistogramCycle::Week => hour_of_week / per_bin,
@@ -160,17 +158,17 @@ impl HourTable {
 
     /// Weight and sum of the readings of an hour of the local week from Monday, midnight; zeros beyond 167.
     pub fn readings(&self, hour_of_week: usize) -> [f64; 2] {
-        self.parts.cells.get(hour_of_week).copied().unwrap_or_default()
+        self.cells.get(hour_of_week).unwrap_or_default()
     }
 
     /// The weight of the readings of an hour of the local week, 0..168 from Monday, midnight; 0 for others.
     pub fn weight(&self, hour_of_week: usize) -> f64 {
-        self.parts.cells.get(hour_of_week).map_or(0.0, |cell| cell[0])
+        self.cells.get(hour_of_week).map_or(0.0, |cell| cell[0])
     }
 
     /// Number of single hours of single days with readings, faded by forgetting.
     pub fn observed_hours(&self) -> f64 {
-        bounded(self.parts.days.iter().map(|cell| cell[0]).sum())
+        bounded(self.days.iter().map(|cell| cell[0]).sum())
     }
 
     /// How an hour of the day, 0..24, differs between weekdays, or between days of weekends; `None` without readings in
@@ -179,7 +177,7 @@ impl HourTable {
         if hour_of_day >= DAY_HOURS {
             return None;
         }
-        let [days, sum, squares] = self.parts.days[day_cell(hour_of_day, weekend)];
+        let [days, sum, squares] = self.days.get(day_cell(hour_of_day, weekend))?;
         if days <= 0.0 {
             return None;
         }
@@ -189,13 +187,13 @@ impl HourTable {
     }
 
     /// The cells of the week.
-    pub(super) fn cells(&self) -> &[[f64; 2]] {
-        &self.parts.cells
+    pub(super) fn cells(&self) -> &Narrow<2> {
+        &self.cells
     }
 
     /// The parts to store.
     pub fn to_parts(&self) -> HourTableParts {
-        self.parts.clone()
+        HourTableParts { cells: self.cells.iter().collect(), days: self.days.iter().collect() }
     }
 
     /// A table from stored parts.
@@ -220,7 +218,7 @@ impl HourTable {
             InvalidParts::check("sum over days", sum, f64::MIN..=f64::MAX)?;
             InvalidParts::check("sum of squares over days", squares, 0.0..=f64::MAX)?;
         }
-        Ok(HourTable { parts })
+        Ok(HourTable { cells: Narrow::of(&parts.cells), days: Narrow::of(&parts.days) })
     }
 }
 
@@ -236,6 +234,13 @@ pub(super) fn mean([weight, sum]: [f64; 2]) -> f64 {
 pub(super) fn add_to<const N: usize>(cell: &mut [f64; N], other: [f64; N]) {
     for (sum, other) in cell.iter_mut().zip(other) {
         *sum = bounded(*sum + other);
+    }
+}
+
+fn add_at<const N: usize>(cells: &mut Narrow<N>, index: usize, other: [f64; N]) {
+    if let Some(mut cell) = cells.get(index) {
+        add_to(&mut cell, other);
+        cells.set(index, cell);
     }
 }
 
