@@ -221,6 +221,21 @@ pub struct State {
     /// What is known apart from the spectrum; absent where nothing was folded in since it is kept.
     #[prost(message, optional, tag = "14")]
     pub alternatives: Option<Alternatives>,
+    /// All readings, where they are few; there is no spectrum then.
+    #[prost(message, optional, tag = "15")]
+    pub short: Option<ShortRecord>,
+}
+
+/// All readings of a state with few, from which its spectrum follows.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct ShortRecord {
+    /// Per reading local civil time in nanoseconds since 1970-01-01T00:00 local, 8 bytes, and value, a double of 8
+    /// bytes; little-endian.
+    #[prost(bytes = "vec", tag = "1")]
+    pub readings: Vec<u8>,
+    /// The number of readings of each batch in which they were folded in.
+    #[prost(uint32, repeated, tag = "2")]
+    pub batches: Vec<u32>,
 }
 
 /// What is known of a state apart from its spectrum.

@@ -1,16 +1,20 @@
 //! The sums over a state's observations from which its spectral model follows.
 //!
 //! n, S = Σ s, Σ s², A_k = Σ s·e^(-jω_k t), B_k = Σ e^(-jω_k t) (design after T-RO eq. 11, which keeps running means
-//! instead). Invariant: sums commute, so γ_k does not depend on order or batching beyond 1e-9; the spectrum is empty if
-//! and only if there are no observations.
+//! instead). Between updates, a state with few readings keeps them in place of A_k and B_k. Invariant: sums commute, so
+//! γ_k does not depend on order or batching beyond 1e-9; without observations there is no spectrum.
+
+use std::borrow::Cow;
 
 use pulp::Arch;
 
 use crate::{InvalidParts, Periodicities, Sample, StateKind, lanes::OnLanes};
 
 mod fold;
+mod short_record;
 
 use fold::CHUNK;
+pub use short_record::ShortRecord;
 
 #[cfg(test)]
 mod tests;
@@ -19,7 +23,7 @@ mod tests;
 const WEIGHT_MIN: f64 = 1e-9;
 
 /// Sums over the observations of one state.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Accumulator {
     kind: StateKind,
     parts: AccumulatorParts,
@@ -40,8 +44,10 @@ pub struct AccumulatorParts {
     pub first_nanos: i64,
     /// Last observation, UTC in nanoseconds since 1970; 0 where n = 0.
     pub last_nanos: i64,
-    /// `[re A_k, im A_k, re B_k, im B_k]` per periodicity; empty where n = 0, to save memory.
+    /// `[re A_k, im A_k, re B_k, im B_k]` per periodicity; empty where n = 0 or the readings are known.
     pub spectrum: Vec<[f64; 4]>,
+    /// All readings, where they are few: the spectrum follows from them.
+    pub short: Option<ShortRecord>,
 }
 
 impl Accumulator {
@@ -102,18 +108,22 @@ impl Accumulator {
         self.parts.last_nanos.abs_diff(self.parts.first_nanos)
     }
 
-    /// `[re A_k, im A_k, re B_k, im B_k]` per periodicity.
+    /// `[re A_k, im A_k, re B_k, im B_k]` per periodicity; empty after [`Accumulator::pack`] has freed it.
+    #[cfg(test)]
     pub(crate) fn spectrum(&self) -> &[[f64; 4]] {
         &self.parts.spectrum
     }
 
     /// Adds observations, in any order and batching. The periodicities must be the same in every call.
     pub fn add(&mut self, periodicities: &Periodicities, samples: &[Sample]) {
+        self.unpack(periodicities);
         let parts = &mut self.parts;
         if let (0, Some(sample)) = (parts.observations, samples.first()) {
             (parts.first_nanos, parts.last_nanos) = (sample.utc_nanos, sample.utc_nanos);
             parts.spectrum = vec![[0.0; 4]; periodicities.len()];
+            parts.short = Some(ShortRecord::default());
         }
+        parts.short = parts.short.take().and_then(|short| short.with(samples, periodicities.len()));
         let arch = Arch::new();
         for chunk in samples.chunks(CHUNK) {
             // Each chunk is summed on its own first: a long sum then has far fewer roundings.
@@ -133,8 +143,31 @@ impl Accumulator {
         }
     }
 
+    /// Computes the spectrum again if [`Accumulator::pack`] has freed it.
+    pub(crate) fn unpack(&mut self, periodicities: &Periodicities) {
+        let parts = &mut self.parts;
+        if let Some(short) = parts.short.as_ref().filter(|short| parts.spectrum.is_empty() && !short.batches.is_empty()) {
+            parts.spectrum = spectrum_of(short, periodicities);
+        }
+    }
+
+    /// The spectrum, computed again if [`Accumulator::pack`] has freed it.
+    pub(crate) fn unpacked_spectrum(&self, periodicities: &Periodicities) -> Cow<'_, [[f64; 4]]> {
+        match &self.parts.short {
+            Some(short) if self.parts.spectrum.is_empty() => Cow::Owned(spectrum_of(short, periodicities)),
+            _ => Cow::Borrowed(&self.parts.spectrum),
+        }
+    }
+
+    /// Frees the spectrum if it follows from the readings.
+    pub(crate) fn pack(&mut self) {
+        if self.parts.short.is_some() {
+            self.parts.spectrum = Vec::new();
+        }
+    }
+
     /// Forgetting: multiplies the weight of all data learned so far by `factor`, above 0 and at most 1. Number and span
-    /// of the observations stay.
+    /// of the observations stay. The spectrum must be there.
     pub(crate) fn fade(&mut self, factor: f64) {
         let parts = &mut self.parts;
         // A weight of 0 could not be divided by.
@@ -145,9 +178,12 @@ impl Accumulator {
         for entry in parts.spectrum.as_flattened_mut() {
             *entry *= factor;
         }
+        if factor != 1.0 {
+            parts.short = None;
+        }
     }
 
-    /// Adds the sums of another accumulator.
+    /// Adds the sums of another accumulator. Both spectra must be there.
     pub(crate) fn merge(&mut self, other: &Accumulator) {
         if self.parts.observations == 0 {
             self.parts = other.parts.clone();
@@ -157,6 +193,7 @@ impl Accumulator {
             return;
         }
         let (parts, other) = (&mut self.parts, &other.parts);
+        parts.short = None;
         parts.observations += other.observations;
         parts.weight += other.weight;
         parts.sum += other.sum;
@@ -170,7 +207,15 @@ impl Accumulator {
 
     /// The parts to store.
     pub fn to_parts(&self) -> AccumulatorParts {
-        self.parts.clone()
+        let spectrum = if self.parts.short.is_some() { Vec::new() } else { self.parts.spectrum.clone() };
+        AccumulatorParts { spectrum, short: self.parts.short.clone(), ..self.published().parts }
+    }
+
+    /// The parts with the spectrum, also where the readings are known.
+    pub fn to_summed_parts(&self, periodicities: &Periodicities) -> AccumulatorParts {
+        let mut summed = self.clone();
+        summed.unpack(periodicities);
+        AccumulatorParts { short: None, ..summed.parts }
     }
 
     /// The accumulator of a probability from stored parts.
@@ -190,7 +235,8 @@ impl Accumulator {
         periodicities: &Periodicities,
         parts: AccumulatorParts,
     ) -> Result<Accumulator, InvalidParts> {
-        let expected = if parts.observations == 0 { 0 } else { periodicities.len() };
+        let is_summed = parts.observations > 0 && parts.short.is_none();
+        let expected = if is_summed { periodicities.len() } else { 0 };
         Accumulator::checked(kind, expected, parts)
     }
 
@@ -202,11 +248,11 @@ impl Accumulator {
         Accumulator::checked(kind, 0, parts)
     }
 
-    /// The same without its spectrum, from which only an update computes anything.
+    /// The same without its spectrum and readings, from which only an update computes anything.
     pub(crate) fn published(&self) -> Accumulator {
         let AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, .. } = self.parts;
-        let spectrum = Vec::new();
-        let parts = AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, spectrum };
+        let (spectrum, short) = (Vec::new(), None);
+        let parts = AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, spectrum, short };
         Accumulator { kind: self.kind, parts }
     }
 
@@ -226,9 +272,35 @@ impl Accumulator {
         let magnitude = kind.magnitude();
         InvalidParts::check("sum", parts.sum, most * kind.bounds().start()..=most * magnitude)?;
         InvalidParts::check("sum of squares", parts.sum_squares, 0.0..=most * magnitude * magnitude)?;
+        if let Some(short) = &parts.short {
+            short.check(kind, parts.observations)?;
+        }
         for &entry in parts.spectrum.as_flattened() {
             InvalidParts::check("spectrum", entry, -most * magnitude..=most * magnitude)?;
         }
         Ok(Accumulator { kind, parts })
+    }
+}
+
+fn spectrum_of(short: &ShortRecord, periodicities: &Periodicities) -> Vec<[f64; 4]> {
+    let mut spectrum = vec![[0.0; 4]; periodicities.len()];
+    let (arch, cycles) = (Arch::new(), periodicities.cycles());
+    for batch in short.batches() {
+        // A batch has at most as many readings as there are periodicities.
+        for samples in batch.chunks(CHUNK) {
+            arch.dispatch(OnLanes(fold::Fold { cycles, samples, spectrum: &mut spectrum[..] }));
+        }
+    }
+    spectrum
+}
+
+impl PartialEq for Accumulator {
+    /// Whether the sums are equal; those that follow from readings are equal if the readings are.
+    fn eq(&self, other: &Accumulator) -> bool {
+        let is_short = self.parts.short.is_some() || other.parts.short.is_some();
+        self.kind == other.kind
+            && self.published().parts == other.published().parts
+            && self.parts.short == other.parts.short
+            && (is_short || self.parts.spectrum == other.parts.spectrum)
     }
 }

@@ -48,7 +48,7 @@ impl SpectralModel {
         let per_observation = if observations == 0 { 1.0 } else { 1.0 / accumulator.weight() };
         let span_nanos = accumulator.span_nanos();
         let mut strongest = Strongest::new();
-        for (k, &[a_re, a_im, b_re, b_im]) in accumulator.spectrum().iter().enumerate() {
+        for (k, &[a_re, a_im, b_re, b_im]) in accumulator.unpacked_spectrum(periodicities).iter().enumerate() {
             let gamma_re = (a_re - mean * b_re) * per_observation;
             let gamma_im = (a_im - mean * b_im) * per_observation;
             let power = gamma_re * gamma_re + gamma_im * gamma_im;

@@ -207,6 +207,7 @@ impl StateModel {
         }
         let mut outcome = UpdateOutcome { order_before: self.order(), ..UpdateOutcome::default() };
         let rehearsal = self.has_rehearsal(rules, &samples);
+        self.accumulator.unpack(periodicities);
         let mut rest = samples.as_slice();
         while let Some(first) = rest.first() {
             let day = first.local_day();
@@ -225,6 +226,7 @@ impl StateModel {
                 self.rehearse(periodicities, rules, day, &samples[..samples.len() - rest.len()]);
             }
         }
+        self.accumulator.pack();
         outcome.observations = samples.len() as u64;
         outcome.order = self.order();
         outcome

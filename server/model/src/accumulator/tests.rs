@@ -161,7 +161,7 @@ fn damaged_parts_are_refused() {
     let mut accumulator = Accumulator::new(&week);
     accumulator.add(&week, &[Sample { utc_nanos: 5, offset_secs: 0, value: 1.0 }]);
     let damaged = |damage: fn(&mut AccumulatorParts)| {
-        let mut parts = accumulator.to_parts();
+        let mut parts = accumulator.to_summed_parts(&week);
         damage(&mut parts);
         Accumulator::from_parts(&week, parts).unwrap_err()
     };
@@ -191,4 +191,54 @@ fn every_instruction_set_gives_the_same_bits() {
             assert_eq!(bits(&spectrum), bits(expected.spectrum()), "{arch:?}");
         }
     }
+}
+
+/// Batches of a few readings, at most as many as periodicities of a week.
+fn short_batches() -> impl Strategy<Value = Vec<Vec<Sample>>> {
+    let sample = (0..60 * DAY_NANOS, -7200..7200, -5.0..5.0)
+        .prop_map(|(utc_nanos, offset_secs, value)| Sample { utc_nanos, offset_secs, value });
+    prop::collection::vec(prop::collection::vec(sample, 0..7), 0..50)
+}
+
+proptest! {
+    #[test]
+    fn a_short_record_gives_the_bits_of_its_sums(batches in short_batches()) {
+        let week = Periodicities::default();
+        let mut whole = Accumulator::of_kind(StateKind::Continuous);
+        let mut packed = whole.clone();
+        for batch in &batches {
+            whole.add(&week, batch);
+            packed.add(&week, batch);
+            packed.pack();
+        }
+        let stored = Accumulator::from_parts_of(StateKind::Continuous, &week, packed.to_parts()).unwrap();
+        prop_assert_eq!(&stored, &whole);
+        let bits = |of: &Accumulator| -> Vec<u64> {
+            of.to_summed_parts(&week).spectrum.as_flattened().iter().map(|number| number.to_bits()).collect()
+        };
+        let expected: Vec<u64> = whole.spectrum().as_flattened().iter().map(|number| number.to_bits()).collect();
+        prop_assert_eq!(bits(&packed), expected.clone());
+        prop_assert_eq!(bits(&stored), expected);
+        let is_short = batches.iter().filter(|batch| !batch.is_empty()).count() <= 32
+            && batches.iter().map(Vec::len).sum::<usize>() <= week.len();
+        prop_assert_eq!(packed.spectrum().is_empty(), is_short);
+    }
+}
+
+#[test]
+fn a_short_record_that_is_not_that_of_its_state_is_refused() {
+    let week = Periodicities::default();
+    let mut accumulator = Accumulator::new(&week);
+    let sample = |utc_nanos| Sample { utc_nanos, offset_secs: 0, value: 1.0 };
+    accumulator.add(&week, &[sample(5), sample(6)]);
+    let damaged = |damage: fn(&mut ShortRecord)| {
+        let mut parts = accumulator.to_parts();
+        damage(parts.short.as_mut().unwrap());
+        Accumulator::from_parts(&week, parts).is_err()
+    };
+    assert!(damaged(|short| short.readings.truncate(1)));
+    assert!(damaged(|short| short.batches[0] = 1));
+    assert!(damaged(|short| short.batches.push(0)));
+    assert!(damaged(|short| short.readings[0].1 = 1.5));
+    assert!(!damaged(|_| {}));
 }

@@ -11,7 +11,7 @@ use tidemap_map::{
 use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
     Accumulator, AccumulatorParts, Component, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
-    PersistenceParts, SpectralModel, StateKind, StateModel,
+    PersistenceParts, ShortRecord, SpectralModel, StateKind, StateModel,
 };
 
 use super::{
@@ -176,7 +176,28 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v2::State {
         error_sums_bits: errors.sums.iter().map(|sum| sum.to_bits()).collect(),
         errors_last_day: errors.last_day.map(|day| day.0),
         alternatives: known,
+        short: accumulator.short.map(|short| v2::ShortRecord {
+            readings: short
+                .readings
+                .iter()
+                .flat_map(|&(civil_nanos, value)| [civil_nanos.to_le_bytes(), value.to_le_bytes()])
+                .flatten()
+                .collect(),
+            batches: short.batches,
+        }),
     }
+}
+
+fn decode_short(message: &v2::ShortRecord) -> Result<ShortRecord, String> {
+    let (readings, rest) = message.readings.as_chunks::<16>();
+    if !rest.is_empty() {
+        return Err("the readings of a state do not have their length".to_owned());
+    }
+    let reading = |bytes: &[u8; 16]| {
+        let ([civil_nanos, value], _) = bytes.as_chunks::<8>() else { return (0, 0.0) };
+        (i64::from_le_bytes(*civil_nanos), f64::from_le_bytes(*value))
+    };
+    Ok(ShortRecord { readings: readings.iter().map(reading).collect(), batches: message.batches.clone() })
 }
 
 /// Whether the message of a state has its spectrum.
@@ -236,6 +257,7 @@ fn decode_model(
         first_nanos: sums.first_nanos,
         last_nanos: sums.last_nanos,
         spectrum: spectrum.to_vec(),
+        short: message.short.as_ref().map(decode_short).transpose()?,
     };
     let component = |component: &v1::Component| Component {
         periodicity: component.periodicity,

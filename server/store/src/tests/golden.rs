@@ -100,6 +100,7 @@ fn snapshot() -> MapSnapshot {
         first_nanos: 1,
         last_nanos: 1_700_000_000_000_000_000,
         spectrum: vec![[0.5, -0.25, 1.5, -1.75], [0.1, 0.2, 0.3, 0.4]],
+        short: None,
     };
     let component = Component { periodicity: 1, gamma_re: 0.125, gamma_im: -0.1 };
     let mut sums = [0.0; 16];

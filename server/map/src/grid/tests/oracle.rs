@@ -74,7 +74,7 @@ impl CellOracle {
         taken.sort_by_key(|read| read.sample.utc_nanos);
         // Day by day, so that ties of each day's model are found.
         for of_day in taken.chunk_by(|one, next| one.sample.local_day() == next.sample.local_day()) {
-            self.tied |= self.has_tie();
+            self.tied |= self.has_tie(periodicities);
             self.model.update(periodicities, criterion, of_day.iter().map(|read| read.sample).collect());
             self.folded.extend(of_day);
             if !self.has_changed() {
@@ -85,7 +85,7 @@ impl CellOracle {
 
     /// A cell that never changed has the mean of its readings and nothing to be scored, whatever they count as.
     fn be_constant(&mut self, periodicities: &Periodicities) {
-        let parts = self.model.accumulator().to_parts();
+        let parts = self.model.accumulator().to_summed_parts(periodicities);
         let mean = parts.sum / parts.observations as f64;
         let spectral = SpectralModel::from_parts(mean, parts.observations, Vec::new()).expect("valid");
         let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("its own");
@@ -94,10 +94,13 @@ impl CellOracle {
     }
 
     /// Whether a component might as well have been another.
-    fn has_tie(&self) -> bool {
+    fn has_tie(&self, periodicities: &Periodicities) -> bool {
         let kept = self.model.spectral().components();
         let mut all: Vec<f64> =
-            gammas(&self.model.accumulator().to_parts()).iter().map(|(re, im)| re.hypot(*im)).collect();
+            gammas(&self.model.accumulator().to_summed_parts(periodicities))
+                .iter()
+                .map(|(re, im)| re.hypot(*im))
+                .collect();
         all.sort_by(|a, b| b.total_cmp(a));
         let weakest = kept.last().map_or(0.0, |component| component.amplitude() / 2.0);
         // Those that are not eligible may tie without harm: this is too careful, and rarely so.
@@ -142,7 +145,7 @@ impl CellOracle {
     /// Compares a changed cell's components, orders and errors. What is as good as the oracle's choice becomes the
     /// oracle's.
     pub(crate) fn compare_model(&mut self, found: &CellModel, periodicities: &Periodicities, at: &str) {
-        let parts = self.model.accumulator().to_parts();
+        let parts = self.model.accumulator().to_summed_parts(periodicities);
         let gammas = gammas(&parts);
         let kept = found.spectral.components();
         for component in kept {
