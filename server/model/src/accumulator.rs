@@ -146,7 +146,8 @@ impl Accumulator {
     /// Computes the spectrum again if [`Accumulator::pack`] has freed it.
     pub(crate) fn unpack(&mut self, periodicities: &Periodicities) {
         let parts = &mut self.parts;
-        if let Some(short) = parts.short.as_ref().filter(|short| parts.spectrum.is_empty() && !short.batches.is_empty()) {
+        if let Some(short) = parts.short.as_ref().filter(|short| parts.spectrum.is_empty() && !short.batches.is_empty())
+        {
             parts.spectrum = spectrum_of(short, periodicities);
         }
     }
@@ -252,7 +253,8 @@ impl Accumulator {
     pub(crate) fn published(&self) -> Accumulator {
         let AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, .. } = self.parts;
         let (spectrum, short) = (Vec::new(), None);
-        let parts = AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, spectrum, short };
+        let parts =
+            AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, spectrum, short };
         Accumulator { kind: self.kind, parts }
     }
 

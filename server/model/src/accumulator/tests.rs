@@ -195,8 +195,11 @@ fn every_instruction_set_gives_the_same_bits() {
 
 /// Batches of a few readings, at most as many as periodicities of a week.
 fn short_batches() -> impl Strategy<Value = Vec<Vec<Sample>>> {
-    let sample = (0..60 * DAY_NANOS, -7200..7200, -5.0..5.0)
-        .prop_map(|(utc_nanos, offset_secs, value)| Sample { utc_nanos, offset_secs, value });
+    let sample = (0..60 * DAY_NANOS, -7200..7200, -5.0..5.0).prop_map(|(utc_nanos, offset_secs, value)| Sample {
+        utc_nanos,
+        offset_secs,
+        value,
+    });
     prop::collection::vec(prop::collection::vec(sample, 0..7), 0..50)
 }
 

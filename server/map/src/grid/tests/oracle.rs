@@ -96,11 +96,10 @@ impl CellOracle {
     /// Whether a component might as well have been another.
     fn has_tie(&self, periodicities: &Periodicities) -> bool {
         let kept = self.model.spectral().components();
-        let mut all: Vec<f64> =
-            gammas(&self.model.accumulator().to_summed_parts(periodicities))
-                .iter()
-                .map(|(re, im)| re.hypot(*im))
-                .collect();
+        let mut all: Vec<f64> = gammas(&self.model.accumulator().to_summed_parts(periodicities))
+            .iter()
+            .map(|(re, im)| re.hypot(*im))
+            .collect();
         all.sort_by(|a, b| b.total_cmp(a));
         let weakest = kept.last().map_or(0.0, |component| component.amplitude() / 2.0);
         // Those that are not eligible may tie without harm: this is too careful, and rarely so.
