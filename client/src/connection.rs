@@ -68,7 +68,8 @@ struct Inner {
 }
 
 impl Client {
-    /// A client of the daemon at `url`, which is `HOST:PORT` or `http://HOST:PORT`. Connections are opened when needed,
+    /// A client of the daemon at `url`, which is `HOST:PORT`, `http://HOST:PORT`, or `unix:PATH` for a Unix socket of
+    /// this machine. Connections are opened when needed,
     /// and reopened after they break.
     ///
     /// # Errors
@@ -167,6 +168,11 @@ impl Drop for StreamPlace {
 }
 
 fn normalised(url: &str) -> Result<String, Error> {
+    if let Some(path) = url.strip_prefix("unix:") {
+        let hint = "; the path of a Unix socket is missing, as in unix:/run/tidemapd/socket";
+        let is_path = !path.trim_start_matches("//").is_empty();
+        return if is_path { Ok(url.to_owned()) } else { Err(Error::Address { url: url.to_owned(), hint }) };
+    }
     let wrong = |hint| Error::Address { url: url.to_owned(), hint };
     let with_scheme = match url.split_once("://") {
         Some(("http", _)) => url.to_owned(),
@@ -193,10 +199,13 @@ mod tests {
             ("127.0.0.1:7435", "http://127.0.0.1:7435"),
             ("http://robot.local:1/", "http://robot.local:1"),
             ("[::1]:7435", "http://[::1]:7435"),
+            ("unix:/run/tidemapd/socket", "unix:/run/tidemapd/socket"),
         ] {
             assert_eq!(normalised(url), Ok(server.to_owned()));
         }
-        for url in ["", "localhost", "localhost:http", ":7435", "localhost:0", "https://localhost:7435", "ftp://a:1"] {
+        for url in
+            ["", "localhost", "localhost:http", ":7435", "localhost:0", "https://localhost:7435", "ftp://a:1", "unix:"]
+        {
             assert!(matches!(normalised(url), Err(Error::Address { .. })), "{url}");
         }
     }

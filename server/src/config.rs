@@ -113,6 +113,10 @@ settings! {
     listen: String = "127.0.0.1:7435".to_owned();
     /// Address of the HTTP port for health and metrics.
     http_listen: String = "127.0.0.1:7436".to_owned();
+    /// A Unix socket on which the gRPC port is served as well, for clients of this machine; empty: none.
+    socket: PathBuf = PathBuf::new();
+    /// Permissions of the Unix socket; who may write to it may connect. `0o660` lets the daemon's group connect.
+    socket_mode: u32 = 0o600, 0, 0o777;
     /// Listen on other addresses than this machine's, without encryption and authentication.
     allow_insecure_remote: bool = false;
     /// Format of the log.
@@ -145,6 +149,10 @@ settings! {
     max_buffer_bytes: usize = 64 << 20;
     /// Maximum size of the tile tables and unfinished scans of all streams, in bytes.
     max_stream_tables_bytes: usize = 256 << 20, 1 << 20, 1 << 36;
+    /// Maximum number of connections of the gRPC port. Beyond it, one that makes no requests makes room.
+    max_connections: usize = 4096, 8, 1_000_000;
+    /// Maximum number of connections of one client address.
+    max_connections_per_client: usize = 2048, 1, 1_000_000;
     /// Maximum number of open streams of observations.
     max_streams: usize = 1024, 1, 100_000;
     /// An update runs early when a map has more pending observations than this. At twice as many, including those of a

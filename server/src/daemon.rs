@@ -3,8 +3,12 @@
 //! Invariant: the line `listening …` is printed only when requests are served. A stop acknowledges what is in flight,
 //! closes the store and ends, whatever clients and the disk do: each step has its deadline.
 
-use std::{io::Write as _, sync::Arc, time::Duration};
+use std::{io::Write as _, os::unix::fs::PermissionsExt as _, path::Path, sync::Arc, time::Duration};
 
+use rustix::{
+    fs::Mode,
+    process::{Resource, getrlimit, setrlimit, umask},
+};
 use tidemap_map::live_map::PendingLimits;
 use tidemap_store::{OpenError, Store, StoreOptions, disk::Disk};
 use tokio::{
@@ -18,6 +22,12 @@ use crate::{
     catalog::{Catalog, CatalogError, RESTORED_FIRST_BYTES},
     clock::SystemClock,
     config::Settings,
+    connections::{
+        ConnectionLimits, Connections,
+        accept::{Acceptor, HttpListener},
+        request_scan::Protocol,
+        socket::listen_unix,
+    },
     http,
     ingest::writer::Context,
     jobs::Jobs,
@@ -30,6 +40,11 @@ const STOP_WITHIN: Duration = Duration::from_secs(5);
 const MAPS_STOP_WITHIN: Duration = Duration::from_secs(10);
 /// Time for the store to close.
 const CLOSE_WITHIN: Duration = Duration::from_secs(10);
+
+/// Limits of the HTTP port.
+const HTTP_CONNECTIONS: ConnectionLimits = ConnectionLimits { total: 256, per_client: 128 };
+/// Descriptors that connections leave to files.
+const FILE_DESCRIPTORS: usize = 512;
 
 /// Why the daemon ended; each error has its exit status.
 #[derive(Debug, thiserror::Error)]
@@ -83,6 +98,23 @@ fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonE
     })
 }
 
+/// Takes the permissions of other users on the data folder away, which an earlier version or a copy may have given.
+fn close_to_others(folder: &Path) {
+    let mode = match std::fs::metadata(folder) {
+        Ok(metadata) => metadata.permissions().mode() & 0o777,
+        Err(error) => return warn!(%error, "the permissions of the data folder cannot be read"),
+    };
+    if mode & 0o077 == 0 {
+        return;
+    }
+    match std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o700)) {
+        Ok(()) => warn!("the data folder was open to others with permissions {mode:o}; now they are 700"),
+        Err(error) => {
+            warn!(%error, "the data folder is open to others with permissions {mode:o}, which cannot be changed");
+        }
+    }
+}
+
 /// 16 bytes of the system's randomness as hex: the identity of a new data folder.
 fn random_id() -> anyhow::Result<String> {
     let mut bytes = [0u8; 16];
@@ -95,12 +127,15 @@ fn random_id() -> anyhow::Result<String> {
 /// # Errors
 /// See [`DaemonError`].
 pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), DaemonError> {
+    // Whatever the daemon was started with: what robots saw is nobody else's business.
+    umask(Mode::RWXG | Mode::RWXO);
     let metrics = telemetry::start_metrics()?;
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
     let for_store = settings.clone();
     let store =
         tokio::task::spawn_blocking(move || open_store(&for_store, disk)).await.map_err(anyhow::Error::from)??;
+    close_to_others(&settings.data_dir);
     for report in store.reports() {
         warn!("{report}");
     }
@@ -148,11 +183,23 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     };
     let grpc_stop = wait();
     let for_grpc = (Arc::clone(&catalog), settings.clone(), stopping.clone());
+    let (grpc_acceptor, grpc_connections) =
+        Acceptor::new(Connections::new(connection_limits(&settings)), Protocol::Http2);
+    grpc_acceptor.listen_tcp(grpc);
+    if !settings.socket.as_os_str().is_empty() {
+        let socket = listen_unix(&settings.socket, settings.socket_mode);
+        let address = || settings.socket.display().to_string();
+        grpc_acceptor.listen_unix(socket.map_err(|source| DaemonError::Listen { address: address(), source })?);
+    }
     let mut grpc_task = tokio::spawn(async move {
         let (catalog, settings, stopping) = for_grpc;
-        rpc::serve::serve(grpc, catalog, &settings, stopping, grpc_stop).await
+        let is_local = grpc_address.ip().is_loopback();
+        rpc::serve::serve(grpc_connections, is_local, catalog, &settings, stopping, grpc_stop).await
     });
     let http_stop = wait();
+    let (http_acceptor, accepted) = Acceptor::new(Connections::new(HTTP_CONNECTIONS), Protocol::Http1);
+    http_acceptor.listen_tcp(http);
+    let http = HttpListener { address: http_address, accepted };
     let mut http_task = tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, stopping, http_stop));
     println!("listening grpc={grpc_address} http={http_address}");
     // A closed stdout is no reason to stop.
@@ -214,6 +261,28 @@ async fn close(store: Arc<Store>) {
             error!("the store did not close within {secs} seconds; the next start repairs it");
         }
     }
+}
+
+/// The limits of the gRPC port. The process may open as many descriptors as its hard limit allows; if that is too few
+/// for all connections, there are fewer.
+fn connection_limits(settings: &Settings) -> ConnectionLimits {
+    let mut limit = getrlimit(Resource::Nofile);
+    let wanted = (settings.max_connections + FILE_DESCRIPTORS) as u64;
+    if limit.current.is_some_and(|current| current < wanted) {
+        limit.current = Some(limit.maximum.map_or(wanted, |maximum| maximum.min(wanted)));
+        if let Err(error) = setrlimit(Resource::Nofile, limit) {
+            warn!(%error, "the limit of descriptors cannot be raised");
+        }
+    }
+    let descriptors = getrlimit(Resource::Nofile).current.map_or(usize::MAX, |current| current as usize);
+    // With very few descriptors, half of them are for files.
+    let room = descriptors.saturating_sub(FILE_DESCRIPTORS).max(descriptors / 2);
+    let total = settings.max_connections.min(room);
+    if total < settings.max_connections {
+        let max = settings.max_connections;
+        warn!(total, max, "the limit of descriptors allows fewer connections than max_connections");
+    }
+    ConnectionLimits { total, per_client: settings.max_connections_per_client }
 }
 
 async fn listen(address: &str) -> Result<TcpListener, DaemonError> {

@@ -6,10 +6,11 @@ use std::{future::Future, sync::Arc};
 
 use axum::{Router, http::StatusCode, routing::get};
 use metrics_exporter_prometheus::PrometheusHandle;
-use tokio::{net::TcpListener, sync::watch};
+use tokio::sync::watch;
 
 use crate::{
     catalog::Catalog,
+    connections::accept::HttpListener,
     ingest::handle::{MapHandle, OpenProgress},
     statistics,
 };
@@ -32,7 +33,7 @@ fn opening(catalog: &Catalog) -> String {
 /// # Errors
 /// The listener failed.
 pub(crate) async fn serve(
-    listener: TcpListener,
+    listener: HttpListener,
     catalog: Arc<Catalog>,
     metrics: PrometheusHandle,
     stopping: watch::Receiver<bool>,

@@ -8,6 +8,7 @@
 mod catalog;
 mod clock;
 mod config;
+mod connections;
 mod daemon;
 mod evaluation;
 mod http;

@@ -14,6 +14,7 @@ pub(crate) mod status;
 mod acks;
 mod lookup;
 mod page;
+mod peer;
 mod permits;
 mod replies;
 mod series;

@@ -1,5 +1,6 @@
 //! Starting, stopping and refusing: what an operator sees of the daemon.
 
+mod connections;
 mod old_data;
 mod ports;
 mod settings;

@@ -71,7 +71,7 @@ fn usage(text: impl Into<String>) -> anyhow::Error {
 #[derive(Debug, Parser)]
 #[command(name = "tidemap", version, max_term_width = 110, arg_required_else_help = true)]
 pub(crate) struct CommandLine {
-    /// Address of the daemon, HOST:PORT or http://HOST:PORT
+    /// Address of the daemon, HOST:PORT, http://HOST:PORT or unix:PATH
     #[arg(long, global = true, help_heading = GLOBAL, display_order = 100, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
     server: String,
     /// File that holds the token to present to the daemon

@@ -16,11 +16,9 @@ use tidemap_proto::v1::{
     route_service_server::RouteServiceServer, search_service_server::SearchServiceServer,
     topology_service_server::TopologyServiceServer,
 };
-use tokio::{
-    net::TcpListener,
-    sync::{Semaphore, watch},
-};
-use tonic::transport::{Server, server::TcpIncoming};
+use tokio::sync::{Semaphore, mpsc, watch};
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::Server;
 
 use super::{
     exploration::{Explorations, PlanLimits},
@@ -30,7 +28,7 @@ use super::{
     query::{Queries, QueryLimits},
     route::Routes,
 };
-use crate::{catalog::Catalog, config::Settings, ingest::intake::IntakeLimits};
+use crate::{catalog::Catalog, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits};
 
 /// Maximum size of a request without observations: 100,000 times and thousands of names fit.
 const REQUEST_BYTES: usize = 1 << 20;
@@ -43,12 +41,13 @@ const STREAM_WINDOW: u32 = 256 * 1024;
 /// Room around the columns of a message.
 const MESSAGE_OVERHEAD: usize = 4096;
 
-/// Serves until `stop` is ready and the connections are closed.
+/// Serves until `stop` is ready and the connections are closed. Reflection is served if all clients are local.
 ///
 /// # Errors
 /// The transport failed.
 pub(crate) async fn serve(
-    listener: TcpListener,
+    connections: mpsc::Receiver<std::io::Result<Accepted>>,
+    is_local: bool,
     catalog: Arc<Catalog>,
     settings: &Settings,
     stopping: watch::Receiver<bool>,
@@ -94,7 +93,6 @@ pub(crate) async fn serve(
     let explorations = Explorations::new(Arc::clone(&catalog), &queries, plans);
     let routes = Arc::new(Routes::new(Arc::clone(&catalog), &queries, settings.max_predictions));
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
-    let local = listener.local_addr()?.ip().is_loopback();
     let reflection = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(DESCRIPTORS)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
@@ -108,7 +106,7 @@ pub(crate) async fn serve(
         .http2_keepalive_timeout(Some(Duration::from_secs(10)))
         .http2_max_header_list_size(16 * 1024)
         .add_service(health_service)
-        .add_optional_service(local.then_some(reflection))
+        .add_optional_service(is_local.then_some(reflection))
         .add_service(
             MapServiceServer::new(Maps { catalog: Arc::clone(&catalog) }).max_decoding_message_size(REQUEST_BYTES),
         )
@@ -123,7 +121,7 @@ pub(crate) async fn serve(
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
         .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
         .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES))
-        .serve_with_incoming_shutdown(TcpIncoming::from(listener).with_nodelay(Some(true)), stop)
+        .serve_with_incoming_shutdown(ReceiverStream::new(connections), stop)
         .await?;
     Ok(())
 }

@@ -1,0 +1,152 @@
+//! Accepts connections and hands them to the server of a port.
+//!
+//! Invariant: an accept that fails never spins: it is logged now and then, a connection makes room, and the next try
+//! comes after a pause.
+
+use std::{
+    io,
+    net::SocketAddr,
+    time::{Duration, Instant},
+};
+
+use tokio::{
+    net::{TcpListener, UnixListener},
+    sync::mpsc,
+};
+use tracing::{debug, error};
+
+use super::{Connections, Peer, Place, guard::GuardedConnection, request_scan::Protocol, socket::Socket};
+
+/// A connection as a server gets it.
+pub(crate) type Accepted = GuardedConnection<Socket>;
+
+/// Connections that wait for the server.
+const WAITING: usize = 64;
+/// The pause after an accept that failed.
+const PAUSE: Duration = Duration::from_millis(100);
+/// Failing accepts are logged this often.
+const LOGGED_EVERY: Duration = Duration::from_secs(10);
+
+/// Accepts the connections of a port until the receiver is dropped.
+#[derive(Debug)]
+pub(crate) struct Acceptor {
+    connections: Connections,
+    protocol: Protocol,
+    accepted: mpsc::Sender<io::Result<Accepted>>,
+}
+
+impl Acceptor {
+    /// An acceptor of a port, and the connections that it accepts.
+    pub(crate) fn new(connections: Connections, protocol: Protocol) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
+        let (accepted, receiver) = mpsc::channel(WAITING);
+        (Self { connections, protocol, accepted }, receiver)
+    }
+
+    /// Accepts TCP connections.
+    pub(crate) fn listen_tcp(&self, listener: TcpListener) {
+        let (connections, protocol, accepted) = self.parts();
+        tokio::spawn(async move {
+            let mut failures = Failures::default();
+            loop {
+                let next = tokio::select! {
+                    next = listener.accept() => next,
+                    () = accepted.closed() => return,
+                };
+                match next {
+                    Ok((socket, address)) => {
+                        // Replies are small and must not wait for each other.
+                        let _ = socket.set_nodelay(true);
+                        let place = connections.admit(Peer::Address(address.ip().to_canonical()));
+                        hand_over(place, Socket::Tcp(socket), protocol, &accepted).await;
+                    }
+                    Err(error) => failures.pause(&error, &connections).await,
+                }
+            }
+        });
+    }
+
+    /// Accepts connections over a Unix socket.
+    pub(crate) fn listen_unix(&self, listener: UnixListener) {
+        let (connections, protocol, accepted) = self.parts();
+        tokio::spawn(async move {
+            let mut failures = Failures::default();
+            loop {
+                let next = tokio::select! {
+                    next = listener.accept() => next,
+                    () = accepted.closed() => return,
+                };
+                match next {
+                    Ok((socket, _)) => {
+                        hand_over(connections.admit(Peer::Local), Socket::Unix(socket), protocol, &accepted).await;
+                    }
+                    Err(error) => failures.pause(&error, &connections).await,
+                }
+            }
+        });
+    }
+
+    fn parts(&self) -> (Connections, Protocol, mpsc::Sender<io::Result<Accepted>>) {
+        (self.connections.clone(), self.protocol, self.accepted.clone())
+    }
+}
+
+async fn hand_over(
+    place: Option<Place>,
+    socket: Socket,
+    protocol: Protocol,
+    accepted: &mpsc::Sender<io::Result<Accepted>>,
+) {
+    match place {
+        // The server is gone only when the daemon stops.
+        Some(place) => drop(accepted.send(Ok(GuardedConnection::new(socket, place, protocol))).await),
+        None => debug!("a connection was refused: all others are busy"),
+    }
+}
+
+/// Accepts that failed.
+#[derive(Debug, Default)]
+struct Failures {
+    logged: Option<Instant>,
+    since_logged: u64,
+}
+
+impl Failures {
+    async fn pause(&mut self, error: &io::Error, connections: &Connections) {
+        metrics::counter!("tidemap_accept_errors").increment(1);
+        self.since_logged += 1;
+        if self.logged.is_none_or(|logged| logged.elapsed() >= LOGGED_EVERY) {
+            error!(%error, failures = self.since_logged, "connections cannot be accepted; one makes room for the next");
+            (self.logged, self.since_logged) = (Some(Instant::now()), 0);
+        }
+        connections.make_room();
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+/// A listener for axum: the connections of an acceptor.
+#[derive(Debug)]
+pub(crate) struct HttpListener {
+    /// The address of the port.
+    pub address: SocketAddr,
+    /// The connections.
+    pub accepted: mpsc::Receiver<io::Result<Accepted>>,
+}
+
+impl axum::serve::Listener for HttpListener {
+    type Io = Accepted;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Accepted, SocketAddr) {
+        loop {
+            match self.accepted.recv().await {
+                Some(Ok(connection)) => return (connection, self.address),
+                Some(Err(_)) => {}
+                None => std::future::pending().await,
+            }
+        }
+    }
+
+    fn local_addr(&self) -> io::Result<SocketAddr> {
+        Ok(self.address)
+    }
+}
