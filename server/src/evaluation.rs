@@ -3,11 +3,13 @@
 //! Invariant: only sums are kept, so that memory does not depend on the number of observations.
 
 use std::{
+    borrow::Cow,
     collections::{HashMap, HashSet, hash_map::Entry},
     sync::Arc,
 };
 
 use tidemap_map::{
+    history::Subject,
     ids::StateId,
     predict::PreparedTimes,
     selector::{ModelKind, ModelSelector},
@@ -15,7 +17,7 @@ use tidemap_map::{
 };
 use tidemap_model::{Evaluation, Sample, direction_rad};
 
-use crate::model_cache::CachedModel;
+use crate::{model_cache::CachedModel, state_or_cell::StateOrCell};
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;
@@ -35,15 +37,16 @@ pub(crate) struct Evaluator {
     view: Arc<MapView>,
     /// One per row of a state: models without an order of their own stand for all orders.
     rows: Vec<ModelSelector>,
-    states: Vec<StateId>,
+    states: Vec<Subject>,
     /// Why there are no models: many states share few reasons.
     reasons: HashSet<Arc<str>>,
-    sums: HashMap<StateId, ErrorSums>,
+    sums: HashMap<Subject, ErrorSums>,
 }
 
 /// The sums of one state, or of an angle, each as long as the rows.
 #[derive(Debug)]
 struct ErrorSums {
+    of: StateOrCell,
     /// What predicts, if not the view.
     answering: Vec<Option<AnswerSource>>,
     /// Of an angle the state of its sine, and what predicts that. The state itself is the cosine.
@@ -77,8 +80,8 @@ impl Evaluator {
     }
 
     /// Whether the state has no sums yet.
-    pub(crate) fn is_new(&self, id: StateId) -> bool {
-        !self.sums.contains_key(&id)
+    pub(crate) fn is_new(&self, subject: Subject) -> bool {
+        !self.sums.contains_key(&subject)
     }
 
     /// An answer source without a model, for this reason.
@@ -93,11 +96,12 @@ impl Evaluator {
 
     /// Adds a state with its answer sources, one for each of [`Evaluator::kinds_to_fit`]. No effect if the state is
     /// known.
-    pub(crate) fn begin(&mut self, id: StateId, fitted: impl IntoIterator<Item = AnswerSource>) {
-        if let Entry::Vacant(entry) = self.sums.entry(id) {
+    pub(crate) fn begin(&mut self, of: StateOrCell, fitted: impl IntoIterator<Item = AnswerSource>) {
+        let subject = of.subject();
+        if let Entry::Vacant(entry) = self.sums.entry(subject) {
             let answering = by_row(&self.rows, fitted);
-            entry.insert(ErrorSums { answering, sine: None, errors: vec![Evaluation::default(); self.rows.len()] });
-            self.states.push(id);
+            entry.insert(ErrorSums { of, answering, sine: None, errors: vec![Evaluation::default(); self.rows.len()] });
+            self.states.push(subject);
         }
     }
 
@@ -108,15 +112,15 @@ impl Evaluator {
         sine: StateId,
         fitted: impl IntoIterator<Item = AnswerSource>,
     ) {
-        if let Some(sums) = self.sums.get_mut(&cosine) {
+        if let Some(sums) = self.sums.get_mut(&Subject::State(cosine)) {
             sums.sine = Some((sine, by_row(&self.rows, fitted)));
         }
     }
 
     /// Adds observations, grouped by state; `order` lists the states, which must be known.
-    pub(crate) fn add(&mut self, order: &[StateId], by_state: &HashMap<StateId, Vec<Sample>>) {
-        for id in order {
-            let (Some(samples), Some(sums)) = (by_state.get(id), self.sums.get_mut(id)) else { continue };
+    pub(crate) fn add(&mut self, order: &[Subject], by_state: &HashMap<Subject, Vec<Sample>>) {
+        for subject in order {
+            let (Some(samples), Some(sums)) = (by_state.get(subject), self.sums.get_mut(subject)) else { continue };
             for block in samples.chunks(TIMES_PER_BLOCK) {
                 let times: Vec<i64> = block.iter().map(|sample| sample.utc_nanos).collect();
                 let prepared = self.view.prepare(&times);
@@ -124,12 +128,12 @@ impl Evaluator {
                 let mut sines = vec![0.0; block.len()];
                 let rows = self.rows.iter().zip(&sums.answering).zip(&mut sums.errors).enumerate();
                 for (index, ((row, answering), sum)) in rows {
-                    if !answer(&self.view, *id, answering.as_ref(), &prepared, *row, &mut predicted) {
+                    if !answer(&self.view, &sums.of, answering.as_ref(), &prepared, *row, &mut predicted) {
                         continue;
                     }
                     if let Some((sine, answering)) = &sums.sine {
                         let answering = answering.get(index).and_then(Option::as_ref);
-                        if answer(&self.view, *sine, answering, &prepared, *row, &mut sines) {
+                        if answer(&self.view, &(*sine).into(), answering, &prepared, *row, &mut sines) {
                             for ((sample, &cos), &sin) in block.iter().zip(&predicted).zip(&sines) {
                                 sum.add_angle(direction_rad([cos, sin]), sample.value);
                             }
@@ -145,20 +149,20 @@ impl Evaluator {
     }
 
     /// The rows: name of the state, model with its order, sums.
-    pub(crate) fn rows(&self) -> impl Iterator<Item = (&str, ModelSelector, &Evaluation)> {
+    pub(crate) fn rows(&self) -> impl Iterator<Item = (StateOrCell, Cow<'_, str>, ModelSelector, &Evaluation)> {
         self.all().filter(|(.., answering, _)| !matches!(answering, Some(AnswerSource::Nothing(_)))).map(
-            |(id, row, _, errors)| {
-                let order = Some(row.order_for(self.view.model(id))).filter(|_| row.kind.has_order());
-                (self.name(id), ModelSelector { order, ..*row }, errors)
+            |(of, row, _, errors)| {
+                let order = Some(of.order(&self.view, *row)).filter(|_| row.kind.has_order());
+                (of.clone(), self.name(of), ModelSelector { order, ..*row }, errors)
             },
         )
     }
 
     /// The missing rows, by model: model, reason, and names of the states.
-    pub(crate) fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<&str>)> {
-        let mut found: Vec<(ModelSelector, &str, Vec<&str>)> = Vec::new();
+    pub(crate) fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> {
+        let mut found: Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> = Vec::new();
         let mut places = HashMap::new();
-        for (id, row, answering, _) in self.all() {
+        for (of, row, answering, _) in self.all() {
             let Some(AnswerSource::Nothing(reason)) = answering else { continue };
             let reason = &**reason;
             let place = *places.entry((*row, reason)).or_insert_with(|| {
@@ -166,7 +170,7 @@ impl Evaluator {
                 found.len() - 1
             });
             if let Some((.., states)) = found.get_mut(place) {
-                states.push(self.name(id));
+                states.push(self.name(of));
             }
         }
         found.sort_by_key(|(row, ..)| self.rows.iter().position(|other| other == row));
@@ -174,19 +178,19 @@ impl Evaluator {
     }
 
     /// All rows by state, with or without a model.
-    fn all(&self) -> impl Iterator<Item = (StateId, &ModelSelector, &Option<AnswerSource>, &Evaluation)> {
-        let of_state = |&id: &StateId| self.sums.get(&id).map(|sums| (id, sums));
-        self.states.iter().filter_map(of_state).flat_map(|(id, sums)| {
+    fn all(&self) -> impl Iterator<Item = (&StateOrCell, &ModelSelector, &Option<AnswerSource>, &Evaluation)> {
+        self.states.iter().filter_map(|subject| self.sums.get(subject)).flat_map(|sums| {
             let rows = self.rows.iter().zip(&sums.answering).zip(&sums.errors);
-            rows.map(move |((row, answering), errors)| (id, row, answering, errors))
+            rows.map(move |((row, answering), errors)| (&sums.of, row, answering, errors))
         })
     }
 
-    fn name(&self, id: StateId) -> &str {
-        let is_angle = self.sums.get(&id).is_some_and(|sums| sums.sine.is_some());
+    fn name(&self, of: &StateOrCell) -> Cow<'_, str> {
+        let StateOrCell::State(id) = *of else { return of.name(&self.view) };
+        let is_angle = self.sums.get(&of.subject()).is_some_and(|sums| sums.sine.is_some());
         let name = self.view.info(id).map(|info| &info.name);
         let angle = name.filter(|_| is_angle).and_then(|name| name.as_angle_axis()).map(|(angle, _)| angle);
-        angle.or(name.map(|name| name.as_str())).unwrap_or_default()
+        Cow::Borrowed(angle.or(name.map(|name| name.as_str())).unwrap_or_default())
     }
 }
 
@@ -199,15 +203,15 @@ fn by_row(rows: &[ModelSelector], fitted: impl IntoIterator<Item = AnswerSource>
 /// Predicts a state; `false` if there is no model.
 fn answer(
     view: &MapView,
-    id: StateId,
+    of: &StateOrCell,
     answering: Option<&AnswerSource>,
     prepared: &PreparedTimes,
     row: ModelSelector,
     predicted: &mut [f64],
 ) -> bool {
     match answering {
-        None => view.predict_into(id, prepared, row, predicted),
-        Some(AnswerSource::Fitted(fitted)) => fitted.predict_into(view, id, prepared.moments(), row, predicted),
+        None => of.predict_into(view, prepared, row, predicted),
+        Some(AnswerSource::Fitted(fitted)) => fitted.predict_into(view, of, prepared.moments(), row, predicted),
         Some(AnswerSource::Nothing(_)) => return false,
     }
     true

@@ -17,6 +17,7 @@ mod ingest;
 mod jobs;
 mod model_cache;
 mod rpc;
+mod state_or_cell;
 mod statistics;
 mod telemetry;
 

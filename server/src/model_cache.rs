@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use tidemap_map::{ids::StateId, selector::ModelKind};
+use tidemap_map::{history::Subject, selector::ModelKind};
 use tidemap_store::MapId;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
@@ -30,8 +30,8 @@ pub(crate) struct ModelKey {
     pub map: MapId,
     /// The model has learned the updates up to this one.
     pub generation: u64,
-    /// The state; for positions the first axis.
-    pub state: StateId,
+    /// The state or cell; for positions the first axis.
+    pub subject: Subject,
     /// The model, with its parameters.
     pub kind: ModelKind,
 }

@@ -76,15 +76,18 @@ pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Resul
     Ok(ModelSelector { kind, order, persistence: wire.persistence })
 }
 
-/// Checks that cells of a grid have the model.
+/// Checks that all cells of a grid have the model.
 ///
 /// # Errors
-/// Only named states have the model.
+/// Only named states, and cells by name, have the model.
 pub fn check_for_cells(field: &str, selector: ModelSelector) -> Result<(), InvalidField> {
     if selector.kind.is_for_cells() {
         return Ok(());
     }
-    let text = format!("cells have no model {}: use auto, mean, latest or spectral", selector.kind);
+    let text = format!(
+        "all cells at once have no model {}: use auto, mean, latest or spectral; cells by name have it",
+        selector.kind
+    );
     Err(InvalidField::new(format!("{field}.kind"), text))
 }
 

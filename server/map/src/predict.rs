@@ -129,6 +129,24 @@ impl MapView {
         predict_state(StateKind::Probability, parts, 1.0, times, selector, out);
     }
 
+    /// Predicts the probability that a cell is occupied at each moment by a model that was fitted to its readings.
+    /// `out` is as long as the moments.
+    pub fn predict_fitted_cell_into(
+        &self,
+        cell: &CellDescription,
+        moments: &[Moment],
+        fitted: &dyn TemporalModel,
+        with_persistence: bool,
+        out: &mut [f64],
+    ) {
+        for (probability, &moment) in out.iter_mut().zip(moments) {
+            *probability = StateKind::Probability.saturate(fitted.predict(moment));
+        }
+        if with_persistence {
+            blend(&cell.persistence, 1.0, moments, out);
+        }
+    }
+
     /// The phasors of one time in nanoseconds UTC, for many cells.
     pub(crate) fn instant(&self, utc_nanos: i64) -> InstantPhasors {
         let civil = civil_nanos(&mut self.spec.zone.offset_cache(), utc_nanos);

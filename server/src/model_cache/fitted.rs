@@ -1,11 +1,10 @@
-//! One fitted model of any kind.
+//! One fitted model of any kind, of a named state or a cell.
 //!
 //! Invariant: a prediction is within the bounds of the state's kind. An untrained state has the same prediction as with
 //! any other model.
 
 use tidemap_map::{
     event::StateKind,
-    ids::StateId,
     selector::{ModelKind, ModelSelector},
     spec::MapSpec,
     view::MapView,
@@ -17,6 +16,8 @@ use tidemap_model::{
         HypertimeOptions, MarkovChain, Moment, Pergam, PergamOptions, Readings, TemporalModel, UniformSpectral,
     },
 };
+
+use crate::state_or_cell::StateOrCell;
 
 /// Seed of the random starts of a fit: the same readings give the same model.
 const SEED: u64 = 0;
@@ -87,30 +88,30 @@ impl CachedModel {
     pub(crate) fn predict_into(
         &self,
         view: &MapView,
-        id: StateId,
+        of: &StateOrCell,
         moments: &[Moment],
         selector: ModelSelector,
         out: &mut [f64],
     ) {
-        self.answer(view, id, moments, selector, true, out);
+        self.answer(view, of, moments, selector, true, out);
     }
 
     /// The same without stored outliers, to judge observations.
     pub(crate) fn expect_into(
         &self,
         view: &MapView,
-        id: StateId,
+        of: &StateOrCell,
         moments: &[Moment],
         selector: ModelSelector,
         out: &mut [f64],
     ) {
-        self.answer(view, id, moments, selector, false, out);
+        self.answer(view, of, moments, selector, false, out);
     }
 
     fn answer(
         &self,
         view: &MapView,
-        id: StateId,
+        of: &StateOrCell,
         moments: &[Moment],
         selector: ModelSelector,
         with_recall: bool,
@@ -118,10 +119,10 @@ impl CachedModel {
     ) {
         let (latest, uniform);
         let model: &dyn TemporalModel = match self {
-            Self::Unlearned => &Constant(view.model(id).spectral().mean()),
+            Self::Unlearned => &Constant(of.mean(view)),
             Self::MarkovChain(chain) => {
                 // Starts from the newest value, which changes as soon as it is acknowledged; the rates do not change.
-                latest = from_newest(*chain, view, id);
+                latest = from_newest(*chain, view, of);
                 &latest
             }
             Self::Histogram(model) => model,
@@ -130,16 +131,16 @@ impl CachedModel {
             Self::Poisson(model) => &**model,
             Self::Calibrated(model) => model,
             Self::Uniform(model) => {
-                uniform = Uniform { model, order: selector.order_for(view.model(id)), with_recall };
+                uniform = Uniform { model, order: of.order(view, selector), with_recall };
                 &uniform
             }
         };
-        view.predict_fitted_into(id, moments, model, selector.persistence, out);
+        of.predict_fitted_into(view, moments, model, selector.persistence, out);
     }
 }
 
-fn from_newest(mut chain: MarkovChain, view: &MapView, id: StateId) -> MarkovChain {
-    if let Some((nanos, value)) = view.live(id).persistence.last() {
+fn from_newest(mut chain: MarkovChain, view: &MapView, of: &StateOrCell) -> MarkovChain {
+    if let Some((nanos, value)) = of.persistence(view).last() {
         chain.observe(nanos, value);
     }
     chain

@@ -5,6 +5,7 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
+use tidemap_map::ids::StateId;
 use tidemap_map::selector::PERGAM_PERIOD_NANOS;
 use tidemap_model::{
     Sample,
@@ -16,7 +17,7 @@ use super::*;
 
 fn key(state: u32) -> ModelKey {
     let kind = ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS };
-    ModelKey { map: MapId(1), generation: 1, state: StateId(state), kind }
+    ModelKey { map: MapId(1), generation: 1, subject: Subject::State(StateId(state)), kind }
 }
 
 /// A model that is identified by its newest value.

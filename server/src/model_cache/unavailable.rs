@@ -8,9 +8,11 @@ use tidemap_model::models::CannotFit;
 /// Why a model cannot answer for a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ModelUnavailable {
-    #[error("it must be fitted to observations, and the map, created with --retention none, keeps none")]
-    NotKept,
-    #[error("it must be fitted to observations, and the map no longer keeps those of this state: see --retention")]
+    #[error("it must be fitted to observations, and the map, created with {option} none, keeps none")]
+    NotKept { option: &'static str },
+    #[error(
+        "it must be fitted to observations, and the map no longer keeps those of this state: see --retention and --grid-retention"
+    )]
     Forgotten,
     #[error(
         "it must be fitted to all {total} observations that updates have learned, and the map, which is older than its \

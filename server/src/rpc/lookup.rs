@@ -15,6 +15,7 @@ use super::status::RpcError;
 use crate::{
     catalog::{Catalog, CatalogError},
     ingest::handle::{MapHandle, OpenProgress},
+    state_or_cell::{KnownCell, StateOrCell},
 };
 
 /// How long a request waits for a map that is being opened.
@@ -80,6 +81,36 @@ pub(super) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescripti
     let map = || view.spec().name.as_str().to_owned();
     let grid = view.grid().ok_or_else(|| RpcError::NoGrid { map: map() })?;
     grid.describe(cell)?.ok_or_else(|| RpcError::UnknownCell { map: map(), name: cell.name() })
+}
+
+/// The states and cells of these names. `field` gives the name of the field of each.
+///
+/// # Errors
+/// Of the first name that is unknown.
+pub(super) async fn find_all(
+    view: &Arc<MapView>,
+    field: impl Fn(usize) -> String + Send + 'static,
+    names: Vec<String>,
+) -> Result<Vec<StateOrCell>, RpcError> {
+    let view = Arc::clone(view);
+    let any_cell = names.iter().any(|name| matches!(CellIndex::from_name(name), Some(Ok(_))));
+    let find = move || {
+        let find = |(i, name): (usize, &String)| match cell_of(&field(i), name)? {
+            Some(cell) => find_known_cell(&view, cell).map(|cell| StateOrCell::Cell(Arc::new(cell))),
+            None => find_state(&view, name).map(StateOrCell::State),
+        };
+        names.iter().enumerate().map(find).collect()
+    };
+    // A cell may have to be read from the disk.
+    if any_cell { tokio::task::spawn_blocking(find).await.map_err(|_| RpcError::Stopping)? } else { find() }
+}
+
+/// A cell with its tile and its description.
+fn find_known_cell(view: &MapView, index: CellIndex) -> Result<KnownCell, RpcError> {
+    let description = find_cell(view, index)?;
+    let tile = view.grid().and_then(|grid| grid.find(index.tile().0));
+    let unknown = || RpcError::UnknownCell { map: view.spec().name.as_str().to_owned(), name: index.name() };
+    Ok(KnownCell { index, tile: tile.ok_or_else(unknown)?, description })
 }
 
 /// Checks an amount against its limit.

@@ -14,7 +14,7 @@ use super::{
     query::fitting::{LearnedState, ModelFitter},
     status::RpcError,
 };
-use crate::{ingest::handle::MapHandle, model_cache::CachedModel};
+use crate::{ingest::handle::MapHandle, model_cache::CachedModel, state_or_cell::StateOrCell};
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
@@ -42,7 +42,7 @@ pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(),
     Err(InvalidField::new(field, text).into())
 }
 
-/// Probabilities that the states are 1 at the times.
+/// Probabilities that the states or cells are 1 at the times.
 ///
 /// # Errors
 /// Too many predictions, or a model cannot be fitted.
@@ -50,9 +50,10 @@ pub(super) async fn predict_series(
     context: PredictContext<'_>,
     handle: &Arc<MapHandle>,
     view: &Arc<MapView>,
-    (states, times_nanos): (Vec<StateId>, Vec<i64>),
+    (states, times_nanos): (Vec<impl Into<StateOrCell>>, Vec<i64>),
     selector: ModelSelector,
 ) -> Result<Vec<Vec<f64>>, RpcError> {
+    let states: Vec<StateOrCell> = states.into_iter().map(Into::into).collect();
     let predictions = states.len() as u64 * times_nanos.len() as u64;
     check_limit("predictions", predictions, context.predictions, "setting max_predictions")?;
     if !selector.kind.needs_readings() {
@@ -61,10 +62,10 @@ pub(super) async fn predict_series(
             let mut rows = vec![Vec::with_capacity(times_nanos.len()); states.len()];
             for block in times_nanos.chunks(TIMES_PER_BLOCK) {
                 let prepared = view.prepare(block);
-                for (&id, row) in states.iter().zip(&mut rows) {
+                for (state, row) in states.iter().zip(&mut rows) {
                     let from = row.len();
                     row.resize(from + block.len(), 0.0);
-                    view.predict_into(id, &prepared, selector, &mut row[from..]);
+                    state.predict_into(&view, &prepared, selector, &mut row[from..]);
                 }
             }
             rows
@@ -73,13 +74,13 @@ pub(super) async fn predict_series(
     }
     let moments: Arc<[_]> = view.moments(&times_nanos).into();
     let mut rows = Vec::with_capacity(states.len());
-    for id in states {
-        let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), id);
+    for state in states {
+        let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), state.clone());
         let fitted = context.fitting.fitted(&learned, selector.kind).await?;
         let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
         let predict = move || {
             let mut row = vec![0.0; moments.len()];
-            fitted.predict_into(&view, id, &moments, selector, &mut row);
+            fitted.predict_into(&view, &state, &moments, selector, &mut row);
             row
         };
         rows.push(run_blocking(context.permits.take().await?, predict).await?);
@@ -110,7 +111,7 @@ impl Predictor {
         let mut fitted = Vec::new();
         if selector.kind.needs_readings() {
             for &id in &states {
-                let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), id);
+                let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), id.into());
                 fitted.push(context.fitting.fitted(&learned, selector.kind).await?);
             }
         }
@@ -134,7 +135,7 @@ impl Predictor {
         let Some(&id) = self.states.get(index) else { return 0.0 };
         let mut row = vec![0.0; moments.len()];
         match (self.fitted.get(index), times) {
-            (Some(fitted), _) => fitted.predict_into(&self.view, id, moments, self.selector, &mut row),
+            (Some(fitted), _) => fitted.predict_into(&self.view, &id.into(), moments, self.selector, &mut row),
             (None, Some(times)) => self.view.predict_into(id, times, self.selector, &mut row),
             (None, None) => {}
         }

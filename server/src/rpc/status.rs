@@ -146,9 +146,9 @@ impl RpcError {
             Self::Tile(_) => (Code::Internal, "STORAGE_FAILED"),
             Self::NoHistory { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
             Self::ModelUnavailable { reason, .. } => match reason {
-                ModelUnavailable::NotKept | ModelUnavailable::Forgotten | ModelUnavailable::Incomplete { .. } => {
-                    (Code::FailedPrecondition, "NO_HISTORY")
-                }
+                ModelUnavailable::NotKept { .. }
+                | ModelUnavailable::Forgotten
+                | ModelUnavailable::Incomplete { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
                 ModelUnavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 ModelUnavailable::OtherKind { .. } | ModelUnavailable::CannotFit(_) | ModelUnavailable::Unlearned => {
                     (Code::FailedPrecondition, "MODEL_UNAVAILABLE")

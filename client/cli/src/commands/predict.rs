@@ -40,7 +40,7 @@ pub(crate) struct PredictArgs {
     order: Option<u32>,
     /// Model, optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS], histogram:week[:BINS],
     /// histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]], hypertime-em[:CLUSTERS],
-    /// hypertime-km[:CLUSTERS], poisson, calibrated; cells have auto, mean, latest and spectral
+    /// hypertime-km[:CLUSTERS], poisson, calibrated
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Confidence of the interval from lower to upper for the mean over the hour around the time: 0 (no interval) or
@@ -58,9 +58,6 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
             "--order does not go with --model {}: only auto, spectral and uniform have one",
             args.model
         )));
-    }
-    if args.states.iter().any(|state| state.starts_with("cell/")) {
-        check_for_cells(args.model)?;
     }
     let model = ModelSelector { order: args.order.map(|order| order as usize), ..args.model };
     let times = match (args.at, args.times, args.from, args.to, args.step) {
@@ -85,12 +82,14 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     Ok(ExitCode::SUCCESS)
 }
 
-/// Refuses a model that grid cells do not support.
+/// Refuses a model that all cells of a grid at once do not support.
 pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), UsageError> {
     if model.kind.is_for_cells() {
         return Ok(());
     }
-    Err(UsageError(format!("cells do not support model {model}: use auto, mean, latest or spectral")))
+    Err(UsageError(format!(
+        "all cells at once do not support model {model}: use auto, mean, latest or spectral; cells by name support it"
+    )))
 }
 
 fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl Iterator<Item = Vec<Cell>> + 'a {

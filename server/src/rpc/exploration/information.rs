@@ -2,9 +2,7 @@
 //!
 //! Invariant: replies come in the order of states, locations, region; each has a number per time.
 
-use std::sync::Arc;
-
-use tidemap_map::{grid::view::CellDescription, ids::StateId, name::StateName, site::InvalidEdit, view::MapView};
+use tidemap_map::{ids::StateId, name::StateName, site::InvalidEdit, view::MapView};
 use tidemap_plan::{
     information::{Certainty, entropy_of},
     predicted::{PredictOptions, PredictedTimes},
@@ -23,22 +21,16 @@ use super::{Explorations, error::PlanError};
 use crate::{
     ingest::protocol::EditSiteError,
     rpc::{
-        lookup::{cell_of, check_limit, find_cell, find_map, find_state},
-        permits::run_blocking,
+        lookup::{check_limit, find_all, find_map},
         replies::{Replies, compute_replies, stream_replies},
         series::{check_kind, predict_series},
         status::RpcError,
     },
+    state_or_cell::StateOrCell,
 };
 
 /// Maximum number of targets of one request.
 const TARGETS_MAX: usize = 10_000;
-
-/// The subject of a request.
-enum Target {
-    States(Vec<StateId>),
-    Cell(Box<CellDescription>),
-}
 
 /// The states of a location.
 pub(super) fn location_states(view: &MapView, field: &str, name: &str) -> Result<Vec<StateId>, RpcError> {
@@ -110,51 +102,26 @@ pub(super) async fn get_information(
             Ok(())
         }));
     }
-    let mut targets = Vec::with_capacity(states.len() + locations.len());
-    for (i, name) in states.into_iter().enumerate() {
-        let field = format!("states[{i}]");
-        let target = match cell_of(&field, &name)? {
-            Some(cell) => {
-                check_for_cells("model", selector)?;
-                Target::Cell(Box::new(find_cell(&view, cell)?))
-            }
-            None => {
-                let id = find_state(&view, &name)?;
-                check_kind(&view, id, &field)?;
-                Target::States(vec![id])
-            }
-        };
-        targets.push((name, target));
+    let found = find_all(&view, |i| format!("states[{i}]"), states.clone()).await?;
+    let mut targets: Vec<(String, Vec<StateOrCell>)> = Vec::with_capacity(states.len() + locations.len());
+    for (i, (name, state)) in states.into_iter().zip(found).enumerate() {
+        if let StateOrCell::State(id) = state {
+            check_kind(&view, id, &format!("states[{i}]"))?;
+        }
+        targets.push((name, vec![state]));
     }
     for (i, name) in locations.into_iter().enumerate() {
         let states = location_states(&view, &format!("locations[{i}]"), &name)?;
-        targets.push((name, Target::States(states)));
+        targets.push((name, states.into_iter().map(StateOrCell::State).collect()));
     }
-    let all = |(_, target): &(String, Target)| match target {
-        Target::States(states) => states.len() as u64,
-        Target::Cell(_) => 1,
-    };
-    let predictions = targets.iter().map(all).sum::<u64>() * times_nanos.len() as u64;
+    let predictions = targets.iter().map(|(_, states)| states.len() as u64).sum::<u64>() * times_nanos.len() as u64;
     check_limit("predictions", predictions, explorations.limits.predictions, "setting max_predictions")?;
     let asked = explorations.clone();
     Ok(stream_replies(move |sink| async move {
-        for (name, target) in targets {
-            let rows = match target {
-                Target::States(states) => {
-                    tokio::select! {
-                        () = sink.closed() => return Ok(()),
-                        rows = predict_series(asked.predict_context(), &handle, &view, (states, times_nanos.clone()), selector) => rows?,
-                    }
-                }
-                Target::Cell(cell) => {
-                    let (view, times) = (Arc::clone(&view), times_nanos.clone());
-                    let predict = move || {
-                        let mut row = vec![0.0; times.len()];
-                        view.predict_cell_into(&cell, &view.prepare(&times), selector, &mut row);
-                        vec![row]
-                    };
-                    run_blocking((), predict).await?
-                }
+        for (name, states) in targets {
+            let rows = tokio::select! {
+                () = sink.closed() => return Ok(()),
+                rows = predict_series(asked.predict_context(), &handle, &view, (states, times_nanos.clone()), selector) => rows?,
             };
             let answer = reply(&name, &rows, times_nanos.len(), certainty);
             let to = sink.clone();

@@ -3,12 +3,14 @@
 //! Invariant: memory depends on the number of states and models, not on that of observations.
 
 use std::{
+    borrow::Cow,
     collections::{HashMap, hash_map::Entry},
     sync::Arc,
 };
 
 use tidemap_map::{
     event::{StateKind, StateShape},
+    history::Subject,
     ids::StateId,
     selector::{ModelKind, ModelSelector},
     view::MapView,
@@ -29,9 +31,10 @@ use crate::{
     evaluation::{AnswerSource, Evaluator},
     model_cache::ModelUnavailable,
     rpc::{
-        lookup::{check_limit, find_map, find_state},
+        lookup::{check_limit, find_all, find_map},
         status::RpcError,
     },
+    state_or_cell::StateOrCell,
 };
 
 /// Maximum number of error sums of one evaluation, one per state, model and order: 24 MB, which fits into a reply.
@@ -63,19 +66,20 @@ pub(super) async fn evaluate_states(
     }
     check_limit("models", models.len() as u64, 64, "one request")?;
     let mut evaluator = Evaluator::new(Arc::clone(&view), models, max_order);
-    let mut table: Vec<Subject> = Vec::new();
+    let mut table: Vec<TableEntry> = Vec::new();
     let mut reserved = queries.fitting.reserve(0)?;
     while let Some(request) = stream.message().await? {
         let Some(v1::evaluate_states_request::Message::Observations(mut columns)) = request.message else {
             let error = InvalidField::new("observations", "every message after the first must have them");
             return Err(RpcError::from(error).into());
         };
-        for name in std::mem::take(&mut columns.new_states) {
+        let names = std::mem::take(&mut columns.new_states);
+        check_limit("states", (table.len() + names.len()) as u64, STATES_MAX as u64, "one evaluation")?;
+        for name in names {
             let states = table.len() + 1;
-            check_limit("states", states as u64, STATES_MAX as u64, "one evaluation")?;
             let sums = states.saturating_mul(evaluator.sums_per_state()) as u64;
             check_limit("states times models and orders", sums, SUMS_MAX as u64, "one evaluation")?;
-            table.push(Subject::find(&view, &name, &table)?);
+            table.push(TableEntry::find(&view, name, &table).await?);
         }
         let max = queries.max_batch as u64;
         let setting = "setting max_batch_observations";
@@ -86,11 +90,11 @@ pub(super) async fn evaluate_states(
         }
         let columns = decode(columns).map_err(RpcError::from)?;
         let mut make = view.sample_maker();
-        let mut by_state: HashMap<StateId, Vec<Sample>> = HashMap::new();
-        let mut first_seen = Vec::new();
+        let mut by_state: HashMap<Subject, Vec<Sample>> = HashMap::new();
+        let mut first_seen: Vec<Subject> = Vec::new();
         for i in 0..columns.values.len() {
             let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
-            let Some(&subject) = table.get(index as usize) else {
+            let Some(entry) = table.get(index as usize) else {
                 let text = format!("{index} is beyond the stream's table of {} names", table.len());
                 return Err(RpcError::from(InvalidField::new("observations.state_indices", text)).into());
             };
@@ -98,26 +102,30 @@ pub(super) async fn evaluate_states(
                 let text = format!("{time} ns is before 1970");
                 return Err(RpcError::from(InvalidField::new("observations.times", text)).into());
             }
-            let (state, shape) = (subject.state, subject.shape(&view));
-            let is_allowed =
-                if subject.is_angle { shape.allows(value) } else { shape.kind().bounds().contains(&value) };
+            let (subject, shape) = (entry.state.subject(), entry.shape(&view));
+            let is_allowed = if entry.is_angle { shape.allows(value) } else { shape.kind().bounds().contains(&value) };
             if !is_allowed {
                 let text = format!("value {value} is not {}", shape.expected());
                 return Err(RpcError::from(InvalidField::new("observations.values", text)).into());
             }
-            let samples = match by_state.entry(state) {
+            let samples = match by_state.entry(subject) {
                 Entry::Occupied(samples) => samples.into_mut(),
                 Entry::Vacant(none) => {
-                    first_seen.push(state);
+                    first_seen.push(subject);
                     none.insert(Vec::new())
                 }
             };
             samples.push(make(time, value));
         }
-        for &state in first_seen.iter().filter(|state| evaluator.is_new(**state)).collect::<Vec<_>>() {
-            let is_angle = table.iter().any(|subject| subject.state == state && subject.is_angle);
-            for axis in [state].into_iter().chain(is_angle.then(|| sine_of(state))) {
-                let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), axis);
+        for &subject in first_seen.iter().filter(|subject| evaluator.is_new(**subject)).collect::<Vec<_>>() {
+            let Some(entry) = table.iter().find(|entry| entry.state.subject() == subject) else { continue };
+            let sine = match entry.state {
+                StateOrCell::State(cosine) if entry.is_angle => Some((cosine, sine_of(cosine))),
+                _ => None,
+            };
+            for axis in [None].into_iter().chain(sine.map(Some)) {
+                let of = axis.map_or_else(|| entry.state.clone(), |(_, sine)| sine.into());
+                let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), of);
                 let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
                 reserved.merge(queries.fitting.reserve(models.iter().flatten().count())?);
                 let answering = |model| match model {
@@ -125,10 +133,9 @@ pub(super) async fn evaluate_states(
                     Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),
                 };
                 let answering: Vec<AnswerSource> = models.into_iter().map(answering).collect();
-                if axis == state {
-                    evaluator.begin(state, answering);
-                } else {
-                    evaluator.begin_sine(state, axis, answering);
+                match axis {
+                    None => evaluator.begin(entry.state.clone(), answering),
+                    Some((cosine, sine)) => evaluator.begin_sine(cosine, sine, answering),
                 }
             }
         }
@@ -139,49 +146,51 @@ pub(super) async fn evaluate_states(
         .await
         .map_err(|_| RpcError::Stopping)?;
     }
-    let evaluations = evaluator.rows().map(|(state, model, evaluation)| v1::Evaluation {
-        state: state.to_owned(),
+    let evaluations = evaluator.rows().map(|(of, name, model, evaluation)| v1::Evaluation {
+        state: name.into_owned(),
         model: Some(selector_to_wire(model)),
         observations: evaluation.observations,
         mean_squared_error: evaluation.mse(),
-        error_rate: view
-            .find(state)
-            .filter(|&id| view.kind(id) == StateKind::Probability)
-            .map(|_| evaluation.error_rate()),
+        error_rate: (of.kind(&view) == StateKind::Probability).then(|| evaluation.error_rate()),
     });
     let unavailable = evaluator.unavailable().into_iter().map(|(model, reason, states)| v1::UnavailableModel {
         model: Some(selector_to_wire(model)),
         reason: reason.to_owned(),
-        states: states.into_iter().map(str::to_owned).collect(),
+        states: states.into_iter().map(Cow::into_owned).collect(),
     });
     Ok(v1::EvaluateStatesResponse { evaluations: evaluations.collect(), unavailable: unavailable.collect() })
 }
 
 /// What observations of a name are compared with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Subject {
-    /// The state, or the cosine of an angle.
-    state: StateId,
+#[derive(Clone, Debug)]
+struct TableEntry {
+    /// The state or cell, or the cosine of an angle.
+    state: StateOrCell,
     is_angle: bool,
 }
 
-impl Subject {
-    /// The subject of a name, beside those of the names before.
-    fn find(view: &MapView, name: &str, others: &[Subject]) -> Result<Subject, RpcError> {
-        let subject = match view.shape(name) {
-            Some((state, StateShape::Angle)) => Subject { state, is_angle: true },
-            _ => Subject { state: find_state(view, name)?, is_angle: false },
+impl TableEntry {
+    /// The entry of a name, beside those of the names before.
+    async fn find(view: &Arc<MapView>, name: String, others: &[TableEntry]) -> Result<TableEntry, RpcError> {
+        let entry = match view.shape(&name) {
+            Some((state, StateShape::Angle)) => TableEntry { state: state.into(), is_angle: true },
+            _ => {
+                let field = |_| "observations.new_states".to_owned();
+                let found = find_all(view, field, vec![name.clone()]).await?.pop();
+                TableEntry { state: found.ok_or(RpcError::Stopping)?, is_angle: false }
+            }
         };
-        let is_other = |other: &Subject| other.state == subject.state && other.is_angle != subject.is_angle;
+        let is_other =
+            |other: &TableEntry| other.state.subject() == entry.state.subject() && other.is_angle != entry.is_angle;
         if others.iter().any(is_other) {
             let text = format!("{name:?}: compare an angle or its cosine, not both in one evaluation");
             return Err(InvalidField::new("observations.new_states", text).into());
         }
-        Ok(subject)
+        Ok(entry)
     }
 
-    fn shape(self, view: &MapView) -> StateShape {
-        if self.is_angle { StateShape::Angle } else { StateShape::Scalar(view.kind(self.state)) }
+    fn shape(&self, view: &MapView) -> StateShape {
+        if self.is_angle { StateShape::Angle } else { StateShape::Scalar(self.state.kind(view)) }
     }
 }
 

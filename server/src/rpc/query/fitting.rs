@@ -1,4 +1,4 @@
-//! Fits models to the readings of a state, for the requests that ask for them.
+//! Fits models to the readings of a state or a cell, for the requests that ask for them.
 //!
 //! A request takes one view, and a permit before it computes. The view itself answers by the models `auto`, `mean`,
 //! `latest` and `spectral`, at once. All other models are fitted on request:
@@ -26,9 +26,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{
-    event::StateKind, grid::spec::Retention, history::Subject, ids::StateId, selector::ModelKind, view::MapView,
-};
+use tidemap_map::{event::StateKind, grid::spec::Retention, selector::ModelKind, view::MapView};
 use tidemap_model::Sample;
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
@@ -42,6 +40,7 @@ use crate::{
         permits::{Permits, processors, run_blocking},
         status::RpcError,
     },
+    state_or_cell::StateOrCell,
 };
 
 mod positions;
@@ -62,29 +61,29 @@ pub(in crate::rpc) struct ModelFitter {
     max_readings: u64,
 }
 
-/// A state of one view, and the readings that the view's updates have learned, after they are gathered.
+/// A state or cell of one view, and the readings that the view's updates have learned, after they are gathered.
 #[derive(Debug)]
 pub(in crate::rpc) struct LearnedState {
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
-    id: StateId,
+    of: StateOrCell,
     samples: OnceCell<Arc<[Sample]>>,
 }
 
 impl LearnedState {
-    pub(in crate::rpc) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, id: StateId) -> Arc<Self> {
-        Arc::new(Self { handle, view, id, samples: OnceCell::new() })
+    pub(in crate::rpc) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, of: StateOrCell) -> Arc<Self> {
+        Arc::new(Self { handle, view, of, samples: OnceCell::new() })
     }
 
     fn observations(&self) -> u64 {
-        self.view.model(self.id).accumulator().observations()
+        self.of.learned(&self.view)
     }
 
     fn unavailable(&self, model: ModelKind, reason: impl Into<ModelUnavailable>) -> RpcError {
         RpcError::ModelUnavailable {
             model,
             map: self.handle.spec.name.as_str().to_owned(),
-            state: self.view.info(self.id).map_or_else(String::new, |info| info.name.as_str().to_owned()),
+            state: self.of.name(&self.view).into_owned(),
             reason: reason.into(),
         }
     }
@@ -143,7 +142,7 @@ impl ModelFitter {
     ) -> Result<Arc<CachedModel>, RpcError> {
         self.check(learned, kind)?;
         let map = learned.handle.id;
-        let key = ModelKey { map, generation: learned.view.generation(), state: learned.id, kind };
+        let key = ModelKey { map, generation: learned.view.generation(), subject: learned.of.subject(), kind };
         if let Some(fitted) = self.models.get(&key) {
             return Ok(fitted);
         }
@@ -170,9 +169,12 @@ impl ModelFitter {
 
     /// Checks what is known without reading any observation.
     fn check(&self, learned: &LearnedState, kind: ModelKind) -> Result<(), RpcError> {
-        let retention = retention(&learned.handle.spec, Subject::State(learned.id));
-        let retention = retention.ok_or_else(|| learned.unavailable(kind, ModelUnavailable::NotKept))?;
-        let found = learned.view.kind(learned.id);
+        let retention = retention(&learned.handle.spec, learned.of.subject());
+        let retention = retention.ok_or_else(|| {
+            let option = if matches!(learned.of, StateOrCell::Cell(_)) { "--grid-retention" } else { "--retention" };
+            learned.unavailable(kind, ModelUnavailable::NotKept { option })
+        })?;
+        let found = learned.of.kind(&learned.view);
         let expected = match kind {
             ModelKind::Poisson if found != StateKind::Count => Some("counts"),
             ModelKind::Persistence | ModelKind::Pergam { .. } | ModelKind::Uniform
@@ -198,14 +200,14 @@ impl ModelFitter {
         let permit = if is_slow { self.slow_permits.take().await? } else { self.permits.take().await? };
         let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind)).await?;
         let (samples, handle) = (Arc::clone(samples), Arc::clone(&learned.handle));
-        let of = learned.view.kind(learned.id);
+        let of = learned.of.kind(&learned.view);
         let fitted = run_blocking(permit, move || CachedModel::fit(kind, of, &samples, &handle.spec)).await?;
         fitted.map_err(|error| learned.unavailable(kind, error))
     }
 
     /// The readings of a state that the view's updates have learned, ascending by time.
     async fn gather(&self, learned: &Arc<LearnedState>, kind: ModelKind) -> Result<Arc<[Sample]>, RpcError> {
-        let subject = Subject::State(learned.id);
+        let subject = learned.of.subject();
         let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
         // Without pending observations, and without waiting for a running update.
         let mut tail = read(&learned.handle, &ReadingsQuery { subject, within_nanos: 0..0, enough }).await?;
@@ -224,10 +226,7 @@ impl ModelFitter {
             let is_forever = retention(&learned.handle.spec, subject) == Some(Retention::Forever);
             match lacking((readings.len() as u64, total, max), is_forever && !is_complete) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),
-                None => {
-                    let mut make = learned.view.sample_maker();
-                    Ok(readings.into_iter().map(|(nanos, value)| make(nanos, value)).collect())
-                }
+                None => Ok(learned.of.samples(&learned.view, readings).into()),
             }
         };
         tokio::task::spawn_blocking(gather).await.map_err(|_| RpcError::Stopping)?

@@ -106,7 +106,7 @@ pub(super) async fn predict_positions(
     let cells = region.map(|(low, high)| Cells::of(&low, &high, edge_m));
     cells.as_ref().map_or(Ok(()), check)?;
     let axes = (first.0..).take(dimensions.count()).map(StateId);
-    let axes = axes.map(|id| LearnedState::new(Arc::clone(&handle), Arc::clone(&view), id)).collect();
+    let axes = axes.map(|id| LearnedState::new(Arc::clone(&handle), Arc::clone(&view), id.into())).collect();
     let model = queries.fitting.position_model(axes, kind).await?;
     let (low, high) = model.bounds_m();
     let cells = cells.unwrap_or_else(|| Cells::around(low, high, edge_m));

@@ -7,9 +7,7 @@ use std::{ops::Range, sync::Arc};
 
 use tidemap_map::{
     event::{StateKind, StateShape},
-    grid::{index::CellIndex, view::CellDescription},
-    ids::StateId,
-    interval::cell_intervals,
+    grid::index::CellIndex,
     predict::PreparedTimes,
     selector::ModelSelector,
     view::MapView,
@@ -22,23 +20,23 @@ use tidemap_proto::{
     convert::{
         InvalidField,
         cells::cell_description_to_wire,
-        query::{check_for_cells, description_to_wire, selector_from_wire},
+        query::{description_to_wire, selector_from_wire},
         time::timestamp,
     },
     v1,
 };
-use tokio::sync::OwnedSemaphorePermit;
 
 use super::{Queries, STATES_MAX, fitting::LearnedState};
 use crate::{
     ingest::handle::MapHandle,
     model_cache::CachedModel,
     rpc::{
-        lookup::{cell_of, check_limit, find_cell, find_map, find_published, find_state, opened},
+        lookup::{check_limit, find_all, find_map, find_published, opened},
         permits::run_blocking,
         replies::{Replies, ReplySink, compute_replies, stream_replies},
         status::RpcError,
     },
+    state_or_cell::StateOrCell,
 };
 
 /// Times whose phasors are held at once: some 10 MB at 168 periodicities.
@@ -73,33 +71,6 @@ fn by_axis(view: &MapView, names: Vec<String>) -> (Vec<StateAxis>, Vec<String>) 
         }
     }
     (places, all)
-}
-
-/// The subject of a name.
-enum StateOrCell {
-    State(StateId),
-    Cell(CellIndex, Box<CellDescription>),
-}
-
-/// The subjects of names, and the permit again. `field` gives the name of the field of each.
-async fn find_all(
-    view: &Arc<MapView>,
-    permit: OwnedSemaphorePermit,
-    field: impl Fn(usize) -> String + Send + 'static,
-    names: Vec<String>,
-) -> Result<(Vec<StateOrCell>, OwnedSemaphorePermit), RpcError> {
-    let view = Arc::clone(view);
-    let any_cell = names.iter().any(|name| matches!(CellIndex::from_name(name), Some(Ok(_))));
-    let find = move || {
-        let find = |(i, name): (usize, &String)| match cell_of(&field(i), name)? {
-            Some(cell) => Ok(StateOrCell::Cell(cell, Box::new(find_cell(&view, cell)?))),
-            None => find_state(&view, name).map(StateOrCell::State),
-        };
-        let named = names.iter().enumerate().map(find).collect::<Result<_, RpcError>>()?;
-        Ok((named, permit))
-    };
-    // A cell may have to be read from the disk. The permit is held until then, even if the client is gone.
-    if any_cell { tokio::task::spawn_blocking(find).await.map_err(|_| RpcError::Stopping)? } else { find() }
 }
 
 /// Whether a view has the state or the cell of this name.
@@ -144,32 +115,25 @@ pub(super) async fn predict_states(
     let states: Vec<usize> = places.iter().map(|place| place.state_index).collect();
     let field = move |i: usize| format!("states[{}]", states.get(i).copied().unwrap_or_default());
     if selector.kind.needs_readings() {
-        let find = |(i, name): (usize, &String)| {
-            if cell_of(&field(i), name)?.is_some() {
-                check_for_cells("model", selector)?;
-            }
-            find_state(&view, name)
-        };
-        let states = names.iter().enumerate().map(find).collect::<Result<Vec<_>, RpcError>>()?;
-        let states = places.into_iter().zip(states).collect();
-        return Ok(predict_fitted(queries, handle, view, states, &request.times_nanos, (selector, level)));
+        let subjects = places.into_iter().zip(find_all(&view, field, names).await?).collect();
+        return Ok(predict_fitted(queries, handle, view, subjects, &request.times_nanos, (selector, level)));
     }
+    // Held while cells are read from the disk, too.
     let permit = queries.permits.take().await?;
-    let (named, permit) = find_all(&view, permit, field, names).await?;
-    let named: Vec<(StateAxis, StateOrCell)> = places.into_iter().zip(named).collect();
+    let named: Vec<(StateAxis, StateOrCell)> = places.into_iter().zip(find_all(&view, field, names).await?).collect();
     Ok(compute_replies(permit, move |sink| {
         predict(&view, &named, &request.times_nanos, (selector, level), sink);
         Ok(())
     }))
 }
 
-/// Predicts by models that are fitted to the states' readings, one state after the other. The permit is free during a
+/// Predicts by models that are fitted to the readings of states and cells, one after the other. The permit is free during a
 /// fit.
 fn predict_fitted(
     queries: &Queries,
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
-    states: Vec<(StateAxis, StateId)>,
+    subjects: Vec<(StateAxis, StateOrCell)>,
     times_nanos: &[i64],
     (selector, level): (ModelSelector, f64),
 ) -> Replies<v1::PredictStatesResponse> {
@@ -177,17 +141,17 @@ fn predict_fitted(
     let moments: Arc<[Moment]> = view.moments(times_nanos).into();
     stream_replies(move |sink| async move {
         let mut cosine = None;
-        for (place, id) in states {
-            let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), id);
+        for (place, subject) in subjects {
+            let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), subject.clone());
             let fitted = tokio::select! {
                 () = sink.closed() => return Ok(()),
                 fitted = fitting.fitted(&learned, selector.kind) => fitted?,
             };
             if place.is_angle && cosine.is_none() {
-                cosine = Some((id, fitted));
+                cosine = Some((subject, fitted));
                 continue;
             }
-            let sources: Vec<_> = cosine.take().into_iter().chain([(id, fitted)]).collect();
+            let sources: Vec<_> = cosine.take().into_iter().chain([(subject, fitted)]).collect();
             let (view, moments, sink) = (Arc::clone(&view), Arc::clone(&moments), sink.clone());
             let predict = move || predict_one(&view, (place, &sources), &moments, (selector, level), &sink);
             if !run_blocking(permits.take().await?, predict).await? {
@@ -201,19 +165,19 @@ fn predict_fitted(
 /// Predicts one state by a fitted model, or an angle by those of its cosine and its sine. `false`: the client is gone.
 fn predict_one(
     view: &MapView,
-    (place, sources): (StateAxis, &[(StateId, Arc<CachedModel>)]),
+    (place, sources): (StateAxis, &[(StateOrCell, Arc<CachedModel>)]),
     moments: &[Moment],
     (selector, level): (ModelSelector, f64),
     sink: &ReplySink<v1::PredictStatesResponse>,
 ) -> bool {
     let mut blocks = moments.chunks(TIMES_PER_BLOCK).enumerate();
     blocks.all(|(block, moments)| {
-        let forecast = sources.iter().map(|(id, fitted)| {
+        let forecast = sources.iter().map(|(subject, fitted)| {
             let mut values = vec![0.0; moments.len()];
-            fitted.predict_into(view, *id, moments, selector, &mut values);
+            fitted.predict_into(view, subject, moments, selector, &mut values);
             let level = Some(level).filter(|&level| level > 0.0 && !place.is_angle);
-            let intervals = view.intervals(*id, moments, &values, level);
-            Forecast { values, intervals, about: About::of_state(view, *id, selector) }
+            let intervals = subject.intervals(view, moments, &values, level);
+            Forecast { values, intervals, about: About::of(view, subject, selector) }
         });
         let Some(forecast) = forecast.reduce(Forecast::angle) else { return false };
         sink.send(reply(place, block * TIMES_PER_BLOCK, forecast))
@@ -260,24 +224,9 @@ fn forecast(
     level: Option<f64>,
 ) -> Forecast {
     let mut values = vec![0.0; prepared.moments().len()];
-    match subject {
-        StateOrCell::State(id) => {
-            view.predict_into(*id, prepared, selector, &mut values);
-            let intervals = view.intervals(*id, prepared.moments(), &values, level);
-            Forecast { values, intervals, about: About::of_state(view, *id, selector) }
-        }
-        StateOrCell::Cell(_, cell) => {
-            view.predict_cell_into(cell, prepared, selector, &mut values);
-            let about = About {
-                kind: StateKind::Probability,
-                order: selector.order_for_cell(cell),
-                observations: cell.observations,
-                persistence: cell.persistence,
-            };
-            let intervals = cell_intervals(cell, &values, level);
-            Forecast { values, intervals, about }
-        }
-    }
+    subject.predict_into(view, prepared, selector, &mut values);
+    let intervals = subject.intervals(view, prepared.moments(), &values, level);
+    Forecast { values, intervals, about: About::of(view, subject, selector) }
 }
 
 /// Blocks of times.
@@ -294,13 +243,12 @@ struct About {
 }
 
 impl About {
-    fn of_state(view: &MapView, id: StateId, selector: ModelSelector) -> About {
-        let live = view.live(id);
+    fn of(view: &MapView, subject: &StateOrCell, selector: ModelSelector) -> About {
         About {
-            kind: view.kind(id),
-            order: selector.order_for(view.model(id)),
-            observations: live.observations,
-            persistence: live.persistence,
+            kind: subject.kind(view),
+            order: subject.order(view, selector),
+            observations: subject.observations(view),
+            persistence: subject.persistence(view),
         }
     }
 }
@@ -350,11 +298,11 @@ pub(super) async fn describe_model(
     request: v1::DescribeModelRequest,
 ) -> Result<v1::DescribeModelResponse, RpcError> {
     let view = find_map(&queries.catalog, &request.map).await?.view();
-    let permit = queries.permits.take().await?;
-    let (mut found, _permit) = find_all(&view, permit, |_| "state".to_owned(), vec![request.state]).await?;
+    let _permit = queries.permits.take().await?;
+    let mut found = find_all(&view, |_| "state".to_owned(), vec![request.state]).await?;
     Ok(match found.pop() {
         Some(StateOrCell::State(id)) => description_to_wire(&view, id).unwrap_or_default(),
-        Some(StateOrCell::Cell(cell, description)) => cell_description_to_wire(&view, cell, &description),
+        Some(StateOrCell::Cell(cell)) => cell_description_to_wire(&view, cell.index, &cell.description),
         None => v1::DescribeModelResponse::default(),
     })
 }

@@ -15,10 +15,13 @@ use tidemap_proto::{
 };
 
 use super::{Routes, places::Places};
-use crate::rpc::{
-    lookup::{check_limit, find_map, find_state},
-    series::{check_kind, predict_series},
-    status::RpcError,
+use crate::{
+    rpc::{
+        lookup::{check_limit, find_all, find_map},
+        series::{check_kind, predict_series},
+        status::RpcError,
+    },
+    state_or_cell::StateOrCell,
 };
 
 /// Times whose probabilities are held at once.
@@ -70,11 +73,11 @@ pub(super) async fn next_joint(
     }
     let predictions = times.len() as u64 * request.states.len() as u64;
     check_limit("predictions", predictions, routes.predictions, "setting max_predictions")?;
-    let mut states = Vec::with_capacity(request.states.len());
-    for name in &request.states {
-        let id = find_state(&view, name)?;
-        check_kind(&view, id, "states")?;
-        states.push(id);
+    let states = find_all(&view, |i| format!("states[{i}]"), request.states).await?;
+    for state in &states {
+        if let StateOrCell::State(id) = state {
+            check_kind(&view, *id, "states")?;
+        }
     }
     let mut best = (times[0], -1.0);
     // Later blocks are predicted only if no earlier one passes the threshold.

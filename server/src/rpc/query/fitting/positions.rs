@@ -28,8 +28,8 @@ impl ModelFitter {
         if first.observations() == 0 {
             return Err(first.unavailable(kind, ModelUnavailable::Unlearned));
         }
-        let (map, generation, state) = (first.handle.id, first.view.generation(), first.id);
-        let key = ModelKey { map, generation, state, kind };
+        let (map, generation, subject) = (first.handle.id, first.view.generation(), first.of.subject());
+        let key = ModelKey { map, generation, subject, kind };
         if let Some(model) = self.positions.get(&key) {
             return Ok(model);
         }

@@ -79,9 +79,6 @@ async fn anomalies_are_the_readings_that_predictions_of_their_times_contradict()
     let histogram = ModelKind::Histogram { cycle: tidemap_model::models::HistogramCycle::Day, bins: 24 };
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Spectral, histogram, ModelKind::Calibrated] {
         for (state, range) in [("door", all), ("door", part), ("cell/2/0/0", all)] {
-            if state != "door" && kind.needs_readings() {
-                continue;
-            }
             for confidence in [0.51, 0.8, 0.99, 1.0] {
                 let request =
                     v1::FindAnomaliesRequest { confidence: Some(confidence), model: wire(kind), ..about(state, range) };
@@ -118,7 +115,6 @@ async fn what_cannot_be_judged_is_refused() {
         (wire(ModelKind::Latest), ["model.kind", "latest"]),
         (wire(ModelKind::Persistence), ["model.kind", "persistence"]),
         (with_persistence(), ["model.persistence", "leave it out"]),
-        (wire(ModelKind::Calibrated), ["model.kind", "cells have no model"]),
     ] {
         check_refused(bench.find(ask(model)).await, invalid, &words);
     }

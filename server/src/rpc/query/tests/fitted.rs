@@ -145,14 +145,11 @@ async fn what_a_model_cannot_be_fitted_to_is_said() {
         for kind in KINDS {
             let words = [&*kind.to_string(), "\"door\"", "\"office\"", "keeps none", "--retention"];
             check_refused(bench.ask(kind, &[NOON]).await, Code::FailedPrecondition, &words);
-            let of_cell = bench.predict(&["door", "cell/1/0/0"], &[NOON], wire(kind, false)).await;
             let words = [&*kind.to_string(), "cells", "auto, mean, latest or spectral"];
             let model = wire(kind, false);
             let time = Some(timestamp(NOON));
             let of_grid = bench.grid(v1::PredictGridRequest { time, model, ..Default::default() }).await;
             check_refused(of_grid, Code::InvalidArgument, &words);
-            // The first name is a state without history, but the request as a whole is invalid.
-            check_refused(of_cell, Code::InvalidArgument, &words);
         }
     }
 }
@@ -191,6 +188,52 @@ async fn a_model_is_fitted_to_what_is_still_kept() {
     let found = bench.ask(HISTOGRAM, &times).await.expect("an answer");
     assert_eq!(found, expected(&bench, &door(1000..1050), &times)[0]);
     assert_ne!(found, expected(&bench, &[door(0..100), door(1000..1050)].concat(), &times)[0]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cell_has_the_models_of_a_state_that_does_the_same() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let mut bench = Bench::new(dir.path(), Retention::Forever, Some(Retention::Forever)).await;
+    let door: Vec<(i64, f64)> = (0..240).map(|i| (NOON + i * MINUTE, (i / 60 % 2) as f64)).collect();
+    bench.robot("r").await.observe(&bench, &door).await;
+    bench.robot("s").await.show(&bench, &minutes(240)).await;
+    let times: Vec<i64> = (0..50).map(|i| NOON + 240 * MINUTE + i * 7 * MINUTE).collect();
+    let names = ["door", "cell/2/0/0"];
+    for kind in KINDS {
+        let unlearned = bench.predict(&names, &times, wire(kind, false)).await.expect("an answer");
+        assert!(unlearned.iter().all(|run| run.probabilities == [0.5; 50]), "{kind}");
+    }
+    bench.update().await;
+    // From memory, then from files.
+    for restarted in [false, true] {
+        if restarted {
+            bench = bench.again(dir.path()).await;
+        }
+        for kind in KINDS {
+            for persistence in [false, true] {
+                let runs = bench.predict(&names, &times, wire(kind, persistence)).await.expect("an answer");
+                // The error of a cell's persistence is that of its 32 bits.
+                let far = if persistence { 1e-4 } else { 0.0 };
+                let apart = runs[0].probabilities.iter().zip(&runs[1].probabilities).map(|(a, b)| (a - b).abs());
+                assert!(apart.fold(0.0, f64::max) <= far, "{kind} {persistence}: {runs:?}");
+            }
+        }
+        let wall = bench.predict(&["cell/1/0/0"], &times, wire(HISTOGRAM, false)).await.expect("an answer");
+        assert!(wall[0].probabilities.iter().all(|&p| p > 0.9), "{wall:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cell_whose_readings_are_not_kept_has_no_fitted_model() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = Bench::new(dir.path(), Retention::Forever, Some(Retention::None)).await;
+    bench.robot("s").await.show(&bench, &minutes(5)).await;
+    bench.update().await;
+    for kind in KINDS {
+        let words = [&*kind.to_string(), "\"cell/1/0/0\"", "keeps none", "--grid-retention"];
+        let found = bench.predict(&["cell/1/0/0"], &[NOON], wire(kind, false)).await;
+        check_refused(found, Code::FailedPrecondition, &words);
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,0 +1,166 @@
+//! A named state or a cell of the grid, as one view has it: whatever predicts one predicts the other.
+//!
+//! Invariant: a cell is described once, by the view it was looked up in. Its readings count as the values that the
+//! map's own sensor gives them; a model of them is one of probabilities.
+
+use std::{borrow::Cow, sync::Arc};
+
+use tidemap_map::{
+    event::StateKind,
+    grid::{
+        index::{CellIndex, TileId},
+        view::CellDescription,
+    },
+    history::Subject,
+    ids::StateId,
+    interval::cell_intervals,
+    predict::PreparedTimes,
+    selector::ModelSelector,
+    view::MapView,
+};
+use tidemap_model::{
+    Persistence, Sample,
+    models::{Interval, Moment, TemporalModel},
+};
+
+/// A named state or a cell.
+#[derive(Clone, Debug)]
+pub(crate) enum StateOrCell {
+    /// A named state.
+    State(StateId),
+    /// A cell that was observed.
+    Cell(Arc<KnownCell>),
+}
+
+/// A cell that was observed.
+#[derive(Clone, Debug)]
+pub(crate) struct KnownCell {
+    /// Where it is.
+    pub index: CellIndex,
+    /// Its tile.
+    pub tile: TileId,
+    /// Its description by the view.
+    pub description: CellDescription,
+}
+
+impl From<StateId> for StateOrCell {
+    fn from(id: StateId) -> Self {
+        Self::State(id)
+    }
+}
+
+impl StateOrCell {
+    /// The source of its readings, which identifies it in its map.
+    pub(crate) fn subject(&self) -> Subject {
+        match self {
+            Self::State(id) => Subject::State(*id),
+            Self::Cell(cell) => Subject::Cell(cell.tile, cell.index.tile().1),
+        }
+    }
+
+    /// Its name.
+    pub(crate) fn name<'a>(&self, view: &'a MapView) -> Cow<'a, str> {
+        match self {
+            Self::State(id) => Cow::Borrowed(view.info(*id).map_or("", |info| info.name.as_str())),
+            Self::Cell(cell) => Cow::Owned(cell.index.name()),
+        }
+    }
+
+    /// What its values mean.
+    pub(crate) fn kind(&self, view: &MapView) -> StateKind {
+        match self {
+            Self::State(id) => view.kind(*id),
+            Self::Cell(_) => StateKind::Probability,
+        }
+    }
+
+    /// Number of observations that updates have learned.
+    pub(crate) fn learned(&self, view: &MapView) -> u64 {
+        match self {
+            Self::State(id) => view.model(*id).accumulator().observations(),
+            Self::Cell(cell) => cell.description.folded,
+        }
+    }
+
+    /// Number of observations acknowledged.
+    pub(crate) fn observations(&self, view: &MapView) -> u64 {
+        match self {
+            Self::State(id) => view.live(*id).observations,
+            Self::Cell(cell) => cell.description.observations,
+        }
+    }
+
+    /// Its last value and how long values last.
+    pub(crate) fn persistence(&self, view: &MapView) -> Persistence {
+        match self {
+            Self::State(id) => view.live(*id).persistence,
+            Self::Cell(cell) => cell.description.persistence,
+        }
+    }
+
+    /// The mean of what was learned; before the first observation the prior.
+    pub(crate) fn mean(&self, view: &MapView) -> f64 {
+        match self {
+            Self::State(id) => view.model(*id).spectral().mean(),
+            Self::Cell(cell) => cell.description.spectral.mean(),
+        }
+    }
+
+    /// Order of the spectral model that predicts it; 0 for a constant model or another kind.
+    pub(crate) fn order(&self, view: &MapView, selector: ModelSelector) -> usize {
+        match self {
+            Self::State(id) => selector.order_for(view.model(*id)),
+            Self::Cell(cell) => selector.order_for_cell(&cell.description),
+        }
+    }
+
+    /// Predicts it by the view's models. `out` is as long as the times.
+    pub(crate) fn predict_into(&self, view: &MapView, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
+        match self {
+            Self::State(id) => view.predict_into(*id, times, selector, out),
+            Self::Cell(cell) => view.predict_cell_into(&cell.description, times, selector, out),
+        }
+    }
+
+    /// Predicts it by a model that was fitted to its readings. `out` is as long as the moments.
+    pub(crate) fn predict_fitted_into(
+        &self,
+        view: &MapView,
+        moments: &[Moment],
+        fitted: &dyn TemporalModel,
+        with_persistence: bool,
+        out: &mut [f64],
+    ) {
+        match self {
+            Self::State(id) => view.predict_fitted_into(*id, moments, fitted, with_persistence, out),
+            Self::Cell(cell) => {
+                view.predict_fitted_cell_into(&cell.description, moments, fitted, with_persistence, out);
+            }
+        }
+    }
+
+    /// The bands of its predictions; none without a level.
+    pub(crate) fn intervals(
+        &self,
+        view: &MapView,
+        moments: &[Moment],
+        values: &[f64],
+        level: Option<f64>,
+    ) -> Vec<Interval> {
+        match self {
+            Self::State(id) => view.intervals(*id, moments, values, level),
+            Self::Cell(cell) => cell_intervals(&cell.description, values, level),
+        }
+    }
+
+    /// Readings as samples on the map's civil time, with the values that they count as.
+    pub(crate) fn samples(&self, view: &MapView, readings: impl IntoIterator<Item = (i64, f64)>) -> Vec<Sample> {
+        let mut make = view.sample_maker();
+        let levels = match self {
+            Self::State(_) => None,
+            Self::Cell(_) => view.grid().map(|grid| grid.levels()),
+        };
+        let value = |value: f64| levels.map_or(value, |(free, occupied)| free + value * (occupied - free));
+        readings.into_iter().map(|(nanos, reading)| make(nanos, value(reading))).collect()
+    }
+}
