@@ -153,6 +153,10 @@ settings! {
     max_connections: usize = 4096, 8, 1_000_000;
     /// Maximum number of connections of one client address.
     max_connections_per_client: usize = 2048, 1, 1_000_000;
+    /// Maximum number of requests under way, besides streams of observations and watches of anomalies.
+    max_requests: usize = 384, 1, 100_000;
+    /// Maximum number of requests under way of one client address.
+    max_requests_per_client: usize = 128, 1, 100_000;
     /// Maximum number of open streams of observations.
     max_streams: usize = 1024, 1, 100_000;
     /// An update runs early when a map has more pending observations than this. At twice as many, including those of a

@@ -12,6 +12,7 @@ pub(crate) mod serve;
 pub(crate) mod status;
 
 mod acks;
+mod admission;
 mod lookup;
 mod page;
 mod peer;

@@ -1,14 +1,19 @@
 //! `QueryService`: questions about an immutable view, and about the past.
 //!
 //! Invariant: a request is answered from one view, off the async threads, in pieces that wait for the reader for a
-//! bounded time. A bounded number of requests compute at once; the others wait.
+//! bounded time. A bounded number of requests compute at once; the others wait, and small ones never for large ones.
 
 use std::sync::Arc;
 
 use tidemap_proto::v1::{self, query_service_server::QueryService};
 use tonic::{Request, Response, Streaming};
 
-use super::{RpcReply, permits::Permits, replies::Replies};
+use super::{
+    RpcReply,
+    permits::{Permit, Permits, processors},
+    replies::Replies,
+    status::RpcError,
+};
 use crate::catalog::Catalog;
 
 mod anomalies;
@@ -30,12 +35,18 @@ use watch::Watches;
 /// Maximum number of states of one request.
 const STATES_MAX: usize = 10_000;
 
+/// A request of at most so many predictions is small: it computes for some milliseconds.
+const SMALL_PREDICTIONS: u64 = 50_000;
+
 #[derive(Debug)]
 pub(crate) struct Queries {
     catalog: Arc<Catalog>,
     max_predictions: u64,
     max_batch: usize,
+    /// Permits of small requests.
     permits: Permits,
+    /// Permits of large requests, so that small ones never wait for them.
+    large_permits: Permits,
     /// Permits to read the past. They are separate, because their holder may wait for an update.
     past_permits: Permits,
     fitting: Arc<ModelFitter>,
@@ -67,10 +78,16 @@ impl Queries {
             max_predictions,
             max_batch,
             permits: Permits::default(),
+            large_permits: Permits::new((processors() / 2).max(1)),
             past_permits: Permits::default(),
             fitting,
             watches: Watches::new(limits.watches),
         }
+    }
+
+    /// A permit for so many predictions.
+    async fn permit_for(&self, predictions: u64) -> Result<Permit, RpcError> {
+        if predictions <= SMALL_PREDICTIONS { self.permits.take().await } else { self.large_permits.take().await }
     }
 
     /// The fitter of models, for other services.

@@ -1,15 +1,21 @@
 //! Replies that are computed off the async threads and wait for their reader.
 //!
 //! Invariant: a reader is waited for a bounded time, all its replies together. Replies that end early end with an
-//! error, so that a part is never taken for the whole.
+//! error, so that a part is never taken for the whole. Who waits for a reader holds no permit to compute.
 
-use std::time::{Duration, Instant};
+use std::{
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
 
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
-use super::{permits::run_blocking, status::RpcError};
+use super::{
+    permits::{Permit, run_blocking},
+    status::RpcError,
+};
 
 /// Replies computed ahead of the reader.
 const REPLIES_AHEAD: usize = 8;
@@ -21,26 +27,59 @@ pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
 
 /// Sends computed replies.
 #[derive(Clone, Debug)]
-pub(super) struct ReplySink<T>(mpsc::Sender<Result<T, RpcError>>);
+pub(super) struct ReplySink<T> {
+    ready: mpsc::Sender<Result<T, RpcError>>,
+    /// The permits to compute of who sends.
+    permits: Option<Arc<Mutex<Vec<Permit>>>>,
+}
 
 impl<T> ReplySink<T> {
-    /// Sends a reply when there is room. `false`: the client is gone.
+    /// The same, for work that holds permits until it drops the sink. They are free while a reader is waited for.
+    pub(super) fn holding(self, permits: Vec<Permit>) -> Self {
+        Self { permits: Some(Arc::new(Mutex::new(permits))), ..self }
+    }
+
+    /// Sends a reply when there is room. `false`: the client is gone. Only on a blocking thread.
     pub(super) fn send(&self, reply: T) -> bool {
-        self.0.blocking_send(Ok(reply)).is_ok()
+        match self.ready.try_send(Ok(reply)) {
+            Ok(()) => {
+                self.with_permits(Permit::offer);
+                true
+            }
+            Err(mpsc::error::TrySendError::Full(reply)) => {
+                self.with_permits(Permit::pause);
+                let is_sent = self.ready.blocking_send(reply).is_ok();
+                if is_sent {
+                    self.with_permits(Permit::resume);
+                }
+                is_sent
+            }
+            Err(mpsc::error::TrySendError::Closed(_)) => false,
+        }
+    }
+
+    fn with_permits(&self, each: impl FnMut(&mut Permit)) {
+        if let Some(permits) = &self.permits {
+            permits.lock().unwrap_or_else(PoisonError::into_inner).iter_mut().for_each(each);
+        }
     }
 
     /// Ends when the client is gone.
     pub(super) async fn closed(&self) {
-        self.0.closed().await;
+        self.ready.closed().await;
     }
 }
 
-/// The replies that `work` computes in a blocking thread. The permits are held until it ends.
+/// The replies that `work` computes in a blocking thread. The permits are held until it ends, but not while it waits
+/// for the reader.
 pub(super) fn compute_replies<T: Send + 'static>(
-    permits: impl Send + 'static,
+    permits: Vec<Permit>,
     work: impl FnOnce(&ReplySink<T>) -> Result<(), RpcError> + Send + 'static,
 ) -> Replies<T> {
-    stream_replies(|sink| async move { run_blocking(permits, move || work(&sink)).await? })
+    stream_replies(|sink| async move {
+        let sink = sink.holding(permits);
+        run_blocking((), move || work(&sink)).await?
+    })
 }
 
 /// The replies that async `work` sends; it takes its permits itself.
@@ -50,7 +89,7 @@ where
 {
     let (sink, ready) = mpsc::channel(1);
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
-    let work = work(ReplySink(sink.clone()));
+    let work = work(ReplySink { ready: sink.clone(), permits: None });
     let work = tokio::spawn(async move {
         if let Err(error) = work.await {
             // The client may be gone.
@@ -130,10 +169,57 @@ mod tests {
         computing.await.expect("no panic");
     }
 
+    #[tokio::test(flavor = "multi_thread")]
+    async fn who_waits_for_a_reader_holds_no_permit() {
+        let permits = Permits::new(1);
+        let mut unread = compute_replies(vec![permits.take().await.expect("a permit")], |sink| {
+            while sink.send(7) {}
+            Ok(())
+        });
+        assert!(unread.next().await.expect("a reply").is_ok());
+        // The first is computed ahead of its reader as far as there is room; then others have their turn.
+        for _ in 0..3 {
+            let permit = tokio::time::timeout(Duration::from_secs(10), permits.take()).await.expect("a turn");
+            let replies = compute_replies(vec![permit.expect("a permit")], |sink| {
+                assert!(sink.send(1));
+                Ok(())
+            });
+            assert_eq!(replies.collect::<Vec<_>>().await.len(), 1);
+        }
+        assert!(unread.next().await.expect("the first goes on").is_ok());
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn long_computations_take_turns() {
+        let permits = Permits::new(1);
+        let counting = |permit| {
+            compute_replies(vec![permit], |sink| {
+                for number in 0..4 {
+                    std::thread::sleep(Duration::from_millis(60));
+                    if !sink.send((number, Instant::now())) {
+                        break;
+                    }
+                }
+                Ok(())
+            })
+        };
+        let first = counting(permits.take().await.expect("a permit"));
+        let second = permits.take();
+        let first = tokio::spawn(first.collect::<Vec<_>>());
+        let second = counting(second.await.expect("a turn")).collect::<Vec<_>>().await;
+        let first = first.await.expect("no panic");
+        let times = |replies: Vec<Result<(i32, Instant), Status>>| {
+            replies.into_iter().map(|reply| reply.expect("a reply").1).collect::<Vec<_>>()
+        };
+        let (first, second) = (times(first), times(second));
+        assert_eq!((first.len(), second.len()), (4, 4));
+        assert!(second[0] < first[3], "the second did not wait for the end of the first");
+    }
+
     #[tokio::test]
     async fn an_error_ends_the_replies() {
         let permit = || async { Permits::default().take().await.expect("a permit") };
-        let replies: Vec<_> = compute_replies(permit().await, |sink| {
+        let replies: Vec<_> = compute_replies(vec![permit().await], |sink| {
             assert!(sink.send(1) && sink.send(2));
             Err(RpcError::UnknownJob(3))
         })
@@ -143,7 +229,7 @@ mod tests {
             replies.into_iter().map(|reply: Result<i32, Status>| reply.map_err(|end| end.code())).collect();
         assert_eq!(codes, [Ok(1), Ok(2), Err(tonic::Code::NotFound)]);
         assert_eq!(
-            compute_replies(permit().await, |sink| {
+            compute_replies(vec![permit().await], |sink| {
                 sink.send(1);
                 Ok(())
             })

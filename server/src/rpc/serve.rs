@@ -21,6 +21,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Server;
 
 use super::{
+    admission::{Admission, RequestLimits},
     exploration::{Explorations, PlanLimits},
     maintenance::Maintenance,
     map::Maps,
@@ -97,7 +98,10 @@ pub(crate) async fn serve(
         .register_encoded_file_descriptor_set(DESCRIPTORS)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
+    let admission =
+        Admission::new(RequestLimits { total: settings.max_requests, per_client: settings.max_requests_per_client });
     Server::builder()
+        .layer(admission)
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
         .initial_stream_window_size(STREAM_WINDOW)
         // Streams of a saturated map are not read for long; the other streams of the connection continue.

@@ -85,6 +85,12 @@ pub(crate) enum RpcError {
         "{max} requests for predictions are running, which is the maximum, and none ended within {secs} seconds: try again"
     )]
     Busy { max: usize, secs: u64 },
+    #[error("{max} requests are under way, which is the maximum of {setting}: try again when some have ended")]
+    TooManyRequests { max: usize, setting: &'static str },
+    #[error("the large requests that arrive now have {max_bytes} bytes together, which is the maximum: try again")]
+    LargeRequests { max_bytes: usize },
+    #[error("the request did not arrive within {secs} seconds")]
+    Late { secs: u64 },
     #[error("the stream's replies were not read for {0} seconds")]
     SlowReader(u64),
     #[error("the connection broke")]
@@ -204,6 +210,8 @@ impl RpcError {
                 Ending::MapDeleted => (Code::NotFound, "MAP_DELETED"),
                 Ending::Storage(error) => append_code(error),
             },
+            Self::TooManyRequests { .. } | Self::LargeRequests { .. } => (Code::ResourceExhausted, "LIMIT"),
+            Self::Late { .. } => (Code::DeadlineExceeded, "LATE"),
             Self::SlowReader(_) => (Code::ResourceExhausted, "SLOW_READER"),
             Self::Broken => (Code::Cancelled, "BROKEN"),
             Self::Opening { .. } => (Code::Unavailable, "OPENING"),

@@ -287,3 +287,36 @@ async fn empty_elements_are_counted_before_they_take_memory() {
     let refused = QueryServiceClient::new(daemon.client().requests()).predict_states(many).await;
     check(&refused.expect_err("too many"), Code::ResourceExhausted, &["PredictStatesRequest.states", "65536"]);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_reads_no_replies_does_not_stop_the_queries_of_others() {
+    let (_data, daemon) = office(|launch| launch).await;
+    let (mut stream, _) = RawStream::open(&daemon.grpc, hello("robot", "office")).await.expect("a Welcome");
+    stream.batch(1, columns(&["door"], &[(0, 1_000, 1.0), (0, 2_000, 0.0)])).await;
+    stream.acknowledged(2).await.expect("taken");
+    let ask = |times: usize| PredictStatesRequest {
+        map: "office".to_owned(),
+        states: vec!["door".to_owned()],
+        times_nanos: (0..times as i64).map(|hour| hour * 3_600_000_000_000).collect(),
+        ..Default::default()
+    };
+    // Sixteen clients ask for what takes long, and read nothing.
+    let mut unread = Vec::new();
+    for _ in 0..16 {
+        let mut queries = QueryServiceClient::new(daemon.client().requests());
+        let many = PredictStatesRequest { states: vec!["door".to_owned(); 50], ..ask(100_000) };
+        unread.push(tokio::spawn(async move { queries.predict_states(many).await }));
+    }
+    let mut queries = QueryServiceClient::new(daemon.client().requests());
+    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    let start = std::time::Instant::now();
+    for _ in 0..20 {
+        let mut replies = queries.predict_states(ask(24)).await.expect("answered").into_inner();
+        let reply = replies.message().await.expect("answered").expect("one state");
+        assert_eq!(reply.probabilities.len(), 24);
+    }
+    // Before, they waited for the readers of others, half a minute each time.
+    assert!(start.elapsed() < std::time::Duration::from_secs(20), "{:?}", start.elapsed());
+    drop(unread);
+    daemon.stop_in_order();
+}

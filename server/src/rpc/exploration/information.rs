@@ -97,7 +97,7 @@ pub(super) async fn get_information(
             PredictOptions { selector, region: Some(cell_box_from_wire(&region)), ..explorations.predict_options() };
         let most = explorations.limits.predictions;
         let permit = explorations.permits.take().await?;
-        return Ok(compute_replies(permit, move |sink| {
+        return Ok(compute_replies(vec![permit], move |sink| {
             sink.send(of_region(&view, &times_nanos, &options, (certainty, most))?);
             Ok(())
         }));

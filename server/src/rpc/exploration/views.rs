@@ -44,7 +44,7 @@ pub(super) async fn evaluate_views(
     let options = PredictOptions { selector, ..explorations.predict_options() };
     let limits = explorations.look_limits();
     let permit = explorations.permits.take().await?;
-    Ok(compute_replies(permit, move |sink| {
+    Ok(compute_replies(vec![permit], move |sink| {
         let grid = PredictedTimes::new(&view, &request.times_nanos, &options).map_err(PlanError::from)?;
         let scene = TimedScene::new(&grid, &scene_options).map_err(PlanError::from)?;
         let tell = |number: usize, told: Result<Vec<Option<f64>>, _>| {

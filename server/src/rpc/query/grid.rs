@@ -52,7 +52,9 @@ pub(super) async fn predict_grid(
         return Ok(ReceiverStream::new(replies));
     }
     check_limit("cells to predict", selection.cells, queries.max_predictions, "setting max_predictions")?;
-    Ok(compute_replies(permit, move |sink| {
+    drop(permit);
+    let permit = queries.permit_for(selection.cells).await?;
+    Ok(compute_replies(vec![permit], move |sink| {
         if !sink.send(header) {
             return Ok(());
         }

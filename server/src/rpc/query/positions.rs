@@ -112,14 +112,15 @@ pub(super) async fn predict_positions(
     let cells = cells.unwrap_or_else(|| Cells::around(low, high, edge_m));
     check(&cells)?;
     let top = if request.top == 0 { usize::MAX } else { request.top as usize };
-    let (moments, permits) = (view.moments(&request.times_nanos), queries.permits.clone());
+    let (moments, permits) = (view.moments(&request.times_nanos), queries.large_permits.clone());
     Ok(stream_replies(move |sink| async move {
+        let sink = sink.holding(vec![permits.take().await?]);
         let predict = move || {
             if sink.send(header(&view, first, &model, &cells)) {
                 tell(&model, &cells, &moments, top, &sink);
             }
         };
-        run_blocking(permits.take().await?, predict).await
+        run_blocking((), predict).await
     }))
 }
 

@@ -12,7 +12,6 @@ use tidemap_map::{
 };
 use tidemap_proto::{convert::time::interval_from_wire, v1};
 use tidemap_store::History;
-use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     Queries,
@@ -22,6 +21,7 @@ use crate::{
     ingest::{handle::MapHandle, protocol::HistoryTail},
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
+        permits::Permit,
         replies::{Replies, compute_replies},
         status::RpcError,
     },
@@ -65,10 +65,7 @@ pub(super) async fn past(
     handle: &Arc<MapHandle>,
     view: Arc<MapView>,
     asked: PastQuery,
-) -> Result<
-    ((OwnedSemaphorePermit, OwnedSemaphorePermit), impl FnOnce() -> Result<Vec<Reading>, RpcError> + Send + use<>),
-    RpcError,
-> {
+) -> Result<(Vec<Permit>, impl FnOnce() -> Result<Vec<Reading>, RpcError> + Send + use<>), RpcError> {
     let PastQuery { name, within_nanos } = asked;
     let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
     let past_permit = queries.past_permits.take().await?;
@@ -79,7 +76,7 @@ pub(super) async fn past(
     let enough = usize::try_from(max).unwrap_or(usize::MAX);
     let wanted = ReadingsQuery { subject, within_nanos, enough };
     let tail = read(handle, &wanted).await?;
-    let permit = queries.permits.take().await?;
+    let permit = queries.large_permits.take().await?;
     let history = queries.catalog.context().store.history(handle.id)?.before(tail.stored_before);
     let gather = move || {
         let newest_nanos = tail.newest_nanos;
@@ -102,7 +99,7 @@ pub(super) async fn past(
         }
         Ok(found)
     };
-    Ok(((past_permit, permit), gather))
+    Ok((vec![past_permit, permit], gather))
 }
 
 async fn find_subject(view: &Arc<MapView>, name: &str) -> Result<Subject, RpcError> {

@@ -118,10 +118,10 @@ pub(super) async fn predict_states(
         let subjects = places.into_iter().zip(find_all(&view, field, names).await?).collect();
         return Ok(predict_fitted(queries, handle, view, subjects, &request.times_nanos, (selector, level)));
     }
-    // Held while cells are read from the disk, too.
-    let permit = queries.permits.take().await?;
+    // Held while cells are read from the disk, too. An interval costs about as much as thirteen predictions.
+    let permit = queries.permit_for(if level > 0.0 { 13 * predictions } else { predictions }).await?;
     let named: Vec<(StateAxis, StateOrCell)> = places.into_iter().zip(find_all(&view, field, names).await?).collect();
-    Ok(compute_replies(permit, move |sink| {
+    Ok(compute_replies(vec![permit], move |sink| {
         predict(&view, &named, &request.times_nanos, (selector, level), sink);
         Ok(())
     }))
@@ -137,7 +137,7 @@ fn predict_fitted(
     times_nanos: &[i64],
     (selector, level): (ModelSelector, f64),
 ) -> Replies<v1::PredictStatesResponse> {
-    let (fitting, permits) = (Arc::clone(&queries.fitting), queries.permits.clone());
+    let (fitting, permits) = (Arc::clone(&queries.fitting), queries.large_permits.clone());
     let moments: Arc<[Moment]> = view.moments(times_nanos).into();
     stream_replies(move |sink| async move {
         let mut cosine = None;
@@ -152,9 +152,10 @@ fn predict_fitted(
                 continue;
             }
             let sources: Vec<_> = cosine.take().into_iter().chain([(subject, fitted)]).collect();
-            let (view, moments, sink) = (Arc::clone(&view), Arc::clone(&moments), sink.clone());
+            let (view, moments) = (Arc::clone(&view), Arc::clone(&moments));
+            let sink = sink.clone().holding(vec![permits.take().await?]);
             let predict = move || predict_one(&view, (place, &sources), &moments, (selector, level), &sink);
-            if !run_blocking(permits.take().await?, predict).await? {
+            if !run_blocking((), predict).await? {
                 break;
             }
         }
