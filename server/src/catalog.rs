@@ -19,8 +19,12 @@ use std::{
 
 use arc_swap::ArcSwap;
 use tidemap_map::{
-    event::Event, grid::tile::TileUnavailable, live_map::LiveMap, name::MapName, snapshot::MapSnapshot, spec::MapSpec,
-    update::UpdateWork,
+    event::Event,
+    live_map::LiveMap,
+    name::MapName,
+    snapshot::MapSnapshot,
+    spec::MapSpec,
+    update::{SumsUnavailable, UpdateWork},
 };
 use tidemap_store::{MapId, OpenError, StoreError};
 use tracing::{info, warn};
@@ -61,7 +65,7 @@ pub(crate) enum CatalogError {
     )]
     Duplicate { name: MapName, first: MapId, second: MapId },
     #[error("map {map}: {source}. Restore the folder of this map from a backup")]
-    Tile { map: MapName, source: TileUnavailable },
+    Sums { map: MapName, source: SumsUnavailable },
     #[error("no thread for the map: {0}")]
     Thread(#[from] std::io::Error),
     #[error("the daemon is stopping")]
@@ -348,7 +352,7 @@ impl UpdateReplay<'_> {
         let done = std::sync::atomic::AtomicU64::new(0);
         let kept = self.unsaved.as_ref().map_or(Vec::new(), |snapshot| snapshot.history.clone());
         let result = self.context.run_update(self.id, &self.spec.name, work, kept, &done);
-        let result = result.map_err(|source| CatalogError::Tile { map: self.spec.name.clone(), source })?;
+        let result = result.map_err(|source| CatalogError::Sums { map: self.spec.name.clone(), source })?;
         let mut snapshot = map.finish_update(result);
         // Only the history of the older snapshots is not in this one.
         let mut history = self.unsaved.take().map_or(Vec::new(), |older| older.history);

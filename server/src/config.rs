@@ -192,6 +192,9 @@ settings! {
     checkpoints_kept: usize = 2, 1, 100;
     /// Memory for the learned models of a map's tiles, in bytes. Other tiles are read from the newest checkpoint.
     tile_cache_bytes: u64 = 1 << 30, 1 << 20, 1 << 44;
+    /// Memory for the sums of a map's states, in bytes. Other sums are read from the newest checkpoint by the next
+    /// update.
+    spectrum_cache_bytes: u64 = 64 << 20, 0, 1 << 44;
 }
 
 fn check_range(key: &str, value: u64, least: u64, most: u64) -> anyhow::Result<()> {

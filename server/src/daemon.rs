@@ -90,6 +90,7 @@ fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonE
         index_cache_bytes: settings.index_cache_bytes,
         checkpoints_kept: settings.checkpoints_kept,
         tile_cache_bytes: settings.tile_cache_bytes,
+        spectrum_cache_bytes: settings.spectrum_cache_bytes,
         new_store_id: random_id()?,
     };
     Store::open_on(disk, &settings.data_dir, options).map_err(|error| match error {

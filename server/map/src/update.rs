@@ -50,6 +50,27 @@ use crate::{
     view::LiveState,
 };
 
+mod spectrum_room;
+
+use spectrum_room::RoomInUse;
+pub use spectrum_room::{SpectrumRoom, SpectrumSpill};
+
+/// What an update learns from cannot be read back from the disk.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SumsUnavailable {
+    /// A tile of the grid.
+    #[error(transparent)]
+    Tile(#[from] TileUnavailable),
+    /// The sums of a state.
+    #[error("state {name:?}: {reason}")]
+    State {
+        /// Its name.
+        name: String,
+        /// The reason.
+        reason: String,
+    },
+}
+
 /// The map at the update's log position, but for its models.
 #[derive(Debug)]
 pub(crate) struct Basis {
@@ -74,6 +95,7 @@ pub struct UpdateWork {
     pub(crate) samples: Vec<(StateId, Vec<Sample>)>,
     pub(crate) grid: Option<GridWork>,
     pub(crate) readings: Option<Arc<dyn StateReadings>>,
+    pub(crate) room: Option<SpectrumRoom>,
 }
 
 /// What an update learned.
@@ -120,6 +142,11 @@ impl UpdateWork {
         UpdateWork { readings: Some(readings), ..self }
     }
 
+    /// The same with a limit of the memory for sums of states; without it all that it learns stays in memory.
+    pub fn with_room(self, room: SpectrumRoom) -> UpdateWork {
+        UpdateWork { room: Some(room), ..self }
+    }
+
     /// The same with other limits of the update of the grid.
     #[cfg(test)]
     pub(crate) fn with_limits(mut self, limits: UpdateLimits) -> UpdateWork {
@@ -133,8 +160,8 @@ impl UpdateWork {
     /// done; a tile that was seen on several days is done in as many parts.
     ///
     /// # Errors
-    /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
-    pub fn run(self, progress: &AtomicU64) -> Result<UpdateResult, TileUnavailable> {
+    /// [`SumsUnavailable`] where a tile of the grid or the sums of a state cannot be read back from the disk.
+    pub fn run(self, progress: &AtomicU64) -> Result<UpdateResult, SumsUnavailable> {
         let keeps_states = self.spec.retention != Retention::None;
         let kept_grid = self.spec.grid.as_ref().filter(|grid| grid.retention != Retention::None);
         let mut history = HistoryPiece::new(self.basis.start.generation);
@@ -159,16 +186,21 @@ impl UpdateWork {
         let untrained = |(id, _): &&(StateId, Vec<Sample>)| models[id.0 as usize].accumulator().observations() == 0;
         let rehearsal = readings.is_some() && self.samples.iter().filter(untrained).count() <= REFITS_MAX;
         let rules = UpdateRules { rehearsal, ..self.spec.update_rules() };
-        let learned: Vec<(StateId, Arc<StateModel>, UpdateOutcome)> = self
-            .samples
-            .into_par_iter()
-            .map(|(id, samples)| {
-                let mut model = StateModel::clone(&models[id.0 as usize]);
-                let outcome = model.update(&self.spec.periodicities, rules, samples);
-                progress.fetch_add(1, Ordering::Relaxed);
-                (id, Arc::new(model), outcome)
-            })
-            .collect();
+        let room = RoomInUse::new(self.room, &models);
+        let learn = |(id, samples): (StateId, Vec<Sample>)| {
+            let mut model = StateModel::clone(&models[id.0 as usize]);
+            model.load(&self.spec.periodicities).map_err(|reason| (id, reason))?;
+            let outcome = model.update(&self.spec.periodicities, rules, samples);
+            room.take_in(&model);
+            progress.fetch_add(1, Ordering::Relaxed);
+            Ok((id, Arc::new(model), outcome))
+        };
+        let learned: Result<Vec<(StateId, Arc<StateModel>, UpdateOutcome)>, (StateId, String)> =
+            self.samples.into_par_iter().map(learn).collect();
+        let learned = learned.map_err(|(id, reason)| {
+            let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
+            SumsUnavailable::State { name, reason }
+        })?;
         let mut outcomes = Vec::with_capacity(learned.len());
         for (id, model, outcome) in learned {
             models[id.0 as usize] = model;

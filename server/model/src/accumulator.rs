@@ -12,9 +12,11 @@ use crate::{InvalidParts, Periodicities, Sample, StateKind, lanes::OnLanes};
 
 mod fold;
 mod short_record;
+mod spectrum_cell;
 
 use fold::CHUNK;
 pub use short_record::ShortRecord;
+pub use spectrum_cell::{SpectrumCell, SpectrumSource};
 
 #[cfg(test)]
 mod tests;
@@ -27,6 +29,8 @@ const WEIGHT_MIN: f64 = 1e-9;
 pub struct Accumulator {
     kind: StateKind,
     parts: AccumulatorParts,
+    /// The spectrum of a packed accumulator whose readings are not known.
+    cell: Option<SpectrumCell>,
 }
 
 /// What an [`Accumulator`] consists of, for storage.
@@ -58,7 +62,7 @@ impl Accumulator {
 
     /// Empty sums of a state of the given kind.
     pub fn of_kind(kind: StateKind) -> Accumulator {
-        Accumulator { kind, parts: AccumulatorParts::default() }
+        Accumulator { kind, parts: AccumulatorParts::default(), cell: None }
     }
 
     /// What the values mean.
@@ -116,7 +120,8 @@ impl Accumulator {
 
     /// Adds observations, in any order and batching. The periodicities must be the same in every call.
     pub fn add(&mut self, periodicities: &Periodicities, samples: &[Sample]) {
-        self.unpack(periodicities);
+        debug_assert!(self.cell.is_none(), "unpacked");
+        self.unpack_short(periodicities);
         let parts = &mut self.parts;
         if let (0, Some(sample)) = (parts.observations, samples.first()) {
             (parts.first_nanos, parts.last_nanos) = (sample.utc_nanos, sample.utc_nanos);
@@ -143,8 +148,7 @@ impl Accumulator {
         }
     }
 
-    /// Computes the spectrum again if [`Accumulator::pack`] has freed it.
-    pub(crate) fn unpack(&mut self, periodicities: &Periodicities) {
+    fn unpack_short(&mut self, periodicities: &Periodicities) {
         let parts = &mut self.parts;
         if let Some(short) = parts.short.as_ref().filter(|short| parts.spectrum.is_empty() && !short.batches.is_empty())
         {
@@ -152,18 +156,38 @@ impl Accumulator {
         }
     }
 
-    /// The spectrum, computed again if [`Accumulator::pack`] has freed it.
-    pub(crate) fn unpacked_spectrum(&self, periodicities: &Periodicities) -> Cow<'_, [[f64; 4]]> {
-        match &self.parts.short {
-            Some(short) if self.parts.spectrum.is_empty() => Cow::Owned(spectrum_of(short, periodicities)),
-            _ => Cow::Borrowed(&self.parts.spectrum),
+    /// Puts the spectrum back in place, as before [`Accumulator::pack`].
+    ///
+    /// # Errors
+    /// Why it cannot be read; nothing has changed then.
+    pub(crate) fn unpack(&mut self, periodicities: &Periodicities) -> Result<(), String> {
+        self.unpack_short(periodicities);
+        if let Some(cell) = &self.cell {
+            self.parts.spectrum = cell.read()?;
+            self.cell = None;
+        }
+        Ok(())
+    }
+
+    /// Frees the spectrum if it follows from the readings; otherwise moves it to a cell that clones share.
+    pub(crate) fn pack(&mut self) {
+        let spectrum = std::mem::take(&mut self.parts.spectrum);
+        if self.parts.short.is_none() && !spectrum.is_empty() {
+            self.cell = Some(SpectrumCell::new(spectrum));
         }
     }
 
-    /// Frees the spectrum if it follows from the readings.
-    pub(crate) fn pack(&mut self) {
-        if self.parts.short.is_some() {
-            self.parts.spectrum = Vec::new();
+    /// Where the spectrum is held; `None` if it follows from the readings, or there is none.
+    pub fn cell(&self) -> Option<&SpectrumCell> {
+        self.cell.as_ref()
+    }
+
+    /// The spectrum, read or computed if it is not in place; empty if it cannot be read.
+    pub(crate) fn unpacked_spectrum(&self, periodicities: &Periodicities) -> Cow<'_, [[f64; 4]]> {
+        match (&self.cell, &self.parts.short) {
+            (Some(cell), _) => Cow::Owned(cell.read().unwrap_or_default()),
+            (None, Some(short)) if self.parts.spectrum.is_empty() => Cow::Owned(spectrum_of(short, periodicities)),
+            _ => Cow::Borrowed(&self.parts.spectrum),
         }
     }
 
@@ -207,16 +231,27 @@ impl Accumulator {
     }
 
     /// The parts to store.
+    ///
+    /// # Errors
+    /// Why the spectrum cannot be read.
+    pub fn stored_parts(&self) -> Result<AccumulatorParts, String> {
+        let spectrum = match &self.cell {
+            Some(cell) => cell.read()?,
+            None if self.parts.short.is_some() => Vec::new(),
+            None => self.parts.spectrum.clone(),
+        };
+        Ok(AccumulatorParts { spectrum, short: self.parts.short.clone(), ..self.published().parts })
+    }
+
+    /// The parts to store; without the spectrum if it cannot be read.
     pub fn to_parts(&self) -> AccumulatorParts {
-        let spectrum = if self.parts.short.is_some() { Vec::new() } else { self.parts.spectrum.clone() };
-        AccumulatorParts { spectrum, short: self.parts.short.clone(), ..self.published().parts }
+        self.stored_parts().unwrap_or_else(|_| self.published().parts)
     }
 
     /// The parts with the spectrum, also where the readings are known.
     pub fn to_summed_parts(&self, periodicities: &Periodicities) -> AccumulatorParts {
-        let mut summed = self.clone();
-        summed.unpack(periodicities);
-        AccumulatorParts { short: None, ..summed.parts }
+        let spectrum = self.unpacked_spectrum(periodicities).into_owned();
+        AccumulatorParts { spectrum, ..self.published().parts }
     }
 
     /// The accumulator of a probability from stored parts.
@@ -255,7 +290,7 @@ impl Accumulator {
         let (spectrum, short) = (Vec::new(), None);
         let parts =
             AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, spectrum, short };
-        Accumulator { kind: self.kind, parts }
+        Accumulator { kind: self.kind, parts, cell: None }
     }
 
     /// Checks the parts; the spectrum must have the length `expected`.
@@ -280,7 +315,7 @@ impl Accumulator {
         for &entry in parts.spectrum.as_flattened() {
             InvalidParts::check("spectrum", entry, -most * magnitude..=most * magnitude)?;
         }
-        Ok(Accumulator { kind, parts })
+        Ok(Accumulator { kind, parts, cell: None })
     }
 }
 
@@ -297,12 +332,13 @@ fn spectrum_of(short: &ShortRecord, periodicities: &Periodicities) -> Vec<[f64; 
 }
 
 impl PartialEq for Accumulator {
-    /// Whether the sums are equal; those that follow from readings are equal if the readings are.
+    /// Whether the sums are equal, wherever they are held; those that follow from readings are equal if the readings
+    /// are.
     fn eq(&self, other: &Accumulator) -> bool {
-        let is_short = self.parts.short.is_some() || other.parts.short.is_some();
-        self.kind == other.kind
-            && self.published().parts == other.published().parts
-            && self.parts.short == other.parts.short
-            && (is_short || self.parts.spectrum == other.parts.spectrum)
+        let is_stored_alike = || match (self.stored_parts(), other.stored_parts()) {
+            (Ok(one), Ok(other)) => one == other,
+            _ => false,
+        };
+        self.kind == other.kind && is_stored_alike()
     }
 }

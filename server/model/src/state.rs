@@ -79,7 +79,7 @@ impl StateModel {
     /// # Errors
     /// [`InvalidParts`] where the order is above [`ORDER_MAX`].
     pub fn from_parts(
-        accumulator: Accumulator,
+        mut accumulator: Accumulator,
         spectral: SpectralModel,
         order: usize,
         errors: OrderErrors,
@@ -87,6 +87,7 @@ impl StateModel {
         if order > ORDER_MAX {
             return Err(InvalidParts::OrderTooHigh { found: order });
         }
+        accumulator.pack();
         Ok(StateModel { accumulator, spectral, order, errors, alternatives: None })
     }
 
@@ -185,6 +186,14 @@ impl StateModel {
         &self.errors
     }
 
+    /// Brings the sums over periodicities into memory, for [`StateModel::update`].
+    ///
+    /// # Errors
+    /// Why they cannot be read from where they are held. An update would learn nothing.
+    pub fn load(&mut self, periodicities: &Periodicities) -> Result<(), String> {
+        self.accumulator.unpack(periodicities)
+    }
+
     /// Learns observations, local day by local day: scores those newer than the last learned one with every order and
     /// every enabled model, chooses, learns the day and refits the spectral model. Models fitted to readings stay as
     /// they are, unless the rules ask for a rehearsal.
@@ -207,7 +216,9 @@ impl StateModel {
         }
         let mut outcome = UpdateOutcome { order_before: self.order(), ..UpdateOutcome::default() };
         let rehearsal = self.has_rehearsal(rules, &samples);
-        self.accumulator.unpack(periodicities);
+        if self.load(periodicities).is_err() {
+            return outcome;
+        }
         let mut rest = samples.as_slice();
         while let Some(first) = rest.first() {
             let day = first.local_day();

@@ -139,7 +139,7 @@ impl RpcError {
                 CatalogError::Store(_) => (Code::Internal, "STORAGE_FAILED"),
                 CatalogError::Open(_)
                 | CatalogError::Inconsistent { .. }
-                | CatalogError::Tile { .. }
+                | CatalogError::Sums { .. }
                 | CatalogError::Duplicate { .. } => (Code::DataLoss, "STORAGE_FAILED"),
                 CatalogError::Thread(_) => (Code::ResourceExhausted, "LIMIT"),
                 CatalogError::Stopping => (Code::Unavailable, "STOPPING"),

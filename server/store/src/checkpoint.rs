@@ -28,11 +28,13 @@ use crate::{
 mod grid_reader;
 mod grid_writer;
 mod model_cache;
+pub(crate) mod spectra;
 mod tiles;
 
 use grid_reader::{Keep, ReadGrid};
 pub(crate) use grid_writer::WriteError;
 pub(crate) use model_cache::ModelCache;
+use spectra::StatePlaces;
 pub(crate) use tiles::CheckpointTiles;
 
 const SUFFIX: &str = ".tmc";
@@ -50,6 +52,23 @@ impl DamagedCheckpoint {
     pub(crate) fn reason(&self) -> &str {
         &self.reason
     }
+}
+
+/// What was written.
+struct Written {
+    trailer: Trailer,
+    shared: Vec<Weak<PhasorSum>>,
+    /// Offsets of the records of states.
+    offsets: Vec<u64>,
+}
+
+/// Approximate memory for what is loaded; what has no room is read from the checkpoint.
+#[derive(Clone, Copy)]
+pub(crate) struct Memory {
+    /// For the models and sums of tiles.
+    pub(crate) tile_bytes: u64,
+    /// For the sums of states.
+    pub(crate) spectrum_bytes: u64,
 }
 
 /// The checkpoints of one map.
@@ -70,14 +89,14 @@ impl Checkpoints<'_> {
         Ok(names.iter().filter_map(|name| position(name)).collect())
     }
 
-    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`. Returns the tiles of
-    /// a grid, to be read from there.
+    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`. Returns the states and
+    /// the tiles of a grid, to be read from there.
     pub(crate) fn save(
         &self,
         spec: &MapSpec,
         snapshot: &MapSnapshot,
         kept: usize,
-    ) -> Result<Option<Arc<CheckpointTiles>>, StoreError> {
+    ) -> Result<(StatePlaces, Option<Arc<CheckpointTiles>>), StoreError> {
         let invalid = |reason: String| StoreError::InvalidSnapshot { map: self.map, reason };
         record::check(snapshot).map_err(|reason| invalid(reason.to_owned()))?;
         if spec.grid.is_some() != snapshot.grid.is_some() {
@@ -88,11 +107,13 @@ impl Checkpoints<'_> {
             WriteError::Io(error) => StoreError::from_io(new_path.clone(), error),
             WriteError::Invalid(reason) => invalid(reason),
         });
-        let verified = written.and_then(|(trailer, shared)| {
-            self.verify(spec, &new_path, snapshot, trailer, shared)
-                .map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })
+        let verified = written.and_then(|Written { trailer, shared, offsets }| {
+            let tiles = self.verify(spec, &new_path, snapshot, trailer, shared);
+            let source = self.spectra(&new_path).map_err(|error| error.to_string());
+            let verified = tiles.and_then(|tiles| Ok((StatePlaces { source: source?, offsets }, tiles)));
+            verified.map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })
         });
-        let tiles = verified.inspect_err(|_| {
+        let read_from = verified.inspect_err(|_| {
             // Frees the space now; if this fails, the next start removes the file.
             let _ = self.disk.remove(&new_path);
         })?;
@@ -100,23 +121,21 @@ impl Checkpoints<'_> {
         self.disk.rename(&new_path, &path).map_err(store_io(&path))?;
         self.disk.sync_folder(&self.folder).map_err(store_io(&self.folder))?;
         self.remove_old(kept).map_err(store_io(&self.folder))?;
-        Ok(tiles)
+        Ok(read_from)
     }
 
-    fn write(
-        &self,
-        spec: &MapSpec,
-        path: &Path,
-        snapshot: &MapSnapshot,
-    ) -> Result<(Trailer, Vec<Weak<PhasorSum>>), WriteError> {
+    fn write(&self, spec: &MapSpec, path: &Path, snapshot: &MapSnapshot) -> Result<Written, WriteError> {
         let header = FileHeader { magic: CHECKPOINT_MAGIC, map: self.map.0, position: snapshot.position };
         let mut writer = RecordWriter::create(self.disk, path, &header)?;
         writer.record(RecordKind::Snapshot, &record::encode(snapshot))?;
         for (id, producer) in (0..).zip(&snapshot.producers) {
             writer.record(RecordKind::Producer, &record::encode_producer(id, producer))?;
         }
+        let mut offsets = Vec::with_capacity(snapshot.states.len());
         for (id, state) in (0..).zip(&snapshot.states) {
-            writer.record(RecordKind::State, &record::encode_state(id, state))?;
+            offsets.push(writer.offset());
+            let sums = state.model.accumulator().stored_parts()?;
+            writer.record(RecordKind::State, &record::encode_state(id, state, sums))?;
         }
         if let Some(site) = site::encode(&snapshot.site) {
             writer.long(RecordKind::Site, &site.encode_to_vec())?;
@@ -125,7 +144,7 @@ impl Checkpoints<'_> {
             Some(grid) => grid_writer::write(&mut writer, grid, &spec.periodicities)?,
             None => Vec::new(),
         };
-        Ok((writer.finish()?, shared))
+        Ok(Written { trailer: writer.finish()?, shared, offsets })
     }
 
     /// Reads a file back record by record, so that a large map is not in memory twice. The grid is compared by its
@@ -177,7 +196,7 @@ impl Checkpoints<'_> {
         Ok(Arc::new(CheckpointTiles::new(file, name, spec.periodicities.clone(), places, shared)))
     }
 
-    fn read(&self, spec: &MapSpec, path: &Path, position: u64, tile_bytes: u64) -> Result<MapSnapshot, String> {
+    fn read(&self, spec: &MapSpec, path: &Path, position: u64, memory: Memory) -> Result<MapSnapshot, String> {
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
         let message: v2::Snapshot = reader.record(RecordKind::Snapshot)?;
         if message.position != position || reader.header.position != position {
@@ -188,14 +207,25 @@ impl Checkpoints<'_> {
             record::decode_producer(id, &producer).map_err(str::to_owned)
         });
         let producers = producers.collect::<Result<_, String>>()?;
+        let source = self.spectra(path).map_err(|error| error.to_string())?;
+        let mut bytes = 0;
         let states = (0..message.states as usize).map(|id| {
+            let offset = reader.offset();
             let state = reader.record(RecordKind::State)?;
-            record::decode_state(id, &state, &spec.periodicities, record::SpectrumIn::Checkpoint)
+            let state = record::decode_state(id, &state, &spec.periodicities, record::SpectrumIn::Checkpoint)?;
+            if let Some(cell) = state.model.accumulator().cell() {
+                bytes += cell.bytes() as u64;
+                if bytes > memory.spectrum_bytes {
+                    bytes -= cell.bytes() as u64;
+                    cell.move_to(&source, offset);
+                }
+            }
+            Ok::<_, String>(state)
         });
         let states = states.collect::<Result<_, String>>()?;
         let site = read_site(&mut reader, &message)?;
         let grid = match &spec.grid {
-            Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::UpTo(tile_bytes))?),
+            Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::UpTo(memory.tile_bytes))?),
             None => None,
         };
         reader.finish()?;
@@ -222,16 +252,15 @@ impl Checkpoints<'_> {
     }
 
     /// The newest good checkpoint, and the damaged ones that are newer. Changes nothing.
-    /// At most about `tile_bytes` of a grid's models and sums are loaded into memory.
     pub(crate) fn load(
         &self,
         spec: &MapSpec,
-        tile_bytes: u64,
+        memory: Memory,
     ) -> io::Result<(Option<MapSnapshot>, Vec<DamagedCheckpoint>)> {
         let mut damaged = Vec::new();
         for &position in self.positions()?.iter().rev() {
             let path = self.path(position);
-            match self.read(spec, &path, position, tile_bytes) {
+            match self.read(spec, &path, position, memory) {
                 Ok(snapshot) => return Ok((Some(snapshot), damaged)),
                 Err(reason) => damaged.push(DamagedCheckpoint { path, reason }),
             }

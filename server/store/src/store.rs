@@ -10,11 +10,11 @@ use std::{
     thread::JoinHandle,
 };
 
-use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec, update::SpectrumRoom};
 
 use crate::{
     MapId,
-    checkpoint::Checkpoints,
+    checkpoint::{Checkpoints, spectra},
     committer::{Committer, SyncStats},
     disk::Disk,
     error::{HistoryError, Report, StoreError, store_io},
@@ -43,6 +43,8 @@ pub struct StoreOptions {
     pub index_cache_bytes: u64,
     /// Approximate memory for the models and sums of each map's tiles; further tiles are read from a checkpoint.
     pub tile_cache_bytes: u64,
+    /// Memory for the sums of each map's states; further sums are read from a checkpoint.
+    pub spectrum_cache_bytes: u64,
     /// How many checkpoints of a map are kept, at least 1.
     pub checkpoints_kept: usize,
     /// Identity of the store if it is created now: 16 random bytes as 32 lower-case hexadecimal digits.
@@ -55,6 +57,7 @@ impl Default for StoreOptions {
             segment_bytes: 64 << 20,
             index_cache_bytes: 64 << 20,
             tile_cache_bytes: 1 << 30,
+            spectrum_cache_bytes: 64 << 20,
             checkpoints_kept: 2,
             new_store_id: String::new(),
         }
@@ -287,6 +290,13 @@ impl Store {
         let is_complete = self.inner.maps().entries.get(&map).map(|entry| entry.history_complete);
         let is_complete = is_complete.ok_or(HistoryError::UnknownMap(map))?;
         Ok(History { is_complete, ..self.inner.history(map) })
+    }
+
+    /// Memory for the sums of a map's states while an update runs, and the place for others.
+    pub fn spectrum_room(&self, map: MapId) -> SpectrumRoom {
+        let inner = &*self.inner;
+        let folder = catalogue::checkpoints_folder(&inner.directory, map);
+        spectra::room(Arc::clone(&inner.disk), &folder, inner.options.spectrum_cache_bytes)
     }
 
     /// Durations of fdatasync calls on the logs.

@@ -16,6 +16,7 @@ mod life;
 mod round_trip;
 mod scans;
 mod segments;
+mod spectra;
 mod torn_tail;
 mod traversals;
 

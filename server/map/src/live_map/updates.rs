@@ -79,6 +79,7 @@ impl LiveMap {
             samples,
             grid: grid_work,
             readings: None,
+            room: None,
         })
     }
 

@@ -10,10 +10,9 @@ use std::{
 
 use tidemap_map::{
     event::{Event, UpdateCause},
-    grid::tile::TileUnavailable,
     history::HistoryPiece,
     name::MapName,
-    update::{UpdateResult, UpdateWork},
+    update::{SumsUnavailable, UpdateResult, UpdateWork},
 };
 use tidemap_store::MapId;
 use tracing::{error, info, warn};
@@ -109,7 +108,7 @@ impl Context {
     /// Runs the update of a map. `unsaved`: history of earlier updates that no save has stored.
     ///
     /// # Errors
-    /// [`TileUnavailable`] where a tile of the grid cannot be read back from the disk.
+    /// [`SumsUnavailable`] where a tile of the grid or the sums of a state cannot be read back from the disk.
     pub(crate) fn run_update(
         &self,
         id: MapId,
@@ -117,7 +116,8 @@ impl Context {
         work: UpdateWork,
         unsaved: Vec<Arc<HistoryPiece>>,
         progress: &AtomicU64,
-    ) -> Result<UpdateResult, TileUnavailable> {
+    ) -> Result<UpdateResult, SumsUnavailable> {
+        let work = work.with_room(self.store.spectrum_room(id));
         let work = match self.store.history(id) {
             Ok(history) => {
                 let training_data = TrainingData::before(work.start().generation, history, unsaved);

@@ -16,7 +16,8 @@ use super::{
 pub(crate) fn encode(id: u32, state: &StateSnapshot) -> StateRow {
     let published =
         StateSnapshot { name: state.name.clone(), model: std::sync::Arc::new(state.model.published()), ..*state };
-    let mut message = snapshot::encode_state(id, &published);
+    // There is no spectrum that could be unreadable.
+    let mut message = snapshot::encode_state(id, &published, published.model.accumulator().to_parts());
     let mut hours = Vec::new();
     if let Some(known) = &mut message.alternatives {
         let mut numbers = Vec::new();

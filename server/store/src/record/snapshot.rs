@@ -134,10 +134,9 @@ pub(crate) fn decode_producer(id: usize, message: &v2::Producer) -> Result<Produ
     })
 }
 
-/// A state, with its spectrum in place.
-pub(crate) fn encode_state(id: u32, state: &StateSnapshot) -> v2::State {
+/// A state with its sums.
+pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: AccumulatorParts) -> v2::State {
     let persistence = state.persistence.to_parts();
-    let accumulator = state.model.accumulator().to_parts();
     let spectral = state.model.spectral();
     let errors = state.model.errors().to_parts();
     let component = |component: &Component| v1::Component {

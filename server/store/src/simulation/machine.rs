@@ -78,7 +78,12 @@ impl Machine {
         let store = Store::assemble(Parts {
             disk: Arc::new(self.disk.clone()),
             directory: DIRECTORY.into(),
-            options: StoreOptions { segment_bytes: 1200, tile_cache_bytes: 1000, ..StoreOptions::default() },
+            options: StoreOptions {
+                segment_bytes: 1200,
+                tile_cache_bytes: 1000,
+                spectrum_cache_bytes: 100,
+                ..StoreOptions::default()
+            },
             store_id: String::new(),
             index: Index::none(),
             committer: Arc::clone(&self.committer),

@@ -12,7 +12,7 @@ use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 use super::{MapEntry, OpenStore, OpenedMap, Source, Store, catalogue};
 use crate::{
     MapId,
-    checkpoint::DamagedCheckpoint,
+    checkpoint::{DamagedCheckpoint, Memory},
     error::{OpenError, Report, open_io},
     index::RowsState,
     log::{
@@ -108,8 +108,9 @@ impl OpenStore {
         let checkpoints = self.checkpoints(map);
         let names = checkpoints.positions().map_err(open_io(&checkpoints.folder))?;
         let found = self.index().check(map.0);
-        let (snapshot, damaged) =
-            checkpoints.load(spec, self.options.tile_cache_bytes).map_err(open_io(&checkpoints.folder))?;
+        let memory =
+            Memory { tile_bytes: self.options.tile_cache_bytes, spectrum_bytes: self.options.spectrum_cache_bytes };
+        let (snapshot, damaged) = checkpoints.load(spec, memory).map_err(open_io(&checkpoints.folder))?;
         let mut known = names.last().copied().unwrap_or(0);
         let index = match found {
             Ok(RowsState::Nothing) if snapshot.is_none() => IndexState::Good,

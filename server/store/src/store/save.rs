@@ -37,7 +37,8 @@ impl Store {
             return Err(StoreError::UnknownMap(map));
         }
         inner.history(map).save(&entry.spec, &snapshot.history)?;
-        let tiles = inner.checkpoints(map).save(&entry.spec, snapshot, inner.options.checkpoints_kept)?;
+        let (places, tiles) = inner.checkpoints(map).save(&entry.spec, snapshot, inner.options.checkpoints_kept)?;
+        places.follow(&snapshot.states, inner.options.spectrum_cache_bytes);
         if let Some(log) = &entry.log {
             log.cover(snapshot.position);
         }
@@ -92,7 +93,7 @@ impl OpenStore {
 mod tests_only {
     use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 
-    use crate::{MapId, Store};
+    use crate::{MapId, Store, checkpoint::Memory};
 
     impl Store {
         /// The newest good checkpoint, and how many damaged ones are newer.
@@ -102,7 +103,8 @@ mod tests_only {
             spec: &MapSpec,
             tile_bytes: u64,
         ) -> (Option<MapSnapshot>, usize) {
-            let (found, damaged) = self.inner.checkpoints(map).load(spec, tile_bytes).expect("listed");
+            let (found, damaged) =
+                self.inner.checkpoints(map).load(spec, Memory { tile_bytes, spectrum_bytes: 0 }).expect("listed");
             (found, damaged.len())
         }
     }

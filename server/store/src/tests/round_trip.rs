@@ -285,7 +285,7 @@ proptest! {
         let spec = super::example::spec("office");
         let mut random = SmallRng::seed_from_u64(seed);
         let state = state(&spec, "door", &mut random);
-        let message = record::snapshot::encode_state(7, &state);
+        let message = record::snapshot::encode_state(7, &state, state.model.accumulator().to_parts());
         prop_assert_eq!(record::snapshot::decode_state(7, &message, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint), Ok(state));
         prop_assert!(record::snapshot::decode_state(8, &message, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint).is_err());
     }
@@ -309,7 +309,7 @@ proptest! {
         persistence.observe(1, value(0.25));
         persistence.observe(2, last);
         let state = StateSnapshot { kind, persistence, model: Arc::new(model), ..of_unit };
-        let message = record::snapshot::encode_state(7, &state);
+        let message = record::snapshot::encode_state(7, &state, state.model.accumulator().to_parts());
         prop_assert_eq!(record::snapshot::decode_state(7, &message, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint), Ok(state));
         let as_probability = tidemap_migrations::v2::map::State { kind: 0, ..message };
         prop_assert!(last <= 1.0 || record::snapshot::decode_state(7, &as_probability, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint).is_err());

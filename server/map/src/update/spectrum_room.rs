@@ -1,0 +1,59 @@
+//! Memory for the sums of states while an update runs, and where those go that have no room in it.
+//!
+//! Invariant: where sums are held changes nothing of what they are.
+
+use std::{
+    fmt,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use tidemap_model::{SpectrumSource, StateModel};
+
+/// A place outside of memory that takes sums.
+pub trait SpectrumSpill: fmt::Debug + Send + Sync {
+    /// Writes sums; they are read from the returned place as long as its source is held. `None` if they cannot be
+    /// written: they stay in memory.
+    fn write(&self, spectrum: &[[f64; 4]]) -> Option<(Arc<dyn SpectrumSource>, u64)>;
+}
+
+/// Memory for sums over periodicities, and the place for others.
+#[derive(Clone, Debug)]
+pub struct SpectrumRoom {
+    /// Bytes of sums in memory, those of the generation in force included.
+    pub bytes_max: u64,
+    /// The place for others.
+    pub spill: Arc<dyn SpectrumSpill>,
+}
+
+/// The room of a running update.
+pub(super) struct RoomInUse {
+    room: Option<SpectrumRoom>,
+    bytes: AtomicU64,
+}
+
+impl RoomInUse {
+    /// With what the models of the generation in force have in memory.
+    pub(super) fn new(room: Option<SpectrumRoom>, models: &[Arc<StateModel>]) -> RoomInUse {
+        let of = |model: &Arc<StateModel>| model.accumulator().cell().map_or(0, |cell| cell.bytes() as u64);
+        let bytes = if room.is_some() { models.iter().map(of).sum() } else { 0 };
+        RoomInUse { room, bytes: AtomicU64::new(bytes) }
+    }
+
+    /// Moves the sums of a new model out of memory if there is no room for them.
+    pub(super) fn take_in(&self, model: &StateModel) {
+        let (Some(room), Some(cell)) = (&self.room, model.accumulator().cell()) else { return };
+        let bytes = cell.bytes() as u64;
+        if self.bytes.fetch_add(bytes, Ordering::Relaxed).saturating_add(bytes) <= room.bytes_max {
+            return;
+        }
+        if let Ok(spectrum) = cell.read()
+            && let Some((source, place)) = room.spill.write(&spectrum)
+        {
+            cell.move_to(&source, place);
+            self.bytes.fetch_sub(bytes, Ordering::Relaxed);
+        }
+    }
+}
