@@ -165,9 +165,7 @@ impl UpdateWork {
         let keeps_states = self.spec.retention != Retention::None;
         let kept_grid = self.spec.grid.as_ref().filter(|grid| grid.retention != Retention::None);
         let mut history = HistoryPiece::new(self.basis.start.generation);
-        if keeps_states {
-            history.states.clone_from(&self.samples);
-        }
+        history.states = self.samples;
         let mut grid = self.grid.map(|grid| grid.run(progress)).transpose()?;
         if let Some(grid) = &mut grid {
             let days = std::mem::take(&mut grid.days);
@@ -184,19 +182,22 @@ impl UpdateWork {
         // An update that makes room must be quick: what is due waits for the next of another cause.
         let readings = self.readings.filter(|_| self.basis.start.cause != UpdateCause::PendingLimit);
         let untrained = |(id, _): &&(StateId, Vec<Sample>)| models[id.0 as usize].accumulator().observations() == 0;
-        let rehearsal = readings.is_some() && self.samples.iter().filter(untrained).count() <= REFITS_MAX;
+        let rehearsal = readings.is_some() && history.states.iter().filter(untrained).count() <= REFITS_MAX;
         let rules = UpdateRules { rehearsal, ..self.spec.update_rules() };
         let room = RoomInUse::new(self.room, &models);
-        let learn = |(id, samples): (StateId, Vec<Sample>)| {
+        let learn = |(id, samples): &mut (StateId, Vec<Sample>)| {
+            let id = *id;
             let mut model = StateModel::clone(&models[id.0 as usize]);
             model.load(&self.spec.periodicities).map_err(|reason| (id, reason))?;
-            let outcome = model.update(&self.spec.periodicities, rules, samples);
+            // History keeps them in order of arrival.
+            samples.shrink_to_fit();
+            let outcome = model.update(&self.spec.periodicities, rules, samples.clone());
             room.take_in(&model);
             progress.fetch_add(1, Ordering::Relaxed);
             Ok((id, Arc::new(model), outcome))
         };
         let learned: Result<Vec<(StateId, Arc<StateModel>, UpdateOutcome)>, (StateId, String)> =
-            self.samples.into_par_iter().map(learn).collect();
+            history.states.par_iter_mut().map(learn).collect();
         let learned = learned.map_err(|(id, reason)| {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }
@@ -211,6 +212,9 @@ impl UpdateWork {
         let refits = readings.map_or_else(Refits::default, |readings| {
             refit(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
         });
+        if !keeps_states {
+            history.states = Vec::new();
+        }
         let history = history.bounded();
         Ok(UpdateResult { basis: self.basis, models: Arc::new(models), grid, history, outcomes, refits })
     }
