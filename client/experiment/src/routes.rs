@@ -19,7 +19,7 @@ use std::{
 };
 
 use rayon::prelude::*;
-use tidemap_map::{grid::tile::TileUnavailable, live_map::InconsistentEvent};
+use tidemap_map::{live_map::InconsistentEvent, update::SumsUnavailable};
 use tidemap_plan::route::PlanRouteError;
 
 use crate::{paired, seed_mean::SeedMean};
@@ -61,7 +61,7 @@ pub enum RoutesError {
     /// An event does not fit the map.
     Map(#[from] InconsistentEvent),
     /// The map cannot be read.
-    Tile(#[from] TileUnavailable),
+    Sums(#[from] SumsUnavailable),
     /// A route cannot be planned.
     Route(#[from] PlanRouteError),
     /// The building is inconsistent.

@@ -25,7 +25,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
-use tidemap_map::{grid::tile::TileUnavailable, live_map::InconsistentEvent};
+use tidemap_map::{live_map::InconsistentEvent, update::SumsUnavailable};
 use tidemap_plan::{day::DayError, predicted::PredictError, strategy::StrategyError, tour::TourError};
 use tidemap_sim::ExploredOffice;
 
@@ -53,7 +53,7 @@ pub enum OfficeError {
     /// An event does not fit the map.
     Map(#[from] InconsistentEvent),
     /// The map cannot be read.
-    Tile(#[from] TileUnavailable),
+    Sums(#[from] SumsUnavailable),
     /// A prediction fails.
     Predict(#[from] PredictError),
     /// A tour cannot be planned.

@@ -7,6 +7,8 @@ use crate::{InvalidParts, Sample, StateKind};
 
 /// With more batches, sums are kept instead: computing them again takes about a microsecond for each.
 const BATCHES_MAX: usize = 32;
+/// With more readings, sums are kept instead: they need not be in memory.
+const READINGS_MAX: usize = 48;
 
 /// Readings, in the batches in which they were added.
 #[derive(Clone, Debug, PartialEq, Default)]
@@ -24,7 +26,7 @@ impl ShortRecord {
             return Some(self);
         }
         let readings = self.readings.len() + samples.len();
-        if readings > periodicities || self.batches.len() >= BATCHES_MAX {
+        if readings > periodicities.min(READINGS_MAX) || self.batches.len() >= BATCHES_MAX {
             return None;
         }
         self.readings.reserve_exact(samples.len());

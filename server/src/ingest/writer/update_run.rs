@@ -30,6 +30,9 @@ use crate::{
 #[cfg(test)]
 mod tests;
 
+/// With more states, an update waits for a save.
+const STATES_BESIDE_SAVE_MAX: usize = 10_000;
+
 /// How long updates wait after the log did not accept the start of one.
 const UPDATE_RETRY: Duration = Duration::from_secs(10);
 
@@ -150,8 +153,10 @@ impl Writer {
     }
 
     pub(super) fn start_update(&mut self, now: i64) {
-        // A save holds what the last update learned: a grid's sums would be copied if they changed meanwhile.
-        let is_blocked_by_save = |writer: &Self| writer.saves.is_saving() && writer.map.grid().is_some();
+        // A save holds what the last update learned: a grid's sums would be copied if they changed meanwhile, and of
+        // many states there is no room for one generation more.
+        let is_large = self.map.grid().is_some() || self.map.states() > STATES_BESIDE_SAVE_MAX;
+        let is_blocked_by_save = |writer: &Self| writer.saves.is_saving() && is_large;
         if self.map.is_updating() || is_blocked_by_save(self) {
             return;
         }
