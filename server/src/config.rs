@@ -125,7 +125,8 @@ settings! {
     log_level: String = "info".to_owned();
     /// Maximum number of maps.
     max_maps: usize = 256, 1, 10_000;
-    /// Maximum number of states of a map. A state takes up to 32 bytes per candidate periodicity: 5.4 KB by default.
+    /// Maximum number of states of a map. A state takes 4 to 7 KB of memory while it is served, and two to three times
+    /// as much while an update runs.
     max_states_per_map: usize = 100_000, 1, 16_000_000;
     /// Maximum number of tiles of a map's occupancy grid: 8x8x8 cells each, 8x8 in a flat grid.
     max_tiles_per_map: usize = 200_000, 1, 8_000_000;
