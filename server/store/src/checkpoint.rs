@@ -89,8 +89,8 @@ impl Checkpoints<'_> {
         Ok(names.iter().filter_map(|name| position(name)).collect())
     }
 
-    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`. Returns the states and
-    /// the tiles of a grid, to be read from there.
+    /// Writes a checkpoint and reads it back; durable when this returns. Keeps the newest `kept`. Returns the states
+    /// and the tiles of a grid, to be read from there.
     pub(crate) fn save(
         &self,
         spec: &MapSpec,

@@ -1,8 +1,8 @@
 //! Sums per hour of the week, from which histograms follow without raw data.
 //!
 //! 168 cells of the week and, for the variance between days, the means of single hours of single days: 0.5 kB of a
-//! state whose readings are 0 and 1, at most 3.8 kB. Invariant: sums commute, so the table depends neither on order nor on batching beyond 1e-9, as long as no local hour
-//! is split over two batches.
+//! state whose readings are 0 and 1, at most 3.8 kB. Invariant: sums commute, so the table depends neither on order nor
+//! on batching beyond 1e-9, as long as no local hour is split over two batches.
 
 use super::cycle::{DAY_HOURS, HOUR_NANOS, WEEK_HOURS, civil_hour, hour_of_week_of, is_weekend};
 use super::narrow::Narrow;
