@@ -24,6 +24,23 @@ pub struct Location {
     /// Where the robot stands; absent: not told.
     #[prost(message, optional, tag = "3")]
     pub place: Option<Place>,
+    /// Cells of the grid, ascending; none in a site of before.
+    #[prost(message, repeated, tag = "4")]
+    pub cells: Vec<SiteCell>,
+}
+
+/// A cell of the grid: its index along each axis.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct SiteCell {
+    /// Along x.
+    #[prost(sint32, tag = "1")]
+    pub x: i32,
+    /// Along y.
+    #[prost(sint32, tag = "2")]
+    pub y: i32,
+    /// Along z.
+    #[prost(sint32, tag = "3")]
+    pub z: i32,
 }
 
 /// The last attempts to reach a cell of 50 cm.

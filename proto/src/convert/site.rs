@@ -36,7 +36,12 @@ pub fn location_to_wire(view: &MapView, name: &StateName, location: &Location) -
     let name_of = |id| view.info(id).map(|info| info.name.as_str().to_owned());
     v1::Location {
         name: name.as_str().to_owned(),
-        states: location.states.iter().filter_map(|&id| name_of(id)).collect(),
+        states: location
+            .states
+            .iter()
+            .filter_map(|&id| name_of(id))
+            .chain(location.cells.iter().map(|cell| cell.name()))
+            .collect(),
         position: location.position_m.map(point_to_wire),
     }
 }

@@ -7,6 +7,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use crate::{
+    grid::index::CellIndex,
     ids::StateId,
     name::{InvalidName, StateName},
     reachability::{Reachability, ReachabilityError},
@@ -20,17 +21,19 @@ mod tests;
 /// Maximum number of locations of a map.
 pub const LOCATIONS_MAX: usize = 10_000;
 
-/// Maximum number of states of a location.
+/// Maximum number of states and cells of a location.
 pub(crate) const LOCATION_STATES_MAX: usize = 4_096;
 
 /// Farthest from the map's origin that a place may be, metres.
 pub const PLACE_MAX_M: f64 = 1e7;
 
-/// States that can be observed together, from one place.
+/// States and cells that can be observed together, from one place; at least one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Location {
-    /// The states, ascending; at least one.
+    /// The states, ascending.
     pub states: Vec<StateId>,
+    /// Cells of the grid, ascending.
+    pub cells: Vec<CellIndex>,
     /// Where the robot stands to observe them: x, y in the map's frame, metres. `None`: not given.
     pub position_m: Option<[f64; 2]>,
 }
@@ -177,14 +180,15 @@ impl Site {
             SiteEdit::SetLocation(name, location) => {
                 let text = || name.as_str().to_owned();
                 check_place(location.position_m.as_ref())?;
-                if location.states.is_empty() {
+                if location.states.is_empty() && location.cells.is_empty() {
                     return Err(InvalidEdit::NoStates(text()));
                 }
-                let (got, max) = (location.states.len(), LOCATION_STATES_MAX);
+                let (got, max) = (location.states.len() + location.cells.len(), LOCATION_STATES_MAX);
                 if got > max {
                     return Err(InvalidEdit::TooManyStates { name: text(), got, max });
                 }
-                let ascend = location.states.is_sorted_by(|one, next| one < next);
+                let ascend = location.states.is_sorted_by(|one, next| one < next)
+                    && location.cells.is_sorted_by(|one, next| one < next);
                 if !ascend || location.states.last().is_some_and(|last| last.0 as usize >= states) {
                     return Err(InvalidEdit::States(text()));
                 }

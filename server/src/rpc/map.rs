@@ -27,7 +27,8 @@ use crate::{
         handle::MapHandle,
         protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
     },
-    rpc::lookup::{find_map, find_state, opened},
+    rpc::lookup::{find_all, find_map, opened},
+    state_or_cell::StateOrCell,
 };
 
 #[derive(Debug)]
@@ -122,10 +123,17 @@ impl MapService for Maps {
         let v1::Location { name, states, position } = location.unwrap_or_default();
         let name = location_name("location.name", &name)?;
         let view = handle.view();
-        let mut ids = states.iter().map(|state| find_state(&view, state)).collect::<Result<Vec<StateId>, _>>()?;
-        ids.sort_unstable();
         let position = position.map(|at| point_from_wire("location.position", at));
-        let location = Location { states: ids, position_m: position.transpose().map_err(RpcError::from)? };
+        let mut location =
+            Location { position_m: position.transpose().map_err(RpcError::from)?, ..Location::default() };
+        for found in find_all(&view, |i| format!("location.states[{i}]"), states).await? {
+            match found {
+                StateOrCell::State(id) => location.states.push(id),
+                StateOrCell::Cell(cell) => location.cells.push(cell.index),
+            }
+        }
+        location.states.sort_unstable();
+        location.cells.sort_unstable();
         edit_site(&handle, SiteEdit::SetLocation(name.clone(), location)).await?;
         let view = handle.view();
         let location = view.site().locations().get(&name).map(|set| location_to_wire(&view, &name, set));

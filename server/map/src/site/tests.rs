@@ -7,7 +7,8 @@ fn name(name: &str) -> StateName {
 }
 
 fn location(states: &[u32]) -> Location {
-    Location { states: states.iter().map(|&id| StateId(id)).collect(), position_m: Some([1.0, -2.0]) }
+    let states = states.iter().map(|&id| StateId(id)).collect();
+    Location { states, cells: Vec::new(), position_m: Some([1.0, -2.0]) }
 }
 
 #[test]
@@ -20,6 +21,23 @@ fn a_location_is_set_replaced_and_removed() {
     assert_eq!(site.locations().get(&name("kitchen")), Some(&location(&[1])));
     site.apply(&SiteEdit::RemoveLocation(name("kitchen")), 3).expect("valid");
     assert!(site.is_empty());
+}
+
+#[test]
+fn a_location_may_have_cells_each_once_and_as_many_as_states() {
+    let cell = |x| CellIndex { x, y: -2, z: 7 };
+    let set = |cells: Vec<CellIndex>, states: &[u32]| {
+        SiteEdit::SetLocation(name("desk"), Location { cells, ..location(states) })
+    };
+    let mut site = Site::default();
+    site.apply(&set(vec![cell(-3), cell(4)], &[]), 0).expect("cells alone");
+    for cells in [vec![cell(4), cell(-3)], vec![cell(4), cell(4)]] {
+        assert_eq!(site.apply(&set(cells, &[]), 0), Err(InvalidEdit::States("desk".to_owned())));
+    }
+    let many: Vec<CellIndex> = (0..4096).map(cell).collect();
+    site.apply(&set(many.clone(), &[]), 1).expect("as many as may be");
+    let refused = InvalidEdit::TooManyStates { name: "desk".to_owned(), got: 4097, max: 4096 };
+    assert_eq!(site.apply(&set(many, &[0]), 1), Err(refused));
 }
 
 #[test]

@@ -4,7 +4,7 @@
 
 use std::{ops::ControlFlow, sync::Arc};
 
-use tidemap_map::{event::StateKind, ids::StateId, selector::ModelSelector, view::MapView};
+use tidemap_map::{event::StateKind, selector::ModelSelector, view::MapView};
 use tidemap_plan::{
     day::{DaySlots, plan_day as plan},
     information::Certainty,
@@ -24,19 +24,26 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, error::PlanError, information::location_states};
-use crate::rpc::{
-    lookup::{check_limit, find_map, find_state},
-    permits::run_blocking,
-    series::{check_kind, predict_series},
-    status::RpcError,
+use super::{Explorations, error::PlanError, information::members};
+use crate::{
+    rpc::{
+        lookup::{check_limit, find_map, find_state},
+        permits::run_blocking,
+        series::{check_kind, predict_series},
+        status::RpcError,
+    },
+    state_or_cell::StateOrCell,
 };
 
 /// Maximum number of locations of one request.
 const LOCATIONS_MAX: usize = 10_000;
 
-/// The locations to choose from, by name, with their states.
-pub(super) fn locations(view: &MapView, asked: Vec<String>) -> Result<(Vec<String>, Vec<Vec<StateId>>), RpcError> {
+/// The locations to choose from, by name, with their states and cells, at most `max` of these.
+pub(super) async fn locations(
+    view: &Arc<MapView>,
+    asked: Vec<String>,
+    max: u64,
+) -> Result<(Vec<String>, Vec<Vec<StateOrCell>>), RpcError> {
     let names = if asked.is_empty() {
         view.site().locations().keys().map(|name| name.as_str().to_owned()).collect()
     } else {
@@ -44,8 +51,7 @@ pub(super) fn locations(view: &MapView, asked: Vec<String>) -> Result<(Vec<Strin
     };
     check_limit("locations", names.len() as u64, LOCATIONS_MAX as u64, "one request")?;
     if !names.is_empty() {
-        let states = |(i, name): (usize, &String)| location_states(view, &format!("locations[{i}]"), name);
-        let states = names.iter().enumerate().map(states).collect::<Result<_, _>>()?;
+        let states = members(view, &names, max).await?;
         return Ok((names, states));
     }
     let is_probability = |info: &&tidemap_map::view::StateInfo| info.kind == StateKind::Probability;
@@ -54,7 +60,7 @@ pub(super) fn locations(view: &MapView, asked: Vec<String>) -> Result<(Vec<Strin
     if names.is_empty() {
         return Err(InvalidField::new("locations", "the map has neither locations nor states to explore").into());
     }
-    let states = names.iter().map(|name| find_state(view, name).map(|id| vec![id])).collect::<Result<_, _>>()?;
+    let states = names.iter().map(|name| find_state(view, name).map(|id| vec![id.into()])).collect::<Result<_, _>>()?;
     Ok((names, states))
 }
 
@@ -80,9 +86,9 @@ pub(super) async fn plan_day(
         check_kind(&view, id, &format!("task_states[{i}]"))?;
     }
     let (names, information) = if request.viewpoints.is_empty() {
-        let (names, by_location) = locations(&view, request.locations)?;
+        let (names, by_location) = locations(&view, request.locations, explorations.limits.predictions).await?;
         let counts: Vec<usize> = by_location.iter().map(Vec::len).collect();
-        let asked: Vec<StateId> = by_location.into_iter().flatten().collect();
+        let asked: Vec<StateOrCell> = by_location.into_iter().flatten().collect();
         let rows =
             predict_series(explorations.predict_context(), &handle, &view, (asked, middles.clone()), selector).await?;
         (names, gains(&rows, &counts, slots.count(), certainty).map_err(PlanError::from)?)

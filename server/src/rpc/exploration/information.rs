@@ -2,7 +2,13 @@
 //!
 //! Invariant: replies come in the order of states, locations, region; each has a number per time.
 
-use tidemap_map::{ids::StateId, name::StateName, site::InvalidEdit, view::MapView};
+use std::sync::Arc;
+
+use tidemap_map::{
+    name::StateName,
+    site::{InvalidEdit, Location},
+    view::MapView,
+};
 use tidemap_plan::{
     information::{Certainty, entropy_of},
     predicted::{PredictOptions, PredictedTimes},
@@ -32,13 +38,35 @@ use crate::{
 /// Maximum number of targets of one request.
 const TARGETS_MAX: usize = 10_000;
 
-/// The states of a location.
-pub(super) fn location_states(view: &MapView, field: &str, name: &str) -> Result<Vec<StateId>, RpcError> {
-    let unknown = || RpcError::EditSite(EditSiteError::Invalid(InvalidEdit::UnknownLocation(name.to_owned())));
-    let known = StateName::new(name).map_err(|error| InvalidField::new(field, error))?;
-    let states = view.site().locations().get(&known).map(|location| location.states.clone()).ok_or_else(unknown)?;
-    states.iter().try_for_each(|&id| check_kind(view, id, field))?;
-    Ok(states)
+/// The states and cells of locations, each as named in the field `locations`. `max`: how many all may have together.
+///
+/// # Errors
+/// An unknown location, a state that is no probability, or too many.
+pub(super) async fn members(
+    view: &Arc<MapView>,
+    names: &[String],
+    max: u64,
+) -> Result<Vec<Vec<StateOrCell>>, RpcError> {
+    let mut asked = Vec::with_capacity(names.len());
+    let mut total = 0;
+    for (i, name) in names.iter().enumerate() {
+        let field = format!("locations[{i}]");
+        let unknown = || RpcError::EditSite(EditSiteError::Invalid(InvalidEdit::UnknownLocation(name.to_owned())));
+        let known = StateName::new(name).map_err(|error| InvalidField::new(&field, error))?;
+        let location = view.site().locations().get(&known).ok_or_else(unknown)?;
+        location.states.iter().try_for_each(|&id| check_kind(view, id, &field))?;
+        total += (location.states.len() + location.cells.len()) as u64;
+        // Each cell will have its description in memory.
+        check_limit("predictions", total, max, "setting max_predictions")?;
+        asked.push(location);
+    }
+    let cells = asked.iter().flat_map(|location| &location.cells).map(|cell| cell.name()).collect();
+    let mut cells = find_all(view, |_| "locations".to_owned(), cells).await?.into_iter();
+    let of = |location: &Location| {
+        let states = location.states.iter().map(|&id| StateOrCell::State(id));
+        states.chain(cells.by_ref().take(location.cells.len())).collect()
+    };
+    Ok(asked.into_iter().map(of).collect())
 }
 
 fn reply(target: &str, rows: &[Vec<f64>], times: usize, certainty: Certainty) -> v1::GetInformationResponse {
@@ -110,10 +138,8 @@ pub(super) async fn get_information(
         }
         targets.push((name, vec![state]));
     }
-    for (i, name) in locations.into_iter().enumerate() {
-        let states = location_states(&view, &format!("locations[{i}]"), &name)?;
-        targets.push((name, states.into_iter().map(StateOrCell::State).collect()));
-    }
+    let of_locations = members(&view, &locations, explorations.limits.predictions).await?;
+    targets.extend(locations.into_iter().zip(of_locations));
     let predictions = targets.iter().map(|(_, states)| states.len() as u64).sum::<u64>() * times_nanos.len() as u64;
     check_limit("predictions", predictions, explorations.limits.predictions, "setting max_predictions")?;
     let asked = explorations.clone();

@@ -2,10 +2,7 @@
 //!
 //! Invariant: the location is one of the given ones, and the decision is based on one view.
 
-use tidemap_map::{
-    ids::StateId,
-    selector::{ModelKind, ModelSelector},
-};
+use tidemap_map::selector::{ModelKind, ModelSelector};
 use tidemap_plan::{
     day::DayError,
     location::{information_bits, surprise_bits},
@@ -17,7 +14,10 @@ use tidemap_proto::{
 };
 
 use super::{Explorations, day::locations, error::PlanError};
-use crate::rpc::{lookup::find_map, series::predict_series, status::RpcError};
+use crate::{
+    rpc::{lookup::find_map, series::predict_series, status::RpcError},
+    state_or_cell::StateOrCell,
+};
 
 pub(super) async fn plan_slot(
     explorations: &Explorations,
@@ -34,7 +34,7 @@ pub(super) async fn plan_slot(
         None => ModelSelector { persistence: !is_novelty, ..ModelSelector::default() },
     };
     let certainty = certainty_from_wire("certainty", request.certainty)?;
-    let (names, by_location) = locations(&view, request.locations)?;
+    let (names, by_location) = locations(&view, request.locations, explorations.limits.predictions).await?;
     let planned = names.iter().position(|name| *name == request.planned);
     if is_novelty && planned.is_none() {
         let text = format!("{:?} is not one of the locations: name the one that is planned", request.planned);
@@ -43,7 +43,7 @@ pub(super) async fn plan_slot(
     if !is_novelty && !request.planned.is_empty() {
         return Err(InvalidField::new("planned", "only the novelty-driven strategy goes by a plan").into());
     }
-    let states: Vec<StateId> = by_location.iter().flatten().copied().collect();
+    let states: Vec<StateOrCell> = by_location.iter().flatten().cloned().collect();
     let ask = |selector| {
         predict_series(explorations.predict_context(), &handle, &view, (states.clone(), vec![time_nanos]), selector)
     };
@@ -78,7 +78,7 @@ pub(super) async fn plan_slot(
 }
 
 /// The probabilities of each location's states. `rows` has one for each state, location by location.
-fn split(rows: &[Vec<f64>], by_location: &[Vec<StateId>]) -> Vec<Vec<f64>> {
+fn split(rows: &[Vec<f64>], by_location: &[Vec<StateOrCell>]) -> Vec<Vec<f64>> {
     let mut rest = rows.iter().flatten().copied();
     by_location.iter().map(|states| rest.by_ref().take(states.len()).collect()).collect()
 }

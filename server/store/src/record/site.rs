@@ -3,6 +3,7 @@
 //! Invariant: decoding gives the encoded value, bit by bit.
 
 use tidemap_map::{
+    grid::index::CellIndex,
     ids::StateId,
     name::StateName,
     reachability::{Attempts, Reachability, ReachabilityCell},
@@ -27,13 +28,15 @@ fn encode_location(name: &StateName, location: &Location) -> v2::Location {
         name: name.as_str().to_owned(),
         states: location.states.iter().map(|state| state.0).collect(),
         place: location.position_m.map(encode_place),
+        cells: location.cells.iter().map(|&CellIndex { x, y, z }| v2::SiteCell { x, y, z }).collect(),
     }
 }
 
 fn decode_location(message: &v2::Location) -> Result<(StateName, Location), Invalid> {
     let states = message.states.iter().map(|&id| StateId(id)).collect();
     let position_m = message.place.as_ref().map(decode_place);
-    Ok((decode_state_name(&message.name)?, Location { states, position_m }))
+    let cells = message.cells.iter().map(|&v2::SiteCell { x, y, z }| CellIndex { x, y, z }).collect();
+    Ok((decode_state_name(&message.name)?, Location { states, cells, position_m }))
 }
 
 fn encode_attempts((cell, attempts): (ReachabilityCell, Attempts)) -> v2::Attempts {

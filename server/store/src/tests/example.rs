@@ -80,7 +80,11 @@ fn location_name(number: u64) -> StateName {
 
 fn location(random: &mut SmallRng, states: u32) -> Location {
     let seen = (0..states).filter(|id| *id == 0 || random.random()).map(StateId).collect();
-    Location { states: seen, position_m: random.random_bool(0.5).then(|| [random.random(), -random.random::<f64>()]) }
+    Location {
+        states: seen,
+        cells: Vec::new(),
+        position_m: random.random_bool(0.5).then(|| [random.random(), -random.random::<f64>()]),
+    }
 }
 
 /// A site whose number of records in the index depends on the position, down to none.

@@ -6,6 +6,7 @@ use proptest::{collection::vec, option, prelude::*};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
     event::{Dimensions, Event, NewState, Observations, OffsetRun, StateKind, StateShape, UpdateCause, UpdateStart},
+    grid::index::CellIndex,
     grid::sensors::ProducerSensor,
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::{EdgeName, MapName, ProducerKey, StateName},
@@ -218,8 +219,13 @@ fn a_topological_map_comes_back_with_its_numbers() {
 
 fn edit_site() -> impl Strategy<Value = Event> {
     let place = option::of([-1e7..=1e7, -1e7..=1e7]);
-    let location = (vec(any::<u32>(), 0..20), place.clone())
-        .prop_map(|(states, position_m)| Location { states: states.into_iter().map(StateId).collect(), position_m });
+    let cell = any::<(i32, i32, i32)>().prop_map(|(x, y, z)| CellIndex { x, y, z });
+    let location =
+        (vec(any::<u32>(), 0..20), vec(cell, 0..5), place.clone()).prop_map(|(states, cells, position_m)| Location {
+            states: states.into_iter().map(StateId).collect(),
+            cells,
+            position_m,
+        });
     let name = "[a-zü ]{1,20}".prop_map(|name| StateName::new(&name).expect("valid"));
     let edit = prop_oneof![
         topology_edit().prop_map(SiteEdit::Topology),
