@@ -127,8 +127,8 @@ pub(super) async fn predict_states(
     }))
 }
 
-/// Predicts by models that are fitted to the readings of states and cells, one after the other. The permit is free during a
-/// fit.
+/// Predicts by models that are fitted to the readings of states and cells, one after the other. The permit is free
+/// during a fit.
 fn predict_fitted(
     queries: &Queries,
     handle: Arc<MapHandle>,
