@@ -3,7 +3,7 @@
 //! Invariant: acknowledged observations are in the model. Of those not acknowledged before a kill, the
 //! model takes those that the daemon reports after the restart, which must be a whole number of batches.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, process::Command};
 
 use rand::{Rng as _, rngs::SmallRng, seq::IteratorRandom as _};
 use tempfile::TempDir;
@@ -12,6 +12,7 @@ use tidemap_client::{
     queries::{ModelKind, ModelSelector},
 };
 use tidemap_tests::{
+    binaries,
     daemon::{Daemon, Launch},
     oracle::{run_update, settled},
     rounds,
@@ -36,7 +37,7 @@ pub(crate) struct World {
     daemon: Option<Daemon>,
     maps: BTreeMap<&'static str, NaiveMap>,
     done: BTreeMap<&'static str, u32>,
-    _data: TempDir,
+    data: TempDir,
 }
 
 impl World {
@@ -45,7 +46,7 @@ impl World {
         let launch = Launch::on(data.path()).setting("segment_bytes", 1 << 16).setting("max_batch_observations", 64);
         let daemon = Some(launch.start());
         let random = rounds::draws(seed);
-        let mut world = Self { random, launch, daemon, maps: BTreeMap::new(), done: BTreeMap::new(), _data: data };
+        let mut world = Self { random, launch, daemon, maps: BTreeMap::new(), done: BTreeMap::new(), data };
         world.create().await;
         world
     }
@@ -208,10 +209,44 @@ impl World {
     }
 
     async fn stop(&mut self) {
+        let mut published = Vec::new();
+        for &name in self.maps.keys() {
+            published.push((name, self.published(name).await));
+        }
         self.daemon.take().expect("the daemon runs").stop_in_order();
+        for (name, states) in published {
+            self.verify_index(name, &states);
+        }
         self.daemon = Some(self.launch.start());
         self.verify_all("after a stop").await;
         self.count("stops");
+    }
+
+    /// The learned states of a map: name, mean and number of learned observations, as the index prints them.
+    async fn published(&self, name: &str) -> Vec<[String; 3]> {
+        let client = self.daemon().client();
+        let mut published = Vec::new();
+        for state in STATES {
+            // A state that was never observed is not there.
+            if let Ok(model) = client.describe_model(name, state).await
+                && model.learned_observations > 0
+            {
+                let mean = format!("{:.4}", model.mean);
+                published.push([state.to_owned(), mean, model.learned_observations.to_string()]);
+            }
+        }
+        published
+    }
+
+    /// The index of a stopped daemon publishes what the daemon answered with.
+    fn verify_index(&self, name: &str, states: &[[String; 3]]) {
+        let printed = Command::new(binaries::tidemapd()).arg("index").arg(self.data.path()).arg(name).output();
+        let printed = String::from_utf8(printed.expect("runs").stdout).expect("text");
+        for [state, mean, learned] in states {
+            let row = printed.lines().find_map(|line| line.strip_prefix(state.as_str())?.strip_prefix("  "));
+            let row: Vec<&str> = row.unwrap_or_else(|| panic!("{state} is not in {printed}")).split("  ").collect();
+            assert_eq!((row[1], row[5]), (mean.as_str(), learned.as_str()), "{name}, {state}: {printed}");
+        }
     }
 
     async fn kill(&mut self) {
