@@ -1,11 +1,18 @@
 //! The recordings of an experiment, by state and time.
 //!
+//! The first reading of the files keeps all readings, or counts them if there are too many; then the states are read
+//! again in portions.
+//!
 //! Invariant: every row of every file is valid, or the experiment fails. No test set starts before the end of the
-//! training data, nor, if models learn test sets, before the end of the previous test set.
+//! training data, nor, if models learn test sets, before the end of the previous test set. A portion has at most the
+//! given number of readings, or one state.
 
 use std::{
+    borrow::Cow,
+    collections::{HashMap, HashSet},
     fs::File,
     io::{self, BufRead as _, BufReader},
+    ops::Range,
     path::{Path, PathBuf},
 };
 
@@ -64,92 +71,196 @@ pub struct Data {
 }
 
 /// First and last time.
-fn extent(samples: &[Vec<Sample>]) -> Option<(i64, i64)> {
-    let times = samples.iter().flatten().map(|sample| sample.utc_nanos);
-    Some((times.clone().min()?, times.max()?))
+type TimeExtent = Option<(i64, i64)>;
+
+fn extend(extent: &mut TimeExtent, time: i64) {
+    let (first, last) = extent.unwrap_or((time, time));
+    *extent = Some((first.min(time), last.max(time)));
 }
 
 impl Data {
-    /// Reads the files of a protocol.
-    pub fn read(protocol: &Protocol) -> Result<Self, DataError> {
-        let mut reader = Reader {
-            key: "train",
-            format: protocol.format,
-            kind: protocol.kind,
-            asked: &protocol.states,
-            offsets: protocol.zone.offset_cache(),
-        };
+    fn empty(states: Vec<String>, protocol: &Protocol) -> Self {
+        let samples = vec![Vec::new(); states.len()];
+        let test = |label: &String| TestSet { label: label.clone(), samples: samples.clone() };
+        let tests = protocol.test.iter().map(|file| test(&file.label)).collect();
+        Self { train: samples, tests, states }
+    }
+
+    fn sort(&mut self) {
+        sort(&mut self.train);
+        self.tests.iter_mut().for_each(|test| sort(&mut test.samples));
+    }
+}
+
+/// All states of an experiment, in portions.
+#[derive(Debug)]
+pub(crate) struct DataPortions<'a> {
+    protocol: &'a Protocol,
+    /// Names of all states; with all readings if there is a single portion, else with none.
+    pub(crate) all: Data,
+    /// First and last time of the training data.
+    pub(crate) train_extent: (i64, i64),
+    ranges: Vec<Range<usize>>,
+}
+
+impl<'a> DataPortions<'a> {
+    /// Reads the files of a protocol; a portion has at most `readings_max` readings.
+    pub(crate) fn read(protocol: &'a Protocol, readings_max: usize) -> Result<Self, DataError> {
         let mut states = protocol.states.clone();
         if states.is_empty() && protocol.format == RowFormat::Pairs {
             states.push(UNNAMED.to_owned());
         }
-        let mut train: Vec<Vec<Sample>> = vec![Vec::new(); states.len()];
-        for path in &protocol.train {
-            reader.read(path, |state, sample| {
-                let known = states.iter().position(|known| known == state);
-                let index = known.unwrap_or_else(|| {
-                    states.push(state.to_owned());
-                    train.push(Vec::new());
-                    states.len() - 1
-                });
-                train[index].push(sample);
-                Ok(())
-            })?;
-        }
-        for (state, samples) in states.iter().zip(&train) {
-            if samples.is_empty() {
-                let known = states.iter().zip(&train).filter(|(_, samples)| !samples.is_empty());
-                let known = known.map(|(state, _)| state.clone()).collect();
+        let mut indices: HashMap<String, usize> =
+            (0..).zip(&states).map(|(index, name)| (name.clone(), index)).collect();
+        let mut all = Data::empty(states, protocol);
+        let mut counts = vec![0_usize; all.states.len()];
+        let (mut trained, mut total) = (0, 0);
+        let mut extents: Vec<TimeExtent> = vec![None; 1 + protocol.test.len()];
+        let is_fixed = !protocol.states.is_empty() || protocol.format == RowFormat::Pairs;
+        for_each_row(protocol, |source, path, state, sample| {
+            let index = match (indices.get(state), source) {
+                (Some(&index), _) => index,
+                (None, None) if !is_fixed => {
+                    let index = all.states.len();
+                    indices.insert(state.to_owned(), index);
+                    all.states.push(state.to_owned());
+                    all.train.push(Vec::new());
+                    all.tests.iter_mut().for_each(|test| test.samples.push(Vec::new()));
+                    counts.push(0);
+                    index
+                }
+                (None, _) => return Err(untrained(state, path, &all.states)),
+            };
+            if source.is_none() {
+                trained += usize::from(counts[index] == 0);
+            } else if trained < all.states.len() {
+                let lacking = (0..all.states.len()).find(|&index| counts[index] == 0).unwrap_or_default();
+                let known: Vec<String> = all
+                    .states
+                    .iter()
+                    .zip(&counts)
+                    .filter(|(_, count)| **count > 0)
+                    .map(|(state, _)| state.clone())
+                    .collect();
                 let path = protocol.train.first().cloned().unwrap_or_default();
-                return Err(DataError::Untrained { state: state.clone(), path, known });
+                return Err(untrained(&all.states[lacking], &path, &known));
             }
-        }
-        sort(&mut train);
-        reader.key = "test";
-        let mut tests = Vec::with_capacity(protocol.test.len());
-        for test in &protocol.test {
-            let mut samples = vec![Vec::new(); states.len()];
-            reader.read(&test.path, |state, sample| {
-                let index = states.iter().position(|known| known == state).ok_or_else(|| DataError::Untrained {
-                    state: state.to_owned(),
-                    path: test.path.clone(),
-                    known: states.clone(),
-                })?;
-                samples[index].push(sample);
-                Ok(())
-            })?;
-            sort(&mut samples);
-            tests.push(TestSet { label: test.label.clone(), samples });
-        }
-        let data = Self { states, train, tests };
-        data.check_order(protocol)?;
+            counts[index] += 1;
+            extend(&mut extents[source.map_or(0, |test| test + 1)], sample.utc_nanos);
+            total += 1;
+            if total == readings_max + 1 {
+                all = Data::empty(std::mem::take(&mut all.states), protocol);
+            } else if total <= readings_max {
+                all.samples(source)[index].push(sample);
+            }
+            Ok(())
+        })?;
+        all.sort();
+        check_order(protocol, &extents)?;
+        Ok(Self { protocol, all, train_extent: extents[0].unwrap_or_default(), ranges: ranges(&counts, readings_max) })
+    }
+
+    /// Number of portions.
+    pub(crate) fn len(&self) -> usize {
+        self.ranges.len()
+    }
+
+    /// The data of each portion, in the order of the states.
+    pub(crate) fn portions(&self) -> impl Iterator<Item = Result<Cow<'_, Data>, DataError>> {
+        self.ranges.iter().map(|range| match self.ranges.len() {
+            1 => Ok(Cow::Borrowed(&self.all)),
+            _ => self.portion(range.clone()).map(Cow::Owned),
+        })
+    }
+
+    fn portion(&self, range: Range<usize>) -> Result<Data, DataError> {
+        let names = &self.all.states[range];
+        let indices: HashMap<&str, usize> = names.iter().map(String::as_str).zip(0..).collect();
+        let mut data = Data::empty(names.to_vec(), self.protocol);
+        for_each_row(self.protocol, |source, _, state, sample| {
+            if let Some(&index) = indices.get(state) {
+                data.samples(source)[index].push(sample);
+            }
+            Ok(())
+        })?;
+        data.sort();
         Ok(data)
     }
+}
 
-    /// Checks that models are scored on unseen data only. Adjacent recordings may share the time of their boundary.
-    fn check_order(&self, protocol: &Protocol) -> Result<(), DataError> {
-        let mut before = ("the training data".to_owned(), extent(&self.train));
-        for (test, file) in self.tests.iter().zip(&protocol.test) {
-            let (Some((begins, ends)), Some((_, known_until))) = (extent(&test.samples), before.1) else { continue };
-            if begins < known_until {
-                let right = match protocol.refit {
-                    Refit::Never => "a test set must be after all training data",
-                    Refit::Each => "with refit: each, test sets must follow one another",
-                };
-                let path = file.path.clone();
-                return Err(DataError::Order { path, begins, before: before.0, ends: known_until, right });
-            }
-            if protocol.refit == Refit::Each {
-                before = (format!("test set {}", test.label), Some((begins, ends)));
+impl Data {
+    /// The training data, or a test set.
+    fn samples(&mut self, source: Option<usize>) -> &mut Vec<Vec<Sample>> {
+        match source {
+            None => &mut self.train,
+            Some(test) => &mut self.tests[test].samples,
+        }
+    }
+}
+
+fn untrained(state: &str, path: &Path, known: &[String]) -> DataError {
+    DataError::Untrained { state: state.to_owned(), path: path.to_owned(), known: known.to_vec() }
+}
+
+/// Consecutive states with at most `max` readings together, or one state.
+fn ranges(counts: &[usize], max: usize) -> Vec<Range<usize>> {
+    let mut ranges: Vec<Range<usize>> = Vec::new();
+    let mut readings = 0_usize;
+    for (index, &count) in counts.iter().enumerate() {
+        readings += count;
+        match ranges.last_mut() {
+            Some(last) if readings <= max => last.end = index + 1,
+            _ => {
+                ranges.push(index..index + 1);
+                readings = count;
             }
         }
-        Ok(())
     }
+    ranges
+}
 
-    /// First and last time of the training data.
-    pub fn train_extent(&self) -> Option<(i64, i64)> {
-        extent(&self.train)
+/// Checks that models are scored on unseen data only. Adjacent recordings may share the time of their boundary.
+fn check_order(protocol: &Protocol, extents: &[TimeExtent]) -> Result<(), DataError> {
+    let [train, tests @ ..] = extents else { return Ok(()) };
+    let mut before = ("the training data".to_owned(), *train);
+    for (&test, file) in tests.iter().zip(&protocol.test) {
+        let (Some((begins, ends)), Some((_, known_until))) = (test, before.1) else { continue };
+        if begins < known_until {
+            let right = match protocol.refit {
+                Refit::Never => "a test set must be after all training data",
+                Refit::Each => "with refit: each, test sets must follow one another",
+            };
+            let path = file.path.clone();
+            return Err(DataError::Order { path, begins, before: before.0, ends: known_until, right });
+        }
+        if protocol.refit == Refit::Each {
+            before = (format!("test set {}", file.label), Some((begins, ends)));
+        }
     }
+    Ok(())
+}
+
+/// Calls `take` for each row of the protocol's states, with the index of its test set and its file.
+fn for_each_row(
+    protocol: &Protocol,
+    mut take: impl FnMut(Option<usize>, &Path, &str, Sample) -> Result<(), DataError>,
+) -> Result<(), DataError> {
+    let mut reader = Reader {
+        key: "train",
+        format: protocol.format,
+        kind: protocol.kind,
+        asked: &protocol.states,
+        wanted: protocol.states.iter().map(String::as_str).collect(),
+        offsets: protocol.zone.offset_cache(),
+    };
+    for path in &protocol.train {
+        reader.read(path, |state, sample| take(None, path, state, sample))?;
+    }
+    reader.key = "test";
+    for (index, test) in protocol.test.iter().enumerate() {
+        reader.read(&test.path, |state, sample| take(Some(index), &test.path, state, sample))?;
+    }
+    Ok(())
 }
 
 fn sort(samples: &mut [Vec<Sample>]) {
@@ -164,6 +275,8 @@ struct Reader<'a> {
     format: RowFormat,
     kind: StateKind,
     asked: &'a [String],
+    /// The same as a set; empty: all states.
+    wanted: HashSet<&'a str>,
     offsets: OffsetCache,
 }
 
@@ -217,7 +330,7 @@ impl Reader<'_> {
             if let Some(refused) = refused {
                 return Err(wrong(row.line, refused));
             }
-            if self.asked.is_empty() || self.asked.contains(&row.state) {
+            if self.wanted.is_empty() || self.wanted.contains(row.state.as_str()) {
                 let sample = self.sample(row.time_nanos, row.value).map_err(|refused| wrong(row.line, refused))?;
                 take(&row.state, sample)?;
             }

@@ -5,11 +5,11 @@
 //! .yml, so that a new kind never conflicts with a file's name.
 //!
 //! - `protocol.rs`: YAML to [`Protocol`], checked before data is read; each list of parameters spans parameter sets;
-//! - `data.rs`: files to readings by state; one invalid row stops the experiment;
+//! - `data.rs`: files to readings by state, in portions of states that fit into memory; one invalid row stops it;
 //! - `tuning.rs`: rolling origin on training data; the parameter set with the lowest mean error is chosen;
 //! - `score.rs`: the chosen sets on the test sets: errors by test set and by local day;
-//! - `paired.rs`: each model against the baseline: studentised bootstrap over days within test sets, fixed seed;
-//! - `report.rs`: results.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
+//! - `paired.rs`: models in pairs: studentised bootstrap over days within test sets, fixed seed, corrected by Holm;
+//! - `report.rs`: results.csv, pairs.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
 //!
 //! A `ParameterSet` is a model kind with all its parameters. Models are fitted state by
 //! state, with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested
@@ -20,6 +20,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use rayon::prelude::*;
 use tidemap_model::{Evaluation, models::CannotFit};
 
 mod data;
@@ -42,10 +43,11 @@ mod tests;
 pub use protocol::{Protocol, ProtocolError, read};
 pub use report::{summary, write};
 
-use data::{Data, DataError};
-use paired::Difference;
+use data::{Data, DataError, DataPortions};
+pub use paired::{Difference, PairedModels};
 use parameter_set::ParameterSet;
-use score::TestScore;
+use protocol::Predictions;
+use score::{DayErrors, TestScore};
 use tuning::{Fold, Trial};
 
 /// Why an experiment fails.
@@ -55,6 +57,12 @@ pub enum ExperimentError {
     /// The data is invalid.
     #[error(transparent)]
     Data(#[from] DataError),
+    /// The predictions do not fit into memory.
+    #[error(
+        "predictions: the data has more than {max} readings, so that the states are read in portions, and predictions \
+         cannot be sorted by time: write predictions: off"
+    )]
+    Predictions { max: usize },
     /// The folds do not fit the training data.
     #[error("tuning: the training data: {0}")]
     Folds(String),
@@ -108,39 +116,70 @@ pub struct Comparison {
     pub folds: Vec<Fold>,
     /// The scores of every parameter set on the folds.
     pub trials: Vec<Trial<Evaluation>>,
-    /// The data.
+    /// Every pair of models, in the order of the protocol.
+    pub pairs: Vec<PairedModels>,
+    /// The data; if it was read in several portions, the names of the states without their readings.
     pub data: Data,
 }
 
+/// Maximum number of readings that are held at once, 240 MB.
+const READINGS_MAX: usize = 10_000_000;
+
 /// Runs an experiment; `progress` receives the numbers of finished and of all jobs.
 pub fn run(protocol: &Protocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<Comparison, ExperimentError> {
-    let data = Data::read(protocol)?;
+    run_in_portions(protocol, READINGS_MAX, progress)
+}
+
+/// As [`run`], where at most `readings_max` readings are held at once.
+fn run_in_portions(
+    protocol: &Protocol,
+    readings_max: usize,
+    progress: &(impl Fn(u64, u64) + Sync),
+) -> Result<Comparison, ExperimentError> {
+    let data = DataPortions::read(protocol, readings_max)?;
+    if data.len() > 1 && protocol.predictions != Predictions::Off {
+        return Err(ExperimentError::Predictions { max: readings_max });
+    }
     let (models, kind) = (&protocol.models, protocol.kind);
     let folds = protocol.tuning.map(|tuning| tuning::folds(&data, tuning)).transpose()?.unwrap_or_default();
-    let sets: Vec<(usize, usize)> = models.iter().enumerate().flat_map(tuning::sets_of).collect();
-    let total = (sets.len() * folds.len() + models.len() * data.states.len()) as u64;
+    // Without folds each model has a single parameter set.
+    let sets = models.iter().enumerate().flat_map(tuning::sets_of).filter(|_| !folds.is_empty());
+    let sets: Vec<(usize, usize)> = sets.collect();
+    let trials_of_portion = sets.len() * folds.len();
+    let total = (trials_of_portion * data.len() + models.len() * data.all.states.len()) as u64;
     let done = AtomicU64::new(0);
     let step = || progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
 
+    let mut errors = vec![Evaluation::default(); trials_of_portion];
+    for portion in data.portions().take(if folds.is_empty() { 0 } else { usize::MAX }) {
+        let portion = portion?;
+        errors.par_iter_mut().enumerate().try_for_each(|(job, errors)| {
+            let ((model, set), fold) = (sets[job / folds.len()], folds[job % folds.len()]);
+            let entry = &models[model];
+            tuning::add_fold_errors(errors, &portion, (&entry.label, &entry.sets[set]), fold, kind)?;
+            step();
+            Ok::<(), ExperimentError>(())
+        })?;
+    }
+    tuning::check_folds(&folds, &errors)?;
     let trial = |model: usize, set: usize, fold: usize| {
-        let errors = tuning::fold_errors(&data, &models[model].label, &models[model].sets[set], folds[fold], kind);
-        step();
-        errors
+        let place = sets.iter().position(|&known| known == (model, set)).unwrap_or_default();
+        Ok::<Evaluation, ExperimentError>(errors[place * folds.len() + fold])
     };
-    // Without folds each model has a single parameter set.
-    let sets = if folds.is_empty() { Vec::new() } else { sets };
-    let trials = tuning::tune(sets, folds.len(), trial, Evaluation::mse)?;
+    let trials = tuning::tune(sets.clone(), folds.len(), trial, Evaluation::mse)?;
     let models: Vec<(&str, &ParameterSet)> = models
         .iter()
         .enumerate()
         .map(|(index, model)| (model.label.as_str(), &model.sets[tuning::chosen(&trials, index)]))
         .collect();
     let scores = score::score(&data, &models, protocol.refit, kind, &step)?;
+    let days: Vec<&[DayErrors]> = scores.iter().map(|score| score.days.as_slice()).collect();
+    let pairs = paired::all_pairs(&days, protocol.significance);
     let baseline = scores.get(protocol.baseline).map_or_else(Vec::new, |score| score.days.clone());
     let results = models.iter().zip(scores).enumerate().map(|(index, (&(label, set), score))| {
         let difference =
             (index != protocol.baseline).then(|| paired::difference(&score.days, &baseline, protocol.significance));
         ModelResult { label: label.to_owned(), parameters: set.shown().to_owned(), score, difference }
     });
-    Ok(Comparison { models: results.collect(), folds, trials, data })
+    Ok(Comparison { models: results.collect(), folds, trials, pairs, data: data.all })
 }

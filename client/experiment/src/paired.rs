@@ -1,4 +1,4 @@
-//! A paired test of whether one model predicts better than another.
+//! Paired tests of whether one model predicts better than another.
 //!
 //! Errors of readings minutes apart are correlated, so readings are not independent samples; days nearly are. Both
 //! models are scored on the same days, and days are drawn with replacement within each test set: a block bootstrap of
@@ -7,9 +7,13 @@
 //! P. Hall, "On symmetric bootstrap confidence intervals", 1988). A Wilcoxon test would test the median day, but the
 //! reported figure is the mean.
 //!
-//! Invariant: the same days give the same result, independent of other models: the seed is fixed.
+//! Among all pairs of many models some differ by chance; their p-values are also given corrected for the number of
+//! pairs (S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 1979).
+//!
+//! Invariant: the same days give the same difference, independent of other models: the seed is fixed.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use rayon::prelude::*;
 
 use super::score::DayErrors;
 
@@ -38,6 +42,51 @@ pub struct PairedTest {
     pub interval: Option<(f64, f64)>,
     /// The two-sided p-value; not corrected for the number of models compared.
     pub p_value: f64,
+}
+
+/// Two models, and the difference of their errors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairedModels {
+    /// Index of the model.
+    pub model: usize,
+    /// Index of the model it is compared with.
+    pub other: usize,
+    /// The difference, below 0 if the model is better.
+    pub difference: Difference,
+    /// The two-sided p-value, corrected for the number of pairs: the chance that any pair of equal models seems to
+    /// differ this much is at most this. None with too few days.
+    pub corrected_p_value: Option<f64>,
+}
+
+/// Compares every pair of models; all have the same days.
+pub(crate) fn all_pairs(models: &[&[DayErrors]], significance: f64) -> Vec<PairedModels> {
+    let indices = (0..models.len()).flat_map(|model| (model + 1..models.len()).map(move |other| (model, other)));
+    let pair = |(model, other): (usize, usize)| PairedModels {
+        model,
+        other,
+        difference: difference(models[model], models[other], significance),
+        corrected_p_value: None,
+    };
+    let mut pairs: Vec<PairedModels> = indices.collect::<Vec<_>>().into_par_iter().map(pair).collect();
+    let p_values: Option<Vec<f64>> = pairs.iter().map(|pair| Some(pair.difference.test?.p_value)).collect();
+    for (pair, corrected) in pairs.iter_mut().zip(p_values.map(|p_values| holm(&p_values)).unwrap_or_default()) {
+        pair.corrected_p_value = Some(corrected);
+    }
+    pairs
+}
+
+/// p-values corrected for their number.
+fn holm(p_values: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..p_values.len()).collect();
+    order.sort_by(|&a, &b| p_values[a].total_cmp(&p_values[b]));
+    let mut corrected = vec![1.0; p_values.len()];
+    let mut least: f64 = 0.0;
+    for (rank, &index) in order.iter().enumerate() {
+        let remaining = (p_values.len() - rank) as f64;
+        least = least.max((remaining * p_values[index]).min(1.0));
+        corrected[index] = least;
+    }
+    corrected
 }
 
 /// The paired difference of one day.

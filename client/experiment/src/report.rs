@@ -49,6 +49,7 @@ fn row(protocol: &Protocol, model: &ModelResult) -> Vec<Cell> {
 /// Writes the files of an experiment into its folder, which exists.
 pub fn write(protocol: &Protocol, outcome: &Comparison, folder: &Path) -> anyhow::Result<()> {
     file(folder, "results.csv", |writer| summary(protocol, outcome, Format::Csv, writer))?;
+    file(folder, "pairs.csv", |writer| pairs(protocol, outcome, writer))?;
     if !outcome.folds.is_empty() {
         file(folder, "folds.csv", |writer| trials(protocol, outcome, writer))?;
     }
@@ -70,6 +71,33 @@ pub(super) fn file(
         writer.flush()
     };
     written().with_context(|| path.display().to_string())
+}
+
+/// The difference of every pair of models, with its p-value as it is and corrected for the number of pairs (Holm). The
+/// verdict is by the corrected one.
+fn pairs<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
+    let columns = ["model", "other", "difference", "lower", "upper", "p_value", "corrected_p_value", "verdict"];
+    let label = |index: usize| Cell::Text(outcome.models[index].label.clone());
+    let rows = outcome.pairs.iter().map(|pair| {
+        let test = pair.difference.test;
+        let interval = test.and_then(|test| test.interval);
+        let verdict = pair.corrected_p_value.map(|corrected| match pair.difference.mean {
+            _ if corrected > protocol.significance => "no difference",
+            mean if mean < 0.0 => "better",
+            _ => "worse",
+        });
+        vec![
+            label(pair.model),
+            label(pair.other),
+            pair.difference.mean.into(),
+            Cell::maybe(interval.map(|(lower, _)| lower)),
+            Cell::maybe(interval.map(|(_, upper)| upper)),
+            Cell::maybe(test.map(|test| test.p_value)),
+            Cell::maybe(pair.corrected_p_value),
+            verdict.map_or(Cell::Empty, Cell::from),
+        ]
+    });
+    write_rows(Format::Csv, &columns, rows, writer)
 }
 
 /// The error of every parameter set on every fold.

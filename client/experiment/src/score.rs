@@ -3,10 +3,17 @@
 //! Invariant: the model that predicts a reading is trained on neither its test set nor a later one; all models have the
 //! same days in the same order.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 use tidemap_model::{Evaluation, LocalDay, Sample, StateKind};
 
-use super::{ExperimentError, data::Data, parameter_set::ParameterSet, protocol::Refit};
+use super::{
+    ExperimentError,
+    data::{Data, DataPortions},
+    parameter_set::ParameterSet,
+    protocol::Refit,
+};
 
 /// The errors of one local day of a test set, all states together.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,7 +33,7 @@ pub struct TestScore {
     pub sets: Vec<Evaluation>,
     /// Errors of each day, by test set, then by date.
     pub days: Vec<DayErrors>,
-    /// The predictions: by test set, by state, in the order of the readings.
+    /// The predictions: by test set, by state, in the order of the readings; empty if there are several portions.
     pub predictions: Vec<Vec<Vec<f64>>>,
 }
 
@@ -47,27 +54,34 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     values.sum::<f64>() / count
 }
 
-/// Fits each model and predicts all test sets.
+/// Fits each model and predicts all test sets, portion by portion.
 pub(crate) fn score(
-    data: &Data,
+    portions: &DataPortions<'_>,
     models: &[(&str, &ParameterSet)],
     refit: Refit,
     kind: StateKind,
     step: &(impl Fn() + Sync),
 ) -> Result<Vec<TestScore>, ExperimentError> {
-    let jobs: Vec<(usize, usize)> =
-        (0..models.len()).flat_map(|model| (0..data.states.len()).map(move |state| (model, state))).collect();
-    let predictions = jobs
-        .into_par_iter()
-        .map(|(model, state)| {
-            let (label, set) = models[model];
-            let predictions = predict(data, state, set, refit, kind)
-                .map_err(|refused| ExperimentError::fit(label, set, &data.states[state], refused));
-            step();
-            predictions
-        })
-        .collect::<Result<Vec<Vec<Vec<f64>>>, ExperimentError>>()?;
-    Ok(predictions.chunks(data.states.len()).map(|of_model| tally(data, of_model)).collect())
+    let mut tallies: Vec<Tally> = models.iter().map(|_| Tally::new(portions.all.tests.len())).collect();
+    for data in portions.portions() {
+        let data = data?;
+        let jobs: Vec<(usize, usize)> =
+            (0..models.len()).flat_map(|model| (0..data.states.len()).map(move |state| (model, state))).collect();
+        let predictions = jobs
+            .into_par_iter()
+            .map(|(model, state)| {
+                let (label, set) = models[model];
+                let predictions = predict(&data, state, set, refit, kind)
+                    .map_err(|refused| ExperimentError::fit(label, set, &data.states[state], refused));
+                step();
+                predictions
+            })
+            .collect::<Result<Vec<Vec<Vec<f64>>>, ExperimentError>>()?;
+        for (tally, of_model) in tallies.iter_mut().zip(predictions.chunks(data.states.len())) {
+            tally.add(&data, of_model, portions.len() == 1);
+        }
+    }
+    Ok(tallies.into_iter().map(Tally::score).collect())
 }
 
 /// Predictions of one state, by test set.
@@ -92,21 +106,39 @@ fn predict(
     Ok(predictions)
 }
 
-/// Sums the errors of one model; `predictions` are by state, then by test set.
-fn tally(data: &Data, predictions: &[Vec<Vec<f64>>]) -> TestScore {
-    let mut score = TestScore { sets: Vec::new(), days: Vec::new(), predictions: Vec::new() };
-    for (set, test) in data.tests.iter().enumerate() {
-        let mut whole = Evaluation::default();
-        let mut days = std::collections::BTreeMap::<LocalDay, Evaluation>::new();
-        for (samples, predicted) in test.samples.iter().zip(predictions) {
-            for (sample, &predicted) in samples.iter().zip(&predicted[set]) {
-                whole.add(predicted, sample.value);
-                days.entry(sample.local_day()).or_default().add(predicted, sample.value);
+/// The errors of one model so far, by test set.
+#[derive(Debug)]
+struct Tally {
+    sets: Vec<Evaluation>,
+    days: Vec<BTreeMap<LocalDay, Evaluation>>,
+    predictions: Vec<Vec<Vec<f64>>>,
+}
+
+impl Tally {
+    fn new(sets: usize) -> Self {
+        Self { sets: vec![Evaluation::default(); sets], days: vec![BTreeMap::new(); sets], predictions: Vec::new() }
+    }
+
+    /// Adds a portion; `predictions` are by state, then by test set.
+    fn add(&mut self, data: &Data, predictions: &[Vec<Vec<f64>>], keeps_predictions: bool) {
+        for (set, test) in data.tests.iter().enumerate() {
+            for (samples, predicted) in test.samples.iter().zip(predictions) {
+                for (sample, &predicted) in samples.iter().zip(&predicted[set]) {
+                    self.sets[set].add(predicted, sample.value);
+                    self.days[set].entry(sample.local_day()).or_default().add(predicted, sample.value);
+                }
+            }
+            if keeps_predictions {
+                self.predictions.push(predictions.iter().map(|of_state| of_state[set].clone()).collect());
             }
         }
-        score.sets.push(whole);
-        score.days.extend(days.into_iter().map(|(day, errors)| DayErrors { set, day, errors }));
-        score.predictions.push(predictions.iter().map(|of_state| of_state[set].clone()).collect());
     }
-    score
+
+    fn score(self) -> TestScore {
+        let of_set = |(set, days): (usize, BTreeMap<LocalDay, Evaluation>)| {
+            days.into_iter().map(move |(day, errors)| DayErrors { set, day, errors })
+        };
+        let days = self.days.into_iter().enumerate().flat_map(of_set).collect();
+        TestScore { sets: self.sets, days, predictions: self.predictions }
+    }
 }

@@ -162,6 +162,61 @@ fn states_are_learned_apart_and_scored_together() {
 }
 
 #[test]
+fn portions_of_states_give_the_results_of_the_whole() {
+    let folder = folder();
+    let states = |text: String| {
+        let mut rows = text.clone();
+        for (from, to) in [(",door,0", ",lamp,1"), (",door,1", ",gate,0"), (",door,0", ",late,0")] {
+            rows.extend(
+                text.lines().filter(|row| row.ends_with(from)).map(|row| format!("{}\n", row.replace(from, to))),
+            );
+        }
+        rows
+    };
+    for (name, first_day, days) in [("train.csv", 0, 28), ("one.csv", 28, 7), ("two.csv", 35, 7)] {
+        fs::write(folder.path().join(name), states(recording(first_day, days, 0))).unwrap();
+    }
+    for refit in ["never", "each"] {
+        let text = format!("{}predictions: off\n", PROTOCOL.replace("REFIT", refit));
+        let protocol = protocol(folder.path(), &text);
+        let whole = run(&protocol, &|_, _| ()).unwrap();
+        for readings_max in [1, 5_000, 9_000] {
+            let parts = run_in_portions(&protocol, readings_max, &|done, total| assert!(done <= total)).unwrap();
+            assert_eq!(parts.data.states, ["door", "lamp", "gate", "late"]);
+            assert!(parts.data.train.iter().all(Vec::is_empty));
+            assert_eq!(tuned(&parts), tuned(&whole), "{readings_max}");
+            assert_eq!(parts.pairs, whole.pairs);
+            for (one, other) in parts.models.iter().zip(&whole.models) {
+                assert_eq!((&one.score.sets, &one.score.days), (&other.score.sets, &other.score.days));
+                assert_eq!(one.difference, other.difference);
+            }
+        }
+        let with_predictions = Protocol { predictions: Predictions::All, ..protocol };
+        let refused = run_in_portions(&with_predictions, 9_000, &|_, _| ()).unwrap_err().to_string();
+        assert!(refused.contains("write predictions: off"), "{refused}");
+    }
+}
+
+#[test]
+fn every_pair_of_models_is_compared() {
+    let folder = folder();
+    let outcome = ran(folder.path(), &PROTOCOL.replace("REFIT", "never"));
+    assert_eq!(
+        outcome.pairs.iter().map(|pair| (pair.model, pair.other)).collect::<Vec<_>>(),
+        [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    );
+    for pair in &outcome.pairs {
+        let mean = outcome.models[pair.model].score.mse() - outcome.models[pair.other].score.mse();
+        assert!((pair.difference.mean - mean).abs() < 1e-12);
+        assert!(pair.corrected_p_value.unwrap() >= pair.difference.test.unwrap().p_value);
+    }
+    // The baseline is the first model: the same test, the other way round.
+    let (pair, own) = (outcome.pairs[1].difference, outcome.models[2].difference.unwrap());
+    assert_eq!(pair.test.unwrap().p_value, own.test.unwrap().p_value);
+    assert!((pair.mean + own.mean).abs() < 1e-12);
+}
+
+#[test]
 fn wrong_data_is_named_with_its_place() {
     let folder = folder();
     let text = PROTOCOL.replace("REFIT", "each");
@@ -233,10 +288,12 @@ fn the_same_protocol_writes_the_same_files() {
         let mut stdout = Vec::new();
         summary(&protocol, &outcome, Format::Csv, &mut stdout).unwrap();
         assert_eq!(read("results.csv").as_bytes(), stdout);
-        ["results.csv", "folds.csv", "predictions.csv", "comparison.svg"].map(read)
+        ["results.csv", "pairs.csv", "folds.csv", "predictions.csv", "comparison.svg"].map(read)
     };
-    let [results, folds, predictions, picture] = written("first");
-    assert_eq!([&results, &folds, &predictions, &picture], written("second").each_ref());
+    let [results, pairs, folds, predictions, picture] = written("first");
+    assert_eq!([&results, &pairs, &folds, &predictions, &picture], written("second").each_ref());
+    assert!(pairs.starts_with("model,other,difference,lower,upper,p_value,corrected_p_value,verdict\nmean,latest,"));
+    assert_eq!(pairs.lines().count(), 1 + 6);
     let header = "model,parameters,mse,error_rate,mse_one,mse_two,difference,lower,upper,p_value,verdict\nmean,,";
     assert!(results.starts_with(header), "{results}");
     assert_eq!(results.lines().count(), 5);

@@ -11,7 +11,7 @@ use tidemap_model::{Evaluation, Sample, StateKind};
 
 use super::{
     ExperimentError,
-    data::Data,
+    data::{Data, DataPortions},
     parameter_set::ParameterSet,
     protocol::{ModelEntry, Tuning},
 };
@@ -75,10 +75,8 @@ pub(crate) fn sets_of((model, entry): (usize, &ModelEntry)) -> impl Iterator<Ite
 }
 
 /// The folds, the last of which ends with the training data.
-pub(crate) fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, ExperimentError> {
-    let Some((first, last)) = data.train_extent() else {
-        return Err(ExperimentError::Folds("there is none".to_owned()));
-    };
+pub(crate) fn folds(data: &DataPortions<'_>, tuning: Tuning) -> Result<Vec<Fold>, ExperimentError> {
+    let (first, last) = data.train_extent;
     let starts_before = |folds_behind: usize| {
         let behind = i64::try_from(folds_behind).ok().and_then(|count| tuning.fold_nanos.checked_mul(count));
         behind.and_then(|behind| last.checked_sub(behind)).unwrap_or(i64::MIN)
@@ -96,9 +94,13 @@ pub(crate) fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, Experiment
             format_rfc3339(last)
         )));
     }
-    for (number, fold) in (1..).zip(&folds) {
-        if !data.train.iter().any(|samples| !split(samples, *fold).1.is_empty() && !split(samples, *fold).0.is_empty())
-        {
+    Ok(folds)
+}
+
+/// Checks that each fold had readings; `errors` are those of one parameter set.
+pub(crate) fn check_folds(folds: &[Fold], errors: &[Evaluation]) -> Result<(), ExperimentError> {
+    for (number, (fold, errors)) in (1..).zip(folds.iter().zip(errors)) {
+        if errors.observations == 0 {
             return Err(ExperimentError::Folds(format!(
                 "fold {number}, from {} to {}, has no readings of a state with earlier readings: use longer folds, or fewer",
                 format_rfc3339(fold.from_nanos),
@@ -106,7 +108,7 @@ pub(crate) fn folds(data: &Data, tuning: Tuning) -> Result<Vec<Fold>, Experiment
             )));
         }
     }
-    Ok(folds)
+    Ok(())
 }
 
 /// The training data of a fold, and the readings to predict.
@@ -116,15 +118,15 @@ fn split(samples: &[Sample], fold: Fold) -> (&[Sample], &[Sample]) {
     (&samples[..from], &samples[from..until])
 }
 
-/// The errors of one parameter set on one fold, all states together. States without training data are left out.
-pub(crate) fn fold_errors(
+/// Adds the errors of one parameter set on one fold, all states of a portion together. States without training data are
+/// left out.
+pub(crate) fn add_fold_errors(
+    errors: &mut Evaluation,
     data: &Data,
-    label: &str,
-    set: &ParameterSet,
+    (label, set): (&str, &ParameterSet),
     fold: Fold,
     kind: StateKind,
-) -> Result<Evaluation, ExperimentError> {
-    let mut errors = Evaluation::default();
+) -> Result<(), ExperimentError> {
     for (state, samples) in data.states.iter().zip(&data.train) {
         let (train, test) = split(samples, fold);
         if train.is_empty() || test.is_empty() {
@@ -135,5 +137,5 @@ pub(crate) fn fold_errors(
             errors.add(model.predict(sample.moment()), sample.value);
         }
     }
-    Ok(errors)
+    Ok(())
 }

@@ -113,3 +113,10 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn p_values_are_corrected_for_their_number() {
+    assert_eq!(holm(&[0.04, 0.01, 0.5, 0.02]), [0.08, 0.04, 0.5, 0.06]);
+    assert_eq!(holm(&[0.6, 0.7]), [1.0, 1.0]);
+    assert_eq!(holm(&[]), [0.0; 0]);
+}
