@@ -5,6 +5,7 @@
 
 use std::{
     fmt,
+    net::IpAddr,
     sync::{Arc, Mutex, PoisonError},
     time::Duration,
 };
@@ -13,10 +14,10 @@ use tonic::{
     Status,
     metadata::{Ascii, MetadataValue},
     service::{Interceptor, interceptor::InterceptedService},
-    transport::{Channel, Endpoint},
+    transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity},
 };
 
-use crate::error::Error;
+use crate::error::{Error, root_cause};
 
 /// Streams that share a connection.
 const STREAMS_PER_CONNECTION: usize = 32;
@@ -50,6 +51,56 @@ impl Interceptor for Bearer {
     }
 }
 
+/// What a client and a daemon prove to each other. Its `Debug` shows no secret.
+#[derive(Clone, Default)]
+pub struct Credentials {
+    /// The token that says what the client may do.
+    pub token: Option<String>,
+    /// Certificates of the authorities that the daemon's certificate may come from, in PEM form. `https://` needs them.
+    pub ca: Option<Vec<u8>>,
+    /// The client's certificate and its private key, in PEM form, for a daemon that asks for one.
+    pub identity: Option<(Vec<u8>, Vec<u8>)>,
+}
+
+impl fmt::Debug for Credentials {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shown = |is_there: bool| if is_there { "[redacted]" } else { "none" };
+        f.debug_struct("Credentials")
+            .field("token", &shown(self.token.is_some()))
+            .field("ca", &self.ca.is_some())
+            .field("identity", &shown(self.identity.is_some()))
+            .finish()
+    }
+}
+
+impl Credentials {
+    fn tls(&self, is_tls: bool) -> Result<Option<ClientTlsConfig>, Error> {
+        let wrong = |text: &str| Err(Error::Tls(text.to_owned()));
+        match (&self.ca, &self.identity) {
+            (None, None) if !is_tls => Ok(None),
+            _ if !is_tls => wrong("certificates are of use only with an address that begins with https://"),
+            (None, _) => {
+                wrong("an address with https:// needs the certificate of the authority that signed the daemon's")
+            }
+            (Some(ca), identity) => {
+                let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(ca)).timeout(CONNECT_TIMEOUT);
+                Ok(Some(match identity {
+                    Some((certificate, key)) => tls.identity(Identity::from_pem(certificate, key)),
+                    None => tls,
+                }))
+            }
+        }
+    }
+}
+
+/// Whether an address leaves this machine: then a token on it needs TLS.
+fn is_of_this_machine(server: &str) -> bool {
+    let Some(authority) = server.strip_prefix("http://") else { return server.starts_with("unix:") };
+    let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+}
+
 /// A client of a daemon. Cheap to clone; clones share connections.
 #[derive(Clone, Debug)]
 pub struct Client {
@@ -69,23 +120,40 @@ struct Inner {
 
 impl Client {
     /// A client of the daemon at `url`, which is `HOST:PORT`, `http://HOST:PORT`, or `unix:PATH` for a Unix socket of
-    /// this machine. Connections are opened when needed,
-    /// and reopened after they break.
+    /// this machine. Connections are opened when needed, and reopened after they break.
     ///
     /// # Errors
     /// [`Error::Address`].
     pub fn new(url: &str) -> Result<Self, Error> {
-        Self::with_bearer(url, Bearer(None))
+        Self::with_credentials(url, &Credentials::default())
     }
 
     /// As [`Client::new`], with a token that is sent with each request.
     ///
     /// # Errors
-    /// [`Error::Address`], [`Error::Token`].
+    /// [`Error::Address`], [`Error::Token`], [`Error::TokenInClear`].
     pub fn with_token(url: &str, token: &str) -> Result<Self, Error> {
-        let mut value: MetadataValue<Ascii> = format!("Bearer {token}").parse().map_err(|_| Error::Token)?;
-        value.set_sensitive(true);
-        Self::with_bearer(url, Bearer(Some(value)))
+        Self::with_credentials(url, &Credentials { token: Some(token.to_owned()), ..Credentials::default() })
+    }
+
+    /// As [`Client::new`], also for `https://HOST:PORT`, with what the two sides prove to each other.
+    ///
+    /// # Errors
+    /// [`Error::Address`], [`Error::Token`], [`Error::TokenInClear`], [`Error::Tls`].
+    pub fn with_credentials(url: &str, credentials: &Credentials) -> Result<Self, Error> {
+        let server = normalised(url)?;
+        let is_tls = server.starts_with("https:");
+        let bearer = match &credentials.token {
+            None => Bearer(None),
+            Some(_) if !is_tls && !is_of_this_machine(&server) => return Err(Error::TokenInClear { server }),
+            Some(token) => {
+                let mut value: MetadataValue<Ascii> = format!("Bearer {token}").parse().map_err(|_| Error::Token)?;
+                value.set_sensitive(true);
+                Bearer(Some(value))
+            }
+        };
+        let tls = credentials.tls(is_tls)?;
+        Self::with_bearer(server, tls, bearer)
     }
 
     /// As [`Client::new`], and checks that a daemon is listening.
@@ -100,15 +168,17 @@ impl Client {
         }
     }
 
-    fn with_bearer(url: &str, bearer: Bearer) -> Result<Self, Error> {
-        let server = normalised(url)?;
-        let endpoint = Endpoint::from_shared(server.clone())
-            .map_err(|_| Error::Address { url: url.to_owned(), hint: "" })?
+    fn with_bearer(server: String, tls: Option<ClientTlsConfig>, bearer: Bearer) -> Result<Self, Error> {
+        let mut endpoint = Endpoint::from_shared(server.clone())
+            .map_err(|_| Error::Address { url: server.clone(), hint: "" })?
             .connect_timeout(CONNECT_TIMEOUT)
             .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
             .keep_alive_timeout(KEEPALIVE_TIMEOUT)
             .keep_alive_while_idle(true)
             .tcp_nodelay(true);
+        if let Some(tls) = tls {
+            endpoint = endpoint.tls_config(tls).map_err(|error| Error::Tls(root_cause(&error)))?;
+        }
         let requests = InterceptedService::new(endpoint.connect_lazy(), bearer.clone());
         let inner = Inner { server, endpoint, bearer, requests, streams: Mutex::new(Vec::new()) };
         Ok(Self { inner: Arc::new(inner) })
@@ -174,18 +244,17 @@ fn normalised(url: &str) -> Result<String, Error> {
         return if is_path { Ok(url.to_owned()) } else { Err(Error::Address { url: url.to_owned(), hint }) };
     }
     let wrong = |hint| Error::Address { url: url.to_owned(), hint };
-    let with_scheme = match url.split_once("://") {
-        Some(("http", _)) => url.to_owned(),
-        Some(("https", _)) => return Err(wrong("; https is not in this version")),
+    let (scheme, authority) = match url.split_once("://") {
+        Some((scheme @ ("http" | "https"), rest)) => (scheme, rest),
         Some(_) => return Err(wrong("")),
-        None => format!("http://{url}"),
+        None => ("http", url),
     };
-    let authority = with_scheme["http://".len()..].trim_end_matches('/');
+    let authority = authority.trim_end_matches('/');
     let port =
         authority.rsplit_once(':').and_then(|(host, port)| port.parse::<u16>().ok().filter(|_| !host.is_empty()));
     match port {
         Some(0) | None => Err(wrong("; the port is missing or not a number from 1 to 65535")),
-        Some(_) => Ok(format!("http://{authority}")),
+        Some(_) => Ok(format!("{scheme}://{authority}")),
     }
 }
 
@@ -199,12 +268,13 @@ mod tests {
             ("127.0.0.1:7435", "http://127.0.0.1:7435"),
             ("http://robot.local:1/", "http://robot.local:1"),
             ("[::1]:7435", "http://[::1]:7435"),
+            ("https://localhost:7435/", "https://localhost:7435"),
             ("unix:/run/tidemapd/socket", "unix:/run/tidemapd/socket"),
         ] {
             assert_eq!(normalised(url), Ok(server.to_owned()));
         }
         for url in
-            ["", "localhost", "localhost:http", ":7435", "localhost:0", "https://localhost:7435", "ftp://a:1", "unix:"]
+            ["", "localhost", "localhost:http", ":7435", "localhost:0", "https://localhost", "ftp://a:1", "unix:"]
         {
             assert!(matches!(normalised(url), Err(Error::Address { .. })), "{url}");
         }
@@ -220,8 +290,30 @@ mod tests {
         Ok(())
     }
 
+    #[tokio::test]
+    async fn a_token_leaves_this_machine_only_with_tls() {
+        for server in ["http://127.0.0.1:1", "[::1]:1", "localhost:1", "unix:/run/socket"] {
+            assert!(Client::with_token(server, "tm").is_ok(), "{server}");
+        }
+        for server in ["http://10.0.0.1:1", "robot.local:1", "127.0.0.1.example.org:1"] {
+            let refused = Client::with_token(server, "tm");
+            assert!(matches!(refused, Err(Error::TokenInClear { .. })), "{server}");
+        }
+    }
+
+    #[tokio::test]
+    async fn tls_needs_an_authority_and_certificates_need_tls() {
+        assert!(matches!(Client::new("https://localhost:1"), Err(Error::Tls(_))));
+        let credentials = Credentials { ca: Some(b"no certificate".to_vec()), ..Credentials::default() };
+        assert!(matches!(Client::with_credentials("http://localhost:1", &credentials), Err(Error::Tls(_))));
+        assert!(matches!(Client::with_credentials("https://localhost:1", &credentials), Err(Error::Tls(_))));
+    }
+
     #[test]
-    fn a_token_is_not_shown() {
+    fn secrets_are_not_shown() {
         assert!(!format!("{:?}", Bearer("Bearer secret".parse().ok())).contains("secret"));
+        let identity = Some((b"chain".to_vec(), b"secret".to_vec()));
+        let shown = format!("{:?}", Credentials { token: Some("secret".to_owned()), ca: None, identity });
+        assert!(!shown.contains("secret") && !shown.contains("115"), "{shown}");
     }
 }

@@ -12,10 +12,14 @@ use tonic_types::StatusExt as _;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages say what the variants and fields are")]
 pub enum Error {
-    #[error("{url:?} is not an address of a daemon: use HOST:PORT or http://HOST:PORT{hint}")]
+    #[error("{url:?} is not an address of a daemon: use HOST:PORT, http://HOST:PORT or https://HOST:PORT{hint}")]
     Address { url: String, hint: &'static str },
     #[error("the token holds characters that cannot be sent: use printable ASCII on one line")]
     Token,
+    #[error("a token is not sent to {server} without TLS, because others could read it: use an https:// address")]
+    TokenInClear { server: String },
+    #[error("TLS: {0}")]
+    Tls(String),
     #[error("no daemon answers at {server}: {detail}")]
     Unreachable { server: String, detail: String },
     /// The daemon refused the request, or failed.
@@ -70,7 +74,7 @@ impl Error {
         match self {
             Self::Unreachable { .. } => true,
             Self::Server(error) => error.is_transient(),
-            Self::Address { .. } | Self::Token | Self::Protocol(_) => false,
+            Self::Address { .. } | Self::Token | Self::TokenInClear { .. } | Self::Tls(_) | Self::Protocol(_) => false,
         }
     }
 
@@ -110,15 +114,19 @@ impl ServerError {
 
 /// The innermost cause, if this side made the status because the connection failed.
 fn transport_cause(status: &Status) -> Option<String> {
-    let mut cause: &(dyn StdError + 'static) = status.source()?;
+    status.source().map(root_cause)
+}
+
+/// The text of the innermost cause.
+pub(crate) fn root_cause(error: &(dyn StdError + 'static)) -> String {
+    let mut cause = error;
     while let Some(inner) = cause.source() {
         cause = inner;
     }
-    let detail = match cause.downcast_ref::<io::Error>() {
+    match cause.downcast_ref::<io::Error>() {
         Some(error) if error.kind() == io::ErrorKind::ConnectionRefused => "connection refused".to_owned(),
         _ => cause.to_string(),
-    };
-    Some(detail)
+    }
 }
 
 #[cfg(test)]

@@ -15,6 +15,8 @@ use figment::{
 };
 use serde::{Deserialize, Serialize};
 
+use crate::connections::tls::TlsFiles;
+
 /// tidemapd, the map service that learns when things change.
 ///
 /// Every option is also a key of the config file and an environment variable: --data-dir, data_dir, TIDEMAP_DATA_DIR.
@@ -119,6 +121,14 @@ settings! {
     socket_mode: u32 = 0o600, 0, 0o777;
     /// Listen on other addresses than this machine's, without encryption and authentication.
     allow_insecure_remote: bool = false;
+    /// The certificate of the gRPC port in PEM form, with those of the authorities between it and the root; empty: the
+    /// port speaks no TLS. It is read again when it changes.
+    tls_certificate: PathBuf = PathBuf::new();
+    /// The private key of the certificate, in PEM form, without a password.
+    tls_key: PathBuf = PathBuf::new();
+    /// Authorities of clients, in PEM form. If named, each client of the gRPC port must present a certificate of one of
+    /// them.
+    tls_client_ca: PathBuf = PathBuf::new();
     /// Format of the log.
     log_format: LogFormat = LogFormat::Text;
     /// Filter of the log.
@@ -233,8 +243,33 @@ impl Settings {
         Ok(settings)
     }
 
+    /// The files of TLS, if it is configured.
+    pub(crate) fn tls_files(&self) -> Option<TlsFiles> {
+        let named = |path: &PathBuf| Some(path.clone()).filter(|path| !path.as_os_str().is_empty());
+        Some(TlsFiles {
+            certificate: named(&self.tls_certificate)?,
+            key: named(&self.tls_key)?,
+            client_ca: named(&self.tls_client_ca),
+        })
+    }
+
+    fn check_tls(&self) -> anyhow::Result<()> {
+        let is_empty = |path: &PathBuf| path.as_os_str().is_empty();
+        for (set, key, other, missing) in [
+            (&self.tls_certificate, "tls_certificate", &self.tls_key, "tls_key"),
+            (&self.tls_key, "tls_key", &self.tls_certificate, "tls_certificate"),
+            (&self.tls_client_ca, "tls_client_ca", &self.tls_certificate, "tls_certificate"),
+        ] {
+            if !is_empty(set) && is_empty(other) {
+                bail!("setting {key} is {:?}, and {missing} is not set: TLS needs both", set.display().to_string());
+            }
+        }
+        Ok(())
+    }
+
     fn check(&self) -> anyhow::Result<()> {
         self.check_ranges()?;
+        self.check_tls()?;
         check_range("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30)?;
         for (key, address) in [("listen", &self.listen), ("http_listen", &self.http_listen)] {
             let local = match address.parse::<SocketAddr>() {

@@ -22,6 +22,7 @@ pub(crate) mod request_scan;
 pub(crate) mod socket;
 #[cfg(test)]
 mod tests;
+pub(crate) mod tls;
 
 /// A connection must make its first request within this time.
 const REQUEST_WITHIN: Duration = Duration::from_secs(5);

@@ -27,10 +27,12 @@ use crate::{
         accept::{Acceptor, HttpListener},
         request_scan::Protocol,
         socket::listen_unix,
+        tls::{Tls, TlsFiles},
     },
     http,
     ingest::writer::Context,
     jobs::Jobs,
+    reload::Followed,
     rpc, telemetry,
 };
 
@@ -53,6 +55,8 @@ pub(crate) enum DaemonError {
     Locked(String),
     #[error("{0}")]
     Data(String),
+    #[error("{0}")]
+    Settings(String),
     #[error("cannot listen on {address}: {source}")]
     Listen { address: String, source: std::io::Error },
     #[error("storage failed, and nothing after the last acknowledgement was kept: {0}")]
@@ -69,6 +73,7 @@ impl DaemonError {
             Self::Data(_) => 65,
             Self::Listen { .. } => 69,
             Self::Storage(_) => 74,
+            Self::Settings(_) => 78,
             Self::Other(_) => 70,
         }
     }
@@ -97,6 +102,17 @@ fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonE
         OpenError::Locked { .. } => DaemonError::Locked(error.to_string()),
         _ => DaemonError::Data(error.to_string()),
     })
+}
+
+/// The files of TLS, followed from before they are read, and the TLS of both ports, if it is configured.
+fn load_tls(settings: &Settings) -> Result<(Followed, Option<Tls>, Option<Tls>), DaemonError> {
+    let files = settings.tls_files();
+    let followed = Followed::new("certificates", files.as_ref().map_or_else(Vec::new, TlsFiles::paths));
+    let load = |protocol| {
+        let tls = files.clone().map(|files| Tls::new(files, protocol)).transpose();
+        tls.map_err(|error| DaemonError::Settings(error.to_string()))
+    };
+    Ok((followed, load(Protocol::Http2)?, load(Protocol::Http1)?))
 }
 
 /// Takes the permissions of other users on the data folder away, which an earlier version or a copy may have given.
@@ -131,6 +147,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     // Whatever the daemon was started with: what robots saw is nobody else's business.
     umask(Mode::RWXG | Mode::RWXO);
     let metrics = telemetry::start_metrics()?;
+    let (followed, grpc_tls, http_tls) = load_tls(&settings)?;
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
     let for_store = settings.clone();
@@ -186,7 +203,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let for_grpc = (Arc::clone(&catalog), settings.clone(), stopping.clone());
     let (grpc_acceptor, grpc_connections) =
         Acceptor::new(Connections::new(connection_limits(&settings)), Protocol::Http2);
-    grpc_acceptor.listen_tcp(grpc);
+    grpc_acceptor.listen_tcp(grpc, grpc_tls.clone());
     if !settings.socket.as_os_str().is_empty() {
         let socket = listen_unix(&settings.socket, settings.socket_mode);
         let address = || settings.socket.display().to_string();
@@ -199,9 +216,13 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     });
     let http_stop = wait();
     let (http_acceptor, accepted) = Acceptor::new(Connections::new(HTTP_CONNECTIONS), Protocol::Http1);
-    http_acceptor.listen_tcp(http);
+    http_acceptor.listen_tcp(http, http_tls.clone().filter(|_| !http_address.ip().is_loopback()));
     let http = HttpListener { address: http_address, accepted };
     let mut http_task = tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, stopping, http_stop));
+    let tls: Vec<Tls> = grpc_tls.into_iter().chain(http_tls).collect();
+    if !tls.is_empty() {
+        tokio::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));
+    }
     println!("listening grpc={grpc_address} http={http_address}");
     // A closed stdout is no reason to stop.
     let _ = std::io::stdout().flush();

@@ -16,6 +16,7 @@ mod index_print;
 mod ingest;
 mod jobs;
 mod model_cache;
+mod reload;
 mod rpc;
 mod state_or_cell;
 mod statistics;

@@ -11,6 +11,7 @@ mod lifecycle;
 mod random_operations;
 mod routes;
 mod search;
+mod security;
 mod tidy;
 mod traversals;
 mod vectors;

@@ -6,6 +6,7 @@
 
 pub mod answers;
 pub mod binaries;
+pub mod certificates;
 pub mod cli;
 pub mod daemon;
 pub mod disk;

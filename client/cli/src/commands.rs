@@ -43,7 +43,7 @@ use std::{
 
 use anyhow::Context as _;
 use clap::{Parser, Subcommand};
-use tidemap_client::Client;
+use tidemap_client::{Client, connection::Credentials};
 
 use crate::{
     demo,
@@ -71,12 +71,21 @@ fn usage(text: impl Into<String>) -> anyhow::Error {
 #[derive(Debug, Parser)]
 #[command(name = "tidemap", version, max_term_width = 110, arg_required_else_help = true)]
 pub(crate) struct CommandLine {
-    /// Address of the daemon, HOST:PORT, http://HOST:PORT or unix:PATH
+    /// Address of the daemon, HOST:PORT, http://HOST:PORT, https://HOST:PORT or unix:PATH
     #[arg(long, global = true, help_heading = GLOBAL, display_order = 100, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
     server: String,
     /// File that holds the token to present to the daemon
-    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, value_name = "FILE")]
+    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, env = "TIDEMAP_TOKEN_FILE", value_name = "FILE")]
     token_file: Option<PathBuf>,
+    /// Certificates of the authorities that the daemon's certificate may come from (PEM); https:// needs them
+    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, env = "TIDEMAP_TLS_CA", value_name = "FILE")]
+    tls_ca: Option<PathBuf>,
+    /// Certificate of this client (PEM), for a daemon that asks for one
+    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, env = "TIDEMAP_TLS_CERT", value_name = "FILE", requires = "tls_key")]
+    tls_cert: Option<PathBuf>,
+    /// Private key of --tls-cert (PEM)
+    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, env = "TIDEMAP_TLS_KEY", value_name = "FILE", requires = "tls_cert")]
+    tls_key: Option<PathBuf>,
     /// Format of the results [default: table on a terminal, csv otherwise]
     #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, value_name = "FORMAT", value_parser = format_parser())]
     output: Option<Format>,
@@ -225,6 +234,23 @@ impl Session {
     }
 }
 
+/// What the command line says that the client proves, and asks of the daemon.
+fn credentials(line: &CommandLine) -> anyhow::Result<Credentials> {
+    let read = |what: &str, path: &Option<PathBuf>| {
+        let bytes = path.as_ref().map(|path| fs::read(path).with_context(|| format!("{what} {}", path.display())));
+        bytes.transpose()
+    };
+    let token = match read("token file", &line.token_file)? {
+        // The bytes are not shown, even if they are no text.
+        Some(bytes) => {
+            Some(String::from_utf8(bytes).map_err(|_| usage("the token file holds no text"))?.trim().to_owned())
+        }
+        None => None,
+    };
+    let identity = read("certificate", &line.tls_cert)?.zip(read("key", &line.tls_key)?);
+    Ok(Credentials { token, ca: read("certificates", &line.tls_ca)?, identity })
+}
+
 /// Runs a command.
 pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
@@ -233,13 +259,7 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     if let Command::Experiment(args) = line.command {
         return experiment::run(args, line.output.unwrap_or_else(default_format));
     }
-    let client = match &line.token_file {
-        Some(path) => {
-            let text = fs::read_to_string(path).with_context(|| format!("token file {}", path.display()))?;
-            Client::with_token(&line.server, text.trim())
-        }
-        None => Client::new(&line.server),
-    };
+    let client = Client::with_credentials(&line.server, &credentials(&line)?);
     let client = client.map_err(|error| UsageError(error.to_string()))?;
     let session = Session { client, format: line.output.unwrap_or_else(default_format) };
     match line.command {

@@ -15,7 +15,7 @@ use tokio::{
 };
 use tracing::{debug, error};
 
-use super::{Connections, Peer, Place, guard::GuardedConnection, request_scan::Protocol, socket::Socket};
+use super::{Connections, Peer, Place, guard::GuardedConnection, request_scan::Protocol, socket::Socket, tls::Tls};
 
 /// A connection as a server gets it.
 pub(crate) type Accepted = GuardedConnection<Socket>;
@@ -42,8 +42,8 @@ impl Acceptor {
         (Self { connections, protocol, accepted }, receiver)
     }
 
-    /// Accepts TCP connections.
-    pub(crate) fn listen_tcp(&self, listener: TcpListener) {
+    /// Accepts TCP connections, with TLS if there is one.
+    pub(crate) fn listen_tcp(&self, listener: TcpListener, tls: Option<Tls>) {
         let (connections, protocol, accepted) = self.parts();
         tokio::spawn(async move {
             let mut failures = Failures::default();
@@ -57,7 +57,11 @@ impl Acceptor {
                         // Replies are small and must not wait for each other.
                         let _ = socket.set_nodelay(true);
                         let place = connections.admit(Peer::Address(address.ip().to_canonical()));
-                        hand_over(place, Socket::Tcp(socket), protocol, &accepted).await;
+                        let socket = match &tls {
+                            Some(tls) => Socket::Tls(Box::new(tls.accept(socket))),
+                            None => Socket::Tcp(socket),
+                        };
+                        hand_over(place, socket, protocol, &accepted).await;
                     }
                     Err(error) => failures.pause(&error, &connections).await,
                 }

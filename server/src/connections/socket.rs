@@ -1,4 +1,4 @@
-//! Sockets that clients connect to: TCP, and a Unix socket for processes of the same machine.
+//! Sockets that clients connect to: TCP, with or without TLS, and a Unix socket for processes of the same machine.
 //!
 //! Invariant: a Unix socket that another daemon listens on is never taken away from it.
 
@@ -15,11 +15,15 @@ use tokio::{
     net::{TcpStream, UnixListener, UnixStream},
 };
 
-/// A connection of either kind.
+use super::tls::TlsSocket;
+
+/// A connection of one of the kinds.
 #[derive(Debug)]
 pub(crate) enum Socket {
     /// Over TCP.
     Tcp(TcpStream),
+    /// With TLS over TCP.
+    Tls(Box<TlsSocket>),
     /// Over the Unix socket.
     Unix(UnixStream),
 }
@@ -50,6 +54,7 @@ macro_rules! to_socket {
     ($self:ident, $socket:ident => $call:expr) => {
         match $self.get_mut() {
             Socket::Tcp($socket) => $call,
+            Socket::Tls($socket) => $call,
             Socket::Unix($socket) => $call,
         }
     };
@@ -77,6 +82,7 @@ impl AsyncWrite for Socket {
     fn is_write_vectored(&self) -> bool {
         match self {
             Self::Tcp(socket) => socket.is_write_vectored(),
+            Self::Tls(socket) => socket.is_write_vectored(),
             Self::Unix(socket) => socket.is_write_vectored(),
         }
     }

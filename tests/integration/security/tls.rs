@@ -1,0 +1,186 @@
+//! TLS: who is let in, and a certificate that changes while the daemon serves.
+
+use std::{
+    fs,
+    io::Read as _,
+    net::TcpStream,
+    path::Path,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use rustix::process::Signal;
+use tempfile::tempdir;
+use tidemap_client::Error;
+use tidemap_tests::{
+    certificates::{Authority, Pair, Validity, private_file},
+    cli,
+    daemon::{Daemon, Launch},
+};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio_rustls::{
+    TlsConnector,
+    rustls::{
+        ClientConfig, RootCertStore, SupportedProtocolVersion,
+        crypto::ring,
+        pki_types::{CertificateDer, ServerName, pem::PemObject as _},
+        version,
+    },
+};
+
+use super::eventually;
+
+/// A daemon with this certificate; data and certificates are in the folder.
+fn launch(folder: &Path, pair: &Pair) -> Launch {
+    let [certificate, key] = pair.write(folder);
+    let launch = Launch::on(&folder.join("data"));
+    launch.setting("tls_certificate", certificate.display()).setting("tls_key", key.display())
+}
+
+/// A TLS connection of this version, or why there is none.
+async fn connect(
+    address: &str,
+    authority: &Authority,
+    version: &'static SupportedProtocolVersion,
+) -> std::io::Result<tokio_rustls::client::TlsStream<tokio::net::TcpStream>> {
+    let mut roots = RootCertStore::empty();
+    roots.add(CertificateDer::from_pem_slice(authority.pem().as_bytes()).expect("PEM")).expect("a certificate");
+    let builder = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()));
+    let builder = builder.with_protocol_versions(&[version]).expect("a version");
+    let mut config = builder.with_root_certificates(roots).with_no_client_auth();
+    config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
+    let socket = tokio::net::TcpStream::connect(address).await?;
+    let name = ServerName::try_from("localhost").expect("a name");
+    TlsConnector::from(Arc::new(config)).connect(name, socket).await
+}
+
+/// The metrics, which are served in clear on loopback.
+fn metrics(daemon: &Daemon) -> String {
+    let mut socket = TcpStream::connect(&daemon.http).expect("the port is open");
+    std::io::Write::write_all(&mut socket, b"GET /metrics HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n")
+        .expect("a request");
+    let mut text = String::new();
+    socket.read_to_string(&mut text).expect("an answer");
+    text
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_port_with_tls_serves_those_who_trust_it_and_nobody_in_clear() {
+    let work = tempdir().expect("a folder");
+    let (authority, other) = (Authority::new("ours"), Authority::new("theirs"));
+    let daemon = launch(work.path(), &authority.sign(Validity::Years)).start();
+    authority.client(&daemon, None, None).maps().await.expect("served");
+    for (what, refused) in [("in clear", daemon.client()), ("other authority", other.client(&daemon, None, None))] {
+        let error = refused.maps().await.expect_err(what);
+        assert!(matches!(error, Error::Unreachable { .. }), "{what}: {error}");
+    }
+    connect(&daemon.grpc, &authority, &version::TLS13).await.expect("TLS 1.3");
+    connect(&daemon.grpc, &authority, &version::TLS12).await.expect_err("TLS 1.2 is not spoken");
+
+    let ca = private_file(&work.path().join("ca.pem"), authority.pem());
+    let server = format!("https://{}", daemon.grpc.replace("127.0.0.1", "localhost"));
+    let run = |args: &[&str]| cli::command(&server, args).output().expect("tidemap runs");
+    let listed = run(&["--tls-ca", &ca.display().to_string(), "map", "list"]);
+    assert!(listed.status.success(), "{}", String::from_utf8_lossy(&listed.stderr));
+    let without = run(&["map", "list"]);
+    assert_eq!(without.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&without.stderr).contains("authority"));
+    daemon.stop_in_order();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_daemon_that_names_an_authority_of_clients_serves_only_clients_of_it() {
+    let work = tempdir().expect("a folder");
+    let (authority, robots) = (Authority::new("ours"), Authority::new("robots"));
+    let ca = private_file(&work.path().join("robots.pem"), robots.pem());
+    let launch = launch(work.path(), &authority.sign(Validity::Years)).setting("tls_client_ca", ca.display());
+    let daemon = launch.start();
+    let robot = robots.sign(Validity::Years);
+    authority.client(&daemon, Some(&robot), None).maps().await.expect("served");
+    let (foreign, ended) = (authority.sign(Validity::Years), robots.sign(Validity::Ended));
+    for (what, pair) in [("none", None), ("foreign", Some(&foreign)), ("ended", Some(&ended))] {
+        authority.client(&daemon, pair, None).maps().await.expect_err(what);
+    }
+    assert!(metrics(&daemon).contains("tidemap_tls_handshakes_failed_total"));
+    daemon.stop_in_order();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_new_certificate_is_used_without_a_restart_and_a_bad_one_is_not() {
+    let work = tempdir().expect("a folder");
+    let (before, after, last) = (Authority::new("before"), Authority::new("after"), Authority::new("last"));
+    let daemon = launch(work.path(), &before.sign(Validity::Years)).start();
+    let open = before.client(&daemon, None, None);
+    open.maps().await.expect("served");
+
+    // A certificate that does not fit the key, as between the two steps of a replacement.
+    let next = after.sign(Validity::Years);
+    private_file(&work.path().join("daemon.pem"), &next.certificate);
+    eventually("the bad pair is logged", async || daemon.process().stderr().contains("cannot be used")).await;
+    before.client(&daemon, None, None).maps().await.expect("the old certificate stays");
+    assert!(metrics(&daemon).contains("tidemap_reload_failures_total{what=\"certificates\"} 1"));
+
+    let _ = next.write(work.path());
+    eventually("the new certificate", async || after.client(&daemon, None, None).maps().await.is_ok()).await;
+    before.client(&daemon, None, None).maps().await.expect_err("the old certificate is gone");
+    open.maps().await.expect("an open connection stays");
+
+    fs::write(work.path().join("daemon.key"), "no key").expect("written");
+    eventually("no key", async || daemon.process().stderr().contains("holds no private key")).await;
+    after.client(&daemon, None, None).maps().await.expect("the certificate before stays");
+
+    let _ = last.sign(Validity::Years).write(work.path());
+    daemon.process().signal(Signal::HUP);
+    eventually("the last certificate", async || last.client(&daemon, None, None).maps().await.is_ok()).await;
+    daemon.stop_in_order();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_is_silent_in_the_handshake_is_left() {
+    let work = tempdir().expect("a folder");
+    let daemon = launch(work.path(), &Authority::new("ours").sign(Validity::Years)).start();
+    let mut silent = TcpStream::connect(&daemon.grpc).expect("a connection");
+    silent.set_read_timeout(Some(Duration::from_secs(30))).expect("a timeout");
+    let start = Instant::now();
+    assert!(matches!(silent.read(&mut [0; 16]), Ok(0) | Err(_)) && start.elapsed() < Duration::from_secs(25));
+    daemon.stop_in_order();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn http_beyond_loopback_speaks_tls() {
+    let work = tempdir().expect("a folder");
+    let authority = Authority::new("ours");
+    let launch = launch(work.path(), &authority.sign(Validity::Years)).args(["--allow-insecure-remote"]);
+    let daemon = launch.setting("http_listen", "0.0.0.0:0").start();
+    let address = daemon.http.replace("0.0.0.0", "127.0.0.1");
+    let mut socket = connect(&address, &authority, &version::TLS13).await.expect("TLS");
+    socket.write_all(b"GET /readyz HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n").await.expect("a request");
+    let mut text = Vec::new();
+    // The end of a connection may come without the end of TLS.
+    let _ = socket.read_to_end(&mut text).await;
+    assert!(text.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&text));
+    daemon.stop_in_order();
+}
+
+#[test]
+fn wrong_files_are_named_before_anything_is_created() {
+    let work = tempdir().expect("a folder");
+    let pair = Authority::new("ours").sign(Validity::Years);
+    let other = Authority::new("theirs").sign(Validity::Years);
+    let empty = private_file(&work.path().join("empty.pem"), "");
+    let foreign = private_file(&work.path().join("foreign.key"), &other.key);
+    let data = work.path().join("data");
+    for (key, value, words) in [
+        ("tls_key", "", "tls_key is not set"),
+        ("tls_key", "/nonexistent/key", "tls_key: /nonexistent/key cannot be read"),
+        ("tls_key", empty.to_str().expect("text"), "holds no private key"),
+        ("tls_key", foreign.to_str().expect("text"), "cannot be used together"),
+        ("tls_certificate", empty.to_str().expect("text"), "holds no certificate"),
+        ("tls_client_ca", empty.to_str().expect("text"), "holds no certificate"),
+    ] {
+        let exit = launch(work.path(), &pair).setting(key, value).try_start().expect_err(words);
+        assert!(exit.code() == Some(78) && exit.stderr.contains(words), "{words}: {exit}");
+        let secret = pair.key.lines().nth(1).expect("a line of the key");
+        assert!(!exit.stderr.contains(secret) && !data.exists(), "{exit}");
+    }
+}
