@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test docs lint bench soak durability install clean
+.PHONY: help build demo test docs lint sbom bench soak durability install clean
 # The recipes of this file share one cargo, and cargo has its own jobs.
 .NOTPARALLEL:
 
@@ -45,16 +45,17 @@ docs:
 	@$(SETUP) docs
 	@$(ENV); target/tools/bin/mdbook build docs
 
-## lint: formatting, lints, and the policy on dependencies where cargo-deny is installed
+## lint: formatting, lints, and the policy on dependencies (deny.toml)
 lint:
-	@$(SETUP)
+	@$(SETUP) lint
 	@$(ENV); cargo fmt --all --check
 	@$(ENV); cargo clippy --workspace --all-targets --locked -- -D warnings
-	@$(ENV); if command -v cargo-deny >/dev/null; then \
-		cargo deny --locked check; \
-	else \
-		echo "lint: cargo-deny is not installed; deny.toml was not checked"; \
-	fi
+	@$(ENV); deploy/check-dependencies.sh
+
+## sbom: the programs' dependencies with versions, licences and hashes, as CycloneDX in target/sbom
+sbom:
+	@$(SETUP)
+	@$(ENV); python3 deploy/sbom.py target/sbom
 
 ## bench: the benchmarks of the libraries
 bench:

