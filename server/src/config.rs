@@ -15,7 +15,7 @@ use figment::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::connections::tls::TlsFiles;
+use crate::{access::token_command::TokenCommand, connections::tls::TlsFiles};
 
 /// tidemapd, the map service that learns when things change.
 ///
@@ -43,8 +43,13 @@ pub(crate) struct Flags {
     #[arg(long, value_name = "HOST:PORT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub http_listen: Option<String>,
-    /// Listen on other addresses than this machine's, although connections are neither encrypted nor authenticated:
-    /// everybody who reaches the port can read, write and delete all maps.
+    /// File of the tokens that clients must have, as `tidemapd token` writes it [default: none, everybody may do
+    /// everything].
+    #[arg(long, value_name = "FILE", global = true)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tokens_file: Option<PathBuf>,
+    /// Listen on other addresses than this machine's without TLS or without tokens: everybody who reaches the port can
+    /// then read what is sent, or read, write and delete all maps.
     #[arg(long)]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub allow_insecure_remote: bool,
@@ -70,6 +75,12 @@ pub(crate) enum OfflineCommand {
         /// Print the rows of this map.
         #[arg(value_name = "MAP")]
         map: Option<String>,
+    },
+    /// Make, list and revoke tokens, in the file that --tokens-file or the config file names.
+    Token {
+        /// What to do.
+        #[command(subcommand)]
+        command: TokenCommand,
     },
 }
 
@@ -119,7 +130,7 @@ settings! {
     socket: PathBuf = PathBuf::new();
     /// Permissions of the Unix socket; who may write to it may connect. `0o660` lets the daemon's group connect.
     socket_mode: u32 = 0o600, 0, 0o777;
-    /// Listen on other addresses than this machine's, without encryption and authentication.
+    /// Listen on other addresses than this machine's without TLS or without tokens.
     allow_insecure_remote: bool = false;
     /// The certificate of the gRPC port in PEM form, with those of the authorities between it and the root; empty: the
     /// port speaks no TLS. It is read again when it changes.
@@ -129,6 +140,9 @@ settings! {
     /// Authorities of clients, in PEM form. If named, each client of the gRPC port must present a certificate of one of
     /// them.
     tls_client_ca: PathBuf = PathBuf::new();
+    /// The file of the tokens that clients must have, as `tidemapd token` writes it; empty: everybody may do
+    /// everything. It is read again when it changes.
+    tokens_file: PathBuf = PathBuf::new();
     /// Format of the log.
     log_format: LogFormat = LogFormat::Text;
     /// Filter of the log.
@@ -208,6 +222,56 @@ settings! {
     spectrum_cache_bytes: u64 = 64 << 20, 0, 1 << 44;
 }
 
+/// What a port beyond this machine lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum MissingProtection {
+    Tls,
+    Tokens,
+    Both,
+}
+
+impl std::fmt::Display for MissingProtection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Tls => "TLS",
+            Self::Tokens => "tokens",
+            Self::Both => "TLS and tokens",
+        })
+    }
+}
+
+impl MissingProtection {
+    /// What could happen.
+    pub(crate) fn consequence(self) -> &'static str {
+        match self {
+            Self::Tls => "what is sent, and the tokens, can be read and changed on the way",
+            Self::Tokens => "everybody who reaches the port can read, write and delete all maps",
+            Self::Both => {
+                "everybody who reaches the port can read, write and delete all maps, and what is sent can be read"
+            }
+        }
+    }
+
+    fn remedy(self) -> &'static str {
+        match self {
+            Self::Tls => "Set tls_certificate and tls_key",
+            Self::Tokens => "Set tokens_file",
+            Self::Both => "Set tls_certificate, tls_key and tokens_file",
+        }
+    }
+}
+
+/// Whether only this machine can reach an address.
+fn is_local(address: &str) -> bool {
+    match address.parse::<SocketAddr>() {
+        Ok(parsed) => parsed.ip().is_loopback(),
+        Err(_) => address.rsplit_once(':').is_some_and(|(host, port)| {
+            host == "localhost" && port.parse::<u16>().is_ok()
+                || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+        }),
+    }
+}
+
 fn check_range(key: &str, value: u64, least: u64, most: u64) -> anyhow::Result<()> {
     if !(least..=most).contains(&value) {
         bail!("setting {key} is {value}: it must be between {least} and {most}");
@@ -272,24 +336,34 @@ impl Settings {
         self.check_tls()?;
         check_range("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30)?;
         for (key, address) in [("listen", &self.listen), ("http_listen", &self.http_listen)] {
-            let local = match address.parse::<SocketAddr>() {
-                Ok(parsed) => parsed.ip().is_loopback(),
-                Err(_) => address.rsplit_once(':').is_some_and(|(host, port)| {
-                    host == "localhost" && port.parse::<u16>().is_ok()
-                        || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
-                }),
-            };
             if address.rsplit_once(':').is_none_or(|(_, port)| port.parse::<u16>().is_err()) {
                 bail!("setting {key} is {address:?}: it must be HOST:PORT, for example 127.0.0.1:7435");
             }
-            if !local && !self.allow_insecure_remote {
-                bail!(
-                    "setting {key} is {address:?}, which is reachable from beyond this machine, and this version has \
-                     neither TLS nor tokens: listen on 127.0.0.1, or say --allow-insecure-remote"
-                );
+            if let Some(missing) = self.missing_protection().filter(|_| !is_local(address)) {
+                if !self.allow_insecure_remote {
+                    bail!(
+                        "setting {key} is {address:?}, which is reachable from beyond this machine, without {missing}: \
+                         {}. {}, listen on 127.0.0.1, or say --allow-insecure-remote",
+                        missing.consequence(),
+                        missing.remedy()
+                    );
+                }
             }
         }
         Ok(())
+    }
+
+    /// What a port beyond this machine would lack, if there is such a port.
+    pub(crate) fn missing_protection(&self) -> Option<MissingProtection> {
+        let is_exposed = !is_local(&self.listen) || !is_local(&self.http_listen);
+        let (tls, tokens) = (self.tls_files().is_some(), !self.tokens_file.as_os_str().is_empty());
+        match (tls, tokens) {
+            _ if !is_exposed => None,
+            (true, true) => None,
+            (true, false) => Some(MissingProtection::Tokens),
+            (false, true) => Some(MissingProtection::Tls),
+            (false, false) => Some(MissingProtection::Both),
+        }
     }
 
     /// The number of update threads.
@@ -335,6 +409,33 @@ mod tests {
             assert!(error.contains(word), "{file}: {error}");
         }
         assert!(load("listen = '0.0.0.0:7435'\nallow_insecure_remote = true", Flags::default()).is_ok());
+    }
+
+    #[test]
+    fn beyond_this_machine_there_must_be_tls_and_tokens() {
+        let tls = "tls_certificate = 'c'\ntls_key = 'k'\n";
+        let tokens = "tokens_file = 't'\n";
+        for port in ["listen", "http_listen"] {
+            for address in ["0.0.0.0:1", "[::]:1", "192.168.0.7:1", "robot.local:1", "127.0.0.1.example.org:1"] {
+                let line = format!("{port} = '{address}'\n");
+                for (rest, missing) in
+                    [("", "without TLS and tokens"), (tls, "without tokens"), (tokens, "without TLS")]
+                {
+                    let error = load(&format!("{line}{rest}"), Flags::default()).expect_err("refused");
+                    assert!(error.contains(missing) && error.contains(port), "{error}");
+                    let said = format!("{line}{rest}allow_insecure_remote = true");
+                    assert!(load(&said, Flags::default()).is_ok());
+                }
+                assert!(load(&format!("{line}{tls}{tokens}"), Flags::default()).is_ok());
+            }
+        }
+        for address in ["127.0.0.2:1", "[::1]:1", "localhost:1"] {
+            assert!(load(&format!("listen = '{address}'"), Flags::default()).is_ok(), "{address}");
+        }
+    }
+
+    #[test]
+    fn a_missing_config_file_is_named() {
         let missing = Flags { config: Some("/nonexistent/tidemapd.toml".into()), ..Flags::default() };
         assert!(format!("{:#}", Settings::load(&missing).expect_err("missing")).contains("/nonexistent"));
     }

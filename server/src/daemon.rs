@@ -19,6 +19,7 @@ use tokio::{
 use tracing::{error, info, warn};
 
 use crate::{
+    access::keyring::Keyring,
     catalog::{Catalog, CatalogError, RESTORED_FIRST_BYTES},
     clock::SystemClock,
     config::Settings,
@@ -32,8 +33,9 @@ use crate::{
     http,
     ingest::writer::Context,
     jobs::Jobs,
-    reload::Followed,
-    rpc, telemetry,
+    reload::FileWatch,
+    rpc::{self, guard::Access},
+    telemetry,
 };
 
 /// Time for connections to close after their streams got a goodbye.
@@ -105,14 +107,27 @@ fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonE
 }
 
 /// The files of TLS, followed from before they are read, and the TLS of both ports, if it is configured.
-fn load_tls(settings: &Settings) -> Result<(Followed, Option<Tls>, Option<Tls>), DaemonError> {
+fn load_tls(settings: &Settings) -> Result<(FileWatch, Option<Tls>, Option<Tls>), DaemonError> {
     let files = settings.tls_files();
-    let followed = Followed::new("certificates", files.as_ref().map_or_else(Vec::new, TlsFiles::paths));
+    let followed = FileWatch::new("certificates", files.as_ref().map_or_else(Vec::new, TlsFiles::paths));
     let load = |protocol| {
         let tls = files.clone().map(|files| Tls::new(files, protocol)).transpose();
         tls.map_err(|error| DaemonError::Settings(error.to_string()))
     };
     Ok((followed, load(Protocol::Http2)?, load(Protocol::Http1)?))
+}
+
+/// How callers are checked. The file of tokens is followed from now on.
+fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
+    let path = &settings.tokens_file;
+    if path.as_os_str().is_empty() {
+        return Ok(Access::Anybody);
+    }
+    let followed = FileWatch::new("tokens", vec![path.clone()]);
+    let keyring = Keyring::open(path.clone()).map_err(|error| DaemonError::Settings(error.to_string()))?;
+    let followed_by = keyring.clone();
+    tokio::spawn(followed.follow(move || followed_by.reload()));
+    Ok(Access::Tokens(keyring))
 }
 
 /// Takes the permissions of other users on the data folder away, which an earlier version or a copy may have given.
@@ -148,6 +163,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     umask(Mode::RWXG | Mode::RWXO);
     let metrics = telemetry::start_metrics()?;
     let (followed, grpc_tls, http_tls) = load_tls(&settings)?;
+    let access = load_access(&settings)?;
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
     let for_store = settings.clone();
@@ -200,7 +216,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         }
     };
     let grpc_stop = wait();
-    let for_grpc = (Arc::clone(&catalog), settings.clone(), stopping.clone());
+    let for_grpc = (Arc::clone(&catalog), settings.clone(), stopping.clone(), access.clone());
     let (grpc_acceptor, grpc_connections) =
         Acceptor::new(Connections::new(connection_limits(&settings)), Protocol::Http2);
     grpc_acceptor.listen_tcp(grpc, grpc_tls.clone());
@@ -210,15 +226,17 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         grpc_acceptor.listen_unix(socket.map_err(|source| DaemonError::Listen { address: address(), source })?);
     }
     let mut grpc_task = tokio::spawn(async move {
-        let (catalog, settings, stopping) = for_grpc;
+        let (catalog, settings, stopping, access) = for_grpc;
         let is_local = grpc_address.ip().is_loopback();
-        rpc::serve::serve(grpc_connections, is_local, catalog, &settings, stopping, grpc_stop).await
+        rpc::serve::serve((grpc_connections, access), is_local, catalog, &settings, stopping, grpc_stop).await
     });
     let http_stop = wait();
     let (http_acceptor, accepted) = Acceptor::new(Connections::new(HTTP_CONNECTIONS), Protocol::Http1);
     http_acceptor.listen_tcp(http, http_tls.clone().filter(|_| !http_address.ip().is_loopback()));
+    let http_access = if http_address.ip().is_loopback() { Access::Anybody } else { access };
     let http = HttpListener { address: http_address, accepted };
-    let mut http_task = tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, stopping, http_stop));
+    let mut http_task =
+        tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, http_access, stopping, http_stop));
     let tls: Vec<Tls> = grpc_tls.into_iter().chain(http_tls).collect();
     if !tls.is_empty() {
         tokio::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));

@@ -1,10 +1,10 @@
-//! The HTTP port: health and metrics, without authentication.
+//! The HTTP port: health for everybody, and metrics, beyond this machine for holders of tokens.
 //!
 //! Invariant: nothing here reveals the content of a map, and nothing here changes a map.
 
 use std::{future::Future, sync::Arc};
 
-use axum::{Router, http::StatusCode, routing::get};
+use axum::{Router, extract::Request, http::StatusCode, routing::get};
 use metrics_exporter_prometheus::PrometheusHandle;
 use tokio::sync::watch;
 
@@ -12,6 +12,7 @@ use crate::{
     catalog::Catalog,
     connections::accept::HttpListener,
     ingest::handle::{MapHandle, OpenProgress},
+    rpc::guard::Access,
     statistics,
 };
 
@@ -36,6 +37,7 @@ pub(crate) async fn serve(
     listener: HttpListener,
     catalog: Arc<Catalog>,
     metrics: PrometheusHandle,
+    access: Access,
     stopping: watch::Receiver<bool>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
@@ -59,9 +61,15 @@ pub(crate) async fn serve(
         .route("/readyz", get(ready))
         .route(
             "/metrics",
-            get(move || {
+            get(move |request: Request| {
                 let (catalog, metrics) = (Arc::clone(&catalog), metrics.clone());
+                let allowed = access.may_read_metrics(&request);
                 async move {
+                    match allowed {
+                        Ok(true) => {}
+                        Ok(false) => return Err(StatusCode::FORBIDDEN),
+                        Err(_) => return Err(StatusCode::UNAUTHORIZED),
+                    }
                     // Sizes are read from the disk.
                     let text = tokio::task::spawn_blocking(move || {
                         for (name, value, _) in statistics::of_daemon(&catalog) {

@@ -5,6 +5,7 @@
 //! cannot be used, 69 a port is taken, 73 another daemon has the data, 74 storage failed, 78 wrong settings, 70
 //! anything else.
 
+mod access;
 mod catalog;
 mod clock;
 mod config;
@@ -46,8 +47,14 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
             return ExitCode::from(78);
         }
     };
-    if settings.allow_insecure_remote {
-        tracing::warn!("remote connections are neither encrypted nor authenticated: anybody can read and delete maps");
+    if let Some(OfflineCommand::Token { command }) = &flags.command {
+        return access::token_command::run(command, &settings.tokens_file).unwrap_or_else(|error| {
+            eprintln!("tidemapd: {error:#}");
+            ExitCode::FAILURE
+        });
+    }
+    if let Some(missing) = settings.missing_protection().filter(|_| settings.allow_insecure_remote) {
+        tracing::warn!("the ports are open beyond this machine without {missing}: {}", missing.consequence());
     }
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,

@@ -1,7 +1,7 @@
 //! Files that are read again when they change: certificates and tokens.
 //!
-//! Invariant: a change is noticed within [`LOOK_EVERY`], or at once after SIGHUP. What cannot be used is logged, counted
-//! and not put into use; what was in use before stays.
+//! Invariant: a change is noticed within [`LOOK_EVERY`], or at once after SIGHUP. What cannot be used is logged,
+//! counted and not put into use; what was in use before stays.
 
 use std::{fs, os::unix::fs::MetadataExt as _, path::PathBuf, time::Duration};
 
@@ -26,13 +26,13 @@ fn stamps(paths: &[PathBuf]) -> Vec<Stamp> {
 
 /// Files to be followed, as they are now.
 #[derive(Debug)]
-pub(crate) struct Followed {
+pub(crate) struct FileWatch {
     what: &'static str,
     paths: Vec<PathBuf>,
     stamps: Vec<Stamp>,
 }
 
-impl Followed {
+impl FileWatch {
     /// Take this before the files are read for the first time, so that no change is missed.
     pub(crate) fn new(what: &'static str, paths: Vec<PathBuf>) -> Self {
         let stamps = stamps(&paths);

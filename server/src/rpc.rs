@@ -3,6 +3,7 @@
 //! Invariant: nothing about maps is decided here, and every error becomes a status in [`status`] only.
 
 pub(crate) mod exploration;
+pub(crate) mod guard;
 pub(crate) mod maintenance;
 pub(crate) mod map;
 pub(crate) mod observation;
@@ -19,6 +20,7 @@ mod peer;
 mod permits;
 mod replies;
 mod series;
+mod watched_body;
 
 /// The outcome of a unary request, or the beginning of a stream.
 type RpcReply<T> = Result<tonic::Response<T>, tonic::Status>;

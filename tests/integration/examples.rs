@@ -58,6 +58,7 @@ pages! {
     kinds: "docs/src/kinds.md",
     limits: "docs/src/limits.md",
     models: "docs/src/models.md",
+    security: "docs/src/security.md",
     topology: "docs/src/topology.md",
     wire: "docs/src/wire.md",
 }

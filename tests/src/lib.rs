@@ -15,9 +15,11 @@ pub mod film;
 pub mod garbage;
 pub mod herd;
 pub mod oracle;
+pub mod raw_calls;
 pub mod recordings;
 pub mod rounds;
 pub mod stream;
+pub mod tokens;
 
 /// Compiles the Rust example of the guide with the doc tests.
 #[cfg(doctest)]

@@ -2,8 +2,8 @@
 //! the client.
 //!
 //! Invariant: the handshake is driven by the first read or write, so that the deadline of a connection's first request
-//! covers it. A certificate that cannot be used never takes the place of one that can. Errors name files, and never hold
-//! what is in them.
+//! covers it. A certificate that cannot be used never takes the place of one that can. Errors name files, and never
+//! hold what is in them.
 
 use std::{
     fmt, io,

@@ -13,6 +13,7 @@ use tidemap_proto::convert::{InvalidField, OverLimit};
 
 use super::status::RpcError;
 use crate::{
+    access::Caller,
     catalog::{Catalog, CatalogError},
     ingest::handle::{MapHandle, OpenProgress},
     state_or_cell::{KnownCell, StateOrCell},
@@ -43,11 +44,24 @@ pub(super) async fn opened(handle: &MapHandle) -> Result<(), RpcError> {
     }
 }
 
+/// Checks that the caller of this request may use a map of this name, whether there is one or not.
+pub(super) fn check_scope(name: &str) -> Result<(), RpcError> {
+    if Caller::current().covers(name) {
+        return Ok(());
+    }
+    metrics::counter!("tidemap_denied_total", "reason" => "NOT_FOR_MAP").increment(1);
+    Err(RpcError::NotForMap { map: name.chars().take(80).collect() })
+}
+
 /// The map of this name, even if it shows no more yet than the generation that the index publishes.
 pub(super) fn find_published(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
+    check_scope(name)?;
+    let caller = Caller::current();
     catalog.get(name).map_err(|error| match error {
         CatalogError::Unknown(name) => {
-            let known = catalog.all().keys().map(|name| name.as_str().to_owned()).collect();
+            let all = catalog.all();
+            let known = all.keys().map(|name| name.as_str()).filter(|name| caller.covers(name));
+            let known = known.map(str::to_owned).collect();
             RpcError::UnknownMap { name, known }
         }
         error => error.into(),

@@ -16,6 +16,7 @@ use tonic::{Request, Response, Status};
 
 use super::{RpcReply, page::page, status::RpcError};
 use crate::{
+    access::Caller,
     catalog::Catalog,
     ingest::protocol::Command,
     jobs::{Phase, UpdateJob},
@@ -97,7 +98,9 @@ fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
 
 impl Maintenance {
     fn job(&self, id: u64) -> Result<Arc<UpdateJob>, RpcError> {
-        self.catalog.context().jobs.get(id).ok_or(RpcError::UnknownJob(id))
+        let job = self.catalog.context().jobs.get(id);
+        // A job of a map that the caller has no right to does not exist for it.
+        job.filter(|job| Caller::current().covers(job.map.as_str())).ok_or(RpcError::UnknownJob(id))
     }
 }
 
@@ -127,7 +130,8 @@ impl MaintenanceService for Maintenance {
 
     async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> RpcReply<v1::ListJobsResponse> {
         let request = request.into_inner();
-        let jobs = self.catalog.context().jobs.list();
+        let (mut jobs, caller) = (self.catalog.context().jobs.list(), Caller::current());
+        jobs.retain(|job| caller.covers(job.map.as_str()));
         let (range, next_page_token) = page(jobs.len(), request.page_size, 100, 1000, &request.page_token)?;
         let jobs = jobs[range].iter().map(|job| job_to_wire(job)).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
@@ -178,6 +182,9 @@ impl MaintenanceService for Maintenance {
 
     async fn get_statistics(&self, request: Request<v1::GetStatisticsRequest>) -> RpcReply<v1::GetStatisticsResponse> {
         let name = request.into_inner().map;
+        if name.is_empty() && !Caller::current().covers_all() {
+            return Err(RpcError::NeedsAllMaps.into());
+        }
         let handle = if name.is_empty() { None } else { Some(find_map(&self.catalog, &name).await?) };
         let catalog = Arc::clone(&self.catalog);
         // Sizes are read from the disk.

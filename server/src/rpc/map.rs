@@ -22,12 +22,13 @@ use tonic::{Request, Response};
 
 use super::{RpcReply, page::page, status::RpcError};
 use crate::{
+    access::Caller,
     catalog::Catalog,
     ingest::{
         handle::MapHandle,
         protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
     },
-    rpc::lookup::{find_all, find_map, opened},
+    rpc::lookup::{check_scope, find_all, find_map, opened},
     state_or_cell::StateOrCell,
 };
 
@@ -53,6 +54,7 @@ impl MapService for Maps {
     async fn create_map(&self, request: Request<v1::CreateMapRequest>) -> RpcReply<v1::CreateMapResponse> {
         let now = self.catalog.context().clock.now_nanos();
         let spec = spec_from_request(request.into_inner(), now).map_err(RpcError::from)?;
+        check_scope(spec.name.as_str())?;
         let handle = self.catalog.create(spec).await.map_err(RpcError::from)?;
         Ok(Response::new(v1::CreateMapResponse { map: Some(map_to_wire(&handle.view())) }))
     }
@@ -64,10 +66,11 @@ impl MapService for Maps {
 
     async fn list_maps(&self, request: Request<v1::ListMapsRequest>) -> RpcReply<v1::ListMapsResponse> {
         let request = request.into_inner();
-        let maps = self.catalog.all();
+        let (all, caller) = (self.catalog.all(), Caller::current());
+        let maps: Vec<_> = all.iter().filter(|(name, _)| caller.covers(name.as_str())).map(|(_, map)| map).collect();
         let (range, next_page_token) = page(maps.len(), request.page_size, 100, 1000, &request.page_token)?;
         let mut shown = Vec::with_capacity(range.len());
-        for handle in maps.values().skip(range.start).take(range.len()) {
+        for handle in maps.into_iter().skip(range.start).take(range.len()) {
             opened(handle).await?;
             shown.push(map_to_wire(&handle.view()));
         }

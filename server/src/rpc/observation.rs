@@ -32,6 +32,7 @@ use tracing::debug;
 
 use super::{RpcReply, acks::acks, status::RpcError};
 use crate::{
+    access::Caller,
     catalog::Catalog,
     ingest::{
         ending::{Ending, is_fatal},
@@ -112,7 +113,8 @@ impl ObservationService for Observations {
         let limits = self.limits;
         let room = (Arc::clone(&self.buffers), Arc::clone(&self.tables));
         let stopping = self.stopping.clone();
-        tokio::spawn(async move {
+        // The stream has a task of its own, which works for the same caller.
+        tokio::spawn(Caller::current().scope(async move {
             let result = open_and_serve(catalog, limits, room, stopping, request.into_inner(), &replies).await;
             if let Err(error) = result {
                 debug!(%error, "stream ended");
@@ -120,7 +122,7 @@ impl ObservationService for Observations {
                 let _ = tokio::time::timeout(READ_WITHIN, replies.send(Err(error.into()))).await;
             }
             drop(counted);
-        });
+        }));
         Ok(Response::new(ReceiverStream::new(stream)))
     }
 }

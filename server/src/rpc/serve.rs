@@ -8,6 +8,7 @@ use std::{
     time::Duration,
 };
 
+use axum::middleware::from_fn_with_state;
 use tidemap_proto::convert::scans::ScanLimits;
 use tidemap_proto::v1::{
     DESCRIPTORS, exploration_service_server::ExplorationServiceServer,
@@ -18,11 +19,12 @@ use tidemap_proto::v1::{
 };
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::transport::Server;
+use tonic::{service, transport::Server};
 
 use super::{
     admission::{Admission, RequestLimits},
     exploration::{Explorations, PlanLimits},
+    guard::{Access, admit},
     maintenance::Maintenance,
     map::Maps,
     observation::{Observations, StreamLimits},
@@ -42,12 +44,13 @@ const STREAM_WINDOW: u32 = 256 * 1024;
 /// Room around the columns of a message.
 const MESSAGE_OVERHEAD: usize = 4096;
 
-/// Serves until `stop` is ready and the connections are closed. Reflection is served if all clients are local.
+/// Serves those who may be served until `stop` is ready and the connections are closed. Reflection is served if all
+/// clients are local.
 ///
 /// # Errors
 /// The transport failed.
 pub(crate) async fn serve(
-    connections: mpsc::Receiver<std::io::Result<Accepted>>,
+    (connections, access): (mpsc::Receiver<std::io::Result<Accepted>>, Access),
     is_local: bool,
     catalog: Arc<Catalog>,
     settings: &Settings,
@@ -100,17 +103,8 @@ pub(crate) async fn serve(
         .build_v1()?;
     let admission =
         Admission::new(RequestLimits { total: settings.max_requests, per_client: settings.max_requests_per_client });
-    Server::builder()
-        .layer(admission)
-        .max_concurrent_streams(STREAMS_PER_CONNECTION)
-        .initial_stream_window_size(STREAM_WINDOW)
-        // Streams of a saturated map are not read for long; the other streams of the connection continue.
-        .initial_connection_window_size(STREAM_WINDOW * STREAMS_PER_CONNECTION)
-        .http2_keepalive_interval(Some(Duration::from_secs(20)))
-        .http2_keepalive_timeout(Some(Duration::from_secs(10)))
-        .http2_max_header_list_size(16 * 1024)
+    let services = service::Routes::default()
         .add_service(health_service)
-        .add_optional_service(is_local.then_some(reflection))
         .add_service(
             MapServiceServer::new(Maps { catalog: Arc::clone(&catalog) }).max_decoding_message_size(REQUEST_BYTES),
         )
@@ -124,7 +118,20 @@ pub(crate) async fn serve(
         .add_service(TopologyServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(TOPOLOGY_BYTES))
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
         .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
-        .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES))
+        .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES));
+    let services = if is_local { services.add_service(reflection) } else { services };
+    // Every request passes the guard, also one of a method that does not exist.
+    let guarded = services.prepare().into_axum_router().layer(from_fn_with_state(access, admit));
+    Server::builder()
+        .layer(admission)
+        .max_concurrent_streams(STREAMS_PER_CONNECTION)
+        .initial_stream_window_size(STREAM_WINDOW)
+        // Streams of a saturated map are not read for long; the other streams of the connection continue.
+        .initial_connection_window_size(STREAM_WINDOW * STREAMS_PER_CONNECTION)
+        .http2_keepalive_interval(Some(Duration::from_secs(20)))
+        .http2_keepalive_timeout(Some(Duration::from_secs(10)))
+        .http2_max_header_list_size(16 * 1024)
+        .add_routes(service::Routes::from(guarded))
         .serve_with_incoming_shutdown(ReceiverStream::new(connections), stop)
         .await?;
     Ok(())

@@ -16,6 +16,7 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
 use crate::{
+    access::{Role, keyring::Denial},
     catalog::CatalogError,
     ingest::{
         ending::{Ending, is_fatal},
@@ -99,6 +100,21 @@ pub(crate) enum RpcError {
     Opening { map: String, done: u64, total: u64 },
     #[error("the daemon is stopping; connect again later")]
     Stopping,
+    #[error("{}", match .0 {
+        Denial::NoToken => "this daemon asks for a token: send `authorization: Bearer TOKEN` (tidemap --token-file FILE)",
+        Denial::UnknownToken => "the token is not valid here, or was revoked",
+    })]
+    Denial(Denial),
+    #[error("the token was revoked or changed")]
+    Revoked,
+    #[error("{method} needs role {}, which the token does not have", .role.name())]
+    NeedsRole { method: String, role: Role },
+    #[error("map {map:?} does not exist, or the token is not for it")]
+    NotForMap { map: String },
+    #[error("this needs a token for all maps")]
+    NeedsAllMaps,
+    #[error("this daemon has no such method; does it have another version?")]
+    UnknownMethod,
 }
 
 fn known_names(known: &[String], what: &str) -> String {
@@ -216,7 +232,19 @@ impl RpcError {
             Self::Broken => (Code::Cancelled, "BROKEN"),
             Self::Opening { .. } => (Code::Unavailable, "OPENING"),
             Self::Stopping => (Code::Unavailable, "STOPPING"),
+            Self::Denial(Denial::NoToken) => (Code::Unauthenticated, "NO_TOKEN"),
+            Self::Denial(Denial::UnknownToken) => (Code::Unauthenticated, "UNKNOWN_TOKEN"),
+            Self::Revoked => (Code::Unauthenticated, "REVOKED"),
+            Self::NeedsRole { .. } => (Code::PermissionDenied, "NEEDS_ROLE"),
+            Self::NotForMap { .. } => (Code::PermissionDenied, "NOT_FOR_MAP"),
+            Self::NeedsAllMaps => (Code::PermissionDenied, "NEEDS_ALL_MAPS"),
+            Self::UnknownMethod => (Code::Unimplemented, "UNKNOWN_METHOD"),
         }
+    }
+
+    /// The reason, for programs and metrics.
+    pub(crate) fn reason(&self) -> &'static str {
+        self.code_and_reason().1
     }
 }
 

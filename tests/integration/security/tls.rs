@@ -15,7 +15,8 @@ use tidemap_client::Error;
 use tidemap_tests::{
     certificates::{Authority, Pair, Validity, private_file},
     cli,
-    daemon::{Daemon, Launch},
+    daemon::Launch,
+    tokens::Tokens,
 };
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio_rustls::{
@@ -28,7 +29,7 @@ use tokio_rustls::{
     },
 };
 
-use super::eventually;
+use super::{eventually, metrics};
 
 /// A daemon with this certificate; data and certificates are in the folder.
 fn launch(folder: &Path, pair: &Pair) -> Launch {
@@ -52,16 +53,6 @@ async fn connect(
     let socket = tokio::net::TcpStream::connect(address).await?;
     let name = ServerName::try_from("localhost").expect("a name");
     TlsConnector::from(Arc::new(config)).connect(name, socket).await
-}
-
-/// The metrics, which are served in clear on loopback.
-fn metrics(daemon: &Daemon) -> String {
-    let mut socket = TcpStream::connect(&daemon.http).expect("the port is open");
-    std::io::Write::write_all(&mut socket, b"GET /metrics HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n")
-        .expect("a request");
-    let mut text = String::new();
-    socket.read_to_string(&mut text).expect("an answer");
-    text
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -147,18 +138,30 @@ async fn a_client_that_is_silent_in_the_handshake_is_left() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn http_beyond_loopback_speaks_tls() {
+async fn beyond_loopback_http_speaks_tls_and_shows_metrics_to_holders_of_tokens() {
     let work = tempdir().expect("a folder");
-    let authority = Authority::new("ours");
-    let launch = launch(work.path(), &authority.sign(Validity::Years)).args(["--allow-insecure-remote"]);
-    let daemon = launch.setting("http_listen", "0.0.0.0:0").start();
+    let (authority, tokens) = (Authority::new("ours"), Tokens::of(work.path()));
+    let (planner, of_one_map) = (tokens.create(&["planner"], &[]), tokens.create(&["admin"], &["office"]));
+    let launch = launch(work.path(), &authority.sign(Validity::Years)).setting("http_listen", "0.0.0.0:0");
+    let refused = launch.try_start().expect_err("there are no tokens");
+    assert!(refused.code() == Some(78) && refused.stderr.contains("without tokens"), "{refused}");
+    let daemon = launch.setting("tokens_file", tokens.path.display()).start();
     let address = daemon.http.replace("0.0.0.0", "127.0.0.1");
-    let mut socket = connect(&address, &authority, &version::TLS13).await.expect("TLS");
-    socket.write_all(b"GET /readyz HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n").await.expect("a request");
-    let mut text = Vec::new();
-    // The end of a connection may come without the end of TLS.
-    let _ = socket.read_to_end(&mut text).await;
-    assert!(text.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&text));
+    let get = async |path: &str, token: Option<&str>| {
+        let mut socket = connect(&address, &authority, &version::TLS13).await.expect("TLS");
+        let bearer = token.map_or_else(String::new, |token| format!("Authorization: Bearer {token}\r\n"));
+        let request = format!("GET {path} HTTP/1.1\r\nHost: here\r\n{bearer}Connection: close\r\n\r\n");
+        socket.write_all(request.as_bytes()).await.expect("a request");
+        let mut text = Vec::new();
+        // The end of a connection may come without the end of TLS.
+        let _ = socket.read_to_end(&mut text).await;
+        String::from_utf8_lossy(&text).split(' ').nth(1).map(str::to_owned).expect("a status")
+    };
+    assert_eq!(get("/readyz", None).await, "200");
+    for (token, status) in [(None, "401"), (Some("tm_0_0"), "401"), (Some(of_one_map.as_str()), "403")] {
+        assert_eq!(get("/metrics", token).await, status, "{token:?}");
+    }
+    assert_eq!(get("/metrics", Some(&planner)).await, "200");
     daemon.stop_in_order();
 }
 

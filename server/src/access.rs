@@ -1,0 +1,185 @@
+//! Who may do what: tokens with roles and maps, and one table that says which role an RPC needs.
+//!
+//! Invariant: what is not allowed is refused. A method without a row in [`table`] is refused to everybody, and work
+//! that does not know its caller may see no map. Tokens are kept as hashes, and no message, log or `Debug` shows one.
+
+pub(crate) mod keyring;
+pub(crate) mod table;
+pub(crate) mod token_command;
+pub(crate) mod token_file;
+
+use std::{fmt, future::Future, str::FromStr, sync::Arc};
+
+use self::token_file::Token;
+
+/// What a token allows. An operator may do what observers and planners may, and an admin everything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+pub(crate) enum Role {
+    /// Sends observations, traversals and visits.
+    Observer,
+    /// Asks for predictions, plans and routes.
+    Planner,
+    /// Runs updates, and edits topologies, locations and chargers.
+    Operator,
+    /// Creates and deletes maps.
+    Admin,
+}
+
+impl Role {
+    /// Its name on the command line and in files.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Observer => "observer",
+            Self::Planner => "planner",
+            Self::Operator => "operator",
+            Self::Admin => "admin",
+        }
+    }
+
+    /// The role of a name.
+    pub(crate) fn from_name(name: &str) -> Option<Self> {
+        [Self::Observer, Self::Planner, Self::Operator, Self::Admin].into_iter().find(|role| role.name() == name)
+    }
+
+    /// Whether it allows what `other` allows.
+    fn includes(self, other: Self) -> bool {
+        self == other || self == Self::Admin || (self == Self::Operator && other != Self::Admin)
+    }
+}
+
+/// Which maps a token is for: all (`*`), those whose names begin alike (`lab-*`), or one (`office`).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct MapPattern(String);
+
+/// Why a text is no pattern of maps.
+#[derive(Debug, thiserror::Error)]
+#[error("not a pattern of maps: use a name, the beginning of names and * (lab-*), or * for all maps")]
+pub(crate) struct InvalidPattern;
+
+impl FromStr for MapPattern {
+    type Err = InvalidPattern;
+
+    fn from_str(text: &str) -> Result<Self, InvalidPattern> {
+        let name = text.strip_suffix('*').unwrap_or(text);
+        let is_name = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'_' || byte == b'-';
+        let is_valid = !text.is_empty() && name.len() <= 63 && name.bytes().all(is_name);
+        if is_valid { Ok(Self(text.to_owned())) } else { Err(InvalidPattern) }
+    }
+}
+
+impl fmt::Display for MapPattern {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl MapPattern {
+    /// All maps.
+    fn all() -> Self {
+        Self("*".to_owned())
+    }
+
+    fn matches(&self, map: &str) -> bool {
+        match self.0.strip_suffix('*') {
+            Some(beginning) => map.starts_with(beginning),
+            None => map == self.0,
+        }
+    }
+}
+
+/// Who makes a request.
+#[derive(Clone, Debug)]
+pub(crate) enum Caller {
+    /// Somebody, where no tokens are configured: everything is allowed.
+    Anybody,
+    /// Somebody without a token, where tokens are configured: nothing is allowed beyond what is open.
+    Stranger,
+    /// The holder of a token.
+    Holder(Arc<Token>),
+}
+
+tokio::task_local! {
+    /// The caller of the request that the task works on.
+    static CALLER: Caller;
+}
+
+impl Caller {
+    /// The caller of the request that this task works on. A task that was spawned by the work on a request does not
+    /// know it, unless it was started with [`Caller::scope`].
+    pub(crate) fn current() -> Self {
+        CALLER.try_with(Clone::clone).unwrap_or_else(|_| {
+            // Unit tests call services without a port.
+            if cfg!(test) { Self::Anybody } else { Self::Stranger }
+        })
+    }
+
+    /// Does work for this caller.
+    pub(crate) fn scope<F: Future>(self, work: F) -> impl Future<Output = F::Output> {
+        CALLER.scope(self, work)
+    }
+
+    /// Whether the caller may do what a role may.
+    pub(crate) fn has(&self, role: Role) -> bool {
+        match self {
+            Self::Anybody => true,
+            Self::Stranger => false,
+            Self::Holder(token) => token.roles.iter().any(|held| held.includes(role)),
+        }
+    }
+
+    /// Whether the caller may use the map of this name, if there is one.
+    pub(crate) fn covers(&self, map: &str) -> bool {
+        match self {
+            Self::Anybody => true,
+            Self::Stranger => false,
+            Self::Holder(token) => token.maps.iter().any(|pattern| pattern.matches(map)),
+        }
+    }
+
+    /// Whether the caller may use all maps.
+    pub(crate) fn covers_all(&self) -> bool {
+        match self {
+            Self::Anybody => true,
+            Self::Stranger => false,
+            Self::Holder(token) => token.maps.iter().any(|pattern| pattern.0 == "*"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn roles_include_each_other_as_documented() {
+        use Role::{Admin, Observer, Operator, Planner};
+        let all = [Observer, Planner, Operator, Admin];
+        for (role, included) in [
+            (Observer, vec![Observer]),
+            (Planner, vec![Planner]),
+            (Operator, vec![Observer, Planner, Operator]),
+            (Admin, all.to_vec()),
+        ] {
+            let found: Vec<Role> = all.into_iter().filter(|other| role.includes(*other)).collect();
+            assert_eq!(found, included, "{role:?}");
+            assert_eq!(Role::from_name(role.name()), Some(role));
+        }
+    }
+
+    #[test]
+    fn patterns_are_names_or_beginnings() {
+        for (pattern, map, matches) in [
+            ("*", "office", true),
+            ("office", "office", true),
+            ("office", "office-2", false),
+            ("lab-*", "lab-1", true),
+            ("lab-*", "lab", false),
+            ("lab-*", "office", false),
+        ] {
+            assert_eq!(pattern.parse::<MapPattern>().expect("a pattern").matches(map), matches, "{pattern} {map}");
+        }
+        for text in ["", "**", "*a", "Office", "a b", "../x", "o*e", "ä"] {
+            assert!(text.parse::<MapPattern>().is_err(), "{text:?}");
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! The tokens that are valid now.
+//!
+//! Invariant: a comparison takes the same time whatever the token is; of an unknown one as well. Work for a token ends
+//! when the token is revoked or changed.
+
+use std::{collections::HashMap, path::PathBuf, sync::Arc};
+
+use axum::http::{HeaderMap, header::AUTHORIZATION};
+use subtle::ConstantTimeEq as _;
+use tokio::sync::watch;
+
+use super::{
+    Caller,
+    token_file::{self, PREFIX, Token, TokenFileError, TokenHash, hash},
+};
+
+/// A longer text is no token.
+const TOKEN_BYTES_MAX: usize = 256;
+/// What an unknown token is compared with.
+const NO_HASH: TokenHash = [0; 32];
+
+type ById = HashMap<String, Arc<Token>>;
+
+/// Why a request has no caller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Denial {
+    /// It has no token.
+    NoToken,
+    /// Its token is none of those here.
+    UnknownToken,
+}
+
+/// The tokens of a file. Clones share them.
+#[derive(Clone, Debug)]
+pub(crate) struct Keyring {
+    path: Arc<PathBuf>,
+    tokens: Arc<watch::Sender<Arc<ById>>>,
+}
+
+impl Keyring {
+    /// The tokens of a file.
+    ///
+    /// # Errors
+    /// See [`TokenFileError`].
+    pub(crate) fn open(path: PathBuf) -> Result<Self, TokenFileError> {
+        let tokens = Arc::new(watch::Sender::new(Arc::new(read(&path)?)));
+        Ok(Self { path: Arc::new(path), tokens })
+    }
+
+    /// Reads the file again.
+    ///
+    /// # Errors
+    /// See [`TokenFileError`]; the tokens stay as they were.
+    pub(crate) fn reload(&self) -> Result<(), TokenFileError> {
+        self.tokens.send_replace(Arc::new(read(&self.path)?));
+        Ok(())
+    }
+
+    /// The caller who sent these headers.
+    ///
+    /// # Errors
+    /// There is no token, or it is not valid.
+    pub(crate) fn caller(&self, headers: &HeaderMap) -> Result<Caller, Denial> {
+        let header = headers.get(AUTHORIZATION).ok_or(Denial::NoToken)?.as_bytes();
+        let (scheme, text) = header.split_at_checked(7).ok_or(Denial::UnknownToken)?;
+        if !scheme.eq_ignore_ascii_case(b"Bearer ") || text.len() > TOKEN_BYTES_MAX {
+            return Err(Denial::UnknownToken);
+        }
+        let given = hash(text);
+        let tokens = Arc::clone(&self.tokens.borrow());
+        let id = std::str::from_utf8(text).ok().and_then(|text| text.strip_prefix(PREFIX)?.split_once('_'));
+        let found = id.and_then(|(id, _)| tokens.get(id));
+        let kept = found.map_or(&NO_HASH, |token| &token.hash);
+        let is_equal = bool::from(kept.as_slice().ct_eq(given.as_slice()));
+        match found {
+            Some(token) if is_equal => Ok(Caller::Holder(Arc::clone(token))),
+            _ => Err(Denial::UnknownToken),
+        }
+    }
+
+    /// Ready when the token of a caller is no longer valid as it was; never for a caller without one.
+    pub(crate) async fn revoked(self, caller: Caller) {
+        let Caller::Holder(token) = caller else { return std::future::pending().await };
+        let mut tokens = self.tokens.subscribe();
+        loop {
+            if tokens.borrow_and_update().get(&token.id) != Some(&token) {
+                return;
+            }
+            if tokens.changed().await.is_err() {
+                return;
+            }
+        }
+    }
+}
+
+fn read(path: &std::path::Path) -> Result<ById, TokenFileError> {
+    let tokens = token_file::read(path)?;
+    metrics::gauge!("tidemap_tokens").set(tokens.len() as f64);
+    Ok(tokens.into_iter().map(|token| (token.id.clone(), Arc::new(token))).collect())
+}

@@ -1,0 +1,126 @@
+//! Which RPC needs which role: the only place where that is said.
+//!
+//! Invariant: each method that a port serves has one row; a test compares the rows with the descriptors. A method
+//! without a row is refused.
+
+use super::Role::{self, Admin, Observer, Operator, Planner};
+
+/// What a method needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Need {
+    /// Nothing: it reveals nothing about maps.
+    Open,
+    /// Any valid token. What the method shows is limited to the token's maps.
+    Token,
+    /// A token with this role, or one that includes it.
+    Role(Role),
+}
+
+const fn role(role: Role) -> Need {
+    Need::Role(role)
+}
+
+/// The methods by path.
+const TABLE: &[(&str, Need)] = &[
+    ("/grpc.health.v1.Health/Check", Need::Open),
+    ("/grpc.health.v1.Health/List", Need::Token),
+    ("/grpc.health.v1.Health/Watch", Need::Token),
+    ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Need::Token),
+    // Maps and their content. Producers ask what a map is before they send to it.
+    ("/tidemap.v1.MapService/CreateMap", role(Admin)),
+    ("/tidemap.v1.MapService/GetMap", Need::Token),
+    ("/tidemap.v1.MapService/ListMaps", Need::Token),
+    ("/tidemap.v1.MapService/DeleteMap", role(Admin)),
+    ("/tidemap.v1.MapService/AddState", role(Observer)),
+    ("/tidemap.v1.MapService/ListStates", Need::Token),
+    ("/tidemap.v1.MapService/SetCharger", role(Operator)),
+    ("/tidemap.v1.MapService/SetLocation", role(Operator)),
+    ("/tidemap.v1.MapService/DeleteLocation", role(Operator)),
+    ("/tidemap.v1.MapService/ListLocations", Need::Token),
+    ("/tidemap.v1.ObservationService/Observe", role(Observer)),
+    ("/tidemap.v1.QueryService/PredictStates", role(Planner)),
+    ("/tidemap.v1.QueryService/EvaluateStates", role(Planner)),
+    ("/tidemap.v1.QueryService/DescribeModel", role(Planner)),
+    ("/tidemap.v1.QueryService/PredictGrid", role(Planner)),
+    ("/tidemap.v1.QueryService/Reconstruct", role(Planner)),
+    ("/tidemap.v1.QueryService/FindAnomalies", role(Planner)),
+    ("/tidemap.v1.QueryService/WatchAnomalies", role(Planner)),
+    ("/tidemap.v1.QueryService/PredictPositions", role(Planner)),
+    ("/tidemap.v1.ExplorationService/GetInformation", role(Planner)),
+    ("/tidemap.v1.ExplorationService/EvaluateViews", role(Planner)),
+    ("/tidemap.v1.ExplorationService/PlanTour", role(Planner)),
+    ("/tidemap.v1.ExplorationService/PlanDay", role(Planner)),
+    ("/tidemap.v1.ExplorationService/PlanSlot", role(Planner)),
+    ("/tidemap.v1.ExplorationService/ReportVisit", role(Observer)),
+    ("/tidemap.v1.TopologyService/LoadTopology", role(Operator)),
+    ("/tidemap.v1.TopologyService/EditTopology", role(Operator)),
+    ("/tidemap.v1.TopologyService/GetTopology", role(Planner)),
+    ("/tidemap.v1.TopologyService/ListFailures", role(Planner)),
+    ("/tidemap.v1.RouteService/PlanRoute", role(Planner)),
+    ("/tidemap.v1.RouteService/PlanPolicy", role(Planner)),
+    ("/tidemap.v1.RouteService/PredictEdges", role(Planner)),
+    ("/tidemap.v1.SearchService/PlanSearch", role(Planner)),
+    ("/tidemap.v1.SearchService/PredictPresence", role(Planner)),
+    ("/tidemap.v1.SearchService/NextJoint", role(Planner)),
+    // Jobs of maps that the token is not for are unknown to it. Producers of recordings follow their updates.
+    ("/tidemap.v1.MaintenanceService/RunUpdate", role(Operator)),
+    ("/tidemap.v1.MaintenanceService/GetJob", Need::Token),
+    ("/tidemap.v1.MaintenanceService/ListJobs", Need::Token),
+    ("/tidemap.v1.MaintenanceService/WatchJob", Need::Token),
+    ("/tidemap.v1.MaintenanceService/GetUpdateReport", Need::Token),
+    ("/tidemap.v1.MaintenanceService/GetStatistics", role(Planner)),
+];
+
+/// What the method of a path needs; `None` if there is no such method.
+pub(crate) fn need(path: &str) -> Option<Need> {
+    TABLE.iter().find(|(method, _)| *method == path).map(|(_, need)| *need)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use prost::Message as _;
+    use prost_types::FileDescriptorSet;
+
+    use super::*;
+
+    /// The paths of all methods that a port serves, by the descriptors of its services.
+    fn served() -> BTreeSet<String> {
+        let sets = [
+            tidemap_proto::v1::DESCRIPTORS,
+            tonic_health::pb::FILE_DESCRIPTOR_SET,
+            tonic_reflection::pb::v1::FILE_DESCRIPTOR_SET,
+        ];
+        let mut paths = BTreeSet::new();
+        for set in sets {
+            for file in FileDescriptorSet::decode(set).expect("descriptors").file {
+                for service in &file.service {
+                    for method in &service.method {
+                        paths.insert(format!("/{}.{}/{}", file.package(), service.name(), method.name()));
+                    }
+                }
+            }
+        }
+        paths
+    }
+
+    #[test]
+    fn every_method_has_one_row_and_every_row_a_method() {
+        let rows: BTreeSet<String> = TABLE.iter().map(|(path, _)| (*path).to_owned()).collect();
+        assert_eq!(rows.len(), TABLE.len(), "no method has two rows");
+        let served = served();
+        let missing: Vec<&String> = served.difference(&rows).collect();
+        assert!(missing.is_empty(), "say in this table which role these methods need: {missing:?}");
+        let rest: Vec<&String> = rows.difference(&served).collect();
+        assert!(rest.is_empty(), "these methods are gone: {rest:?}");
+        assert!(served.len() > 40, "{served:?}");
+    }
+
+    #[test]
+    fn only_health_is_open() {
+        let open: Vec<&str> = TABLE.iter().filter(|(_, need)| *need == Need::Open).map(|(path, _)| *path).collect();
+        assert_eq!(open, ["/grpc.health.v1.Health/Check"]);
+        assert_eq!(need("/tidemap.v1.MapService/Elsewhere"), None);
+    }
+}

@@ -1,0 +1,89 @@
+//! The guard of the gRPC port: each request passes it before any service sees it.
+//!
+//! Invariant: it decides by the table and the token alone. The map of a request is checked where its name is known, for
+//! the caller that the guard has set. No service sees the token.
+
+use axum::{
+    body::Body,
+    extract::{Request, State},
+    http::header::AUTHORIZATION,
+    middleware::Next,
+    response::Response,
+};
+use tonic::Status;
+use tracing::{debug, info};
+
+use super::{
+    status::RpcError,
+    watched_body::{Direction, WatchedBody},
+};
+use crate::access::{
+    Caller, Role,
+    keyring::{Denial, Keyring},
+    table::{Need, need},
+};
+
+/// How a port checks its callers.
+#[derive(Clone, Debug)]
+pub(crate) enum Access {
+    /// No tokens are configured: everybody may do everything.
+    Anybody,
+    /// Who has a token may do what it allows.
+    Tokens(Keyring),
+}
+
+impl Access {
+    /// The caller of a method, if the caller may call it.
+    fn check(&self, path: &str, request: &Request) -> Result<Caller, RpcError> {
+        let need = need(path).ok_or(RpcError::UnknownMethod)?;
+        let Self::Tokens(keyring) = self else { return Ok(Caller::Anybody) };
+        let caller = match (keyring.caller(request.headers()), need) {
+            (Ok(caller), _) => caller,
+            (Err(_), Need::Open) => return Ok(Caller::Stranger),
+            (Err(denied), _) => return Err(RpcError::Denial(denied)),
+        };
+        match need {
+            Need::Role(role) if !caller.has(role) => Err(RpcError::NeedsRole { method: path.to_owned(), role }),
+            _ => Ok(caller),
+        }
+    }
+
+    /// Whether these headers allow to read the metrics of the whole daemon.
+    ///
+    /// # Errors
+    /// There is no token, or it is not valid.
+    pub(crate) fn may_read_metrics(&self, request: &Request) -> Result<bool, Denial> {
+        let Self::Tokens(keyring) = self else { return Ok(true) };
+        let caller = keyring.caller(request.headers())?;
+        Ok(caller.has(Role::Planner) && caller.covers_all())
+    }
+}
+
+/// Lets a request through to the services, or refuses it.
+pub(crate) async fn admit(State(access): State<Access>, mut request: Request, next: Next) -> Response {
+    let path = request.uri().path().to_owned();
+    let caller = match access.check(&path, &request) {
+        Ok(caller) => caller,
+        Err(error) => {
+            let reason = error.reason();
+            debug!(reason, method = %path.chars().take(100).collect::<String>(), "request refused");
+            metrics::counter!("tidemap_denied_total", "reason" => reason).increment(1);
+            return Status::from(error).into_http::<Body>();
+        }
+    };
+    request.headers_mut().remove(AUTHORIZATION);
+    let (Access::Tokens(keyring), Caller::Holder(token)) = (access, &caller) else {
+        return caller.scope(next.run(request)).await;
+    };
+    if let Some(Need::Role(Role::Operator | Role::Admin)) = need(&path) {
+        info!(token = %token.id, method = %path, "an operator's request");
+    }
+    let (for_caller, for_reply) = (caller.clone(), keyring.clone());
+    let for_request = (keyring.clone(), caller.clone());
+    let request = request.map(|body| WatchedBody::wrap(body, for_request.0, for_request.1, Direction::Request));
+    let work = for_caller.scope(next.run(request));
+    tokio::select! {
+        response = work => response.map(|body| WatchedBody::wrap(body, for_reply, caller, Direction::Reply)),
+        () = keyring.revoked(caller.clone()) => Status::from(RpcError::Revoked).into_http::<Body>(),
+    }
+}
