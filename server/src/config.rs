@@ -130,8 +130,6 @@ settings! {
     socket: PathBuf = PathBuf::new();
     /// Permissions of the Unix socket; who may write to it may connect. `0o660` lets the daemon's group connect.
     socket_mode: u32 = 0o600, 0, 0o777;
-    /// Listen on other addresses than this machine's without TLS or without tokens.
-    allow_insecure_remote: bool = false;
     /// The certificate of the gRPC port in PEM form, with those of the authorities between it and the root; empty: the
     /// port speaks no TLS. It is read again when it changes.
     tls_certificate: PathBuf = PathBuf::new();
@@ -143,6 +141,8 @@ settings! {
     /// The file of the tokens that clients must have, as `tidemapd token` writes it; empty: everybody may do
     /// everything. It is read again when it changes.
     tokens_file: PathBuf = PathBuf::new();
+    /// Listen on other addresses than this machine's without TLS or without tokens.
+    allow_insecure_remote: bool = false;
     /// Format of the log.
     log_format: LogFormat = LogFormat::Text;
     /// Filter of the log.

@@ -39,6 +39,14 @@ impl<S> GuardedConnection<S> {
         self.place.seat.peer
     }
 
+    /// A server that waits to write its greeting, as in a TLS handshake, does not read; the deadline holds then too.
+    fn check_before_request(&mut self, context: &mut Context<'_>) -> io::Result<()> {
+        match self.deadline.is_some().then(|| self.must_end(context)).flatten() {
+            Some(error) => Err(error),
+            None => Ok(()),
+        }
+    }
+
     fn must_end(&mut self, context: &mut Context<'_>) -> Option<io::Error> {
         if self.place.seat.is_displaced(context.waker()) {
             return Some(io::Error::new(io::ErrorKind::ConnectionAborted, "the connection made room for another"));
@@ -73,6 +81,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for GuardedConnection<S> {
 
 impl<S: AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
     fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        self.check_before_request(context)?;
         Pin::new(&mut self.socket).poll_write(context, bytes)
     }
 
@@ -81,6 +90,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
         context: &mut Context<'_>,
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
+        self.check_before_request(context)?;
         Pin::new(&mut self.socket).poll_write_vectored(context, slices)
     }
 
@@ -89,6 +99,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.check_before_request(context)?;
         Pin::new(&mut self.socket).poll_flush(context)
     }
 

@@ -132,6 +132,7 @@ impl TopologyService for Routes {
 
     async fn edit_topology(&self, request: Request<v1::EditTopologyRequest>) -> RpcReply<v1::EditTopologyResponse> {
         let v1::EditTopologyRequest { map, edit } = request.into_inner();
+        find_map(&self.catalog, &map).await?;
         let edit = edit_from_wire(edit.as_ref()).map_err(RpcError::from)?;
         let (nodes, edges) = self.edit(&map, edit).await?;
         Ok(Response::new(v1::EditTopologyResponse { nodes, edges }))
