@@ -23,7 +23,6 @@ const fn role(role: Role) -> Need {
 /// The methods by path.
 const TABLE: &[(&str, Need)] = &[
     ("/grpc.health.v1.Health/Check", Need::Open),
-    ("/grpc.health.v1.Health/List", Need::Token),
     ("/grpc.health.v1.Health/Watch", Need::Token),
     ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Need::Token),
     // Maps and their content. Producers ask what a map is before they send to it.
