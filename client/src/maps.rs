@@ -177,6 +177,14 @@ impl Client {
     /// # Errors
     /// [`Error`].
     pub async fn maps(&self) -> Result<Vec<Map>, Error> {
+        Ok(self.all_maps().await?.0)
+    }
+
+    /// All maps that can be used, ordered by name, and those that cannot, each with the reason.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub async fn all_maps(&self) -> Result<(Vec<Map>, Vec<UnavailableMap>), Error> {
         let mut maps = Vec::new();
         let mut request = v1::ListMapsRequest { page_size: 1000, page_token: String::new() };
         loop {
@@ -186,7 +194,9 @@ impl Client {
                 maps.push(map_from_wire(Some(map))?);
             }
             if page.next_page_token.is_empty() {
-                return Ok(maps);
+                let unavailable = page.unavailable.into_iter();
+                let unavailable = unavailable.map(|map| UnavailableMap { name: map.name, reason: map.reason });
+                return Ok((maps, unavailable.collect()));
             }
             request.page_token = page.next_page_token;
         }
@@ -227,6 +237,15 @@ impl Client {
         let states = page.states.into_iter().map(state_from_wire).collect::<Result<_, _>>()?;
         Ok((states, Some(page.next_page_token).filter(|token| !token.is_empty())))
     }
+}
+
+/// A map that cannot be used, because its data is damaged or missing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UnavailableMap {
+    /// Its name.
+    pub name: String,
+    /// What is wrong with it, and what to do.
+    pub reason: String,
 }
 
 fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {

@@ -8,9 +8,10 @@ pub mod manifest;
 pub mod plan;
 pub mod v1;
 pub mod v2;
+pub mod v3;
 
 #[cfg(test)]
 mod tests;
 
 /// The disk format that this version reads and writes.
-pub const FORMAT: u32 = 2;
+pub const FORMAT: u32 = 3;

@@ -19,11 +19,18 @@ pub struct Step {
 }
 
 /// All steps, ascending.
-pub const STEPS: &[Step] = &[Step {
-    from: 1,
-    summary: "existing files do not change; new maps may have grids, which older versions cannot read",
-    run: |_| Ok(()),
-}];
+pub const STEPS: &[Step] = &[
+    Step {
+        from: 1,
+        summary: "existing files do not change; new maps may have grids, which older versions cannot read",
+        run: |_| Ok(()),
+    },
+    Step {
+        from: 2,
+        summary: "existing files do not change; lists of the files that must exist are made when the maps open",
+        run: |_| Ok(()),
+    },
+];
 
 /// What to do with a data directory.
 #[derive(Clone, Debug)]
@@ -87,7 +94,7 @@ mod tests {
     #[test]
     fn the_released_steps_lead_from_format_1_to_the_present() {
         let Plan::Migrate(way) = plan(1, crate::FORMAT, STEPS) else { panic!("expected steps") };
-        assert_eq!(way.iter().map(|step| step.from).collect::<Vec<_>>(), [1]);
+        assert_eq!(way.iter().map(|step| step.from).collect::<Vec<_>>(), [1, 2]);
         for step in way {
             (step.run)(Path::new("/nowhere")).expect("changes nothing");
         }

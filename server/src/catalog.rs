@@ -6,6 +6,8 @@
 //! may see the generation before one that it has seen. Earlier updates in the log had ended, because another followed;
 //! they are repeated before the map is open.
 //!
+//! A map that cannot be opened is set aside: the others serve, and its files stay as they are.
+//!
 //! Invariant: looking a map up never waits. Maps are created and deleted one at a time, and a listed map is durable. A
 //! change that has begun is completed even if its caller is gone.
 
@@ -27,7 +29,7 @@ use tidemap_map::{
     update::{SumsUnavailable, UpdateWork},
 };
 use tidemap_store::{MapId, OpenError, StoreError};
-use tracing::{info, warn};
+use tracing::{error, info, warn};
 
 use crate::ingest::{
     ending::Ending,
@@ -53,6 +55,8 @@ pub(crate) enum CatalogError {
     Unknown(String),
     #[error("there are {max} maps, as many as setting max_maps allows")]
     TooMany { max: usize },
+    #[error("map {map:?} is unavailable: {reason}. The other maps are served")]
+    Unavailable { map: String, reason: String },
     #[error(transparent)]
     Store(#[from] StoreError),
     #[error(transparent)]
@@ -72,6 +76,26 @@ pub(crate) enum CatalogError {
     Stopping,
 }
 
+impl CatalogError {
+    /// Whether only the data of one map is at fault, and not the machine.
+    fn is_of_one_map(&self) -> bool {
+        match self {
+            Self::Open(error) => !error.is_shortage(),
+            Self::Inconsistent { .. } | Self::Duplicate { .. } | Self::Tile { .. } => true,
+            _ => false,
+        }
+    }
+}
+
+/// A map that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct UnavailableMap {
+    pub id: MapId,
+    /// Its name; where that is not known, its number.
+    pub name: String,
+    pub reason: String,
+}
+
 type ByName = BTreeMap<MapName, Arc<MapHandle>>;
 
 #[cfg(test)]
@@ -83,6 +107,7 @@ pub(crate) struct Catalog {
     context: Context,
     max_maps: usize,
     maps: Arc<ArcSwap<ByName>>,
+    unavailable: Arc<ArcSwap<Vec<UnavailableMap>>>,
     // One change at a time; readers use `maps` and never take this lock. `false`: stopped.
     changing: Arc<tokio::sync::Mutex<bool>>,
     /// Ends the restoring of maps.
@@ -102,23 +127,27 @@ impl Catalog {
     /// [`Self::restore_rest`] has restored them.
     ///
     /// # Errors
-    /// The first map that cannot be opened, and why; two maps of the same name.
+    /// [`CatalogError::Thread`], or a lack of memory or descriptors. A map that cannot be opened for another reason is
+    /// set aside.
     pub(crate) fn open(
         context: Context,
         max_maps: usize,
         restored_first_bytes: u64,
     ) -> Result<(Self, Vec<SeatedMap>), CatalogError> {
         let stored = context.store.maps();
-        let mut ids = BTreeMap::new();
-        for (second, spec) in &stored {
-            if let Some(first) = ids.insert(&spec.name, *second) {
-                return Err(CatalogError::Duplicate { name: spec.name.clone(), first, second: *second });
-            }
+        let (mut maps, mut rest, mut unavailable) = (ByName::new(), Vec::new(), Vec::new());
+        for map in context.store.set_aside() {
+            let name = map.name.unwrap_or_else(|| format!("map number {}", map.id.0));
+            unavailable.push(set_aside(map.id, name, map.reason));
         }
-        let (mut maps, mut rest) = (ByName::new(), Vec::new());
         let stopping = Arc::new(AtomicBool::new(false));
         for (id, spec) in stored {
             let (name, spec) = (spec.name.clone(), Arc::new(spec));
+            if let Some(first) = maps.get(&name).map(|handle: &Arc<MapHandle>| handle.id) {
+                let error = CatalogError::Duplicate { name: name.clone(), first, second: id };
+                unavailable.push(set_aside(id, name.as_str().to_owned(), error.to_string()));
+                continue;
+            }
             let sizes = context.store.sizes(id);
             let is_large = sizes.log_bytes + sizes.checkpoint_bytes > restored_first_bytes;
             let handle = match context.store.published(id, &spec).filter(|_| is_large) {
@@ -130,37 +159,76 @@ impl Catalog {
                     rest.push(SeatedMap { id, spec, seat });
                     Arc::new(handle)
                 }
-                None => open_map(&context, id, &spec)?,
+                None => match open_map(&context, id, &spec) {
+                    Ok(handle) => handle,
+                    Err(error) if error.is_of_one_map() => {
+                        unavailable.push(set_aside(id, name.as_str().to_owned(), error.to_string()));
+                        continue;
+                    }
+                    Err(error) => return Err(error),
+                },
             };
             maps.insert(name, handle);
         }
         let changing = Arc::new(tokio::sync::Mutex::new(true));
-        Ok((Self { context, max_maps, maps: Arc::new(ArcSwap::from_pointee(maps)), changing, stopping }, rest))
+        let unavailable = Arc::new(ArcSwap::from_pointee(unavailable));
+        let maps = Arc::new(ArcSwap::from_pointee(maps));
+        Ok((Self { context, max_maps, maps, unavailable, changing, stopping }, rest))
     }
 
     /// Restores the maps that show what the index publishes, one after the other.
     ///
     /// # Errors
-    /// The first map that cannot be opened, and why; [`CatalogError::Stopping`].
+    /// As [`Self::open`]; [`CatalogError::Stopping`].
     pub(crate) fn restore_rest(&self, rest: Vec<SeatedMap>) -> Result<(), CatalogError> {
         for SeatedMap { id, spec, seat } in rest {
             let tell = |done, total| {
                 seat.opening.send_replace(OpenProgress::Replay { done, total });
                 !self.stopping.load(Ordering::Relaxed)
             };
-            let restored = restore_map(&self.context, id, &spec, &tell)?;
-            start_in(seat, self.context.clone(), id, restored)?;
+            match restore_map(&self.context, id, &spec, &tell) {
+                Ok(restored) => drop(start_in(seat, self.context.clone(), id, restored)?),
+                Err(error) if error.is_of_one_map() => {
+                    // Listed before the seat is dropped, so that who waits for the map learns why.
+                    let map = set_aside(id, spec.name.as_str().to_owned(), error.to_string());
+                    self.unavailable.rcu(|all| [&all[..], std::slice::from_ref(&map)].concat());
+                    self.maps.rcu(|all| {
+                        let mut maps = ByName::clone(all);
+                        maps.remove(&spec.name);
+                        maps
+                    });
+                    drop(seat);
+                }
+                Err(error) => return Err(error),
+            }
         }
         Ok(())
+    }
+
+    /// Maps that are set aside.
+    pub(crate) fn unavailable(&self) -> Arc<Vec<UnavailableMap>> {
+        self.unavailable.load_full()
+    }
+
+    /// Why a map is set aside, if it is.
+    fn check_available(&self, name: &str) -> Result<(), CatalogError> {
+        match self.unavailable.load().iter().find(|map| map.name == name) {
+            Some(map) => Err(CatalogError::Unavailable { map: map.name.clone(), reason: map.reason.clone() }),
+            None => Ok(()),
+        }
     }
 
     /// The map of this name.
     ///
     /// # Errors
-    /// [`CatalogError::Unknown`].
+    /// [`CatalogError::Unknown`], [`CatalogError::Unavailable`].
     pub(crate) fn get(&self, name: &str) -> Result<Arc<MapHandle>, CatalogError> {
         let name_checked = MapName::new(name).map_err(|_| CatalogError::Unknown(shortened(name)))?;
-        self.maps.load().get(&name_checked).cloned().ok_or_else(|| CatalogError::Unknown(shortened(name)))
+        if let Some(handle) = self.maps.load().get(&name_checked) {
+            return Ok(Arc::clone(handle));
+        }
+        self.check_available(name)?;
+        Err(CatalogError::Unknown(shortened(name)))
     }
 
     /// All maps, by name.
@@ -191,6 +259,7 @@ impl Catalog {
         if maps.contains_key(&spec.name) {
             return Err(CatalogError::Exists(spec.name));
         }
+        self.check_available(spec.name.as_str())?;
         if maps.len() >= self.max_maps {
             return Err(CatalogError::TooMany { max: self.max_maps });
         }
@@ -226,6 +295,13 @@ impl Catalog {
         let open = self.changing.lock().await;
         if !*open {
             return Err(CatalogError::Stopping);
+        }
+        if let Some(map) = self.unavailable().iter().find(|map| map.name == name && self.get(name).is_err()) {
+            let (store, id) = (Arc::clone(&self.context.store), map.id);
+            ended(tokio::task::spawn_blocking(move || Ok(store.delete_map(id)?))).await?;
+            self.unavailable.rcu(|all| all.iter().filter(|other| other.id != id).cloned().collect::<Vec<_>>());
+            info!(map = name, id = id.0, "unavailable map deleted");
+            return Ok(());
         }
         let handle = self.get(name)?;
         let before = self.all();
@@ -265,6 +341,12 @@ impl Catalog {
             }
         }
     }
+}
+
+/// Reports a map that cannot be used.
+fn set_aside(id: MapId, name: String, reason: String) -> UnavailableMap {
+    error!(map = name, id = id.0, reason, "map unavailable: it is set aside, and its files are left as they are");
+    UnavailableMap { id, name, reason }
 }
 
 fn shortened(name: &str) -> String {

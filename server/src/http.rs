@@ -29,6 +29,12 @@ fn opening(catalog: &Catalog) -> String {
     catalog.all().values().filter_map(line).collect()
 }
 
+/// A line for each map that is set aside; its number, as above. The log and `map list` name it.
+fn unavailable(catalog: &Catalog) -> String {
+    let maps = catalog.unavailable();
+    maps.iter().map(|map| format!("map number {} is unavailable: {}\n", map.id.0, map.reason)).collect()
+}
+
 /// Serves until `stop` is ready.
 ///
 /// # Errors
@@ -44,12 +50,12 @@ pub(crate) async fn serve(
     let maps = Arc::clone(&catalog);
     let ready = move || {
         let stopping = *stopping.borrow();
-        let opening = opening(&maps);
+        let (opening, unavailable) = (opening(&maps), unavailable(&maps));
         async move {
             if stopping {
                 (StatusCode::SERVICE_UNAVAILABLE, "stopping\n".to_owned())
             } else if opening.is_empty() {
-                (StatusCode::OK, "ready\n".to_owned())
+                (StatusCode::OK, format!("ready\n{unavailable}"))
             } else {
                 (StatusCode::SERVICE_UNAVAILABLE, opening)
             }

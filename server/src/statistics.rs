@@ -54,6 +54,7 @@ pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
         }
     }
     rows.extend(sums);
+    rows.push(("maps_unavailable", catalog.unavailable().len() as f64, ""));
     rows.extend(of_storage(catalog));
     rows
 }

@@ -25,8 +25,11 @@ const OPEN_WITHIN: Duration = Duration::from_secs(10);
 /// The map of this name, or an error that lists the existing ones. Waits until the map is open.
 pub(super) async fn find_map(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
     let handle = find_published(catalog, name)?;
-    opened(&handle).await?;
-    Ok(handle)
+    match opened(&handle).await {
+        Ok(()) => Ok(handle),
+        // It may have turned out that it cannot be opened.
+        Err(error) => Err(find_published(catalog, name).err().unwrap_or(error)),
+    }
 }
 
 /// Waits until a map is open.

@@ -23,7 +23,7 @@ use tonic::{Request, Response};
 use super::{RpcReply, page::page, status::RpcError};
 use crate::{
     access::Caller,
-    catalog::Catalog,
+    catalog::{Catalog, CatalogError},
     ingest::{
         handle::MapHandle,
         protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
@@ -71,15 +71,30 @@ impl MapService for Maps {
         let (range, next_page_token) = page(maps.len(), request.page_size, 100, 1000, &request.page_token)?;
         let mut shown = Vec::with_capacity(range.len());
         for handle in maps.into_iter().skip(range.start).take(range.len()) {
-            opened(handle).await?;
+            // A map that turns out to be unavailable meanwhile is among those.
+            if let Err(error) = opened(handle).await {
+                match self.catalog.get(handle.spec.name.as_str()) {
+                    Err(CatalogError::Unavailable { .. }) => continue,
+                    _ => return Err(error.into()),
+                }
+            }
             shown.push(map_to_wire(&handle.view()));
         }
-        Ok(Response::new(v1::ListMapsResponse { maps: shown, next_page_token }))
+        let unavailable = if next_page_token.is_empty() { self.catalog.unavailable() } else { Arc::default() };
+        let unavailable = unavailable.iter().filter(|map| caller.covers(&map.name)).map(|map| v1::UnavailableMap {
+            name: map.name.clone(),
+            reason: map.reason.clone(),
+        });
+        Ok(Response::new(v1::ListMapsResponse { maps: shown, next_page_token, unavailable: unavailable.collect() }))
     }
 
     async fn delete_map(&self, request: Request<v1::DeleteMapRequest>) -> RpcReply<v1::DeleteMapResponse> {
         let name = request.into_inner().name;
-        find_map(&self.catalog, &name).await?;
+        // An unavailable map can be deleted as well.
+        match find_map(&self.catalog, &name).await {
+            Ok(_) | Err(RpcError::Catalog(CatalogError::Unavailable { .. })) => {}
+            Err(error) => return Err(error.into()),
+        }
         self.catalog.delete(&name).await.map_err(RpcError::from)?;
         Ok(Response::new(v1::DeleteMapResponse {}))
     }

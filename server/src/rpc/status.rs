@@ -153,6 +153,8 @@ impl RpcError {
                 CatalogError::Unknown(_) => (Code::NotFound, "UNKNOWN_MAP"),
                 CatalogError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 CatalogError::Store(_) => (Code::Internal, "STORAGE_FAILED"),
+                CatalogError::Unavailable { .. } => (Code::DataLoss, "MAP_UNAVAILABLE"),
+                CatalogError::Open(error) if error.is_shortage() => (Code::Unavailable, "SHORTAGE"),
                 CatalogError::Open(_)
                 | CatalogError::Inconsistent { .. }
                 | CatalogError::Sums { .. }
@@ -180,6 +182,8 @@ impl RpcError {
             Self::History(error) => match error {
                 HistoryError::UnknownMap(_) => (Code::NotFound, "MAP_DELETED"),
                 HistoryError::Damaged { .. } => (Code::DataLoss, "STORAGE_FAILED"),
+                HistoryError::Missing { .. } => (Code::DataLoss, "HISTORY_MISSING"),
+                HistoryError::Io { .. } if error.is_shortage() => (Code::Unavailable, "SHORTAGE"),
                 HistoryError::Io { .. } => (Code::Internal, "STORAGE_FAILED"),
             },
             Self::Updating(_) => (Code::Unavailable, "UPDATING"),
@@ -268,6 +272,10 @@ impl From<RpcError> for Status {
             }
             RpcError::Limit(limit) | RpcError::Intake(IntakeError::Limit(limit)) => {
                 details.add_quota_failure_violation(limit.what, error.to_string());
+            }
+            RpcError::History(HistoryError::Missing { from_nanos, to_nanos, .. }) => {
+                metadata.insert("from_nanos".to_owned(), from_nanos.to_string());
+                metadata.insert("to_nanos".to_owned(), to_nanos.to_string());
             }
             RpcError::Intake(IntakeError::OutOfSequence { got, expected }) => {
                 metadata.insert("got".to_owned(), got.to_string());

@@ -20,7 +20,7 @@ use tidemap_model::PhasorSum;
 use crate::{
     MapId,
     disk::Disk,
-    error::{OpenError, Report, StoreError, open_io, store_io},
+    error::{OpenError, Report, StoreError, is_shortage, open_io, store_io},
     record::{site, snapshot as record},
     record_file::{RecordReader, RecordWriter},
 };
@@ -262,6 +262,10 @@ impl Checkpoints<'_> {
             let path = self.path(position);
             match self.read(spec, &path, position, memory) {
                 Ok(snapshot) => return Ok((Some(snapshot), damaged)),
+                // A good checkpoint must not be set aside because there are no descriptors to open it.
+                Err(_) if let Some(error) = self.disk.read_anywhere(&path).err().filter(is_shortage) => {
+                    return Err(error);
+                }
                 Err(reason) => damaged.push(DamagedCheckpoint { path, reason }),
             }
         }

@@ -6,7 +6,7 @@
 use std::{
     fs::{self, File, OpenOptions},
     io::{self, Read, Write as _},
-    os::unix::fs::FileExt as _,
+    os::unix::fs::{FileExt as _, MetadataExt as _},
     path::Path,
 };
 
@@ -44,6 +44,10 @@ pub trait DiskFile: Send {
     fn truncate(&mut self, length: u64) -> io::Result<()>;
     /// Makes the file's bytes and length durable. After an error it is not known what is.
     fn sync(&mut self) -> io::Result<()>;
+    /// Whether a path still leads to this file, and not to another or none.
+    fn is_at(&self, _path: &Path) -> bool {
+        true
+    }
 }
 
 /// A file open for random access.
@@ -139,5 +143,14 @@ impl DiskFile for RealFile {
     fn sync(&mut self) -> io::Result<()> {
         // fdatasync writes the length of a file, but not its modification time.
         Ok(rustix::fs::fdatasync(&self.0)?)
+    }
+
+    fn is_at(&self, path: &Path) -> bool {
+        let identity = |metadata: &fs::Metadata| (metadata.dev(), metadata.ino());
+        // Where the path cannot be followed, the file is out of reach for the next start.
+        match (self.0.metadata(), fs::metadata(path)) {
+            (Ok(open), Ok(named)) => identity(&open) == identity(&named),
+            _ => false,
+        }
     }
 }

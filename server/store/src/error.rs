@@ -2,11 +2,24 @@
 //!
 //! Invariant: a message states what is wrong, in which file and where, and what the user can do about it.
 
-use std::{fmt, io, path::PathBuf};
+use std::{
+    fmt, io,
+    path::{Path, PathBuf},
+};
 
 use tidemap_migrations::manifest::ManifestError;
 
 use crate::MapId;
+
+const NANOS_PER_SEC: i64 = 1_000_000_000;
+
+/// The path of a file within its data directory, because errors reach clients, which must not learn where that is.
+fn shown(file: &Path) -> String {
+    let parts: Vec<_> = file.iter().map(|part| part.to_string_lossy()).collect();
+    // The last such folder: the data directory itself may lie in one.
+    let start = parts.iter().rposition(|part| part == "maps" || part == "index");
+    parts.get(start.unwrap_or(parts.len().saturating_sub(1))..).unwrap_or_default().join("/")
+}
 
 /// Why a store or a map cannot be opened.
 #[derive(Debug, thiserror::Error)]
@@ -36,11 +49,11 @@ pub enum OpenError {
         "{} is damaged at byte {offset}, record {position}: {reason}. Acknowledged observations may be lost, so it is \
          not opened and nothing has been changed. Restore the folder of this map from a backup, or move it out of \
          the data directory to continue without the map",
-        .file.display()
+        shown(.file)
     )]
     CorruptLog { file: PathBuf, offset: u64, position: u64, reason: String },
     /// A file other than the log is damaged and cannot be rebuilt.
-    #[error("{} is damaged: {reason}. Restore it from a backup of this data directory", .file.display())]
+    #[error("{} is damaged: {reason}. Restore it from a backup of this data directory", shown(.file))]
     Damaged { file: PathBuf, reason: String },
     /// There is no such map.
     #[error("there is no map number {}", .0.0)]
@@ -49,7 +62,7 @@ pub enum OpenError {
     #[error("map number {} is open already", .0.0)]
     AlreadyOpen(MapId),
     /// The disk returned an error.
-    #[error("cannot read or write {}: {source}", .file.display())]
+    #[error("cannot read or write {}: {source}", shown(.file))]
     Io { file: PathBuf, source: io::Error },
 }
 
@@ -64,13 +77,13 @@ pub enum StoreError {
     #[error("the snapshot of map number {} cannot be stored: {reason}", .map.0)]
     InvalidSnapshot { map: MapId, reason: String },
     /// The bytes read back differ from the bytes written.
-    #[error("{} is not read back as it was written: {reason}. Check the disk", .file.display())]
+    #[error("{} is not read back as it was written: {reason}. Check the disk", shown(.file))]
     NotReadBack { file: PathBuf, reason: String },
     /// The disk is full.
-    #[error("the disk is full: {} has not been written. Free some space", .file.display())]
+    #[error("the disk is full: {} has not been written. Free some space", shown(.file))]
     DiskFull { file: PathBuf },
     /// The disk returned an error.
-    #[error("cannot read or write {}: {source}", .file.display())]
+    #[error("cannot read or write {}: {source}", shown(.file))]
     Io { file: PathBuf, source: io::Error },
 }
 
@@ -85,11 +98,18 @@ pub enum HistoryError {
     #[error(
         "{} is damaged: {reason}. Restore it from a backup of this data directory, or move it away to continue without the \
          exact observations in it",
-        .file.display()
+        shown(.file)
     )]
     Damaged { file: PathBuf, reason: String },
+    /// A history file that must exist is missing. The models of the map do not depend on it.
+    #[error(
+        "{} is missing: observations from {} to {} s after 1970-01-01T00:00:00Z are lost. Restore it from a backup of \
+         this data directory; the models are not affected",
+        shown(.file), .from_nanos.div_euclid(NANOS_PER_SEC), .to_nanos.div_euclid(NANOS_PER_SEC)
+    )]
+    Missing { file: PathBuf, from_nanos: i64, to_nanos: i64 },
     /// The disk returned an error.
-    #[error("cannot read or write {}: {source}", .file.display())]
+    #[error("cannot read or write {}: {source}", shown(.file))]
     Io { file: PathBuf, source: io::Error },
 }
 
@@ -112,7 +132,7 @@ pub enum AppendError {
     #[error("an earlier append to this map has failed")]
     AfterFailure,
     /// The disk failed, so its content is unknown. Nothing is appended until the process restarts.
-    #[error("writing {} has failed: {reason}. Nothing more is accepted; check the disk and restart", .file.display())]
+    #[error("writing {} has failed: {reason}. Nothing more is accepted; check the disk and restart", shown(.file))]
     Poisoned { file: PathBuf, reason: String },
     /// The event is invalid: it could not be read back, so it was not written.
     #[error("the event cannot be stored: {0}")]
@@ -134,6 +154,10 @@ pub enum Report {
     IndexSetAside { folder: PathBuf, reason: String },
     /// An earlier version wrote the index, and it was dropped; it is written again from the checkpoints.
     IndexDropped,
+    /// A list of the files that must exist was damaged; it was made again of those that exist.
+    ListMade { file: PathBuf, reason: &'static str },
+    /// A map is listed, but was not; its creation was interrupted, or its folder was put there.
+    MapListed { map: MapId },
     /// The index of a map was written again from its checkpoint.
     IndexRebuilt { map: MapId, reason: String },
     /// There is no index; checkpoints and logs do not need it.
@@ -146,22 +170,26 @@ impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Report::TornTail { file, bytes } => {
-                write!(f, "cut {bytes} bytes off the end of {} that had not been written whole", file.display())
+                write!(f, "cut {bytes} bytes off the end of {} that had not been written whole", shown(file))
             }
             Report::CheckpointSetAside { file, reason } => {
-                write!(f, "set a damaged checkpoint aside as {}: {reason}", file.display())
+                write!(f, "set a damaged checkpoint aside as {}: {reason}", shown(file))
             }
             Report::IndexSetAside { folder, reason } => {
-                write!(f, "set the damaged index aside as {}: {reason}", folder.display())
+                write!(f, "set the damaged index aside as {}: {reason}", shown(folder))
             }
             Report::IndexDropped => {
                 write!(f, "dropped the index, which an earlier version wrote; it is written again from the checkpoints")
             }
+            Report::ListMade { file, reason } => {
+                write!(f, "made {} again of the files that exist: {reason}", shown(file))
+            }
+            Report::MapListed { map } => write!(f, "listed map number {}, which was not listed", map.0),
             Report::IndexRebuilt { map, reason } => {
                 write!(f, "rebuilt the index of map number {}: {reason}", map.0)
             }
             Report::IndexUnavailable { reason } => write!(f, "continuing without the index: {reason}"),
-            Report::LeftoverRemoved { file } => write!(f, "removed {}, left by an interruption", file.display()),
+            Report::LeftoverRemoved { file } => write!(f, "removed {}, left by an interruption", shown(file)),
         }
     }
 }
@@ -169,6 +197,29 @@ impl fmt::Display for Report {
 /// No space on the disk, or none left for this user.
 pub(crate) fn is_disk_full(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+}
+
+impl OpenError {
+    /// Whether the machine lacks something for now: memory or descriptors. The data may be sound.
+    #[must_use]
+    pub fn is_shortage(&self) -> bool {
+        matches!(self, OpenError::Io { source, .. } if is_shortage(source))
+    }
+}
+
+impl HistoryError {
+    /// Whether the machine lacks something for now: memory or descriptors. The data may be sound.
+    #[must_use]
+    pub fn is_shortage(&self) -> bool {
+        matches!(self, HistoryError::Io { source, .. } if is_shortage(source))
+    }
+}
+
+/// Whether the machine lacks something for now: memory, or descriptors of the process or the system.
+pub(crate) fn is_shortage(error: &io::Error) -> bool {
+    use rustix::io::Errno;
+    let shortages = [Errno::MFILE, Errno::NFILE, Errno::NOMEM].map(Errno::raw_os_error);
+    error.raw_os_error().is_some_and(|code| shortages.contains(&code))
 }
 
 /// Names the file of an error while opening.

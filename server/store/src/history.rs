@@ -16,6 +16,7 @@ use tidemap_map::{
     ids::StateId,
     spec::MapSpec,
 };
+use tidemap_migrations::v3::lists::ListedFile;
 use tidemap_model::Sample;
 
 use crate::{
@@ -26,6 +27,7 @@ use crate::{
 
 mod days;
 mod file;
+mod list;
 mod states;
 mod table;
 mod write;
@@ -113,15 +115,20 @@ impl History {
         }
     }
 
-    /// Generations that have a file of a part, ascending.
-    fn generations(&self, part: Part) -> io::Result<Vec<u64>> {
-        let names = self.names()?;
-        Ok(names
+    /// Generations that have a file of a part, or should have one, ascending.
+    fn generations(&self, part: Part) -> Result<Vec<u64>, HistoryError> {
+        let mut names = self.names().map_err(|error| self.list_error(error))?;
+        // Read after the names: a file that is no longer listed was deleted on purpose.
+        names.extend(self.listed()?.files.into_iter().map(|file| file.name));
+        let mut found: Vec<u64> = names
             .iter()
             .filter_map(|name| Part::of(name))
             .filter(|found| found.1 == part && found.0 < self.before)
             .map(|found| found.0)
-            .collect())
+            .collect();
+        found.sort_unstable();
+        found.dedup();
+        Ok(found)
     }
 
     fn open(&self, generation: u64, part: Part) -> Result<HistoryFile, HistoryError> {
@@ -154,8 +161,8 @@ impl History {
     /// # Errors
     /// [`HistoryError`] names the file that cannot be read.
     pub fn first_of_states(&self) -> Result<Option<(u64, i64)>, HistoryError> {
-        for generation in self.generations(Part::States).map_err(|error| self.list_error(error))? {
-            if let Some(file) = self.open_if_there(generation, Part::States)? {
+        for generation in self.generations(Part::States)? {
+            if let Some(file) = self.open_if_there(generation, Part::States, i64::MIN, i64::MAX)? {
                 return Ok(Some((generation, file.to_nanos())));
             }
         }
@@ -169,11 +176,11 @@ impl History {
     /// [`HistoryError`] names the file that cannot be read.
     pub fn state(&self, id: StateId, from_nanos: i64, to_nanos: i64) -> Result<Vec<Sample>, HistoryError> {
         let mut found = Vec::new();
-        for generation in self.generations(Part::States).map_err(|error| self.list_error(error))? {
+        for generation in self.generations(Part::States)? {
             if found.len() > self.enough {
                 break;
             }
-            let Some(file) = self.open_if_there(generation, Part::States)? else { continue };
+            let Some(file) = self.open_if_there(generation, Part::States, from_nanos, to_nanos)? else { continue };
             if file.overlaps(from_nanos, to_nanos) {
                 Table::new(&file).samples(id, |sample| {
                     if (from_nanos..to_nanos).contains(&sample.utc_nanos) {
@@ -212,11 +219,20 @@ impl History {
         Ok(sizes)
     }
 
-    /// Opens a file that may have been deleted since its name was read.
-    fn open_if_there(&self, generation: u64, part: Part) -> Result<Option<HistoryFile>, HistoryError> {
+    /// Opens a file that may have been deleted since its name was read; not an error unless it must exist and may have
+    /// observations of the range.
+    fn open_if_there(
+        &self,
+        generation: u64,
+        part: Part,
+        from_nanos: i64,
+        to_nanos: i64,
+    ) -> Result<Option<HistoryFile>, HistoryError> {
         match self.open(generation, part) {
             Ok(file) => Ok(Some(file)),
-            Err(HistoryError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(HistoryError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+                self.check_missing(generation, part, from_nanos, to_nanos).map(|()| None)
+            }
             Err(error) => Err(error),
         }
     }
@@ -225,39 +241,42 @@ impl History {
     pub(crate) fn save(&self, spec: &MapSpec, pieces: &[Arc<HistoryPiece>]) -> Result<(), StoreError> {
         let keeps_states = spec.retention != Retention::None;
         let keeps_grid = spec.grid.as_ref().is_some_and(|grid| grid.retention != Retention::None);
-        let mut is_changed = false;
+        let mut written = Vec::new();
         for piece in pieces {
             if keeps_states && !piece.states.is_empty() {
-                self.write(piece, Part::States, &mut is_changed)?;
+                self.write(piece, Part::States, &mut written)?;
             }
             if keeps_grid && !piece.days.is_empty() {
-                self.write(piece, Part::Grid, &mut is_changed)?;
+                self.write(piece, Part::Grid, &mut written)?;
             }
         }
-        if is_changed {
-            self.disk.sync_folder(&self.folder).map_err(store_io(&self.folder))?;
+        if written.is_empty() {
+            return Ok(());
         }
-        Ok(())
+        self.disk.sync_folder(&self.folder).map_err(store_io(&self.folder))?;
+        self.add_to_list(written)
     }
 
-    fn write(&self, piece: &HistoryPiece, part: Part, is_changed: &mut bool) -> Result<(), StoreError> {
-        if !*is_changed {
+    fn write(&self, piece: &HistoryPiece, part: Part, written: &mut Vec<ListedFile>) -> Result<(), StoreError> {
+        if written.is_empty() {
             self.create_folder().map_err(store_io(&self.folder))?;
-            *is_changed = true;
         }
         let path = self.path(piece.generation, part);
         let new_path = self.folder.join(part.name(piece.generation).replace(SUFFIX, NEW_SUFFIX));
-        let written = write::write(&*self.disk, &new_path, self.map, piece, part);
-        let verified = written.and_then(|trailer| {
+        let trailer = write::write(&*self.disk, &new_path, self.map, piece, part);
+        let verified = trailer.and_then(|trailer| {
             file::verify(&*self.disk, &new_path, self.map.0, piece.generation, trailer)
-                .map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })
+                .map_err(|reason| StoreError::NotReadBack { file: new_path.clone(), reason })?;
+            self.entry(&new_path, part.name(piece.generation), piece.generation)
+                .map_err(|error| StoreError::NotReadBack { file: new_path.clone(), reason: error.to_string() })
         });
-        if let Err(error) = verified {
+        let listed = verified.inspect_err(|_| {
             // Frees the space now; if this fails, the next start removes the file.
             let _ = self.disk.remove(&new_path);
-            return Err(error);
-        }
-        self.disk.rename(&new_path, &path).map_err(store_io(&path))
+        })?;
+        self.disk.rename(&new_path, &path).map_err(store_io(&path))?;
+        written.push(listed);
+        Ok(())
     }
 
     /// Maps of format 1 have no such folder.
@@ -272,16 +291,32 @@ impl History {
     /// Deletes the files whose newest observation is older than the map's retention allows.
     pub(crate) fn forget(&self, spec: &MapSpec, newest_nanos: i64) -> Result<(), HistoryError> {
         let grid = spec.grid.as_ref().map_or(Retention::Forever, |grid| grid.retention);
+        let mut forgotten = Vec::new();
         for (part, retention) in [(Part::States, spec.retention), (Part::Grid, grid)] {
             let Retention::Duration(nanos) = retention else { continue };
             let keep_from = newest_nanos.saturating_sub(nanos);
-            for generation in self.generations(part).map_err(|error| self.list_error(error))? {
-                // A damaged file stays for inspection.
-                let Ok(file) = self.open(generation, part) else { continue };
-                if file.to_nanos() < keep_from {
-                    let path = self.path(generation, part);
-                    self.disk.remove(&path).map_err(|source| HistoryError::Io { file: path, source })?;
+            for generation in self.generations(part)? {
+                // A damaged file stays for inspection, and a missing one that is too old is missed no longer.
+                let is_old = match self.open_if_there(generation, part, keep_from, i64::MAX) {
+                    Ok(file) => file.is_none_or(|file| file.to_nanos() < keep_from),
+                    Err(_) => false,
+                };
+                if is_old {
+                    forgotten.push(self.path(generation, part));
                 }
+            }
+        }
+        if forgotten.is_empty() {
+            return Ok(());
+        }
+        // First, so that no file is missed that was deleted on purpose.
+        self.remove_from_list(&forgotten)?;
+        for path in forgotten {
+            match self.disk.remove(&path) {
+                Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                    return Err(HistoryError::Io { file: path, source });
+                }
+                _ => {}
             }
         }
         Ok(())

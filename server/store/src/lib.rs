@@ -12,6 +12,7 @@ pub mod disk;
 mod error;
 mod history;
 mod index;
+mod list_file;
 mod log;
 mod map_log;
 mod record;
@@ -29,7 +30,7 @@ pub use history::{GridDays, History, HistorySizes, StateFiles};
 pub use log::{Done, replay::Replay};
 pub use map_log::MapLog;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
-pub use store::{IndexContents, IndexedRows, OpenedMap, Sizes, Source, Store, StoreOptions};
+pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store, StoreOptions};
 
 /// Number of a map within its store, from 1, never reused; also the name of its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

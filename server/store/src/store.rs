@@ -31,6 +31,7 @@ pub(crate) mod open;
 mod open_map;
 mod save;
 
+pub use catalogue::SetAside;
 pub use contents::{IndexContents, IndexedRows};
 use lock::Lock;
 
@@ -94,6 +95,7 @@ struct OpenStore {
 
 struct Maps {
     entries: BTreeMap<MapId, MapEntry>,
+    set_aside: BTreeMap<MapId, SetAside>,
     next: u32,
 }
 
@@ -175,6 +177,18 @@ impl OpenStore {
         Checkpoints { disk: &*self.disk, folder: catalogue::checkpoints_folder(&self.directory, map), map }
     }
 
+    /// Deletes a map whose folder has the name of a deleted one.
+    fn finish_deletion(&self, map: MapId) -> Result<(), StoreError> {
+        let maps = catalogue::maps_folder(&self.directory);
+        self.disk.sync_folder(&maps).map_err(store_io(maps))?;
+        // Held, because a creation changes the same list.
+        let maps = self.maps();
+        catalogue::change_list(&*self.disk, &self.directory, |list| list.maps.retain(|(number, _)| *number != map.0))?;
+        drop(maps);
+        self.index().purge(map.0);
+        catalogue::remove_deleted(&*self.disk, &self.directory, map)
+    }
+
     fn close(&self) {
         self.committer.close();
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
@@ -222,6 +236,11 @@ impl Store {
         self.inner.maps().entries.iter().map(|(&map, entry)| (map, MapSpec::clone(&entry.spec))).collect()
     }
 
+    /// Maps that cannot be used, because their folder is missing or its file MAP is damaged, by number.
+    pub fn set_aside(&self) -> Vec<SetAside> {
+        self.inner.maps().set_aside.values().cloned().collect()
+    }
+
     /// Creates a map; durable when this returns. The caller makes sure that names are unique.
     ///
     /// # Errors
@@ -245,6 +264,10 @@ impl Store {
     /// or only freeing its space failed, and the next start does that.
     pub fn delete_map(&self, map: MapId) -> Result<(), StoreError> {
         let inner = &*self.inner;
+        if inner.maps().set_aside.remove(&map).is_some() {
+            catalogue::mark_deleted(&*inner.disk, &inner.directory, map)?;
+            return inner.finish_deletion(map);
+        }
         let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
         // Checked again: another deletion may have been first.
@@ -260,12 +283,7 @@ impl Store {
             }
         }
         inner.maps().entries.remove(&map);
-        let maps = catalogue::maps_folder(&inner.directory);
-        inner.disk.sync_folder(&maps).map_err(store_io(maps))?;
-        inner.index().purge(map.0);
-        catalogue::empty_deleted(&*inner.disk, &inner.directory, map)
-            .map_err(store_io(catalogue::map_folder(&inner.directory, map)))?;
-        Ok(())
+        inner.finish_deletion(map)
     }
 
     /// Bytes of a map on the disk; folders that cannot be read count as 0.

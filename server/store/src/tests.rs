@@ -13,6 +13,7 @@ mod grid_life;
 mod grid_records;
 mod history;
 mod life;
+mod missing;
 mod round_trip;
 mod scans;
 mod segments;

@@ -155,6 +155,7 @@ const MORE_COLUMNS: [&str; 12] = [
 pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
     let client = &session.client;
     let all = matches!(command, MapCommand::List);
+    let mut unavailable = Vec::new();
     let maps = match command {
         MapCommand::Create(args) => {
             let wanted = new_map(*args);
@@ -164,7 +165,11 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
             }
             vec![with_grid(client.create_map(wanted).await?, has_grid)?]
         }
-        MapCommand::List => client.maps().await?,
+        MapCommand::List => {
+            let maps = client.all_maps().await?;
+            unavailable = maps.1;
+            maps.0
+        }
         MapCommand::Show { name } => vec![client.map(&name).await?],
         MapCommand::Set { name, charger: Charger(at_m) } => {
             client.set_charger(&name, at_m).await?;
@@ -181,12 +186,18 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
             return Ok(ExitCode::SUCCESS);
         }
     };
-    let columns = if all { COLUMNS.to_vec() } else { [&COLUMNS[..], &MORE_COLUMNS].concat() };
+    let columns = if all { [&COLUMNS[..], &["problem"]].concat() } else { [&COLUMNS[..], &MORE_COLUMNS].concat() };
     let row = |map| {
-        let more = if all { Vec::new() } else { more_cells(&map) };
+        let more = if all { vec![Cell::Empty] } else { more_cells(&map) };
         [cells(map), more].concat()
     };
-    session.print(&columns, maps.into_iter().map(row))
+    let damaged = unavailable.into_iter().map(|map| {
+        let mut row = vec![Cell::Empty; COLUMNS.len() + 1];
+        row[0] = Cell::Text(map.name);
+        row[COLUMNS.len()] = Cell::Text(map.reason);
+        row
+    });
+    session.print(&columns, maps.into_iter().map(row).chain(damaged))
 }
 
 /// Checks that a new map has its grid: a daemon that does not support grids ignores the field.

@@ -54,7 +54,9 @@ impl GridDays {
             };
             self.current = None;
             // Opened again for each day: a file has few days, and no file stays open between two calls.
-            let Some(file) = self.history.open_if_there(generation, Part::Grid)? else { continue };
+            let Some(file) = self.history.open_if_there(generation, Part::Grid, self.from_nanos, self.to_nanos)? else {
+                continue;
+            };
             if !file.overlaps(self.from_nanos, self.to_nanos) || day >= file.end.days {
                 continue;
             }
@@ -68,8 +70,7 @@ impl GridDays {
     fn next_generation(&mut self) -> Result<Option<u64>, HistoryError> {
         if self.generations.is_none() {
             let history = &self.history;
-            let generations = history.generations(Part::Grid).map_err(|error| history.list_error(error))?;
-            self.generations = Some(generations.into_iter());
+            self.generations = Some(history.generations(Part::Grid)?.into_iter());
         }
         Ok(self.generations.as_mut().and_then(Iterator::next))
     }

@@ -26,6 +26,8 @@ pub(super) struct HistoryFile {
     pub(super) file: Box<dyn DiskReader>,
     path: PathBuf,
     pub(super) end: End,
+    /// The checksum in its trailer.
+    pub(super) total_crc: u32,
 }
 
 impl HistoryFile {
@@ -44,10 +46,10 @@ impl HistoryFile {
         }
         let mut trailer = [0; TRAILER_LENGTH];
         file.read_exact_at(&mut trailer, length - TRAILER_LENGTH as u64).map_err(io_error)?;
-        Trailer::decode(&trailer).ok_or_else(|| damaged("its end is not valid"))?;
+        let trailer = Trailer::decode(&trailer).ok_or_else(|| damaged("its end is not valid"))?;
         let (payload, _) = anywhere::raw(&*file, RecordKind::End, end).map_err(|reason| damaged(&reason))?;
         let end = End::decode(&payload).ok_or_else(|| damaged("its end is not valid"))?;
-        Ok(HistoryFile { file, path: path.to_owned(), end })
+        Ok(HistoryFile { file, path: path.to_owned(), end, total_crc: trailer.total_crc })
     }
 
     pub(super) fn damaged(&self, reason: impl Into<String>) -> HistoryError {

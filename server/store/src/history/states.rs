@@ -23,9 +23,13 @@ impl History {
     /// [`HistoryError`] names the file that cannot be read.
     pub fn state_files(&self) -> Result<StateFiles, HistoryError> {
         let mut files = Vec::new();
-        for generation in self.generations(Part::States).map_err(|error| self.list_error(error))? {
-            if let Some(file) = self.open_if_there(generation, Part::States)? {
-                files.push((generation, file.to_nanos()));
+        for generation in self.generations(Part::States)? {
+            match self.open_if_there(generation, Part::States, i64::MIN, i64::MAX) {
+                Ok(Some(file)) => files.push((generation, file.to_nanos())),
+                Ok(None) => {}
+                // Only a state whose times it covers lacks it.
+                Err(HistoryError::Missing { to_nanos, .. }) => files.push((generation, to_nanos)),
+                Err(error) => return Err(error),
             }
         }
         Ok(StateFiles { history: self.clone(), files })
@@ -48,7 +52,8 @@ impl StateFiles {
             if to_nanos < earliest {
                 continue;
             }
-            let Some(file) = self.history.open_if_there(generation, Part::States)? else { continue };
+            let file = self.history.open_if_there(generation, Part::States, earliest, i64::MAX)?;
+            let Some(file) = file else { continue };
             let mut table = Table::new(&file);
             for &index in &order {
                 let ReadingsRequest { state, from_nanos } = wanted[index];

@@ -5,11 +5,15 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_migrations::v1::log::{SEGMENT_HEADER_LENGTH, SegmentHeader};
+use tidemap_migrations::{
+    v1::log::{SEGMENT_HEADER_LENGTH, SegmentHeader},
+    v3::lists::{NEWEST_FILE, NewestSegment},
+};
 
 use crate::{
     disk::{Disk, read_all},
     error::{OpenError, Report, open_io},
+    list_file,
     log::{
         Progress,
         frame::{Cursor, has_unwritten_sector, is_followed, next_frame},
@@ -45,9 +49,15 @@ pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) ->
     let names = disk.list(folder).map_err(open_io(folder))?;
     let mut segments: Vec<u64> = names.iter().filter_map(|name| segment_position(name)).collect();
     let mut reports = Vec::new();
+    let list = folder.join(NEWEST_FILE);
+    let listed: Option<NewestSegment> = list_file::open(disk, &list, &mut reports)?;
     let unfinished = unfinished_segment(disk, folder, &segments)?;
     if unfinished.is_some() {
         segments.pop();
+    }
+    if let Some(NewestSegment { first_position }) = listed.filter(|listed| !segments.contains(&listed.first_position)) {
+        let file = segment_path(folder, first_position);
+        return Err(corrupt(&file, 0, first_position, "the segment that begins with this record is missing"));
     }
     let replay_from = expected.replay_from.max(1);
     let Some(start) = segments.iter().rposition(|&first| first <= replay_from) else {
@@ -94,6 +104,10 @@ pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) ->
     // Records may be in the page cache only; they are about to be used, so they must be durable.
     file.sync().map_err(open_io(&newest))?;
     disk.sync_folder(folder).map_err(open_io(folder))?;
+    let first_position = segments.last().copied().unwrap_or(1);
+    if listed.is_none_or(|listed| listed.first_position < first_position) {
+        list_file::replace(disk, &list, &NewestSegment { first_position }).map_err(open_io(&list))?;
+    }
     Ok(Recovered { segments, cursor, progress, reports })
 }
 

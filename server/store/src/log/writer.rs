@@ -8,11 +8,15 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_migrations::v1::log::{FIRST_CHAIN, SEGMENT_HEADER_LENGTH, SegmentHeader};
+use tidemap_migrations::{
+    v1::log::{FIRST_CHAIN, SEGMENT_HEADER_LENGTH, SegmentHeader},
+    v3::lists::{NEWEST_FILE, NewestSegment},
+};
 
 use crate::{
     disk::{Disk, DiskFile},
     error::{AppendError, is_disk_full},
+    list_file,
     log::{
         frame::{Cursor, EncodedEvent},
         segment_path,
@@ -108,6 +112,12 @@ impl LogWriter {
     /// Makes the written group durable. After an error the content of the disk is unknown.
     pub(crate) fn sync(&mut self) -> Result<(), AppendError> {
         self.file.sync().map_err(|error| Self::poisoned(&self.path, &error))?;
+        // The records of a file that nobody can find again are lost, although the disk has them. A look takes
+        // microseconds beside a sync.
+        if !self.file.is_at(&self.path) {
+            let reason = "it was removed or replaced while the daemon ran".to_owned();
+            return Err(AppendError::Poisoned { file: self.path.clone(), reason });
+        }
         if let Some((length, next_position, chain)) = self.written.take() {
             (self.length, self.next_position, self.chain) = (length, next_position, chain);
         }
@@ -123,6 +133,11 @@ impl LogWriter {
             if is_disk_full(&error) { AppendError::DiskFull } else { Self::poisoned(&path, &error) }
         })?;
         self.disk.sync_folder(&self.folder).map_err(|error| Self::poisoned(&self.folder, &error))?;
+        let newest = NewestSegment { first_position: self.next_position };
+        list_file::replace(&*self.disk, &self.folder.join(NEWEST_FILE), &newest).map_err(|error| {
+            // The list is the old one, and the segment is created again.
+            if is_disk_full(&error) { AppendError::DiskFull } else { Self::poisoned(&self.folder, &error) }
+        })?;
         (self.file, self.path, self.length) = (file, path, length);
         self.first_position = header.first_position;
         Ok(())
@@ -142,5 +157,5 @@ pub(crate) fn create_log(disk: &dyn Disk, folder: &Path, map: u32) -> std::io::R
     disk.create_folder(folder)?;
     let header = SegmentHeader { map, first_position: 1, chain: FIRST_CHAIN };
     create_segment(disk, &segment_path(folder, 1), &header)?;
-    disk.sync_folder(folder)
+    list_file::replace(disk, &folder.join(NEWEST_FILE), &NewestSegment { first_position: 1 })
 }

@@ -1,11 +1,11 @@
 //! The folders of the maps: listing, creating and deleting them.
 //!
-//! Invariant: a map's folder has its final name only when everything in it is durable. A deleted map leaves an empty
-//! folder, so that its number is never used again.
+//! Invariant: a map's folder has its final name only when everything in it is durable. A created map is listed in
+//! `MAPS` before it is acknowledged, and a deleted one is no longer listed before its files go; the list keeps its
+//! number from being used again.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    io,
     path::{Path, PathBuf},
 };
 
@@ -13,12 +13,14 @@ use tidemap_map::spec::MapSpec;
 use tidemap_migrations::{
     v1::file::{FileHeader, MAP_MAGIC},
     v2::{file::RecordKind, map as v2},
+    v3::lists::{FileList, HISTORY_FILE, MAPS_FILE, MapList},
 };
 
 use crate::{
     MapId,
     disk::Disk,
     error::{OpenError, Report, StoreError, open_io, store_io},
+    list_file::{self, Unlisted},
     log::writer::create_log,
     record,
     record_file::{RecordReader, RecordWriter},
@@ -35,9 +37,24 @@ pub(super) struct Catalogued {
     pub(super) history_complete: bool,
 }
 
+/// A map that cannot be used. Its files are left as they are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SetAside {
+    /// Its number.
+    pub id: MapId,
+    /// Its name, where it is known.
+    pub name: Option<String>,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
 /// The maps of a store.
 pub(super) struct Catalogue {
     pub(super) maps: BTreeMap<MapId, Catalogued>,
+    /// Maps whose folder is missing or whose MAP file is damaged.
+    pub(super) set_aside: BTreeMap<MapId, SetAside>,
+    /// Whether `MAPS` says something else.
+    pub(super) is_list_old: bool,
     /// Deleted maps, which may still have files.
     pub(super) deleted: BTreeSet<MapId>,
     /// The next unused number.
@@ -81,7 +98,16 @@ fn map_number(name: &str) -> Option<MapId> {
 /// Lists the maps, and removes leftovers of interrupted creations.
 pub(super) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>) -> Result<Catalogue, OpenError> {
     let folder = maps_folder(directory);
-    let mut catalogue = Catalogue { maps: BTreeMap::new(), deleted: BTreeSet::new(), next: 1 };
+    let list = list_file::open::<MapList>(disk, &directory.join(MAPS_FILE), reports)?;
+    let known = list.clone().unwrap_or_default();
+    let name_of = |map: MapId| known.maps.iter().find(|(number, _)| *number == map.0).map(|(_, name)| name.clone());
+    let mut catalogue = Catalogue {
+        maps: BTreeMap::new(),
+        set_aside: BTreeMap::new(),
+        is_list_old: false,
+        deleted: BTreeSet::new(),
+        next: known.next.max(1),
+    };
     for name in disk.list(&folder).map_err(open_io(&folder))? {
         let path = folder.join(&name);
         if let Some(map) = name.strip_suffix(NEW_SUFFIX).and_then(map_number) {
@@ -93,13 +119,62 @@ pub(super) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>)
             catalogue.deleted.insert(map);
             catalogue.next = catalogue.next.max(map.0.saturating_add(1));
         } else if let Some(map) = map_number(&name) {
-            let file = path.join("MAP");
-            let spec = read_spec(disk, &file, map).map_err(|reason| OpenError::Damaged { file, reason })?;
-            catalogue.maps.insert(map, spec);
+            match read_spec(disk, &path.join("MAP"), map) {
+                Ok(spec) => {
+                    if list.is_some() && name_of(map).is_none() {
+                        reports.push(Report::MapListed { map });
+                    }
+                    catalogue.maps.insert(map, spec);
+                }
+                Err(reason) => {
+                    let reason = format!("its file MAP cannot be used: {reason}. {RESTORE}");
+                    catalogue.set_aside.insert(map, SetAside { id: map, name: name_of(map), reason });
+                }
+            }
             catalogue.next = catalogue.next.max(map.0.saturating_add(1));
         }
     }
+    for (number, name) in &known.maps {
+        let map = MapId(*number);
+        let is_known = catalogue.maps.contains_key(&map) || catalogue.set_aside.contains_key(&map);
+        if !is_known && !catalogue.deleted.contains(&map) {
+            let reason = format!("its folder is missing. {RESTORE}");
+            catalogue.set_aside.insert(map, SetAside { id: map, name: Some(name.clone()), reason });
+        }
+    }
+    catalogue.is_list_old = list.as_ref() != Some(&catalogue.list());
     Ok(catalogue)
+}
+
+/// What to do about a map that cannot be used.
+const RESTORE: &str = "Restore the folder of this map from a backup, or delete the map to continue without it";
+
+impl Catalogue {
+    /// What `MAPS` should say.
+    pub(super) fn list(&self) -> MapList {
+        let maps = self.maps.iter().map(|(map, known)| (map.0, known.spec.name.as_str().to_owned()));
+        let set_aside = self.set_aside.values().map(|map| (map.id.0, map.name.clone().unwrap_or_default()));
+        let mut maps: Vec<_> = maps.chain(set_aside).collect();
+        maps.sort();
+        MapList { next: self.next, maps }
+    }
+}
+
+/// Changes the list of maps; durable when this returns.
+pub(super) fn change_list(
+    disk: &dyn Disk,
+    directory: &Path,
+    change: impl FnOnce(&mut MapList),
+) -> Result<(), StoreError> {
+    let file = directory.join(MAPS_FILE);
+    let mut list = list_file::read::<MapList>(disk, &file).map_err(|unlisted| match unlisted {
+        Unlisted::Absent => store_io(&file)(std::io::ErrorKind::NotFound.into()),
+        Unlisted::Damaged(reason) => StoreError::NotReadBack { file: file.clone(), reason: reason.to_owned() },
+        Unlisted::Io(error) => store_io(&file)(error),
+    })?;
+    change(&mut list);
+    list.maps.sort();
+    list_file::replace(disk, &file, &list).map_err(store_io(file))
 }
 
 /// Lists the maps, and changes nothing.
@@ -136,7 +211,7 @@ pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         create_log(disk, &new_folder.join("log"), map.0)?;
         disk.create_folder(&new_folder.join("checkpoints"))?;
         disk.sync_folder(&new_folder.join("checkpoints"))?;
-        disk.sync_folder(&new_folder)
+        list_file::replace(disk, &new_folder.join(HISTORY_FILE), &FileList::default())
     };
     let written = write().map_err(store_io(&new_folder)).and_then(|()| match read_spec(disk, &file, map) {
         Ok(read) if read.spec == *spec && read.history_complete => Ok(()),
@@ -150,27 +225,36 @@ pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
     }
     disk.rename(&new_folder, &folder).map_err(store_io(&folder))?;
     let maps = maps_folder(directory);
-    disk.sync_folder(&maps).map_err(|error| {
+    let listed = disk.sync_folder(&maps).map_err(store_io(maps)).and_then(|()| {
+        change_list(disk, directory, |list| {
+            list.maps.push((map.0, spec.name.as_str().to_owned()));
+            list.next = list.next.max(map.0.saturating_add(1));
+        })
+    });
+    listed.inspect_err(|_| {
         // A map whose creation has failed must not appear at the next start.
         let _ = disk.rename(&folder, &new_folder);
-        StoreError::from_io(maps, error)
     })
 }
 
 /// Gives a map's folder the name of a deleted one; durable once the folder of all maps is.
 pub(super) fn mark_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
     let folder = map_folder(directory, map);
-    disk.rename(&folder, &with_suffix(&folder, DELETED_SUFFIX)).map_err(store_io(&folder))
+    match disk.rename(&folder, &with_suffix(&folder, DELETED_SUFFIX)) {
+        // The folder of a map that is set aside may be missing.
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        renamed => renamed.map_err(store_io(&folder)),
+    }
 }
 
-/// Removes the files of a deleted map but keeps its empty folder. Returns whether there were any.
-pub(super) fn empty_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> io::Result<bool> {
+/// Removes the folder of a deleted map, which is no longer listed.
+pub(super) fn remove_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
     let folder = with_suffix(&map_folder(directory, map), DELETED_SUFFIX);
-    let names = disk.list(&folder)?;
-    for name in &names {
-        let path = folder.join(name);
-        if name == "MAP" { disk.remove(&path)? } else { disk.remove_folder(&path)? }
+    match disk.remove_folder(&folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(store_io(folder)(error)),
+        _ => {
+            let maps = maps_folder(directory);
+            disk.sync_folder(&maps).map_err(store_io(maps))
+        }
     }
-    disk.sync_folder(&folder)?;
-    Ok(!names.is_empty())
 }

@@ -14,6 +14,7 @@ use tidemap_migrations::{
     FORMAT,
     manifest::{self, Manifest, ManifestError},
     plan::{Plan, STEPS, plan},
+    v3::lists::MAPS_FILE,
 };
 
 use super::{
@@ -25,6 +26,7 @@ use crate::{
     disk::{Disk, RealDisk},
     error::{OpenError, Report, open_io},
     index::{Index, OpenRepair, is_present},
+    list_file,
 };
 
 /// The parts of a store.
@@ -108,10 +110,15 @@ impl Store {
         let maps_folder = catalogue::maps_folder(&directory);
         disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
         let catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
+        if catalogue.is_list_old {
+            let file = directory.join(MAPS_FILE);
+            list_file::replace(&*disk, &file, &catalogue.list()).map_err(open_io(file))?;
+        }
         for &map in &catalogue.deleted {
-            // Leftovers of an interrupted deletion.
-            if catalogue::empty_deleted(&*disk, &directory, map).map_err(open_io(&maps_folder))? {
-                index.purge(map.0);
+            // Leftovers of an interrupted deletion, and the empty folders that earlier versions left.
+            index.purge(map.0);
+            if let Err(error) = catalogue::remove_deleted(&*disk, &directory, map) {
+                tracing::warn!(map = map.0, %error, "a deleted map still takes space; tried again at the next start");
             }
         }
         let entry = |Catalogued { spec, history_complete }| MapEntry::new(spec, history_complete);
@@ -122,7 +129,7 @@ impl Store {
             options,
             store_id,
             reports,
-            maps: Mutex::new(Maps { entries, next: catalogue.next }),
+            maps: Mutex::new(Maps { entries, set_aside: catalogue.set_aside, next: catalogue.next }),
             index: Mutex::new(index),
             committer,
             thread: Mutex::new(None),

@@ -1,0 +1,179 @@
+//! The lists of files as text: a first line that says what it is, a line for each entry, and a checksum of all before.
+//!
+//! Invariant: a text that is read is the text that its content gives when it is written again.
+
+/// File of [`MapList`] in the data directory.
+pub const MAPS_FILE: &str = "MAPS";
+/// File of [`FileList`] in the folder of a map.
+pub const HISTORY_FILE: &str = "HISTORY";
+/// File of [`NewestSegment`] in the folder of a log.
+pub const NEWEST_FILE: &str = "NEWEST";
+
+/// The maps of a data directory.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MapList {
+    /// The next number for a map; numbers are never used again.
+    pub next: u32,
+    /// Number and name of each map, ascending by number.
+    pub maps: Vec<(u32, String)>,
+}
+
+/// The history files of a map.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FileList {
+    /// Ascending by name.
+    pub files: Vec<ListedFile>,
+}
+
+/// A history file that must exist.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ListedFile {
+    /// Its name in the folder `history`.
+    pub name: String,
+    /// The smallest time of its observations.
+    pub from_nanos: i64,
+    /// The greatest time of its observations.
+    pub to_nanos: i64,
+    /// Its length in bytes.
+    pub length: u64,
+    /// The checksum in its trailer.
+    pub total_crc: u32,
+}
+
+/// The newest segment of a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NewestSegment {
+    /// Position of its first record.
+    pub first_position: u64,
+}
+
+/// A list that is stored as text.
+pub trait TextList: Sized {
+    /// Its first line.
+    const FIRST_LINE: &'static str;
+    /// The lines between the first and the checksum.
+    fn lines(&self) -> Vec<String>;
+    /// The list of these lines; `None` where they are not valid.
+    fn parse(lines: &[&str]) -> Option<Self>;
+
+    /// The text of the file.
+    fn to_text(&self) -> String {
+        let mut text = format!("{}\n", Self::FIRST_LINE);
+        for line in self.lines() {
+            text.push_str(&line);
+            text.push('\n');
+        }
+        let checksum = crc32c::crc32c(text.as_bytes());
+        text + &format!("crc32c {checksum:08x}\n")
+    }
+
+    /// The list of a text.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    fn from_text(text: &[u8]) -> Result<Self, &'static str> {
+        let text = std::str::from_utf8(text).map_err(|_| "it is not text")?;
+        let body = text.rfind("crc32c ").and_then(|end| text.get(..end)).ok_or("its checksum is missing")?;
+        let mut lines = body.lines();
+        if lines.next() != Some(Self::FIRST_LINE) {
+            return Err("its first line is not valid");
+        }
+        let list = Self::parse(&lines.collect::<Vec<_>>()).ok_or("a line is not valid")?;
+        // Writing it again must give the same bytes, with the same checksum.
+        if list.to_text() == text { Ok(list) } else { Err("its checksum does not match") }
+    }
+}
+
+impl TextList for MapList {
+    const FIRST_LINE: &'static str = "tidemap maps";
+
+    fn lines(&self) -> Vec<String> {
+        let maps = self.maps.iter().map(|(map, name)| format!("map {map} {name}"));
+        std::iter::once(format!("next {}", self.next)).chain(maps).collect()
+    }
+
+    fn parse(lines: &[&str]) -> Option<MapList> {
+        let (next, maps) = lines.split_first()?;
+        let map = |line: &&str| {
+            let (number, name) = line.strip_prefix("map ")?.split_once(' ')?;
+            Some((number.parse().ok()?, name.to_owned()))
+        };
+        let maps = maps.iter().map(map).collect::<Option<_>>()?;
+        Some(MapList { next: next.strip_prefix("next ")?.parse().ok()?, maps })
+    }
+}
+
+impl TextList for FileList {
+    const FIRST_LINE: &'static str = "tidemap history";
+
+    fn lines(&self) -> Vec<String> {
+        let line = |file: &ListedFile| {
+            let ListedFile { name, from_nanos, to_nanos, length, total_crc } = file;
+            format!("file {name} {from_nanos} {to_nanos} {length} {total_crc:08x}")
+        };
+        self.files.iter().map(line).collect()
+    }
+
+    fn parse(lines: &[&str]) -> Option<FileList> {
+        let file = |line: &&str| {
+            let mut fields = line.strip_prefix("file ")?.split(' ');
+            let file = ListedFile {
+                name: fields.next()?.to_owned(),
+                from_nanos: fields.next()?.parse().ok()?,
+                to_nanos: fields.next()?.parse().ok()?,
+                length: fields.next()?.parse().ok()?,
+                total_crc: u32::from_str_radix(fields.next()?, 16).ok()?,
+            };
+            fields.next().is_none().then_some(file)
+        };
+        Some(FileList { files: lines.iter().map(file).collect::<Option<_>>()? })
+    }
+}
+
+impl TextList for NewestSegment {
+    const FIRST_LINE: &'static str = "tidemap log";
+
+    fn lines(&self) -> Vec<String> {
+        vec![format!("newest {}", self.first_position)]
+    }
+
+    fn parse(lines: &[&str]) -> Option<NewestSegment> {
+        let [line] = lines else { return None };
+        Some(NewestSegment { first_position: line.strip_prefix("newest ")?.parse().ok()? })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check<L: TextList + PartialEq + std::fmt::Debug>(list: &L) {
+        let text = list.to_text().into_bytes();
+        assert_eq!(L::from_text(&text).as_ref(), Ok(list));
+        for bit in 0..text.len() * 8 {
+            let mut bad = text.clone();
+            bad[bit / 8] ^= 1 << (bit % 8);
+            assert!(L::from_text(&bad).is_err(), "bit {bit}");
+        }
+        for length in 0..text.len() {
+            assert!(L::from_text(&text[..length]).is_err(), "length {length}");
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read_and_every_change_is_noticed() {
+        check(&MapList { next: 4, maps: vec![(1, "office".to_owned()), (3, "crc32c 1".to_owned())] });
+        let name = "00000000000000000007.states.tmh".to_owned();
+        check(&FileList { files: vec![ListedFile { name, from_nanos: -5, to_nanos: 9, length: 77, total_crc: 12 }] });
+        check(&FileList::default());
+        check(&NewestSegment { first_position: 101 });
+    }
+
+    #[test]
+    fn the_lists_are_written_like_this_for_ever() {
+        let maps = MapList { next: 2, maps: vec![(1, "office".to_owned())] };
+        assert!(maps.to_text().starts_with("tidemap maps\nnext 2\nmap 1 office\ncrc32c "));
+        let newest = NewestSegment { first_position: 101 };
+        assert!(newest.to_text().starts_with("tidemap log\nnewest 101\ncrc32c "));
+    }
+}

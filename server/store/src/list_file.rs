@@ -1,0 +1,64 @@
+//! Reading and replacing the lists of files that must exist.
+//!
+//! Invariant: a list is the old one or the new one at every moment, and the new one is durable when a replacement
+//! returns.
+
+use std::{io, path::Path};
+
+use tidemap_migrations::v3::lists::TextList;
+
+use crate::{
+    disk::{Disk, read_all},
+    error::{OpenError, Report, open_io},
+};
+
+/// Suffix of a list that is being written.
+pub(crate) const NEW_EXTENSION: &str = "new";
+
+/// Why there is no list.
+#[derive(Debug)]
+pub(crate) enum Unlisted {
+    /// There is no file.
+    Absent,
+    /// The file is damaged.
+    Damaged(&'static str),
+    /// The disk returned an error.
+    Io(io::Error),
+}
+
+/// Reads a list.
+pub(crate) fn read<L: TextList>(disk: &dyn Disk, file: &Path) -> Result<L, Unlisted> {
+    let bytes = read_all(disk, file).map_err(|error| match error.kind() {
+        io::ErrorKind::NotFound => Unlisted::Absent,
+        _ => Unlisted::Io(error),
+    })?;
+    L::from_text(&bytes).map_err(Unlisted::Damaged)
+}
+
+/// Reads a list when its folder is opened; `None` where it must be made again, which is reported if it is damaged.
+pub(crate) fn open<L: TextList>(
+    disk: &dyn Disk,
+    file: &Path,
+    reports: &mut Vec<Report>,
+) -> Result<Option<L>, OpenError> {
+    match read(disk, file) {
+        Ok(list) => Ok(Some(list)),
+        Err(Unlisted::Absent) => Ok(None),
+        Err(Unlisted::Damaged(reason)) => {
+            reports.push(Report::ListMade { file: file.to_owned(), reason });
+            Ok(None)
+        }
+        Err(Unlisted::Io(error)) => Err(open_io(file)(error)),
+    }
+}
+
+/// Writes a list in the place of the old one.
+pub(crate) fn replace(disk: &dyn Disk, file: &Path, list: &impl TextList) -> io::Result<()> {
+    let new_file = file.with_added_extension(NEW_EXTENSION);
+    let mut writer = disk.create(&new_file)?;
+    writer.append(list.to_text().as_bytes())?;
+    writer.sync()?;
+    drop(writer);
+    disk.rename(&new_file, file)?;
+    disk.sync_folder(file.parent().unwrap_or(Path::new(".")))
+}
