@@ -14,6 +14,19 @@ use crate::{
     maps::UpdateSummary,
 };
 
+/// A backup that was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BackupMade {
+    /// Number of maps in it.
+    pub maps: u64,
+    /// Number of files that were copied.
+    pub copied_files: u64,
+    /// Bytes of these files.
+    pub copied_bytes: u64,
+    /// Number of files that an earlier backup had already.
+    pub kept_files: u64,
+}
+
 /// State of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum JobState {
@@ -228,6 +241,19 @@ impl Client {
         let page = answer.map_err(|status| self.error(&status))?.into_inner();
         let states = page.states.into_iter().map(state_update_from_wire).collect();
         Ok((states, Some(page.next_page_token).filter(|token| !token.is_empty())))
+    }
+
+    /// Copies all maps to a folder on the daemon's machine, an absolute path; it is empty or holds an earlier backup of
+    /// the same daemon, which is brought up to date.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `FAILED_PRECONDITION` if the folder holds something else.
+    pub async fn create_backup(&self, path: &str) -> Result<BackupMade, Error> {
+        let request = v1::CreateBackupRequest { path: path.to_owned() };
+        let answer = self.maintenance_service().create_backup(request).await;
+        let v1::CreateBackupResponse { maps, copied_files, copied_bytes, kept_files } =
+            answer.map_err(|status| self.error(&status))?.into_inner();
+        Ok(BackupMade { maps, copied_files, copied_bytes, kept_files })
     }
 
     /// Counters of a map, or of the whole daemon if `map` is empty.

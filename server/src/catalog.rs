@@ -81,7 +81,7 @@ impl CatalogError {
     fn is_of_one_map(&self) -> bool {
         match self {
             Self::Open(error) => !error.is_shortage(),
-            Self::Inconsistent { .. } | Self::Duplicate { .. } | Self::Tile { .. } => true,
+            Self::Inconsistent { .. } | Self::Duplicate { .. } | Self::Sums { .. } => true,
             _ => false,
         }
     }

@@ -76,11 +76,40 @@ pub(crate) enum OfflineCommand {
         #[arg(value_name = "MAP")]
         map: Option<String>,
     },
+<<<<<<< HEAD
     /// Make, list and revoke tokens, in the file that --tokens-file or the config file names.
     Token {
         /// What to do.
         #[command(subcommand)]
         command: TokenCommand,
+=======
+    /// Check every file of a data folder or a backup; no daemon may use it. The exit status is 0 if all is sound, 1 if
+    /// not, and 2 if it cannot be checked.
+    Check {
+        /// The data folder.
+        #[arg(value_name = "DIR")]
+        dir: PathBuf,
+        /// Repair what can be repaired without loss: lists of files, and the index.
+        #[arg(long)]
+        repair: bool,
+    },
+    /// Restore a backup, which `tidemap backup create` made.
+    #[command(subcommand)]
+    Backup(BackupCommand),
+}
+
+/// What to do with a backup.
+#[derive(Clone, Debug, clap::Subcommand)]
+pub(crate) enum BackupCommand {
+    /// Check a backup and copy it to an empty folder, which a daemon can use then.
+    Restore {
+        /// The folder of the backup.
+        #[arg(value_name = "BACKUP")]
+        backup: PathBuf,
+        /// The new data folder.
+        #[arg(value_name = "DIR")]
+        dir: PathBuf,
+>>>>>>> 24f42b4 (Check, back up and restore data folders, and show trouble of the storage)
     },
 }
 

@@ -148,7 +148,7 @@ fn close_to_others(folder: &Path) {
 }
 
 /// 16 bytes of the system's randomness as hex: the identity of a new data folder.
-fn random_id() -> anyhow::Result<String> {
+pub(crate) fn random_id() -> anyhow::Result<String> {
     let mut bytes = [0u8; 16];
     std::io::Read::read_exact(&mut std::fs::File::open("/dev/urandom")?, &mut bytes)?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())

@@ -6,6 +6,7 @@ use std::{future::Future, sync::Arc};
 
 use axum::{Router, extract::Request, http::StatusCode, routing::get};
 use metrics_exporter_prometheus::PrometheusHandle;
+use tidemap_store::Trouble;
 use tokio::sync::watch;
 
 use crate::{
@@ -29,6 +30,13 @@ fn opening(catalog: &Catalog) -> String {
     catalog.all().values().filter_map(line).collect()
 }
 
+/// A line for each problem of the storage; whether observations or generations are not kept as they should be.
+fn trouble(catalog: &Catalog) -> (String, bool) {
+    let trouble = catalog.context().store.trouble();
+    let is_severe = trouble.iter().any(|trouble| *trouble != Trouble::NoIndex);
+    (trouble.iter().map(|trouble| format!("{trouble}\n")).collect(), is_severe)
+}
+
 /// A line for each map that is set aside; its number, as above. The log and `map list` name it.
 fn unavailable(catalog: &Catalog) -> String {
     let maps = catalog.unavailable();
@@ -50,12 +58,15 @@ pub(crate) async fn serve(
     let maps = Arc::clone(&catalog);
     let ready = move || {
         let stopping = *stopping.borrow();
+        let (trouble, is_severe) = trouble(&maps);
         let (opening, unavailable) = (opening(&maps), unavailable(&maps));
         async move {
             if stopping {
                 (StatusCode::SERVICE_UNAVAILABLE, "stopping\n".to_owned())
+            } else if is_severe {
+                (StatusCode::SERVICE_UNAVAILABLE, trouble + &unavailable)
             } else if opening.is_empty() {
-                (StatusCode::OK, format!("ready\n{unavailable}"))
+                (StatusCode::OK, format!("ready\n{trouble}{unavailable}"))
             } else {
                 (StatusCode::SERVICE_UNAVAILABLE, opening)
             }

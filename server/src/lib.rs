@@ -17,7 +17,11 @@ mod index_print;
 mod ingest;
 mod jobs;
 mod model_cache;
+<<<<<<< HEAD
 mod reload;
+=======
+mod repair;
+>>>>>>> 24f42b4 (Check, back up and restore data folders, and show trouble of the storage)
 mod rpc;
 mod state_or_cell;
 mod statistics;
@@ -28,7 +32,7 @@ use std::{process::ExitCode, sync::Arc};
 use clap::Parser as _;
 use tidemap_store::disk::Disk;
 
-use crate::config::{Flags, OfflineCommand, Settings};
+use crate::config::{BackupCommand, Flags, OfflineCommand, Settings};
 
 /// Runs the whole daemon: reads the command line and the settings, serves until it is stopped, and returns the exit
 /// status. Everything that must survive a power cut goes through `disk`.
@@ -36,6 +40,13 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
     let flags = Flags::parse();
     if let Some(OfflineCommand::Index { dir, map }) = &flags.command {
         return index_print::run(dir, map.as_deref());
+    }
+    match &flags.command {
+        Some(OfflineCommand::Check { dir, repair }) => return repair::run_check(dir, *repair),
+        Some(OfflineCommand::Backup(BackupCommand::Restore { backup, dir })) => {
+            return repair::run_restore(backup, dir);
+        }
+        _ => {}
     }
     let settings = match Settings::load(&flags).and_then(|settings| {
         telemetry::start_logs(settings.log_format, &settings.log_level)?;

@@ -3,7 +3,7 @@
 //! Invariant: a name never changes its meaning; new names are added at the end.
 
 use tidemap_map::grid::index::TileId;
-use tidemap_store::Sizes;
+use tidemap_store::{Sizes, Trouble};
 
 use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
@@ -54,6 +54,13 @@ pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
         }
     }
     rows.extend(sums);
+    let trouble = catalog.context().store.trouble();
+    let count = |is_counted: fn(&Trouble) -> bool| trouble.iter().filter(|trouble| is_counted(trouble)).count() as f64;
+    rows.extend([
+        ("disk_full", count(|trouble| *trouble == Trouble::DiskFull), ""),
+        ("maps_not_saved", count(|trouble| matches!(trouble, Trouble::NotSaved { .. })), ""),
+        ("index_unavailable", count(|trouble| *trouble == Trouble::NoIndex), ""),
+    ]);
     rows.push(("maps_unavailable", catalog.unavailable().len() as f64, ""));
     rows.extend(of_storage(catalog));
     rows

@@ -47,6 +47,7 @@ macro_rules! pages {
 pages! {
     readme: "README.md",
     anomalies: "docs/src/anomalies.md",
+    backup: "docs/src/backup.md",
     commands: "docs/src/commands.md",
     configuration: "docs/src/configuration.md",
     durability: "docs/src/durability.md",

@@ -3,6 +3,7 @@
 //! Invariant: names, columns and meanings of commands never change; scripts rely on them.
 
 mod anomalies;
+mod backup;
 mod bench;
 mod day;
 mod evaluate;
@@ -198,6 +199,9 @@ enum Command {
     Job(job::JobCommand),
     /// Shows the counters of a map, or of the whole daemon
     Stats(stats::StatsArgs),
+    /// Makes a backup of all maps while the daemon runs
+    #[command(subcommand)]
+    Backup(backup::BackupCommand),
     /// Compares temporal models on recordings, by a protocol, without a daemon
     ///
     /// A protocol is a YAML file: training and test data, models with their parameters, the tuning of parameter lists
@@ -289,6 +293,7 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Slot(args) => slot::run(&session, args).await,
         Command::Job(command) => job::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,
+        Command::Backup(command) => backup::run(&session, &command).await,
         Command::Bench(command) => bench::run(&session, &command).await,
         // Handled above.
         Command::Demo(_) | Command::Experiment(_) => Ok(ExitCode::SUCCESS),

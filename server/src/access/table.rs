@@ -68,6 +68,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MaintenanceService/WatchJob", Need::Token),
     ("/tidemap.v1.MaintenanceService/GetUpdateReport", Need::Token),
     ("/tidemap.v1.MaintenanceService/GetStatistics", role(Planner)),
+    ("/tidemap.v1.MaintenanceService/CreateBackup", role(Admin)),
 ];
 
 /// What the method of a path needs; `None` if there is no such method.

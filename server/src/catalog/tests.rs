@@ -96,12 +96,16 @@ async fn a_deletion_that_fails_can_be_tried_again() {
 }
 
 #[test]
-fn two_maps_of_one_name_are_not_served() {
+fn of_two_maps_of_one_name_the_second_is_set_aside() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let store = store(dir.path());
     let (first, second) = (store.create_map(&spec()).expect("one"), store.create_map(&spec()).expect("two"));
-    let error = catalog(store).expect_err("not both");
-    assert!(error.to_string().contains(&format!("maps {} and {} ", first.0, second.0)), "{error}");
+    let catalog = catalog(store).expect("one of them");
+    assert_eq!(catalog.get("office").expect("the first").id, first);
+    let unavailable = catalog.unavailable();
+    let [map] = &unavailable[..] else { panic!("{unavailable:?}") };
+    assert_eq!((map.id, map.name.as_str()), (second, "office"));
+    assert!(map.reason.contains(&format!("maps {} and {} ", first.0, second.0)), "{map:?}");
 }
 
 #[tokio::test]
@@ -164,5 +168,37 @@ async fn a_stop_does_not_wait_for_a_map_that_is_never_restored() {
     let (handle, seat) = MapHandle::with_seat(MapId(1), Arc::new(spec()), map);
     drop(seat);
     assert!(!handle.opened().await);
+    catalog.stop().await;
+}
+
+#[tokio::test]
+async fn a_damaged_map_is_set_aside_and_the_others_serve() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let named = |name: &str| MapSpec { name: MapName::new(name).expect("valid"), ..spec() };
+    {
+        let store = store(dir.path());
+        for name in ["office", "lab", "store"] {
+            store.create_map(&named(name)).expect("creates");
+        }
+        store.close();
+    }
+    let log = dir.path().join("maps/00000001/log/00000000000000000001.log");
+    let mut bytes = std::fs::read(&log).expect("readable");
+    bytes[12] ^= 1;
+    std::fs::write(&log, &bytes).expect("writable");
+    std::fs::remove_dir_all(dir.path().join("maps/00000003")).expect("removable");
+
+    let catalog = catalog(store(dir.path())).expect("the other map");
+    assert_eq!(catalog.all().keys().map(MapName::as_str).collect::<Vec<_>>(), ["lab"]);
+    for (name, word) in [("office", "header of the segment"), ("store", "folder is missing")] {
+        let error = catalog.get(name).expect_err("unavailable");
+        assert!(matches!(&error, CatalogError::Unavailable { reason, .. } if reason.contains(word)), "{error}");
+        assert!(!error.to_string().contains(dir.path().to_str().expect("text")), "{error}");
+        assert!(matches!(catalog.create(named(name)).await, Err(CatalogError::Unavailable { .. })));
+    }
+    assert_eq!(std::fs::read(&log).expect("readable"), bytes, "its files are left as they are");
+    catalog.delete("office").await.expect("deletes");
+    assert!(matches!(catalog.get("office"), Err(CatalogError::Unknown(_))));
+    catalog.create(named("office")).await.expect("creates");
     catalog.stop().await;
 }

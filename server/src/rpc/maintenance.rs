@@ -1,15 +1,17 @@
 //! `MaintenanceService`: updates as jobs, and counters.
 
-use std::{sync::Arc, sync::atomic::Ordering, time::Duration};
+use std::{path::PathBuf, sync::Arc, sync::atomic::Ordering, time::Duration};
 
 use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, update::StateOutcome};
 use tidemap_proto::{
     convert::{
+        InvalidField,
         map::update_to_wire,
         time::{duration, nanos_from_timestamp, timestamp},
     },
     v1::{self, maintenance_service_server::MaintenanceService},
 };
+use tidemap_store::BackupReport;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
@@ -178,6 +180,20 @@ impl MaintenanceService for Maintenance {
         let states = cells.into_iter().chain(report.states.iter().map(state_update_to_wire));
         let states = states.skip(range.start).take(range.len());
         Ok(Response::new(v1::GetUpdateReportResponse { states: states.collect(), next_page_token }))
+    }
+
+    async fn create_backup(&self, request: Request<v1::CreateBackupRequest>) -> RpcReply<v1::CreateBackupResponse> {
+        let path = PathBuf::from(request.into_inner().path);
+        if !path.is_absolute() {
+            let problem = "it must be the absolute path of a folder on the daemon's machine";
+            return Err(RpcError::from(InvalidField::new("path", problem)).into());
+        }
+        let store = Arc::clone(&self.catalog.context().store);
+        let copied = tokio::task::spawn_blocking(move || store.backup(&path)).await;
+        let copied = copied.map_err(|_| RpcError::Stopping)?.map_err(RpcError::from)?;
+        let BackupReport { maps, copied_files, copied_bytes, kept_files } = copied;
+        tracing::info!(maps, copied_files, copied_bytes, kept_files, "backup made");
+        Ok(Response::new(v1::CreateBackupResponse { maps, copied_files, copied_bytes, kept_files }))
     }
 
     async fn get_statistics(&self, request: Request<v1::GetStatisticsRequest>) -> RpcReply<v1::GetStatisticsResponse> {

@@ -11,7 +11,7 @@ use tidemap_map::{
     site::InvalidEdit,
 };
 use tidemap_proto::convert::{InvalidField, OverLimit};
-use tidemap_store::{AppendError, HistoryError};
+use tidemap_store::{AppendError, BackupError, HistoryError};
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
@@ -58,6 +58,8 @@ pub(crate) enum RpcError {
     ModelUnavailable { model: ModelKind, map: String, state: String, reason: ModelUnavailable },
     #[error("{name} of map {map:?}: observations before {} are no longer kept", shown_time(*.kept_from_nanos))]
     BeyondHistory { map: String, name: String, kept_from_nanos: i64 },
+    #[error(transparent)]
+    Backup(#[from] BackupError),
     #[error(transparent)]
     History(#[from] HistoryError),
     #[error("an update has the observations of that time and has not ended within {0} seconds: try again")]
@@ -179,6 +181,13 @@ impl RpcError {
                 }
             },
             Self::BeyondHistory { .. } => (Code::OutOfRange, "BEYOND_HISTORY"),
+            Self::Backup(error) => match error {
+                BackupError::NotEmpty(_) | BackupError::Inside(_) | BackupError::OtherStore(_) => {
+                    (Code::FailedPrecondition, "BACKUP_FOLDER")
+                }
+                error if error.is_disk_full() => (Code::ResourceExhausted, "DISK_FULL"),
+                _ => (Code::Internal, "STORAGE_FAILED"),
+            },
             Self::History(error) => match error {
                 HistoryError::UnknownMap(_) => (Code::NotFound, "MAP_DELETED"),
                 HistoryError::Damaged { .. } => (Code::DataLoss, "STORAGE_FAILED"),

@@ -41,6 +41,9 @@ const SUFFIX: &str = ".tmc";
 const NEW_SUFFIX: &str = ".tmc.new";
 const DAMAGED_EXTENSION: &str = "damaged";
 
+/// The file of a checkpoint; its position and the first record that it needs, or what is wrong with it.
+pub(crate) type CheckedCheckpoint = (PathBuf, Result<(u64, u64), String>);
+
 /// A checkpoint that cannot be read, with the reason.
 pub(crate) struct DamagedCheckpoint {
     path: PathBuf,
@@ -262,14 +265,26 @@ impl Checkpoints<'_> {
             let path = self.path(position);
             match self.read(spec, &path, position, memory) {
                 Ok(snapshot) => return Ok((Some(snapshot), damaged)),
-                // A good checkpoint must not be set aside because there are no descriptors to open it.
-                Err(_) if let Some(error) = self.disk.read_anywhere(&path).err().filter(is_shortage) => {
-                    return Err(error);
+                Err(reason) => {
+                    // A good checkpoint must not be set aside because there are no descriptors to open it.
+                    if let Some(error) = self.disk.read_anywhere(&path).err().filter(is_shortage) {
+                        return Err(error);
+                    }
+                    damaged.push(DamagedCheckpoint { path, reason });
                 }
-                Err(reason) => damaged.push(DamagedCheckpoint { path, reason }),
             }
         }
         Ok((None, damaged))
+    }
+
+    /// Reads every checkpoint: its position and the first record that it needs of the log, or what is wrong with it.
+    pub(crate) fn check_all(&self, spec: &MapSpec, memory: Memory) -> io::Result<Vec<CheckedCheckpoint>> {
+        let read = |position| {
+            let path = self.path(position);
+            let read = self.read(spec, &path, position, memory);
+            (path, read.map(|snapshot| (snapshot.position, snapshot.replay_from.max(1))))
+        };
+        Ok(self.positions()?.into_iter().map(read).collect())
     }
 
     /// Renames a damaged checkpoint and keeps it for inspection.

@@ -14,6 +14,7 @@ use std::{
 use crate::{
     error::AppendError,
     log::{Done, Log, frame::EncodedEvent},
+    trouble::Watch,
 };
 
 mod sync_stats;
@@ -49,6 +50,8 @@ pub(crate) struct Committer {
     has_work: Condvar,
     has_room: Condvar,
     times: SyncTimes,
+    /// Hears of a full disk, and of its end.
+    pub(crate) watch: Watch,
     /// Set once and never cleared: after a failed fsync the content of the disk is unknown.
     poison: OnceLock<AppendError>,
 }
@@ -203,6 +206,7 @@ impl Committer {
             }
         }
         group.log.advance(end, bytes, &updates);
+        self.watch.appended(false);
         for (position, done) in (first..).zip(group.dones) {
             done(Ok(position));
         }
@@ -212,6 +216,9 @@ impl Committer {
     fn fail(&self, group: Group, error: AppendError) {
         // Set before the first completion, because a completion may make the writer try again.
         group.log.fail();
+        if error == AppendError::DiskFull {
+            self.watch.appended(true);
+        }
         let error = match error {
             AppendError::Poisoned { .. } => self.poison.get_or_init(|| error).clone(),
             AppendError::AfterFailure => self.poison().unwrap_or(error),

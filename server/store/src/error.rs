@@ -14,7 +14,7 @@ use crate::MapId;
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 /// The path of a file within its data directory, because errors reach clients, which must not learn where that is.
-fn shown(file: &Path) -> String {
+pub(crate) fn shown(file: &Path) -> String {
     let parts: Vec<_> = file.iter().map(|part| part.to_string_lossy()).collect();
     // The last such folder: the data directory itself may lie in one.
     let start = parts.iter().rposition(|part| part == "maps" || part == "index");

@@ -103,6 +103,11 @@ impl fmt::Debug for History {
 }
 
 impl History {
+    /// The history in a folder.
+    pub(crate) fn at(disk: Arc<dyn Disk>, folder: PathBuf, map: MapId) -> History {
+        History { disk, folder, map, before: u64::MAX, enough: usize::MAX, is_complete: true }
+    }
+
     fn path(&self, generation: u64, part: Part) -> PathBuf {
         self.folder.join(part.name(generation))
     }

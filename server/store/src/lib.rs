@@ -6,6 +6,8 @@
 //! can be lost or damaged and the map is still the same. A damaged log is refused, never shortened. Layouts are frozen
 //! in `tidemap-migrations`; this crate knows nothing of the wire and reads no wall clock.
 
+mod backup;
+mod check;
 mod checkpoint;
 mod committer;
 pub mod disk;
@@ -18,12 +20,15 @@ mod map_log;
 mod record;
 mod record_file;
 mod store;
+mod trouble;
 
 #[cfg(test)]
 mod simulation;
 #[cfg(test)]
 mod tests;
 
+pub use backup::{BackupError, BackupReport, restore};
+pub use check::{Checked, Finding, check};
 pub use committer::SyncStats;
 pub use error::{AppendError, HistoryError, OpenError, Report, StoreError};
 pub use history::{GridDays, History, HistorySizes, StateFiles};
@@ -31,6 +36,7 @@ pub use log::{Done, replay::Replay};
 pub use map_log::MapLog;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store, StoreOptions};
+pub use trouble::Trouble;
 
 /// Number of a map within its store, from 1, never reused; also the name of its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

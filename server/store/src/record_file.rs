@@ -227,6 +227,28 @@ impl RecordReader {
     }
 }
 
+/// Reads a whole file and compares it with the checksum in its trailer; gives its length and that checksum.
+pub(crate) fn check_total(disk: &dyn Disk, path: &Path) -> Result<(u64, u32), String> {
+    let length = disk.length(path).map_err(|error| unreadable(&error))?;
+    let body = length.checked_sub(TRAILER_LENGTH as u64).ok_or("it is cut off")?;
+    let mut reader = disk.read(path).map_err(|error| unreadable(&error))?;
+    let (mut crc, mut buffer) = (0, Vec::new());
+    let mut rest = body;
+    while rest > 0 {
+        buffer.resize(rest.min(CHECK_BYTES) as usize, 0);
+        reader.read_exact(&mut buffer).map_err(|error| unreadable(&error))?;
+        crc = crc32c::crc32c_append(crc, &buffer);
+        rest -= buffer.len() as u64;
+    }
+    let mut bytes = [0; TRAILER_LENGTH];
+    reader.read_exact(&mut bytes).map_err(|error| unreadable(&error))?;
+    let trailer = Trailer::decode(&bytes).ok_or("its end is not valid")?;
+    if trailer.total_crc == crc { Ok((length, crc)) } else { Err("its checksum does not match".to_owned()) }
+}
+
+/// Bytes that are checked at a time.
+const CHECK_BYTES: u64 = 256 << 10;
+
 /// The mark and the bytes of a piece of a long record.
 fn split_piece(payload: &[u8]) -> Result<(u8, &[u8]), String> {
     match payload.split_first() {

@@ -22,11 +22,12 @@ use crate::{
     index::Index,
     log::{Log, replay::Replay},
     map_log::MapLog,
+    trouble::Trouble,
 };
 
-mod catalogue;
+pub(crate) mod catalogue;
 mod contents;
-mod lock;
+pub(crate) mod lock;
 pub(crate) mod open;
 mod open_map;
 mod save;
@@ -77,9 +78,9 @@ impl fmt::Debug for Store {
     }
 }
 
-struct OpenStore {
-    directory: PathBuf,
-    disk: Arc<dyn Disk>,
+pub(crate) struct OpenStore {
+    pub(crate) directory: PathBuf,
+    pub(crate) disk: Arc<dyn Disk>,
     options: StoreOptions,
     store_id: String,
     reports: Vec<Report>,
@@ -87,6 +88,8 @@ struct OpenStore {
     maps: Mutex<Maps>,
     /// Held while the index is read or written: by opening, saving and deleting maps, never by appends.
     index: Mutex<Index>,
+    /// Held while a backup is made.
+    pub(crate) backup: Mutex<()>,
     committer: Arc<Committer>,
     thread: Mutex<Option<JoinHandle<()>>>,
     /// The last field, so that it is released after everything else is closed.
@@ -101,13 +104,13 @@ struct Maps {
 
 /// One map.
 #[derive(Clone)]
-struct MapEntry {
+pub(crate) struct MapEntry {
     spec: Arc<MapSpec>,
     /// Whether history files replace the beginning of the log.
     history_complete: bool,
-    log: Option<Arc<Log>>,
-    /// Held while the map is opened, saved or deleted.
-    busy: Arc<Mutex<()>>,
+    pub(crate) log: Option<Arc<Log>>,
+    /// Held while the map is opened, saved, copied or deleted.
+    pub(crate) busy: Arc<Mutex<()>>,
 }
 
 impl MapEntry {
@@ -164,13 +167,24 @@ impl OpenStore {
         self.maps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The maps that can be used.
+    pub(crate) fn entries(&self) -> Vec<(MapId, MapEntry)> {
+        self.maps().entries.iter().map(|(&map, entry)| (map, entry.clone())).collect()
+    }
+
+    /// All maps, also those that are set aside.
+    pub(crate) fn known(&self) -> Vec<MapId> {
+        let maps = self.maps();
+        maps.entries.keys().chain(maps.set_aside.keys()).copied().collect()
+    }
+
     fn index(&self) -> MutexGuard<'_, Index> {
         self.index.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn history(&self, map: MapId) -> History {
         let folder = catalogue::history_folder(&self.directory, map);
-        History { disk: Arc::clone(&self.disk), folder, map, before: u64::MAX, enough: usize::MAX, is_complete: true }
+        History::at(Arc::clone(&self.disk), folder, map)
     }
 
     fn checkpoints(&self, map: MapId) -> Checkpoints<'_> {
@@ -186,6 +200,7 @@ impl OpenStore {
         catalogue::change_list(&*self.disk, &self.directory, |list| list.maps.retain(|(number, _)| *number != map.0))?;
         drop(maps);
         self.index().purge(map.0);
+        self.committer.watch.saved(map, None);
         catalogue::remove_deleted(&*self.disk, &self.directory, map)
     }
 
@@ -209,6 +224,10 @@ impl Drop for OpenStore {
 }
 
 impl Store {
+    pub(crate) fn inner(&self) -> &OpenStore {
+        &self.inner
+    }
+
     /// Identity of the store. A restored backup may be given a new one.
     pub fn store_id(&self) -> &str {
         &self.inner.store_id
@@ -229,6 +248,11 @@ impl Store {
     /// What was repaired when the store was opened.
     pub fn reports(&self) -> &[Report] {
         &self.inner.reports
+    }
+
+    /// What is wrong with the storage now. Does not wait for the disk.
+    pub fn trouble(&self) -> Vec<Trouble> {
+        self.inner.committer.watch.trouble()
     }
 
     /// All maps, by number.
@@ -265,7 +289,11 @@ impl Store {
     pub fn delete_map(&self, map: MapId) -> Result<(), StoreError> {
         let inner = &*self.inner;
         if inner.maps().set_aside.remove(&map).is_some() {
-            catalogue::mark_deleted(&*inner.disk, &inner.directory, map)?;
+            match catalogue::mark_deleted(&*inner.disk, &inner.directory, map) {
+                // Its folder may be what is missing.
+                Err(StoreError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
+                marked => marked?,
+            }
             return inner.finish_deletion(map);
         }
         let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;

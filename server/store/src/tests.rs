@@ -1,5 +1,6 @@
 //! The store's behaviour, tested through its public functions where possible.
 
+mod backups;
 mod bit_flips;
 mod damage;
 pub(crate) mod example;

@@ -44,13 +44,56 @@ fn corrupt(file: &Path, offset: usize, position: u64, reason: impl Into<String>)
     OpenError::CorruptLog { file: file.to_owned(), offset: offset as u64, position, reason: reason.into() }
 }
 
+/// A log that has been read to its end, before anything is repaired.
+pub(crate) struct Read {
+    /// First positions of the segments that were read, ascending; never empty.
+    pub(crate) segments: Vec<u64>,
+    /// Behind the last record.
+    pub(crate) cursor: Cursor,
+    progress: Progress,
+    listed: Option<NewestSegment>,
+    /// A segment that was just being created.
+    unfinished: Option<PathBuf>,
+    /// Bytes at the end of the newest segment that were not written whole.
+    torn: Option<(PathBuf, u64)>,
+}
+
 /// Reads the log from the segment that holds `replay_from`, cuts off a torn tail, and makes the rest durable.
 pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Result<Recovered, OpenError> {
+    let mut reports = Vec::new();
+    let read = read(disk, folder, expected, &mut reports)?;
+    let Read { segments, cursor, progress, listed, unfinished, torn } = read;
+    let newest = segment_path(folder, segments.last().copied().unwrap_or(1));
+    if let Some(file) = unfinished {
+        disk.remove(&file).map_err(open_io(&file))?;
+        reports.push(Report::LeftoverRemoved { file });
+    }
+    let mut file = disk.open(&newest).map_err(open_io(&newest))?;
+    if let Some((torn_file, bytes)) = torn {
+        file.truncate(cursor.offset as u64).map_err(open_io(&newest))?;
+        reports.push(Report::TornTail { file: torn_file, bytes });
+    }
+    // Records may be in the page cache only; they are about to be used, so they must be durable.
+    file.sync().map_err(open_io(&newest))?;
+    disk.sync_folder(folder).map_err(open_io(folder))?;
+    let first_position = segments.last().copied().unwrap_or(1);
+    if listed.is_none_or(|listed| listed.first_position < first_position) {
+        let list = folder.join(NEWEST_FILE);
+        list_file::replace(disk, &list, &NewestSegment { first_position }).map_err(open_io(&list))?;
+    }
+    Ok(Recovered { segments, cursor, progress, reports })
+}
+
+/// Reads the log from the segment that holds `replay_from`, and changes nothing.
+pub(crate) fn read(
+    disk: &dyn Disk,
+    folder: &Path,
+    expected: &Expectation,
+    reports: &mut Vec<Report>,
+) -> Result<Read, OpenError> {
     let names = disk.list(folder).map_err(open_io(folder))?;
     let mut segments: Vec<u64> = names.iter().filter_map(|name| segment_position(name)).collect();
-    let mut reports = Vec::new();
-    let list = folder.join(NEWEST_FILE);
-    let listed: Option<NewestSegment> = list_file::open(disk, &list, &mut reports)?;
+    let listed: Option<NewestSegment> = list_file::open(disk, &folder.join(NEWEST_FILE), reports)?;
     let unfinished = unfinished_segment(disk, folder, &segments)?;
     if unfinished.is_some() {
         segments.pop();
@@ -91,24 +134,7 @@ pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) ->
         return Err(corrupt(&newest, cursor.offset, cursor.position, reason));
     }
 
-    // Up to here nothing has been changed.
-    if let Some(file) = unfinished {
-        disk.remove(&file).map_err(open_io(&file))?;
-        reports.push(Report::LeftoverRemoved { file });
-    }
-    let mut file = disk.open(&newest).map_err(open_io(&newest))?;
-    if let Some((torn_file, bytes)) = torn {
-        file.truncate(cursor.offset as u64).map_err(open_io(&newest))?;
-        reports.push(Report::TornTail { file: torn_file, bytes });
-    }
-    // Records may be in the page cache only; they are about to be used, so they must be durable.
-    file.sync().map_err(open_io(&newest))?;
-    disk.sync_folder(folder).map_err(open_io(folder))?;
-    let first_position = segments.last().copied().unwrap_or(1);
-    if listed.is_none_or(|listed| listed.first_position < first_position) {
-        list_file::replace(disk, &list, &NewestSegment { first_position }).map_err(open_io(&list))?;
-    }
-    Ok(Recovered { segments, cursor, progress, reports })
+    Ok(Read { segments, cursor, progress, listed, unfinished, torn })
 }
 
 /// The newest segment, if its header is incomplete because it was just being created.

@@ -73,6 +73,11 @@ impl LogWriter {
         self.next_position - 1
     }
 
+    /// Bytes of the newest segment that are durable.
+    pub(crate) fn durable_bytes(&self) -> u64 {
+        self.length
+    }
+
     /// First position of the newest segment, which is durable with its name.
     pub(crate) fn segment(&self) -> u64 {
         self.first_position

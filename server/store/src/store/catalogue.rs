@@ -31,10 +31,10 @@ const DELETED_SUFFIX: &str = ".deleted";
 
 /// The content of a map's MAP file.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Catalogued {
-    pub(super) spec: MapSpec,
+pub(crate) struct Catalogued {
+    pub(crate) spec: MapSpec,
     /// Whether history files replace the beginning of the log.
-    pub(super) history_complete: bool,
+    pub(crate) history_complete: bool,
 }
 
 /// A map that cannot be used. Its files are left as they are.
@@ -49,40 +49,40 @@ pub struct SetAside {
 }
 
 /// The maps of a store.
-pub(super) struct Catalogue {
-    pub(super) maps: BTreeMap<MapId, Catalogued>,
+pub(crate) struct Catalogue {
+    pub(crate) maps: BTreeMap<MapId, Catalogued>,
     /// Maps whose folder is missing or whose MAP file is damaged.
-    pub(super) set_aside: BTreeMap<MapId, SetAside>,
+    pub(crate) set_aside: BTreeMap<MapId, SetAside>,
     /// Whether `MAPS` says something else.
-    pub(super) is_list_old: bool,
+    pub(crate) is_list_old: bool,
     /// Deleted maps, which may still have files.
-    pub(super) deleted: BTreeSet<MapId>,
+    pub(crate) deleted: BTreeSet<MapId>,
     /// The next unused number.
-    pub(super) next: u32,
+    pub(crate) next: u32,
 }
 
 /// Folder of all maps.
-pub(super) fn maps_folder(directory: &Path) -> PathBuf {
+pub(crate) fn maps_folder(directory: &Path) -> PathBuf {
     directory.join("maps")
 }
 
 /// Folder of a map.
-pub(super) fn map_folder(directory: &Path, map: MapId) -> PathBuf {
+pub(crate) fn map_folder(directory: &Path, map: MapId) -> PathBuf {
     maps_folder(directory).join(format!("{:08}", map.0))
 }
 
 /// Folder of a map's log.
-pub(super) fn log_folder(directory: &Path, map: MapId) -> PathBuf {
+pub(crate) fn log_folder(directory: &Path, map: MapId) -> PathBuf {
     map_folder(directory, map).join("log")
 }
 
 /// Folder of a map's checkpoints.
-pub(super) fn checkpoints_folder(directory: &Path, map: MapId) -> PathBuf {
+pub(crate) fn checkpoints_folder(directory: &Path, map: MapId) -> PathBuf {
     map_folder(directory, map).join("checkpoints")
 }
 
 /// Folder of a map's history.
-pub(super) fn history_folder(directory: &Path, map: MapId) -> PathBuf {
+pub(crate) fn history_folder(directory: &Path, map: MapId) -> PathBuf {
     map_folder(directory, map).join("history")
 }
 
@@ -96,7 +96,22 @@ fn map_number(name: &str) -> Option<MapId> {
 }
 
 /// Lists the maps, and removes leftovers of interrupted creations.
-pub(super) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>) -> Result<Catalogue, OpenError> {
+pub(crate) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>) -> Result<Catalogue, OpenError> {
+    let remove = |path: &Path| disk.remove_folder(path).map_err(open_io(path));
+    read_with(disk, directory, reports, &remove)
+}
+
+/// Lists the maps, and those that cannot be used, and changes nothing.
+pub(crate) fn look(disk: &dyn Disk, directory: &Path) -> Result<Catalogue, OpenError> {
+    read_with(disk, directory, &mut Vec::new(), &|_| Ok(()))
+}
+
+fn read_with(
+    disk: &dyn Disk,
+    directory: &Path,
+    reports: &mut Vec<Report>,
+    remove: &dyn Fn(&Path) -> Result<(), OpenError>,
+) -> Result<Catalogue, OpenError> {
     let folder = maps_folder(directory);
     let list = list_file::open::<MapList>(disk, &directory.join(MAPS_FILE), reports)?;
     let known = list.clone().unwrap_or_default();
@@ -112,7 +127,7 @@ pub(super) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>)
         let path = folder.join(&name);
         if let Some(map) = name.strip_suffix(NEW_SUFFIX).and_then(map_number) {
             // The creation never succeeded, so its number is free.
-            disk.remove_folder(&path).map_err(open_io(&path))?;
+            remove(&path)?;
             reports.push(Report::LeftoverRemoved { file: path });
             catalogue.next = catalogue.next.max(map.0);
         } else if let Some(map) = name.strip_suffix(DELETED_SUFFIX).and_then(map_number) {
@@ -150,8 +165,16 @@ pub(super) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>)
 const RESTORE: &str = "Restore the folder of this map from a backup, or delete the map to continue without it";
 
 impl Catalogue {
+    /// Sets a map aside that turns out to be damaged.
+    pub(crate) fn set_aside(&mut self, map: MapId, reason: String) {
+        if let Some(known) = self.maps.remove(&map) {
+            let name = Some(known.spec.name.as_str().to_owned());
+            self.set_aside.insert(map, SetAside { id: map, name, reason });
+        }
+    }
+
     /// What `MAPS` should say.
-    pub(super) fn list(&self) -> MapList {
+    pub(crate) fn list(&self) -> MapList {
         let maps = self.maps.iter().map(|(map, known)| (map.0, known.spec.name.as_str().to_owned()));
         let set_aside = self.set_aside.values().map(|map| (map.id.0, map.name.clone().unwrap_or_default()));
         let mut maps: Vec<_> = maps.chain(set_aside).collect();
@@ -161,7 +184,7 @@ impl Catalogue {
 }
 
 /// Changes the list of maps; durable when this returns.
-pub(super) fn change_list(
+pub(crate) fn change_list(
     disk: &dyn Disk,
     directory: &Path,
     change: impl FnOnce(&mut MapList),
@@ -178,7 +201,7 @@ pub(super) fn change_list(
 }
 
 /// Lists the maps, and changes nothing.
-pub(super) fn list(disk: &dyn Disk, directory: &Path) -> Result<Vec<(MapId, MapSpec)>, OpenError> {
+pub(crate) fn list(disk: &dyn Disk, directory: &Path) -> Result<Vec<(MapId, MapSpec)>, OpenError> {
     let folder = maps_folder(directory);
     let mut maps = Vec::new();
     for map in disk.list(&folder).map_err(open_io(&folder))?.iter().filter_map(|name| map_number(name)) {
@@ -198,7 +221,7 @@ fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<Catalogued, Str
 }
 
 /// Creates a map's folder: durable when this returns, and complete or absent at every moment before.
-pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSpec) -> Result<(), StoreError> {
+pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSpec) -> Result<(), StoreError> {
     let folder = map_folder(directory, map);
     let new_folder = with_suffix(&folder, NEW_SUFFIX);
     let file = new_folder.join("MAP");
@@ -238,17 +261,13 @@ pub(super) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
 }
 
 /// Gives a map's folder the name of a deleted one; durable once the folder of all maps is.
-pub(super) fn mark_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
+pub(crate) fn mark_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
     let folder = map_folder(directory, map);
-    match disk.rename(&folder, &with_suffix(&folder, DELETED_SUFFIX)) {
-        // The folder of a map that is set aside may be missing.
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        renamed => renamed.map_err(store_io(&folder)),
-    }
+    disk.rename(&folder, &with_suffix(&folder, DELETED_SUFFIX)).map_err(store_io(&folder))
 }
 
 /// Removes the folder of a deleted map, which is no longer listed.
-pub(super) fn remove_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
+pub(crate) fn remove_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
     let folder = with_suffix(&map_folder(directory, map), DELETED_SUFFIX);
     match disk.remove_folder(&folder) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(store_io(folder)(error)),

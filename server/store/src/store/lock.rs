@@ -23,7 +23,7 @@ pub(crate) struct Lock {
 
 impl Lock {
     /// Takes the lock of a data directory.
-    pub(super) fn take(directory: &Path) -> Result<Lock, OpenError> {
+    pub(crate) fn take(directory: &Path) -> Result<Lock, OpenError> {
         let path = directory.join("LOCK");
         // Not truncated: until the lock is held, another process owns the file.
         let file = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(&path);

@@ -25,6 +25,7 @@ use crate::{
     committer::Committer,
     disk::{Disk, RealDisk},
     error::{OpenError, Report, open_io},
+    history::History,
     index::{Index, OpenRepair, is_present},
     list_file,
 };
@@ -109,7 +110,17 @@ impl Store {
         // so they must be durable first.
         let maps_folder = catalogue::maps_folder(&directory);
         disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
-        let catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
+        let mut catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
+        let unlisted = catalogue.maps.keys().filter_map(|&map| {
+            let history = History::at(Arc::clone(&disk), catalogue::history_folder(&directory, map), map);
+            history.make_list(&mut reports).err().map(|error| (map, error))
+        });
+        for (map, error) in unlisted.collect::<Vec<_>>() {
+            if error.is_shortage() {
+                return Err(error);
+            }
+            catalogue.set_aside(map, error.to_string());
+        }
         if catalogue.is_list_old {
             let file = directory.join(MAPS_FILE);
             list_file::replace(&*disk, &file, &catalogue.list()).map_err(open_io(file))?;
@@ -132,6 +143,7 @@ impl Store {
             maps: Mutex::new(Maps { entries, set_aside: catalogue.set_aside, next: catalogue.next }),
             index: Mutex::new(index),
             committer,
+            backup: Mutex::default(),
             thread: Mutex::new(None),
             _lock: lock,
         };

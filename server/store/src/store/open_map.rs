@@ -69,7 +69,6 @@ impl Store {
         let checkpoints = inner.checkpoints(map);
         checkpoints.remove_leftovers(&mut reports)?;
         inner.history(map).remove_leftovers(&mut reports)?;
-        inner.history(map).make_list(&mut reports)?;
         for damaged in newest.damaged {
             reports.push(checkpoints.set_aside(damaged)?);
         }

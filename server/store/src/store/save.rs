@@ -30,6 +30,13 @@ impl Store {
     /// [`StoreError`]; earlier saves are still valid. A failing index is not an error: it is logged
     /// and rebuilt at the next start. A file that cannot be deleted is not an error either; the next save tries again.
     pub fn save(&self, map: MapId, snapshot: &MapSnapshot) -> Result<Option<Arc<dyn TileSource>>, StoreError> {
+        let saved = self.save_now(map, snapshot);
+        let failure = saved.as_ref().err().map(ToString::to_string);
+        self.inner.committer.watch.saved(map, failure);
+        saved
+    }
+
+    fn save_now(&self, map: MapId, snapshot: &MapSnapshot) -> Result<Option<Arc<dyn TileSource>>, StoreError> {
         let inner = &*self.inner;
         let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
@@ -42,7 +49,10 @@ impl Store {
         if let Some(log) = &entry.log {
             log.cover(snapshot.position);
         }
-        inner.index().save(map.0, snapshot);
+        let mut index = inner.index();
+        index.save(map.0, snapshot);
+        inner.committer.watch.indexed(index.is_available());
+        drop(index);
         inner.forget(map, &entry, snapshot);
         Ok(tiles.map(|tiles| tiles as Arc<dyn TileSource>))
     }

@@ -235,6 +235,11 @@ impl Example {
     pub(crate) fn check(&self, directory: &Path) -> Result<OpenedMap, OpenError> {
         let store = Store::open(directory, options())?;
         assert_eq!(store.store_id(), STORE_ID);
+        if let Some(map) = store.set_aside().pop() {
+            assert_eq!(map.name.as_deref(), Some(self.spec.name.as_str()), "{map:?}");
+            let file = directory.join("maps/00000001/MAP");
+            return Err(OpenError::Damaged { file, reason: map.reason });
+        }
         assert_eq!(store.maps(), [(MapId(1), self.spec.clone())]);
         let published = store.published(MapId(1), &self.spec);
         let is_known = |found: &MapSnapshot| self.snapshots.iter().any(|snapshot| snapshot.published() == *found);

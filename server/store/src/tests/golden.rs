@@ -188,9 +188,9 @@ fn format_1_is_read_as_it_always_was() {
     let replayed: Vec<_> = opened.replay.map(|item| item.expect("readable")).collect();
     let expected: Vec<_> = (1..).zip(events()).skip(1).collect();
     assert_eq!(replayed, expected);
-    // From here on it has format 2, and nothing else has changed.
+    // From here on it has format 3, and nothing else has changed.
     let manifest = fs::read_to_string(directory.path().join("MANIFEST")).expect("readable");
-    assert!(manifest.starts_with("tidemap store\nformat 2\nstore 00112233445566778899aabbccddeeff\n"), "{manifest}");
+    assert!(manifest.starts_with("tidemap store\nformat 3\nstore 00112233445566778899aabbccddeeff\n"), "{manifest}");
     for file in &FILES[1..] {
         let read = |folder: &Path| fs::read(folder.join(file)).expect("readable");
         assert!(read(directory.path()) == read(&golden()), "{file}");

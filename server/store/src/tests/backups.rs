@@ -1,0 +1,153 @@
+//! Backups of a store in use, their way back, and checks that find every damage.
+
+use std::{fs, path::Path};
+
+use super::{
+    example::{append, event, fill, options, snapshot, spec},
+    missing::with_history,
+};
+use crate::{BackupError, MapId, Store, StoreOptions, check, restore};
+
+const MAP: MapId = MapId(1);
+const OTHER_ID: &str = "ffffffffffffffffffffffffffffffff";
+
+fn files(folder: &Path) -> Vec<String> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).expect("readable") {
+        let path = entry.expect("entry").path();
+        if path.is_dir() { found.extend(files(&path)) } else { found.push(path.display().to_string()) }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn a_backup_of_a_store_in_use_is_restored_elsewhere() {
+    let work = tempfile::tempdir().expect("temporary directory");
+    let [data, backup, restored] = ["data", "backup", "restored"].map(|name| work.path().join(name));
+    let spec = spec("office");
+    let store = Store::open(&data, StoreOptions { segment_bytes: 300, ..options() }).expect("opens");
+    let map = store.create_map(&spec).expect("creates");
+    let log = store.open_map(map, &spec).expect("opens").log;
+    for position in 1..=20 {
+        append(&log, &event(position)).expect("appends");
+    }
+    store.save(map, &snapshot(&spec, 10, 2)).expect("saves");
+    let first = store.backup(&backup).expect("backs up");
+    assert_eq!((first.maps, first.kept_files), (1, 0));
+
+    for position in 21..=30 {
+        append(&log, &event(position)).expect("appends");
+    }
+    store.save(map, &snapshot(&spec, 25, 3)).expect("saves");
+    let second = store.backup(&backup).expect("backs up");
+    assert!(second.kept_files > 0 && second.copied_files < first.copied_files + 10, "{second:?}");
+    // What happens after the backup is not in it.
+    append(&log, &event(31)).expect("appends");
+    let third = store.backup(&work.path().join("whole")).expect("backs up");
+    assert!(third.copied_bytes > second.copied_bytes, "{second:?} {third:?}");
+
+    let report = restore(&backup, &restored, OTHER_ID).expect("restores");
+    assert_eq!(report.maps, 1);
+    let copy = Store::open(&restored, options()).expect("opens");
+    assert_eq!((copy.store_id(), copy.reports()), (OTHER_ID, &[][..]));
+    let opened = copy.open_map(map, &spec).expect("opens");
+    assert_eq!((opened.log.end(), opened.snapshot), (30, Some(snapshot(&spec, 25, 3))));
+    let events: Vec<_> = opened.replay.map(|entry| entry.expect("whole").0).collect();
+    assert_eq!(events.last(), Some(&30));
+    assert_eq!(append(&opened.log, &event(31)), Ok(31));
+
+    // A deleted map leaves the next backup.
+    store.delete_map(map).expect("deletes");
+    store.backup(&backup).expect("backs up");
+    assert!(files(&backup).iter().all(|file| !file.contains("00000001")), "{:?}", files(&backup));
+}
+
+#[test]
+fn a_backup_goes_only_where_nothing_is_lost_by_it() {
+    let work = tempfile::tempdir().expect("temporary directory");
+    let data = work.path().join("data");
+    let store = with_history(&data, &super::grid_example::spec("office"));
+    let full = work.path().join("full");
+    fs::create_dir(&full).expect("creates");
+    fs::write(full.join("thesis.tex"), "all of it").expect("writes");
+    assert!(matches!(store.backup(&full), Err(BackupError::NotEmpty(_))));
+    assert!(matches!(store.backup(&data.join("backup")), Err(BackupError::Inside(_))));
+    let other = work.path().join("other");
+    drop(Store::open(&other, StoreOptions { new_store_id: OTHER_ID.to_owned(), ..options() }).expect("opens"));
+    assert!(matches!(store.backup(&other), Err(BackupError::OtherStore(_))));
+    let backup = work.path().join("backup");
+    store.backup(&backup).expect("backs up");
+    assert!(matches!(restore(&backup, &full, OTHER_ID), Err(BackupError::NotEmpty(_))));
+    assert!(matches!(restore(&full, &work.path().join("new"), OTHER_ID), Err(BackupError::Open(_))));
+    // A damaged backup is not restored.
+    fs::remove_file(backup.join("maps/00000001/history/00000000000000000002.states.tmh")).expect("removes");
+    assert!(matches!(restore(&backup, &work.path().join("new"), OTHER_ID), Err(BackupError::Damaged { .. })));
+}
+
+#[test]
+fn a_check_finds_every_damaged_missing_and_cut_file_and_changes_nothing() {
+    let work = tempfile::tempdir().expect("temporary directory");
+    let data = work.path().join("data");
+    drop(with_history(&data, &super::grid_example::spec("office")));
+    let sound = check(&data, false).expect("checks");
+    assert_eq!(sound.findings, []);
+    assert!(sound.maps == 1 && sound.files > 6, "{sound:?}");
+    for file in files(&data) {
+        if file.ends_with("LOCK") || file.ends_with("MANIFEST") || file.contains("/index/") {
+            continue;
+        }
+        let good = fs::read(&file).expect("readable");
+        for damage in ["flip", "cut", "remove"] {
+            match damage {
+                "flip" => {
+                    let mut bad = good.clone();
+                    bad[good.len() / 2] ^= 4;
+                    fs::write(&file, bad).expect("writes");
+                }
+                "cut" => fs::write(&file, &good[..good.len() - 1]).expect("writes"),
+                _ => fs::remove_file(&file).expect("removes"),
+            }
+            // A checkpoint that is missing is no damage: the log, or an older one, has what was in it. A list of the
+            // newest segment is made again by the next start.
+            let is_spare = damage == "remove" && (file.ends_with(".tmc") || file.ends_with("NEWEST"));
+            let found = check(&data, false).expect("checks").findings;
+            assert_eq!(found.is_empty(), is_spare, "{damage} {file}: {found:?}");
+            if damage == "flip" {
+                assert_ne!(fs::read(&file).expect("there"), good, "nothing is repaired unasked");
+            }
+            fs::write(&file, &good).expect("writes");
+        }
+    }
+    assert_eq!(check(&data, false).expect("checks").findings, []);
+}
+
+#[test]
+fn a_repair_makes_lists_and_the_index_again_and_nothing_else() {
+    let work = tempfile::tempdir().expect("temporary directory");
+    let data = work.path().join("data");
+    let spec = super::grid_example::spec("office");
+    drop(with_history(&data, &spec));
+    for file in ["MAPS", "maps/00000001/HISTORY"] {
+        fs::write(data.join(file), "damaged").expect("writes");
+    }
+    let history = data.join("maps/00000001/history/00000000000000000003.states.tmh");
+    fs::write(&history, "damaged").expect("writes");
+    let found = check(&data, true).expect("checks").findings;
+    let repaired: Vec<bool> = found.iter().map(|finding| finding.is_repaired).collect();
+    assert_eq!(repaired, [true, true, false], "{found:?}");
+    let again = check(&data, false).expect("checks").findings;
+    assert_eq!(again.len(), 1, "{again:?}");
+    assert_eq!(fs::read(&history).expect("there"), b"damaged");
+}
+
+#[test]
+fn a_folder_in_use_or_none_is_not_checked() {
+    let work = tempfile::tempdir().expect("temporary directory");
+    let data = work.path().join("data");
+    let example = fill(&data, 5, &[], 300);
+    let store = Store::open(&data, options()).expect("opens");
+    store.open_map(MAP, &example.spec).expect("opens");
+    assert!(matches!(check(&data, false), Err(crate::OpenError::Locked { .. })));
+    assert!(check(work.path(), false).is_err());
+}

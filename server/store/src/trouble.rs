@@ -1,0 +1,106 @@
+//! What is wrong with the storage now: a full disk, saves that fail, an index that cannot be written.
+//!
+//! Invariant: looking never waits for the disk. What has ended is no longer told.
+
+use std::{
+    collections::BTreeMap,
+    fmt,
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use crate::MapId;
+
+/// A disk counts as full for this long after a write failed because of it, unless a later one succeeds.
+const FULL_FOR: Duration = Duration::from_secs(60);
+
+/// Something that is wrong with the storage.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Trouble {
+    /// Observations are refused, because the disk is full.
+    DiskFull,
+    /// The newest generation of a map is not saved. Its log has everything.
+    NotSaved {
+        /// The map.
+        map: MapId,
+        /// Why.
+        reason: String,
+    },
+    /// There is no index. A start takes longer.
+    NoIndex,
+}
+
+impl fmt::Display for Trouble {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Trouble::DiskFull => write!(f, "the disk is full: observations are refused. Free some space"),
+            Trouble::NotSaved { map, reason } => {
+                write!(f, "the checkpoint of map number {} is not saved: {reason}. The log has everything", map.0)
+            }
+            Trouble::NoIndex => write!(f, "the index cannot be written: the next start takes longer and repairs it"),
+        }
+    }
+}
+
+/// The state of the storage, as the store's parts report it.
+#[derive(Debug, Default)]
+pub(crate) struct Watch {
+    full_since: Mutex<Option<Instant>>,
+    not_saved: Mutex<BTreeMap<MapId, String>>,
+    has_no_index: AtomicBool,
+}
+
+impl Watch {
+    /// An append failed because the disk is full, or succeeded.
+    pub(crate) fn appended(&self, is_full: bool) {
+        *self.full_since.lock().unwrap_or_else(PoisonError::into_inner) = is_full.then(Instant::now);
+    }
+
+    /// A save of a map has ended.
+    pub(crate) fn saved(&self, map: MapId, failure: Option<String>) {
+        let mut not_saved = self.not_saved.lock().unwrap_or_else(PoisonError::into_inner);
+        match failure {
+            Some(reason) => not_saved.insert(map, reason),
+            None => not_saved.remove(&map),
+        };
+    }
+
+    /// The index is available, or not.
+    pub(crate) fn indexed(&self, is_available: bool) {
+        self.has_no_index.store(!is_available, Ordering::Relaxed);
+    }
+
+    /// What is wrong now.
+    pub(crate) fn trouble(&self) -> Vec<Trouble> {
+        let full_since = *self.full_since.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_full = full_since.is_some_and(|since| since.elapsed() < FULL_FOR);
+        let not_saved = self.not_saved.lock().unwrap_or_else(PoisonError::into_inner);
+        let not_saved = not_saved.iter().map(|(&map, reason)| Trouble::NotSaved { map, reason: reason.clone() });
+        let has_no_index = self.has_no_index.load(Ordering::Relaxed);
+        let full = is_full.then_some(Trouble::DiskFull);
+        full.into_iter().chain(not_saved).chain(has_no_index.then_some(Trouble::NoIndex)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn trouble_is_told_until_it_ends() {
+        let watch = Watch::default();
+        assert_eq!(watch.trouble(), []);
+        watch.appended(true);
+        watch.saved(MapId(3), Some("the disk is full".to_owned()));
+        watch.indexed(false);
+        let not_saved = Trouble::NotSaved { map: MapId(3), reason: "the disk is full".to_owned() };
+        assert_eq!(watch.trouble(), [Trouble::DiskFull, not_saved, Trouble::NoIndex]);
+        watch.appended(false);
+        watch.saved(MapId(3), None);
+        watch.indexed(true);
+        assert_eq!(watch.trouble(), []);
+    }
+}
