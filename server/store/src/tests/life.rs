@@ -78,12 +78,12 @@ fn a_second_opener_is_told_who_is_first() {
 fn a_newer_format_is_refused_and_nothing_is_touched() {
     let directory = tempfile::tempdir().expect("temporary directory");
     fill(directory.path(), 5, &[5], 64 << 20);
-    let manifest = Manifest { format: 3, store_id: STORE_ID.to_owned() };
+    let manifest = Manifest { format: 4, store_id: STORE_ID.to_owned() };
     fs::write(directory.path().join("MANIFEST"), to_text(&manifest)).expect("writable");
     fs::write(directory.path().join("index/snap.0000.generating"), "left over").expect("writable");
     let before = content(directory.path());
     let error = Store::open(directory.path(), options()).expect_err("too new");
-    assert!(matches!(error, OpenError::Manifest(ManifestError::TooNew { found: 3, supported: 2, .. })), "{error}");
+    assert!(matches!(error, OpenError::Manifest(ManifestError::TooNew { found: 4, supported: 3, .. })), "{error}");
     assert_eq!(content(directory.path()), before);
 }
 
