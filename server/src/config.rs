@@ -76,13 +76,12 @@ pub(crate) enum OfflineCommand {
         #[arg(value_name = "MAP")]
         map: Option<String>,
     },
-<<<<<<< HEAD
     /// Make, list and revoke tokens, in the file that --tokens-file or the config file names.
     Token {
         /// What to do.
         #[command(subcommand)]
         command: TokenCommand,
-=======
+    },
     /// Check every file of a data folder or a backup; no daemon may use it. The exit status is 0 if all is sound, 1 if
     /// not, and 2 if it cannot be checked.
     Check {
@@ -109,7 +108,6 @@ pub(crate) enum BackupCommand {
         /// The new data folder.
         #[arg(value_name = "DIR")]
         dir: PathBuf,
->>>>>>> 24f42b4 (Check, back up and restore data folders, and show trouble of the storage)
     },
 }
 

@@ -17,11 +17,8 @@ mod index_print;
 mod ingest;
 mod jobs;
 mod model_cache;
-<<<<<<< HEAD
 mod reload;
-=======
 mod repair;
->>>>>>> 24f42b4 (Check, back up and restore data folders, and show trouble of the storage)
 mod rpc;
 mod state_or_cell;
 mod statistics;

@@ -81,15 +81,10 @@ impl MapService for Maps {
             shown.push(map_to_wire(&handle.view()));
         }
         let unavailable = if next_page_token.is_empty() { self.catalog.unavailable() } else { Arc::default() };
-<<<<<<< HEAD
-        let unavailable = unavailable.iter().filter(|map| caller.covers(&map.name)).map(|map| v1::UnavailableMap {
-            name: map.name.clone(),
-            reason: map.reason.clone(),
-        });
-=======
-        let unavailable =
-            unavailable.iter().map(|map| v1::UnavailableMap { name: map.name.clone(), reason: map.reason.clone() });
->>>>>>> 24f42b4 (Check, back up and restore data folders, and show trouble of the storage)
+        let unavailable = unavailable
+            .iter()
+            .filter(|map| caller.covers(&map.name))
+            .map(|map| v1::UnavailableMap { name: map.name.clone(), reason: map.reason.clone() });
         Ok(Response::new(v1::ListMapsResponse { maps: shown, next_page_token, unavailable: unavailable.collect() }))
     }
 
