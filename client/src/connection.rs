@@ -29,6 +29,9 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(20);
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 
+/// How a certificate begins.
+const PEM_BEGIN: &[u8] = b"-----BEGIN CERTIFICATE-----";
+
 /// A gRPC channel that sends the token.
 pub type Connection = InterceptedService<Channel, Bearer>;
 
@@ -81,6 +84,9 @@ impl Credentials {
             _ if !is_tls => wrong("certificates are of use only with an address that begins with https://"),
             (None, _) => {
                 wrong("an address with https:// needs the certificate of the authority that signed the daemon's")
+            }
+            (Some(ca), _) if !ca.windows(PEM_BEGIN.len()).any(|part| part == PEM_BEGIN) => {
+                wrong("the file of authorities holds no certificate in PEM form")
             }
             (Some(ca), identity) => {
                 let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(ca)).timeout(CONNECT_TIMEOUT);
