@@ -290,6 +290,16 @@ pub struct Alternatives {
     /// The first local day of the present routine, in days since 1970-01-01; absent where the change alarm never rang.
     #[prost(sint32, optional, tag = "15")]
     pub since: Option<i32>,
+    /// What the choice of orders has gained: number of days, sum of gains, sum of squared gains; empty in data of
+    /// before it was recorded.
+    #[prost(fixed64, repeated, tag = "16")]
+    pub gains_bits: Vec<u64>,
+    /// Number of times between readings that were sampled; 0 in data of before they were.
+    #[prost(uint64, tag = "17")]
+    pub gaps: u64,
+    /// Those that are kept: number and whole seconds of each in turn.
+    #[prost(uint64, repeated, tag = "18")]
+    pub kept_gaps: Vec<u64>,
 }
 
 /// The calibrated model of a state, as it was last fitted.

@@ -106,7 +106,19 @@ impl MapView {
                     blend(&live.persistence, model.usual_change(), &times.moments, out);
                 }
             }
-            Some(chosen) => self.predict_fitted_into(id, &times.moments, &chosen, selector.persistence, out),
+            Some(chosen) => {
+                self.predict_fitted_into(id, &times.moments, &chosen, false, out);
+                for (probability, &moment) in out.iter_mut().zip(&times.moments) {
+                    if !chosen.covers(moment) {
+                        let (kind, periodicities) = (model.kind(), &self.spec.periodicities);
+                        let (spectral, civil_nanos) = (model.spectral(), moment.civil_nanos());
+                        *probability = spectral.predict_value(kind, periodicities, model.order(), civil_nanos);
+                    }
+                }
+                if selector.persistence {
+                    blend(&live.persistence, model.usual_change(), &times.moments, out);
+                }
+            }
             None if selector.kind == ModelKind::Latest && live.persistence.last().is_none() => {
                 out.fill(self.prior_models.of(model.kind()).spectral().mean());
             }

@@ -36,6 +36,7 @@ mod angle;
 mod civil;
 mod entropy;
 mod evaluate;
+mod gaps;
 mod kind;
 mod lanes;
 pub mod models;
@@ -55,6 +56,7 @@ pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
+pub use gaps::{Gaps, GapsParts};
 pub use kind::{StateKind, VALUE_MAX};
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
 pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};

@@ -39,7 +39,7 @@ pub use pergam::{Pergam, PergamGaussian, PergamOptions, PergamParts};
 pub use poisson::{COUNT_BIN_NANOS, CountRate, CountRateParts, PoissonSpectral, PoissonSpectralParts};
 pub use presence::{Presence, PresenceOptions};
 pub use support::{DependenceSums, OrderGains, OrderGainsParts, effective_observations, supported_order};
-pub(crate) use support::{effective_observations_of_values, supported_order_of_values};
+pub(crate) use support::{half_square_of_probabilities, half_square_of_values, supported_order_of};
 pub use uniform::{UniformSpectral, UniformSpectralParts};
 
 use crate::{Sample, civil::NANOS_PER_SEC};

@@ -1,15 +1,22 @@
 //! Choosing the model order: how well each order has predicted what was observed after it was fitted.
 //!
-//! T-RO section IV.B, with memory: a day's errors fade by 7 % a day, so that neither one unusual day nor the distant
-//! past decides. Invariant: the error sums are finite and not negative.
+//! T-RO section IV.B, with memory: errors fade by 7 % with each further day of observations, so that neither one unusual
+//! day nor the distant past decides. Days without observations do not count: a place that is seen once a month is not
+//! judged by its last look alone. Invariant: the error sums are finite and not negative.
 
 use crate::{InvalidParts, LocalDay, ORDER_MAX};
 
 #[cfg(test)]
 mod tests;
 
-/// The share of a day's errors that remains after each further local day.
-pub(crate) const KEPT_PER_DAY: f64 = 0.93;
+/// The share of a day's errors that remains after each further observed local day.
+const KEPT_PER_DAY: f64 = 0.93;
+
+/// The share of earlier errors that remains when a day is recorded after `last`: a later day fades them, the same or an
+/// earlier one does not.
+pub(crate) fn kept(last: LocalDay, day: LocalDay) -> f64 {
+    if day > last { KEPT_PER_DAY } else { 1.0 }
+}
 /// A lower order is preferred if its error exceeds the lowest by at most this factor.
 const NEAR_TIE: f64 = 1.001;
 
@@ -39,12 +46,11 @@ pub struct OrderErrorsParts {
 }
 
 impl OrderErrors {
-    /// Adds the summed errors of a day's observations per order, after older errors have faded by 0.93 for each local
-    /// day since. A day that is not later than the last one is added without fading.
+    /// Adds the summed errors of a day's observations per order, after older errors have faded by 0.93. A day that is
+    /// not later than the last one is added without fading.
     pub fn record(&mut self, day: LocalDay, errors: &[f64; ORDER_MAX + 1]) {
         let last_day = self.parts.last_day.unwrap_or(day);
-        let elapsed_days = (i64::from(day.0) - i64::from(last_day.0)).max(0);
-        let kept = KEPT_PER_DAY.powf(elapsed_days as f64);
+        let kept = kept(last_day, day);
         for (sum, error) in self.parts.sums.iter_mut().zip(errors) {
             *sum = *sum * kept + error;
         }

@@ -144,12 +144,24 @@ impl Periodicities {
 
     /// Whether a span of observation holds at least 0.99 of periodicity `k`, in exact integers.
     pub(crate) fn is_eligible(&self, k: usize, span_nanos: u64) -> bool {
-        let (period, turns) = match &self.inner.cycles {
-            Cycles::Harmonics { base, count } if k < *count => (base.period, k as u128 + 1),
-            Cycles::List(list) if k < list.len() => (list[k].period, 1),
-            _ => return false,
-        };
+        let Some((period, turns)) = self.period_of_turns(k) else { return false };
         u128::from(span_nanos) * 100 * turns >= u128::from(period) * 99
+    }
+
+    /// Whether readings that are this far apart tell periodicity `k` from slower ones: its period is at least twice the
+    /// gap (H. Nyquist), with a hundredth for rounding.
+    pub(crate) fn is_resolved(&self, k: usize, gap_nanos: u64) -> bool {
+        let Some((period, turns)) = self.period_of_turns(k) else { return false };
+        u128::from(period) * 100 >= u128::from(gap_nanos) * 198 * turns
+    }
+
+    /// Periodicity `k` as some nanoseconds and how often it turns in them; `None` where `k` is too large.
+    fn period_of_turns(&self, k: usize) -> Option<(u64, u128)> {
+        match &self.inner.cycles {
+            Cycles::Harmonics { base, count } if k < *count => Some((base.period, k as u128 + 1)),
+            Cycles::List(list) => list.get(k).map(|cycle| (cycle.period, 1)),
+            Cycles::Harmonics { .. } => None,
+        }
     }
 
     /// The phase of a local civil time in periodicity `k`, in turns from -0.5 to 0.5; `None` where

@@ -6,7 +6,7 @@
 
 use pulp::Arch;
 
-use crate::{Accumulator, InvalidParts, ORDER_MAX, Periodicities, PhasorTable, StateKind};
+use crate::{Accumulator, Gaps, InvalidParts, ORDER_MAX, Periodicities, PhasorTable, StateKind};
 
 mod cell;
 mod component;
@@ -40,23 +40,34 @@ impl Default for SpectralModel {
 }
 
 impl SpectralModel {
-    /// The model of an accumulator: its mean and the [`ORDER_MAX`] strongest components, ties: the lower index first. A
-    /// periodicity is eligible where the observed span (last less first, UTC) holds 0.99 of its period; components of 0
-    /// are left out.
+    /// The model of an accumulator: its mean and the [`ORDER_MAX`] strongest components; of those that are equal within
+    /// rounding the longest period first. A periodicity is eligible where the observed span (last less first, UTC)
+    /// holds 0.99 of its period; components of 0 are left out.
     pub fn fit(accumulator: &Accumulator, periodicities: &Periodicities) -> SpectralModel {
+        SpectralModel::fit_with_gaps(accumulator, periodicities, &Gaps::default())
+    }
+
+    /// [`SpectralModel::fit`] where the gaps between the readings are known. The observed span counts with the median
+    /// gap added, since each reading stands for the time until the next: twelve monthly looks hold a year. A period
+    /// that regular readings cannot tell from slower ones is not eligible.
+    pub fn fit_with_gaps(accumulator: &Accumulator, periodicities: &Periodicities, gaps: &Gaps) -> SpectralModel {
         let (mean, observations) = (accumulator.mean(), accumulator.observations());
         let per_observation = if observations == 0 { 1.0 } else { 1.0 / accumulator.weight() };
-        let span_nanos = accumulator.span_nanos();
+        let span_nanos = accumulator.span_nanos().saturating_add(gaps.median_nanos());
+        let resolved_nanos = gaps.regular_nanos().unwrap_or(0);
         let mut strongest = Strongest::new();
         for (k, &[a_re, a_im, b_re, b_im]) in accumulator.unpacked_spectrum(periodicities).iter().enumerate() {
             let gamma_re = (a_re - mean * b_re) * per_observation;
             let gamma_im = (a_im - mean * b_im) * per_observation;
             let power = gamma_re * gamma_re + gamma_im * gamma_im;
-            if power > strongest.to_beat() && periodicities.is_eligible(k, span_nanos) {
+            if power > strongest.to_beat()
+                && periodicities.is_eligible(k, span_nanos)
+                && periodicities.is_resolved(k, resolved_nanos)
+            {
                 strongest.offer(power, Component { periodicity: k as u32, gamma_re, gamma_im });
             }
         }
-        let components = strongest.into_components();
+        let components = strongest.into_components(periodicities);
         SpectralModel { mean, observations, components }
     }
 

@@ -8,7 +8,7 @@
 
 use crate::SpectralModel;
 use crate::evaluate::score_samples;
-use crate::models::TemporalModel as _;
+use crate::models::{OrderGains, TemporalModel as _};
 use crate::{
     Accumulator, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Sample, StateKind,
 };
@@ -170,7 +170,7 @@ impl StateModel {
     }
 
     /// The order to predict with, 0..=[`ORDER_MAX`]: the one that has predicted best, limited to the supported
-    /// components.
+    /// components unless the choice of orders has made predictions better day after day.
     pub fn order(&self) -> usize {
         let supported = self.alternatives.as_ref().map_or(ORDER_MAX, |known| known.supported_order());
         self.order.min(supported)
@@ -228,8 +228,8 @@ impl StateModel {
             self.score_day(periodicities, rules, day, of_day, &mut outcome);
             self.learn_day(periodicities, rules, day, of_day);
             // Refitted each day, so that the next day is scored with the knowledge before it.
-            self.spectral = SpectralModel::fit(&self.accumulator, periodicities);
             if let Some(alternatives) = &mut self.alternatives {
+                self.spectral = SpectralModel::fit_with_gaps(&self.accumulator, periodicities, alternatives.gaps());
                 alternatives.support(&self.spectral, periodicities, &self.accumulator);
             }
             rest = later;
@@ -294,15 +294,22 @@ impl StateModel {
             OrderCriterion::ZeroOne => &sums.wrong,
         };
         let (kind, squared) = (self.kind(), sums.squared[self.order()]);
+        let before = (self.order, self.order());
         self.errors.record(day, errors);
         self.order = self.errors.best();
         outcome.squared_error_in_force += match &mut self.alternatives {
             Some(alternatives) => {
+                if OrderGains::apply_to(periodicities) {
+                    alternatives.record_gain(before.0, &sums.squared, newer.len() as u64);
+                }
+                let spectral_of =
+                    |sample: &Sample| self.spectral.predict_value(kind, periodicities, before.1, sample.civil_nanos());
                 let order = self.order.min(alternatives.supported_order());
                 let spectral = (errors[order], self.errors.sums()[order]);
                 let unit = if kind == StateKind::Probability { 1.0 } else { self.accumulator.variance() };
                 let was_ringing = alternatives.alarm().is_ringing();
-                let in_force = alternatives.score(day, rules, newer, spectral, (squared, unit), combined);
+                let in_force =
+                    alternatives.score(day, rules, newer, spectral, (squared, unit), (combined, &spectral_of));
                 if alternatives.alarm().is_ringing() && !was_ringing {
                     self.errors.fade(alternatives.discount_errors());
                 }

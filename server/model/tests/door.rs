@@ -168,7 +168,7 @@ fn the_chosen_order_predicts_the_next_day() {
         let faded = earlier
             .last_day()
             .zip(state.errors().last_day())
-            .map_or(0.0, |(before, now)| 0.93_f64.powi(now.0 - before.0));
+            .map_or(0.0, |(before, now)| if now > before { 0.93 } else { 1.0 });
         let mut day_errors = [0.0; ORDER_MAX + 1];
         for (order, error) in day_errors.iter_mut().enumerate() {
             *error = state.errors().sums()[order] - earlier.sums()[order] * faded;

@@ -74,7 +74,7 @@ impl Naive {
             of_day.iter().for_each(|(.., is_occupied)| seen[usize::from(*is_occupied)] = true);
             let has_changed = seen == [true; 2];
             if let Some(before) = day_before.replace(day).filter(|_| has_changed) {
-                learned.score(of_day, 0.93_f64.powi((day - before) as i32), phasors);
+                learned.score(of_day, if day > before { 0.93 } else { 1.0 }, phasors);
             }
             for (time, value, _) in of_day {
                 let row = &phasors.0[time];

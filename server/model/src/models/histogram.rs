@@ -84,7 +84,9 @@ pub struct HistogramParts {
 
 impl Histogram {
     /// The mean of the readings in each bin, shrunk towards the mean of all: (Σwv + κμ)/(Σw + κ) with κ =
-    /// `prior_readings`. A bin without readings predicts the mean of all.
+    /// `prior_readings`. A bin without readings predicts as the next coarser histogram with bins of the same length that
+    /// has readings there: of the week that of weekday and weekend, then that of the day. If there is none, it predicts
+    /// the mean of all.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, a value is not finite, or a setting is outside its range.
@@ -98,16 +100,33 @@ impl Histogram {
             bins[settings.cycle.bin(settings.bins, sample.civil_nanos())].add(sample.value, weight);
         }
         let bins: Vec<(f64, f64)> = bins.iter().map(|bin| (bin.weight, bin.mean)).collect();
-        Ok(Histogram::of_bins(settings, &bins, all.mean))
+        let coarser = |bin: usize| {
+            let mut sets = coarser_bins(settings.cycle, settings.bins, bin).into_iter();
+            sets.find_map(|alike| {
+                let mut mean = RunningMean::default();
+                let (weights, values): (Vec<f64>, Vec<f64>) = alike.iter().map(|&bin| bins[bin]).unzip();
+                weights.iter().zip(values).filter(|(weight, _)| **weight > 0.0).for_each(|(&w, v)| mean.add(v, w));
+                (mean.weight > 0.0).then_some((mean.weight, mean.mean))
+            })
+        };
+        Ok(Histogram::of_bins(settings, &bins, all.mean, coarser))
     }
 
-    /// From the weight and mean value of each bin and the mean of all readings.
-    fn of_bins(settings: &HistogramSettings, bins: &[(f64, f64)], mean: f64) -> Histogram {
+    /// From the weight and mean value of each bin, the mean of all readings, and the weight and mean value that a
+    /// coarser histogram has in a bin.
+    fn of_bins(
+        settings: &HistogramSettings,
+        bins: &[(f64, f64)],
+        mean: f64,
+        coarser: impl Fn(usize) -> Option<(f64, f64)>,
+    ) -> Histogram {
         let smoothed = match settings.smoothing_bins {
             width if width > 0.0 => smoothed(bins, settings.bins, width),
             _ => bins.to_vec(),
         };
-        let values = smoothed.iter().map(|&bin| shrunk(bin, mean, settings.prior_readings)).collect();
+        let filled = |(bin, &own): (usize, &(f64, f64))| if own.0 > 0.0 { own } else { coarser(bin).unwrap_or(own) };
+        let values = smoothed.iter().enumerate().map(filled);
+        let values = values.map(|bin| shrunk(bin, mean, settings.prior_readings)).collect();
         let weights = bins.iter().map(|&(weight, _)| weight).collect();
         Histogram { parts: HistogramParts { cycle: settings.cycle, values, weights } }
     }
@@ -122,7 +141,14 @@ impl Histogram {
         self.parts.values.len() / self.parts.cycle.runs()
     }
 
-    /// The weight of the readings in the bin of a moment; 0 if the prediction is the mean of all readings.
+    /// Whether the histogram or a coarser one has readings in the bin of a moment. If not, it predicts the mean of all.
+    pub fn has_readings_near(&self, at: Moment) -> bool {
+        let bin = self.bin(at);
+        let has = |bin: usize| self.parts.weights.get(bin).is_some_and(|&weight| weight > 0.0);
+        has(bin) || coarser_bins(self.parts.cycle, self.bins(), bin).into_iter().flatten().any(has)
+    }
+
+    /// The weight of the readings in the bin of a moment.
     pub fn weight(&self, at: Moment) -> f64 {
         self.parts.weights.get(self.bin(at)).copied().unwrap_or(0.0)
     }
@@ -159,6 +185,21 @@ impl Histogram {
 impl TemporalModel for Histogram {
     fn predict(&self, at: Moment) -> f64 {
         self.parts.values[self.bin(at)]
+    }
+}
+
+/// The bins that the coarser histograms with bins of the same length take together, the next coarser first.
+fn coarser_bins(cycle: HistogramCycle, bins: usize, bin: usize) -> Vec<Vec<usize>> {
+    match cycle {
+        HistogramCycle::Day => Vec::new(),
+        HistogramCycle::WeekdayWeekend => vec![vec![bin % bins, bins + bin % bins]],
+        HistogramCycle::Week if bins.is_multiple_of(7) => {
+            let of_day = bins / 7;
+            let same = |days: std::ops::Range<usize>| days.map(|day| day * of_day + bin % of_day).collect();
+            let alike = if bin / of_day >= 5 { 5..7 } else { 0..5 };
+            vec![same(alike), same(0..7)]
+        }
+        HistogramCycle::Week => Vec::new(),
     }
 }
 

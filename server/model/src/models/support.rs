@@ -1,10 +1,11 @@
 //! The number of components of a spectral model that the observations support.
 //!
-//! The strongest of 168 candidates is never 0, even for noise. There are two independent tests: how likely noise alone
-//! has such a peak in its periodogram, and whether predictions improved by it day after day. Invariant: more
-//! observations of the same kind never lower the number; no result is NaN.
+//! The strongest of 168 candidates is never 0, even for noise. There are two independent tests, and either suffices:
+//! how likely noise of the same dependence has such a peak in its periodogram ([`supported_order`]), and whether
+//! predictions improved day after day ([`OrderGains`]). Invariant: more observations of the same kind never lower the
+//! number; no result is NaN.
 
-use crate::{Periodicities, SpectralModel};
+use crate::{Component, Periodicities, SpectralModel};
 
 mod gains;
 pub use gains::{OrderGains, OrderGainsParts};
@@ -15,6 +16,9 @@ mod tests;
 /// A component is supported if noise alone shows one as strong, at any candidate period, with less than this
 /// probability.
 const FALSE_ALARM: f64 = 0.01;
+
+/// Shares of the variance above this count as this: a state that is nothing but its components still has noise.
+const SHARE_MAX: f64 = 0.999;
 
 /// How much successive readings depend on each other, from sums that are kept anyway.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,25 +42,25 @@ pub struct DependenceSums {
 /// Readings of a state that changes slowly repeat each other. With a correlation ρ of neighbours that fades
 /// exponentially (the state as a two-state Markov chain, RAS 2017 section 4.2), the mean of N readings, and any slow
 /// component of their spectrum, vary as those of N(1 - ρ)/(1 + ρ) independent ones (G. V. Bayley and J. M. Hammersley,
-/// "The 'Effective' Number of Independent Observations in an Autocorrelated Time Series", 1946). Of the chain E|Δs| =
-/// 2μ(1-μ)(1 - ρ), so 1 - ρ is the mean rate of change times the mean time between readings, over 2μ(1-μ). A rhythm of
-/// the state itself makes neighbours more alike, and values between 0 and 1 vary less than 2μ(1-μ) allows: both lower
-/// the number, which is conservative.
+/// "The 'Effective' Number of Independent Observations in an Autocorrelated Time Series", 1946). Of values of variance
+/// v, E(Δs)² = 2v(1 - ρ), and (Δs)² = |Δs| where they are 0 or 1. So 1 - ρ is the mean rate of change times the mean
+/// time between readings, over 2μ(1-μ). Values between 0 and 1 vary less than that allows, which lowers the number and
+/// is conservative.
 ///
 /// If hours are known, the observed time counts instead of the span, with at least one reading an hour.
 pub fn effective_observations(sums: &DependenceSums) -> f64 {
-    let most_change = 2.0 * sums.mean * (1.0 - sums.mean);
-    effective(sums, |change| if most_change > 0.0 { change / most_change } else { 0.0 })
+    let variance = sums.mean * (1.0 - sums.mean);
+    effective(sums, |change, _| if variance > 0.0 { 0.5 * change / variance } else { 0.0 })
 }
 
-/// `forgotten`: 1 - ρ, by the mean change from a reading to the next.
-fn effective(sums: &DependenceSums, forgotten: impl Fn(f64) -> f64) -> f64 {
+/// `forgotten`: 1 - ρ, by the mean change from a reading to the next and the seconds between.
+fn effective(sums: &DependenceSums, forgotten: impl Fn(f64, f64) -> f64) -> f64 {
     let pairs = sums.pairs as f64;
     let over = |secs: f64| {
         if sums.pairs == 0 {
             return 1.0;
         }
-        let forgotten = forgotten(sums.change_rate_sum / pairs * (secs / pairs)).min(1.0);
+        let forgotten = forgotten(sums.change_rate_sum / pairs * (secs / pairs), secs / pairs).clamp(0.0, 1.0);
         (pairs + 1.0) * forgotten / (2.0 - forgotten)
     };
     let number = match sums.observed_hours {
@@ -68,47 +72,71 @@ fn effective(sums: &DependenceSums, forgotten: impl Fn(f64) -> f64) -> f64 {
     if number.is_nan() { 1.0 } else { number.clamp(1.0, readings) }
 }
 
-/// [`effective_observations`] of values that are not probabilities, with the given variance; the mean is not used.
-///
-/// Neighbours with a normal distribution and the correlation ρ differ by E|Δs| = 2σ√((1 - ρ)/π), so 1 - ρ is
-/// π/4·(E|Δs|/σ)².
-pub(crate) fn effective_observations_of_values(sums: &DependenceSums, variance: f64) -> f64 {
-    effective(sums, |change| std::f64::consts::FRAC_PI_4 * change * change / variance)
+/// Half the mean squared change from a reading to the next of values in `[0,1]`, by their mean change: exact where they
+/// are 0 or 1, else more than it is.
+pub(crate) fn half_square_of_probabilities(change: f64) -> f64 {
+    0.5 * change
+}
+
+/// The same of values with a normal distribution, of which E|Δs| = 2σ√((1 - ρ)/π).
+pub(crate) fn half_square_of_values(change: f64) -> f64 {
+    std::f64::consts::FRAC_PI_4 * change * change
 }
 
 /// The number of a model's strongest components that are supported, 0..=[`ORDER_MAX`](crate::ORDER_MAX).
 ///
-/// Of n independent readings with variance v, |γ|²n/v is exponentially distributed with mean 1, so that noise shows a
-/// peak of z or more among K candidates with probability 1 - (1 - e^-z)^K (J. D. Scargle, "Studies in Astronomical Time
-/// Series Analysis II", ApJ 1982, section III). Components are tested in turn, each against the variance that the
-/// previous ones leave of μ(1-μ), the largest variance of values in `[0,1]`; the first that noise shows with a
-/// probability of 1 % or more ends the test. To use supported components only, predict with `order.min(supported)`.
-pub fn supported_order(model: &SpectralModel, periodicities: &Periodicities, effective_observations: f64) -> usize {
+/// Components are tested in turn. Of N independent readings, a component at one period has the share x or more of the
+/// variance with probability (1 - x)^((N-3)/2), and the strongest of K candidates has it with 1 - (1 - that)^K (M.
+/// Zechmeister and M. Kürster, "The generalised Lomb-Scargle periodogram", A&A 2009, section 4). x is the share of the
+/// variance that the components before leave of μ(1-μ), the largest of values in `[0,1]`. N is the number of
+/// [`effective_observations`] of what the component leaves: a component explains part of the change from a reading to
+/// the next, 4|γ|²(1 - cos ωΔt), and part of the variance, 2|γ|²; both are taken out, so that a rhythm's own slowness
+/// is no evidence against it. The first component that noise shows with a probability of 1 % or more ends the test. To
+/// use supported components only, predict with `order.min(supported)`.
+pub fn supported_order(model: &SpectralModel, periodicities: &Periodicities, sums: &DependenceSums) -> usize {
     let variance = model.mean() * (1.0 - model.mean());
-    supported_order_of_values(model, periodicities, effective_observations, variance)
+    supported_order_of(model, periodicities, sums, (half_square_of_probabilities, variance), 1.0)
 }
 
-/// [`supported_order`] of values with the given variance.
-pub(crate) fn supported_order_of_values(
+/// [`supported_order`] of values with the given variance, and half the mean squared change of neighbours as a function
+/// of their mean change. `remembered`: the weight of the readings over their number, below 1 with forgetting.
+pub(crate) fn supported_order_of(
     model: &SpectralModel,
     periodicities: &Periodicities,
-    effective_observations: f64,
-    variance: f64,
+    sums: &DependenceSums,
+    (half_square, variance): (fn(f64) -> f64, f64),
+    remembered: f64,
 ) -> usize {
     let candidates = periodicities.len() as f64;
-    let mut variance = variance;
+    let mut left = variance;
     let mut supported = 0;
     for component in model.components() {
-        let power = component.gamma_re.powi(2) + component.gamma_im.powi(2);
-        let peak = power * effective_observations / variance;
+        let own = 2.0 * power(component);
+        let share = (own / left).min(SHARE_MAX);
+        let explaining = &model.components()[..=supported];
+        let effective = effective(sums, |change, secs| {
+            let explained: f64 = explaining.iter().map(|known| half_square_of(known, periodicities, secs)).sum();
+            (half_square(change) - explained).max(0.0) / (left * (1.0 - share))
+        });
+        let exponent = -(-share).ln_1p() * (effective * remembered - 3.0).max(0.0) / 2.0;
         // 1 - (1 - e^-z)^K, exact where e^-z is tiny.
-        let false_alarm = -(candidates * (-(-peak).exp()).ln_1p()).exp_m1();
+        let false_alarm = -(candidates * (-(-exponent).exp()).ln_1p()).exp_m1();
         // Overlapping components can explain more than the whole variance; NaN supports nothing.
-        if variance <= 0.0 || false_alarm.is_nan() || false_alarm >= FALSE_ALARM {
+        if left.is_nan() || left <= 0.0 || false_alarm.is_nan() || false_alarm >= FALSE_ALARM {
             break;
         }
-        variance -= 2.0 * power;
+        left -= own;
         supported += 1;
     }
     supported
+}
+
+fn power(component: &Component) -> f64 {
+    component.gamma_re.powi(2) + component.gamma_im.powi(2)
+}
+
+/// Half the mean squared change of a component's value over some seconds: 2|γ|²(1 - cos ωΔt).
+fn half_square_of(component: &Component, periodicities: &Periodicities, secs: f64) -> f64 {
+    let turns = secs / periodicities.period_secs(component.periodicity as usize);
+    2.0 * power(component) * (1.0 - (std::f64::consts::TAU * turns).cos())
 }

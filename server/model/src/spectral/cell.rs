@@ -49,7 +49,7 @@ impl SpectralModel {
             strongest: &mut strongest,
         });
         let mean = (free + (occupied - free) * sums.mean).clamp(0.0, 1.0);
-        SpectralModel { mean, observations: sums.observations, components: strongest.into_components() }
+        SpectralModel { mean, observations: sums.observations, components: strongest.into_components(periodicities) }
     }
 }
 

@@ -10,12 +10,12 @@ use std::sync::Arc;
 
 use super::{EnabledModels, FitKind, FittedModel};
 use crate::{
-    Accumulator, LocalDay, Periodicities, Persistence, Sample, SpectralModel, StateKind,
+    Accumulator, Gaps, LocalDay, ORDER_MAX, Periodicities, Persistence, Sample, SpectralModel, StateKind,
     models::{
-        ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HourTable, Moment, TemporalModel,
-        effective_observations, effective_observations_of_values, supported_order, supported_order_of_values,
+        ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HourTable, Moment, OrderGains, TemporalModel,
+        half_square_of_probabilities, half_square_of_values, supported_order_of,
     },
-    order::{KEPT_PER_DAY, OrderCriterion},
+    order::{OrderCriterion, kept},
 };
 
 mod combination;
@@ -109,6 +109,17 @@ pub enum ActiveModel<'a> {
     Combination(Combination<'a>),
 }
 
+impl ActiveModel<'_> {
+    /// Whether it can tell of a moment: a histogram without readings of that hour, and of coarser ones, cannot, and
+    /// leaves it to the spectral model.
+    pub fn covers(&self, at: Moment) -> bool {
+        match self {
+            ActiveModel::Histogram(model) => model.has_readings_near(at),
+            ActiveModel::Fitted(_) | ActiveModel::Combination(_) => true,
+        }
+    }
+}
+
 impl TemporalModel for ActiveModel<'_> {
     fn predict(&self, at: Moment) -> f64 {
         match self {
@@ -127,8 +138,12 @@ pub struct Alternatives {
     alarm: ChangeAlarm,
     /// Persistence of the learned readings.
     succession: Persistence,
-    /// Number of supported components.
+    /// The times between the learned readings.
+    gaps: Gaps,
+    /// Number of components that noise would not show.
     supported: u8,
+    /// What the choice of orders has gained, day by day.
+    gains: OrderGains,
     /// Local days learned, without late ones.
     days: u32,
     /// The first local day of the present routine, by the change alarm.
@@ -260,9 +275,20 @@ impl Alternatives {
         &self.alarm
     }
 
-    /// Number of supported components of the spectral model.
+    /// Number of supported components of the spectral model: those that noise would not show, or all where the choice
+    /// of orders has made predictions better day after day.
     pub fn supported_order(&self) -> usize {
-        usize::from(self.supported)
+        if self.gains.is_significant() { ORDER_MAX } else { usize::from(self.supported) }
+    }
+
+    /// The times between the learned readings.
+    pub fn gaps(&self) -> &Gaps {
+        &self.gaps
+    }
+
+    /// Records what the order that was best before a day has gained on it.
+    pub(super) fn record_gain(&mut self, order: usize, squared_errors: &[f64; ORDER_MAX + 1], scored: u64) {
+        self.gains.record(order, squared_errors, scored);
     }
 
     /// The histogram of a number in [`HISTOGRAMS`]; `None` where nothing was read.
@@ -275,7 +301,8 @@ impl Alternatives {
     /// the order that is now best; `spectral_sum`: its faded sum, the day included; `spectral_squared`: the squared
     /// error of the order that was in force, and the squared error of a day that the alarm takes for 1: the variance of
     /// values that are no probabilities. `combined`: the squared error of the models that answered together, if several
-    /// did. Gives the squared error of what answered.
+    /// did; `spectral_of`: the prediction of the spectral model that was in force, which histograms use where they have
+    /// no readings. Gives the squared error of what answered.
     pub(super) fn score(
         &mut self,
         day: LocalDay,
@@ -283,12 +310,12 @@ impl Alternatives {
         newer: &[Sample],
         (spectral_day, spectral_sum): (f64, f64),
         (spectral_squared, unit): (f64, f64),
-        combined: Option<f64>,
+        (combined, spectral_of): (Option<f64>, &dyn Fn(&Sample) -> f64),
     ) -> f64 {
         let criterion = rules.criterion;
         self.restrict(rules.models);
         let of_day = if rules.models.histograms {
-            let Some(of_day) = self.score_histograms(criterion, newer) else {
+            let Some(of_day) = self.score_histograms(criterion, newer, spectral_of) else {
                 return combined.unwrap_or(spectral_squared);
             };
             of_day
@@ -305,8 +332,7 @@ impl Alternatives {
         let alone = in_force.map_or(spectral_squared, |error| error.squared);
         let squared_in_force = combined.unwrap_or(alone);
         self.watch(day, squared_in_force / newer.len().max(1) as f64 / unit, newer.len() as u64);
-        let elapsed_days = self.parts.last_day.map(|last| (i64::from(day.0) - i64::from(last.0)).max(0));
-        let kept = elapsed_days.map(|days| KEPT_PER_DAY.powf(days as f64));
+        let kept = self.parts.last_day.map(|last| kept(last, day));
         // The spectral model may have been scored for long: the histograms begin with what it has, and fitted models
         // with what the model in force has, which they then have to beat from the same start.
         let before_spectral = spectral_sum - spectral_day;
@@ -346,6 +372,7 @@ impl Alternatives {
     /// Lowers the weight of the errors recorded so far, because they are of another routine. Returns the factor.
     pub(super) fn discount_errors(&mut self) -> f64 {
         self.parts.spectral *= KEPT_AT_CHANGE;
+        self.gains.fade(KEPT_AT_CHANGE);
         self.parts.histograms.iter_mut().flatten().for_each(|sum| *sum *= KEPT_AT_CHANGE);
         let sums = self.fits.iter_mut().flatten().filter_map(|fit| fit.error.as_mut());
         sums.for_each(|sum| *sum *= KEPT_AT_CHANGE);
@@ -383,6 +410,11 @@ impl Alternatives {
     pub(super) fn add(&mut self, day: LocalDay, samples: &[Sample]) {
         self.hours.add(samples);
         for sample in samples {
+            if let Some((last_nanos, _)) = self.succession.last()
+                && sample.utc_nanos > last_nanos
+            {
+                self.gaps.observe(sample.utc_nanos.abs_diff(last_nanos));
+            }
             self.succession.observe(sample.utc_nanos, sample.value);
         }
         if self.parts.learned_day.is_none_or(|last| day > last) {
@@ -403,14 +435,11 @@ impl Alternatives {
         };
         // Forgotten data supports nothing.
         let remembered = folded.weight() / (folded.observations() as f64).max(1.0);
-        let supported = match folded.kind() {
-            StateKind::Probability => supported_order(model, periodicities, effective_observations(&sums) * remembered),
-            _ => {
-                let variance = folded.variance();
-                let effective = effective_observations_of_values(&sums, variance) * remembered;
-                supported_order_of_values(model, periodicities, effective, variance)
-            }
+        let spread: (fn(f64) -> f64, f64) = match folded.kind() {
+            StateKind::Probability => (half_square_of_probabilities, model.mean() * (1.0 - model.mean())),
+            _ => (half_square_of_values, folded.variance()),
         };
+        let supported = supported_order_of(model, periodicities, &sums, spread, remembered);
         // At most 15.
         self.supported = supported as u8;
     }
@@ -426,5 +455,6 @@ impl Alternatives {
     /// Forgetting: lowers the weight of all data learned so far.
     pub(super) fn fade(&mut self, factor: f64) {
         self.hours.scale(factor);
+        self.gains.fade(factor);
     }
 }

@@ -4,8 +4,9 @@
 
 use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
-    Alternatives, AlternativesParts, FitParts, FittedModelParts, LocalDay, Periodicities, PersistenceParts, StateKind,
-    models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
+    Alternatives, AlternativesParts, FitParts, FittedModelParts, GapsParts, LocalDay, Periodicities, PersistenceParts,
+    StateKind,
+    models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
 use super::{Invalid, doubles, fits};
@@ -48,7 +49,40 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Al
         calibrated: parts.fits.iter().find_map(encode_calibrated),
         fits: fits::encode(&parts.fits),
         since: parts.since.map(|day| day.0),
+        gains_bits: encode_gains(parts.gains),
+        gaps: parts.gaps.count,
+        kept_gaps: parts.gaps.kept.iter().flat_map(|&(number, secs)| [number, u64::from(secs)]).collect(),
     }
+}
+
+/// Gains; nothing where none were recorded.
+fn encode_gains(gains: OrderGainsParts) -> Vec<u64> {
+    if gains == OrderGainsParts::default() {
+        return Vec::new();
+    }
+    vec![gains.days.to_bits(), gains.sum.to_bits(), gains.squares.to_bits()]
+}
+
+fn decode_gains(bits: &[u64]) -> Result<OrderGainsParts, Invalid> {
+    match *bits {
+        [] => Ok(OrderGainsParts::default()),
+        [days, sum, squares] => Ok(OrderGainsParts {
+            days: f64::from_bits(days),
+            sum: f64::from_bits(sum),
+            squares: f64::from_bits(squares),
+        }),
+        _ => Err("the gains of the orders of a state are not three numbers"),
+    }
+}
+
+fn decode_gaps(message: &v2::Alternatives) -> Result<GapsParts, Invalid> {
+    const GAPS: Invalid = "the times between the readings of a state are not valid";
+    let (kept, rest) = message.kept_gaps.as_chunks::<2>();
+    if !rest.is_empty() {
+        return Err(GAPS);
+    }
+    let gap = |&[number, secs]: &[u64; 2]| Ok((number, u32::try_from(secs).map_err(|_| GAPS)?));
+    Ok(GapsParts { count: message.gaps, kept: kept.iter().map(gap).collect::<Result<_, Invalid>>()? })
 }
 
 fn encode_calibrated(fit: &FitParts) -> Option<v2::Calibrated> {
@@ -100,6 +134,8 @@ pub(crate) fn decode(
             change_rate_sum: f64::from_bits(message.change_rate_sum_bits),
             last: message.last.as_ref().map(|last| (last.nanos, f64::from_bits(last.value_bits))),
         },
+        gaps: decode_gaps(message)?,
+        gains: decode_gains(&message.gains_bits)?,
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,
         since: message.since.map(LocalDay),

@@ -15,9 +15,10 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, FitParts, FittedModelParts, LocalDay,
-    OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, SpectralModel, StateModel, Zone,
-    models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts},
+    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, FitParts, FittedModelParts, GapsParts,
+    LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, SpectralModel, StateModel,
+    Zone,
+    models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
 use super::example::{append, content, copy, options};
@@ -69,7 +70,9 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
             rang: Some(LocalDay(-3)),
         },
         succession: PersistenceParts { pairs: 9, change_rate_sum: 0.375, last: Some((1_700_000_009_000_000_000, 1.0)) },
+        gaps: GapsParts::default(),
         supported: 3,
+        gains: OrderGainsParts::default(),
         days: 28,
         since: None,
         fits: Vec::from_iter(calibrated.map(|error_sum| FitParts {

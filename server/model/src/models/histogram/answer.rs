@@ -2,6 +2,8 @@
 //!
 //! Invariant: a prediction is bit for bit that of the histogram of [`HourTable::histogram`].
 
+use std::ops::Range;
+
 use super::cycle::{DAY_HOURS, is_weekend};
 use super::hours::{add_to, mean};
 use super::{HISTOGRAM_PRIOR_READINGS, HistogramCycle, HourTable, shrunk};
@@ -19,21 +21,53 @@ impl HourTable {
     }
 
     /// The prediction of [`HourTable::histogram`] in an hour of the week, 0..168; `mean_of_all` is [`HourTable::mean`].
-    /// `bins` must be valid for [`HourTable::histogram`].
-    pub(crate) fn answer(&self, (cycle, bins): (HistogramCycle, usize), hour_of_week: usize, mean_of_all: f64) -> f64 {
+    /// `None` where neither the histogram nor a coarser one has readings in that hour. `bins` must be valid for
+    /// [`HourTable::histogram`].
+    pub(crate) fn answer(
+        &self,
+        (cycle, bins): (HistogramCycle, usize),
+        hour_of_week: usize,
+        mean_of_all: f64,
+    ) -> Option<f64> {
         let per_bin = cycle.hours() / bins.max(1);
         let days = match cycle {
             HistogramCycle::Week => 0..1,
             HistogramCycle::Day => 0..WEEK_DAYS,
-            HistogramCycle::WeekdayWeekend if is_weekend(hour_of_week) => WEEKDAYS..WEEK_DAYS,
-            HistogramCycle::WeekdayWeekend => 0..WEEKDAYS,
+            HistogramCycle::WeekdayWeekend => alike(hour_of_week),
         };
         let hour = hour_of_week % cycle.hours();
         let first = hour - hour % per_bin.max(1);
-        let hours = days.flat_map(|day| (0..per_bin).map(move |hour| day * DAY_HOURS + first + hour));
-        let bin = total(hours.map(|hour| self.readings(hour)));
-        shrunk((bin[0], mean(bin)), mean_of_all, HISTOGRAM_PRIOR_READINGS)
+        let own = self.over(days, first, per_bin);
+        let bin = if own[0] > 0.0 { own } else { self.coarser(cycle, per_bin, hour_of_week)? };
+        Some(shrunk((bin[0], mean(bin)), mean_of_all, HISTOGRAM_PRIOR_READINGS))
     }
+
+    /// The readings of the next coarser histogram that has some in the bin of `per_bin` hours of the given hour of the
+    /// week: of the week that of weekday and weekend, then that of the day.
+    pub(super) fn coarser(&self, cycle: HistogramCycle, per_bin: usize, hour_of_week: usize) -> Option<[f64; 2]> {
+        if per_bin == 0 || !DAY_HOURS.is_multiple_of(per_bin) {
+            return None;
+        }
+        let hour = hour_of_week % DAY_HOURS;
+        let first = hour - hour % per_bin;
+        let found = |days: Range<usize>| Some(self.over(days, first, per_bin)).filter(|bin| bin[0] > 0.0);
+        match cycle {
+            HistogramCycle::Week => found(alike(hour_of_week)).or_else(|| found(0..WEEK_DAYS)),
+            HistogramCycle::WeekdayWeekend => found(0..WEEK_DAYS),
+            HistogramCycle::Day => None,
+        }
+    }
+
+    /// The sum of the same hours of some days.
+    fn over(&self, days: Range<usize>, first: usize, hours: usize) -> [f64; 2] {
+        let hours = days.flat_map(|day| (0..hours).map(move |hour| day * DAY_HOURS + first + hour));
+        total(hours.map(|hour| self.readings(hour)))
+    }
+}
+
+/// The days of the week that are of the same kind as that of the hour.
+fn alike(hour_of_week: usize) -> Range<usize> {
+    if is_weekend(hour_of_week) { WEEKDAYS..WEEK_DAYS } else { 0..WEEKDAYS }
 }
 
 /// The sum of cells, bounded as in [`HourTable::histogram`].

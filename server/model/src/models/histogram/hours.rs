@@ -39,6 +39,9 @@ pub(crate) fn hour_runs(samples: &[Sample]) -> impl Iterator<Item = HourRun<'_>>
     })
 }
 
+/// The first hour of Saturday.
+const WEEKEND_HOUR: usize = 5 * DAY_HOURS;
+
 /// Smaller weights count as 0: their sums have no precision left.
 const WEIGHT_MIN: f64 = 1e-9;
 
@@ -151,9 +154,16 @@ impl HourTable {
             return None;
         }
         let means: Vec<(f64, f64)> = sums.iter().map(|&bin| (bin[0], mean(bin))).collect();
+        let coarser = |bin: usize| {
+            let first_hour = match cycle {
+                HistogramCycle::WeekdayWeekend if bin >= bins => WEEKEND_HOUR + (bin - bins) * per_bin,
+                _ => bin * per_bin,
+            };
+            self.coarser(cycle, per_bin, first_hour).map(|bin| (bin[0], mean(bin)))
+        };
         let settings =
             HistogramSettings { prior_readings: HISTOGRAM_PRIOR_READINGS, ..HistogramSettings::new(cycle, bins) };
-        Some(Histogram::of_bins(&settings, &means, mean(all)))
+        Some(Histogram::of_bins(&settings, &means, mean(all), coarser))
     }
 
     /// Weight and sum of the readings of an hour of the local week from Monday, midnight; zeros beyond 167.

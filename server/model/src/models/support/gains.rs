@@ -1,18 +1,22 @@
-//! Whether components make predictions better day after day.
+//! Whether the chosen order has made predictions better day after day.
 //!
 //! Days are blocks: within one, errors depend on each other. The recorded errors are of predictions made before the day
-//! was learned, so this is validation on held-out data. Invariant: sums are finite.
+//! was learned, with the order that was best until then, so this is validation of the choice on held-out data (T-RO
+//! section IV.B). Invariant: sums are finite.
 
-use crate::{InvalidParts, ORDER_MAX};
+use crate::{InvalidParts, ORDER_MAX, Periodicities};
 
 /// A gain counts if its mean over days exceeds this many of its standard errors.
-const STANDARD_ERRORS: f64 = 2.0;
+const STANDARD_ERRORS: f64 = 2.5;
 /// With fewer days a standard error is meaningless.
-const DAYS_MIN: u64 = 7;
+const DAYS_MIN: f64 = 7.0;
 /// The upper limit of mean squared errors.
 const ERROR_MAX: f64 = 1e100;
+/// Gains a day ahead are evidence only if no candidate period is longer. Slow components follow the last days of a
+/// state that keeps its value for weeks, and thus predict the next day well without any rhythm.
+const PERIOD_MAX_SECS: f64 = 8.0 * 86_400.0;
 
-/// Daily gains of each order over order 0.
+/// Daily gains of the order that was best until then over order 0.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct OrderGains {
     parts: OrderGainsParts,
@@ -21,45 +25,50 @@ pub struct OrderGains {
 /// What [`OrderGains`] consist of, for storage.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct OrderGainsParts {
-    /// Days recorded.
-    pub days: u64,
-    /// Per order, the sum over days of the mean squared error of order 0 minus that of the order.
-    pub sums: [f64; ORDER_MAX + 1],
-    /// Per order the sum of the squares of these.
-    pub squares: [f64; ORDER_MAX + 1],
+    /// Days recorded; fractional with forgetting.
+    pub days: f64,
+    /// The sum over days of the mean squared error of order 0 minus that of the order that was best until then.
+    pub sum: f64,
+    /// The sum of the squares of these.
+    pub squares: f64,
 }
 
 impl OrderGains {
+    /// Whether gains of a day are evidence for a rhythm at all: if no candidate period exceeds eight days.
+    pub fn apply_to(periodicities: &Periodicities) -> bool {
+        (0..periodicities.len()).all(|k| periodicities.period_secs(k) <= PERIOD_MAX_SECS)
+    }
+
     /// Adds a day: the summed squared errors of each order over its `scored` observations, as in
-    /// [`UpdateOutcome`](crate::UpdateOutcome). A day without observations, or with an error that is NaN, changes
-    /// nothing.
-    pub fn record(&mut self, squared_errors: &[f64; ORDER_MAX + 1], scored: u64) {
-        if scored == 0 || squared_errors.iter().any(|error| error.is_nan()) {
+    /// [`UpdateOutcome`](crate::UpdateOutcome), and the order that was best before the day. A day of order 0, without
+    /// observations, or with an error that is NaN, changes nothing.
+    pub fn record(&mut self, order: usize, squared_errors: &[f64; ORDER_MAX + 1], scored: u64) {
+        let order = order.min(ORDER_MAX);
+        if order == 0 || scored == 0 || squared_errors[0].is_nan() || squared_errors[order].is_nan() {
             return;
         }
         let mean = |sum: f64| (sum / scored as f64).clamp(0.0, ERROR_MAX);
-        for (order, &error) in squared_errors.iter().enumerate() {
-            let gain = mean(squared_errors[0]) - mean(error);
-            self.parts.sums[order] += gain;
-            self.parts.squares[order] += gain * gain;
-        }
-        self.parts.days += 1;
+        let gain = mean(squared_errors[0]) - mean(squared_errors[order]);
+        self.parts.days += 1.0;
+        self.parts.sum += gain;
+        self.parts.squares += gain * gain;
     }
 
-    /// The highest order that has predicted better than order 0 by two standard errors of the mean daily gain; 0 if
-    /// there is none, or before seven days.
-    pub fn supported_order(&self) -> usize {
-        if self.parts.days < DAYS_MIN {
-            return 0;
+    /// Whether the mean daily gain exceeds 0 by two and a half of its standard errors; never before seven days.
+    pub fn is_significant(&self) -> bool {
+        let OrderGainsParts { days, sum, squares } = self.parts;
+        if days < DAYS_MIN {
+            return false;
         }
-        let days = self.parts.days as f64;
-        let is_gain = |order: &usize| {
-            let (sum, squares) = (self.parts.sums[*order], self.parts.squares[*order]);
-            let mean = sum / days;
-            let variance = ((squares - sum * mean) / (days - 1.0)).max(0.0);
-            mean > STANDARD_ERRORS * (variance / days).sqrt()
-        };
-        (1..=ORDER_MAX).rev().find(is_gain).unwrap_or(0)
+        let mean = sum / days;
+        let variance = ((squares - sum * mean) / (days - 1.0)).max(0.0);
+        mean > STANDARD_ERRORS * (variance / days).sqrt()
+    }
+
+    /// Forgetting: multiplies the weight of the days so far by `factor`, 0 to 1.
+    pub(crate) fn fade(&mut self, factor: f64) {
+        let OrderGainsParts { days, sum, squares } = &mut self.parts;
+        [days, sum, squares].into_iter().for_each(|part| *part *= factor);
     }
 
     /// The parts to store.
@@ -70,12 +79,11 @@ impl OrderGains {
     /// Gains from stored parts.
     ///
     /// # Errors
-    /// [`InvalidParts`] where a sum is not finite or a sum of squares is negative.
+    /// [`InvalidParts`] where the sum is not finite, or another number is negative or not finite.
     pub fn from_parts(parts: OrderGainsParts) -> Result<OrderGains, InvalidParts> {
-        for (&sum, &squares) in parts.sums.iter().zip(&parts.squares) {
-            InvalidParts::check("sum of gains", sum, f64::MIN..=f64::MAX)?;
-            InvalidParts::check("sum of squared gains", squares, 0.0..=f64::MAX)?;
-        }
+        InvalidParts::check("days of gains", parts.days, 0.0..=f64::MAX)?;
+        InvalidParts::check("sum of gains", parts.sum, f64::MIN..=f64::MAX)?;
+        InvalidParts::check("sum of squared gains", parts.squares, 0.0..=f64::MAX)?;
         Ok(OrderGains { parts })
     }
 }

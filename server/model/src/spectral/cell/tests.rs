@@ -126,7 +126,7 @@ fn every_instruction_set_chooses_the_same() {
     for arch in crate::phasor::every_arch() {
         let mut strongest = Strongest::new();
         arch.dispatch(CellFit { sums: &sums, scale: 0.005, periodicities: &periodicities, strongest: &mut strongest });
-        let found = strongest.into_components();
+        let found = strongest.into_components(&Periodicities::default());
         assert_eq!(found.len(), expected.components().len());
         for (found, expected) in found.iter().zip(expected.components()) {
             assert_eq!(found.periodicity, expected.periodicity);

@@ -10,11 +10,13 @@ use crate::{Sample, models::hour_runs, order::OrderCriterion};
 mod tests;
 
 impl Alternatives {
-    /// The error of each of [`HISTOGRAMS`] on a day's samples; `None` where nothing was read before.
+    /// The error of each of [`HISTOGRAMS`] on a day's samples; `None` where nothing was read before. `spectral_of`
+    /// predicts in hours for which a histogram has no readings.
     pub(super) fn score_histograms(
         &self,
         criterion: OrderCriterion,
         samples: &[Sample],
+        spectral_of: &dyn Fn(&Sample) -> f64,
     ) -> Option<[DayError; HISTOGRAMS.len()]> {
         let mean = self.hours.mean()?;
         let mut errors = [DayError::default(); HISTOGRAMS.len()];
@@ -23,6 +25,7 @@ impl Alternatives {
             let predicted = HISTOGRAMS.map(|histogram| self.hours.answer(histogram, hour_of_week, mean));
             for sample in run.samples {
                 for (error, predicted) in errors.iter_mut().zip(predicted) {
+                    let predicted = predicted.unwrap_or_else(|| spectral_of(sample));
                     error.add(predicted, criterion, sample.value);
                 }
             }

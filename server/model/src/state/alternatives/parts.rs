@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use super::{Alternatives, Errors, FitKind, FitRecord, FittedModel, HISTOGRAMS, ModelChoice};
 use crate::{
-    FittedModelParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
-    models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts},
+    FittedModelParts, Gaps, GapsParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
+    models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts, OrderGains, OrderGainsParts},
 };
 
 /// The number under which the first of [`FitKind::ALL`] is stored as the one in force, clear of those of histograms;
@@ -32,8 +32,12 @@ pub struct AlternativesParts {
     pub alarm: ChangeAlarmParts,
     /// Persistence of the learned readings.
     pub succession: PersistenceParts,
-    /// Number of supported components of the spectral model.
+    /// The times between the learned readings.
+    pub gaps: GapsParts,
+    /// Number of components of the spectral model that noise would not show.
     pub supported: u8,
+    /// What the choice of orders has gained.
+    pub gains: OrderGainsParts,
     /// Local days learned, without late ones.
     pub days: u32,
     /// The first local day of the present routine, where the change alarm has rung before.
@@ -68,7 +72,9 @@ impl Alternatives {
             },
             alarm: self.alarm.to_parts(),
             succession: self.succession.to_parts(),
+            gaps: self.gaps.to_parts(),
             supported: self.supported,
+            gains: self.gains.to_parts(),
             days: self.days,
             since: self.since,
             fits: self.fits.iter().flatten().map(FitRecord::to_parts).collect(),
@@ -129,7 +135,9 @@ impl Alternatives {
             },
             alarm: ChangeAlarm::from_parts(parts.alarm)?,
             succession: Persistence::from_parts_of(kind, parts.succession)?,
+            gaps: Gaps::from_parts(parts.gaps)?,
             supported: parts.supported,
+            gains: OrderGains::from_parts(parts.gains)?,
             days: parts.days,
             since: parts.since,
             fits,

@@ -7,6 +7,8 @@ use crate::{
 };
 
 const CALIBRATED: ModelChoice = ModelChoice::Fitted(FitKind::Calibrated);
+/// Of a day's errors, after another observed day.
+const KEPT_PER_DAY: f64 = 0.93;
 const SLOT_NANOS: i64 = 600_000_000_000;
 const SLOTS: i64 = 144;
 
@@ -122,13 +124,13 @@ fn a_day_is_scored_by_the_fit_before_it() {
     // It begins with the error of the model in force.
     let expected = before * KEPT_PER_DAY + squared_error(&first, &day);
     assert!((after - expected).abs() < 1e-9, "{after}, expected {expected}");
-    // Another fit, two days without observations, and a day.
+    // Another fit, two days without observations, which do not count, and a day.
     let second = fit(&samples(0..15, office));
     state = state.refitted(second.clone(), LocalDay(14));
     assert_eq!(calibrated_error(&state), Some(after), "a fit alone is no score");
     let day = samples(17..18, office);
     learn(&mut state, day.clone());
-    let expected = after * KEPT_PER_DAY.powi(3) + squared_error(&second, &day);
+    let expected = after * KEPT_PER_DAY + squared_error(&second, &day);
     assert!((calibrated_error(&state).unwrap() - expected).abs() < 1e-9);
 }
 

@@ -5,6 +5,8 @@ use proptest::prelude::*;
 use super::*;
 use crate::models::TemporalModel as _;
 
+/// What the spectral model predicts.
+const SPECTRAL: f64 = 0.4;
 const SEC: i64 = 1_000_000_000;
 
 fn any_samples(length: std::ops::Range<usize>, span_secs: i64) -> impl Strategy<Value = Vec<Sample>> {
@@ -31,13 +33,14 @@ proptest! {
         let mut known = Alternatives::default();
         known.hours.add(&read);
         known.hours.scale(faded);
-        let found = known.score_histograms(criterion, &scored);
+        let found = known.score_histograms(criterion, &scored, &|_| SPECTRAL);
         let made: Option<Vec<_>> = (0..).take(HISTOGRAMS.len()).map(|number| known.histogram(number)).collect();
         prop_assert_eq!(found.is_some(), made.is_some());
         let made = made.unwrap_or_default();
         for (found, histogram) in found.iter().flatten().zip(&made) {
             let naive = scored.iter().fold((0.0, 0.0), |(squared, by_criterion), sample| {
-                let predicted = histogram.predict(sample.moment());
+                let known = histogram.has_readings_near(sample.moment());
+                let predicted = if known { histogram.predict(sample.moment()) } else { SPECTRAL };
                 let difference = (predicted - sample.value).powi(2);
                 let wrong = f64::from(u8::from((predicted >= 0.5) != (sample.value >= 0.5)));
                 (squared + difference, by_criterion + if zero_one { wrong } else { difference })

@@ -1,0 +1,102 @@
+//! The times between successive readings of a state, as a small random sample.
+//!
+//! Of all gaps so far the sixteen with the lowest hash of their number are kept, so the sample is exact up to sixteen
+//! gaps and a fair one afterwards. Invariant: the sample depends on the sequence of readings alone, not on how they
+//! were batched; the kept gaps ascend by hash, and no two have the same number.
+
+use crate::InvalidParts;
+
+#[cfg(test)]
+mod tests;
+
+/// Gaps that are kept.
+const KEPT: usize = 16;
+/// With fewer gaps nothing is known of a regular one.
+const REGULAR_MIN: usize = 8;
+/// A gap is regular if hardly any is shorter than this share of the median.
+const REGULAR_SHARE: f64 = 0.9;
+const SEC_NANOS: u64 = 1_000_000_000;
+
+/// A sample of the times between readings.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct Gaps {
+    parts: GapsParts,
+}
+
+/// What [`Gaps`] consist of, for storage.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct GapsParts {
+    /// Gaps so far.
+    pub count: u64,
+    /// Kept gaps: the number of each, from 0, and its length in whole seconds.
+    pub kept: Vec<(u64, u32)>,
+}
+
+impl Gaps {
+    /// Adds the next gap.
+    pub(crate) fn observe(&mut self, nanos: u64) {
+        let number = self.parts.count;
+        self.parts.count = number.saturating_add(1);
+        let kept = &mut self.parts.kept;
+        let hash = hash(number);
+        if kept.len() >= KEPT && kept.last().is_some_and(|&(last, _)| hash > self::hash(last)) {
+            return;
+        }
+        let secs = u32::try_from((nanos.saturating_add(SEC_NANOS / 2)) / SEC_NANOS).unwrap_or(u32::MAX);
+        kept.insert(kept.partition_point(|&(other, _)| self::hash(other) < hash), (number, secs));
+        kept.truncate(KEPT);
+    }
+
+    /// The median gap, of an even number the shorter of the middle two; 0 without gaps. In nanoseconds.
+    pub fn median_nanos(&self) -> u64 {
+        let secs = self.sorted();
+        secs.get(secs.len().saturating_sub(1) / 2).map_or(0, |&secs| u64::from(secs) * SEC_NANOS)
+    }
+
+    /// The gap of regular readings in nanoseconds; `None` if there are few, or if some follow each other faster.
+    pub fn regular_nanos(&self) -> Option<u64> {
+        let secs = self.sorted();
+        // One in sixteen may be shorter: a reading out of turn.
+        let short = *secs.get(1).filter(|_| secs.len() >= REGULAR_MIN)?;
+        let median = self.median_nanos();
+        (f64::from(short) * SEC_NANOS as f64 >= REGULAR_SHARE * median as f64 && median > 0).then_some(median)
+    }
+
+    fn sorted(&self) -> Vec<u32> {
+        let mut secs: Vec<u32> = self.parts.kept.iter().map(|&(_, secs)| secs).collect();
+        secs.sort_unstable();
+        secs
+    }
+
+    /// The parts to store.
+    pub fn to_parts(&self) -> GapsParts {
+        self.parts.clone()
+    }
+
+    /// Gaps from stored parts.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where too many are kept, one has a number that is too high, or they are out of order.
+    pub fn from_parts(parts: GapsParts) -> Result<Gaps, InvalidParts> {
+        let found = parts.kept.len();
+        if found > KEPT || (found as u64) > parts.count {
+            return Err(InvalidParts::OutOfRange { field: "number of kept gaps", found: found as f64 });
+        }
+        let is_wrong = |&&(number, _): &&(u64, u32)| number >= parts.count;
+        if let Some((number, _)) = parts.kept.iter().find(is_wrong) {
+            return Err(InvalidParts::OutOfRange { field: "number of a gap", found: *number as f64 });
+        }
+        if let Some(pair) = parts.kept.windows(2).find(|pair| hash(pair[0].0) >= hash(pair[1].0)) {
+            return Err(InvalidParts::OutOfRange { field: "order of kept gaps", found: pair[1].0 as f64 });
+        }
+        Ok(Gaps { parts })
+    }
+}
+
+/// A bijection that scatters numbers (the finaliser of SplitMix64).
+fn hash(number: u64) -> u64 {
+    let mixed = number.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    let mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    mixed ^ (mixed >> 31)
+}
