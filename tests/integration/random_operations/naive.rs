@@ -8,6 +8,8 @@ const SECOND_NANOS: i64 = 1_000_000_000;
 const HARMONICS: u32 = 168;
 const WEEK_SECS: i64 = 7 * 86_400;
 const COMPONENTS_MAX: usize = 15;
+/// Times between readings that are kept.
+const GAPS_KEPT: usize = 16;
 
 /// An observation that was accepted.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +17,8 @@ pub(crate) struct Accepted {
     pub state: usize,
     pub nanos: i64,
     pub value: f64,
-    pub folded: bool,
+    /// The update that learned it.
+    pub learned_in: Option<u64>,
 }
 
 /// An observation that a producer sent, accepted or not.
@@ -69,7 +72,7 @@ impl NaiveMap {
             self.states.push(sent.state.clone());
             self.states.len() - 1
         });
-        self.observations.push(Accepted { state, nanos: sent.nanos, value: sent.value, folded: false });
+        self.observations.push(Accepted { state, nanos: sent.nanos, value: sent.value, learned_in: None });
     }
 
     /// An update learns the observations before `until`, or all.
@@ -77,13 +80,13 @@ impl NaiveMap {
         let newest = self.observations.iter().map(|o| o.nanos).max().unwrap_or(0);
         self.cut_nanos = self.cut_nanos.max(until_nanos.unwrap_or(newest + 1));
         self.generation += 1;
-        for observation in &mut self.observations {
-            observation.folded |= observation.nanos < self.cut_nanos;
+        for observation in self.observations.iter_mut().filter(|o| o.learned_in.is_none()) {
+            observation.learned_in = (observation.nanos < self.cut_nanos).then_some(self.generation);
         }
     }
 
     pub(crate) fn pending(&self) -> u64 {
-        self.observations.iter().filter(|o| !o.folded).count() as u64
+        self.observations.iter().filter(|o| o.learned_in.is_none()).count() as u64
     }
 
     pub(crate) fn count(&self, state: usize) -> u64 {
@@ -91,7 +94,7 @@ impl NaiveMap {
     }
 
     pub(crate) fn folded(&self, state: usize) -> Vec<Accepted> {
-        self.observations.iter().copied().filter(|o| o.state == state && o.folded).collect()
+        self.observations.iter().copied().filter(|o| o.state == state && o.learned_in.is_some()).collect()
     }
 
     pub(crate) fn mean(&self, state: usize) -> f64 {
@@ -129,16 +132,42 @@ impl NaiveMap {
         (1.0 + pairs) / (1.0 / 3_600.0 + rate)
     }
 
-    /// 2γ_k of all periods that the observed span makes eligible: γ_k = (1/n) Σ (s_i − μ)·e^(−jω_k t_i).
+    /// A sample of the times between successive learned readings in whole seconds, shortest first: of all such times
+    /// those with the sixteen lowest hashes of their numbers. Readings that are learned late bound none.
+    fn gaps_secs(&self, state: usize) -> Vec<i64> {
+        let mut folded = self.folded(state);
+        folded.sort_by_key(|o| (o.learned_in, o.nanos));
+        let (mut gaps, mut newest) = (Vec::new(), None);
+        for o in &folded {
+            if let Some(newest) = newest.filter(|&newest| o.nanos > newest) {
+                let secs = (o.nanos - newest + SECOND_NANOS / 2) / SECOND_NANOS;
+                gaps.push((split_mix(gaps.len() as u64), secs));
+            }
+            newest = newest.max(Some(o.nanos));
+        }
+        gaps.sort_unstable();
+        let mut kept: Vec<i64> = gaps.into_iter().take(GAPS_KEPT).map(|(_, secs)| secs).collect();
+        kept.sort_unstable();
+        kept
+    }
+
+    /// 2γ_k of all periods that the observed span with a median gap makes eligible and regular readings resolve: γ_k = (1/n) Σ (s_i − μ)·e^(−jω_k t_i).
     pub(crate) fn coefficients(&self, state: usize) -> Vec<Coefficient> {
         let folded = self.folded(state);
         let (Some(first), Some(last)) = (folded.iter().map(|o| o.nanos).min(), folded.iter().map(|o| o.nanos).max())
         else {
             return Vec::new();
         };
-        let span_secs = (last - first) as f64 / 1e9;
+        let gaps = self.gaps_secs(state);
+        let median = gaps.get(gaps.len().saturating_sub(1) / 2).copied().unwrap_or(0);
+        let is_regular = gaps.len() >= 8 && median > 0 && gaps[1] as f64 >= 0.9 * median as f64;
+        let span_secs = (last - first) as f64 / 1e9 + median as f64;
+        let resolved_secs = if is_regular { 1.98 * median as f64 } else { 0.0 };
         let mean = self.mean(state);
-        let eligible = |&harmonic: &u32| span_secs >= 0.99 * WEEK_SECS as f64 / f64::from(harmonic);
+        let eligible = |&harmonic: &u32| {
+            let period_secs = WEEK_SECS as f64 / f64::from(harmonic);
+            span_secs >= 0.99 * period_secs && period_secs >= resolved_secs
+        };
         let coefficient = |harmonic: u32| {
             let (mut re, mut im) = (0.0, 0.0);
             for o in &folded {
@@ -175,6 +204,14 @@ impl NaiveMap {
         };
         (self.mean(state) + components.iter().map(wave).sum::<f64>()).clamp(0.0, 1.0)
     }
+}
+
+/// The output of SplitMix64 for a seed.
+fn split_mix(seed: u64) -> u64 {
+    let z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
 }
 
 /// Checks that the reported components are the expected ones, strongest first. Components of equal strength may come

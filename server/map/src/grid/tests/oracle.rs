@@ -77,10 +77,19 @@ impl CellOracle {
             self.tied |= self.has_tie(periodicities);
             self.model.update(periodicities, criterion, of_day.iter().map(|read| read.sample).collect());
             self.folded.extend(of_day);
+            self.ignore_gaps(periodicities);
             if !self.has_changed() {
                 self.be_constant(periodicities);
             }
         }
+    }
+
+    /// The times between a cell's readings are not known: a period is eligible by the observed span alone.
+    fn ignore_gaps(&mut self, periodicities: &Periodicities) {
+        let (accumulator, errors) = (self.model.accumulator().clone(), self.model.errors().clone());
+        let spectral = SpectralModel::fit(&accumulator, periodicities);
+        let order = self.model.best_order();
+        self.model = StateModel::from_parts(accumulator, spectral, order, errors).expect("valid");
     }
 
     /// A cell that never changed has the mean of its readings and nothing to be scored, whatever they count as.
