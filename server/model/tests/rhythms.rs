@@ -7,7 +7,7 @@
 use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 use tidemap_model::models::TemporalModel as _;
-use tidemap_model::{EnabledModels, Periodicities, Sample, StateModel, UpdateRules};
+use tidemap_model::{EnabledModels, Periodicities, Sample, StateKind, StateModel, UpdateRules};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_MINUTES: i64 = 1440;
@@ -23,7 +23,15 @@ fn sample(minute: i64, value: bool) -> Sample {
 
 /// A state that has learned these readings, in order of time, day by day.
 fn learned(periodicities: &Periodicities, models: EnabledModels, samples: &[Sample]) -> StateModel {
-    let mut state = StateModel::new(periodicities);
+    learned_by(StateModel::new(periodicities), periodicities, models, samples)
+}
+
+fn learned_by(
+    mut state: StateModel,
+    periodicities: &Periodicities,
+    models: EnabledModels,
+    samples: &[Sample],
+) -> StateModel {
     for day in samples.chunk_by(|one, next| one.local_day() == next.local_day()) {
         let rules = UpdateRules { models, ..UpdateRules::default() };
         state.update(periodicities, rules, day.to_vec());
@@ -119,6 +127,17 @@ fn readings_every_twelve_hours_find_the_week() {
         })
         .collect();
     assert!(wrong(&week, &state, &later) < 0.15, "{}", wrong(&week, &state, &later));
+}
+
+#[test]
+fn a_square_wave_of_values_has_its_rhythm() {
+    let week = Periodicities::default();
+    let value = |minute: i64| if minute % DAY_MINUTES < 720 { 1.0 } else { -1.0 };
+    let samples: Vec<Sample> =
+        every(30, 28).into_iter().map(|minute| Sample { value: value(minute), ..sample(minute, true) }).collect();
+    let state = learned_by(StateModel::of_kind(StateKind::Continuous), &week, EnabledModels::SPECTRAL, &samples);
+    assert!(state.order() >= 1, "order {} of {}", state.order(), state.best_order());
+    assert_eq!(state.spectral().components()[0].periodicity, 6, "{:?}", state.spectral());
 }
 
 /// A two-state chain that stays at 0 and at 1 for these mean minutes, at rising minutes.
