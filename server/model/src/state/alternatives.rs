@@ -180,12 +180,19 @@ impl DayError {
     }
 
     fn add(&mut self, predicted: f64, criterion: OrderCriterion, value: f64) {
-        let difference = predicted - value;
-        self.squared += difference * difference;
-        self.by_criterion += match criterion {
-            OrderCriterion::SquaredError => difference * difference,
-            OrderCriterion::ZeroOne => f64::from(u8::from((predicted >= 0.5) != (value >= 0.5))),
-        };
+        self.squared += squared(predicted, value);
+        self.by_criterion += by_criterion(criterion, predicted, value);
+    }
+}
+
+fn squared(predicted: f64, value: f64) -> f64 {
+    (predicted - value) * (predicted - value)
+}
+
+fn by_criterion(criterion: OrderCriterion, predicted: f64, value: f64) -> f64 {
+    match criterion {
+        OrderCriterion::SquaredError => squared(predicted, value),
+        OrderCriterion::ZeroOne => f64::from(u8::from((predicted >= 0.5) != (value >= 0.5))),
     }
 }
 

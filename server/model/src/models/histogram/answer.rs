@@ -21,14 +21,14 @@ impl HourTable {
     }
 
     /// The prediction of [`HourTable::histogram`] in an hour of the week, 0..168; `mean_of_all` is [`HourTable::mean`].
-    /// `None` where neither the histogram nor a coarser one has readings in that hour. `bins` must be valid for
-    /// [`HourTable::histogram`].
+    /// `None` where neither the histogram nor a coarser one has readings in that hour. Beside it, whether the histogram
+    /// itself has some. `bins` must be valid for [`HourTable::histogram`].
     pub(crate) fn answer(
         &self,
         (cycle, bins): (HistogramCycle, usize),
         hour_of_week: usize,
         mean_of_all: f64,
-    ) -> Option<f64> {
+    ) -> (Option<f64>, bool) {
         let per_bin = cycle.hours() / bins.max(1);
         let days = match cycle {
             HistogramCycle::Week => 0..1,
@@ -38,8 +38,10 @@ impl HourTable {
         let hour = hour_of_week % cycle.hours();
         let first = hour - hour % per_bin.max(1);
         let own = self.over(days, first, per_bin);
-        let bin = if own[0] > 0.0 { own } else { self.coarser(cycle, per_bin, hour_of_week)? };
-        Some(shrunk((bin[0], mean(bin)), mean_of_all, HISTOGRAM_PRIOR_READINGS))
+        let has_own = own[0] > 0.0;
+        let bin = if has_own { Some(own) } else { self.coarser(cycle, per_bin, hour_of_week) };
+        let predicted = |bin: [f64; 2]| shrunk((bin[0], mean(bin)), mean_of_all, HISTOGRAM_PRIOR_READINGS);
+        (bin.map(predicted), has_own)
     }
 
     /// The readings of the next coarser histogram that has some in the bin of `per_bin` hours of the given hour of the

@@ -1,9 +1,9 @@
 //! The errors of all histograms on a day, in one pass.
 //!
-//! Invariant: the errors are those of the histograms that [`Alternatives::histogram`] makes, though none is made: an
-//! hour costs one prediction of each, whatever the number of readings.
+//! Invariant: the squared errors are those of the histograms that [`Alternatives::histogram`] makes, though none is
+//! made: an hour costs one prediction of each, whatever the number of readings.
 
-use super::{Alternatives, DayError, HISTOGRAMS};
+use super::{Alternatives, DayError, HISTOGRAMS, by_criterion, squared};
 use crate::{Sample, models::hour_runs, order::OrderCriterion};
 
 #[cfg(test)]
@@ -11,7 +11,11 @@ mod tests;
 
 impl Alternatives {
     /// The error of each of [`HISTOGRAMS`] on a day's samples; `None` where nothing was read before. `spectral_of`
-    /// predicts in hours for which a histogram has no readings.
+    /// predicts in hours for which neither a histogram nor a coarser one has readings.
+    ///
+    /// The errors by which models are compared take the mean of all for an hour without readings of the histogram's
+    /// own: it must not win by what a coarser one knows. After a first week that of the week would have the errors of
+    /// that of weekday and weekend.
     pub(super) fn score_histograms(
         &self,
         criterion: OrderCriterion,
@@ -24,9 +28,11 @@ impl Alternatives {
             let hour_of_week = run.hour_of_week();
             let predicted = HISTOGRAMS.map(|histogram| self.hours.answer(histogram, hour_of_week, mean));
             for sample in run.samples {
-                for (error, predicted) in errors.iter_mut().zip(predicted) {
+                for (error, (predicted, has_own)) in errors.iter_mut().zip(predicted) {
                     let predicted = predicted.unwrap_or_else(|| spectral_of(sample));
-                    error.add(predicted, criterion, sample.value);
+                    let compared = if has_own { predicted } else { mean };
+                    error.squared += squared(predicted, sample.value);
+                    error.by_criterion += by_criterion(criterion, compared, sample.value);
                 }
             }
         }

@@ -37,13 +37,17 @@ proptest! {
         let made: Option<Vec<_>> = (0..).take(HISTOGRAMS.len()).map(|number| known.histogram(number)).collect();
         prop_assert_eq!(found.is_some(), made.is_some());
         let made = made.unwrap_or_default();
+        let known_mean = known.hours.mean().unwrap_or_default();
         for (found, histogram) in found.iter().flatten().zip(&made) {
             let naive = scored.iter().fold((0.0, 0.0), |(squared, by_criterion), sample| {
                 let known = histogram.has_readings_near(sample.moment());
                 let predicted = if known { histogram.predict(sample.moment()) } else { SPECTRAL };
                 let difference = (predicted - sample.value).powi(2);
-                let wrong = f64::from(u8::from((predicted >= 0.5) != (sample.value >= 0.5)));
-                (squared + difference, by_criterion + if zero_one { wrong } else { difference })
+                let has_own = histogram.weight(sample.moment()) > 0.0;
+                let compared = if has_own { predicted } else { known_mean };
+                let wrong = f64::from(u8::from((compared >= 0.5) != (sample.value >= 0.5)));
+                let compared = (compared - sample.value).powi(2);
+                (squared + difference, by_criterion + if zero_one { wrong } else { compared })
             });
             let is_near = |one: f64, other: f64| one == other || (one - other).abs() <= 1e-9 * other.abs();
             prop_assert!(is_near(found.squared, naive.0), "{} and {}", found.squared, naive.0);
