@@ -8,7 +8,7 @@ pub use tidemap_plan::{
 };
 use tidemap_proto::{
     convert::{
-        exploration::{budget_to_wire, sensor_to_wire, strategy_to_wire, viewpoint_to_wire},
+        exploration::{allowance_to_wire, budget_to_wire, sensor_to_wire, strategy_to_wire, viewpoint_to_wire},
         query::selector_to_wire,
         site::point_to_wire,
         time::{duration, timestamp},
@@ -142,6 +142,18 @@ pub struct DayQuery {
     pub viewpoints: Vec<Viewpoint>,
     /// The sensor of the robot at the viewpoints.
     pub sensor: Sensor,
+    /// Instead of locations or viewpoints: a tour in every slot. The value of a slot is the expected information gain
+    /// of its tour; the plan calls it `tour`.
+    pub tour: Option<DayTour>,
+}
+
+/// The tour of each slot of a day.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DayTour {
+    /// Maximum number of goals of a tour, 1 to 100.
+    pub goals: u32,
+    /// Where the robot starts and returns to; the charger of the map by default.
+    pub start_m: Option<[f64; 2]>,
 }
 
 /// How a location is selected for the current slot.
@@ -157,6 +169,19 @@ pub enum SlotStrategy {
     },
     /// At random, in proportion to the expected information gain.
     MonteCarlo,
+    /// The location where most states are expected to be predicted wrongly.
+    OnlineError,
+}
+
+/// A daily allowance of visits; only with [`SlotStrategy::Online`] and [`SlotStrategy::OnlineError`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlotAllowance {
+    /// Visits of a day.
+    pub budget: Budget,
+    /// Visits since the local midnight.
+    pub spent: u32,
+    /// Length of a slot, nanoseconds; a quarter of an hour by default.
+    pub slot_nanos: Option<i64>,
 }
 
 /// A request for the slot that begins now. `None`: the daemon's default.
@@ -174,13 +199,15 @@ pub struct SlotQuery {
     pub model: Option<ModelSelector>,
     /// Seed of the random choices.
     pub seed: u64,
+    /// A daily allowance of visits; `None`: every slot is used.
+    pub allowance: Option<SlotAllowance>,
 }
 
 /// The location for a slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlotChoice {
-    /// The location.
-    pub location: String,
+    /// The location; `None`: the allowance says to rest.
+    pub location: Option<String>,
     /// Expected information gain there.
     pub information_bits: f64,
     /// Information gain if everything is as observed recently; only with [`SlotStrategy::Novelty`].
@@ -333,6 +360,11 @@ impl Client {
             sensor: (!query.viewpoints.is_empty()).then(|| sensor_to_wire(query.sensor)),
             viewpoints: query.viewpoints.iter().map(viewpoint_to_wire).collect(),
             budget: query.budget.map(budget_to_wire),
+            tour: query.tour.map(|tour| v1::PlanTourRequest {
+                count: tour.goals,
+                start: tour.start_m.map(point_to_wire),
+                ..v1::PlanTourRequest::default()
+            }),
         };
         let answer = self.exploration_service().plan_day(request).await.map_err(|status| self.error(&status))?;
         let slot = |slot: v1::DaySlot| DaySlot {
@@ -352,6 +384,7 @@ impl Client {
             SlotStrategy::Online => (v1::SlotStrategy::Online, String::new()),
             SlotStrategy::Novelty { planned } => (v1::SlotStrategy::Novelty, planned),
             SlotStrategy::MonteCarlo => (v1::SlotStrategy::MonteCarlo, String::new()),
+            SlotStrategy::OnlineError => (v1::SlotStrategy::OnlineError, String::new()),
         };
         let request = v1::PlanSlotRequest {
             map: query.map,
@@ -362,10 +395,14 @@ impl Client {
             model: query.model.map(selector_to_wire),
             certainty: None,
             seed: query.seed,
+            allowance: query.allowance.map(|allowance| allowance_to_wire(allowance.budget)),
+            spent: query.allowance.map_or(0, |allowance| allowance.spent),
+            slot: query.allowance.and_then(|allowance| allowance.slot_nanos).map(duration),
         };
         let answer = self.exploration_service().plan_slot(request).await.map_err(|status| self.error(&status))?;
         let v1::PlanSlotResponse { location, information_bits, surprise_bits } = answer.into_inner();
         let surprise_bits = (strategy == v1::SlotStrategy::Novelty).then_some(surprise_bits);
+        let location = Some(location).filter(|location| !location.is_empty());
         Ok(SlotChoice { location, information_bits, surprise_bits })
     }
 

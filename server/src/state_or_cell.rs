@@ -128,13 +128,13 @@ impl StateOrCell {
         view: &MapView,
         moments: &[Moment],
         fitted: &dyn TemporalModel,
-        with_persistence: bool,
+        selector: ModelSelector,
         out: &mut [f64],
     ) {
         match self {
-            Self::State(id) => view.predict_fitted_into(*id, moments, fitted, with_persistence, out),
+            Self::State(id) => view.predict_fitted_into(*id, moments, fitted, selector, out),
             Self::Cell(cell) => {
-                view.predict_fitted_cell_into(&cell.description, moments, fitted, with_persistence, out);
+                view.predict_fitted_cell_into(&cell.description, moments, fitted, selector, out);
             }
         }
     }

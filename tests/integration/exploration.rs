@@ -261,6 +261,10 @@ fn a_day_is_explored_when_and_where_it_is_uncertain() {
     };
     assert_eq!(slot(&[]).table().column("location"), ["office"]);
     assert!(slot(&[]).table().numbers("information_bits")[0] > 0.1);
+    assert_eq!(slot(&["--online-error"]).table().column("location"), ["office"]);
+    // The last visit of the day is not for the morning if the office is as uncertain later; nor is one that was spent.
+    assert_eq!(slot(&["--online-error", "--explore", "96"]).table().column("location"), ["office"]);
+    assert_eq!(slot(&["--explore", "5", "--spent", "5"]).table().column("location"), [""]);
     assert_eq!(slot(&["--monte-carlo", "--seed", "3"]).table(), slot(&["--monte-carlo", "--seed", "3"]).table());
     assert_eq!(
         slot(&["--planned", "corridor"]).table().column("location"),

@@ -38,7 +38,11 @@ pub fn watching_judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) ->
 }
 
 fn cannot_judge(field: &str, error: CannotJudge) -> InvalidField {
-    let name = if error == CannotJudge::Persistence { "persistence" } else { "kind" };
+    let name = match error {
+        CannotJudge::Persistence => "persistence",
+        CannotJudge::Memory => "memory",
+        CannotJudge::Newest(_) | CannotJudge::NeedsFit(_) => "kind",
+    };
     InvalidField::new(format!("{field}.{name}"), error)
 }
 

@@ -169,6 +169,24 @@ pub fn budget_from_wire(budget: Option<v1::plan_day_request::Budget>) -> Budget 
     }
 }
 
+/// The daily allowance of visits; `None`: every slot may be used.
+#[must_use]
+pub fn allowance_from_wire(allowance: Option<v1::plan_slot_request::Allowance>) -> Option<Budget> {
+    allowance.map(|allowance| match allowance {
+        v1::plan_slot_request::Allowance::Explore(visits) => Budget::Visits(visits as usize),
+        v1::plan_slot_request::Allowance::Ratio(ratio) => Budget::Ratio(ratio),
+    })
+}
+
+/// A daily allowance, for the wire.
+#[must_use]
+pub fn allowance_to_wire(budget: Budget) -> v1::plan_slot_request::Allowance {
+    match budget {
+        Budget::Visits(visits) => v1::plan_slot_request::Allowance::Explore(u32::try_from(visits).unwrap_or(u32::MAX)),
+        Budget::Ratio(ratio) => v1::plan_slot_request::Allowance::Ratio(ratio),
+    }
+}
+
 /// How much is explored, for the wire.
 #[must_use]
 pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {

@@ -73,7 +73,10 @@ pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Resul
         }
         Some(order) => Some(order_from_wire(&format!("{field}.order"), order)?),
     };
-    Ok(ModelSelector { kind, order, persistence: wire.persistence })
+    if wire.persistence && wire.memory {
+        return Err(wrong("memory", "use either persistence or memory, not both".to_owned()));
+    }
+    Ok(ModelSelector { kind, order, persistence: wire.persistence, memory: wire.memory })
 }
 
 /// Checks that all cells of a grid have the model.
@@ -155,6 +158,7 @@ pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
         kind: kind.into(),
         order: selector.order.map(|order| u32::try_from(order).unwrap_or(u32::MAX)),
         persistence: selector.persistence,
+        memory: selector.memory && !selector.persistence,
         parameter: parameter_of(selector.kind),
         cycle: cycle.into(),
         period,
@@ -191,7 +195,7 @@ pub fn description_to_wire(view: &MapView, id: StateId) -> Option<v1::DescribeMo
 fn selector_of(choice: ModelChoice, model: &StateModel) -> ModelSelector {
     let kind = match choice {
         ModelChoice::Spectral => {
-            return ModelSelector { kind: ModelKind::Spectral, order: Some(model.order()), persistence: false };
+            return ModelSelector { kind: ModelKind::Spectral, order: Some(model.order()), ..ModelSelector::default() };
         }
         ModelChoice::Histogram(number) => {
             HISTOGRAMS.get(usize::from(number)).map_or(ModelKind::Auto, |&(cycle, bins)| ModelKind::Histogram {

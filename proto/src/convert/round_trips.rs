@@ -61,9 +61,9 @@ fn grids() -> impl Strategy<Value = GridSpec> {
 
 proptest! {
     #[test]
-    fn models_come_back(kind in kinds(), order in 0..=ORDER_MAX, has_order: bool, persistence: bool) {
+    fn models_come_back(kind in kinds(), order in 0..=ORDER_MAX, has_order: bool, persistence: bool, memory: bool) {
         let order = Some(order).filter(|_| has_order && kind.has_order());
-        let selector = ModelSelector { kind, order, persistence };
+        let selector = ModelSelector { kind, order, persistence, memory: memory && !persistence };
         prop_assert_eq!(selector_from_wire("model", Some(selector_to_wire(selector))), Ok(selector));
     }
 

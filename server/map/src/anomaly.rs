@@ -89,6 +89,9 @@ pub enum CannotJudge {
     /// The newest value is blended in.
     #[error("persistence blends in the newest value, not the one before an observation: leave it out")]
     Persistence,
+    /// The newest value is blended in by the chain.
+    #[error("memory blends in the newest value, not the one before an observation: leave it out")]
+    Memory,
     /// The model is fitted on request, and observations do not wait for that.
     #[error("{0} must be fitted, and a watch does not wait for that: use auto, mean or spectral")]
     NeedsFit(ModelKind),
@@ -103,6 +106,7 @@ impl ModelSelector {
         match self.kind {
             ModelKind::Latest | ModelKind::Persistence => Err(CannotJudge::Newest(self.kind)),
             _ if self.persistence => Err(CannotJudge::Persistence),
+            _ if self.memory => Err(CannotJudge::Memory),
             _ => Ok(()),
         }
     }

@@ -4,7 +4,7 @@
 //! times are computed once and shared by all states.
 
 use tidemap_model::{
-    ActiveModel, InstantPhasors, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
+    ActiveModel, InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     models::{Moment, TemporalModel},
 };
 
@@ -14,6 +14,14 @@ use crate::{
     selector::{ModelKind, ModelSelector},
     view::MapView,
 };
+
+impl CellDescription {
+    /// What the memory of a cell needs beside its last value. Its first scan is not stored; scans are frequent compared
+    /// with changes.
+    fn memory_basis(&self) -> MemoryBasis {
+        MemoryBasis { usual_change: 1.0, mean: self.spectral.mean(), first_nanos: None }
+    }
+}
 
 impl ModelSelector {
     /// Order of the spectral model that predicts this cell; 0 for a constant model.
@@ -68,7 +76,7 @@ impl MapView {
         id: StateId,
         moments: &[Moment],
         fitted: &dyn TemporalModel,
-        with_persistence: bool,
+        selector: ModelSelector,
         out: &mut [f64],
     ) {
         let kind = self.kind(id);
@@ -76,9 +84,7 @@ impl MapView {
             // A sum of Gaussians or of components may be off by rounding.
             *probability = kind.saturate(fitted.predict(moment));
         }
-        if with_persistence {
-            blend(&self.live(id).persistence, self.model(id).usual_change(), moments, out);
-        }
+        blend(&self.live(id).persistence, self.memory_basis(id), moments, selector, out);
     }
 
     /// Predicts a state at each time: the probability of 1, or the expected value. `out` is as long as the times. A
@@ -102,12 +108,11 @@ impl MapView {
                 for (out, &moment) in out.iter_mut().zip(&times.moments) {
                     *out = kind.saturate(weight * *out + models.others_at(moment));
                 }
-                if selector.persistence {
-                    blend(&live.persistence, model.usual_change(), &times.moments, out);
-                }
+                blend(&live.persistence, self.memory_basis(id), &times.moments, selector, out);
             }
             Some(chosen) => {
-                self.predict_fitted_into(id, &times.moments, &chosen, false, out);
+                let plain = ModelSelector { persistence: false, memory: false, ..selector };
+                self.predict_fitted_into(id, &times.moments, &chosen, plain, out);
                 for (probability, &moment) in out.iter_mut().zip(&times.moments) {
                     if !chosen.covers(moment) {
                         let (kind, periodicities) = (model.kind(), &self.spec.periodicities);
@@ -115,18 +120,23 @@ impl MapView {
                         *probability = spectral.predict_value(kind, periodicities, model.order(), civil_nanos);
                     }
                 }
-                if selector.persistence {
-                    blend(&live.persistence, model.usual_change(), &times.moments, out);
-                }
+                blend(&live.persistence, self.memory_basis(id), &times.moments, selector, out);
             }
             None if selector.kind == ModelKind::Latest && live.persistence.last().is_none() => {
                 out.fill(self.prior_models.of(model.kind()).spectral().mean());
             }
             None => {
                 let parts = (model.spectral(), selector.order_for(model), &live.persistence);
-                predict_state(model.kind(), parts, model.usual_change(), times, selector, out);
+                predict_state(model.kind(), parts, self.memory_basis(id), times, selector, out);
             }
         }
+    }
+
+    /// What the memory of a state needs beside its last values.
+    pub(crate) fn memory_basis(&self, id: StateId) -> MemoryBasis {
+        let model = self.model(id);
+        let mean = if model.kind() == StateKind::Probability { model.spectral().mean() } else { 0.5 };
+        MemoryBasis { usual_change: model.usual_change(), mean, first_nanos: model.accumulator().first_nanos() }
     }
 
     /// Predicts the probability that a cell is occupied at each time. `out` is as long as the times.
@@ -138,7 +148,7 @@ impl MapView {
         out: &mut [f64],
     ) {
         let parts = (&cell.spectral, selector.order_for_cell(cell), &cell.persistence);
-        predict_state(StateKind::Probability, parts, 1.0, times, selector, out);
+        predict_state(StateKind::Probability, parts, cell.memory_basis(), times, selector, out);
     }
 
     /// Predicts the probability that a cell is occupied at each moment by a model that was fitted to its readings.
@@ -148,15 +158,13 @@ impl MapView {
         cell: &CellDescription,
         moments: &[Moment],
         fitted: &dyn TemporalModel,
-        with_persistence: bool,
+        selector: ModelSelector,
         out: &mut [f64],
     ) {
         for (probability, &moment) in out.iter_mut().zip(moments) {
             *probability = StateKind::Probability.saturate(fitted.predict(moment));
         }
-        if with_persistence {
-            blend(&cell.persistence, 1.0, moments, out);
-        }
+        blend(&cell.persistence, cell.memory_basis(), moments, selector, out);
     }
 
     /// The phasors of one time in nanoseconds UTC, for many cells.
@@ -179,7 +187,7 @@ fn civil_nanos(offsets: &mut OffsetCache, utc_nanos: i64) -> i64 {
 fn predict_state(
     kind: StateKind,
     (spectral, order, persistence): (&SpectralModel, usize, &Persistence),
-    usual_change: f64,
+    basis: MemoryBasis,
     times: &PreparedTimes,
     selector: ModelSelector,
     out: &mut [f64],
@@ -189,13 +197,19 @@ fn predict_state(
         ModelKind::Latest => out.fill(persistence.last().map_or_else(|| kind.untrained(), |(_, value)| value)),
         _ => spectral.predict_values_into(kind, order, &times.phasors, out),
     }
-    if selector.persistence {
-        blend(persistence, usual_change, &times.moments, out);
-    }
+    blend(persistence, basis, &times.moments, selector, out);
 }
 
-fn blend(persistence: &Persistence, usual_change: f64, moments: &[Moment], out: &mut [f64]) {
+/// Blends the last value into predictions, if the model says so.
+fn blend(persistence: &Persistence, basis: MemoryBasis, moments: &[Moment], selector: ModelSelector, out: &mut [f64]) {
+    if !selector.is_blended() {
+        return;
+    }
     for (probability, moment) in out.iter_mut().zip(moments) {
-        *probability = persistence.blend_of(usual_change, *probability, moment.utc_nanos);
+        *probability = if selector.persistence {
+            persistence.blend_of(basis.usual_change, *probability, moment.utc_nanos)
+        } else {
+            persistence.remember(basis, *probability, moment.utc_nanos)
+        };
     }
 }

@@ -110,7 +110,12 @@ impl fmt::Display for ModelKind {
 impl fmt::Display for ModelSelector {
     /// As the command line names it; the order is not part of the name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", self.kind, if self.persistence { "+persistence" } else { "" })
+        let suffix = match (self.persistence, self.memory) {
+            (true, _) => "+persistence",
+            (false, true) => "+memory",
+            (false, false) => "",
+        };
+        write!(f, "{}{suffix}", self.kind)
     }
 }
 
@@ -124,6 +129,9 @@ pub struct ModelSelector {
     pub order: Option<usize>,
     /// Blends the last value in (T-RO eq. 12 and 13).
     pub persistence: bool,
+    /// Blends the last value in by the rates of a two-state chain, which allow for changes that nobody saw (RAS 2017,
+    /// eq. 6). With [`ModelSelector::persistence`] it is ignored.
+    pub memory: bool,
 }
 
 impl ModelSelector {
@@ -137,6 +145,18 @@ impl ModelSelector {
     pub fn order_for(&self, model: &StateModel) -> usize {
         let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.choice() != ModelChoice::Spectral;
         if self.kind.has_order() && !is_other { self.order_or(model.order()) } else { 0 }
+    }
+
+    /// Whether the last value is blended in.
+    #[must_use]
+    pub fn is_blended(self) -> bool {
+        self.persistence || self.memory
+    }
+
+    /// The same model without the last value.
+    #[must_use]
+    pub fn unblended(self) -> ModelSelector {
+        ModelSelector { persistence: false, memory: false, ..self }
     }
 
     /// The requested order, or the one that the last update chose.

@@ -60,7 +60,7 @@ pub use gaps::{Gaps, GapsParts};
 pub use kind::{StateKind, VALUE_MAX};
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
 pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};
-pub use persistence::{Persistence, PersistenceParts};
+pub use persistence::{MemoryBasis, Persistence, PersistenceParts};
 pub use phasor::PhasorTable;
 pub use phasor_sum::{PhasorSum, RunningSums};
 pub use position::{Dimensions, Position};

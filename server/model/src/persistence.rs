@@ -5,8 +5,12 @@
 
 use crate::{InvalidParts, StateKind};
 
+mod memory;
+
 #[cfg(test)]
 mod tests;
+
+pub use memory::MemoryBasis;
 
 /// The prior of τ, with the weight of one pair of observations.
 const PRIOR_TAU_SECS: f64 = 3600.0;

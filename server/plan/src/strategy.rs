@@ -14,7 +14,7 @@ mod schedule;
 #[cfg(test)]
 mod tests;
 
-pub use allowance::Allowance;
+pub use allowance::{Allowance, is_worth_a_visit};
 pub use gains::Gains;
 pub use schedule::{best, choose, novel, schedule};
 

@@ -135,7 +135,7 @@ impl CachedModel {
                 &uniform
             }
         };
-        of.predict_fitted_into(view, moments, model, selector.persistence, out);
+        of.predict_fitted_into(view, moments, model, selector, out);
     }
 }
 

@@ -30,7 +30,7 @@ pub(crate) struct AnomaliesArgs {
     /// End of the times, not included
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
     to: Option<i64>,
-    /// Model: those of predict except latest and persistence; with --watch auto, mean or spectral
+    /// Model: those of predict except latest, persistence and those with a suffix; with --watch auto, mean or spectral
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Shows anomalies as they occur, until interrupted

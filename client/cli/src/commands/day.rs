@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use tidemap_client::{
-    exploration::{Budget, DayQuery, DaySlot, Sensor, Strategy, Viewpoint},
+    exploration::{Budget, DayQuery, DaySlot, DayTour, Sensor, Strategy, Viewpoint},
     maps::Map,
     queries::ModelSelector,
 };
@@ -40,12 +40,15 @@ pub(crate) struct DayArgs {
     /// Locations to choose from [default: all; where the map has none, every state is one]
     #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
     locations: Vec<String>,
-    /// Model: those of predict, each optionally with +persistence
+    /// Model: those of predict, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Explores the grid from viewpoints with this spacing, in metres; a location is then X,Y
     #[arg(long, value_name = "M", value_parser = spacing, conflicts_with = "locations")]
     views: Option<f64>,
+    /// Values each slot by the information of a whole tour with this number of goals; the location is then `tour`
+    #[arg(long, value_name = "GOALS", conflicts_with_all = ["locations", "views"])]
+    tours: Option<u32>,
     /// Weight between exploration (1) and benefit to a task (0)
     #[arg(long, value_name = "W", requires = "task_states")]
     exploration_weight: Option<f64>,
@@ -134,6 +137,7 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
         task_states: args.task_states,
         viewpoints,
         sensor: Sensor::default(),
+        tour: args.tours.map(|goals| DayTour { goals, start_m: None }),
     };
     let slots = session.client.plan_day(query).await?;
     let row = |(slot, DaySlot { start_nanos, location, information_bits })| {

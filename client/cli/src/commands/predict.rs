@@ -38,9 +38,9 @@ pub(crate) struct PredictArgs {
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
-    /// Model, optionally with +persistence: auto, mean, latest, persistence, histogram[:BINS], histogram:week[:BINS],
-    /// histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]], hypertime-em[:CLUSTERS],
-    /// hypertime-km[:CLUSTERS], poisson, calibrated
+    /// Model, optionally with +persistence or +memory: auto, mean, latest, persistence, histogram[:BINS],
+    /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
+    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Confidence of the interval from lower to upper for the mean over the hour around the time: 0 (no interval) or

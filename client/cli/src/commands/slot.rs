@@ -1,16 +1,16 @@
 //! `tidemap slot`.
 //!
-//! Invariant: one row, the location to observe.
+//! Invariant: one row, the location to observe; empty if the robot should rest.
 
 use std::process::ExitCode;
 
 use clap::Args;
 use tidemap_client::{
-    exploration::{SlotChoice, SlotQuery, SlotStrategy},
+    exploration::{Budget, SlotAllowance, SlotChoice, SlotQuery, SlotStrategy},
     queries::ModelSelector,
 };
 
-use super::{Session, times};
+use super::{Session, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -26,6 +26,21 @@ pub(crate) struct SlotArgs {
     /// Chooses at random, in proportion to the expected information, instead of the most uncertain location
     #[arg(long)]
     monte_carlo: bool,
+    /// Chooses the location where most states are expected to be predicted wrongly
+    #[arg(long, conflicts_with_all = ["planned", "monte_carlo"])]
+    online_error: bool,
+    /// Visits a day: rests if later slots of the day are predicted to be worth more
+    #[arg(long, value_name = "N", conflicts_with_all = ["ratio", "planned", "monte_carlo"])]
+    explore: Option<u32>,
+    /// The same as a share of the slots of a day, above 0 and at most 1
+    #[arg(long, value_name = "E", conflicts_with_all = ["planned", "monte_carlo"])]
+    ratio: Option<f64>,
+    /// Visits since midnight, with --explore or --ratio
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    spent: u32,
+    /// Length of a slot, with --explore or --ratio
+    #[arg(long, value_name = "DURATION", value_parser = times::duration, default_value = "15m")]
+    slot: i64,
     /// Locations to choose from [default: all; where the map has none, every state is one]
     #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
     locations: Vec<String>,
@@ -38,16 +53,28 @@ pub(crate) struct SlotArgs {
 }
 
 pub(crate) async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<ExitCode> {
-    let strategy = match (args.planned, args.monte_carlo) {
-        (Some(planned), _) => SlotStrategy::Novelty { planned },
-        (None, true) => SlotStrategy::MonteCarlo,
-        (None, false) => SlotStrategy::Online,
+    let strategy = match (args.planned, args.monte_carlo, args.online_error) {
+        (Some(planned), ..) => SlotStrategy::Novelty { planned },
+        (None, true, _) => SlotStrategy::MonteCarlo,
+        (None, false, true) => SlotStrategy::OnlineError,
+        (None, false, false) => SlotStrategy::Online,
     };
+    let budget = match (args.explore, args.ratio) {
+        (Some(visits), _) => Some(Budget::Visits(visits as usize)),
+        (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Some(Budget::Ratio(ratio)),
+        (None, Some(ratio)) => return Err(usage(format!("--ratio {ratio}: it has to be above 0 and at most 1"))),
+        (None, None) => None,
+    };
+    if budget.is_none() && args.spent > 0 {
+        return Err(usage("--spent needs --explore or --ratio: the visits that a day has".to_owned()));
+    }
+    let (spent, slot_nanos) = (args.spent, Some(args.slot));
+    let allowance = budget.map(|budget| SlotAllowance { budget, spent, slot_nanos });
     let (map, at, locations, model, seed) = (args.map, args.at, args.locations, args.model, args.seed);
-    let query = SlotQuery { map, time_nanos: at, strategy, locations, model, seed };
+    let query = SlotQuery { map, time_nanos: at, strategy, locations, model, seed, allowance };
     let SlotChoice { location, information_bits, surprise_bits } = session.client.plan_slot(query).await?;
     session.print(
         &["location", "information_bits", "surprise_bits"],
-        [vec![Cell::Text(location), information_bits.into(), Cell::maybe(surprise_bits)]],
+        [vec![location.map_or(Cell::Empty, Cell::Text), information_bits.into(), Cell::maybe(surprise_bits)]],
     )
 }

@@ -54,7 +54,7 @@ pub(crate) struct TourArgs {
     /// Time to observe at each goal [default: 60s]
     #[arg(long, value_name = "DURATION", value_parser = times::duration_or_none)]
     observing: Option<i64>,
-    /// Model of the grid: auto, mean, latest or spectral, each optionally with +persistence
+    /// Model of the grid: auto, mean, latest or spectral, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Draws the tour over the predicted map as SVG

@@ -4,7 +4,7 @@
 //! budget.
 
 use tidemap_plan::{
-    location::{expected_errors, information_bits, surprise_bits},
+    location::{error_gain, information_bits, surprise_bits},
     strategy::{self, Allowance, Budget, Gains, Strategy, StrategyError},
 };
 
@@ -13,9 +13,6 @@ use super::{
     belief::{Belief, BeliefModel, Slots},
 };
 use crate::place_recording::PlaceRecording;
-
-/// Gains that differ by less are considered equal.
-const NEAR_TIE: f64 = 1e-9;
 
 /// A strategy that chooses the place to visit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,10 +143,10 @@ fn visit(
             planned.map(|planned| strategy::novel(expected.iter().zip(p).map(worth)).unwrap_or(planned))
         }
         VisitStrategy::Online | VisitStrategy::OnlineError => {
-            // Of two equally uncertain places, such as 0.7 and 0.3 for the only two possible places, a visit to the
-            // likelier one settles more minutes of the slot, because the person leaves from there.
-            let errors = |p: f64| expected_errors([p]) + NEAR_TIE * p;
-            let gain = |&p: &f64| if strategy == VisitStrategy::Online { information_bits([p]) } else { errors(p) };
+            let gain = |&p: &f64| match strategy {
+                VisitStrategy::Online => information_bits([p]),
+                _ => error_gain([p]),
+            };
             let gains: Vec<f64> = p.iter().map(gain).collect();
             let (place, gain) = strategy::best(&gains, seed)?;
             allowance.grant(gain).then_some(place)

@@ -1,6 +1,6 @@
 //! The map of a learning robot: it applies the robot's reports as a daemon does, and is updated at midnight.
 //!
-//! Invariant: forecasts of edges use the reports of days that have ended, and, with persistence, the last report of
+//! Invariant: forecasts of edges use the reports of days that have ended, and, with persistence or memory, the last report of
 //! each edge.
 
 use std::sync::{Arc, atomic::AtomicU64};
@@ -13,6 +13,7 @@ use tidemap_map::{
     live_map::LiveMap,
     name::{MapName, ProducerKey},
     refit::{ReadingsRequest, StateReadings},
+    selector::ModelSelector,
     site::SiteEdit,
     spec::MapSpec,
     topology::Topology,
@@ -31,7 +32,7 @@ pub(super) struct Learner {
     map: LiveMap,
     sequence: u64,
     history: History,
-    persistence: bool,
+    blend: ModelSelector,
     edges: EdgeForecasts,
 }
 
@@ -60,7 +61,7 @@ impl StateReadings for History {
 
 impl Learner {
     /// An untrained map of the building, with default properties.
-    pub(super) fn new(persistence: bool) -> Result<Self, RoutesError> {
+    pub(super) fn new(blend: ModelSelector) -> Result<Self, RoutesError> {
         let spec = MapSpec {
             created_nanos: START_NANOS,
             ..MapSpec::new(MapName::new("building").map_err(RoutesError::setting)?)
@@ -68,8 +69,8 @@ impl Learner {
         let mut map = LiveMap::new(Arc::new(spec));
         let load = building::load().map_err(RoutesError::setting)?;
         map.apply(1, &Event::EditSite(SiteEdit::Topology(load)))?;
-        let edges = EdgeForecasts::new(Arc::new(map.publish()), SPEED_M_PER_S, persistence);
-        Ok(Self { map, sequence: 0, history: History::default(), persistence, edges })
+        let edges = EdgeForecasts::new(Arc::new(map.publish()), SPEED_M_PER_S, blend);
+        Ok(Self { map, sequence: 0, history: History::default(), blend, edges })
     }
 
     /// The topology of the building.
@@ -124,7 +125,7 @@ impl Learner {
         }
         event.offsets.push(OffsetRun { count: event.states.len() as u32, offset_secs: 0 });
         self.map.apply(self.map.position() + 1, &Event::Observations(event))?;
-        if self.persistence {
+        if self.blend.is_blended() {
             self.refresh();
         }
         Ok(())
@@ -143,6 +144,6 @@ impl Learner {
     }
 
     fn refresh(&mut self) {
-        self.edges = EdgeForecasts::new(Arc::new(self.map.publish()), SPEED_M_PER_S, self.persistence);
+        self.edges = EdgeForecasts::new(Arc::new(self.map.publish()), SPEED_M_PER_S, self.blend);
     }
 }

@@ -5,6 +5,7 @@
 
 use rand::Rng as _;
 use tidemap_map::{
+    selector::ModelSelector,
     topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
     traversal::Traversal,
 };
@@ -30,6 +31,8 @@ pub enum RobotKind {
     Tidemap,
     /// As [`Tidemap`](Self::Tidemap), with the last report of each edge while it is recent.
     TidemapPersistence,
+    /// As [`TidemapPersistence`](Self::TidemapPersistence), by the rates of a two-state chain.
+    TidemapMemory,
     /// The route with the least expected time, including failures, from what was learned until last midnight.
     TidemapTime,
     /// The route that tidemap plans from the true probabilities: no robot can do better except by luck.
@@ -38,10 +41,11 @@ pub enum RobotKind {
 
 impl RobotKind {
     /// All kinds, the baseline first.
-    pub const ALL: [RobotKind; 5] = [
+    pub const ALL: [RobotKind; 6] = [
         RobotKind::Shortest,
         RobotKind::Tidemap,
         RobotKind::TidemapPersistence,
+        RobotKind::TidemapMemory,
         RobotKind::TidemapTime,
         RobotKind::Oracle,
     ];
@@ -52,6 +56,7 @@ impl RobotKind {
             RobotKind::Shortest => "shortest",
             RobotKind::Tidemap => "tidemap",
             RobotKind::TidemapPersistence => "tidemap+persistence",
+            RobotKind::TidemapMemory => "tidemap+memory",
             RobotKind::TidemapTime => "tidemap-time",
             RobotKind::Oracle => "oracle",
         }
@@ -81,7 +86,12 @@ struct RouteRobot<'a> {
 
 /// Lets a robot drive for all weeks of the protocol.
 pub(super) fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<Week>, RoutesError> {
-    let learner = Learner::new(kind == RobotKind::TidemapPersistence)?;
+    let blend = ModelSelector {
+        persistence: kind == RobotKind::TidemapPersistence,
+        memory: kind == RobotKind::TidemapMemory,
+        ..ModelSelector::default()
+    };
+    let learner = Learner::new(blend)?;
     let building = Building::new(seed, learner.topology().clone());
     let nodes: Vec<NodeId> = building.topology().nodes().map(|node| node.id).collect();
     let start = building.topology().node_named("dock").map_err(RoutesError::setting)?.id;
@@ -112,7 +122,7 @@ pub(super) fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Resu
 
 impl RobotKind {
     fn learns(self) -> bool {
-        matches!(self, RobotKind::Tidemap | RobotKind::TidemapPersistence | RobotKind::TidemapTime)
+        !matches!(self, RobotKind::Shortest | RobotKind::Oracle)
     }
 }
 
@@ -163,7 +173,7 @@ impl RouteRobot<'_> {
         let now_secs = self.now_secs;
         match self.kind {
             RobotKind::Shortest => self.shortest(goal, is_open),
-            RobotKind::Tidemap | RobotKind::TidemapPersistence | RobotKind::TidemapTime => {
+            RobotKind::Tidemap | RobotKind::TidemapPersistence | RobotKind::TidemapMemory | RobotKind::TidemapTime => {
                 let edges = self.learner.edges();
                 self.planned(goal, |edge, at_secs| {
                     is_open(edge).then(|| edges.forecast(edge, nanos(now_secs + at_secs)))

@@ -11,6 +11,7 @@ use crate::{
     ids::ProducerId,
     live_map::LiveMap,
     name::{EdgeName, MapName, ProducerKey, StateName},
+    selector::ModelSelector,
     site::SiteEdit,
     spec::MapSpec,
     topology::{EdgeEnds, NewEdge, NewNode, TopologyEdit},
@@ -187,7 +188,10 @@ fn edges_are_expected_to_be_as_they_were_reported() {
         topology.edge_between(id(from), id(to), None).expect("an edge")
     };
     let (there, back) = (edge("a", "b"), edge("b", "a"));
-    let [edges, recent] = [false, true].map(|persistence| EdgeForecasts::new(Arc::clone(&view), 1.0, persistence));
+    let [edges, recent] = [false, true].map(|persistence| {
+        let blend = ModelSelector { persistence, ..ModelSelector::default() };
+        EdgeForecasts::new(Arc::clone(&view), 1.0, blend)
+    });
     let at = |hour: i64| (14 * 24 + hour) * HOUR;
     assert!(edges.forecast(there, at(12)).success > 0.95, "{:?}", edges.forecast(there, at(12)));
     assert!(edges.forecast(there, at(20)).success < 0.2, "{:?}", edges.forecast(there, at(20)));

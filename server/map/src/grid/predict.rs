@@ -3,7 +3,7 @@
 //! Invariant: each known cell of the region is reported with the value that [`GridView::predict_tile`] gives it, and no
 //! other cell is reported. The cost of an answer follows the existing tiles, not the size of the region.
 
-use tidemap_model::{InstantPhasors, entropy_bits};
+use tidemap_model::{InstantPhasors, MemoryBasis, Persistence, entropy_bits};
 
 use super::{
     index::{CellBox, CellIndex, TILE_CELLS, TILE_EDGE, TileId, TileIndex},
@@ -124,7 +124,7 @@ impl Shape {
         let high = fixed & model.always_occupied;
         // A cell that never changed stays at its level, however recent the reading is, unless another sensor made it.
         let has_changed = || !(seen & fixed & (occupied ^ model.always_occupied)).is_empty();
-        let blended = selector.persistence && (has_changed() || has_other_readers());
+        let blended = selector.is_blended() && (has_changed() || has_other_readers());
         let has_own_levels = blended || model.sensors.is_some();
         Shape { known, learned, changed, high, all_values: has_own_levels || !known.without(learned).is_empty() }
     }
@@ -225,10 +225,10 @@ impl GridView {
         let shape = Shape::new(&model, live, within(index, question.region.as_ref()), selector, &self.sensors);
         let levels = self.levels();
         let level = |is_high: bool| if is_high { levels.1 as f32 } else { levels.0 as f32 };
-        let blend = |cell: u16, probability: f32| match live.filter(|_| selector.persistence) {
+        let blend = |cell: u16, mean: f64, probability: f32| match live.filter(|_| selector.is_blended()) {
             Some(live) if live.known.contains(cell) => {
                 let persistence = live.persistence(cell, self.run, &self.sensors);
-                persistence.blend(f64::from(probability), question.utc_nanos) as f32
+                blend_cell(&persistence, mean, f64::from(probability), question.utc_nanos, selector) as f32
             }
             _ => probability,
         };
@@ -248,7 +248,7 @@ impl GridView {
             let changed = model.cells.iter().filter(|cell| shape.changed.contains(cell.cell)).map(|cell| {
                 let order =
                     if selector.kind == ModelKind::Mean { 0 } else { selector.order_or(usize::from(cell.order)) };
-                (cell.cell, cell.spectral.predict_at(order, phasors) as f32)
+                (cell, cell.spectral.predict_at(order, phasors) as f32)
             });
             if shape.all_values {
                 let constants = model.sensors.as_ref().map(|_| {
@@ -262,12 +262,15 @@ impl GridView {
                 };
                 let mut changed = changed.peekable();
                 values.extend(shape.known.cells().map(|cell| {
-                    let learned = changed.next_if(|(of, _)| *of == cell).map(|(_, probability)| probability);
+                    let learned = changed.next_if(|(of, _)| of.cell == cell);
                     let fixed = || if shape.learned.contains(cell) { constant(cell) } else { 0.5 };
-                    blend(cell, learned.unwrap_or_else(fixed))
+                    match learned {
+                        Some((of, probability)) => blend(cell, of.spectral.mean(), probability),
+                        None => blend(cell, f64::from(fixed()), fixed()),
+                    }
                 }));
-            } else if selector.persistence {
-                values.extend(changed.map(|(cell, probability)| blend(cell, probability)));
+            } else if selector.is_blended() {
+                values.extend(changed.map(|(of, probability)| blend(of.cell, of.spectral.mean(), probability)));
             } else {
                 values.extend(changed.map(|(_, probability)| probability));
             }
@@ -275,6 +278,15 @@ impl GridView {
         let Shape { known, changed, high, all_values, .. } = shape;
         Ok(TileCells { index, known, changed, high, values, all_values })
     }
+}
+
+/// A cell's prediction `p` for a time, with its last value blended in.
+pub(super) fn blend_cell(persistence: &Persistence, mean: f64, p: f64, utc_nanos: i64, selector: ModelSelector) -> f64 {
+    if selector.persistence {
+        return persistence.blend(p, utc_nanos);
+    }
+    // The first scan of a cell is not stored beside its last value; scans are frequent compared with changes.
+    persistence.remember(MemoryBasis { usual_change: 1.0, mean, first_nanos: None }, p, utc_nanos)
 }
 
 /// The places of a tile that lie in a region.

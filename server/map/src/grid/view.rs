@@ -189,13 +189,16 @@ impl GridView {
                 *out = cell.spectral.predict_at(order, phasors) as f32;
             }
         }
-        if selector.persistence {
+        if selector.is_blended() {
             for cell in live.known.cells() {
                 let Some(out) = out.get_mut(usize::from(cell)) else { continue };
                 let last = live.value(cell, &self.sensors);
                 // No change.
                 if *out != last as f32 {
-                    *out = live.persistence(cell, self.run, &self.sensors).blend(f64::from(*out), utc_nanos) as f32;
+                    let persistence = live.persistence(cell, self.run, &self.sensors);
+                    let p = f64::from(*out);
+                    let mean = model.cell(cell).map_or(p, |cell| cell.spectral.mean());
+                    *out = super::predict::blend_cell(&persistence, mean, p, utc_nanos, selector) as f32;
                 }
             }
         }

@@ -73,7 +73,7 @@ impl ModelKind {
 pub enum InvalidModel {
     #[error(
         "{0:?} is not a model: use auto, mean, latest, persistence, histogram, spectral, uniform, pergam, \
-         hypertime-em, hypertime-km, poisson or calibrated, each optionally with +persistence"
+         hypertime-em, hypertime-km, poisson or calibrated, each optionally with +persistence or +memory"
     )]
     Unknown(String),
     #[error("model {0:?} takes no parameter after a colon")]
@@ -88,7 +88,7 @@ pub enum InvalidModel {
     NotAPeriod { text: String, reason: InvalidDuration },
     #[error("{0:?}: the period of pergam has to be from 1m to 366d")]
     PeriodRange(String),
-    #[error("{0:?}: the only suffix is +persistence")]
+    #[error("{0:?}: the only suffixes are +persistence and +memory")]
     Suffix(String),
 }
 
@@ -96,10 +96,11 @@ impl FromStr for ModelSelector {
     type Err = InvalidModel;
 
     fn from_str(text: &str) -> Result<Self, InvalidModel> {
-        let (model, persistence) = match text.split_once('+') {
-            Some((model, "persistence")) => (model, true),
+        let (model, [persistence, memory]) = match text.split_once('+') {
+            Some((model, "persistence")) => (model, [true, false]),
+            Some((model, "memory")) => (model, [false, true]),
             Some(_) => return Err(InvalidModel::Suffix(text.to_owned())),
-            None => (text, false),
+            None => (text, [false, false]),
         };
         let mut parts = model.split(':').peekable();
         let name = parts.next().unwrap_or_default();
@@ -130,7 +131,7 @@ impl FromStr for ModelSelector {
                 return Err(InvalidModel::TooFine { text: text.to_owned(), kind: kind.name(), max, what });
             }
         }
-        Ok(Self { kind, order: None, persistence })
+        Ok(Self { kind, order: None, persistence, memory })
     }
 }
 

@@ -90,7 +90,10 @@ fn times() -> Vec<i64> {
 }
 
 fn options(kind: ModelKind, persistence: bool) -> PredictOptions {
-    PredictOptions { selector: ModelSelector { kind, order: Some(2), persistence }, ..PredictOptions::default() }
+    PredictOptions {
+        selector: ModelSelector { kind, order: Some(2), persistence, memory: false },
+        ..PredictOptions::default()
+    }
 }
 
 #[test]

@@ -244,8 +244,8 @@ fn tile_times(
     }
     let is_constant = match options.selector.kind {
         ModelKind::Latest => true,
-        ModelKind::Mean => !options.selector.persistence,
-        _ => !options.selector.persistence && told.changed.is_empty(),
+        ModelKind::Mean => !options.selector.is_blended(),
+        _ => !options.selector.is_blended() && told.changed.is_empty(),
     };
     if is_constant || later.is_empty() {
         return Ok(TileTimes { index, first, varying });

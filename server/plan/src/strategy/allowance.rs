@@ -23,6 +23,23 @@ pub struct Allowance {
     days: VecDeque<Vec<f64>>,
 }
 
+/// Whether a visit now, with this gain, is worth one of the `left` visits of the day: fewer of the later slots are
+/// expected to be better. `later`: the best expected gain of each later slot of the day. Equal gains count half; NaN
+/// counts as 0.
+pub fn is_worth_a_visit(gain: f64, later: &[f64], left: usize) -> bool {
+    let of_slot = |other: &f64| better(other.max(0.0), gain.max(0.0));
+    left > later.len() || (left > 0 && later.iter().map(of_slot).sum::<f64>() < left as f64)
+}
+
+/// 1 if `other` is higher, one half if it is equal.
+fn better(other: f64, gain: f64) -> f64 {
+    match other.total_cmp(&gain) {
+        std::cmp::Ordering::Greater => 1.0,
+        std::cmp::Ordering::Equal => 0.5,
+        std::cmp::Ordering::Less => 0.0,
+    }
+}
+
 impl Allowance {
     /// The given number of visits in the given number of slots a day.
     ///
@@ -65,11 +82,7 @@ impl Allowance {
 
     /// The mean number of later slots of a day with a higher gain, over the kept days.
     fn better_later(&self, slot: usize, gain: f64) -> f64 {
-        let of_slot = |&other: &f64| match other.total_cmp(&gain) {
-            std::cmp::Ordering::Greater => 1.0,
-            std::cmp::Ordering::Equal => 0.5,
-            std::cmp::Ordering::Less => 0.0,
-        };
+        let of_slot = |&other: &f64| better(other, gain);
         let later = |day: &Vec<f64>| day.iter().skip(slot + 1).map(of_slot).sum::<f64>();
         self.days.iter().map(later).sum::<f64>() / self.days.len().max(1) as f64
     }

@@ -229,6 +229,17 @@ fn an_allowance_learns_when_visits_are_worth_most() {
 }
 
 #[test]
+fn a_visit_is_worth_it_if_few_later_slots_are_better() {
+    let later = [0.9, 0.5, 0.1];
+    assert!(is_worth_a_visit(0.6, &later, 2) && !is_worth_a_visit(0.6, &later, 1));
+    // Equal gains count half.
+    assert!(!is_worth_a_visit(0.5, &[0.5, 0.5], 1) && is_worth_a_visit(0.5, &[0.5], 1));
+    assert!(is_worth_a_visit(0.0, &later, 4), "more visits than slots are left");
+    assert!(!is_worth_a_visit(1.0, &later, 0) && !is_worth_a_visit(1.0, &[], 0));
+    assert!(is_worth_a_visit(0.1, &[f64::NAN], 1));
+}
+
+#[test]
 fn an_allowance_spreads_visits_that_are_worth_the_same() {
     let mut allowance = Allowance::new(144, 72).unwrap();
     for _ in 0..3 {

@@ -8,8 +8,9 @@ use tidemap_map::{event::StateKind, selector::ModelSelector, view::MapView};
 use tidemap_plan::{
     day::{DaySlots, plan_day as plan},
     information::Certainty,
-    predicted::{PredictOptions, PredictedTimes},
+    predicted::{PredictOptions, PredictedGrid, PredictedTimes},
     strategy::Gains,
+    tour::plan_tour,
     view::{SceneOptions, Sensor, TimedScene, Viewpoint, view_many},
 };
 use tidemap_proto::{
@@ -24,7 +25,7 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, error::PlanError, information::members};
+use super::{Explorations, error::PlanError, information::members, tour::tour_question};
 use crate::{
     rpc::{
         lookup::{check_limit, find_map, find_state},
@@ -85,7 +86,13 @@ pub(super) async fn plan_day(
     for (i, &id) in tasks.iter().enumerate() {
         check_kind(&view, id, &format!("task_states[{i}]"))?;
     }
-    let (names, information) = if request.viewpoints.is_empty() {
+    let (names, information) = if let Some(tour) = &request.tour {
+        if !(request.locations.is_empty() && request.viewpoints.is_empty()) {
+            return Err(InvalidField::new("tour", "ask for tours, locations or viewpoints, not for several").into());
+        }
+        let tour = v1::PlanTourRequest { certainty: request.certainty, ..tour.clone() };
+        (vec!["tour".to_owned()], tour_gains(explorations, &view, middles.clone(), &tour, selector).await?)
+    } else if request.viewpoints.is_empty() {
         let (names, by_location) = locations(&view, request.locations, explorations.limits.predictions).await?;
         let counts: Vec<usize> = by_location.iter().map(Vec::len).collect();
         let asked: Vec<StateOrCell> = by_location.into_iter().flatten().collect();
@@ -163,6 +170,30 @@ async fn view_gains(
         })?;
         let gains = Gains::of(middles.len(), rows.len(), |slot, place| rows[place][slot]);
         gains.map_err(|error| PlanError::Day(error.into()))
+    };
+    Ok(run_blocking(explorations.permits.take().await?, work).await??)
+}
+
+/// The expected information of the whole tour of each slot, its goals weighted by their reachability (RA-L 2016, section
+/// III.F); 0 where no tour is worth it.
+async fn tour_gains(
+    explorations: &Explorations,
+    view: &Arc<MapView>,
+    middles: Vec<i64>,
+    request: &v1::PlanTourRequest,
+    selector: ModelSelector,
+) -> Result<Gains, RpcError> {
+    check_for_cells("model", selector)?;
+    Explorations::check_grid_times(&middles)?;
+    let (question, view) = (tour_question(view, request)?, Arc::clone(view));
+    let options = PredictOptions { selector, ..explorations.predict_options() };
+    let work = move || {
+        let tour_bits = |&time_nanos: &i64| {
+            let grid = PredictedGrid::new(&view, time_nanos, &options)?;
+            Ok::<_, PlanError>(plan_tour(&grid, view.site().reachability(), &question)?.expected_bits)
+        };
+        let bits = middles.iter().map(tour_bits).collect::<Result<Vec<f64>, PlanError>>()?;
+        Gains::of(bits.len(), 1, |slot, _| bits[slot]).map_err(|error| PlanError::Day(error.into()))
     };
     Ok(run_blocking(explorations.permits.take().await?, work).await??)
 }

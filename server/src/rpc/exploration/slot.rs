@@ -2,14 +2,22 @@
 //!
 //! Invariant: the location is one of the given ones, and the decision is based on one view.
 
-use tidemap_map::selector::{ModelKind, ModelSelector};
+use tidemap_map::{
+    selector::{ModelKind, ModelSelector},
+    view::MapView,
+};
 use tidemap_plan::{
-    day::DayError,
-    location::{information_bits, surprise_bits},
+    day::{DayError, DaySlots},
+    location::{error_gain, information_bits, surprise_bits},
     strategy::{self, Gains, Strategy},
 };
 use tidemap_proto::{
-    convert::{InvalidField, exploration::certainty_from_wire, query::selector_from_wire, time::instant_from_wire},
+    convert::{
+        InvalidField,
+        exploration::{allowance_from_wire, certainty_from_wire, slot_from_wire},
+        query::selector_from_wire,
+        time::instant_from_wire,
+    },
     v1,
 };
 
@@ -44,11 +52,31 @@ pub(super) async fn plan_slot(
         return Err(InvalidField::new("planned", "only the novelty-driven strategy goes by a plan").into());
     }
     let states: Vec<StateOrCell> = by_location.iter().flatten().cloned().collect();
-    let ask = |selector| {
-        predict_series(explorations.predict_context(), &handle, &view, (states.clone(), vec![time_nanos]), selector)
+    let ask = |times, selector| {
+        predict_series(explorations.predict_context(), &handle, &view, (states.clone(), times), selector)
     };
-    let informed = ask(selector).await?;
-    let informed = split(&informed, &by_location);
+    let allowed = match allowance_from_wire(request.allowance) {
+        None if request.spent > 0 || request.slot.is_some() => {
+            let text = "spent and slot are used only with an allowance: give explore or ratio";
+            return Err(InvalidField::new("allowance", text).into());
+        }
+        None => None,
+        Some(_) if !matches!(wanted, v1::SlotStrategy::Online | v1::SlotStrategy::OnlineError) => {
+            let text = "only the strategies online and online-error go by an allowance";
+            return Err(InvalidField::new("allowance", text).into());
+        }
+        Some(budget) => {
+            let slots = day_slots(&view, time_nanos, slot_from_wire(request.slot)?)?;
+            let visits = budget.visits(slots.count()).map_err(|error| PlanError::from(DayError::from(error)))?;
+            Some((visits.saturating_sub(request.spent as usize), later(&slots, time_nanos)))
+        }
+    };
+    // The slot itself, then the later ones of the day.
+    let mut times = vec![time_nanos];
+    times.extend(allowed.iter().flat_map(|(_, later)| later));
+    let rows = ask(times, selector).await?;
+    let at = |time: usize| split(rows.iter().map(|row| row[time]), &by_location);
+    let informed = at(0);
     let gain = |_, place: usize| certainty.bits_of(informed[place].iter().copied());
     let gains = Gains::of(1, names.len(), gain).map_err(|error| PlanError::from(DayError::from(error)))?;
     let now = gains.slot(0);
@@ -56,8 +84,8 @@ pub(super) async fn plan_slot(
     let chosen = match wanted {
         v1::SlotStrategy::Novelty => {
             let chain = ModelSelector { kind: ModelKind::Persistence, ..ModelSelector::default() };
-            let expected = ask(chain).await?;
-            let expected = split(&expected, &by_location);
+            let expected = ask(vec![time_nanos], chain).await?;
+            let expected = split(expected.iter().flatten().copied(), &by_location);
             let pairs = |place: usize| expected[place].iter().copied().zip(informed[place].iter().copied());
             let worth = |place| (surprise_bits(pairs(place)), information_bits(informed[place].iter().copied()));
             let chosen = strategy::novel((0..names.len()).map(worth)).or(planned);
@@ -65,8 +93,23 @@ pub(super) async fn plan_slot(
             chosen
         }
         v1::SlotStrategy::MonteCarlo => Some(strategy::choose(Strategy::MonteCarlo, 0, now, request.seed)),
-        v1::SlotStrategy::Unspecified | v1::SlotStrategy::Online => {
-            strategy::best(now, request.seed).map(|(place, _)| place)
+        v1::SlotStrategy::Unspecified | v1::SlotStrategy::Online | v1::SlotStrategy::OnlineError => {
+            let values = |known: &[Vec<f64>]| -> Vec<f64> {
+                let value = |states: &Vec<f64>| match wanted {
+                    v1::SlotStrategy::OnlineError => error_gain(states.iter().copied()),
+                    _ => certainty.bits_of(states.iter().copied()),
+                };
+                known.iter().map(value).collect()
+            };
+            let best = strategy::best(&values(&informed), request.seed);
+            if let (Some((left, later)), Some((_, value))) = (&allowed, best) {
+                let best_of = |time: usize| values(&at(time)).into_iter().fold(0.0, f64::max);
+                let later: Vec<f64> = (1..=later.len()).map(best_of).collect();
+                if !strategy::is_worth_a_visit(value, &later, *left) {
+                    return Ok(v1::PlanSlotResponse::default());
+                }
+            }
+            best.map(|(place, _)| place)
         }
     };
     let place = chosen.unwrap_or_default();
@@ -77,8 +120,20 @@ pub(super) async fn plan_slot(
     })
 }
 
-/// The probabilities of each location's states. `rows` has one for each state, location by location.
-fn split(rows: &[Vec<f64>], by_location: &[Vec<StateOrCell>]) -> Vec<Vec<f64>> {
-    let mut rest = rows.iter().flatten().copied();
+/// The slots of the local day of a time.
+fn day_slots(view: &MapView, time_nanos: i64, slot_nanos: i64) -> Result<DaySlots, RpcError> {
+    let day = view.sample_maker()(time_nanos, 0.0).local_day();
+    Ok(DaySlots::of(&view.spec().zone, day, slot_nanos).map_err(PlanError::from)?)
+}
+
+/// The middles of the slots that begin after a time, in nanoseconds UTC.
+fn later(slots: &DaySlots, time_nanos: i64) -> Vec<i64> {
+    let starts_later = |&slot: &usize| slots.start_nanos(slot) > time_nanos;
+    (0..slots.count()).filter(starts_later).map(|slot| slots.middle_nanos(slot)).collect()
+}
+
+/// The probabilities of each location's states, given one for each state, location by location.
+fn split(probabilities: impl Iterator<Item = f64>, by_location: &[Vec<StateOrCell>]) -> Vec<Vec<f64>> {
+    let mut rest = probabilities;
     by_location.iter().map(|states| rest.by_ref().take(states.len()).collect()).collect()
 }

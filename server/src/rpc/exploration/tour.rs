@@ -2,9 +2,10 @@
 //!
 //! Invariant: the tour and the reachability are of one view.
 
+use tidemap_map::view::MapView;
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedGrid},
-    tour::plan_tour as plan,
+    tour::{TourQuestion, plan_tour as plan},
 };
 use tidemap_proto::{
     convert::{
@@ -27,10 +28,7 @@ pub(super) async fn plan_tour(
     let time_nanos = instant_from_wire("time", request.time)?;
     let selector = selector_from_wire("model", request.model)?;
     check_for_cells("model", selector)?;
-    view.grid().ok_or(PlanError::from(tidemap_plan::predicted::PredictError::NoGrid))?;
-    let start = request.start.map(|start| point_from_wire("start", start)).transpose()?;
-    let start = start.or(view.site().charger_m()).ok_or(PlanError::NoStart)?;
-    let question = tour_from_wire(&request, start)?;
+    let question = tour_question(&view, &request)?;
     let options = PredictOptions { selector, ..explorations.predict_options() };
     let work = move || {
         let grid = PredictedGrid::new(&view, time_nanos, &options)?;
@@ -38,4 +36,15 @@ pub(super) async fn plan_tour(
     };
     let tour = run_blocking(explorations.permits.take().await?, work).await??;
     Ok(tour_to_wire(&tour))
+}
+
+/// The tour that is asked for, from the given start or the charger of the map.
+///
+/// # Errors
+/// The map has no grid, or there is no start, or a field is invalid.
+pub(super) fn tour_question(view: &MapView, request: &v1::PlanTourRequest) -> Result<TourQuestion, RpcError> {
+    view.grid().ok_or(PlanError::from(tidemap_plan::predicted::PredictError::NoGrid))?;
+    let start = request.start.map(|start| point_from_wire("start", start)).transpose()?;
+    let start = start.or(view.site().charger_m()).ok_or(PlanError::NoStart)?;
+    Ok(tour_from_wire(request, start)?)
 }

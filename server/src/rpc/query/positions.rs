@@ -147,6 +147,9 @@ fn model_of(wire: Option<v1::ModelSelector>) -> Result<ModelKind, RpcError> {
         let text = format!("positions have no model {}: use hypertime-em or hypertime-km", selector.kind);
         return Err(InvalidField::new("model.kind", text).into());
     }
+    if selector.memory {
+        return Err(InvalidField::new("model.memory", "models of positions have no memory").into());
+    }
     if selector.persistence {
         return Err(InvalidField::new("model.persistence", "models of positions have no persistence").into());
     }

@@ -41,10 +41,10 @@ impl Edges {
         speed_m_per_s: f64,
     ) -> Result<Edges, RpcError> {
         let of = Arc::clone(view);
-        let edges = routes.run_blocking(move || EdgeForecasts::new(of, speed_m_per_s, selector.persistence)).await?;
+        let edges = routes.run_blocking(move || EdgeForecasts::new(of, speed_m_per_s, selector)).await?;
         let states: Vec<StateId> = edges.success_states().collect();
         let places = states.iter().enumerate().map(|(place, &id)| (id, place)).collect();
-        let alone = ModelSelector { persistence: false, ..selector };
+        let alone = selector.unblended();
         let predictor = Predictor::new(routes.predict_context(), handle, view, states, alone).await?;
         Ok(Edges { edges, places, predictor })
     }

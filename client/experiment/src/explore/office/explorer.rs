@@ -73,7 +73,7 @@ impl ExplorerKind {
             ExplorerKind::Temporal => (ModelKind::Auto, false),
             ExplorerKind::TemporalPersistence => (ModelKind::Auto, true),
         };
-        ModelSelector { kind, order: None, persistence }
+        ModelSelector { kind, order: None, persistence, memory: false }
     }
 }
 

@@ -22,7 +22,8 @@ fn selectors() -> Vec<ModelSelector> {
     let mut selectors = Vec::new();
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
         for order in [None, Some(0), Some(2), Some(ORDER_MAX)] {
-            selectors.extend([false, true].map(|persistence| ModelSelector { kind, order, persistence }));
+            let blends = [[false, false], [true, false], [false, true]];
+            selectors.extend(blends.map(|[persistence, memory]| ModelSelector { kind, order, persistence, memory }));
         }
     }
     selectors

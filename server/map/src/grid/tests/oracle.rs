@@ -5,8 +5,8 @@
 use std::collections::BTreeMap;
 
 use tidemap_model::{
-    AccumulatorParts, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Persistence, Sample, SpectralModel,
-    StateModel,
+    AccumulatorParts, MemoryBasis, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Persistence, Sample,
+    SpectralModel, StateModel,
 };
 
 use crate::{
@@ -133,7 +133,14 @@ impl CellOracle {
             ModelKind::Mean => spectral.mean(),
             _ => spectral.predict(omega, selector.order.unwrap_or(self.model.best_order()), civil_nanos),
         };
-        if selector.persistence { self.persistence.blend(p, utc_nanos) } else { p }
+        match (selector.persistence, selector.memory) {
+            (true, _) => self.persistence.blend(p, utc_nanos),
+            (false, true) => {
+                let basis = MemoryBasis { usual_change: 1.0, mean: spectral.mean(), first_nanos: None };
+                self.persistence.remember(basis, p, utc_nanos)
+            }
+            (false, false) => p,
+        }
     }
 
     /// Compares what a view says of the cell.

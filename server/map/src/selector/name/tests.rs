@@ -30,6 +30,8 @@ fn models_are_named_as_on_the_command_line() {
         "hypertime-km:5",
         "poisson",
         "calibrated+persistence",
+        "auto+memory",
+        "pergam:2:36h+memory",
     ] {
         let model: ModelSelector = text.parse().expect(text);
         assert_eq!(model.to_string(), text);
