@@ -37,9 +37,9 @@ pub fn expected_errors(probabilities: impl IntoIterator<Item = f64>) -> f64 {
     probabilities.into_iter().map(of_state).sum()
 }
 
-/// The gain of a visit for the strategy `online-error`: [`expected_errors`], plus a hardly noticeable share of the sum of
-/// the probabilities. Of two equally uncertain places, such as 0.7 and 0.3 for the only two possible places, a visit to
-/// the likelier one settles more minutes of the slot, because the person leaves from there.
+/// The gain of a visit for the strategy `online-error`: [`expected_errors`], plus a hardly noticeable share of the sum
+/// of the probabilities. Of two equally uncertain places, such as 0.7 and 0.3 for the only two possible places, a visit
+/// to the likelier one settles more minutes of the slot, because the person leaves from there.
 pub fn error_gain(probabilities: impl IntoIterator<Item = f64> + Clone) -> f64 {
     /// Gains that differ by less are considered equal.
     const NEAR_TIE: f64 = 1e-9;

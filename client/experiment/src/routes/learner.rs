@@ -1,7 +1,7 @@
 //! The map of a learning robot: it applies the robot's reports as a daemon does, and is updated at midnight.
 //!
-//! Invariant: forecasts of edges use the reports of days that have ended, and, with persistence or memory, the last report of
-//! each edge.
+//! Invariant: forecasts of edges use the reports of days that have ended, and, with persistence or memory, the last
+//! report of each edge.
 
 use std::sync::{Arc, atomic::AtomicU64};
 

@@ -42,8 +42,8 @@ pub struct EdgeForecasts {
 
 impl EdgeForecasts {
     /// The edges of a view. `speed_m_per_s`: the speed without reports, above 0. `blend`: whether and how the last
-    /// report of an edge still counts: with persistence (T-RO 2017, eq. 12 and 13), or with memory (RAS 2017, eq. 6); its
-    /// kind and order are ignored.
+    /// report of an edge still counts: with persistence (T-RO 2017, eq. 12 and 13), or with memory (RAS 2017, eq. 6);
+    /// its kind and order are ignored.
     pub fn new(view: Arc<MapView>, speed_m_per_s: f64, blend: ModelSelector) -> EdgeForecasts {
         let topology = view.site().topology();
         let reported: Vec<(&Edge, EdgeStates)> = topology

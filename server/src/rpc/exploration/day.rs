@@ -174,8 +174,8 @@ async fn view_gains(
     Ok(run_blocking(explorations.permits.take().await?, work).await??)
 }
 
-/// The expected information of the whole tour of each slot, its goals weighted by their reachability (RA-L 2016, section
-/// III.F); 0 where no tour is worth it.
+/// The expected information of the whole tour of each slot, its goals weighted by their reachability (RA-L 2016,
+/// section III.F); 0 where no tour is worth it.
 async fn tour_gains(
     explorations: &Explorations,
     view: &Arc<MapView>,
