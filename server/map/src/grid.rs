@@ -29,6 +29,7 @@
 //! Invariant: unknown, free and occupied are three different things everywhere. A cell is observed when a scan says so;
 //! an occupied cell is observed.
 
+mod blend;
 pub mod day;
 mod fold;
 pub mod generation;

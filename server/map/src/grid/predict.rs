@@ -3,9 +3,10 @@
 //! Invariant: each known cell of the region is reported with the value that [`GridView::predict_tile`] gives it, and no
 //! other cell is reported. The cost of an answer follows the existing tiles, not the size of the region.
 
-use tidemap_model::{InstantPhasors, MemoryBasis, Persistence, entropy_bits};
+use tidemap_model::{InstantPhasors, entropy_bits};
 
 use super::{
+    blend::blend_cell,
     index::{CellBox, CellIndex, TILE_CELLS, TILE_EDGE, TileId, TileIndex},
     live_tile::LiveTile,
     mask::Mask,
@@ -278,15 +279,6 @@ impl GridView {
         let Shape { known, changed, high, all_values, .. } = shape;
         Ok(TileCells { index, known, changed, high, values, all_values })
     }
-}
-
-/// A cell's prediction `p` for a time, with its last value blended in.
-pub(super) fn blend_cell(persistence: &Persistence, mean: f64, p: f64, utc_nanos: i64, selector: ModelSelector) -> f64 {
-    if selector.persistence {
-        return persistence.blend(p, utc_nanos);
-    }
-    // The first scan of a cell is not stored beside its last value; scans are frequent compared with changes.
-    persistence.remember(MemoryBasis { usual_change: 1.0, mean, first_nanos: None }, p, utc_nanos)
 }
 
 /// The places of a tile that lie in a region.

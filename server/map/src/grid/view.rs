@@ -198,7 +198,7 @@ impl GridView {
                     let persistence = live.persistence(cell, self.run, &self.sensors);
                     let p = f64::from(*out);
                     let mean = model.cell(cell).map_or(p, |cell| cell.spectral.mean());
-                    *out = super::predict::blend_cell(&persistence, mean, p, utc_nanos, selector) as f32;
+                    *out = super::blend::blend_cell(&persistence, mean, p, utc_nanos, selector) as f32;
                 }
             }
         }
