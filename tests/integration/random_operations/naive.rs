@@ -151,7 +151,8 @@ impl NaiveMap {
         kept
     }
 
-    /// 2γ_k of all periods that the observed span with a median gap makes eligible and regular readings resolve: γ_k = (1/n) Σ (s_i − μ)·e^(−jω_k t_i).
+    /// 2γ_k of all periods that the observed span with a median gap makes eligible and regular readings resolve:
+    /// γ_k = (1/n) Σ (s_i − μ)·e^(−jω_k t_i).
     pub(crate) fn coefficients(&self, state: usize) -> Vec<Coefficient> {
         let folded = self.folded(state);
         let (Some(first), Some(last)) = (folded.iter().map(|o| o.nanos).min(), folded.iter().map(|o| o.nanos).max())
