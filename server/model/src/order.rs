@@ -1,8 +1,8 @@
 //! Choosing the model order: how well each order has predicted what was observed after it was fitted.
 //!
 //! T-RO section IV.B, with memory: errors fade by 7 % with each further day of observations, so that neither one
-//! unusual day nor the distant past decides. Days without observations do not count: a place that is seen once a month is not
-//! judged by its last look alone. Invariant: the error sums are finite and not negative.
+//! unusual day nor the distant past decides. Days without observations do not count: a place that is seen once a month
+//! is not judged by its last look alone. Invariant: the error sums are finite and not negative.
 
 use crate::{InvalidParts, LocalDay, ORDER_MAX};
 

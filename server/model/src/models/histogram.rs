@@ -85,8 +85,8 @@ pub struct HistogramParts {
 impl Histogram {
     /// The mean of the readings in each bin, shrunk towards the mean of all: (Σwv + κμ)/(Σw + κ) with κ =
     /// `prior_readings`. A bin without readings predicts as the next coarser histogram with bins of the same length
-    /// that has readings there: of the week that of weekday and weekend, then that of the day. If there is none, it predicts
-    /// the mean of all.
+    /// that has readings there: of the week that of weekday and weekend, then that of the day. If there is none, it
+    /// predicts the mean of all.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, a value is not finite, or a setting is outside its range.
