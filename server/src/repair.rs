@@ -1,4 +1,5 @@
-//! `tidemapd check DIR` and `tidemapd backup restore BACKUP DIR`: what an operator does with folders that no daemon uses.
+//! `tidemapd check DIR` and `tidemapd backup restore BACKUP DIR`: what an operator does with folders that no daemon
+//! uses.
 //!
 //! Invariant: the exit status is 0 where all is sound or done, 1 where something is damaged or not done, and 2 where
 //! nothing can be checked. Results go to stdout, everything else to stderr.

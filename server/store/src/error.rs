@@ -96,8 +96,7 @@ pub enum HistoryError {
     UnknownMap(MapId),
     /// A history file is damaged. The models of the map do not depend on it.
     #[error(
-        "{} is damaged: {reason}. Restore it from a backup of this data directory, or move it away to continue without the \
-         exact observations in it",
+        "{} is damaged: {reason}. Restore it from a backup of this data directory; the models are not affected",
         shown(.file)
     )]
     Damaged { file: PathBuf, reason: String },

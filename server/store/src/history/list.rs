@@ -1,7 +1,7 @@
 //! The list of the history files that must exist.
 //!
-//! Invariant: a file is listed before the checkpoint that lets the log forget what is in it, and no longer listed before
-//! it is deleted.
+//! Invariant: a file is listed before the checkpoint that lets the log forget what is in it, and no longer listed
+//! before it is deleted.
 
 use std::path::{Path, PathBuf};
 
