@@ -160,8 +160,8 @@ async fn questions_that_make_no_sense_name_their_field() {
         (of_cycle(ModelKind::Histogram, 9), Code::InvalidArgument, ["model.cycle", "9"]),
         (
             PredictStatesRequest { states: vec!["cell/0/0/0".to_owned()], ..fine(ModelKind::Pergam, 3) },
-            Code::InvalidArgument,
-            ["model.kind", "pergam:3"],
+            Code::FailedPrecondition,
+            ["office", "no grid"],
         ),
     ] {
         check(&queries.predict_states(request).await.expect_err("refused"), code, &words);
