@@ -223,7 +223,7 @@ settings! {
     /// Maximum number of predictions (states × times) of one request.
     max_predictions: u64 = 10_000_000, 1, 1 << 40;
     /// Maximum number of fitted models in the cache, all maps together, and maximum number that evaluations hold at
-    /// once. A model takes 100 bytes to 10 KB; a histogram takes 16 bytes per bin.
+    /// once (each holds those of one state). A model takes 100 bytes to 10 KB; a histogram takes 16 bytes per bin.
     max_fitted_models: usize = 4000, 1, 1_000_000;
     /// Maximum number of observations that a model is fitted to. A fit takes some 100 bytes for each while it runs.
     max_fit_readings: u64 = 2_000_000, 1, 1 << 32;

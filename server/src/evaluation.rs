@@ -1,6 +1,7 @@
 //! Compares the predictions of models with observations that are not learned.
 //!
-//! Invariant: only sums are kept, so that memory does not depend on the number of observations.
+//! Invariant: only sums and the reasons of missing models are kept, so that memory depends neither on the number of
+//! observations nor on the number of fitted models: those are lent for one addition.
 
 use std::{
     borrow::Cow,
@@ -47,11 +48,19 @@ pub(crate) struct Evaluator {
 #[derive(Debug)]
 struct ErrorSums {
     of: StateOrCell,
-    /// What predicts, if not the view.
-    answering: Vec<Option<AnswerSource>>,
-    /// Of an angle the state of its sine, and what predicts that. The state itself is the cosine.
-    sine: Option<(StateId, Vec<Option<AnswerSource>>)>,
+    /// Why there is no model, once one was missing.
+    missing: Vec<Option<Arc<str>>>,
+    is_angle: bool,
     errors: Vec<Evaluation>,
+}
+
+/// The sine of an angle, whose state is its cosine, with its answer sources.
+#[derive(Debug)]
+pub(crate) struct Sine {
+    /// The state.
+    pub(crate) state: StateId,
+    /// One for each of [`Evaluator::kinds_to_fit`].
+    pub(crate) fitted: Vec<AnswerSource>,
 }
 
 impl Evaluator {
@@ -79,11 +88,6 @@ impl Evaluator {
         kinds.into_iter()
     }
 
-    /// Whether the state has no sums yet.
-    pub(crate) fn is_new(&self, subject: Subject) -> bool {
-        !self.sums.contains_key(&subject)
-    }
-
     /// An answer source without a model, for this reason.
     pub(crate) fn nothing(&mut self, reason: &str) -> AnswerSource {
         let known = self.reasons.get(reason).cloned();
@@ -94,55 +98,56 @@ impl Evaluator {
         }))
     }
 
-    /// Adds a state with its answer sources, one for each of [`Evaluator::kinds_to_fit`]. No effect if the state is
-    /// known.
-    pub(crate) fn begin(&mut self, of: StateOrCell, fitted: impl IntoIterator<Item = AnswerSource>) {
+    /// Begins the sums of a state, so that rows have the order of the beginnings. No effect if the state is known.
+    pub(crate) fn begin(&mut self, of: &StateOrCell, is_angle: bool) {
         let subject = of.subject();
         if let Entry::Vacant(entry) = self.sums.entry(subject) {
-            let answering = by_row(&self.rows, fitted);
-            entry.insert(ErrorSums { of, answering, sine: None, errors: vec![Evaluation::default(); self.rows.len()] });
+            let rows = self.rows.len();
+            entry.insert(ErrorSums {
+                of: of.clone(),
+                missing: vec![None; rows],
+                is_angle,
+                errors: vec![Evaluation::default(); rows],
+            });
             self.states.push(subject);
         }
     }
 
-    /// Makes a state with its answer sources the sine of an angle whose cosine has just begun: observations are angles.
-    pub(crate) fn begin_sine(
-        &mut self,
-        cosine: StateId,
-        sine: StateId,
-        fitted: impl IntoIterator<Item = AnswerSource>,
-    ) {
-        if let Some(sums) = self.sums.get_mut(&Subject::State(cosine)) {
-            sums.sine = Some((sine, by_row(&self.rows, fitted)));
+    /// Adds observations of a state that has begun; `fitted` has one answer source for each of
+    /// [`Evaluator::kinds_to_fit`]. With a sine, the observations are angles.
+    pub(crate) fn add(&mut self, subject: Subject, samples: &[Sample], fitted: Vec<AnswerSource>, sine: Option<Sine>) {
+        let Some(sums) = self.sums.get_mut(&subject) else { return };
+        let answering = by_row(&self.rows, fitted);
+        let sine = sine.map(|Sine { state, fitted }| (state, by_row(&self.rows, fitted)));
+        for (index, missing) in sums.missing.iter_mut().enumerate() {
+            let sources = [answering.get(index), sine.as_ref().and_then(|(_, sources)| sources.get(index))];
+            for source in sources.into_iter().flatten() {
+                if let Some(AnswerSource::Nothing(reason)) = source {
+                    missing.get_or_insert_with(|| Arc::clone(reason));
+                }
+            }
         }
-    }
-
-    /// Adds observations, grouped by state; `order` lists the states, which must be known.
-    pub(crate) fn add(&mut self, order: &[Subject], by_state: &HashMap<Subject, Vec<Sample>>) {
-        for subject in order {
-            let (Some(samples), Some(sums)) = (by_state.get(subject), self.sums.get_mut(subject)) else { continue };
-            for block in samples.chunks(TIMES_PER_BLOCK) {
-                let times: Vec<i64> = block.iter().map(|sample| sample.utc_nanos).collect();
-                let prepared = self.view.prepare(&times);
-                let mut predicted = vec![0.0; block.len()];
-                let mut sines = vec![0.0; block.len()];
-                let rows = self.rows.iter().zip(&sums.answering).zip(&mut sums.errors).enumerate();
-                for (index, ((row, answering), sum)) in rows {
-                    if !answer(&self.view, &sums.of, answering.as_ref(), &prepared, *row, &mut predicted) {
-                        continue;
-                    }
-                    if let Some((sine, answering)) = &sums.sine {
-                        let answering = answering.get(index).and_then(Option::as_ref);
-                        if answer(&self.view, &(*sine).into(), answering, &prepared, *row, &mut sines) {
-                            for ((sample, &cos), &sin) in block.iter().zip(&predicted).zip(&sines) {
-                                sum.add_angle(direction_rad([cos, sin]), sample.value);
-                            }
+        for block in samples.chunks(TIMES_PER_BLOCK) {
+            let times: Vec<i64> = block.iter().map(|sample| sample.utc_nanos).collect();
+            let prepared = self.view.prepare(&times);
+            let mut predicted = vec![0.0; block.len()];
+            let mut sines = vec![0.0; block.len()];
+            let rows = self.rows.iter().zip(&answering).zip(&mut sums.errors).enumerate();
+            for (index, ((row, answering), sum)) in rows {
+                if !answer(&self.view, &sums.of, answering.as_ref(), &prepared, *row, &mut predicted) {
+                    continue;
+                }
+                if let Some((sine, answering)) = &sine {
+                    let answering = answering.get(index).and_then(Option::as_ref);
+                    if answer(&self.view, &(*sine).into(), answering, &prepared, *row, &mut sines) {
+                        for ((sample, &cos), &sin) in block.iter().zip(&predicted).zip(&sines) {
+                            sum.add_angle(direction_rad([cos, sin]), sample.value);
                         }
-                        continue;
                     }
-                    for (sample, &probability) in block.iter().zip(&predicted) {
-                        sum.add(probability, sample.value);
-                    }
+                    continue;
+                }
+                for (sample, &probability) in block.iter().zip(&predicted) {
+                    sum.add(probability, sample.value);
                 }
             }
         }
@@ -150,21 +155,18 @@ impl Evaluator {
 
     /// The rows: name of the state, model with its order, sums.
     pub(crate) fn rows(&self) -> impl Iterator<Item = (StateOrCell, Cow<'_, str>, ModelSelector, &Evaluation)> {
-        self.all().filter(|(.., answering, _)| !matches!(answering, Some(AnswerSource::Nothing(_)))).map(
-            |(of, row, _, errors)| {
-                let order = Some(of.order(&self.view, *row)).filter(|_| row.kind.has_order());
-                (of.clone(), self.name(of), ModelSelector { order, ..*row }, errors)
-            },
-        )
+        self.all().filter(|(.., missing, _)| missing.is_none()).map(|(of, row, _, errors)| {
+            let order = Some(of.order(&self.view, *row)).filter(|_| row.kind.has_order());
+            (of.clone(), self.name(of), ModelSelector { order, ..*row }, errors)
+        })
     }
 
     /// The missing rows, by model: model, reason, and names of the states.
     pub(crate) fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> {
         let mut found: Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> = Vec::new();
         let mut places = HashMap::new();
-        for (of, row, answering, _) in self.all() {
-            let Some(AnswerSource::Nothing(reason)) = answering else { continue };
-            let reason = &**reason;
+        for (of, row, missing, _) in self.all() {
+            let Some(reason) = missing.as_deref() else { continue };
             let place = *places.entry((*row, reason)).or_insert_with(|| {
                 found.push((*row, reason, Vec::new()));
                 found.len() - 1
@@ -178,16 +180,16 @@ impl Evaluator {
     }
 
     /// All rows by state, with or without a model.
-    fn all(&self) -> impl Iterator<Item = (&StateOrCell, &ModelSelector, &Option<AnswerSource>, &Evaluation)> {
+    fn all(&self) -> impl Iterator<Item = (&StateOrCell, &ModelSelector, &Option<Arc<str>>, &Evaluation)> {
         self.states.iter().filter_map(|subject| self.sums.get(subject)).flat_map(|sums| {
-            let rows = self.rows.iter().zip(&sums.answering).zip(&sums.errors);
-            rows.map(move |((row, answering), errors)| (&sums.of, row, answering, errors))
+            let rows = self.rows.iter().zip(&sums.missing).zip(&sums.errors);
+            rows.map(move |((row, missing), errors)| (&sums.of, row, missing, errors))
         })
     }
 
     fn name(&self, of: &StateOrCell) -> Cow<'_, str> {
         let StateOrCell::State(id) = *of else { return of.name(&self.view) };
-        let is_angle = self.sums.get(&of.subject()).is_some_and(|sums| sums.sine.is_some());
+        let is_angle = self.sums.get(&of.subject()).is_some_and(|sums| sums.is_angle);
         let name = self.view.info(id).map(|info| &info.name);
         let angle = name.filter(|_| is_angle).and_then(|name| name.as_angle_axis()).map(|(angle, _)| angle);
         Cow::Borrowed(angle.or(name.map(|name| name.as_str())).unwrap_or_default())

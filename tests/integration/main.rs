@@ -3,6 +3,7 @@
 mod acceptance;
 mod bad_input;
 mod durability;
+mod evaluation;
 mod examples;
 mod exploration;
 mod grid;

@@ -1,5 +1,9 @@
 //! Comparing predictions with given observations, which are not learned.
 //!
+//! A request takes a bounded number of states. More states make further requests, each with its portion of the states;
+//! the results stand in the order of the states' first appearance. Each request compares with the generation that is
+//! published when it begins.
+//!
 //! Invariant: observations are sent in messages of bounded size; none is kept here after its message is full.
 
 use std::collections::HashMap;
@@ -12,7 +16,7 @@ use tokio::{sync::mpsc, task::JoinHandle};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
-use super::{ModelSelector, selector_of};
+use super::{ModelKind, ModelSelector, ORDER_MAX, selector_of};
 use crate::{
     connection::Client,
     error::Error,
@@ -22,6 +26,12 @@ use crate::{
 /// Limits of one message of the daemon.
 const LIMITS: BatchLimits = BatchLimits { observations: 4096, bytes: 1 << 20 };
 const QUEUED_MESSAGES: usize = 2;
+/// Limits of one request of the daemon: states, and states times models and orders.
+const STATES_MAX: usize = 10_000;
+const SUMS_MAX: usize = 1_000_000;
+/// Maximum number of requests at once: half of what a connection takes. The last one takes all further states, and the
+/// daemon says where its limit is.
+const PORTIONS_MAX: usize = 32;
 
 /// A request for a comparison.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -73,11 +83,21 @@ pub struct Comparison {
 #[derive(Debug)]
 pub struct Evaluator {
     client: Client,
+    header: v1::EvaluateHeader,
+    /// Maximum number of states of one portion.
+    states_per_portion: usize,
+    portions: Vec<StatePortion>,
+    /// The portion of each state, and its index in the portion.
+    places: HashMap<Box<str>, (usize, u32)>,
+}
+
+/// One request, with its portion of the states.
+#[derive(Debug)]
+struct StatePortion {
     requests: mpsc::Sender<EvaluateStatesRequest>,
     answer: JoinHandle<Result<v1::EvaluateStatesResponse, Status>>,
     entries: Vec<Entry>,
     names: Vec<Box<str>>,
-    indices: HashMap<Box<str>, u32>,
     table: StreamTable,
 }
 
@@ -85,27 +105,23 @@ impl Client {
     /// Starts a comparison.
     #[must_use]
     pub fn evaluate(&self, options: EvaluateOptions) -> Evaluator {
+        let orders = options.max_order.map_or(ORDER_MAX, |order| order as usize) + 1;
+        let rows = |model: &ModelSelector| match model.order {
+            None if model.kind == ModelKind::Spectral => orders,
+            _ => 1,
+        };
+        let rows = if options.models.is_empty() { orders } else { options.models.iter().map(rows).sum() };
         let header = v1::EvaluateHeader {
             map: options.map,
             models: options.models.into_iter().map(selector_to_wire).collect(),
             max_order: options.max_order,
         };
-        let (requests, outgoing) = mpsc::channel(QUEUED_MESSAGES);
-        // A new channel has room.
-        let _ = requests.try_send(EvaluateStatesRequest { message: Some(Message::Header(header)) });
-        let mut service = self.query_service();
-        let answer = tokio::spawn(async move {
-            let response = service.evaluate_states(ReceiverStream::new(outgoing)).await?;
-            Ok(response.into_inner())
-        });
         Evaluator {
             client: self.clone(),
-            requests,
-            answer,
-            entries: Vec::new(),
-            names: Vec::new(),
-            indices: HashMap::new(),
-            table: StreamTable::default(),
+            portions: vec![StatePortion::begin(self, &header)],
+            header,
+            states_per_portion: (SUMS_MAX / rows.max(1)).clamp(1, STATES_MAX),
+            places: HashMap::new(),
         }
     }
 }
@@ -114,17 +130,62 @@ impl Evaluator {
     /// Adds an observation; its time is at least 0. `false`: the daemon accepts no more, and [`Evaluator::finish`]
     /// returns the reason.
     pub async fn add(&mut self, state: &str, time_nanos: i64, value: f64) -> bool {
-        let index = match self.indices.get(state) {
-            Some(&index) => index,
-            None => {
-                let index = u32::try_from(self.names.len()).unwrap_or(u32::MAX);
-                self.names.push(state.into());
-                self.indices.insert(state.into(), index);
-                index
-            }
+        let (portion, index) = match self.places.get(state) {
+            Some(&place) => place,
+            None => self.place(state),
         };
-        self.entries.push(Entry { state: index, time_nanos: time_nanos.max(0), value, position: None });
-        self.entries.len() < LIMITS.observations || self.send().await
+        let Some(portion) = self.portions.get_mut(portion) else { return false };
+        portion.entries.push(Entry { state: index, time_nanos: time_nanos.max(0), value, position: None });
+        portion.entries.len() < LIMITS.observations || portion.send().await
+    }
+
+    /// The place of a new state, in the last portion or a new one.
+    fn place(&mut self, state: &str) -> (usize, u32) {
+        let is_full = |portion: &StatePortion| portion.names.len() >= self.states_per_portion;
+        if self.portions.len() < PORTIONS_MAX && self.portions.last().is_none_or(is_full) {
+            self.portions.push(StatePortion::begin(&self.client, &self.header));
+        }
+        let last = self.portions.len() - 1;
+        let names = &mut self.portions[last].names;
+        let place = (last, u32::try_from(names.len()).unwrap_or(u32::MAX));
+        names.push(state.into());
+        self.places.insert(state.into(), place);
+        place
+    }
+
+    /// Sends the remaining observations and waits for the result.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist.
+    pub async fn finish(self) -> Result<Comparison, Error> {
+        let mut whole = Comparison::default();
+        for portion in self.portions {
+            let answer = portion.finish().await?.map_err(|status| self.client.error(&status))?;
+            whole.evaluations.extend(answer.evaluations.into_iter().map(from_wire));
+            for missing in answer.unavailable {
+                let (model, reason) = (selector_of(missing.model), missing.reason);
+                let known = whole.unavailable.iter_mut().find(|known| known.model == model && known.reason == reason);
+                match known {
+                    Some(known) => known.states.extend(missing.states),
+                    None => whole.unavailable.push(Unavailable { model, reason, states: missing.states }),
+                }
+            }
+        }
+        Ok(whole)
+    }
+}
+
+impl StatePortion {
+    fn begin(client: &Client, header: &v1::EvaluateHeader) -> Self {
+        let (requests, outgoing) = mpsc::channel(QUEUED_MESSAGES);
+        // A new channel has room.
+        let _ = requests.try_send(EvaluateStatesRequest { message: Some(Message::Header(header.clone())) });
+        let mut service = client.query_service();
+        let answer = tokio::spawn(async move {
+            let response = service.evaluate_states(ReceiverStream::new(outgoing)).await?;
+            Ok(response.into_inner())
+        });
+        Self { requests, answer, entries: Vec::new(), names: Vec::new(), table: StreamTable::default() }
     }
 
     async fn send(&mut self) -> bool {
@@ -142,25 +203,11 @@ impl Evaluator {
         true
     }
 
-    /// Sends the remaining observations and waits for the result.
-    ///
-    /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist.
-    pub async fn finish(mut self) -> Result<Comparison, Error> {
+    async fn finish(mut self) -> Result<Result<v1::EvaluateStatesResponse, Status>, Error> {
         self.send().await;
-        let Self { client, requests, answer, .. } = self;
+        let Self { requests, answer, .. } = self;
         drop(requests);
-        let answer = answer.await.map_err(|_| Error::Protocol("the comparison was interrupted"))?;
-        let answer = answer.map_err(|status| client.error(&status))?;
-        let unavailable = answer.unavailable.into_iter().map(|missing| Unavailable {
-            model: selector_of(missing.model),
-            reason: missing.reason,
-            states: missing.states,
-        });
-        Ok(Comparison {
-            evaluations: answer.evaluations.into_iter().map(from_wire).collect(),
-            unavailable: unavailable.collect(),
-        })
+        answer.await.map_err(|_| Error::Protocol("the comparison was interrupted"))
     }
 }
 

@@ -1,12 +1,12 @@
 //! `EvaluateStates`: compares predictions with observations, which are not learned.
 //!
-//! Invariant: memory depends on the number of states and models, not on that of observations.
+//! Observations wait until there are many of them; then they are compared state by state, so that the models of one
+//! state at a time are held, however many states there are.
+//!
+//! Invariant: memory depends on the number of states and models, not on that of observations; models are held of one
+//! state at a time.
 
-use std::{
-    borrow::Cow,
-    collections::{HashMap, hash_map::Entry},
-    sync::Arc,
-};
+use std::{borrow::Cow, collections::HashMap, sync::Arc};
 
 use tidemap_map::{
     event::{StateKind, StateShape},
@@ -28,7 +28,8 @@ use tonic::{Status, Streaming};
 
 use super::{Queries, STATES_MAX, fitting::LearnedState};
 use crate::{
-    evaluation::{AnswerSource, Evaluator},
+    evaluation::{AnswerSource, Evaluator, Sine},
+    ingest::handle::MapHandle,
     model_cache::ModelUnavailable,
     rpc::{
         lookup::{check_limit, find_all, find_map},
@@ -39,6 +40,8 @@ use crate::{
 
 /// Maximum number of error sums of one evaluation, one per state, model and order: 24 MB, which fits into a reply.
 const SUMS_MAX: usize = 1_000_000;
+/// Observations that wait to be compared, 12 MB: with fewer, models that the cache does not keep are fitted more often.
+const WAITING_MAX: usize = 500_000;
 
 pub(super) async fn evaluate_states(
     queries: &Queries,
@@ -67,7 +70,7 @@ pub(super) async fn evaluate_states(
     check_limit("models", models.len() as u64, 64, "one request")?;
     let mut evaluator = Evaluator::new(Arc::clone(&view), models, max_order);
     let mut table: Vec<TableEntry> = Vec::new();
-    let mut reserved = queries.fitting.reserve(0)?;
+    let mut waiting = WaitingObservations::default();
     while let Some(request) = stream.message().await? {
         let Some(v1::evaluate_states_request::Message::Observations(mut columns)) = request.message else {
             let error = InvalidField::new("observations", "every message after the first must have them");
@@ -90,8 +93,6 @@ pub(super) async fn evaluate_states(
         }
         let columns = decode(columns).map_err(RpcError::from)?;
         let mut make = view.sample_maker();
-        let mut by_state: HashMap<Subject, Vec<Sample>> = HashMap::new();
-        let mut first_seen: Vec<Subject> = Vec::new();
         for i in 0..columns.values.len() {
             let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
             let Some(entry) = table.get(index as usize) else {
@@ -102,50 +103,21 @@ pub(super) async fn evaluate_states(
                 let text = format!("{time} ns is before 1970");
                 return Err(RpcError::from(InvalidField::new("observations.times", text)).into());
             }
-            let (subject, shape) = (entry.state.subject(), entry.shape(&view));
+            let shape = entry.shape(&view);
             let is_allowed = if entry.is_angle { shape.allows(value) } else { shape.kind().bounds().contains(&value) };
             if !is_allowed {
                 let text = format!("value {value} is not {}", shape.expected());
                 return Err(RpcError::from(InvalidField::new("observations.values", text)).into());
             }
-            let samples = match by_state.entry(subject) {
-                Entry::Occupied(samples) => samples.into_mut(),
-                Entry::Vacant(none) => {
-                    first_seen.push(subject);
-                    none.insert(Vec::new())
-                }
-            };
-            samples.push(make(time, value));
+            evaluator.begin(&entry.state, entry.is_angle);
+            waiting.push(entry, make(time, value));
         }
-        for &subject in first_seen.iter().filter(|subject| evaluator.is_new(**subject)).collect::<Vec<_>>() {
-            let Some(entry) = table.iter().find(|entry| entry.state.subject() == subject) else { continue };
-            let sine = match entry.state {
-                StateOrCell::State(cosine) if entry.is_angle => Some((cosine, sine_of(cosine))),
-                _ => None,
-            };
-            for axis in [None].into_iter().chain(sine.map(Some)) {
-                let of = axis.map_or_else(|| entry.state.clone(), |(_, sine)| sine.into());
-                let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), of);
-                let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
-                reserved.merge(queries.fitting.reserve(models.iter().flatten().count())?);
-                let answering = |model| match model {
-                    Ok(fitted) => AnswerSource::Fitted(fitted),
-                    Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),
-                };
-                let answering: Vec<AnswerSource> = models.into_iter().map(answering).collect();
-                match axis {
-                    None => evaluator.begin(entry.state.clone(), answering),
-                    Some((cosine, sine)) => evaluator.begin_sine(cosine, sine, answering),
-                }
-            }
+        // Without models to fit nothing is gained by waiting.
+        if waiting.count >= WAITING_MAX || evaluator.kinds_to_fit().next().is_none() {
+            evaluator = compare(queries, &handle, &view, std::mem::take(&mut waiting), evaluator).await?;
         }
-        evaluator = tokio::task::spawn_blocking(move || {
-            evaluator.add(&first_seen, &by_state);
-            evaluator
-        })
-        .await
-        .map_err(|_| RpcError::Stopping)?;
     }
+    let evaluator = compare(queries, &handle, &view, waiting, evaluator).await?;
     let evaluations = evaluator.rows().map(|(of, name, model, evaluation)| v1::Evaluation {
         state: name.into_owned(),
         model: Some(selector_to_wire(model)),
@@ -159,6 +131,88 @@ pub(super) async fn evaluate_states(
         states: states.into_iter().map(Cow::into_owned).collect(),
     });
     Ok(v1::EvaluateStatesResponse { evaluations: evaluations.collect(), unavailable: unavailable.collect() })
+}
+
+/// Observations that are not compared yet, by state in the order of first appearance.
+#[derive(Debug, Default)]
+struct WaitingObservations {
+    by_state: HashMap<Subject, Vec<Sample>>,
+    entries: Vec<TableEntry>,
+    count: usize,
+}
+
+impl WaitingObservations {
+    fn push(&mut self, entry: &TableEntry, sample: Sample) {
+        let entries = &mut self.entries;
+        let samples = self.by_state.entry(entry.state.subject()).or_insert_with(|| {
+            entries.push(entry.clone());
+            Vec::new()
+        });
+        samples.push(sample);
+        self.count += 1;
+    }
+}
+
+/// Compares observations, and holds the models of one state at a time.
+async fn compare(
+    queries: &Queries,
+    handle: &Arc<MapHandle>,
+    view: &Arc<MapView>,
+    waiting: WaitingObservations,
+    mut evaluator: Evaluator,
+) -> Result<Evaluator, Status> {
+    let WaitingObservations { mut by_state, entries, .. } = waiting;
+    let mut work: Vec<SubjectWork> = Vec::new();
+    let last = entries.len().saturating_sub(1);
+    for (index, TableEntry { state, is_angle }) in entries.into_iter().enumerate() {
+        let subject = state.subject();
+        let sine = match state {
+            StateOrCell::State(cosine) if is_angle => Some(sine_of(cosine)),
+            _ => None,
+        };
+        let samples = by_state.remove(&subject).unwrap_or_default();
+        let mut fitted = Vec::with_capacity(2);
+        let axes = [state].into_iter().chain(sine.map(StateOrCell::from));
+        let mut held = queries.fitting.reserve(0)?;
+        for axis in axes {
+            let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), axis);
+            let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
+            held.merge(queries.fitting.reserve(models.iter().flatten().count())?);
+            let source = |model| match model {
+                Ok(fitted) => AnswerSource::Fitted(fitted),
+                Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),
+            };
+            fitted.push(models.into_iter().map(source).collect::<Vec<AnswerSource>>());
+        }
+        let needs_models = fitted.iter().any(|sources| !sources.is_empty());
+        let mut fitted = fitted.into_iter();
+        let own = fitted.next().unwrap_or_default();
+        let sine = sine.map(|state| Sine { state, fitted: fitted.next().unwrap_or_default() });
+        work.push(SubjectWork { subject, samples, own, sine });
+        // States that the view answers by itself hold nothing: they are compared together.
+        if needs_models || index == last {
+            let work = std::mem::take(&mut work);
+            evaluator = tokio::task::spawn_blocking(move || {
+                for SubjectWork { subject, samples, own, sine } in work {
+                    evaluator.add(subject, &samples, own, sine);
+                }
+                evaluator
+            })
+            .await
+            .map_err(|_| RpcError::Stopping)?;
+        }
+        drop(held);
+    }
+    Ok(evaluator)
+}
+
+/// The observations of a state with what predicts them.
+#[derive(Debug)]
+struct SubjectWork {
+    subject: Subject,
+    samples: Vec<Sample>,
+    own: Vec<AnswerSource>,
+    sine: Option<Sine>,
 }
 
 /// What observations of a name are compared with.
