@@ -107,10 +107,8 @@ impl Caller {
     /// The caller of the request that this task works on. A task that was spawned by the work on a request does not
     /// know it, unless it was started with [`Caller::scope`].
     pub(crate) fn current() -> Self {
-        CALLER.try_with(Clone::clone).unwrap_or_else(|_| {
-            // Unit tests call services without a port.
-            if cfg!(test) { Self::Anybody } else { Self::Stranger }
-        })
+        // Unit tests call services without a port.
+        CALLER.try_with(Clone::clone).unwrap_or(if cfg!(test) { Self::Anybody } else { Self::Stranger })
     }
 
     /// Does work for this caller.

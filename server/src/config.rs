@@ -366,15 +366,16 @@ impl Settings {
             if address.rsplit_once(':').is_none_or(|(_, port)| port.parse::<u16>().is_err()) {
                 bail!("setting {key} is {address:?}: it must be HOST:PORT, for example 127.0.0.1:7435");
             }
-            if let Some(missing) = self.missing_protection().filter(|_| !is_local(address)) {
-                if !self.allow_insecure_remote {
-                    bail!(
-                        "setting {key} is {address:?}, which is reachable from beyond this machine, without {missing}: \
-                         {}. {}, listen on 127.0.0.1, or say --allow-insecure-remote",
-                        missing.consequence(),
-                        missing.remedy()
-                    );
-                }
+            if let Some(missing) = self.missing_protection()
+                && !is_local(address)
+                && !self.allow_insecure_remote
+            {
+                bail!(
+                    "setting {key} is {address:?}, which is reachable from beyond this machine, without {missing}: {}. \
+                     {}, listen on 127.0.0.1, or say --allow-insecure-remote",
+                    missing.consequence(),
+                    missing.remedy()
+                );
             }
         }
         Ok(())

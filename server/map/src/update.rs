@@ -55,6 +55,9 @@ mod spectrum_room;
 use spectrum_room::RoomInUse;
 pub use spectrum_room::{SpectrumRoom, SpectrumSpill};
 
+/// A state's model after an update.
+type LearnedModel = (StateId, Arc<StateModel>, UpdateOutcome);
+
 /// What an update learns from cannot be read back from the disk.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SumsUnavailable {
@@ -196,8 +199,7 @@ impl UpdateWork {
             progress.fetch_add(1, Ordering::Relaxed);
             Ok((id, Arc::new(model), outcome))
         };
-        let learned: Result<Vec<(StateId, Arc<StateModel>, UpdateOutcome)>, (StateId, String)> =
-            history.states.par_iter_mut().map(learn).collect();
+        let learned: Result<Vec<LearnedModel>, (StateId, String)> = history.states.par_iter_mut().map(learn).collect();
         let learned = learned.map_err(|(id, reason)| {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }

@@ -143,13 +143,13 @@ async fn a_revoked_token_ends_its_streams_and_others_go_on() {
     let daemon = launch(work.path(), &tokens).start();
     create_map(&client(&daemon, &all), "office").await;
     let methods = methods();
-    let open = async |token: &str, name: &str| {
+    let open = |token: &str, name: &str| {
         let method = methods.iter().find(|method| method.name == name).expect("a method");
         let connection = client(&daemon, token).requests();
         let (path, message) = (method.path.clone(), method.request("office"));
         tokio::spawn(async move { call(connection, &path, message, Duration::from_secs(20)).await })
     };
-    let (watch, other_watch) = (open(&lost, "WatchAnomalies").await, open(&kept, "WatchAnomalies").await);
+    let (watch, other_watch) = (open(&lost, "WatchAnomalies"), open(&kept, "WatchAnomalies"));
     let (mut robot, mut other_robot) = (stream(&daemon, &lost).await, stream(&daemon, &kept).await);
     // Both watches are open before the token goes.
     tokio::time::sleep(Duration::from_millis(500)).await;

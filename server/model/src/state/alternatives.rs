@@ -28,6 +28,9 @@ pub use combination::Combination;
 pub(super) use combination::SpectralAtOrder;
 pub use parts::{AlternativesParts, FitParts};
 
+/// A model's prediction for the time of a sample.
+pub(super) type SampleForecast<'a> = &'a dyn Fn(&Sample) -> f64;
+
 /// The last fit of a model to readings.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FitRecord {
@@ -317,7 +320,7 @@ impl Alternatives {
         newer: &[Sample],
         (spectral_day, spectral_sum): (f64, f64),
         (spectral_squared, unit): (f64, f64),
-        (combined, spectral_of): (Option<f64>, &dyn Fn(&Sample) -> f64),
+        (combined, spectral_of): (Option<f64>, SampleForecast<'_>),
     ) -> f64 {
         let criterion = rules.criterion;
         self.restrict(rules.models);

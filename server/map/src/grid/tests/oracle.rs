@@ -86,7 +86,7 @@ impl CellOracle {
 
     /// The times between a cell's readings are not known: a period is eligible by the observed span alone.
     fn ignore_gaps(&mut self, periodicities: &Periodicities) {
-        let (accumulator, errors) = (self.model.accumulator().clone(), self.model.errors().clone());
+        let (accumulator, errors) = (self.model.accumulator().clone(), *self.model.errors());
         let spectral = SpectralModel::fit(&accumulator, periodicities);
         let order = self.model.best_order();
         self.model = StateModel::from_parts(accumulator, spectral, order, errors).expect("valid");

@@ -210,7 +210,7 @@ impl HourTable {
     ///
     /// # Errors
     /// [`InvalidParts`] where there are not 168 and 48 cells or a number is outside its range.
-    pub fn from_parts(parts: HourTableParts) -> Result<HourTable, InvalidParts> {
+    pub fn from_parts(parts: &HourTableParts) -> Result<HourTable, InvalidParts> {
         for (field, found, expected) in [
             ("cells of the week", parts.cells.len(), WEEK_HOURS),
             ("cells of the days", parts.days.len(), 2 * DAY_HOURS),

@@ -133,10 +133,10 @@ fn damaged_parts_are_refused() {
     }));
     let mut table = HourTable::default().to_parts();
     table.cells[7][0] = f64::INFINITY;
-    assert!(HourTable::from_parts(table).is_err());
+    assert!(HourTable::from_parts(&table).is_err());
     let mut table = HourTable::default().to_parts();
     table.days.truncate(47);
-    assert!(HourTable::from_parts(table).is_err());
+    assert!(HourTable::from_parts(&table).is_err());
 }
 
 #[test]
@@ -232,7 +232,7 @@ proptest! {
         for (found, expected) in flat(&table).iter().zip(flat(&at_once)) {
             prop_assert!((found - expected).abs() < 1e-9);
         }
-        prop_assert_eq!(HourTable::from_parts(table.to_parts()), Ok(table.clone()));
+        prop_assert_eq!(HourTable::from_parts(&table.to_parts()), Ok(table.clone()));
         for cycle in [HistogramCycle::Day, HistogramCycle::Week, HistogramCycle::WeekdayWeekend] {
             for bins in 1..=168 {
                 let hours = if cycle == HistogramCycle::Week { 168 } else { 24 };

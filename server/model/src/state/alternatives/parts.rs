@@ -125,7 +125,7 @@ impl Alternatives {
         };
         let unknown = InvalidParts::OutOfRange { field: "chosen model", found: f64::from(parts.choice) };
         Ok(Alternatives {
-            hours: HourTable::from_parts(parts.hours)?,
+            hours: HourTable::from_parts(&parts.hours)?,
             parts: Errors {
                 spectral,
                 histograms,
