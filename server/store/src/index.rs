@@ -9,6 +9,7 @@ use std::{
     fs::{self, File},
     path::{Path, PathBuf},
     sync::Weak,
+    time::Duration,
 };
 
 use tidemap_map::{grid::tile::TileModel, snapshot::MapSnapshot, spec::MapSpec};
@@ -27,6 +28,10 @@ mod save;
 
 use read::MarkState;
 use rows::{Kind, Sum};
+
+/// How often an index that is still locked is tried again, and the pause between two tries.
+const LOCK_TRIES: usize = 250;
+const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
 /// The reason why an index must be replaced as a whole.
 pub(crate) type Damage = String;
@@ -109,7 +114,7 @@ impl Trees {
             // sled only logs a failed fsync of its own; here every flush is followed by an fsync of ours.
             let config = sled::Config::new().path(folder).cache_capacity(cache_bytes).flush_every_ms(None);
             let text = |error: sled::Error| error.to_string();
-            let db = config.open().map_err(text)?;
+            let db = open_unlocked(&config).map_err(text)?;
             let tree = |kind: Kind| db.open_tree(kind.name()).map_err(text);
             let [states, tiles, cells, sites, producers] = Kind::ALL.map(tree);
             Ok(Trees {
@@ -135,6 +140,22 @@ impl Trees {
         self.db.flush().map_err(|error| error.to_string())?;
         File::open(self.folder.join("db")).and_then(|file| file.sync_all()).map_err(|error| error.to_string())
     }
+}
+
+/// Opens the database. The threads of one that this process has just closed may hold its lock for a moment; another
+/// process cannot, because the lock of the data folder is ours.
+fn open_unlocked(config: &sled::Config) -> sled::Result<sled::Db> {
+    let mut opened = config.open();
+    for _ in 0..LOCK_TRIES {
+        match &opened {
+            Err(sled::Error::Io(error)) if error.to_string().contains("could not acquire lock") => {
+                std::thread::sleep(LOCK_PAUSE);
+                opened = config.open();
+            }
+            _ => break,
+        }
+    }
+    opened
 }
 
 impl Index {
