@@ -47,7 +47,12 @@ pub(crate) struct DayArgs {
     #[arg(long, value_name = "M", value_parser = spacing, conflicts_with = "locations")]
     views: Option<f64>,
     /// Values each slot by the information of a whole tour with this number of goals; the location is then `tour`
-    #[arg(long, value_name = "GOALS", conflicts_with_all = ["locations", "views"])]
+    #[arg(
+        long,
+        value_name = "GOALS",
+        value_parser = clap::value_parser!(u32).range(1..=100),
+        conflicts_with_all = ["locations", "views"]
+    )]
     tours: Option<u32>,
     /// Weight between exploration (1) and benefit to a task (0)
     #[arg(long, value_name = "W", requires = "task_states")]
