@@ -25,7 +25,7 @@ use crate::{
     config::Settings,
     connections::{
         ConnectionLimits, Connections,
-        accept::{Acceptor, HttpListener},
+        accept::{Acceptor, HttpListener, Listener},
         request_scan::Protocol,
         socket::listen_unix,
         tls::{Tls, TlsFiles},
@@ -219,11 +219,12 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let for_grpc = (Arc::clone(&catalog), settings.clone(), stopping.clone(), access.clone());
     let (grpc_acceptor, grpc_connections) =
         Acceptor::new(Connections::new(connection_limits(&settings)), Protocol::Http2);
-    grpc_acceptor.listen_tcp(grpc, grpc_tls.clone());
+    grpc_acceptor.listen(Listener::Tcp(grpc, grpc_tls.clone()));
     if !settings.socket.as_os_str().is_empty() {
         let socket = listen_unix(&settings.socket, settings.socket_mode);
         let address = || settings.socket.display().to_string();
-        grpc_acceptor.listen_unix(socket.map_err(|source| DaemonError::Listen { address: address(), source })?);
+        let socket = socket.map_err(|source| DaemonError::Listen { address: address(), source })?;
+        grpc_acceptor.listen(Listener::Unix(socket));
     }
     let mut grpc_task = tokio::spawn(async move {
         let (catalog, settings, stopping, access) = for_grpc;
@@ -232,7 +233,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     });
     let http_stop = wait();
     let (http_acceptor, accepted) = Acceptor::new(Connections::new(HTTP_CONNECTIONS), Protocol::Http1);
-    http_acceptor.listen_tcp(http, http_tls.clone().filter(|_| !http_address.ip().is_loopback()));
+    http_acceptor.listen(Listener::Tcp(http, http_tls.clone().filter(|_| !http_address.ip().is_loopback())));
     let http_access = if http_address.ip().is_loopback() { Access::Anybody } else { access };
     let http = HttpListener { address: http_address, accepted };
     let mut http_task =

@@ -15,7 +15,7 @@ use tokio::{
 };
 use tracing::{debug, error};
 
-use super::{Connections, Peer, Place, guard::GuardedConnection, request_scan::Protocol, socket::Socket, tls::Tls};
+use super::{Connections, Peer, guard::GuardedConnection, request_scan::Protocol, socket::Socket, tls::Tls};
 
 /// A connection as a server gets it.
 pub(crate) type Accepted = GuardedConnection<Socket>;
@@ -42,9 +42,9 @@ impl Acceptor {
         (Self { connections, protocol, accepted }, receiver)
     }
 
-    /// Accepts TCP connections, with TLS if there is one.
-    pub(crate) fn listen_tcp(&self, listener: TcpListener, tls: Option<Tls>) {
-        let (connections, protocol, accepted) = self.parts();
+    /// Accepts the connections of a listener; a port may have several.
+    pub(crate) fn listen(&self, listener: Listener) {
+        let (connections, protocol, accepted) = (self.connections.clone(), self.protocol, self.accepted.clone());
         tokio::spawn(async move {
             let mut failures = Failures::default();
             loop {
@@ -52,58 +52,42 @@ impl Acceptor {
                     next = listener.accept() => next,
                     () = accepted.closed() => return,
                 };
-                match next {
-                    Ok((socket, address)) => {
-                        // Replies are small and must not wait for each other.
-                        let _ = socket.set_nodelay(true);
-                        let place = connections.admit(Peer::Address(address.ip().to_canonical()));
-                        let socket = match &tls {
-                            Some(tls) => Socket::Tls(Box::new(tls.accept(socket))),
-                            None => Socket::Tcp(socket),
-                        };
-                        hand_over(place, socket, protocol, &accepted).await;
+                match next.map(|(socket, peer)| (socket, connections.admit(peer))) {
+                    // The server is gone only when the daemon stops.
+                    Ok((socket, Some(place))) => {
+                        drop(accepted.send(Ok(GuardedConnection::new(socket, place, protocol))).await);
                     }
+                    Ok((_, None)) => debug!("a connection was refused: all others are busy"),
                     Err(error) => failures.pause(&error, &connections).await,
                 }
             }
         });
-    }
-
-    /// Accepts connections over a Unix socket.
-    pub(crate) fn listen_unix(&self, listener: UnixListener) {
-        let (connections, protocol, accepted) = self.parts();
-        tokio::spawn(async move {
-            let mut failures = Failures::default();
-            loop {
-                let next = tokio::select! {
-                    next = listener.accept() => next,
-                    () = accepted.closed() => return,
-                };
-                match next {
-                    Ok((socket, _)) => {
-                        hand_over(connections.admit(Peer::Local), Socket::Unix(socket), protocol, &accepted).await;
-                    }
-                    Err(error) => failures.pause(&error, &connections).await,
-                }
-            }
-        });
-    }
-
-    fn parts(&self) -> (Connections, Protocol, mpsc::Sender<io::Result<Accepted>>) {
-        (self.connections.clone(), self.protocol, self.accepted.clone())
     }
 }
 
-async fn hand_over(
-    place: Option<Place>,
-    socket: Socket,
-    protocol: Protocol,
-    accepted: &mpsc::Sender<io::Result<Accepted>>,
-) {
-    match place {
-        // The server is gone only when the daemon stops.
-        Some(place) => drop(accepted.send(Ok(GuardedConnection::new(socket, place, protocol))).await),
-        None => debug!("a connection was refused: all others are busy"),
+/// Where connections come from.
+pub(crate) enum Listener {
+    /// A TCP port, with TLS if there is one.
+    Tcp(TcpListener, Option<Tls>),
+    /// A Unix socket.
+    Unix(UnixListener),
+}
+
+impl Listener {
+    async fn accept(&self) -> io::Result<(Socket, Peer)> {
+        match self {
+            Self::Tcp(listener, tls) => {
+                let (socket, address) = listener.accept().await?;
+                // Replies are small and must not wait for each other.
+                let _ = socket.set_nodelay(true);
+                let socket = match tls {
+                    Some(tls) => Socket::Tls(Box::new(tls.accept(socket))),
+                    None => Socket::Tcp(socket),
+                };
+                Ok((socket, Peer::Address(address.ip().to_canonical())))
+            }
+            Self::Unix(listener) => Ok((Socket::Unix(listener.accept().await?.0), Peer::Local)),
+        }
     }
 }
 
