@@ -2,51 +2,10 @@
 //!
 //! Invariant: the gRPC frames are valid; their content is that of the test.
 
-use bytes::{Buf as _, BufMut as _};
-use tonic::{
-    Status,
-    client::Grpc,
-    codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder},
-    codegen::http::uri::PathAndQuery,
-    transport::Endpoint,
-};
+use bytes::Bytes;
+use tonic::{Status, client::Grpc, codegen::http::uri::PathAndQuery, transport::Endpoint};
 
-#[derive(Default)]
-struct Plain;
-
-impl Codec for Plain {
-    type Encode = Vec<u8>;
-    type Decode = Vec<u8>;
-    type Encoder = Self;
-    type Decoder = Self;
-
-    fn encoder(&mut self) -> Self {
-        Self
-    }
-
-    fn decoder(&mut self) -> Self {
-        Self
-    }
-}
-
-impl Encoder for Plain {
-    type Item = Vec<u8>;
-    type Error = Status;
-
-    fn encode(&mut self, item: Vec<u8>, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
-        buffer.put_slice(&item);
-        Ok(())
-    }
-}
-
-impl Decoder for Plain {
-    type Item = Vec<u8>;
-    type Error = Status;
-
-    fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<Vec<u8>>, Status> {
-        Ok(Some(buffer.copy_to_bytes(buffer.remaining()).to_vec()))
-    }
-}
+use crate::raw_calls::Unchanged;
 
 /// Opens a stream of observations, sends these messages, and returns how the stream ended.
 ///
@@ -61,8 +20,11 @@ pub async fn observe(address: &str, messages: Vec<Vec<u8>>) -> Result<usize, Sta
     grpc.ready().await.expect("a connection");
     let path = PathAndQuery::from_static("/tidemap.v1.ObservationService/Observe");
     // The stream stays open: the daemon must end it.
-    let requests = tokio_stream::StreamExt::chain(tokio_stream::iter(messages), tokio_stream::pending());
-    let mut replies = grpc.streaming(tonic::Request::new(requests), path, Plain).await?.into_inner();
+    let requests = tokio_stream::StreamExt::chain(
+        tokio_stream::iter(messages.into_iter().map(Bytes::from)),
+        tokio_stream::pending(),
+    );
+    let mut replies = grpc.streaming(tonic::Request::new(requests), path, Unchanged).await?.into_inner();
     let count = async {
         let mut count = 0;
         while replies.message().await?.is_some() {

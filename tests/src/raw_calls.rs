@@ -18,7 +18,7 @@ use tonic::{
 
 /// Messages as they are.
 #[derive(Clone, Copy, Debug, Default)]
-struct Unchanged;
+pub(crate) struct Unchanged;
 
 impl Codec for Unchanged {
     type Encode = Bytes;
