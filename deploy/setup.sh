@@ -117,6 +117,7 @@ if [ "$goal" = test ]; then
             install "${tool##*:}" || say "no ${tool##*:}: the durability tests that use it are skipped"
         fi
     done
+    have curl || install curl || fail "curl is missing, which an example of the guide uses: install curl"
     if [ -n "$toolchain" ]; then export RUSTUP_TOOLCHAIN=$toolchain; fi
     if have cargo-nextest; then
         nextest=yes

@@ -39,7 +39,7 @@ pub(crate) struct Flags {
     #[arg(long, value_name = "HOST:PORT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub listen: Option<String>,
-    /// Address of the HTTP port for health and metrics; port 0 picks a free one [default: 127.0.0.1:7436].
+    /// Address of the HTTP port: the page, JSON, health and metrics; port 0 picks a free one [default: 127.0.0.1:7436].
     #[arg(long, value_name = "HOST:PORT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub http_listen: Option<String>,
@@ -48,6 +48,11 @@ pub(crate) struct Flags {
     #[arg(long, value_name = "FILE", global = true)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tokens_file: Option<PathBuf>,
+    /// Let everybody who reaches the HTTP port change data, where no tokens are configured. Without it, the HTTP port
+    /// is for reading.
+    #[arg(long)]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub http_write: bool,
     /// Listen on other addresses than this machine's without TLS or without tokens: everybody who reaches the port can
     /// then read what is sent, or read, write and delete all maps.
     #[arg(long)]
@@ -151,8 +156,13 @@ settings! {
     data_dir: PathBuf = PathBuf::from("./tidemap-data");
     /// Address of the gRPC port.
     listen: String = "127.0.0.1:7435".to_owned();
-    /// Address of the HTTP port for health and metrics.
+    /// Address of the HTTP port: the page, JSON, health and metrics.
     http_listen: String = "127.0.0.1:7436".to_owned();
+    /// Host names by which browsers may reach the HTTP port where no tokens are configured, besides localhost and
+    /// addresses.
+    http_hosts: Vec<String> = Vec::new();
+    /// Let everybody who reaches the HTTP port change data, where no tokens are configured.
+    http_write: bool = false;
     /// A Unix socket on which the gRPC port is served as well, for clients of this machine; empty: none.
     socket: PathBuf = PathBuf::new();
     /// Permissions of the Unix socket; who may write to it may connect. `0o660` lets the daemon's group connect.

@@ -34,8 +34,9 @@ use crate::{
     ingest::writer::Context,
     jobs::Jobs,
     reload::FileWatch,
-    rpc::{self, guard::Access},
+    rpc::{self, guard::Access, serve::Services},
     telemetry,
+    web::{self, KnownHosts},
 };
 
 /// Time for connections to close after their streams got a goodbye.
@@ -130,6 +131,18 @@ fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
     Ok(Access::Tokens(keyring))
 }
 
+/// What the HTTP port serves of maps. Where tokens are asked for, they decide; without, the port is for reading, and
+/// browsers must reach it by a name that the operator knows.
+fn web(services: &Services, access: &Access, settings: &Settings) -> anyhow::Result<axum::Router> {
+    let hosts = KnownHosts::listed(&settings.http_hosts);
+    let (access, hosts) = match access {
+        Access::Tokens(_) => (access.clone(), KnownHosts::any()),
+        Access::Anybody if settings.http_write => (Access::Anybody, hosts),
+        Access::Anybody | Access::Readers => (Access::Readers, hosts),
+    };
+    web::router(&services.guarded(access), hosts)
+}
+
 /// Takes the permissions of other users on the data folder away, which an earlier version or a copy may have given.
 fn close_to_others(folder: &Path) {
     let mode = match std::fs::metadata(folder) {
@@ -216,7 +229,8 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         }
     };
     let grpc_stop = wait();
-    let for_grpc = (Arc::clone(&catalog), settings.clone(), stopping.clone(), access.clone());
+    let services = rpc::serve::services(Arc::clone(&catalog), &settings, stopping.clone()).await;
+    let web = web(&services, &access, &settings)?;
     let (grpc_acceptor, grpc_connections) =
         Acceptor::new(Connections::new(connection_limits(&settings)), Protocol::Http2);
     grpc_acceptor.listen(Listener::Tcp(grpc, grpc_tls.clone()));
@@ -226,18 +240,16 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         let socket = socket.map_err(|source| DaemonError::Listen { address: address(), source })?;
         grpc_acceptor.listen(Listener::Unix(socket));
     }
-    let mut grpc_task = tokio::spawn(async move {
-        let (catalog, settings, stopping, access) = for_grpc;
-        let is_local = grpc_address.ip().is_loopback();
-        rpc::serve::serve((grpc_connections, access), is_local, catalog, &settings, stopping, grpc_stop).await
-    });
+    let is_local = grpc_address.ip().is_loopback();
+    let mut grpc_task =
+        tokio::spawn(rpc::serve::serve(grpc_connections, access.clone(), services, is_local, grpc_stop));
     let http_stop = wait();
     let (http_acceptor, accepted) = Acceptor::new(Connections::new(HTTP_CONNECTIONS), Protocol::Http1);
     http_acceptor.listen(Listener::Tcp(http, http_tls.clone().filter(|_| !http_address.ip().is_loopback())));
     let http_access = if http_address.ip().is_loopback() { Access::Anybody } else { access };
     let http = HttpListener { address: http_address, accepted };
     let mut http_task =
-        tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, http_access, stopping, http_stop));
+        tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, http_access, web, stopping, http_stop));
     let tls: Vec<Tls> = grpc_tls.into_iter().chain(http_tls).collect();
     if !tls.is_empty() {
         tokio::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));

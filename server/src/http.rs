@@ -1,6 +1,6 @@
-//! The HTTP port: health for everybody, and metrics, beyond this machine for holders of tokens.
+//! The HTTP port: health for everybody, metrics, beyond this machine for holders of tokens, and what [`web`] adds.
 //!
-//! Invariant: nothing here reveals the content of a map, and nothing here changes a map.
+//! Invariant: health and metrics reveal nothing of the content of a map, and are asked by any host name.
 
 use std::{future::Future, sync::Arc};
 
@@ -11,13 +11,14 @@ use tokio::sync::watch;
 
 use crate::{
     catalog::Catalog,
+    connections::Peer,
     connections::accept::HttpListener,
     ingest::handle::{MapHandle, OpenProgress},
     rpc::guard::Access,
-    statistics,
+    statistics, web,
 };
 
-const INDEX: &str = "tidemapd\n\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
+const INDEX: &str = "tidemapd\n\n/api/v1/openapi.json  what can be asked as JSON\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
 
 /// A line for each map that is being opened; no names, because nobody has to log in here.
 fn opening(catalog: &Catalog) -> String {
@@ -52,6 +53,7 @@ pub(crate) async fn serve(
     catalog: Arc<Catalog>,
     metrics: PrometheusHandle,
     access: Access,
+    web: Router,
     stopping: watch::Receiver<bool>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> std::io::Result<()> {
@@ -72,31 +74,28 @@ pub(crate) async fn serve(
             }
         }
     };
-    let router = Router::new()
-        .route("/", get(|| async { INDEX }))
-        .route("/healthz", get(|| async { "alive\n" }))
-        .route("/readyz", get(ready))
-        .route(
-            "/metrics",
-            get(move |request: Request| {
-                let (catalog, metrics) = (Arc::clone(&catalog), metrics.clone());
-                let allowed = access.may_read_metrics(&request);
-                async move {
-                    match allowed {
-                        Ok(true) => {}
-                        Ok(false) => return Err(StatusCode::FORBIDDEN),
-                        Err(_) => return Err(StatusCode::UNAUTHORIZED),
-                    }
-                    // Sizes are read from the disk.
-                    let text = tokio::task::spawn_blocking(move || {
-                        for (name, value, _) in statistics::of_daemon(&catalog) {
-                            metrics::gauge!(format!("tidemap_{name}")).set(value);
-                        }
-                        metrics.render()
-                    });
-                    text.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
+    let router = if web::has_page() { web } else { web.route("/", get(|| async { INDEX })) };
+    let router = router.route("/healthz", get(|| async { "alive\n" })).route("/readyz", get(ready)).route(
+        "/metrics",
+        get(move |request: Request| {
+            let (catalog, metrics) = (Arc::clone(&catalog), metrics.clone());
+            let allowed = access.may_read_metrics(&request);
+            async move {
+                match allowed {
+                    Ok(true) => {}
+                    Ok(false) => return Err(StatusCode::FORBIDDEN),
+                    Err(_) => return Err(StatusCode::UNAUTHORIZED),
                 }
-            }),
-        );
-    axum::serve(listener, router).with_graceful_shutdown(stop).await
+                // Sizes are read from the disk.
+                let text = tokio::task::spawn_blocking(move || {
+                    for (name, value, _) in statistics::of_daemon(&catalog) {
+                        metrics::gauge!(format!("tidemap_{name}")).set(value);
+                    }
+                    metrics.render()
+                });
+                text.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
+            }
+        }),
+    );
+    axum::serve(listener, router.into_make_service_with_connect_info::<Peer>()).with_graceful_shutdown(stop).await
 }

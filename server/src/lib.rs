@@ -23,6 +23,7 @@ mod rpc;
 mod state_or_cell;
 mod statistics;
 mod telemetry;
+mod web;
 
 use std::{process::ExitCode, sync::Arc};
 

@@ -16,3 +16,4 @@ mod security;
 mod tidy;
 mod traversals;
 mod vectors;
+mod web;

@@ -234,9 +234,12 @@ fn libraries_stay_where_they_belong() {
             let code = code(&read(&path));
             let may_tonic = path.starts_with("proto/")
                 || path.starts_with("server/src/rpc")
+                || path.starts_with("server/src/web")
                 || matches!(*folder, "client" | "client/cli");
             if !may_tonic && names(&code, "tonic") {
-                broken.push(format!("{path}: names tonic; only proto, server/src/rpc*, client and client/cli may"));
+                broken.push(format!(
+                    "{path}: names tonic; only proto, server/src/{{rpc,web}}*, client and client/cli may"
+                ));
             }
             if !matches!(*folder, "server/store" | "migrations") && names(&code, "sled") {
                 broken.push(format!("{path}: names sled; only server/store and migrations may"));

@@ -20,6 +20,7 @@ pub mod recordings;
 pub mod rounds;
 pub mod stream;
 pub mod tokens;
+pub mod web;
 
 /// Compiles the Rust example of the guide with the doc tests.
 #[cfg(doctest)]

@@ -28,6 +28,8 @@ use crate::access::{
 pub(crate) enum Access {
     /// No tokens are configured: everybody may do everything.
     Anybody,
+    /// No tokens are configured, and the port is for reading: everybody may ask, and nobody may change anything.
+    Readers,
     /// Who has a token may do what it allows.
     Tokens(Keyring),
 }
@@ -36,7 +38,13 @@ impl Access {
     /// The caller of a method, if the caller may call it.
     fn check(&self, path: &str, request: &Request) -> Result<Caller, RpcError> {
         let need = need(path).ok_or(RpcError::UnknownMethod)?;
-        let Self::Tokens(keyring) = self else { return Ok(Caller::Anybody) };
+        let keyring = match (self, need) {
+            (Self::Tokens(keyring), _) => keyring,
+            (Self::Readers, Need::Role(role)) if role != Role::Planner => {
+                return Err(RpcError::ReadOnly { method: path.to_owned() });
+            }
+            (Self::Anybody | Self::Readers, _) => return Ok(Caller::Anybody),
+        };
         let caller = match (keyring.caller(request.headers()), need) {
             (Ok(caller), _) => caller,
             (Err(_), Need::Open) => return Ok(Caller::Stranger),

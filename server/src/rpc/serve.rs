@@ -20,9 +20,10 @@ use tidemap_proto::v1::{
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{service, transport::Server};
+use tower_layer::Layer as _;
 
 use super::{
-    admission::{Admission, RequestLimits},
+    admission::{Admission, AdmittedService, RequestLimits},
     exploration::{Explorations, PlanLimits},
     guard::{Access, admit},
     maintenance::Maintenance,
@@ -44,19 +45,27 @@ const STREAM_WINDOW: u32 = 256 * 1024;
 /// Room around the columns of a message.
 const MESSAGE_OVERHEAD: usize = 4096;
 
-/// Serves those who may be served until `stop` is ready and the connections are closed. Reflection is served if all
-/// clients are local.
-///
-/// # Errors
-/// The transport failed.
-pub(crate) async fn serve(
-    (connections, access): (mpsc::Receiver<std::io::Result<Accepted>>, Access),
-    is_local: bool,
-    catalog: Arc<Catalog>,
-    settings: &Settings,
-    stopping: watch::Receiver<bool>,
-    stop: impl Future<Output = ()>,
-) -> anyhow::Result<()> {
+/// The services behind guard and admission, for the requests of one port.
+pub(crate) type GuardedServices = AdmittedService<service::Routes>;
+
+/// The services of all ports.
+#[derive(Clone, Debug)]
+pub(crate) struct Services {
+    routes: service::Routes,
+    admission: Admission,
+}
+
+impl Services {
+    /// The services for callers with this access.
+    pub(crate) fn guarded(&self, access: Access) -> GuardedServices {
+        // Every request passes the guard, also one of a method that does not exist.
+        let router = self.routes.clone().prepare().into_axum_router().layer(from_fn_with_state(access, admit));
+        self.admission.layer(service::Routes::from(router))
+    }
+}
+
+/// Makes the services.
+pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stopping: watch::Receiver<bool>) -> Services {
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<ObservationServiceServer<Observations>>().await;
     health.set_serving::<QueryServiceServer<Queries>>().await;
@@ -97,13 +106,9 @@ pub(crate) async fn serve(
     let explorations = Explorations::new(Arc::clone(&catalog), &queries, plans);
     let routes = Arc::new(Routes::new(Arc::clone(&catalog), &queries, settings.max_predictions));
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
-    let reflection = tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(DESCRIPTORS)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        .build_v1()?;
     let admission =
         Admission::new(RequestLimits { total: settings.max_requests, per_client: settings.max_requests_per_client });
-    let services = service::Routes::default()
+    let routes = service::Routes::default()
         .add_service(health_service)
         .add_service(
             MapServiceServer::new(Maps { catalog: Arc::clone(&catalog) }).max_decoding_message_size(REQUEST_BYTES),
@@ -119,11 +124,28 @@ pub(crate) async fn serve(
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
         .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
         .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES));
-    let services = if is_local { services.add_service(reflection) } else { services };
-    // Every request passes the guard, also one of a method that does not exist.
-    let guarded = services.prepare().into_axum_router().layer(from_fn_with_state(access, admit));
+    Services { routes, admission }
+}
+
+/// Serves the gRPC port to those with access until `stop` is ready and the connections are closed. Reflection is served
+/// if all clients are local.
+///
+/// # Errors
+/// The transport failed.
+pub(crate) async fn serve(
+    connections: mpsc::Receiver<std::io::Result<Accepted>>,
+    access: Access,
+    mut services: Services,
+    is_local: bool,
+    stop: impl Future<Output = ()>,
+) -> anyhow::Result<()> {
+    if is_local {
+        let reflection = tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(DESCRIPTORS)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET);
+        services.routes = services.routes.add_service(reflection.build_v1()?);
+    }
     Server::builder()
-        .layer(admission)
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
         .initial_stream_window_size(STREAM_WINDOW)
         // Streams of a saturated map are not read for long; the other streams of the connection continue.
@@ -131,8 +153,7 @@ pub(crate) async fn serve(
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(10)))
         .http2_max_header_list_size(16 * 1024)
-        .add_routes(service::Routes::from(guarded))
-        .serve_with_incoming_shutdown(ReceiverStream::new(connections), stop)
+        .serve_with_incoming_shutdown(services.guarded(access), ReceiverStream::new(connections), stop)
         .await?;
     Ok(())
 }

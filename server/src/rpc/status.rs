@@ -111,6 +111,8 @@ pub(crate) enum RpcError {
     Revoked,
     #[error("{method} needs role {}, which the token does not have", .role.name())]
     NeedsRole { method: String, role: Role },
+    #[error("{method} changes data; over HTTP that needs tokens, or setting http_write (tidemapd --http-write)")]
+    ReadOnly { method: String },
     #[error("map {map:?} does not exist, or the token is not for it")]
     NotForMap { map: String },
     #[error("this needs a token for all maps")]
@@ -249,6 +251,7 @@ impl RpcError {
             Self::Denial(Denial::UnknownToken) => (Code::Unauthenticated, "UNKNOWN_TOKEN"),
             Self::Revoked => (Code::Unauthenticated, "REVOKED"),
             Self::NeedsRole { .. } => (Code::PermissionDenied, "NEEDS_ROLE"),
+            Self::ReadOnly { .. } => (Code::PermissionDenied, "READ_ONLY"),
             Self::NotForMap { .. } => (Code::PermissionDenied, "NOT_FOR_MAP"),
             Self::NeedsAllMaps => (Code::PermissionDenied, "NEEDS_ALL_MAPS"),
             Self::UnknownMethod => (Code::Unimplemented, "UNKNOWN_METHOD"),

@@ -1,0 +1,72 @@
+//! What browsers and scripts find on the HTTP port: gRPC-Web, the same RPCs as JSON, and the page.
+//!
+//! Invariant: a request reaches the RPCs by the same guard, admission and bounds as on the gRPC port. Requests of pages
+//! of other origins are refused. Without tokens the port is for reading, unless the operator says `http_write`.
+
+use std::sync::Arc;
+
+use axum::{
+    Router,
+    extract::Request,
+    middleware::{Next, from_fn, from_fn_with_state},
+    response::Response,
+    routing::{get, post},
+};
+use prost_reflect::DescriptorPool;
+use tidemap_proto::v1::DESCRIPTORS;
+use tonic_web::GrpcWebLayer;
+use tower_layer::Layer as _;
+
+use crate::{connections::Peer, rpc::serve::GuardedServices};
+
+mod assets;
+mod codec;
+mod json;
+mod openapi;
+mod origin;
+
+pub(crate) use assets::has_page;
+pub(crate) use origin::KnownHosts;
+
+/// The RPCs behind JSON.
+#[derive(Clone)]
+struct Gateway {
+    services: GuardedServices,
+    pool: DescriptorPool,
+    large: Arc<tokio::sync::Semaphore>,
+}
+
+/// The routes of gRPC-Web, JSON and the page.
+///
+/// # Errors
+/// The descriptors of the wire cannot be read, which is a defect of the build.
+pub(crate) fn router(services: &GuardedServices, hosts: KnownHosts) -> anyhow::Result<Router> {
+    let pool = DescriptorPool::decode(DESCRIPTORS)?;
+    let openapi = openapi::document(&pool);
+    let grpc_web = GrpcWebLayer::new().layer(services.clone());
+    let mut router = Router::new()
+        .route("/api/v1/openapi.json", get(|| async { json::ok(openapi) }))
+        .route("/api/v1/{service}/{method}", post(json::call));
+    for service in pool.services() {
+        for method in service.methods() {
+            let path = format!("/{}/{}", service.full_name(), method.name());
+            router = router.route_service(&path, grpc_web.clone());
+        }
+    }
+    let gateway =
+        Gateway { services: services.clone(), pool, large: Arc::new(tokio::sync::Semaphore::new(json::LARGE)) };
+    Ok(router
+        .with_state(gateway)
+        .layer(from_fn(name_peer))
+        .merge(assets::router())
+        .layer(from_fn_with_state(hosts, origin::check)))
+}
+
+/// Admission counts requests by the peer of their connection.
+async fn name_peer(mut request: Request, next: Next) -> Response {
+    if let Some(axum::extract::ConnectInfo(peer)) = request.extensions().get::<axum::extract::ConnectInfo<Peer>>() {
+        let peer = *peer;
+        request.extensions_mut().insert(peer);
+    }
+    next.run(request).await
+}

@@ -1,0 +1,200 @@
+//! The description of the JSON interface (OpenAPI 3.1), made from the descriptors of the wire and their comments.
+//!
+//! Invariant: it has each RPC that JSON can call, and nothing else.
+
+use axum::body::Bytes;
+use prost_reflect::{
+    Cardinality, DescriptorPool, EnumDescriptor, FieldDescriptor, FileDescriptor, Kind, MessageDescriptor,
+    MethodDescriptor,
+};
+use serde_json::{Map, Value, json};
+
+/// The comment before an element of a file, as one text.
+fn comment(file: &FileDescriptor, path: &[i32]) -> String {
+    let Some(source) = &file.file_descriptor_proto().source_code_info else { return String::new() };
+    let location = source.location.iter().find(|location| location.path == path);
+    let text = location.map(|location| location.leading_comments()).unwrap_or_default();
+    text.lines().map(str::trim).collect::<Vec<_>>().join("\n").trim().to_owned()
+}
+
+/// Adds a description, if there is one.
+fn described(mut schema: Value, text: String) -> Value {
+    if !text.is_empty() {
+        schema["description"] = text.into();
+    }
+    schema
+}
+
+/// A name in the document: that of the message without the package.
+fn name_of(full_name: &str) -> &str {
+    full_name.strip_prefix("tidemap.v1.").unwrap_or(full_name)
+}
+
+fn reference(full_name: &str) -> Value {
+    json!({ "$ref": format!("#/components/schemas/{}", name_of(full_name)) })
+}
+
+/// A message that JSON writes in a form of its own.
+fn well_known(full_name: &str) -> Option<Value> {
+    match full_name {
+        "google.protobuf.Timestamp" => Some(json!({ "type": "string", "format": "date-time" })),
+        "google.protobuf.Duration" => {
+            Some(json!({ "type": "string", "pattern": "^-?[0-9]+(\\.[0-9]+)?s$", "examples": ["3600s"] }))
+        }
+        "google.protobuf.FieldMask" => Some(json!({ "type": "string" })),
+        "google.protobuf.Empty" => Some(json!({ "type": "object", "properties": {} })),
+        _ => None,
+    }
+}
+
+fn number() -> Value {
+    json!({ "anyOf": [{ "type": "number" }, { "enum": ["NaN", "Infinity", "-Infinity"] }] })
+}
+
+fn kind(kind: &Kind) -> Value {
+    match kind {
+        Kind::Double | Kind::Float => number(),
+        Kind::Int64 | Kind::Sint64 | Kind::Sfixed64 => {
+            json!({ "type": "string", "format": "int64", "pattern": "^-?[0-9]{1,19}$" })
+        }
+        Kind::Uint64 | Kind::Fixed64 => json!({ "type": "string", "format": "uint64", "pattern": "^[0-9]{1,20}$" }),
+        Kind::Int32 | Kind::Sint32 | Kind::Sfixed32 => {
+            json!({ "type": "integer", "format": "int32", "minimum": i32::MIN, "maximum": i32::MAX })
+        }
+        Kind::Uint32 | Kind::Fixed32 => json!({ "type": "integer", "minimum": 0, "maximum": u32::MAX }),
+        Kind::Bool => json!({ "type": "boolean" }),
+        Kind::String => json!({ "type": "string" }),
+        Kind::Bytes => json!({ "type": "string", "contentEncoding": "base64" }),
+        Kind::Message(message) => well_known(message.full_name()).unwrap_or_else(|| reference(message.full_name())),
+        Kind::Enum(known) => reference(known.full_name()),
+    }
+}
+
+fn field(field: &FieldDescriptor) -> Value {
+    let text = comment(&field.parent_message().parent_file(), field.path());
+    let schema = match (field.cardinality(), field.kind()) {
+        (Cardinality::Repeated, Kind::Message(entry)) if field.is_map() => {
+            json!({ "type": "object", "additionalProperties": kind(&entry.map_entry_value_field().kind()) })
+        }
+        (Cardinality::Repeated, of) => json!({ "type": "array", "items": kind(&of) }),
+        (_, of) => kind(&of),
+    };
+    match field.containing_oneof() {
+        Some(choice) if !choice.is_synthetic() => {
+            let others = format!("At most one of the fields of `{}` is set.", choice.name());
+            described(schema, [text, others].join("\n").trim().to_owned())
+        }
+        _ => described(schema, text),
+    }
+}
+
+fn message(message: &MessageDescriptor) -> Value {
+    let properties: Map<String, Value> = message.fields().map(|of| (of.json_name().to_owned(), field(&of))).collect();
+    let schema = json!({ "type": "object", "properties": properties, "additionalProperties": false });
+    described(schema, comment(&message.parent_file(), message.path()))
+}
+
+fn enumeration(known: &EnumDescriptor) -> Value {
+    let names: Vec<String> = known.values().map(|value| value.name().to_owned()).collect();
+    described(json!({ "type": "string", "enum": names }), comment(&known.parent_file(), known.path()))
+}
+
+fn operation(method: &MethodDescriptor) -> Value {
+    let service = method.parent_service();
+    let media = if method.is_server_streaming() { "application/x-ndjson" } else { "application/json" };
+    let error = json!({
+        "description": "The request was refused or failed; `error.message` says why.",
+        "content": { "application/json": { "schema": reference("Error") } },
+    });
+    let text = comment(&method.parent_file(), method.path());
+    let operation = json!({
+        "operationId": format!("{}.{}", service.name(), method.name()),
+        "tags": [service.name()],
+        "requestBody": {
+            "required": true,
+            "content": { "application/json": { "schema": kind(&Kind::Message(method.input())) } },
+        },
+        "responses": {
+            "200": {
+                "description": if method.is_server_streaming() { "One object a line." } else { "The reply." },
+                "content": { media: { "schema": kind(&Kind::Message(method.output())) } },
+            },
+            "default": error,
+        },
+    });
+    described(operation, text)
+}
+
+/// The document.
+pub(super) fn document(pool: &DescriptorPool) -> Bytes {
+    let mut paths = Map::new();
+    let mut tags = Vec::new();
+    for service in pool.services() {
+        let text = comment(&service.parent_file(), service.path());
+        tags.push(described(json!({ "name": service.name() }), text));
+        for method in service.methods().filter(|method| !method.is_client_streaming()) {
+            let path = format!("/api/v1/{}/{}", service.name(), method.name());
+            paths.insert(path, json!({ "post": operation(&method) }));
+        }
+    }
+    let error = json!({
+        "type": "object",
+        "required": ["error"],
+        "properties": { "error": {
+            "type": "object",
+            "required": ["code", "message"],
+            "properties": {
+                "code": { "type": "string", "description": "The name of the gRPC code." },
+                "reason": { "type": "string", "description": "What happened, for programs." },
+                "message": { "type": "string", "description": "What is wrong, and what to do." },
+                "details": { "type": "object", "additionalProperties": { "type": "string" } },
+            },
+        } },
+    });
+    let mut schemas = Map::from_iter([("Error".to_owned(), error)]);
+    let own = |name: &str| name.starts_with("tidemap.v1.");
+    for of in pool.all_messages().filter(|of| own(of.full_name()) && !of.is_map_entry()) {
+        schemas.insert(name_of(of.full_name()).to_owned(), message(&of));
+    }
+    for of in pool.all_enums().filter(|of| own(of.full_name())) {
+        schemas.insert(name_of(of.full_name()).to_owned(), enumeration(&of));
+    }
+    let document = json!({
+        "openapi": "3.1.0",
+        "info": {
+            "title": "tidemap",
+            "version": env!("CARGO_PKG_VERSION"),
+            "description": "The RPCs of tidemap.v1 as JSON. 64-bit integers are strings, times are RFC 3339.",
+        },
+        "tags": tags,
+        "paths": paths,
+        "security": [{}, { "token": [] }],
+        "components": {
+            "schemas": schemas,
+            "securitySchemes": { "token": { "type": "http", "scheme": "bearer" } },
+        },
+    });
+    document.to_string().into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_has_every_method_and_every_reference_leads_somewhere() {
+        let pool = DescriptorPool::decode(tidemap_proto::v1::DESCRIPTORS).expect("descriptors");
+        let document: Value = serde_json::from_slice(&document(&pool)).expect("JSON");
+        let paths = document["paths"].as_object().expect("paths");
+        let callable = pool.services().flat_map(|service| service.methods().collect::<Vec<_>>());
+        assert_eq!(paths.len(), callable.filter(|method| !method.is_client_streaming()).count());
+        let schemas = document["components"]["schemas"].as_object().expect("schemas");
+        let text = document.to_string();
+        for (position, marker) in text.match_indices("#/components/schemas/") {
+            let name = text[position + marker.len()..].split('"').next().expect("an end");
+            assert!(schemas.contains_key(name), "{name}");
+        }
+        let without = paths.iter().filter(|(_, path)| path["post"]["description"].is_null());
+        assert_eq!(without.count(), 0, "each method says what it does");
+    }
+}
