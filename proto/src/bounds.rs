@@ -27,6 +27,8 @@ const TIMES: usize = 131_072;
 const NAMES: usize = 65_536;
 /// The greatest `max_batch_observations` and `max_batch_scans` that a daemon can be set to.
 const BATCH: usize = 65_536;
+/// Readings of a report.
+pub const READINGS: usize = 1000;
 /// The greatest `max_scan_tiles` that a daemon can be set to.
 const TILES: usize = 100_000;
 /// The greatest `max_scan_points` that a daemon can be set to, and what fits in its greatest message.
@@ -65,6 +67,8 @@ const BOUNDS: &[(&str, usize)] = &[
     ("PredictStatesRequest.states", NAMES),
     ("PredictStatesRequest.times_nanos", TIMES),
     ("RangeScan.ranges_m", POINTS),
+    ("Reading.position", 16 * READINGS),
+    ("ReportRequest.readings", READINGS),
     ("ScanBatch.new_tiles", 3 * TILES),
     ("ScanBatch.scans", BATCH),
     ("ScanBatch.time_deltas", BATCH),

@@ -10,6 +10,7 @@ mod grid;
 mod kinds;
 mod lifecycle;
 mod random_operations;
+mod reports;
 mod routes;
 mod search;
 mod security;

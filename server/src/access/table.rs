@@ -25,6 +25,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/grpc.health.v1.Health/Check", Need::Open),
     ("/grpc.health.v1.Health/Watch", Need::Token),
     ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Need::Token),
+    ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Need::Token),
     // Maps and their content. Producers ask what a map is before they send to it.
     ("/tidemap.v1.MapService/CreateMap", role(Admin)),
     ("/tidemap.v1.MapService/GetMap", Need::Token),
@@ -37,6 +38,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MapService/DeleteLocation", role(Operator)),
     ("/tidemap.v1.MapService/ListLocations", Need::Token),
     ("/tidemap.v1.ObservationService/Observe", role(Observer)),
+    ("/tidemap.v1.ObservationService/Report", role(Observer)),
     ("/tidemap.v1.QueryService/PredictStates", role(Planner)),
     ("/tidemap.v1.QueryService/EvaluateStates", role(Planner)),
     ("/tidemap.v1.QueryService/DescribeModel", role(Planner)),
@@ -91,6 +93,7 @@ mod tests {
             tidemap_proto::v1::DESCRIPTORS,
             tonic_health::pb::FILE_DESCRIPTOR_SET,
             tonic_reflection::pb::v1::FILE_DESCRIPTOR_SET,
+            tonic_reflection::pb::v1alpha::FILE_DESCRIPTOR_SET,
         ];
         let mut paths = BTreeSet::new();
         for set in sets {

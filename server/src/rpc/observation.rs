@@ -26,7 +26,7 @@ use tidemap_proto::{
     },
 };
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
-use tokio_stream::wrappers::ReceiverStream;
+use tokio_stream::{StreamExt as _, wrappers::ReceiverStream};
 use tonic::{Code, Request, Response, Status, Streaming};
 use tracing::debug;
 
@@ -44,6 +44,8 @@ use crate::{
     },
     rpc::lookup::find_map,
 };
+
+mod report;
 
 /// A stream must say hello within this time.
 const HELLO_WITHIN: Duration = Duration::from_secs(10);
@@ -104,18 +106,31 @@ impl ObservationService for Observations {
     type ObserveStream = ReceiverStream<Result<v1::ObserveResponse, Status>>;
 
     async fn observe(&self, request: Request<Streaming<v1::ObserveRequest>>) -> RpcReply<Self::ObserveStream> {
+        Ok(Response::new(ReceiverStream::new(self.start(request.into_inner())?)))
+    }
+
+    async fn report(&self, request: Request<v1::ReportRequest>) -> RpcReply<v1::ReportResponse> {
+        Ok(Response::new(self.take_report(request.into_inner()).await?))
+    }
+}
+
+impl Observations {
+    /// Starts a stream and gives its replies. The stream has a task of its own, which works for the same caller.
+    fn start(
+        &self,
+        mut requests: impl Requests + 'static,
+    ) -> Result<mpsc::Receiver<Result<v1::ObserveResponse, Status>>, RpcError> {
         let open = self.streams.fetch_add(1, Ordering::Relaxed) + 1;
         let counted = StreamCount(Arc::clone(&self.streams));
         metrics::gauge!("tidemap_streams").set(open as f64);
-        OverLimit::check("streams", open, self.limits.max_streams, "setting max_streams").map_err(RpcError::from)?;
+        OverLimit::check("streams", open, self.limits.max_streams, "setting max_streams")?;
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
         let catalog = Arc::clone(&self.catalog);
         let limits = self.limits;
         let room = (Arc::clone(&self.buffers), Arc::clone(&self.tables));
         let stopping = self.stopping.clone();
-        // The stream has a task of its own, which works for the same caller.
         tokio::spawn(Caller::current().scope(async move {
-            let result = open_and_serve(catalog, limits, room, stopping, request.into_inner(), &replies).await;
+            let result = open_and_serve(catalog, limits, room, stopping, &mut requests, &replies).await;
             if let Err(error) = result {
                 debug!(%error, "stream ended");
                 // The client may be gone.
@@ -123,9 +138,14 @@ impl ObservationService for Observations {
             }
             drop(counted);
         }));
-        Ok(Response::new(ReceiverStream::new(stream)))
+        Ok(stream)
     }
 }
+
+/// The messages of a stream.
+trait Requests: tokio_stream::Stream<Item = Result<v1::ObserveRequest, Status>> + Send + Unpin {}
+
+impl<T: tokio_stream::Stream<Item = Result<v1::ObserveRequest, Status>> + Send + Unpin> Requests for T {}
 
 type Replies = mpsc::Sender<Result<v1::ObserveResponse, Status>>;
 
@@ -194,17 +214,17 @@ async fn open_and_serve(
     limits: StreamLimits,
     (buffers, tables): (Arc<Semaphore>, Arc<Semaphore>),
     stopping: watch::Receiver<bool>,
-    mut requests: Streaming<v1::ObserveRequest>,
+    requests: &mut impl Requests,
     replies: &Replies,
 ) -> Result<(), RpcError> {
     if *stopping.borrow() {
         return Err(RpcError::Stopping);
     }
-    let first = match tokio::time::timeout(HELLO_WITHIN, requests.message()).await {
-        Ok(Ok(Some(v1::ObserveRequest { message: Some(Up::Hello(hello)) }))) => hello,
-        Ok(Ok(None)) => return Ok(()),
-        Ok(Err(status)) => return Err(unread(&status, &limits)),
-        Ok(Ok(Some(_))) => {
+    let first = match tokio::time::timeout(HELLO_WITHIN, requests.next()).await {
+        Ok(Some(Ok(v1::ObserveRequest { message: Some(Up::Hello(hello)) }))) => hello,
+        Ok(None) => return Ok(()),
+        Ok(Some(Err(status))) => return Err(unread(&status, &limits)),
+        Ok(Some(Ok(_))) => {
             let text = "the first message of a stream must be a Hello";
             return Err(InvalidField::new("hello", text).into());
         }
@@ -245,7 +265,7 @@ async fn open_and_serve(
         events,
         replies,
     };
-    let result = stream.serve(catalog.context().store.store_id(), &mut requests).await;
+    let result = stream.serve(catalog.context().store.store_id(), requests).await;
     let clean = matches!(result, Ok(()));
     // A writer that has stopped has no session to forget.
     let _ = stream.handle.send(Command::HandOver { session: stream.opened.session, what: Handover::End { clean } });
@@ -273,7 +293,7 @@ struct Stream<'a> {
 }
 
 impl Stream<'_> {
-    async fn serve(&mut self, store_id: &str, requests: &mut Streaming<v1::ObserveRequest>) -> Result<(), RpcError> {
+    async fn serve(&mut self, store_id: &str, requests: &mut impl Requests) -> Result<(), RpcError> {
         let welcome = v1::Welcome {
             store_id: store_id.to_owned(),
             incarnation: self.opened.incarnation,
@@ -298,19 +318,19 @@ impl Stream<'_> {
                     let retry_after = Some(duration(1_000_000_000));
                     reply(self.replies, Down::Busy(v1::Busy { retry_after })).await?;
                 }
-                request = requests.message(), if !wait => match request {
-                    Ok(Some(v1::ObserveRequest { message: Some(Up::Batch(batch)) })) => self.take(batch).await?,
-                    Ok(Some(v1::ObserveRequest { message: Some(Up::Scans(scans)) })) => self.take_scans(scans).await?,
-                    Ok(Some(v1::ObserveRequest { message: Some(Up::Traversals(traversals)) })) => {
+                request = requests.next(), if !wait => match request {
+                    Some(Ok(v1::ObserveRequest { message: Some(Up::Batch(batch)) })) => self.take(batch).await?,
+                    Some(Ok(v1::ObserveRequest { message: Some(Up::Scans(scans)) })) => self.take_scans(scans).await?,
+                    Some(Ok(v1::ObserveRequest { message: Some(Up::Traversals(traversals)) })) => {
                         self.take_traversals(&traversals).await?;
                     }
-                    Ok(Some(_)) => {
+                    Some(Ok(_)) => {
                         let text = "after the Hello a message must be a batch, of observations, scans or traversals";
                         return Err(InvalidField::new("message", text).into());
                     }
                     // The producer has sent everything: what is in flight is acknowledged before the stream ends.
-                    Ok(None) => return self.drain().await,
-                    Err(status) => return Err(unread(&status, &self.limits)),
+                    None => return self.drain().await,
+                    Some(Err(status)) => return Err(unread(&status, &self.limits)),
                 },
             }
         }

@@ -140,10 +140,14 @@ pub(crate) async fn serve(
     stop: impl Future<Output = ()>,
 ) -> anyhow::Result<()> {
     if is_local {
-        let reflection = tonic_reflection::server::Builder::configure()
-            .register_encoded_file_descriptor_set(DESCRIPTORS)
-            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET);
-        services.routes = services.routes.add_service(reflection.build_v1()?);
+        let reflection = || {
+            tonic_reflection::server::Builder::configure()
+                .register_encoded_file_descriptor_set(DESCRIPTORS)
+                .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        };
+        // Older tools ask for v1alpha only.
+        services.routes =
+            services.routes.add_service(reflection().build_v1()?).add_service(reflection().build_v1alpha()?);
     }
     Server::builder()
         .max_concurrent_streams(STREAMS_PER_CONNECTION)

@@ -96,3 +96,23 @@ async fn grpc_says_which_services_there_are() {
         assert!(names.contains(&format!("tidemap.v1.{service}").as_str()), "{service} is not in {names:?}");
     }
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn older_tools_find_the_services_too() {
+    use tonic_reflection::pb::v1alpha::{
+        ServerReflectionRequest, server_reflection_client::ServerReflectionClient,
+        server_reflection_request::MessageRequest, server_reflection_response::MessageResponse,
+    };
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let mut reflection = ServerReflectionClient::new(daemon.client().requests());
+    let symbol = "tidemap.v1.QueryService.PredictStates".to_owned();
+    let request = ServerReflectionRequest {
+        host: String::new(),
+        message_request: Some(MessageRequest::FileContainingSymbol(symbol)),
+    };
+    let mut answers =
+        reflection.server_reflection_info(tokio_stream::once(request)).await.expect("reflection").into_inner();
+    let answer = answers.next().await.expect("an answer").expect("a good one").message_response;
+    assert!(matches!(answer, Some(MessageResponse::FileDescriptorResponse(_))), "{answer:?}");
+}

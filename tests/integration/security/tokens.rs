@@ -43,7 +43,7 @@ fn roles_of(method: &str) -> &'static [&'static str] {
     match method {
         "GetMap" | "ListMaps" | "ListStates" | "ListLocations" | "GetJob" | "ListJobs" | "WatchJob"
         | "GetUpdateReport" => &["observer", "planner", "operator", "admin"],
-        "Observe" | "AddState" | "ReportVisit" => &["observer", "operator", "admin"],
+        "Observe" | "Report" | "AddState" | "ReportVisit" => &["observer", "operator", "admin"],
         "SetCharger" | "SetLocation" | "DeleteLocation" | "LoadTopology" | "EditTopology" | "RunUpdate" => {
             &["operator", "admin"]
         }

@@ -9,7 +9,7 @@ use std::{
 };
 
 use tidemap_proto::v1::{
-    ObservationBatch, Refusal as WireRefusal, RefusalReason as WireReason,
+    ObservationBatch, Refusal as WireRefusal, RefusalReason as WireReason, ReportRequest, ReportResponse,
     observation_service_server::{ObservationService, ObservationServiceServer},
 };
 use tokio::net::TcpListener;
@@ -158,6 +158,10 @@ impl Fake {
 #[tonic::async_trait]
 impl ObservationService for Fake {
     type ObserveStream = Pin<Box<dyn Stream<Item = Result<ObserveResponse, Status>> + Send>>;
+
+    async fn report(&self, _: Request<ReportRequest>) -> Result<Response<ReportResponse>, Status> {
+        Err(Status::unimplemented("a robot uses streams"))
+    }
 
     async fn observe(
         &self,
