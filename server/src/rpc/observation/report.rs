@@ -14,7 +14,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Code, Status};
 
 use super::Observations;
-use crate::rpc::status::RpcError;
+use crate::rpc::{lookup::find_map, status::RpcError};
 
 /// How long a report waits for the stream of its key to end.
 const KEY_WITHIN: Duration = Duration::from_secs(2);
@@ -77,6 +77,8 @@ fn is_taken(status: &Status) -> bool {
 impl Observations {
     /// Takes the readings of a request.
     pub(super) async fn take_report(&self, request: v1::ReportRequest) -> Result<v1::ReportResponse, Status> {
+        // Whether the caller may see the map comes first.
+        find_map(&self.catalog, &request.map).await?;
         if request.readings.is_empty() {
             let invalid = InvalidField::new("readings", "there is none: send at least one");
             return Err(RpcError::from(invalid).into());
