@@ -16,7 +16,7 @@ use tidemap_map::{
     selector::{ModelKind, ModelSelector},
     view::MapView,
 };
-use tidemap_model::{Evaluation, Sample, direction_rad};
+use tidemap_model::{EarlyStop, Evaluation, Sample, StopSignal, direction_rad};
 
 use crate::{model_cache::CachedModel, state_or_cell::StateOrCell};
 
@@ -115,8 +115,18 @@ impl Evaluator {
 
     /// Adds observations of a state that has begun; `fitted` has one answer source for each of
     /// [`Evaluator::kinds_to_fit`]. With a sine, the observations are angles.
-    pub(crate) fn add(&mut self, subject: Subject, samples: &[Sample], fitted: Vec<AnswerSource>, sine: Option<Sine>) {
-        let Some(sums) = self.sums.get_mut(&subject) else { return };
+    ///
+    /// # Errors
+    /// The work was told to stop; the sums must then not be used.
+    pub(crate) fn add(
+        &mut self,
+        subject: Subject,
+        samples: &[Sample],
+        fitted: Vec<AnswerSource>,
+        sine: Option<Sine>,
+        stop: StopSignal<'_>,
+    ) -> Result<(), EarlyStop> {
+        let Some(sums) = self.sums.get_mut(&subject) else { return Ok(()) };
         let answering = by_row(&self.rows, fitted);
         let sine = sine.map(|Sine { state, fitted }| (state, by_row(&self.rows, fitted)));
         for (index, missing) in sums.missing.iter_mut().enumerate() {
@@ -134,6 +144,7 @@ impl Evaluator {
             let mut sines = vec![0.0; block.len()];
             let rows = self.rows.iter().zip(&answering).zip(&mut sums.errors).enumerate();
             for (index, ((row, answering), sum)) in rows {
+                stop.check()?;
                 if !answer(&self.view, &sums.of, answering.as_ref(), &prepared, *row, &mut predicted) {
                     continue;
                 }
@@ -151,6 +162,7 @@ impl Evaluator {
                 }
             }
         }
+        Ok(())
     }
 
     /// The rows: name of the state, model with its order, sums.

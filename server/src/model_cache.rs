@@ -1,12 +1,15 @@
 //! Models that are fitted to the readings of a state on request, and kept for the next request.
 //!
 //! Invariant: a model is kept under the generation whose readings it was fitted to, so that it never answers for
-//! another. Concurrent requests for the same model share one fit, and no lock is held meanwhile. A fit that failed is
-//! not kept.
+//! another. Concurrent requests for the same model share one fit, which ends without a model when none of them waits any
+//! more; no lock is held meanwhile. A fit that failed is not kept.
 
 use std::{
     collections::{BTreeMap, HashMap},
-    sync::{Arc, Mutex, PoisonError},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, AtomicUsize, Ordering},
+    },
 };
 
 use tidemap_map::{history::Subject, selector::ModelKind};
@@ -36,8 +39,58 @@ pub(crate) struct ModelKey {
     pub kind: ModelKind,
 }
 
+/// Room for a model, with how many requests wait for it.
+#[derive(Debug)]
+struct FitRoom<T> {
+    model: OnceCell<Arc<T>>,
+    waiting: Arc<AtomicUsize>,
+}
+
+impl<T> Default for FitRoom<T> {
+    fn default() -> Self {
+        Self { model: OnceCell::new(), waiting: Arc::default() }
+    }
+}
+
 /// A model, after it has been fitted.
-type CacheSlot<T> = Arc<OnceCell<Arc<T>>>;
+type CacheSlot<T> = Arc<FitRoom<T>>;
+
+/// Counts a request that waits for a model, until it is dropped.
+#[derive(Debug)]
+pub(crate) struct FitInterest<T> {
+    slot: CacheSlot<T>,
+}
+
+impl<T> FitInterest<T> {
+    /// For one fit of the model: whether nobody waits for it any more.
+    pub(crate) fn fit_stop(&self) -> FitStop {
+        FitStop { waiting: Arc::clone(&self.slot.waiting), is_over: AtomicBool::new(false) }
+    }
+}
+
+impl<T> Drop for FitInterest<T> {
+    fn drop(&mut self) {
+        self.slot.waiting.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Ends a fit when nobody waits for the model.
+#[derive(Debug)]
+pub(crate) struct FitStop {
+    waiting: Arc<AtomicUsize>,
+    /// Once told to stop, a fit gives nothing, also if somebody asks for the model again: that request fits it anew.
+    is_over: AtomicBool,
+}
+
+impl FitStop {
+    /// Whether nobody waits any more, or did not at an earlier call.
+    pub(crate) fn is_set(&self) -> bool {
+        if self.waiting.load(Ordering::Relaxed) == 0 {
+            self.is_over.store(true, Ordering::Relaxed);
+        }
+        self.is_over.load(Ordering::Relaxed)
+    }
+}
 
 /// The fitted models of all maps: those of states, or those of positions.
 #[derive(Debug)]
@@ -69,7 +122,14 @@ impl<T> ModelCache<T> {
 
     /// The model, if it is kept.
     pub(crate) fn get(&self, key: &ModelKey) -> Option<Arc<T>> {
-        self.with_entries(|entries| entries.used(key)?.get().cloned())
+        self.with_entries(|entries| entries.used(key)?.model.get().cloned())
+    }
+
+    /// Counts a request for a model, which a fit then ends for, until the interest is dropped.
+    pub(crate) fn interest(&self, key: ModelKey) -> FitInterest<T> {
+        let slot = self.with_entries(|entries| entries.slot(key, self.max));
+        slot.waiting.fetch_add(1, Ordering::Relaxed);
+        FitInterest { slot }
     }
 
     /// The model: from the cache, from a fit that is running, or from `fit`.
@@ -82,7 +142,7 @@ impl<T> ModelCache<T> {
         fit: impl Future<Output = Result<T, E>>,
     ) -> Result<Arc<T>, E> {
         let slot = self.with_entries(|entries| entries.slot(key, self.max));
-        let fitted = slot.get_or_try_init(|| async { fit.await.map(Arc::new) }).await.cloned();
+        let fitted = slot.model.get_or_try_init(|| async { fit.await.map(Arc::new) }).await.cloned();
         if fitted.is_err() {
             self.with_entries(|entries| entries.forget(&key, &slot));
         }
@@ -143,12 +203,12 @@ impl<T> CacheEntries<T> {
 
     /// Whether a request waits for the model: if its slot were removed, the next request would fit it again.
     fn is_in_flight(&self, key: &ModelKey) -> bool {
-        self.slots.get(key).is_some_and(|(slot, _)| !slot.initialized() && Arc::strong_count(slot) > 1)
+        self.slots.get(key).is_some_and(|(slot, _)| !slot.model.initialized() && Arc::strong_count(slot) > 1)
     }
 
     /// Removes a slot that has no model.
     fn forget(&mut self, key: &ModelKey, slot: &CacheSlot<T>) {
-        let is_empty = |(kept, _): &(CacheSlot<T>, u64)| Arc::ptr_eq(kept, slot) && !kept.initialized();
+        let is_empty = |(kept, _): &(CacheSlot<T>, u64)| Arc::ptr_eq(kept, slot) && !kept.model.initialized();
         if self.slots.get(key).is_some_and(is_empty)
             && let Some((_, last_use)) = self.slots.remove(key)
         {

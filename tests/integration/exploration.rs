@@ -19,6 +19,8 @@ use tidemap_tests::{
     oracle,
 };
 
+mod left_clients;
+
 const MAP: &str = "room";
 /// A Monday.
 const START_SECS: i64 = 1_451_865_600;

@@ -211,7 +211,7 @@ impl ParameterSet {
             Err(refused @ (CannotFit::Parameter { .. } | CannotFit::Irregular { .. })) => {
                 Err(WrongParameter::Together(refused.to_string()))
             }
-            Ok(_) | Err(CannotFit::NoReadings) => Ok(set),
+            Ok(_) | Err(CannotFit::NoReadings | CannotFit::Stop(_)) => Ok(set),
         }
     }
 

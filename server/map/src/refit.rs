@@ -256,6 +256,6 @@ fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<Fitted
     // Stable: of equal times those of earlier updates come first.
     samples.sort_by_key(|sample| sample.utc_nanos);
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
-    let readings = Readings { samples: &samples, half_life_secs };
+    let readings = Readings { half_life_secs, ..Readings::new(&samples) };
     due.kinds.par_iter().map(|&kind| FittedModel::fit(kind, due.of, readings, &spec.periodicities)).collect()
 }

@@ -50,6 +50,7 @@ mod sample;
 pub mod special;
 mod spectral;
 mod state;
+mod stop_signal;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
 pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
@@ -70,6 +71,7 @@ pub use state::{
     ActiveModel, Alternatives, AlternativesParts, Combination, EnabledModels, FitKind, FitParts, FittedModel,
     FittedModelParts, HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome, UpdateRules,
 };
+pub use stop_signal::{EarlyStop, StopSignal};
 
 /// The highest model order: at most this many spectral components are kept and used.
 pub const ORDER_MAX: usize = 15;

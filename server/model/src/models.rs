@@ -20,6 +20,9 @@ mod presence;
 mod support;
 mod uniform;
 
+#[cfg(test)]
+mod fit_stop_tests;
+
 pub use alarm::{ChangeAlarm, ChangeAlarmParts, DayErrors};
 pub use calibrated::{Calibrated, CalibratedOptions, CalibratedParts};
 pub(crate) use histogram::hour_runs;
@@ -42,7 +45,7 @@ pub use support::{DependenceSums, OrderGains, OrderGainsParts, effective_observa
 pub(crate) use support::{half_square_of_probabilities, half_square_of_values, supported_order_of};
 pub use uniform::{UniformSpectral, UniformSpectralParts};
 
-use crate::{Sample, civil::NANOS_PER_SEC};
+use crate::{EarlyStop, Sample, StopSignal, civil::NANOS_PER_SEC};
 
 /// A moment with its local time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,12 +83,14 @@ pub struct Readings<'a> {
     pub samples: &'a [Sample],
     /// A reading that is this many seconds older than the newest counts half; `None`: all have equal weight.
     pub half_life_secs: Option<f64>,
+    /// Ends a fit early, with [`CannotFit::Stop`].
+    pub stop: StopSignal<'a>,
 }
 
 impl<'a> Readings<'a> {
     /// Readings of equal weight.
     pub fn new(samples: &'a [Sample]) -> Readings<'a> {
-        Readings { samples, half_life_secs: None }
+        Readings { samples, half_life_secs: None, stop: StopSignal::NEVER }
     }
 
     /// The weight of each reading, in `(0,1]`, in the order of the samples: 0.5^(age / half-life), the newest 1.
@@ -120,4 +125,7 @@ pub enum CannotFit {
          needs no regular ones"
     )]
     Irregular { interval_secs: f64, at_secs: f64, after_secs: f64 },
+    /// The fit was told to stop.
+    #[error(transparent)]
+    Stop(#[from] EarlyStop),
 }

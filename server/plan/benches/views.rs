@@ -17,6 +17,7 @@ use tidemap_map::{
     },
     reachability::Reachability,
 };
+use tidemap_model::StopSignal;
 use tidemap_plan::{
     predicted::{Lattice, PredictedTimes},
     tour::{TourQuestion, plan_tour, plan_tour_with},
@@ -70,11 +71,11 @@ fn day(c: &mut Criterion) {
     let day = &*DAY;
     let viewpoints = office.viewpoints(500, day, &sensor);
     println!("{} cells, {} vary, {} viewpoints, {TIMES} times", day.lattice().held(), day.varying(), viewpoints.len());
-    group.bench_function("scene_96", |b| b.iter(|| TimedScene::new(day, &SceneOptions::default())));
-    let scene = TimedScene::new(day, &SceneOptions::default()).expect("valid");
+    group.bench_function("scene_96", |b| b.iter(|| TimedScene::new(day, &SceneOptions::default(), StopSignal::NEVER)));
+    let scene = TimedScene::new(day, &SceneOptions::default(), StopSignal::NEVER).expect("valid");
     let run = |viewpoints: &[Viewpoint]| {
         let mut sum = 0.0;
-        let told = view_many(&scene, &sensor, viewpoints, ViewLimits::default(), |_, told| {
+        let told = view_many(&scene, &sensor, viewpoints, ViewLimits::default(), StopSignal::NEVER, |_, told| {
             sum += told.into_iter().flatten().flatten().sum::<f64>();
             ControlFlow::Continue(())
         });
@@ -87,10 +88,11 @@ fn day(c: &mut Criterion) {
         b.iter(|| {
             let mut sum = 0.0;
             single.install(|| {
-                let told = view_many(&scene, &sensor, &viewpoints, ViewLimits::default(), |_, told| {
-                    sum += told.into_iter().flatten().flatten().sum::<f64>();
-                    ControlFlow::Continue(())
-                });
+                let told =
+                    view_many(&scene, &sensor, &viewpoints, ViewLimits::default(), StopSignal::NEVER, |_, told| {
+                        sum += told.into_iter().flatten().flatten().sum::<f64>();
+                        ControlFlow::Continue(())
+                    });
                 told.expect("little work");
             });
             sum
@@ -106,7 +108,7 @@ fn tours(c: &mut Criterion) {
     let reachability = Reachability::default();
     for (name, goals, spacing_m) in [("6_goals", 6, 0.5), ("12_goals", 12, 0.5), ("6_goals_of_many", 6, 0.2)] {
         let question = TourQuestion { start_m: [10.0, 6.4], goals, spacing_m, ..TourQuestion::default() };
-        let told = plan_tour(&grid, &reachability, &question).expect("valid");
+        let told = plan_tour(&grid, &reachability, &question, StopSignal::NEVER).expect("valid");
         println!(
             "{name}: {} goals of {} candidates, {} looks, {:.0} bits, {:.0} m",
             told.steps.len(),
@@ -115,10 +117,12 @@ fn tours(c: &mut Criterion) {
             told.information_bits,
             told.length_m
         );
-        group.bench_function(name, |b| b.iter(|| plan_tour(&grid, &reachability, &question)));
+        group.bench_function(name, |b| b.iter(|| plan_tour(&grid, &reachability, &question, StopSignal::NEVER)));
         let fan = Fan::new(&question.sensor, grid.lattice(), 0.0).expect("valid");
         let with_rays = format!("{name}_rays_at_hand");
-        group.bench_function(with_rays, |b| b.iter(|| plan_tour_with(&fan, &grid, &reachability, &question)));
+        group.bench_function(with_rays, |b| {
+            b.iter(|| plan_tour_with(&fan, &grid, &reachability, &question, StopSignal::NEVER))
+        });
     }
     group.finish();
 }

@@ -11,6 +11,7 @@ use tidemap_map::{
     grid::{index::CellBox, spec::InvalidGrid, tile::TileUnavailable},
     selector::ModelSelector,
 };
+use tidemap_model::EarlyStop;
 
 mod lattice;
 mod times;
@@ -75,4 +76,7 @@ pub enum PredictError {
     /// A tile of the grid is unavailable.
     #[error(transparent)]
     Unavailable(#[from] TileUnavailable),
+    /// The work was told to stop.
+    #[error(transparent)]
+    Stop(#[from] EarlyStop),
 }

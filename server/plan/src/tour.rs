@@ -9,6 +9,7 @@
 
 use rayon::prelude::*;
 use tidemap_map::reachability::Reachability;
+use tidemap_model::StopSignal;
 
 use crate::{
     predicted::PredictedGrid,
@@ -99,53 +100,73 @@ impl Tour {
 /// not fit into the time are omitted, first those with the least information for their time.
 ///
 /// # Errors
-/// [`TourError`], before the work begins.
+/// [`TourError`], before the work begins; [`TourError::Stop`].
 pub fn plan_tour(
     grid: &PredictedGrid,
     reachability: &Reachability,
     question: &TourQuestion,
+    stop: StopSignal<'_>,
 ) -> Result<Tour, TourError> {
     question.check(grid)?;
-    let fan = Fan::new(&question.sensor, grid.lattice(), question.yaw_rad)?;
-    plan_tour_with(&fan, grid, reachability, question)
+    let fan = Fan::until(&question.sensor, grid.lattice(), question.yaw_rad, stop)?;
+    stop.check()?;
+    plan_tour_with(&fan, grid, reachability, question, stop)
 }
 
 /// [`plan_tour`] with an existing fan of rays, which many tours on regions of one size can share.
 ///
 /// # Errors
-/// [`TourError`], before the work begins; [`TourError::OtherFan`] for rays that do not match the request.
+/// [`TourError`], before the work begins; [`TourError::Stop`]; [`TourError::OtherFan`] for rays that do not match the request.
 pub fn plan_tour_with(
     fan: &Fan,
     grid: &PredictedGrid,
     reachability: &Reachability,
     question: &TourQuestion,
+    stop: StopSignal<'_>,
+) -> Result<Tour, TourError> {
+    let tour = find_tour(fan, grid, reachability, question, stop);
+    stop.check()?;
+    tour
+}
+
+/// The tour; not to be used if the signal is set.
+fn find_tour(
+    fan: &Fan,
+    grid: &PredictedGrid,
+    reachability: &Reachability,
+    question: &TourQuestion,
+    stop: StopSignal<'_>,
 ) -> Result<Tour, TourError> {
     question.check(grid)?;
     if !fan.is_of(&question.sensor, grid.lattice(), question.yaw_rad) {
         return Err(TourError::OtherFan);
     }
-    let travel = TravelGrid::new(grid, &question.travel)?;
-    let scene = Scene::new(grid, &question.scene)?;
+    let travel = TravelGrid::until(grid, &question.travel, stop)?;
+    let scene = Scene::until(grid, &question.scene, stop)?;
+    stop.check()?;
     let [x_m, y_m] = question.start_m;
     let tolerance_m = question.start_tolerance_m;
     let Some((start, gap_m)) = travel.nearest(x_m, y_m, tolerance_m) else {
         return Ok(Tour::none(NoTour::StartBlocked { tolerance_m }, 0, 0));
     };
-    let from_start = travel.distances(start);
+    let from_start = travel.distances_until(start, stop);
+    stop.check()?;
     let candidates = question.candidates(&scene, &travel, &from_start, grid, reachability);
     if candidates.is_empty() {
         return Ok(Tour::none(NoTour::NothingReachable, 0, 0));
     }
-    let mut choice = GoalSelection::new(&scene, fan, &candidates, question.suppression);
+    let mut choice = GoalSelection::new(&scene, fan, &candidates, question.suppression, stop);
     let chosen = choice.choose(question.goals);
     let looks = choice.looks();
+    stop.check()?;
     if chosen.is_empty() {
         return Ok(Tour::none(NoTour::NothingToLearn, candidates.len(), looks));
     }
     let goals: Vec<Column> = chosen.iter().map(|goal| candidates[goal.candidate].column).collect();
-    let between: Vec<Distances> = goals.par_iter().map(|&goal| travel.distances(goal)).collect();
+    let between: Vec<Distances> = goals.par_iter().map(|&goal| travel.distances_until(goal, stop)).collect();
+    stop.check()?;
     let to_start = |&goal: &Column| from_start.to(goal).unwrap_or(f64::INFINITY) + gap_m;
-    let ways = Ways::new(goals.iter().map(to_start).collect(), question.end == TourEnd::Start, |one, other| {
+    let ways = Ways::new(goals.iter().map(to_start).collect(), question.end == TourEnd::Start, stop, |one, other| {
         between[one].to(goals[other]).unwrap_or(f64::INFINITY)
     });
     let values: Vec<f64> = chosen.iter().map(|goal| goal.bits * candidates[goal.candidate].reachability).collect();
@@ -157,6 +178,7 @@ pub fn plan_tour_with(
         budget_secs: question.budget_secs.unwrap_or(f64::INFINITY),
     };
     let order = budget.fit();
+    stop.check()?;
     if order.is_empty() {
         let (budget_secs, least_secs) = (budget.budget_secs, budget.least_secs());
         return Ok(Tour::none(NoTour::Budget { budget_secs, least_secs }, candidates.len(), looks));

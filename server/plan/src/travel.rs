@@ -10,6 +10,7 @@
 use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc};
 
 use tidemap_map::grid::index::CellIndex;
+use tidemap_model::StopSignal;
 
 use crate::predicted::{Lattice, PredictedGrid};
 
@@ -18,6 +19,8 @@ pub(crate) mod tests;
 
 /// The largest radius of a robot, in cells.
 const RADIUS_CELLS_MAX: f64 = 200.0;
+/// Columns between two looks at the stop signal.
+const COLUMNS_PER_CHECK: usize = 4096;
 
 /// The options of driving.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,6 +100,15 @@ impl TravelGrid {
     /// # Errors
     /// [`InvalidTravel`] with the invalid value and the valid range.
     pub fn new(grid: &PredictedGrid, options: &TravelOptions) -> Result<TravelGrid, InvalidTravel> {
+        TravelGrid::until(grid, options, StopSignal::NEVER)
+    }
+
+    /// The same; not to be used if the signal is set.
+    pub(crate) fn until(
+        grid: &PredictedGrid,
+        options: &TravelOptions,
+        stop: StopSignal<'_>,
+    ) -> Result<TravelGrid, InvalidTravel> {
         let lattice = grid.lattice();
         let (min_m, max_m) = (options.z_min_m, options.z_max_m);
         if !(min_m.is_finite() && max_m.is_finite() && min_m < max_m) {
@@ -122,7 +134,7 @@ impl TravelGrid {
         }
         let mut known = vec![options.unknown_is_passable; width * depth];
         let mut blocked = vec![false; width * depth];
-        for z in layers {
+        for z in layers.into_iter().take_while(|_| !stop.is_set()) {
             for (y, row) in (region.min.y..region.max.y).enumerate() {
                 let Some(start) = lattice.place(CellIndex { x: region.min.x, y: row, z }) else { continue };
                 let row = &grid.probabilities()[start..start + width];
@@ -133,12 +145,12 @@ impl TravelGrid {
             }
         }
         let mut travel = TravelGrid { lattice: Arc::clone(lattice), size: [width, depth], passable: known };
-        travel.keep_away(&blocked, options.radius_m / lattice.resolution_m());
+        travel.keep_away(&blocked, options.radius_m / lattice.resolution_m(), stop);
         Ok(travel)
     }
 
     /// Closes the obstacles and the columns whose centre is nearer to an obstacle than the radius in cells.
-    fn keep_away(&mut self, blocked: &[bool], radius: f64) {
+    fn keep_away(&mut self, blocked: &[bool], radius: f64, stop: StopSignal<'_>) {
         let [width, depth] = self.size;
         let reach = (radius + 0.5).ceil() as isize;
         let gap = |away: isize| (away.unsigned_abs() as f64 - 0.5).max(0.0);
@@ -155,7 +167,7 @@ impl TravelGrid {
                 && (y - 1..=y + 1)
                     .all(|y| blocked[y * width + x - 1..=y * width + x + 1].iter().all(|blocked| *blocked))
         };
-        for (y, row) in blocked.chunks_exact(width).enumerate() {
+        for (y, row) in blocked.chunks_exact(width).enumerate().take_while(|_| !stop.is_set()) {
             for x in (0..width).filter(|&x| row[x]) {
                 self.passable[y * width + x] = false;
                 if is_inner(x, y) {
@@ -221,6 +233,11 @@ impl TravelGrid {
     /// Distances from a column to all others; none from a column that is not passable (Dijkstra 1959; steps of one
     /// cell's length along x and y, of √2 across).
     pub fn distances(&self, from: Column) -> Distances {
+        self.distances_until(from, StopSignal::NEVER)
+    }
+
+    /// The same; not to be used if the signal is set.
+    pub(crate) fn distances_until(&self, from: Column, stop: StopSignal<'_>) -> Distances {
         let [width, _] = self.size;
         let mut lengths = vec![f64::INFINITY; self.passable.len()];
         // Lengths are not negative, so their bits have the same order.
@@ -230,7 +247,12 @@ impl TravelGrid {
             lengths[start] = 0.0;
             queue.push(Reverse((0_u64, start)));
         }
+        let mut visited = 0_usize;
         while let Some(Reverse((bits, at))) = queue.pop() {
+            visited += 1;
+            if visited.is_multiple_of(COLUMNS_PER_CHECK) && stop.is_set() {
+                break;
+            }
             let length = f64::from_bits(bits);
             if length > lengths[at] {
                 continue;

@@ -25,11 +25,13 @@ mod tests;
 pub use fan::Fan;
 pub(crate) use group::{GROUP_MAX, GroupScorer};
 pub use many::{TooMuchWork, ViewLimits, view_many};
-pub use scene::{InvalidThreshold, Scene, SceneOptions, ViewGain, ViewScorer};
+pub use scene::{InvalidThreshold, Scene, SceneError, SceneOptions, ViewGain, ViewScorer};
 pub use timed::{TimedScene, TimedViewScorer};
 
 /// Maximum number of cells along all rays of a sensor, counted per ray.
 pub const RAY_CELLS_MAX: f64 = 3e7;
+/// Nodes of a tree of rays between two looks at the stop signal.
+const NODES_PER_CHECK: usize = 1 << 14;
 /// The longest range in cells.
 pub(crate) const RANGE_CELLS_MAX: f64 = 4096.0;
 

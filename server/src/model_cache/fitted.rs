@@ -10,7 +10,7 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::{
-    ORDER_MAX, Sample,
+    ORDER_MAX, Sample, StopSignal,
     models::{
         Calibrated, CalibratedOptions, CannotFit, CountRate, Histogram, HistogramSettings, Hypertime, HypertimeMethod,
         HypertimeOptions, MarkovChain, Moment, Pergam, PergamOptions, Readings, TemporalModel, UniformSpectral,
@@ -48,13 +48,19 @@ impl CachedModel {
     /// readings ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
     ///
     /// # Errors
-    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings.
-    pub(crate) fn fit(kind: ModelKind, of: StateKind, samples: &[Sample], spec: &MapSpec) -> Result<Self, CannotFit> {
+    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or the fit is told to stop.
+    pub(crate) fn fit(
+        kind: ModelKind,
+        of: StateKind,
+        samples: &[Sample],
+        spec: &MapSpec,
+        stop: StopSignal<'_>,
+    ) -> Result<Self, CannotFit> {
         if samples.is_empty() {
             return Ok(Self::Unlearned);
         }
         let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
-        let readings = Readings { samples, half_life_secs };
+        let readings = Readings { samples, half_life_secs, stop };
         let hypertime = |method, clusters: u32| {
             let options = HypertimeOptions { method, clusters: clusters as usize, seed: SEED };
             let model = match of {

@@ -4,7 +4,7 @@
 
 use tidemap_map::{event::Dimensions, selector::ModelKind, spec::MapSpec};
 use tidemap_model::{
-    Sample,
+    Sample, StopSignal,
     models::{
         CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeMethod, HypertimeOptions, Moment,
         Readings,
@@ -43,6 +43,7 @@ impl PositionModel {
         options: &HypertimeOptions,
         axes: &[impl AsRef<[Sample]>],
         spec: &MapSpec,
+        stop: StopSignal<'_>,
     ) -> Result<Self, CannotFit> {
         let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotFit::NoReadings) };
         let times = || first.iter().map(|sample| sample.utc_nanos);
@@ -60,8 +61,8 @@ impl PositionModel {
             })
             .collect();
         let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
-        let weights: Vec<f64> = Readings { samples: first, half_life_secs }.weights().collect();
-        let field = HypertimeField::fit_weighted(&readings, &weights, options)?;
+        let weights: Vec<f64> = Readings { half_life_secs, ..Readings::new(first) }.weights().collect();
+        let field = HypertimeField::fit_weighted(&readings, &weights, options, stop)?;
         let bound = |axis: &[Sample], start: f64, nearer: fn(f64, f64) -> f64| {
             axis.iter().map(|sample| sample.value).fold(start, nearer)
         };

@@ -155,3 +155,17 @@ fn requests_hold_no_more_than_may_be_kept() {
     drop((first, second));
     assert!(cache.reserve(10).is_some());
 }
+
+#[tokio::test]
+async fn a_fit_goes_on_while_anybody_waits_and_never_again_once_told_to_stop() {
+    let cache = ModelCache::<CachedModel>::new(3);
+    let (one, other) = (cache.interest(key(1)), cache.interest(key(1)));
+    let stop = one.fit_stop();
+    drop(one);
+    assert!(!stop.is_set(), "the other waits");
+    drop(other);
+    assert!(stop.is_set());
+    // Who asks now gets a fit of its own.
+    let late = cache.interest(key(1));
+    assert!(stop.is_set() && !late.fit_stop().is_set());
+}

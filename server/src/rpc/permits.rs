@@ -1,13 +1,18 @@
 //! Permits: how many requests of a kind compute at once.
 //!
 //! Invariant: a request that gets no permit within [`PERMIT_WITHIN`] ends with an error that says so. Who waits for a
-//! reader holds no permit, and who computes for long gives others a turn.
+//! reader holds no permit, who computes for long gives others a turn, and work that nobody waits for ends and gives its
+//! permit back.
 
 use std::{
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     time::{Duration, Instant},
 };
 
+use tidemap_model::StopSignal;
 use tokio::{
     runtime::Handle,
     sync::{OwnedSemaphorePermit, Semaphore},
@@ -34,8 +39,27 @@ pub(super) struct Permits {
 #[derive(Debug)]
 pub(super) struct Permit {
     permits: Arc<Semaphore>,
-    held: Option<OwnedSemaphorePermit>,
+    held: Option<HeldPermit>,
     since: Instant,
+}
+
+/// A permit that is held now, as the metrics show.
+#[derive(Debug)]
+struct HeldPermit {
+    _permit: OwnedSemaphorePermit,
+}
+
+impl HeldPermit {
+    fn new(permit: OwnedSemaphorePermit) -> Self {
+        metrics::gauge!("tidemap_computing_requests").increment(1.0);
+        Self { _permit: permit }
+    }
+}
+
+impl Drop for HeldPermit {
+    fn drop(&mut self) {
+        metrics::gauge!("tidemap_computing_requests").decrement(1.0);
+    }
 }
 
 impl Permit {
@@ -48,7 +72,7 @@ impl Permit {
     pub(super) fn resume(&mut self) {
         if self.held.is_none() {
             // The permits are closed never; without a permit the work would end all the same.
-            self.held = Handle::current().block_on(Arc::clone(&self.permits).acquire_owned()).ok();
+            self.held = Handle::current().block_on(Arc::clone(&self.permits).acquire_owned()).ok().map(HeldPermit::new);
             self.since = Instant::now();
         }
     }
@@ -74,7 +98,7 @@ pub(super) fn processors() -> usize {
     std::thread::available_parallelism().map_or(1, std::num::NonZero::get)
 }
 
-/// Runs work on a blocking thread, which keeps the permit until the work is done.
+/// Runs work on a blocking thread, which keeps the permit until the work is done: for work that ends soon.
 ///
 /// # Errors
 /// [`RpcError::Stopping`] if the daemon stops before the work is done.
@@ -87,6 +111,35 @@ pub(super) async fn run_blocking<T: Send + 'static>(
         work()
     };
     tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)
+}
+
+/// Runs work on a blocking thread, which keeps the permit until the work is done. It is told to stop `within` a time of
+/// its start, and when nobody waits for it any more: the client is gone, or the deadline of its call has passed.
+///
+/// # Errors
+/// [`RpcError::Stopping`] if the daemon stops before the work is done.
+pub(super) async fn run_while_awaited<T: Send + 'static>(
+    permit: impl Send + 'static,
+    within: Option<Duration>,
+    work: impl FnOnce(StopSignal<'_>) -> T + Send + 'static,
+) -> Result<T, RpcError> {
+    let is_left = Arc::new(AtomicBool::new(false));
+    let _awaited = Awaited(Arc::clone(&is_left));
+    let work = move || {
+        let deadline = within.map(|within| Instant::now() + within);
+        let is_set = || is_left.load(Ordering::Relaxed) || deadline.is_some_and(|at| Instant::now() >= at);
+        work(StopSignal::new(&is_set))
+    };
+    run_blocking(permit, work).await
+}
+
+/// Tells work when it is dropped that nobody waits any more.
+struct Awaited(Arc<AtomicBool>);
+
+impl Drop for Awaited {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
 }
 
 impl Permits {
@@ -103,7 +156,7 @@ impl Permits {
         let permit = Arc::clone(&self.permits).acquire_owned();
         match tokio::time::timeout(PERMIT_WITHIN, permit).await {
             Ok(held) => {
-                let held = Some(held.map_err(|_| RpcError::Stopping)?);
+                let held = Some(HeldPermit::new(held.map_err(|_| RpcError::Stopping)?));
                 Ok(Permit { permits: Arc::clone(&self.permits), held, since: Instant::now() })
             }
             Err(_) => Err(RpcError::Busy { max: self.max, secs: PERMIT_WITHIN.as_secs() }),

@@ -64,6 +64,11 @@ impl<T> ReplySink<T> {
         }
     }
 
+    /// Whether the client is gone.
+    pub(super) fn is_closed(&self) -> bool {
+        self.ready.is_closed()
+    }
+
     /// Ends when the client is gone.
     pub(super) async fn closed(&self) {
         self.ready.closed().await;
@@ -116,7 +121,13 @@ async fn pass_on<T>(
     // Reserved now: when the reader is slow, there is no room for the last reply.
     let Ok(last_word) = replies.clone().reserve_owned().await else { return false };
     let mut left = read_within;
-    while let Some(reply) = ready.recv().await {
+    loop {
+        // Also while nothing is ready: who computes for long learns that the reader is gone.
+        let reply = tokio::select! {
+            reply = ready.recv() => reply,
+            () = replies.closed() => return false,
+        };
+        let Some(reply) = reply else { return true };
         let began = Instant::now();
         match tokio::time::timeout(left, replies.send(reply.map_err(Status::from))).await {
             Ok(Ok(())) => left = left.saturating_sub(began.elapsed()),
@@ -127,7 +138,6 @@ async fn pass_on<T>(
             }
         }
     }
-    true
 }
 
 #[cfg(test)]

@@ -7,19 +7,14 @@
 //! Invariant: an edit is durable and published when it is answered. A plan is made from one view, off the async
 //! threads, with its own permits, and ends at its deadline or when its client is gone.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Duration};
 
 use tidemap_map::{
     site::SiteEdit,
     topology::{Topology, TopologyEdit},
     view::MapView,
 };
+use tidemap_model::StopSignal;
 use tidemap_proto::{
     convert::{
         topology::{edit_from_wire, load_from_wire, topology_to_wire},
@@ -36,7 +31,7 @@ use super::{
     RpcReply,
     lookup::find_map,
     map::edit_site,
-    permits::{Permits, processors, run_blocking},
+    permits::{Permits, processors, run_blocking, run_while_awaited},
     query::{Queries, fitting::ModelFitter},
     series::PredictContext,
     status::RpcError,
@@ -82,21 +77,14 @@ impl Routes {
         run_blocking(self.permits.take().await?, work).await
     }
 
-    /// Runs a search on a blocking thread. It is told to end `within` a time of its start, and when its client is gone.
-    async fn run_search<T: Send + 'static>(
+    /// Runs a plan on a blocking thread, with a permit. It is told to stop `within` a time of its start, and when its
+    /// client is gone.
+    async fn run_plan<T: Send + 'static>(
         &self,
         within: Option<Duration>,
-        work: impl FnOnce(&dyn Fn() -> bool) -> T + Send + 'static,
+        work: impl FnOnce(StopSignal<'_>) -> T + Send + 'static,
     ) -> Result<T, RpcError> {
-        let is_cancelled = Arc::new(AtomicBool::new(false));
-        let _cancel = CancelOnDrop(Arc::clone(&is_cancelled));
-        let work = move || {
-            let deadline = within.map(|within| Instant::now() + within);
-            work(&|| {
-                is_cancelled.load(Ordering::Relaxed) || deadline.is_some_and(|deadline| Instant::now() >= deadline)
-            })
-        };
-        self.run_blocking(work).await
+        run_while_awaited(self.permits.take().await?, within, work).await
     }
 
     /// Edits a map's topology. Gives the numbers of nodes and edges after that.
@@ -107,15 +95,6 @@ impl Routes {
         let topology = view.site().topology();
         let count = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
         Ok((count(topology.nodes().len()), count(topology.edges().len())))
-    }
-}
-
-/// Tells a search that its client is gone.
-struct CancelOnDrop(Arc<AtomicBool>);
-
-impl Drop for CancelOnDrop {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
     }
 }
 

@@ -5,12 +5,12 @@
 use std::sync::Arc;
 
 use tidemap_map::{event::StateKind, ids::StateId, predict::PreparedTimes, selector::ModelSelector, view::MapView};
-use tidemap_model::models::Moment;
+use tidemap_model::{EarlyStop, StopSignal, models::Moment};
 use tidemap_proto::convert::InvalidField;
 
 use super::{
     lookup::check_limit,
-    permits::{Permits, run_blocking},
+    permits::{Permits, run_while_awaited},
     query::fitting::{LearnedState, ModelFitter},
     status::RpcError,
 };
@@ -18,6 +18,8 @@ use crate::{ingest::handle::MapHandle, model_cache::CachedModel, state_or_cell::
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
+/// Times at which a fitted model predicts between two looks at the stop signal: the slowest takes some 0.1 ms for one.
+pub(super) const FITTED_TIMES: usize = 256;
 
 /// What a prediction for a plan needs.
 #[derive(Clone, Copy, Debug)]
@@ -58,19 +60,20 @@ pub(super) async fn predict_series(
     check_limit("predictions", predictions, context.predictions, "setting max_predictions")?;
     if !selector.kind.needs_readings() {
         let view = Arc::clone(view);
-        let predict = move || {
+        let predict = move |stop: StopSignal<'_>| {
             let mut rows = vec![Vec::with_capacity(times_nanos.len()); states.len()];
             for block in times_nanos.chunks(TIMES_PER_BLOCK) {
                 let prepared = view.prepare(block);
                 for (state, row) in states.iter().zip(&mut rows) {
+                    stop.check()?;
                     let from = row.len();
                     row.resize(from + block.len(), 0.0);
                     state.predict_into(&view, &prepared, selector, &mut row[from..]);
                 }
             }
-            rows
+            Ok::<_, EarlyStop>(rows)
         };
-        return run_blocking(context.permits.take().await?, predict).await;
+        return Ok(run_while_awaited(context.permits.take().await?, None, predict).await??);
     }
     let moments: Arc<[_]> = view.moments(&times_nanos).into();
     let mut rows = Vec::with_capacity(states.len());
@@ -78,12 +81,15 @@ pub(super) async fn predict_series(
         let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), state.clone());
         let fitted = context.fitting.fitted(&learned, selector.kind).await?;
         let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
-        let predict = move || {
+        let predict = move |stop: StopSignal<'_>| {
             let mut row = vec![0.0; moments.len()];
-            fitted.predict_into(&view, &state, &moments, selector, &mut row);
-            row
+            for (moments, row) in moments.chunks(FITTED_TIMES).zip(row.chunks_mut(FITTED_TIMES)) {
+                stop.check()?;
+                fitted.predict_into(&view, &state, moments, selector, row);
+            }
+            Ok::<_, EarlyStop>(row)
         };
-        rows.push(run_blocking(context.permits.take().await?, predict).await?);
+        rows.push(run_while_awaited(context.permits.take().await?, None, predict).await??);
     }
     Ok(rows)
 }

@@ -10,6 +10,7 @@ use tidemap_map::{
     selector::ModelKind,
     site::InvalidEdit,
 };
+use tidemap_model::EarlyStop;
 use tidemap_proto::convert::{InvalidField, OverLimit};
 use tidemap_store::{AppendError, BackupError, HistoryError};
 use tonic::{Code, Status};
@@ -98,6 +99,9 @@ pub(crate) enum RpcError {
     SlowReader(u64),
     #[error("the connection broke")]
     Broken,
+    /// Nobody hears it.
+    #[error(transparent)]
+    Left(#[from] EarlyStop),
     #[error("map {map:?} is being opened: {done} of {total} records of its log are replayed; try again")]
     Opening { map: String, done: u64, total: u64 },
     #[error("the daemon is stopping; connect again later")]
@@ -245,6 +249,7 @@ impl RpcError {
             Self::Late { .. } => (Code::DeadlineExceeded, "LATE"),
             Self::SlowReader(_) => (Code::ResourceExhausted, "SLOW_READER"),
             Self::Broken => (Code::Cancelled, "BROKEN"),
+            Self::Left(_) => (Code::Cancelled, "LEFT"),
             Self::Opening { .. } => (Code::Unavailable, "OPENING"),
             Self::Stopping => (Code::Unavailable, "STOPPING"),
             Self::Denial(Denial::NoToken) => (Code::Unauthenticated, "NO_TOKEN"),

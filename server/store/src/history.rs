@@ -17,7 +17,7 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_migrations::v3::lists::ListedFile;
-use tidemap_model::Sample;
+use tidemap_model::{Sample, StopSignal};
 
 use crate::{
     MapId,
@@ -180,9 +180,23 @@ impl History {
     /// # Errors
     /// [`HistoryError`] names the file that cannot be read.
     pub fn state(&self, id: StateId, from_nanos: i64, to_nanos: i64) -> Result<Vec<Sample>, HistoryError> {
+        self.state_until(id, from_nanos, to_nanos, StopSignal::NEVER)
+    }
+
+    /// The same; not all of them if the signal is set.
+    ///
+    /// # Errors
+    /// [`HistoryError`] names the file that cannot be read.
+    pub fn state_until(
+        &self,
+        id: StateId,
+        from_nanos: i64,
+        to_nanos: i64,
+        stop: StopSignal<'_>,
+    ) -> Result<Vec<Sample>, HistoryError> {
         let mut found = Vec::new();
         for generation in self.generations(Part::States)? {
-            if found.len() > self.enough {
+            if found.len() > self.enough || stop.is_set() {
                 break;
             }
             let Some(file) = self.open_if_there(generation, Part::States, from_nanos, to_nanos)? else { continue };

@@ -128,7 +128,7 @@ fn late_readings_and_a_half_life_count() {
     world.own[0].1.extend(samples(0, 4..5));
     assert_eq!(world.refit(LIMITS).fitted, 1);
     let all = samples(0, 0..20);
-    let readings = Readings { samples: &all, half_life_secs: Some(3.0 * 86_400.0) };
+    let readings = Readings { half_life_secs: Some(3.0 * 86_400.0), ..Readings::new(&all) };
     let expected = Calibrated::fit(readings, CalibratedOptions::default()).expect("fits");
     assert_ne!(expected, fitted(&all));
     assert_eq!(world.fit_of(0), Some((&expected, 19)));

@@ -80,8 +80,10 @@ impl Hypertime {
             let probability = if sample.value.is_nan() { 0.0 } else { sample.value.clamp(0.0, 1.0) };
             folds[fold].add(week::slot(civil), weight, probability);
         }
-        let extent = Extent { span_nanos: first.utc_nanos.abs_diff(last.utc_nanos), folds: count };
-        let odds = grow(&Folds { folds, method: options.method, unit }, &extent, options);
+        let extent = Extent { span_nanos: first.utc_nanos.abs_diff(last.utc_nanos), folds: count, stop: readings.stop };
+        let folds = Folds { folds, method: options.method, unit, stop: readings.stop };
+        let odds = grow(&folds, &extent, options);
+        readings.stop.check()?;
         Ok(Hypertime { shape: HypertimeKind::Probability(odds) })
     }
 
@@ -97,7 +99,7 @@ impl Hypertime {
             value: vec![sample.value],
         });
         let (points, weights): (Vec<FieldReading>, Vec<f64>) = of_one_place.zip(readings.weights()).unzip();
-        let field = HypertimeField::fit_weighted(&points, &weights, options)?;
+        let field = HypertimeField::fit_weighted(&points, &weights, options, readings.stop)?;
         Ok(Hypertime { shape: HypertimeKind::Continuous(field) })
     }
 

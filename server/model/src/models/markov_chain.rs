@@ -58,7 +58,8 @@ impl MarkovChain {
             let gap_nanos = pair[1].utc_nanos.abs_diff(pair[0].utc_nanos);
             transitions.add(gap_nanos, pair[0].value, pair[1].value, weight);
         }
-        let (sum, share) = transitions.most_likely();
+        let (sum, share) = transitions.most_likely(readings.stop);
+        readings.stop.check()?;
         let rate = |rate: f64| rate.clamp(*RATE_RANGE.start(), *RATE_RANGE.end());
         Ok(MarkovChain {
             parts: MarkovChainParts {

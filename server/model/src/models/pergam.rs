@@ -88,7 +88,8 @@ impl Pergam {
         }
         let folded = PhaseMeans::new(readings, options.period_nanos);
         let level = folded.level();
-        let found = fit_wrapped(folded.shares(), options.gaussians, options.seed);
+        let found = fit_wrapped(folded.shares(), options.gaussians, options.seed, readings.stop);
+        readings.stop.check()?;
         let gaussians = found.iter().map(|wrapped| PergamGaussian {
             weight: wrapped.weight * level,
             mean_secs: (wrapped.mean * period_secs).clamp(0.0, period_secs),

@@ -6,7 +6,7 @@
 
 use super::mean::check_values;
 use super::{CannotFit, Moment, Readings, TemporalModel};
-use crate::{Component, InvalidParts, LocalDay, ORDER_MAX, Periodicities};
+use crate::{Component, InvalidParts, LocalDay, ORDER_MAX, Periodicities, StopSignal};
 
 mod count_rate;
 mod spectrum;
@@ -76,18 +76,26 @@ impl PoissonSpectral {
         }
         check_values(readings, 0.0..=COUNT_MAX, "a count, 0 to 1e12")?;
         let bins = binned(readings, bin_nanos);
-        let order = best_order(&bins, periodicities, bin_nanos);
-        Ok(PoissonSpectral::of_bins(&bins, periodicities, bin_nanos, order))
+        let order = best_order(&bins, periodicities, bin_nanos, readings.stop);
+        let model = PoissonSpectral::of_bins(&bins, periodicities, bin_nanos, order, readings.stop);
+        readings.stop.check()?;
+        Ok(model)
     }
 
     /// The model of the given order.
-    fn of_bins(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64, order: usize) -> PoissonSpectral {
+    fn of_bins(
+        bins: &[Bin],
+        periodicities: &Periodicities,
+        bin_nanos: i64,
+        order: usize,
+        stop: StopSignal<'_>,
+    ) -> PoissonSpectral {
         let weight: f64 = bins.iter().map(|bin| bin.weight).sum();
         let events: f64 = bins.iter().map(|bin| bin.weight * bin.count).sum();
         let mean = (PRIOR_EVENTS + events) / (PRIOR_BINS + weight);
         let days = day_runs(bins).count() as f64;
         let floor = (PRIOR_EVENTS / (PRIOR_BINS + days)).min(mean);
-        let mut components = Spectrum::of(bins, periodicities).strongest();
+        let mut components = Spectrum::of(bins, periodicities, stop).strongest();
         components.truncate(order);
         PoissonSpectral {
             periodicities: periodicities.clone(),
@@ -179,14 +187,14 @@ fn day_runs(bins: &[Bin]) -> impl Iterator<Item = &[Bin]> {
 }
 
 /// The order that predicts the last quarter of the days best from those before; on a near tie the lowest.
-fn best_order(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64) -> usize {
+fn best_order(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64, stop: StopSignal<'_>) -> usize {
     let days: Vec<&[Bin]> = day_runs(bins).collect();
     if days.len() < DAYS_MIN {
         return 0;
     }
     let held_out = days[days.len() - days.len() / 4..].iter().map(|day| day.len()).sum::<usize>();
     let (learnt, held_out) = bins.split_at(bins.len() - held_out);
-    let model = PoissonSpectral::of_bins(learnt, periodicities, bin_nanos, ORDER_MAX);
+    let model = PoissonSpectral::of_bins(learnt, periodicities, bin_nanos, ORDER_MAX, stop);
     let log_likelihood = |order: usize| -> f64 {
         let of_bin = |bin: &Bin| {
             let expected = model.count(order, bin.centre_nanos);
@@ -195,7 +203,7 @@ fn best_order(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64) -> us
         };
         held_out.iter().map(of_bin).sum()
     };
-    let found: Vec<f64> = (0..=model.order()).map(log_likelihood).collect();
+    let found: Vec<f64> = (0..=model.order()).take_while(|_| !stop.is_set()).map(log_likelihood).collect();
     let highest = found.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     found.iter().position(|&found| found >= highest - NEAR_TIE_NATS).unwrap_or(0)
 }

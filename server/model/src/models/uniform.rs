@@ -9,7 +9,7 @@ use realfft::num_complex::Complex;
 
 use super::mean::check_values;
 use super::{CannotFit, Moment, Readings, TemporalModel};
-use crate::{Component, InvalidParts, ORDER_MAX, Sample};
+use crate::{Component, InvalidParts, ORDER_MAX, Sample, StopSignal};
 
 mod gaps;
 mod regular;
@@ -24,6 +24,8 @@ mod tests;
 const TIE: f64 = 1e-9;
 /// Weaker components are rounding errors.
 const GAMMA_MIN: f64 = 1e-12;
+/// States between two looks at the stop signal.
+const STATES_PER_CHECK: usize = 4096;
 /// A regularly sampled binary state (T-RO, section III.B).
 ///
 /// Time is counted in steps: reading i was made i intervals (UTC) after the first. Predictions follow the local clock,
@@ -81,7 +83,7 @@ impl UniformSpectral {
             components: Vec::new(),
             outlier_gaps: Vec::new(),
         };
-        UniformSpectral::of_states(&header, &states, order)
+        UniformSpectral::of_states(&header, &states, order, readings.stop)
     }
 
     /// The model of all stored states with another order: the update of T-RO III.B.3. It loses no information.
@@ -89,10 +91,15 @@ impl UniformSpectral {
     /// # Errors
     /// [`CannotFit`] where the order is above [`ORDER_MAX`].
     pub fn with_order(&self, order: usize) -> Result<UniformSpectral, CannotFit> {
-        UniformSpectral::of_states(&self.parts, &self.reconstruct(), order)
+        UniformSpectral::of_states(&self.parts, &self.reconstruct(), order, StopSignal::NEVER)
     }
 
-    fn of_states(header: &UniformSpectralParts, states: &[bool], order: usize) -> Result<UniformSpectral, CannotFit> {
+    fn of_states(
+        header: &UniformSpectralParts,
+        states: &[bool],
+        order: usize,
+        stop: StopSignal<'_>,
+    ) -> Result<UniformSpectral, CannotFit> {
         if order > ORDER_MAX {
             return Err(CannotFit::Parameter { parameter: "order", found: order as f64, expected: "0 to 15" });
         }
@@ -107,9 +114,11 @@ impl UniformSpectral {
             ..header.clone()
         };
         let mut model = UniformSpectral { parts, outliers: Vec::new() };
-        for &state in states {
-            model.append_state(state);
+        for chunk in states.chunks(STATES_PER_CHECK) {
+            stop.check()?;
+            chunk.iter().for_each(|&state| model.append_state(state));
         }
+        stop.check()?;
         Ok(model)
     }
 

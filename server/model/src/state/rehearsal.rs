@@ -31,7 +31,7 @@ impl StateModel {
         let since = self.alternatives().and_then(|known| known.fit_since());
         let from = seen.partition_point(|sample| since.is_some_and(|since| sample.local_day() < since));
         let half_life_secs = rules.half_life_days.map(|days| days * 86_400.0);
-        let readings = Readings { samples: &seen[from..], half_life_secs };
+        let readings = Readings { half_life_secs, ..Readings::new(&seen[from..]) };
         for kind in rules.models.fits().filter(|kind| kind.is_cheap()) {
             if !self.is_fit_due(kind) {
                 continue;

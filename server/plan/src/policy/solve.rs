@@ -13,9 +13,10 @@ use super::{
     POLICY_STATES_MAX, PolicyAction, PolicyEntry, PolicyError, PolicyObjective, PolicyOptions, PolicyTable,
     settle::{ChoiceByNode, SlotChoice, SlotChoices, evaluate, settle},
 };
-use crate::route::{EdgeForecast, ForecastError, Forecasts, Network, check_forecast, expected_secs};
+use crate::route::{EdgeForecast, Forecasts, Network, check_forecast, expected_secs};
 
-/// Finds the best policy for a target. `until` is called for each slot; `true` stops the work.
+/// Finds the best policy for a target. `until` is called for each slot and now and then within it; `true` stops the
+/// work.
 ///
 /// # Errors
 /// [`PolicyError`].
@@ -38,7 +39,7 @@ pub fn solve_policy(
         if until() {
             return Err(PolicyError::Stopped { left: slot + 1, slots });
         }
-        solver.solve(slot, forecasts)?;
+        solver.solve(slot, forecasts, &mut until)?;
     }
     let entries = solver.entries;
     Ok(PolicyTable { target, slot_secs: options.slot_secs, slots, nodes: network.nodes, entries })
@@ -62,6 +63,8 @@ fn check(options: &PolicyOptions) -> Result<(), PolicyError> {
 
 /// Choices whose probability to reach the target differs by at most this are equal.
 const TIE: f64 = 1e-12;
+/// Forecasts between two questions whether to stop.
+const EDGES_PER_CHECK: usize = 256;
 /// The edge number that means waiting.
 const WAIT: u32 = u32::MAX;
 
@@ -91,10 +94,18 @@ impl<'a> Solver<'a> {
     }
 
     /// Solves a slot; later slots must be solved.
-    pub(super) fn solve(&mut self, slot: usize, forecasts: &mut impl Forecasts) -> Result<(), ForecastError> {
+    pub(super) fn solve(
+        &mut self,
+        slot: usize,
+        forecasts: &mut impl Forecasts,
+        until: &mut impl FnMut() -> bool,
+    ) -> Result<(), PolicyError> {
         let at_secs = (slot as f64 + 0.5) * self.options.slot_secs;
         let mut open: Vec<Option<EdgeForecast>> = Vec::with_capacity(self.network.edges.len());
         for (index, edge) in self.network.edges.iter().enumerate() {
+            if index % EDGES_PER_CHECK == EDGES_PER_CHECK - 1 && until() {
+                return Err(PolicyError::Stopped { left: slot + 1, slots: self.options.slots });
+            }
             let forecast = if self.network.from(index) == self.target { None } else { forecasts.at(edge, at_secs) };
             if let Some(forecast) = &forecast {
                 check_forecast(forecast, || self.network.edge_name(index))?;

@@ -1,6 +1,9 @@
 //! Predictions equal those of the grid, cell by cell.
 
-use std::sync::{Arc, atomic::AtomicU64};
+use std::sync::{
+    Arc,
+    atomic::{AtomicU64, AtomicUsize, Ordering},
+};
 
 use tidemap_map::{
     event::{Event, UpdateCause},
@@ -17,7 +20,7 @@ use tidemap_map::{
     spec::MapSpec,
     view::MapView,
 };
-use tidemap_model::{InstantPhasors, Zone};
+use tidemap_model::{EarlyStop, InstantPhasors, StopSignal, Zone};
 
 use super::*;
 
@@ -103,12 +106,13 @@ fn each_cell_is_what_the_grid_says_at_each_time() {
     for kind in [ModelKind::Spectral, ModelKind::Mean, ModelKind::Latest] {
         for persistence in [false, true] {
             let options = options(kind, persistence);
-            let day = PredictedTimes::new(&view, &times(), &options).unwrap();
+            let day = PredictedTimes::new(&view, &times(), &options, StopSignal::NEVER).unwrap();
             let differ = kind == ModelKind::Spectral || (persistence && kind != ModelKind::Latest);
             assert_eq!(day.varying(), if differ { 3 } else { 0 }, "{kind} {persistence}");
             assert_eq!(day.lattice().size(), [24, 16, 8]);
             for (time, utc_nanos) in times().into_iter().enumerate() {
-                let (alone, at) = (PredictedGrid::new(&view, utc_nanos, &options).unwrap(), day.at(time).unwrap());
+                let (alone, at) =
+                    (PredictedGrid::new(&view, utc_nanos, &options, StopSignal::NEVER).unwrap(), day.at(time).unwrap());
                 let civil = view.moments(&[utc_nanos])[0].civil_nanos();
                 let phasors = InstantPhasors::new(&view.spec().periodicities, civil);
                 let mut known = 0;
@@ -130,11 +134,33 @@ fn each_cell_is_what_the_grid_says_at_each_time() {
 }
 
 #[test]
+fn predictions_that_are_told_to_stop_give_nothing() {
+    let view = learned(spec(false));
+    let asked = AtomicUsize::new(0);
+    let predict = |after: usize| {
+        asked.store(0, Ordering::Relaxed);
+        let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= after;
+        let options = options(ModelKind::Spectral, false);
+        PredictedTimes::new(&view, &times(), &options, StopSignal::new(&is_set)).map(|_| ())
+    };
+    assert_eq!(predict(usize::MAX), Ok(()));
+    let questions = asked.load(Ordering::Relaxed);
+    assert!(questions > 20, "{questions}");
+    for after in [0, 1, questions / 2, questions - 1] {
+        assert_eq!(predict(after), Err(PredictError::Stop(EarlyStop)), "{after} of {questions}");
+        // At most one more question of each tile.
+        assert!(asked.load(Ordering::Relaxed) <= after + 7, "{after} {asked:?}");
+    }
+}
+
+#[test]
 fn the_region_of_interest_is_the_extent_where_there_is_one() {
     let min = CellIndex { x: -8, y: 0, z: 0 };
     let extent = CellBox { min, max: CellIndex { x: 20, y: 10, z: 6 } };
     let view = learned(GridSpec { extent: Some(extent), ..spec(false) });
-    let predict = |region| PredictedGrid::new(&view, 0, &PredictOptions { region, ..PredictOptions::default() });
+    let predict = |region| {
+        PredictedGrid::new(&view, 0, &PredictOptions { region, ..PredictOptions::default() }, StopSignal::NEVER)
+    };
     let grid = predict(None).unwrap();
     assert_eq!(grid.lattice().region(), extent);
     assert_eq!(grid.probability(min), None);
@@ -151,17 +177,20 @@ fn the_region_of_interest_is_the_extent_where_there_is_one() {
 #[test]
 fn what_is_too_much_is_refused() {
     let view = learned(spec(false));
-    let ask = |options: PredictOptions| PredictedTimes::new(&view, &times(), &options).map(|_| ()).unwrap_err();
+    let ask = |options: PredictOptions| {
+        PredictedTimes::new(&view, &times(), &options, StopSignal::NEVER).map(|_| ()).unwrap_err()
+    };
     let few = PredictOptions { max_cells: 1000, ..PredictOptions::default() };
     assert!(ask(few).to_string().contains("at most 1000"));
     let few = PredictOptions { max_values: 24, ..options(ModelKind::Spectral, false) };
     assert!(matches!(ask(few), PredictError::TooManyValues { times: 24, max: 24 }));
-    let none = PredictedTimes::new(&view, &[], &PredictOptions::default());
+    let none = PredictedTimes::new(&view, &[], &PredictOptions::default(), StopSignal::NEVER);
     assert_eq!(none.map(|_| ()), Err(PredictError::NoTime));
     let empty = LiveMap::new(map_spec(Some(spec(false)))).publish();
-    let answer = PredictedGrid::new(&empty, 0, &PredictOptions::default()).map(|_| ());
+    let answer = PredictedGrid::new(&empty, 0, &PredictOptions::default(), StopSignal::NEVER).map(|_| ());
     assert_eq!(answer, Err(PredictError::EmptyRegion));
-    let answer = PredictedGrid::new(&LiveMap::new(map_spec(None)).publish(), 0, &PredictOptions::default());
+    let answer =
+        PredictedGrid::new(&LiveMap::new(map_spec(None)).publish(), 0, &PredictOptions::default(), StopSignal::NEVER);
     assert_eq!(answer.map(|_| ()), Err(PredictError::NoGrid));
 }
 

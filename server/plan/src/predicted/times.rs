@@ -16,7 +16,7 @@ use tidemap_map::{
     selector::ModelKind,
     view::MapView,
 };
-use tidemap_model::InstantPhasors;
+use tidemap_model::{InstantPhasors, StopSignal};
 
 use super::{Lattice, PredictError, PredictOptions};
 
@@ -32,9 +32,14 @@ impl PredictedGrid {
     /// Predicts a map's grid at a time in nanoseconds UTC. Takes 4 bytes a cell.
     ///
     /// # Errors
-    /// [`PredictError`], before the work begins if it is too much.
-    pub fn new(view: &MapView, utc_nanos: i64, options: &PredictOptions) -> Result<PredictedGrid, PredictError> {
-        Ok(PredictedTimes::new(view, &[utc_nanos], options)?.into_first())
+    /// [`PredictError`], before the work begins if it is too much; [`PredictError::Stop`].
+    pub fn new(
+        view: &MapView,
+        utc_nanos: i64,
+        options: &PredictOptions,
+        stop: StopSignal<'_>,
+    ) -> Result<PredictedGrid, PredictError> {
+        Ok(PredictedTimes::new(view, &[utc_nanos], options, stop)?.into_first())
     }
 
     /// A grid from other predictions: `probability` gives each cell's probability of being occupied, clipped to [0, 1];
@@ -97,8 +102,13 @@ impl PredictedTimes {
     /// cell.
     ///
     /// # Errors
-    /// [`PredictError`]; if the region is too large, before the work begins.
-    pub fn new(view: &MapView, utc_nanos: &[i64], options: &PredictOptions) -> Result<PredictedTimes, PredictError> {
+    /// [`PredictError`]; if the region is too large, before the work begins; [`PredictError::Stop`].
+    pub fn new(
+        view: &MapView,
+        utc_nanos: &[i64],
+        options: &PredictOptions,
+        stop: StopSignal<'_>,
+    ) -> Result<PredictedTimes, PredictError> {
         let grid = view.grid().ok_or(PredictError::NoGrid)?;
         if utc_nanos.is_empty() {
             return Err(PredictError::NoTime);
@@ -114,7 +124,7 @@ impl PredictedTimes {
         let tiles: Vec<TileTimes> = tiles
             .par_iter()
             .map(|&tile| {
-                let told = tile_times(grid, tile, &moments, &lattice, options)?;
+                let told = tile_times(grid, tile, &moments, &lattice, (options, stop))?;
                 let added = told.varying.len() as u64 * moments.len() as u64;
                 if values.fetch_add(added, Ordering::Relaxed) + added > options.max_values {
                     return Err(PredictError::TooManyValues { times: moments.len(), max: options.max_values });
@@ -125,6 +135,7 @@ impl PredictedTimes {
         let mut first = vec![f32::NAN; lattice.held()];
         let mut varying = Vec::new();
         for tile in tiles {
+            stop.check()?;
             for (place, &probability) in (0..).zip(tile.first.iter()) {
                 if let (Some(place), false) = (lattice.place(tile.index.cell(place)), probability.is_nan()) {
                     first[place] = probability;
@@ -231,13 +242,14 @@ fn tile_times(
     (index, id): (TileIndex, TileId),
     moments: &[(i64, InstantPhasors)],
     lattice: &Lattice,
-    options: &PredictOptions,
+    (options, stop): (&PredictOptions, StopSignal<'_>),
 ) -> Result<TileTimes, PredictError> {
     let mut first = Box::new([f32::NAN; TILE_CELLS]);
     let mut varying: Vec<(u16, Vec<f32>)> = Vec::new();
     let Some(((utc_nanos, phasors), later)) = moments.split_first() else {
         return Err(PredictError::NoTime);
     };
+    stop.check()?;
     let told = grid.predict_tile(id, *utc_nanos, phasors, options.selector)?;
     for cell in told.known.cells() {
         first[usize::from(cell)] = told.probabilities[usize::from(cell)];
@@ -250,9 +262,11 @@ fn tile_times(
     if is_constant || later.is_empty() {
         return Ok(TileTimes { index, first, varying });
     }
-    let at =
-        |(utc_nanos, phasors): &(i64, InstantPhasors)| grid.predict_tile(id, *utc_nanos, phasors, options.selector);
-    let later: Vec<_> = later.iter().map(at).collect::<Result<_, _>>()?;
+    let at = |(utc_nanos, phasors): &(i64, InstantPhasors)| {
+        stop.check()?;
+        Ok(grid.predict_tile(id, *utc_nanos, phasors, options.selector)?)
+    };
+    let later: Vec<_> = later.iter().map(at).collect::<Result<_, PredictError>>()?;
     for cell in told.known.cells().filter(|&cell| lattice.region().contains(index.cell(cell))) {
         let known = first[usize::from(cell)];
         let values = later.iter().map(|told| told.probabilities[usize::from(cell)]);

@@ -7,7 +7,7 @@ use super::order::Ways;
 /// The costs and the time limit of a tour.
 #[derive(Debug)]
 pub(super) struct TourBudget<'a> {
-    pub ways: &'a Ways,
+    pub ways: &'a Ways<'a>,
     /// Of each goal.
     pub values: &'a [f64],
     /// Seconds a metre.
@@ -40,7 +40,7 @@ impl TourBudget<'_> {
         let mut goals: Vec<usize> = (0..self.ways.count()).filter(|&goal| self.fits(&[goal])).collect();
         let mut left_out = Vec::new();
         let mut order = self.ways.order(&goals);
-        while !self.fits(&order) {
+        while !self.fits(&order) && !self.ways.stop.is_set() {
             let whole = self.duration_secs(&order);
             let value_of_time = |goal: usize| {
                 let rest: Vec<usize> = order.iter().copied().filter(|&other| other != goal).collect();
@@ -54,7 +54,7 @@ impl TourBudget<'_> {
             order = self.ways.order(&goals);
         }
         left_out.sort_by(|&one, &other| self.values[other].total_cmp(&self.values[one]).then(one.cmp(&other)));
-        for goal in left_out {
+        for goal in left_out.into_iter().take_while(|_| !self.ways.stop.is_set()) {
             goals.push(goal);
             let longer = self.ways.order(&goals);
             if self.fits(&longer) {

@@ -12,6 +12,7 @@ use std::{
 
 use rayon::prelude::*;
 use tidemap_map::grid::index::CellIndex;
+use tidemap_model::StopSignal;
 
 use super::question::{Suppression, TourCandidate};
 use crate::{
@@ -69,6 +70,8 @@ pub(super) struct GoalSelection<'a> {
     fan: &'a Fan,
     candidates: &'a [TourCandidate],
     suppression: Suppression,
+    /// If it is set, the choice ends early, and must not be used.
+    stop: StopSignal<'a>,
     /// By place: cells that a chosen goal sees.
     covered: Vec<bool>,
     /// The information of each candidate, or its upper bound, before factors.
@@ -91,6 +94,7 @@ impl<'a> GoalSelection<'a> {
         fan: &'a Fan,
         candidates: &'a [TourCandidate],
         suppression: Suppression,
+        stop: StopSignal<'a>,
     ) -> GoalSelection<'a> {
         let bits = bounds(scene, fan, candidates);
         let mut choice = GoalSelection {
@@ -98,6 +102,7 @@ impl<'a> GoalSelection<'a> {
             fan,
             candidates,
             suppression,
+            stop,
             covered: vec![false; scene.lattice().held()],
             bits,
             factors: vec![1.0; candidates.len()],
@@ -120,7 +125,7 @@ impl<'a> GoalSelection<'a> {
     /// The best `count` goals, in the order of choice; fewer if the others have no information.
     pub(super) fn choose(&mut self, goals: usize) -> Vec<TourGoal> {
         let mut chosen = Vec::new();
-        while chosen.len() < goals {
+        while chosen.len() < goals && !self.stop.is_set() {
             self.settle();
             let Some(best) = self.entries.pop().filter(|best| best.value > 0.0) else { break };
             let candidate = best.candidate;
@@ -144,7 +149,7 @@ impl<'a> GoalSelection<'a> {
     /// Evaluates candidates until the best is known.
     fn settle(&mut self) {
         let threads = rayon::current_num_threads().max(1);
-        loop {
+        while !self.stop.is_set() {
             let (mut known, mut unseen) = (Vec::new(), Vec::new());
             while unseen.len() < self.batch
                 && let Some(best) = self.entries.peek().filter(|best| !best.is_exact && best.value > 0.0)
@@ -203,7 +208,7 @@ impl<'a> GoalSelection<'a> {
         let mut scorer = known.unwrap_or_default();
         let cells: Vec<CellIndex> = candidates.iter().map(|&candidate| self.candidates[candidate].cell).collect();
         let mut views = vec![(0.0, Vec::new()); cells.len()];
-        scorer.each(self.scene, self.fan, &cells, |number, place| {
+        scorer.each(self.scene, self.fan, &cells, self.stop, |number, place| {
             let bits = self.scene.bits_at(place);
             if bits > 0.0 {
                 let (sum, seen) = &mut views[number];

@@ -2,6 +2,8 @@
 //!
 //! Invariant: the drive is never longer than the nearest-neighbour drive.
 
+use tidemap_model::StopSignal;
+
 /// Maximum number of goals with the shortest drive (Held and Karp 1962).
 pub(super) const EXACT_MAX: usize = 12;
 /// Smaller differences of drives are rounding, metres.
@@ -9,22 +11,29 @@ const SHORTER_M: f64 = 1e-9;
 
 /// Distances from the start to each goal and between goals, metres.
 #[derive(Clone, Debug)]
-pub(super) struct Ways {
+pub(super) struct Ways<'a> {
     from_start: Vec<f64>,
     returns: bool,
     between: Vec<f64>,
+    /// If it is set, orders are found early, and must not be used.
+    pub(super) stop: StopSignal<'a>,
 }
 
-impl Ways {
+impl<'a> Ways<'a> {
     /// Distances are symmetric: `between` is called with a lower and a higher number.
-    pub(super) fn new(from_start: Vec<f64>, returns: bool, between: impl Fn(usize, usize) -> f64) -> Ways {
+    pub(super) fn new(
+        from_start: Vec<f64>,
+        returns: bool,
+        stop: StopSignal<'a>,
+        between: impl Fn(usize, usize) -> f64,
+    ) -> Ways<'a> {
         let count = from_start.len();
         let way = |at: usize| {
             let (one, other) = (at / count, at % count);
             if one == other { 0.0 } else { between(one.min(other), one.max(other)) }
         };
         let between = (0..count * count).map(way).collect();
-        Ways { from_start, returns, between }
+        Ways { from_start, returns, between, stop }
     }
 
     /// Number of goals.
@@ -122,7 +131,7 @@ impl Ways {
                     order.extend_from_slice(changed);
                 }
             };
-            for from in 0..order.len() {
+            for from in (0..order.len()).take_while(|_| !self.stop.is_set()) {
                 for to in from + 1..order.len() {
                     best.clone_from(&order);
                     best[from..=to].reverse();
@@ -130,7 +139,7 @@ impl Ways {
                 }
             }
             for part in 1..=3 {
-                for from in 0..order.len().saturating_sub(part - 1) {
+                for from in (0..order.len().saturating_sub(part - 1)).take_while(|_| !self.stop.is_set()) {
                     for to in 0..=order.len() - part {
                         for is_turned in [false, true] {
                             best.clone_from(&order);
@@ -144,7 +153,7 @@ impl Ways {
                     }
                 }
             }
-            if length >= before {
+            if length >= before || self.stop.is_set() {
                 return order;
             }
         }

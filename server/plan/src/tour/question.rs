@@ -3,6 +3,7 @@
 //! Invariant: a request that [`TourQuestion::check`] accepts can be planned.
 
 use tidemap_map::{grid::index::CellIndex, reachability::Reachability};
+use tidemap_model::EarlyStop;
 
 use crate::{
     predicted::PredictedGrid,
@@ -130,6 +131,9 @@ pub enum TourError {
     /// The threshold is invalid.
     #[error(transparent)]
     Threshold(#[from] InvalidThreshold),
+    /// The work was told to stop.
+    #[error(transparent)]
+    Stop(#[from] EarlyStop),
 }
 
 impl TourQuestion {

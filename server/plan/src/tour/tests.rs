@@ -1,9 +1,16 @@
 //! Tours in drawn rooms, and their parts against naive oracles.
 
-use std::{collections::HashSet, sync::Arc};
+use std::{
+    collections::HashSet,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+};
 
 use proptest::prelude::*;
 use tidemap_map::grid::index::{CellBox, CellIndex};
+use tidemap_model::EarlyStop;
 
 use super::*;
 use crate::{
@@ -39,7 +46,7 @@ fn question(grid: &PredictedGrid, x: i32, y: i32) -> TourQuestion {
 }
 
 fn tour(grid: &PredictedGrid, question: &TourQuestion) -> Tour {
-    plan_tour(grid, &Reachability::default(), question).unwrap()
+    plan_tour(grid, &Reachability::default(), question, StopSignal::NEVER).unwrap()
 }
 
 /// Two corners of a room with changes, one with more.
@@ -149,7 +156,7 @@ fn a_tour_without_a_goal_says_why() {
             failed.report(f64::from(x) * 0.5 + 0.1, f64::from(y) * 0.5 + 0.1, false, 0).unwrap();
         }
     }
-    let told = plan_tour(&grid, &failed, &ask).unwrap();
+    let told = plan_tour(&grid, &failed, &ask, StopSignal::NEVER).unwrap();
     assert_eq!(told.no_tour, Some(NoTour::NothingReachable));
 
     let told = tour(&grid, &TourQuestion { budget_secs: Some(30.0), ..ask });
@@ -181,7 +188,7 @@ fn places_that_were_not_reached_are_worth_less() {
     }
     let ask = TourQuestion { goals: 1, ..question(&grid, 30, 5) };
     assert!(tour(&grid, &ask).steps[0].x_m > at(&grid, 30, 0)[0]);
-    let told = plan_tour(&grid, &known, &ask).unwrap();
+    let told = plan_tour(&grid, &known, &ask, StopSignal::NEVER).unwrap();
     assert!(told.steps[0].x_m < at(&grid, 30, 0)[0]);
     assert_eq!(told.steps[0].reachability, 1.0);
 }
@@ -221,7 +228,7 @@ fn mistakes_name_the_value() {
         (TourQuestion { travel: TravelOptions { radius_m: -1.0, ..good.travel }, ..good }, "radius -1"),
         (TourQuestion { scene: SceneOptions { threshold: 2.0, ..good.scene }, ..good }, "threshold 2"),
     ] {
-        let error = plan_tour(&grid, &Reachability::default(), &wrong).unwrap_err().to_string();
+        let error = plan_tour(&grid, &Reachability::default(), &wrong, StopSignal::NEVER).unwrap_err().to_string();
         assert!(error.contains(word), "{error}");
     }
 }
@@ -230,7 +237,7 @@ fn mistakes_name_the_value() {
 fn a_million_candidates_are_refused() {
     let grid = room(1001, 1001, |_, _| 0.0);
     let ask = TourQuestion { spacing_m: 0.1, ..question(&grid, 30, 5) };
-    let error = plan_tour(&grid, &Reachability::default(), &ask).unwrap_err();
+    let error = plan_tour(&grid, &Reachability::default(), &ask, StopSignal::NEVER).unwrap_err();
     assert!(matches!(error, TourError::TooManyCandidates { candidates: 1_002_001.0, max: 100_000, .. }), "{error}");
 }
 
@@ -239,7 +246,9 @@ fn rays_at_hand_give_the_same_tour() {
     let grid = two_corners();
     let ask = question(&grid, 30, 5);
     let fan = Fan::new(&ask.sensor, grid.lattice(), 0.0).unwrap();
-    let plan = |ask: &TourQuestion, grid: &PredictedGrid| plan_tour_with(&fan, grid, &Reachability::default(), ask);
+    let plan = |ask: &TourQuestion, grid: &PredictedGrid| {
+        plan_tour_with(&fan, grid, &Reachability::default(), ask, StopSignal::NEVER)
+    };
     assert_eq!(plan(&ask, &grid), Ok(tour(&grid, &ask)));
     assert_eq!(plan(&TourQuestion { yaw_rad: 1.0, ..ask }, &grid), Ok(tour(&grid, &ask)));
     let other = TourQuestion { sensor: Sensor { range_m: 0.9, ..ask.sensor }, ..ask };
@@ -247,12 +256,42 @@ fn rays_at_hand_give_the_same_tour() {
     assert_eq!(plan(&ask, &room(61, 30, |_, _| 0.5)), Err(TourError::OtherFan));
 }
 
-fn ways(numbers: &[f64], count: usize, returns: bool) -> Ways {
+#[test]
+fn a_tour_that_is_told_to_stop_ends_soon_and_gives_nothing() {
+    let grid = room(60, 60, |x, y| if (x * 7 + y * 3) % 5 == 0 { 0.3 } else { 0.1 });
+    let ask = TourQuestion {
+        goals: 30,
+        spacing_m: 0.4,
+        observation_secs: 2.0,
+        budget_secs: Some(60.0),
+        ..question(&grid, 30, 30)
+    };
+    let fan = Fan::new(&ask.sensor, grid.lattice(), 0.0).unwrap();
+    let asked = AtomicUsize::new(0);
+    let plan = |after: usize| {
+        asked.store(0, Ordering::Relaxed);
+        let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= after;
+        plan_tour_with(&fan, &grid, &Reachability::default(), &ask, StopSignal::new(&is_set))
+    };
+    let whole = plan(usize::MAX).unwrap();
+    let steps = asked.load(Ordering::Relaxed);
+    assert!(whole.steps.len() > 8 && steps > 300, "{} {steps}", whole.steps.len());
+    for after in (0..20).map(|part| part * steps / 20).chain([steps - 1]) {
+        assert_eq!(plan(after), Err(TourError::Stop(EarlyStop)), "{after} of {steps}");
+        let further = asked.load(Ordering::Relaxed) - after;
+        assert!(further <= 20, "{further} further steps after {after} of {steps}");
+    }
+    assert_eq!(plan(steps), Ok(whole));
+}
+
+fn ways(numbers: &[f64], count: usize, returns: bool) -> Ways<'static> {
     // Distances of points in a plane with detours, so that nearest first is often wrong.
     let point = |goal: usize| (numbers[2 * goal], numbers[2 * goal + 1]);
     let apart = |one: (f64, f64), other: (f64, f64)| (one.0 - other.0).hypot(one.1 - other.1);
     let from_start = (0..count).map(|goal| apart((0.5, 0.5), point(goal))).collect();
-    Ways::new(from_start, returns, |one, other| apart(point(one), point(other)) + 0.2 * point(one.max(other)).0)
+    Ways::new(from_start, returns, StopSignal::NEVER, |one, other| {
+        apart(point(one), point(other)) + 0.2 * point(one.max(other)).0
+    })
 }
 
 fn permutations(goals: &[usize], tell: &mut impl FnMut(&[usize])) {
@@ -340,7 +379,7 @@ proptest! {
             }
         }
         let how = radius_m.map_or(Suppression::Shared, |radius_m| Suppression::Distance { radius_m });
-        let chosen = GoalSelection::new(&scene, &fan, &candidates, how).choose(goals);
+        let chosen = GoalSelection::new(&scene, &fan, &candidates, how, StopSignal::NEVER).choose(goals);
         let chosen: Vec<(usize, f64)> = chosen.iter().map(|goal| (goal.candidate, goal.bits)).collect();
         prop_assert_eq!(chosen, choose_plainly(&scene, &fan, &candidates, how, goals));
     }

@@ -10,6 +10,7 @@
 use std::f64::consts::{PI, TAU};
 
 use rayon::prelude::*;
+use tidemap_model::StopSignal;
 
 use super::{InvalidSensor, RAY_CELLS_MAX, Sensor};
 use crate::predicted::Lattice;
@@ -67,6 +68,16 @@ impl Fan {
     /// # Errors
     /// [`InvalidSensor`]; before the work begins.
     pub fn new(sensor: &Sensor, lattice: &Lattice, yaw_rad: f64) -> Result<Fan, InvalidSensor> {
+        Fan::until(sensor, lattice, yaw_rad, StopSignal::NEVER)
+    }
+
+    /// The same; not to be used if the signal is set.
+    pub(crate) fn until(
+        sensor: &Sensor,
+        lattice: &Lattice,
+        yaw_rad: f64,
+        stop: StopSignal<'_>,
+    ) -> Result<Fan, InvalidSensor> {
         sensor.check(lattice)?;
         let range = sensor.range_m / lattice.resolution_m();
         let rows = if lattice.is_flat() { 1.0 } else { (sensor.vertical_fov_rad * range).ceil() + 1.0 };
@@ -78,8 +89,12 @@ impl Fan {
             return Err(InvalidSensor::TooFine { cells, max: RAY_CELLS_MAX });
         }
         let rays = directions(sensor, lattice, yaw_rad);
-        let mut paths: Vec<Vec<u8>> = rays.into_par_iter().map(|ray| path(ray, range, lattice.size())).collect();
+        let path = |ray| if stop.is_set() { Vec::new() } else { path(ray, range, lattice.size()) };
+        let mut paths: Vec<Vec<u8>> = rays.into_par_iter().map(path).collect();
         paths.par_sort_unstable();
+        if stop.is_set() {
+            paths.clear();
+        }
         Ok(Fan::merge(&paths, lattice, (*sensor, yaw_rad)))
     }
 

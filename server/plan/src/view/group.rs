@@ -7,9 +7,10 @@
 //! Invariant: each viewpoint sees the cells that [`super::ViewScorer`] gives, in the same order.
 
 use tidemap_map::grid::index::CellIndex;
+use tidemap_model::StopSignal;
 
 use super::{
-    Fan, Scene,
+    Fan, NODES_PER_CHECK, Scene,
     scene::{OPAQUE, OUTSIDE},
 };
 
@@ -36,7 +37,15 @@ pub(crate) struct GroupScorer {
 impl GroupScorer {
     /// Calls `seen` with the number of a viewpoint and the place of a cell that it sees, once for each. Of more than
     /// [`GROUP_MAX`] viewpoints the others are not evaluated; a viewpoint outside the region sees nothing.
-    pub(crate) fn each(&mut self, scene: &Scene, fan: &Fan, from: &[CellIndex], mut seen: impl FnMut(usize, usize)) {
+    /// Not all cells if the signal is set.
+    pub(crate) fn each(
+        &mut self,
+        scene: &Scene,
+        fan: &Fan,
+        from: &[CellIndex],
+        stop: StopSignal<'_>,
+        mut seen: impl FnMut(usize, usize),
+    ) {
         if !fan.fits(scene.lattice()) {
             return;
         }
@@ -53,8 +62,12 @@ impl GroupScorer {
         self.above.clear();
         // Who sees as far as the current node, up to the end of the branch that it is in.
         let (mut until, mut who) = (usize::MAX, all);
-        let mut at = 0;
+        let (mut at, mut passed) = (0, 0_usize);
         while let Some(&cell) = fan.nodes.get(at) {
+            passed += 1;
+            if passed.is_multiple_of(NODES_PER_CHECK) && stop.is_set() {
+                return;
+            }
             while at >= until {
                 (until, who) = self.above.pop().unwrap_or((usize::MAX, all));
             }

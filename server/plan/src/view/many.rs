@@ -11,6 +11,8 @@ use std::{
 
 use rayon::prelude::*;
 
+use tidemap_model::{EarlyStop, StopSignal};
+
 use super::{Fan, InvalidSensor, Sensor, TimedScene, TimedViewScorer, ViewError, Viewpoint};
 
 /// Number of viewpoints between two reports.
@@ -45,12 +47,16 @@ pub enum TooMuchWork {
     /// The sensor is invalid.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
+    /// The work was told to stop.
+    #[error(transparent)]
+    Stop(#[from] EarlyStop),
 }
 
 /// Fans by yaw.
 struct Fans<'a> {
     sensor: &'a Sensor,
     scene: &'a TimedScene,
+    stop: StopSignal<'a>,
     known: Mutex<HashMap<u64, Arc<Fan>>>,
 }
 
@@ -62,7 +68,7 @@ impl Fans<'_> {
             return Ok(Arc::clone(fan));
         }
         // Without the lock, so that others can continue.
-        let fan = Arc::new(Fan::new(self.sensor, self.scene.lattice(), yaw)?);
+        let fan = Arc::new(Fan::until(self.sensor, self.scene.lattice(), yaw, self.stop)?);
         let mut known = known();
         if known.len() >= FANS {
             known.clear();
@@ -78,16 +84,18 @@ impl Fans<'_> {
 /// is not all around needs a [`Fan`] for each distinct yaw.
 ///
 /// # Errors
-/// [`TooMuchWork`], before the work begins.
+/// [`TooMuchWork`], before the work begins; [`TooMuchWork::Stop`].
 pub fn view_many(
     scene: &TimedScene,
     sensor: &Sensor,
     viewpoints: &[Viewpoint],
     limits: ViewLimits,
+    stop: StopSignal<'_>,
     mut tell: impl FnMut(usize, Result<Vec<Option<f64>>, ViewError>) -> ControlFlow<()>,
 ) -> Result<(), TooMuchWork> {
-    let fans = Fans { sensor, scene, known: Mutex::default() };
+    let fans = Fans { sensor, scene, stop, known: Mutex::default() };
     let first = fans.of(viewpoints.iter().map(|at| at.yaw_rad).find(|yaw| yaw.is_finite()).unwrap_or(0.0))?;
+    stop.check()?;
     let (views, times) = (viewpoints.len(), scene.times());
     let work = views as u128 * times as u128 * first.len() as u128;
     if work > u128::from(limits.max_work) {
@@ -99,10 +107,12 @@ pub fn view_many(
                 Ok(from) => from,
                 Err(error) => return Ok(Err(error)),
             };
-            Ok(Ok(scorer.view(scene, fans.of(at.yaw_rad)?.as_ref(), from)))
+            stop.check()?;
+            Ok(Ok(scorer.view_until(scene, fans.of(at.yaw_rad)?.as_ref(), from, stop)))
         };
-        let told: Vec<Result<_, InvalidSensor>> =
+        let told: Vec<Result<_, TooMuchWork>> =
             viewpoints.par_iter().map_init(|| TimedViewScorer::new(&first), evaluate).collect();
+        stop.check()?;
         for (number, told) in (round * ROUND..).zip(told) {
             if tell(number, told?).is_break() {
                 return Ok(());

@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use tidemap_map::grid::index::CellIndex;
+use tidemap_model::{EarlyStop, StopSignal};
 
 use super::{Fan, Sensor, ViewError, Viewpoint};
 use crate::{
@@ -37,6 +38,17 @@ impl Default for SceneOptions {
 #[error("threshold {0}: it must be between 0 and 1")]
 pub struct InvalidThreshold(pub f64);
 
+/// Why predictions are not prepared for views.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum SceneError {
+    /// The threshold is invalid.
+    #[error(transparent)]
+    Threshold(#[from] InvalidThreshold),
+    /// The work was told to stop.
+    #[error(transparent)]
+    Stop(#[from] EarlyStop),
+}
+
 impl SceneOptions {
     pub(super) fn check(&self) -> Result<(), InvalidThreshold> {
         if (0.0..=1.0).contains(&self.threshold) { Ok(()) } else { Err(InvalidThreshold(self.threshold)) }
@@ -48,12 +60,13 @@ impl SceneOptions {
     }
 
     /// Flags and information of each place; NaN is unknown.
-    pub(super) fn judge(&self, lattice: &Lattice, probabilities: &[f32]) -> (Vec<u8>, Vec<f64>) {
+    /// Not of all places if the signal is set.
+    pub(super) fn judge(&self, lattice: &Lattice, probabilities: &[f32], stop: StopSignal<'_>) -> (Vec<u8>, Vec<f64>) {
         let mut flags = vec![OPAQUE | OUTSIDE; lattice.held()];
         let mut bits = vec![0.0; lattice.held()];
         // Neighbours are mostly equal.
         let mut last = (f32::NAN, self.certainty.most_bits());
-        for place in lattice.rows().flatten() {
+        for place in lattice.rows().take_while(|_| !stop.is_set()).flatten() {
             let probability = probabilities[place];
             if probability.to_bits() != last.0.to_bits() {
                 last = (probability, self.certainty.bits(f64::from(probability)));
@@ -88,8 +101,17 @@ impl Scene {
     /// # Errors
     /// [`InvalidThreshold`]
     pub fn new(grid: &PredictedGrid, options: &SceneOptions) -> Result<Scene, InvalidThreshold> {
+        Scene::until(grid, options, StopSignal::NEVER)
+    }
+
+    /// The same; not to be used if the signal is set.
+    pub(crate) fn until(
+        grid: &PredictedGrid,
+        options: &SceneOptions,
+        stop: StopSignal<'_>,
+    ) -> Result<Scene, InvalidThreshold> {
         options.check()?;
-        let (flags, bits) = options.judge(grid.lattice(), grid.probabilities());
+        let (flags, bits) = options.judge(grid.lattice(), grid.probabilities(), stop);
         Ok(Scene { lattice: Arc::clone(grid.lattice()), flags, bits })
     }
 

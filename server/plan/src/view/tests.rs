@@ -1,9 +1,17 @@
 //! Views against an oracle that tests every ray against every cell of the region.
 
-use std::{collections::BTreeMap, ops::ControlFlow, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    ops::ControlFlow,
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+    },
+};
 
 use proptest::prelude::*;
 use tidemap_map::grid::index::{CellBox, CellIndex};
+use tidemap_model::{EarlyStop, StopSignal};
 
 use super::{fan::directions, *};
 use crate::{
@@ -114,7 +122,7 @@ type Told = Vec<(usize, Result<Vec<Option<f64>>, ViewError>)>;
 
 fn look_at_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> Told {
     let mut all = Vec::new();
-    let told = view_many(scene, sensor, viewpoints, ViewLimits::default(), |number, told| {
+    let told = view_many(scene, sensor, viewpoints, ViewLimits::default(), StopSignal::NEVER, |number, told| {
         all.push((number, told));
         ControlFlow::Continue(())
     });
@@ -161,7 +169,7 @@ proptest! {
         // Twice, since the memory is used again.
         for _ in 0..2 {
             let mut seen = vec![Vec::new(); from.len()];
-            group.each(&scene, &fan, &from, |number, place| seen[number].extend(lattice.cell(place)));
+            group.each(&scene, &fan, &from, StopSignal::NEVER, |number, place| seen[number].extend(lattice.cell(place)));
             for (number, (seen, &from)) in seen.iter().zip(&from).enumerate() {
                 let expected = if number < GROUP_MAX { single.cells(&scene, &fan, from) } else { Vec::new() };
                 prop_assert_eq!(seen, &expected);
@@ -218,7 +226,7 @@ proptest! {
             }
         };
         let day = PredictedTimes::from_fn(Arc::clone(&lattice), times, at_time).unwrap();
-        let timed = TimedScene::new(&day, &SceneOptions::default()).unwrap();
+        let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();
         let CellBox { min, .. } = lattice.region();
         let viewpoints: Vec<Viewpoint> = yaws
             .iter()
@@ -285,7 +293,7 @@ fn a_part_of_the_view_shows_a_part_of_the_cells() {
 fn a_bad_viewpoint_costs_the_others_nothing() {
     let (lattice, grid) = hall();
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 2, |at, _| grid.probability(at)).unwrap();
-    let timed = TimedScene::new(&day, &SceneOptions::default()).unwrap();
+    let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();
     let sensor = Sensor { range_m: 1.0, height_m: 0.25, ..Sensor::default() };
     let good = centre(&lattice, cell(5, 15, 0), 0.0);
     let viewpoints = [
@@ -315,11 +323,11 @@ fn a_bad_viewpoint_costs_the_others_nothing() {
 fn telling_can_be_ended() {
     let (lattice, grid) = hall();
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 1, |at, _| grid.probability(at)).unwrap();
-    let timed = TimedScene::new(&day, &SceneOptions::default()).unwrap();
+    let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();
     let sensor = Sensor { range_m: 0.3, ..Sensor::default() };
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 9];
     let mut told = 0;
-    let answer = view_many(&timed, &sensor, &viewpoints, ViewLimits::default(), |_, _| {
+    let answer = view_many(&timed, &sensor, &viewpoints, ViewLimits::default(), StopSignal::NEVER, |_, _| {
         told += 1;
         if told == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
@@ -327,13 +335,33 @@ fn telling_can_be_ended() {
 }
 
 #[test]
+fn views_that_are_told_to_stop_end_soon_and_are_not_reported() {
+    let (lattice, grid) = hall();
+    let day = PredictedTimes::from_fn(Arc::clone(&lattice), 2, |at, _| grid.probability(at)).unwrap();
+    let asked = AtomicUsize::new(0);
+    let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= 100;
+    let stop = StopSignal::new(&is_set);
+    let sensor = Sensor { range_m: 0.3, ..Sensor::default() };
+    let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 1_000];
+    let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();
+    let mut told = 0;
+    let answer = view_many(&timed, &sensor, &viewpoints, ViewLimits::default(), stop, |_, _| {
+        told += 1;
+        ControlFlow::Continue(())
+    });
+    assert_eq!(answer, Err(TooMuchWork::Stop(EarlyStop)));
+    assert!(told < 128 && asked.load(Ordering::Relaxed) < 400, "{told}");
+    assert_eq!(TimedScene::new(&day, &SceneOptions::default(), stop).map(|_| ()), Err(SceneError::Stop(EarlyStop)));
+}
+
+#[test]
 fn what_costs_too_much_is_refused_before_it_begins() {
     let (lattice, grid) = hall();
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 4, |at, _| grid.probability(at)).unwrap();
-    let timed = TimedScene::new(&day, &SceneOptions::default()).unwrap();
+    let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 100];
     let limits = ViewLimits { max_work: 10_000 };
-    let answer = view_many(&timed, &Sensor::default(), &viewpoints, limits, |_, _| unreachable!());
+    let answer = view_many(&timed, &Sensor::default(), &viewpoints, limits, StopSignal::NEVER, |_, _| unreachable!());
     assert!(answer.unwrap_err().to_string().starts_with("100 views at 4 times"));
 }
 

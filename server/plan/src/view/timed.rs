@@ -9,9 +9,10 @@
 use std::sync::Arc;
 
 use tidemap_map::grid::index::CellIndex;
+use tidemap_model::StopSignal;
 
 use super::{
-    Fan, InvalidThreshold, SceneOptions, Sensor, ViewError, Viewpoint,
+    Fan, NODES_PER_CHECK, SceneError, SceneOptions, Sensor, ViewError, Viewpoint,
     scene::{OPAQUE, OUTSIDE},
 };
 use crate::predicted::{Lattice, PredictedTimes};
@@ -48,15 +49,17 @@ impl TimedScene {
     /// them.
     ///
     /// # Errors
-    /// [`InvalidThreshold`]
-    pub fn new(grid: &PredictedTimes, options: &SceneOptions) -> Result<TimedScene, InvalidThreshold> {
+    /// [`SceneError`]
+    pub fn new(grid: &PredictedTimes, options: &SceneOptions, stop: StopSignal<'_>) -> Result<TimedScene, SceneError> {
         options.check()?;
         let lattice = Arc::clone(grid.lattice());
-        let (mut flags, bits) = options.judge(&lattice, grid.first());
+        let (mut flags, bits) = options.judge(&lattice, grid.first(), stop);
+        stop.check()?;
         let mut numbers = if grid.varying() > 0 { vec![0; lattice.held()] } else { Vec::new() };
         let mut rows = Vec::with_capacity(grid.varying() * grid.times());
         let mut occupied = Vec::with_capacity(grid.varying() * grid.times().div_ceil(CHUNK));
         for (number, (place, probabilities)) in (0..).zip(grid.rows()) {
+            stop.check()?;
             numbers[place] = number;
             rows.extend(probabilities.iter().map(|&p| options.certainty.bits(f64::from(p))));
             let mut stops = 0;
@@ -137,6 +140,17 @@ impl TimedViewScorer {
     /// times at which that cell is probably occupied, outside the region, and for rays of a region of another size.
     #[must_use]
     pub fn view(&mut self, scene: &TimedScene, fan: &Fan, from: CellIndex) -> Vec<Option<f64>> {
+        self.view_until(scene, fan, from, StopSignal::NEVER)
+    }
+
+    /// The same; not to be used if the signal is set.
+    pub(super) fn view_until(
+        &mut self,
+        scene: &TimedScene,
+        fan: &Fan,
+        from: CellIndex,
+        stop: StopSignal<'_>,
+    ) -> Vec<Option<f64>> {
         let mut told = Vec::with_capacity(scene.times);
         let Some(start) = scene.lattice.place(from).filter(|_| fan.fits(&scene.lattice)) else {
             told.resize(scene.times, None);
@@ -153,7 +167,7 @@ impl TimedViewScorer {
             };
             let mut bits = [0.0; CHUNK];
             if free != 0 {
-                self.pass(scene, fan, start, (chunk, free), &mut bits[..count]);
+                self.pass((scene, fan, stop), start, (chunk, free), &mut bits[..count]);
             }
             told.extend((0..count).map(|time| (free >> time & 1 == 1).then_some(bits[time])));
         }
@@ -161,7 +175,13 @@ impl TimedViewScorer {
     }
 
     /// One pass, from a place that is free at these times of a chunk.
-    fn pass(&mut self, scene: &TimedScene, fan: &Fan, start: usize, (chunk, free): (usize, u128), bits: &mut [f64]) {
+    fn pass(
+        &mut self,
+        (scene, fan, stop): (&TimedScene, &Fan, StopSignal<'_>),
+        start: usize,
+        (chunk, free): (usize, u128),
+        bits: &mut [f64],
+    ) {
         self.begin(fan);
         let view = self.view << 8;
         let row = |place: usize| {
@@ -171,7 +191,12 @@ impl TimedViewScorer {
         let mut fixed = 0.0;
         let mut varying = vec![0.0; bits.len()];
         let (mut at, mut end, mut times) = (0, usize::MAX, free);
+        let mut passed = 0_usize;
         while let Some(&cell) = fan.nodes.get(at) {
+            passed += 1;
+            if passed.is_multiple_of(NODES_PER_CHECK) && stop.is_set() {
+                break;
+            }
             while at == end {
                 (end, times) = self.branches.pop().unwrap_or((usize::MAX, free));
             }

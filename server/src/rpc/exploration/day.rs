@@ -5,6 +5,7 @@
 use std::{ops::ControlFlow, sync::Arc};
 
 use tidemap_map::{event::StateKind, selector::ModelSelector, view::MapView};
+use tidemap_model::StopSignal;
 use tidemap_plan::{
     day::{DaySlots, plan_day as plan},
     information::Certainty,
@@ -29,7 +30,7 @@ use super::{Explorations, error::PlanError, information::members, tour::tour_que
 use crate::{
     rpc::{
         lookup::{check_limit, find_map, find_state},
-        permits::run_blocking,
+        permits::run_while_awaited,
         series::{check_kind, predict_series},
         status::RpcError,
     },
@@ -156,12 +157,12 @@ async fn view_gains(
     let options = PredictOptions { selector: looks.selector, ..explorations.predict_options() };
     let limits = explorations.look_limits();
     let view = Arc::clone(view);
-    let work = move || {
-        let grid = PredictedTimes::new(&view, &middles, &options)?;
-        let scene = TimedScene::new(&grid, &looks.scene)?;
+    let work = move |stop: StopSignal<'_>| {
+        let grid = PredictedTimes::new(&view, &middles, &options, stop)?;
+        let scene = TimedScene::new(&grid, &looks.scene, stop)?;
         let reachability = view.site().reachability();
         let mut rows: Vec<Vec<f64>> = Vec::with_capacity(looks.viewpoints.len());
-        view_many(&scene, &looks.sensor, &looks.viewpoints, limits, |number, told| {
+        view_many(&scene, &looks.sensor, &looks.viewpoints, limits, stop, |number, told| {
             let at = looks.viewpoints.get(number).copied().unwrap_or_default();
             let rate = reachability.rate(at.x_m, at.y_m).rate;
             let bits = told.unwrap_or_else(|_| vec![None; middles.len()]);
@@ -171,7 +172,7 @@ async fn view_gains(
         let gains = Gains::of(middles.len(), rows.len(), |slot, place| rows[place][slot]);
         gains.map_err(|error| PlanError::Day(error.into()))
     };
-    Ok(run_blocking(explorations.permits.take().await?, work).await??)
+    Ok(run_while_awaited(explorations.permits.take().await?, None, work).await??)
 }
 
 /// The expected information of the whole tour of each slot, its goals weighted by their reachability (RA-L 2016,
@@ -187,15 +188,15 @@ async fn tour_gains(
     Explorations::check_grid_times(&middles)?;
     let (question, view) = (tour_question(view, request)?, Arc::clone(view));
     let options = PredictOptions { selector, ..explorations.predict_options() };
-    let work = move || {
+    let work = move |stop: StopSignal<'_>| {
         let tour_bits = |&time_nanos: &i64| {
-            let grid = PredictedGrid::new(&view, time_nanos, &options)?;
-            Ok::<_, PlanError>(plan_tour(&grid, view.site().reachability(), &question)?.expected_bits)
+            let grid = PredictedGrid::new(&view, time_nanos, &options, stop)?;
+            Ok::<_, PlanError>(plan_tour(&grid, view.site().reachability(), &question, stop)?.expected_bits)
         };
         let bits = middles.iter().map(tour_bits).collect::<Result<Vec<f64>, PlanError>>()?;
         Gains::of(bits.len(), 1, |slot, _| bits[slot]).map_err(|error| PlanError::Day(error.into()))
     };
-    Ok(run_blocking(explorations.permits.take().await?, work).await??)
+    Ok(run_while_awaited(explorations.permits.take().await?, None, work).await??)
 }
 
 /// The expected information of each location in each slot. `rows` has the states of the locations one after the other.

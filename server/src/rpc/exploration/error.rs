@@ -7,7 +7,7 @@ use tidemap_plan::{
     predicted::PredictError,
     strategy::StrategyError,
     tour::TourError,
-    view::{InvalidThreshold, TooMuchWork},
+    view::{SceneError, TooMuchWork},
 };
 use tonic::Code;
 
@@ -22,7 +22,7 @@ pub(crate) enum PlanError {
     #[error(transparent)]
     Day(#[from] DayError),
     #[error(transparent)]
-    Threshold(#[from] InvalidThreshold),
+    Scene(#[from] SceneError),
     #[error(
         "the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`"
     )]
@@ -34,6 +34,10 @@ impl PlanError {
         match self {
             Self::Predict(PredictError::NoGrid) => (Code::FailedPrecondition, "NO_GRID"),
             Self::Predict(PredictError::EmptyRegion) => (Code::FailedPrecondition, "NOTHING_OBSERVED"),
+            Self::Predict(PredictError::Stop(_))
+            | Self::Tour(TourError::Stop(_))
+            | Self::Look(TooMuchWork::Stop(_))
+            | Self::Scene(SceneError::Stop(_)) => (Code::Cancelled, "LEFT"),
             Self::NoStart => (Code::FailedPrecondition, "NO_START"),
             Self::Predict(PredictError::Unavailable(_)) => (Code::Internal, "STORAGE_FAILED"),
             Self::Predict(PredictError::TooManyCells { .. } | PredictError::TooManyValues { .. })

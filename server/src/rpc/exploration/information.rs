@@ -9,6 +9,7 @@ use tidemap_map::{
     site::{InvalidEdit, Location},
     view::MapView,
 };
+use tidemap_model::StopSignal;
 use tidemap_plan::{
     information::{Certainty, entropy_of},
     predicted::{PredictOptions, PredictedTimes},
@@ -85,12 +86,14 @@ fn of_region(
     times_nanos: &[i64],
     options: &PredictOptions,
     (certainty, most): (Certainty, u64),
+    stop: StopSignal<'_>,
 ) -> Result<v1::GetInformationResponse, RpcError> {
-    let grid = PredictedTimes::new(view, times_nanos, options).map_err(PlanError::from)?;
+    let grid = PredictedTimes::new(view, times_nanos, options, stop).map_err(PlanError::from)?;
     let cells = grid.lattice().size().iter().map(|&along| along as u64).product::<u64>();
     check_limit("cells x times", cells * times_nanos.len() as u64, most, "setting max_predictions")?;
     let mut reply = v1::GetInformationResponse { target: "region".to_owned(), ..Default::default() };
     for time in 0..grid.times() {
+        stop.check()?;
         let Some(grid) = grid.at(time) else { break };
         let known = || grid.known().map(f64::from);
         reply.states = known().count() as u64;
@@ -126,7 +129,9 @@ pub(super) async fn get_information(
         let most = explorations.limits.predictions;
         let permit = explorations.permits.take().await?;
         return Ok(compute_replies(vec![permit], move |sink| {
-            sink.send(of_region(&view, &times_nanos, &options, (certainty, most))?);
+            let is_left = || sink.is_closed();
+            let stop = StopSignal::new(&is_left);
+            sink.send(of_region(&view, &times_nanos, &options, (certainty, most), stop)?);
             Ok(())
         }));
     }

@@ -3,6 +3,7 @@
 //! Invariant: the tour and the reachability are of one view.
 
 use tidemap_map::view::MapView;
+use tidemap_model::StopSignal;
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedGrid},
     tour::{TourQuestion, plan_tour as plan},
@@ -18,7 +19,7 @@ use tidemap_proto::{
 };
 
 use super::{Explorations, error::PlanError};
-use crate::rpc::{lookup::find_map, permits::run_blocking, status::RpcError};
+use crate::rpc::{lookup::find_map, permits::run_while_awaited, status::RpcError};
 
 pub(super) async fn plan_tour(
     explorations: &Explorations,
@@ -30,11 +31,11 @@ pub(super) async fn plan_tour(
     check_for_cells("model", selector)?;
     let question = tour_question(&view, &request)?;
     let options = PredictOptions { selector, ..explorations.predict_options() };
-    let work = move || {
-        let grid = PredictedGrid::new(&view, time_nanos, &options)?;
-        Ok::<_, PlanError>(plan(&grid, view.site().reachability(), &question)?)
+    let work = move |stop: StopSignal<'_>| {
+        let grid = PredictedGrid::new(&view, time_nanos, &options, stop)?;
+        Ok::<_, PlanError>(plan(&grid, view.site().reachability(), &question, stop)?)
     };
-    let tour = run_blocking(explorations.permits.take().await?, work).await??;
+    let tour = run_while_awaited(explorations.permits.take().await?, None, work).await??;
     Ok(tour_to_wire(&tour))
 }
 

@@ -4,6 +4,7 @@
 
 use std::ops::ControlFlow;
 
+use tidemap_model::StopSignal;
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedTimes},
     view::{TimedScene, Viewpoint, view_many},
@@ -45,8 +46,11 @@ pub(super) async fn evaluate_views(
     let limits = explorations.look_limits();
     let permit = explorations.permits.take().await?;
     Ok(compute_replies(vec![permit], move |sink| {
-        let grid = PredictedTimes::new(&view, &request.times_nanos, &options).map_err(PlanError::from)?;
-        let scene = TimedScene::new(&grid, &scene_options).map_err(PlanError::from)?;
+        let is_left = || sink.is_closed();
+        let stop = StopSignal::new(&is_left);
+        let times = &request.times_nanos;
+        let grid = PredictedTimes::new(&view, times, &options, stop).map_err(PlanError::from)?;
+        let scene = TimedScene::new(&grid, &scene_options, stop).map_err(PlanError::from)?;
         let tell = |number: usize, told: Result<Vec<Option<f64>>, _>| {
             let mut reply = v1::EvaluateViewsResponse {
                 viewpoint: u32::try_from(number).unwrap_or(u32::MAX),
@@ -58,7 +62,7 @@ pub(super) async fn evaluate_views(
             }
             if sink.send(reply) { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
-        view_many(&scene, &sensor, &viewpoints, limits, tell).map_err(PlanError::from)?;
+        view_many(&scene, &sensor, &viewpoints, limits, stop, tell).map_err(PlanError::from)?;
         Ok(())
     }))
 }

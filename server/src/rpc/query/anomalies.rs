@@ -10,6 +10,7 @@ use tidemap_map::{
     selector::ModelSelector,
     view::MapView,
 };
+use tidemap_model::StopSignal;
 use tidemap_proto::{
     convert::{
         anomaly::{confidence_from_wire, judge_from_wire},
@@ -94,7 +95,8 @@ pub(super) async fn find_anomalies(
     let (permits, gather) = past(queries, &handle, Arc::clone(&view), asked).await?;
     Ok(compute_replies(permits, move |sink| {
         let judge = Judge { subject, fitted };
-        for readings in gather()?.chunks(READINGS_PER_REPLY) {
+        let is_left = || sink.is_closed();
+        for readings in gather(StopSignal::new(&is_left))?.chunks(READINGS_PER_REPLY) {
             let mut reply = v1::FindAnomaliesResponse::default();
             for Anomaly { utc_nanos, value, probability } in judge.unexpected(&view, readings, selector, confidence) {
                 reply.times_nanos.push(utc_nanos);

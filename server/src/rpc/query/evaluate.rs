@@ -15,7 +15,7 @@ use tidemap_map::{
     selector::{ModelKind, ModelSelector},
     view::MapView,
 };
-use tidemap_model::Sample;
+use tidemap_model::{EarlyStop, Sample, StopSignal};
 use tidemap_proto::{
     convert::{
         InvalidField,
@@ -33,6 +33,7 @@ use crate::{
     model_cache::ModelUnavailable,
     rpc::{
         lookup::{check_limit, find_all, find_map},
+        permits::run_while_awaited,
         status::RpcError,
     },
     state_or_cell::StateOrCell,
@@ -192,14 +193,13 @@ async fn compare(
         // States that the view answers by itself hold nothing: they are compared together.
         if needs_models || index == last {
             let work = std::mem::take(&mut work);
-            evaluator = tokio::task::spawn_blocking(move || {
+            let add = move |stop: StopSignal<'_>| {
                 for SubjectWork { subject, samples, own, sine } in work {
-                    evaluator.add(subject, &samples, own, sine);
+                    evaluator.add(subject, &samples, own, sine, stop)?;
                 }
-                evaluator
-            })
-            .await
-            .map_err(|_| RpcError::Stopping)?;
+                Ok::<_, EarlyStop>(evaluator)
+            };
+            evaluator = run_while_awaited((), None, add).await?.map_err(RpcError::from)?;
         }
         drop(held);
     }

@@ -16,8 +16,8 @@
 //! - **Fitted to what updates have learned**, never to pending observations. The order of the readings, and so the
 //!   model, is the same whether they are in files or not. Only persistence takes the newest value too, as `latest`
 //!   does.
-//! - **Fitted once.** Concurrent requests for a model share one fit, which ends and is cached even if all of them are
-//!   dropped.
+//! - **Fitted once.** Concurrent requests for a model share one fit. It goes on as long as one of them waits; when all
+//!   are dropped, it stops and gives its permit back.
 //! - **Unavailable is an answer.** A model that cannot be fitted (no history, too many readings, another kind of value)
 //!   is an error of `PredictStates`; in `EvaluateStates` its row is missing, and the reply has the reason.
 //!
@@ -27,7 +27,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{event::StateKind, grid::spec::Retention, selector::ModelKind, view::MapView};
-use tidemap_model::Sample;
+use tidemap_model::{Sample, StopSignal};
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
@@ -35,7 +35,7 @@ use super::readings::{ReadingsQuery, gather, read, retention};
 use crate::{
     catalog::Catalog,
     ingest::handle::MapHandle,
-    model_cache::{CachedModel, ModelCache, ModelKey, ModelUnavailable, PositionModel},
+    model_cache::{CachedModel, FitStop, ModelCache, ModelKey, ModelUnavailable, PositionModel},
     rpc::{
         permits::{Permits, processors, run_blocking},
         status::RpcError,
@@ -150,9 +150,13 @@ impl ModelFitter {
             return Ok(Arc::new(CachedModel::Unlearned));
         }
         let (this, learned) = (Arc::clone(self), Arc::clone(learned));
+        let interest = self.models.interest(key);
+        let stop = Arc::new(interest.fit_stop());
         // A task of its own: if this request is dropped, others may wait for the same model.
-        let task = tokio::spawn(async move { this.models.get_or_fit(key, this.fit(&learned, kind)).await });
-        task.await.map_err(|_| RpcError::Stopping)?
+        let task = tokio::spawn(async move { this.models.get_or_fit(key, this.fit(&learned, kind, stop)).await });
+        let fitted = task.await.map_err(|_| RpcError::Stopping)?;
+        drop(interest);
+        fitted
     }
 
     /// Reserves capacity for `models` models for the duration of a request.
@@ -195,18 +199,32 @@ impl ModelFitter {
         Ok(())
     }
 
-    async fn fit(&self, learned: &Arc<LearnedState>, kind: ModelKind) -> Result<CachedModel, RpcError> {
+    async fn fit(
+        &self,
+        learned: &Arc<LearnedState>,
+        kind: ModelKind,
+        stop: Arc<FitStop>,
+    ) -> Result<CachedModel, RpcError> {
         let is_slow = matches!(kind, ModelKind::HypertimeEm { .. } | ModelKind::HypertimeKm { .. });
         let permit = if is_slow { self.slow_permits.take().await? } else { self.permits.take().await? };
-        let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind)).await?;
+        let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind, &stop)).await?;
         let (samples, handle) = (Arc::clone(samples), Arc::clone(&learned.handle));
         let of = learned.of.kind(&learned.view);
-        let fitted = run_blocking(permit, move || CachedModel::fit(kind, of, &samples, &handle.spec)).await?;
+        let fit = move || {
+            let is_set = || stop.is_set();
+            CachedModel::fit(kind, of, &samples, &handle.spec, StopSignal::new(&is_set))
+        };
+        let fitted = run_blocking(permit, fit).await?;
         fitted.map_err(|error| learned.unavailable(kind, error))
     }
 
     /// The readings of a state that the view's updates have learned, ascending by time.
-    async fn gather(&self, learned: &Arc<LearnedState>, kind: ModelKind) -> Result<Arc<[Sample]>, RpcError> {
+    async fn gather(
+        &self,
+        learned: &Arc<LearnedState>,
+        kind: ModelKind,
+        stop: &Arc<FitStop>,
+    ) -> Result<Arc<[Sample]>, RpcError> {
         let subject = learned.of.subject();
         let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
         // Without pending observations, and without waiting for a running update.
@@ -221,8 +239,10 @@ impl ModelFitter {
         let wanted = ReadingsQuery { subject, within_nanos: i64::MIN..i64::MAX, enough };
         let learned = Arc::clone(learned);
         let (max, total) = (self.max_readings, learned.observations());
+        let stop = Arc::clone(stop);
         let gather = move || {
-            let readings = gather(&history, &learned.handle.spec, tail, &wanted)?;
+            let is_set = || stop.is_set();
+            let readings = gather(&history, &learned.handle.spec, tail, &wanted, StopSignal::new(&is_set))?;
             let is_forever = retention(&learned.handle.spec, subject) == Some(Retention::Forever);
             match lacking((readings.len() as u64, total, max), is_forever && !is_complete) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),

@@ -38,7 +38,7 @@ pub(super) async fn predict_grid(
     let no_grid = || RpcError::NoGrid { map: view.spec().name.as_str().to_owned() };
     view.grid().ok_or_else(no_grid)?;
     let permit = queries.permits.take().await?;
-    // This may look at every tile of the map. The permit is held until it ends, even if the client is gone.
+    // This looks at every tile of the map at most, some milliseconds. The permit is held until it ends.
     let for_selection = Arc::clone(&view);
     let select = move || (permit, for_selection.grid().map(|grid| grid.select(&question)));
     let (permit, selection) = tokio::task::spawn_blocking(select).await.map_err(|_| RpcError::Stopping)?;
@@ -73,6 +73,9 @@ fn predict(
     let send = |tiles| sink.send(v1::PredictGridResponse { message: Some(Message::Page(v1::GridPage { tiles })) });
     let (mut page, mut bytes) = (Vec::new(), 0);
     for tile in view.predict_grid(question, selection) {
+        if sink.is_closed() {
+            return Ok(());
+        }
         let tile = tile_to_wire(tile?, question, levels);
         bytes += tile_bytes(&tile);
         page.push(tile);

@@ -9,7 +9,8 @@ use tidemap_map::{
     history::{Reading, Subject, cell_readings},
     spec::MapSpec,
 };
-use tidemap_store::{History, HistoryError};
+use tidemap_model::StopSignal;
+use tidemap_store::History;
 use tokio::sync::oneshot;
 
 use crate::{
@@ -64,23 +65,25 @@ pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<H
     }
 }
 
-/// The readings; if there are more than `enough`, some of them, more than `enough`, unordered.
+/// The readings, unless the work is told to stop; if there are more than `enough`, some of them, more than `enough`, unordered.
 pub(super) fn gather(
     history: &History,
     spec: &MapSpec,
     tail: HistoryTail,
     wanted: &ReadingsQuery,
-) -> Result<Vec<Reading>, HistoryError> {
+    stop: StopSignal<'_>,
+) -> Result<Vec<Reading>, RpcError> {
     let &ReadingsQuery { subject, ref within_nanos, enough } = wanted;
     let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
     let mut found: Vec<Reading> = Vec::new();
     match subject {
         Subject::State(state) => {
-            let samples = history.clone().at_most(enough).state(state, from_nanos, to_nanos)?;
+            let samples = history.clone().at_most(enough).state_until(state, from_nanos, to_nanos, stop)?;
             found.extend(samples.iter().map(|sample| (sample.utc_nanos, sample.value)));
         }
         Subject::Cell(tile, cell) => {
             for day in history.grid_days(from_nanos, to_nanos, Some(vec![tile])) {
+                stop.check()?;
                 let readings = day?.readings(tile, cell, &spec.periodicities);
                 found.extend(cell_readings(readings.into_iter().filter(|(nanos, _)| within_nanos.contains(nanos))));
                 if found.len() > enough {
@@ -93,12 +96,14 @@ pub(super) fn gather(
     unsaved.sort_by_key(|piece| piece.generation);
     unsaved.dedup_by_key(|piece| piece.generation);
     for piece in &unsaved {
+        stop.check()?;
         if found.len() > enough {
             return Ok(found);
         }
         found.extend(piece.readings(subject, from_nanos, to_nanos, &spec.periodicities));
     }
     found.extend(tail.pending);
+    stop.check()?;
     found.sort_by_key(|(nanos, _)| *nanos);
     Ok(found)
 }

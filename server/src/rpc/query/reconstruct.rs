@@ -10,6 +10,7 @@ use tidemap_map::{
     spec::MapSpec,
     view::MapView,
 };
+use tidemap_model::StopSignal;
 use tidemap_proto::{convert::time::interval_from_wire, v1};
 use tidemap_store::History;
 
@@ -40,7 +41,8 @@ pub(super) async fn reconstruct(
     let view = handle.view();
     let (permits, gather) = past(queries, &handle, view, asked).await?;
     Ok(compute_replies(permits, move |sink| {
-        for readings in gather()?.chunks(READINGS_PER_REPLY) {
+        let is_left = || sink.is_closed();
+        for readings in gather(StopSignal::new(&is_left))?.chunks(READINGS_PER_REPLY) {
             let (times_nanos, values) = readings.iter().copied().unzip();
             if !sink.send(v1::ReconstructResponse { times_nanos, values }) {
                 break;
@@ -59,13 +61,13 @@ pub(super) struct PastQuery {
     pub(super) within_nanos: Range<i64>,
 }
 
-/// A function that gathers the readings in a blocking thread, and the permits to hold meanwhile.
+/// A function that gathers the readings in a blocking thread unless it is told to stop, and the permits to hold meanwhile.
 pub(super) async fn past(
     queries: &Queries,
     handle: &Arc<MapHandle>,
     view: Arc<MapView>,
     asked: PastQuery,
-) -> Result<(Vec<Permit>, impl FnOnce() -> Result<Vec<Reading>, RpcError> + Send + use<>), RpcError> {
+) -> Result<(Vec<Permit>, impl FnOnce(StopSignal<'_>) -> Result<Vec<Reading>, RpcError> + Send + use<>), RpcError> {
     let PastQuery { name, within_nanos } = asked;
     let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
     let past_permit = queries.past_permits.take().await?;
@@ -78,7 +80,7 @@ pub(super) async fn past(
     let tail = read(handle, &wanted).await?;
     let permit = queries.large_permits.take().await?;
     let history = queries.catalog.context().store.history(handle.id)?.before(tail.stored_before);
-    let gather = move || {
+    let gather = move |stop: StopSignal<'_>| {
         let newest_nanos = tail.newest_nanos;
         let map = || spec.name.as_str().to_owned();
         if let Subject::State(_) = subject
@@ -89,7 +91,7 @@ pub(super) async fn past(
                 return Err(RpcError::BeyondHistory { map: map(), name, kept_from_nanos });
             }
         }
-        let found = gather(&history, &spec, tail, &wanted)?;
+        let found = gather(&history, &spec, tail, &wanted, stop)?;
         check_limit("observations of the interval", found.len() as u64, max, "setting max_predictions")?;
         if let (true, Retention::Duration(nanos)) = (found.is_empty(), retention) {
             let kept_from_nanos = newest_nanos.saturating_sub(nanos);

@@ -34,6 +34,7 @@ use crate::{
         lookup::{check_limit, find_all, find_map, find_published, opened},
         permits::run_blocking,
         replies::{Replies, ReplySink, compute_replies, stream_replies},
+        series::FITTED_TIMES,
         status::RpcError,
     },
     state_or_cell::StateOrCell,
@@ -175,7 +176,11 @@ fn predict_one(
     blocks.all(|(block, moments)| {
         let forecast = sources.iter().map(|(subject, fitted)| {
             let mut values = vec![0.0; moments.len()];
-            fitted.predict_into(view, subject, moments, selector, &mut values);
+            for (moments, values) in moments.chunks(FITTED_TIMES).zip(values.chunks_mut(FITTED_TIMES)) {
+                if !sink.is_closed() {
+                    fitted.predict_into(view, subject, moments, selector, values);
+                }
+            }
             let level = Some(level).filter(|&level| level > 0.0 && !place.is_angle);
             let intervals = subject.intervals(view, moments, &values, level);
             Forecast { values, intervals, about: About::of(view, subject, selector) }

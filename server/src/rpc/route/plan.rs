@@ -5,6 +5,7 @@
 use std::{sync::Arc, time::Duration};
 
 use tidemap_map::{edge_forecast::EdgeForecast, topology::Edge};
+use tidemap_model::{EarlyStop, StopSignal};
 use tidemap_plan::{
     policy::solve_policy,
     route::{PlanRouteError, plan_routes, success_interval},
@@ -48,15 +49,15 @@ pub(super) async fn plan_route(
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
 
     let (over, ends) = (Arc::clone(&topology), (request.from, request.to));
-    let work = move |until: &dyn Fn() -> bool| {
+    let work = move |stop: StopSignal<'_>| {
         let mut ahead = Ahead { edges: &edges, reference_nanos: question.reference_nanos };
-        let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, until);
+        let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, || stop.is_set());
         match planned {
             Ok(planned) => Ok(routes_to_wire(&planned, question.reference_nanos, &over, |edge| edges.reports(edge))),
             Err(error) => Err(with_node_names(error, ends, question.reference_nanos)),
         }
     };
-    Ok(routes.run_search(Some(within), work).await??)
+    Ok(routes.run_plan(Some(within), work).await??)
 }
 
 /// Replaces the node numbers in a planner's error by names.
@@ -86,12 +87,12 @@ pub(super) async fn plan_policy(
         return Err(RouteError::PolicyTooLarge { nodes, slots }.into());
     }
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
-    let work = move |until: &dyn Fn() -> bool| {
+    let work = move |stop: StopSignal<'_>| {
         let mut ahead = Ahead { edges: &edges, reference_nanos: time_nanos };
-        let table = solve_policy(&topology, to, &options, &mut ahead, until).map_err(RouteError::from)?;
+        let table = solve_policy(&topology, to, &options, &mut ahead, || stop.is_set()).map_err(RouteError::from)?;
         Ok::<_, RouteError>(policy_to_wire(&table, time_nanos, &topology))
     };
-    Ok(routes.run_search(None, work).await??)
+    Ok(routes.run_plan(None, work).await??)
 }
 
 pub(super) async fn predict_edges(
@@ -108,20 +109,21 @@ pub(super) async fn predict_edges(
         return Err(RouteError::TooManyEdges { found, most: EDGES_TOLD_MAX }.into());
     }
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
-    let work = move || {
+    let work = move |stop: StopSignal<'_>| {
         let predict = |edge: &Edge| {
+            stop.check()?;
             let EdgeForecast { success, evidence, duration_secs } = edges.forecast(edge, time_nanos);
             let interval = success_interval(success, evidence, confidence);
-            v1::PredictedEdge {
+            Ok(v1::PredictedEdge {
                 edge: Some(edge_to_wire(&topology, edge)),
                 success,
                 success_lower: interval.lower,
                 success_upper: interval.upper,
                 duration_secs,
                 reports: edges.reports(edge.id),
-            }
+            })
         };
-        v1::PredictEdgesResponse { edges: topology.edges().map(predict).collect() }
+        topology.edges().map(predict).collect::<Result<_, EarlyStop>>()
     };
-    routes.run_blocking(work).await
+    Ok(v1::PredictEdgesResponse { edges: routes.run_plan(None, work).await?? })
 }

@@ -8,6 +8,7 @@ use tidemap_map::{
     selector::ModelSelector,
     topology::{NodeId, Roads},
 };
+use tidemap_model::StopSignal;
 use tidemap_plan::search::{
     CHANGING_GOALS_MAX, EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, SearchError, search, search_changing,
 };
@@ -73,13 +74,13 @@ pub(super) async fn plan_search(
     };
 
     let walked = Arc::clone(&topology);
-    let work = move |until: &dyn Fn() -> bool| {
+    let work = move |stop: StopSignal<'_>| {
         let roads = Roads::new(&walked, |edge| match &travelled {
             Some(travelled) => Some(travelled.forecast(edge, time_nanos).duration_secs),
             None => Some(edge.extent.secs_at(speed)),
         })?;
         let plan = match predictor {
-            None => search(&roads, start, &goals, &options, until),
+            None => search(&roads, start, &goals, &options, || stop.is_set()),
             Some(predictor) => {
                 let probability = |node: NodeId, arrival_secs: f64| {
                     let later_nanos = (arrival_secs * 1e9) as i64;
@@ -87,7 +88,7 @@ pub(super) async fn plan_search(
                     let index = nodes.binary_search(&node).unwrap_or(usize::MAX);
                     predictor.at(index, time_nanos.saturating_add(later_nanos)).clamp(0.0, 1.0)
                 };
-                search_changing(&roads, start, &nodes, probability, &options, until)
+                search_changing(&roads, start, &nodes, probability, &options, || stop.is_set())
             }
         };
         plan.map_err(|error| match (error, walked.node(start)) {
@@ -97,6 +98,6 @@ pub(super) async fn plan_search(
             (error, _) => error.into(),
         })
     };
-    let plan = routes.run_search(Some(within), work).await??;
+    let plan = routes.run_plan(Some(within), work).await??;
     Ok(v1::PlanSearchResponse { unobserved, unobserved_nodes, ..plan_to_wire(&plan, &topology) })
 }

@@ -25,6 +25,7 @@ use tidemap_map::{
     selector::{ModelKind, ModelSelector},
     view::MapView,
 };
+use tidemap_model::StopSignal;
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedGrid},
     tour::{Tour, TourQuestion, TourStep, plan_tour},
@@ -150,12 +151,12 @@ impl Explorer {
 
     fn predict_by(&self, kind: ExplorerKind, utc_nanos: i64) -> Result<PredictedGrid, OfficeError> {
         let options = PredictOptions { selector: kind.selector(), ..PredictOptions::default() };
-        Ok(PredictedGrid::new(&self.view, utc_nanos, &options)?)
+        Ok(PredictedGrid::new(&self.view, utc_nanos, &options, StopSignal::NEVER)?)
     }
 
     /// The best tour at a time, planned on the prediction for that time.
     pub(super) fn best_tour(&self, space: &Space, utc_nanos: i64) -> Result<Tour, OfficeError> {
-        Ok(plan_tour(&self.predict(utc_nanos)?, &self.reachability, &space.question)?)
+        Ok(plan_tour(&self.predict(utc_nanos)?, &self.reachability, &space.question, StopSignal::NEVER)?)
     }
 
     /// Goes on a tour that starts at a time, planned by the prediction of `kind` for `middle_nanos`.
@@ -206,14 +207,16 @@ impl Explorer {
     fn plan(&mut self, space: &Space, kind: ExplorerKind, utc_nanos: i64) -> Result<Vec<TourStep>, OfficeError> {
         self.view = self.map.publish();
         let expected = self.predict_by(kind, utc_nanos)?;
-        let mut steps = plan_tour(&expected, &self.reachability, &space.question)?.steps;
+        let mut steps = plan_tour(&expected, &self.reachability, &space.question, StopSignal::NEVER)?.steps;
         for _ in 0..2 {
             let goals = space.question.goals.saturating_sub(steps.len());
             if goals == 0 {
                 break;
             }
             let unsure = self.unseen_this_round(space);
-            let more = plan_tour(&unsure, &self.reachability, &TourQuestion { goals, ..space.question })?.steps;
+            let more =
+                plan_tour(&unsure, &self.reachability, &TourQuestion { goals, ..space.question }, StopSignal::NEVER)?
+                    .steps;
             if more.len() < goals {
                 self.round.fill(false);
             }

@@ -298,7 +298,7 @@ proptest! {
         half_life_secs in prop_oneof![Just(None), Just(Some(1e-9)), (1.0..1e9).prop_map(Some)],
         utc_nanos in any::<i64>(),
     ) {
-        let readings = Readings { samples: &samples, half_life_secs };
+        let readings = Readings { half_life_secs, ..Readings::new(&samples) };
         let model = Calibrated::fit(readings, CalibratedOptions::default()).unwrap();
         let values = samples.iter().map(|sample| sample.value);
         let (lowest, highest) = (values.clone().fold(f64::MAX, f64::min), values.fold(f64::MIN, f64::max));

@@ -11,8 +11,8 @@ use super::joint::{FieldPoint, FieldTraining};
 use super::mixture::Mixture;
 use super::week::{check_divisors, project, turn};
 use super::{HypertimeCluster, HypertimeMethod, HypertimeOptions};
-use crate::InvalidParts;
 use crate::models::{CannotFit, Moment};
+use crate::{InvalidParts, StopSignal};
 
 #[cfg(test)]
 mod tests;
@@ -64,18 +64,19 @@ impl HypertimeField {
     /// [`CannotFit`] where there are no readings, an option is outside its range, readings differ in their number of
     /// coordinates, have no value or more than 16 coordinates in total, or a coordinate is not finite.
     pub fn fit(readings: &[FieldReading], options: &HypertimeOptions) -> Result<HypertimeField, CannotFit> {
-        HypertimeField::fit_weighted(readings, &vec![1.0; readings.len()], options)
+        HypertimeField::fit_weighted(readings, &vec![1.0; readings.len()], options, StopSignal::NEVER)
     }
 
-    /// As [`HypertimeField::fit`], where each reading has a weight above 0.
+    /// As [`HypertimeField::fit`], where each reading has a weight above 0, unless it is told to stop.
     ///
     /// # Errors
     /// As there; also if the number of weights differs from that of readings, or a weight is not a finite number above
-    /// 0.
+    /// 0; [`CannotFit::Stop`].
     pub fn fit_weighted(
         readings: &[FieldReading],
         weights: &[f64],
         options: &HypertimeOptions,
+        stop: StopSignal<'_>,
     ) -> Result<HypertimeField, CannotFit> {
         options.check()?;
         let Some(first) = readings.first() else { return Err(CannotFit::NoReadings) };
@@ -97,10 +98,13 @@ impl HypertimeField {
             location: standardised(&readings[index].location, &location),
             value: standardised(&readings[index].value, &value),
         });
-        let joint = FieldTraining { readings: readable.collect(), method: options.method, value: value.clone(), unit };
+        let joint =
+            FieldTraining { readings: readable.collect(), method: options.method, value: value.clone(), unit, stop };
         let times = readings.iter().map(|reading| reading.moment.utc_nanos);
         let (from, until) = times.fold((i64::MAX, i64::MIN), |(from, until), utc| (from.min(utc), until.max(utc)));
-        let (divisors, mixture) = grow(&joint, &Extent { span_nanos: until.abs_diff(from), folds }, options);
+        let extent = Extent { span_nanos: until.abs_diff(from), folds, stop };
+        let (divisors, mixture) = grow(&joint, &extent, options);
+        stop.check()?;
         Ok(HypertimeField { method: options.method, divisors, location, value, mixture })
     }
 

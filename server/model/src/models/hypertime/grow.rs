@@ -12,7 +12,7 @@ use rand::seq::SliceRandom;
 
 use super::week::{PERIODS_MAX, Residuals};
 use super::{HypertimeMethod, HypertimeOptions};
-use crate::civil::NANOS_PER_SEC;
+use crate::{StopSignal, civil::NANOS_PER_SEC};
 
 /// Maximum number of blocks of readings that are held out in turn.
 const FOLDS_MAX: usize = 4;
@@ -101,14 +101,16 @@ pub(super) trait Trainer<M> {
 }
 
 /// The extent of the training data: its time span, and the number of folds.
-pub(super) struct Extent {
+pub(super) struct Extent<'a> {
     /// UTC.
     pub(super) span_nanos: u64,
     pub(super) folds: usize,
+    /// Ends the growth early; its result must then not be used.
+    pub(super) stop: StopSignal<'a>,
 }
 
 /// Grows a model circle by circle.
-pub(super) fn grow<M, F: Trainer<M>>(fit: &F, extent: &Extent, options: &HypertimeOptions) -> M {
+pub(super) fn grow<M, F: Trainer<M>>(fit: &F, extent: &Extent<'_>, options: &HypertimeOptions) -> M {
     let mut circles = Circles { all: Vec::new(), without: vec![Vec::new(); extent.folds] };
     let mut clusters = match options.method {
         HypertimeMethod::Em => options.clusters,
@@ -117,10 +119,10 @@ pub(super) fn grow<M, F: Trainer<M>>(fit: &F, extent: &Extent, options: &Hyperti
     if extent.folds < 2 {
         return fit.attempt(&circles, 1, options.seed).model;
     }
-    let mut best = clustered(fit, &circles, &mut clusters, options);
+    let mut best = clustered(fit, &circles, &mut clusters, options, extent.stop);
     while circles.all.len() < PERIODS_MAX && circles.extend(&best.residuals, extent.span_nanos) {
-        let next = clustered(fit, &circles, &mut clusters, options);
-        if next.error >= best.error * CIRCLE_WORTH {
+        let next = clustered(fit, &circles, &mut clusters, options, extent.stop);
+        if extent.stop.is_set() || next.error >= best.error * CIRCLE_WORTH {
             break;
         }
         best = next;
@@ -135,11 +137,12 @@ fn clustered<M, F: Trainer<M>>(
     circles: &Circles,
     clusters: &mut usize,
     options: &HypertimeOptions,
+    stop: StopSignal<'_>,
 ) -> Attempt<M> {
-    let mut best = best_start(fit, circles, *clusters, options.seed);
+    let mut best = best_start(fit, circles, *clusters, options.seed, stop);
     while options.method == HypertimeMethod::Km && *clusters < options.clusters {
-        let next = best_start(fit, circles, *clusters + 1, options.seed);
-        if next.strength() >= best.strength() * CLUSTER_WORTH {
+        let next = best_start(fit, circles, *clusters + 1, options.seed, stop);
+        if stop.is_set() || next.strength() >= best.strength() * CLUSTER_WORTH {
             break;
         }
         best = next;
@@ -148,7 +151,13 @@ fn clustered<M, F: Trainer<M>>(
     best
 }
 
-fn best_start<M, F: Trainer<M>>(fit: &F, circles: &Circles, clusters: usize, seed: u64) -> Attempt<M> {
+fn best_start<M, F: Trainer<M>>(
+    fit: &F,
+    circles: &Circles,
+    clusters: usize,
+    seed: u64,
+    stop: StopSignal<'_>,
+) -> Attempt<M> {
     let mut best = fit.attempt(circles, clusters, seed);
     let starts = match clusters {
         // All starts give the same result.
@@ -157,6 +166,9 @@ fn best_start<M, F: Trainer<M>>(fit: &F, circles: &Circles, clusters: usize, see
         _ => STARTS,
     };
     for start in 1..starts {
+        if stop.is_set() {
+            break;
+        }
         let next = fit.attempt(circles, clusters, seed.wrapping_add(start));
         if next.log_likelihood > best.log_likelihood {
             best = next;

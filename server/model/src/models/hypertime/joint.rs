@@ -12,6 +12,7 @@ use super::grow::{Attempt, Circles, HeldOutScore, Trainer};
 use super::mixture::Mixture;
 use super::seeding::Points;
 use super::week::{Residuals, project, slot, turn};
+use crate::StopSignal;
 
 /// Maximum number of readings of a fit.
 const READINGS_MAX: usize = 4_000;
@@ -43,24 +44,25 @@ impl FieldPoint {
     }
 }
 
-pub(super) struct FieldTraining {
+pub(super) struct FieldTraining<'a> {
     pub(super) readings: Vec<FieldPoint>,
     pub(super) method: HypertimeMethod,
     pub(super) value: Vec<HypertimeAxis>,
     /// The weight of independent readings.
     pub(super) unit: f64,
+    pub(super) stop: StopSignal<'a>,
 }
 
-impl FieldTraining {
+impl<'a> FieldTraining<'a> {
     /// The readings in hypertime: location, circles where they are coordinates, value; then circles where they are not.
-    fn points(&self, divisors: &[u32]) -> Points {
+    fn points(&self, divisors: &[u32]) -> Points<'a> {
         let first = self.readings.first();
         let linear = first.map_or(0, |reading| reading.location.len() + reading.value.len());
         let (hypertime, circles) = match self.method {
             HypertimeMethod::Em => (2 * divisors.len(), 0),
             HypertimeMethod::Km => (0, divisors.len()),
         };
-        let mut points = Points::new(linear + hypertime, circles, self.unit);
+        let mut points = Points::new(linear + hypertime, circles, self.unit, self.stop);
         for reading in &self.readings {
             points.numbers.extend_from_slice(&reading.location);
             if self.method == HypertimeMethod::Em {
@@ -76,8 +78,8 @@ impl FieldTraining {
     }
 
     /// The points of all folds but one.
-    fn others(&self, points: &Points, fold: usize) -> Points {
-        let mut others = Points::new(points.coordinates, points.circles, points.unit);
+    fn others(&self, points: &Points, fold: usize) -> Points<'a> {
+        let mut others = Points::new(points.coordinates, points.circles, points.unit, self.stop);
         for (reading, (numbers, weight)) in self.readings.iter().zip(points.iter()) {
             if reading.fold != fold {
                 others.numbers.extend_from_slice(numbers);
@@ -111,7 +113,7 @@ impl FieldTraining {
     }
 }
 
-impl Trainer<(Vec<u32>, Mixture)> for FieldTraining {
+impl Trainer<(Vec<u32>, Mixture)> for FieldTraining<'_> {
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<(Vec<u32>, Mixture)> {
         let points = self.points(&circles.all);
         let mixture = Mixture::fit(&points, clusters, seed, FIRST_STEPS);

@@ -45,7 +45,7 @@ impl Mixture {
         for _ in 0..max_steps {
             let before = likelihood;
             likelihood = self.step(points, &spread);
-            if self.clusters.len() == 1 || likelihood - before < GAIN_MIN {
+            if self.clusters.len() == 1 || likelihood - before < GAIN_MIN || points.stop.is_set() {
                 break;
             }
         }

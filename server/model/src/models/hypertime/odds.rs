@@ -10,7 +10,7 @@ use super::mixture::Mixture;
 use super::seeding::Points;
 use super::week::{Residuals, SLOTS, check_divisors, project, slot_turn};
 use super::{HypertimeCluster, HypertimeMethod};
-use crate::InvalidParts;
+use crate::{InvalidParts, StopSignal};
 
 const FIRST_STEPS: usize = 60;
 const FOLD_STEPS: usize = 15;
@@ -90,19 +90,20 @@ impl SlotWeights {
 }
 
 /// Readings of a probability, by fold.
-pub(super) struct Folds {
+pub(super) struct Folds<'a> {
     pub(super) folds: Vec<SlotWeights>,
     pub(super) method: HypertimeMethod,
     /// The weight of independent readings.
     pub(super) unit: f64,
+    pub(super) stop: StopSignal<'a>,
 }
 
-impl Trainer<Odds> for Folds {
+impl Trainer<Odds> for Folds<'_> {
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<Odds> {
         let all = SlotWeights::combined(self.folds.iter());
         let hypertime = Hypergrid::new(&circles.all);
         let fresh = |hypertime: &Hypergrid, weights: &[f64]| {
-            Mixture::fit(&hypertime.points(weights, self.method, self.unit), clusters, seed, FIRST_STEPS)
+            Mixture::fit(&hypertime.points(weights, (self.method, self.unit, self.stop)), clusters, seed, FIRST_STEPS)
         };
         let model = self.calibrated(&hypertime, &all, || (fresh(&hypertime, &all.ones), fresh(&hypertime, &all.zeros)));
         let mut score = HeldOutScore::default();
@@ -112,7 +113,7 @@ impl Trainer<Odds> for Folds {
             // Starts from the fit to all readings, so that its optimum is judged; with other circles, from scratch.
             let again = |mixture: &Mixture, weights: &[f64]| {
                 let mut mixture = mixture.clone();
-                mixture.refit(&hypertime.points(weights, self.method, self.unit), FOLD_STEPS);
+                mixture.refit(&hypertime.points(weights, (self.method, self.unit, self.stop)), FOLD_STEPS);
                 mixture
             };
             if *divisors == circles.all {
@@ -128,7 +129,7 @@ impl Trainer<Odds> for Folds {
     }
 }
 
-impl Folds {
+impl Folds<'_> {
     /// The mean if there is no period or only one kind of reading; else the mixtures with their factor.
     fn calibrated(
         &self,
@@ -206,9 +207,9 @@ impl Hypergrid {
     }
 
     /// The slots with weight.
-    fn points(&self, weights: &[f64], method: HypertimeMethod, unit: f64) -> Points {
+    fn points<'a>(&self, weights: &[f64], (method, unit, stop): (HypertimeMethod, f64, StopSignal<'a>)) -> Points<'a> {
         let (coordinates, circles) = shape(method, self.divisors.len());
-        let mut points = Points::new(coordinates, circles, unit);
+        let mut points = Points::new(coordinates, circles, unit, stop);
         for (slot, &weight) in weights.iter().enumerate().filter(|(_, weight)| **weight > 0.0) {
             points.numbers.extend_from_slice(self.point(slot));
             points.weights.push(weight);

@@ -8,10 +8,11 @@ use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 
 use super::cluster::{Cluster, HypertimeCluster, VARIANCE_MIN};
+use crate::StopSignal;
 
 /// Weighted points: `coordinates` numbers, then cosine and sine on each of `circles` circles.
 #[derive(Clone, Debug)]
-pub(super) struct Points {
+pub(super) struct Points<'a> {
     pub(super) coordinates: usize,
     pub(super) circles: usize,
     pub(super) numbers: Vec<f64>,
@@ -19,11 +20,13 @@ pub(super) struct Points {
     pub(super) weights: Vec<f64>,
     /// The weight of independent readings: readings of the same hour are nearly repetitions.
     pub(super) unit: f64,
+    /// Ends a fit to them early; its result must then not be used.
+    pub(super) stop: StopSignal<'a>,
 }
 
-impl Points {
-    pub(super) fn new(coordinates: usize, circles: usize, unit: f64) -> Points {
-        Points { coordinates, circles, numbers: Vec::new(), weights: Vec::new(), unit }
+impl<'a> Points<'a> {
+    pub(super) fn new(coordinates: usize, circles: usize, unit: f64, stop: StopSignal<'a>) -> Points<'a> {
+        Points { coordinates, circles, numbers: Vec::new(), weights: Vec::new(), unit, stop }
     }
 
     pub(super) fn stride(&self) -> usize {
@@ -119,7 +122,7 @@ fn k_means(points: &Points, clusters: usize, rng: &mut SmallRng) -> Vec<Vec<f64>
         centres.push(centre);
     }
     for _ in 0..ROUNDS {
-        if !move_to_means(points, &mut centres) {
+        if points.stop.is_set() || !move_to_means(points, &mut centres) {
             break;
         }
     }

@@ -250,7 +250,7 @@ proptest! {
         let options = options(if km { HypertimeMethod::Km } else { HypertimeMethod::Em }, clusters);
         let moments = [samples[0].moment(), Moment { utc_nanos: at, offset_secs: 0 }];
 
-        let model = Hypertime::fit(Readings { samples: &samples, half_life_secs }, &options).unwrap();
+        let model = Hypertime::fit(Readings { half_life_secs, ..Readings::new(&samples) }, &options).unwrap();
         prop_assert_eq!(&Hypertime::from_parts(&model.to_parts()).unwrap(), &model);
         for moment in moments {
             let p = model.predict(moment);
@@ -263,7 +263,7 @@ proptest! {
         let (low, high) = samples
             .iter()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| (low.min(s.value), high.max(s.value)));
-        let model = Hypertime::fit_continuous(Readings { samples: &samples, half_life_secs }, &options).unwrap();
+        let model = Hypertime::fit_continuous(Readings { half_life_secs, ..Readings::new(&samples) }, &options).unwrap();
         prop_assert_eq!(&Hypertime::from_parts(&model.to_parts()).unwrap(), &model);
         for moment in moments {
             let value = model.predict(moment);

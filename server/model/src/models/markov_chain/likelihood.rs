@@ -5,6 +5,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::StopSignal;
+
 /// Gaps whose logarithms round to the same multiple of this are merged.
 const LOG_GAP_STEP: f64 = 0.02;
 /// The prior: this many rises and as many falls …
@@ -49,13 +51,14 @@ impl Transitions {
         counts.high += weight * from.min(to);
     }
 
-    /// (λ, π) of the highest posterior density.
-    pub(super) fn most_likely(&self) -> (f64, f64) {
+    /// (λ, π) of the highest posterior density; not to be used if the signal is set.
+    pub(super) fn most_likely(&self, stop: StopSignal<'_>) -> (f64, f64) {
         let (from, to) = LOG_RATES;
         let steps = ((to - from) / LOG_RATE_STEP) as usize;
         let value = |log_rate: f64| self.profile(log_rate).0;
         let grid = (0..=steps).map(|step| from + step as f64 * LOG_RATE_STEP);
         let best = grid
+            .take_while(|_| !stop.is_set())
             .map(|at| (value(at), at))
             .fold((f64::NEG_INFINITY, from), |best, next| if next.0 > best.0 { next } else { best });
         let at = golden_section(best.1 - LOG_RATE_STEP, best.1 + LOG_RATE_STEP, value);

@@ -168,7 +168,7 @@ proptest! {
         let mut samples: Vec<Sample> =
             readings.iter().map(|&(utc_nanos, value)| Sample { utc_nanos, offset_secs: 0, value }).collect();
         samples.sort_by_key(|sample| sample.utc_nanos);
-        let chain = MarkovChain::fit(Readings { samples: &samples, half_life_secs: half_life }).unwrap();
+        let chain = MarkovChain::fit(Readings { half_life_secs: half_life, ..Readings::new(&samples) }).unwrap();
         let p = chain.predict(Moment { utc_nanos: when, offset_secs: 0 });
         prop_assert!((0.0..=1.0).contains(&p), "{}", p);
     }

@@ -16,7 +16,7 @@ fn a_reading_one_half_life_old_counts_half() {
     let samples = [sample(0, 1.0), sample(3600, 0.0)];
     let plain = Mean::fit(Readings::new(&samples)).unwrap();
     assert!((plain.predict(NOON) - 0.5).abs() < 1e-12);
-    let readings = Readings { samples: &samples, half_life_secs: Some(3600.0) };
+    let readings = Readings { half_life_secs: Some(3600.0), ..Readings::new(&samples) };
     assert!((Mean::fit(readings).unwrap().predict(NOON) - 1.0 / 3.0).abs() < 1e-12);
 }
 
@@ -48,7 +48,7 @@ proptest! {
     ) {
         let at = |(year, &value): (usize, &f64)| sample(year as i64 * 315_000_000, value);
         let samples: Vec<Sample> = values.iter().enumerate().map(at).collect();
-        let mean = Mean::fit(Readings { samples: &samples, half_life_secs: half_life }).unwrap().mean();
+        let mean = Mean::fit(Readings { half_life_secs: half_life, ..Readings::new(&samples) }).unwrap().mean();
         let lowest = values.iter().copied().fold(f64::INFINITY, f64::min);
         let highest = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         prop_assert!((lowest..=highest).contains(&mean), "{}", mean);

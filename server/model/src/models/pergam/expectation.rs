@@ -7,6 +7,8 @@
 use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 
+use crate::StopSignal;
+
 const STARTS: u64 = 3;
 const STEPS_MAX: usize = 100;
 /// Nats per unit of mass.
@@ -56,8 +58,8 @@ impl WrappedGaussian {
 }
 
 /// The likeliest mixture found from several starts; `shares` are masses at equally spaced phases, not negative. Empty
-/// without mass.
-pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64) -> Vec<WrappedGaussian> {
+/// without mass. Ends early if told to stop; the result must then not be used.
+pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64, stop: StopSignal<'_>) -> Vec<WrappedGaussian> {
     let mass: f64 = shares.iter().sum();
     let distinct = shares.iter().filter(|&&share| share > 0.0).count();
     if distinct == 0 || mass <= 0.0 {
@@ -79,7 +81,7 @@ pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64) -> Vec<Wr
                 quantile(shares, mass, if start == 0 { even } else { rng.random() })
             })
             .collect();
-        let found = maximise(shares, &means);
+        let found = maximise(shares, &means, stop);
         if found.0 > best.0 || best.1.is_empty() {
             best = found;
         }
@@ -100,7 +102,7 @@ fn quantile(shares: &[f64], mass: f64, share: f64) -> f64 {
 }
 
 /// Log-likelihood per unit of mass, and the mixture.
-fn maximise(shares: &[f64], means: &[f64]) -> (f64, Vec<WrappedGaussian>) {
+fn maximise(shares: &[f64], means: &[f64], stop: StopSignal<'_>) -> (f64, Vec<WrappedGaussian>) {
     let count = means.len() as f64;
     let mut mixture: Vec<WrappedGaussian> = means
         .iter()
@@ -110,7 +112,7 @@ fn maximise(shares: &[f64], means: &[f64]) -> (f64, Vec<WrappedGaussian>) {
     for _ in 0..STEPS_MAX {
         let before = likelihood;
         likelihood = step(shares, &mut mixture);
-        if likelihood - before < GAIN_MIN {
+        if likelihood - before < GAIN_MIN || stop.is_set() {
             break;
         }
     }

@@ -152,7 +152,7 @@ proptest! {
             .collect();
         samples.sort_by_key(|sample| sample.utc_nanos);
         let options = PergamOptions { gaussians, period_nanos: period_secs * NANOS_PER_SEC, seed: 1 };
-        let model = Pergam::fit(Readings { samples: &samples, half_life_secs }, &options).unwrap();
+        let model = Pergam::fit(Readings { half_life_secs, ..Readings::new(&samples) }, &options).unwrap();
         prop_assert_eq!(&Pergam::from_parts(&model.to_parts()).unwrap(), &model);
         for moment in [samples[0].moment(), Moment { utc_nanos: at, offset_secs: 0 }] {
             let p = model.predict(moment);

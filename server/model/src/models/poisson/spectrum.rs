@@ -3,7 +3,7 @@
 //! As in the accumulator, but with weights and values above 1. Invariant: components are finite, strongest first, with
 //! periods within the observed span.
 
-use crate::{Component, ORDER_MAX, Periodicities, PhasorTable};
+use crate::{Component, ORDER_MAX, Periodicities, PhasorTable, StopSignal};
 
 /// The count of one observed bin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,8 +24,8 @@ pub(super) struct Spectrum {
 }
 
 impl Spectrum {
-    /// The spectrum of observed bins, ascending; empty where there are none.
-    pub(super) fn of(bins: &[Bin], periodicities: &Periodicities) -> Spectrum {
+    /// The spectrum of observed bins, ascending; empty where there are none, of a part of them if told to stop.
+    pub(super) fn of(bins: &[Bin], periodicities: &Periodicities, stop: StopSignal<'_>) -> Spectrum {
         let (Some(first), Some(last)) = (bins.first(), bins.last()) else { return Spectrum { gammas: Vec::new() } };
         let weight: f64 = bins.iter().map(|bin| bin.weight).sum();
         // Shares of the whole: sums of huge counts stay in range.
@@ -34,6 +34,9 @@ impl Spectrum {
             .map(|periodicity| Component { periodicity, gamma_re: 0.0, gamma_im: 0.0 })
             .collect();
         for chunk in bins.chunks(CHUNK) {
+            if stop.is_set() {
+                break;
+            }
             let times: Vec<i64> = chunk.iter().map(|bin| bin.centre_nanos).collect();
             let values: Vec<f64> = chunk.iter().map(|bin| (bin.count - mean) * (bin.weight / weight)).collect();
             let phasors = PhasorTable::new(periodicities, &times);

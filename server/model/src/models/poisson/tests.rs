@@ -87,7 +87,7 @@ fn readings_of_a_bin_add_up_and_unobserved_bins_are_not_0() {
 #[test]
 fn older_counts_fade() {
     let samples = [sample(0, 8.0), sample(DAY_NANOS, 2.0)];
-    let readings = Readings { samples: &samples, half_life_secs: Some(86_400.0) };
+    let readings = Readings { half_life_secs: Some(86_400.0), ..Readings::new(&samples) };
     let model = PoissonSpectral::fit(readings, &Periodicities::default(), COUNT_BIN_NANOS).unwrap();
     assert!((model.predict(at(0)) - (0.5 + 0.5 * 8.0 + 2.0) / 2.5).abs() < 1e-12);
 }
@@ -132,7 +132,7 @@ proptest! {
         let mut samples: Vec<Sample> = rows.iter().map(|&(nanos, value)| sample(nanos, value)).collect();
         samples.sort_by_key(|sample| sample.utc_nanos);
         let week = Periodicities::default();
-        let readings = Readings { samples: &samples, half_life_secs };
+        let readings = Readings { half_life_secs, ..Readings::new(&samples) };
         let model = PoissonSpectral::fit(readings, &week, COUNT_BIN_NANOS).unwrap();
         let predicted = model.predict(Moment { utc_nanos: when, offset_secs: 0 });
         prop_assert!(predicted > 0.0 && predicted.is_finite(), "{}", predicted);

@@ -109,3 +109,22 @@ fn questions_out_of_range_are_refused() {
     let error = solve_policy(&street(2), NodeId(0), &base, &mut bad, || false).unwrap_err();
     assert!(error.to_string().contains("n1/n0"), "{error}");
 }
+
+#[test]
+fn a_policy_that_is_told_to_stop_ends_within_a_slot() {
+    let town = street(1_000);
+    let options = PolicyOptions { slots: 4, ..PolicyOptions::default() };
+    let forecasts = std::cell::Cell::new(0);
+    let mut counted = |edge: &Edge, at_secs: f64| {
+        forecasts.set(forecasts.get() + 1);
+        sure(edge, at_secs)
+    };
+    let mut asked = 0;
+    let until = || {
+        asked += 1;
+        asked > 3
+    };
+    let stopped = solve_policy(&town, NodeId(3), &options, &mut counted, until);
+    assert_eq!(stopped, Err(PolicyError::Stopped { left: 4, slots: 4 }));
+    assert!(forecasts.get() <= 4 * 256, "{}", forecasts.get());
+}

@@ -5,11 +5,11 @@
 use std::sync::Arc;
 
 use tidemap_map::selector::ModelKind;
-use tidemap_model::Sample;
+use tidemap_model::{Sample, StopSignal};
 
 use super::{LearnedState, ModelFitter};
 use crate::{
-    model_cache::{ModelKey, ModelUnavailable, PositionModel},
+    model_cache::{FitStop, ModelKey, ModelUnavailable, PositionModel},
     rpc::{permits::run_blocking, status::RpcError},
 };
 
@@ -34,21 +34,34 @@ impl ModelFitter {
             return Ok(model);
         }
         let this = Arc::clone(self);
+        let interest = self.positions.interest(key);
+        let stop = Arc::new(interest.fit_stop());
         // A task of its own: if this request is dropped, others may wait for the same model.
-        let task = tokio::spawn(async move { this.positions.get_or_fit(key, this.fit_positions(&axes, kind)).await });
-        task.await.map_err(|_| RpcError::Stopping)?
+        let fit = async move { this.positions.get_or_fit(key, this.fit_positions(&axes, kind, stop)).await };
+        let fitted = tokio::spawn(fit).await.map_err(|_| RpcError::Stopping)?;
+        drop(interest);
+        fitted
     }
 
-    async fn fit_positions(&self, axes: &[Arc<LearnedState>], kind: ModelKind) -> Result<PositionModel, RpcError> {
+    async fn fit_positions(
+        &self,
+        axes: &[Arc<LearnedState>],
+        kind: ModelKind,
+        stop: Arc<FitStop>,
+    ) -> Result<PositionModel, RpcError> {
         let first = axes.first().ok_or(RpcError::Stopping)?;
         let options = PositionModel::options(kind).ok_or(RpcError::Stopping)?;
         let permit = self.slow_permits.take().await?;
         let mut samples: Vec<Arc<[Sample]>> = Vec::with_capacity(axes.len());
         for axis in axes {
-            samples.push(self.gather(axis, kind).await?);
+            samples.push(self.gather(axis, kind, &stop).await?);
         }
         let handle = Arc::clone(&first.handle);
-        let fitted = run_blocking(permit, move || PositionModel::fit(&options, &samples, &handle.spec)).await?;
+        let fit = move || {
+            let is_set = || stop.is_set();
+            PositionModel::fit(&options, &samples, &handle.spec, StopSignal::new(&is_set))
+        };
+        let fitted = run_blocking(permit, fit).await?;
         fitted.map_err(|error| first.unavailable(kind, error))
     }
 }
