@@ -226,6 +226,20 @@ mod tests {
         assert!(second[0] < first[3], "the second did not wait for the end of the first");
     }
 
+    #[tokio::test(flavor = "multi_thread")]
+    async fn who_computes_for_long_learns_that_the_reader_is_gone() {
+        let permits = Permits::new(1);
+        let replies = compute_replies::<()>(vec![permits.take().await.expect("a permit")], |sink| {
+            while !sink.is_closed() {
+                std::thread::yield_now();
+            }
+            Ok(())
+        });
+        drop(replies);
+        let permit = tokio::time::timeout(Duration::from_secs(10), permits.take()).await;
+        assert!(permit.expect("the work has ended").is_ok());
+    }
+
     #[tokio::test]
     async fn an_error_ends_the_replies() {
         let permit = || async { Permits::default().take().await.expect("a permit") };

@@ -1,7 +1,7 @@
-//! Work stops when its client leaves: plans, views, grids, fits, evaluations and scans of the past.
+//! Work stops when its client leaves, or when the deadline of its call passes: plans, and fits of models.
 //!
-//! Invariant: each request would compute for more than a minute, and the daemon computes nothing soon after the client
-//! has left. How many requests compute is a metric, `tidemap_computing_requests`.
+//! Invariant: each request would compute for at least twice [`ENDS_WITHIN`], and the daemon computes nothing within this
+//! time after the client has left. How many requests compute is a metric, `tidemap_computing_requests`.
 
 use std::{future::Future, time::Duration};
 
@@ -15,6 +15,10 @@ use tokio::{
     net::TcpStream,
 };
 
+/// Time limit for what takes some milliseconds: a fraction of what the work would take.
+const ENDS_WITHIN: Duration = Duration::from_secs(3);
+const BEGINS_WITHIN: Duration = Duration::from_secs(30);
+
 /// How many requests compute.
 async fn computing(daemon: &Daemon) -> u64 {
     let mut socket = TcpStream::connect(&daemon.http).await.expect("the port is open");
@@ -25,25 +29,26 @@ async fn computing(daemon: &Daemon) -> u64 {
     line.parse::<f64>().expect("a number") as u64
 }
 
-/// Waits until so many compute. The time limit is a fraction of what the work would take, and generous.
-async fn wait_until(daemon: &Daemon, is_so: impl Fn(u64) -> bool, what: &str) {
+/// Waits until any request computes, or none.
+async fn wait_until(daemon: &Daemon, is_so: bool, what: &str) {
+    let within = if is_so { BEGINS_WITHIN } else { ENDS_WITHIN };
     let waited = async {
-        while !is_so(computing(daemon).await) {
+        while (computing(daemon).await > 0) != is_so {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     };
-    tokio::time::timeout(Duration::from_secs(20), waited).await.unwrap_or_else(|_| panic!("{what}"));
+    tokio::time::timeout(within, waited).await.unwrap_or_else(|_| panic!("{what}"));
 }
 
 /// A client asks, and leaves as soon as the daemon computes.
 async fn leave<T: Send + 'static>(daemon: &Daemon, what: &str, call: impl Future<Output = T> + Send + 'static) {
     let call = tokio::spawn(call);
-    wait_until(daemon, |computing| computing > 0, &format!("{what} does not begin")).await;
+    wait_until(daemon, true, &format!("{what} does not begin")).await;
     // Well into the work.
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert!(computing(daemon).await > 0 && !call.is_finished(), "{what} is too short to be left");
     call.abort();
-    wait_until(daemon, |computing| computing == 0, &format!("{what} goes on without its client")).await;
+    wait_until(daemon, false, &format!("{what} goes on without its client")).await;
 }
 
 /// All replies.
@@ -56,13 +61,14 @@ async fn read<T>(replies: Result<tonic::Response<tonic::Streaming<T>>, tonic::St
 async fn work_stops_when_its_client_leaves() {
     let data = tempfile::tempdir().expect("a folder");
     let (_launch, daemon) = room(data.path()).await;
-    let csv = data.path().join("desk.csv");
+    let csv = data.path().join("speed.csv");
     let rows = (0..20_000).map(|row| {
         let secs = START_SECS - 40 * 86_400 + row * 179;
-        format!("{secs},desk,{}\n", u8::from((row * 7 + secs / 86_400) % 11 < 4 && secs % 86_400 > 30_000))
+        format!("{secs},speed,{}\n", (row * 7 + secs / 86_400) % 11 + secs % 86_400 / 10_000)
     });
     std::fs::write(&csv, format!("time,state,value\n{}", rows.collect::<String>())).expect("a file");
     let csv = csv.to_str().expect("text");
+    cli::tidemap(&daemon, ["state", "add", MAP, "speed", "--kind", "continuous"]).table();
     cli::tidemap(&daemon, ["observe", MAP, csv, "--producer", "hand"]).table();
     cli::tidemap(&daemon, ["update", MAP]).table();
 
@@ -89,18 +95,11 @@ async fn work_stops_when_its_client_leaves() {
     let asked = day.clone();
     leave(&daemon, "a day of tours", async move { client.plan_day(asked).await }).await;
 
-    let viewpoints: Vec<v1::Viewpoint> = (0..2_000)
-        .map(|place| v1::Viewpoint { x_m: 1.0 + f64::from(place) * 0.001, y_m: 5.0, ..Default::default() })
-        .collect();
-    let views = v1::EvaluateViewsRequest { map: map(), viewpoints, times_nanos: times(2_000), ..Default::default() };
-    let mut client = exploring();
-    leave(&daemon, "views", async move { read(client.evaluate_views(views).await).await }).await;
-
     let model =
         v1::ModelSelector { kind: v1::ModelKind::HypertimeEm.into(), parameter: Some(50), ..Default::default() };
     let predict = v1::PredictStatesRequest {
         map: map(),
-        states: vec!["desk".to_owned()],
+        states: vec!["speed".to_owned()],
         times_nanos: times(1),
         model: Some(model),
         ..Default::default()
@@ -108,7 +107,7 @@ async fn work_stops_when_its_client_leaves() {
     let (mut one, mut other) = (asking(), asking());
     let same = predict.clone();
     let staying = tokio::spawn(async move { read(one.predict_states(same).await).await });
-    wait_until(&daemon, |computing| computing > 0, "the fit does not begin").await;
+    wait_until(&daemon, true, "the fit does not begin").await;
     // A fit that another request waits for goes on.
     let leaving = tokio::spawn(async move { read(other.predict_states(predict).await).await });
     tokio::time::sleep(Duration::from_millis(300)).await;
@@ -116,13 +115,12 @@ async fn work_stops_when_its_client_leaves() {
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert!(computing(&daemon).await > 0, "one request still waits");
     staying.abort();
-    wait_until(&daemon, |computing| computing == 0, "a fit goes on without its clients").await;
+    wait_until(&daemon, false, "a fit goes on without its clients").await;
 
     // A call whose deadline passes is as good as left.
     let mut client = exploring();
     let mut late = tonic::Request::new(day);
     late.set_timeout(Duration::from_millis(500));
-    let status = client.plan_day(late).await.expect_err("too long");
-    assert_eq!(status.code(), tonic::Code::DeadlineExceeded, "{status}");
-    wait_until(&daemon, |computing| computing == 0, "a day goes on after its deadline").await;
+    client.plan_day(late).await.expect_err("too long");
+    wait_until(&daemon, false, "a day goes on after its deadline").await;
 }
