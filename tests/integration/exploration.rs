@@ -167,6 +167,18 @@ async fn views_regions_and_mistakes_are_answered() {
         assert!(sees_seat([at[0], at[1]]), "{place}");
     }
     assert_eq!(plan.column("location").iter().filter(|place| !place.is_empty()).count(), 3);
+    // The seat is uncertain in some hours only: a tour is worth most then.
+    tidemap(&daemon, ["map", "set", MAP, "--charger", "1,7"]).table();
+    let tours = day(&["--tours", "1", "--explore", "2", "--strategy", "greedy"]).table();
+    let bits = tours.numbers("information_bits");
+    assert_eq!(tours.column("location").iter().filter(|place| **place == "tour").count(), 2, "{tours:?}");
+    assert!(bits.iter().fold(0.0, |most: f64, &bits| most.max(bits)) > 1.0, "{tours:?}");
+    day(&["--tours", "0"]).fails(2, &["1..=100"]);
+    day(&["--tours", "101"]).fails(2, &["101"]);
+    day(&["--tours", "2", "--views", "1"]).fails(2, &["--views"]);
+    // In the corner of two walls no place for the robot is near, at any hour: no plan, but the reason.
+    tidemap(&daemon, ["map", "set", MAP, "--charger", "0.05,0.05"]).table();
+    day(&["--tours", "2", "--explore", "2"]).fails(1, &["no slot", "within 0.5 m of the start"]);
     day(&["--views", "0.01"]).fails(2, &["0.01", "640000"]);
     day(&["--views", "0"]).fails(2, &["\"0\" is not a distance"]);
 
@@ -281,6 +293,20 @@ fn a_day_is_explored_when_and_where_it_is_uncertain() {
     let novel = tidemap(&daemon, args).table();
     assert_eq!(novel.column("location"), ["office"], "{novel:?}");
     assert!(novel.numbers("surprise_bits")[0] > 1.0, "{novel:?}");
+    slot(&["--spent", "2"]).fails(2, &["--spent", "--explore"]);
+    slot(&["--ratio", "0"]).fails(2, &["--ratio 0", "above 0"]);
+    slot(&["--explore", "97"]).fails(1, &["97 visits", "96 slots"]);
+    slot(&["--online-error", "--planned", "office"]).fails(2, &["--online-error"]);
+    // The newest value counts fully at its time, and is forgotten after a week.
+    let desk = |at: &str, model: &str| {
+        let args = ["predict", "flat", "desk", "--at", at, "--model", model];
+        tidemap(&daemon, args).table().number("probability")
+    };
+    assert_eq!(desk("1453690860", "spectral+memory"), 1.0);
+    let (plain, later) = (desk("1454295660", "spectral"), desk("1454295660", "spectral+memory"));
+    assert!((plain - later).abs() < 1e-3, "{plain} {later}");
+    let both = ["predict", "flat", "desk", "--at", "1453690860", "--model", "spectral+memory+persistence"];
+    tidemap(&daemon, both).fails(2, &["+persistence and +memory"]);
     slot(&["--planned", "attic"]).fails(1, &["\"attic\"", "planned"]);
     slot(&["--planned", "corridor", "--monte-carlo"]).fails(2, &["--monte-carlo"]);
 

@@ -33,6 +33,8 @@ const SUCCESS_PRIOR: (f64, f64) = (0.9, 10.0);
 /// Weight, in reports, of the map as the prior of an edge, and minimum weight of the edge's model as the prior of an
 /// hour of the week.
 const PRIOR_REPORTS: f64 = 2.0;
+/// Weight, in reports, that a report at about an hour adds to the edge's model against the map's mean at that hour.
+const MODEL_PER_REPORT: f64 = 16.0;
 /// Weight of a report that is 0, 1 or 2 hours of the day away.
 const NEAR_HOURS: [f64; 3] = [1.0, 0.2, 0.05];
 /// Weight of a report of another day of the week: of the same kind (weekday, weekend), and of the other.
@@ -137,8 +139,10 @@ impl EdgeRecord {
     pub fn forecast(&self, prior: &EdgePrior, success: f64, travel: f64, at: Moment) -> EdgeForecast {
         let blend =
             |weight: f64, value: f64, before: f64| (weight * value + PRIOR_REPORTS * before) / (weight + PRIOR_REPORTS);
-        let model = blend(self.tried, finite_or(success, prior.success).clamp(0.0, 1.0), prior.success);
         let [tried, passed] = self.by_hour.as_ref().map_or([0.0, 0.0], |hours| hours[hour_of_week(at)]);
+        // What the model says of an hour that it has not seen follows from other hours alone.
+        let known = self.tried.min(self.hour_uniformity + MODEL_PER_REPORT * tried);
+        let model = blend(known, finite_or(success, prior.success).clamp(0.0, 1.0), prior.success);
         let weight = self.tried.min(self.hour_uniformity) + PRIOR_REPORTS;
         let success = (weight * model + passed) / (weight + tried);
         EdgeForecast {

@@ -22,6 +22,8 @@ use crate::{
 /// late, and the rates of change that follow from reports are too low. Chosen in the simulated building of `tidemap
 /// experiment routes` with the seeds 100 to 103, among 300 s, 900 s and no limit.
 const MEMORY_MAX_SECS: f64 = 900.0;
+/// Weight, in reports of about that hour, of the last report of an edge while it is new.
+const LAST_REPORTS: f64 = 3.0;
 
 /// An edge with reports.
 #[derive(Debug)]
@@ -92,7 +94,8 @@ impl EdgeForecasts {
                 let basis = self.view.memory_basis(id);
                 let weight = persistence.memory_weight(basis, Some(MEMORY_MAX_SECS), time_nanos);
                 let last_value = persistence.last().map_or(0.0, |(_, value)| value);
-                last_value * weight + forecast.success * (1.0 - weight)
+                let last = LAST_REPORTS * weight;
+                (last * last_value + forecast.evidence * forecast.success) / (last + forecast.evidence)
             };
             forecast.success = blended.clamp(LEARNED_SUCCESS_MIN, 1.0 - 1e-9);
         }

@@ -76,6 +76,21 @@ fn an_edge_that_fails_at_any_time_is_not_shunned_at_the_hours_at_which_it_did() 
 }
 
 #[test]
+fn reports_of_other_hours_alone_do_not_make_an_edge_certain() {
+    // Fifteen reports, all at ten in the morning of working days, all of one kind; the model knows nothing else.
+    let days = (0..21).filter(|day| (day + 3) % 7 < 5).take(15);
+    for value in [0.0, 1.0] {
+        let reports: Vec<(i64, f64)> = days.clone().map(|day| (24 * day + 10, value)).collect();
+        let edge = record(Extent::secs(9.0), &reports);
+        let expected = |hour: i64| edge.forecast(&PRIOR, value, 1.0, at(22 * 24 + hour)).success;
+        // As reported at that hour, and nearer to the map's mean at night.
+        assert!((expected(10) - value).abs() < 0.1, "{value}: {}", expected(10));
+        let (away, most) = ((expected(3) - PRIOR.success).abs(), (value - PRIOR.success).abs());
+        assert!(away < 0.6 * most, "{value}: {}", expected(3));
+    }
+}
+
+#[test]
 fn a_changed_length_keeps_the_speed() {
     let driven = |length_m| EdgeRecord { travelled: 100.0, ..record(Extent::metres(length_m), &[]) };
     let secs = |length_m| driven(length_m).forecast(&PRIOR, 1.0, 1.25, at(9)).duration_secs;

@@ -11,7 +11,7 @@ use tidemap_plan::{
     information::Certainty,
     predicted::{PredictOptions, PredictedGrid, PredictedTimes},
     strategy::Gains,
-    tour::plan_tour,
+    tour::{NoTour, Tour, plan_tour},
     view::{SceneOptions, Sensor, TimedScene, Viewpoint, view_many},
 };
 use tidemap_proto::{
@@ -177,6 +177,9 @@ async fn view_gains(
 
 /// The expected information of the whole tour of each slot, its goals weighted by their reachability (RA-L 2016,
 /// section III.F); 0 where no tour is worth it.
+///
+/// # Errors
+/// Also if no slot has a tour because the robot cannot leave or reach anything.
 async fn tour_gains(
     explorations: &Explorations,
     view: &Arc<MapView>,
@@ -189,14 +192,23 @@ async fn tour_gains(
     let (question, view) = (tour_question(view, request)?, Arc::clone(view));
     let options = PredictOptions { selector, ..explorations.predict_options() };
     let work = move |stop: StopSignal<'_>| {
-        let tour_bits = |&time_nanos: &i64| {
+        let tour = |&time_nanos: &i64| {
             let grid = PredictedGrid::new(&view, time_nanos, &options, stop)?;
-            Ok::<_, PlanError>(plan_tour(&grid, view.site().reachability(), &question, stop)?.expected_bits)
+            Ok::<_, PlanError>(plan_tour(&grid, view.site().reachability(), &question, stop)?)
         };
-        let bits = middles.iter().map(tour_bits).collect::<Result<Vec<f64>, PlanError>>()?;
-        Gains::of(bits.len(), 1, |slot, _| bits[slot]).map_err(|error| PlanError::Day(error.into()))
+        let tours = middles.iter().map(tour).collect::<Result<Vec<Tour>, PlanError>>()?;
+        if let Some(reason) = never_possible(&tours) {
+            return Err(PlanError::NoTour(reason));
+        }
+        Gains::of(tours.len(), 1, |slot, _| tours[slot].expected_bits).map_err(|error| PlanError::Day(error.into()))
     };
     Ok(run_while_awaited(explorations.permits.take().await?, None, work).await??)
+}
+
+/// Why the robot cannot make a tour in any slot; `None` if it can, or if there is nothing to learn at some time.
+fn never_possible(tours: &[Tour]) -> Option<NoTour> {
+    let is_impossible = |tour: &Tour| tour.no_tour.is_some_and(|reason| reason != NoTour::NothingToLearn);
+    tours.first().filter(|_| tours.iter().all(is_impossible))?.no_tour
 }
 
 /// The expected information of each location in each slot. `rows` has the states of the locations one after the other.

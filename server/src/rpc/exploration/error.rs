@@ -6,7 +6,7 @@ use tidemap_plan::{
     day::DayError,
     predicted::PredictError,
     strategy::StrategyError,
-    tour::TourError,
+    tour::{NoTour, TourError},
     view::{SceneError, TooMuchWork},
 };
 use tonic::Code;
@@ -23,6 +23,8 @@ pub(crate) enum PlanError {
     Day(#[from] DayError),
     #[error(transparent)]
     Scene(#[from] SceneError),
+    #[error("no slot of the day has a tour: {0}")]
+    NoTour(NoTour),
     #[error(
         "the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`"
     )]
@@ -38,6 +40,7 @@ impl PlanError {
             | Self::Tour(TourError::Stop(_))
             | Self::Look(TooMuchWork::Stop(_))
             | Self::Scene(SceneError::Stop(_)) => (Code::Cancelled, "LEFT"),
+            Self::NoTour(_) => (Code::FailedPrecondition, "NO_TOUR"),
             Self::NoStart => (Code::FailedPrecondition, "NO_START"),
             Self::Predict(PredictError::Unavailable(_)) => (Code::Internal, "STORAGE_FAILED"),
             Self::Predict(PredictError::TooManyCells { .. } | PredictError::TooManyValues { .. })
