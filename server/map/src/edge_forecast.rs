@@ -2,8 +2,9 @@
 //!
 //! An edge is learned from few reports, most of them at hours at which robots used it. Its forecast combines three
 //! sources: what the edges of the map have in common, the edge's own temporal model, and the reports at about that hour
-//! of the week. More specific sources gain weight as reports accumulate. Models forget hours at which a route avoids
-//! the edge; the reports of these hours do not. The model counts more if the hours of the edge do not differ
+//! of the week. More specific sources gain weight as reports accumulate; at an hour without reports the model, which
+//! follows from other hours alone, is drawn to the map's mean. Models forget hours at which a route avoids the edge; the
+//! reports of these hours do not. The model counts more if the hours of the edge do not differ
 //! (`edge_forecast/hour_uniformity.rs`). So a probability is the mean of a Beta distribution and never reaches 0: a
 //! robot would never retry an edge that counts as impassable (STRANDS, IEEE RAM 2017, "Adaptive Topological
 //! Navigation").
@@ -34,6 +35,7 @@ const SUCCESS_PRIOR: (f64, f64) = (0.9, 10.0);
 /// hour of the week.
 const PRIOR_REPORTS: f64 = 2.0;
 /// Weight, in reports, that a report at about an hour adds to the edge's model against the map's mean at that hour.
+/// Chosen with the seeds 100 to 107 of `tidemap experiment routes`, among 1, 4, 16 and 64.
 const MODEL_PER_REPORT: f64 = 16.0;
 /// Weight of a report that is 0, 1 or 2 hours of the day away.
 const NEAR_HOURS: [f64; 3] = [1.0, 0.2, 0.05];

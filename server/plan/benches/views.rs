@@ -106,7 +106,9 @@ fn tours(c: &mut Criterion) {
     group.sample_size(20);
     let grid = DAY.at(48).expect("a time");
     let reachability = Reachability::default();
-    for (name, goals, spacing_m) in [("6_goals", 6, 0.5), ("12_goals", 12, 0.5), ("6_goals_of_many", 6, 0.2)] {
+    for (name, goals, spacing_m) in
+        [("6_goals", 6, 0.5), ("12_goals", 12, 0.5), ("6_goals_of_500", 6, 0.325), ("6_goals_of_many", 6, 0.2)]
+    {
         let question = TourQuestion { start_m: [10.0, 6.4], goals, spacing_m, ..TourQuestion::default() };
         let told = plan_tour(&grid, &reachability, &question, StopSignal::NEVER).expect("valid");
         println!(
