@@ -1,8 +1,8 @@
 //! Models that are fitted to the readings of a state on request, and kept for the next request.
 //!
 //! Invariant: a model is kept under the generation whose readings it was fitted to, so that it never answers for
-//! another. Concurrent requests for the same model share one fit, which ends without a model when none of them waits any
-//! more; no lock is held meanwhile. A fit that failed is not kept.
+//! another. Concurrent requests for the same model share one fit, which ends without a model when none of them waits
+//! any more; no lock is held meanwhile. A fit that failed is not kept.
 
 use std::{
     collections::{BTreeMap, HashMap},

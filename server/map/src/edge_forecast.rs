@@ -3,8 +3,8 @@
 //! An edge is learned from few reports, most of them at hours at which robots used it. Its forecast combines three
 //! sources: what the edges of the map have in common, the edge's own temporal model, and the reports at about that hour
 //! of the week. More specific sources gain weight as reports accumulate; at an hour without reports the model, which
-//! follows from other hours alone, is drawn to the map's mean. Models forget hours at which a route avoids the edge; the
-//! reports of these hours do not. The model counts more if the hours of the edge do not differ
+//! follows from other hours alone, is drawn to the map's mean. Models forget hours at which a route avoids the edge;
+//! the reports of these hours do not. The model counts more if the hours of the edge do not differ
 //! (`edge_forecast/hour_uniformity.rs`). So a probability is the mean of a Beta distribution and never reaches 0: a
 //! robot would never retry an edge that counts as impassable (STRANDS, IEEE RAM 2017, "Adaptive Topological
 //! Navigation").

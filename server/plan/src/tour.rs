@@ -116,7 +116,8 @@ pub fn plan_tour(
 /// [`plan_tour`] with an existing fan of rays, which many tours on regions of one size can share.
 ///
 /// # Errors
-/// [`TourError`], before the work begins; [`TourError::Stop`]; [`TourError::OtherFan`] for rays that do not match the request.
+/// [`TourError`], before the work begins; [`TourError::Stop`]; [`TourError::OtherFan`] for rays that do not match the
+/// request.
 pub fn plan_tour_with(
     fan: &Fan,
     grid: &PredictedGrid,

@@ -48,7 +48,8 @@ impl CachedModel {
     /// readings ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
     ///
     /// # Errors
-    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or the fit is told to stop.
+    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or the fit is told to
+    /// stop.
     pub(crate) fn fit(
         kind: ModelKind,
         of: StateKind,

@@ -1,7 +1,7 @@
 //! Work stops when its client leaves, or when the deadline of its call passes: plans, and fits of models.
 //!
-//! Invariant: each request would compute for at least twice [`ENDS_WITHIN`], and the daemon computes nothing within this
-//! time after the client has left. How many requests compute is a metric, `tidemap_computing_requests`.
+//! Invariant: each request would compute for at least twice [`ENDS_WITHIN`], and the daemon computes nothing within
+//! this time after the client has left. How many requests compute is a metric, `tidemap_computing_requests`.
 
 use std::{future::Future, time::Duration};
 

@@ -65,7 +65,8 @@ pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<H
     }
 }
 
-/// The readings, unless the work is told to stop; if there are more than `enough`, some of them, more than `enough`, unordered.
+/// The readings, unless the work is told to stop; if there are more than `enough`, some of them, more than `enough`,
+/// unordered.
 pub(super) fn gather(
     history: &History,
     spec: &MapSpec,

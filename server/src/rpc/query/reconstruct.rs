@@ -61,7 +61,8 @@ pub(super) struct PastQuery {
     pub(super) within_nanos: Range<i64>,
 }
 
-/// A function that gathers the readings in a blocking thread unless it is told to stop, and the permits to hold meanwhile.
+/// A function that gathers the readings in a blocking thread unless it is told to stop, and the permits to hold
+/// meanwhile.
 pub(super) async fn past(
     queries: &Queries,
     handle: &Arc<MapHandle>,
