@@ -5,6 +5,7 @@
 mod anomalies;
 mod evaluate;
 mod grid;
+mod places;
 mod positions;
 mod predict;
 mod reconstruct;
@@ -14,6 +15,7 @@ pub use evaluate::{Comparison, EvaluateOptions, Evaluation, Evaluator, Unavailab
 pub use grid::{
     CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,
 };
+pub use places::{PlacePrediction, PlacePredictions, PlaceQuery};
 pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader};
 pub use predict::{PredictionRun, Predictions};
 pub use reconstruct::Reconstruction;

@@ -12,11 +12,12 @@ use std::{
     },
 };
 
-use tidemap_map::{history::Subject, selector::ModelKind};
+use tidemap_map::{history::Subject, ids::StateId, selector::ModelKind};
 use tidemap_store::MapId;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
 mod fitted;
+mod places;
 mod positions;
 mod unavailable;
 
@@ -24,6 +25,7 @@ mod unavailable;
 mod tests;
 
 pub(crate) use fitted::CachedModel;
+pub(crate) use places::PlaceModel;
 pub(crate) use positions::PositionModel;
 pub(crate) use unavailable::ModelUnavailable;
 
@@ -37,6 +39,8 @@ pub(crate) struct ModelKey {
     pub subject: Subject,
     /// The model, with its parameters.
     pub kind: ModelKind,
+    /// The first axis of the vector that tells where the state was observed, for models of places.
+    pub place: Option<StateId>,
 }
 
 /// Room for a model, with how many requests wait for it.

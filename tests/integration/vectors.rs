@@ -275,3 +275,66 @@ fn what_is_no_position_is_refused_whole() {
         assert_eq!(kept.numbers("value"), values.map(|value| value.parse::<f64>().expect("a number")), "{axis}");
     }
 }
+
+#[test]
+fn how_many_positions_there_are_follows_the_hours() {
+    let data = tempfile::tempdir().expect("a folder");
+    let (_, daemon) = office(data.path());
+    // Three positions an hour from 08:00 to 18:00, none at night.
+    observe(&daemon, "walk", &csv(&person(28)), &[]).table();
+    tidemap(&daemon, ["update", "office"]).table();
+    let day = START_SECS + 30 * DAY_SECS;
+    let expected = |hour: i64, window: &str| {
+        let at = (day + 3600 * hour).to_string();
+        let args = ["position", "office", "anna", "--at", &at, "--count", window, "--top", "0"];
+        tidemap(&daemon, args).table().numbers("expected_count").iter().sum::<f64>()
+    };
+    let (morning, night, whole) = (expected(10, "1h"), expected(2, "1h"), expected(0, "24h"));
+    println!("{morning:.2} in an hour of the morning, {night:.2} at night, {whole:.1} in a day");
+    // The region leaves a part of the probability outside.
+    assert!((2.0..=3.5).contains(&morning), "{morning}");
+    assert!(night < 0.5, "{night}");
+    assert!((22.0..=33.0).contains(&whole), "{whole}");
+    let at = day.to_string();
+    let args = ["position", "office", "anna", "--at", &at, "--count", "8d"];
+    tidemap(&daemon, args).fails(1, &["at most 7 days"]);
+}
+
+#[test]
+fn a_state_depends_on_where_it_was_observed() {
+    let data = tempfile::tempdir().expect("a folder");
+    let (_, daemon) = office(data.path());
+    let rows = person(21);
+    observe(&daemon, "walk", &csv(&rows), &[]).table();
+    // It is noisy in the kitchen, and quiet at the desk; half of the positions have a reading.
+    let noise = rows.iter().step_by(2).fold("time,state,value\n".to_owned(), |mut text, (time, [x, _])| {
+        let level = if *x < 5.0 { 60.0 } else { 40.0 } + 4.0 * jitter(*time);
+        let _ = writeln!(text, "{time},noise,{level}");
+        text
+    });
+    observe(&daemon, "noise", &noise, &["--kind", "continuous"]).table();
+    let elsewhere = format!("time,state,value\n{},humidity,40\n", START_SECS + 1);
+    observe(&daemon, "humidity", &elsewhere, &["--kind", "continuous"]).table();
+    tidemap(&daemon, ["update", "office"]).table();
+
+    let at = (START_SECS + 23 * DAY_SECS + 11 * 3600).to_string();
+    let ask = |more: &[&'static str]| {
+        let args = ["predict", "office", "noise", "--at", &at];
+        tidemap(&daemon, args.into_iter().chain(more.iter().copied()).collect::<Vec<_>>())
+    };
+    let told = ask(&["--where", "anna=2,1", "--where", "anna=8,5", "--density", "60,40"]);
+    let table = told.table();
+    let (expected, lower, upper) = (table.numbers("expected"), table.numbers("lower"), table.numbers("upper"));
+    assert!((expected[0] - 60.0).abs() < 3.0 && (expected[1] - 40.0).abs() < 3.0, "{expected:?}");
+    assert!((0..2).all(|i| lower[i] <= expected[i] && expected[i] <= upper[i]), "{lower:?}, {upper:?}");
+    let (loud, quiet) = (table.numbers("density_60"), table.numbers("density_40"));
+    assert!(loud[0] > 10.0 * loud[1] && quiet[1] > 10.0 * quiet[0], "{loud:?}, {quiet:?}");
+    assert!(told.stderr.contains(&format!("from {} of", rows.len().div_ceil(2))), "{}", told.stderr);
+
+    ask(&["--where", "anna=1,2,3"]).fails(1, &["each place has 2"]);
+    ask(&["--where", "noise=1,2"]).fails(1, &["only a vector"]);
+    ask(&["--where", "anna=1,2", "--model", "mean"]).fails(1, &["hypertime-em"]);
+    ask(&["--where", "anna=1"]).fails(2, &["not a place"]);
+    let never = ["predict", "office", "humidity", "--at", &at, "--where", "anna=1,2"];
+    tidemap(&daemon, never).fails(1, &["never observed at the same time"]);
+}

@@ -4,7 +4,10 @@
 //! or reorders anything is an error.
 
 use tidemap_proto::{
-    convert::{query::selector_to_wire, time::instant},
+    convert::{
+        query::selector_to_wire,
+        time::{duration, instant},
+    },
     v1::{self, predict_positions_response::Message},
 };
 use tonic::Streaming;
@@ -25,6 +28,8 @@ pub struct PositionQuery {
     pub resolution_m: Option<f64>,
     /// Maximum number of cells of each time, the most probable ones; all if absent.
     pub top: Option<u32>,
+    /// Also predicts how many positions there are from each time until this much later, nanoseconds.
+    pub count_window: Option<i64>,
 }
 
 /// The header of a reply.
@@ -55,6 +60,9 @@ pub struct PositionForecast {
     pub expected_m: Vec<f64>,
     /// Probability that the position is outside the cells of the region.
     pub outside: f64,
+    /// Expected number of positions in the window, everywhere; that of a cell is this times its probability. 0 without
+    /// a window.
+    pub expected_count: f64,
     /// Centre of each cell in metres, and its probability; most probable first.
     pub cells: Vec<(Vec<f64>, f64)>,
 }
@@ -87,6 +95,7 @@ impl Client {
             region: query.region_m.map(|(low_m, high_m)| v1::PositionBox { low_m, high_m }),
             resolution_m: query.resolution_m.unwrap_or_default(),
             top: query.top.unwrap_or_default(),
+            count_window: query.count_window.map(duration),
         };
         let answer = self.query_service().predict_positions(request).await;
         let mut replies = answer.map_err(|status| self.error(&status))?.into_inner();
@@ -149,6 +158,7 @@ impl Positions {
         let mut forecast = PositionForecast { time: self.next, ..PositionForecast::default() };
         forecast.expected_m.clone_from(&first.expected_m);
         forecast.outside = first.outside;
+        forecast.expected_count = first.expected_count;
         let time_index = first.time_index;
         let mut piece = Some(first);
         while let Some(cells) = piece.take_if(|cells| cells.time_index == time_index) {

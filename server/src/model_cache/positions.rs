@@ -1,4 +1,4 @@
-//! The distribution over positions of a vector at a time, by warped hypertime.
+//! The distribution over positions of a vector at a time, by warped hypertime, and how many positions there are.
 //!
 //! Invariant: a model is fitted to at least one position, and its results are finite.
 
@@ -6,18 +6,22 @@ use tidemap_map::{event::Dimensions, selector::ModelKind, spec::MapSpec};
 use tidemap_model::{
     Sample, StopSignal,
     models::{
-        CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeMethod, HypertimeOptions, Moment,
-        Readings,
+        COUNT_BIN_NANOS, CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeMethod,
+        HypertimeOptions, Moment, PoissonSpectral, Readings, TemporalModel as _,
     },
 };
 
 /// Seed of the random starts of a fit: the same positions give the same model.
 const SEED: u64 = 0;
+/// Positions are counted in this many intervals at most; longer records have longer intervals.
+const COUNTED_MAX: i64 = 100_000;
 
 /// A model that was fitted to the positions of a vector.
 #[derive(Clone, Debug)]
 pub(crate) struct PositionModel {
     field: HypertimeField,
+    /// How many positions there are in an interval (RA-L 2019 section IV.D; the rate after Jovan et al.).
+    rate: PoissonSpectral,
     low_m: Vec<f64>,
     high_m: Vec<f64>,
     positions: u64,
@@ -63,12 +67,15 @@ impl PositionModel {
         let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
         let weights: Vec<f64> = Readings { half_life_secs, ..Readings::new(first) }.weights().collect();
         let field = HypertimeField::fit_weighted(&readings, &weights, options, stop)?;
+        let counts = counts(first);
+        let rate = Readings { half_life_secs, stop, ..Readings::new(&counts.samples) };
+        let rate = PoissonSpectral::fit(rate, &spec.periodicities, counts.bin_nanos)?;
         let bound = |axis: &[Sample], start: f64, nearer: fn(f64, f64) -> f64| {
             axis.iter().map(|sample| sample.value).fold(start, nearer)
         };
         let low_m = axes.iter().map(|axis| bound(axis.as_ref(), f64::INFINITY, f64::min)).collect();
         let high_m = axes.iter().map(|axis| bound(axis.as_ref(), f64::NEG_INFINITY, f64::max)).collect();
-        Ok(Self { field, low_m, high_m, positions: first.len() as u64 })
+        Ok(Self { field, rate, low_m, high_m, positions: first.len() as u64 })
     }
 
     /// Number of positions that it was fitted to.
@@ -81,8 +88,38 @@ impl PositionModel {
         (&self.low_m, &self.high_m)
     }
 
+    /// Expected number of positions per second at a moment.
+    pub(crate) fn per_sec(&self, at: Moment) -> f64 {
+        self.rate.predict(at) / (self.rate.bin_nanos() as f64 / 1e9)
+    }
+
     /// The distribution at a moment; `None` if it is undefined.
     pub(crate) fn at(&self, at: Moment) -> Option<HypertimeDistribution> {
         self.field.distribution(at, &[])
     }
+}
+
+/// One reading for each position, and a 0 for each interval without one.
+struct Counts {
+    samples: Vec<Sample>,
+    bin_nanos: i64,
+}
+
+/// Counts positions, which are taken to be all that there were from the first to the last.
+fn counts(positions: &[Sample]) -> Counts {
+    let (first, last) = (positions.first(), positions.last());
+    let span = first.zip(last).map_or(0, |(first, last)| last.utc_nanos.saturating_sub(first.utc_nanos));
+    let bin_nanos = COUNT_BIN_NANOS * (span / COUNT_BIN_NANOS / COUNTED_MAX + 1);
+    let mut samples: Vec<Sample> = Vec::with_capacity(positions.len());
+    for position in positions {
+        if let Some(before) = samples.last().copied() {
+            let mut next = before.utc_nanos.saturating_add(bin_nanos);
+            while next.saturating_add(bin_nanos) <= position.utc_nanos {
+                samples.push(Sample { utc_nanos: next, value: 0.0, ..before });
+                next = next.saturating_add(bin_nanos);
+            }
+        }
+        samples.push(Sample { value: 1.0, ..*position });
+    }
+    Counts { samples, bin_nanos }
 }

@@ -5,7 +5,6 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
-use tidemap_map::ids::StateId;
 use tidemap_map::selector::PERGAM_PERIOD_NANOS;
 use tidemap_model::{
     Sample,
@@ -17,7 +16,7 @@ use super::*;
 
 fn key(state: u32) -> ModelKey {
     let kind = ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS };
-    ModelKey { map: MapId(1), generation: 1, subject: Subject::State(StateId(state)), kind }
+    ModelKey { map: MapId(1), generation: 1, subject: Subject::State(StateId(state)), kind, place: None }
 }
 
 /// A model that is identified by its newest value.
@@ -97,6 +96,7 @@ async fn whatever_differs_is_another_model() {
         ModelKey { kind: ModelKind::Pergam { gaussians: 4, period_nanos: PERGAM_PERIOD_NANOS }, ..key(1) },
         ModelKey { kind: ModelKind::Pergam { gaussians: 3, period_nanos: 7 * PERGAM_PERIOD_NANOS }, ..key(1) },
         ModelKey { kind: ModelKind::Uniform, ..key(1) },
+        ModelKey { place: Some(StateId(7)), ..key(1) },
         ModelKey { kind: ModelKind::HypertimeEm { clusters: 3 }, ..key(1) },
         key(2),
     ];

@@ -25,6 +25,8 @@ pub(crate) enum ModelUnavailable {
     OtherKind { expected: &'static str, found: StateKind },
     #[error("no update has learned any observation of it yet: see tidemap update")]
     Unlearned,
+    #[error("it was never observed at the same time as a position of that vector: send both with equal times")]
+    NoPlaces,
     #[error("{0}")]
     CannotFit(#[from] CannotFit),
 }

@@ -20,6 +20,7 @@ mod anomalies;
 mod evaluate;
 pub(super) mod fitting;
 mod grid;
+mod places;
 mod positions;
 mod readings;
 mod reconstruct;
@@ -129,6 +130,13 @@ impl QueryService for Queries {
         request: Request<v1::PredictPositionsRequest>,
     ) -> RpcReply<Self::PredictPositionsStream> {
         Ok(Response::new(positions::predict_positions(self, request.into_inner()).await?))
+    }
+
+    async fn predict_at_places(
+        &self,
+        request: Request<v1::PredictAtPlacesRequest>,
+    ) -> RpcReply<v1::PredictAtPlacesResponse> {
+        Ok(Response::new(places::predict_at_places(self, request.into_inner()).await?))
     }
 
     async fn reconstruct(&self, request: Request<v1::ReconstructRequest>) -> RpcReply<Self::ReconstructStream> {

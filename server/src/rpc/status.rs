@@ -182,9 +182,10 @@ impl RpcError {
                 | ModelUnavailable::Forgotten
                 | ModelUnavailable::Incomplete { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
                 ModelUnavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
-                ModelUnavailable::OtherKind { .. } | ModelUnavailable::CannotFit(_) | ModelUnavailable::Unlearned => {
-                    (Code::FailedPrecondition, "MODEL_UNAVAILABLE")
-                }
+                ModelUnavailable::OtherKind { .. }
+                | ModelUnavailable::CannotFit(_)
+                | ModelUnavailable::NoPlaces
+                | ModelUnavailable::Unlearned => (Code::FailedPrecondition, "MODEL_UNAVAILABLE"),
             },
             Self::BeyondHistory { .. } => (Code::OutOfRange, "BEYOND_HISTORY"),
             Self::Backup(error) => match error {

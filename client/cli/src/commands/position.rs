@@ -33,6 +33,9 @@ pub(crate) struct PositionArgs {
     /// Number of cells per time, the most probable ones; 0 for all
     #[arg(long, value_name = "N", default_value_t = 10)]
     top: u32,
+    /// Also predict how many positions there are in each cell, from each time until this much later [at most: 7d]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+    count: Option<i64>,
 }
 
 #[derive(Clone, Debug)]
@@ -62,11 +65,13 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
         region_m: args.region.map(|region| (region.low_m, region.high_m)),
         resolution_m: args.resolution,
         top: Some(args.top),
+        count_window: args.count,
     };
     let mut positions = session.client.positions(&args.map, &args.state, query).await?;
     let header = positions.header().clone();
     let axes = ["x", "y", "z"].into_iter().take(header.counts.len());
-    let columns: Vec<&str> = ["time"].into_iter().chain(axes).chain(["probability"]).collect();
+    let counted = args.count.map(|_| "expected_count");
+    let columns: Vec<&str> = ["time"].into_iter().chain(axes).chain(["probability"]).chain(counted).collect();
     let mut table = session.table(&columns);
     let mut told = Vec::new();
     while let Some(forecast) = positions.next().await? {
@@ -75,9 +80,12 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
             let mut cells = vec![Cell::Secs(time)];
             cells.extend(middle.iter().map(|&coordinate| Cell::from(coordinate)));
             cells.push((*probability).into());
+            if args.count.is_some() {
+                cells.push((probability * forecast.expected_count).into());
+            }
             table.row(cells)?;
         }
-        told.push(summary(&header, &forecast, time));
+        told.push(summary(&header, &forecast, time, args.count));
     }
     table.finish()?;
     told.iter().for_each(|line| status_line(line));
@@ -85,13 +93,17 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
 }
 
 /// The summary of a time.
-fn summary(header: &PositionsHeader, forecast: &PositionForecast, time: i64) -> String {
+fn summary(header: &PositionsHeader, forecast: &PositionForecast, time: i64, window: Option<i64>) -> String {
     const NANOS_PER_SEC: i64 = 1_000_000_000;
     let expected: Vec<String> = forecast.expected_m.iter().map(|coordinate| format!("{coordinate:.3}")).collect();
     let age = header.last_nanos.map(|last| time.saturating_sub(last) / NANOS_PER_SEC);
+    let counted = window.map(|window| {
+        format!("{:.3} positions expected within {} s, ", forecast.expected_count, window / NANOS_PER_SEC)
+    });
     format!(
-        "{}: expected at {} m, outside of the region with {:.4}; from {} positions, the last {} s before",
+        "{}: {}expected at {} m, outside of the region with {:.4}; from {} positions, the last {} s before",
         time / NANOS_PER_SEC,
+        counted.unwrap_or_default(),
         expected.join(", "),
         forecast.outside,
         header.fitted_observations,

@@ -11,6 +11,8 @@ use tidemap_model::Dimensions;
 use super::{Session, UsageError, times, usage};
 use tidemap_formats::table::Cell;
 
+mod places;
+
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("when").required(true).args(["at", "times", "from"]))]
 pub(crate) struct PredictArgs {
@@ -47,6 +49,13 @@ pub(crate) struct PredictArgs {
     /// more, and below 1
     #[arg(long, value_name = "P", default_value_t = 0.9)]
     interval: f64,
+    /// Predict one state at a place, by where a vector was when the state was observed: VECTOR=X,Y[,Z] in metres; may be
+    /// repeated. The model is then hypertime-em or hypertime-km, and an interval contains an observation
+    #[arg(long = "where", value_name = "VECTOR=X,Y[,Z]", value_parser = places::place)]
+    places: Vec<places::Place>,
+    /// With --where: values whose probability density to show
+    #[arg(long, value_name = "VALUE,…", value_delimiter = ',', requires = "places", allow_hyphen_values = true)]
+    density: Vec<f64>,
 }
 
 const COLUMNS: [&str; 9] =
@@ -59,13 +68,16 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
             args.model
         )));
     }
-    let model = ModelSelector { order: args.order.map(|order| order as usize), ..args.model };
-    let times = match (args.at, args.times, args.from, args.to, args.step) {
-        (Some(at), ..) => at,
-        (None, Some(path), ..) => times::from_file(&path)?,
+    let times = match (&args.at, &args.times, args.from, args.to, args.step) {
+        (Some(at), ..) => at.clone(),
+        (None, Some(path), ..) => times::from_file(path)?,
         (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
         _ => return Err(usage("give the times with --at, --times, or --from with --to and --step")),
     };
+    if !args.places.is_empty() {
+        return places::run(session, args, times).await;
+    }
+    let model = ModelSelector { order: args.order.map(|order| order as usize), ..args.model };
     let mut predictions = session.client.predict(&args.map, args.states, times, model).with_intervals(args.interval);
     let mut table = session.table(&COLUMNS);
     while let Some(run) = predictions.next().await? {

@@ -35,7 +35,7 @@ use super::readings::{ReadingsQuery, gather, read, retention};
 use crate::{
     catalog::Catalog,
     ingest::handle::MapHandle,
-    model_cache::{CachedModel, FitStop, ModelCache, ModelKey, ModelUnavailable, PositionModel},
+    model_cache::{CachedModel, FitStop, ModelCache, ModelKey, ModelUnavailable, PlaceModel, PositionModel},
     rpc::{
         permits::{Permits, processors, run_blocking},
         status::RpcError,
@@ -52,6 +52,8 @@ pub(in crate::rpc) struct ModelFitter {
     models: ModelCache,
     /// The same for models of positions.
     positions: ModelCache<PositionModel>,
+    /// The same for models of states by place.
+    places: ModelCache<PlaceModel>,
     /// Permits to gather readings and to fit, separate from those to predict.
     permits: Permits,
     /// Permits for models whose fit may take seconds, so that other fits do not wait for them.
@@ -99,6 +101,7 @@ impl ModelFitter {
             catalog,
             models: ModelCache::new(max_fitted),
             positions: ModelCache::new(max_fitted),
+            places: ModelCache::new(max_fitted),
             permits,
             slow_permits,
             comparing_permits,
@@ -142,7 +145,8 @@ impl ModelFitter {
     ) -> Result<Arc<CachedModel>, RpcError> {
         self.check(learned, kind)?;
         let map = learned.handle.id;
-        let key = ModelKey { map, generation: learned.view.generation(), subject: learned.of.subject(), kind };
+        let key =
+            ModelKey { map, generation: learned.view.generation(), subject: learned.of.subject(), kind, place: None };
         if let Some(fitted) = self.models.get(&key) {
             return Ok(fitted);
         }

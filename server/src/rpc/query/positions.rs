@@ -13,7 +13,11 @@ use tidemap_map::{
 };
 use tidemap_model::{VALUE_MAX, models::Moment};
 use tidemap_proto::{
-    convert::{InvalidField, query::selector_from_wire, time::timestamp},
+    convert::{
+        InvalidField,
+        query::selector_from_wire,
+        time::{nanos_from_duration, timestamp},
+    },
     v1::{self, predict_positions_response::Message},
 };
 
@@ -40,6 +44,10 @@ const CELLS_FLAT: f64 = 64.0;
 const CELLS_DEEP: f64 = 24.0;
 /// Margin of the observations on each side, as a share of their longest side.
 const MARGIN: f64 = 0.1;
+/// The longest window to count positions in.
+const WINDOW_MAX_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+/// A window is summed in steps of at most five minutes.
+const STEP_NANOS: i64 = 300 * 1_000_000_000;
 /// Longest side of a region whose observations are all at one place, metres.
 const ONE_PLACE_M: f64 = 1.0;
 
@@ -87,20 +95,16 @@ pub(super) async fn predict_positions(
     let handle = find_map(&queries.catalog, &request.map).await?;
     let view = handle.view();
     let (first, dimensions) = find_vector(&view, &request.state)?;
-    if request.times_nanos.is_empty() {
-        return Err(InvalidField::new("times_nanos", "name at least one time").into());
-    }
-    if let Some(index) = request.times_nanos.iter().position(|&nanos| nanos < 0) {
-        let text = format!("{} ns is before 1970", request.times_nanos[index]);
-        return Err(InvalidField::new(format!("times_nanos[{index}]"), text).into());
-    }
+    check_times(&request.times_nanos)?;
     let kind = model_of(request.model)?;
     let edge_m = edge_of(request.resolution_m)?;
+    let window = window_of(&request)?;
+    let steps = window.map_or(1, steps_of);
     let region = request.region.map(|region| region_of(region, dimensions)).transpose()?;
     let (times, max) = (request.times_nanos.len() as u64, queries.max_predictions);
     let check = move |cells: &Cells| {
-        let of_all = cells.number().saturating_mul(times);
-        check_limit("cells of all times", of_all, max, "setting max_predictions")?;
+        let of_all = cells.number().saturating_mul(times).saturating_mul(steps);
+        check_limit("cells of all times, every five minutes of a window", of_all, max, "setting max_predictions")?;
         check_limit("cells of one time", cells.number(), CELLS_MAX, "one request")
     };
     let cells = region.map(|(low, high)| Cells::of(&low, &high, edge_m));
@@ -112,20 +116,39 @@ pub(super) async fn predict_positions(
     let cells = cells.unwrap_or_else(|| Cells::around(low, high, edge_m));
     check(&cells)?;
     let top = if request.top == 0 { usize::MAX } else { request.top as usize };
-    let (moments, permits) = (view.moments(&request.times_nanos), queries.large_permits.clone());
+    let starts = request.times_nanos.iter().copied();
+    let moments: Vec<Vec<Moment>> = match window {
+        None => view.moments(&request.times_nanos).into_iter().map(|moment| vec![moment]).collect(),
+        Some(window) => starts.map(|start| view.moments(&middles(start, window))).collect(),
+    };
+    let (moments, permits) = (moments, queries.large_permits.clone());
     Ok(stream_replies(move |sink| async move {
         let sink = sink.holding(vec![permits.take().await?]);
         let predict = move || {
             if sink.send(header(&view, first, &model, &cells)) {
-                tell(&model, &cells, &moments, top, &sink);
+                tell(&model, &cells, &moments, window, top, &sink);
             }
         };
         run_blocking((), predict).await
     }))
 }
 
+/// Checks the times of a request.
+pub(super) fn check_times(times_nanos: &[i64]) -> Result<(), InvalidField> {
+    if times_nanos.is_empty() {
+        return Err(InvalidField::new("times_nanos", "name at least one time"));
+    }
+    match times_nanos.iter().position(|&nanos| nanos < 0) {
+        Some(index) => {
+            let text = format!("{} ns is before 1970", times_nanos[index]);
+            Err(InvalidField::new(format!("times_nanos[{index}]"), text))
+        }
+        None => Ok(()),
+    }
+}
+
 /// The first axis of a vector, and its number of axes.
-fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcError> {
+pub(super) fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcError> {
     match view.shape(name) {
         Some((first, StateShape::Vector(dimensions))) => Ok((first, dimensions)),
         Some((_, shape @ (StateShape::Scalar(_) | StateShape::Angle))) => {
@@ -137,7 +160,7 @@ fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcE
     }
 }
 
-fn model_of(wire: Option<v1::ModelSelector>) -> Result<ModelKind, RpcError> {
+pub(super) fn model_of(wire: Option<v1::ModelSelector>) -> Result<ModelKind, RpcError> {
     let mut wire = wire.unwrap_or_default();
     if wire.kind() == v1::ModelKind::Unspecified {
         wire.kind = v1::ModelKind::HypertimeEm.into();
@@ -188,6 +211,33 @@ fn region_of(region: v1::PositionBox, dimensions: Dimensions) -> Result<(Vec<f64
     Ok((low_m, high_m))
 }
 
+/// The window to count positions in, nanoseconds.
+fn window_of(request: &v1::PredictPositionsRequest) -> Result<Option<i64>, RpcError> {
+    let window = request.count_window.map(|window| nanos_from_duration("count_window", window)).transpose()?;
+    match window {
+        Some(nanos) if !(1..=WINDOW_MAX_NANOS).contains(&nanos) => {
+            let text = format!("{} s: a window is above 0 s and at most 7 days", nanos as f64 / 1e9);
+            Err(InvalidField::new("count_window", text).into())
+        }
+        window => Ok(window),
+    }
+}
+
+/// Number of steps of a window.
+fn steps_of(window: i64) -> u64 {
+    window.div_euclid(STEP_NANOS).unsigned_abs() + 1
+}
+
+/// The middles of a window's steps.
+fn middles(start: i64, window: i64) -> Vec<i64> {
+    let steps = steps_of(window);
+    let middle = |step: u64| {
+        let offset = i128::from(window) * (2 * i128::from(step) + 1) / (2 * i128::from(steps));
+        start.saturating_add(i64::try_from(offset).unwrap_or(i64::MAX))
+    };
+    (0..steps).map(middle).collect()
+}
+
 fn header(view: &MapView, first: StateId, model: &PositionModel, cells: &Cells) -> v1::PredictPositionsResponse {
     let live = view.live(first);
     let header = v1::PositionsHeader {
@@ -202,33 +252,73 @@ fn header(view: &MapView, first: StateId, model: &PositionModel, cells: &Cells) 
     v1::PredictPositionsResponse { message: Some(Message::Header(header)) }
 }
 
+/// What is expected at a time, or in the window that begins then.
+struct Expected {
+    probabilities: Vec<f64>,
+    mean_m: Vec<f64>,
+    /// Number of positions in the window; 0 without one.
+    count: f64,
+}
+
+/// The mean over a window's steps, each weighted by the positions expected then; without a window there is one step.
+/// `None` if the reader is gone.
+fn expected(
+    model: &PositionModel,
+    cells: &Cells,
+    moments: &[Moment],
+    window: Option<i64>,
+    is_gone: &dyn Fn() -> bool,
+) -> Option<Expected> {
+    let rates: Vec<f64> = moments.iter().map(|&moment| model.per_sec(moment)).collect();
+    let all: f64 = rates.iter().sum();
+    let mut found = Expected {
+        probabilities: vec![0.0; usize::try_from(cells.number()).ok()?],
+        mean_m: vec![0.0; cells.counts.len()],
+        count: window.map_or(0.0, |window| all / moments.len() as f64 * (window as f64 / 1e9)),
+    };
+    for (&moment, rate) in moments.iter().zip(rates) {
+        if is_gone() {
+            return None;
+        }
+        let share = if moments.len() == 1 { 1.0 } else { rate / all };
+        let at = model.at(moment)?;
+        let of_step = at.cells(&cells.low_m, cells.edge_m, &cells.counts)?;
+        found.probabilities.iter_mut().zip(of_step).for_each(|(sum, probability)| *sum += share * probability);
+        found.mean_m.iter_mut().zip(at.mean()).for_each(|(sum, mean)| *sum += share * mean);
+    }
+    Some(found)
+}
+
 /// Computes and sends the cells of each time, until the client is gone.
 fn tell(
     model: &PositionModel,
     cells: &Cells,
-    moments: &[Moment],
+    moments: &[Vec<Moment>],
+    window: Option<i64>,
     top: usize,
     sink: &ReplySink<v1::PredictPositionsResponse>,
 ) {
-    for (time_index, &moment) in (0..).zip(moments) {
-        let Some(at) = model.at(moment) else { return };
-        let Some(probabilities) = at.cells(&cells.low_m, cells.edge_m, &cells.counts) else { return };
-        let inside: f64 = probabilities.iter().sum();
+    for (time_index, moments) in (0..).zip(moments) {
+        let Some(expected) = expected(model, cells, moments, window, &|| sink.is_closed()) else { return };
+        let inside: f64 = expected.probabilities.iter().sum();
         let mut found: Vec<(u32, f64)> =
-            (0..).zip(probabilities).filter(|(_, probability)| *probability > 0.0).collect();
+            (0..).zip(expected.probabilities).filter(|(_, probability)| *probability > 0.0).collect();
         found.sort_by(|(place, one), (other_place, other)| other.total_cmp(one).then(place.cmp(other_place)));
         found.truncate(top);
-        let mut expected_m = at.mean();
-        let mut outside = (1.0 - inside).clamp(0.0, 1.0);
+        let mut piece_head = v1::PositionCells {
+            expected_m: expected.mean_m,
+            outside: (1.0 - inside).clamp(0.0, 1.0),
+            expected_count: expected.count,
+            ..v1::PositionCells::default()
+        };
         // At least one piece, even if everything lies outside.
         let mut rest = found.as_slice();
         loop {
             let (piece, others) = rest.split_at(rest.len().min(CELLS_PER_REPLY));
             rest = others;
             let (indices, probabilities) = piece.iter().copied().unzip();
-            let expected_m = std::mem::take(&mut expected_m);
-            let outside = std::mem::take(&mut outside);
-            let cells = v1::PositionCells { time_index, expected_m, outside, indices, probabilities };
+            let head = std::mem::take(&mut piece_head);
+            let cells = v1::PositionCells { time_index, indices, probabilities, ..head };
             if !sink.send(v1::PredictPositionsResponse { message: Some(Message::Cells(cells)) }) {
                 return;
             }

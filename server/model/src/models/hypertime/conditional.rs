@@ -5,6 +5,7 @@
 use super::axis::{HypertimeAxis, standardised};
 use super::cluster::{Cluster, Conditional, HypertimeCluster, factorised};
 use super::mixture::Mixture;
+use crate::special::normal_tail;
 
 /// The distribution p(a | x, t) of a value at a place and time (RA-L 2019 section III.C).
 #[derive(Clone, Debug, PartialEq)]
@@ -50,6 +51,36 @@ impl HypertimeDistribution {
         };
         let scaled = self.axes.iter().enumerate().map(|(coordinate, axis)| of(coordinate) * axis.scale * axis.scale);
         scaled.map(|variance| variance.min(f64::MAX)).collect()
+    }
+
+    /// The interval of a value with one coordinate that contains this share of the probability, `level` in `[0,1)`,
+    /// with equal shares below and above; limited to the observed range. `None` for another level or more coordinates.
+    pub fn interval(&self, level: f64) -> Option<(f64, f64)> {
+        let [axis] = self.axes.as_slice() else { return None };
+        if !(0.0..1.0).contains(&level) {
+            return None;
+        }
+        let end = |share: f64| axis.observed(self.standard_quantile(share));
+        Some((end(0.5 * (1.0 - level)), end(0.5 * (1.0 + level))))
+    }
+
+    /// The first coordinate below which a share of the probability lies, standardised, by bisection.
+    fn standard_quantile(&self, share: f64) -> f64 {
+        let parts = || self.mixture.clusters.iter().map(|cluster| (cluster.parts(), cluster.variance(0).sqrt()));
+        let below = |at: f64| -> f64 {
+            parts().map(|(parts, deviation)| parts.weight * normal_tail((parts.centre[0] - at) / deviation)).sum()
+        };
+        let ends = |sign: f64| parts().map(move |(parts, deviation)| parts.centre[0] + sign * 40.0 * deviation);
+        let mut low = ends(-1.0).fold(f64::INFINITY, f64::min);
+        let mut high = ends(1.0).fold(f64::NEG_INFINITY, f64::max);
+        for _ in 0..200 {
+            let middle = 0.5 * (low + high);
+            if middle <= low || middle >= high {
+                break;
+            }
+            *(if below(middle) < share { &mut low } else { &mut high }) = middle;
+        }
+        0.5 * (low + high)
     }
 
     /// Probability density of a value, per unit of each of its coordinates, averaged over a cell of these widths around

@@ -1,15 +1,15 @@
-//! Models of positions, fitted like those of states.
+//! Models of positions, and of states by place, fitted like those of states.
 //!
 //! Invariant: all axes are gathered from one view, so that each position is complete.
 
 use std::sync::Arc;
 
-use tidemap_map::selector::ModelKind;
-use tidemap_model::{Sample, StopSignal};
+use tidemap_map::{ids::StateId, selector::ModelKind};
+use tidemap_model::{Sample, StopSignal, models::CannotFit};
 
 use super::{LearnedState, ModelFitter};
 use crate::{
-    model_cache::{FitStop, ModelKey, ModelUnavailable, PositionModel},
+    model_cache::{FitStop, ModelKey, ModelUnavailable, PlaceModel, PositionModel},
     rpc::{permits::run_blocking, status::RpcError},
 };
 
@@ -29,7 +29,7 @@ impl ModelFitter {
             return Err(first.unavailable(kind, ModelUnavailable::Unlearned));
         }
         let (map, generation, subject) = (first.handle.id, first.view.generation(), first.of.subject());
-        let key = ModelKey { map, generation, subject, kind };
+        let key = ModelKey { map, generation, subject, kind, place: None };
         if let Some(model) = self.positions.get(&key) {
             return Ok(model);
         }
@@ -63,5 +63,63 @@ impl ModelFitter {
         };
         let fitted = run_blocking(permit, fit).await?;
         fitted.map_err(|error| first.unavailable(kind, error))
+    }
+
+    /// The model of a state by the places that a vector with these axes had at the same times.
+    ///
+    /// # Errors
+    /// As [`ModelFitter::position_model`]; also if the two have no time in common.
+    pub(in crate::rpc::query) async fn place_model(
+        self: &Arc<Self>,
+        learned: Arc<LearnedState>,
+        axes: Vec<Arc<LearnedState>>,
+        place: StateId,
+        kind: ModelKind,
+    ) -> Result<Arc<PlaceModel>, RpcError> {
+        for state in axes.iter().take(1).chain([&learned]) {
+            self.check(state, kind)?;
+            if state.observations() == 0 {
+                return Err(state.unavailable(kind, ModelUnavailable::Unlearned));
+            }
+        }
+        let (map, generation, subject) = (learned.handle.id, learned.view.generation(), learned.of.subject());
+        let key = ModelKey { map, generation, subject, kind, place: Some(place) };
+        if let Some(model) = self.places.get(&key) {
+            return Ok(model);
+        }
+        let this = Arc::clone(self);
+        let interest = self.places.interest(key);
+        let stop = Arc::new(interest.fit_stop());
+        // A task of its own, as above.
+        let fit = async move { this.places.get_or_fit(key, this.fit_places(&learned, &axes, kind, stop)).await };
+        let fitted = tokio::spawn(fit).await.map_err(|_| RpcError::Stopping)?;
+        drop(interest);
+        fitted
+    }
+
+    async fn fit_places(
+        &self,
+        learned: &Arc<LearnedState>,
+        axes: &[Arc<LearnedState>],
+        kind: ModelKind,
+        stop: Arc<FitStop>,
+    ) -> Result<PlaceModel, RpcError> {
+        let options = PositionModel::options(kind).ok_or(RpcError::Stopping)?;
+        let permit = self.slow_permits.take().await?;
+        let values = self.gather(learned, kind, &stop).await?;
+        let mut samples: Vec<Arc<[Sample]>> = Vec::with_capacity(axes.len());
+        for axis in axes {
+            samples.push(self.gather(axis, kind, &stop).await?);
+        }
+        let handle = Arc::clone(&learned.handle);
+        let fit = move || {
+            let is_set = || stop.is_set();
+            PlaceModel::fit(&options, &values, &samples, &handle.spec, StopSignal::new(&is_set))
+        };
+        let fitted = run_blocking(permit, fit).await?;
+        fitted.map_err(|error| match error {
+            CannotFit::NoReadings => learned.unavailable(kind, ModelUnavailable::NoPlaces),
+            error => learned.unavailable(kind, error),
+        })
     }
 }

@@ -1,0 +1,98 @@
+//! The distribution of a state over place and time, p(a | x, t), by warped hypertime.
+//!
+//! Invariant: it is fitted to observations of the state at whose time a position was observed, at least one.
+
+use tidemap_map::spec::MapSpec;
+use tidemap_model::{
+    Sample, StopSignal,
+    models::{CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeOptions, Moment, Readings},
+};
+
+/// A model of a state by place and time.
+#[derive(Clone, Debug)]
+pub(crate) struct PlaceModel {
+    field: HypertimeField,
+    observations: u64,
+}
+
+impl PlaceModel {
+    /// Fits a model to the readings of a state and those of the axes of a vector, each ascending by time. Of several
+    /// readings of the same time, the first belong together, then the second, and so on.
+    ///
+    /// # Errors
+    /// [`CannotFit`] if an option is out of range, no time is among both, or the fit is stopped.
+    pub(crate) fn fit(
+        options: &HypertimeOptions,
+        values: &[Sample],
+        axes: &[impl AsRef<[Sample]>],
+        spec: &MapSpec,
+        stop: StopSignal<'_>,
+    ) -> Result<Self, CannotFit> {
+        let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotFit::NoReadings) };
+        let mut place = 0;
+        let mut placed: Vec<Sample> = Vec::new();
+        let mut readings = Vec::new();
+        for value in values {
+            while first.get(place).is_some_and(|position| position.utc_nanos < value.utc_nanos) {
+                place += 1;
+            }
+            if first.get(place).is_none_or(|position| position.utc_nanos > value.utc_nanos) {
+                continue;
+            }
+            let location = axes.iter().filter_map(|axis| axis.as_ref().get(place)).map(|sample| sample.value);
+            readings.push(FieldReading {
+                moment: value.moment(),
+                location: location.collect(),
+                value: vec![value.value],
+            });
+            placed.push(*value);
+            place += 1;
+        }
+        if readings.is_empty() {
+            return Err(CannotFit::NoReadings);
+        }
+        let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
+        let weights: Vec<f64> = Readings { half_life_secs, ..Readings::new(&placed) }.weights().collect();
+        let field = HypertimeField::fit_weighted(&readings, &weights, options, stop)?;
+        Ok(Self { field, observations: readings.len() as u64 })
+    }
+
+    /// Number of observations with a position.
+    pub(crate) fn observations(&self) -> u64 {
+        self.observations
+    }
+
+    /// The distribution at a place, in metres, and a moment; `None` if it is undefined.
+    pub(crate) fn at(&self, place_m: &[f64], at: Moment) -> Option<HypertimeDistribution> {
+        self.field.distribution(at, place_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_map::{name::MapName, selector::ModelKind};
+
+    use super::*;
+    use crate::model_cache::PositionModel;
+
+    fn sample(minutes: i64, value: f64) -> Sample {
+        Sample { utc_nanos: minutes * 60_000_000_000, offset_secs: 0, value }
+    }
+
+    #[test]
+    fn only_readings_with_a_position_of_the_same_time_count() {
+        let options = PositionModel::options(ModelKind::HypertimeEm { clusters: 2 }).expect("options");
+        let values: Vec<Sample> = (0..400).map(|i| sample(30 * i, f64::from(u8::from(i % 4 == 0)))).collect();
+        let axis = |of: f64| -> Vec<Sample> {
+            (0..200).map(|i| sample(60 * i, of * f64::from(u8::from(i % 2 == 0)))).collect()
+        };
+        let spec = MapSpec::new(MapName::new("office").expect("valid"));
+        let model =
+            PlaceModel::fit(&options, &values, &[axis(5.0), axis(1.0)], &spec, StopSignal::NEVER).expect("a model");
+        assert_eq!(model.observations(), 200);
+        let at = |place: [f64; 2]| model.at(&place, values[0].moment()).expect("a distribution").mean()[0];
+        assert!(at([5.0, 1.0]) > 0.8 && at([0.0, 0.0]) < 0.2, "{} and {}", at([5.0, 1.0]), at([0.0, 0.0]));
+        let late: Vec<Sample> = (0..20).map(|i| sample(60 * i + 1, 0.0)).collect();
+        assert!(PlaceModel::fit(&options, &values, &[late.clone(), late], &spec, StopSignal::NEVER).is_err());
+    }
+}
