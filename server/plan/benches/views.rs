@@ -123,7 +123,7 @@ fn tours(c: &mut Criterion) {
         let fan = Fan::new(&question.sensor, grid.lattice(), 0.0).expect("valid");
         let with_rays = format!("{name}_rays_at_hand");
         group.bench_function(with_rays, |b| {
-            b.iter(|| plan_tour_with(&fan, &grid, &reachability, &question, StopSignal::NEVER))
+            b.iter(|| plan_tour_with(&fan, &grid, &reachability, &question, StopSignal::NEVER));
         });
     }
     group.finish();
