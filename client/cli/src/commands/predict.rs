@@ -49,8 +49,8 @@ pub(crate) struct PredictArgs {
     /// more, and below 1
     #[arg(long, value_name = "P", default_value_t = 0.9)]
     interval: f64,
-    /// Predict one state at a place, by where a vector was when the state was observed: VECTOR=X,Y[,Z] in metres; may be
-    /// repeated. The model is then hypertime-em or hypertime-km, and an interval contains an observation
+    /// Predict one state at a place, by where a vector was when the state was observed: VECTOR=X,Y[,Z] in metres; may
+    /// be repeated. The model is then hypertime-em or hypertime-km, and an interval contains an observation
     #[arg(long = "where", value_name = "VECTOR=X,Y[,Z]", value_parser = places::place)]
     places: Vec<places::Place>,
     /// With --where: values whose probability density to show
