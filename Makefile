@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo test docs lint sbom bench soak durability install clean
+.PHONY: help build web web-check demo test docs lint sbom bench soak durability install clean
 # The recipes of this file share one cargo, and cargo has its own jobs.
 .NOTPARALLEL:
 
@@ -24,6 +24,16 @@ help:
 build:
 	@$(SETUP)
 	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap
+
+## web: the page, from client/web into client/web/dist, which the daemon embeds; needs Node
+web:
+	@$(SETUP) web
+	@$(ENV); cd client/web && npm ci --no-audit --no-fund --loglevel error && npm run -s build
+
+## web-check: whether client/web/dist is what its source builds to
+web-check: web
+	@git diff --exit-code --stat -- client/web/dist && [ -z "$$(git status --porcelain -- client/web/dist)" ] || \
+		{ echo "client/web/dist is not what client/web builds to: run make web, and commit client/web/dist" >&2; exit 1; }
 
 ## demo: a simulated office, weeks of robots' observations, and what is learned from them
 demo: build

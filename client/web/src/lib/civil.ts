@@ -1,0 +1,125 @@
+// Local civil time of a map: where its days begin, and how its times are written.
+//
+// Invariant: times are milliseconds since 1970 in UTC; the zone is that of the map, never that of the browser.
+
+export const MINUTE = 60_000;
+export const HOUR = 60 * MINUTE;
+export const DAY = 24 * HOUR;
+
+/** A civil date and time of day. */
+export interface Civil {
+    year: number;
+    month: number;
+    day: number;
+    hour: number;
+    minute: number;
+    second: number;
+}
+
+const formats = new Map<string, Intl.DateTimeFormat>();
+
+function format(zone: string, key: string, options: Intl.DateTimeFormatOptions): Intl.DateTimeFormat {
+    const name = `${zone} ${key}`;
+    let found = formats.get(name);
+    if (!found) {
+        try {
+            found = new Intl.DateTimeFormat('en-GB', { timeZone: zone, ...options });
+        } catch {
+            // A zone that this browser does not know.
+            found = new Intl.DateTimeFormat('en-GB', { timeZone: 'UTC', ...options });
+        }
+        formats.set(name, found);
+    }
+    return found;
+}
+
+/** The civil time of an instant. */
+export function civil(ms: number, zone: string): Civil {
+    const parts = format(zone, 'parts', {
+        year: 'numeric', month: 'numeric', day: 'numeric', hour: 'numeric', minute: 'numeric', second: 'numeric',
+        hourCycle: 'h23',
+    }).formatToParts(ms);
+    const of = (type: string) => Number(parts.find((part) => part.type === type)?.value ?? 0);
+    return { year: of('year'), month: of('month'), day: of('day'), hour: of('hour'), minute: of('minute'), second: of('second') };
+}
+
+/** How far local time is ahead of UTC, milliseconds. */
+export function offsetAt(ms: number, zone: string): number {
+    const at = civil(ms, zone);
+    return Date.UTC(at.year, at.month - 1, at.day, at.hour, at.minute, at.second) - Math.floor(ms / 1000) * 1000;
+}
+
+/** The instant of a civil time; days and months may overflow. A time that is skipped gives the one after the gap. */
+export function instant(year: number, month: number, day: number, hour: number, minute: number, zone: string): number {
+    const wall = Date.UTC(year, month - 1, day, hour, minute);
+    const first = wall - offsetAt(wall, zone);
+    return wall - offsetAt(first, zone);
+}
+
+/** The midnight that begins the local day of an instant. */
+export function midnight(ms: number, zone: string): number {
+    const at = civil(ms, zone);
+    return instant(at.year, at.month, at.day, 0, 0, zone);
+}
+
+/** The midnight that begins the local week, on Monday. */
+export function monday(ms: number, zone: string): number {
+    const at = civil(ms, zone);
+    const weekday = (new Date(Date.UTC(at.year, at.month - 1, at.day)).getUTCDay() + 6) % 7;
+    return instant(at.year, at.month, at.day - weekday, 0, 0, zone);
+}
+
+/** The instant so many local days later, at the same time of the day. */
+export function addDays(ms: number, days: number, zone: string): number {
+    const at = civil(ms, zone);
+    return instant(at.year, at.month, at.day + days, at.hour, at.minute, zone) + (ms % MINUTE);
+}
+
+/** As `Tue 4 Mar 2025, 10:00`. */
+export function longTime(ms: number, zone: string): string {
+    const parts = format(zone, 'long', {
+        weekday: 'short', day: 'numeric', month: 'short', year: 'numeric', hour: '2-digit', minute: '2-digit', hourCycle: 'h23',
+    }).formatToParts(ms);
+    const of = (type: string) => parts.find((part) => part.type === type)?.value ?? '';
+    return `${of('weekday')} ${of('day')} ${of('month')} ${of('year')}, ${of('hour')}:${of('minute')}`;
+}
+
+/** As `10:00`. */
+export function clock(ms: number, zone: string): string {
+    return format(zone, 'clock', { hour: '2-digit', minute: '2-digit', hourCycle: 'h23' }).format(ms);
+}
+
+/** As `Tue 4 Mar`. */
+export function dayName(ms: number, zone: string): string {
+    return format(zone, 'day', { weekday: 'short', day: 'numeric', month: 'short' }).format(ms).replace(',', '');
+}
+
+/** As `2025-03-04T10:00:00+00:00`. */
+export function rfc3339(ms: number, zone: string): string {
+    const offset = offsetAt(ms, zone);
+    const wall = new Date(ms + offset).toISOString().slice(0, 19);
+    const minutes = Math.abs(Math.round(offset / MINUTE));
+    const two = (value: number) => String(value).padStart(2, '0');
+    return `${wall}${offset < 0 ? '-' : '+'}${two(Math.floor(minutes / 60))}:${two(minutes % 60)}`;
+}
+
+/** The text of a field for a local date and time. */
+export function fieldText(ms: number, zone: string): string {
+    return new Date(ms + offsetAt(ms, zone)).toISOString().slice(0, 16);
+}
+
+/** Reads such a field; NaN if it is empty. */
+export function fromField(text: string, zone: string): number {
+    const [, year, month, day, hour, minute] = /^(\d+)-(\d+)-(\d+)T(\d+):(\d+)/.exec(text) ?? [];
+    if (!year) return Number.NaN;
+    return instant(Number(year), Number(month), Number(day), Number(hour), Number(minute), zone);
+}
+
+/** A length of time for people, as `3 min`. */
+export function ago(ms: number): string {
+    const steps: [number, string][] = [[DAY, 'd'], [HOUR, 'h'], [MINUTE, 'min'], [1000, 's']];
+    for (const [length, unit] of steps) {
+        if (Math.abs(ms) >= length) return `${(ms / length).toFixed(Math.abs(ms) < 10 * length && unit !== 's' ? 1 : 0)} ${unit}`;
+    }
+    return '0 s';
+}

@@ -1,0 +1,174 @@
+// Pictures of a grid at times: fetched for what is visible, kept within a bound, blended while they play.
+//
+// Invariant: a frame is one byte a cell, rows from south to north, and does not change once it is made. All frames
+// together stay below `KEPT_MAX_BYTES`.
+
+import type { GridHeader, PredictedTile } from '../wire/tidemap/v1/query_pb';
+import { ModelKind } from '../wire/tidemap/v1/types_pb';
+import { FULL, UNKNOWN } from './colours';
+import { queries } from './rpc.svelte';
+import { toTimestamp } from './times';
+
+/** Cells along an edge of a tile. */
+const TILE = 8;
+/** Memory of all frames. */
+const KEPT_MAX_BYTES = 24 * 1024 * 1024;
+
+/** Cells from `minX`, `minY` up to but not including `maxX`, `maxY`. */
+export interface Window2d {
+    minX: number;
+    minY: number;
+    maxX: number;
+    maxY: number;
+}
+
+/** What to show, apart from the time. */
+export interface GridQuery {
+    map: string;
+    window: Window2d;
+    minZ: number;
+    maxZ: number;
+    /** The last readings instead of a forecast. */
+    isLatest: boolean;
+    /** Changes when there is something new to show. */
+    generation: string;
+}
+
+/** The probabilities of the columns of a window at a time. */
+export interface Frame extends Window2d {
+    cells: Uint8Array;
+}
+
+function keyOf(query: GridQuery, ms: number): string {
+    const { map, window: at, minZ, maxZ, isLatest, generation } = query;
+    return JSON.stringify([map, at.minX, at.minY, at.maxX, at.maxY, minZ, maxZ, isLatest, generation, isLatest ? 0 : ms]);
+}
+
+const quantised = (value: number) => Math.round(Math.min(1, Math.max(0, value)) * FULL);
+
+function paint(frame: Frame, tile: PredictedTile): void {
+    const width = frame.maxX - frame.minX;
+    const [low, high] = [quantised(tile.staticLow), quantised(tile.staticHigh)];
+    const { known, changed, high: isHigh, values, allValues } = tile;
+    const [left, bottom] = [tile.x * TILE - frame.minX, tile.y * TILE - frame.minY];
+    let next = 0;
+    for (let row = 0; row < TILE; row++) {
+        const bits = known[row] ?? 0;
+        if (bits === 0) continue;
+        const [moving, above] = [changed[row] ?? 0, isHigh[row] ?? 0];
+        const y = bottom + row;
+        const start = y * width + left;
+        for (let column = 0; column < TILE; column++) {
+            const bit = 1 << column;
+            if ((bits & bit) === 0) continue;
+            const value = allValues || moving & bit ? quantised(values[next++] ?? 0) : above & bit ? high : low;
+            const x = left + column;
+            if (x >= 0 && x < width && y >= 0 && y < frame.maxY - frame.minY) frame.cells[start + column] = value;
+        }
+    }
+}
+
+async function load(query: GridQuery, ms: number, signal?: AbortSignal): Promise<Frame> {
+    const { window: at } = query;
+    const cells = new Uint8Array((at.maxX - at.minX) * (at.maxY - at.minY)).fill(UNKNOWN);
+    const frame: Frame = { ...at, cells };
+    const request = {
+        map: query.map,
+        time: toTimestamp(ms),
+        model: query.isLatest ? { kind: ModelKind.LATEST } : undefined,
+        region: { ...at, minZ: query.minZ, maxZ: query.maxZ },
+        project: true,
+    };
+    for await (const answer of queries.predictGrid(request, { signal })) {
+        if (answer.message.case === 'page') for (const tile of answer.message.value.tiles) paint(frame, tile);
+    }
+    return frame;
+}
+
+/** Frames by what they show, the least used first. */
+const kept = new Map<string, Frame>();
+const coming = new Map<string, Promise<Frame>>();
+let keptBytes = 0;
+
+function keep(key: string, frame: Frame): void {
+    kept.set(key, frame);
+    keptBytes += frame.cells.length;
+    for (const [oldest, old] of kept) {
+        if (keptBytes <= KEPT_MAX_BYTES || oldest === key) break;
+        kept.delete(oldest);
+        keptBytes -= old.cells.length;
+    }
+}
+
+/** A frame that is here already. */
+export function keptFrame(query: GridQuery, ms: number): Frame | undefined {
+    const key = keyOf(query, ms);
+    const found = kept.get(key);
+    if (found) {
+        kept.delete(key);
+        kept.set(key, found);
+    }
+    return found;
+}
+
+/** A frame, from here or from the daemon. Requests for the same frame become one. */
+export function frameAt(query: GridQuery, ms: number): Promise<Frame> {
+    const found = keptFrame(query, ms);
+    if (found) return Promise.resolve(found);
+    const key = keyOf(query, ms);
+    let answer = coming.get(key);
+    if (!answer) {
+        answer = load(query, ms)
+            .then((frame) => {
+                keep(key, frame);
+                return frame;
+            })
+            .finally(() => coming.delete(key));
+        coming.set(key, answer);
+    }
+    return answer;
+}
+
+/** Number of frames that were asked for and have not come. */
+export function comingFrames(): number {
+    return coming.size;
+}
+
+/** What the daemon would send for a whole grid, without the cells. */
+export async function gridHeader(map: string, ms: number): Promise<GridHeader | undefined> {
+    for await (const answer of queries.predictGrid({ map, time: toTimestamp(ms), estimateOnly: true })) {
+        if (answer.message.case === 'header') return answer.message.value;
+    }
+    return undefined;
+}
+
+/** The frame between two, at `share` of the way. */
+export function blend(from: Frame, to: Frame, share: number, into?: Uint8Array): Frame {
+    const cells = into?.length === from.cells.length ? into : new Uint8Array(from.cells.length);
+    const [a, b] = [from.cells, to.cells];
+    const weight = Math.round(share * 256);
+    for (let index = 0; index < cells.length; index++) {
+        const low = a[index] as number;
+        const high = b[index] as number;
+        cells[index] = low === high || high === UNKNOWN ? low : low === UNKNOWN ? high : low + (((high - low) * weight) >> 8);
+    }
+    return { ...from, cells };
+}
+
+/** (b - a + 1) / 2 of each cell: how much more probable it is in `b`. */
+export function difference(a: Frame, b: Frame): Frame {
+    const cells = new Uint8Array(a.cells.length);
+    for (let index = 0; index < cells.length; index++) {
+        const from = a.cells[index] as number;
+        const to = b.cells[index] as number;
+        cells[index] = from === UNKNOWN || to === UNKNOWN ? UNKNOWN : (to - from + FULL) >> 1;
+    }
+    return { ...a, cells };
+}
+
+/** The value of the column at a cell; `undefined` where nothing is known. */
+export function valueAt(frame: Frame, x: number, y: number): number | undefined {
+    if (x < frame.minX || x >= frame.maxX || y < frame.minY || y >= frame.maxY) return undefined;
+    const value = frame.cells[(y - frame.minY) * (frame.maxX - frame.minX) + x - frame.minX] ?? UNKNOWN;
+    return value === UNKNOWN ? undefined : value / FULL;
+}

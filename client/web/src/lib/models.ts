@@ -1,0 +1,38 @@
+// Names of models for people.
+
+import { HistogramCycle, ModelKind, type ModelSelector } from '../wire/tidemap/v1/types_pb';
+
+const NAMES: Partial<Record<ModelKind, string>> = {
+    [ModelKind.AUTO]: 'chosen',
+    [ModelKind.MEAN]: 'mean',
+    [ModelKind.LATEST]: 'latest',
+    [ModelKind.SPECTRAL]: 'spectral',
+    [ModelKind.PERSISTENCE]: 'persistence',
+    [ModelKind.HISTOGRAM]: 'histogram',
+    [ModelKind.PERGAM]: 'PerGaM',
+    [ModelKind.HYPERTIME_EM]: 'hypertime (EM)',
+    [ModelKind.HYPERTIME_KM]: 'hypertime (k-means)',
+    [ModelKind.POISSON]: 'Poisson',
+    [ModelKind.CALIBRATED]: 'calibrated',
+    [ModelKind.UNIFORM]: 'uniform',
+};
+const CYCLES: Partial<Record<HistogramCycle, string>> = {
+    [HistogramCycle.DAY]: 'day',
+    [HistogramCycle.WEEK]: 'week',
+    [HistogramCycle.WEEKDAY_WEEKEND]: 'weekday and weekend',
+};
+
+/** The name of a kind. */
+export function kindName(kind: ModelKind): string {
+    return NAMES[kind] ?? `model ${kind}`;
+}
+
+/** A model with its parameters. */
+export function modelName(model: ModelSelector | undefined): string {
+    if (!model) return 'none';
+    const parts = [kindName(model.kind)];
+    if (model.kind === ModelKind.HISTOGRAM) parts.push(`of the ${CYCLES[model.cycle] ?? 'day'}`);
+    if (model.order !== undefined) parts.push(`of order ${model.order}`);
+    if (model.parameter !== undefined) parts.push(`(${model.parameter})`);
+    return parts.join(' ');
+}

@@ -1,0 +1,159 @@
+// Draws a frame and a plan on canvases.
+
+import { viridis, type Palette } from './colours';
+import type { Frame } from './frames';
+import type { Camera, Plan } from './plan';
+
+/** Where a grid lies: its corner and its cells, in metres. */
+export interface GridPlace {
+    originX: number;
+    originY: number;
+    resolution: number;
+}
+
+let sheet: HTMLCanvasElement | undefined;
+let image: ImageData | undefined;
+
+function sheetOf(frame: Frame, palette: Palette): HTMLCanvasElement {
+    const [width, height] = [frame.maxX - frame.minX, frame.maxY - frame.minY];
+    sheet ??= document.createElement('canvas');
+    const brush = sheet.getContext('2d');
+    if (!image || image.width !== width || image.height !== height) {
+        [sheet.width, sheet.height] = [width, height];
+        image = new ImageData(width, height);
+    }
+    const pixels = new Uint32Array(image.data.buffer);
+    const { cells } = frame;
+    for (let row = 0; row < height; row++) {
+        // Rows of a frame go north, those of a picture go south.
+        let to = (height - 1 - row) * width;
+        for (let from = row * width, end = from + width; from < end; from++, to++) {
+            pixels[to] = palette[cells[from] as number] as number;
+        }
+    }
+    brush?.putImageData(image, 0, 0);
+    return sheet;
+}
+
+/** Draws a frame; `ratio` is the number of pixels of the canvas for one of the screen. */
+export function paintFrame(canvas: HTMLCanvasElement, frame: Frame | undefined, palette: Palette, place: GridPlace, camera: Camera, ratio: number): void {
+    const brush = canvas.getContext('2d');
+    if (!brush) return;
+    brush.setTransform(1, 0, 0, 1, 0, 0);
+    brush.clearRect(0, 0, canvas.width, canvas.height);
+    if (!frame) return;
+    const scale = camera.scale * ratio;
+    const left = (place.originX + frame.minX * place.resolution - camera.x) * scale + canvas.width / 2;
+    const top = canvas.height / 2 - (place.originY + frame.maxY * place.resolution - camera.y) * scale;
+    brush.imageSmoothingEnabled = place.resolution * scale < 1;
+    const [width, height] = [frame.maxX - frame.minX, frame.maxY - frame.minY];
+    brush.drawImage(sheetOf(frame, palette), left, top, width * place.resolution * scale, height * place.resolution * scale);
+}
+
+interface Style {
+    text: string;
+    ground: string;
+    accent: string;
+}
+
+function arrow(brush: CanvasRenderingContext2D, x1: number, y1: number, x2: number, y2: number): void {
+    const angle = Math.atan2(y2 - y1, x2 - x1);
+    const [x, y] = [(x1 + x2) / 2, (y1 + y2) / 2];
+    brush.beginPath();
+    for (const turn of [2.6, -2.6]) {
+        brush.moveTo(x + 5 * Math.cos(angle), y + 5 * Math.sin(angle));
+        brush.lineTo(x + 9 * Math.cos(angle + turn), y + 9 * Math.sin(angle + turn));
+    }
+    brush.stroke();
+}
+
+/** Draws a plan over the frame. */
+export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: number; y: number; size: number } | undefined, chosen: string[], camera: Camera, ratio: number, style: Style): void {
+    const brush = canvas.getContext('2d');
+    if (!brush) return;
+    brush.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const [width, height] = [canvas.width / ratio, canvas.height / ratio];
+    brush.clearRect(0, 0, width, height);
+    const at = (point: { x: number; y: number }): [number, number] => [
+        (point.x - camera.x) * camera.scale + width / 2,
+        height / 2 - (point.y - camera.y) * camera.scale,
+    ];
+    const places = new Map(plan.nodes.map((node) => [node.name, node]));
+    for (const edge of plan.edges) {
+        const [from, to] = [places.get(edge.from), places.get(edge.to)];
+        if (!from || !to) continue;
+        for (const isRim of [true, false]) {
+            brush.beginPath();
+            brush.moveTo(...at(from));
+            brush.lineTo(...at(to));
+            brush.lineWidth = isRim ? 6 : 3.5;
+            brush.strokeStyle = isRim ? style.ground : edge.share === undefined ? style.text : viridis(edge.share);
+            brush.setLineDash(!isRim && edge.reports === 0 ? [5, 5] : []);
+            brush.stroke();
+        }
+    }
+    brush.setLineDash([]);
+    for (const path of plan.paths) {
+        brush.strokeStyle = brush.fillStyle = path.kind === 'route' ? '#d8366e' : '#e07b00';
+        brush.lineWidth = 3;
+        for (let step = 1; step < path.points.length; step++) {
+            const [from, to] = [path.points[step - 1], path.points[step]];
+            if (!from || !to) continue;
+            const [[x1, y1], [x2, y2]] = [at(from), at(to)];
+            brush.beginPath();
+            brush.moveTo(x1, y1);
+            brush.lineTo(x2, y2);
+            brush.stroke();
+            arrow(brush, x1, y1, x2, y2);
+        }
+    }
+    brush.font = '600 11px system-ui, sans-serif';
+    brush.textAlign = 'center';
+    const label = (text: string, x: number, y: number) => {
+        brush.lineWidth = 3;
+        brush.strokeStyle = style.ground;
+        brush.lineJoin = 'round';
+        brush.strokeText(text, x, y);
+        brush.fillStyle = style.text;
+        brush.fillText(text, x, y);
+    };
+    for (const node of plan.nodes) {
+        const [x, y] = at(node);
+        const isChosen = chosen.includes(node.name);
+        brush.beginPath();
+        brush.arc(x, y, isChosen ? 9 : 6.5, 0, 2 * Math.PI);
+        brush.fillStyle = node.presence === undefined ? style.ground : viridis(node.presence);
+        brush.fill();
+        brush.lineWidth = isChosen ? 3.5 : 2;
+        brush.strokeStyle = isChosen ? '#d8366e' : style.text;
+        brush.stroke();
+    }
+    if (camera.scale > 9 || plan.nodes.length < 40) {
+        for (const node of plan.nodes) {
+            const [x, y] = at(node);
+            label(node.name, x, y + 20);
+        }
+    }
+    for (const path of plan.paths) {
+        for (const point of path.points) {
+            if (!point.label) continue;
+            const [x, y] = at(point);
+            brush.beginPath();
+            brush.arc(x, y, 9, 0, 2 * Math.PI);
+            brush.fillStyle = '#e07b00';
+            brush.fill();
+            brush.fillStyle = '#000';
+            brush.fillText(point.label, x, y + 4);
+        }
+    }
+    if (marked) {
+        const [x, y] = at(marked);
+        const edge = Math.max(6, marked.size * camera.scale);
+        brush.lineWidth = 4;
+        brush.strokeStyle = '#000';
+        brush.strokeRect(x - edge / 2, y - edge / 2, edge, edge);
+        brush.lineWidth = 2;
+        brush.strokeStyle = '#fff';
+        brush.strokeRect(x - edge / 2, y - edge / 2, edge, edge);
+    }
+}

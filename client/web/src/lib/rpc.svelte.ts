@@ -1,0 +1,109 @@
+// The daemon's services by gRPC-Web, and whether it answers.
+//
+// Invariant: every call goes through here, so `link` says what the last calls met. The token stays in this tab.
+
+import { Code, ConnectError, createClient, type Interceptor } from '@connectrpc/connect';
+import { createGrpcWebTransport } from '@connectrpc/connect-web';
+
+import { ExplorationService } from '../wire/tidemap/v1/exploration_pb';
+import { MaintenanceService } from '../wire/tidemap/v1/maintenance_pb';
+import { MapService } from '../wire/tidemap/v1/map_pb';
+import { QueryService } from '../wire/tidemap/v1/query_pb';
+import { RouteService } from '../wire/tidemap/v1/route_pb';
+import { SearchService } from '../wire/tidemap/v1/search_pb';
+import { TopologyService } from '../wire/tidemap/v1/topology_pb';
+
+const TOKEN_KEY = 'tidemap-token';
+const FIRST_RETRY_MS = 500;
+const RETRY_MAX_MS = 5000;
+
+/** What the last calls met. `epoch` grows whenever the daemon is back or a token was given: views then load again. */
+export const link = $state({ isAway: false, needsToken: false, refusal: '', epoch: 0 });
+
+function stored(): string {
+    try {
+        return sessionStorage.getItem(TOKEN_KEY) ?? '';
+    } catch {
+        return '';
+    }
+}
+
+let token = stored();
+
+/** Keeps the token for this tab, and tries again with it. */
+export function setToken(given: string): void {
+    token = given.trim();
+    try {
+        sessionStorage.setItem(TOKEN_KEY, token);
+    } catch {
+        // Without a store the token lasts until the page is loaded again.
+    }
+    link.needsToken = false;
+    link.refusal = '';
+    link.epoch++;
+}
+
+let probing = false;
+
+/** Asks until the daemon is back. */
+async function probe(): Promise<void> {
+    if (probing) return;
+    probing = true;
+    for (let wait = FIRST_RETRY_MS; ; wait = Math.min(wait * 1.5, RETRY_MAX_MS)) {
+        await new Promise((done) => setTimeout(done, wait));
+        try {
+            const answer = await fetch('/readyz', { cache: 'no-store' });
+            if (answer.ok) break;
+        } catch {
+            // Still away.
+        }
+    }
+    probing = false;
+    link.isAway = false;
+    link.epoch++;
+}
+
+const watchful: Interceptor = (next) => async (request) => {
+    if (token) request.header.set('authorization', `Bearer ${token}`);
+    try {
+        return await next(request);
+    } catch (error) {
+        notice(error);
+        throw error;
+    }
+};
+
+/** Looks at an error, also at one in the middle of a stream, for what it says about the daemon. */
+export function notice(error: unknown): void {
+    const found = ConnectError.from(error);
+    if (found.code === Code.Unauthenticated) {
+        link.needsToken = true;
+        link.refusal = token ? found.rawMessage : '';
+    } else if (isAway(found)) {
+        link.isAway = true;
+        void probe();
+    }
+}
+
+function isAway(error: ConnectError): boolean {
+    // A connection that cannot be made or breaks has no code of its own: fetch fails with a TypeError.
+    return error.code === Code.Unavailable || (error.code === Code.Unknown && error.cause instanceof TypeError);
+}
+
+/** What to show of an error; empty for those that the page shows elsewhere or that nobody waits for. */
+export function message(error: unknown): string {
+    const found = ConnectError.from(error);
+    notice(found);
+    if (found.code === Code.Canceled || found.code === Code.Unauthenticated || isAway(found)) return '';
+    return found.rawMessage;
+}
+
+const transport = createGrpcWebTransport({ baseUrl: window.location.origin, interceptors: [watchful] });
+
+export const maps = createClient(MapService, transport);
+export const queries = createClient(QueryService, transport);
+export const topologies = createClient(TopologyService, transport);
+export const routes = createClient(RouteService, transport);
+export const searches = createClient(SearchService, transport);
+export const exploration = createClient(ExplorationService, transport);
+export const maintenance = createClient(MaintenanceService, transport);

@@ -1,0 +1,60 @@
+// The spans of the time slider: a day, a week and a year, each from a local midnight on.
+
+import { addDays, DAY, HOUR, instant, midnight, MINUTE, monday, civil } from './civil';
+
+export type SpanName = 'day' | 'week' | 'year';
+
+interface Span {
+    /** Between two positions of the slider. */
+    stepMs: number;
+    /** Between two frames that are fetched while it plays. */
+    frameMs: number;
+    /** How much time a second of playing shows. */
+    pace: number;
+    start: (ms: number, zone: string) => number;
+    end: (start: number, zone: string) => number;
+}
+
+export const SPANS: Record<SpanName, Span> = {
+    day: {
+        stepMs: 5 * MINUTE, frameMs: 15 * MINUTE, pace: 2 * HOUR,
+        start: midnight,
+        end: (start, zone) => addDays(start, 1, zone),
+    },
+    week: {
+        stepMs: 30 * MINUTE, frameMs: HOUR, pace: 8 * HOUR,
+        start: monday,
+        end: (start, zone) => addDays(start, 7, zone),
+    },
+    year: {
+        stepMs: DAY, frameMs: DAY, pace: 7 * DAY,
+        start: (ms, zone) => {
+            const at = civil(ms, zone);
+            // At the same time of the day throughout the year.
+            return instant(at.year, 1, 1, at.hour, at.minute, zone);
+        },
+        end: (start, zone) => addDays(start, 365, zone),
+    },
+};
+
+/** The time of a position of the slider: so many milliseconds of civil time after its start. */
+export function positionTime(span: SpanName, start: number, elapsed: number, zone: string): number {
+    if (span === 'day') return start + elapsed;
+    const days = Math.floor(elapsed / DAY);
+    return addDays(start, days, zone) + (elapsed - days * DAY);
+}
+
+/** The position of a time, milliseconds of civil time after the start. */
+export function position(span: SpanName, start: number, ms: number, zone: string): number {
+    if (span === 'day') return ms - start;
+    const [from, to] = [civil(start, zone), civil(ms, zone)];
+    const days = Math.round((Date.UTC(to.year, to.month - 1, to.day) - Date.UTC(from.year, from.month - 1, from.day)) / DAY);
+    return days * DAY + (ms - addDays(start, days, zone));
+}
+
+/** Moves a time by whole days, weeks or years. */
+export function jump(span: SpanName, ms: number, count: number, zone: string): number {
+    if (span !== 'year') return addDays(ms, span === 'day' ? count : 7 * count, zone);
+    const at = civil(ms, zone);
+    return instant(at.year + count, at.month, at.day, at.hour, at.minute, zone);
+}

@@ -1,0 +1,109 @@
+// The topological map of a map, with the forecasts of its edges and of presence at a time.
+
+import { ConnectError, Code } from '@connectrpc/connect';
+
+import type { PredictedEdge } from '../wire/tidemap/v1/route_pb';
+import { placeNodes, type Plan, type PlanEdge, type PlanNode, type PlanPath } from './plan';
+import { message, routes, searches, topologies } from './rpc.svelte';
+import { toNanos, toTimestamp } from './times';
+
+export type EdgeColour = 'success' | 'duration' | 'none';
+
+/** Forecasts wait so long for the slider to rest. */
+const REST_MS = 60;
+
+export class PlanFeed {
+    #nodes: PlanNode[] = $state.raw([]);
+    #edges: PredictedEdge[] = $state.raw([]);
+    #presence: Map<string, number> = $state.raw(new Map());
+    #colour: EdgeColour = $state('success');
+    /** Routes and tours that panels have drawn. */
+    paths: PlanPath[] = $state.raw([]);
+    problem = $state('');
+    #timer: ReturnType<typeof setTimeout> | undefined;
+    #isAsking = false;
+    #next: (() => Promise<void>) | undefined;
+
+    readonly hasNodes = $derived(this.#nodes.length > 0);
+    readonly plan: Plan = $derived({ nodes: this.#shownNodes(), edges: this.#shownEdges(), paths: [] });
+    readonly extent = $derived.by(() => {
+        const [xs, ys] = [this.#nodes.map((node) => node.x), this.#nodes.map((node) => node.y)];
+        if (xs.length === 0) return undefined;
+        return { minX: Math.min(...xs) - 2, maxX: Math.max(...xs) + 2, minY: Math.min(...ys) - 2, maxY: Math.max(...ys) + 2 };
+    });
+
+    async load(map: string): Promise<void> {
+        try {
+            this.#nodes = placeNodes((await topologies.getTopology({ map })).nodes);
+            this.problem = '';
+        } catch (error) {
+            this.problem = message(error);
+        }
+    }
+
+    /** Asks for the forecasts of a time, once it is the time for a moment. `epoch` only says when to ask again. */
+    predict(map: string, ms: number, colour: EdgeColour, epoch: number): void {
+        void epoch;
+        this.#colour = colour;
+        if (!this.hasNodes) return;
+        this.#next = () => this.#ask(map, ms);
+        clearTimeout(this.#timer);
+        this.#timer = setTimeout(() => void this.#run(), REST_MS);
+    }
+
+    async #run(): Promise<void> {
+        if (this.#isAsking) return;
+        this.#isAsking = true;
+        for (let next = this.#next; next; next = this.#next) {
+            this.#next = undefined;
+            await next();
+        }
+        this.#isAsking = false;
+    }
+
+    async #ask(map: string, ms: number): Promise<void> {
+        try {
+            const edges = routes.predictEdges({ map, time: toTimestamp(ms) });
+            const presence = searches.predictPresence({ map, timesNanos: [toNanos(ms)] });
+            const [edgesDone, presenceDone] = await Promise.allSettled([edges, presence]);
+            if (edgesDone.status === 'rejected') throw edgesDone.reason as Error;
+            this.#edges = edgesDone.value.edges;
+            this.#presence = new Map();
+            if (presenceDone.status === 'fulfilled') {
+                const { nodes, times } = presenceDone.value;
+                this.#presence = new Map(nodes.map((name, index) => [name, times[0]?.probabilities[index] ?? 0]));
+            } else if (ConnectError.from(presenceDone.reason).code !== Code.FailedPrecondition) {
+                this.problem = message(presenceDone.reason);
+                return;
+            }
+            this.problem = '';
+        } catch (error) {
+            this.problem = message(error);
+        }
+    }
+
+    #shownNodes(): PlanNode[] {
+        return this.#nodes.map((node) => {
+            const presence = this.#presence.get(node.name);
+            return presence === undefined ? node : { ...node, presence };
+        });
+    }
+
+    #shownEdges(): PlanEdge[] {
+        if (this.#colour === 'none') return [];
+        const both = new Map<string, PlanEdge & { success: number; secs: number }>();
+        const slowest = Math.max(1e-9, ...this.#edges.map((edge) => edge.durationSecs));
+        for (const { edge, success, durationSecs, reports } of this.#edges) {
+            if (!edge) continue;
+            const { from, to } = edge;
+            const key = JSON.stringify([from, to].sort());
+            const other = both.get(key);
+            // Two directions are drawn as one line, by the worse of them.
+            const [worst, longest] = [Math.min(success, other?.success ?? 1), Math.max(durationSecs, other?.secs ?? 0)];
+            const title = `${from} – ${to}: success ${worst.toFixed(2)}, ${longest.toFixed(0)} s`;
+            const share = this.#colour === 'success' ? worst : longest / slowest;
+            both.set(key, { from, to, title, share, reports: Number(reports) + (other?.reports ?? 0), success: worst, secs: longest });
+        }
+        return [...both.values()];
+    }
+}

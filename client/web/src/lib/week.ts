@@ -1,0 +1,107 @@
+// A week of a state: what was predicted, with its interval, and what was observed.
+
+import { Code, ConnectError } from '@connectrpc/connect';
+
+import { StateKind } from '../wire/tidemap/v1/types_pb';
+import type { DescribeModelResponse } from '../wire/tidemap/v1/query_pb';
+import type { ModelKind } from '../wire/tidemap/v1/types_pb';
+import { addDays, HOUR, MINUTE } from './civil';
+import { queries } from './rpc.svelte';
+import { fromNanos, toNanos, toTimestamp } from './times';
+
+const STEP_MS = 30 * MINUTE;
+const LEVEL = 0.9;
+/** More observations than this are not drawn one by one. */
+const DOTS_MAX = 4000;
+
+export interface Series {
+    /** Name of what is predicted: the state, or an axis of it. */
+    name: string;
+    values: number[];
+    lower: number[];
+    upper: number[];
+}
+
+export interface Week {
+    /** Times of the predictions, milliseconds. */
+    times: number[];
+    series: Series[];
+    /** Observations. */
+    seenTimes: number[];
+    seenValues: number[];
+    /** Why there are no observations, if there are none. */
+    seenNote: string;
+    observations: number;
+    /** By which model; only known for a single state. */
+    model: DescribeModelResponse | undefined;
+    isProbability: boolean;
+}
+
+/** The observations between two times; an explanation where they are not kept. */
+export async function observed(map: string, state: string, from: number, to: number): Promise<{ times: number[]; values: number[]; note: string }> {
+    const [times, values]: [number[], number[]] = [[], []];
+    try {
+        const request = { map, state, fromTime: toTimestamp(Math.max(0, from)), toTime: toTimestamp(to) };
+        for await (const piece of queries.reconstruct(request)) {
+            for (const [index, nanos] of piece.timesNanos.entries()) {
+                times.push(fromNanos(nanos));
+                values.push(piece.values[index] ?? 0);
+            }
+        }
+    } catch (error) {
+        const found = ConnectError.from(error);
+        if ([Code.FailedPrecondition, Code.OutOfRange, Code.InvalidArgument, Code.ResourceExhausted].includes(found.code)) {
+            return { times: [], values: [], note: found.rawMessage };
+        }
+        throw error;
+    }
+    return { times, values, note: times.length ? '' : 'No observations in this week.' };
+}
+
+/** Everything that the panel of a state shows. */
+export async function loadWeek(map: string, state: string, start: number, zone: string, kind: ModelKind | undefined): Promise<Week> {
+    const end = addDays(start, 7, zone);
+    const times: number[] = [];
+    for (let ms = start; ms <= end; ms += STEP_MS) times.push(ms);
+    const isCell = state.startsWith('cell/');
+    const model = kind === undefined ? undefined : { kind };
+    const answers: Series[] = [];
+    let observations = 0;
+    const predict = async () => {
+        const request = { map, states: [state], timesNanos: times.map(toNanos), model, intervalLevel: LEVEL };
+        for await (const piece of queries.predictStates(request)) {
+            const at = piece.axis;
+            const name = at === 0 ? state : `${state}/${'xyz'[at - 1] ?? at}`;
+            const found = answers.find((series) => series.name === name) ?? { name, values: [], lower: [], upper: [] };
+            if (found.values.length === 0) answers.push(found);
+            found.values.push(...piece.probabilities);
+            found.lower.push(...piece.lower);
+            found.upper.push(...piece.upper);
+            observations = Number(piece.observations);
+        }
+    };
+    const describe = async () => {
+        try {
+            return await queries.describeModel({ map, state });
+        } catch (error) {
+            // A vector has a model for each axis, and none of its own.
+            if (ConnectError.from(error).code === Code.InvalidArgument) return undefined;
+            throw error;
+        }
+    };
+    const [, seen, described] = await Promise.all([predict(), observed(map, state, start, end), describe()]);
+    const isProbability = isCell || described?.kind === StateKind.PROBABILITY;
+    const every = Math.ceil(seen.times.length / DOTS_MAX);
+    const kept = <T>(list: T[]) => list.filter((_, index) => index % every === 0);
+    return {
+        times, series: answers, seenTimes: kept(seen.times), seenValues: kept(seen.values), seenNote: seen.note,
+        observations, model: described, isProbability,
+    };
+}
+
+/** A period for people, as `24 h` or `7 d`. */
+export function periodText(secs: number): string {
+    const hours = (secs * 1000) / HOUR;
+    if (hours >= 48) return `${(hours / 24).toFixed(hours % 24 < 0.1 ? 0 : 1)} d`;
+    return hours >= 1 ? `${hours.toFixed(Math.abs(hours - Math.round(hours)) < 0.05 ? 0 : 1)} h` : `${(hours * 60).toFixed(0)} min`;
+}

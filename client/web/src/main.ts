@@ -1,0 +1,9 @@
+// The page starts here.
+
+import { mount } from 'svelte';
+
+import App from './App.svelte';
+import './page.css';
+
+const target = document.getElementById('page');
+if (target) mount(App, { target });
