@@ -66,6 +66,9 @@ pub enum ProducerError {
     /// Another stream holds the key.
     #[error("{0}")]
     KeyInUse(String),
+    /// Observations that the daemon has came again with other content; it has counted nothing twice.
+    #[error("{0}")]
+    DataMismatch(String),
     #[error("the daemon found a gap in the sequence numbers: {0}")]
     OutOfSequence(String),
     /// The disk of the daemon is full, or a limit is reached.

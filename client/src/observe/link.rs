@@ -281,6 +281,7 @@ fn ending(goodbye: Goodbye) -> End {
             let message = if detail.is_empty() { "the daemon is stopping".to_owned() } else { detail };
             return End::Broken(Error::Server(ServerError { code: Code::Unavailable, message, fields: Vec::new() }));
         }
+        GoodbyeReason::DataMismatch => ProducerError::DataMismatch(detail),
         GoodbyeReason::OutOfSequence => ProducerError::OutOfSequence(detail),
         GoodbyeReason::Superseded => ProducerError::Superseded(detail),
         GoodbyeReason::DiskFull => ProducerError::Exhausted(detail),

@@ -122,6 +122,12 @@ pub struct Producer {
     /// The sensor of all its scans; absent: the map's own.
     #[prost(message, optional, tag = "6")]
     pub sensor: Option<Sensor>,
+    /// Sequence numbers before `durable_sequence` at which the running CRC is known, ascending; none in older files.
+    #[prost(uint64, repeated, tag = "7")]
+    pub recent_sequences: Vec<u64>,
+    /// The running CRC at each.
+    #[prost(fixed32, repeated, tag = "8")]
+    pub recent_crcs: Vec<u32>,
 }
 
 /// How long exact observations are kept.

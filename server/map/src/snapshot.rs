@@ -63,6 +63,18 @@ impl MapSnapshot {
     }
 }
 
+/// How many [`ContentMark`]s of a producer are kept, that of its durable sequence included.
+pub const CONTENT_MARKS_MAX: usize = 8;
+
+/// The running CRC-32C over a producer's observations up to one of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ContentMark {
+    /// Sequence number of the last of the observations.
+    pub sequence: u64,
+    /// The CRC.
+    pub crc: u32,
+}
+
 /// How far a producer's sequence is durable.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProducerMark {
@@ -76,6 +88,17 @@ pub struct ProducerMark {
     pub content_crc: u32,
     /// The sensor of all its scans; `None`: the map's own.
     pub sensor: Option<ProducerSensor>,
+    /// The same CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
+    pub recent: Vec<ContentMark>,
+}
+
+impl ProducerMark {
+    /// The CRCs that are known, ascending, with that of the durable sequence.
+    #[must_use]
+    pub fn content_marks(&self) -> Vec<ContentMark> {
+        let newest = ContentMark { sequence: self.durable_sequence, crc: self.content_crc };
+        self.recent.iter().copied().chain([newest]).collect()
+    }
 }
 
 /// One state.

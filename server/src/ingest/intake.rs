@@ -10,6 +10,7 @@ use tidemap_map::{
     grid::spec::GridSpec,
     ids::RefusalReason,
     name::StateName,
+    snapshot::ContentMark,
 };
 use tidemap_proto::convert::{
     InvalidField, OverLimit,
@@ -22,11 +23,13 @@ use tidemap_proto::v1;
 use super::protocol::{NewName, ObservationBatch, RefusedObservation};
 
 mod cast_table;
+mod known_content;
 mod scans;
 #[cfg(test)]
 mod tests;
 mod traversals;
 
+use known_content::KnownContent;
 use scans::ScanIntake;
 
 const DETAIL_CHARS_MAX: usize = 200;
@@ -45,6 +48,11 @@ pub(crate) enum IntakeError {
     Limit(#[from] OverLimit),
     #[error("first_sequence {got} leaves a gap: {expected} is the next sequence number of this stream")]
     OutOfSequence { got: u64, expected: u64 },
+    #[error(
+        "observations {first} to {last} are not those that were taken with these numbers before: a sequence number \
+         names one observation for ever. Nothing was counted twice; number new observations from {next}"
+    )]
+    DataMismatch { first: u64, last: u64, next: u64 },
 }
 
 impl From<ScanError> for IntakeError {
@@ -104,6 +112,7 @@ pub(crate) struct Intake {
     table_bytes: usize,
     next_sequence: u64,
     content_crc: u32,
+    known: KnownContent,
     /// Whether any name of the table is a vector.
     has_vectors: bool,
     limits: IntakeLimits,
@@ -120,10 +129,17 @@ impl Intake {
             has_vectors: false,
             next_sequence: durable_sequence + 1,
             content_crc,
+            known: KnownContent::default(),
             limits,
             rows: Vec::new(),
             scans: ScanIntake::new(grid, limits.scans),
         }
+    }
+
+    /// The same, with the running CRCs that are known, ascending: what comes again is compared.
+    pub(crate) fn knowing(mut self, marks: Vec<ContentMark>) -> Self {
+        self.known = KnownContent::new(marks);
+        self
     }
 
     /// Memory of the stream's table of tiles and its unfinished scan, in bytes, about.
@@ -150,15 +166,49 @@ impl Intake {
         let new_names = self.extend_table(names, shapes);
         let positions = self.positions(&columns, &coordinates)?;
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
+        let skip = skip.min(columns.values.len());
+        self.check_known(first, &columns, &positions, skip)?;
         if last < self.next_sequence && new_names.is_empty() {
             return Ok(None);
         }
-        let mut batch = self.check(&columns, &positions, skip.min(columns.values.len()));
+        let mut batch = self.check(&columns, &positions, skip);
         batch.new_names = new_names;
         batch.last_sequence = last.max(self.next_sequence - 1);
         self.next_sequence = batch.last_sequence + 1;
         batch.content_crc = self.content_crc;
+        self.known.took(self.next_sequence - 1, self.content_crc);
         Ok(Some(batch))
+    }
+
+    /// Compares the observations of a message that were taken before.
+    fn check_known(
+        &mut self,
+        first: u64,
+        columns: &DecodedColumns,
+        positions: &[(u32, Position)],
+        known: usize,
+    ) -> Result<(), IntakeError> {
+        let mut positions = positions.iter().peekable();
+        for (i, sequence) in (first..).take(known).enumerate() {
+            let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| position);
+            self.rows.clear();
+            self.append_row(columns, i, position);
+            self.known.repeated(sequence, |crc| crc32c::crc32c_append(crc, &self.rows))?;
+        }
+        Ok(())
+    }
+
+    /// Appends the content of an observation, as the CRC covers it, to the rows.
+    fn append_row(&mut self, columns: &DecodedColumns, i: usize, position: Option<&Position>) {
+        let entry = self.table.get(columns.state_indices[i] as usize);
+        self.rows.extend_from_slice(entry.map_or(b"", |entry| entry.raw.as_bytes()));
+        self.rows.extend_from_slice(&columns.times_nanos[i].to_le_bytes());
+        match position {
+            None => self.rows.extend_from_slice(&columns.values[i].to_le_bytes()),
+            Some(position) => {
+                position.coordinates().iter().for_each(|number| self.rows.extend_from_slice(&number.to_le_bytes()));
+            }
+        }
     }
 
     fn check_sequence(&self, first: u64) -> Result<(), IntakeError> {
@@ -243,15 +293,8 @@ impl Intake {
         for i in skip..columns.values.len() {
             let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
             let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
+            self.append_row(columns, i, position.as_ref());
             let entry = self.table.get(index as usize);
-            self.rows.extend_from_slice(entry.map_or(b"", |entry| entry.raw.as_bytes()));
-            self.rows.extend_from_slice(&time.to_le_bytes());
-            match &position {
-                None => self.rows.extend_from_slice(&value.to_le_bytes()),
-                Some(position) => {
-                    position.coordinates().iter().for_each(|number| self.rows.extend_from_slice(&number.to_le_bytes()));
-                }
-            }
             let refusal = match entry {
                 Some(entry) if entry.refusal.is_none() && time >= 0 && entry.may_have(value, position) => None,
                 _ => Some(refuse(entry, index, self.table.len(), time, (value, position))),

@@ -18,7 +18,7 @@ use tidemap_map::{
     ids::RefusalReason,
     name::{ProducerKey, StateName},
     site::{InvalidEdit, SiteEdit},
-    snapshot::MapSnapshot,
+    snapshot::{ContentMark, MapSnapshot},
     traversal::Traversal,
     update::UpdateResult,
 };
@@ -48,7 +48,7 @@ pub(crate) struct Hello {
 }
 
 /// The answer to an accepted stream.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Welcome {
     pub session: SessionId,
     pub incarnation: u64,
@@ -56,6 +56,8 @@ pub(crate) struct Welcome {
     pub durable_sequence: u64,
     /// Running CRC up to it.
     pub content_crc: u32,
+    /// Running CRCs that are known, ascending, up to it.
+    pub content_marks: Vec<ContentMark>,
 }
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

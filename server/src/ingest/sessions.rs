@@ -249,7 +249,8 @@ impl Sessions {
             self.issued.insert(hello.key.clone(), incarnation);
         }
         let (durable_sequence, content_crc) = mark.map_or((0, 0), |(_, m)| (m.durable_sequence, m.content_crc));
-        Ok(Some(Welcome { session: id, incarnation, durable_sequence, content_crc }))
+        let content_marks = mark.map_or_else(Vec::new, |(_, mark)| mark.content_marks());
+        Ok(Some(Welcome { session: id, incarnation, durable_sequence, content_crc, content_marks }))
     }
 
     /// Converts a batch to an event; adds refusals if the map has no room for more states. `None`: the stream is

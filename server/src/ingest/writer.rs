@@ -331,7 +331,7 @@ impl Writer {
                 Err(error) => Err(error),
             }
         };
-        let opened: Option<Welcome> = answer.as_ref().ok().copied();
+        let opened: Option<Welcome> = answer.as_ref().ok().cloned();
         if opened.is_some() {
             self.updates.schedule.stream_settled(&hello.key);
         }

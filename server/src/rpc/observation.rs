@@ -28,7 +28,7 @@ use tidemap_proto::{
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
 use tokio_stream::{StreamExt as _, wrappers::ReceiverStream};
 use tonic::{Code, Request, Response, Status, Streaming};
-use tracing::debug;
+use tracing::{debug, warn};
 
 use super::{RpcReply, acks::acks, status::RpcError};
 use crate::{
@@ -247,12 +247,10 @@ async fn open_and_serve(
     }
     let opened = answered.await.map_err(|_| RpcError::Stopping)??;
     let mut stream = Stream {
-        intake: Some(Intake::new(
-            opened.durable_sequence,
-            opened.content_crc,
-            limits.intake,
-            handle.spec.grid.as_ref(),
-        )),
+        intake: Some(
+            Intake::new(opened.durable_sequence, opened.content_crc, limits.intake, handle.spec.grid.as_ref())
+                .knowing(opened.content_marks.clone()),
+        ),
         own_buffer: Arc::new(Semaphore::new(limits.max_stream_buffer)),
         durable: opened.durable_sequence,
         handed_over: opened.durable_sequence,
@@ -470,8 +468,13 @@ impl Stream<'_> {
             RpcError::Ended(Ending::Storage(error)) if is_fatal(error) => v1::GoodbyeReason::Storage,
             RpcError::Ended(Ending::Storage(_)) => v1::GoodbyeReason::DiskFull,
             RpcError::Intake(IntakeError::OutOfSequence { .. }) => v1::GoodbyeReason::OutOfSequence,
+            RpcError::Intake(IntakeError::DataMismatch { .. }) => v1::GoodbyeReason::DataMismatch,
             _ => v1::GoodbyeReason::Invalid,
         };
+        if let RpcError::Intake(mismatch @ IntakeError::DataMismatch { .. }) = error {
+            metrics::counter!("tidemap_data_mismatches_total").increment(1);
+            warn!(map = self.handle.id.0, "a producer has sent other content again: {mismatch}");
+        }
         let goodbye = v1::Goodbye { reason: reason.into(), durable_sequence: self.durable, detail: error.to_string() };
         // The status that follows says the same; the client may be gone.
         let _ = reply(self.replies, Down::Goodbye(goodbye)).await;

@@ -240,6 +240,7 @@ impl RpcError {
                 HelloError::Closing => (Code::Unavailable, "STOPPING"),
             },
             Self::Intake(IntakeError::OutOfSequence { .. }) => (Code::OutOfRange, "OUT_OF_SEQUENCE"),
+            Self::Intake(IntakeError::DataMismatch { .. }) => (Code::FailedPrecondition, "DATA_MISMATCH"),
             Self::Ended(ending) => match ending {
                 Ending::Shutdown => (Code::Unavailable, "STOPPING"),
                 Ending::Superseded => (Code::Aborted, "SUPERSEDED"),
@@ -298,6 +299,10 @@ impl From<RpcError> for Status {
             RpcError::Intake(IntakeError::OutOfSequence { got, expected }) => {
                 metadata.insert("got".to_owned(), got.to_string());
                 metadata.insert("expected".to_owned(), expected.to_string());
+            }
+            RpcError::Intake(IntakeError::DataMismatch { first, last, .. }) => {
+                metadata.insert("first".to_owned(), first.to_string());
+                metadata.insert("last".to_owned(), last.to_string());
             }
             _ => {}
         }

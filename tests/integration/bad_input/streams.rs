@@ -8,7 +8,7 @@ use tidemap_proto::v1::{
     observe_request::Message,
 };
 use tidemap_tests::{
-    daemon::Daemon,
+    daemon::{Daemon, Launch},
     garbage,
     stream::{Ended, RawStream, columns, hello},
 };
@@ -151,6 +151,33 @@ async fn numbers_that_leap_end_the_stream_and_numbers_again_are_no_news() {
     stream.batch(7, columns(&[], &[row(7)])).await;
     check(stream.end().await, Some(GoodbyeReason::OutOfSequence), Code::OutOfRange, &["7", "6"]);
     goes_on(&daemon, 5).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn numbers_again_with_other_content_end_the_stream_and_change_nothing() {
+    let (data, daemon) = office(|launch| launch).await;
+    let row = |time: i64| (0, time, 1.0);
+    let mut stream = opened(&daemon).await;
+    stream.batch(1, columns(&["door"], &[row(1), row(2), row(3)])).await;
+    stream.acknowledged(3).await.expect("new");
+    stream.batch(4, columns(&[], &[row(4)])).await;
+    stream.acknowledged(4).await.expect("new");
+    stream.batch(1, columns(&[], &[row(1), (0, 2, 0.0), row(3)])).await;
+    let words = ["observations 1 to 3", "number new observations from 5"];
+    check(stream.end().await, Some(GoodbyeReason::DataMismatch), Code::FailedPrecondition, &words);
+    goes_on(&daemon, 4).await;
+    // What comes again after a kill is compared too, whether it has new observations behind it or not.
+    daemon.kill();
+    let daemon = Launch::on(data.path()).start();
+    let mut stream = opened(&daemon).await;
+    stream.batch(4, columns(&["door"], &[(0, 4, 0.5), row(5)])).await;
+    let words = ["observations 4 to 4", "from 5"];
+    check(stream.end().await, Some(GoodbyeReason::DataMismatch), Code::FailedPrecondition, &words);
+    assert_eq!(observations(&daemon).await, 5);
+    let mut stream = opened(&daemon).await;
+    stream.batch(1, columns(&["door"], &[row(1), row(2), row(3), row(4), row(5)])).await;
+    stream.acknowledged(5).await.expect("the same, and a new one");
+    assert_eq!(observations(&daemon).await, 6);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -252,6 +252,7 @@ async fn ends_that_no_new_attempt_can_mend_are_final() -> Tested {
     for (act, error) in [
         (Act::End(GoodbyeReason::DiskFull), ProducerError::Exhausted(so())),
         (Act::End(GoodbyeReason::Superseded), ProducerError::Superseded(so())),
+        (Act::End(GoodbyeReason::DataMismatch), ProducerError::DataMismatch(so())),
         (Act::End(GoodbyeReason::OutOfSequence), ProducerError::OutOfSequence(so())),
         (Act::End(GoodbyeReason::Invalid), ProducerError::Invalid(so())),
         (Act::End(GoodbyeReason::MapDeleted), ProducerError::MapDeleted(so())),

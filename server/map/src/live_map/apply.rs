@@ -11,7 +11,7 @@ use crate::{
     event::{NewState, Observations, StateKind},
     grid::scan::Scans,
     ids::{NewProducer, ProducerId},
-    snapshot::ProducerMark,
+    snapshot::{CONTENT_MARKS_MAX, ContentMark, ProducerMark},
     view::{LIVE_CHUNK, LiveState},
 };
 
@@ -55,7 +55,14 @@ impl LiveMap {
                 grid.may_have(*sensor, std::iter::empty()).map_err(|error| error.to_string())?;
             }
             let (key, sensor) = (key.clone(), *sensor);
-            self.add_producer(ProducerMark { key, incarnation: 0, durable_sequence: 0, content_crc: 0, sensor });
+            self.add_producer(ProducerMark {
+                key,
+                incarnation: 0,
+                durable_sequence: 0,
+                content_crc: 0,
+                sensor,
+                recent: Vec::new(),
+            });
         }
         let mark =
             self.producers.get_mut(event.producer.0 as usize).ok_or("it names an unknown producer".to_owned())?;
@@ -64,6 +71,12 @@ impl LiveMap {
                 "its sequence {}..={} does not follow {}",
                 event.first_sequence, event.last_sequence, mark.durable_sequence
             ));
+        }
+        if mark.durable_sequence > 0 {
+            if mark.recent.len() + 1 >= CONTENT_MARKS_MAX {
+                mark.recent.remove(0);
+            }
+            mark.recent.push(ContentMark { sequence: mark.durable_sequence, crc: mark.content_crc });
         }
         mark.incarnation = mark.incarnation.max(event.incarnation);
         mark.durable_sequence = event.last_sequence;

@@ -177,21 +177,26 @@ impl Intake {
         while batch.bytes < BATCH_BYTES && cells < BATCH_CELLS {
             let Some(scan) = self.scans.decoder.next_scan()? else { break };
             is_empty = false;
-            cells += self.take_scan(scan, &mut batch);
+            cells += self.take_scan(scan, &mut batch)?;
         }
         drop(permit);
         batch.last_sequence = self.next_sequence - 1;
         batch.content_crc = self.content_crc;
+        if batch.last_sequence >= batch.first_sequence {
+            self.known.took(batch.last_sequence, self.content_crc);
+        }
         Ok((!is_empty).then_some(batch))
     }
 
     /// Takes one scan; gives how many cells its rays pass, about.
-    fn take_scan(&mut self, decoded: DecodedScan, batch: &mut ScanBatch) -> u64 {
+    fn take_scan(&mut self, decoded: DecodedScan, batch: &mut ScanBatch) -> Result<u64, IntakeError> {
         let DecodedScan { sequence, utc_nanos, digest, content, mut refusal } = decoded;
         let is_new = sequence == self.next_sequence;
         if is_new {
             self.content_crc = content_crc(self.content_crc, utc_nanos, digest);
             self.next_sequence += 1;
+        } else {
+            self.known.repeated(sequence, |crc| content_crc(crc, utc_nanos, digest))?;
         }
         let is_taken = is_new && refusal.is_none();
         let content_crc = self.content_crc;
@@ -231,6 +236,6 @@ impl Intake {
             batch.bytes += REFUSED_BYTES;
             batch.refused.push(RefusedObservation { sequence, reason, detail: shortened(&detail) });
         }
-        cells
+        Ok(cells)
     }
 }

@@ -38,6 +38,49 @@ fn numbers_go_up_by_one_and_known_ones_are_skipped() {
     assert!(intake.take(message(0, &[], &[0], &[1], &[0.0])).is_err());
 }
 
+/// Observations of one state at times 1, 2, … with the given values, from a sequence number.
+fn values(first: u64, values: &[f64]) -> v1::ObservationBatch {
+    let times: Vec<i64> = (first as i64..).take(values.len()).collect();
+    message(first, &["a"], &vec![0; values.len()], &times, values)
+}
+
+#[test]
+fn known_numbers_with_other_content_end_the_stream() {
+    let mut first = intake();
+    let before = first.take(values(1, &[0.0, 1.0])).expect("fine").expect("new");
+    let after = first.take(values(3, &[0.25, 0.5])).expect("fine").expect("new");
+    let marks = || {
+        let mark = |batch: &ObservationBatch| ContentMark { sequence: batch.last_sequence, crc: batch.content_crc };
+        vec![mark(&before), mark(&after)]
+    };
+    let again = || Intake::new(4, after.content_crc, limits(9, 9), None).knowing(marks());
+    // The same content in any parts is fine, also with new observations behind it.
+    for parts in [&[4][..], &[2, 2], &[1, 3], &[1, 1, 1, 1]] {
+        let (mut stream, mut next) = (again(), 1);
+        for &part in parts {
+            let sent = &[0.0, 1.0, 0.25, 0.5][next - 1..][..part];
+            assert!(stream.take(values(next as u64, sent)).is_ok(), "{parts:?}");
+            next += part;
+        }
+    }
+    let more = again().take(values(3, &[0.25, 0.5, 1.0])).expect("fine").expect("new");
+    assert_eq!((more.first_sequence, more.last_sequence), (5, 5));
+    // Any other value, time or name is found where the CRC is known next.
+    let differs = |first, last| IntakeError::DataMismatch { first, last, next: 5 };
+    assert_eq!(again().take(values(1, &[0.0, 0.5, 0.25, 0.5])).expect_err("other"), differs(1, 2));
+    assert_eq!(again().take(values(3, &[0.25, 1.0, 0.0])).expect_err("other"), differs(3, 4));
+    assert_eq!(again().take(values(1, &[0.0, 1.0, 0.5, 0.5])).expect_err("other"), differs(3, 4));
+    let name = message(3, &["b"], &[0, 0], &[3, 4], &[0.25, 0.5]);
+    assert_eq!(again().take(name).expect_err("other"), differs(3, 4));
+    let mut parts = again();
+    parts.take(values(3, &[0.5])).expect("not known yet");
+    assert_eq!(parts.take(values(4, &[0.5])).expect_err("other"), differs(3, 4));
+    // In the same stream as well.
+    assert_eq!(first.take(values(3, &[0.0, 0.5])).expect_err("other"), differs(3, 4));
+    // What begins where no CRC is known is skipped as before.
+    assert!(again().take(values(2, &[0.5])).is_ok());
+}
+
 #[test]
 fn the_crc_depends_on_content_alone() {
     let mut whole = intake();

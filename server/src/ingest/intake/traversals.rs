@@ -41,10 +41,15 @@ impl Intake {
         let what = "bytes of the names and reasons of one message of traversals";
         OverLimit::check(what, bytes, BATCH_TEXT_BYTES_MAX, "the protocol")?;
         let last = last_sequence(*first, traversals.len())?;
+        let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
+        for (sequence, wire) in (*first..).zip(traversals.iter().take(skip)) {
+            self.rows.clear();
+            append_content(wire, &mut self.rows);
+            self.known.repeated(sequence, |crc| crc32c::crc32c_append(crc, &self.rows))?;
+        }
         if last < self.next_sequence {
             return Ok(None);
         }
-        let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
         let mut batch =
             TraversalBatch { first_sequence: self.next_sequence, last_sequence: last, ..TraversalBatch::default() };
         self.rows.clear();
@@ -60,6 +65,7 @@ impl Intake {
         self.content_crc = crc32c::crc32c_append(self.content_crc, &self.rows);
         self.next_sequence = last + 1;
         batch.content_crc = self.content_crc;
+        self.known.took(last, self.content_crc);
         Ok(Some(batch))
     }
 }

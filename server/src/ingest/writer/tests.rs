@@ -104,7 +104,7 @@ async fn hello(handle: &MapHandle, name: &str, incarnation: u64, nightly: bool) 
     let key = ProducerKey::new(name, "").expect("valid");
     assert!(handle.send(Command::Hello(Hello { key, incarnation, nightly, sensor: None, events: sender, reply })));
     let opened = answer.await.expect("an answer")?;
-    Ok(Robot { opened, sent: opened.durable_sequence, events })
+    Ok(Robot { sent: opened.durable_sequence, opened, events })
 }
 
 impl Robot {

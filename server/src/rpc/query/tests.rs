@@ -123,7 +123,7 @@ impl Bench {
         assert!(self.handle.send(Command::Hello(hello)));
         let opened = answer.await.expect("an answer").expect("accepted");
         let intake = Intake::new(opened.durable_sequence, opened.content_crc, LIMITS, self.handle.spec.grid.as_ref());
-        Robot { opened, sent: opened.durable_sequence, events, intake, encoder: TileTable::default() }
+        Robot { sent: opened.durable_sequence, opened, events, intake, encoder: TileTable::default() }
     }
 
     async fn names(&self, states: &[&str], times: &[i64]) -> Result<Vec<v1::PredictStatesResponse>, Status> {

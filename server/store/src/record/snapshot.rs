@@ -6,7 +6,7 @@ use std::{collections::HashSet, sync::Arc};
 
 use tidemap_map::{
     site::Site,
-    snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
+    snapshot::{ContentMark, MapSnapshot, ProducerMark, StateSnapshot},
 };
 use tidemap_migrations::{v1::map as v1, v2::map as v2};
 use tidemap_model::{
@@ -116,6 +116,8 @@ pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v2::Producer {
         durable_sequence: mark.durable_sequence,
         content_crc: mark.content_crc,
         sensor: sensors::encode(mark.sensor),
+        recent_sequences: mark.recent.iter().map(|recent| recent.sequence).collect(),
+        recent_crcs: mark.recent.iter().map(|recent| recent.crc).collect(),
     }
 }
 
@@ -125,12 +127,23 @@ pub(crate) fn decode_producer(id: usize, message: &v2::Producer) -> Result<Produ
         return Err("a producer is missing or out of order");
     }
     let key = message.key.as_ref().ok_or("a producer has no name")?;
+    if message.recent_sequences.len() != message.recent_crcs.len() {
+        return Err("the CRCs of a producer do not fit its sequence numbers");
+    }
+    let recent = message.recent_sequences.iter().zip(&message.recent_crcs);
+    let recent: Vec<_> = recent.map(|(&sequence, &crc)| ContentMark { sequence, crc }).collect();
+    let durable = ContentMark { sequence: message.durable_sequence, crc: message.content_crc };
+    let all = || recent.iter().chain([&durable]);
+    if all().zip(all().skip(1)).any(|(before, after)| before.sequence >= after.sequence) {
+        return Err("the CRCs of a producer are out of order");
+    }
     Ok(ProducerMark {
         key: decode_producer_key(key)?,
         incarnation: message.incarnation,
         durable_sequence: message.durable_sequence,
         content_crc: message.content_crc,
         sensor: sensors::decode(message.sensor.as_ref())?,
+        recent,
     })
 }
 

@@ -12,7 +12,7 @@ use tidemap_map::{
     ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
-    snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
+    snapshot::{ContentMark, MapSnapshot, ProducerMark, StateSnapshot},
     spec::MapSpec,
 };
 use tidemap_model::{
@@ -125,6 +125,9 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
             content_crc: random.random(),
             sensor: (position % 3 == 1)
                 .then_some(tidemap_map::grid::sensors::ProducerSensor { hit: 0.75, false_alarm: 0.0625 }),
+            recent: (0..position % 4)
+                .map(|i| ContentMark { sequence: position * 10 + i, crc: i as u32 * 77 })
+                .collect(),
         }],
         states,
         site,

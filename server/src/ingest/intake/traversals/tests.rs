@@ -11,7 +11,7 @@ use crate::ingest::intake::IntakeLimits;
 
 fn intake(durable: u64) -> Intake {
     let scans = ScanLimits { batch_scans: 8, points: 1000, tiles: 4 };
-    Intake::new(durable, 7, IntakeLimits { batch: 9, table: 3, scans }, None)
+    Intake::new(durable, 0, IntakeLimits { batch: 9, table: 3, scans }, None)
 }
 
 fn trip(from: &str, start_nanos: i64, end_nanos: i64, success: bool) -> Traversal {
@@ -34,13 +34,15 @@ fn they_share_the_numbers_and_the_crc_of_observations() {
         let tail = [&trip.start_nanos.to_le_bytes()[..], &trip.end_nanos.to_le_bytes(), &[u8::from(trip.success)]];
         [b"edge/Hall/Lab", &tail.concat()[..], b"stuck"].concat()
     };
-    assert_eq!(batch.content_crc, crc32c::crc32c_append(7, &trips.each_ref().map(bytes).concat()));
+    assert_eq!(batch.content_crc, crc32c::crc32c_append(0, &trips.each_ref().map(bytes).concat()));
     assert!(intake.take_traversals(&message(1, &trips)).expect("fine").is_none());
     let observations = Some(encode(&[3], &[0], &[1.0], vec!["door".to_owned()]));
     intake.take(v1::ObservationBatch { first_sequence: 3, observations }).expect("fine").expect("new");
     // The second was taken before; the number between is that of the observation.
     let more = [trips[1].clone(), trip("Hall", 0, 0, false), trip("Hall", 9, 12, true)];
-    let batch = intake.take_traversals(&message(2, &more)).expect("fine").expect("new");
+    let other = intake.take_traversals(&message(2, &more)).expect_err("other content");
+    assert_eq!(other, IntakeError::DataMismatch { first: 3, last: 3, next: 4 });
+    let batch = intake.take_traversals(&message(4, &more[2..])).expect("fine").expect("new");
     assert_eq!((batch.first_sequence, batch.last_sequence, batch.traversals.len()), (4, 4, 1));
     assert_eq!(batch.traversals[0].1.start_nanos, 9);
     let leap = intake.take_traversals(&message(6, &trips)).expect_err("a gap");

@@ -45,7 +45,7 @@ pub(super) struct Scanner {
 
 pub(super) async fn scanner(handle: &MapHandle, name: &str, nightly: bool) -> Scanner {
     let robot = hello(handle, name, 0, nightly).await.expect("accepted");
-    let opened = robot.opened;
+    let opened = robot.opened.clone();
     let intake = Intake::new(opened.durable_sequence, opened.content_crc, LIMITS, handle.spec.grid.as_ref());
     Scanner { robot, intake, encoder: TileTable::default(), crc: opened.content_crc }
 }

@@ -1,0 +1,62 @@
+//! The content of what a stream's key has sent before, to compare it with what comes again.
+//!
+//! Invariant: what comes again in order, from a sequence number at which the running CRC is known, is compared at every
+//! later number at which it is known. Anything else that comes again is skipped without a comparison.
+
+use std::collections::VecDeque;
+
+use tidemap_map::snapshot::{CONTENT_MARKS_MAX, ContentMark};
+
+use super::IntakeError;
+
+#[derive(Debug, Default)]
+pub(super) struct KnownContent {
+    /// Ascending by sequence number. The CRC before the first observation, 0, is always known.
+    marks: VecDeque<ContentMark>,
+    /// What came again last: the number at which the comparison began, and the CRC so far.
+    repeated: Option<(u64, ContentMark)>,
+}
+
+impl KnownContent {
+    pub(super) fn new(marks: Vec<ContentMark>) -> Self {
+        Self { marks: marks.into(), repeated: None }
+    }
+
+    /// New observations were taken.
+    pub(super) fn took(&mut self, sequence: u64, crc: u32) {
+        if self.marks.back().is_some_and(|newest| newest.sequence >= sequence) {
+            return;
+        }
+        if self.marks.len() >= CONTENT_MARKS_MAX {
+            self.marks.pop_front();
+        }
+        self.marks.push_back(ContentMark { sequence, crc });
+    }
+
+    fn at(&self, sequence: u64) -> Option<ContentMark> {
+        let place = self.marks.binary_search_by_key(&sequence, |mark| mark.sequence);
+        place.ok().map(|place| self.marks[place]).or((sequence == 0).then(ContentMark::default))
+    }
+
+    /// An observation that was taken before has come again. `append` gives the CRC after it, from that before it.
+    ///
+    /// # Errors
+    /// [`IntakeError::DataMismatch`].
+    pub(super) fn repeated(&mut self, sequence: u64, append: impl FnOnce(u32) -> u32) -> Result<(), IntakeError> {
+        let before = sequence.saturating_sub(1);
+        let running = self.repeated.filter(|(_, mark)| mark.sequence == before);
+        let Some((start, mark)) = running.or_else(|| self.at(before).map(|mark| (sequence, mark))) else {
+            return Ok(());
+        };
+        let crc = append(mark.crc);
+        let known = self.at(sequence);
+        if known.is_some_and(|known| known.crc != crc) {
+            let next = self.marks.back().map_or(sequence, |newest| newest.sequence) + 1;
+            return Err(IntakeError::DataMismatch { first: start, last: sequence, next });
+        }
+        // What is compared and equal is known from here on.
+        let start = if known.is_some() { sequence + 1 } else { start };
+        self.repeated = Some((start, ContentMark { sequence, crc }));
+        Ok(())
+    }
+}
