@@ -257,6 +257,10 @@ settings! {
     /// Memory for the sums of a map's states, in bytes. Other sums are read from the newest checkpoint by the next
     /// update.
     spectrum_cache_bytes: u64 = 64 << 20, 0, 1 << 44;
+    /// How fast the data folder is read again in the background, to find damage early, in bytes a second; 0: never.
+    scrub_bytes_per_sec: u64 = 4 << 20, 0, 1 << 40;
+    /// Pause between two such rounds, and before the first, in seconds.
+    scrub_every_secs: u64 = 21_600, 1, 31_536_000;
 }
 
 /// What a port beyond this machine lacks.

@@ -35,6 +35,7 @@ use crate::{
     jobs::Jobs,
     reload::FileWatch,
     rpc::{self, guard::Access, serve::Services},
+    scrubber::Scrubber,
     telemetry,
     web::{self, KnownHosts},
 };
@@ -259,6 +260,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let _ = std::io::stdout().flush();
     info!(grpc = %grpc_address, http = %http_address, data = %settings.data_dir.display(), "ready");
 
+    let scrubber = Scrubber::start(&store, &settings);
     let restoring = Arc::clone(&catalog);
     let restored = tokio::task::spawn_blocking(move || restoring.restore_rest(rest));
     let cannot_restore = async {
@@ -277,6 +279,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         ended = &mut http_task => Err(DaemonError::Other(anyhow::anyhow!("the HTTP port closed: {ended:?}"))),
     };
     info!("stopping");
+    drop(scrubber);
     stop_sender.send_replace(true);
     if tokio::time::timeout(MAPS_STOP_WITHIN, catalog.stop()).await.is_err() {
         warn!("maps did not stop within {} seconds; nothing acknowledged is lost", MAPS_STOP_WITHIN.as_secs());

@@ -20,6 +20,9 @@ use crate::{
 
 const INDEX: &str = "tidemapd\n\n/api/v1/openapi.json  what can be asked as JSON\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
 
+/// Problems of the storage that are told one by one.
+const TROUBLE_SHOWN: usize = 20;
+
 /// A line for each map that is being opened; no names, because nobody has to log in here.
 fn opening(catalog: &Catalog) -> String {
     let line = |handle: &Arc<MapHandle>| match handle.opening() {
@@ -34,8 +37,13 @@ fn opening(catalog: &Catalog) -> String {
 /// A line for each problem of the storage; whether observations or generations are not kept as they should be.
 fn trouble(catalog: &Catalog) -> (String, bool) {
     let trouble = catalog.context().store.trouble();
-    let is_severe = trouble.iter().any(|trouble| *trouble != Trouble::NoIndex);
-    (trouble.iter().map(|trouble| format!("{trouble}\n")).collect(), is_severe)
+    let serves = |trouble: &Trouble| matches!(trouble, Trouble::NoIndex | Trouble::Damaged { .. });
+    let is_severe = !trouble.iter().all(serves);
+    let mut text: String = trouble.iter().take(TROUBLE_SHOWN).map(|trouble| format!("{trouble}\n")).collect();
+    if trouble.len() > TROUBLE_SHOWN {
+        text += &format!("and {} more problems: see the log\n", trouble.len() - TROUBLE_SHOWN);
+    }
+    (text, is_severe)
 }
 
 /// A line for each map that is set aside; its number, as above. The log and `map list` name it.

@@ -20,6 +20,7 @@ mod model_cache;
 mod reload;
 mod repair;
 mod rpc;
+mod scrubber;
 mod state_or_cell;
 mod statistics;
 mod telemetry;

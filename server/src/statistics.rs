@@ -59,6 +59,7 @@ pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
     rows.extend([
         ("disk_full", count(|trouble| *trouble == Trouble::DiskFull), ""),
         ("maps_not_saved", count(|trouble| matches!(trouble, Trouble::NotSaved { .. })), ""),
+        ("damaged_files", count(|trouble| matches!(trouble, Trouble::Damaged { .. })), ""),
         ("index_unavailable", count(|trouble| *trouble == Trouble::NoIndex), ""),
     ]);
     rows.push(("maps_unavailable", catalog.unavailable().len() as f64, ""));

@@ -3,6 +3,7 @@
 mod connections;
 mod old_data;
 mod ports;
+mod scrub;
 mod settings;
 
 use std::{fs, net::TcpStream};

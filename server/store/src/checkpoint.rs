@@ -82,7 +82,7 @@ pub(crate) struct Checkpoints<'store> {
 }
 
 impl Checkpoints<'_> {
-    fn path(&self, position: u64) -> PathBuf {
+    pub(crate) fn path(&self, position: u64) -> PathBuf {
         self.folder.join(format!("{position:020}{SUFFIX}"))
     }
 

@@ -19,6 +19,7 @@ mod log;
 mod map_log;
 mod record;
 mod record_file;
+mod scrub;
 mod store;
 mod trouble;
 
@@ -35,6 +36,7 @@ pub use history::{GridDays, History, HistorySizes, StateFiles};
 pub use log::{Done, replay::Replay};
 pub use map_log::MapLog;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
+pub use scrub::Pace;
 pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store, StoreOptions};
 pub use trouble::Trouble;
 

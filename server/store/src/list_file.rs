@@ -26,6 +26,17 @@ pub(crate) enum Unlisted {
     Io(io::Error),
 }
 
+impl Unlisted {
+    /// What is wrong with the file.
+    pub(crate) fn problem(self) -> String {
+        match self {
+            Unlisted::Absent => "it is missing".to_owned(),
+            Unlisted::Damaged(reason) => reason.to_owned(),
+            Unlisted::Io(error) => error.to_string(),
+        }
+    }
+}
+
 /// Reads a list.
 pub(crate) fn read<L: TextList>(disk: &dyn Disk, file: &Path) -> Result<L, Unlisted> {
     let bytes = read_all(disk, file).map_err(|error| match error.kind() {

@@ -229,6 +229,15 @@ impl RecordReader {
 
 /// Reads a whole file and compares it with the checksum in its trailer; gives its length and that checksum.
 pub(crate) fn check_total(disk: &dyn Disk, path: &Path) -> Result<(u64, u32), String> {
+    check_total_paced(disk, path, &mut |_| true)
+}
+
+/// The same. Before each part `pace` gets its length in bytes, and may wait; `false` ends the reading with an error.
+pub(crate) fn check_total_paced(
+    disk: &dyn Disk,
+    path: &Path,
+    pace: &mut dyn FnMut(u64) -> bool,
+) -> Result<(u64, u32), String> {
     let length = disk.length(path).map_err(|error| unreadable(&error))?;
     let body = length.checked_sub(TRAILER_LENGTH as u64).ok_or("it is cut off")?;
     let mut reader = disk.read(path).map_err(|error| unreadable(&error))?;
@@ -236,6 +245,9 @@ pub(crate) fn check_total(disk: &dyn Disk, path: &Path) -> Result<(u64, u32), St
     let mut rest = body;
     while rest > 0 {
         buffer.resize(rest.min(CHECK_BYTES) as usize, 0);
+        if !pace(buffer.len() as u64) {
+            return Err("it was not read to its end".to_owned());
+        }
         reader.read_exact(&mut buffer).map_err(|error| unreadable(&error))?;
         crc = crc32c::crc32c_append(crc, &buffer);
         rest -= buffer.len() as u64;

@@ -90,7 +90,7 @@ pub(crate) struct OpenStore {
     index: Mutex<Index>,
     /// Held while a backup is made.
     pub(crate) backup: Mutex<()>,
-    committer: Arc<Committer>,
+    pub(crate) committer: Arc<Committer>,
     thread: Mutex<Option<JoinHandle<()>>>,
     /// The last field, so that it is released after everything else is closed.
     _lock: Option<Lock>,
@@ -178,16 +178,16 @@ impl OpenStore {
         maps.entries.keys().chain(maps.set_aside.keys()).copied().collect()
     }
 
-    fn index(&self) -> MutexGuard<'_, Index> {
+    pub(crate) fn index(&self) -> MutexGuard<'_, Index> {
         self.index.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn history(&self, map: MapId) -> History {
+    pub(crate) fn history(&self, map: MapId) -> History {
         let folder = catalogue::history_folder(&self.directory, map);
         History::at(Arc::clone(&self.disk), folder, map)
     }
 
-    fn checkpoints(&self, map: MapId) -> Checkpoints<'_> {
+    pub(crate) fn checkpoints(&self, map: MapId) -> Checkpoints<'_> {
         Checkpoints { disk: &*self.disk, folder: catalogue::checkpoints_folder(&self.directory, map), map }
     }
 

@@ -17,6 +17,7 @@ mod life;
 mod missing;
 mod round_trip;
 mod scans;
+mod scrubs;
 mod segments;
 mod spectra;
 mod torn_tail;

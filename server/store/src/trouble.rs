@@ -1,10 +1,12 @@
-//! What is wrong with the storage now: a full disk, saves that fail, an index that cannot be written.
+//! What is wrong with the storage now: a full disk, saves that fail, an index that cannot be written, files
+//! that are damaged.
 //!
 //! Invariant: looking never waits for the disk. What has ended is no longer told.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fmt,
+    path::PathBuf,
     sync::{
         Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
@@ -31,6 +33,13 @@ pub enum Trouble {
     },
     /// There is no index. A start takes longer.
     NoIndex,
+    /// A file is damaged or missing, as the last look at it has found.
+    Damaged {
+        /// The file, within the data directory.
+        file: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
 }
 
 impl fmt::Display for Trouble {
@@ -39,6 +48,10 @@ impl fmt::Display for Trouble {
             Trouble::DiskFull => write!(f, "the disk is full: observations are refused. Free some space"),
             Trouble::NotSaved { map, reason } => {
                 write!(f, "the checkpoint of map number {} is not saved: {reason}. The log has everything", map.0)
+            }
+            Trouble::Damaged { file, problem } => {
+                let file = file.display();
+                write!(f, "{file} is damaged: {problem}. Make a backup, stop the daemon, and run tidemapd check")
             }
             Trouble::NoIndex => write!(f, "the index cannot be written: the next start takes longer and repairs it"),
         }
@@ -51,6 +64,7 @@ pub(crate) struct Watch {
     full_since: Mutex<Option<Instant>>,
     not_saved: Mutex<BTreeMap<MapId, String>>,
     has_no_index: AtomicBool,
+    damaged: Mutex<BTreeMap<PathBuf, String>>,
 }
 
 impl Watch {
@@ -73,6 +87,21 @@ impl Watch {
         self.has_no_index.store(!is_available, Ordering::Relaxed);
     }
 
+    /// A file was read again: its problem, if it has one.
+    pub(crate) fn damaged(&self, file: PathBuf, problem: Option<String>) {
+        let mut damaged = self.damaged.lock().unwrap_or_else(PoisonError::into_inner);
+        match problem {
+            Some(problem) => damaged.insert(file, problem),
+            None => damaged.remove(&file),
+        };
+    }
+
+    /// All files have been read again, and only these are damaged.
+    pub(crate) fn keep_damaged(&self, files: &BTreeSet<PathBuf>) {
+        let mut damaged = self.damaged.lock().unwrap_or_else(PoisonError::into_inner);
+        damaged.retain(|file, _| files.contains(file));
+    }
+
     /// What is wrong now.
     pub(crate) fn trouble(&self) -> Vec<Trouble> {
         let full_since = *self.full_since.lock().unwrap_or_else(PoisonError::into_inner);
@@ -81,7 +110,11 @@ impl Watch {
         let not_saved = not_saved.iter().map(|(&map, reason)| Trouble::NotSaved { map, reason: reason.clone() });
         let has_no_index = self.has_no_index.load(Ordering::Relaxed);
         let full = is_full.then_some(Trouble::DiskFull);
-        full.into_iter().chain(not_saved).chain(has_no_index.then_some(Trouble::NoIndex)).collect()
+        let damaged = self.damaged.lock().unwrap_or_else(PoisonError::into_inner);
+        let damaged = damaged.iter();
+        let damaged = damaged.map(|(file, problem)| Trouble::Damaged { file: file.clone(), problem: problem.clone() });
+        let index = has_no_index.then_some(Trouble::NoIndex);
+        full.into_iter().chain(not_saved).chain(index).chain(damaged).collect()
     }
 }
 
