@@ -108,6 +108,8 @@ pub struct Job {
     pub elapsed_nanos: i64,
     /// Error message, if it failed.
     pub error: String,
+    /// Why its generation is not saved yet, after a save has failed; the log has everything.
+    pub save_error: String,
     /// The update that it published.
     pub update: UpdateSummary,
 }
@@ -296,6 +298,7 @@ fn job_from_wire(job: Option<v1::Job>) -> Result<Job, Error> {
         created_nanos: instant(job.create_time),
         elapsed_nanos: span(job.elapsed).unwrap_or_default(),
         error: job.error,
+        save_error: job.save_error,
         update: UpdateSummary::from_wire(job.update),
     })
 }

@@ -1,9 +1,9 @@
 //! Starting, stopping and refusing: what an operator sees of the daemon.
 
 mod connections;
+mod damage;
 mod old_data;
 mod ports;
-mod scrub;
 mod settings;
 
 use std::{fs, net::TcpStream};

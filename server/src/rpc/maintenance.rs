@@ -11,7 +11,7 @@ use tidemap_proto::{
     },
     v1::{self, maintenance_service_server::MaintenanceService},
 };
-use tidemap_store::BackupReport;
+use tidemap_store::{BackupReport, Trouble};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
@@ -34,7 +34,7 @@ pub(crate) struct Maintenance {
     pub catalog: Arc<Catalog>,
 }
 
-fn job_to_wire(job: &UpdateJob) -> v1::Job {
+fn job_to_wire(catalog: &Catalog, job: &UpdateJob) -> v1::Job {
     let status = job.status();
     let (state, elapsed, error) = match status.phase {
         Phase::Waiting => (v1::JobState::Waiting, Duration::ZERO, String::new()),
@@ -60,7 +60,18 @@ fn job_to_wire(job: &UpdateJob) -> v1::Job {
         elapsed: Some(duration(i64::try_from(elapsed.as_nanos()).unwrap_or(i64::MAX))),
         error,
         update: status.published.map(|(generation, cut_nanos)| update_to_wire(generation, Some(cut_nanos))),
+        save_error: save_error(catalog, job, status.published).unwrap_or_default(),
     }
+}
+
+/// Why the newest generation of a map is not saved, if the job has published it.
+fn save_error(catalog: &Catalog, job: &UpdateJob, published: Option<(u64, i64)>) -> Option<String> {
+    let (generation, _) = published?;
+    let handle = catalog.get(job.map.as_str()).ok().filter(|handle| handle.view().generation() == generation)?;
+    catalog.context().store.trouble().into_iter().find_map(|trouble| match trouble {
+        Trouble::NotSaved { map, reason } if map == handle.id => Some(reason),
+        _ => None,
+    })
 }
 
 /// The row of all cells of the grid: the most frequent orders, and the errors with each cell's own order.
@@ -122,12 +133,12 @@ impl MaintenanceService for Maintenance {
             job.end(Err("the daemon is stopping".to_owned()));
             return Err(RpcError::Stopping.into());
         }
-        Ok(Response::new(v1::RunUpdateResponse { job: Some(job_to_wire(&job)) }))
+        Ok(Response::new(v1::RunUpdateResponse { job: Some(job_to_wire(&self.catalog, &job)) }))
     }
 
     async fn get_job(&self, request: Request<v1::GetJobRequest>) -> RpcReply<v1::GetJobResponse> {
         let job = self.job(request.get_ref().id)?;
-        Ok(Response::new(v1::GetJobResponse { job: Some(job_to_wire(&job)) }))
+        Ok(Response::new(v1::GetJobResponse { job: Some(job_to_wire(&self.catalog, &job)) }))
     }
 
     async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> RpcReply<v1::ListJobsResponse> {
@@ -135,19 +146,20 @@ impl MaintenanceService for Maintenance {
         let (mut jobs, caller) = (self.catalog.context().jobs.list(), Caller::current());
         jobs.retain(|job| caller.covers(job.map.as_str()));
         let (range, next_page_token) = page(jobs.len(), request.page_size, 100, 1000, &request.page_token)?;
-        let jobs = jobs[range].iter().map(|job| job_to_wire(job)).collect();
+        let jobs = jobs[range].iter().map(|job| job_to_wire(&self.catalog, job)).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
     }
 
     async fn watch_job(&self, request: Request<v1::WatchJobRequest>) -> RpcReply<Self::WatchJobStream> {
         let job = self.job(request.get_ref().id)?;
         let (replies, stream) = mpsc::channel(4);
+        let catalog = Arc::clone(&self.catalog);
         tokio::spawn(async move {
             let mut status = job.watch();
             let mut reported = None;
             loop {
                 let ended = status.borrow_and_update().phase.has_ended();
-                let wire = job_to_wire(&job);
+                let wire = job_to_wire(&catalog, &job);
                 let progress = (wire.state, wire.states_done);
                 if reported.replace(progress) != Some(progress)
                     && replies.send(Ok(v1::WatchJobResponse { job: Some(wire) })).await.is_err()

@@ -475,7 +475,7 @@ impl Stream<'_> {
             metrics::counter!("tidemap_data_mismatches_total").increment(1);
             warn!(map = self.handle.id.0, "a producer has sent other content again: {mismatch}");
         }
-        let goodbye = v1::Goodbye { reason: reason.into(), durable_sequence: self.durable, detail: error.to_string() };
+        let goodbye = v1::Goodbye { reason: reason.into(), durable_sequence: self.durable, detail: error.message() };
         // The status that follows says the same; the client may be gone.
         let _ = reply(self.replies, Down::Goodbye(goodbye)).await;
     }

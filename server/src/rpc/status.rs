@@ -33,6 +33,9 @@ use crate::{
 
 const DOMAIN: &str = "tidemap";
 const NAMES_SHOWN: usize = 10;
+/// Characters of a message that are kept of its beginning and of its end, which says what to do.
+const HEAD_CHARS: usize = 1200;
+const TAIL_CHARS: usize = 600;
 
 /// All errors that a request can end with.
 #[derive(Debug, thiserror::Error)]
@@ -132,6 +135,17 @@ fn known_names(known: &[String], what: &str) -> String {
     let shown = known.iter().take(NAMES_SHOWN).cloned().collect::<Vec<_>>().join(", ");
     let more = if known.len() > NAMES_SHOWN { ", …" } else { "" };
     format!("{what} here: {shown}{more}")
+}
+
+/// A text with at most [`HEAD_CHARS`] and [`TAIL_CHARS`] characters.
+fn shortened(text: String) -> String {
+    let chars = text.chars().count();
+    if chars <= HEAD_CHARS + TAIL_CHARS {
+        return text;
+    }
+    let head: String = text.chars().take(HEAD_CHARS).collect();
+    let tail: String = text.chars().skip(chars - TAIL_CHARS).collect();
+    format!("{head} … {tail}")
 }
 
 /// Seconds since 1970, because the client chooses the time zone.
@@ -265,6 +279,11 @@ impl RpcError {
         }
     }
 
+    /// The message. A request may have names and values of any length; such a message is cut in its middle.
+    pub(crate) fn message(&self) -> String {
+        shortened(self.to_string())
+    }
+
     /// The reason, for programs and metrics.
     pub(crate) fn reason(&self) -> &'static str {
         self.code_and_reason().1
@@ -278,19 +297,19 @@ impl From<RpcError> for Status {
         let mut metadata = HashMap::new();
         match &error {
             RpcError::Field(field) | RpcError::Intake(IntakeError::Invalid(field)) => {
-                details.add_bad_request_violation(&field.field, &field.description);
+                details.add_bad_request_violation(shortened(field.field.clone()), shortened(field.description.clone()));
             }
             RpcError::Hello(HelloError::Sensor(invalid @ InvalidSensor::Range(_))) => {
                 details.add_bad_request_violation("hello.sensor", invalid.to_string());
             }
             RpcError::UnknownMap { name, .. } => {
-                details.set_resource_info("map", name, "", error.to_string());
+                details.set_resource_info("map", shortened(name.clone()), "", error.message());
             }
             RpcError::UnknownState { name, .. } | RpcError::UnknownCell { name, .. } => {
-                details.set_resource_info("state", name, "", error.to_string());
+                details.set_resource_info("state", shortened(name.clone()), "", error.message());
             }
             RpcError::Limit(limit) | RpcError::Intake(IntakeError::Limit(limit)) => {
-                details.add_quota_failure_violation(limit.what, error.to_string());
+                details.add_quota_failure_violation(limit.what, error.message());
             }
             RpcError::History(HistoryError::Missing { from_nanos, to_nanos, .. }) => {
                 metadata.insert("from_nanos".to_owned(), from_nanos.to_string());
@@ -307,6 +326,6 @@ impl From<RpcError> for Status {
             _ => {}
         }
         details.set_error_info(reason, DOMAIN, metadata);
-        Status::with_error_details(code, error.to_string(), details)
+        Status::with_error_details(code, error.message(), details)
     }
 }

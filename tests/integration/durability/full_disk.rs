@@ -12,6 +12,7 @@ use tidemap_tests::{
     herd::{Herd, Manner},
     oracle::{Oracle, run_update},
     rounds,
+    web::request,
 };
 
 use super::{PRODUCERS, create_map};
@@ -63,12 +64,16 @@ async fn durability_a_full_disk_refuses_loses_nothing_and_recovers() {
     for error in &errors {
         assert!(matches!(error, ProducerError::Exhausted(detail) if detail.contains("disk is full")), "{error:?}");
     }
+    let readiness = || request(&daemon.http, "GET", "/readyz", &[], b"");
+    assert_eq!(readiness().code, 503);
+    assert!(readiness().text().contains("disk is full"), "{}", readiness().text());
     // Queries still work, and all acknowledged observations are there.
     oracle.verify(&daemon, false).await.unwrap_or_else(|violation| panic!("{violation}"));
     from_the_command_line(&daemon, work.path(), &ballast);
 
     let errors = Herd::start(&daemon.client(), &oracle, all, 3).settle(&mut oracle).await;
     assert_eq!(errors, [], "there is space again");
+    assert_eq!(readiness().code, 200, "{}", readiness().text());
     oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{violation}"));
     daemon.kill();
     oracle.verify(&launch.start(), true).await.unwrap_or_else(|violation| panic!("{violation}"));

@@ -90,7 +90,7 @@ fn cells(job: Job) -> Vec<Cell> {
         Cell::time(job.created_nanos),
         Cell::Secs(job.elapsed_nanos),
         Cell::time(job.update.cut_nanos),
-        Cell::Text(job.error),
+        Cell::Text(if job.save_error.is_empty() { job.error } else { format!("not saved yet: {}", job.save_error) }),
     ]
 }
 
@@ -113,6 +113,7 @@ mod tests {
             created_nanos: None,
             elapsed_nanos: 0,
             error: String::new(),
+            save_error: String::new(),
             update: UpdateSummary::default(),
         };
         for last in [None, Some(job(JobState::Waiting)), Some(job(JobState::Running))] {
