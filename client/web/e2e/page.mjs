@@ -1,0 +1,187 @@
+// Tests of the page in a real browser against a real daemon.
+//
+//   node e2e/page.mjs TIDEMAPD TIDEMAP FOLDER
+//
+// Says what it checks, one line each, and ends with an error at the first that fails. Pictures for the guide are
+// written into FOLDER.
+
+import assert from 'node:assert/strict';
+import { writeFileSync } from 'node:fs';
+import { join } from 'node:path';
+
+import { Daemon, launch, open, pixels, slideTo } from './stage.mjs';
+
+const [program, cli, folder] = process.argv.slice(2);
+const HOSTILE = '<img src=x onerror="window.broken = 1"> <script>window.broken = 1';
+
+const daemon = await Daemon.start(program, cli, folder, ['--http-write']);
+let browser;
+let page;
+
+async function check(what, body) {
+    try {
+        await body();
+    } catch (error) {
+        await page?.screenshot({ path: join(folder, 'failed.png') }).catch(() => {});
+        throw new Error(`${what}: ${error.message}`, { cause: error });
+    }
+    console.log(`ok  ${what}`);
+}
+
+try {
+    await daemon.furnish();
+    await daemon.call('MapService/AddState', { map: 'office', state: HOSTILE });
+    browser = await launch();
+    page = await open(browser, daemon.http);
+    const at = (hour) => `2025-03-18T${String(hour).padStart(2, '0')}:00:00.000Z`;
+    const tuesday = `${daemon.http}/maps/office?at=2025-03-18T03:00:00Z`;
+
+    await check('the maps are listed, and one opens', async () => {
+        await page.getByTestId('maps').getByRole('link').first().click();
+        await page.getByTestId('map-canvas').waitFor();
+        assert.equal(new URL(page.url()).pathname, '/maps/office');
+    });
+
+    await check('the slider from 03:00 to 10:00 changes the pixels of the map, and back again', async () => {
+        await page.goto(tuesday);
+        await page.waitForFunction((iso) => document.querySelector('[data-testid=map-canvas]')?.dataset.at === iso, at(3));
+        const night = await pixels(page);
+        await slideTo(page, 600, at(10));
+        const morning = await pixels(page);
+        assert.notEqual(night, morning);
+        await page.screenshot({ path: join(folder, 'map.png') });
+        await slideTo(page, 180, at(3));
+        assert.equal(await pixels(page), night);
+    });
+
+    await check('the address carries the time and the layer', async () => {
+        await page.getByTestId('layer').selectOption('entropy');
+        await slideTo(page, 600, at(10));
+        await page.waitForFunction(() => window.location.search.includes('layer=entropy') && window.location.search.includes('T10'));
+        const shown = await pixels(page);
+        await page.reload();
+        await page.waitForFunction((iso) => document.querySelector('[data-testid=map-canvas]')?.dataset.at === iso, at(10));
+        assert.equal(await pixels(page), shown);
+        await page.getByTestId('layer').selectOption('probability');
+    });
+
+    await check('each layer has its own picture', async () => {
+        const seen = new Set();
+        for (const layer of ['probability', 'entropy', 'difference', 'seen']) {
+            await page.getByTestId('layer').selectOption(layer);
+            const before = new Set(seen);
+            for (let tries = 0; ; tries++) {
+                seen.add(await pixels(page));
+                if (seen.size > before.size) break;
+                assert.ok(tries < 100, `${layer} looks like another layer`);
+                await page.waitForTimeout(50);
+            }
+        }
+        await page.getByTestId('layer').selectOption('probability');
+    });
+
+    await check('a clicked cell shows its week', async () => {
+        await page.getByTestId('map-canvas').click({ position: { x: 640, y: 150 } });
+        await page.getByTestId('state-week').locator('canvas').waitFor();
+        const title = await page.getByRole('heading', { level: 2 }).innerText();
+        assert.match(title, /^cell\/\d+\/\d+\/0$/);
+        const said = Number(await page.getByTestId('state-value').innerText());
+        const rows = JSON.parse(daemon.run('predict', 'office', title, '--at', at(10), '--output', 'json'));
+        assert.ok(Math.abs(said - Number(rows[0].probability)) < 0.006, `${said} is not ${rows[0].probability}`);
+        await page.keyboard.press('Escape');
+        await page.getByTestId('state-week').waitFor({ state: 'detached' });
+    });
+
+    await check('playing moves time and the picture', async () => {
+        const before = await pixels(page);
+        await page.getByTestId('play').click();
+        await page.waitForFunction((iso) => (document.querySelector('[data-testid=map-canvas]')?.dataset.at ?? '') > iso, at(11));
+        await page.getByTestId('play').click();
+        assert.notEqual(await pixels(page), before);
+        assert.ok(new Date(await page.getByTestId('map-canvas').getAttribute('data-at')) > new Date(at(11)));
+    });
+
+    await check("a route's probability is that of the command line", async () => {
+        await page.goto(`${daemon.http}/maps/office?at=2025-03-18T10:00:00Z&tool=route`);
+        await page.getByTestId('route-from').selectOption('entrance');
+        await page.getByTestId('route-to').selectOption('kitchen');
+        const shown = page.getByTestId('route-probability');
+        const said = Number(await shown.getAttribute('data-value'));
+        const rows = JSON.parse(daemon.run('route', 'office', 'entrance', 'kitchen', '--at', at(10), '--output', 'json'));
+        const product = rows.reduce((all, row) => all * Number(row.probability), 1);
+        assert.ok(Math.abs(said - product) < 1e-9, `${said} is not ${product}`);
+        assert.equal(await shown.innerText(), `${(said * 100).toFixed(1)} %`);
+        await page.screenshot({ path: join(folder, 'route.png') });
+    });
+
+    await check('a tour is planned where looking pays', async () => {
+        await page.getByTestId('explore').click();
+        await page.getByTestId('information').getByRole('button').first().waitFor();
+        await page.getByTestId('map-canvas').click({ position: { x: 450, y: 330 } });
+        await page.getByTestId('plan-tour').click();
+        await page.getByTestId('tour').getByRole('row').nth(1).waitFor();
+        await page.screenshot({ path: join(folder, 'explore.png') });
+    });
+
+    await check('states are searched, and text stays text', async () => {
+        await page.getByRole('link', { name: 'States' }).click();
+        const list = page.getByTestId('state-list');
+        await page.getByLabel('Search states').fill('<script>');
+        await list.getByRole('button').first().click();
+        await page.getByRole('heading', { level: 2, name: HOSTILE }).waitFor();
+        assert.equal(await list.getByRole('button').count(), 1);
+        assert.equal(await page.evaluate(() => window.broken), undefined);
+        await page.getByLabel('Search states').fill('kitchen');
+        await list.getByRole('button', { name: /^kitchen/ }).click();
+        await page.goto(`${daemon.http}/states/office?at=2025-03-11T12:30:00Z&select=kitchen`);
+        await page.getByTestId('heat-strip').locator('canvas').first().waitFor();
+        await page.getByTestId('state-week').locator('canvas').waitFor();
+        await page.getByTestId('compare').locator('canvas').waitFor();
+        await page.screenshot({ path: join(folder, 'states.png') });
+    });
+
+    await check('an anomaly is shown as it comes', async () => {
+        await page.getByTitle('Watching', { exact: true }).waitFor();
+        const file = join(folder, 'night.csv');
+        writeFileSync(file, 'time,state,value\n2025-03-18T02:00:00Z,kitchen,1\n');
+        daemon.run('observe', 'office', file, '--producer', 'robot-2');
+        await page.getByTestId('anomalies').getByRole('row').nth(1).waitFor();
+    });
+
+    await check('jobs are shown', async () => {
+        await page.getByRole('link', { name: 'Operations' }).click();
+        await page.getByTestId('jobs').getByText('done').first().waitFor();
+        assert.equal(await page.getByTestId('health').innerText(), 'ready');
+        await page.screenshot({ path: join(folder, 'operations.png') });
+    });
+
+    await check('a daemon that goes away is told, and the page recovers', async () => {
+        await page.goto(tuesday);
+        await page.waitForFunction((iso) => document.querySelector('[data-testid=map-canvas]')?.dataset.at === iso, at(3));
+        await daemon.stop();
+        await page.getByTestId('time').evaluate((slider) => {
+            slider.value = '960';
+            slider.dispatchEvent(new Event('input', { bubbles: true }));
+        });
+        await page.getByTestId('away').waitFor();
+        await daemon.start();
+        await page.getByTestId('away').waitFor({ state: 'detached' });
+        await page.waitForFunction((iso) => document.querySelector('[data-testid=map-canvas]')?.dataset.at === iso, at(16));
+    });
+
+    await check('a phone shows it without scrolling sideways', async () => {
+        const phone = await open(browser, `${daemon.http}/maps/office?at=2025-03-18T10:00:00Z&select=kitchen`, {
+            viewport: { width: 390, height: 800 }, deviceScaleFactor: 2, hasTouch: true, isMobile: true, colorScheme: 'dark',
+        });
+        await phone.getByTestId('state-week').locator('canvas').waitFor();
+        assert.ok((await phone.evaluate(() => document.documentElement.scrollWidth)) <= 390);
+        await phone.screenshot({ path: join(folder, 'phone.png') });
+        assert.deepEqual(phone.problems, []);
+        await phone.context().close();
+    });
+
+    await check('no code of the page failed', async () => assert.deepEqual(page.problems, []));
+} finally {
+    await browser?.close();
+    await daemon.stop();
+}

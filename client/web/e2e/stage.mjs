@@ -1,0 +1,127 @@
+// A daemon with the office of `office.mjs`, and a browser in front of it.
+//
+// Invariant: every process that is started here ends with `stop`; everything is written into one folder.
+
+import { execFileSync, spawn } from 'node:child_process';
+import { openSync } from 'node:fs';
+import { createServer } from 'node:net';
+import { join } from 'node:path';
+
+import { chromium } from 'playwright-core';
+
+import { topology, write } from './office.mjs';
+
+const CHROMIUM = process.env.TIDEMAP_CHROMIUM ?? '/usr/bin/chromium';
+// A browser for tests: no window, no sandbox (tests may run as root), and no calls home.
+const FLAGS = [
+    '--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking',
+    '--disable-component-update', '--disable-sync', '--enable-precise-memory-info', '--js-flags=--expose-gc',
+];
+const START_WITHIN_MS = 30_000;
+
+/** A port that nothing listens on. */
+export function freePort() {
+    return new Promise((done, failed) => {
+        const server = createServer();
+        server.once('error', failed);
+        server.listen(0, '127.0.0.1', () => {
+            const { port } = server.address();
+            server.close(() => done(port));
+        });
+    });
+}
+
+export class Daemon {
+    constructor(program, cli, folder, ports, options = []) {
+        [this.program, this.cli, this.folder, this.ports, this.options] = [program, cli, folder, ports, options];
+        this.http = `http://127.0.0.1:${ports.http}`;
+        this.server = `http://127.0.0.1:${ports.grpc}`;
+    }
+
+    static async start(program, cli, folder, options = []) {
+        const daemon = new Daemon(program, cli, folder, { grpc: await freePort(), http: await freePort() }, options);
+        await daemon.start();
+        return daemon;
+    }
+
+    async start() {
+        const log = openSync(join(this.folder, 'daemon.log'), 'a');
+        const listen = [['--listen', this.ports.grpc], ['--http-listen', this.ports.http]].flatMap(([flag, port]) => [flag, `127.0.0.1:${port}`]);
+        this.process = spawn(this.program, ['--data-dir', join(this.folder, 'data'), ...listen, ...this.options], { stdio: ['ignore', log, log] });
+        for (const begun = Date.now(); ; ) {
+            const answer = await fetch(`${this.http}/readyz`).catch(() => undefined);
+            if (answer?.ok) return;
+            if (Date.now() - begun > START_WITHIN_MS || this.process.exitCode !== null) throw new Error(`the daemon does not start: see ${this.folder}/daemon.log`);
+            await new Promise((next) => setTimeout(next, 50));
+        }
+    }
+
+    async stop() {
+        if (!this.process || this.process.exitCode !== null) return;
+        const ended = new Promise((done) => this.process.once('exit', done));
+        this.process.kill('SIGTERM');
+        await ended;
+    }
+
+    /** Runs the command line and returns what it prints. */
+    run(...args) {
+        return execFileSync(this.cli, args, { env: { ...process.env, TIDEMAP_SERVER: this.server }, encoding: 'utf8' });
+    }
+
+    async call(method, message) {
+        const answer = await fetch(`${this.http}/api/v1/${method}`, {
+            method: 'POST', headers: { 'content-type': 'application/json' }, body: JSON.stringify(message),
+        });
+        if (!answer.ok) throw new Error(`${method}: ${await answer.text()}`);
+        return answer.json();
+    }
+
+    /** Makes the map `office` of what `office.mjs` writes. */
+    async furnish({ cell = 0.2, days = 14, scansPerDay = 24 } = {}) {
+        const files = join(this.folder, 'office');
+        const { scans, every } = write(files, { cell, days, scansPerDay });
+        this.run('map', 'create', 'office', '--time-zone', 'Europe/London', '--grid', `resolution=${cell},flat`, '--grid-retention', 'forever');
+        const names = Array.from({ length: scans }, (_, index) => join(files, `scan-${String(index).padStart(5, '0')}.yaml`));
+        this.run('grid', 'observe', 'office', ...names, '--at', '2025-03-03T00:00:00Z', '--every', `${every}s`, '--producer', 'scanner', '--label', 'scans');
+        this.run('observe', 'office', join(files, 'seen.csv'), '--producer', 'robot-1');
+        await this.call('TopologyService/LoadTopology', topology('office'));
+        this.run('traverse', 'office', join(files, 'runs.csv'), '--producer', 'robot-1');
+        this.run('update', 'office');
+    }
+}
+
+/** A browser. */
+export function launch() {
+    return chromium.launch({ executablePath: CHROMIUM, args: FLAGS });
+}
+
+/** A page that fails the test when its code does. */
+export async function open(browser, url, options = {}) {
+    const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, ...options });
+    const page = await context.newPage();
+    page.problems = [];
+    page.on('pageerror', (error) => page.problems.push(error.message));
+    await page.goto(url);
+    return page;
+}
+
+/** A hash of the pixels of the map. */
+export function pixels(page) {
+    return page.getByTestId('map-canvas').evaluate((canvas) => {
+        const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+        let hash = 2_166_136_261;
+        for (let index = 0; index < data.length; index += 4) {
+            hash = Math.imul(hash ^ data[index] ^ (data[index + 1] << 8) ^ (data[index + 2] << 16), 16_777_619);
+        }
+        return hash >>> 0;
+    });
+}
+
+/** Moves the slider of the day to a time and waits until the map shows it. */
+export async function slideTo(page, minutes, iso) {
+    await page.getByTestId('time').evaluate((slider, value) => {
+        slider.value = value;
+        slider.dispatchEvent(new Event('input', { bubbles: true }));
+    }, String(minutes));
+    await page.waitForFunction((at) => document.querySelector('[data-testid=map-canvas]')?.dataset.at === at, iso);
+}
