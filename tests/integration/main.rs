@@ -9,6 +9,7 @@ mod exploration;
 mod grid;
 mod kinds;
 mod lifecycle;
+mod page;
 mod random_operations;
 mod reports;
 mod routes;
