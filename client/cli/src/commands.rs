@@ -16,6 +16,7 @@ mod location;
 mod map;
 mod model;
 mod observe;
+mod open;
 mod point;
 mod position;
 mod predict;
@@ -211,6 +212,8 @@ enum Command {
     /// Measures a running daemon under load
     #[command(subcommand)]
     Bench(bench::BenchCommand),
+    /// Opens the daemon's page in a browser
+    Open(open::OpenArgs),
     /// Shows how tidemap works, with its own daemon and a simulated office
     Demo(demo::DemoArgs),
 }
@@ -260,6 +263,9 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
         return demo::run(args).await;
     }
+    if let Command::Open(args) = &line.command {
+        return open::run(args, &line.server);
+    }
     if let Command::Experiment(args) = line.command {
         return experiment::run(args, line.output.unwrap_or_else(default_format));
     }
@@ -296,7 +302,7 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Backup(command) => backup::run(&session, &command).await,
         Command::Bench(command) => bench::run(&session, &command).await,
         // Handled above.
-        Command::Demo(_) | Command::Experiment(_) => Ok(ExitCode::SUCCESS),
+        Command::Demo(_) | Command::Experiment(_) | Command::Open(_) => Ok(ExitCode::SUCCESS),
     }
 }
 

@@ -72,9 +72,9 @@ pub(crate) async fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     }
     let program = env::args().next().unwrap_or_else(|| "tidemap".to_owned());
     if args.keep {
-        let address = daemon.address().to_owned();
+        let (address, http) = (daemon.address().to_owned(), daemon.http().to_owned());
         let kept = daemon.keep();
-        print(&report::kept(&program, &address, kept.pid, &kept.folder)?)?;
+        print(&report::kept(&program, &address, &http, kept.pid, &kept.folder)?)?;
     } else {
         drop(daemon);
         print(&report::ended(&program)?)?;

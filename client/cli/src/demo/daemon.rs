@@ -27,6 +27,8 @@ pub(super) struct Daemon {
     child: Child,
     folder: Option<TempDir>,
     address: String,
+    /// `HOST:PORT` of its HTTP port.
+    http: String,
 }
 
 /// A daemon that continues after the demo.
@@ -59,8 +61,8 @@ impl Daemon {
                 _ => anyhow!("{} cannot be started: {error}", program.display()),
             })?;
         // From here on, drop stops the process.
-        let mut daemon = Self { child, folder: Some(folder), address: String::new() };
-        daemon.address = daemon.wait_until_ready()?;
+        let mut daemon = Self { child, folder: Some(folder), address: String::new(), http: String::new() };
+        (daemon.address, daemon.http) = daemon.wait_until_ready()?;
         Ok(daemon)
     }
 
@@ -69,13 +71,18 @@ impl Daemon {
         &self.address
     }
 
+    /// `HOST:PORT` of its HTTP port, where the page is.
+    pub(super) fn http(&self) -> &str {
+        &self.http
+    }
+
     /// Leaves the daemon and its folder.
     pub(super) fn keep(mut self) -> KeptDaemon {
         let folder = self.folder.take().map(TempDir::keep).unwrap_or_default();
         KeptDaemon { pid: self.child.id(), folder }
     }
 
-    fn wait_until_ready(&mut self) -> anyhow::Result<String> {
+    fn wait_until_ready(&mut self) -> anyhow::Result<(String, String)> {
         let stdout = self.child.stdout.take().context("the daemon has no stdout")?;
         let (sender, lines) = mpsc::channel();
         // A thread, because reading from a pipe has no time limit. It ends with the pipe.
@@ -90,8 +97,8 @@ impl Daemon {
         loop {
             match lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(line) => {
-                    if let Some(address) = grpc_address(&line) {
-                        return Ok(address.to_owned());
+                    if let Some((grpc, http)) = address(&line, "grpc=").zip(address(&line, "http=")) {
+                        return Ok((grpc.to_owned(), http.to_owned()));
                     }
                 }
                 Err(mpsc::RecvTimeoutError::Disconnected) => bail!("the daemon ended at once{}", self.last_words()),
@@ -152,9 +159,9 @@ fn beside() -> anyhow::Result<PathBuf> {
     Ok(path)
 }
 
-/// The address in the line `listening grpc=HOST:PORT http=HOST:PORT`.
-fn grpc_address(line: &str) -> Option<&str> {
-    line.strip_prefix("listening ")?.split(' ').find_map(|field| field.strip_prefix("grpc="))
+/// An address in the line `listening grpc=HOST:PORT http=HOST:PORT`.
+fn address<'a>(line: &'a str, port: &str) -> Option<&'a str> {
+    line.strip_prefix("listening ")?.split(' ').find_map(|field| field.strip_prefix(port))
 }
 
 #[cfg(test)]
@@ -163,8 +170,10 @@ mod tests {
 
     #[test]
     fn the_ready_line_names_the_port() {
-        assert_eq!(grpc_address("listening grpc=127.0.0.1:4711 http=127.0.0.1:4712"), Some("127.0.0.1:4711"));
-        assert_eq!(grpc_address("starting"), None);
+        let line = "listening grpc=127.0.0.1:4711 http=127.0.0.1:4712";
+        assert_eq!(address(line, "grpc="), Some("127.0.0.1:4711"));
+        assert_eq!(address(line, "http="), Some("127.0.0.1:4712"));
+        assert_eq!(address("starting", "grpc="), None);
     }
 
     #[test]

@@ -10,6 +10,7 @@ use std::{
 use tidemap_client::queries::{ModelDescription, ModelKind};
 
 use super::{
+    MAP,
     forecast::{Forecast, errors},
     picture, words,
 };
@@ -102,12 +103,12 @@ pub(super) fn ended(program: &str) -> Result<String, fmt::Error> {
     let mut text =
         String::from("\nThe daemon has been stopped and its data removed. To ask it things yourself, type\n\n");
     writeln!(text, "  {program} demo --keep\n")?;
-    writeln!(text, "which leaves it running and says what to type next.")?;
+    writeln!(text, "which leaves it running, and ends with what to type next and the address of its page.")?;
     Ok(text)
 }
 
 /// The last text, if the daemon is kept.
-pub(super) fn kept(program: &str, address: &str, pid: u32, folder: &Path) -> Result<String, fmt::Error> {
+pub(super) fn kept(program: &str, address: &str, http: &str, pid: u32, folder: &Path) -> Result<String, fmt::Error> {
     let mut text = String::from("\nThe daemon is still running. Ask it:\n\n");
     writeln!(text, "  export TIDEMAP_SERVER=http://{address}")?;
     for command in [
@@ -120,6 +121,8 @@ pub(super) fn kept(program: &str, address: &str, pid: u32, folder: &Path) -> Res
     }
     writeln!(text, "\nAnd when you have seen enough:\n")?;
     writeln!(text, "  kill {pid}; sleep 1; rm -r {}", folder.display())?;
+    writeln!(text, "\nLook at it in a browser, where time is a slider:\n")?;
+    writeln!(text, "  http://{http}/states/{MAP}?select=kitchen&at=2025-04-16T12:30:00%2B01:00")?;
     Ok(text)
 }
 
