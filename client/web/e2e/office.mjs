@@ -89,7 +89,7 @@ function floor(day, hour, cell, draw) {
     fill(0, CORRIDOR.north, WIDTH, CORRIDOR.north + wall, 0);
     for (const room of ROOMS) {
         const [south, north] = room.north ? [CORRIDOR.north, HEIGHT] : [0, CORRIDOR.south];
-        fill(room.east - wall / 2, south, room.east + wall / 2, north, 0);
+        fill(room.east - wall, south, room.east, north, 0);
         const middle = (room.west + room.east) / 2;
         const door = room.north ? CORRIDOR.north : CORRIDOR.south - wall;
         const isOpen = inUse(day, room.name, hour) || draw() < 0.04;

@@ -49,6 +49,8 @@ try {
         await slideTo(page, 600, at(10));
         const morning = await pixels(page);
         assert.notEqual(night, morning);
+        // The forecasts of edges and presence follow the slider a moment later.
+        await page.waitForTimeout(500);
         await page.screenshot({ path: join(folder, 'map.png') });
         await slideTo(page, 180, at(3));
         assert.equal(await pixels(page), night);

@@ -121,6 +121,10 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         const [x, y] = at(node);
         const isChosen = chosen.includes(node.name);
         brush.beginPath();
+        brush.arc(x, y, isChosen ? 12 : 9, 0, 2 * Math.PI);
+        brush.fillStyle = style.ground;
+        brush.fill();
+        brush.beginPath();
         brush.arc(x, y, isChosen ? 9 : 6.5, 0, 2 * Math.PI);
         brush.fillStyle = node.presence === undefined ? style.ground : viridis(node.presence);
         brush.fill();
