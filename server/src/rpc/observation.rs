@@ -171,6 +171,8 @@ fn unread(status: &Status, limits: &StreamLimits) -> RpcError {
         Code::Internal | Code::InvalidArgument if std::error::Error::source(status).is_none() => {
             InvalidField::new("message", status.message()).into()
         }
+        // The guard's, which ends both bodies of a request; whichever is seen first, the client hears the same.
+        Code::Unauthenticated => RpcError::Revoked,
         _ => {
             debug!(%status, "stream broke");
             RpcError::Broken
@@ -462,6 +464,8 @@ impl Stream<'_> {
 
     async fn say_goodbye(&self, error: &RpcError) {
         let reason = match error {
+            // The status says it.
+            RpcError::Revoked => return,
             RpcError::Ended(Ending::Shutdown) | RpcError::Stopping => v1::GoodbyeReason::Shutdown,
             RpcError::Ended(Ending::Superseded) => v1::GoodbyeReason::Superseded,
             RpcError::Ended(Ending::MapDeleted) => v1::GoodbyeReason::MapDeleted,
