@@ -175,7 +175,7 @@ pub(crate) fn random_id() -> anyhow::Result<String> {
 pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), DaemonError> {
     // Whatever the daemon was started with: what robots saw is nobody else's business.
     umask(Mode::RWXG | Mode::RWXO);
-    let metrics = telemetry::start_metrics()?;
+    let metrics = http::Metrics { handle: telemetry::start_metrics()?, data_dir: settings.data_dir.clone() };
     let (followed, grpc_tls, http_tls) = load_tls(&settings)?;
     let access = load_access(&settings)?;
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;

@@ -2,7 +2,7 @@
 //!
 //! Invariant: health and metrics reveal nothing of the content of a map, and are asked by any host name.
 
-use std::{future::Future, sync::Arc};
+use std::{future::Future, path::PathBuf, sync::Arc};
 
 use axum::{Router, extract::Request, http::StatusCode, routing::get};
 use metrics_exporter_prometheus::PrometheusHandle;
@@ -15,7 +15,9 @@ use crate::{
     connections::accept::HttpListener,
     ingest::handle::{MapHandle, OpenProgress},
     rpc::guard::Access,
-    statistics, web,
+    statistics,
+    telemetry::process,
+    web,
 };
 
 const INDEX: &str = "tidemapd\n\n/api/v1/openapi.json  what can be asked as JSON\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
@@ -52,6 +54,15 @@ fn unavailable(catalog: &Catalog) -> String {
     maps.iter().map(|map| format!("map number {} is unavailable: {}\n", map.id.0, map.reason)).collect()
 }
 
+/// Where metrics come from.
+#[derive(Clone, Debug)]
+pub(crate) struct Metrics {
+    /// What the process has counted.
+    pub handle: PrometheusHandle,
+    /// The data folder, whose disk is watched.
+    pub data_dir: PathBuf,
+}
+
 /// Serves until `stop` is ready.
 ///
 /// # Errors
@@ -59,7 +70,7 @@ fn unavailable(catalog: &Catalog) -> String {
 pub(crate) async fn serve(
     listener: HttpListener,
     catalog: Arc<Catalog>,
-    metrics: PrometheusHandle,
+    metrics: Metrics,
     access: Access,
     web: Router,
     stopping: watch::Receiver<bool>,
@@ -99,7 +110,11 @@ pub(crate) async fn serve(
                     for (name, value, _) in statistics::of_daemon(&catalog) {
                         metrics::gauge!(format!("tidemap_{name}")).set(value);
                     }
-                    metrics.render()
+                    let process = process::metrics(&metrics.data_dir);
+                    for (name, value) in statistics::of_updates(&catalog).into_iter().chain(process) {
+                        metrics::gauge!(name).set(value);
+                    }
+                    metrics.handle.render()
                 });
                 text.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
             }

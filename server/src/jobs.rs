@@ -110,7 +110,10 @@ impl UpdateJob {
                     status.published = Some(published);
                     status.phase = Phase::Done(elapsed);
                 }
-                Err(error) => status.phase = Phase::Failed(elapsed, error),
+                Err(error) => {
+                    metrics::counter!("tidemap_update_failures_total").increment(1);
+                    status.phase = Phase::Failed(elapsed, error);
+                }
             }
         });
     }

@@ -2,10 +2,12 @@
 //!
 //! Invariant: a name never changes its meaning; new names are added at the end.
 
+use std::sync::{Arc, atomic::Ordering};
+
 use tidemap_map::grid::index::TileId;
 use tidemap_store::{Sizes, Trouble};
 
-use crate::{catalog::Catalog, ingest::handle::MapHandle};
+use crate::{catalog::Catalog, ingest::handle::MapHandle, jobs::Phase};
 
 /// Name, value, unit.
 pub(crate) type Counter = (&'static str, f64, &'static str);
@@ -65,6 +67,37 @@ pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
     rows.push(("maps_unavailable", catalog.unavailable().len() as f64, ""));
     rows.extend(of_storage(catalog));
     rows
+}
+
+/// Gauges of updates: jobs, their progress, and the age of the generation that is oldest.
+pub(crate) fn of_updates(catalog: &Catalog) -> [(&'static str, f64); 4] {
+    let jobs = catalog.context().jobs.list();
+    let mut progress = 1.0_f64;
+    let (mut running, mut waiting) = (0_u32, 0_u32);
+    for job in jobs.iter().filter(|job| !job.has_ended()) {
+        let status = job.status();
+        match status.phase {
+            Phase::Waiting => waiting += 1,
+            Phase::Running(_) => {
+                running += 1;
+                let done = job.states_done.load(Ordering::Relaxed) as f64;
+                progress = progress.min(if status.states_total == 0 { 1.0 } else { done / status.states_total as f64 });
+            }
+            Phase::Done(_) | Phase::Failed(..) => {}
+        }
+    }
+    let now = catalog.context().clock.now_nanos();
+    let age = |handle: &Arc<MapHandle>| {
+        let view = handle.view();
+        let since = view.cut_nanos().unwrap_or(handle.spec.created_nanos);
+        if view.pending() == 0 { 0.0 } else { now.saturating_sub(since).max(0) as f64 / 1e9 }
+    };
+    [
+        ("tidemap_jobs_running", f64::from(running)),
+        ("tidemap_jobs_waiting", f64::from(waiting)),
+        ("tidemap_job_progress_ratio", progress),
+        ("tidemap_generation_age_seconds", catalog.all().values().map(age).fold(0.0, f64::max)),
+    ]
 }
 
 fn of_storage(catalog: &Catalog) -> [Counter; 3] {

@@ -3,10 +3,17 @@
 //! Invariant: logs go to stderr; stdout is for the line that names the ports.
 
 use anyhow::Context as _;
-use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
+use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use tracing_subscriber::EnvFilter;
 
 use crate::config::LogFormat;
+
+mod descriptions;
+pub(crate) mod process;
+
+/// Upper ends of the classes of durations, in seconds: from a fast acknowledgement to a plan of minutes.
+const BUCKETS_SECS: [f64; 16] =
+    [0.000_5, 0.001, 0.002_5, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 120.0];
 
 /// Starts logging for the whole process.
 ///
@@ -27,10 +34,8 @@ pub(crate) fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
 /// # Errors
 /// Metrics were started before.
 pub(crate) fn start_metrics() -> anyhow::Result<PrometheusHandle> {
-    let handle = PrometheusBuilder::new().install_recorder()?;
-    metrics::describe_counter!("tidemap_observations_total", "Observations acknowledged since the start");
-    metrics::describe_counter!("tidemap_refused_total", "Observations refused since the start");
-    metrics::describe_counter!("tidemap_updates_total", "Updates published since the start");
-    metrics::describe_gauge!("tidemap_streams", "Open streams of observations");
+    let seconds = Matcher::Suffix("_seconds".to_owned());
+    let handle = PrometheusBuilder::new().set_buckets_for_metric(seconds, &BUCKETS_SECS)?.install_recorder()?;
+    descriptions::describe();
     Ok(handle)
 }

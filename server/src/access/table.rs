@@ -79,6 +79,11 @@ pub(crate) fn need(path: &str) -> Option<Need> {
     TABLE.iter().find(|(method, _)| *method == path).map(|(_, need)| *need)
 }
 
+/// The method of a path for metrics: as in the table, so that their number is bounded.
+pub(crate) fn method_name(path: &str) -> &'static str {
+    TABLE.iter().find(|(method, _)| *method == path).map_or("unknown", |(method, _)| method)
+}
+
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;

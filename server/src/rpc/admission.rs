@@ -19,14 +19,14 @@ use tokio::{
     time::{Instant, Sleep, sleep},
 };
 use tonic::{
-    Status,
+    Code, Status,
     body::Body,
     codegen::{Bytes, Service, http},
 };
 use tower_layer::Layer;
 
-use super::status::RpcError;
-use crate::connections::Peer;
+use super::status::{RpcError, code_name};
+use crate::{access::table::method_name, connections::Peer};
 
 /// A request of one message must arrive within this time.
 const ARRIVES_WITHIN: Duration = Duration::from_secs(30);
@@ -155,13 +155,19 @@ where
             Ok(count) => count,
             Err(error) => return Box::pin(std::future::ready(Ok(Status::from(error).into_http()))),
         };
+        let method = method_name(request.uri().path());
         let is_streamed = STREAMED.contains(&request.uri().path());
         let large = Arc::clone(&self.admission.large);
         let deadline = Box::pin(sleep(ARRIVES_WITHIN));
         let request =
             request.map(|body| Body::new(ArrivingBody { body, is_streamed, deadline, arrived: 0, large, held: None }));
         let answer = self.inner.call(request);
-        Box::pin(async move { Ok(answer.await?.map(|body| Body::new(CountedBody { body, _count: count }))) })
+        let mut end = RequestEnd { method, began: Instant::now(), code: None };
+        Box::pin(async move {
+            let reply = answer.await?;
+            end.read(reply.headers());
+            Ok(reply.map(|body| Body::new(CountedBody { body, end, _count: count })))
+        })
     }
 }
 
@@ -222,9 +228,36 @@ impl http_body::Body for ArrivingBody {
     }
 }
 
+/// How a request ended: its code and its duration go to the metrics when it is dropped.
+#[derive(Debug)]
+struct RequestEnd {
+    method: &'static str,
+    began: Instant,
+    /// `None`: the client left before the end.
+    code: Option<Code>,
+}
+
+impl RequestEnd {
+    /// Takes the code from headers or trailers that have it.
+    fn read(&mut self, headers: &http::HeaderMap) {
+        if let Some(code) = headers.get("grpc-status") {
+            self.code = Some(Code::from_bytes(code.as_bytes()));
+        }
+    }
+}
+
+impl Drop for RequestEnd {
+    fn drop(&mut self) {
+        let code = code_name(self.code.unwrap_or(Code::Cancelled));
+        metrics::counter!("tidemap_requests_total", "method" => self.method, "code" => code).increment(1);
+        metrics::histogram!("tidemap_request_duration_seconds", "method" => self.method).record(self.began.elapsed());
+    }
+}
+
 /// A reply that keeps its request counted.
 struct CountedBody {
     body: Body,
+    end: RequestEnd,
     _count: RequestCount,
 }
 
@@ -233,7 +266,13 @@ impl http_body::Body for CountedBody {
     type Error = Status;
 
     fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
-        Pin::new(&mut self.body).poll_frame(context)
+        let frame = Pin::new(&mut self.body).poll_frame(context);
+        if let Poll::Ready(Some(Ok(frame))) = &frame
+            && let Some(trailers) = frame.trailers_ref()
+        {
+            self.end.read(trailers);
+        }
+        frame
     }
 
     fn is_end_stream(&self) -> bool {

@@ -5,11 +5,12 @@
 //! when a client goes away.
 
 use std::{
+    collections::VecDeque,
     sync::{
         Arc,
         atomic::{AtomicUsize, Ordering},
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use tidemap_map::{
@@ -256,6 +257,7 @@ async fn open_and_serve(
         own_buffer: Arc::new(Semaphore::new(limits.max_stream_buffer)),
         durable: opened.durable_sequence,
         handed_over: opened.durable_sequence,
+        in_flight: VecDeque::new(),
         handle,
         opened,
         limits,
@@ -290,6 +292,8 @@ struct Stream<'a> {
     replies: &'a Replies,
     durable: u64,
     handed_over: u64,
+    /// The last sequence number of each batch in flight, and when it was handed over.
+    in_flight: VecDeque<(u64, Instant)>,
 }
 
 impl Stream<'_> {
@@ -344,7 +348,7 @@ impl Stream<'_> {
         let Some(batch) = self.intake()?.take(message)? else { return self.say_durable().await };
         let only_names = batch.last_sequence < batch.first_sequence;
         let budget = self.budget(bytes_of(&batch)).await?;
-        self.handed_over = batch.last_sequence;
+        self.note(batch.last_sequence);
         self.hand_over(Handover::Observations(batch, budget))?;
         // The writer does not acknowledge names.
         if only_names { self.say_durable().await } else { Ok(()) }
@@ -357,7 +361,7 @@ impl Stream<'_> {
         while let Some(batch) = self.next_scans(is_much_work).await? {
             let budget = self.budget(batch.bytes).await?;
             is_any_new |= batch.last_sequence >= batch.first_sequence;
-            self.handed_over = batch.last_sequence;
+            self.note(batch.last_sequence);
             self.hand_over(Handover::Scans(batch, budget))?;
         }
         // The writer acknowledges neither tiles nor what was taken before; an unfinished scan waits for its end.
@@ -367,7 +371,7 @@ impl Stream<'_> {
     async fn take_traversals(&mut self, message: &v1::TraversalBatch) -> Result<(), RpcError> {
         let Some(batch) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
         let budget = self.budget(bytes_of_traversals(&batch)).await?;
-        self.handed_over = batch.last_sequence;
+        self.note(batch.last_sequence);
         self.hand_over(Handover::Traversals(batch, budget))
     }
 
@@ -405,6 +409,14 @@ impl Stream<'_> {
         let (intake, batch) = work.await.map_err(|_| RpcError::Stopping)?;
         self.intake = Some(intake);
         Ok(batch?)
+    }
+
+    /// A batch up to this sequence number is handed over now.
+    fn note(&mut self, last_sequence: u64) {
+        if last_sequence > self.handed_over {
+            self.in_flight.push_back((last_sequence, Instant::now()));
+        }
+        self.handed_over = last_sequence;
     }
 
     fn hand_over(&self, what: Handover) -> Result<(), RpcError> {
@@ -452,6 +464,9 @@ impl Stream<'_> {
         match event {
             Some(SessionEvent::Ack { durable_sequence, refused }) => {
                 let before = std::mem::replace(&mut self.durable, durable_sequence);
+                while let Some((_, sent)) = self.in_flight.pop_front_if(|(last, _)| *last <= durable_sequence) {
+                    metrics::histogram!("tidemap_acknowledgement_seconds").record(sent.elapsed());
+                }
                 for ack in acks(before, durable_sequence, refused) {
                     reply(self.replies, Down::Ack(ack)).await?;
                 }

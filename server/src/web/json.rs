@@ -17,6 +17,7 @@ use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQu
 use tonic_types::StatusExt as _;
 
 use super::{Gateway, codec::DynamicCodec};
+use crate::rpc::status::code_name;
 
 /// Maximum size of a request as JSON; larger ones go over gRPC. An object takes up to fifty times its text in memory.
 const REQUEST_BYTES: usize = 1 << 20;
@@ -48,29 +49,6 @@ fn reply(code: StatusCode, content_type: &'static str, body: Body) -> Response {
 pub(super) fn failure(http: StatusCode, code: &str, reason: &str, message: &str) -> Response {
     let error = json!({ "error": { "code": code, "reason": reason, "message": message } });
     reply(http, "application/json", Body::from(error.to_string()))
-}
-
-/// The name of a code, as gRPC writes it.
-fn code_name(code: Code) -> &'static str {
-    match code {
-        Code::Ok => "OK",
-        Code::Cancelled => "CANCELLED",
-        Code::Unknown => "UNKNOWN",
-        Code::InvalidArgument => "INVALID_ARGUMENT",
-        Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
-        Code::NotFound => "NOT_FOUND",
-        Code::AlreadyExists => "ALREADY_EXISTS",
-        Code::PermissionDenied => "PERMISSION_DENIED",
-        Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
-        Code::FailedPrecondition => "FAILED_PRECONDITION",
-        Code::Aborted => "ABORTED",
-        Code::OutOfRange => "OUT_OF_RANGE",
-        Code::Unimplemented => "UNIMPLEMENTED",
-        Code::Internal => "INTERNAL",
-        Code::Unavailable => "UNAVAILABLE",
-        Code::DataLoss => "DATA_LOSS",
-        Code::Unauthenticated => "UNAUTHENTICATED",
-    }
 }
 
 /// The HTTP code of a gRPC code, as google.rpc.Code maps them.

@@ -64,6 +64,66 @@ async fn http_tells_life_readiness_and_metrics_and_nothing_about_maps() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn every_metric_says_what_it_means_and_the_important_ones_are_there() {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let map = NewMap { name: "lab".to_owned(), ..NewMap::default() };
+    daemon.client().create_map(map).await.expect("a new map");
+    let (mut stream, _) = RawStream::open(&daemon.grpc, hello("robot", "lab")).await.expect("a Welcome");
+    stream.batch(1, columns(&["door"], &[(0, 1_000, 1.0)])).await;
+    stream.acknowledged(1).await.expect("taken");
+    daemon.client().map("nowhere").await.expect_err("there is none");
+    let (_, metrics) = get(&daemon, "/metrics").await;
+    let names: std::collections::BTreeSet<&str> =
+        metrics.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
+    for name in &names {
+        assert!(metrics.contains(&format!("# HELP {name} ")), "{name} has no description");
+    }
+    for line in [
+        "tidemap_acknowledgement_seconds_count 1",
+        "tidemap_requests_total{method=\"/tidemap.v1.MapService/GetMap\",code=\"NOT_FOUND\"} 1",
+        "tidemap_requests_total{method=\"/tidemap.v1.MapService/CreateMap\",code=\"OK\"} 1",
+        "tidemap_request_duration_seconds_bucket{method=\"/tidemap.v1.MapService/CreateMap\",le=\"+Inf\"} 1",
+        "tidemap_jobs_running 0",
+        "tidemap_job_progress_ratio 1",
+    ] {
+        assert!(metrics.contains(line), "{line} in:\n{metrics}");
+    }
+    for name in ["process_resident_memory_bytes", "process_open_fds", "process_max_fds", "tidemap_disk_free_bytes"] {
+        assert!(metric(&metrics, name).is_some_and(|value| value > 0.0), "{name} in:\n{metrics}");
+    }
+    // What the dashboard and the alerts name is there, or would be after its first event.
+    for file in ["deploy/monitoring/alerts.yaml", "deploy/monitoring/dashboard.json"] {
+        let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../").to_owned() + file).expect(file);
+        for name in named_metrics(&text) {
+            let base = ["_bucket", "_count", "_sum"].iter().find_map(|end| name.strip_suffix(end)).unwrap_or(&name);
+            let is_counted = EVENTS.contains(&base);
+            assert!(names.contains(base) || is_counted, "{file} names {name}, which is not among {names:?}");
+        }
+    }
+}
+
+/// Counters that appear with their first event.
+const EVENTS: [&str; 9] = [
+    "tidemap_update_failures_total",
+    "tidemap_save_failures_total",
+    "tidemap_denied_total",
+    "tidemap_refused_total",
+    "tidemap_requests_refused",
+    "tidemap_reload_failures_total",
+    "tidemap_accept_errors",
+    "tidemap_model_cache_hits_total",
+    "tidemap_model_cache_misses_total",
+];
+
+/// The metrics that a text names.
+fn named_metrics(text: &str) -> Vec<String> {
+    let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    let words = text.split(|c| !is_name(c));
+    words.filter(|word| word.starts_with("tidemap_") || word.starts_with("process_")).map(str::to_owned).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn grpc_has_health_for_the_daemon_and_its_services() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();

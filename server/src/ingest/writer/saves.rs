@@ -216,6 +216,7 @@ impl Writer {
 
     pub(super) fn saved(&mut self, result: Result<SavedGrid, (String, MapSnapshot)>) {
         let result = result.map_err(|(error, snapshot)| {
+            metrics::counter!("tidemap_save_failures_total").increment(1);
             warn!(map = %self.map.spec().name, error, "checkpoint not saved: the log has everything, and the save is retried");
             snapshot
         });
