@@ -46,6 +46,7 @@ macro_rules! pages {
 
 pages! {
     readme: "README.md",
+    alerts: "docs/src/alerts.md",
     anomalies: "docs/src/anomalies.md",
     backup: "docs/src/backup.md",
     commands: "docs/src/commands.md",
@@ -59,6 +60,7 @@ pages! {
     kinds: "docs/src/kinds.md",
     limits: "docs/src/limits.md",
     models: "docs/src/models.md",
+    page: "docs/src/page.md",
     security: "docs/src/security.md",
     topology: "docs/src/topology.md",
     wire: "docs/src/wire.md",

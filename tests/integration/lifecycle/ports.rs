@@ -92,29 +92,35 @@ async fn every_metric_says_what_it_means_and_the_important_ones_are_there() {
     for name in ["process_resident_memory_bytes", "process_open_fds", "process_max_fds", "tidemap_disk_free_bytes"] {
         assert!(metric(&metrics, name).is_some_and(|value| value > 0.0), "{name} in:\n{metrics}");
     }
-    // What the dashboard and the alerts name is there, or would be after its first event.
-    for file in ["deploy/monitoring/alerts.yaml", "deploy/monitoring/dashboard.json"] {
-        let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../").to_owned() + file).expect(file);
-        for name in named_metrics(&text) {
-            let base = ["_bucket", "_count", "_sum"].iter().find_map(|end| name.strip_suffix(end)).unwrap_or(&name);
-            let is_counted = EVENTS.contains(&base);
-            assert!(names.contains(base) || is_counted, "{file} names {name}, which is not among {names:?}");
-        }
-    }
 }
 
-/// Counters that appear with their first event.
-const EVENTS: [&str; 9] = [
-    "tidemap_update_failures_total",
-    "tidemap_save_failures_total",
-    "tidemap_denied_total",
-    "tidemap_refused_total",
-    "tidemap_requests_refused",
-    "tidemap_reload_failures_total",
-    "tidemap_accept_errors",
-    "tidemap_model_cache_hits_total",
-    "tidemap_model_cache_misses_total",
-];
+#[test]
+fn the_dashboard_and_the_alerts_name_metrics_that_exist_and_each_alert_is_explained() {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/../");
+    let read = |path: &str| std::fs::read_to_string(root.to_owned() + path).expect(path);
+    let described = read("server/src/telemetry/descriptions.rs");
+    for file in ["deploy/monitoring/alerts.yaml", "deploy/monitoring/dashboard.json"] {
+        let names = named_metrics(&read(file));
+        assert!(names.len() > 10, "{file} names {names:?}");
+        for name in names {
+            let base = ["_bucket", "_count", "_sum"].iter().find_map(|end| name.strip_suffix(end)).unwrap_or(&name);
+            assert!(
+                described.contains(&format!("(\"{base}\"")) || described.contains(&format!("\"{base}\",")),
+                "{name}"
+            );
+        }
+    }
+    let page = read("docs/src/alerts.md");
+    let alerts = read("deploy/monitoring/alerts.yaml");
+    let names: Vec<&str> = alerts.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect();
+    assert!(names.len() >= 14, "{names:?}");
+    for name in &names {
+        assert!(page.contains(&format!("\n## {name}\n")), "docs/src/alerts.md does not explain {name}");
+        assert!(alerts.contains(&format!("\"alerts.md#{}\"", name.to_lowercase())), "{name} has no runbook");
+    }
+    let explained = page.lines().filter_map(|line| line.strip_prefix("## Tidemap")).count();
+    assert_eq!(explained, names.len(), "docs/src/alerts.md explains an alert that does not exist");
+}
 
 /// The metrics that a text names.
 fn named_metrics(text: &str) -> Vec<String> {
