@@ -122,9 +122,7 @@ impl Round<'_> {
         for listed in listed {
             let file = history.folder.join(&listed.name);
             // Listed no longer: it was deleted on purpose.
-            let is_listed = || {
-                history.listed().is_ok_and(|list| list.files.iter().any(|file| *file == listed)) && self.is_there(map)
-            };
+            let is_listed = || history.listed().is_ok_and(|list| list.files.contains(&listed)) && self.is_there(map);
             if !is_listed() {
                 continue;
             }
