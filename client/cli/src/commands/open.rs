@@ -62,7 +62,7 @@ pub(crate) fn run(args: &OpenArgs, server: &str) -> anyhow::Result<ExitCode> {
     if let Some(map) = &args.map
         && !map.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit() || b"_-".contains(&byte))
     {
-        return Err(usage(format!("{map:?} is no name of a map: these consist of a-z, 0-9, _ and -")).into());
+        return Err(usage(format!("{map:?} is no name of a map: these consist of a-z, 0-9, _ and -")));
     }
     let address = address(args, server);
     println!("{address}");
