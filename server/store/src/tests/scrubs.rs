@@ -52,7 +52,7 @@ fn a_flipped_byte_is_found_in_every_kind_of_file_and_forgotten_when_it_is_mended
             assert_eq!(damaged(&store), [PathBuf::from(file)], "byte {place}");
             fs::write(&path, &sound).expect("writable");
             assert_eq!(store.scrub(&mut |_| true), Some(0), "{file}: {:?}", store.trouble());
-            assert_eq!(damaged(&store), [PathBuf::new(); 0]);
+            assert_eq!(damaged(&store), Vec::<PathBuf>::new());
         }
     }
     // The log goes on meanwhile.
@@ -67,11 +67,11 @@ fn a_missing_file_is_found_and_a_round_can_be_ended() {
     let file = PathBuf::from("maps/00000001/history/00000000000000000003.states.tmh");
     fs::remove_file(directory.path().join(&file)).expect("removable");
     assert_eq!(store.scrub(&mut |_| true), Some(1));
-    assert_eq!(damaged(&store), [file.clone()]);
+    assert_eq!(damaged(&store), vec![file.clone()]);
     assert!(store.trouble()[0].to_string().contains("it is missing"));
     assert_eq!(store.scrub(&mut |_| false), None);
     assert_eq!(damaged(&store), [file], "what an ended round did not read is not forgotten");
     store.delete_map(MAP).expect("deletes");
     assert_eq!(store.scrub(&mut |_| true), Some(0));
-    assert_eq!(damaged(&store), [PathBuf::new(); 0]);
+    assert_eq!(damaged(&store), Vec::<PathBuf>::new());
 }
