@@ -93,11 +93,20 @@ durability:
 		cargo test --release $(TESTED) durability -- --nocapture --test-threads 1; \
 	fi
 
-## install: both programs, into PREFIX/bin (default /usr/local)
-install: build
-	@dir="$(DESTDIR)$(PREFIX)/bin"; sudo=; \
-		if ! mkdir -p "$$dir" 2>/dev/null || ! [ -w "$$dir" ]; then sudo=sudo; fi; \
-		$$sudo install -D -m 755 -t "$$dir" "$(BUILT)/tidemapd" "$(BUILT)/tidemap"
+# Completions and man pages, which both programs write themselves.
+.PHONY: texts
+texts: build
+	@deploy/texts.sh "$(BUILT)" target/texts
+
+## install: both programs, completions and man pages, into PREFIX (default /usr/local)
+install: texts
+	@dir="$(DESTDIR)$(PREFIX)"; sudo=; \
+		if ! mkdir -p "$$dir/bin" 2>/dev/null || ! [ -w "$$dir/bin" ]; then sudo=sudo; fi; \
+		$$sudo install -D -m 755 -t "$$dir/bin" "$(BUILT)/tidemapd" "$(BUILT)/tidemap"; \
+		$$sudo install -D -m 644 -t "$$dir/share/man/man1" target/texts/man/*; \
+		$$sudo install -D -m 644 -t "$$dir/share/bash-completion/completions" target/texts/bash/*; \
+		$$sudo install -D -m 644 -t "$$dir/share/zsh/site-functions" target/texts/zsh/*; \
+		$$sudo install -D -m 644 -t "$$dir/share/fish/vendor_completions.d" target/texts/fish/*
 
 ## clean: removes what was built
 clean:

@@ -2,6 +2,8 @@
 //!
 //! Invariant: loaded settings are complete and checked; an unknown key in the file is an error that names it.
 
+pub(crate) mod config_text;
+
 use std::{
     net::{IpAddr, SocketAddr},
     path::PathBuf,
@@ -100,6 +102,27 @@ pub(crate) enum OfflineCommand {
     /// Restore a backup, which `tidemap backup create` made.
     #[command(subcommand)]
     Backup(BackupCommand),
+    /// Check the settings, and print those that the daemon would use, as a config file. The exit status is 78 if they
+    /// are wrong.
+    Config {
+        /// Print a config file with the meaning and the default of every setting instead.
+        #[arg(long)]
+        example: bool,
+    },
+    /// Print the completions of a shell, for example: tidemapd completions bash.
+    #[command(hide = true)]
+    Completions {
+        /// The shell.
+        #[arg(value_name = "SHELL")]
+        shell: clap_complete::Shell,
+    },
+    /// Write a man page for each command.
+    #[command(hide = true)]
+    ManPages {
+        /// Folder for the pages.
+        #[arg(value_name = "DIR")]
+        dir: PathBuf,
+    },
 }
 
 /// What to do with a backup.
@@ -126,141 +149,180 @@ pub(crate) enum LogFormat {
     Json,
 }
 
-/// Declares [`Settings`]: for each key its meaning, type and default, and the least and the greatest allowed value.
+/// A setting, as the example config shows it.
+#[derive(Debug)]
+struct Setting {
+    key: &'static str,
+    /// Its meaning, in lines as they stand in the code.
+    meaning: &'static [&'static str],
+    /// The least and the greatest value, if it is a limited number.
+    range: Option<(u64, u64)>,
+}
+
+/// Declares [`Settings`]: sections with, for each key, its meaning, type and default, and the least and the greatest
+/// allowed value. The example config is made of the same text.
 macro_rules! settings {
-    ($($(#[$meaning:meta])* $key:ident: $type:ty = $default:expr $(, $least:expr, $most:expr)?;)*) => {
+    ($($section:literal {
+        $($(#[doc = $meaning:literal])* $key:ident: $type:ty = $default:expr $(, $least:expr, $most:expr)?;)*
+    })*) => {
         /// All settings; the keys of the config file.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub(crate) struct Settings {
-            $($(#[$meaning])* pub $key: $type,)*
+            $($($(#[doc = $meaning])* pub $key: $type,)*)*
         }
+
+        /// The sections of the config file, with their settings.
+        const SECTIONS: &[(&str, &[Setting])] = &[$(($section, &[$(Setting {
+            key: stringify!($key),
+            meaning: &[$($meaning),*],
+            range: settings!(@range $($least, $most)?),
+        }),*])),*];
 
         impl Default for Settings {
             fn default() -> Self {
-                Self { $($key: $default,)* }
+                Self { $($($key: $default,)*)* }
             }
         }
 
         impl Settings {
             fn check_ranges(&self) -> anyhow::Result<()> {
-                $($(check_range(stringify!($key), self.$key as u64, $least, $most)?;)?)*
+                $($($(check_range(stringify!($key), self.$key as u64, $least, $most)?;)?)*)*
                 Ok(())
             }
         }
     };
+    (@range) => { None };
+    (@range $least:expr, $most:expr) => { Some(($least, $most)) };
 }
 
 settings! {
-    /// Folder of all data.
-    data_dir: PathBuf = PathBuf::from("./tidemap-data");
-    /// Address of the gRPC port.
-    listen: String = "127.0.0.1:7435".to_owned();
-    /// Address of the HTTP port: the page, JSON, health and metrics.
-    http_listen: String = "127.0.0.1:7436".to_owned();
-    /// Host names by which browsers may reach the HTTP port where no tokens are configured, besides localhost and
-    /// addresses.
-    http_hosts: Vec<String> = Vec::new();
-    /// Let everybody who reaches the HTTP port change data, where no tokens are configured.
-    http_write: bool = false;
-    /// A Unix socket on which the gRPC port is served as well, for clients of this machine; empty: none.
-    socket: PathBuf = PathBuf::new();
-    /// Permissions of the Unix socket; who may write to it may connect. `0o660` lets the daemon's group connect.
-    socket_mode: u32 = 0o600, 0, 0o777;
-    /// The certificate of the gRPC port in PEM form, with those of the authorities between it and the root; empty: the
-    /// port speaks no TLS. It is read again when it changes.
-    tls_certificate: PathBuf = PathBuf::new();
-    /// The private key of the certificate, in PEM form, without a password.
-    tls_key: PathBuf = PathBuf::new();
-    /// Authorities of clients, in PEM form. If named, each client of the gRPC port must present a certificate of one of
-    /// them.
-    tls_client_ca: PathBuf = PathBuf::new();
-    /// The file of the tokens that clients must have, as `tidemapd token` writes it; empty: everybody may do
-    /// everything. It is read again when it changes.
-    tokens_file: PathBuf = PathBuf::new();
-    /// Listen on other addresses than this machine's without TLS or without tokens.
-    allow_insecure_remote: bool = false;
-    /// Format of the log.
-    log_format: LogFormat = LogFormat::Text;
-    /// Filter of the log.
-    log_level: String = "info".to_owned();
-    /// Maximum number of maps.
-    max_maps: usize = 256, 1, 10_000;
-    /// Maximum number of states of a map. A state takes 4 to 7 KB of memory while it is served, and two to three times
-    /// as much while an update runs.
-    max_states_per_map: usize = 100_000, 1, 16_000_000;
-    /// Maximum number of tiles of a map's occupancy grid: 8x8x8 cells each, 8x8 in a flat grid.
-    max_tiles_per_map: usize = 200_000, 1, 8_000_000;
-    /// Maximum number of producer keys (producer and label) of a map.
-    max_producers_per_map: usize = 10_000, 1, 1_000_000;
-    /// Maximum number of observations of one message.
-    max_batch_observations: usize = 4096, 1, 65_536;
-    /// Maximum number of scans of one message.
-    max_batch_scans: usize = 1024, 1, 65_536;
-    /// Maximum number of points or rays of one scan. A scan that spans messages waits in memory, with 12 bytes per
-    /// point.
-    max_scan_points: usize = 1_000_000, 1, 100_000_000;
-    /// Maximum number of tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350
-    /// bytes.
-    max_scan_tiles: usize = 65_536, 1, 100_000;
-    /// Maximum size of one message, in bytes.
-    max_message_bytes: usize = 1 << 20, 4096, 16 << 20;
-    /// Maximum size of what one stream has sent and is not durable yet, in bytes.
-    max_stream_buffer_bytes: usize = 1 << 20, 4096, 1 << 30;
-    /// Maximum size of what all streams have sent and is not durable yet, in bytes.
-    max_buffer_bytes: usize = 64 << 20;
-    /// Maximum size of the tile tables and unfinished scans of all streams, in bytes.
-    max_stream_tables_bytes: usize = 256 << 20, 1 << 20, 1 << 36;
-    /// Maximum number of connections of the gRPC port. Beyond it, one that makes no requests makes room.
-    max_connections: usize = 4096, 8, 1_000_000;
-    /// Maximum number of connections of one client address.
-    max_connections_per_client: usize = 2048, 1, 1_000_000;
-    /// Maximum number of requests under way, besides streams of observations and watches of anomalies.
-    max_requests: usize = 384, 1, 100_000;
-    /// Maximum number of requests under way of one client address.
-    max_requests_per_client: usize = 128, 1, 100_000;
-    /// Maximum number of open streams of observations.
-    max_streams: usize = 1024, 1, 100_000;
-    /// An update runs early when a map has more pending observations than this. At twice as many, including those of a
-    /// running update, streams wait. An observation takes 24 to 48 bytes.
-    max_pending_observations: u64 = 4_000_000, 1000, 1 << 32;
-    /// The same for the grid of a map, in changes: scans, and cells that differ from the scan before. A change takes 8
-    /// to 16 bytes.
-    max_pending_changes: u64 = 1_000_000, 1000, 1 << 32;
-    /// Update each map at its local midnight. Without it, a map is updated on request (`tidemap update`), at the
-    /// midnights of imported data, and when too much is pending.
-    update_at_midnight: bool = true;
-    /// Maximum number of predictions (states × times) of one request.
-    max_predictions: u64 = 10_000_000, 1, 1 << 40;
-    /// Maximum number of fitted models in the cache, all maps together, and maximum number that evaluations hold at
-    /// once (each holds those of one state). A model takes 100 bytes to 10 KB; a histogram takes 16 bytes per bin.
-    max_fitted_models: usize = 4000, 1, 1_000_000;
-    /// Maximum number of observations that a model is fitted to. A fit takes some 100 bytes for each while it runs.
-    max_fit_readings: u64 = 2_000_000, 1, 1 << 32;
-    /// Maximum number of open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5
-    /// MB, and the models of the previous generation.
-    max_watches: usize = 64, 1, 100_000;
-    /// Maximum number of grid cells of one plan. A cell takes about 20 bytes while the plan is made.
-    max_plan_cells: u64 = 1 << 24, 1, 1 << 32;
-    /// Maximum work of views in one request: viewpoints × times × cells that the rays of one view pass.
-    max_view_work: u64 = 200_000_000_000, 1, 1 << 60;
-    /// Number of update threads, all maps together; 0: half the processors, at least one.
-    update_threads: usize = 0, 0, 1024;
-    /// Size at which a log segment is closed and the next one begun, in bytes.
-    segment_bytes: u64 = 64 << 20, 1 << 16, 1 << 32;
-    /// Size of the index cache, in bytes.
-    index_cache_bytes: u64 = 64 << 20, 1 << 20, 1 << 36;
-    /// Number of checkpoints that are kept of each map.
-    checkpoints_kept: usize = 2, 1, 100;
-    /// Memory for the learned models of a map's tiles, in bytes. Other tiles are read from the newest checkpoint.
-    tile_cache_bytes: u64 = 1 << 30, 1 << 20, 1 << 44;
-    /// Memory for the sums of a map's states, in bytes. Other sums are read from the newest checkpoint by the next
-    /// update.
-    spectrum_cache_bytes: u64 = 64 << 20, 0, 1 << 44;
-    /// How fast the data folder is read again in the background, to find damage early, in bytes a second; 0: never.
-    scrub_bytes_per_sec: u64 = 4 << 20, 0, 1 << 40;
-    /// Pause between two such rounds, and before the first, in seconds.
-    scrub_every_secs: u64 = 21_600, 1, 31_536_000;
+    "folder" {
+        /// Folder of all data. One daemon at a time; a second one refuses to start. The systemd unit sets it to
+        /// /var/lib/tidemap.
+        data_dir: PathBuf = PathBuf::from("./tidemap-data");
+    }
+    "ports" {
+        /// Address of the gRPC port. Port 0 picks a free port; the line `listening grpc=HOST:PORT http=HOST:PORT` on
+        /// stdout names it.
+        listen: String = "127.0.0.1:7435".to_owned();
+        /// Address of the HTTP port: the page, JSON, health and metrics.
+        http_listen: String = "127.0.0.1:7436".to_owned();
+        /// Host names by which browsers may reach the HTTP port where no tokens are configured, besides localhost and
+        /// addresses, so that pages of others cannot ask it (DNS rebinding).
+        http_hosts: Vec<String> = Vec::new();
+        /// Let everybody who reaches the HTTP port change data, where no tokens are configured. Without it, the port is
+        /// for reading.
+        http_write: bool = false;
+        /// A Unix socket on which gRPC is served as well, for clients of this machine (tidemap --server unix:PATH);
+        /// empty: none.
+        socket: PathBuf = PathBuf::new();
+        /// Permissions of the Unix socket. Who may write to it may connect; 0o660 lets the daemon's group connect.
+        socket_mode: u32 = 0o600, 0, 0o777;
+    }
+    "security: see the page Security of the guide" {
+        /// The certificate of the gRPC port, and of the HTTP port beyond this machine, in PEM form, with those of the
+        /// authorities between it and the root; empty: no TLS. It is read again when it changes.
+        tls_certificate: PathBuf = PathBuf::new();
+        /// The private key of the certificate, in PEM form, without a password. It is read again when it changes.
+        tls_key: PathBuf = PathBuf::new();
+        /// Authorities of clients, in PEM form. If named, each client of the gRPC port must present a certificate of
+        /// one of them.
+        tls_client_ca: PathBuf = PathBuf::new();
+        /// The file of the tokens that clients must have, as `tidemapd token` writes it; empty: everybody who reaches
+        /// the port may do everything. It is read again when it changes. The daemon must own the file, and nobody else
+        /// may read it.
+        tokens_file: PathBuf = PathBuf::new();
+        /// Listen on other addresses than this machine's without TLS or without tokens.
+        allow_insecure_remote: bool = false;
+    }
+    "log, on stderr" {
+        /// "text" for people, "json" for one object a line.
+        log_format: LogFormat = LogFormat::Text;
+        /// error, warn, info, debug, trace, or a filter such as "info,tidemapd::ingest=debug".
+        log_level: String = "info".to_owned();
+    }
+    "limits: the maximum of each" {
+        /// Maps.
+        max_maps: usize = 256, 1, 10_000;
+        /// States of a map. A state takes 4 to 7 KB of memory while it is served, and two to three times as much while
+        /// an update runs.
+        max_states_per_map: usize = 100_000, 1, 16_000_000;
+        /// Tiles of the occupancy grid of a map: 8x8x8 cells each, 8x8 in a flat grid.
+        max_tiles_per_map: usize = 200_000, 1, 8_000_000;
+        /// Producer keys (producer and label) of a map.
+        max_producers_per_map: usize = 10_000, 1, 1_000_000;
+        /// Observations of one message.
+        max_batch_observations: usize = 4096, 1, 65_536;
+        /// Scans of one message.
+        max_batch_scans: usize = 1024, 1, 65_536;
+        /// Points or rays of one scan. A scan that spans messages waits in memory, with 12 bytes per point.
+        max_scan_points: usize = 1_000_000, 1, 100_000_000;
+        /// Tiles of one scan, and of one stream's table of tiles. A tile of the table takes about 350 bytes.
+        max_scan_tiles: usize = 65_536, 1, 100_000;
+        /// Size of one message, in bytes.
+        max_message_bytes: usize = 1 << 20, 4096, 16 << 20;
+        /// Bytes that one stream has sent and that are not durable yet. A faster robot waits.
+        max_stream_buffer_bytes: usize = 1 << 20, 4096, 1 << 30;
+        /// The same of all streams; at least max_stream_buffer_bytes, at most 4 GiB.
+        max_buffer_bytes: usize = 64 << 20;
+        /// Bytes of the tables of tiles and unfinished scans of all streams.
+        max_stream_tables_bytes: usize = 256 << 20, 1 << 20, 1 << 36;
+        /// Connections of the gRPC port. Beyond that, one that makes no requests makes room; if all are busy, the new
+        /// one is closed.
+        max_connections: usize = 4096, 8, 1_000_000;
+        /// Connections of one client address.
+        max_connections_per_client: usize = 2048, 1, 1_000_000;
+        /// Requests under way, besides streams of observations and watches of anomalies.
+        max_requests: usize = 384, 1, 100_000;
+        /// Requests under way of one client address.
+        max_requests_per_client: usize = 128, 1, 100_000;
+        /// Open streams of observations.
+        max_streams: usize = 1024, 1, 100_000;
+        /// Observations of a map that wait for the nightly update. Above this an update runs early; above twice this,
+        /// including those of a running update, streams wait. An observation takes 24 to 48 bytes of memory.
+        max_pending_observations: u64 = 4_000_000, 1000, 1 << 32;
+        /// The same for the grid of a map, in changes: scans, and cells that differ from the scan before. A change
+        /// takes 8 to 16 bytes of memory.
+        max_pending_changes: u64 = 1_000_000, 1000, 1 << 32;
+        /// Update each map at its local midnight. Without it, a map is updated on request (tidemap update), at the
+        /// midnights of imported data, and when too much is pending.
+        update_at_midnight: bool = true;
+        /// Predictions (states x times) of one request.
+        max_predictions: u64 = 10_000_000, 1, 1 << 40;
+        /// Models that are fitted on request and cached, all maps together, and that evaluations hold at once (each
+        /// holds those of one state). A model takes 100 bytes to 10 KB, a histogram 16 bytes per bin.
+        max_fitted_models: usize = 4000, 1, 1_000_000;
+        /// Observations that one model is fitted to. A fit takes some 100 bytes for each while it runs.
+        max_fit_readings: u64 = 2_000_000, 1, 1 << 32;
+        /// Open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5 MB, and the
+        /// models of the previous generation.
+        max_watches: usize = 64, 1, 100_000;
+        /// Grid cells of one plan of exploration. A cell takes about 20 bytes while the plan is made.
+        max_plan_cells: u64 = 1 << 24, 1, 1 << 32;
+        /// Work of views in one request: viewpoints x times x cells that the rays of one view pass (about 400,000 for a
+        /// view of 4 m with cells of 0.1 m).
+        max_view_work: u64 = 200_000_000_000, 1, 1 << 60;
+    }
+    "work and storage" {
+        /// Threads of updates, all maps together; 0: half the processors, at least one.
+        update_threads: usize = 0, 0, 1024;
+        /// Size at which a log segment is closed and the next one begun, in bytes.
+        segment_bytes: u64 = 64 << 20, 1 << 16, 1 << 32;
+        /// Cache of the index of models, in bytes.
+        index_cache_bytes: u64 = 64 << 20, 1 << 20, 1 << 36;
+        /// Checkpoints that are kept of each map.
+        checkpoints_kept: usize = 2, 1, 100;
+        /// Memory for the learned models of a map's tiles, in bytes. Other tiles are read from the newest checkpoint.
+        tile_cache_bytes: u64 = 1 << 30, 1 << 20, 1 << 44;
+        /// Memory for the sums of a map's states, in bytes. Other sums are read from the newest checkpoint by the next
+        /// update.
+        spectrum_cache_bytes: u64 = 64 << 20, 0, 1 << 44;
+        /// How fast the data folder is read again in the background, to find damage early, in bytes a second; 0: never.
+        scrub_bytes_per_sec: u64 = 4 << 20, 0, 1 << 40;
+        /// Pause between two such rounds, and before the first, in seconds.
+        scrub_every_secs: u64 = 21_600, 1, 31_536_000;
+    }
 }
 
 /// What a port beyond this machine lacks.

@@ -8,6 +8,7 @@
 mod access;
 mod catalog;
 mod clock;
+mod command_texts;
 mod config;
 mod connections;
 mod daemon;
@@ -37,6 +38,9 @@ use crate::config::{BackupCommand, Flags, OfflineCommand, Settings};
 /// status. Everything that must survive a power cut goes through `disk`.
 pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
     let flags = Flags::parse();
+    if let Some(code) = command_texts::run(&flags) {
+        return code;
+    }
     if let Some(OfflineCommand::Index { dir, map }) = &flags.command {
         return index_print::run(dir, map.as_deref());
     }

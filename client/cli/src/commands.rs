@@ -5,6 +5,7 @@
 mod anomalies;
 mod backup;
 mod bench;
+mod command_texts;
 mod day;
 mod evaluate;
 mod experiment;
@@ -216,6 +217,12 @@ enum Command {
     Open(open::OpenArgs),
     /// Shows how tidemap works, with its own daemon and a simulated office
     Demo(demo::DemoArgs),
+    /// Prints the completions of a shell, for example: tidemap completions bash
+    #[command(hide = true)]
+    Completions(command_texts::CompletionsArgs),
+    /// Writes a man page for each command
+    #[command(hide = true)]
+    ManPages(command_texts::ManPagesArgs),
 }
 
 /// The context of a command.
@@ -269,6 +276,11 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     if let Command::Experiment(args) = line.command {
         return experiment::run(args, line.output.unwrap_or_else(default_format));
     }
+    match &line.command {
+        Command::Completions(args) => return command_texts::completions(args),
+        Command::ManPages(args) => return command_texts::man_pages(args),
+        _ => {}
+    }
     let client = Client::with_credentials(&line.server, &credentials(&line)?);
     let client = client.map_err(|error| UsageError(error.to_string()))?;
     let session = Session { client, format: line.output.unwrap_or_else(default_format) };
@@ -302,7 +314,11 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
         Command::Backup(command) => backup::run(&session, &command).await,
         Command::Bench(command) => bench::run(&session, &command).await,
         // Handled above.
-        Command::Demo(_) | Command::Experiment(_) | Command::Open(_) => Ok(ExitCode::SUCCESS),
+        Command::Demo(_)
+        | Command::Experiment(_)
+        | Command::Open(_)
+        | Command::Completions(_)
+        | Command::ManPages(_) => Ok(ExitCode::SUCCESS),
     }
 }
 
