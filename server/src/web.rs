@@ -1,4 +1,5 @@
-//! What browsers and scripts find on the HTTP port: gRPC-Web, the same RPCs as JSON, and the page.
+//! What browsers and scripts find on the HTTP port: gRPC-Web, the same RPCs as JSON, pictures and
+//! documents to link to, and the page.
 //!
 //! Invariant: a request reaches the RPCs by the same guard, admission and bounds as on the gRPC port. Requests of pages
 //! of other origins are refused. Without tokens the port is for reading, unless the operator says `http_write`.
@@ -22,6 +23,7 @@ use crate::{connections::Peer, rpc::serve::GuardedServices};
 mod assets;
 mod codec;
 mod json;
+mod links;
 mod openapi;
 mod origin;
 
@@ -46,7 +48,9 @@ pub(crate) fn router(services: &GuardedServices, hosts: KnownHosts) -> anyhow::R
     let grpc_web = GrpcWebLayer::new().layer(services.clone());
     let mut router = Router::new()
         .route("/api/v1/openapi.json", get(|| async { json::ok(openapi) }))
-        .route("/api/v1/{service}/{method}", post(json::call));
+        .route("/api/v1/{service}/{method}", post(json::call))
+        .route("/api/v1/maps/{name}/grid.png", get(links::grid_png))
+        .route("/api/v1/maps/{name}/topology.geojson", get(links::topology_geojson));
     for service in pool.services() {
         for method in service.methods() {
             let path = format!("/{}/{}", service.full_name(), method.name());

@@ -1,6 +1,8 @@
 //! The HTTP port: RPCs as JSON and gRPC-Web, with the same permissions and limits as over gRPC, and closed to the pages
 //! of others.
 
+mod links;
+
 use serde_json::json;
 use tempfile::tempdir;
 use tidemap_client::{maps::NewMap, queries::ModelSelector};
@@ -38,9 +40,10 @@ async fn every_rpc_that_takes_one_request_is_there_as_json() {
     let document = request(&daemon.http, "GET", "/api/v1/openapi.json", &[], b"");
     assert_eq!(document.code, 200);
     let document = document.json();
-    let paths: Vec<String> = document["paths"].as_object().expect("paths").keys().cloned().collect();
+    let paths = document["paths"].as_object().expect("paths").iter();
+    let paths: Vec<&String> = paths.filter(|(_, methods)| methods["post"].is_object()).map(|(path, _)| path).collect();
     assert!(paths.len() >= 40, "{paths:?}");
-    for path in &paths {
+    for path in paths {
         let headers = [("content-type", "application/json")];
         for body in ["{}", "", "{\"map\":\"nowhere\"}", "{\"map\":\"a/../b\"}", "[]", "{", "{\"nonsense\":1}", "null"] {
             let answer = request(&daemon.http, "POST", path, &headers, body.as_bytes());

@@ -81,7 +81,8 @@ fn error_object(status: &Status) -> Value {
     json!({ "error": error })
 }
 
-fn status_reply(status: &Status) -> Response {
+/// The answer of an error that an RPC gave.
+pub(super) fn status_reply(status: &Status) -> Response {
     reply(http_code(status.code()), "application/json", Body::from(error_object(status).to_string()))
 }
 

@@ -1,6 +1,6 @@
 //! The description of the JSON interface (OpenAPI 3.1), made from the descriptors of the wire and their comments.
 //!
-//! Invariant: it has each RPC that JSON can call, and nothing else.
+//! Invariant: it has each RPC that JSON can call, what can be linked to, and nothing else.
 
 use axum::body::Bytes;
 use prost_reflect::{
@@ -8,6 +8,8 @@ use prost_reflect::{
     MethodDescriptor,
 };
 use serde_json::{Map, Value, json};
+
+use super::links::{PICTURE_PARAMETERS, Parameter, TOPOLOGY_PARAMETERS};
 
 /// The comment before an element of a file, as one text.
 fn comment(file: &FileDescriptor, path: &[i32]) -> String {
@@ -125,6 +127,55 @@ fn operation(method: &MethodDescriptor) -> Value {
     described(operation, text)
 }
 
+/// What can be linked to: its path, what it is, its parameters, and the type of its content.
+const LINKS: [(&str, &str, &[Parameter], &str); 2] = [
+    (
+        "/api/v1/maps/{name}/grid.png",
+        "The grid of a map as it is predicted at a time, as a picture with one pixel for each column of cells. Its \
+         headers `tidemap-lower-left-m` and `tidemap-metres-per-pixel` say where it lies.",
+        PICTURE_PARAMETERS,
+        "image/png",
+    ),
+    (
+        "/api/v1/maps/{name}/topology.geojson",
+        "The nodes and edges of a map with what is predicted of them at a time. Coordinates are metres in the frame of \
+         the map.",
+        TOPOLOGY_PARAMETERS,
+        "application/geo+json",
+    ),
+];
+
+/// The operation of a link.
+fn link(text: &str, parameters: &[Parameter], media: &str) -> Value {
+    let name = json!({
+        "name": "name", "in": "path", "required": true, "schema": { "type": "string" },
+        "description": "Name of the map.",
+    });
+    let others = parameters.iter().map(|parameter| {
+        let mut described = json!({
+            "name": parameter.name, "in": "query", "schema": { "type": "string" },
+            "description": parameter.description,
+        });
+        if !parameter.example.is_empty() {
+            described["example"] = parameter.example.into();
+        }
+        described
+    });
+    json!({
+        "description": text,
+        "tags": ["Links"],
+        "parameters": std::iter::once(name).chain(others).collect::<Vec<Value>>(),
+        "responses": {
+            "200": { "description": "The content.", "content": { media: {} } },
+            "304": { "description": "The caller has it: `If-None-Match` was its `ETag`." },
+            "default": {
+                "description": "The request was refused or failed; `error.message` says why.",
+                "content": { "application/json": { "schema": reference("Error") } },
+            },
+        },
+    })
+}
+
 /// The document.
 pub(super) fn document(pool: &DescriptorPool) -> Bytes {
     let mut paths = Map::new();
@@ -136,6 +187,10 @@ pub(super) fn document(pool: &DescriptorPool) -> Bytes {
             let path = format!("/api/v1/{}/{}", service.name(), method.name());
             paths.insert(path, json!({ "post": operation(&method) }));
         }
+    }
+    tags.push(json!({ "name": "Links", "description": "What people link to." }));
+    for (path, text, parameters, media) in LINKS {
+        paths.insert(path.to_owned(), json!({ "get": link(text, parameters, media) }));
     }
     let error = json!({
         "type": "object",
@@ -187,14 +242,19 @@ mod tests {
         let document: Value = serde_json::from_slice(&document(&pool)).expect("JSON");
         let paths = document["paths"].as_object().expect("paths");
         let callable = pool.services().flat_map(|service| service.methods().collect::<Vec<_>>());
-        assert_eq!(paths.len(), callable.filter(|method| !method.is_client_streaming()).count());
+        let methods = callable.filter(|method| !method.is_client_streaming()).count();
+        assert_eq!(paths.values().filter(|path| path["post"].is_object()).count(), methods);
+        assert_eq!(paths.values().filter(|path| path["get"].is_object()).count(), paths.len() - methods);
         let schemas = document["components"]["schemas"].as_object().expect("schemas");
         let text = document.to_string();
         for (position, marker) in text.match_indices("#/components/schemas/") {
             let name = text[position + marker.len()..].split('"').next().expect("an end");
             assert!(schemas.contains_key(name), "{name}");
         }
-        let without = paths.iter().filter(|(_, path)| path["post"]["description"].is_null());
+        let without = paths.iter().filter(|(_, path)| {
+            let operation = if path["post"].is_object() { &path["post"] } else { &path["get"] };
+            operation["description"].is_null()
+        });
         assert_eq!(without.count(), 0, "each method says what it does");
     }
 }

@@ -73,15 +73,21 @@ fn refusal(hosts: &KnownHosts, request: &Request) -> Option<String> {
     (!is_own).then(|| "a page of another origin may not use this port".to_owned())
 }
 
+/// Whether another site's document fetches it. Links come from anywhere, but not even a picture may be shown elsewhere.
+fn is_embedded(request: &Request) -> bool {
+    let says = |name: &str, word: &str| request.headers().get(name).is_some_and(|value| value == word);
+    let is_link = request.method() == Method::GET
+        && (says("sec-fetch-mode", "navigate") || !request.uri().path().starts_with("/api/"));
+    says("sec-fetch-site", "cross-site") && !is_link
+}
+
 /// Refuses what pages of other origins send.
 pub(super) async fn check(State(hosts): State<KnownHosts>, request: Request, next: Next) -> Response {
     if let Some(reason) = refusal(&hosts, &request) {
         metrics::counter!("tidemap_foreign_requests_total").increment(1);
         return json::failure(StatusCode::FORBIDDEN, "PERMISSION_DENIED", "FOREIGN_REQUEST", &reason);
     }
-    // Links to the page come from anywhere; nothing else may be fetched by another site's documents.
-    let is_cross = request.headers().get("sec-fetch-site").is_some_and(|site| site == "cross-site");
-    if is_cross && request.method() != Method::GET {
+    if is_embedded(&request) {
         let reason = "a page of another site may not use this port";
         return json::failure(StatusCode::FORBIDDEN, "PERMISSION_DENIED", "FOREIGN_REQUEST", reason);
     }

@@ -1,0 +1,136 @@
+//! What people link to: a grid at a time as a picture, and the topological map at a time as GeoJSON.
+//!
+//! Invariant: they ask the RPCs as any client does, with the caller's token, so that permissions and limits are the
+//! same. What is served has a tag of its content, and is asked for again each time.
+
+use axum::{
+    body::Body,
+    extract::Request,
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{IntoResponse as _, Response},
+};
+use tidemap_map::time::{InvalidTime, parse_time};
+use tonic::Status;
+
+use super::{Gateway, json};
+use crate::clock::{Clock as _, SystemClock};
+
+mod palette;
+mod parameters;
+mod picture;
+mod topology;
+
+pub(super) use picture::{PARAMETERS as PICTURE_PARAMETERS, grid_png};
+pub(super) use topology::{PARAMETERS as TOPOLOGY_PARAMETERS, topology_geojson};
+
+/// Why there is no content.
+enum Failure {
+    /// An RPC refused or failed.
+    Refused(Status),
+    /// A parameter is wrong, or there is nothing to show.
+    Invalid(String),
+    /// The content is too large; what to do instead.
+    TooLarge(String),
+}
+
+impl From<Status> for Failure {
+    fn from(status: Status) -> Self {
+        Self::Refused(status)
+    }
+}
+
+impl From<InvalidTime> for Failure {
+    fn from(error: InvalidTime) -> Self {
+        Self::Invalid(error.to_string())
+    }
+}
+
+impl Failure {
+    fn response(&self) -> Response {
+        match self {
+            Self::Refused(status) => json::status_reply(status),
+            Self::Invalid(text) => json::failure(StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "INVALID_FIELD", text),
+            Self::TooLarge(text) => json::failure(StatusCode::BAD_REQUEST, "INVALID_ARGUMENT", "LIMIT", text),
+        }
+    }
+}
+
+/// A parameter of an address, as the description of the interface shows it.
+pub(super) struct Parameter {
+    /// Its name.
+    pub name: &'static str,
+    /// What it means, and its default.
+    pub description: &'static str,
+    /// A value to try.
+    pub example: &'static str,
+}
+
+/// Who asks: requests to the RPCs carry the caller's token, and count for the caller's connection.
+struct Caller {
+    token: Option<HeaderValue>,
+    peer: Option<crate::connections::Peer>,
+    known_tag: Option<HeaderValue>,
+}
+
+impl Caller {
+    fn of(request: &Request) -> Self {
+        let header = |name| request.headers().get(name).cloned();
+        Self {
+            token: header(header::AUTHORIZATION),
+            peer: request.extensions().get().copied(),
+            known_tag: header(header::IF_NONE_MATCH),
+        }
+    }
+
+    fn request<T>(&self, message: T) -> tonic::Request<T> {
+        let mut request = tonic::Request::new(message);
+        if let Some(token) = &self.token
+            && let Ok(token) = tonic::metadata::MetadataValue::try_from(token.as_bytes())
+        {
+            request.metadata_mut().insert("authorization", token);
+        }
+        if let Some(peer) = self.peer {
+            request.extensions_mut().insert(peer);
+        }
+        request
+    }
+
+    /// The content, or that the caller has it already.
+    fn answer(&self, content_type: &'static str, content: Vec<u8>, facts: HeaderMap) -> Response {
+        let digest = ring::digest::digest(&ring::digest::SHA256, &content);
+        let hex: String = digest.as_ref().iter().take(12).map(|byte| format!("{byte:02x}")).collect();
+        let tag = format!("\"{hex}\"");
+        let is_known = self.known_tag.as_ref().is_some_and(|known| known.as_bytes() == tag.as_bytes());
+        let mut response =
+            if is_known { StatusCode::NOT_MODIFIED.into_response() } else { Body::from(content).into_response() };
+        let headers = response.headers_mut();
+        headers.extend(facts);
+        // The next observation or update may change it.
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+        headers.insert(header::VARY, HeaderValue::from_static("authorization"));
+        headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+        headers.insert("cross-origin-resource-policy", HeaderValue::from_static("same-origin"));
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(content_type));
+        if let Ok(tag) = HeaderValue::from_str(&tag) {
+            headers.insert(header::ETAG, tag);
+        }
+        response
+    }
+}
+
+/// A time of an address: Unix seconds, RFC 3339 or `now`.
+fn time(text: &str) -> Result<i64, Failure> {
+    // A plus in an address may have become a space, as forms write it.
+    if text == "now" { Ok(SystemClock.now_nanos()) } else { Ok(parse_time(&text.replace(' ', "+"))?) }
+}
+
+/// Runs a computation that takes memory, off the async threads; few run at once.
+async fn in_turn<T: Send + 'static>(
+    gateway: &Gateway,
+    work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
+) -> Result<T, Failure> {
+    let turn = std::sync::Arc::clone(&gateway.large).acquire_owned().await;
+    let done = tokio::task::spawn_blocking(work).await;
+    drop(turn);
+    done.unwrap_or_else(|_| Err(Status::internal("the work was not done").into()))
+}

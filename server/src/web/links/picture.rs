@@ -1,0 +1,389 @@
+//! `GET /api/v1/maps/NAME/grid.png`: the columns of a grid at a time, one byte a pixel, north at the top.
+//!
+//! Invariant: the number of pixels is checked before cells are asked for. A column shows its most probable known cell of
+//! the heights, as on the page.
+
+use axum::{
+    extract::{Path, Request, State},
+    http::{HeaderMap, HeaderValue},
+    response::Response,
+};
+use tidemap_proto::{
+    convert::time::timestamp,
+    v1::{self, predict_grid_response::Message, query_service_client::QueryServiceClient},
+};
+
+use super::{
+    super::Gateway,
+    Caller, Failure, Parameter, in_turn,
+    palette::{FULL, Layer, UNKNOWN, entry},
+    parameters::Given,
+    time,
+};
+
+/// Maximum width and height, pixels.
+const SIDE_MAX: i64 = 8192;
+/// Maximum number of pixels.
+const PIXELS_MAX: i64 = 1 << 24;
+/// Maximum number of pixels along the side of a cell.
+const SCALE_MAX: u32 = 16;
+/// Maximum size of one reply of the RPC.
+const REPLY_BYTES: usize = 8 << 20;
+/// Heights that matter to a robot, metres; the floor and the ceiling are always occupied.
+const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
+/// Cells along the side of a tile.
+const TILE: i64 = 8;
+
+/// The parameters of the address.
+pub(in super::super) const PARAMETERS: &[Parameter] = &[
+    Parameter {
+        name: "at",
+        description: "The time: RFC 3339, Unix seconds or `now`. Default: now.",
+        example: "2025-03-18T10:00:00Z",
+    },
+    Parameter {
+        name: "layer",
+        description: "`probability` (the default), `entropy`, `difference` or `seen`, as on the page.",
+        example: "probability",
+    },
+    Parameter {
+        name: "than",
+        description: "With layer `difference`: the other time. Default: 24 hours before.",
+        example: "",
+    },
+    Parameter {
+        name: "z",
+        description: "Heights, metres, MIN:MAX. Default: 0.1:1.8, or all if the grid has nothing there.",
+        example: "0.1:1.8",
+    },
+    Parameter { name: "x", description: "Only cells within MIN:MAX, metres along x. Default: all.", example: "" },
+    Parameter { name: "y", description: "Only cells within MIN:MAX, metres along y. Default: all.", example: "" },
+    Parameter { name: "scale", description: "Pixels along the side of a cell, 1 to 16. Default: 1.", example: "4" },
+];
+
+/// Cells of columns with their values, rows from south to north.
+struct Columns {
+    region: v1::CellBox,
+    cells: Vec<u8>,
+}
+
+impl Columns {
+    fn empty(region: v1::CellBox) -> Self {
+        let [width, height] = sides(&region);
+        Self { region, cells: vec![UNKNOWN; usize::try_from(width * height).unwrap_or(0)] }
+    }
+
+    fn paint(&mut self, tile: &v1::PredictedTile) {
+        let [width, height] = sides(&self.region);
+        let (low, high) = (entry(tile.static_low), entry(tile.static_high));
+        let has = |mask: &[u8], row: usize, column: u32| mask.get(row).is_some_and(|bits| bits >> column & 1 == 1);
+        let mut values = tile.values.iter();
+        for row in 0..8_usize {
+            let y = i64::from(tile.y) * TILE + row as i64 - i64::from(self.region.min_y);
+            for column in (0..8).filter(|&column| has(&tile.known, row, column)) {
+                let value = if tile.all_values || has(&tile.changed, row, column) {
+                    values.next().copied().map_or(0, entry)
+                } else if has(&tile.high, row, column) {
+                    high
+                } else {
+                    low
+                };
+                let x = i64::from(tile.x) * TILE + i64::from(column) - i64::from(self.region.min_x);
+                if (0..width).contains(&x)
+                    && (0..height).contains(&y)
+                    && let Ok(index) = usize::try_from(y * width + x)
+                    && let Some(cell) = self.cells.get_mut(index)
+                {
+                    *cell = value;
+                }
+            }
+        }
+    }
+
+    /// (self - other + 1) / 2 where both are known.
+    fn minus(&mut self, other: &Self) {
+        for (cell, &before) in self.cells.iter_mut().zip(&other.cells) {
+            *cell = match (*cell, before) {
+                (UNKNOWN, _) | (_, UNKNOWN) => UNKNOWN,
+                (now, before) => ((u16::from(now) + u16::from(FULL) - u16::from(before)) / 2) as u8,
+            };
+        }
+    }
+
+    /// The picture as a PNG file.
+    fn png(&self, layer: Layer, scale: u32) -> Result<Vec<u8>, Failure> {
+        let [width, height] = sides(&self.region).map(|side| u32::try_from(side).unwrap_or(0));
+        let mut pixels = Vec::with_capacity(self.cells.len() * (scale * scale) as usize);
+        for row in self.cells.chunks((width as usize).max(1)).rev() {
+            let wide: Vec<u8> = row.iter().flat_map(|&cell| std::iter::repeat_n(cell, scale as usize)).collect();
+            for _ in 0..scale {
+                pixels.extend_from_slice(&wide);
+            }
+        }
+        let failed = |error: png::EncodingError| Failure::from(tonic::Status::internal(error.to_string()));
+        let mut file = Vec::new();
+        let mut encoder = png::Encoder::new(&mut file, width * scale, height * scale);
+        encoder.set_color(png::ColorType::Indexed);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_palette(layer.palette());
+        encoder.set_trns([[255; 255].as_slice(), &[0]].concat());
+        let mut writer = encoder.write_header().map_err(failed)?;
+        writer.write_image_data(&pixels).map_err(failed)?;
+        writer.finish().map_err(failed)?;
+        Ok(file)
+    }
+}
+
+/// Number of columns along x and y.
+fn sides(region: &v1::CellBox) -> [i64; 2] {
+    let side = |min: i32, max: i32| (i64::from(max) - i64::from(min)).max(0);
+    [side(region.min_x, region.max_x), side(region.min_y, region.max_y)]
+}
+
+/// Where cells lie along an axis.
+#[derive(Clone, Copy)]
+struct Axis {
+    name: &'static str,
+    origin_m: f64,
+    resolution_m: f64,
+    /// The first cell, and the one beyond the last.
+    cells: (i32, i32),
+}
+
+impl Axis {
+    fn metres(self, cell: i32) -> f64 {
+        self.origin_m + f64::from(cell) * self.resolution_m
+    }
+
+    /// The cells that a range of metres touches.
+    #[allow(clippy::cast_possible_truncation, reason = "a float becomes the nearest i32")]
+    fn within(self, range: Option<(f64, f64)>) -> Result<(i32, i32), Failure> {
+        let Some((min, max)) = range else { return Ok(self.cells) };
+        // A range that ends where a cell begins does not touch it.
+        let cell = |metres: f64| (metres - self.origin_m) / self.resolution_m;
+        let (first, end) = ((cell(min) + 1e-6).floor() as i32, (cell(max) - 1e-6).ceil() as i32);
+        let cells = (first.max(self.cells.0), end.min(self.cells.1));
+        if cells.0 < cells.1 {
+            return Ok(cells);
+        }
+        Err(Failure::Invalid(format!(
+            "the grid has nothing between {name}={min} and {name}={max}: it goes from {:.2} m to {:.2} m",
+            self.metres(self.cells.0),
+            self.metres(self.cells.1),
+            name = self.name,
+        )))
+    }
+
+    /// The heights that are shown if none were asked for.
+    fn usual(self) -> (i32, i32) {
+        self.within(Some(HEIGHTS_M)).unwrap_or(self.cells)
+    }
+}
+
+/// What an address asks for.
+struct Wanted {
+    map: String,
+    at: i64,
+    /// The time that layer `difference` compares with.
+    than: Option<i64>,
+    layer: Layer,
+    scale: u32,
+    ranges: [Option<(f64, f64)>; 3],
+}
+
+impl Wanted {
+    fn of(map: String, given: &Given) -> Result<Self, Failure> {
+        let layer = given.get("layer").unwrap_or("probability");
+        let Some((_, layer)) = Layer::ALL.into_iter().find(|(name, _)| *name == layer) else {
+            let names = Layer::ALL.map(|(name, _)| name).join(", ");
+            return Err(Failure::Invalid(format!("there is no layer {layer:.40}: the layers are {names}")));
+        };
+        let scale = given.get("scale").unwrap_or("1");
+        let Some(scale) = scale.parse().ok().filter(|scale| (1..=SCALE_MAX).contains(scale)) else {
+            return Err(Failure::Invalid(format!("scale={scale:.40} is not a number from 1 to {SCALE_MAX}")));
+        };
+        let at = time(given.get("at").unwrap_or("now"))?;
+        let than = match (given.get("than").map(time).transpose()?, layer) {
+            (None, Layer::Difference) => Some(at.saturating_sub(86_400_000_000_000).max(0)),
+            (Some(_), layer) if layer != Layer::Difference => {
+                return Err(Failure::Invalid("than is the other time of layer=difference".to_owned()));
+            }
+            (than, _) => than,
+        };
+        let ranges = [given.range("x")?, given.range("y")?, given.range("z")?];
+        Ok(Self { map, at, than, layer, scale, ranges })
+    }
+
+    fn question(&self, at: i64, region: Option<v1::CellBox>) -> v1::PredictGridRequest {
+        let latest = v1::ModelSelector { kind: v1::ModelKind::Latest.into(), ..v1::ModelSelector::default() };
+        v1::PredictGridRequest {
+            map: self.map.clone(),
+            time: Some(timestamp(at)),
+            model: (self.layer == Layer::Seen).then_some(latest),
+            estimate_only: region.is_none(),
+            region,
+            project: true,
+            ..v1::PredictGridRequest::default()
+        }
+    }
+
+    /// The part of a grid with these bounds.
+    fn region(&self, grid: &v1::Grid, bounds: &v1::CellBox) -> Result<v1::CellBox, Failure> {
+        let axis =
+            |name, origin_m, min, max| Axis { name, origin_m, resolution_m: grid.resolution_m, cells: (min, max) };
+        let x = axis("x", grid.origin_x_m, bounds.min_x, bounds.max_x).within(self.ranges[0])?;
+        let y = axis("y", grid.origin_y_m, bounds.min_y, bounds.max_y).within(self.ranges[1])?;
+        let heights = axis("z", grid.origin_z_m, bounds.min_z, bounds.max_z);
+        let z = match self.ranges[2] {
+            Some(_) => heights.within(self.ranges[2])?,
+            None if grid.flat => heights.cells,
+            None => heights.usual(),
+        };
+        let region = v1::CellBox { min_x: x.0, max_x: x.1, min_y: y.0, max_y: y.1, min_z: z.0, max_z: z.1 };
+        let [width, height] = sides(&region).map(|side| side * i64::from(self.scale));
+        if width > SIDE_MAX || height > SIDE_MAX || width * height > PIXELS_MAX {
+            return Err(Failure::TooLarge(format!(
+                "the picture would have {width} × {height} pixels; at most {SIDE_MAX} along a side and {PIXELS_MAX} in \
+                 all: select a part with x=MIN:MAX and y=MIN:MAX, or a smaller scale"
+            )));
+        }
+        Ok(region)
+    }
+}
+
+/// Asks for a grid. Without a region only its header comes.
+async fn ask(
+    gateway: &Gateway,
+    caller: &Caller,
+    question: v1::PredictGridRequest,
+    mut take: impl FnMut(&v1::PredictedTile),
+) -> Result<v1::GridHeader, Failure> {
+    let mut client = QueryServiceClient::new(gateway.services.clone()).max_decoding_message_size(REPLY_BYTES);
+    let mut replies = client.predict_grid(caller.request(question)).await?.into_inner();
+    let mut header = v1::GridHeader::default();
+    while let Some(reply) = replies.message().await? {
+        match reply.message {
+            Some(Message::Header(first)) => header = first,
+            Some(Message::Page(page)) => page.tiles.iter().for_each(&mut take),
+            None => {}
+        }
+    }
+    Ok(header)
+}
+
+/// The columns of a region at a time.
+async fn columns(
+    gateway: &Gateway,
+    caller: &Caller,
+    wanted: &Wanted,
+    at: i64,
+    region: v1::CellBox,
+) -> Result<(Columns, u64), Failure> {
+    let mut columns = Columns::empty(region);
+    let header = ask(gateway, caller, wanted.question(at, Some(region)), |tile| columns.paint(tile)).await?;
+    Ok((columns, header.generation))
+}
+
+async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Response, Failure> {
+    let caller = Caller::of(&request);
+    let wanted = Wanted::of(map, &Given::of(request.uri().query(), PARAMETERS)?)?;
+    let header = ask(gateway, &caller, wanted.question(wanted.at, None), |_| ()).await?;
+    let grid = header.grid.unwrap_or_default();
+    let Some(bounds) = header.region.filter(|_| header.tiles > 0) else {
+        return Err(Failure::Invalid(format!("the grid of map {} has no scans yet: send some", wanted.map)));
+    };
+    let region = wanted.region(&grid, &bounds)?;
+    let (mut now, generation) = columns(gateway, &caller, &wanted, wanted.at, region).await?;
+    if let Some(than) = wanted.than {
+        let (before, _) = columns(gateway, &caller, &wanted, than, region).await?;
+        now.minus(&before);
+    }
+    let mut facts = HeaderMap::new();
+    let corner = |origin: f64, cell: i32| origin + f64::from(cell) * grid.resolution_m;
+    for (name, value) in [
+        ("tidemap-time", tidemap_map::time::format_rfc3339(wanted.at)),
+        ("tidemap-generation", generation.to_string()),
+        ("tidemap-metres-per-pixel", (grid.resolution_m / f64::from(wanted.scale)).to_string()),
+        (
+            "tidemap-lower-left-m",
+            format!("{} {}", corner(grid.origin_x_m, region.min_x), corner(grid.origin_y_m, region.min_y)),
+        ),
+    ] {
+        if let Ok(value) = HeaderValue::from_str(&value) {
+            facts.insert(name, value);
+        }
+    }
+    let file = in_turn(gateway, move || now.png(wanted.layer, wanted.scale)).await?;
+    Ok(caller.answer("image/png", file, facts))
+}
+
+/// Answers with the picture.
+pub(in super::super) async fn grid_png(
+    State(gateway): State<Gateway>,
+    Path(map): Path<String>,
+    request: Request,
+) -> Response {
+    answer(&gateway, map, request).await.unwrap_or_else(|failure| failure.response())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const REGION: v1::CellBox = v1::CellBox { min_x: 7, max_x: 10, min_y: 0, max_y: 2, min_z: 0, max_z: 1 };
+
+    /// A projected tile at (1, 0): the cells (8, 0) free, (9, 0) occupied, (8, 1) at a quarter.
+    fn tile(value: f32) -> v1::PredictedTile {
+        v1::PredictedTile {
+            x: 1,
+            known: vec![3, 1, 0, 0, 0, 0, 0, 0],
+            changed: vec![0, 1, 0, 0, 0, 0, 0, 0],
+            high: vec![2, 0, 0, 0, 0, 0, 0, 0],
+            static_high: 1.0,
+            values: vec![value],
+            ..v1::PredictedTile::default()
+        }
+    }
+
+    #[test]
+    fn tiles_are_painted_where_they_lie() {
+        let mut columns = Columns::empty(REGION);
+        columns.paint(&tile(0.25));
+        assert_eq!(columns.cells, [UNKNOWN, 0, FULL, UNKNOWN, 64, UNKNOWN]);
+        let mut before = Columns::empty(REGION);
+        before.paint(&tile(1.0));
+        columns.minus(&before);
+        assert_eq!(columns.cells, [UNKNOWN, 127, 127, UNKNOWN, 32, UNKNOWN]);
+    }
+
+    #[test]
+    fn a_file_is_read_back_pixel_by_pixel() -> Result<(), Box<dyn std::error::Error>> {
+        let mut columns = Columns::empty(REGION);
+        columns.paint(&tile(0.25));
+        let Ok(file) = columns.png(Layer::Probability, 2) else { return Err("no file".into()) };
+        let mut reader = png::Decoder::new(std::io::Cursor::new(&file)).read_info()?;
+        let mut pixels = vec![0; reader.output_buffer_size().ok_or("too large")?];
+        let frame = reader.next_frame(&mut pixels)?;
+        assert_eq!((frame.width, frame.height, frame.color_type), (6, 4, png::ColorType::Indexed));
+        let (top, bottom) = ([UNKNOWN, UNKNOWN, 64, 64, UNKNOWN, UNKNOWN], [UNKNOWN, UNKNOWN, 0, 0, FULL, FULL]);
+        assert_eq!(pixels, [top, top, bottom, bottom].concat());
+        assert_eq!(
+            reader.info().trns.as_deref().map(|alphas| (alphas[0], alphas[254], alphas[255])),
+            Some((255, 255, 0))
+        );
+        Ok(())
+    }
+
+    #[test]
+    fn a_range_takes_the_cells_that_it_touches() {
+        let axis = Axis { name: "z", origin_m: -1.0, resolution_m: 0.1, cells: (0, 32) };
+        let within = |min, max| axis.within(Some((min, max))).ok();
+        assert_eq!(within(0.1, 1.8), Some((11, 28)));
+        assert_eq!(within(0.15, 0.16), Some((11, 12)));
+        assert_eq!(within(-9.0, 99.0), Some((0, 32)));
+        assert_eq!(within(5.0, 6.0), None);
+        assert_eq!(axis.usual(), (11, 28));
+        assert_eq!(Axis { cells: (0, 2), ..axis }.usual(), (0, 2), "everything, where the usual heights have nothing");
+        assert_eq!(axis.within(None).ok(), Some((0, 32)));
+    }
+}

@@ -1,0 +1,169 @@
+//! Pictures of grids and GeoJSON of topologies, as a browser or a script gets them from the HTTP port.
+//!
+//! Invariant: expected pixels and forecasts come from what was observed, or from the command line.
+
+use std::io::Cursor;
+
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+use tidemap_client::{
+    maps::{GridSpec, NewMap},
+    observe::{
+        Producer, ProducerOptions,
+        scan::Scan,
+        tiles::{Mask, TileIndex, TileMasks},
+    },
+};
+use tidemap_tests::{
+    cli,
+    daemon::{Daemon, Launch},
+    oracle,
+    tokens::Tokens,
+    web::{Answer, request},
+};
+
+/// Noon of a Monday.
+const NOON_SECS: i64 = 1_767_614_400;
+
+fn get(daemon: &Daemon, path: &str, headers: &[(&str, &str)]) -> Answer {
+    request(&daemon.http, "GET", &format!("/api/v1/maps/{path}"), headers, b"")
+}
+
+/// A flat grid of 0.5 m, with one tile at x = 4 m: its lowest row free, the next one occupied, the others unknown.
+async fn daemon_with_a_grid() -> (TempDir, Daemon) {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let grid = GridSpec { is_flat: true, ..GridSpec::new(0.5) };
+    let map = NewMap { name: "yard".to_owned(), grid: Some(grid), ..NewMap::default() };
+    daemon.client().create_map(map).await.expect("a new map");
+    let options = ProducerOptions::new("robot", "", "yard");
+    let mut producer = Producer::open(&daemon.client(), options).await.expect("a Welcome");
+    let masks = TileMasks::clipped(Mask([0xFFFF, 0, 0, 0, 0, 0, 0, 0]), Mask([0xFF00, 0, 0, 0, 0, 0, 0, 0]));
+    let scan = Scan::Tiles(vec![(TileIndex { x: 1, y: 0, z: 0 }, masks)]);
+    producer.send_scan(NOON_SECS * 1_000_000_000, scan).await.expect("taken");
+    producer.flush().await.expect("durable");
+    assert_eq!(producer.take_refusals(), []);
+    oracle::run_update(&daemon.client(), "yard", Some((NOON_SECS + 60) * 1_000_000_000)).await;
+    (data, daemon)
+}
+
+/// Width, height and pixels.
+fn pixels(answer: &Answer) -> (u32, u32, Vec<u8>) {
+    assert_eq!((answer.code, answer.headers["content-type"].as_str()), (200, "image/png"), "{}", answer.text());
+    let mut reader = png::Decoder::new(Cursor::new(&answer.body)).read_info().expect("a PNG");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
+    let frame = reader.next_frame(&mut pixels).expect("a frame");
+    assert_eq!((frame.color_type, frame.bit_depth), (png::ColorType::Indexed, png::BitDepth::Eight));
+    (frame.width, frame.height, pixels)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_grid_is_a_picture_at_a_time() {
+    let (_data, daemon) = daemon_with_a_grid().await;
+    let later = NOON_SECS + 3_600;
+    let expected = [vec![255; 6 * 8], vec![254; 8], vec![0; 8]].concat();
+    for layer in ["", "&layer=probability", "&layer=entropy", "&layer=seen"] {
+        let answer = get(&daemon, &format!("yard/grid.png?at={later}{layer}"), &[]);
+        assert_eq!(pixels(&answer), (8, 8, expected.clone()), "{layer}");
+    }
+    let (_, _, change) = pixels(&get(&daemon, &format!("yard/grid.png?at={later}&layer=difference"), &[]));
+    assert_eq!(change, [vec![255; 6 * 8], vec![127; 2 * 8]].concat());
+    let part = get(&daemon, "yard/grid.png?at=2026-01-05T13:00:00Z&x=5:6&y=0:0.5&scale=3", &[]);
+    assert_eq!(pixels(&part), (6, 3, vec![0; 18]));
+    assert_eq!(part.headers["tidemap-lower-left-m"], "5 0");
+    assert!(part.headers["tidemap-metres-per-pixel"].starts_with("0.1666"), "{part:?}");
+
+    let whole = get(&daemon, &format!("yard/grid.png?at={later}"), &[]);
+    assert_eq!(whole.headers["cache-control"], "private, no-cache");
+    let again = get(&daemon, &format!("yard/grid.png?at={later}"), &[("if-none-match", &whole.headers["etag"])]);
+    assert_eq!((again.code, again.body.len()), (304, 0));
+    assert_eq!(request(&daemon.http, "HEAD", "/api/v1/maps/yard/grid.png", &[], b"").code, 200);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pictures_that_cannot_be_made_say_why() {
+    let (_data, daemon) = daemon_with_a_grid().await;
+    let empty = NewMap { name: "new".to_owned(), grid: Some(GridSpec::new(0.1)), ..NewMap::default() };
+    daemon.client().create_map(empty).await.expect("a new map");
+    let bare = NewMap { name: "bare".to_owned(), ..NewMap::default() };
+    daemon.client().create_map(bare).await.expect("a new map");
+    for (path, code, text) in [
+        ("nowhere/grid.png", 404, "nowhere"),
+        ("bare/grid.png", 400, "grid"),
+        ("new/grid.png", 400, "no scans yet"),
+        ("yard/grid.png?layer=heat", 400, "the layers are probability, entropy"),
+        ("yard/grid.png?at=noon", 400, "is not a time"),
+        ("yard/grid.png?time=5", 400, "the parameters are at, layer"),
+        ("yard/grid.png?x=90:95", 400, "it goes from 4.00 m to 8.00 m"),
+        ("yard/grid.png?scale=17", 400, "from 1 to 16"),
+        ("yard/grid.png?than=5", 400, "layer=difference"),
+        ("yard/topology.geojson", 400, "no nodes"),
+        ("nowhere/topology.geojson?at=5", 404, "nowhere"),
+        ("yard/topology.geojson?layer=5", 400, "the parameters are at, object"),
+    ] {
+        let answer = get(&daemon, path, &[]);
+        assert_eq!(answer.code, code, "{path}: {}", answer.text());
+        let error = answer.json()["error"].clone();
+        assert!(error["message"].as_str().is_some_and(|message| message.contains(text)), "{path}: {error}");
+        assert!(error["reason"].is_string() && error["code"].is_string(), "{path}: {error}");
+    }
+    let foreign = [("sec-fetch-site", "cross-site"), ("sec-fetch-mode", "no-cors")];
+    assert_eq!(get(&daemon, "yard/grid.png", &foreign).reason(), "FOREIGN_REQUEST");
+    assert_eq!(get(&daemon, "yard/grid.png", &[("host", "evil.example")]).reason(), "FOREIGN_REQUEST");
+    let followed = [("sec-fetch-site", "cross-site"), ("sec-fetch-mode", "navigate")];
+    assert_eq!(get(&daemon, "yard/grid.png", &followed).code, 200, "a link from elsewhere");
+}
+
+#[test]
+fn a_picture_needs_the_role_of_predictions() {
+    let work = tempdir().expect("a folder");
+    let tokens = Tokens::of(work.path());
+    let [observer, planner] = ["observer", "planner"].map(|role| format!("Bearer {}", tokens.create(&[role], &[])));
+    let data = work.path().join("data");
+    let daemon = Launch::on(&data).setting("tokens_file", tokens.path.display()).start();
+    for path in ["home/grid.png", "home/topology.geojson"] {
+        assert_eq!(get(&daemon, path, &[]).reason(), "NO_TOKEN");
+        assert_eq!(get(&daemon, path, &[("authorization", &observer)]).reason(), "NEEDS_ROLE");
+        assert_eq!(get(&daemon, path, &[("authorization", &planner)]).reason(), "UNKNOWN_MAP");
+    }
+}
+
+#[test]
+fn a_topology_is_geojson_at_a_time() {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    cli::tidemap(&daemon, ["map", "create", "flat"]).table();
+    let topology = "node hall\nnode lab\nnode attic\nlink hall lab 20\nlink lab attic 30\n";
+    cli::tidemap_reading(&daemon, ["topology", "load", "flat", "-"], topology).table();
+    for (node, pose) in [("hall", "1,2"), ("lab", "4.5,-6")] {
+        cli::tidemap(&daemon, ["topology", "edit", "set-node", "flat", node, "--position", pose]).table();
+    }
+    let mut rows = "time,state,value\n".to_owned();
+    for hour in 0..240 {
+        rows += &format!("{},hall,{}\n", NOON_SECS + hour * 3_600, u8::from(hour % 24 < 12));
+    }
+    cli::tidemap_reading(&daemon, ["observe", "flat", "-", "--producer", "robot"], &rows).table();
+    cli::tidemap(&daemon, ["update", "flat"]).table();
+    let at = (NOON_SECS + 11 * 86_400).to_string();
+    let answer = get(&daemon, &format!("flat/topology.geojson?at={at}"), &[]);
+    assert_eq!((answer.code, answer.headers["content-type"].as_str()), (200, "application/geo+json"));
+    let document = answer.json();
+    assert!(document["tidemap"]["coordinates"].as_str().is_some_and(|text| text.contains("metres")));
+    let features = document["features"].as_array().expect("features");
+    let find = |key: &str, value: &str| -> Vec<&Value> {
+        features.iter().filter(|feature| feature["properties"][key] == value).collect()
+    };
+    assert_eq!(find("name", "lab")[0]["geometry"]["coordinates"], serde_json::json!([4.5, -6.0]));
+    assert!(find("name", "attic")[0]["geometry"].is_null());
+    let presence = cli::tidemap(&daemon, ["predict", "flat", "hall", "--at", &at]).table();
+    let said = find("name", "hall")[0]["properties"]["presence"].as_f64().expect("a number");
+    assert!((said - presence.number("probability")).abs() < 1e-6, "{said} {presence:?}");
+    let edges = find("from", "hall");
+    let line = serde_json::json!([[1.0, 2.0], [4.5, -6.0]]);
+    assert_eq!(edges[0]["geometry"], serde_json::json!({ "type": "LineString", "coordinates": line }));
+    let route = cli::tidemap(&daemon, ["route", "flat", "hall", "lab", "--at", &at]).table();
+    let success = edges[0]["properties"]["success"].as_f64().expect("a number");
+    assert!((success - route.number("probability")).abs() < 1e-6, "{success} {route:?}");
+    let again = [("if-none-match", answer.headers["etag"].as_str())];
+    assert_eq!(get(&daemon, &format!("flat/topology.geojson?at={at}"), &again).code, 304);
+}
