@@ -1,7 +1,7 @@
 //! Bad input on the command line and in files: exit status, the wrong value in the message, and the valid rows that are
 //! kept.
 
-use std::fs;
+use std::{fs, path::Path};
 
 use tidemap_tests::cli::{self, Outcome};
 
@@ -184,4 +184,41 @@ fn a_daemon_that_is_not_there_is_named() {
     run(&server, &["observe", "office", file, "--patience", "1s"])
         .fails(1, &[&server, "connection refused", "gave up"]);
     run("ftp://here", &["map", "list"]).fails(2, &["ftp://here", "HOST:PORT"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn refused_rows_are_corrected_without_doubling_the_others() {
+    let (folder, daemon) = office(|launch| launch).await;
+    let [file, again, last] = ["a.csv", "again.csv", "last.csv"].map(|name| folder.path().join(name));
+    let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
+    let long = "n".repeat(129);
+    let rows = format!("{HEADER}1451865960,door,1\nsoon,door,1\n1451866020,{long},0\n1451866080,door,2\n");
+    fs::write(&file, rows).expect("a file");
+    let observe = |file: &Path, more: &[&str]| {
+        let args = ["observe", "office", &text(file), "--producer", "robot"].map(str::to_owned);
+        cli::tidemap(&daemon, args.into_iter().chain(more.iter().map(|&arg| arg.to_owned())))
+    };
+    // Sent without the option at first: what was refused is found again, and nothing is sent twice.
+    observe(&file, &[]).fails(1, &["--refused FILE", "row 2 (line 3)", "row 4 (line 5)"]);
+    let with = observe(&file, &["--refused", &text(&again)]);
+    assert_eq!(with.table().rows, [["4", "0", "4", "0"]]);
+    let kept = fs::read_to_string(&again).expect("a file");
+    let lines: Vec<&str> = kept.lines().collect();
+    assert_eq!(lines.len(), 4, "{kept}");
+    assert_eq!(lines[0], format!("line,refused,{}", HEADER.trim_end()));
+    assert!(lines[1].starts_with("3,\"time ") && lines[1].ends_with(",soon,door,1"), "{kept}");
+    observe(&file, &["--refused", &text(&again)]).fails(2, &["it exists"]);
+
+    let corrected = kept.replace(",soon,", ",1451866000,").replace(&format!(",{long},0"), ",gate,0");
+    fs::write(&again, corrected).expect("a file");
+    let outcome = observe(&again, &["--refused", &text(&last)]);
+    assert_eq!(outcome.table_with(1).rows, [["3", "2", "0", "1"]]);
+    fs::write(&last, fs::read_to_string(&last).expect("a file").replace(",door,2", ",door,0")).expect("a file");
+    for accepted in ["1", "0"] {
+        assert_eq!(observe(&last, &[]).table().rows[0][1], accepted);
+    }
+    assert_eq!(observations(&daemon).await, 4);
+    // Who corrects the file itself is told what to do.
+    fs::write(&file, format!("{HEADER}1451865960,door,1\n1451866000,door,1\n")).expect("a file");
+    observe(&file, &[]).fails(1, &["nothing was sent", "--refused FILE", "--label a-2.csv"]);
 }

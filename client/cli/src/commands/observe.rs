@@ -5,6 +5,7 @@
 
 pub(crate) mod feed;
 pub(crate) mod kinds;
+pub(crate) mod refused;
 pub(crate) mod transfer;
 
 use std::{
@@ -24,6 +25,7 @@ use tokio::{sync::watch, task::JoinHandle};
 use self::{
     feed::{Feed, RefusalReport},
     kinds::Kinds,
+    refused::RefusedRows,
     transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
 };
 use super::{Session, job, producer_id, state::KindArg, times, usage};
@@ -46,6 +48,9 @@ pub(crate) struct ObserveArgs {
     /// kind; new states are probabilities]
     #[arg(long, value_name = "KIND")]
     kind: Option<KindArg>,
+    /// Writes the refused rows to this new file, to be corrected there and sent
+    #[arg(long, value_name = "FILE")]
+    refused: Option<PathBuf>,
 }
 
 /// Who sends a file, and how.
@@ -92,6 +97,7 @@ pub(super) const INTERRUPTED: u8 = 130;
 
 pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::display_name(&args.file);
+    let refused = args.refused.as_deref().map(|target| RefusedRows::new(&args.file, target)).transpose()?;
     let feed = feed::open::<ObservationColumns>(&args.file)?;
     let has_positions = feed.layout.has_positions();
     if let Some(kind) = args.kind.filter(|kind| (*kind == KindArg::Vector) != has_positions) {
@@ -99,7 +105,18 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
         return Err(usage(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())));
     }
     let options = args.sender.options(&args.map, &base_name(&args.file))?;
-    send(session, ProducerOptions { kind: args.kind.and_then(KindArg::single), ..options }, feed, &shown).await
+    let options = ProducerOptions { kind: args.kind.and_then(KindArg::single), ..options };
+    send(session, options, feed, FileSent { shown: &shown, command: "observe", refused }).await
+}
+
+/// A file that a command sends.
+pub(super) struct FileSent<'a> {
+    /// Its name for messages.
+    pub(super) shown: &'a str,
+    /// Name of the command.
+    pub(super) command: &'static str,
+    /// Where its refused rows go.
+    pub(super) refused: Option<RefusedRows>,
 }
 
 /// Sends the rows of a file, prints the counts, and waits for nightly updates if the options announce them.
@@ -107,11 +124,11 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
     session: &Session,
     options: ProducerOptions,
     Feed { rows, total_bytes, .. }: Feed<L>,
-    shown: &str,
+    FileSent { shown, command, refused }: FileSent<'_>,
 ) -> anyhow::Result<ExitCode> {
     let bar = Bar::bytes(total_bytes);
     let (producer, notices) = open_stream(session, options.clone(), &bar).await?;
-    let report = RefusalReport::new(bar.clone(), "row", "is refused");
+    let report = RefusalReport::new(bar.clone(), "row", "is refused").keeping(refused);
     let kinds = Kinds::new(session.client.clone(), options.map.clone(), options.kind);
     let mut transfer = RowTransfer::new(producer, notices, rows, (report, kinds), bar.clone());
     let end = run_transfer(session, &mut transfer, &options, &bar, "rows").await?;
@@ -121,6 +138,17 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
         session.print(&["read", "accepted", "duplicate", "refused"], [cells])?;
     }
     transfer.report.conclude();
+    let again = format!("tidemap {command} {} --producer {}", options.map, options.producer);
+    if let Some(refused) = transfer.report.kept() {
+        // A file that differs was not sent, and what is wrong with it says nothing about what was.
+        let advice = if matches!(end, TransferEnd::Differs(_)) { None } else { refused.write(&again)? };
+        advice.iter().for_each(|advice| status_line(advice));
+    } else if counts.refused > 0 && shown != "stdin" {
+        status_line(&format!(
+            "to correct the refused rows: {again} {shown} --refused FILE writes them to a file of their own, and sends \
+             nothing twice"
+        ));
+    }
     if let TransferEnd::Stopped(_) = end {
         let durable = counts.accepted + counts.duplicate + counts.refused;
         status_line(&format!(
@@ -132,7 +160,17 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
         TransferEnd::Unreadable(error) => TransferEnd::Unreadable(error.context(shown.to_owned())),
         end => end,
     };
-    exit_code(end, &transfer.report, &options, shown, "Another file needs")
+    exit_code(
+        end,
+        &transfer.report,
+        &options,
+        shown,
+        &format!(
+            "Corrected rows of the same file go into a file of their own (--refused FILE writes them); with another label, \
+         all rows would count again. Another file needs another label, such as --label {}",
+            other_label(&options.label)
+        ),
+    )
 }
 
 /// Runs a transfer until it ends or Ctrl-C, then waits for nightly updates if the options announce them.
@@ -178,7 +216,7 @@ pub(super) fn exit_code(
     report: &RefusalReport,
     options: &ProducerOptions,
     shown: &str,
-    others_need: &str,
+    what_to_do: &str,
 ) -> anyhow::Result<ExitCode> {
     match end {
         TransferEnd::Whole if report.is_clean() => Ok(ExitCode::SUCCESS),
@@ -189,11 +227,18 @@ pub(super) fn exit_code(
         TransferEnd::Stopped(error) => Err(error.into()),
         TransferEnd::Differs(how) => {
             let ProducerOptions { producer, label, .. } = options;
-            anyhow::bail!(
-                "{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. {others_need} another \
-                 --label"
-            )
+            anyhow::bail!("{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. {what_to_do}")
         }
+    }
+}
+
+/// A label for another file that has this label by default.
+fn other_label(label: &str) -> String {
+    let (stem, ending) = label.rsplit_once('.').map_or((label, String::new()), |(stem, end)| (stem, format!(".{end}")));
+    let numbered = stem.rsplit_once('-').and_then(|(name, number)| Some((name, number.parse::<u32>().ok()?)));
+    match numbered {
+        Some((name, number)) if number < u32::MAX => format!("{name}-{}{ending}", number + 1),
+        _ => format!("{stem}-2{ending}"),
     }
 }
 
@@ -260,6 +305,20 @@ async fn report_outages(mut progress: watch::Receiver<Progress>, bar: Bar, patie
                 bar.status_line("connected again");
             }
             _ => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_label_is_proposed() {
+        for (label, other) in
+            [("log.csv", "log-2.csv"), ("log-2.csv", "log-3.csv"), ("stdin", "stdin-2"), ("robot-a", "robot-a-2")]
+        {
+            assert_eq!(other_label(label), other);
         }
     }
 }

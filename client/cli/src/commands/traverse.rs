@@ -10,7 +10,7 @@ use tidemap_client::observe::{ProducerOptions, TraversalReport};
 
 use super::{
     Session,
-    observe::{self, SenderArgs, feed},
+    observe::{self, FileSent, SenderArgs, feed, refused::RefusedRows},
     times, usage,
 };
 use crate::progress::{Bar, status_line};
@@ -50,6 +50,9 @@ pub(crate) struct TraverseArgs {
     /// Reason of a failure, at most 200 characters
     #[arg(long, value_name = "TEXT", requires = "from")]
     reason: Option<String>,
+    /// Writes the refused rows to this new file, to be corrected there and sent
+    #[arg(long, value_name = "FILE", requires = "file")]
+    refused: Option<PathBuf>,
     #[command(flatten)]
     sender: SenderArgs,
 }
@@ -77,8 +80,10 @@ impl TraverseArgs {
 
 pub(crate) async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Result<ExitCode> {
     if let Some(file) = &args.file {
+        let refused = args.refused.as_deref().map(|target| RefusedRows::new(file, target)).transpose()?;
         let feed = feed::open::<TraversalColumns>(file)?;
-        return observe::send(session, args.options()?, feed, &feed::display_name(file)).await;
+        let sent = FileSent { shown: &feed::display_name(file), command: "traverse", refused };
+        return observe::send(session, args.options()?, feed, sent).await;
     }
     let report = args.report();
     if let Some(wrong) = report.wrong() {

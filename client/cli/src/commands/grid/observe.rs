@@ -87,7 +87,7 @@ pub(crate) async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Res
     if matches!(end, TransferEnd::Stopped(_)) {
         status_line("the same command again sends what is missing");
     }
-    exit_code(end, &transfer.report, &options, &display_names(&args.files), "Other scans need")
+    exit_code(end, &transfer.report, &options, &display_names(&args.files), "Other scans need another --label")
 }
 
 fn display_names(files: &[PathBuf]) -> String {

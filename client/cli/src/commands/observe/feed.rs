@@ -13,6 +13,7 @@ use std::{
 use anyhow::Context as _;
 use tokio::sync::mpsc;
 
+use super::refused::RefusedRows;
 use crate::progress::Bar;
 use tidemap_formats::observation_file::{Layout, ObservationColumns, ObservationRow, RowError, RowItem, RowReader};
 
@@ -135,16 +136,37 @@ pub(crate) struct RefusalReport {
     wrong: u64,
     reported: u64,
     torn: bool,
+    kept: Option<RefusedRows>,
 }
 
 impl RefusalReport {
     /// `noun` and `verb` make the message: a "row" "is refused".
     pub(crate) fn new(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
-        Self { bar, noun, verb, wrong: 0, reported: 0, torn: false }
+        Self { bar, noun, verb, wrong: 0, reported: 0, torn: false, kept: None }
+    }
+
+    /// Also keeps the rows.
+    pub(crate) fn keeping(self, kept: Option<RefusedRows>) -> Self {
+        Self { kept, ..self }
+    }
+
+    /// The rows that were kept, if that was asked for.
+    pub(crate) fn kept(&self) -> Option<&RefusedRows> {
+        self.kept.as_ref()
+    }
+
+    /// Keeps a row that was refused when it was sent, which is counted already.
+    pub(crate) fn was_refused(&mut self, line: u64, why: &str) {
+        if let Some(kept) = &mut self.kept {
+            kept.add(Some(line), why);
+        }
     }
 
     pub(crate) fn refused(&mut self, number: u64, line: Option<u64>, why: &str) {
         self.wrong += 1;
+        if let Some(kept) = &mut self.kept {
+            kept.add(line, why);
+        }
         if self.reported < REPORTED_MAX {
             self.reported += 1;
             let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
@@ -155,6 +177,9 @@ impl RefusalReport {
     /// Counts refused rows whose details are lost.
     pub(crate) fn count_refused(&mut self, rows: u64) {
         self.wrong += rows;
+        if let Some(kept) = &mut self.kept {
+            kept.lose(rows);
+        }
     }
 
     /// Reports a last line that has no line end.

@@ -189,6 +189,11 @@ impl<T: Sendable> RowTransfer<T> {
                     "its first {sent_before} rows are not the {sent_before} sent before"
                 )));
             }
+            if self.report.kept().is_some()
+                && let Some(wrong) = row.wrong(&mut self.kinds).await
+            {
+                self.report.was_refused(line, &wrong);
+            }
             return Ok(());
         }
         let sequence = row.send(&mut self.producer).await.map_err(TransferEnd::Stopped)?;
