@@ -42,17 +42,19 @@ use std::{
     io::{BufWriter, Stdout},
     path::PathBuf,
     process::ExitCode,
+    time::Duration,
 };
 
 use anyhow::Context as _;
-use clap::{Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use tidemap_client::{Client, connection::Credentials};
 
 use crate::{
     demo,
-    output::{self, default_format, format_parser},
+    output::{self, TimeArg, default_format, format_parser},
 };
-use tidemap_formats::table::{self, Cell, Format, TableWriter};
+use tidemap_formats::table::{self, Cell, Format, TableWriter, TimeStyle};
+use tidemap_model::Zone;
 
 /// Heading of the options that every command has.
 const GLOBAL: &str = "Options of every command";
@@ -92,8 +94,33 @@ pub(crate) struct CommandLine {
     /// Format of the results [default: table on a terminal, csv otherwise]
     #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, value_name = "FORMAT", value_parser = format_parser())]
     output: Option<Format>,
+    /// How tables show times; CSV and JSON always have Unix seconds
+    #[arg(id = "time_style", long = "time", global = true, help_heading = GLOBAL, display_order = 101, value_name = "STYLE", default_value = "local")]
+    time: TimeArg,
     #[command(subcommand)]
     command: Command,
+}
+
+/// Parses the command line, and finds the name of the map that the command is about.
+pub(crate) fn parse() -> (CommandLine, Option<String>) {
+    let matches = CommandLine::command().get_matches();
+    let line = CommandLine::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    (line, map_of(&matches))
+}
+
+/// Commands that show no times; they do not ask for the map's zone.
+const TIMELESS: [&str; 4] = ["observe", "traverse", "update", "visit"];
+
+fn map_of(matches: &ArgMatches) -> Option<String> {
+    let mut matches = matches;
+    while let Some((name, inner)) = matches.subcommand() {
+        if TIMELESS.contains(&name) {
+            return None;
+        }
+        matches = inner;
+    }
+    let text = |id| matches.try_get_one::<String>(id).ok().flatten().cloned();
+    text("map").or_else(|| text("name"))
 }
 
 #[derive(Debug, Subcommand)]
@@ -229,6 +256,7 @@ enum Command {
 pub(crate) struct Session {
     pub(crate) client: Client,
     pub(crate) format: Format,
+    pub(crate) times: TimeStyle,
 }
 
 impl Session {
@@ -238,13 +266,22 @@ impl Session {
         columns: &[&str],
         rows: impl IntoIterator<Item = Vec<Cell>>,
     ) -> anyhow::Result<ExitCode> {
-        table::write_rows(self.format, columns, rows, output::stdout())?;
+        table::write_rows_at(self.format, &self.times, columns, rows, output::stdout())?;
+        Ok(ExitCode::SUCCESS)
+    }
+
+    /// Prints one row; in a table each value has a line.
+    pub(crate) fn print_one(&self, columns: &[&str], row: Vec<Cell>) -> anyhow::Result<ExitCode> {
+        if self.format != Format::Table {
+            return self.print(columns, [row]);
+        }
+        table::write_upright(&self.times, columns, &row, output::stdout())?;
         Ok(ExitCode::SUCCESS)
     }
 
     /// A result on stdout, for rows that come one by one.
     pub(crate) fn table(&self, columns: &[&str]) -> TableWriter<BufWriter<Stdout>> {
-        TableWriter::new(self.format, columns, output::stdout())
+        TableWriter::new(self.format, columns, output::stdout()).with_times(&self.times)
     }
 }
 
@@ -265,8 +302,26 @@ fn credentials(line: &CommandLine) -> anyhow::Result<Credentials> {
     Ok(Credentials { token, ca: read("certificates", &line.tls_ca)?, identity })
 }
 
-/// Runs a command.
-pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
+/// The zone of a map may take so long to ask for; without it, times are UTC.
+const ZONE_WITHIN: Duration = Duration::from_secs(2);
+
+/// How the tables of a command show times.
+async fn time_style(client: &Client, format: Format, time: TimeArg, map: Option<&str>) -> TimeStyle {
+    match (time, map) {
+        (TimeArg::Unix, _) => TimeStyle::Unix,
+        (TimeArg::Ns, _) => TimeStyle::Nanos,
+        (TimeArg::Local, Some(map)) if format == Format::Table => {
+            // What is wrong with the map or the daemon is for the command to say.
+            let map = tokio::time::timeout(ZONE_WITHIN, client.map(map)).await;
+            let zone = map.ok().and_then(Result::ok).and_then(|map| Zone::named(&map.time_zone).ok());
+            TimeStyle::Clock(zone.unwrap_or_else(Zone::utc))
+        }
+        (TimeArg::Local | TimeArg::Utc, _) => TimeStyle::Clock(Zone::utc()),
+    }
+}
+
+/// Runs a command about a map, if it is about one.
+pub(crate) async fn run(line: CommandLine, map: Option<String>) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
         return demo::run(args).await;
     }
@@ -283,7 +338,9 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
     }
     let client = Client::with_credentials(&line.server, &credentials(&line)?);
     let client = client.map_err(|error| UsageError(error.to_string()))?;
-    let session = Session { client, format: line.output.unwrap_or_else(default_format) };
+    let format = line.output.unwrap_or_else(default_format);
+    let times = time_style(&client, format, line.time, map.as_deref()).await;
+    let session = Session { client, format, times };
     match line.command {
         Command::Map(command) => map::run(&session, command).await,
         Command::State(command) => state::run(&session, command).await,
@@ -324,9 +381,22 @@ pub(crate) async fn run(line: CommandLine) -> anyhow::Result<ExitCode> {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory as _;
-
     use super::*;
+
+    #[test]
+    fn the_map_of_a_command_is_found() {
+        for (line, map) in [
+            ("tidemap predict home door --at 1", Some("home")),
+            ("tidemap map show home", Some("home")),
+            ("tidemap state list home", Some("home")),
+            ("tidemap topology failures home", Some("home")),
+            ("tidemap observe home a.csv", None),
+            ("tidemap job list", None),
+        ] {
+            let matches = CommandLine::command().try_get_matches_from(line.split(' '));
+            assert_eq!(matches.map(|matches| map_of(&matches)).ok(), Some(map.map(str::to_owned)), "{line}");
+        }
+    }
 
     #[test]
     fn the_command_line_is_consistent() {

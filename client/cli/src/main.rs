@@ -10,17 +10,15 @@ mod progress;
 
 use std::{io, process::ExitCode};
 
-use clap::Parser as _;
-
-use commands::{CommandLine, UsageError};
+use commands::UsageError;
 
 fn main() -> ExitCode {
-    let command_line = CommandLine::parse();
+    let (command_line, map) = commands::parse();
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => return failed(&anyhow::Error::new(error).context("the runtime cannot start")),
     };
-    let code = runtime.block_on(commands::run(command_line)).unwrap_or_else(|error| failed(&error));
+    let code = runtime.block_on(commands::run(command_line, map)).unwrap_or_else(|error| failed(&error));
     // A thread may still wait for stdin; do not wait for it.
     runtime.shutdown_background();
     code

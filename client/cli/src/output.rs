@@ -4,8 +4,24 @@
 
 use std::io::{self, BufWriter, IsTerminal as _};
 
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{
+    ValueEnum,
+    builder::{PossibleValue, PossibleValuesParser, TypedValueParser},
+};
 use tidemap_formats::table::Format;
+
+/// How tables show times.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum TimeArg {
+    /// Day and clock in the time zone of the map
+    Local,
+    /// Day and clock in UTC
+    Utc,
+    /// Unix seconds, as in CSV and JSON
+    Unix,
+    /// Nanoseconds since 1970
+    Ns,
+}
 
 /// A table on a terminal, CSV otherwise.
 pub(crate) fn default_format() -> Format {

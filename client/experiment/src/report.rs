@@ -110,8 +110,8 @@ fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io:
                 Cell::Text(model.label.clone()),
                 model.sets[trial.set].shown().into(),
                 number.into(),
-                Cell::Secs(fold.from_nanos),
-                Cell::Secs(fold.until_nanos),
+                Cell::Time(fold.from_nanos),
+                Cell::Time(fold.until_nanos),
                 errors.observations.into(),
                 Evaluation::mse(errors).into(),
                 trial.error.into(),
@@ -145,7 +145,7 @@ fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -
         readings.sort_unstable();
         for (time, state, at) in readings {
             let value = test.samples[state][at].value;
-            let mut cells = vec![Cell::Secs(time), outcome.data.states[state].as_str().into(), value.into()];
+            let mut cells = vec![Cell::Time(time), outcome.data.states[state].as_str().into(), value.into()];
             cells.extend(outcome.models.iter().map(|model| Cell::from(model.score.predictions[set][state][at])));
             table.row(cells)?;
         }

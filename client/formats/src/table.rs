@@ -1,11 +1,16 @@
 //! Tables of results: aligned columns for people, CSV and JSON for programs.
 //!
-//! Invariant: the same columns in each form. Programs get numbers in full; only the aligned form rounds.
+//! Invariant: the same columns in each form. Programs get numbers in full and times in Unix seconds; only the aligned form
+//! rounds, and shows times as people read them.
+
+mod times;
 
 use std::io::{self, Write};
 
 use comfy_table::{CellAlignment, Table, presets};
 use tidemap_map::time::format_secs;
+
+pub use times::TimeStyle;
 
 /// How results are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,8 +34,10 @@ pub enum Cell {
     Count(u64),
     /// Any number.
     Number(f64),
-    /// Nanoseconds, shown as seconds.
+    /// A duration in nanoseconds, shown as seconds.
     Secs(i64),
+    /// A time, nanoseconds since 1970 UTC.
+    Time(i64),
     /// Yes or no.
     Flag(bool),
 }
@@ -65,9 +72,14 @@ impl Cell {
         value.map_or(Self::Empty, Into::into)
     }
 
+    /// A duration, or nothing.
+    pub fn secs(nanos: Option<i64>) -> Self {
+        nanos.map_or(Self::Empty, Self::Secs)
+    }
+
     /// A time, or nothing.
     pub fn time(nanos: Option<i64>) -> Self {
-        nanos.map_or(Self::Empty, Self::Secs)
+        nanos.map_or(Self::Empty, Self::Time)
     }
 
     fn exact(&self) -> String {
@@ -76,7 +88,7 @@ impl Cell {
             Self::Text(text) => text.clone(),
             Self::Count(count) => count.to_string(),
             Self::Number(number) => number.to_string(),
-            Self::Secs(nanos) => format_secs(*nanos),
+            Self::Secs(nanos) | Self::Time(nanos) => format_secs(*nanos),
             Self::Flag(flag) => flag.to_string(),
         }
     }
@@ -100,7 +112,7 @@ impl Cell {
     }
 
     fn is_numeric(&self) -> bool {
-        matches!(self, Self::Count(_) | Self::Number(_) | Self::Secs(_))
+        matches!(self, Self::Count(_) | Self::Number(_) | Self::Secs(_) | Self::Time(_))
     }
 }
 
@@ -124,6 +136,7 @@ pub struct TableWriter<W: Write> {
     rows: u64,
     waiting: Vec<Vec<Cell>>,
     live: bool,
+    times: TimeStyle,
 }
 
 /// Writes a table whose rows are at hand.
@@ -136,16 +149,55 @@ pub fn write_rows<W: Write, S: AsRef<str>>(
     rows: impl IntoIterator<Item = Vec<Cell>>,
     writer: W,
 ) -> io::Result<()> {
-    let mut table = TableWriter::new(format, columns, writer);
+    write_rows_at(format, &TimeStyle::Unix, columns, rows, writer)
+}
+
+/// Writes a table whose rows are at hand, with times in a style.
+///
+/// # Errors
+/// The writer fails.
+pub fn write_rows_at<W: Write, S: AsRef<str>>(
+    format: Format,
+    times: &TimeStyle,
+    columns: &[S],
+    rows: impl IntoIterator<Item = Vec<Cell>>,
+    writer: W,
+) -> io::Result<()> {
+    let mut table = TableWriter::new(format, columns, writer).with_times(times);
     rows.into_iter().try_for_each(|row| table.row(row))?;
     table.finish()
+}
+
+/// Writes one row as an aligned table with a line for each column; values that are absent are left out.
+///
+/// # Errors
+/// The writer fails.
+pub fn write_upright<W: Write, S: AsRef<str>>(
+    times: &TimeStyle,
+    columns: &[S],
+    row: &[Cell],
+    mut writer: W,
+) -> io::Result<()> {
+    let mut lines = Vec::with_capacity(row.len());
+    for (column, cell) in columns.iter().zip(row).filter(|(_, cell)| !cell.exact().is_empty()) {
+        let mut header = column.as_ref().to_owned();
+        let shown = times.column(&mut header, &[cell]).and_then(|texts| texts.into_iter().next());
+        lines.push((header, shown.unwrap_or_else(|| cell.rounded())));
+    }
+    let width = lines.iter().map(|(header, _)| header.chars().count()).max().unwrap_or(0);
+    lines.iter().try_for_each(|(header, text)| writeln!(writer, "{header:<width$}  {text}"))
 }
 
 impl<W: Write> TableWriter<W> {
     /// A table that is written to `writer`.
     pub fn new<S: AsRef<str>>(format: Format, columns: &[S], writer: W) -> Self {
         let columns = columns.iter().map(|column| column.as_ref().to_owned()).collect();
-        Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false }
+        Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false, times: TimeStyle::Unix }
+    }
+
+    /// Shows the times of an aligned table in a style.
+    pub fn with_times(self, times: &TimeStyle) -> Self {
+        Self { times: times.clone(), ..self }
     }
 
     /// A live table: the header is written at once and each row immediately. Columns are not aligned as a whole then,
@@ -166,7 +218,7 @@ impl<W: Write> TableWriter<W> {
         debug_assert_eq!(cells.len(), self.columns.len());
         match self.format {
             Format::Table if self.live => {
-                let cells: Vec<String> = cells.iter().map(Cell::rounded).collect();
+                let cells: Vec<String> = cells.iter().map(|cell| self.times.line(cell)).collect();
                 self.write_line(&cells)?;
             }
             Format::Table => {
@@ -234,12 +286,20 @@ impl<W: Write> TableWriter<W> {
     fn write_table(&mut self) -> io::Result<()> {
         let mut table = Table::new();
         table.load_preset(presets::NOTHING);
-        table.set_header(self.columns.iter());
-        let numeric: Vec<bool> =
-            (0..self.columns.len()).map(|i| self.waiting.iter().any(|row| row[i].is_numeric())).collect();
-        for row in self.waiting.drain(..) {
-            table.add_row(row.iter().map(Cell::rounded));
+        let rows: Vec<Vec<Cell>> = self.waiting.drain(..).collect();
+        let mut header = self.columns.clone();
+        let mut texts: Vec<Vec<String>> = vec![Vec::with_capacity(header.len()); rows.len()];
+        let mut numeric = vec![false; header.len()];
+        for column in 0..header.len() {
+            let cells: Vec<&Cell> = rows.iter().map(|row| &row[column]).collect();
+            let shown = self.times.column(&mut header[column], &cells).unwrap_or_else(|| {
+                numeric[column] = cells.iter().any(|cell| cell.is_numeric());
+                at_the_point(&cells)
+            });
+            texts.iter_mut().zip(shown).for_each(|(row, text)| row.push(text));
         }
+        table.set_header(&header);
+        table.add_rows(texts);
         for (column, numeric) in table.column_iter_mut().zip(numeric) {
             column.set_padding((0, 2));
             if numeric {
@@ -249,6 +309,24 @@ impl<W: Write> TableWriter<W> {
         self.writer.write_all(table.trim_fmt().as_bytes())?;
         self.writer.write_all(b"\n")
     }
+}
+
+/// The cells of a column as texts whose decimal points are one below the other, once they are aligned to the right.
+fn at_the_point(cells: &[&Cell]) -> Vec<String> {
+    let mut texts: Vec<String> = cells.iter().map(|cell| cell.rounded()).collect();
+    let places: Vec<Option<usize>> = cells
+        .iter()
+        .zip(&texts)
+        .map(|(cell, text)| {
+            matches!(cell, Cell::Number(_) | Cell::Secs(_))
+                .then(|| text.find('.').map_or(0, |point| text.len() - point))
+        })
+        .collect();
+    let most = places.iter().copied().flatten().max().unwrap_or(0);
+    for (text, places) in texts.iter_mut().zip(places) {
+        text.extend(std::iter::repeat_n(' ', places.map_or(0, |places| most - places)));
+    }
+    texts
 }
 
 /// A JSON object of names and JSON values.

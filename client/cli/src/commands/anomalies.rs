@@ -63,7 +63,7 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     let mut table = session.table(&["time", "value", "probability"]);
     while let Some(batch) = anomalies.next().await? {
         for Anomaly { utc_nanos: time_nanos, value, probability } in batch {
-            table.row(vec![Cell::Secs(time_nanos), value.into(), probability.into()])?;
+            table.row(vec![Cell::Time(time_nanos), value.into(), probability.into()])?;
         }
     }
     table.finish()?;
@@ -100,7 +100,7 @@ async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<E
             ));
         }
         for (state, Anomaly { utc_nanos: time_nanos, value, probability }) in batch.anomalies {
-            table.row(vec![Cell::Secs(time_nanos), Cell::Text(state), value.into(), probability.into()])?;
+            table.row(vec![Cell::Time(time_nanos), Cell::Text(state), value.into(), probability.into()])?;
         }
     }
 }

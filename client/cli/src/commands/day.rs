@@ -147,7 +147,7 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
     let slots = session.client.plan_day(query).await?;
     let row = |(slot, DaySlot { start_nanos, location, information_bits })| {
         let location = location.map_or(Cell::Empty, Cell::Text);
-        vec![Cell::Count(slot), Cell::Secs(start_nanos), location, information_bits.into()]
+        vec![Cell::Count(slot), Cell::Time(start_nanos), location, information_bits.into()]
     };
     session.print(&COLUMNS, (0_u64..).zip(slots).map(row))
 }

@@ -48,7 +48,7 @@ pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<Exi
         for told in session.client.information(&map, targets, at.clone(), model).await? {
             let numbers = told.entropy_bits.into_iter().zip(told.information_bits);
             rows.extend(at.iter().zip(numbers).map(|(&time, (entropy, information))| {
-                vec![Cell::Text(told.target.clone()), entropy.into(), information.into(), Cell::Secs(time)]
+                vec![Cell::Text(told.target.clone()), entropy.into(), information.into(), Cell::Time(time)]
             }));
         }
     }
@@ -67,7 +67,7 @@ pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<Exi
             let target = format!("{x},{y},{z}");
             match look {
                 Look::Information(bits) => rows.extend(at.iter().zip(bits).map(|(&time, bits)| {
-                    vec![Cell::Text(target.clone()), Cell::Empty, Cell::maybe(bits), Cell::Secs(time)]
+                    vec![Cell::Text(target.clone()), Cell::Empty, Cell::maybe(bits), Cell::Time(time)]
                 })),
                 Look::Nothing(reason) => anyhow::bail!(reason),
             }

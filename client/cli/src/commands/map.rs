@@ -191,6 +191,9 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
         let more = if all { vec![Cell::Empty] } else { more_cells(&map) };
         [cells(map), more].concat()
     };
+    if let ([map], false) = (maps.as_slice(), all) {
+        return session.print_one(&columns, row(map.clone()));
+    }
     let damaged = unavailable.into_iter().map(|map| {
         let mut row = vec![Cell::Empty; COLUMNS.len() + 1];
         row[0] = Cell::Text(map.name);

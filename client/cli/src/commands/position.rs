@@ -77,7 +77,7 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
     while let Some(forecast) = positions.next().await? {
         let time = args.at.get(forecast.time).copied().unwrap_or_default();
         for (middle, probability) in &forecast.cells {
-            let mut cells = vec![Cell::Secs(time)];
+            let mut cells = vec![Cell::Time(time)];
             cells.extend(middle.iter().map(|&coordinate| Cell::from(coordinate)));
             cells.push((*probability).into());
             if args.count.is_some() {

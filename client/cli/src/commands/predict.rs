@@ -107,7 +107,7 @@ pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), UsageError> {
 fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl Iterator<Item = Vec<Cell>> + 'a {
     times.iter().zip(&run.probabilities).enumerate().map(move |(i, (&time, &probability))| {
         vec![
-            Cell::Secs(time),
+            Cell::Time(time),
             state.into(),
             probability.into(),
             Cell::maybe(run.lower.get(i).copied()),
@@ -115,7 +115,7 @@ fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl It
             Cell::maybe(run.entropies_bits.get(i).copied()),
             run.order.into(),
             run.observations.into(),
-            Cell::time(run.last_nanos.map(|last| time.saturating_sub(last))),
+            Cell::secs(run.last_nanos.map(|last| time.saturating_sub(last))),
         ]
     })
 }

@@ -66,7 +66,7 @@ pub(crate) async fn run(session: &Session, args: PresenceArgs) -> anyhow::Result
         order.sort_by(|&one, &other| probabilities[other].total_cmp(&probabilities[one]));
         let row = |node: usize| {
             let (name, share) = (presence.nodes[node].as_str().into(), Cell::maybe(shares.get(node).copied()));
-            vec![Cell::Secs(*time_nanos), name, probabilities[node].into(), share, (*anybody).into()]
+            vec![Cell::Time(*time_nanos), name, probabilities[node].into(), share, (*anybody).into()]
         };
         order.into_iter().map(row).collect::<Vec<_>>()
     };
@@ -83,7 +83,7 @@ pub(crate) async fn joint(session: &Session, args: JointArgs) -> anyhow::Result<
     let JointArgs { map, states, from, within, step, threshold, model } = args;
     let query = JointQuery { map, states, from_nanos: from, within_nanos: within, step_nanos: step, threshold, model };
     let joint = session.client.next_joint(query).await?;
-    let row = joint.time_nanos.map(|time_nanos| vec![Cell::Secs(time_nanos), joint.probability.into()]);
+    let row = joint.time_nanos.map(|time_nanos| vec![Cell::Time(time_nanos), joint.probability.into()]);
     session.print(&JOINT_COLUMNS, row)?;
     if joint.time_nanos.is_none() {
         let at = joint.best_nanos.div_euclid(1_000_000_000);

@@ -32,7 +32,7 @@ pub(crate) async fn run(session: &Session, args: &ReconstructArgs) -> anyhow::Re
     let mut table = session.table(&["time", "value"]);
     while let Some(seen) = observations.next().await? {
         for (time, value) in seen {
-            table.row(vec![Cell::Secs(time), value.into()])?;
+            table.row(vec![Cell::Time(time), value.into()])?;
         }
     }
     table.finish()?;

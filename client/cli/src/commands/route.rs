@@ -174,7 +174,7 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
                 step.success.into(),
                 step.duration_secs.into(),
                 step.edge.action.as_ref().map_or("", StateName::as_str).into(),
-                Cell::Secs(step.start_nanos),
+                Cell::Time(step.start_nanos),
                 step.success_interval[0].into(),
                 step.success_interval[1].into(),
                 step.reports.into(),
@@ -248,7 +248,7 @@ pub(crate) async fn policy(session: &Session, args: PolicyArgs) -> anyhow::Resul
                 by.as_ref().map_or_else(|| action.to_owned(), |by| format!("{action}:{by}"))
             };
             table.row(vec![
-                Cell::Secs(policy.time_nanos.saturating_add(slot.saturating_mul(policy.slot_nanos))),
+                Cell::Time(policy.time_nanos.saturating_add(slot.saturating_mul(policy.slot_nanos))),
                 node.as_str().into(),
                 Cell::maybe(edge.map(|edge| edge.to.as_str())),
                 Cell::Text(edge.map_or_else(|| action.to_owned(), by)),

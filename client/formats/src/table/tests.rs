@@ -55,6 +55,23 @@ fn a_table_rounds_and_aligns() -> io::Result<()> {
 }
 
 #[test]
+fn decimal_points_stand_below_each_other() -> io::Result<()> {
+    let row = |p: f64| vec!["s".into(), 1_u64.into(), p.into(), Cell::Time(1_458_518_400_000_000_000)];
+    let text = written(Format::Table, &[row(0.5), row(12.25), row(3.0)])?;
+    let points: Vec<Option<usize>> = text.lines().skip(1).take(2).map(|line| line.find('.')).collect();
+    assert!(points[0].is_some() && points[0] == points[1], "{text}");
+    let mut bytes = Vec::new();
+    let style = TimeStyle::Clock(tidemap_model::Zone::utc());
+    write_rows_at(Format::Table, &style, &["p", "time"], [vec![0.5.into(), Cell::Time(0)]], &mut bytes)?;
+    let text = String::from_utf8_lossy(&bytes).into_owned();
+    assert!(text.contains("time (UTC)") && text.contains("Thu 1970-01-01 00:00"), "{text}");
+    bytes.clear();
+    write_rows_at(Format::Csv, &style, &["p", "time"], [vec![0.5.into(), Cell::Time(0)]], &mut bytes)?;
+    assert_eq!(bytes, b"p,time\n0.5,0\n", "programs get the same in every style");
+    Ok(())
+}
+
+#[test]
 fn six_digits_are_kept() {
     for (number, text) in [(0.0, "0"), (1.0, "1"), (0.012_345_678, "0.0123457"), (86_400.0, "86400")] {
         assert_eq!(six_digits(number), text);

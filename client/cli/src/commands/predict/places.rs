@@ -62,7 +62,7 @@ pub(super) async fn run(session: &Session, args: PredictArgs, times: Vec<i64>) -
     let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
     let mut table = session.table(&columns);
     for row in &found.rows {
-        let mut cells = vec![Cell::Secs(times[row.time]), state.as_str().into()];
+        let mut cells = vec![Cell::Time(times[row.time]), state.as_str().into()];
         cells.extend(args.places[row.place].at_m.iter().map(|&coordinate| Cell::from(coordinate)));
         cells.extend([row.expected.into(), row.deviation.into()]);
         cells.extend([Cell::maybe(row.interval.map(|(low, _)| low)), Cell::maybe(row.interval.map(|(_, high)| high))]);

@@ -1,0 +1,127 @@
+//! Times in tables, as people read them.
+//!
+//! Invariant: a column shows as much of the clock as its times need, the same for all of them, and its header says in
+//! which zone they are.
+
+use tidemap_map::time::format_rfc3339;
+use tidemap_model::Zone;
+
+use super::Cell;
+
+const SEC: i64 = 1_000_000_000;
+const DAY: i64 = 86_400 * SEC;
+/// 1 January 1970 was a Thursday.
+const WEEKDAYS: [&str; 7] = ["Thu", "Fri", "Sat", "Sun", "Mon", "Tue", "Wed"];
+
+/// How an aligned table shows times.
+#[derive(Clone, Debug, Default)]
+pub enum TimeStyle {
+    /// Unix seconds.
+    #[default]
+    Unix,
+    /// Nanoseconds since 1970.
+    Nanos,
+    /// Day and clock of a zone.
+    Clock(Zone),
+}
+
+/// How much of the clock is shown.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Precision {
+    Minutes,
+    Seconds,
+    All,
+}
+
+fn precision(nanos: i64) -> Precision {
+    match nanos {
+        _ if nanos % (60 * SEC) == 0 => Precision::Minutes,
+        _ if nanos % SEC == 0 => Precision::Seconds,
+        _ => Precision::All,
+    }
+}
+
+/// `Tue 2025-01-28 09:00`, in the civil time of a zone.
+fn clock(zone: &Zone, nanos: i64, precision: Precision) -> String {
+    let civil = nanos.saturating_add(i64::from(zone.offset_secs(nanos)) * SEC).max(0);
+    let text = format_rfc3339(civil);
+    let (date, time) = text.trim_end_matches('Z').split_once('T').unwrap_or((&text, ""));
+    let time = match precision {
+        Precision::Minutes => time.get(..5),
+        Precision::Seconds => time.get(..8),
+        Precision::All => None,
+    };
+    let time = time.unwrap_or_else(|| text.trim_end_matches('Z').split_once('T').map_or("", |(_, time)| time));
+    let weekday = usize::try_from(civil / DAY % 7).ok().and_then(|day| WEEKDAYS.get(day)).unwrap_or(&"");
+    format!("{weekday} {date} {time}")
+}
+
+impl TimeStyle {
+    fn text(&self, nanos: i64, precision: Precision) -> String {
+        match self {
+            Self::Unix => Cell::Secs(nanos).rounded(),
+            Self::Nanos => nanos.to_string(),
+            Self::Clock(zone) => clock(zone, nanos, precision),
+        }
+    }
+
+    /// A cell of a live table.
+    pub(super) fn line(&self, cell: &Cell) -> String {
+        match cell {
+            Cell::Time(nanos) => self.text(*nanos, Precision::All),
+            _ => cell.rounded(),
+        }
+    }
+
+    /// The texts of a column of times, whose header gets the unit; `None` for another column, and for Unix seconds,
+    /// which are numbers.
+    pub(super) fn column(&self, header: &mut String, cells: &[&Cell]) -> Option<Vec<String>> {
+        let times = || cells.iter().filter_map(|cell| if let Cell::Time(nanos) = cell { Some(*nanos) } else { None });
+        let finest = times().map(precision).max()?;
+        match self {
+            Self::Unix => return None,
+            Self::Nanos => *header += " (ns)",
+            Self::Clock(zone) => *header += &format!(" ({})", zone.name()),
+        }
+        let text = |cell: &&Cell| match cell {
+            Cell::Time(nanos) => self.text(*nanos, finest),
+            cell => cell.rounded(),
+        };
+        Some(cells.iter().map(text).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sunday, 30 March 2025, 00:30 UTC, half an hour before the clocks of Europe go forward.
+    const SPRING: i64 = 1_743_294_600 * SEC;
+
+    fn column(style: &TimeStyle, times: &[i64]) -> (String, Vec<String>) {
+        let cells: Vec<Cell> = times.iter().map(|&time| Cell::Time(time)).collect();
+        let mut header = "time".to_owned();
+        let texts = style.column(&mut header, &cells.iter().collect::<Vec<_>>());
+        (header, texts.unwrap_or_default())
+    }
+
+    #[test]
+    fn times_are_those_of_the_clocks_there() {
+        let berlin = TimeStyle::Clock(Zone::named("Europe/Berlin").expect("a zone"));
+        let (header, texts) = column(&berlin, &[SPRING, SPRING + 3_600 * SEC]);
+        assert_eq!(header, "time (Europe/Berlin)");
+        assert_eq!(texts, ["Sun 2025-03-30 01:30", "Sun 2025-03-30 03:30"]);
+        let (header, texts) = column(&TimeStyle::Clock(Zone::utc()), &[SPRING, SPRING + 5 * SEC, 0]);
+        assert_eq!(header, "time (UTC)");
+        assert_eq!(texts, ["Sun 2025-03-30 00:30:00", "Sun 2025-03-30 00:30:05", "Thu 1970-01-01 00:00:00"]);
+        assert_eq!(column(&TimeStyle::Clock(Zone::utc()), &[SPRING + 1]).1, ["Sun 2025-03-30 00:30:00.000000001"]);
+        let west = TimeStyle::Clock(Zone::named("America/New_York").expect("a zone"));
+        assert_eq!(column(&west, &[0, i64::MAX]).1.len(), 2);
+    }
+
+    #[test]
+    fn other_styles_are_numbers() {
+        assert_eq!(column(&TimeStyle::Nanos, &[SPRING]), ("time (ns)".to_owned(), vec![SPRING.to_string()]));
+        assert_eq!(column(&TimeStyle::Unix, &[SPRING]).0, "time");
+    }
+}
