@@ -142,6 +142,9 @@ pub struct DayQuery {
     pub viewpoints: Vec<Viewpoint>,
     /// The sensor of the robot at the viewpoints.
     pub sensor: Sensor,
+    /// The locations hold one person or object, which is at exactly one of them at any time: a model of all of them
+    /// predicts. Not with another model, viewpoints, tours or tasks.
+    pub exactly_one: bool,
     /// Instead of locations or viewpoints: a tour in every slot. The value of a slot is the expected information gain
     /// of its tour; the plan calls it `tour`.
     pub tour: Option<DayTour>,
@@ -197,8 +200,12 @@ pub struct SlotQuery {
     pub locations: Vec<String>,
     /// The model that predicts.
     pub model: Option<ModelSelector>,
+    /// As in [`DayQuery::exactly_one`].
+    pub exactly_one: bool,
     /// Seed of the random choices.
     pub seed: u64,
+    /// Length of a slot, nanoseconds, with [`SlotQuery::exactly_one`]; that of the allowance goes before.
+    pub slot_nanos: Option<i64>,
     /// A daily allowance of visits; `None`: every slot is used.
     pub allowance: Option<SlotAllowance>,
 }
@@ -353,7 +360,8 @@ impl Client {
             strategy: strategy_to_wire(query.strategy).into(),
             seed: query.seed,
             locations: query.locations,
-            model: Some(selector_to_wire(query.model)),
+            model: (!query.exactly_one).then(|| selector_to_wire(query.model)),
+            exactly_one: query.exactly_one,
             certainty: None,
             exploration_weight: query.exploration_weight,
             task_states: query.task_states,
@@ -397,7 +405,8 @@ impl Client {
             seed: query.seed,
             allowance: query.allowance.map(|allowance| allowance_to_wire(allowance.budget)),
             spent: query.allowance.map_or(0, |allowance| allowance.spent),
-            slot: query.allowance.and_then(|allowance| allowance.slot_nanos).map(duration),
+            slot: query.allowance.map_or(query.slot_nanos, |allowance| allowance.slot_nanos).map(duration),
+            exactly_one: query.exactly_one,
         };
         let answer = self.exploration_service().plan_slot(request).await.map_err(|status| self.error(&status))?;
         let v1::PlanSlotResponse { location, information_bits, surprise_bits } = answer.into_inner();

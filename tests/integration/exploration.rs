@@ -20,6 +20,7 @@ use tidemap_tests::{
 };
 
 mod left_clients;
+mod one_person;
 
 const MAP: &str = "room";
 /// A Monday.

@@ -10,6 +10,7 @@ pub mod information;
 pub mod location;
 pub mod policy;
 pub mod predicted;
+pub mod presence;
 pub mod route;
 pub mod search;
 pub mod strategy;

@@ -28,6 +28,7 @@ use crate::catalog::Catalog;
 mod day;
 pub(super) mod error;
 mod information;
+mod presence;
 mod slot;
 mod tour;
 mod views;

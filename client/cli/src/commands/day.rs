@@ -43,6 +43,9 @@ pub(crate) struct DayArgs {
     /// Model: those of predict, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
+    /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts
+    #[arg(long, conflicts_with_all = ["model", "views", "tours", "task_states"])]
+    exactly_one: bool,
     /// Explores the grid from viewpoints with this spacing, in metres; a location is then X,Y
     #[arg(long, value_name = "M", value_parser = spacing, conflicts_with = "locations")]
     views: Option<f64>,
@@ -127,6 +130,7 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
         map: args.map,
         date: args.date,
         slot_nanos: Some(args.slot),
+        exactly_one: args.exactly_one,
         budget,
         strategy: match args.strategy {
             StrategyArg::MonteCarlo => Strategy::MonteCarlo,

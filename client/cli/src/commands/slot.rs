@@ -38,15 +38,18 @@ pub(crate) struct SlotArgs {
     /// Visits since midnight, with --explore or --ratio
     #[arg(long, value_name = "N", default_value_t = 0)]
     spent: u32,
-    /// Length of a slot, with --explore or --ratio
+    /// Length of a slot, with --explore, --ratio or --exactly-one
     #[arg(long, value_name = "DURATION", value_parser = times::duration, default_value = "15m")]
     slot: i64,
     /// Locations to choose from [default: all; where the map has none, every state is one]
     #[arg(long = "location", value_name = "LOCATION", num_args = 1..)]
     locations: Vec<String>,
     /// Model: those of predict [default: auto+persistence, with --planned auto]
-    #[arg(long, value_name = "KIND")]
+    #[arg(long, value_name = "KIND", conflicts_with = "exactly_one")]
     model: Option<ModelSelector>,
+    /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts
+    #[arg(long)]
+    exactly_one: bool,
     /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -71,7 +74,9 @@ pub(crate) async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<Exi
     let (spent, slot_nanos) = (args.spent, Some(args.slot));
     let allowance = budget.map(|budget| SlotAllowance { budget, spent, slot_nanos });
     let (map, at, locations, model, seed) = (args.map, args.at, args.locations, args.model, args.seed);
-    let query = SlotQuery { map, time_nanos: at, strategy, locations, model, seed, allowance };
+    let exactly_one = args.exactly_one;
+    let slot_nanos = slot_nanos.filter(|_| exactly_one);
+    let query = SlotQuery { map, time_nanos: at, strategy, locations, model, exactly_one, seed, slot_nanos, allowance };
     let SlotChoice { location, information_bits, surprise_bits } = session.client.plan_slot(query).await?;
     session.print(
         &["location", "information_bits", "surprise_bits"],

@@ -26,7 +26,7 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, error::PlanError, information::members, tour::tour_question};
+use super::{Explorations, error::PlanError, information::members, presence::predict_presence, tour::tour_question};
 use crate::{
     rpc::{
         lookup::{check_limit, find_map, find_state},
@@ -73,7 +73,8 @@ pub(super) async fn plan_day(
     let handle = find_map(&explorations.catalog, &request.map).await?;
     let view = handle.view();
     let day = date_from_wire("date", &request.date)?;
-    let slots = DaySlots::of(&view.spec().zone, day, slot_from_wire(request.slot)?).map_err(PlanError::from)?;
+    let slot_nanos = slot_from_wire(request.slot)?;
+    let slots = DaySlots::of(&view.spec().zone, day, slot_nanos).map_err(PlanError::from)?;
     let (budget, strategy) = (budget_from_wire(request.budget), strategy_from_wire("strategy", request.strategy)?);
     budget.visits(slots.count()).map_err(|error| PlanError::Day(error.into()))?;
     let selector = selector_from_wire("model", request.model)?;
@@ -87,6 +88,11 @@ pub(super) async fn plan_day(
     for (i, &id) in tasks.iter().enumerate() {
         check_kind(&view, id, &format!("task_states[{i}]"))?;
     }
+    let is_plain = request.model.is_none() && request.viewpoints.is_empty() && request.tour.is_none();
+    if request.exactly_one && !(is_plain && request.task_states.is_empty()) {
+        let text = "it is a model of locations: leave out model, viewpoints, tour and task_states";
+        return Err(InvalidField::new("exactly_one", text).into());
+    }
     let (names, information) = if let Some(tour) = &request.tour {
         if !(request.locations.is_empty() && request.viewpoints.is_empty()) {
             return Err(InvalidField::new("tour", "ask for tours, locations or viewpoints, not for several").into());
@@ -96,9 +102,13 @@ pub(super) async fn plan_day(
     } else if request.viewpoints.is_empty() {
         let (names, by_location) = locations(&view, request.locations, explorations.limits.predictions).await?;
         let counts: Vec<usize> = by_location.iter().map(Vec::len).collect();
-        let asked: Vec<StateOrCell> = by_location.into_iter().flatten().collect();
-        let rows =
-            predict_series(explorations.predict_context(), &handle, &view, (asked, middles.clone()), selector).await?;
+        let rows = if request.exactly_one {
+            let of = (names.as_slice(), by_location.as_slice());
+            predict_presence(explorations, &handle, &view, of, (slot_nanos, middles.clone())).await?
+        } else {
+            let asked: Vec<StateOrCell> = by_location.into_iter().flatten().collect();
+            predict_series(explorations.predict_context(), &handle, &view, (asked, middles.clone()), selector).await?
+        };
         (names, gains(&rows, &counts, slots.count(), certainty).map_err(PlanError::from)?)
     } else {
         if !request.locations.is_empty() {

@@ -5,6 +5,7 @@
 use tidemap_plan::{
     day::DayError,
     predicted::PredictError,
+    presence::PresenceError,
     strategy::StrategyError,
     tour::{NoTour, TourError},
     view::{SceneError, TooMuchWork},
@@ -23,6 +24,8 @@ pub(crate) enum PlanError {
     Day(#[from] DayError),
     #[error(transparent)]
     Scene(#[from] SceneError),
+    #[error(transparent)]
+    Presence(#[from] PresenceError),
     #[error("no slot of the day has a tour: {0}")]
     NoTour(NoTour),
     #[error(
@@ -39,7 +42,8 @@ impl PlanError {
             Self::Predict(PredictError::Stop(_))
             | Self::Tour(TourError::Stop(_))
             | Self::Look(TooMuchWork::Stop(_))
-            | Self::Scene(SceneError::Stop(_)) => (Code::Cancelled, "LEFT"),
+            | Self::Scene(SceneError::Stop(_))
+            | Self::Presence(PresenceError::Stopped(_)) => (Code::Cancelled, "LEFT"),
             Self::NoTour(_) => (Code::FailedPrecondition, "NO_TOUR"),
             Self::NoStart => (Code::FailedPrecondition, "NO_START"),
             Self::Predict(PredictError::Unavailable(_)) => (Code::Internal, "STORAGE_FAILED"),

@@ -21,7 +21,7 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, day::locations, error::PlanError};
+use super::{Explorations, day::locations, error::PlanError, presence::predict_presence};
 use crate::{
     rpc::{lookup::find_map, series::predict_series, status::RpcError},
     state_or_cell::StateOrCell,
@@ -41,6 +41,9 @@ pub(super) async fn plan_slot(
         Some(model) => selector_from_wire("model", Some(model))?,
         None => ModelSelector { persistence: !is_novelty, ..ModelSelector::default() },
     };
+    if request.exactly_one && request.model.is_some() {
+        return Err(InvalidField::new("exactly_one", "it is a model itself: leave out model").into());
+    }
     let certainty = certainty_from_wire("certainty", request.certainty)?;
     let (names, by_location) = locations(&view, request.locations, explorations.limits.predictions).await?;
     let planned = names.iter().position(|name| *name == request.planned);
@@ -55,8 +58,9 @@ pub(super) async fn plan_slot(
     let ask = |times, selector| {
         predict_series(explorations.predict_context(), &handle, &view, (states.clone(), times), selector)
     };
+    let slot_nanos = slot_from_wire(request.slot)?;
     let allowed = match allowance_from_wire(request.allowance) {
-        None if request.spent > 0 || request.slot.is_some() => {
+        None if request.spent > 0 || (request.slot.is_some() && !request.exactly_one) => {
             let text = "spent and slot are used only with an allowance: give explore or ratio";
             return Err(InvalidField::new("allowance", text).into());
         }
@@ -66,7 +70,7 @@ pub(super) async fn plan_slot(
             return Err(InvalidField::new("allowance", text).into());
         }
         Some(budget) => {
-            let slots = day_slots(&view, time_nanos, slot_from_wire(request.slot)?)?;
+            let slots = day_slots(&view, time_nanos, slot_nanos)?;
             let visits = budget.visits(slots.count()).map_err(|error| PlanError::from(DayError::from(error)))?;
             Some((visits.saturating_sub(request.spent as usize), later(&slots, time_nanos)))
         }
@@ -74,7 +78,13 @@ pub(super) async fn plan_slot(
     // The slot itself, then the later ones of the day.
     let mut times = vec![time_nanos];
     times.extend(allowed.iter().flat_map(|(_, later)| later));
-    let rows = ask(times, selector).await?;
+    let rows = if request.exactly_one {
+        day_slots(&view, time_nanos, slot_nanos)?;
+        let of = (names.as_slice(), by_location.as_slice());
+        predict_presence(explorations, &handle, &view, of, (slot_nanos, times)).await?
+    } else {
+        ask(times, selector).await?
+    };
     let at = |time: usize| split(rows.iter().map(|row| row[time]), &by_location);
     let informed = at(0);
     let gain = |_, place: usize| certainty.bits_of(informed[place].iter().copied());

@@ -24,9 +24,16 @@
 //! Invariant: a model is fitted to exactly the observations that the view's updates have learned, so that a comparison
 //! with pending observations is one with unseen data. A fit has its own permits: predictions do not wait for it.
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
-use tidemap_map::{event::StateKind, grid::spec::Retention, selector::ModelKind, view::MapView};
+use tidemap_map::{
+    event::StateKind,
+    grid::spec::Retention,
+    history::{Reading, Subject},
+    ids::StateId,
+    selector::ModelKind,
+    view::MapView,
+};
 use tidemap_model::{Sample, StopSignal};
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
@@ -37,7 +44,8 @@ use crate::{
     ingest::handle::MapHandle,
     model_cache::{CachedModel, FitStop, ModelCache, ModelKey, ModelUnavailable, PlaceModel, PositionModel},
     rpc::{
-        permits::{Permits, processors, run_blocking},
+        lookup::check_limit,
+        permits::{Permits, processors, run_blocking, run_while_awaited},
         status::RpcError,
     },
     state_or_cell::StateOrCell,
@@ -161,6 +169,39 @@ impl ModelFitter {
         let fitted = task.await.map_err(|_| RpcError::Stopping)?;
         drop(interest);
         fitted
+    }
+
+    /// The readings of states within an interval, learned or pending: a list per state, ascending by time.
+    ///
+    /// # Errors
+    /// The map keeps no history, or it cannot be read; too many readings.
+    pub(in crate::rpc) async fn readings(
+        &self,
+        handle: &Arc<MapHandle>,
+        states: &[StateId],
+        within_nanos: Range<i64>,
+    ) -> Result<Vec<Vec<Reading>>, RpcError> {
+        let mut found = Vec::with_capacity(states.len());
+        let mut left = self.max_readings;
+        for &state in states {
+            let subject = Subject::State(state);
+            if retention(&handle.spec, subject).is_none() {
+                let map = handle.spec.name.as_str().to_owned();
+                return Err(RpcError::NoHistory { map, what: "states", option: "--retention" });
+            }
+            let enough = usize::try_from(left).unwrap_or(usize::MAX);
+            let wanted = ReadingsQuery { subject, within_nanos: within_nanos.clone(), enough };
+            let tail = read(handle, &wanted).await?;
+            let history = self.catalog.context().store.history(handle.id)?.before(tail.stored_before);
+            let (permit, handle) = (self.permits.take().await?, Arc::clone(handle));
+            let read = move |stop: StopSignal<'_>| gather(&history, &handle.spec, tail, &wanted, stop);
+            let readings = run_while_awaited(permit, None, read).await??;
+            let got = readings.len() as u64;
+            check_limit("readings of the locations", got, left, "setting max_fit_readings")?;
+            left -= got;
+            found.push(readings);
+        }
+        Ok(found)
     }
 
     /// Reserves capacity for `models` models for the duration of a request.
