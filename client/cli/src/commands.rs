@@ -37,6 +37,8 @@ mod traverse;
 mod update;
 mod visit;
 
+pub(crate) use bench::record_office;
+
 use std::{
     fs,
     io::{BufWriter, Stdout},
@@ -52,6 +54,7 @@ use tidemap_client::{Client, connection::Credentials};
 use crate::{
     demo,
     output::{self, TimeArg, default_format, format_parser},
+    sample::{self, SampleArgs},
 };
 use tidemap_formats::table::{self, Cell, Format, TableWriter, TimeStyle};
 use tidemap_model::Zone;
@@ -240,6 +243,8 @@ enum Command {
     /// Measures a running daemon under load
     #[command(subcommand)]
     Bench(bench::BenchCommand),
+    /// Writes sample data into a folder, and the commands to try with it
+    Sample(SampleArgs),
     /// Opens the daemon's page in a browser
     Open(open::OpenArgs),
     /// Shows how tidemap works, with its own daemon and a simulated office
@@ -328,6 +333,9 @@ pub(crate) async fn run(line: CommandLine, map: Option<String>) -> anyhow::Resul
     if let Command::Open(args) = &line.command {
         return open::run(args, &line.server);
     }
+    if let Command::Sample(args) = &line.command {
+        return sample::run(args, line.output.unwrap_or_else(default_format));
+    }
     if let Command::Experiment(args) = line.command {
         return experiment::run(args, line.output.unwrap_or_else(default_format));
     }
@@ -375,7 +383,8 @@ pub(crate) async fn run(line: CommandLine, map: Option<String>) -> anyhow::Resul
         | Command::Experiment(_)
         | Command::Open(_)
         | Command::Completions(_)
-        | Command::ManPages(_) => Ok(ExitCode::SUCCESS),
+        | Command::ManPages(_)
+        | Command::Sample(_) => Ok(ExitCode::SUCCESS),
     }
 }
 

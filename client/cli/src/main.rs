@@ -7,6 +7,7 @@ mod commands;
 mod demo;
 mod output;
 mod progress;
+mod sample;
 
 use std::{io, process::ExitCode};
 

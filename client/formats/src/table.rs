@@ -116,10 +116,13 @@ impl Cell {
     }
 }
 
+/// Smaller numbers have an exponent.
+const SMALL: f64 = 1e-6;
+
 /// Six significant digits, without zeros at the end.
 fn six_digits(number: f64) -> String {
     let rounded: f64 = format!("{number:.5e}").parse().unwrap_or(number);
-    rounded.to_string()
+    if rounded != 0.0 && rounded.abs() < SMALL { format!("{rounded:e}") } else { rounded.to_string() }
 }
 
 /// Maximum number of rows that are aligned together; a longer result is printed as several tables.
@@ -314,14 +317,12 @@ impl<W: Write> TableWriter<W> {
 /// The cells of a column as texts whose decimal points are one below the other, once they are aligned to the right.
 fn at_the_point(cells: &[&Cell]) -> Vec<String> {
     let mut texts: Vec<String> = cells.iter().map(|cell| cell.rounded()).collect();
-    let places: Vec<Option<usize>> = cells
-        .iter()
-        .zip(&texts)
-        .map(|(cell, text)| {
-            matches!(cell, Cell::Number(_) | Cell::Secs(_))
-                .then(|| text.find('.').map_or(0, |point| text.len() - point))
-        })
-        .collect();
+    // An exponent stands apart.
+    let of = |(cell, text): (&&Cell, &String)| {
+        let is_decimal = matches!(cell, Cell::Number(_) | Cell::Secs(_)) && !text.contains('e');
+        is_decimal.then(|| text.find('.').map_or(0, |point| text.len() - point))
+    };
+    let places: Vec<Option<usize>> = cells.iter().zip(&texts).map(of).collect();
     let most = places.iter().copied().flatten().max().unwrap_or(0);
     for (text, places) in texts.iter_mut().zip(places) {
         text.extend(std::iter::repeat_n(' ', places.map_or(0, |places| most - places)));

@@ -12,6 +12,8 @@ mod observe;
 mod predict;
 mod search;
 
+pub(crate) use self::grid::record_office;
+
 use std::process::{self, ExitCode};
 
 use clap::{Args, Subcommand};

@@ -73,7 +73,14 @@ fn decimal_points_stand_below_each_other() -> io::Result<()> {
 
 #[test]
 fn six_digits_are_kept() {
-    for (number, text) in [(0.0, "0"), (1.0, "1"), (0.012_345_678, "0.0123457"), (86_400.0, "86400")] {
+    for (number, text) in [
+        (0.0, "0"),
+        (1.0, "1"),
+        (0.012_345_678, "0.0123457"),
+        (86_400.0, "86400"),
+        (1.294_76e-53, "1.29476e-53"),
+        (-0.000_01, "-0.00001"),
+    ] {
         assert_eq!(six_digits(number), text);
     }
 }

@@ -21,7 +21,7 @@ pub enum TimeStyle {
     Unix,
     /// Nanoseconds since 1970.
     Nanos,
-    /// Day and clock of a zone.
+    /// Day and clock of a zone, down to milliseconds.
     Clock(Zone),
 }
 
@@ -30,14 +30,14 @@ pub enum TimeStyle {
 enum Precision {
     Minutes,
     Seconds,
-    All,
+    Millis,
 }
 
 fn precision(nanos: i64) -> Precision {
     match nanos {
         _ if nanos % (60 * SEC) == 0 => Precision::Minutes,
         _ if nanos % SEC == 0 => Precision::Seconds,
-        _ => Precision::All,
+        _ => Precision::Millis,
     }
 }
 
@@ -49,9 +49,9 @@ fn clock(zone: &Zone, nanos: i64, precision: Precision) -> String {
     let time = match precision {
         Precision::Minutes => time.get(..5),
         Precision::Seconds => time.get(..8),
-        Precision::All => None,
+        Precision::Millis => time.get(..12).or(Some(time)),
     };
-    let time = time.unwrap_or_else(|| text.trim_end_matches('Z').split_once('T').map_or("", |(_, time)| time));
+    let time = time.unwrap_or_default();
     let weekday = usize::try_from(civil / DAY % 7).ok().and_then(|day| WEEKDAYS.get(day)).unwrap_or(&"");
     format!("{weekday} {date} {time}")
 }
@@ -68,7 +68,7 @@ impl TimeStyle {
     /// A cell of a live table.
     pub(super) fn line(&self, cell: &Cell) -> String {
         match cell {
-            Cell::Time(nanos) => self.text(*nanos, Precision::All),
+            Cell::Time(nanos) => self.text(*nanos, Precision::Millis),
             _ => cell.rounded(),
         }
     }
@@ -114,7 +114,7 @@ mod tests {
         let (header, texts) = column(&TimeStyle::Clock(Zone::utc()), &[SPRING, SPRING + 5 * SEC, 0]);
         assert_eq!(header, "time (UTC)");
         assert_eq!(texts, ["Sun 2025-03-30 00:30:00", "Sun 2025-03-30 00:30:05", "Thu 1970-01-01 00:00:00"]);
-        assert_eq!(column(&TimeStyle::Clock(Zone::utc()), &[SPRING + 1]).1, ["Sun 2025-03-30 00:30:00.000000001"]);
+        assert_eq!(column(&TimeStyle::Clock(Zone::utc()), &[SPRING + 1_999]).1, ["Sun 2025-03-30 00:30:00.000"]);
         let west = TimeStyle::Clock(Zone::named("America/New_York").expect("a zone"));
         assert_eq!(column(&west, &[0, i64::MAX]).1.len(), 2);
     }

@@ -22,6 +22,7 @@ use tidemap_client::{
     maps::{GridSpec, NewMap},
 };
 
+pub(crate) use self::office::record as record_office;
 use self::{probe::Probe, recorded_scans::RecordedScans, updates::UpdateTimes};
 use super::{DaemonProcess, Figures, machine::CpuTimes, updated};
 use crate::{commands::times, progress::status_line};

@@ -49,9 +49,13 @@ pub(super) fn make(args: &GridArgs) -> anyhow::Result<GridOffice> {
     })
 }
 
-/// Writes the file and returns its length. An incomplete file keeps the ending .part.
+/// Writes the file of the office that the options describe, and returns its length.
 pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
-    let office = make(args)?;
+    record(path, &make(args)?, args.days, args.scans_per_day)
+}
+
+/// Writes days of scans of an office and returns the length of the file. An incomplete file keeps the ending .part.
+pub(crate) fn record(path: &Path, office: &GridOffice, days: u32, scans_per_day: u32) -> anyhow::Result<u64> {
     let mut unfinished = path.as_os_str().to_owned();
     unfinished.push(".part");
     let unfinished = PathBuf::from(unfinished);
@@ -59,9 +63,9 @@ pub(super) fn write(path: &Path, args: &GridArgs) -> anyhow::Result<u64> {
     let file = File::create(&unfinished).with_context(shown)?;
     let header = ScanFileHeader { resolution_m: RESOLUTION_M, ..ScanFileHeader::default() };
     let mut writer = ScanFileWriter::new(BufWriter::new(file), &header).with_context(shown)?;
-    let mut scans = WireScans::new(&office);
-    let mut stream = GridStream::new(&office, args.days);
-    let (bar, total) = (Bar::count("scans recorded"), u64::from(args.days) * u64::from(args.scans_per_day));
+    let mut scans = WireScans::new(office);
+    let mut stream = GridStream::new(office, days);
+    let (bar, total) = (Bar::count("scans recorded"), u64::from(days) * u64::from(scans_per_day));
     let mut recorded = 0_u64;
     while let Some(scan) = stream.next() {
         let (new_tiles, wire) = scans.wire(&scan);

@@ -1,0 +1,140 @@
+//! `tidemap sample`: data to try tidemap with, and the commands to try.
+//!
+//! Invariant: the same version writes the same files. An existing folder is never written into.
+
+mod door;
+mod grid;
+mod office;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use anyhow::Context as _;
+use clap::{Args, ValueEnum};
+use tidemap_formats::table::{Cell, Format, write_rows};
+use tidemap_sim::Office;
+
+use crate::{commands::UsageError, output::stdout, progress::status_line};
+
+/// Time zone of the simulated people.
+const ZONE: &str = "Europe/London";
+const SEED: u64 = 1;
+const SEC: i64 = 1_000_000_000;
+const DAY_SECS: i64 = 86_400;
+/// Monday, 6 January 2025, midnight in London.
+const START_SECS: i64 = 1_736_121_600;
+
+#[derive(Clone, Debug, Args)]
+pub(crate) struct SampleArgs {
+    /// The sample; without it, all samples are listed
+    name: Option<Sample>,
+    /// Folder to write, which must not exist [default: sample-NAME]
+    folder: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Sample {
+    /// Three weeks of one door
+    Door,
+    /// Six weeks of an office: doors and rooms seen by three robots, its topological map, and their traversals
+    Office,
+    /// Two weeks of scans of an office of real size, 213,000 cells of 0.1 m
+    Grid,
+}
+
+/// A file of a sample.
+struct SampleFile {
+    name: &'static str,
+    rows: u64,
+    what: &'static str,
+}
+
+impl Sample {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Door => "door",
+            Self::Office => "office",
+            Self::Grid => "grid",
+        }
+    }
+
+    fn what(self) -> &'static str {
+        match self {
+            Self::Door => "three weeks of one door",
+            Self::Office => "six weeks of an office: states, topological map, traversals, and the week after",
+            Self::Grid => "two weeks of scans of an office of real size, 213,000 cells of 0.1 m",
+        }
+    }
+
+    fn write(self, folder: &Path) -> anyhow::Result<Vec<SampleFile>> {
+        match self {
+            Self::Door => door::write(folder),
+            Self::Office => office::write(folder),
+            Self::Grid => grid::write(folder),
+        }
+    }
+}
+
+/// Rows of what a robot of the simulated office observes in some days, and their number.
+fn observed(office: &Office, robot: usize, days: i64, keep: impl Fn(&str) -> bool) -> (String, u64) {
+    let (mut text, mut rows) = ("time,state,value\n".to_owned(), 0);
+    for (time, state, value) in office.visits(robot, START_SECS * SEC, (START_SECS + days * DAY_SECS) * SEC) {
+        let state = office.states()[state];
+        if keep(state) {
+            text += &format!("{},{state},{value}\n", time / SEC);
+            rows += 1;
+        }
+    }
+    (text, rows)
+}
+
+/// Writes a sample, or lists all.
+pub(crate) fn run(args: &SampleArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let Some(sample) = args.name else {
+        let row = |sample: &Sample| {
+            vec![sample.name().into(), sample.what().into(), Cell::Text(format!("tidemap sample {}", sample.name()))]
+        };
+        write_rows(format, &["sample", "content", "command"], Sample::value_variants().iter().map(row), stdout())?;
+        return Ok(ExitCode::SUCCESS);
+    };
+    let folder = args.folder.clone().unwrap_or_else(|| PathBuf::from(format!("sample-{}", sample.name())));
+    let shown = folder.display();
+    if folder.exists() {
+        return Err(UsageError(format!("{shown} exists: name another folder, or remove it")).into());
+    }
+    fs::create_dir_all(&folder).with_context(|| shown.to_string())?;
+    let files = sample.write(&folder).with_context(|| shown.to_string())?;
+    let row = |file: &SampleFile| vec![file.name.into(), file.rows.into(), file.what.into()];
+    write_rows(format, &["file", "rows", "content"], files.iter().map(row), stdout())?;
+    status_line(&format!("with a daemon running, try it: sh {shown}/try.sh, or its commands one by one"));
+    Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_are_the_same_each_time() -> anyhow::Result<()> {
+        let folder = tempfile::tempdir()?;
+        for sample in [Sample::Door, Sample::Office] {
+            let mut contents = Vec::new();
+            for name in ["a", "b"] {
+                let folder = folder.path().join(sample.name().to_owned() + name);
+                fs::create_dir(&folder)?;
+                let files = sample.write(&folder)?;
+                let read = |file: &SampleFile| fs::read_to_string(folder.join(file.name));
+                contents.push(files.iter().map(read).collect::<Result<Vec<_>, _>>()?);
+                for (file, text) in files.iter().zip(&contents[0]).filter(|(file, _)| file.name.ends_with(".csv")) {
+                    assert_eq!(text.lines().count() as u64, file.rows + 1, "{}", file.name);
+                }
+                assert!(files.iter().any(|file| file.name == "try.sh"));
+            }
+            assert_eq!(contents[0], contents[1]);
+        }
+        Ok(())
+    }
+}
