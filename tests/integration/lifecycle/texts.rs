@@ -23,9 +23,12 @@ fn completed(program: &Path, name: &str, words: &[&str]) -> String {
     assert!(script.status.success());
     let last = words.len();
     let word = words.last().copied().unwrap_or_default();
+    let folder = tempdir().expect("a folder");
+    let file = folder.path().join("completions");
+    fs::write(&file, script.stdout).expect("the script");
     let text = format!(
-        "{}\nCOMP_WORDS=({name} {}); COMP_CWORD={last}; _{name} {name} '{word}' x; echo \"${{COMPREPLY[@]}}\"",
-        String::from_utf8(script.stdout).expect("text"),
+        "source {}; COMP_WORDS=({name} {}); COMP_CWORD={last}; _{name} {name} '{word}' x; echo \"${{COMPREPLY[@]}}\"",
+        file.display(),
         words.join(" "),
     );
     let shown = Command::new("bash").args(["--norc", "-c", &text]).output().expect("bash runs");
