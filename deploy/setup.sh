@@ -122,7 +122,9 @@ if [ "$goal" = test ]; then
             install "${tool##*:}" || say "no ${tool##*:}: the durability tests that use it are skipped"
         fi
     done
-    have curl || install curl || fail "curl is missing, which an example of the guide uses: install curl"
+    for tool in curl openssl; do
+        have "$tool" || install "$tool" || fail "$tool is missing, which examples of the guide use: install $tool"
+    done
     if [ -n "$toolchain" ]; then export RUSTUP_TOOLCHAIN=$toolchain; fi
     if have cargo-nextest; then
         nextest=yes

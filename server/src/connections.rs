@@ -23,6 +23,7 @@ pub(crate) mod socket;
 #[cfg(test)]
 mod tests;
 pub(crate) mod tls;
+mod validity;
 
 /// A connection must make its first request within this time.
 const REQUEST_WITHIN: Duration = Duration::from_secs(5);

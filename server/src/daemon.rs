@@ -164,7 +164,9 @@ fn close_to_others(folder: &Path) {
 /// 16 bytes of the system's randomness as hex: the identity of a new data folder.
 pub(crate) fn random_id() -> anyhow::Result<String> {
     let mut bytes = [0u8; 16];
-    std::io::Read::read_exact(&mut std::fs::File::open("/dev/urandom")?, &mut bytes)?;
+    let random =
+        std::fs::File::open("/dev/urandom").and_then(|mut file| std::io::Read::read_exact(&mut file, &mut bytes));
+    anyhow::Context::context(random, "/dev/urandom")?;
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 

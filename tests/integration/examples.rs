@@ -56,13 +56,17 @@ pages! {
     exploration: "docs/src/exploration.md",
     first_map: "docs/src/first-map.md",
     grids: "docs/src/grids.md",
+    install: "docs/src/install.md",
     introduction: "docs/src/introduction.md",
     kinds: "docs/src/kinds.md",
     limits: "docs/src/limits.md",
     models: "docs/src/models.md",
     page: "docs/src/page.md",
+    rotate: "docs/src/rotate.md",
     security: "docs/src/security.md",
+    sizing: "docs/src/sizing.md",
     topology: "docs/src/topology.md",
+    upgrade: "docs/src/upgrade.md",
     wire: "docs/src/wire.md",
 }
 

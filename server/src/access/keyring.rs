@@ -1,9 +1,9 @@
 //! The tokens that are valid now.
 //!
 //! Invariant: a comparison takes the same time whatever the token is; of an unknown one as well. Work for a token ends
-//! when the token is revoked or changed.
+//! when the token is revoked or changed, or has expired.
 
-use std::{collections::HashMap, path::PathBuf, sync::Arc};
+use std::{collections::HashMap, path::PathBuf, sync::Arc, time::Duration};
 
 use axum::http::{HeaderMap, header::AUTHORIZATION};
 use subtle::ConstantTimeEq as _;
@@ -13,7 +13,10 @@ use super::{
     Caller,
     token_file::{self, PREFIX, Token, TokenFileError, TokenHash, hash},
 };
+use crate::clock::{Clock as _, SystemClock};
 
+/// How often work for a token that expires looks at the clock, which may also be set.
+const LOOK_EVERY: Duration = Duration::from_secs(2);
 /// A longer text is no token.
 const TOKEN_BYTES_MAX: usize = 256;
 /// What an unknown token is compared with.
@@ -28,6 +31,8 @@ pub(crate) enum Denial {
     NoToken,
     /// Its token is none of those here.
     UnknownToken,
+    /// Its token was valid until a time that has passed.
+    ExpiredToken,
 }
 
 /// The tokens of a file. Clones share them.
@@ -73,21 +78,27 @@ impl Keyring {
         let kept = found.map_or(&NO_HASH, |token| &token.hash);
         let is_equal = bool::from(kept.as_slice().ct_eq(given.as_slice()));
         match found {
+            Some(token) if is_equal && token.has_expired(SystemClock.now_nanos()) => Err(Denial::ExpiredToken),
             Some(token) if is_equal => Ok(Caller::Holder(Arc::clone(token))),
             _ => Err(Denial::UnknownToken),
         }
     }
 
-    /// Ready when the token of a caller is no longer valid as it was; never for a caller without one.
+    /// Ready when the token of a caller is no longer valid as it was, within [`LOOK_EVERY`] of its end; never for a
+    /// caller without one.
     pub(crate) async fn revoked(self, caller: Caller) {
         let Caller::Holder(token) = caller else { return std::future::pending().await };
         let mut tokens = self.tokens.subscribe();
         loop {
-            if tokens.borrow_and_update().get(&token.id) != Some(&token) {
+            let is_valid = tokens.borrow_and_update().get(&token.id) == Some(&token);
+            if !is_valid || token.has_expired(SystemClock.now_nanos()) {
                 return;
             }
-            if tokens.changed().await.is_err() {
-                return;
+            tokio::select! {
+                changed = tokens.changed() => if changed.is_err() {
+                    return;
+                },
+                () = tokio::time::sleep(LOOK_EVERY), if token.expires_secs.is_some() => {}
             }
         }
     }

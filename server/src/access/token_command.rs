@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::{Context as _, bail};
 use clap::{Args, Subcommand};
-use tidemap_map::time::format_rfc3339;
+use tidemap_map::time::{format_rfc3339, parse_duration, parse_time};
 
 use super::{
     MapPattern, Role,
@@ -18,12 +18,14 @@ use super::{
 };
 use crate::clock::{Clock as _, SystemClock};
 
+const NANOS_PER_SEC: i64 = 1_000_000_000;
+
 /// What to do with tokens.
 #[derive(Clone, Debug, Subcommand)]
 pub(crate) enum TokenCommand {
     /// Make a token and print it, this once; a running daemon takes it within seconds.
     Create(CreateArgs),
-    /// List the tokens: id, roles, maps, when each was made, and its note.
+    /// List the tokens: id, roles, maps, when each was made, its note, and when it ends.
     List,
     /// Revoke a token; a running daemon refuses it within seconds, and ends its streams.
     Revoke {
@@ -43,6 +45,10 @@ pub(crate) struct CreateArgs {
     /// [default: all maps].
     #[arg(long = "map", value_name = "MAP")]
     maps: Vec<MapPattern>,
+    /// When the token ends: after a duration such as 90d or 12h, or at a time such as 2027-01-01T00:00:00Z [default:
+    /// never].
+    #[arg(long, value_name = "WHEN")]
+    expires: Option<String>,
     /// Who gets the token.
     #[arg(long, value_name = "TEXT", default_value = "")]
     note: String,
@@ -67,8 +73,11 @@ pub(crate) fn run(command: &TokenCommand, path: &Path) -> anyhow::Result<ExitCod
             roles.dedup();
             let all = || vec![MapPattern::all()];
             let maps = if args.maps.is_empty() { all() } else { args.maps.clone() };
-            let created_secs = SystemClock.now_nanos().div_euclid(1_000_000_000);
-            let (token, text) = token_file::generate(roles, maps, args.note.clone(), created_secs).context("token")?;
+            let now = SystemClock.now_nanos();
+            let expires_secs = args.expires.as_deref().map(|when| expiry_secs(when, now)).transpose()?;
+            let created_secs = now.div_euclid(NANOS_PER_SEC);
+            let made = token_file::generate(roles, maps, args.note.clone(), created_secs, expires_secs);
+            let (token, text) = made.context("token")?;
             token_file::change(path, |tokens| {
                 tokens.push(token);
                 Ok(())
@@ -76,7 +85,7 @@ pub(crate) fn run(command: &TokenCommand, path: &Path) -> anyhow::Result<ExitCod
             writeln!(out, "{text}")?;
         }
         TokenCommand::List => {
-            writeln!(out, "id,roles,maps,created,note")?;
+            writeln!(out, "id,roles,maps,created,note,expires")?;
             for token in token_file::read(path)? {
                 writeln!(out, "{}", line(&token))?;
             }
@@ -97,10 +106,28 @@ pub(crate) fn run(command: &TokenCommand, path: &Path) -> anyhow::Result<ExitCod
     Ok(ExitCode::SUCCESS)
 }
 
+/// When a token ends, in seconds since 1970.
+fn expiry_secs(when: &str, now: i64) -> anyhow::Result<i64> {
+    let expires = match parse_duration(when) {
+        Ok(duration) => now.saturating_add(duration),
+        Err(_) => parse_time(when).map_err(|_| {
+            anyhow::anyhow!(
+                "--expires is {when:?}: it must be a duration such as 90d, or a time such as 2027-01-01T00:00:00Z"
+            )
+        })?,
+    };
+    if expires <= now {
+        bail!("--expires is {when:?}, which has passed: the token would never be valid");
+    }
+    Ok(expires.div_euclid(NANOS_PER_SEC))
+}
+
 fn line(token: &Token) -> String {
     let roles: Vec<&str> = token.roles.iter().map(|role| role.name()).collect();
     let maps: Vec<String> = token.maps.iter().map(ToString::to_string).collect();
-    let created = format_rfc3339(token.created_secs.saturating_mul(1_000_000_000));
+    let time = |secs: i64| format_rfc3339(secs.saturating_mul(NANOS_PER_SEC));
+    let created = time(token.created_secs);
+    let expires = token.expires_secs.map(time).unwrap_or_default();
     let note = if token.note.contains([',', '"']) { format!("{:?}", token.note) } else { token.note.clone() };
-    format!("{},{},{},{created},{note}", token.id, roles.join(" "), maps.join(" "))
+    format!("{},{},{},{created},{note},{expires}", token.id, roles.join(" "), maps.join(" "))
 }

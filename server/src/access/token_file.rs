@@ -1,7 +1,7 @@
 //! The file of tokens: their hashes, roles and maps, as TOML.
 //!
-//! Invariant: the file holds hashes only, is readable by its owner alone, and is replaced in one step. Messages name
-//! the entry that is wrong, never what is in it.
+//! Invariant: the file holds hashes only, and is replaced in one step. Its owner alone may read it; if it belongs to
+//! root, its group too, as files of secrets in containers. Messages name the entry that is wrong, never what is in it.
 
 use std::{
     fmt::Write as _,
@@ -48,6 +48,15 @@ pub(crate) struct Token {
     pub note: String,
     /// When it was made, in seconds since 1970.
     pub created_secs: i64,
+    /// From when on it is refused, in seconds since 1970; `None`: never.
+    pub expires_secs: Option<i64>,
+}
+
+impl Token {
+    /// Whether it is refused at a time, in nanoseconds since 1970.
+    pub(super) fn has_expired(&self, now_nanos: i64) -> bool {
+        self.expires_secs.is_some_and(|expires_secs| expires_secs <= now_nanos.div_euclid(1_000_000_000))
+    }
 }
 
 /// Why the file of tokens cannot be used.
@@ -82,6 +91,7 @@ struct Entry {
     note: String,
     #[serde(default)]
     created: i64,
+    expires: Option<i64>,
 }
 
 /// The SHA-256 of a token.
@@ -115,12 +125,13 @@ pub(super) fn generate(
     maps: Vec<MapPattern>,
     note: String,
     created_secs: i64,
+    expires_secs: Option<i64>,
 ) -> io::Result<(Token, String)> {
     let mut random = [0; ID_BYTES + SECRET_BYTES];
     File::open("/dev/urandom")?.read_exact(&mut random)?;
     let id = hex(&random[..ID_BYTES]);
     let text = format!("{PREFIX}{id}_{}", hex(&random[ID_BYTES..]));
-    Ok((Token { hash: hash(text.as_bytes()), id, roles, maps, note, created_secs }, text))
+    Ok((Token { hash: hash(text.as_bytes()), id, roles, maps, note, created_secs, expires_secs }, text))
 }
 
 impl Entry {
@@ -138,8 +149,22 @@ impl Entry {
         if self.note.len() > NOTE_BYTES_MAX || self.note.chars().any(char::is_control) {
             return Err("note must be up to 128 bytes without control characters");
         }
-        Ok(Token { id: self.id, hash, roles, maps, note: self.note, created_secs: self.created })
+        Ok(Token {
+            id: self.id,
+            hash,
+            roles,
+            maps,
+            note: self.note,
+            created_secs: self.created,
+            expires_secs: self.expires,
+        })
     }
+}
+
+/// Whether nobody but the owner can change a file or read it; of root's files, the group may read.
+fn is_private(mode: u32, owner: u32) -> bool {
+    let of_others = if owner == 0 { 0o037 } else { 0o077 };
+    mode & of_others == 0
 }
 
 /// Reads the tokens of a file.
@@ -149,8 +174,9 @@ impl Entry {
 pub(super) fn read(path: &Path) -> Result<Vec<Token>, TokenFileError> {
     let io = |source| TokenFileError::Io { path: path.to_owned(), source };
     let mut file = File::open(path).map_err(io)?;
-    let mode = file.metadata().map_err(io)?.permissions().mode() & 0o777;
-    if mode & 0o077 != 0 {
+    let metadata = file.metadata().map_err(io)?;
+    let mode = metadata.permissions().mode() & 0o777;
+    if !is_private(mode, metadata.uid()) {
         return Err(TokenFileError::Open { path: path.to_owned(), mode });
     }
     let invalid = |entry: String, reason| TokenFileError::Invalid { path: path.to_owned(), entry, reason };
@@ -191,6 +217,9 @@ fn render(tokens: &[Token]) -> String {
             hex(&token.hash),
             token.created_secs,
         );
+        if let Some(expires_secs) = token.expires_secs {
+            let _ = writeln!(text, "expires = {expires_secs}");
+        }
     }
     text
 }
@@ -230,4 +259,25 @@ pub(super) fn change<T>(
     fs::rename(&new, path).map_err(io)?;
     folder_file.sync_all().map_err(io)?;
     Ok(outcome)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_group_may_read_a_file_of_root_and_of_nobody_else() {
+        for (mode, owner, is_fine) in [
+            (0o600, 0, true),
+            (0o400, 1000, true),
+            (0o440, 0, true),
+            (0o640, 0, true),
+            (0o640, 1000, false),
+            (0o660, 0, false),
+            (0o604, 0, false),
+            (0o610, 0, false),
+        ] {
+            assert_eq!(is_private(mode, owner), is_fine, "{mode:o} of {owner}");
+        }
+    }
 }

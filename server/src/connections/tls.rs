@@ -31,7 +31,7 @@ use tokio_rustls::{
 };
 use tracing::debug;
 
-use super::request_scan::Protocol;
+use super::{request_scan::Protocol, validity};
 
 /// The files of the daemon's TLS, in PEM form.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -70,6 +70,13 @@ impl TlsFiles {
         found.ok().filter(|found| !found.is_empty()).ok_or_else(missing)
     }
 
+    /// Tells by when the daemon's certificate has to be replaced: when it, or one behind it in the file, ends.
+    fn tell_end(chain: &[CertificateDer<'static>]) {
+        if let Some(ends_secs) = chain.iter().filter_map(|certificate| validity::ends_secs(certificate)).min() {
+            metrics::gauge!("tidemap_certificate_expiry_seconds").set(ends_secs as f64);
+        }
+    }
+
     /// The settings of handshakes.
     fn load(&self, protocol: Protocol) -> Result<ServerConfig, TlsError> {
         let chain = Self::certificates("tls_certificate", &self.certificate)?;
@@ -96,7 +103,8 @@ impl TlsFiles {
                 builder.with_client_cert_verifier(verifier.map_err(|error| wrong(error.to_string()))?)
             }
         };
-        let mut config = builder.with_single_cert(chain, key).map_err(TlsError::Pair)?;
+        let mut config = builder.with_single_cert(chain.clone(), key).map_err(TlsError::Pair)?;
+        Self::tell_end(&chain);
         config.alpn_protocols = vec![match protocol {
             Protocol::Http2 => b"h2".to_vec(),
             Protocol::Http1 => b"http/1.1".to_vec(),

@@ -112,9 +112,10 @@ pub(crate) enum RpcError {
     #[error("{}", match .0 {
         Denial::NoToken => "this daemon asks for a token: send `authorization: Bearer TOKEN` (tidemap --token-file FILE)",
         Denial::UnknownToken => "the token is not valid here, or was revoked",
+        Denial::ExpiredToken => "the token has expired: ask an admin for a new one (tidemapd token create)",
     })]
     Denial(Denial),
-    #[error("the token was revoked or changed")]
+    #[error("the token was revoked or changed, or has expired")]
     Revoked,
     #[error("{method} needs role {}, which the token does not have", .role.name())]
     NeedsRole { method: String, role: Role },
@@ -293,6 +294,7 @@ impl RpcError {
             Self::Stopping => (Code::Unavailable, "STOPPING"),
             Self::Denial(Denial::NoToken) => (Code::Unauthenticated, "NO_TOKEN"),
             Self::Denial(Denial::UnknownToken) => (Code::Unauthenticated, "UNKNOWN_TOKEN"),
+            Self::Denial(Denial::ExpiredToken) => (Code::Unauthenticated, "EXPIRED_TOKEN"),
             Self::Revoked => (Code::Unauthenticated, "REVOKED"),
             Self::NeedsRole { .. } => (Code::PermissionDenied, "NEEDS_ROLE"),
             Self::ReadOnly { .. } => (Code::PermissionDenied, "READ_ONLY"),

@@ -34,7 +34,11 @@ const GAUGES: &[(&str, &str)] = &[
     ("tidemap_streams", "Open streams of observations"),
     ("tidemap_requests", "Requests under way"),
     ("tidemap_computing_requests", "Requests that compute now"),
-    ("tidemap_tokens", "Valid tokens"),
+    ("tidemap_tokens", "Tokens of the file, expired ones included"),
+    (
+        "tidemap_certificate_expiry_seconds",
+        "Time at which the daemon's certificate ends, seconds since 1970; with TLS only",
+    ),
     ("tidemap_maps", "Maps"),
     ("tidemap_maps_unavailable", "Maps that are set aside because their files are damaged"),
     ("tidemap_damaged_files", "Files that the background check found damaged"),

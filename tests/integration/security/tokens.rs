@@ -170,6 +170,37 @@ async fn a_revoked_token_ends_its_streams_and_others_go_on() {
     daemon.stop_in_order();
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_token_ends_when_it_expires_and_so_do_its_streams() {
+    let work = tempdir().expect("a folder");
+    let tokens = Tokens::of(work.path());
+    let all = tokens.create(&["admin"], &[]);
+    let daemon = launch(work.path(), &tokens).start();
+    create_map(&client(&daemon, &all), "office").await;
+    let made = tokens.run(&["create", "--role", "operator", "--expires", "12s"]);
+    let short = String::from_utf8(made.stdout).expect("text").trim().to_owned();
+    let long = tokens.run(&["create", "--role", "operator", "--expires", "90d", "--note", "of the lab"]);
+    let long = String::from_utf8(long.stdout).expect("text").trim().to_owned();
+    while client(&daemon, &short).maps().await.is_err() {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    let mut robot = stream(&daemon, &short).await;
+
+    let ended = robot.message().await.expect_err("the stream ends");
+    assert_eq!(ended.code(), Code::Unauthenticated, "{ended}");
+    let refused = client(&daemon, &short).maps().await.expect_err("expired");
+    assert!(refused.code() == Some(Code::Unauthenticated) && refused.to_string().contains("expired"), "{refused}");
+    client(&daemon, &long).maps().await.expect("valid for months");
+    let listed = String::from_utf8(tokens.run(&["list"]).stdout).expect("text");
+    let expiries: Vec<&str> = listed.lines().skip(1).filter_map(|line| line.rsplit(',').next()).collect();
+    assert!(expiries.len() == 3 && expiries[0].is_empty() && expiries[1].ends_with('Z'), "{listed}");
+    for when in ["soon", "0d", "-3d", "2001-01-01T00:00:00Z", "2031-01-01"] {
+        let wrong = tokens.run(&["create", "--role", "admin", &format!("--expires={when}")]);
+        assert!(!wrong.status.success() && String::from_utf8_lossy(&wrong.stderr).contains(when), "{when}");
+    }
+    daemon.stop_in_order();
+}
+
 /// An open stream of observations, after its Welcome.
 async fn stream(daemon: &Daemon, token: &str) -> tonic::Streaming<tidemap_proto::v1::ObserveResponse> {
     use tidemap_proto::v1::{ObserveRequest, observation_service_client::ObservationServiceClient, observe_request};
