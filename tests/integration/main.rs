@@ -2,6 +2,7 @@
 
 mod acceptance;
 mod bad_input;
+mod deploy;
 mod durability;
 mod evaluation;
 mod examples;

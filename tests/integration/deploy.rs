@@ -1,0 +1,121 @@
+//! What `deploy/` holds for containers and clusters: the files can be read, and the daemon takes their settings.
+//!
+//! Invariant: no engine and no cluster is needed. What only they can tell is not tested here.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use serde_json::Value;
+use tidemap_tests::binaries;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate is in a workspace").join("deploy")
+}
+
+fn documents(path: &str) -> Vec<Value> {
+    let text = fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"));
+    serde_saphyr::from_multiple(&text).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// What the daemon makes of settings, as `key = value`.
+fn settings(config: Option<&Path>, environment: &BTreeMap<String, String>) -> String {
+    let mut command = Command::new(binaries::tidemapd());
+    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("TIDEMAP_")) {
+        command.env_remove(name);
+    }
+    if let Some(config) = config {
+        command.arg("--config").arg(config);
+    }
+    let shown = command.envs(environment).arg("config").output().expect("tidemapd runs");
+    assert!(shown.status.success(), "{}", String::from_utf8_lossy(&shown.stderr));
+    String::from_utf8(shown.stdout).expect("text")
+}
+
+#[test]
+fn the_daemon_takes_the_settings_of_the_cluster_and_probes_ask_what_it_serves() {
+    let taken = settings(Some(&root().join("kubernetes/tidemapd.toml")), &BTreeMap::new());
+    let objects = documents("kubernetes/tidemap.yaml");
+    let set = objects.iter().find(|object| object["kind"] == "StatefulSet").expect("a StatefulSet");
+    let pod = &set["spec"]["template"]["spec"];
+    let daemon = &pod["containers"][0];
+    for (port, key) in [("grpc", "listen"), ("http", "http_listen")] {
+        let ports = daemon["ports"].as_array().expect("ports");
+        let number = &ports.iter().find(|each| each["name"] == port).expect("a port")["containerPort"];
+        assert!(taken.contains(&format!("\n{key} = \"0.0.0.0:{number}\"\n")), "{key} is not {number} in:\n{taken}");
+    }
+    for (probe, path) in [("livenessProbe", "/healthz"), ("startupProbe", "/healthz"), ("readinessProbe", "/readyz")] {
+        assert_eq!(daemon[probe]["httpGet"]["path"], path);
+        assert_eq!(daemon[probe]["httpGet"]["scheme"], "HTTPS", "{probe}: there are TLS and tokens");
+    }
+    // Files that the settings name lie where something is mounted, and the data where the volume is.
+    let mounts: Vec<&str> = daemon["volumeMounts"]
+        .as_array()
+        .expect("mounts")
+        .iter()
+        .filter_map(|mount| mount["mountPath"].as_str())
+        .collect();
+    for line in taken.lines().filter(|line| line.contains("\"/")) {
+        let path = line.split('"').nth(1).expect("a path");
+        assert!(mounts.iter().any(|mount| path.starts_with(mount)), "{line} lies in none of {mounts:?}");
+    }
+    assert_eq!(set["spec"]["replicas"], 1, "a folder belongs to one daemon");
+}
+
+#[test]
+fn pods_and_containers_have_few_rights() {
+    let objects = documents("kubernetes/tidemap.yaml");
+    let set = objects.iter().find(|object| object["kind"] == "StatefulSet").expect("a StatefulSet");
+    let pod = &set["spec"]["template"]["spec"];
+    assert_eq!(pod["securityContext"]["runAsNonRoot"], true);
+    assert_eq!(pod["securityContext"]["seccompProfile"]["type"], "RuntimeDefault");
+    assert_eq!(pod["automountServiceAccountToken"], false);
+    let own = &pod["containers"][0]["securityContext"];
+    assert_eq!(own["allowPrivilegeEscalation"], false);
+    assert_eq!(own["readOnlyRootFilesystem"], true);
+    assert_eq!(own["capabilities"]["drop"][0], "ALL");
+    let policy = objects.iter().find(|object| object["kind"] == "NetworkPolicy").expect("a NetworkPolicy");
+    assert_eq!(policy["spec"]["policyTypes"], serde_json::json!(["Ingress", "Egress"]));
+    assert_eq!(policy["spec"]["egress"], serde_json::json!([]), "the daemon reaches nobody");
+
+    let compose = documents("container/compose.yaml").remove(0);
+    let services = compose["services"].as_object().expect("services");
+    for (name, service) in services {
+        for port in service["ports"].as_array().expect("ports") {
+            assert!(port.as_str().is_some_and(|port| port.starts_with("127.0.0.1:")), "{name}: {port}");
+        }
+        assert_eq!(service["cap_drop"][0], "ALL", "{name}");
+    }
+    let image = fs::read_to_string(root().join("container/Containerfile")).expect("a Containerfile");
+    assert!(image.contains("\nFROM scratch\n") && image.contains("\nUSER 10001:10001\n"));
+}
+
+#[test]
+fn the_daemon_takes_the_environment_of_compose_and_mounted_files_exist() {
+    let compose = documents("container/compose.yaml").remove(0);
+    let environment: BTreeMap<String, String> = compose["services"]["tidemap"]["environment"]
+        .as_object()
+        .expect("an environment")
+        .iter()
+        .map(|(name, value)| (name.clone(), value.as_str().expect("a text").to_owned()))
+        .collect();
+    let taken = settings(None, &environment);
+    let known: Vec<&str> = taken.lines().filter_map(|line| line.split(" = ").next()).collect();
+    for name in environment.keys() {
+        let key = name.trim_start_matches("TIDEMAP_").to_lowercase();
+        assert!(known.contains(&key.as_str()), "{name} is no setting");
+    }
+    assert!(taken.contains("listen = \"0.0.0.0:7435\"") && taken.contains("http_hosts = [\"tidemap\"]"), "{taken}");
+    for service in compose["services"].as_object().expect("services").values() {
+        for volume in service["volumes"].as_array().expect("volumes").iter().filter_map(Value::as_str) {
+            let source = volume.split(':').next().expect("a source");
+            assert!(!source.starts_with('.') || root().join("container").join(source).is_file(), "{volume}");
+        }
+    }
+    for file in ["container/prometheus.yaml", "container/grafana/source.yaml", "container/grafana/dashboards.yaml"] {
+        assert!(documents(file)[0].is_object(), "{file}");
+    }
+}
