@@ -104,26 +104,36 @@ pub(crate) struct CommandLine {
     command: Command,
 }
 
-/// Parses the command line, and finds the name of the map that the command is about.
-pub(crate) fn parse() -> (CommandLine, Option<String>) {
+/// What a command is about, as far as it concerns how its times are shown.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(crate) struct Subject {
+    /// Name of the map.
+    map: Option<String>,
+    /// Whether the result is drawn.
+    is_drawn: bool,
+}
+
+/// Parses the command line.
+pub(crate) fn parse() -> (CommandLine, Subject) {
     let matches = CommandLine::command().get_matches();
     let line = CommandLine::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    (line, map_of(&matches))
+    (line, subject(&matches))
 }
 
 /// Commands that show no times; they do not ask for the map's zone.
 const TIMELESS: [&str; 4] = ["observe", "traverse", "update", "visit"];
 
-fn map_of(matches: &ArgMatches) -> Option<String> {
+fn subject(matches: &ArgMatches) -> Subject {
     let mut matches = matches;
     while let Some((name, inner)) = matches.subcommand() {
         if TIMELESS.contains(&name) {
-            return None;
+            return Subject::default();
         }
         matches = inner;
     }
     let text = |id| matches.try_get_one::<String>(id).ok().flatten().cloned();
-    text("map").or_else(|| text("name"))
+    let is_drawn = matches.try_get_one::<PathBuf>("picture").is_ok_and(|picture| picture.is_some());
+    Subject { map: text("map").or_else(|| text("name")), is_drawn }
 }
 
 #[derive(Debug, Subcommand)]
@@ -311,11 +321,11 @@ fn credentials(line: &CommandLine) -> anyhow::Result<Credentials> {
 const ZONE_WITHIN: Duration = Duration::from_secs(2);
 
 /// How the tables of a command show times.
-async fn time_style(client: &Client, format: Format, time: TimeArg, map: Option<&str>) -> TimeStyle {
-    match (time, map) {
+async fn time_style(client: &Client, format: Format, time: TimeArg, subject: &Subject) -> TimeStyle {
+    match (time, &subject.map) {
         (TimeArg::Unix, _) => TimeStyle::Unix,
         (TimeArg::Ns, _) => TimeStyle::Nanos,
-        (TimeArg::Local, Some(map)) if format == Format::Table => {
+        (TimeArg::Local, Some(map)) if format == Format::Table || subject.is_drawn => {
             // What is wrong with the map or the daemon is for the command to say.
             let map = tokio::time::timeout(ZONE_WITHIN, client.map(map)).await;
             let zone = map.ok().and_then(Result::ok).and_then(|map| Zone::named(&map.time_zone).ok());
@@ -325,8 +335,8 @@ async fn time_style(client: &Client, format: Format, time: TimeArg, map: Option<
     }
 }
 
-/// Runs a command about a map, if it is about one.
-pub(crate) async fn run(line: CommandLine, map: Option<String>) -> anyhow::Result<ExitCode> {
+/// Runs a command.
+pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<ExitCode> {
     if let Command::Demo(args) = &line.command {
         return demo::run(args).await;
     }
@@ -347,7 +357,7 @@ pub(crate) async fn run(line: CommandLine, map: Option<String>) -> anyhow::Resul
     let client = Client::with_credentials(&line.server, &credentials(&line)?);
     let client = client.map_err(|error| UsageError(error.to_string()))?;
     let format = line.output.unwrap_or_else(default_format);
-    let times = time_style(&client, format, line.time, map.as_deref()).await;
+    let times = time_style(&client, format, line.time, subject).await;
     let session = Session { client, format, times };
     match line.command {
         Command::Map(command) => map::run(&session, command).await,
@@ -397,13 +407,16 @@ mod tests {
         for (line, map) in [
             ("tidemap predict home door --at 1", Some("home")),
             ("tidemap map show home", Some("home")),
+            ("tidemap model show home door --picture", Some("home")),
+            ("tidemap route home A B --at 1 --picture a.svg", Some("home")),
             ("tidemap state list home", Some("home")),
             ("tidemap topology failures home", Some("home")),
             ("tidemap observe home a.csv", None),
             ("tidemap job list", None),
         ] {
             let matches = CommandLine::command().try_get_matches_from(line.split(' '));
-            assert_eq!(matches.map(|matches| map_of(&matches)).ok(), Some(map.map(str::to_owned)), "{line}");
+            let found = matches.map(|matches| subject(&matches)).unwrap_or_default();
+            assert_eq!(found, Subject { map: map.map(str::to_owned), is_drawn: line.contains("--picture") }, "{line}");
         }
     }
 

@@ -14,12 +14,12 @@ use std::{io, process::ExitCode};
 use commands::UsageError;
 
 fn main() -> ExitCode {
-    let (command_line, map) = commands::parse();
+    let (command_line, subject) = commands::parse();
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,
         Err(error) => return failed(&anyhow::Error::new(error).context("the runtime cannot start")),
     };
-    let code = runtime.block_on(commands::run(command_line, map)).unwrap_or_else(|error| failed(&error));
+    let code = runtime.block_on(commands::run(command_line, &subject)).unwrap_or_else(|error| failed(&error));
     // A thread may still wait for stdin; do not wait for it.
     runtime.shutdown_background();
     code

@@ -8,6 +8,7 @@ pub mod cells_csv;
 mod colour;
 #[cfg(test)]
 mod cuts;
+pub mod drawing;
 mod error;
 pub mod nav2;
 pub mod observation_file;

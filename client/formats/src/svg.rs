@@ -36,6 +36,12 @@ impl Svg {
         self.add(format_args!("<polyline points=\"{}\" fill=\"none\" {style}/>", points.join(" ")));
     }
 
+    /// A filled shape.
+    pub fn polygon(&mut self, points: impl IntoIterator<Item = [f64; 2]>, style: &str) {
+        let points: Vec<String> = points.into_iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+        self.add(format_args!("<polygon points=\"{}\" {style}/>", points.join(" ")));
+    }
+
     /// A rectangle by its upper left corner and size.
     pub fn rectangle(&mut self, [x, y, width, height]: [f64; 4], style: &str) {
         self.add(format_args!("<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" {style}/>"));

@@ -12,8 +12,11 @@ use tidemap_client::{
     queries::ModelSelector,
 };
 
-use super::{Session, times, usage};
-use tidemap_formats::table::Cell;
+use super::{Session, files::DrawingArg, times, usage};
+use tidemap_formats::{
+    drawing::{Curve, CurvePlot},
+    table::Cell,
+};
 
 #[derive(Debug, Args)]
 pub(crate) struct DayArgs {
@@ -63,6 +66,8 @@ pub(crate) struct DayArgs {
     /// States that the task depends on, one per location and in their order
     #[arg(long = "task-state", value_name = "STATE", num_args = 1.., requires = "exploration_weight")]
     task_states: Vec<String>,
+    #[command(flatten)]
+    drawing: DrawingArg,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -116,6 +121,8 @@ async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Resul
 const COLUMNS: [&str; 4] = ["slot", "start", "location", "information_bits"];
 
 pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
+    args.drawing.check()?;
+    let title = format!("{}: what to explore on {}", args.map, args.date);
     let budget = match (args.explore, args.ratio) {
         (Some(slots), _) => Some(Budget::Visits(slots as usize)),
         (None, Some(ratio)) if ratio > 0.0 && ratio <= 1.0 => Some(Budget::Ratio(ratio)),
@@ -149,9 +156,38 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
         tour: args.tours.map(|goals| DayTour { goals, start_m: None }),
     };
     let slots = session.client.plan_day(query).await?;
+    args.drawing.put(|| text(session, &title, &slots), || plot(session, &title, &slots).svg())?;
+    if args.drawing.is_in_terminal() {
+        return Ok(ExitCode::SUCCESS);
+    }
     let row = |(slot, DaySlot { start_nanos, location, information_bits })| {
         let location = location.map_or(Cell::Empty, Cell::Text);
         vec![Cell::Count(slot), Cell::Time(start_nanos), location, information_bits.into()]
     };
     session.print(&COLUMNS, (0_u64..).zip(slots).map(row))
+}
+
+/// The information of each slot; those that are explored are marked.
+fn plot(session: &Session, title: &str, slots: &[DaySlot]) -> CurvePlot {
+    CurvePlot {
+        title: title.to_owned(),
+        labels: slots.iter().map(|slot| session.times.label(slot.start_nanos)).collect(),
+        curves: vec![Curve {
+            name: "information (bits)".to_owned(),
+            values: slots.iter().map(|slot| Some(slot.information_bits)).collect(),
+            band: Vec::new(),
+            marks: slots.iter().map(|slot| slot.location.is_some()).collect(),
+        }],
+    }
+}
+
+/// The drawing for a terminal, with the list of what is explored.
+fn text(session: &Session, title: &str, slots: &[DaySlot]) -> String {
+    let mut text = plot(session, title, slots).text();
+    for slot in slots {
+        if let Some(location) = &slot.location {
+            text += &format!("  {}  {location}\n", session.times.label(slot.start_nanos));
+        }
+    }
+    text
 }

@@ -2,7 +2,11 @@
 //!
 //! Invariant: an error names its file.
 
-use std::{fs, io, path::Path};
+use std::{
+    fs,
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
 
 use anyhow::Context as _;
 
@@ -33,5 +37,42 @@ pub(crate) fn check_picture(path: Option<&Path>) -> Result<(), UsageError> {
             Err(UsageError(format!("--picture {}: its ending has to be .svg", path.display())))
         }
         _ => Ok(()),
+    }
+}
+
+/// Where a drawing goes.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct DrawingArg {
+    /// Draws the result: in the terminal, instead of the table, or as an SVG file. Without FILE it is the last option
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
+    picture: Option<PathBuf>,
+}
+
+impl DrawingArg {
+    /// Refuses a file of another kind.
+    pub(crate) fn check(&self) -> Result<(), UsageError> {
+        match &self.picture {
+            Some(path) if path.as_os_str() != "-" => check_picture(Some(path)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether there is anything to draw.
+    pub(crate) fn is_wanted(&self) -> bool {
+        self.picture.is_some()
+    }
+
+    /// Whether the drawing takes the place of the table.
+    pub(crate) fn is_in_terminal(&self) -> bool {
+        self.picture.as_ref().is_some_and(|path| path.as_os_str() == "-")
+    }
+
+    /// Shows or writes the drawing.
+    pub(crate) fn put(&self, text: impl FnOnce() -> String, svg: impl FnOnce() -> String) -> anyhow::Result<()> {
+        match &self.picture {
+            Some(path) if path.as_os_str() != "-" => write(path, svg()),
+            Some(_) => Ok(io::stdout().write_all(text().as_bytes())?),
+            None => Ok(()),
+        }
     }
 }

@@ -7,12 +7,20 @@ use std::{
     process::ExitCode,
 };
 
+use anyhow::Context as _;
 use clap::Subcommand;
-use tidemap_client::queries::{Component, ModelDescription, ModelSelector};
+use tidemap_client::{
+    maps::StateKind,
+    queries::{Component, ModelDescription, ModelSelector},
+};
 
-use super::Session;
+use super::{Session, files::DrawingArg};
 use crate::output::stdout;
-use tidemap_formats::table::{Cell, Format, object, write_rows};
+use tidemap_formats::{
+    drawing::HeatMap,
+    table::{Cell, Format, TimeStyle, object, write_rows},
+};
+use tidemap_model::{LocalDay, Zone};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum ModelCommand {
@@ -22,18 +30,77 @@ pub(crate) enum ModelCommand {
         map: String,
         /// Name of the state; a cell of the grid is cell/X/Y/Z
         state: String,
+        #[command(flatten)]
+        drawing: DrawingArg,
     },
 }
 
 pub(crate) async fn run(session: &Session, command: &ModelCommand) -> anyhow::Result<ExitCode> {
-    let ModelCommand::Show { map, state } = command;
+    let ModelCommand::Show { map, state, drawing } = command;
+    drawing.check()?;
     let model = session.client.describe_model(map, state).await?;
+    if drawing.is_wanted() {
+        let week = week(session, map, state, &model).await?;
+        drawing.put(|| week.text() + &amplitudes(&model), || week.svg())?;
+    }
+    if drawing.is_in_terminal() {
+        return Ok(ExitCode::SUCCESS);
+    }
     match session.format {
         Format::Table => table(&model)?,
         Format::Json => json(&model)?,
         Format::Csv => csv(&model)?,
     }
     Ok(ExitCode::SUCCESS)
+}
+
+const HOUR_NANOS: i64 = 3_600_000_000_000;
+
+/// The week after the newest observation, hour by hour, as the model predicts it: a row for each local day.
+async fn week(session: &Session, map: &str, state: &str, model: &ModelDescription) -> anyhow::Result<HeatMap> {
+    let zone = Zone::named(&session.client.map(map).await?.time_zone).unwrap_or_else(|_| Zone::utc());
+    let last = model.last_nanos.context("nothing was observed yet: there is nothing to draw")?;
+    let first = zone.day_of(last).0 + 1;
+    let hour =
+        |day: i32, hour: i64| zone.midnight_nanos(LocalDay(day)).saturating_add(hour * HOUR_NANOS + HOUR_NANOS / 2);
+    let times: Vec<i64> =
+        (first..first + 7).flat_map(|day| (0..24).map(move |at| (day, at))).map(|(day, at)| hour(day, at)).collect();
+    let style = TimeStyle::Clock(zone.clone());
+    let rows = times.chunks(24).map(|day| style.heading(day[0]).chars().take(14).collect()).collect();
+    let mut predicted = session.client.predict(map, vec![state.to_owned()], times, ModelSelector::default());
+    let mut values = Vec::new();
+    // A vector is drawn by its first axis.
+    while let Some(run) = predicted.next().await? {
+        if run.axis.is_none_or(|axis| axis == 0) {
+            values.extend(run.probabilities.into_iter().map(Some));
+        }
+    }
+    let all = || values.iter().flatten().copied();
+    let (low, high) = (all().fold(0.0, f64::min), all().fold(0.0, f64::max));
+    let is_probability = model.kind == StateKind::Probability;
+    Ok(HeatMap {
+        title: format!("{state}: a week as {} predicts it, hour by hour ({})", model.chosen, zone.name()),
+        rows,
+        columns: (0..24).map(|hour| format!("{hour:02}")).collect(),
+        values: values.chunks(24).map(<[Option<f64>]>::to_vec).collect(),
+        range: if is_probability { [0.0, 1.0] } else { [low, high] },
+        unit: if is_probability { "probability" } else { "expected value" }.to_owned(),
+    })
+}
+
+/// Bars of the amplitudes of the rhythms, for a terminal.
+fn amplitudes(model: &ModelDescription) -> String {
+    let most = model.components.iter().map(|component| component.amplitude).fold(0.0, f64::max);
+    let mut text = String::new();
+    if most > 0.0 {
+        text += "rhythms of the spectral model, the used ones with █\n";
+    }
+    for (index, component) in model.components.iter().enumerate() {
+        let length = (component.amplitude / most * 40.0).round().max(1.0) as usize;
+        let bar = if used(model, index) { "█" } else { "░" }.repeat(length);
+        text += &format!("  {:>8} │{bar} {:.3}\n", words(component.period_secs), component.amplitude);
+    }
+    text
 }
 
 fn used(model: &ModelDescription, index: usize) -> bool {

@@ -8,9 +8,9 @@ use std::process::ExitCode;
 use clap::Args;
 use tidemap_client::queries::{ModelSelector, PositionForecast, PositionQuery, PositionsHeader};
 
-use super::{Session, times, usage};
+use super::{Session, files::DrawingArg, times, usage};
 use crate::progress::status_line;
-use tidemap_formats::table::Cell;
+use tidemap_formats::{drawing::HeatMap, table::Cell};
 
 #[derive(Debug, Args)]
 pub(crate) struct PositionArgs {
@@ -36,6 +36,8 @@ pub(crate) struct PositionArgs {
     /// Also predict how many positions there are in each cell, from each time until this much later [at most: 7d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     count: Option<i64>,
+    #[command(flatten)]
+    drawing: DrawingArg,
 }
 
 #[derive(Clone, Debug)]
@@ -59,12 +61,17 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
     if args.resolution.is_some_and(|edge| edge.is_nan() || edge <= 0.0) {
         return Err(usage("--resolution must be above 0"));
     }
+    args.drawing.check()?;
+    if args.drawing.is_wanted() && args.at.len() != 1 {
+        return Err(usage("--picture draws one time: give one with --at"));
+    }
     let query = PositionQuery {
         times: args.at.clone(),
         model: Some(args.model),
         region_m: args.region.map(|region| (region.low_m, region.high_m)),
         resolution_m: args.resolution,
-        top: Some(args.top),
+        // A drawing needs all cells.
+        top: Some(if args.drawing.is_wanted() { 0 } else { args.top }),
         count_window: args.count,
     };
     let mut positions = session.client.positions(&args.map, &args.state, query).await?;
@@ -76,7 +83,17 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
     let mut told = Vec::new();
     while let Some(forecast) = positions.next().await? {
         let time = args.at.get(forecast.time).copied().unwrap_or_default();
-        for (middle, probability) in &forecast.cells {
+        if args.drawing.is_wanted() {
+            let heading = format!("{} at {}", args.state, session.times.heading(time));
+            let map = heat_map(&header, &forecast, heading);
+            args.drawing.put(|| map.text(), || map.svg())?;
+        }
+        let listed = match (args.drawing.is_in_terminal(), args.top) {
+            (true, _) => 0,
+            (false, 0) => usize::MAX,
+            (false, top) => top as usize,
+        };
+        for (middle, probability) in forecast.cells.iter().take(listed) {
             let mut cells = vec![Cell::Time(time)];
             cells.extend(middle.iter().map(|&coordinate| Cell::from(coordinate)));
             cells.push((*probability).into());
@@ -87,9 +104,41 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
         }
         told.push(summary(&header, &forecast, time, args.count));
     }
-    table.finish()?;
+    if !args.drawing.is_in_terminal() {
+        table.finish()?;
+    }
     told.iter().for_each(|line| status_line(line));
     Ok(ExitCode::SUCCESS)
+}
+
+/// The cells seen from above; those over each other are added up.
+fn heat_map(header: &PositionsHeader, forecast: &PositionForecast, title: String) -> HeatMap {
+    let axis = |axis: usize| {
+        let (low, count) = (header.low_m.get(axis).copied(), header.counts.get(axis).copied());
+        (low.unwrap_or_default(), count.unwrap_or(1).max(1) as usize)
+    };
+    let ((low_x, width), (low_y, height)) = (axis(0), axis(1));
+    let mut values = vec![vec![Some(0.0); width]; height];
+    let place = |middle: f64, low: f64, count: usize| {
+        (((middle - low) / header.resolution_m).floor().max(0.0) as usize).min(count - 1)
+    };
+    for (middle, probability) in &forecast.cells {
+        if let [x, y, ..] = middle[..]
+            && let Some(Some(cell)) = values[height - 1 - place(y, low_y, height)].get_mut(place(x, low_x, width))
+        {
+            *cell += probability;
+        }
+    }
+    let most = values.iter().flatten().flatten().copied().fold(0.0, f64::max);
+    let metres = |low: f64, at: usize| format!("{:.1}", low + at as f64 * header.resolution_m);
+    HeatMap {
+        title,
+        rows: (0..height).rev().map(|row| metres(low_y, row)).collect(),
+        columns: (0..width).map(|column| metres(low_x, column)).collect(),
+        values,
+        range: [0.0, most],
+        unit: "probability of a cell; metres".to_owned(),
+    }
 }
 
 /// The summary of a time.
@@ -114,6 +163,23 @@ fn summary(header: &PositionsHeader, forecast: &PositionForecast, time: i64, win
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_heat_map_has_north_at_the_top() {
+        let header = PositionsHeader {
+            low_m: vec![0.0, 0.0],
+            resolution_m: 0.5,
+            counts: vec![3, 2],
+            observations: 1,
+            fitted_observations: 1,
+            last_nanos: None,
+            generation: 1,
+        };
+        let cells = vec![(vec![1.25, 0.75], 0.5), (vec![0.25, 0.25], 0.25)];
+        let map = heat_map(&header, &PositionForecast { cells, ..PositionForecast::default() }, String::new());
+        assert_eq!(map.values, [[Some(0.0), Some(0.0), Some(0.5)], [Some(0.25), Some(0.0), Some(0.0)]]);
+        assert_eq!((map.rows, map.range), (vec!["0.5".to_owned(), "0.0".to_owned()], [0.0, 0.5]));
+    }
 
     #[test]
     fn regions_are_two_corners() {

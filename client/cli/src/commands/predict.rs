@@ -8,8 +8,11 @@ use clap::{ArgGroup, Args};
 use tidemap_client::queries::{ModelSelector, ORDER_MAX, PredictionRun};
 use tidemap_model::Dimensions;
 
-use super::{Session, UsageError, times, usage};
-use tidemap_formats::table::Cell;
+use super::{Session, UsageError, files::DrawingArg, times, usage};
+use tidemap_formats::{
+    drawing::{Curve, CurvePlot},
+    table::Cell,
+};
 
 mod places;
 
@@ -56,6 +59,8 @@ pub(crate) struct PredictArgs {
     /// With --where: values whose probability density to show
     #[arg(long, value_name = "VALUE,…", value_delimiter = ',', requires = "places", allow_hyphen_values = true)]
     density: Vec<f64>,
+    #[command(flatten)]
+    drawing: DrawingArg,
 }
 
 const COLUMNS: [&str; 9] =
@@ -74,24 +79,87 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
         (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
         _ => return Err(usage("give the times with --at, --times, or --from with --to and --step")),
     };
+    args.drawing.check()?;
     if !args.places.is_empty() {
+        if args.drawing.is_wanted() {
+            return Err(usage("--picture draws values over time: it does not go with --where"));
+        }
         return places::run(session, args, times).await;
     }
     let model = ModelSelector { order: args.order.map(|order| order as usize), ..args.model };
     let mut predictions = session.client.predict(&args.map, args.states, times, model).with_intervals(args.interval);
-    let mut table = session.table(&COLUMNS);
+    let mut table = (!args.drawing.is_in_terminal()).then(|| session.table(&COLUMNS));
+    let mut drawn = Drawn { session, plot: CurvePlot::default(), order: Vec::new() };
     while let Some(run) = predictions.next().await? {
         let (states, times) = (predictions.states(), predictions.times());
         let name = match run.axis.and_then(|axis| Dimensions::Three.axes().get(axis)) {
             Some(axis) => Cow::Owned(format!("{}/{axis}", states[run.state])),
             None => Cow::Borrowed(states[run.state].as_str()),
         };
-        for cells in rows(&run, &name, &times[run.first_time..]) {
-            table.row(cells)?;
+        if args.drawing.is_wanted() {
+            drawn.add(&run, &name, times)?;
+        }
+        if let Some(table) = &mut table {
+            for cells in rows(&run, &name, &times[run.first_time..]) {
+                table.row(cells)?;
+            }
         }
     }
-    table.finish()?;
+    if let Some(table) = table {
+        table.finish()?;
+    }
+    args.drawing.put(|| drawn.plot.text(), || drawn.plot.svg())?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Maximum number of states, and of values, of a drawing.
+const CURVES_MAX: usize = 30;
+const DRAWN_MAX: usize = 200_000;
+
+/// Predictions that are drawn: a curve for each state.
+struct Drawn<'a> {
+    session: &'a Session,
+    plot: CurvePlot,
+    /// Places of the times in their order.
+    order: Vec<usize>,
+}
+
+impl Drawn<'_> {
+    fn add(&mut self, run: &PredictionRun, name: &str, times: &[i64]) -> anyhow::Result<()> {
+        if self.order.is_empty() {
+            self.order = (0..times.len()).collect();
+            self.order.sort_by_key(|&at| times[at]);
+            self.plot.labels = self.order.iter().map(|&at| self.session.times.label(times[at])).collect();
+            let ends =
+                [self.order.first(), self.order.last()].map(|at| at.map(|&at| self.session.times.heading(times[at])));
+            if let [Some(first), Some(last)] = ends {
+                self.plot.title = format!("predicted from {first} to {last}");
+            }
+        }
+        if self.plot.curves.last().is_none_or(|curve| curve.name != name) {
+            self.plot.curves.push(Curve {
+                name: name.to_owned(),
+                values: vec![None; times.len()],
+                band: vec![None; times.len()],
+                marks: Vec::new(),
+            });
+        }
+        if self.plot.curves.len() > CURVES_MAX || self.plot.curves.len() * times.len() > DRAWN_MAX {
+            return Err(usage(format!(
+                "--picture draws at most {CURVES_MAX} states and {DRAWN_MAX} values: name fewer states, or a longer --step"
+            )));
+        }
+        let mut places = vec![0; times.len()];
+        self.order.iter().enumerate().for_each(|(place, &at)| places[at] = place);
+        if let Some(curve) = self.plot.curves.last_mut() {
+            for (i, &value) in run.probabilities.iter().enumerate() {
+                let Some(&place) = places.get(run.first_time + i) else { continue };
+                curve.values[place] = Some(value);
+                curve.band[place] = run.lower.get(i).zip(run.upper.get(i)).map(|(&lower, &upper)| [lower, upper]);
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Refuses a model that all cells of a grid at once do not support.

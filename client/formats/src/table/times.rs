@@ -57,6 +57,28 @@ fn clock(zone: &Zone, nanos: i64, precision: Precision) -> String {
 }
 
 impl TimeStyle {
+    /// A time as a label of a drawing: weekday and clock, `Tue 09:00`.
+    #[must_use]
+    pub fn label(&self, nanos: i64) -> String {
+        match self {
+            Self::Clock(zone) => {
+                let text = clock(zone, nanos, Precision::Minutes);
+                let (weekday, time) = (text.get(..3).unwrap_or_default(), text.get(15..).unwrap_or_default());
+                format!("{weekday} {time}")
+            }
+            _ => self.text(nanos, Precision::Minutes),
+        }
+    }
+
+    /// A day and a time, as a heading says them.
+    #[must_use]
+    pub fn heading(&self, nanos: i64) -> String {
+        match self {
+            Self::Clock(zone) => format!("{} ({})", clock(zone, nanos, precision(nanos)), zone.name()),
+            _ => self.text(nanos, Precision::Minutes),
+        }
+    }
+
     fn text(&self, nanos: i64, precision: Precision) -> String {
         match self {
             Self::Unix => Cell::Secs(nanos).rounded(),
@@ -111,6 +133,8 @@ mod tests {
         let (header, texts) = column(&berlin, &[SPRING, SPRING + 3_600 * SEC]);
         assert_eq!(header, "time (Europe/Berlin)");
         assert_eq!(texts, ["Sun 2025-03-30 01:30", "Sun 2025-03-30 03:30"]);
+        assert_eq!((berlin.label(SPRING), TimeStyle::Nanos.label(5)), ("Sun 01:30".to_owned(), "5".to_owned()));
+        assert_eq!(berlin.heading(SPRING), "Sun 2025-03-30 01:30 (Europe/Berlin)");
         let (header, texts) = column(&TimeStyle::Clock(Zone::utc()), &[SPRING, SPRING + 5 * SEC, 0]);
         assert_eq!(header, "time (UTC)");
         assert_eq!(texts, ["Sun 2025-03-30 00:30:00", "Sun 2025-03-30 00:30:05", "Thu 1970-01-01 00:00:00"]);

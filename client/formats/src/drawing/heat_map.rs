@@ -1,0 +1,171 @@
+//! Heat maps: values in rows and columns, the first row at the top.
+//!
+//! Invariant: a cell without a value is blank, which no value is.
+
+use std::fmt::Write as _;
+
+use super::{label_line, short};
+use crate::{
+    colour::changing,
+    svg::{
+        Svg,
+        chart::{CHART_WIDTH, FONT_SIZE, HEADING, text_width},
+        hex,
+    },
+};
+
+/// Maximum number of columns of which each takes two characters.
+const WIDE: usize = 36;
+/// From the least value to the greatest.
+const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
+
+/// Values in rows and columns.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct HeatMap {
+    /// The heading.
+    pub title: String,
+    /// A label for each row; may be empty.
+    pub rows: Vec<String>,
+    /// A label for each column; may be empty.
+    pub columns: Vec<String>,
+    /// The values, row by row.
+    pub values: Vec<Vec<Option<f64>>>,
+    /// The values of the lightest and the strongest shade.
+    pub range: [f64; 2],
+    /// What the values are.
+    pub unit: String,
+}
+
+impl HeatMap {
+    /// The place of a value between the ends of the range, 0 to 1.
+    fn share(&self, value: f64) -> f64 {
+        let [low, high] = self.range;
+        if high > low { ((value - low) / (high - low)).clamp(0.0, 1.0) } else { 0.0 }
+    }
+
+    fn shade(&self, value: Option<f64>) -> char {
+        let last = SHADES.len() - 1;
+        value
+            .filter(|value| !value.is_nan())
+            .map_or(' ', |value| SHADES[(self.share(value) * last as f64).round() as usize])
+    }
+
+    fn width(&self) -> usize {
+        self.values.iter().map(Vec::len).max().unwrap_or(0)
+    }
+
+    /// As text: a character is about twice as high as wide, so a cell has two characters, or two rows share a line.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut text = format!("{}\n", self.title);
+        let margin = self.rows.iter().map(|label| label.chars().count()).max().unwrap_or(0);
+        let is_wide = self.width() <= WIDE;
+        let lines: Vec<(usize, String)> = if is_wide {
+            let line = |row: &Vec<Option<f64>>| row.iter().flat_map(|&cell| [self.shade(cell); 2]).collect();
+            self.values.iter().map(line).enumerate().collect()
+        } else {
+            let line = |pair: &[Vec<Option<f64>>]| {
+                let mean = |column: usize| {
+                    let cells: Vec<f64> = pair.iter().filter_map(|row| row.get(column).copied().flatten()).collect();
+                    (!cells.is_empty()).then(|| cells.iter().sum::<f64>() / cells.len() as f64)
+                };
+                (0..self.width()).map(|column| self.shade(mean(column))).collect()
+            };
+            self.values.chunks(2).map(line).enumerate().map(|(at, line)| (2 * at, line)).collect()
+        };
+        for (row, line) in lines {
+            let label = self.rows.get(row).map_or("", String::as_str);
+            let _ = writeln!(text, "{}", format!("  {label:<margin$} │{line}").trim_end());
+        }
+        let step = if is_wide { 2 } else { 1 };
+        let labels = self.columns.iter().enumerate().map(|(column, label)| (column * step, label.clone()));
+        let labels = label_line(labels);
+        if !labels.is_empty() {
+            let _ = writeln!(text, "  {:<margin$}  {labels}", "");
+        }
+        let shades: Vec<String> = SHADES.iter().map(ToString::to_string).collect();
+        let [low, high] = self.range.map(short);
+        let _ = writeln!(text, "  {}: {low} {} {high}", self.unit, shades.join(" "));
+        text
+    }
+
+    /// As SVG.
+    #[must_use]
+    pub fn svg(&self) -> String {
+        let margin = self.rows.iter().map(|label| text_width(label, FONT_SIZE)).fold(0.0, f64::max) + 20.0;
+        let (columns, rows) = (self.width().max(1) as f64, self.values.len() as f64);
+        let edge = ((CHART_WIDTH - margin - 20.0) / columns).min(24.0);
+        let mut svg = Svg::new([CHART_WIDTH, 110.0 + rows * edge], FONT_SIZE);
+        svg.text([20.0, 26.0], &self.title, HEADING);
+        for (row, values) in (0_u32..).zip(&self.values) {
+            let y = 44.0 + f64::from(row) * edge;
+            let below = FONT_SIZE / edge;
+            // Labels of rows that are lower than a line of text would lie on each other.
+            if below < 1.0 || f64::from(row) % below.ceil() == 0.0 {
+                let label = self.rows.get(row as usize).map_or("", String::as_str);
+                svg.text([margin - 8.0, y + edge / 2.0 + 4.0], label, "text-anchor=\"end\"");
+            }
+            for (column, value) in (0_u32..).zip(values) {
+                let Some(value) = value.filter(|value| !value.is_nan()) else { continue };
+                let fill = format!("fill=\"{}\"", hex(changing(self.share(value) as f32)));
+                svg.rectangle([margin + f64::from(column) * edge, y, edge, edge], &fill);
+            }
+        }
+        let below = 44.0 + rows * edge + 18.0;
+        let mut free = f64::MIN;
+        for (column, label) in (0_u32..).zip(&self.columns) {
+            let x = margin + f64::from(column) * edge;
+            if x > free {
+                svg.text([x, below], label, "");
+                free = x + text_width(label, FONT_SIZE) + 8.0;
+            }
+        }
+        let [low, high] = self.range.map(short);
+        svg.text([margin, below + 28.0], &format!("{}: {low}", self.unit), "");
+        let mut x = margin + text_width(&format!("{}: {low}", self.unit), FONT_SIZE) + 8.0;
+        for shade in 0..=10_u8 {
+            let fill = format!("fill=\"{}\"", hex(changing(f32::from(shade) / 10.0)));
+            svg.rectangle([x, below + 16.0, 14.0, 14.0], &fill);
+            x += 14.0;
+        }
+        svg.text([x + 8.0, below + 28.0], &high, "");
+        svg.finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn week() -> HeatMap {
+        HeatMap {
+            title: "week".to_owned(),
+            rows: ["Mon", "Tue"].map(str::to_owned).to_vec(),
+            columns: (0..24).map(|hour| hour.to_string()).collect(),
+            values: vec![(0..24).map(|hour| Some(f64::from(hour) / 23.0)).collect(), vec![None; 24]],
+            range: [0.0, 1.0],
+            unit: "probability".to_owned(),
+        }
+    }
+
+    #[test]
+    fn cells_have_shades_and_unknown_ones_none() {
+        let text = week().text();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!((lines[0], lines[2]), ("week", "  Tue │"));
+        assert!(lines[1].starts_with("  Mon │······░░") && lines[1].ends_with('█'), "{text}");
+        assert_eq!(lines[1].chars().count(), 7 + 48);
+        assert!(lines[3].contains("0   2   4") || lines[3].contains("0  "), "{text}");
+        assert_eq!(lines[4], "  probability: 0 · ░ ▒ ▓ █ 1");
+    }
+
+    #[test]
+    fn many_columns_share_lines() {
+        let map = HeatMap { values: vec![vec![Some(1.0); 60]; 5], range: [0.0, 1.0], ..HeatMap::default() };
+        let text = map.text();
+        assert_eq!(text.lines().filter(|line| line.contains('█')).count(), 3 + 1, "three pairs, and the legend");
+        assert!(map.svg().matches("<rect").count() >= 300);
+        assert!(!week().svg().contains("NaN"));
+        assert!(HeatMap::default().svg().ends_with("</svg>\n"));
+    }
+}
