@@ -152,6 +152,21 @@ pub struct Statistic {
     pub unit: String,
 }
 
+/// One who has sent observations to a map.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct KnownProducer {
+    /// Name of the producer.
+    pub producer: String,
+    /// The label of its sequence.
+    pub label: String,
+    /// Number of its observations that are durable or refused.
+    pub durable_sequence: u64,
+    /// Whether a stream of it is open.
+    pub is_connected: bool,
+    /// When the daemon received the newest of its observations, nanoseconds UTC; `None`: not known.
+    pub received_nanos: Option<i64>,
+}
+
 /// A job that is being watched.
 #[derive(Debug)]
 pub struct JobWatch {
@@ -213,6 +228,33 @@ impl Client {
             }
             if page.next_page_token.is_empty() {
                 return Ok(jobs);
+            }
+            request.page_token = page.next_page_token;
+        }
+    }
+
+    /// Those who have sent observations to a map, by name and label.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
+    pub async fn producers(&self, map: &str) -> Result<Vec<KnownProducer>, Error> {
+        let mut producers = Vec::new();
+        let mut request =
+            v1::ListProducersRequest { map: map.to_owned(), page_size: 10_000, page_token: String::new() };
+        loop {
+            let answer = self.maintenance_service().list_producers(request.clone()).await;
+            let page = answer.map_err(|status| self.error(&status))?.into_inner();
+            for known in page.producers {
+                producers.push(KnownProducer {
+                    producer: known.producer,
+                    label: known.label,
+                    durable_sequence: known.durable_sequence,
+                    is_connected: known.is_connected,
+                    received_nanos: instant(known.received_time),
+                });
+            }
+            if page.next_page_token.is_empty() {
+                return Ok(producers);
             }
             request.page_token = page.next_page_token;
         }

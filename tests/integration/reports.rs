@@ -116,3 +116,32 @@ async fn mistakes_name_the_reading() {
     }
     assert_eq!(observations(&daemon), "0");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_list_of_producers_tells_who_was_heard_and_when() {
+    let data = tempdir().expect("a folder");
+    let running = daemon(data.path()).await;
+    let list = |daemon: &Daemon| tidemap_tests::cli::tidemap(daemon, ["producer", "list", "home"]).table();
+    assert_eq!(list(&running).column("producer"), Vec::<String>::new());
+    let before = std::time::SystemTime::now();
+    let (mut stream, _) = RawStream::open(&running.grpc, hello("robot-2", "home")).await.expect("a Welcome");
+    stream.batch(1, columns(&["door"], &[(0, 1_000, 1.0), (0, 2_000, 0.0)])).await;
+    stream.acknowledged(2).await.expect("taken");
+    let answer = report(&running.http, &json!([{ "state": "door", "value": 1.0 }]), 0);
+    assert_eq!(answer.code, 200, "{}", answer.text());
+    let table = list(&running);
+    assert_eq!(table.column("producer"), ["robot", "robot-2"]);
+    assert_eq!(table.column("connected"), ["no", "yes"]);
+    assert_eq!(table.numbers("observations"), [1.0, 2.0]);
+    let since = before.duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_secs_f64();
+    assert!(table.numbers("received").iter().all(|&at| (since - 1.0..since + 600.0).contains(&at)), "{table:?}");
+    // It outlives the checkpoint and the daemon.
+    tidemap_tests::cli::tidemap(&running, ["update", "home"]).table();
+    drop(stream);
+    running.stop_in_order();
+    let running = Launch::on(data.path()).setting("http_write", true).start();
+    let later = list(&running);
+    assert_eq!(later.column("received"), table.column("received"));
+    assert_eq!(later.column("connected"), ["no", "no"]);
+    tidemap_tests::cli::tidemap(&running, ["producer", "list", "attic"]).fails(1, &["attic"]);
+}

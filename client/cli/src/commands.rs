@@ -22,6 +22,7 @@ mod point;
 mod position;
 mod predict;
 mod presence;
+mod producer;
 mod producer_id;
 mod reconstruct;
 mod route;
@@ -239,6 +240,9 @@ enum Command {
     /// Lists and watches jobs
     #[command(subcommand)]
     Job(job::JobCommand),
+    /// Shows who has sent observations to a map, and when last
+    #[command(subcommand)]
+    Producer(producer::ProducerCommand),
     /// Shows the counters of a map, or of the whole daemon
     Stats(stats::StatsArgs),
     /// Makes a backup of all maps while the daemon runs
@@ -385,6 +389,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Joint(args) => presence::joint(&session, args).await,
         Command::Slot(args) => slot::run(&session, args).await,
         Command::Job(command) => job::run(&session, &command).await,
+        Command::Producer(command) => producer::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,
         Command::Backup(command) => backup::run(&session, &command).await,
         Command::Bench(command) => bench::run(&session, &command).await,

@@ -150,10 +150,11 @@ try {
         await page.getByTestId('anomalies').getByRole('row').nth(1).waitFor();
     });
 
-    await check('jobs are shown', async () => {
+    await check('jobs and producers are shown', async () => {
         await page.getByRole('link', { name: 'Operations' }).click();
         await page.getByTestId('jobs').getByText('done').first().waitFor();
         assert.equal(await page.getByTestId('health').innerText(), 'ready');
+        await page.getByTestId('producers').getByRole('cell', { name: 'robot-2' }).first().waitFor();
         await page.screenshot({ path: join(folder, 'operations.png') });
     });
 

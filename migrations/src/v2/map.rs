@@ -128,6 +128,9 @@ pub struct Producer {
     /// The running CRC at each.
     #[prost(fixed32, repeated, tag = "8")]
     pub recent_crcs: Vec<u32>,
+    /// When the newest of its observations was received, nanoseconds UTC; absent in older files.
+    #[prost(sfixed64, optional, tag = "9")]
+    pub received_nanos: Option<i64>,
 }
 
 /// How long exact observations are kept.

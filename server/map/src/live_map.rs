@@ -163,6 +163,11 @@ impl LiveMap {
         self.producers.get(id.0 as usize).map(|mark| (id, mark))
     }
 
+    /// All producers, in the order of their numbers.
+    pub fn producer_marks(&self) -> &[ProducerMark] {
+        &self.producers
+    }
+
     /// Number of producer keys.
     pub fn producers(&self) -> usize {
         self.producers.len()

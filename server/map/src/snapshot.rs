@@ -88,6 +88,9 @@ pub struct ProducerMark {
     pub content_crc: u32,
     /// The sensor of all its scans; `None`: the map's own.
     pub sensor: Option<ProducerSensor>,
+    /// When the daemon received the newest of them, nanoseconds UTC; `None`: a checkpoint of an older version does not
+    /// tell.
+    pub received_nanos: Option<i64>,
     /// The same CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
     pub recent: Vec<ContentMark>,
 }

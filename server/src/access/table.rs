@@ -71,6 +71,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MaintenanceService/WatchJob", Need::Token),
     ("/tidemap.v1.MaintenanceService/GetUpdateReport", Need::Token),
     ("/tidemap.v1.MaintenanceService/GetStatistics", role(Planner)),
+    ("/tidemap.v1.MaintenanceService/ListProducers", role(Planner)),
     ("/tidemap.v1.MaintenanceService/CreateBackup", role(Admin)),
 ];
 

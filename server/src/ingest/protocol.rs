@@ -18,7 +18,7 @@ use tidemap_map::{
     ids::RefusalReason,
     name::{ProducerKey, StateName},
     site::{InvalidEdit, SiteEdit},
-    snapshot::{ContentMark, MapSnapshot},
+    snapshot::{ContentMark, MapSnapshot, ProducerMark},
     traversal::Traversal,
     update::UpdateResult,
 };
@@ -281,6 +281,15 @@ pub(crate) enum Handover {
     },
 }
 
+/// A producer of a map.
+#[derive(Clone, Debug)]
+pub(crate) struct KnownProducer {
+    /// How far its sequence is durable.
+    pub mark: ProducerMark,
+    /// Whether a stream of it is open.
+    pub is_connected: bool,
+}
+
 /// A request for what was observed and is not in the store's history yet.
 #[derive(Debug)]
 pub(crate) struct ReadHistory {
@@ -335,6 +344,8 @@ pub(crate) enum Command {
     EditSite(EditSite),
     /// Return what is not in the store's history yet.
     ReadHistory(ReadHistory),
+    /// Return the producers.
+    ListProducers(oneshot::Sender<Vec<KnownProducer>>),
     /// Subscribe to what is applied from now on. The answer: a receiver, and the number of observations sent before.
     Watch(oneshot::Sender<(FeedReceiver, u64)>),
     /// End all streams and stop.

@@ -196,6 +196,11 @@ impl Sessions {
         }
     }
 
+    /// Whether a stream of the key is open.
+    pub(super) fn is_open(&self, key: &ProducerKey) -> bool {
+        self.open_by_key.contains_key(key)
+    }
+
     /// Opens a stream, which replaces an open one of the same key if the hello allows that. `Ok(None)`: batches of the
     /// key are still in flight; ask again when they are answered.
     pub(super) fn open(&mut self, hello: &Hello, map: &LiveMap) -> Result<Option<Welcome>, HelloError> {

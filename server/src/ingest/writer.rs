@@ -30,7 +30,7 @@ use std::{
 use arc_swap::ArcSwap;
 use tidemap_map::{
     live_map::{LiveMap, PendingLimits},
-    snapshot::MapSnapshot,
+    snapshot::{MapSnapshot, ProducerMark},
     update::UpdateWork,
     view::MapView,
 };
@@ -42,7 +42,7 @@ use super::{
     anomaly_feed::AnomalyFeed,
     ending::Ending,
     handle::{MapHandle, OpenProgress, Seat},
-    protocol::{Command, Hello, HelloError, RefusedObservation, SessionEvent, SessionId, Welcome},
+    protocol::{Command, Hello, HelloError, KnownProducer, RefusedObservation, SessionEvent, SessionId, Welcome},
     sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
 };
@@ -241,7 +241,8 @@ impl Writer {
             Command::AddState(add) => self.add_state(add),
             Command::EditSite(edit) => self.edit_site(edit),
             Command::ReadHistory(read) => self.read_history(read),
-            // The client may have gone away.
+            // The clients may have gone away.
+            Command::ListProducers(reply) => drop(reply.send(self.known_producers())),
             Command::Watch(reply) => drop(reply.send(self.feed.listen())),
             Command::Stop { ending, done } => {
                 self.stopping = Some((ending, done));
@@ -249,6 +250,14 @@ impl Writer {
                 self.backlog.clear();
             }
         }
+    }
+
+    fn known_producers(&self) -> Vec<KnownProducer> {
+        let known =
+            |mark: &ProducerMark| KnownProducer { mark: mark.clone(), is_connected: self.sessions.is_open(&mark.key) };
+        let mut producers: Vec<KnownProducer> = self.map.producer_marks().iter().map(known).collect();
+        producers.sort_by(|a, b| a.mark.key.cmp(&b.mark.key));
+        producers
     }
 
     /// Runs after each burst of commands: publishes, answers those who wait for what is now public, and starts what is

@@ -12,7 +12,7 @@ use tidemap_proto::{
     v1::{self, maintenance_service_server::MaintenanceService},
 };
 use tidemap_store::{BackupReport, Trouble};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
@@ -20,7 +20,7 @@ use super::{RpcReply, page::page, status::RpcError};
 use crate::{
     access::Caller,
     catalog::Catalog,
-    ingest::protocol::Command,
+    ingest::protocol::{Command, KnownProducer},
     jobs::{Phase, UpdateJob},
     rpc::lookup::find_map,
     statistics,
@@ -192,6 +192,26 @@ impl MaintenanceService for Maintenance {
         let states = cells.into_iter().chain(report.states.iter().map(state_update_to_wire));
         let states = states.skip(range.start).take(range.len());
         Ok(Response::new(v1::GetUpdateReportResponse { states: states.collect(), next_page_token }))
+    }
+
+    async fn list_producers(&self, request: Request<v1::ListProducersRequest>) -> RpcReply<v1::ListProducersResponse> {
+        let request = request.into_inner();
+        let handle = find_map(&self.catalog, &request.map).await?;
+        let (reply, known) = oneshot::channel();
+        if !handle.send(Command::ListProducers(reply)) {
+            return Err(RpcError::Stopping.into());
+        }
+        let known = known.await.map_err(|_| RpcError::Stopping)?;
+        let (range, next_page_token) = page(known.len(), request.page_size, 1000, 10_000, &request.page_token)?;
+        let producer = |known: &KnownProducer| v1::ProducerInfo {
+            producer: known.mark.key.producer().to_owned(),
+            label: known.mark.key.label().to_owned(),
+            durable_sequence: known.mark.durable_sequence,
+            is_connected: known.is_connected,
+            received_time: known.mark.received_nanos.map(timestamp),
+        };
+        let producers = known[range].iter().map(producer).collect();
+        Ok(Response::new(v1::ListProducersResponse { producers, next_page_token }))
     }
 
     async fn create_backup(&self, request: Request<v1::CreateBackupRequest>) -> RpcReply<v1::CreateBackupResponse> {

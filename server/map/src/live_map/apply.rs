@@ -23,6 +23,7 @@ struct Advance<'a> {
     first_sequence: u64,
     last_sequence: u64,
     content_crc: u32,
+    received_nanos: i64,
 }
 
 impl LiveMap {
@@ -61,6 +62,7 @@ impl LiveMap {
                 durable_sequence: 0,
                 content_crc: 0,
                 sensor,
+                received_nanos: None,
                 recent: Vec::new(),
             });
         }
@@ -81,6 +83,7 @@ impl LiveMap {
         mark.incarnation = mark.incarnation.max(event.incarnation);
         mark.durable_sequence = event.last_sequence;
         mark.content_crc = event.content_crc;
+        mark.received_nanos = Some(event.received_nanos);
         Ok(())
     }
 
@@ -119,6 +122,7 @@ impl LiveMap {
             first_sequence: event.first_sequence,
             last_sequence: event.last_sequence,
             content_crc: event.content_crc,
+            received_nanos: event.received_nanos,
         })?;
         if let Some(grid) = &mut self.grid {
             let sensor = self.producers.get(event.producer.0 as usize).and_then(|mark| mark.sensor);
@@ -138,6 +142,7 @@ impl LiveMap {
             first_sequence: event.first_sequence,
             last_sequence: event.last_sequence,
             content_crc: event.content_crc,
+            received_nanos: event.received_nanos,
         })?;
         for new in &event.new_states {
             self.add_new_state(new)?;

@@ -118,6 +118,7 @@ pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v2::Producer {
         sensor: sensors::encode(mark.sensor),
         recent_sequences: mark.recent.iter().map(|recent| recent.sequence).collect(),
         recent_crcs: mark.recent.iter().map(|recent| recent.crc).collect(),
+        received_nanos: mark.received_nanos,
     }
 }
 
@@ -143,6 +144,7 @@ pub(crate) fn decode_producer(id: usize, message: &v2::Producer) -> Result<Produ
         durable_sequence: message.durable_sequence,
         content_crc: message.content_crc,
         sensor: sensors::decode(message.sensor.as_ref())?,
+        received_nanos: message.received_nanos,
         recent,
     })
 }

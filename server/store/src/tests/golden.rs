@@ -135,6 +135,7 @@ fn snapshot() -> MapSnapshot {
             durable_sequence: 15,
             content_crc: 0x1234_5678,
             sensor: None,
+            received_nanos: None,
             recent: Vec::new(),
         }],
         states: vec![
