@@ -1,7 +1,7 @@
 //! Tables of results: aligned columns for people, CSV and JSON for programs.
 //!
-//! Invariant: the same columns in each form. Programs get numbers in full and times in Unix seconds; only the aligned form
-//! rounds, and shows times as people read them.
+//! Invariant: the same columns in each form. Programs get numbers in full and times in Unix seconds; only the aligned
+//! form rounds, and shows times as people read them.
 
 mod times;
 

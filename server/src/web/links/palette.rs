@@ -1,7 +1,7 @@
 //! The colours of pictures: those of the page (`client/web/src/lib/colours.ts`), as palettes of 256 entries.
 //!
-//! Invariant: entry 255 is for what is not known, and is transparent; entries 0 to 254 stand for 0 to 1. A test compares
-//! the colours with those of the page.
+//! Invariant: entry 255 is for what is not known, and is transparent; entries 0 to 254 stand for 0 to 1. A test
+//! compares the colours with those of the page.
 
 /// The index of a value that is not known.
 pub(super) const UNKNOWN: u8 = 255;

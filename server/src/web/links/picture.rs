@@ -1,7 +1,7 @@
 //! `GET /api/v1/maps/NAME/grid.png`: the columns of a grid at a time, one byte a pixel, north at the top.
 //!
-//! Invariant: the number of pixels is checked before cells are asked for. A column shows its most probable known cell of
-//! the heights, as on the page.
+//! Invariant: the number of pixels is checked before cells are asked for. A column shows its most probable known cell
+//! of the heights, as on the page.
 
 use axum::{
     extract::{Path, Request, State},
@@ -62,12 +62,12 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
 ];
 
 /// Cells of columns with their values, rows from south to north.
-struct Columns {
+struct PixelColumns {
     region: v1::CellBox,
     cells: Vec<u8>,
 }
 
-impl Columns {
+impl PixelColumns {
     fn empty(region: v1::CellBox) -> Self {
         let [width, height] = sides(&region);
         Self { region, cells: vec![UNKNOWN; usize::try_from(width * height).unwrap_or(0)] }
@@ -278,8 +278,8 @@ async fn columns(
     wanted: &Wanted,
     at: i64,
     region: v1::CellBox,
-) -> Result<(Columns, u64), Failure> {
-    let mut columns = Columns::empty(region);
+) -> Result<(PixelColumns, u64), Failure> {
+    let mut columns = PixelColumns::empty(region);
     let header = ask(gateway, caller, wanted.question(at, Some(region)), |tile| columns.paint(tile)).await?;
     Ok((columns, header.generation))
 }
@@ -347,10 +347,10 @@ mod tests {
 
     #[test]
     fn tiles_are_painted_where_they_lie() {
-        let mut columns = Columns::empty(REGION);
+        let mut columns = PixelColumns::empty(REGION);
         columns.paint(&tile(0.25));
         assert_eq!(columns.cells, [UNKNOWN, 0, FULL, UNKNOWN, 64, UNKNOWN]);
-        let mut before = Columns::empty(REGION);
+        let mut before = PixelColumns::empty(REGION);
         before.paint(&tile(1.0));
         columns.minus(&before);
         assert_eq!(columns.cells, [UNKNOWN, 127, 127, UNKNOWN, 32, UNKNOWN]);
@@ -358,7 +358,7 @@ mod tests {
 
     #[test]
     fn a_file_is_read_back_pixel_by_pixel() -> Result<(), Box<dyn std::error::Error>> {
-        let mut columns = Columns::empty(REGION);
+        let mut columns = PixelColumns::empty(REGION);
         columns.paint(&tile(0.25));
         let Ok(file) = columns.png(Layer::Probability, 2) else { return Err("no file".into()) };
         let mut reader = png::Decoder::new(std::io::Cursor::new(&file)).read_info()?;

@@ -1,7 +1,7 @@
 //! `GET /api/v1/maps/NAME/topology.geojson`: nodes and edges with what is predicted of them at a time.
 //!
-//! Invariant: coordinates are metres in the map's frame, which the document says in the member `tidemap`. A node without
-//! a position has the geometry null, as RFC 7946 section 3.2 allows; so do its edges.
+//! Invariant: coordinates are metres in the map's frame, which the document says in the member `tidemap`. A node
+//! without a position has the geometry null, as RFC 7946 section 3.2 allows; so do its edges.
 
 use std::collections::HashMap;
 
@@ -41,7 +41,7 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
 ];
 
 /// What is known of a topological map at a time.
-struct Forecast {
+struct PredictedNetwork {
     nodes: Vec<v1::TopologyNode>,
     edges: Vec<v1::TopologyEdge>,
     predicted: Vec<v1::PredictedEdge>,
@@ -55,7 +55,7 @@ fn key(ends: Option<&v1::EdgeEnds>) -> EdgeKey<'_> {
     ends.map_or(("", "", ""), |ends| (&ends.from, &ends.to, &ends.action))
 }
 
-impl Forecast {
+impl PredictedNetwork {
     fn features(&self) -> Vec<Value> {
         let places: HashMap<&str, [f64; 2]> = self
             .nodes
@@ -126,7 +126,13 @@ fn or_too_large(status: tonic::Status) -> Failure {
     status.into()
 }
 
-async fn ask(gateway: &Gateway, caller: &Caller, map: &str, at: i64, object: &str) -> Result<Forecast, Failure> {
+async fn ask(
+    gateway: &Gateway,
+    caller: &Caller,
+    map: &str,
+    at: i64,
+    object: &str,
+) -> Result<PredictedNetwork, Failure> {
     let services = || gateway.services.clone();
     let map = map.to_owned();
     let mut topologies = TopologyServiceClient::new(services()).max_decoding_message_size(REPLY_BYTES);
@@ -157,7 +163,7 @@ async fn ask(gateway: &Gateway, caller: &Caller, map: &str, at: i64, object: &st
         Err(status) if object.is_empty() && status.code() == Code::FailedPrecondition => HashMap::new(),
         Err(status) => return Err(or_too_large(status)),
     };
-    Ok(Forecast { nodes: topology.nodes, edges: topology.edges, predicted, presence })
+    Ok(PredictedNetwork { nodes: topology.nodes, edges: topology.edges, predicted, presence })
 }
 
 async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Response, Failure> {
@@ -190,7 +196,7 @@ mod tests {
         };
         let edge = |from, to| v1::TopologyEdge { ends: ends(from, to), ..v1::TopologyEdge::default() };
         let pose = |x_m| Some(v1::NodePose { x_m, ..v1::NodePose::default() });
-        let forecast = Forecast {
+        let forecast = PredictedNetwork {
             nodes: vec![node("A", pose(1.5)), node("B", pose(3.0)), node("C", None)],
             edges: vec![edge("A", "B"), edge("B", "C")],
             predicted: vec![v1::PredictedEdge { edge: ends("B", "C"), success: 0.25, ..v1::PredictedEdge::default() }],
