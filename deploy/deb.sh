@@ -29,4 +29,3 @@ tidemap ($version-1) stable; urgency=medium
 TEXT
 
 PATH="$PWD/target/tools/bin:$PATH" cargo deb --quiet --no-build --no-dbgsym --strip -p tidemap -o target/deb/
-ls target/deb/*.deb

@@ -151,10 +151,10 @@ if [ "$goal" = deb ] && ! have cargo-deb; then
     for tool in dpkg-shlibdeps:dpkg-dev strip:binutils; do
         have "${tool%%:*}" || install "${tool##*:}" || fail "${tool##*:} is missing: install it (needs root or sudo)"
     done
-    if [ "$(target/tools/bin/cargo-deb --version 2>/dev/null)" != "$DEB_VERSION" ]; then
+    if [ "$(target/tools/bin/cargo-deb --version 2>/dev/null)" != "cargo-deb $DEB_VERSION" ]; then
         if [ -n "$toolchain" ]; then export RUSTUP_TOOLCHAIN=$toolchain; fi
         say "installing cargo-deb $DEB_VERSION into target/tools, once; this takes some minutes"
-        run cargo install cargo-deb --version "$DEB_VERSION" --locked --quiet --root target/tools ||
+        run cargo install cargo-deb --version "$DEB_VERSION" --locked --quiet --force --root target/tools ||
             fail "cargo-deb could not be installed; is there a network?"
     fi
 fi

@@ -7,6 +7,7 @@ set -euo pipefail
 package=$(realpath "$1")
 suite=${2:-stable}
 root=$(mktemp -d)
+chmod 755 "$root"
 finish() { umount -q "$root/proc" || true; rm -rf "$root"; }
 trap finish EXIT
 
@@ -18,10 +19,10 @@ mount --bind /proc "$root/proc"
 cat >"$root/root/try" <<'TRY'
 set -euo pipefail
 fail() { echo "failed: $*" >&2; cat /tmp/log >&2 2>/dev/null || true; exit 1; }
-as_daemon() { setpriv --reuid tidemap --regid tidemap --clear-groups --no-new-privs "$@"; }
 start() {
     rm -f /tmp/ports
-    as_daemon tidemapd --config /etc/tidemap/tidemapd.toml --data-dir /var/lib/tidemap >/tmp/ports 2>>/tmp/log &
+    setpriv --reuid tidemap --regid tidemap --clear-groups --no-new-privs \
+        tidemapd --config /etc/tidemap/tidemapd.toml --data-dir /var/lib/tidemap >/tmp/ports 2>>/tmp/log &
     daemon=$!
     for _ in $(seq 100); do [ ! -s /tmp/ports ] || break; sleep 0.1; done
     [ -s /tmp/ports ] || fail "the daemon does not start"
