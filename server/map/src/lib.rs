@@ -6,6 +6,7 @@
 
 pub mod anomaly;
 pub mod edge_forecast;
+pub mod erasure;
 pub mod event;
 pub mod grid;
 pub mod history;

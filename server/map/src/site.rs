@@ -155,6 +155,11 @@ impl Site {
         &self.failures
     }
 
+    /// The same site with these locations.
+    pub(crate) fn with_locations(self, locations: BTreeMap<StateName, Location>) -> Site {
+        Site { locations, ..self }
+    }
+
     /// The same site with stored failed traversals.
     pub fn with_failures(self, failures: Failures) -> Site {
         Site { failures, ..self }
