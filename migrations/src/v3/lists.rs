@@ -8,6 +8,10 @@ pub const MAPS_FILE: &str = "MAPS";
 pub const HISTORY_FILE: &str = "HISTORY";
 /// File of [`NewestSegment`] in the folder of a log.
 pub const NEWEST_FILE: &str = "NEWEST";
+/// File of [`ErasureOrder`] in the folder of a map.
+pub const ERASE_FILE: &str = "ERASE";
+/// File of [`ErasureCount`] in the folder of a map.
+pub const ERASURES_FILE: &str = "ERASURES";
 
 /// The maps of a data directory.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -45,6 +49,20 @@ pub struct ListedFile {
 pub struct NewestSegment {
     /// Position of its first record.
     pub first_position: u64,
+}
+
+/// What is to be erased from a map. The file exists until it is done.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ErasureOrder {
+    /// Ids of states, ascending.
+    pub states: Vec<u32>,
+}
+
+/// How often something was erased from a map; there is no file before the first time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ErasureCount {
+    /// The number.
+    pub count: u64,
 }
 
 /// A list that is stored as text.
@@ -143,6 +161,32 @@ impl TextList for NewestSegment {
     }
 }
 
+impl TextList for ErasureOrder {
+    const FIRST_LINE: &'static str = "tidemap erasure";
+
+    fn lines(&self) -> Vec<String> {
+        self.states.iter().map(|state| format!("state {state}")).collect()
+    }
+
+    fn parse(lines: &[&str]) -> Option<ErasureOrder> {
+        let states = lines.iter().map(|line| line.strip_prefix("state ")?.parse().ok()).collect::<Option<_>>()?;
+        Some(ErasureOrder { states })
+    }
+}
+
+impl TextList for ErasureCount {
+    const FIRST_LINE: &'static str = "tidemap erasures";
+
+    fn lines(&self) -> Vec<String> {
+        vec![format!("count {}", self.count)]
+    }
+
+    fn parse(lines: &[&str]) -> Option<ErasureCount> {
+        let [line] = lines else { return None };
+        Some(ErasureCount { count: line.strip_prefix("count ")?.parse().ok()? })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -167,6 +211,8 @@ mod tests {
         check(&FileList { files: vec![ListedFile { name, from_nanos: -5, to_nanos: 9, length: 77, total_crc: 12 }] });
         check(&FileList::default());
         check(&NewestSegment { first_position: 101 });
+        check(&ErasureOrder { states: vec![3, 4, 17] });
+        check(&ErasureCount { count: 2 });
     }
 
     #[test]
@@ -175,5 +221,8 @@ mod tests {
         assert!(maps.to_text().starts_with("tidemap maps\nnext 2\nmap 1 office\ncrc32c "));
         let newest = NewestSegment { first_position: 101 };
         assert!(newest.to_text().starts_with("tidemap log\nnewest 101\ncrc32c "));
+        let order = ErasureOrder { states: vec![3, 4] };
+        assert!(order.to_text().starts_with("tidemap erasure\nstate 3\nstate 4\ncrc32c "));
+        assert!(ErasureCount { count: 2 }.to_text().starts_with("tidemap erasures\ncount 2\ncrc32c "));
     }
 }

@@ -17,13 +17,14 @@ use std::{
 use tidemap_migrations::{
     FORMAT,
     manifest::{self, Manifest, ManifestError},
-    v3::lists::{HISTORY_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment, TextList as _},
+    v3::lists::{ERASURES_FILE, HISTORY_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment, TextList as _},
 };
 
 use crate::{
     MapId, Store,
     check::check,
-    disk::Disk,
+    disk::{Disk, RealDisk},
+    erasure,
     error::{OpenError, is_disk_full, shown},
     log::{segment_path, segment_position},
     store::{MapEntry, OpenStore, catalogue},
@@ -238,13 +239,19 @@ impl OpenStore {
     ) -> Result<(), BackupError> {
         // Nothing is saved or deleted meanwhile, so that checkpoints, history and segments fit together.
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
+        let (from, to) = (catalogue::map_folder(&self.directory, map), catalogue::map_folder(target, map));
+        let erasures = erasure::count(&*self.disk, &from).map_err(io_error(&from))?;
+        if names(&to)?.iter().any(|name| name == "MAP") && erasure::count(&RealDisk, &to).ok() != Some(erasures) {
+            // Its files have the names of other files now, and hold what was erased.
+            fs::remove_dir_all(&to).map_err(io_error(&to))?;
+        }
         let folders = [catalogue::log_folder, catalogue::history_folder, catalogue::checkpoints_folder];
         let [log, history, checkpoints] = folders.map(|folder| (folder(&self.directory, map), folder(target, map)));
         fs::create_dir_all(&checkpoints.1).map_err(io_error(&checkpoints.1))?;
         self.backup_log(copies, entry, &log.0, &log.1)?;
         copies.copy_folder(&history.0, &history.1, |name| name.ends_with(".tmh"))?;
-        let (from, to) = (catalogue::map_folder(&self.directory, map), catalogue::map_folder(target, map));
-        for name in [HISTORY_FILE, "MAP"] {
+        let erasures = Some(ERASURES_FILE).filter(|_| erasures > 0);
+        for name in [HISTORY_FILE, "MAP"].into_iter().chain(erasures) {
             let length = self.disk.length(&from.join(name)).map_err(io_error(&from))?;
             copies.copy(&from.join(name), &to.join(name), length)?;
         }
@@ -292,7 +299,7 @@ pub fn restore(backup: &Path, directory: &Path, new_store_id: &str) -> Result<Ba
         return Err(BackupError::NotEmpty(directory.to_owned()));
     }
     refuse_damage(backup)?;
-    let disk = crate::disk::RealDisk;
+    let disk = RealDisk;
     let mut copies = Copies { disk: &disk, report: BackupReport::default() };
     let maps = catalogue::maps_folder(directory);
     fs::create_dir_all(&maps).map_err(io_error(&maps))?;
@@ -301,7 +308,7 @@ pub fn restore(backup: &Path, directory: &Path, new_store_id: &str) -> Result<Ba
         for folder in ["log", "history", "checkpoints"] {
             copies.copy_folder(&from.join(folder), &to.join(folder), |_| true)?;
         }
-        copies.copy_folder(&from, &to, |name| name == HISTORY_FILE || name == "MAP")?;
+        copies.copy_folder(&from, &to, |name| [HISTORY_FILE, ERASURES_FILE, "MAP"].contains(&name))?;
         copies.report.maps += 1;
     }
     copies.copy_folder(backup, directory, |name| name == MAPS_FILE)?;

@@ -163,6 +163,8 @@ pub enum Report {
     IndexUnavailable { reason: String },
     /// A leftover of an interrupted operation was removed.
     LeftoverRemoved { file: PathBuf },
+    /// An erasure that was interrupted has been completed.
+    ErasureCompleted { map: MapId },
 }
 
 impl fmt::Display for Report {
@@ -189,6 +191,9 @@ impl fmt::Display for Report {
             }
             Report::IndexUnavailable { reason } => write!(f, "continuing without the index: {reason}"),
             Report::LeftoverRemoved { file } => write!(f, "removed {}, left by an interruption", shown(file)),
+            Report::ErasureCompleted { map } => {
+                write!(f, "completed an erasure from map number {}, which was interrupted", map.0)
+            }
         }
     }
 }

@@ -20,7 +20,7 @@ use tidemap_migrations::v3::lists::ListedFile;
 use tidemap_model::{Sample, StopSignal};
 
 use crate::{
-    MapId,
+    EraseError, MapId,
     disk::Disk,
     error::{HistoryError, OpenError, Report, StoreError, open_io, store_io},
 };
@@ -296,6 +296,55 @@ impl History {
         self.disk.rename(&new_path, &path).map_err(store_io(&path))?;
         written.push(listed);
         Ok(())
+    }
+
+    /// All observations of named states of a file, by state.
+    fn whole(&self, generation: u64) -> Result<HistoryPiece, HistoryError> {
+        let file = self.open(generation, Part::States)?;
+        let mut table = Table::new(&file);
+        let mut ids = Vec::new();
+        table.each(0, u64::MAX, |entry| {
+            ids.push(StateId(u32::try_from(entry.key).map_err(|_| file.damaged("its table is not valid"))?));
+            Ok(())
+        })?;
+        let mut piece = HistoryPiece::new(generation);
+        for id in ids {
+            let mut samples = Vec::new();
+            table.samples(id, |sample| samples.push(sample))?;
+            piece.states.push((id, samples));
+        }
+        Ok(piece)
+    }
+
+    /// Writes the files of another history: those of named states as `rewrite` returns them, or none, and those of the
+    /// grid as they are. A file that is missing there is missing here.
+    pub(crate) fn write_again(
+        &self,
+        from: &History,
+        rewrite: &dyn Fn(&HistoryPiece) -> Option<HistoryPiece>,
+        copy: &dyn Fn(&dyn Disk, &Path, &Path) -> Result<(), StoreError>,
+    ) -> Result<(), EraseError> {
+        self.create_folder().map_err(store_io(&self.folder))?;
+        let names = from.names().map_err(|error| from.list_error(error))?;
+        let missing = from.listed()?.files.into_iter().filter(|file| !names.contains(&file.name));
+        let mut written: Vec<ListedFile> = missing.collect();
+        for name in &names {
+            match Part::of(name) {
+                Some((generation, Part::States)) => {
+                    if let Some(piece) = rewrite(&from.whole(generation)?) {
+                        self.write(&piece, Part::States, &mut written)?;
+                    }
+                }
+                Some((generation, Part::Grid)) => {
+                    let path = self.path(generation, Part::Grid);
+                    copy(&*self.disk, &from.path(generation, Part::Grid), &path)?;
+                    written.push(self.entry(&path, name.clone(), generation)?);
+                }
+                None => {}
+            }
+        }
+        self.disk.sync_folder(&self.folder).map_err(store_io(&self.folder))?;
+        Ok(self.add_to_list(written)?)
     }
 
     /// Maps of format 1 have no such folder.

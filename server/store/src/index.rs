@@ -211,7 +211,10 @@ impl Index {
     /// Removes the index and creates an empty one.
     fn drop_all(&mut self) -> Result<(), Damage> {
         self.give_up();
-        fs::remove_dir_all(&self.folder).map_err(|error| error.to_string())?;
+        match fs::remove_dir_all(&self.folder) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error.to_string()),
+            _ => {}
+        }
         self.create()
     }
 
@@ -307,6 +310,22 @@ impl Index {
         if let Err(damage) = panics::catch(|| save::purge(trees, map)).flatten() {
             self.fail(&damage);
         }
+    }
+
+    /// Removes everything of a map from the disk: the database is written again without its rows, or dropped where that
+    /// fails, and databases that were set aside are removed.
+    pub(crate) fn erase(&mut self, map: u32) -> Result<(), Damage> {
+        self.purge(map);
+        if self.is_available() {
+            self.rewrite();
+        }
+        if !self.folder.as_os_str().is_empty() {
+            folder::remove_set_aside(&self.folder).map_err(|error| error.to_string())?;
+            if !self.is_available() {
+                self.drop_all()?;
+            }
+        }
+        Ok(())
     }
 
     /// Makes everything durable and closes the database.

@@ -4,5 +4,6 @@
 
 mod crash;
 mod disk;
+mod erasures;
 mod faults;
 mod machine;

@@ -117,6 +117,11 @@ impl MapEntry {
     fn new(spec: MapSpec, history_complete: bool) -> MapEntry {
         MapEntry { spec: Arc::new(spec), history_complete, log: None, busy: Arc::default() }
     }
+
+    /// Its properties, and whether history files replace the beginning of the log.
+    pub(crate) fn spec(&self) -> (&MapSpec, bool) {
+        (&self.spec, self.history_complete)
+    }
 }
 
 /// Where the snapshot of an opened map comes from.
@@ -165,6 +170,37 @@ pub struct Sizes {
 impl OpenStore {
     fn maps(&self) -> MutexGuard<'_, Maps> {
         self.maps.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn entry(&self, map: MapId) -> Option<MapEntry> {
+        self.maps().entries.get(&map).cloned()
+    }
+
+    pub(crate) fn options(&self) -> &StoreOptions {
+        &self.options
+    }
+
+    /// Closes the log of a map, whose writer has stopped; appends are refused until the map is opened again.
+    pub(crate) fn close_log(&self, map: MapId) -> Option<MapEntry> {
+        let mut maps = self.maps();
+        let entry = maps.entries.get_mut(&map)?;
+        let log = entry.log.take();
+        let closed = entry.clone();
+        drop(maps);
+        if let Some(log) = log {
+            // Blocks the committer, which may be writing.
+            *log.writer.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        }
+        Some(closed)
+    }
+
+    /// Sets a map aside until the next start.
+    pub(crate) fn set_aside(&self, map: MapId, reason: &str) {
+        let mut maps = self.maps();
+        if let Some(entry) = maps.entries.remove(&map) {
+            let name = Some(entry.spec.name.as_str().to_owned());
+            maps.set_aside.insert(map, SetAside { id: map, name, reason: reason.to_owned() });
+        }
     }
 
     /// The maps that can be used.

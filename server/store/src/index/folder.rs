@@ -49,6 +49,19 @@ pub(super) fn set_aside(folder: &Path) -> io::Result<PathBuf> {
     Ok(aside)
 }
 
+/// Removes what was set aside.
+pub(super) fn remove_set_aside(folder: &Path) -> io::Result<()> {
+    let parent = folder.parent().unwrap_or(Path::new("."));
+    let prefix = format!("{}.damaged", folder.file_name().unwrap_or_default().to_string_lossy());
+    for entry in fs::read_dir(parent)? {
+        let entry = entry?;
+        if entry.file_name().to_string_lossy().starts_with(&prefix) {
+            fs::remove_dir_all(entry.path())?;
+        }
+    }
+    File::open(parent)?.sync_all()
+}
+
 /// Makes the names in the folder and its own durable.
 pub(super) fn sync_with_parent(folder: &Path) -> io::Result<()> {
     File::open(folder)?.sync_all()?;

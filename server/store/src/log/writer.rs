@@ -157,10 +157,11 @@ fn create_segment(disk: &dyn Disk, path: &Path, header: &SegmentHeader) -> std::
     Ok((file, SEGMENT_HEADER_LENGTH as u64))
 }
 
-/// Creates the first segment of a new map.
-pub(crate) fn create_log(disk: &dyn Disk, folder: &Path, map: u32) -> std::io::Result<()> {
+/// Creates the first segment of a new log, which begins with the record at `first_position`. Returns where that goes.
+pub(crate) fn create_log(disk: &dyn Disk, folder: &Path, map: u32, first_position: u64) -> std::io::Result<Cursor> {
     disk.create_folder(folder)?;
-    let header = SegmentHeader { map, first_position: 1, chain: FIRST_CHAIN };
-    create_segment(disk, &segment_path(folder, 1), &header)?;
-    list_file::replace(disk, &folder.join(NEWEST_FILE), &NewestSegment { first_position: 1 })
+    let header = SegmentHeader { map, first_position, chain: FIRST_CHAIN };
+    create_segment(disk, &segment_path(folder, first_position), &header)?;
+    list_file::replace(disk, &folder.join(NEWEST_FILE), &NewestSegment { first_position })?;
+    Ok(Cursor { offset: SEGMENT_HEADER_LENGTH, position: first_position, chain: FIRST_CHAIN })
 }

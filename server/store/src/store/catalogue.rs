@@ -86,11 +86,11 @@ pub(crate) fn history_folder(directory: &Path, map: MapId) -> PathBuf {
     map_folder(directory, map).join("history")
 }
 
-fn with_suffix(folder: &Path, suffix: &str) -> PathBuf {
+pub(crate) fn with_suffix(folder: &Path, suffix: &str) -> PathBuf {
     folder.with_extension(&suffix[1..])
 }
 
-fn map_number(name: &str) -> Option<MapId> {
+pub(crate) fn map_number(name: &str) -> Option<MapId> {
     let is_number = name.len() >= 8 && name.bytes().all(|byte| byte.is_ascii_digit());
     if is_number { name.parse().ok().filter(|&number| number > 0).map(MapId) } else { None }
 }
@@ -231,7 +231,7 @@ pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         let mut writer = RecordWriter::create(disk, &file, &header)?;
         writer.record(RecordKind::Spec, &record::spec::encode(spec, true))?;
         writer.finish()?;
-        create_log(disk, &new_folder.join("log"), map.0)?;
+        create_log(disk, &new_folder.join("log"), map.0, 1)?;
         disk.create_folder(&new_folder.join("checkpoints"))?;
         disk.sync_folder(&new_folder.join("checkpoints"))?;
         list_file::replace(disk, &new_folder.join(HISTORY_FILE), &FileList::default())

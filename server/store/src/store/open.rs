@@ -24,6 +24,7 @@ use super::{
 use crate::{
     committer::Committer,
     disk::{Disk, RealDisk},
+    erasure,
     error::{OpenError, Report, open_io},
     history::History,
     index::{Index, OpenRepair, is_present},
@@ -110,6 +111,7 @@ impl Store {
         // so they must be durable first.
         let maps_folder = catalogue::maps_folder(&directory);
         disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
+        erasure::complete(&*disk, &directory, &mut index, &mut reports)?;
         let mut catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
         let unlisted = catalogue.maps.keys().filter_map(|&map| {
             let history = History::at(Arc::clone(&disk), catalogue::history_folder(&directory, map), map);
@@ -120,6 +122,14 @@ impl Store {
                 return Err(error);
             }
             catalogue.set_aside(map, error.to_string());
+        }
+        let unfinished = catalogue.maps.iter().filter_map(|(&map, known)| {
+            let known = (&known.spec, known.history_complete);
+            let repeated = erasure::repeat(&disk, &directory, &options, &mut index, map, known, &mut reports);
+            repeated.err().map(|error| (map, error))
+        });
+        for (map, error) in unfinished.collect::<Vec<_>>() {
+            catalogue.set_aside(map, format!("an erasure has begun and cannot be completed: {error}"));
         }
         if catalogue.is_list_old {
             let file = directory.join(MAPS_FILE);

@@ -1,0 +1,366 @@
+//! Erasing states from a map, so that no file holds anything of them.
+//!
+//! 1. The order is written to the file `ERASE` in the map's folder. From here on the erasure is completed, by this
+//!    process or by the next start, unless this process can take the order back.
+//! 2. The map is written again to a folder beside, `NUMBER.erasing`, without the states: the newest checkpoint, the log
+//!    from where that needs it, and every history file of states. Positions of the log and the producers' sequences
+//!    stay as they are, so that an erased observation still counts as acknowledged.
+//! 3. The folder is renamed to `NUMBER.erased`. Before, the map has its states; from here on, it does not have them.
+//! 4. The map's folder is renamed to `NUMBER.replaced`, and the new one takes its place. A start does both, if they
+//!    have not been done.
+//! 5. The index is written to a new folder without the rows of the map, and indexes that were set aside are removed.
+//!    Then `NUMBER.replaced` is removed, with the order. A start repeats this while that folder is there.
+//!
+//! A backup knows by the count in `ERASURES` that its copy of the map is of before, and makes a new copy.
+//!
+//! Invariant: at every moment the map is whole in exactly one of the folders that a start uses.
+
+use std::{
+    io::{self, Read as _},
+    path::{Path, PathBuf},
+    sync::{Arc, PoisonError},
+};
+
+use tidemap_map::{erasure::StateErasure, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_migrations::v3::lists::{ERASE_FILE, ERASURES_FILE, ErasureCount, ErasureOrder, FileList, HISTORY_FILE};
+
+use crate::{
+    AppendError, HistoryError, MapId, OpenError, Report, Store, StoreError, StoreOptions,
+    checkpoint::{Checkpoints, Memory},
+    disk::Disk,
+    error::{open_io, store_io},
+    history::History,
+    index::Index,
+    list_file::{self, Unlisted},
+    log::{
+        frame::EncodedEvent,
+        recovery::{self, Expectation},
+        replay::Replay,
+        segment_position,
+        writer::{LogWriter, create_log},
+    },
+    store::catalogue,
+};
+
+const ERASING_SUFFIX: &str = ".erasing";
+const ERASED_SUFFIX: &str = ".erased";
+const REPLACED_SUFFIX: &str = ".replaced";
+
+/// Events that are written to the new log at once.
+const EVENTS_AT_ONCE: usize = 256;
+/// Bytes that are copied at once.
+const COPIED_BYTES: usize = 1 << 20;
+
+/// Why something is not erased.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the fields are named in the message")]
+pub enum EraseError {
+    /// The map cannot be read.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The history cannot be read.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+    /// The new files cannot be written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The new log cannot be written.
+    #[error(transparent)]
+    Log(#[from] AppendError),
+    /// The index still holds what was erased from the map.
+    #[error("the map is without it, but the index is not: {reason}. Restart the daemon, which tries it again")]
+    Index { reason: String },
+}
+
+/// A map whose files are written again.
+struct Rewrite<'a> {
+    disk: &'a Arc<dyn Disk>,
+    directory: &'a Path,
+    options: &'a StoreOptions,
+    map: MapId,
+    spec: &'a MapSpec,
+    /// Whether history files replace the beginning of the log.
+    history_complete: bool,
+}
+
+fn beside(directory: &Path, map: MapId, suffix: &str) -> PathBuf {
+    catalogue::with_suffix(&catalogue::map_folder(directory, map), suffix)
+}
+
+/// Removes a folder that may not be there.
+fn remove_folder(disk: &dyn Disk, folder: &Path) -> io::Result<()> {
+    match disk.remove_folder(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Copies a file; its content is durable when this returns, its name is not.
+fn copy(disk: &dyn Disk, from: &Path, to: &Path) -> Result<(), StoreError> {
+    let mut reader = disk.read(from).map_err(store_io(from))?;
+    let mut writer = disk.create(to).map_err(store_io(to))?;
+    let mut bytes = vec![0; COPIED_BYTES];
+    loop {
+        let count = reader.read(&mut bytes).map_err(store_io(from))?;
+        if count == 0 {
+            return writer.sync().map_err(store_io(to));
+        }
+        writer.append(bytes.get(..count).unwrap_or_default()).map_err(store_io(to))?;
+    }
+}
+
+/// How often something was erased from the map in a folder.
+pub(crate) fn count(disk: &dyn Disk, folder: &Path) -> io::Result<u64> {
+    let damaged = |reason| io::Error::new(io::ErrorKind::InvalidData, reason);
+    match list_file::read::<ErasureCount>(disk, &folder.join(ERASURES_FILE)) {
+        Ok(known) => Ok(known.count),
+        Err(Unlisted::Absent) => Ok(0),
+        Err(Unlisted::Damaged(reason)) => Err(damaged(format!("{ERASURES_FILE}: {reason}"))),
+        Err(Unlisted::Io(error)) => Err(error),
+    }
+}
+
+impl Rewrite<'_> {
+    /// Writes the map without what is to be erased, up to the moment from which on it is erased.
+    fn run(&self, order: &ErasureOrder) -> Result<(), EraseError> {
+        let new = beside(self.directory, self.map, ERASING_SUFFIX);
+        let old = catalogue::map_folder(self.directory, self.map);
+        let disk = &**self.disk;
+        remove_folder(disk, &new).map_err(store_io(&new))?;
+        disk.create_folder(&new).map_err(store_io(&new))?;
+        copy(disk, &old.join("MAP"), &new.join("MAP"))?;
+        let count = count(disk, &old).map_err(store_io(old.join(ERASURES_FILE)))?.saturating_add(1);
+        list_file::replace(disk, &new.join(ERASURES_FILE), &ErasureCount { count }).map_err(store_io(&new))?;
+
+        let mut erasure = StateErasure::new(order.states.iter().copied().map(StateId).collect());
+        let snapshot = self.newest()?;
+        let (position, replay_from) =
+            snapshot.as_ref().map_or((0, 1), |snapshot| (snapshot.position, snapshot.replay_from));
+        self.write_checkpoint(&new, &mut erasure, snapshot)?;
+        self.write_log(&new, &mut erasure, position, replay_from.max(1))?;
+        self.write_history(&new, &erasure)?;
+        disk.sync_folder(&new).map_err(store_io(&new))?;
+        let erased = beside(self.directory, self.map, ERASED_SUFFIX);
+        disk.rename(&new, &erased).map_err(store_io(&erased))?;
+        let maps = catalogue::maps_folder(self.directory);
+        disk.sync_folder(&maps).map_err(store_io(maps))?;
+        Ok(())
+    }
+
+    fn newest(&self) -> Result<Option<MapSnapshot>, OpenError> {
+        let folder = catalogue::checkpoints_folder(self.directory, self.map);
+        let checkpoints = Checkpoints { disk: &**self.disk, folder: folder.clone(), map: self.map };
+        let StoreOptions { tile_cache_bytes: tile_bytes, spectrum_cache_bytes: spectrum_bytes, .. } = *self.options;
+        let (snapshot, _) =
+            checkpoints.load(self.spec, Memory { tile_bytes, spectrum_bytes }).map_err(open_io(folder))?;
+        Ok(snapshot)
+    }
+
+    fn write_checkpoint(
+        &self,
+        new: &Path,
+        erasure: &mut StateErasure,
+        snapshot: Option<MapSnapshot>,
+    ) -> Result<(), EraseError> {
+        let folder = new.join("checkpoints");
+        self.disk.create_folder(&folder).map_err(store_io(&folder))?;
+        if let Some(snapshot) = snapshot {
+            let checkpoints = Checkpoints { disk: &**self.disk, folder: folder.clone(), map: self.map };
+            checkpoints.save(self.spec, &erasure.snapshot(snapshot), 1)?;
+        }
+        Ok(self.disk.sync_folder(&folder).map_err(store_io(folder))?)
+    }
+
+    fn write_log(
+        &self,
+        new: &Path,
+        erasure: &mut StateErasure,
+        known: u64,
+        replay_from: u64,
+    ) -> Result<(), EraseError> {
+        let folder = catalogue::log_folder(self.directory, self.map);
+        let names = self.disk.list(&folder).map_err(store_io(&folder))?;
+        // A map of format 1 has its history in its log.
+        let first = names.iter().find_map(|name| segment_position(name)).filter(|_| !self.history_complete);
+        let first = first.unwrap_or(replay_from).min(replay_from);
+        let expected = Expectation { map: self.map.0, replay_from: first, known };
+        let read = recovery::read(&**self.disk, &folder, &expected, &mut Vec::new())?;
+        let end = read.cursor.position - 1;
+
+        let new_folder = new.join("log");
+        let cursor = create_log(&**self.disk, &new_folder, self.map.0, first).map_err(store_io(&new_folder))?;
+        let segment_bytes = self.options.segment_bytes;
+        let writer = LogWriter::open(self.disk, new_folder.clone(), self.map.0, first, cursor, segment_bytes);
+        let mut writer = writer.map_err(store_io(&new_folder))?;
+        let mut events = Vec::new();
+        for entry in Replay::new(Arc::clone(self.disk), folder, read.segments, first, end) {
+            let (position, event) = entry?;
+            let event = EncodedEvent::encode(&erasure.event(position, event)).map_err(AppendError::InvalidEvent)?;
+            events.push(event);
+            if events.len() >= EVENTS_AT_ONCE {
+                writer.write(&events)?;
+                writer.sync()?;
+                events.clear();
+            }
+        }
+        writer.write(&events)?;
+        writer.sync()?;
+        Ok(self.disk.sync_folder(&new_folder).map_err(store_io(new_folder))?)
+    }
+
+    fn write_history(&self, new: &Path, erasure: &StateErasure) -> Result<(), EraseError> {
+        list_file::replace(&**self.disk, &new.join(HISTORY_FILE), &FileList::default()).map_err(store_io(new))?;
+        let of = |folder: PathBuf| History::at(Arc::clone(self.disk), folder, self.map);
+        let old = of(catalogue::history_folder(self.directory, self.map));
+        let rewrite = |piece: &HistoryPiece| erasure.piece(piece);
+        of(new.join("history")).write_again(&old, &rewrite, &copy)
+    }
+}
+
+/// Puts the new folder of a map in the place of the old one.
+fn swap(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
+    let [folder, erased, replaced] = ["", ERASED_SUFFIX, REPLACED_SUFFIX].map(|suffix| match suffix {
+        "" => catalogue::map_folder(directory, map),
+        suffix => beside(directory, map, suffix),
+    });
+    let maps = catalogue::maps_folder(directory);
+    let names = disk.list(&maps).map_err(store_io(&maps))?;
+    let is_there = |path: &Path| path.file_name().is_some_and(|name| names.iter().any(|known| name == known.as_str()));
+    if is_there(&folder) {
+        remove_folder(disk, &replaced).map_err(store_io(&replaced))?;
+        disk.rename(&folder, &replaced).map_err(store_io(&folder))?;
+    }
+    disk.rename(&erased, &folder).map_err(store_io(&erased))?;
+    disk.sync_folder(&maps).map_err(store_io(maps))
+}
+
+/// Removes what an erasure has replaced.
+fn clean(disk: &dyn Disk, directory: &Path, index: &mut Index, map: MapId) -> Result<(), EraseError> {
+    index.erase(map.0).map_err(|reason| EraseError::Index { reason })?;
+    let replaced = beside(directory, map, REPLACED_SUFFIX);
+    remove_folder(disk, &replaced).map_err(store_io(replaced))?;
+    let maps = catalogue::maps_folder(directory);
+    Ok(disk.sync_folder(&maps).map_err(store_io(maps))?)
+}
+
+/// Names in the folder of all maps with a suffix.
+fn with(disk: &dyn Disk, directory: &Path, suffix: &str) -> Result<Vec<MapId>, OpenError> {
+    let maps = catalogue::maps_folder(directory);
+    let names = disk.list(&maps).map_err(open_io(&maps))?;
+    Ok(names.iter().filter_map(|name| catalogue::map_number(name.strip_suffix(suffix)?)).collect())
+}
+
+fn opening(directory: &Path) -> impl FnOnce(StoreError) -> OpenError {
+    let maps = catalogue::maps_folder(directory);
+    move |error| match error {
+        StoreError::Io { file, source } => OpenError::Io { file, source },
+        other => OpenError::Io { file: maps, source: io::Error::other(other.to_string()) },
+    }
+}
+
+/// Before the maps are listed: completes erasures whose new folder is complete, and removes those that are not.
+pub(crate) fn complete(
+    disk: &dyn Disk,
+    directory: &Path,
+    index: &mut Index,
+    reports: &mut Vec<Report>,
+) -> Result<(), OpenError> {
+    for map in with(disk, directory, ERASED_SUFFIX)? {
+        swap(disk, directory, map).map_err(opening(directory))?;
+        reports.push(Report::ErasureCompleted { map });
+    }
+    for map in with(disk, directory, REPLACED_SUFFIX)? {
+        clean_at_start(disk, directory, index, map);
+    }
+    for map in with(disk, directory, ERASING_SUFFIX)? {
+        let file = beside(directory, map, ERASING_SUFFIX);
+        disk.remove_folder(&file).map_err(open_io(&file))?;
+        reports.push(Report::LeftoverRemoved { file });
+    }
+    Ok(())
+}
+
+/// After the maps are listed: repeats an erasure that was ordered. An error sets the map aside.
+pub(crate) fn repeat(
+    disk: &Arc<dyn Disk>,
+    directory: &Path,
+    options: &StoreOptions,
+    index: &mut Index,
+    map: MapId,
+    (spec, history_complete): (&MapSpec, bool),
+    reports: &mut Vec<Report>,
+) -> Result<(), EraseError> {
+    let file = catalogue::map_folder(directory, map).join(ERASE_FILE);
+    let order = match list_file::read::<ErasureOrder>(&**disk, &file) {
+        Ok(order) => order,
+        Err(Unlisted::Absent) => return Ok(()),
+        Err(Unlisted::Damaged(reason)) => {
+            return Err(OpenError::Damaged { file, reason: reason.to_owned() }.into());
+        }
+        Err(Unlisted::Io(error)) => return Err(open_io(file)(error).into()),
+    };
+    Rewrite { disk, directory, options, map, spec, history_complete }.run(&order)?;
+    swap(&**disk, directory, map)?;
+    reports.push(Report::ErasureCompleted { map });
+    clean_at_start(&**disk, directory, index, map);
+    Ok(())
+}
+
+fn clean_at_start(disk: &dyn Disk, directory: &Path, index: &mut Index, map: MapId) {
+    if let Err(error) = clean(disk, directory, index, map) {
+        tracing::error!(map = map.0, %error, "what was erased is still on the disk; tried again at the next start");
+    }
+}
+
+impl Store {
+    /// Erases states from a map, whose log is closed by this: history, checkpoints, log and index hold nothing of them
+    /// afterwards, nor do later backups. The ids of the states after them go down. The map can be opened again when
+    /// this returns, also after an error.
+    ///
+    /// # Errors
+    /// [`EraseError`]. But for [`EraseError::Index`], either the map is as it was, or it is no longer in
+    /// [`Self::maps`] and the next start completes the erasure.
+    pub fn erase_states(&self, map: MapId, states: &[StateId]) -> Result<(), EraseError> {
+        let inner = self.inner();
+        let unknown = || EraseError::Store(StoreError::UnknownMap(map));
+        let entry = inner.entry(map).ok_or_else(unknown)?;
+        let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
+        let entry = inner.close_log(map).ok_or_else(unknown)?;
+        let mut states: Vec<u32> = states.iter().map(|state| state.0).collect();
+        states.sort_unstable();
+        let (disk, directory, order) = (&inner.disk, &inner.directory, ErasureOrder { states });
+        let file = catalogue::map_folder(directory, map).join(ERASE_FILE);
+        let (spec, history_complete) = entry.spec();
+        let rewrite = Rewrite { disk, directory, options: inner.options(), map, spec, history_complete };
+        let rewritten = list_file::replace(&**disk, &file, &order)
+            .map_err(|error| store_io(&file)(error).into())
+            .and_then(|()| rewrite.run(&order));
+        if let Err(error) = rewritten {
+            let is_erased = with(&**disk, directory, ERASED_SUFFIX).is_ok_and(|maps| maps.contains(&map));
+            if is_erased || !self.take_back(map, &file) {
+                inner.set_aside(map, UNFINISHED);
+            }
+            return Err(error);
+        }
+        swap(&**disk, directory, map).inspect_err(|_| inner.set_aside(map, UNFINISHED))?;
+        clean(&**disk, directory, &mut inner.index(), map)
+    }
+
+    /// Takes an order back and removes what was written; whether the map is as before.
+    fn take_back(&self, map: MapId, file: &Path) -> bool {
+        let (disk, directory) = (&*self.inner().disk, &self.inner().directory);
+        // The order first: while it is there, the next start repeats the erasure.
+        let removed = match disk.remove(file) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+            _ => disk.sync_folder(&catalogue::map_folder(directory, map)),
+        };
+        let erasing = beside(directory, map, ERASING_SUFFIX);
+        if let Err(error) = remove_folder(disk, &erasing) {
+            tracing::warn!(map = map.0, %error, "an unfinished erasure takes space until the next start");
+        }
+        removed.is_ok()
+    }
+}
+
+const UNFINISHED: &str = "an erasure has begun and could not be completed. Check the disk and restart the daemon, which \
+                          completes it";
