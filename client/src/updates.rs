@@ -1,4 +1,4 @@
-//! Updates, their jobs, and counters.
+//! Updates and erasures, their jobs, and counters.
 //!
 //! Invariant: a failed job is a value, not an error: the request for it succeeded.
 
@@ -67,6 +67,8 @@ pub enum JobCause {
     DataTime,
     /// The number of pending observations exceeded the limit.
     PendingLimit,
+    /// A request to erase something from the map.
+    Erasure,
     /// A cause that this version does not know.
     Other,
 }
@@ -80,12 +82,13 @@ impl JobCause {
             Self::Midnight => "midnight",
             Self::DataTime => "data-time",
             Self::PendingLimit => "pending-limit",
+            Self::Erasure => "erasure",
             Self::Other => "other",
         }
     }
 }
 
-/// An update, as a job.
+/// An update or an erasure, as a job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Job {
     /// Id, unique while the daemon runs.
@@ -300,6 +303,16 @@ impl Client {
         Ok(BackupMade { maps, copied_files, copied_bytes, kept_files })
     }
 
+    /// Starts to erase a state from a map. When the job is done, the map is as if the state had never been observed.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if there is no such map or state.
+    pub async fn erase(&self, map: &str, state: &str) -> Result<Job, Error> {
+        let request = v1::EraseRequest { map: map.to_owned(), state: state.to_owned() };
+        let answer = self.maintenance_service().erase(request).await;
+        job_from_wire(answer.map_err(|status| self.error(&status))?.into_inner().job)
+    }
+
     /// Counters of a map, or of the whole daemon if `map` is empty.
     ///
     /// # Errors
@@ -327,6 +340,7 @@ fn job_from_wire(job: Option<v1::Job>) -> Result<Job, Error> {
         v1::JobCause::Midnight => JobCause::Midnight,
         v1::JobCause::DataTime => JobCause::DataTime,
         v1::JobCause::PendingLimit => JobCause::PendingLimit,
+        v1::JobCause::Erasure => JobCause::Erasure,
         v1::JobCause::Unspecified => JobCause::Other,
     };
     Ok(Job {

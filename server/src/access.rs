@@ -116,6 +116,15 @@ impl Caller {
         CALLER.scope(self, work)
     }
 
+    /// Who this is, for the log.
+    pub(crate) fn shown(&self) -> &str {
+        match self {
+            Self::Anybody => "anybody",
+            Self::Stranger => "stranger",
+            Self::Holder(token) => &token.id,
+        }
+    }
+
     /// Whether the caller may do what a role may.
     pub(crate) fn has(&self, role: Role) -> bool {
         match self {

@@ -28,7 +28,7 @@ use tidemap_map::{
     spec::MapSpec,
     update::{SumsUnavailable, UpdateWork},
 };
-use tidemap_store::{MapId, OpenError, StoreError};
+use tidemap_store::{EraseError, MapId, OpenError, StoreError};
 use tracing::{error, info, warn};
 
 use crate::ingest::{
@@ -70,6 +70,12 @@ pub(crate) enum CatalogError {
     Duplicate { name: MapName, first: MapId, second: MapId },
     #[error("map {map}: {source}. Restore the folder of this map from a backup")]
     Sums { map: MapName, source: SumsUnavailable },
+    #[error("nothing is erased: {0}")]
+    Erase(#[from] EraseError),
+    #[error("state {state:?} does not exist in map {map:?}")]
+    NoState { map: MapName, state: String },
+    #[error("state {state:?} is an axis of {whole:?}: erase {whole:?}, which erases all its axes")]
+    Axis { state: String, whole: String },
     #[error("no thread for the map: {0}")]
     Thread(#[from] std::io::Error),
     #[error("the daemon is stopping")]
@@ -98,6 +104,7 @@ pub(crate) struct UnavailableMap {
 
 type ByName = BTreeMap<MapName, Arc<MapHandle>>;
 
+pub(crate) mod erasure;
 #[cfg(test)]
 mod tests;
 
@@ -189,20 +196,24 @@ impl Catalog {
             match restore_map(&self.context, id, &spec, &tell) {
                 Ok(restored) => drop(start_in(seat, self.context.clone(), id, restored)?),
                 Err(error) if error.is_of_one_map() => {
-                    // Listed before the seat is dropped, so that who waits for the map learns why.
-                    let map = set_aside(id, spec.name.as_str().to_owned(), error.to_string());
-                    self.unavailable.rcu(|all| [&all[..], std::slice::from_ref(&map)].concat());
-                    self.maps.rcu(|all| {
-                        let mut maps = ByName::clone(all);
-                        maps.remove(&spec.name);
-                        maps
-                    });
+                    self.set_aside(id, &spec.name, &error);
                     drop(seat);
                 }
                 Err(error) => return Err(error),
             }
         }
         Ok(())
+    }
+
+    /// Sets a map aside that is listed. Who waits for it learns why if its seat is dropped afterwards.
+    fn set_aside(&self, id: MapId, name: &MapName, error: &CatalogError) {
+        let map = set_aside(id, name.as_str().to_owned(), error.to_string());
+        self.unavailable.rcu(|all| [&all[..], std::slice::from_ref(&map)].concat());
+        self.maps.rcu(|all| {
+            let mut maps = ByName::clone(all);
+            maps.remove(name);
+            maps
+        });
     }
 
     /// Maps that are set aside.

@@ -1,4 +1,4 @@
-//! Updates as jobs that can be listed, watched and reported.
+//! Updates and erasures as jobs that can be listed, watched and reported.
 //!
 //! Invariant: a job only moves forward: waiting, running, ended. Old jobs are forgotten; only the last update of each
 //! map keeps its report.
@@ -16,6 +16,21 @@ use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, name::MapName,
 use tokio::sync::watch;
 
 const JOBS_KEPT: usize = 1000;
+
+/// The cause of a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum JobCause {
+    /// What started an update.
+    Update(UpdateCause),
+    /// A request to erase something.
+    Erasure,
+}
+
+impl From<UpdateCause> for JobCause {
+    fn from(cause: UpdateCause) -> Self {
+        Self::Update(cause)
+    }
+}
 
 /// The progress of a job.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,12 +64,12 @@ pub(crate) struct JobStatus {
     pub published: Option<(u64, i64)>,
 }
 
-/// An update.
+/// An update or an erasure.
 #[derive(Debug)]
 pub(crate) struct UpdateJob {
     pub id: u64,
     pub map: MapName,
-    pub cause: UpdateCause,
+    pub cause: JobCause,
     /// When it was requested, nanoseconds UTC.
     pub created_nanos: i64,
     /// States and tiles done so far.
@@ -98,8 +113,13 @@ impl UpdateJob {
         });
     }
 
-    /// Ends the job.
+    /// Ends the job of an update, which may have published a generation and its cut.
     pub(crate) fn end(&self, result: Result<(u64, i64), String>) {
+        self.end_with(result.map(Some));
+    }
+
+    /// Ends the job.
+    pub(crate) fn end_with(&self, result: Result<Option<(u64, i64)>, String>) {
         self.status.send_modify(|status| {
             let elapsed = match status.phase {
                 Phase::Running(since) => since.elapsed(),
@@ -107,7 +127,7 @@ impl UpdateJob {
             };
             match result {
                 Ok(published) => {
-                    status.published = Some(published);
+                    status.published = published;
                     status.phase = Phase::Done(elapsed);
                 }
                 Err(error) => {
@@ -134,13 +154,13 @@ pub(crate) struct Jobs {
 
 impl Jobs {
     /// Adds a waiting job.
-    pub(crate) fn create(&self, map: MapName, cause: UpdateCause, created_nanos: i64) -> Arc<UpdateJob> {
+    pub(crate) fn create(&self, map: MapName, cause: impl Into<JobCause>, created_nanos: i64) -> Arc<UpdateJob> {
         let (status, _) =
             watch::channel(JobStatus { phase: Phase::Waiting, states_total: 0, observations: 0, published: None });
         let job = Arc::new(UpdateJob {
             id: self.next_id.fetch_add(1, Ordering::Relaxed) + 1,
             map,
-            cause,
+            cause: cause.into(),
             created_nanos,
             states_done: AtomicU64::new(0),
             status,

@@ -33,6 +33,8 @@ pub(crate) use unavailable::ModelUnavailable;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ModelKey {
     pub map: MapId,
+    /// The number of the map's handle: an erasure gives states other ids.
+    pub handle: u64,
     /// The model has learned the updates up to this one.
     pub generation: u64,
     /// The state or cell; for positions the first axis.

@@ -4,6 +4,7 @@ mod acceptance;
 mod bad_input;
 mod deploy;
 mod durability;
+mod erasures;
 mod evaluation;
 mod examples;
 mod exploration;

@@ -7,6 +7,7 @@ mod backup;
 mod bench;
 mod command_texts;
 mod day;
+mod erase;
 mod evaluate;
 mod experiment;
 mod files;
@@ -248,6 +249,11 @@ enum Command {
     /// Makes a backup of all maps while the daemon runs
     #[command(subcommand)]
     Backup(backup::BackupCommand),
+    /// Erases a state from a map, with all that was learned of it
+    ///
+    /// History, models, log, checkpoints, index and later backups hold nothing of it afterwards. Earlier backups keep
+    /// what they have. A daemon that ends meanwhile completes it at its next start.
+    Erase(erase::EraseArgs),
     /// Compares temporal models on recordings, by a protocol, without a daemon
     ///
     /// A protocol is a YAML file: training and test data, models with their parameters, the tuning of parameter lists
@@ -392,6 +398,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Producer(command) => producer::run(&session, &command).await,
         Command::Stats(args) => stats::run(&session, &args).await,
         Command::Backup(command) => backup::run(&session, &command).await,
+        Command::Erase(args) => erase::run(&session, &args).await,
         Command::Bench(command) => bench::run(&session, &command).await,
         // Handled above.
         Command::Demo(_)

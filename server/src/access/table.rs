@@ -73,6 +73,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MaintenanceService/GetStatistics", role(Planner)),
     ("/tidemap.v1.MaintenanceService/ListProducers", role(Planner)),
     ("/tidemap.v1.MaintenanceService/CreateBackup", role(Admin)),
+    ("/tidemap.v1.MaintenanceService/Erase", role(Admin)),
 ];
 
 /// What the method of a path needs; `None` if there is no such method.

@@ -18,6 +18,8 @@ pub(crate) enum Ending {
     Superseded,
     /// The map was deleted.
     MapDeleted,
+    /// Something is erased from the map.
+    Erasure,
     /// The log could not be written.
     Storage(AppendError),
 }

@@ -7,7 +7,7 @@
 
 use std::sync::{
     Arc, Mutex, PoisonError,
-    atomic::{AtomicU64, Ordering},
+    atomic::{AtomicBool, AtomicU64, Ordering},
     mpsc,
 };
 
@@ -17,6 +17,9 @@ use tidemap_store::MapId;
 use tokio::sync::{oneshot, watch};
 
 use super::{ending::Ending, protocol::Command, tile_totals::TileTotals};
+
+/// Numbers of handles.
+static HANDLES: AtomicU64 = AtomicU64::new(1);
 
 /// How far the opening of a map is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +50,8 @@ pub(crate) struct Seat {
 pub(crate) struct MapHandle {
     /// Its number in the store.
     pub id: MapId,
+    /// Number of this handle; each has another.
+    pub number: u64,
     /// Its fixed properties.
     pub spec: Arc<MapSpec>,
     view: Arc<ArcSwap<MapView>>,
@@ -54,6 +59,8 @@ pub(crate) struct MapHandle {
     saturated: watch::Receiver<bool>,
     tile_bytes: Arc<AtomicU64>,
     opening: watch::Receiver<OpenProgress>,
+    /// Whether the map has another handle, and may have other ids of states.
+    replaced: AtomicBool,
     // A lock, because the totals of a generation are counted once; held to copy them, not while counting.
     tile_totals: Mutex<Option<(u64, TileTotals)>>,
 }
@@ -75,7 +82,19 @@ impl MapHandle {
             opening: opening_sender,
         };
         let tile_totals = Mutex::new(None);
-        (Self { id, spec, view, commands, saturated, tile_bytes, opening, tile_totals }, seat)
+        let number = HANDLES.fetch_add(1, Ordering::Relaxed);
+        let replaced = AtomicBool::new(false);
+        (Self { id, number, spec, view, commands, saturated, tile_bytes, opening, replaced, tile_totals }, seat)
+    }
+
+    /// Another handle takes the place of this one.
+    pub(crate) fn replace(&self) {
+        self.replaced.store(true, Ordering::SeqCst);
+    }
+
+    /// Whether another handle has the map. What was read from the store before this says `false` fits to the view.
+    pub(crate) fn is_replaced(&self) -> bool {
+        self.replaced.load(Ordering::SeqCst)
     }
 
     /// How far the opening of the map is.

@@ -221,11 +221,17 @@ impl Writer {
                 Err(mpsc::RecvTimeoutError::Disconnected) => break,
             }
             self.pump();
-            if self.stopping.is_some() && self.appends.is_empty() && !self.saves.is_saving() {
+            if self.stopping.is_some() && self.appends.is_empty() && !self.saves.is_saving() && !self.must_finish() {
                 break;
             }
         }
         self.stop(inbox);
+    }
+
+    /// Whether an update must end before the writer stops: an update that goes on after an erasure would write among
+    /// the new files.
+    fn must_finish(&self) -> bool {
+        matches!(self.stopping, Some((Ending::Erasure, _))) && self.updates.is_running()
     }
 
     fn handle(&mut self, command: Command) {
@@ -357,7 +363,11 @@ impl Writer {
             Some((ending, done)) => (ending, Some(done)),
             None => (Ending::Shutdown, None),
         };
-        let reason = if ending == Ending::MapDeleted { "the map was deleted" } else { "the daemon is stopping" };
+        let reason = match ending {
+            Ending::MapDeleted => "the map was deleted",
+            Ending::Erasure => "something is erased from the map: start the update again",
+            _ => "the daemon is stopping",
+        };
         // Commands after the stop are answered, not executed.
         for command in inbox.try_iter() {
             match command {

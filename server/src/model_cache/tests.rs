@@ -16,7 +16,7 @@ use super::*;
 
 fn key(state: u32) -> ModelKey {
     let kind = ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS };
-    ModelKey { map: MapId(1), generation: 1, subject: Subject::State(StateId(state)), kind, place: None }
+    ModelKey { map: MapId(1), handle: 1, generation: 1, subject: Subject::State(StateId(state)), kind, place: None }
 }
 
 /// A model that is identified by its newest value.
@@ -92,6 +92,7 @@ async fn whatever_differs_is_another_model() {
     let cache = ModelCache::new(10);
     let others = [
         ModelKey { map: MapId(2), ..key(1) },
+        ModelKey { handle: 2, ..key(1) },
         ModelKey { generation: 2, ..key(1) },
         ModelKey { kind: ModelKind::Pergam { gaussians: 4, period_nanos: PERGAM_PERIOD_NANOS }, ..key(1) },
         ModelKey { kind: ModelKind::Pergam { gaussians: 3, period_nanos: 7 * PERGAM_PERIOD_NANOS }, ..key(1) },

@@ -19,10 +19,10 @@ use tonic::{Request, Response, Status};
 use super::{RpcReply, page::page, status::RpcError};
 use crate::{
     access::Caller,
-    catalog::Catalog,
+    catalog::{Catalog, CatalogError, erasure::states_of},
     ingest::protocol::{Command, KnownProducer},
-    jobs::{Phase, UpdateJob},
-    rpc::lookup::find_map,
+    jobs::{JobCause, Phase, UpdateJob},
+    rpc::lookup::{cell_of, find_map, find_state},
     statistics,
 };
 
@@ -43,10 +43,11 @@ fn job_to_wire(catalog: &Catalog, job: &UpdateJob) -> v1::Job {
         Phase::Failed(elapsed, error) => (v1::JobState::Failed, elapsed, error),
     };
     let cause = match job.cause {
-        UpdateCause::Request => v1::JobCause::Request,
-        UpdateCause::Midnight => v1::JobCause::Midnight,
-        UpdateCause::DataTime => v1::JobCause::DataTime,
-        UpdateCause::PendingLimit => v1::JobCause::PendingLimit,
+        JobCause::Update(UpdateCause::Request) => v1::JobCause::Request,
+        JobCause::Update(UpdateCause::Midnight) => v1::JobCause::Midnight,
+        JobCause::Update(UpdateCause::DataTime) => v1::JobCause::DataTime,
+        JobCause::Update(UpdateCause::PendingLimit) => v1::JobCause::PendingLimit,
+        JobCause::Erasure => v1::JobCause::Erasure,
     };
     v1::Job {
         id: job.id,
@@ -226,6 +227,25 @@ impl MaintenanceService for Maintenance {
         let BackupReport { maps, copied_files, copied_bytes, kept_files } = copied;
         tracing::info!(maps, copied_files, copied_bytes, kept_files, "backup made");
         Ok(Response::new(v1::CreateBackupResponse { maps, copied_files, copied_bytes, kept_files }))
+    }
+
+    async fn erase(&self, request: Request<v1::EraseRequest>) -> RpcReply<v1::EraseResponse> {
+        let v1::EraseRequest { map, state } = request.into_inner();
+        let handle = find_map(&self.catalog, &map).await?;
+        if cell_of("state", &state)?.is_some() {
+            let problem = "cells of a grid cannot be erased one by one: name a state, or delete the map";
+            return Err(RpcError::from(InvalidField::new("state", problem)).into());
+        }
+        // Found again when the erasure begins: another one may have been first.
+        if let Err(error) = states_of(&handle.view(), &state) {
+            return Err(match error {
+                CatalogError::NoState { .. } => find_state(&handle.view(), &state).err().unwrap_or(error.into()),
+                error => error.into(),
+            }
+            .into());
+        }
+        let job = self.catalog.erase(&handle.spec.name, state, &Caller::current());
+        Ok(Response::new(v1::EraseResponse { job: Some(job_to_wire(&self.catalog, &job)) }))
     }
 
     async fn get_statistics(&self, request: Request<v1::GetStatisticsRequest>) -> RpcReply<v1::GetStatisticsResponse> {

@@ -481,7 +481,7 @@ impl Stream<'_> {
         let reason = match error {
             // The status says it.
             RpcError::Revoked => return,
-            RpcError::Ended(Ending::Shutdown) | RpcError::Stopping => v1::GoodbyeReason::Shutdown,
+            RpcError::Ended(Ending::Shutdown | Ending::Erasure) | RpcError::Stopping => v1::GoodbyeReason::Shutdown,
             RpcError::Ended(Ending::Superseded) => v1::GoodbyeReason::Superseded,
             RpcError::Ended(Ending::MapDeleted) => v1::GoodbyeReason::MapDeleted,
             RpcError::Ended(Ending::Storage(error)) if is_fatal(error) => v1::GoodbyeReason::Storage,

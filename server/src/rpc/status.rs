@@ -157,6 +157,7 @@ fn shown_time(nanos: i64) -> String {
 fn ending_text(ending: &Ending) -> String {
     match ending {
         Ending::Shutdown => "the daemon is stopping; connect again later".to_owned(),
+        Ending::Erasure => "something is being erased from the map; connect again".to_owned(),
         Ending::Superseded => "another stream of the same producer and label took over".to_owned(),
         Ending::MapDeleted => "the map was deleted".to_owned(),
         Ending::Storage(error) => error.to_string(),
@@ -206,6 +207,9 @@ impl RpcError {
                 | CatalogError::Sums { .. }
                 | CatalogError::Duplicate { .. } => (Code::DataLoss, "STORAGE_FAILED"),
                 CatalogError::Thread(_) => (Code::ResourceExhausted, "LIMIT"),
+                CatalogError::Erase(_) => (Code::Internal, "STORAGE_FAILED"),
+                CatalogError::NoState { .. } => (Code::NotFound, "UNKNOWN_STATE"),
+                CatalogError::Axis { .. } => (Code::InvalidArgument, "IS_VECTOR"),
                 CatalogError::Stopping => (Code::Unavailable, "STOPPING"),
             },
             Self::UnknownMap { .. } => (Code::NotFound, "UNKNOWN_MAP"),
@@ -281,6 +285,7 @@ impl RpcError {
             Self::Intake(IntakeError::DataMismatch { .. }) => (Code::FailedPrecondition, "DATA_MISMATCH"),
             Self::Ended(ending) => match ending {
                 Ending::Shutdown => (Code::Unavailable, "STOPPING"),
+                Ending::Erasure => (Code::Unavailable, "ERASING"),
                 Ending::Superseded => (Code::Aborted, "SUPERSEDED"),
                 Ending::MapDeleted => (Code::NotFound, "MAP_DELETED"),
                 Ending::Storage(error) => append_code(error),

@@ -47,7 +47,7 @@ fn roles_of(method: &str) -> &'static [&'static str] {
         "SetCharger" | "SetLocation" | "DeleteLocation" | "LoadTopology" | "EditTopology" | "RunUpdate" => {
             &["operator", "admin"]
         }
-        "CreateMap" | "DeleteMap" | "CreateBackup" => &["admin"],
+        "CreateMap" | "DeleteMap" | "CreateBackup" | "Erase" => &["admin"],
         _ => &["planner", "operator", "admin"],
     }
 }

@@ -16,7 +16,7 @@ use crate::{
         ending::{Ending, is_fatal},
         protocol::{AddStateError, BufferBudget, Command, EditSiteError, RefusedObservation, SessionId},
     },
-    jobs::UpdateJob,
+    jobs::{JobCause, UpdateJob},
 };
 
 #[cfg(test)]
@@ -247,7 +247,9 @@ impl Writer {
             match append {
                 InFlight::Stream { session, .. } => self.sessions.failed(session, &Ending::Storage(error)),
                 InFlight::UpdateStart { job, .. } => {
-                    self.updates.not_started(job.cause, Instant::now());
+                    if let JobCause::Update(cause) = job.cause {
+                        self.updates.not_started(cause, Instant::now());
+                    }
                     job.end(Err(error.to_string()));
                 }
                 // The client may have gone away.

@@ -21,7 +21,7 @@ use super::*;
 use crate::{
     catalog::Catalog,
     ingest::protocol::{Handover, ObservationBatch},
-    jobs::Phase,
+    jobs::{JobCause, Phase, UpdateJob},
 };
 
 pub(super) mod backlog;
@@ -144,13 +144,20 @@ async fn generation(handle: &MapHandle, generation: u64) {
     panic!("generation {} is not {generation}", handle.view().generation());
 }
 
+fn update_cause(job: &UpdateJob) -> Option<UpdateCause> {
+    match job.cause {
+        JobCause::Update(cause) => Some(cause),
+        JobCause::Erasure => None,
+    }
+}
+
 /// Waits until `count` updates have ended; gives their causes, oldest first.
 async fn ended(bench: &Bench, count: usize) -> Vec<UpdateCause> {
     for _ in 0..600 {
         let jobs = bench.jobs.list();
         let done: Vec<_> = jobs.iter().filter(|job| matches!(job.status().phase, Phase::Done(_))).collect();
         if done.len() >= count {
-            return done.iter().rev().map(|job| job.cause).collect();
+            return done.iter().rev().filter_map(|job| update_cause(job)).collect();
         }
         tokio::time::sleep(Duration::from_millis(50)).await;
     }

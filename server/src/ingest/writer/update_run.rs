@@ -86,6 +86,11 @@ impl Updates {
         job.end(Err(reason));
     }
 
+    /// Whether an update runs.
+    pub(super) fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
     /// Whether the running update has observations from `from_nanos` up to but not including `to_nanos`.
     pub(super) fn has_times(&self, from_nanos: i64, to_nanos: i64) -> bool {
         self.times.is_some_and(|(from, cut)| from_nanos < cut && from < to_nanos)

@@ -38,7 +38,7 @@ use tidemap_model::{Sample, StopSignal};
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
-use super::readings::{ReadingsQuery, gather, read, retention};
+use super::readings::{ReadingsQuery, gather, not_replaced, read, retention};
 use crate::{
     catalog::Catalog,
     ingest::handle::MapHandle,
@@ -152,9 +152,9 @@ impl ModelFitter {
         kind: ModelKind,
     ) -> Result<Arc<CachedModel>, RpcError> {
         self.check(learned, kind)?;
-        let map = learned.handle.id;
-        let key =
-            ModelKey { map, generation: learned.view.generation(), subject: learned.of.subject(), kind, place: None };
+        let (map, handle) = (learned.handle.id, learned.handle.number);
+        let (generation, subject) = (learned.view.generation(), learned.of.subject());
+        let key = ModelKey { map, handle, generation, subject, kind, place: None };
         if let Some(fitted) = self.models.get(&key) {
             return Ok(fitted);
         }
@@ -288,6 +288,7 @@ impl ModelFitter {
         let gather = move || {
             let is_set = || stop.is_set();
             let readings = gather(&history, &learned.handle.spec, tail, &wanted, StopSignal::new(&is_set))?;
+            not_replaced(&learned.handle)?;
             let is_forever = retention(&learned.handle.spec, subject) == Some(Retention::Forever);
             match lacking((readings.len() as u64, total, max), is_forever && !is_complete) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),

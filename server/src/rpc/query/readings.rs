@@ -65,6 +65,11 @@ pub(super) async fn read(handle: &MapHandle, wanted: &ReadingsQuery) -> Result<H
     }
 }
 
+/// Checks that the ids of what was read are still those of the map.
+pub(super) fn not_replaced(handle: &MapHandle) -> Result<(), RpcError> {
+    if handle.is_replaced() { Err(RpcError::Ended(Ending::Erasure)) } else { Ok(()) }
+}
+
 /// The readings, unless the work is told to stop; if there are more than `enough`, some of them, more than `enough`,
 /// unordered.
 pub(super) fn gather(

@@ -16,7 +16,7 @@ use tidemap_store::History;
 
 use super::{
     Queries,
-    readings::{self, ReadingsQuery, gather, read},
+    readings::{self, ReadingsQuery, gather, not_replaced, read},
 };
 use crate::{
     ingest::{handle::MapHandle, protocol::HistoryTail},
@@ -81,6 +81,7 @@ pub(super) async fn past(
     let tail = read(handle, &wanted).await?;
     let permit = queries.large_permits.take().await?;
     let history = queries.catalog.context().store.history(handle.id)?.before(tail.stored_before);
+    let handle = Arc::clone(handle);
     let gather = move |stop: StopSignal<'_>| {
         let newest_nanos = tail.newest_nanos;
         let map = || spec.name.as_str().to_owned();
@@ -93,6 +94,7 @@ pub(super) async fn past(
             }
         }
         let found = gather(&history, &spec, tail, &wanted, stop)?;
+        not_replaced(&handle)?;
         check_limit("observations of the interval", found.len() as u64, max, "setting max_predictions")?;
         if let (true, Retention::Duration(nanos)) = (found.is_empty(), retention) {
             let kept_from_nanos = newest_nanos.saturating_sub(nanos);

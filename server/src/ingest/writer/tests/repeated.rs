@@ -59,7 +59,7 @@ async fn the_map_is_served_from_the_generation_before_while_its_update_is_repeat
         let view = handle.view();
         assert_eq!((view.generation(), view.observations()), (last, observed + life - 1));
         assert_eq!(model(&handle), before);
-        assert_eq!(bench.jobs.list().iter().map(|job| job.cause).collect::<Vec<_>>(), [UpdateCause::Request]);
+        assert_eq!(bench.jobs.list().iter().map(|job| job.cause).collect::<Vec<_>>(), [UpdateCause::Request.into()]);
         let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
         robot.observe(&handle, NOON + 8 * 24 * HOUR + life as i64).await;
         let view = handle.view();

@@ -29,7 +29,7 @@ impl ModelFitter {
             return Err(first.unavailable(kind, ModelUnavailable::Unlearned));
         }
         let (map, generation, subject) = (first.handle.id, first.view.generation(), first.of.subject());
-        let key = ModelKey { map, generation, subject, kind, place: None };
+        let key = ModelKey { map, handle: first.handle.number, generation, subject, kind, place: None };
         if let Some(model) = self.positions.get(&key) {
             return Ok(model);
         }
@@ -83,7 +83,7 @@ impl ModelFitter {
             }
         }
         let (map, generation, subject) = (learned.handle.id, learned.view.generation(), learned.of.subject());
-        let key = ModelKey { map, generation, subject, kind, place: Some(place) };
+        let key = ModelKey { map, handle: learned.handle.number, generation, subject, kind, place: Some(place) };
         if let Some(model) = self.places.get(&key) {
             return Ok(model);
         }
