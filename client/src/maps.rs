@@ -48,6 +48,8 @@ pub struct NewMap {
     pub prior: Option<f64>,
     /// The models that the nightly update selects from; `None`: the daemon's default.
     pub models: Option<EnabledModels>,
+    /// Whether observations before 1990 are refused, which come from clocks that are not set.
+    pub has_real_clock: bool,
 }
 
 /// The last update of a map.
@@ -105,6 +107,8 @@ pub struct Map {
     pub locations: u64,
     /// The models that the nightly update selects from.
     pub models: EnabledModels,
+    /// Whether observations before 1990 are refused.
+    pub has_real_clock: bool,
 }
 
 /// Counters of a grid.
@@ -157,6 +161,7 @@ impl Client {
             half_life: map.half_life_nanos.map(duration),
             prior: map.prior,
             models: map.models.map(enabled_to_wire).unwrap_or_default(),
+            real_clock: map.has_real_clock,
         };
         let response = self.map_service().create_map(request).await.map_err(|status| self.error(&status))?;
         map_from_wire(response.into_inner().map)
@@ -272,6 +277,7 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         charger_m: map.charger.map(point_from_wire),
         locations: map.locations,
         models: enabled_from_wire("models", &map.models, Retention::Forever).map_err(wrong)?,
+        has_real_clock: map.real_clock,
     })
 }
 

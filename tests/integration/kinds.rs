@@ -31,7 +31,7 @@ fn evaluate(daemon: &Daemon, rows: &str, models: &str) -> Outcome {
 fn office(folder: &Path) -> (Launch, Daemon) {
     let launch = Launch::on(folder);
     let daemon = launch.start();
-    tidemap(&daemon, ["map", "create", "office", "--time-zone", "Europe/London"]).table();
+    tidemap(&daemon, ["map", "create", "office", "--time-zone", "Europe/London", "--clock", "simulated"]).table();
     (launch, daemon)
 }
 

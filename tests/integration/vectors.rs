@@ -26,7 +26,7 @@ fn observe(daemon: &Daemon, label: &str, text: &str, more: &[&str]) -> Outcome {
 fn office(folder: &Path) -> (Launch, Daemon) {
     let launch = Launch::on(folder);
     let daemon = launch.start();
-    tidemap(&daemon, ["map", "create", "office", "--time-zone", "Europe/London"]).table();
+    tidemap(&daemon, ["map", "create", "office", "--time-zone", "Europe/London", "--clock", "simulated"]).table();
     (launch, daemon)
 }
 

@@ -47,6 +47,9 @@ pub struct MapSpec {
     /// k-means. Absent: 3.
     #[prost(uint32, optional, tag = "13")]
     pub models: Option<u32>,
+    /// Whether observations before 1990 are refused. False for a map that was created before this field.
+    #[prost(bool, tag = "14")]
+    pub has_real_clock: bool,
 }
 
 /// The header of a snapshot: as in format 1, and whether a site follows.

@@ -59,7 +59,19 @@ pub fn spec_from_request(request: v1::CreateMapRequest, created_nanos: i64) -> R
         other => return Err(InvalidField::new("prior", format!("{other} is not between 0 and 1"))),
     };
     let models = enabled_from_wire("models", &request.models, retention)?;
-    Ok(MapSpec { name, zone, periodicities, criterion, created_nanos, half_life_nanos, prior, retention, models, grid })
+    Ok(MapSpec {
+        name,
+        zone,
+        periodicities,
+        criterion,
+        created_nanos,
+        half_life_nanos,
+        prior,
+        retention,
+        models,
+        has_real_clock: request.real_clock,
+        grid,
+    })
 }
 
 /// Periodicities, by default those of a new map.
@@ -109,6 +121,7 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
         charger: view.site().charger_m().map(point_to_wire),
         locations: view.site().locations().len() as u64,
         models: enabled_to_wire(spec.models),
+        real_clock: spec.has_real_clock,
     }
 }
 

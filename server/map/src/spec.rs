@@ -10,6 +10,9 @@ use crate::{
 /// The shortest half-life: a tenth of a day.
 pub const HALF_LIFE_MIN_NANOS: i64 = 8_640 * 1_000_000_000;
 
+/// The earliest time that a real clock shows: 1 January 1990. Robots whose clock is not set begin near 1970 or 1980.
+pub const REAL_CLOCK_MIN_NANOS: i64 = 631_152_000 * 1_000_000_000;
+
 /// The fixed properties of a map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapSpec {
@@ -32,6 +35,9 @@ pub struct MapSpec {
     pub retention: Retention,
     /// Which models the nightly update of a named state chooses among.
     pub models: EnabledModels,
+    /// Whether the clocks of its producers are real: observations before [`REAL_CLOCK_MIN_NANOS`] are then refused. A
+    /// simulation may begin at 0.
+    pub has_real_clock: bool,
     /// Its occupancy grid, if it has one.
     pub grid: Option<GridSpec>,
 }
@@ -50,8 +56,14 @@ impl MapSpec {
             prior: 0.5,
             retention: Retention::Forever,
             models: EnabledModels::default(),
+            has_real_clock: false,
             grid: None,
         }
+    }
+
+    /// The earliest time of an observation, nanoseconds UTC.
+    pub fn earliest_nanos(&self) -> i64 {
+        if self.has_real_clock { REAL_CLOCK_MIN_NANOS } else { 0 }
     }
 
     /// How its states are updated.

@@ -23,6 +23,7 @@ use tidemap_proto::v1;
 use super::protocol::{NewName, ObservationBatch, RefusedObservation};
 
 mod cast_table;
+mod early;
 mod known_content;
 mod scans;
 #[cfg(test)]
@@ -116,6 +117,8 @@ pub(crate) struct Intake {
     /// Whether any name of the table is a vector.
     has_vectors: bool,
     limits: IntakeLimits,
+    /// Earlier times are refused.
+    earliest_nanos: i64,
     rows: Vec<u8>,
     scans: ScanIntake,
 }
@@ -131,6 +134,7 @@ impl Intake {
             content_crc,
             known: KnownContent::default(),
             limits,
+            earliest_nanos: 0,
             rows: Vec::new(),
             scans: ScanIntake::new(grid, limits.scans),
         }
@@ -139,6 +143,12 @@ impl Intake {
     /// The same, with the running CRCs that are known, ascending: what comes again is compared.
     pub(crate) fn knowing(mut self, marks: Vec<ContentMark>) -> Self {
         self.known = KnownContent::new(marks);
+        self
+    }
+
+    /// The same, and observations before this time are refused.
+    pub(crate) fn not_before(mut self, earliest_nanos: i64) -> Self {
+        self.earliest_nanos = earliest_nanos;
         self
     }
 
@@ -296,6 +306,9 @@ impl Intake {
             self.append_row(columns, i, position.as_ref());
             let entry = self.table.get(index as usize);
             let refusal = match entry {
+                Some(TableEntry { refusal: None, .. }) if (0..self.earliest_nanos).contains(&time) => {
+                    Some((RefusalReason::Time, early::refusal(time)))
+                }
                 Some(entry) if entry.refusal.is_none() && time >= 0 && entry.may_have(value, position) => None,
                 _ => Some(refuse(entry, index, self.table.len(), time, (value, position))),
             };

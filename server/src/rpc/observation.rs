@@ -252,7 +252,8 @@ async fn open_and_serve(
     let mut stream = Stream {
         intake: Some(
             Intake::new(opened.durable_sequence, opened.content_crc, limits.intake, handle.spec.grid.as_ref())
-                .knowing(opened.content_marks.clone()),
+                .knowing(opened.content_marks.clone())
+                .not_before(handle.spec.earliest_nanos()),
         ),
         own_buffer: Arc::new(Semaphore::new(limits.max_stream_buffer)),
         durable: opened.durable_sequence,

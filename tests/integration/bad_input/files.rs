@@ -3,7 +3,10 @@
 
 use std::{fs, path::Path};
 
-use tidemap_tests::cli::{self, Outcome};
+use tidemap_tests::{
+    cli::{self, Outcome},
+    daemon::{Daemon, Launch},
+};
 
 use super::{observations, office, states};
 
@@ -221,4 +224,31 @@ async fn refused_rows_are_corrected_without_doubling_the_others() {
     // Who corrects the file itself is told what to do.
     fs::write(&file, format!("{HEADER}1451865960,door,1\n1451866000,door,1\n")).expect("a file");
     observe(&file, &[]).fails(1, &["nothing was sent", "--refused FILE", "--label a-2.csv"]);
+}
+
+#[test]
+fn times_of_a_clock_that_is_not_set_are_refused_unless_the_map_is_of_a_simulation() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let launch = Launch::on(folder.path());
+    let daemon = launch.start();
+    let observe = |daemon: &Daemon, map: &str, rows: &str| {
+        let text = format!("{HEADER}{rows}");
+        cli::tidemap_reading(daemon, ["observe", map, "-", "--producer", "robot"], &text)
+    };
+    cli::tidemap(&daemon, ["map", "create", "real"]).table();
+    cli::tidemap(&daemon, ["map", "create", "simulated", "--clock", "simulated"]).table();
+    let outcome = observe(&daemon, "real", "12.5,door,1\n1451865960,door,1\n1451865.96,door,0\n");
+    outcome.fails(1, &["row 1 (line 2)", "robot's clock", "--clock simulated", "row 3", "in microseconds"]);
+    assert_eq!(outcome.table_with(1).rows, [["3", "1", "0", "2"]]);
+    assert_eq!(observe(&daemon, "simulated", "12.5,door,1\n").table().rows, [["1", "1", "0", "0"]]);
+    // The choice survives a restart.
+    drop(daemon);
+    let daemon = launch.start();
+    for (map, clock) in [("real", "real"), ("simulated", "any")] {
+        let shown = cli::tidemap(&daemon, ["map", "show", map, "--output", "table"]);
+        let line = shown.stdout.lines().find(|line| line.starts_with("clock")).unwrap_or_default().to_owned();
+        assert_eq!(line.split_whitespace().last(), Some(clock), "{shown:?}");
+    }
+    observe(&daemon, "real", "12.5,door,1\n1451865960,door,1\n1451865.96,door,0\n5,door,1\n")
+        .fails(1, &["row 4 (line 5)", "clock"]);
 }

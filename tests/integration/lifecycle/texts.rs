@@ -40,7 +40,7 @@ fn completed(program: &Path, name: &str, words: &[&str]) -> String {
 fn bash_completes_commands_and_values() {
     let (tidemap, tidemapd) = (binaries::tidemap(), binaries::tidemapd());
     assert_eq!(completed(&tidemap, "tidemap", &["map", "cr"]), "create");
-    assert_eq!(completed(&tidemap, "tidemap", &["predict", "--tim"]), "--times");
+    assert_eq!(completed(&tidemap, "tidemap", &["predict", "--tim"]), "--times --time");
     assert_eq!(completed(&tidemapd, "tidemapd", &["token", "rev"]), "revoke");
     for shell in ["zsh", "fish"] {
         for (program, command) in [(&tidemap, "observe"), (&tidemapd, "check")] {

@@ -13,7 +13,7 @@ use tidemap_map::time::format_duration;
 use self::grid_spec::{GridArg, box_text, retention_text, spec_text};
 use super::{Session, point::Point, times, usage};
 use crate::progress::status_line;
-use tidemap_formats::table::Cell;
+use tidemap_formats::table::{Cell, Format};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum MapCommand {
@@ -99,6 +99,18 @@ pub(crate) struct CreateArgs {
     /// spectral,histogram,calibrated,poisson]
     #[arg(long, value_name = "MODEL,…", value_parser = enabled_models)]
     models: Option<EnabledModels>,
+    /// The clocks of the robots: of a map with real clocks, observations before 1990 are refused, which come from a
+    /// clock that is not set or are in another unit; a simulation may begin at 0
+    #[arg(long, value_name = "CLOCK", default_value = "real")]
+    clock: ClockArg,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ClockArg {
+    /// Clocks of robots
+    Real,
+    /// Time of a simulation
+    Simulated,
 }
 
 /// The value of `--models`: names with commas between.
@@ -192,7 +204,11 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
         [cells(map), more].concat()
     };
     if let ([map], false) = (maps.as_slice(), all) {
-        return session.print_one(&columns, row(map.clone()));
+        // People see one thing more; the columns of programs stay.
+        let clock = (session.format == Format::Table).then_some(if map.has_real_clock { "real" } else { "any" });
+        let columns = columns.into_iter().chain(clock.map(|_| "clock")).collect::<Vec<_>>();
+        let cells = row(map.clone()).into_iter().chain(clock.map(Cell::from)).collect();
+        return session.print_one(&columns, cells);
     }
     let damaged = unavailable.into_iter().map(|map| {
         let mut row = vec![Cell::Empty; COLUMNS.len() + 1];
@@ -239,6 +255,7 @@ fn new_map(args: CreateArgs) -> NewMap {
         half_life_nanos: args.half_life,
         prior: args.prior,
         models: args.models,
+        has_real_clock: args.clock == ClockArg::Real,
     }
 }
 

@@ -23,7 +23,7 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Intake, IntakeError, cast_table::CastTable, last_sequence, shortened};
+use super::{Intake, IntakeError, cast_table::CastTable, early, last_sequence, shortened};
 use crate::ingest::protocol::{CheckedScan, RefusedObservation, ScanBatch, ScanOrigin};
 
 mod effort;
@@ -197,6 +197,9 @@ impl Intake {
             self.next_sequence += 1;
         } else {
             self.known.repeated(sequence, |crc| content_crc(crc, utc_nanos, digest))?;
+        }
+        if refusal.is_none() && utc_nanos < self.earliest_nanos {
+            refusal = Some(ScanRefusal { reason: RefusalReason::Time, detail: early::refusal(utc_nanos) });
         }
         let is_taken = is_new && refusal.is_none();
         let content_crc = self.content_crc;

@@ -169,6 +169,17 @@ fn times_before_1970_are_refused() {
 }
 
 #[test]
+fn with_real_clocks_times_before_1990_are_refused_with_a_guess() {
+    let mut intake = intake().not_before(tidemap_map::spec::REAL_CLOCK_MIN_NANOS);
+    let times = [1_738_000_000, 1_738_000_000_000_000_000, -1];
+    let batch = intake.take(message(1, &["a"], &[0; 3], &times, &[0.0; 3])).expect("fine").expect("new");
+    assert_eq!(batch.kept, [1]);
+    assert!(batch.refused.iter().all(|refused| refused.reason == RefusalReason::Time), "{batch:?}");
+    assert!(batch.refused[0].detail.contains("meant in seconds"), "{}", batch.refused[0].detail);
+    assert!(batch.refused[1].detail.contains("before 1970"), "{}", batch.refused[1].detail);
+}
+
+#[test]
 fn limits_are_errors_and_nothing_is_taken() {
     let mut intake = intake();
     let over = intake.take(message(1, &["a"], &[0; 5], &[0; 5], &[0.0; 5])).expect_err("5 observations");

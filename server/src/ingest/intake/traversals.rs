@@ -2,6 +2,7 @@
 //!
 //! Invariant: as for observations. Whether the map has an edge is checked by its writer, which knows the topology.
 
+use tidemap_map::ids::RefusalReason;
 use tidemap_proto::{
     convert::{
         InvalidField, OverLimit,
@@ -12,7 +13,7 @@ use tidemap_proto::{
 
 use super::{
     super::protocol::{RefusedObservation, TraversalBatch},
-    Intake, IntakeError, last_sequence, shortened,
+    Intake, IntakeError, early, last_sequence, shortened,
 };
 
 /// Observations per traversal: its success, and its speed.
@@ -55,7 +56,12 @@ impl Intake {
         self.rows.clear();
         for (sequence, wire) in (self.next_sequence..).zip(&traversals[skip..]) {
             append_content(wire, &mut self.rows);
+            let early = wire.start_nanos;
             match traversal_from_wire(wire) {
+                Ok(_) if early < self.earliest_nanos => {
+                    let (reason, detail) = (RefusalReason::Time, shortened(&early::refusal(early)));
+                    batch.refused.push(RefusedObservation { sequence, reason, detail });
+                }
                 Ok(traversal) => batch.traversals.push((sequence, traversal)),
                 Err((reason, detail)) => {
                     batch.refused.push(RefusedObservation { sequence, reason, detail: shortened(&detail) });

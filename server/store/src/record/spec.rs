@@ -40,6 +40,7 @@ pub(crate) fn encode(spec: &MapSpec, history_complete: bool) -> v2::MapSpec {
         half_life_nanos: spec.half_life_nanos.unwrap_or(0),
         prior_bits: Some(spec.prior.to_bits()).filter(|&bits| bits != PRIOR.to_bits()),
         models: Some(spec.models).filter(|&models| models != EnabledModels::default()).map(encode_models),
+        has_real_clock: spec.has_real_clock,
     }
 }
 
@@ -67,6 +68,7 @@ pub(crate) fn decode(message: v2::MapSpec) -> Result<MapSpec, String> {
         },
         retention: message.retention.map_or(Ok(Retention::Forever), decode_retention)?,
         models: message.models.map_or(Ok(EnabledModels::default()), decode_models)?,
+        has_real_clock: message.has_real_clock,
         grid: message.grid.map(decode_grid).transpose()?,
     })
 }
