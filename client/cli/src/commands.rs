@@ -27,6 +27,7 @@ mod producer;
 mod producer_id;
 mod reconstruct;
 mod route;
+mod sample;
 mod search;
 mod slot;
 mod state;
@@ -56,7 +57,6 @@ use tidemap_client::{Client, connection::Credentials};
 use crate::{
     demo,
     output::{self, TimeArg, default_format, format_parser},
-    sample::{self, SampleArgs},
 };
 use tidemap_formats::table::{self, Cell, Format, TableWriter, TimeStyle};
 use tidemap_model::Zone;
@@ -264,7 +264,7 @@ enum Command {
     #[command(subcommand)]
     Bench(bench::BenchCommand),
     /// Writes sample data into a folder, and the commands to try with it
-    Sample(SampleArgs),
+    Sample(sample::SampleArgs),
     /// Opens the daemon's page in a browser
     Open(open::OpenArgs),
     /// Shows how tidemap works, with its own daemon and a simulated office

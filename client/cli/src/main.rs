@@ -7,7 +7,6 @@ mod commands;
 mod demo;
 mod output;
 mod progress;
-mod sample;
 
 use std::{io, process::ExitCode};
 
