@@ -12,6 +12,7 @@ mod evaluate;
 mod experiment;
 mod files;
 mod grid;
+mod help;
 mod info;
 mod job;
 mod location;
@@ -117,7 +118,7 @@ pub(crate) struct Subject {
 
 /// Parses the command line.
 pub(crate) fn parse() -> (CommandLine, Subject) {
-    let matches = CommandLine::command().get_matches();
+    let matches = help::grouped(help::with_examples(CommandLine::command())).get_matches();
     let line = CommandLine::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     (line, subject(&matches))
 }

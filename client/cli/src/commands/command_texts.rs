@@ -8,6 +8,7 @@ use anyhow::Context as _;
 use clap::{Args, CommandFactory as _};
 use clap_complete::Shell;
 
+use super::help;
 use crate::{commands::CommandLine, output};
 
 /// Arguments of `tidemap completions`.
@@ -36,8 +37,8 @@ pub(crate) fn completions(args: &CompletionsArgs) -> anyhow::Result<ExitCode> {
 
 /// Writes the man pages into a folder, which is made if it does not exist.
 pub(crate) fn man_pages(args: &ManPagesArgs) -> anyhow::Result<ExitCode> {
-    let written =
-        fs::create_dir_all(&args.dir).and_then(|()| clap_mangen::generate_to(CommandLine::command(), &args.dir));
+    let written = fs::create_dir_all(&args.dir)
+        .and_then(|()| clap_mangen::generate_to(help::with_examples(CommandLine::command()), &args.dir));
     written.with_context(|| format!("man pages in {}", args.dir.display()))?;
     Ok(ExitCode::SUCCESS)
 }

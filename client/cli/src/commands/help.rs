@@ -1,0 +1,175 @@
+//! The help: commands by task, and an example for each.
+//!
+//! Invariant: each command is in one group and has an example that can be parsed; tests hold this.
+
+use std::fmt::Write as _;
+
+use clap::Command;
+
+/// The commands by what people want to do.
+const GROUPS: [(&str, &[&str]); 8] = [
+    ("Try it", &["demo", "sample", "open"]),
+    ("Make maps", &["map", "state", "location"]),
+    ("Send what robots see and do", &["observe", "grid", "traverse", "visit"]),
+    ("Learn, and look at models", &["update", "model", "evaluate", "experiment"]),
+    ("Predict, and look back", &["predict", "position", "presence", "joint", "reconstruct", "anomalies"]),
+    ("Explore", &["info", "slot", "day", "tour"]),
+    ("Drive and search", &["topology", "route", "policy", "search"]),
+    ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "bench"]),
+];
+
+/// Examples by the words of their commands.
+const EXAMPLES: &[(&str, &str)] = &[
+    ("demo", "tidemap demo --keep"),
+    ("sample", "tidemap sample office"),
+    ("open", "tidemap open office"),
+    ("map create", "tidemap map create office --time-zone Europe/London --grid resolution=0.1"),
+    ("map list", "tidemap map list --output json"),
+    ("map show", "tidemap map show office"),
+    ("map set", "tidemap map set office --charger 1.5,-2"),
+    ("map delete", "tidemap map delete office --yes"),
+    ("state list", "tidemap state list office"),
+    ("state add", "tidemap state add office visitors --kind count"),
+    ("location set", "tidemap location set office pantry kitchen storage-door"),
+    ("location list", "tidemap location list office"),
+    ("location delete", "tidemap location delete office pantry"),
+    ("observe", "tidemap observe office monday.csv --producer robot-1 --refused wrong.csv"),
+    ("grid observe", "tidemap grid observe office scan.pcd --at 2025-03-18T10:00:00Z --pose 0,0,0.5,0,0,0,1"),
+    ("grid predict", "tidemap grid predict office --at 2025-03-18T10:00:00Z --z 0.1:1.8 --out ten.png"),
+    ("traverse", "tidemap traverse office runs.csv --producer robot-1"),
+    ("visit", "tidemap visit office 1,-1 --reached false"),
+    ("update", "tidemap update office"),
+    ("model show", "tidemap model show office kitchen --picture"),
+    ("evaluate", "tidemap evaluate office next-week.csv --models auto,mean,latest"),
+    ("experiment", "tidemap experiment compare.yaml"),
+    ("experiment compare", "tidemap experiment compare compare.yaml"),
+    ("experiment explore", "tidemap experiment explore explore.yaml"),
+    ("experiment search", "tidemap experiment search search.yaml"),
+    ("experiment routes", "tidemap experiment routes"),
+    (
+        "predict",
+        "tidemap predict office kitchen --from 2025-02-18T00:00:00Z --to 2025-02-19T00:00:00Z --step 30m --picture",
+    ),
+    ("position", "tidemap position office anna --at 2025-01-28T10:00:00Z --picture"),
+    ("presence", "tidemap presence office --at now"),
+    ("joint", "tidemap joint office cup plate --from now"),
+    ("reconstruct", "tidemap reconstruct office kitchen --from 2025-01-06T00:00:00Z --to 2025-01-13T00:00:00Z"),
+    ("anomalies", "tidemap anomalies office kitchen --confidence 0.9 --from 2025-01-06T00:00:00Z --to now"),
+    ("info", "tidemap info office --at now --state kitchen --state storage-door"),
+    ("slot", "tidemap slot office --at now"),
+    ("day", "tidemap day office --date 2025-02-18 --slot 30m --explore 6 --picture"),
+    ("tour", "tidemap tour office --at now --count 4 --start 0,0 --picture tour.svg"),
+    ("topology load", "tidemap topology load office topology.yaml"),
+    ("topology show", "tidemap topology show office --edges"),
+    ("topology failures", "tidemap topology failures office --limit 10"),
+    ("topology predict", "tidemap topology predict office --at now --picture office.svg"),
+    ("topology edit add-node", "tidemap topology edit add-node office pantry --position 3,4"),
+    ("topology edit set-node", "tidemap topology edit set-node office pantry --position 3,4.5"),
+    ("topology edit remove-node", "tidemap topology edit remove-node office pantry"),
+    ("topology edit rename-node", "tidemap topology edit rename-node office pantry larder"),
+    ("topology edit link", "tidemap topology edit link office kitchen pantry 12"),
+    ("topology edit set-link", "tidemap topology edit set-link office kitchen pantry 14"),
+    ("topology edit unlink", "tidemap topology edit unlink office kitchen pantry"),
+    ("route", "tidemap route office entrance kitchen --at now --objective time"),
+    ("policy", "tidemap policy office kitchen --at now"),
+    ("search", "tidemap search office --start corridor --at now"),
+    ("job list", "tidemap job list"),
+    ("job watch", "tidemap job watch 7"),
+    ("producer list", "tidemap producer list office"),
+    ("stats", "tidemap stats office"),
+    ("backup create", "tidemap backup create /backups/tidemap"),
+    ("erase", "tidemap erase office --state kitchen"),
+    ("bench observe", "tidemap bench observe"),
+    ("bench latency", "tidemap bench latency"),
+    ("bench predict", "tidemap bench predict"),
+    ("bench search", "tidemap bench search"),
+    ("bench grid", "tidemap bench grid --days 14 --scans-per-day 96"),
+    ("completions", "tidemap completions bash"),
+    ("man-pages", "tidemap man-pages ./man"),
+];
+
+/// Adds an example to the command of these words.
+fn with_example(command: Command, words: &[&str], example: &'static str) -> Command {
+    match words {
+        [] => command.after_help(format!("Example:\n  {example}")),
+        [first, rest @ ..] => {
+            let is_known = command.find_subcommand(first).is_some();
+            if is_known { command.mut_subcommand(first, |inner| with_example(inner, rest, example)) } else { command }
+        }
+    }
+}
+
+/// The command line with an example in the help of each command.
+pub(super) fn with_examples(command: Command) -> Command {
+    EXAMPLES.iter().fold(command, |command, (words, example)| {
+        with_example(command, &words.split(' ').collect::<Vec<_>>(), example)
+    })
+}
+
+/// The command line with its commands by task.
+pub(super) fn grouped(command: Command) -> Command {
+    let mut groups = String::new();
+    let width = GROUPS.iter().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0);
+    for (heading, names) in GROUPS {
+        let _ = writeln!(groups, "{heading}:");
+        for name in names {
+            let about = command.find_subcommand(name).and_then(Command::get_about);
+            let about = about.map(ToString::to_string).unwrap_or_default();
+            let _ = writeln!(groups, "  {name:<width$}  {about}");
+        }
+        groups.push('\n');
+    }
+    command
+        .help_template(format!(
+            "{{before-help}}{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}Options:\n{{options}}{{after-help}}"
+        ))
+        .after_help("tidemap COMMAND --help shows the arguments of a command, and an example.")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use clap::CommandFactory as _;
+
+    use super::{super::CommandLine, *};
+
+    /// The words of all commands without commands of their own.
+    fn leaves(command: &Command, words: &str, found: &mut BTreeSet<String>) {
+        for inner in command.get_subcommands().filter(|inner| inner.get_name() != "help") {
+            let words = format!("{words} {}", inner.get_name()).trim().to_owned();
+            if !inner.has_subcommands() {
+                found.insert(words.clone());
+            }
+            leaves(inner, &words, found);
+        }
+    }
+
+    #[test]
+    fn every_command_is_in_one_group() {
+        let command = CommandLine::command();
+        let known: BTreeSet<&str> =
+            command.get_subcommands().filter(|inner| !inner.is_hide_set()).map(Command::get_name).collect();
+        let all: Vec<&str> = GROUPS.iter().flat_map(|(_, names)| *names).copied().collect();
+        assert_eq!(all.iter().copied().collect::<BTreeSet<_>>(), known);
+        assert_eq!(all.len(), known.len());
+        let help = grouped(CommandLine::command()).render_long_help().to_string();
+        assert!(help.contains("\nExplore:\n  info ") && help.contains("--server"), "{help}");
+    }
+
+    #[test]
+    fn every_command_has_an_example_that_can_be_parsed() {
+        let mut found = BTreeSet::new();
+        leaves(&CommandLine::command(), "", &mut found);
+        let shown: BTreeSet<String> = EXAMPLES.iter().map(|(words, _)| (*words).to_owned()).collect();
+        assert_eq!(found.difference(&shown).collect::<Vec<_>>(), Vec::<&String>::new(), "give these an example");
+        for (words, example) in EXAMPLES {
+            assert!(example.starts_with(&format!("tidemap {words}")), "{example}");
+            let parsed = CommandLine::command().try_get_matches_from(example.split(' '));
+            assert!(parsed.is_ok(), "{example}: {}", parsed.err().map(|error| error.to_string()).unwrap_or_default());
+        }
+        let mut command = with_examples(CommandLine::command());
+        let help = command.find_subcommand_mut("predict").map(|predict| predict.render_long_help().to_string());
+        assert!(help.is_some_and(|help| help.contains("Example:\n  tidemap predict office")));
+    }
+}
