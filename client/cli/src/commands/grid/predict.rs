@@ -54,6 +54,9 @@ pub(crate) struct GridPredictArgs {
     /// Encoding of probabilities in a .pgm file [default: trinary, or raw for entropies]
     #[arg(long, value_name = "MODE")]
     pgm_mode: Option<PgmMode>,
+    /// Pixels along the side of a cell in a .png file, 1 to 16
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
+    scale: u32,
 }
 
 /// The modes of Nav2's map server.
@@ -99,6 +102,9 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     check_for_cells(args.model)?;
     if args.entropy && kind == OutputKind::Csv {
         return Err(usage("a .csv file has the entropy in a column of its own: leave out --entropy"));
+    }
+    if args.scale != 1 && kind != OutputKind::Png {
+        return Err(UsageError(format!("--scale {}: only a .png file can be scaled", args.scale)).into());
     }
     if args.pgm_mode.is_some() && kind != OutputKind::Pgm {
         return Err(usage("--pgm-mode goes with --out FILE.pgm only"));
@@ -212,7 +218,7 @@ pub(crate) fn picture(predicted: &PredictedGrid) -> MapPicture {
 fn write(kind: OutputKind, picture: &MapPicture, args: &GridPredictArgs) -> anyhow::Result<()> {
     let out = &args.out;
     match kind {
-        OutputKind::Png => files::write(out, png::write(picture)?),
+        OutputKind::Png => files::write(out, png::write(picture, args.scale)?),
         OutputKind::Csv => files::write(out, cells_csv::write(picture)?),
         OutputKind::Ply => files::write(out, ply::write(picture)?),
         OutputKind::Pgm => {
