@@ -62,6 +62,7 @@ pages! {
     limits: "docs/src/limits.md",
     models: "docs/src/models.md",
     page: "docs/src/page.md",
+    people: "docs/src/people.md",
     rotate: "docs/src/rotate.md",
     security: "docs/src/security.md",
     sizing: "docs/src/sizing.md",

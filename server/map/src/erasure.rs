@@ -1,7 +1,7 @@
 //! Erasing states: snapshot, events and history as they would be if the states had never been observed.
 //!
-//! The states after an erased one move up, so that ids stay without gaps. Positions of events do not change: an event of
-//! which nothing remains becomes the edit that sets the charger to where it already is. Nor do the producers' marks:
+//! The states after an erased one move up, so that ids stay without gaps. Positions of events do not change: an event
+//! of which nothing remains becomes the edit that sets the charger to where it already is. Nor do the producers' marks:
 //! an erased observation still counts as acknowledged, so that it is ignored when it is sent again.
 //!
 //! Invariant: the remaining states keep every bit of what they have learned, and of what they still have to learn.
