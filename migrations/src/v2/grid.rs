@@ -125,6 +125,15 @@ pub struct Group {
     /// Sum of β over the observations; as `alpha_bits`.
     #[prost(fixed64, optional, tag = "6")]
     pub beta_bits: Option<u64>,
+    /// With a half-life: total weight of the observations. Present in all groups of a tile or in none.
+    #[prost(fixed64, optional, tag = "7")]
+    pub weight_bits: Option<u64>,
+    /// With a half-life: the latest local day that was learned, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "8")]
+    pub day: Option<i32>,
+    /// With a half-life: the latest local day in the sums of the group.
+    #[prost(sint32, optional, tag = "9")]
+    pub sum_day: Option<i32>,
 }
 
 /// The model of a cell.

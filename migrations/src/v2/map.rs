@@ -177,6 +177,9 @@ pub struct GridSpec {
     /// How long exact readings are kept.
     #[prost(message, optional, tag = "9")]
     pub retention: Option<Retention>,
+    /// Half-life of readings; 0: all count alike.
+    #[prost(int64, tag = "10")]
+    pub half_life_nanos: i64,
 }
 
 /// A box of cells.

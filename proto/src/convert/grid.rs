@@ -39,6 +39,10 @@ pub fn grid_from_wire(wire: v1::Grid) -> Result<GridSpec, InvalidField> {
         extent: wire.extent.as_ref().map(cell_box_from_wire),
         sensor,
         retention: retention_from_wire("grid.retention", wire.retention, Retention::None)?,
+        half_life_nanos: wire
+            .half_life
+            .map(|half_life| nanos_from_duration("grid.half_life", half_life))
+            .transpose()?,
     };
     spec.check().map_err(|error| {
         let field = match error {
@@ -48,6 +52,7 @@ pub fn grid_from_wire(wire: v1::Grid) -> Result<GridSpec, InvalidField> {
             InvalidGrid::Extent(..) => "grid.extent",
             InvalidGrid::Sensor(_) => "grid.sensor",
             InvalidGrid::Retention(_) => "grid.retention",
+            InvalidGrid::HalfLife(_) => "grid.half_life",
         };
         InvalidField::new(field, error)
     })?;
@@ -68,6 +73,7 @@ pub fn grid_to_wire(spec: &GridSpec) -> v1::Grid {
         extent: spec.extent.as_ref().map(cell_box_to_wire),
         sensor: Some(v1::SensorNoise { hit, false_alarm, prior }),
         retention: Some(retention_to_wire(spec.retention)),
+        half_life: spec.half_life_nanos.map(duration),
     }
 }
 

@@ -8,6 +8,7 @@ use tidemap_map::{
     },
     ids::RefusalReason,
     selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIODS},
+    spec::HALF_LIFE_MIN_NANOS,
 };
 use tidemap_model::{ORDER_MAX, OrderCriterion, Periodicities, models::HistogramCycle};
 use tidemap_plan::{
@@ -48,12 +49,14 @@ fn grids() -> impl Strategy<Value = GridSpec> {
     let noise = (0.5..1.0_f64, 0.0..0.5_f64, 0.01..0.99_f64);
     let noise = noise.prop_map(|(hit, false_alarm, prior)| SensorNoise { hit, false_alarm, prior });
     let origin_m = [-1e3..1e3_f64, -1e3..1e3_f64, -1e3..1e3_f64];
-    (0.01..9.0_f64, origin_m, prop::option::of(extent), noise, retentions()).prop_map(
-        |(resolution_m, origin_m, extent, sensor, retention)| GridSpec {
+    let half_life = prop::option::of(HALF_LIFE_MIN_NANOS..i64::MAX);
+    (0.01..9.0_f64, origin_m, prop::option::of(extent), noise, retentions(), half_life).prop_map(
+        |(resolution_m, origin_m, extent, sensor, retention, half_life_nanos)| GridSpec {
             origin_m,
             extent,
             sensor,
             retention,
+            half_life_nanos,
             ..GridSpec::new(resolution_m)
         },
     )

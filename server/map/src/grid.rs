@@ -31,6 +31,7 @@
 
 mod blend;
 pub mod day;
+pub mod fade;
 mod fold;
 pub mod generation;
 pub mod index;

@@ -92,6 +92,7 @@ fn fit(c: &mut Criterion) {
                 for a in &cells {
                     let sums = CellSums {
                         observations: 512,
+                        weight: 512.0,
                         mean: 0.08,
                         a,
                         b: &b_sum,

@@ -81,6 +81,18 @@ impl PhasorSum {
         Arch::new().dispatch(AddRow::<true> { sum: &mut self.parts, row });
     }
 
+    /// Multiplies the weight of all times by a factor.
+    pub fn scale(&mut self, factor: f64) {
+        self.parts.iter_mut().for_each(|part| *part *= factor);
+    }
+
+    /// Adds the times of another sum, each with this weight.
+    pub fn add_scaled(&mut self, other: &PhasorSum, factor: f64) {
+        for (sum, part) in self.parts.iter_mut().zip(&other.parts) {
+            *sum += part * factor;
+        }
+    }
+
     /// Adds `plus - minus`: the times from one row of [`RunningSums`] up to a later one. Where a row is
     /// shorter than the sum, the rest stays.
     pub fn add_difference(&mut self, plus: &[f64], minus: &[f64]) {

@@ -87,8 +87,12 @@ pub(crate) struct CreateArgs {
     /// How long the history of exact cell observations is kept: none, forever or a duration [default: none]
     #[arg(long, value_name = "RETENTION", value_parser = grid_spec::retention, requires = "grid")]
     grid_retention: Option<Retention>,
-    /// Age at which the weight of an observation of a named state is one half, so that old routines are forgotten; grid
-    /// cells forget nothing [default: never]
+    /// Age, from the newest reading of a cell, at which its readings have half their weight, so that old routines are
+    /// forgotten; in whole days [default: never]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration, requires = "grid")]
+    grid_half_life: Option<i64>,
+    /// Age at which the weight of an observation of a named state is one half, so that old routines are forgotten; for
+    /// grid cells see --grid-half-life [default: never]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     half_life: Option<i64>,
     /// Prediction of a named state with no learned data, 0 to 1 [default: 0.5]
@@ -149,10 +153,11 @@ const COLUMNS: [&str; 11] = [
     "scans",
 ];
 /// Additional columns of a single map.
-const MORE_COLUMNS: [&str; 12] = [
+const MORE_COLUMNS: [&str; 13] = [
     "retention",
     "grid",
     "grid_retention",
+    "grid_half_life",
     "tiles",
     "pending_scans",
     "cell_observations",
@@ -172,8 +177,9 @@ pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Resul
         MapCommand::Create(args) => {
             let wanted = new_map(*args);
             let has_grid = wanted.grid.is_some();
-            if has_grid && wanted.half_life_nanos.is_some() {
-                status_line("the half-life applies to named states only: grid cells forget nothing");
+            let grid_fades = wanted.grid.as_ref().is_some_and(|grid| grid.half_life_nanos.is_some());
+            if has_grid && wanted.half_life_nanos.is_some() && !grid_fades {
+                status_line("the half-life applies to named states: grid cells forget with --grid-half-life");
             }
             vec![with_grid(client.create_map(wanted).await?, has_grid)?]
         }
@@ -243,8 +249,11 @@ fn new_map(args: CreateArgs) -> NewMap {
         Criterion::SquaredError => OrderCriterion::SquaredError,
         Criterion::ZeroOne => OrderCriterion::ZeroOne,
     };
-    let grid =
-        args.grid.map(|GridArg(grid)| GridSpec { retention: args.grid_retention.unwrap_or(grid.retention), ..grid });
+    let grid = args.grid.map(|GridArg(grid)| GridSpec {
+        retention: args.grid_retention.unwrap_or(grid.retention),
+        half_life_nanos: args.grid_half_life,
+        ..grid
+    });
     NewMap {
         name: args.name,
         time_zone: args.time_zone,
@@ -292,6 +301,7 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         text(Some(retention_text(map.retention))),
         text(grid.map(spec_text)),
         text(grid.map(|grid| retention_text(grid.retention))),
+        text(grid.and_then(|grid| grid.half_life_nanos).map(format_duration)),
         Cell::maybe(summary.map(|summary| summary.tiles)),
         Cell::maybe(summary.map(|summary| summary.pending_scans)),
         Cell::maybe(summary.map(|summary| summary.cell_observations)),

@@ -9,6 +9,7 @@ use tidemap_model::{LocalDay, OrderCriterion, Periodicities};
 
 use super::{
     day::GridDay,
+    fade::HalfLife,
     generation::Generation,
     index::{TileId, TileIndex},
     live_tile::{LiveTile, ScanRun},
@@ -139,8 +140,9 @@ impl LiveGrid {
         // The snapshot must not depend on the run.
         self.end_run();
         let (days, newest_future) = self.take_before(cut_nanos);
+        let half_life = self.spec.half_life_nanos.map(HalfLife::of_nanos);
         let work = GridWork {
-            rules: Rules::new(periodicities, criterion, &self.sensors),
+            rules: Rules::new(periodicities, criterion, &self.sensors, half_life),
             generation: Arc::clone(&self.generation),
             sums: std::mem::take(&mut self.sums),
             days,

@@ -11,9 +11,10 @@
 
 use std::sync::Arc;
 
-use tidemap_model::{Periodicities, PhasorSum, PhasorTable, RunningSums};
+use tidemap_model::{LocalDay, Periodicities, PhasorSum, PhasorTable, RunningSums};
 
 use super::{
+    fade::HalfLife,
     fold::{Chunk, Cursor, WeightedRows, WeightedScans, fold_toggles},
     index::TILE_CELLS,
     mask::Mask,
@@ -40,6 +41,13 @@ pub struct DayRuns {
     pub sensors: Option<Arc<Vec<SensorId>>>,
     /// Cells observed alike.
     pub lists: Vec<CellRuns>,
+}
+
+impl DayRuns {
+    /// The local date of its scans.
+    fn day(&self) -> Option<LocalDay> {
+        self.civil_nanos.first().map(|&nanos| LocalDay::of_civil_nanos(nanos))
+    }
 }
 
 /// When the cells of a tile were observed since its groups became too many to keep a sum each.
@@ -106,10 +114,12 @@ impl ObservationRuns {
         }
     }
 
-    /// The sums over the times at which each of these cells was observed, in their order.
+    /// The sums over the times at which each of these cells was observed, in their order. With a half-life, each day
+    /// counts with its weight on the day that is given with the cell.
     pub(super) fn sums(
         &self,
-        cells: &[u16],
+        cells: &[(u16, Option<LocalDay>)],
+        half_life: Option<HalfLife>,
         periodicities: &Periodicities,
         sensors: &Sensors,
         chunk_scans: usize,
@@ -117,10 +127,14 @@ impl ObservationRuns {
         let has_others = self.days.iter().any(|day| day.sensors.is_some());
         let mut sums: Vec<CellSums> = cells.iter().map(|_| CellSums::zero(periodicities, has_others)).collect();
         for day in &self.days {
-            let mut wanted: Vec<(&[u32], Cursor, &mut CellSums)> = Vec::new();
-            for (&cell, sum) in cells.iter().zip(&mut sums) {
+            let mut wanted: Vec<(&[u32], Cursor, &mut CellSums, Option<(CellSums, f64)>)> = Vec::new();
+            for (&(cell, on), sum) in cells.iter().zip(&mut sums) {
                 if let Some(list) = day.lists.iter().find(|list| list.cells.binary_search(&cell).is_ok()) {
-                    wanted.push((&list.toggles, Cursor::default(), sum));
+                    let factor =
+                        half_life.zip(day.day().zip(on)).map(|(half_life, (from, to))| half_life.factor(from, to));
+                    let faded = factor.filter(|&factor| factor != 1.0);
+                    let faded = faded.map(|factor| (CellSums::zero(periodicities, has_others), factor));
+                    wanted.push((&list.toggles, Cursor::default(), sum, faded));
                 }
             }
             if wanted.is_empty() {
@@ -147,7 +161,8 @@ impl ObservationRuns {
                     utc_nanos: civil_nanos,
                     is_last,
                 };
-                for (toggles, cursor, sum) in &mut wanted {
+                for (toggles, cursor, sum, faded) in &mut wanted {
+                    let sum = faded.as_mut().map_or(&mut **sum, |(sum, _)| sum);
                     let from = *cursor;
                     fold_toggles(toggles, cursor, &mut sum.plain, &rows, &chunk);
                     if let Some((alpha, beta)) = &mut sum.weighted {
@@ -158,6 +173,11 @@ impl ObservationRuns {
                         let rows = weighted.map_or(&rows, |weighted| &weighted.beta);
                         fold_toggles(toggles, &mut { from }, beta, rows, &chunk);
                     }
+                }
+            }
+            for (_, _, sum, faded) in wanted {
+                if let Some((faded, factor)) = faded {
+                    sum.add_scaled(&faded, factor);
                 }
             }
         }
@@ -187,6 +207,14 @@ impl CellSums {
     fn zero(periodicities: &Periodicities, has_others: bool) -> CellSums {
         let zero = || PhasorSum::zero(periodicities);
         CellSums { plain: zero(), weighted: has_others.then(|| (zero(), zero())) }
+    }
+
+    fn add_scaled(&mut self, other: &CellSums, factor: f64) {
+        self.plain.add_scaled(&other.plain, factor);
+        if let (Some((alpha, beta)), Some((other_alpha, other_beta))) = (&mut self.weighted, &other.weighted) {
+            alpha.add_scaled(other_alpha, factor);
+            beta.add_scaled(other_beta, factor);
+        }
     }
 
     fn finish(self) -> GroupSums {

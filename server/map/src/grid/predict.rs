@@ -126,7 +126,7 @@ impl Shape {
         // A cell that never changed stays at its level, however recent the reading is, unless another sensor made it.
         let has_changed = || !(seen & fixed & (occupied ^ model.always_occupied)).is_empty();
         let blended = selector.is_blended() && (has_changed() || has_other_readers());
-        let has_own_levels = blended || model.sensors.is_some();
+        let has_own_levels = blended || model.has_own_levels();
         Shape { known, learned, changed, high, all_values: has_own_levels || !known.without(learned).is_empty() }
     }
 

@@ -4,13 +4,16 @@
 //! e^(-jω_k t) = G_k + A_k, where G_k = Σ α e^(-jω_k t) over the group's readings and A_k = Σ β e^(-jω_k t) over the
 //! cell's occupied ones. D_k = Σ β e^(-jω_k t) over the group's readings is A_k of a cell that was always occupied.
 //!
-//! Invariant: where all readings are of the map's own sensor nothing is kept: G = 0, D = B, Σα = 0, Σβ = n.
+//! With a half-life each reading counts in all of these sums, and in n, with its weight (see [`super::fade`]).
+//!
+//! Invariant: where all readings are of the map's own sensor, and of the same weight, nothing is kept: G = 0, D = B,
+//! Σα = 0, Σβ = n.
 
 use std::sync::Arc;
 
 use tidemap_model::PhasorSum;
 
-use super::sensors::Weights;
+use super::{fade::GroupFade, sensors::Weights};
 
 /// The weights of the readings of a tile's cells, parallel to the groups and cells of its model.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,12 +22,17 @@ pub struct SensorWeights {
     pub groups: Vec<Weights>,
     /// Σβ over the occupied readings of each changed cell.
     pub occupied: Vec<f64>,
+    /// The fading of each group; empty without a half-life.
+    pub fades: Vec<GroupFade>,
 }
 
 impl SensorWeights {
     /// Memory in bytes, about.
     pub fn bytes(&self) -> usize {
-        size_of::<Self>() + self.groups.len() * size_of::<Weights>() + self.occupied.len() * 8
+        size_of::<Self>()
+            + self.groups.len() * size_of::<Weights>()
+            + self.occupied.len() * 8
+            + self.fades.len() * size_of::<GroupFade>()
     }
 }
 
@@ -64,6 +72,20 @@ impl GroupSums {
     /// D_k.
     pub(crate) fn beta(&self) -> &Arc<PhasorSum> {
         self.weighted.as_ref().map_or(&self.plain, |weighted| &weighted.beta)
+    }
+
+    /// The same with the weight of every reading multiplied by a factor.
+    pub(crate) fn scaled(&self, factor: f64) -> GroupSums {
+        if factor == 1.0 {
+            return self.clone();
+        }
+        let scaled = |sum: &PhasorSum| {
+            let mut sum = sum.clone();
+            sum.scale(factor);
+            Arc::new(sum)
+        };
+        let weighted = |of: &WeightedSums| WeightedSums { alpha: scaled(&of.alpha), beta: scaled(&of.beta) };
+        GroupSums { plain: scaled(&self.plain), weighted: self.weighted.as_ref().map(weighted) }
     }
 
     /// Sums over these readings and others.

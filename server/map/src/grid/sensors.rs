@@ -89,6 +89,13 @@ impl std::ops::AddAssign for Weights {
     }
 }
 
+impl std::ops::MulAssign<f64> for Weights {
+    fn mul_assign(&mut self, factor: f64) {
+        self.alpha *= factor;
+        self.beta *= factor;
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sensor {
     levels: (f64, f64),

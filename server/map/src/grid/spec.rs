@@ -4,6 +4,7 @@
 //! coordinates.
 
 use super::index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT};
+use crate::spec::HALF_LIFE_MIN_NANOS;
 
 /// Longest frame id in bytes.
 pub(crate) const FRAME_BYTES_MAX: usize = 128;
@@ -25,6 +26,9 @@ pub struct GridSpec {
     pub sensor: SensorNoise,
     /// How long the exact readings are kept.
     pub retention: Retention,
+    /// Age difference to the newest reading of a cell at which a reading counts half in its nightly model, in
+    /// nanoseconds, at least [`HALF_LIFE_MIN_NANOS`]; it is counted in whole local days. `None`: all count alike.
+    pub half_life_nanos: Option<i64>,
 }
 
 /// How long exact observations are kept. Models do not need them.
@@ -94,6 +98,9 @@ pub enum InvalidGrid {
     /// The retention is not positive.
     #[error("retention of {0} ns: it must be at least 1 ns")]
     Retention(i64),
+    /// The half-life is too short.
+    #[error("half-life of {0} ns: it must be at least 0.1 days (8640 s)")]
+    HalfLife(i64),
 }
 
 impl GridSpec {
@@ -108,6 +115,7 @@ impl GridSpec {
             extent: None,
             sensor: SensorNoise::default(),
             retention: Retention::None,
+            half_life_nanos: None,
         }
     }
 
@@ -138,8 +146,9 @@ impl GridSpec {
         if !(is_sensor && prior > 0.0 && prior < 1.0) {
             return Err(InvalidGrid::Sensor(self.sensor));
         }
-        match self.retention {
-            Retention::Duration(nanos) if nanos < 1 => Err(InvalidGrid::Retention(nanos)),
+        match (self.retention, self.half_life_nanos) {
+            (Retention::Duration(nanos), _) if nanos < 1 => Err(InvalidGrid::Retention(nanos)),
+            (_, Some(nanos)) if nanos < HALF_LIFE_MIN_NANOS => Err(InvalidGrid::HalfLife(nanos)),
             _ => Ok(()),
         }
     }
@@ -192,6 +201,7 @@ mod tests {
             extent: None,
             sensor: SensorNoise::default(),
             retention: Retention::None,
+            half_life_nanos: None,
         }
     }
 
@@ -211,6 +221,8 @@ mod tests {
             (GridSpec { extent: cube(0, 2), is_flat: true, ..spec() }, "z = 0"),
             (GridSpec { sensor: SensorNoise { hit: 0.3, false_alarm: 0.4, prior: 0.5 }, ..spec() }, "0.4"),
             (GridSpec { retention: Retention::Duration(0), ..spec() }, "at least 1"),
+            (GridSpec { half_life_nanos: Some(HALF_LIFE_MIN_NANOS - 1), ..spec() }, "8639999999999 ns"),
+            (GridSpec { half_life_nanos: Some(0), ..spec() }, "8640 s"),
         ] {
             let error = wrong.check().expect_err(word).to_string();
             assert!(error.contains(word), "{error}");

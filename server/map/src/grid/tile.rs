@@ -13,6 +13,7 @@ use std::sync::Arc;
 use tidemap_model::{OrderErrors, PhasorSum, SpectralModel};
 
 use super::{
+    fade::GroupFade,
     index::TileId,
     mask::Mask,
     observation_runs::ObservationRuns,
@@ -57,7 +58,7 @@ pub struct TileModel {
     pub always_occupied: Mask,
     /// Cells that have changed, ascending by place.
     pub cells: Vec<CellModel>,
-    /// The weights of readings; `None` if all are of the map's own sensor.
+    /// The weights of readings; `None` if all are of the map's own sensor and there is no half-life.
     pub sensors: Option<Box<SensorWeights>>,
 }
 
@@ -93,6 +94,20 @@ impl TileModel {
         known.unwrap_or_else(|| Weights::own(self.groups.get(group).map_or(0, |group| group.observations)))
     }
 
+    /// Total weight of the readings of a group, by its index.
+    pub fn weight(&self, group: usize) -> f64 {
+        let known = self.sensors.as_ref().and_then(|sensors| sensors.fades.get(group));
+        known.map_or_else(|| self.groups.get(group).map_or(0.0, |group| group.observations as f64), |fade| fade.weight)
+    }
+
+    /// Whether cells that were always read alike may differ in their levels, as readings of several sensors do.
+    pub(crate) fn has_own_levels(&self) -> bool {
+        self.sensors.as_ref().is_some_and(|sensors| {
+            let is_own = |(weights, fade): (&Weights, &GroupFade)| weights.alpha == 0.0 && weights.beta == fade.weight;
+            sensors.fades.is_empty() || !sensors.groups.iter().zip(&sensors.fades).all(is_own)
+        })
+    }
+
     /// Σβ over the occupied readings of a changed cell, by its index.
     pub fn occupied_weight(&self, cell: usize) -> f64 {
         let known = self.sensors.as_ref().and_then(|sensors| sensors.occupied.get(cell).copied());
@@ -102,20 +117,24 @@ impl TileModel {
     /// The means of the readings of a group's cells that were always read as free, and as occupied, by its index.
     pub(crate) fn constant_levels(&self, group: usize, sensors: &Sensors) -> (f64, f64) {
         let weights = self.weights(group);
-        let observations = self.groups.get(group).map_or(0, |group| group.observations);
-        if observations == 0 || weights == Weights::own(observations) {
+        let weight = self.weight(group);
+        if weight == 0.0 || weights == (Weights { alpha: 0.0, beta: weight }) {
             return sensors.levels(SensorId::OWN);
         }
-        let mean = |is_occupied| sensors.value_of_units(weights.units(is_occupied) / observations as f64);
+        let mean = |is_occupied| sensors.value_of_units(weights.units(is_occupied) / weight);
         (mean(false), mean(true))
     }
 
-    /// Starts to keep the weights of readings; all so far were of the map's own sensor.
-    pub(crate) fn keep_weights(&mut self) {
-        if self.sensors.is_none() {
+    /// Starts to keep the weights of readings; all so far were of the map's own sensor. With `fades`, also how
+    /// far they fade; all so far count alike.
+    pub(crate) fn keep_weights(&mut self, fades: bool) {
+        let sensors = self.sensors.get_or_insert_with(|| {
             let groups = self.groups.iter().map(|group| Weights::own(group.observations)).collect();
             let occupied = self.cells.iter().map(|cell| cell.occupied as f64).collect();
-            self.sensors = Some(Box::new(SensorWeights { groups, occupied }));
+            Box::new(SensorWeights { groups, occupied, fades: Vec::new() })
+        });
+        if fades && sensors.fades.len() != self.groups.len() {
+            sensors.fades = self.groups.iter().map(GroupFade::of_group).collect();
         }
     }
 
@@ -225,6 +244,7 @@ impl TileData {
         if let Some(weights) = &mut self.model.sensors {
             weights.groups.shrink_to_fit();
             weights.occupied.shrink_to_fit();
+            weights.fades.shrink_to_fit();
         }
         if let Some(sums) = &mut self.sums.sensors {
             sums.groups.shrink_to_fit();

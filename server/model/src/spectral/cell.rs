@@ -19,6 +19,8 @@ const BLOCK: usize = 64;
 pub struct CellSums<'a> {
     /// Number of observations n.
     pub observations: u64,
+    /// Their total weight, above 0: n, or less with a half-life. The mean and the sums are weighted likewise.
+    pub weight: f64,
     /// Mean in units in which seeing it free counts as 0 and seeing it occupied as 1: without observations of other
     /// levels, the share of those that saw it occupied.
     pub mean: f64,
@@ -44,7 +46,7 @@ impl SpectralModel {
         let mut strongest = Strongest::new();
         Arch::new().dispatch(CellFit {
             sums: &sums,
-            scale: (occupied - free) / sums.observations as f64,
+            scale: (occupied - free) / sums.weight,
             periodicities,
             strongest: &mut strongest,
         });

@@ -126,6 +126,7 @@ fn encode_grid(grid: &GridSpec) -> v2::GridSpec {
         false_alarm_bits: grid.sensor.false_alarm.to_bits(),
         prior_bits: grid.sensor.prior.to_bits(),
         retention: Some(encode_retention(grid.retention)),
+        half_life_nanos: grid.half_life_nanos.unwrap_or(0),
     }
 }
 
@@ -143,6 +144,7 @@ fn decode_grid(message: v2::GridSpec) -> Result<GridSpec, String> {
             prior: f64::from_bits(message.prior_bits),
         },
         retention: decode_retention(message.retention.unwrap_or_default())?,
+        half_life_nanos: Some(message.half_life_nanos).filter(|&nanos| nanos != 0),
     };
     grid.check().map_err(|error| error.to_string())?;
     Ok(grid)

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use prost::Message as _;
 use tidemap_map::grid::{
+    fade::GroupFade,
     mask::Mask,
     observation_runs::ObservationRuns,
     sensor_sums::{SensorSums, SensorWeights, WeightedSums},
@@ -35,6 +36,7 @@ const HAS_WEIGHTED: u32 = 1 << 31;
 pub(crate) fn encode(model: &TileModel) -> v2::TileModel {
     let group = |(index, group): (usize, &Group)| {
         let weights = model.sensors.as_ref().map(|_| model.weights(index));
+        let fade = model.sensors.as_ref().and_then(|sensors| sensors.fades.get(index));
         v2::Group {
             cells: encode_mask(group.cells),
             observations: group.observations,
@@ -42,6 +44,9 @@ pub(crate) fn encode(model: &TileModel) -> v2::TileModel {
             last_nanos: group.last_nanos,
             alpha_bits: weights.map(|weights| weights.alpha.to_bits()),
             beta_bits: weights.map(|weights| weights.beta.to_bits()),
+            weight_bits: fade.map(|fade| fade.weight.to_bits()),
+            day: fade.map(|fade| fade.day.0),
+            sum_day: fade.map(|fade| fade.sum_day.0),
         }
     };
     let weight = |cell: usize| model.sensors.as_ref().map(|_| model.occupied_weight(cell).to_bits());
@@ -111,7 +116,21 @@ fn decode_weights(message: &v2::TileModel) -> Result<Option<SensorWeights>, Inva
     Ok(Some(SensorWeights {
         groups: message.groups.iter().map(group).collect::<Result<_, Invalid>>()?,
         occupied: message.cells.iter().map(|cell| number(cell.occupied_weight_bits)).collect::<Result<_, _>>()?,
+        fades: decode_fades(message)?,
     }))
+}
+
+/// How far the groups have faded; empty without a half-life.
+fn decode_fades(message: &v2::TileModel) -> Result<Vec<GroupFade>, Invalid> {
+    if message.groups.iter().all(|group| (group.weight_bits, group.day, group.sum_day) == (None, None, None)) {
+        return Ok(Vec::new());
+    }
+    let fade = |group: &v2::Group| {
+        let weight = group.weight_bits.map(f64::from_bits).filter(|weight| (0.0..=f64::MAX).contains(weight))?;
+        Some(GroupFade { weight, day: LocalDay(group.day?), sum_day: LocalDay(group.sum_day?) })
+    };
+    let fades: Option<Vec<GroupFade>> = message.groups.iter().map(fade).collect();
+    fades.ok_or("the fading is missing for some groups of a tile, or a weight is not a number from 0 up")
 }
 
 fn decode_cell(message: &v2::Cell, periodicities: &Periodicities) -> Result<CellModel, String> {

@@ -7,6 +7,7 @@ use tidemap_map::{
     event::Event,
     grid::{
         day::{GridDay, ScanTime},
+        fade::GroupFade,
         index::{TileId, TileIndex},
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
@@ -190,7 +191,14 @@ pub(crate) fn learned(
         let mut number = || random.random_range(-1e3..1e3);
         let groups = model.groups.iter().map(|_| Weights { alpha: number(), beta: number() }).collect();
         let occupied = model.cells.iter().map(|_| number()).collect();
-        model.sensors = Some(Box::new(SensorWeights { groups, occupied }));
+        let mut fade = || GroupFade {
+            weight: random.random_range(0.0..1e6),
+            day: LocalDay(random.random_range(-9..20_000)),
+            sum_day: LocalDay(random.random_range(-9..20_000)),
+        };
+        let fades: Vec<GroupFade> = model.groups.iter().map(|_| fade()).collect();
+        let fades = if random.random() { fades } else { Vec::new() };
+        model.sensors = Some(Box::new(SensorWeights { groups, occupied, fades }));
         let mut groups: Vec<Option<WeightedSums>> = Vec::new();
         for _ in &model.groups {
             let mut pick = || match shared.get(random.random_range(0..shared.len() + 1)) {

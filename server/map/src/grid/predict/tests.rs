@@ -92,7 +92,11 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
         let weights = tile.learned_others.filter(|_| others > 0).map(|readings| {
             let (mut weights, readings) = (Weights::own(u64::from(9 - readings)), usize::from(readings));
             (0..readings).for_each(|_| weights += sensors.weights(SensorId(1)));
-            Box::new(SensorWeights { groups: vec![weights; groups.len()], occupied: vec![3.0; tile.cells.len()] })
+            Box::new(SensorWeights {
+                groups: vec![weights; groups.len()],
+                occupied: vec![3.0; tile.cells.len()],
+                fades: Vec::new(),
+            })
         });
         models.push(ModelSlot::Resident(Arc::new(TileModel {
             groups,

@@ -143,7 +143,7 @@ impl World {
         let (a, group) = (sums.cells.get(at)?.as_slice(), model.group_of(cell)?);
         let of_group = model.groups.iter().position(|other| other == group)?;
         let b = sums.groups.get(of_group)?.as_slice();
-        let n = group.observations as f64;
+        let n = model.weight(of_group);
         let (free, occupied) = self.spec.grid.as_ref()?.sensor.levels();
         let mean = (model.weights(of_group).alpha + model.occupied_weight(at)) / n;
         let weighted = sums.sensors.as_ref().and_then(|sensors| sensors.groups[of_group].as_ref());
@@ -170,5 +170,6 @@ fn check_shape(model: &TileModel, at: &str) {
     if let Some(weights) = &model.sensors {
         let lengths = (weights.groups.len(), weights.occupied.len());
         assert_eq!(lengths, (model.groups.len(), model.cells.len()), "{at}: weights");
+        assert!([0, model.groups.len()].contains(&weights.fades.len()), "{at}: fading");
     }
 }

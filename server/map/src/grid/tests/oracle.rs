@@ -40,7 +40,7 @@ pub(crate) struct CellOracle {
 
 /// γ of all periodicities.
 pub(crate) fn gammas(parts: &AccumulatorParts) -> Vec<(f64, f64)> {
-    let n = parts.observations.max(1) as f64;
+    let n = if parts.observations == 0 { 1.0 } else { parts.weight };
     let mean = parts.sum / n;
     parts.spectrum.iter().map(|[a, b, c, d]| ((a - mean * c) / n, (b - mean * d) / n)).collect()
 }
@@ -69,7 +69,7 @@ impl CellOracle {
         self.taken = self.pending.extract_if(.., is_due).collect();
     }
 
-    fn learn(&mut self, periodicities: &Periodicities, criterion: OrderCriterion) {
+    fn learn(&mut self, periodicities: &Periodicities, criterion: OrderCriterion, half_life_days: Option<f64>) {
         let mut taken = std::mem::take(&mut self.taken);
         taken.sort_by_key(|read| read.sample.utc_nanos);
         // Day by day, so that ties of each day's model are found.
@@ -77,11 +77,44 @@ impl CellOracle {
             self.tied |= self.has_tie(periodicities);
             self.model.update(periodicities, criterion, of_day.iter().map(|read| read.sample).collect());
             self.folded.extend(of_day);
+            if let Some(half_life_days) = half_life_days {
+                self.fade(periodicities, half_life_days);
+            }
             self.ignore_gaps(periodicities);
             if !self.has_changed() {
                 self.be_constant(periodicities);
             }
         }
+    }
+
+    /// The sums over every single reading, each with its weight by its age.
+    fn fade(&mut self, periodicities: &Periodicities, half_life_days: f64) {
+        let samples = || self.folded.iter().map(|read| read.sample);
+        let newest = samples().map(|sample| sample.local_day().0).max().unwrap_or(0);
+        let mut parts = AccumulatorParts {
+            observations: self.folded.len() as u64,
+            first_nanos: samples().map(|sample| sample.utc_nanos).min().unwrap_or(0),
+            last_nanos: samples().map(|sample| sample.utc_nanos).max().unwrap_or(0),
+            spectrum: vec![[0.0; 4]; periodicities.len()],
+            ..AccumulatorParts::default()
+        };
+        for sample in samples() {
+            let weight = 0.5_f64.powf(f64::from(newest - sample.local_day().0) / half_life_days);
+            parts.weight += weight;
+            parts.sum += weight * sample.value;
+            parts.sum_squares += weight * sample.value.powi(2);
+            for (k, sums) in parts.spectrum.iter_mut().enumerate() {
+                let cycles = sample.civil_nanos() as f64 / 1e9 / periodicities.period_secs(k);
+                let (sin, cos) = (std::f64::consts::TAU * cycles.fract()).sin_cos();
+                let added = [sample.value * cos, -sample.value * sin, cos, -sin];
+                sums.iter_mut().zip(added).for_each(|(sum, added)| *sum += weight * added);
+            }
+        }
+        parts.weight = parts.weight.min(parts.observations as f64);
+        let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("valid");
+        let (order, errors) = (self.model.best_order(), *self.model.errors());
+        let spectral = self.model.spectral().clone();
+        self.model = StateModel::from_parts(accumulator, spectral, order, errors).expect("valid");
     }
 
     /// The times between a cell's readings are not known: a period is eligible by the observed span alone.
@@ -95,7 +128,7 @@ impl CellOracle {
     /// A cell that never changed has the mean of its readings and nothing to be scored, whatever they count as.
     fn be_constant(&mut self, periodicities: &Periodicities) {
         let parts = self.model.accumulator().to_summed_parts(periodicities);
-        let mean = parts.sum / parts.observations as f64;
+        let mean = parts.sum / parts.weight;
         let spectral = SpectralModel::from_parts(mean, parts.observations, Vec::new()).expect("valid");
         let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("its own");
         self.model = StateModel::from_parts(accumulator, spectral, 0, OrderErrors::default()).expect("valid");
@@ -187,8 +220,7 @@ impl CellOracle {
             let is_tie = |order: usize| (ours[order] - lowest * 1.001).abs() < 1e-7;
             assert!(a == b || is_tie(a.min(b)) || lowest < 1e-7, "{at}: order {b}, expected {a} by {ours:?}");
         }
-        let spectral =
-            SpectralModel::from_parts(parts.sum / parts.observations as f64, parts.observations, kept.to_vec());
+        let spectral = SpectralModel::from_parts(parts.sum / parts.weight, parts.observations, kept.to_vec());
         let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("its own");
         let order = usize::from(found.order);
         self.model =
@@ -206,14 +238,15 @@ pub(crate) fn near(a: f64, b: f64, most: f64, at: &str, what: &str) {
 pub(crate) struct Oracle {
     periodicities: Periodicities,
     criterion: OrderCriterion,
+    half_life_days: Option<f64>,
     pub(crate) cells: BTreeMap<(TileIndex, u16), CellOracle>,
     pub(crate) cell_observations: u64,
 }
 
 impl Oracle {
-    pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion) -> Oracle {
+    pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion, half_life_days: Option<f64>) -> Oracle {
         let (periodicities, cells) = (periodicities.clone(), BTreeMap::new());
-        Oracle { periodicities, criterion, cells, cell_observations: 0 }
+        Oracle { periodicities, criterion, half_life_days, cells, cell_observations: 0 }
     }
 
     pub(crate) fn observe(&mut self, tile: TileIndex, cell: u16, read: Read, is_ahead: bool) {
@@ -233,7 +266,8 @@ impl Oracle {
     }
 
     pub(crate) fn finish_update(&mut self) {
-        self.cells.values_mut().for_each(|cell| cell.learn(&self.periodicities, self.criterion));
+        let learn = |cell: &mut CellOracle| cell.learn(&self.periodicities, self.criterion, self.half_life_days);
+        self.cells.values_mut().for_each(learn);
     }
 
     /// A cell of which an observation has counted.

@@ -77,7 +77,15 @@ pub(crate) fn spec(rng: &mut u64) -> MapSpec {
 impl World {
     pub(crate) fn new(seed: u64) -> World {
         let mut rng = seed;
-        let spec = Arc::new(spec(&mut rng));
+        let mut spec = spec(&mut rng);
+        // Half of the worlds have a half-life, of hours to some days.
+        let mut choice = seed.rotate_left(17);
+        if let (Some(grid), 0) = (&mut spec.grid, random(&mut choice, 2)) {
+            grid.half_life_nanos = [3, 20, 96].map(|hours| Some(hours * HOUR))[random(&mut choice, 3)];
+        }
+        let half_life_nanos = spec.grid.as_ref().and_then(|grid| grid.half_life_nanos);
+        let half_life_days = half_life_nanos.map(|nanos| nanos as f64 / (24 * HOUR) as f64);
+        let spec = Arc::new(spec);
         let map = LiveMap::new(Arc::clone(&spec));
         let front = LogHead::new(map.grid().expect("a grid"));
         // A third of the worlds have the map's own sensor alone.
@@ -86,7 +94,7 @@ impl World {
         let mut sensor = || SENSORS[..others].get(random(&mut choice, others + 1)).copied();
         let robots = (0..1 + random(&mut rng, 3)).map(|id| Robot::new(id, sensor(), &mut rng)).collect();
         World {
-            oracle: Oracle::new(&spec.periodicities, spec.criterion),
+            oracle: Oracle::new(&spec.periodicities, spec.criterion, half_life_days),
             scans: ScanOracle::default(),
             spec,
             map,

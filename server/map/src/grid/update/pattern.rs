@@ -55,7 +55,7 @@ impl Pattern {
             .map(|tile| {
                 // Each seen tile has shown something; a default is harmless.
                 let of_day = day.tile(tile.id).unwrap_or(&unseen);
-                TileDay::new(tile, of_day, &self.ranges, times, rules)
+                TileDay::new(tile, (day.day, of_day), &self.ranges, times, rules)
             })
             .collect();
         let mut contributions = self.gains().missing(tiles.iter().flat_map(TileDay::toggles), times, rules);
@@ -82,6 +82,6 @@ impl Pattern {
             tile.regroup(&mut gains, times, rules);
         }
         drop(gains);
-        tiles.into_par_iter().map(|tile| tile.refit(day.day, rules)).collect()
+        tiles.into_par_iter().map(|tile| tile.refit(rules)).collect()
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use tidemap_model::{OrderCriterion, Periodicities};
 
 use super::super::{
+    fade::HalfLife,
     fold::CHUNK_SCANS_MAX,
     sensors::{SensorId, Sensors},
 };
@@ -43,14 +44,22 @@ pub(crate) struct Rules {
     pub(crate) periodicities: Periodicities,
     pub(crate) criterion: OrderCriterion,
     pub(crate) sensors: Arc<Sensors>,
+    /// `None`: all readings count alike.
+    pub(crate) half_life: Option<HalfLife>,
     /// Values of a free and an occupied reading of the map's own sensor.
     pub(crate) levels: (f64, f64),
     pub(crate) limits: UpdateLimits,
 }
 
 impl Rules {
-    pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion, sensors: &Arc<Sensors>) -> Rules {
+    pub(crate) fn new(
+        periodicities: &Periodicities,
+        criterion: OrderCriterion,
+        sensors: &Arc<Sensors>,
+        half_life: Option<HalfLife>,
+    ) -> Rules {
         let (sensors, levels) = (Arc::clone(sensors), sensors.levels(SensorId::OWN));
-        Rules { periodicities: periodicities.clone(), criterion, sensors, levels, limits: UpdateLimits::default() }
+        let (periodicities, limits) = (periodicities.clone(), UpdateLimits::default());
+        Rules { periodicities, criterion, sensors, half_life, levels, limits }
     }
 }

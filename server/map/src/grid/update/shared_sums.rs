@@ -12,6 +12,7 @@ use tidemap_model::PhasorSum;
 use super::{
     super::{
         day::GridDay,
+        fade::DayFactors,
         fold::{Chunk, Cursor, WeightedScans, fold_toggles, run_length},
         sensor_sums::{GroupSums, WeightedSums},
         sensors::{SensorId, Weights},
@@ -101,8 +102,8 @@ pub(super) struct Gains {
     gains: Vec<GroupSums>,
     by_toggles: HashMap<Vec<u32>, usize>,
     zero: Option<Arc<PhasorSum>>,
-    /// By the address of the group's earlier sums, and the gain; the earlier sums are kept alive.
-    shared: HashMap<([usize; 3], usize), (GroupSums, GroupSums)>,
+    /// By the address of the group's earlier sums, the gain, and their factors; the earlier sums are kept alive.
+    shared: HashMap<([usize; 3], usize, [u64; 2]), (GroupSums, GroupSums)>,
 }
 
 impl Gains {
@@ -152,10 +153,13 @@ impl Gains {
     }
 
     /// The sums of a group after the day.
-    pub(super) fn add_to(&mut self, before: GroupSums, index: usize) -> GroupSums {
+    pub(super) fn add_to(&mut self, before: GroupSums, index: usize, factors: DayFactors) -> GroupSums {
         let Some(gain) = self.gains.get(index) else { return before };
-        let entry = self.shared.entry((before.addresses(), index)).or_insert_with(|| {
-            let after = before.plus(gain);
+        let entry = self.shared.entry((before.addresses(), index, factors.to_bits())).or_insert_with(|| {
+            let after = match factors {
+                DayFactors::EQUAL => before.plus(gain),
+                DayFactors { known, of_day } => before.scaled(known).plus(&gain.scaled(of_day)),
+            };
             (before, after)
         });
         entry.1.clone()

@@ -7,6 +7,7 @@ use tidemap_model::{CellSums, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, 
 use super::{
     super::{
         day::DayTile,
+        fade::{DayFactors, GroupFade},
         fold::{CHUNK_SCANS_MAX, Chunk, Cursor, fill, fold_toggles, run_length},
         index::{TILE_CELLS, TileId},
         mask::Mask,
@@ -41,8 +42,10 @@ struct CellDay {
     /// Readings of the day that are newer than all before; 0 without earlier readings.
     scored: u64,
     scores: ScoreSums,
-    /// Σβ over the occupied readings of the day.
+    /// Σβ over the occupied readings of the day, each with its weight.
     occupied_weight: f64,
+    /// The sum over the occupied readings of a day that came late, and the weight of each.
+    late: Option<(PhasorSum, f64)>,
 }
 
 /// How a group's cells are scored on the day.
@@ -56,11 +59,14 @@ struct GroupDay {
     weights: Vec<f64>,
     /// Scans of the chunk that count.
     scored: u64,
+    /// What the day does to the weights of its readings.
+    factors: DayFactors,
 }
 
 /// One tile on one day.
 #[derive(Debug)]
 pub(super) struct TileDay {
+    day: LocalDay,
     tile: BusyTile,
     observed: Vec<(Vec<u32>, Mask)>,
     split: Vec<SplitGroup>,
@@ -73,15 +79,15 @@ pub(super) struct TileDay {
 impl TileDay {
     pub(super) fn new(
         mut tile: BusyTile,
-        of_day: &DayTile,
+        (day, of_day): (LocalDay, &DayTile),
         ranges: &[(u32, u32)],
         times: &Times,
         rules: &Rules,
     ) -> TileDay {
         let toggles = DayToggles::new(of_day, ranges);
         let working = &mut tile.data;
-        if times.weighted.is_some() {
-            working.model.keep_weights();
+        if times.weighted.is_some() || rules.half_life.is_some() {
+            working.model.keep_weights(rules.half_life.is_some());
         }
         let split = split_groups_of(working, &toggles, rules);
         begin_spectra(working, &toggles, rules);
@@ -92,7 +98,9 @@ impl TileDay {
             let newer_than = last_nanos.filter(|_| toggles.is_some());
             let all_newer = newer_than.is_some_and(|last| times.all.first_nanos > last);
             let all = all_newer && toggles.is_some_and(|toggles| toggles.as_slice() == [0]);
-            groups.push(GroupDay { newer_than, all, cursor: Cursor::default(), weights: Vec::new(), scored: 0 });
+            let factors = toggles.map_or(DayFactors::EQUAL, |_| factors_of(&working.model, group, day, rules));
+            let (cursor, weights) = (Cursor::default(), Vec::new());
+            groups.push(GroupDay { newer_than, all, cursor, weights, scored: 0, factors });
         }
         let mut group_of = [usize::MAX; TILE_CELLS];
         for (index, group) in split.iter().enumerate() {
@@ -102,14 +110,27 @@ impl TileDay {
         }
         let mut occupied = toggles.occupied.into_iter().peekable();
         let mut cells = Vec::with_capacity(working.model.cells.len());
-        for model in &working.model.cells {
+        for (index, model) in working.model.cells.iter().enumerate() {
             while occupied.next_if(|(cell, _)| *cell < model.cell).is_some() {}
             let toggles = occupied.next_if(|(cell, _)| *cell == model.cell).map_or(Vec::new(), |(_, toggles)| toggles);
             let group = group_of.get(usize::from(model.cell)).copied().unwrap_or(usize::MAX);
-            let occupied_weight = working.model.sensors.as_ref().map_or(0.0, |_| times.weigh(&toggles).beta);
-            cells.push(CellDay { toggles, group, occupied_weight, ..CellDay::default() });
+            let mut occupied_weight = working.model.sensors.as_ref().map_or(0.0, |_| times.weigh(&toggles).beta);
+            let factors = groups.get(group).map_or(DayFactors::EQUAL, |group| group.factors);
+            let mut late = None;
+            if factors != DayFactors::EQUAL {
+                if let Some(sum) = working.sums.cells.get_mut(index) {
+                    sum.scale(factors.known);
+                }
+                if let Some(known) = working.model.sensors.as_mut().and_then(|sensors| sensors.occupied.get_mut(index))
+                {
+                    *known *= factors.known;
+                }
+                occupied_weight *= factors.of_day;
+                late = (factors.of_day != 1.0).then(|| (PhasorSum::zero(&rules.periodicities), factors.of_day));
+            }
+            cells.push(CellDay { toggles, group, occupied_weight, late, ..CellDay::default() });
         }
-        TileDay { tile, observed: toggles.observed, split, groups, cells, scans: times.utc_nanos.len() }
+        TileDay { day, tile, observed: toggles.observed, split, groups, cells, scans: times.utc_nanos.len() }
     }
 
     /// The toggles of the cells whose sums must be complete; may contain duplicates.
@@ -148,6 +169,7 @@ impl TileDay {
                 model.spectral.score_run_values(chunk.phasors, values, weights, &mut day.scores, with_wrong);
                 day.scored += group.scored;
             }
+            let sum = day.late.as_mut().map_or(sum, |(late, _)| late);
             fold_toggles(&day.toggles, &mut day.cursor, sum, occupied_rows, chunk);
         }
     }
@@ -158,19 +180,24 @@ impl TileDay {
         let mut groups = Vec::with_capacity(self.split.len());
         let mut group_sums = Vec::with_capacity(self.split.len());
         let mut weights = Vec::with_capacity(model.sensors.as_ref().map_or(0, |_| self.split.len()));
-        for split in &self.split {
+        let mut fades = Vec::with_capacity(rules.half_life.map_or(0, |_| self.split.len()));
+        for (split, of_day) in self.split.iter().zip(&self.groups) {
+            let factors = of_day.factors;
             let before = split.before.and_then(|before| Some((*model.groups.get(before)?, sums.group(before)?)));
             let toggles = split.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
             let counted = toggles.map(|toggles| times.count(toggles));
             let gain = toggles.filter(|_| split.is_summed).and_then(|toggles| gains.gain(toggles));
             if model.sensors.is_some() {
                 let mut weight = split.before.map_or_else(Weights::default, |before| model.weights(before));
-                weight += toggles.map_or_else(Weights::default, |toggles| times.weigh(toggles));
+                weight *= factors.known;
+                let mut gained = toggles.map_or_else(Weights::default, |toggles| times.weigh(toggles));
+                gained *= factors.of_day;
+                weight += gained;
                 weights.push(weight);
             }
             let known = before.as_ref().map(|(group, _)| *group);
             let sum = match (before, gain) {
-                (Some((_, sum)), Some(gain)) => gains.add_to(sum, gain),
+                (Some((_, sum)), Some(gain)) => gains.add_to(sum, gain, factors),
                 (Some((_, sum)), None) => sum,
                 (None, Some(gain)) => gains.sum(gain, rules),
                 (None, None) => gains.zero(rules),
@@ -181,12 +208,24 @@ impl TileDay {
                 group.last_nanos = counted.last_nanos.max(known.map_or(i64::MIN, |group| group.last_nanos));
                 group.observations += counted.observations;
             }
+            if rules.half_life.is_some() {
+                let mut fade = fade_of(model, split).unwrap_or_else(|| GroupFade::new(self.day));
+                if let Some(counted) = counted {
+                    fade.weight = fade.weight * factors.known + counted.observations as f64 * factors.of_day;
+                    fade.day = fade.day.max(self.day);
+                }
+                if split.is_summed {
+                    fade.sum_day = fade.day;
+                }
+                fades.push(fade);
+            }
             groups.push(Group { cells: split.cells, ..group });
             group_sums.push(sum);
         }
         model.groups = groups;
         if let Some(known) = &mut model.sensors {
             known.groups = weights;
+            known.fades = fades;
         }
         sums.set_groups(group_sums);
         self.keep_runs(times, rules);
@@ -195,7 +234,7 @@ impl TileDay {
     /// Adds the day to the observation runs of cells without complete sums, or completes all sums if that takes less
     /// memory.
     fn keep_runs(&mut self, times: &Times, rules: &Rules) {
-        let sums = &mut self.tile.data.sums;
+        let TileData { model, sums } = &mut self.tile.data;
         let others: Vec<(usize, &SplitGroup)> =
             self.split.iter().enumerate().filter(|(_, group)| !group.is_summed).collect();
         if others.is_empty() {
@@ -208,20 +247,24 @@ impl TileDay {
         if sums.runs.bytes() > others.len() * rules.limits.runs_per_sum * 16 * rules.periodicities.len() {
             let groups: Vec<(usize, u16)> =
                 others.into_iter().filter_map(|(index, group)| Some((index, group.cells.first()?))).collect();
-            complete(sums, &groups, rules);
+            complete(model, sums, &groups, rules);
             sums.runs = ObservationRuns::default();
         }
     }
 
     /// Chooses orders and refits the models.
-    pub(super) fn refit(mut self, day: LocalDay, rules: &Rules) -> BusyTile {
+    pub(super) fn refit(mut self, rules: &Rules) -> BusyTile {
         let mut outcome = TileOutcome::default();
         for (toggles, cells) in &self.observed {
             outcome.observations += u64::from(cells.count()) * run_length(toggles, self.scans);
         }
         let TileData { model, sums } = &mut self.tile.data;
         let TileModel { groups, cells, sensors, .. } = model;
-        for (index, ((cell, sum), of_day)) in cells.iter_mut().zip(&sums.cells).zip(&self.cells).enumerate() {
+        for (index, ((cell, sum), of_day)) in cells.iter_mut().zip(&mut sums.cells).zip(&self.cells).enumerate() {
+            if let Some((late, weight)) = &of_day.late {
+                sum.add_scaled(late, *weight);
+            }
+            let sum = &*sum;
             let observed = self.split.get(of_day.group).is_some_and(|group| group.toggles.is_some());
             let (Some(group), Some(group_sum)) = (groups.get(of_day.group), sums.groups.get(of_day.group)) else {
                 continue;
@@ -240,17 +283,18 @@ impl TileDay {
                     OrderCriterion::SquaredError => &of_day.scores.squared,
                     OrderCriterion::ZeroOne => &of_day.scores.wrong,
                 };
-                cell.errors.record(day, errors);
+                cell.errors.record(self.day, errors);
                 cell.order = u8::try_from(cell.errors.best()).unwrap_or(0);
                 outcome.squared_error_chosen += of_day.scores.squared[usize::from(cell.order).min(ORDER_MAX)];
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
-            let mut units = cell.occupied as f64;
-            if let Some(SensorWeights { groups, occupied }) = sensors.as_deref_mut()
+            let (mut units, mut weight) = (cell.occupied as f64, group.observations.max(1) as f64);
+            if let Some(SensorWeights { groups, occupied, fades }) = sensors.as_deref_mut()
                 && let (Some(weights), Some(occupied)) = (groups.get(of_day.group), occupied.get_mut(index))
             {
                 *occupied += of_day.occupied_weight;
                 units = weights.alpha + *occupied;
+                weight = fades.get(of_day.group).map_or(weight, |fade| fade.weight);
             }
             let weighted = sums.sensors.as_ref().and_then(|sensors| sensors.groups.get(of_day.group)?.as_ref());
             let all = weighted.map(|weighted| {
@@ -261,7 +305,8 @@ impl TileDay {
             cell.spectral = SpectralModel::fit_sums(
                 CellSums {
                     observations: group.observations,
-                    mean: units / group.observations.max(1) as f64,
+                    weight,
+                    mean: units / weight,
                     a: all.as_ref().unwrap_or(sum),
                     b: group_sum,
                     span_nanos: group.last_nanos.abs_diff(group.first_nanos),
@@ -328,25 +373,43 @@ fn split_groups_of(working: &mut TileData, toggles: &DayToggles, rules: &Rules) 
         model.groups.push(Group { cells: starting, ..group });
         if let Some(weights) = &mut model.sensors {
             weights.groups.extend(weights.groups.get(index).copied());
+            weights.fades.extend(weights.fades.get(index).copied());
         }
         sums.push_group(sum);
     }
-    complete(sums, &to_complete, rules);
+    complete(model, sums, &to_complete, rules);
     part_by_spectrum(split_groups(&model.groups, &toggles.observed), changed | changing)
 }
 
 /// Completes the sums of groups, each given with one of its cells.
-fn complete(sums: &mut TileSums, groups: &[(usize, u16)], rules: &Rules) {
+fn complete(model: &mut TileModel, sums: &mut TileSums, groups: &[(usize, u16)], rules: &Rules) {
     if groups.is_empty() || sums.runs.is_empty() {
         return;
     }
-    let cells: Vec<u16> = groups.iter().map(|&(_, cell)| cell).collect();
-    let later = sums.runs.sums(&cells, &rules.periodicities, &rules.sensors, rules.limits.chunk_scans);
+    let fades = model.sensors.as_deref_mut().map_or(&mut [][..], |sensors| &mut sensors.fades);
+    let cell = |&(index, cell): &(usize, u16)| (cell, fades.get(index).map(|fade: &GroupFade| fade.day));
+    let cells: Vec<(u16, Option<LocalDay>)> = groups.iter().map(cell).collect();
+    let Rules { half_life, periodicities, sensors, .. } = rules;
+    let later = sums.runs.sums(&cells, *half_life, periodicities, sensors, rules.limits.chunk_scans);
     for (&(index, _), later) in groups.iter().zip(later) {
-        if let Some(before) = sums.group(index) {
-            sums.set_group(index, later.plus(&before));
+        let Some(mut before) = sums.group(index) else { continue };
+        if let (Some(half_life), Some(fade)) = (half_life, fades.get_mut(index)) {
+            before = before.scaled(half_life.factor(fade.sum_day, fade.day));
+            fade.sum_day = fade.day;
         }
+        sums.set_group(index, later.plus(&before));
     }
+}
+
+/// The fading of the group that a group was part of.
+fn fade_of(model: &TileModel, split: &SplitGroup) -> Option<GroupFade> {
+    model.sensors.as_ref()?.fades.get(split.before?).copied()
+}
+
+/// What a day on which a group is observed does to the weights of its readings.
+fn factors_of(model: &TileModel, split: &SplitGroup, day: LocalDay, rules: &Rules) -> DayFactors {
+    let known = rules.half_life.zip(fade_of(model, split));
+    known.map_or(DayFactors::EQUAL, |(half_life, fade)| half_life.factors(fade.day, day))
 }
 
 /// Cells without a spectrum that have now shown both values.

@@ -56,6 +56,7 @@ proptest! {
         let found = SpectralModel::fit_sums(
             CellSums {
                 observations: observed.len() as u64,
+                weight: observed.len() as f64,
                 mean: observed.iter().filter(|(_, occupied)| *occupied).count() as f64 / observed.len() as f64,
                 a: &a,
                 b: &b,
@@ -90,7 +91,11 @@ fn of_real_parts(periodicities: &Periodicities, real: &[f64], observations: u64)
     let a = PhasorSum::from_slice(periodicities, &parts).unwrap();
     let b = PhasorSum::zero(periodicities);
     let (span_nanos, levels) = (u64::MAX, (0.2, 0.7));
-    SpectralModel::fit_sums(CellSums { observations, mean: 0.5, a: &a, b: &b, span_nanos, levels }, periodicities)
+    let weight = observations as f64;
+    SpectralModel::fit_sums(
+        CellSums { observations, weight, mean: 0.5, a: &a, b: &b, span_nanos, levels },
+        periodicities,
+    )
 }
 
 #[test]
@@ -121,7 +126,15 @@ fn every_instruction_set_chooses_the_same() {
     let expected = of_real_parts(&periodicities, &real, 100);
     let parts: Vec<f64> = real.iter().copied().chain([0.0; 133]).collect();
     let (a, b) = (PhasorSum::from_slice(&periodicities, &parts).unwrap(), PhasorSum::zero(&periodicities));
-    let sums = CellSums { observations: 100, mean: 0.5, a: &a, b: &b, span_nanos: u64::MAX, levels: (0.2, 0.7) };
+    let sums = CellSums {
+        observations: 100,
+        weight: 100.0,
+        mean: 0.5,
+        a: &a,
+        b: &b,
+        span_nanos: u64::MAX,
+        levels: (0.2, 0.7),
+    };
     let mut first = None;
     for arch in crate::phasor::every_arch() {
         let mut strongest = Strongest::new();
