@@ -6,7 +6,8 @@ use tidemap_map::{
     grid::spec::Retention,
     ids::{RefusalReason, StateId},
     name::MapName,
-    spec::{HALF_LIFE_MIN_NANOS, MapSpec},
+    spec::MapSpec,
+    time::HALF_LIFE_MIN_NANOS,
     view::MapView,
 };
 use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};

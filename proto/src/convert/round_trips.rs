@@ -8,7 +8,7 @@ use tidemap_map::{
     },
     ids::RefusalReason,
     selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIODS},
-    spec::HALF_LIFE_MIN_NANOS,
+    time::HALF_LIFE_MIN_NANOS,
 };
 use tidemap_model::{ORDER_MAX, OrderCriterion, Periodicities, models::HistogramCycle};
 use tidemap_plan::{

@@ -7,9 +7,6 @@ use crate::{
     name::MapName,
 };
 
-/// The shortest half-life: a tenth of a day.
-pub const HALF_LIFE_MIN_NANOS: i64 = 8_640 * 1_000_000_000;
-
 /// The earliest time that a real clock shows: 1 January 1990. Robots whose clock is not set begin near 1970 or 1980.
 pub const REAL_CLOCK_MIN_NANOS: i64 = 631_152_000 * 1_000_000_000;
 

@@ -11,6 +11,9 @@ use decimal::{Decimal, InvalidDecimal};
 /// Nanoseconds in a second.
 pub const NANOS_PER_SEC: i64 = 1_000_000_000;
 
+/// The shortest half-life: a tenth of a day.
+pub const HALF_LIFE_MIN_NANOS: i64 = 8_640 * 1_000_000_000;
+
 /// Why a text is not a valid time.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidTime {

@@ -18,17 +18,17 @@
 use std::{
     io::{self, Read as _},
     path::{Path, PathBuf},
-    sync::{Arc, PoisonError},
+    sync::Arc,
 };
 
 use tidemap_map::{erasure::StateErasure, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_migrations::v3::lists::{ERASE_FILE, ERASURES_FILE, ErasureCount, ErasureOrder, FileList, HISTORY_FILE};
 
 use crate::{
-    AppendError, HistoryError, MapId, OpenError, Report, Store, StoreError, StoreOptions,
+    MapId, Report, StoreOptions,
     checkpoint::{Checkpoints, Memory},
     disk::Disk,
-    error::{open_io, store_io},
+    error::{AppendError, EraseError, OpenError, StoreError, open_io, store_io},
     history::History,
     index::Index,
     list_file::{self, Unlisted},
@@ -42,8 +42,8 @@ use crate::{
     store::catalogue,
 };
 
-const ERASING_SUFFIX: &str = ".erasing";
-const ERASED_SUFFIX: &str = ".erased";
+pub(crate) const ERASING_SUFFIX: &str = ".erasing";
+pub(crate) const ERASED_SUFFIX: &str = ".erased";
 const REPLACED_SUFFIX: &str = ".replaced";
 
 /// Events that are written to the new log at once.
@@ -51,44 +51,23 @@ const EVENTS_AT_ONCE: usize = 256;
 /// Bytes that are copied at once.
 const COPIED_BYTES: usize = 1 << 20;
 
-/// Why something is not erased.
-#[derive(Debug, thiserror::Error)]
-#[allow(missing_docs, reason = "the fields are named in the message")]
-pub enum EraseError {
-    /// The map cannot be read.
-    #[error(transparent)]
-    Open(#[from] OpenError),
-    /// The history cannot be read.
-    #[error(transparent)]
-    History(#[from] HistoryError),
-    /// The new files cannot be written.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// The new log cannot be written.
-    #[error(transparent)]
-    Log(#[from] AppendError),
-    /// The index still holds what was erased from the map.
-    #[error("the map is without it, but the index is not: {reason}. Restart the daemon, which tries it again")]
-    Index { reason: String },
-}
-
 /// A map whose files are written again.
-struct Rewrite<'a> {
-    disk: &'a Arc<dyn Disk>,
-    directory: &'a Path,
-    options: &'a StoreOptions,
-    map: MapId,
-    spec: &'a MapSpec,
+pub(crate) struct Rewrite<'a> {
+    pub(crate) disk: &'a Arc<dyn Disk>,
+    pub(crate) directory: &'a Path,
+    pub(crate) options: &'a StoreOptions,
+    pub(crate) map: MapId,
+    pub(crate) spec: &'a MapSpec,
     /// Whether history files replace the beginning of the log.
-    history_complete: bool,
+    pub(crate) history_complete: bool,
 }
 
-fn beside(directory: &Path, map: MapId, suffix: &str) -> PathBuf {
+pub(crate) fn beside(directory: &Path, map: MapId, suffix: &str) -> PathBuf {
     catalogue::with_suffix(&catalogue::map_folder(directory, map), suffix)
 }
 
 /// Removes a folder that may not be there.
-fn remove_folder(disk: &dyn Disk, folder: &Path) -> io::Result<()> {
+pub(crate) fn remove_folder(disk: &dyn Disk, folder: &Path) -> io::Result<()> {
     match disk.remove_folder(folder) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),
@@ -122,7 +101,7 @@ pub(crate) fn count(disk: &dyn Disk, folder: &Path) -> io::Result<u64> {
 
 impl Rewrite<'_> {
     /// Writes the map without what is to be erased, up to the moment from which on it is erased.
-    fn run(&self, order: &ErasureOrder) -> Result<(), EraseError> {
+    pub(crate) fn run(&self, order: &ErasureOrder) -> Result<(), EraseError> {
         let new = beside(self.directory, self.map, ERASING_SUFFIX);
         let old = catalogue::map_folder(self.directory, self.map);
         let disk = &**self.disk;
@@ -218,7 +197,7 @@ impl Rewrite<'_> {
 }
 
 /// Puts the new folder of a map in the place of the old one.
-fn swap(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
+pub(crate) fn swap(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
     let [folder, erased, replaced] = ["", ERASED_SUFFIX, REPLACED_SUFFIX].map(|suffix| match suffix {
         "" => catalogue::map_folder(directory, map),
         suffix => beside(directory, map, suffix),
@@ -235,7 +214,7 @@ fn swap(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError>
 }
 
 /// Removes what an erasure has replaced.
-fn clean(disk: &dyn Disk, directory: &Path, index: &mut Index, map: MapId) -> Result<(), EraseError> {
+pub(crate) fn clean(disk: &dyn Disk, directory: &Path, index: &mut Index, map: MapId) -> Result<(), EraseError> {
     index.erase(map.0).map_err(|reason| EraseError::Index { reason })?;
     let replaced = beside(directory, map, REPLACED_SUFFIX);
     remove_folder(disk, &replaced).map_err(store_io(replaced))?;
@@ -244,7 +223,7 @@ fn clean(disk: &dyn Disk, directory: &Path, index: &mut Index, map: MapId) -> Re
 }
 
 /// Names in the folder of all maps with a suffix.
-fn with(disk: &dyn Disk, directory: &Path, suffix: &str) -> Result<Vec<MapId>, OpenError> {
+pub(crate) fn with(disk: &dyn Disk, directory: &Path, suffix: &str) -> Result<Vec<MapId>, OpenError> {
     let maps = catalogue::maps_folder(directory);
     let names = disk.list(&maps).map_err(open_io(&maps))?;
     Ok(names.iter().filter_map(|name| catalogue::map_number(name.strip_suffix(suffix)?)).collect())
@@ -311,56 +290,3 @@ fn clean_at_start(disk: &dyn Disk, directory: &Path, index: &mut Index, map: Map
         tracing::error!(map = map.0, %error, "what was erased is still on the disk; tried again at the next start");
     }
 }
-
-impl Store {
-    /// Erases states from a map, whose log is closed by this: history, checkpoints, log and index hold nothing of them
-    /// afterwards, nor do later backups. The ids of the states after them go down. The map can be opened again when
-    /// this returns, also after an error.
-    ///
-    /// # Errors
-    /// [`EraseError`]. But for [`EraseError::Index`], either the map is as it was, or it is no longer in
-    /// [`Self::maps`] and the next start completes the erasure.
-    pub fn erase_states(&self, map: MapId, states: &[StateId]) -> Result<(), EraseError> {
-        let inner = self.inner();
-        let unknown = || EraseError::Store(StoreError::UnknownMap(map));
-        let entry = inner.entry(map).ok_or_else(unknown)?;
-        let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
-        let entry = inner.close_log(map).ok_or_else(unknown)?;
-        let mut states: Vec<u32> = states.iter().map(|state| state.0).collect();
-        states.sort_unstable();
-        let (disk, directory, order) = (&inner.disk, &inner.directory, ErasureOrder { states });
-        let file = catalogue::map_folder(directory, map).join(ERASE_FILE);
-        let (spec, history_complete) = entry.spec();
-        let rewrite = Rewrite { disk, directory, options: inner.options(), map, spec, history_complete };
-        let rewritten = list_file::replace(&**disk, &file, &order)
-            .map_err(|error| store_io(&file)(error).into())
-            .and_then(|()| rewrite.run(&order));
-        if let Err(error) = rewritten {
-            let is_erased = with(&**disk, directory, ERASED_SUFFIX).is_ok_and(|maps| maps.contains(&map));
-            if is_erased || !self.take_back(map, &file) {
-                inner.set_aside(map, UNFINISHED);
-            }
-            return Err(error);
-        }
-        swap(&**disk, directory, map).inspect_err(|_| inner.set_aside(map, UNFINISHED))?;
-        clean(&**disk, directory, &mut inner.index(), map)
-    }
-
-    /// Takes an order back and removes what was written; whether the map is as before.
-    fn take_back(&self, map: MapId, file: &Path) -> bool {
-        let (disk, directory) = (&*self.inner().disk, &self.inner().directory);
-        // The order first: while it is there, the next start repeats the erasure.
-        let removed = match disk.remove(file) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-            _ => disk.sync_folder(&catalogue::map_folder(directory, map)),
-        };
-        let erasing = beside(directory, map, ERASING_SUFFIX);
-        if let Err(error) = remove_folder(disk, &erasing) {
-            tracing::warn!(map = map.0, %error, "an unfinished erasure takes space until the next start");
-        }
-        removed.is_ok()
-    }
-}
-
-const UNFINISHED: &str = "an erasure has begun and could not be completed. Check the disk and restart the daemon, which \
-                          completes it";

@@ -141,6 +141,27 @@ pub enum AppendError {
     Closed,
 }
 
+/// Why something is not erased.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the fields are named in the message")]
+pub enum EraseError {
+    /// The map cannot be read.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The history cannot be read.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+    /// The new files cannot be written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The new log cannot be written.
+    #[error(transparent)]
+    Log(#[from] AppendError),
+    /// The index still holds what was erased from the map.
+    #[error("the map is without it, but the index is not: {reason}. Restart the daemon, which tries it again")]
+    Index { reason: String },
+}
+
 /// A repair that was made while opening. No acknowledged observation is lost by a repair.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the fields are named in the message")]

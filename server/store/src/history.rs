@@ -20,9 +20,9 @@ use tidemap_migrations::v3::lists::ListedFile;
 use tidemap_model::{Sample, StopSignal};
 
 use crate::{
-    EraseError, MapId,
+    MapId,
     disk::Disk,
-    error::{HistoryError, OpenError, Report, StoreError, open_io, store_io},
+    error::{EraseError, HistoryError, OpenError, Report, StoreError, open_io, store_io},
 };
 
 mod days;

@@ -27,6 +27,7 @@ use crate::{
 
 pub(crate) mod catalogue;
 mod contents;
+mod erase;
 pub(crate) mod lock;
 pub(crate) mod open;
 mod open_map;

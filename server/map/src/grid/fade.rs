@@ -9,8 +9,6 @@
 
 use tidemap_model::LocalDay;
 
-use super::tile::Group;
-
 /// How far the readings of a group have faded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroupFade {
@@ -28,10 +26,9 @@ impl GroupFade {
         GroupFade { weight: 0.0, day, sum_day: day }
     }
 
-    /// Readings of equal weight.
-    pub(super) fn of_group(group: &Group) -> GroupFade {
-        let day = LocalDay::of_civil_nanos(group.last_nanos);
-        GroupFade { weight: group.observations as f64, ..GroupFade::new(day) }
+    /// So many readings of equal weight, up to a local civil time.
+    pub(super) fn of_equal(observations: u64, last_nanos: i64) -> GroupFade {
+        GroupFade { weight: observations as f64, ..GroupFade::new(LocalDay::of_civil_nanos(last_nanos)) }
     }
 }
 

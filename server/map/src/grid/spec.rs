@@ -4,7 +4,7 @@
 //! coordinates.
 
 use super::index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT};
-use crate::spec::HALF_LIFE_MIN_NANOS;
+use crate::time::HALF_LIFE_MIN_NANOS;
 
 /// Longest frame id in bytes.
 pub(crate) const FRAME_BYTES_MAX: usize = 128;

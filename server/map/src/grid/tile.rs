@@ -134,7 +134,8 @@ impl TileModel {
             Box::new(SensorWeights { groups, occupied, fades: Vec::new() })
         });
         if fades && sensors.fades.len() != self.groups.len() {
-            sensors.fades = self.groups.iter().map(GroupFade::of_group).collect();
+            sensors.fades =
+                self.groups.iter().map(|group| GroupFade::of_equal(group.observations, group.last_nanos)).collect();
         }
     }
 
