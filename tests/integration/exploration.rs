@@ -198,6 +198,8 @@ async fn views_regions_and_mistakes_are_answered() {
     tour(&daemon, nine, &["--start", "1,1", "--spacing", "0.01"]).fails(1, &["spacing"]);
     tour(&daemon, nine, &["--start", "1,1", "--model", "pergam"]).fails(2, &["pergam"]);
     tidemap(&daemon, ["visit", MAP, "1e9,0", "--reached", "true"]).fails(1, &["at.x_m", "1000000000"]);
+    tidemap(&daemon, ["visit", MAP, "9,1", "--reached", "true"]).fails(1, &["9,1", "x from 0 to 8 m"]);
+    tidemap(&daemon, ["map", "set", MAP, "--charger", "1,-0.5"]).fails(1, &["1,-0.5", "outside", "y from 0 to 8 m"]);
     tidemap(&daemon, ["tour", "nowhere", "--at", "0"]).fails(1, &["\"nowhere\" does not exist"]);
 }
 

@@ -123,7 +123,7 @@ async fn the_list_of_producers_tells_who_was_heard_and_when() {
     let running = daemon(data.path()).await;
     let list = |daemon: &Daemon| tidemap_tests::cli::tidemap(daemon, ["producer", "list", "home"]).table();
     assert_eq!(list(&running).column("producer"), Vec::<String>::new());
-    let before = std::time::SystemTime::now();
+    let before = std::fs::metadata(data.path()).and_then(|folder| folder.modified()).expect("a time");
     let (mut stream, _) = RawStream::open(&running.grpc, hello("robot-2", "home")).await.expect("a Welcome");
     stream.batch(1, columns(&["door"], &[(0, 1_000, 1.0), (0, 2_000, 0.0)])).await;
     stream.acknowledged(2).await.expect("taken");
@@ -144,4 +144,8 @@ async fn the_list_of_producers_tells_who_was_heard_and_when() {
     assert_eq!(later.column("received"), table.column("received"));
     assert_eq!(later.column("connected"), ["no", "no"]);
     tidemap_tests::cli::tidemap(&running, ["producer", "list", "attic"]).fails(1, &["attic"]);
+    let failed = tidemap_tests::cli::tidemap(&running, ["producer", "list", "attic", "--output", "json"]);
+    let error: Value = serde_json::from_str(failed.stderr.trim()).expect("an error as JSON");
+    assert_eq!(error["error"]["code"], "NOT_FOUND");
+    assert!(error["error"]["message"].as_str().is_some_and(|text| text.contains("attic")), "{error}");
 }

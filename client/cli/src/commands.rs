@@ -107,6 +107,13 @@ pub(crate) struct CommandLine {
     command: Command,
 }
 
+impl CommandLine {
+    /// Whether results and errors are JSON.
+    pub(crate) fn prints_json(&self) -> bool {
+        self.output == Some(Format::Json)
+    }
+}
+
 /// What a command is about, as far as it concerns how its times are shown.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Subject {

@@ -14,24 +14,65 @@ use commands::UsageError;
 
 fn main() -> ExitCode {
     let (command_line, subject) = commands::parse();
+    let as_json = command_line.prints_json();
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,
-        Err(error) => return failed(&anyhow::Error::new(error).context("the runtime cannot start")),
+        Err(error) => return failed(&anyhow::Error::new(error).context("the runtime cannot start"), as_json),
     };
-    let code = runtime.block_on(commands::run(command_line, &subject)).unwrap_or_else(|error| failed(&error));
+    let code = runtime.block_on(commands::run(command_line, &subject)).unwrap_or_else(|error| failed(&error, as_json));
     // A thread may still wait for stdin; do not wait for it.
     runtime.shutdown_background();
     code
 }
 
-/// Reports an error in one line. A closed stdout is no error: its reader has stopped reading on purpose.
-fn failed(error: &anyhow::Error) -> ExitCode {
+/// Reports an error in one line, as JSON where results are JSON. A closed stdout is no error: its reader has stopped
+/// reading on purpose.
+fn failed(error: &anyhow::Error, as_json: bool) -> ExitCode {
     let broken_pipe = |cause: &(dyn std::error::Error + 'static)| {
         cause.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
     };
     if error.chain().any(broken_pipe) {
         return ExitCode::SUCCESS;
     }
-    progress::status_line(&format!("error: {error:#}"));
-    if error.is::<UsageError>() { ExitCode::from(2) } else { ExitCode::FAILURE }
+    let is_usage = error.is::<UsageError>();
+    let line = if as_json { json_of(error, is_usage) } else { format!("error: {error:#}") };
+    progress::status_line(&line);
+    if is_usage { ExitCode::from(2) } else { ExitCode::FAILURE }
+}
+
+/// `{"error":{"code":…,"message":…}}`: the code of the daemon's status, UNAVAILABLE if it cannot be reached, USAGE for a
+/// wrong command line, else FAILED.
+fn json_of(error: &anyhow::Error, is_usage: bool) -> String {
+    let code = match error.downcast_ref::<tidemap_client::Error>() {
+        Some(tidemap_client::Error::Unreachable { .. }) => "UNAVAILABLE".to_owned(),
+        Some(error) => error.code().map_or("FAILED".to_owned(), |code| screaming(&format!("{code:?}"))),
+        None if is_usage => "USAGE".to_owned(),
+        None => "FAILED".to_owned(),
+    };
+    serde_json::json!({ "error": { "code": code, "message": format!("{error:#}") } }).to_string()
+}
+
+/// `NotFound` as `NOT_FOUND`.
+fn screaming(name: &str) -> String {
+    let mut text = String::new();
+    for letter in name.chars() {
+        if letter.is_ascii_uppercase() && !text.is_empty() {
+            text.push('_');
+        }
+        text.push(letter.to_ascii_uppercase());
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_as_json_has_its_code_and_message() {
+        assert_eq!(["NotFound", "Unavailable"].map(screaming), ["NOT_FOUND", "UNAVAILABLE"]);
+        let usage = anyhow::Error::new(UsageError("--ratio 2: \"too\" much".to_owned()));
+        assert_eq!(json_of(&usage, true), r#"{"error":{"code":"USAGE","message":"--ratio 2: \"too\" much"}}"#);
+        assert!(json_of(&anyhow::anyhow!("no file"), false).contains(r#""code":"FAILED""#));
+    }
 }

@@ -15,7 +15,7 @@ use tonic::{Request, Response};
 
 use super::{
     RpcReply,
-    lookup::{check_limit, find_map},
+    lookup::{check_limit, check_on_grid, find_map},
     map::edit_site,
     permits::{Permits, processors},
     query::{Queries, fitting::ModelFitter},
@@ -87,6 +87,7 @@ impl Explorations {
             .at
             .ok_or_else(|| InvalidField::new("at", "missing: give the position that the robot was sent to"))?;
         let at_m = point_from_wire("at", at)?;
+        check_on_grid(&handle.view(), "at", at_m)?;
         let utc_nanos = match request.time {
             None => self.catalog.context().clock.now_nanos(),
             Some(time) => nanos_from_timestamp("time", time)?,

@@ -134,3 +134,25 @@ fn find_known_cell(view: &MapView, index: CellIndex) -> Result<KnownCell, RpcErr
 pub(super) fn check_limit(what: &'static str, got: u64, max: u64, setting: &'static str) -> Result<(), RpcError> {
     if got > max { Err(OverLimit { what, got: Some(got), max, setting }.into()) } else { Ok(()) }
 }
+/// Checks that a place of a map with a grid lies within its extent or, without one, within what was observed so far. A
+/// grid that has neither takes all places.
+///
+/// # Errors
+/// The place lies outside.
+pub(super) fn check_on_grid(view: &MapView, field: &str, at_m: [f64; 2]) -> Result<(), InvalidField> {
+    let (Some(spec), Some(grid)) = (&view.spec().grid, view.grid()) else { return Ok(()) };
+    let bounds = spec.extent.unwrap_or_else(|| grid.bounds());
+    if bounds.count() == 0 {
+        return Ok(());
+    }
+    let (low, high) = (spec.corner_m(bounds.min), spec.corner_m(bounds.max));
+    if (low[0]..=high[0]).contains(&at_m[0]) && (low[1]..=high[1]).contains(&at_m[1]) {
+        return Ok(());
+    }
+    let of = if spec.extent.is_some() { "the extent of the grid" } else { "what was observed of the grid" };
+    let text = format!(
+        "{},{} lies outside of {of}: x from {} to {} m, y from {} to {} m",
+        at_m[0], at_m[1], low[0], high[0], low[1], high[1]
+    );
+    Err(InvalidField::new(field, text))
+}

@@ -28,7 +28,7 @@ use crate::{
         handle::MapHandle,
         protocol::{AddState, AddStateError, Command, EditSite, EditSiteError},
     },
-    rpc::lookup::{check_scope, find_all, find_map, opened},
+    rpc::lookup::{check_on_grid, check_scope, find_all, find_map, opened},
     state_or_cell::StateOrCell,
 };
 
@@ -131,6 +131,9 @@ impl MapService for Maps {
         let v1::SetChargerRequest { map, charger } = request.into_inner();
         let handle = find_map(&self.catalog, &map).await?;
         let at_m = charger.map(|at| point_from_wire("charger", at)).transpose().map_err(RpcError::from)?;
+        if let Some(at_m) = at_m {
+            check_on_grid(&handle.view(), "charger", at_m).map_err(RpcError::from)?;
+        }
         edit_site(&handle, SiteEdit::Charger(at_m)).await?;
         Ok(Response::new(v1::SetChargerResponse {}))
     }

@@ -37,6 +37,9 @@ use file::HistoryFile;
 pub use states::StateFiles;
 use table::Table;
 
+/// Copies a file from one path to another.
+pub(crate) type CopyFile = dyn Fn(&dyn Disk, &Path, &Path) -> Result<(), StoreError>;
+
 const SUFFIX: &str = ".tmh";
 const NEW_SUFFIX: &str = ".tmh.new";
 
@@ -322,7 +325,7 @@ impl History {
         &self,
         from: &History,
         rewrite: &dyn Fn(&HistoryPiece) -> Option<HistoryPiece>,
-        copy: &dyn Fn(&dyn Disk, &Path, &Path) -> Result<(), StoreError>,
+        copy: &CopyFile,
     ) -> Result<(), EraseError> {
         self.create_folder().map_err(store_io(&self.folder))?;
         let names = from.names().map_err(|error| from.list_error(error))?;

@@ -157,7 +157,6 @@ const MORE_COLUMNS: [&str; 13] = [
     "retention",
     "grid",
     "grid_retention",
-    "grid_half_life",
     "tiles",
     "pending_scans",
     "cell_observations",
@@ -167,6 +166,7 @@ const MORE_COLUMNS: [&str; 13] = [
     "charger",
     "locations",
     "models",
+    "grid_half_life",
 ];
 
 pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
@@ -301,7 +301,6 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         text(Some(retention_text(map.retention))),
         text(grid.map(spec_text)),
         text(grid.map(|grid| retention_text(grid.retention))),
-        text(grid.and_then(|grid| grid.half_life_nanos).map(format_duration)),
         Cell::maybe(summary.map(|summary| summary.tiles)),
         Cell::maybe(summary.map(|summary| summary.pending_scans)),
         Cell::maybe(summary.map(|summary| summary.cell_observations)),
@@ -311,5 +310,6 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         text(map.charger_m.map(|[x, y]| format!("{x},{y}"))),
         map.locations.into(),
         Cell::Text(map.models.names().collect::<Vec<_>>().join(" ")),
+        text(grid.and_then(|grid| grid.half_life_nanos).map(format_duration)),
     ]
 }

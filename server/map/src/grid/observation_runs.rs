@@ -127,14 +127,14 @@ impl ObservationRuns {
         let has_others = self.days.iter().any(|day| day.sensors.is_some());
         let mut sums: Vec<CellSums> = cells.iter().map(|_| CellSums::zero(periodicities, has_others)).collect();
         for day in &self.days {
-            let mut wanted: Vec<(&[u32], Cursor, &mut CellSums, Option<(CellSums, f64)>)> = Vec::new();
+            let mut wanted: Vec<WantedCell<'_>> = Vec::new();
             for (&(cell, on), sum) in cells.iter().zip(&mut sums) {
                 if let Some(list) = day.lists.iter().find(|list| list.cells.binary_search(&cell).is_ok()) {
                     let factor =
                         half_life.zip(day.day().zip(on)).map(|(half_life, (from, to))| half_life.factor(from, to));
                     let faded = factor.filter(|&factor| factor != 1.0);
                     let faded = faded.map(|factor| (CellSums::zero(periodicities, has_others), factor));
-                    wanted.push((&list.toggles, Cursor::default(), sum, faded));
+                    wanted.push(WantedCell { toggles: &list.toggles, cursor: Cursor::default(), sum, faded });
                 }
             }
             if wanted.is_empty() {
@@ -161,7 +161,7 @@ impl ObservationRuns {
                     utc_nanos: civil_nanos,
                     is_last,
                 };
-                for (toggles, cursor, sum, faded) in &mut wanted {
+                for WantedCell { toggles, cursor, sum, faded } in &mut wanted {
                     let sum = faded.as_mut().map_or(&mut **sum, |(sum, _)| sum);
                     let from = *cursor;
                     fold_toggles(toggles, cursor, &mut sum.plain, &rows, &chunk);
@@ -175,7 +175,7 @@ impl ObservationRuns {
                     }
                 }
             }
-            for (_, _, sum, faded) in wanted {
+            for WantedCell { sum, faded, .. } in wanted {
                 if let Some((faded, factor)) = faded {
                     sum.add_scaled(&faded, factor);
                 }
@@ -201,6 +201,15 @@ struct CellSums {
     plain: PhasorSum,
     /// Of α and of β.
     weighted: Option<(PhasorSum, PhasorSum)>,
+}
+
+/// A cell whose sums are asked for, on one day.
+struct WantedCell<'a> {
+    toggles: &'a [u32],
+    cursor: Cursor,
+    sum: &'a mut CellSums,
+    /// The day's own sums and their weight, if it counts less than 1.
+    faded: Option<(CellSums, f64)>,
 }
 
 impl CellSums {

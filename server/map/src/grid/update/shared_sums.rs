@@ -96,6 +96,9 @@ pub(super) struct Contribution {
     weighted: Option<Box<(PhasorSum, PhasorSum)>>,
 }
 
+/// The address of a group's earlier sums, the gain, and their factors as bits.
+type SumKey = ([usize; 3], usize, [u64; 2]);
+
 /// The sums that a day adds (gains), and the results, so that groups with the same history share theirs.
 #[derive(Debug, Default)]
 pub(super) struct Gains {
@@ -103,7 +106,7 @@ pub(super) struct Gains {
     by_toggles: HashMap<Vec<u32>, usize>,
     zero: Option<Arc<PhasorSum>>,
     /// By the address of the group's earlier sums, the gain, and their factors; the earlier sums are kept alive.
-    shared: HashMap<([usize; 3], usize, [u64; 2]), (GroupSums, GroupSums)>,
+    shared: HashMap<SumKey, (GroupSums, GroupSums)>,
 }
 
 impl Gains {
