@@ -28,11 +28,11 @@ type ById = HashMap<String, Arc<Token>>;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Denial {
     /// It has no token.
-    NoToken,
+    Missing,
     /// Its token is none of those here.
-    UnknownToken,
+    Unknown,
     /// Its token was valid until a time that has passed.
-    ExpiredToken,
+    Expired,
 }
 
 /// The tokens of a file. Clones share them.
@@ -66,10 +66,10 @@ impl Keyring {
     /// # Errors
     /// There is no token, or it is not valid.
     pub(crate) fn caller(&self, headers: &HeaderMap) -> Result<Caller, Denial> {
-        let header = headers.get(AUTHORIZATION).ok_or(Denial::NoToken)?.as_bytes();
-        let (scheme, text) = header.split_at_checked(7).ok_or(Denial::UnknownToken)?;
+        let header = headers.get(AUTHORIZATION).ok_or(Denial::Missing)?.as_bytes();
+        let (scheme, text) = header.split_at_checked(7).ok_or(Denial::Unknown)?;
         if !scheme.eq_ignore_ascii_case(b"Bearer ") || text.len() > TOKEN_BYTES_MAX {
-            return Err(Denial::UnknownToken);
+            return Err(Denial::Unknown);
         }
         let given = hash(text);
         let tokens = Arc::clone(&self.tokens.borrow());
@@ -78,9 +78,9 @@ impl Keyring {
         let kept = found.map_or(&NO_HASH, |token| &token.hash);
         let is_equal = bool::from(kept.as_slice().ct_eq(given.as_slice()));
         match found {
-            Some(token) if is_equal && token.has_expired(SystemClock.now_nanos()) => Err(Denial::ExpiredToken),
+            Some(token) if is_equal && token.has_expired(SystemClock.now_nanos()) => Err(Denial::Expired),
             Some(token) if is_equal => Ok(Caller::Holder(Arc::clone(token))),
-            _ => Err(Denial::UnknownToken),
+            _ => Err(Denial::Unknown),
         }
     }
 

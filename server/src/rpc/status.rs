@@ -110,9 +110,9 @@ pub(crate) enum RpcError {
     #[error("the daemon is stopping; connect again later")]
     Stopping,
     #[error("{}", match .0 {
-        Denial::NoToken => "this daemon asks for a token: send `authorization: Bearer TOKEN` (tidemap --token-file FILE)",
-        Denial::UnknownToken => "the token is not valid here, or was revoked",
-        Denial::ExpiredToken => "the token has expired: ask an admin for a new one (tidemapd token create)",
+        Denial::Missing => "this daemon asks for a token: send `authorization: Bearer TOKEN` (tidemap --token-file FILE)",
+        Denial::Unknown => "the token is not valid here, or was revoked",
+        Denial::Expired => "the token has expired: ask an admin for a new one (tidemapd token create)",
     })]
     Denial(Denial),
     #[error("the token was revoked or changed, or has expired")]
@@ -297,9 +297,9 @@ impl RpcError {
             Self::Left(_) => (Code::Cancelled, "LEFT"),
             Self::Opening { .. } => (Code::Unavailable, "OPENING"),
             Self::Stopping => (Code::Unavailable, "STOPPING"),
-            Self::Denial(Denial::NoToken) => (Code::Unauthenticated, "NO_TOKEN"),
-            Self::Denial(Denial::UnknownToken) => (Code::Unauthenticated, "UNKNOWN_TOKEN"),
-            Self::Denial(Denial::ExpiredToken) => (Code::Unauthenticated, "EXPIRED_TOKEN"),
+            Self::Denial(Denial::Missing) => (Code::Unauthenticated, "NO_TOKEN"),
+            Self::Denial(Denial::Unknown) => (Code::Unauthenticated, "UNKNOWN_TOKEN"),
+            Self::Denial(Denial::Expired) => (Code::Unauthenticated, "EXPIRED_TOKEN"),
             Self::Revoked => (Code::Unauthenticated, "REVOKED"),
             Self::NeedsRole { .. } => (Code::PermissionDenied, "NEEDS_ROLE"),
             Self::ReadOnly { .. } => (Code::PermissionDenied, "READ_ONLY"),
