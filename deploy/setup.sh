@@ -2,9 +2,10 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test|docs|lint|web|deb]   `web` adds Node, `test` also Chromium, both for the page; `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount;
-#                                 `docs` adds mdbook and `deb` cargo-deb, in target/tools; `lint` adds cargo-deny there, as a program
-#                                 that others have built
+#   deploy/setup.sh [test|docs|lint|web|deb]
+#                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node and Chromium;
+#                                 `web` adds Node, for the page; `docs` adds mdbook and `deb` cargo-deb, in
+#                                 target/tools; `lint` adds cargo-deny there, as a program that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
 #
 # Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.

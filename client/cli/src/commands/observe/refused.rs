@@ -79,9 +79,7 @@ impl RefusedRows {
             1 => "refused row".to_owned(),
             rows => format!("{rows} refused rows"),
         };
-        Ok(Some(format!(
-            "{shown} has the {rows}{lost}. Correct them there, and send only that file: {command} {shown}"
-        )))
+        Ok(Some(format!("{shown} has the {rows}{lost}. Correct that file, and send only it: {command} {shown}")))
     }
 
     fn copy(&self) -> anyhow::Result<()> {
