@@ -277,8 +277,12 @@ settings! {
         max_requests: usize = 384, 1, 100_000;
         /// Requests under way of one client address.
         max_requests_per_client: usize = 128, 1, 100_000;
-        /// Open streams of observations.
+        /// Open streams of observations. Beyond that, the one that was silent for longest makes room, if it was silent
+        /// for stream_idle_secs and all that it sent is acknowledged; else the new one is refused.
         max_streams: usize = 1024, 1, 100_000;
+        /// How long a stream of observations was silent before it may make room for another, in seconds. While there is
+        /// room, no stream has to end.
+        stream_idle_secs: u64 = 60, 1, 31_536_000;
         /// Observations of a map that wait for the nightly update. Above this an update runs early; above twice this,
         /// including those of a running update, streams wait. An observation takes 24 to 48 bytes of memory.
         max_pending_observations: u64 = 4_000_000, 1000, 1 << 32;

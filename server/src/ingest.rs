@@ -8,6 +8,7 @@ pub(crate) mod anomaly_feed;
 pub(crate) mod ending;
 pub(crate) mod handle;
 pub(crate) mod intake;
+pub(crate) mod probe;
 pub(crate) mod protocol;
 mod sessions;
 pub(crate) mod tile_totals;

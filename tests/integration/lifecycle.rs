@@ -5,6 +5,7 @@ mod damage;
 mod old_data;
 mod ports;
 mod settings;
+mod silent_streams;
 mod texts;
 
 use std::{fs, net::TcpStream};

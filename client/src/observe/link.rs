@@ -12,13 +12,14 @@ use std::{
 use tidemap_proto::{
     convert::map::refusal_from_wire,
     v1::{
-        Ack, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, ProducerSensor, Welcome,
+        Ack, Alive, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, ProducerSensor, Welcome,
         observation_service_client::ObservationServiceClient, observe_request, observe_response,
     },
 };
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Code, Streaming};
+use tonic::{Code, Status, Streaming};
+use tonic_types::StatusExt as _;
 
 use super::{
     Phase, ProducerError, Refusal,
@@ -41,6 +42,8 @@ const KEY_PAUSE: Duration = Duration::from_millis(200);
 enum End {
     /// Try again.
     Broken(Error),
+    /// The daemon needs the place while nothing is sent: try again when there is more to send.
+    Idle,
     Final(ProducerError),
 }
 
@@ -84,6 +87,8 @@ impl Link {
                     Error::Server(ServerError { code: Code::AlreadyExists, message: detail, fields: Vec::new() })
                 }
                 End::Final(error) => return self.finish(error),
+                End::Idle if self.left_while_idle().await => return self.finish(ProducerError::Closed),
+                End::Idle => continue,
                 End::Broken(error) => error,
             };
             if self.may_leave() {
@@ -129,6 +134,23 @@ impl Link {
         }
     }
 
+    /// Waits until there is more to send; returns `true` if the producer ends without that.
+    async fn left_while_idle(&self) -> bool {
+        loop {
+            if self.may_leave() {
+                return true;
+            }
+            let is_needed = {
+                let state = self.shared.state();
+                state.closing || state.window.as_ref().is_none_or(|window| window.durable() < window.last())
+            };
+            if is_needed {
+                return false;
+            }
+            self.shared.more.notified().await;
+        }
+    }
+
     fn finish(&self, error: ProducerError) {
         self.shared.progress.send_modify(|progress| progress.phase = Phase::Ended(error));
     }
@@ -153,6 +175,7 @@ impl Link {
             _ => return Err(protocol("no Welcome")),
         };
         let mut messages = self.welcome(&welcome)?;
+        let mut is_probed = false;
         loop {
             if self.is_closing() {
                 drop(requests);
@@ -168,15 +191,18 @@ impl Link {
                     }
                     // For information: the flow control of the connection throttles sending.
                     observe_response::Message::Busy(_) => {}
+                    observe_response::Message::Probe(_) => is_probed = true,
                     observe_response::Message::Welcome(_) => return Err(protocol("a second Welcome")),
                 },
                 // If the connection is closing, the replies say why.
-                Ok(permit) = requests.reserve(), if ready => {
-                    if let Some(message) = messages.next(&mut self.shared.state()) {
+                Ok(permit) = requests.reserve(), if ready || is_probed => {
+                    if std::mem::take(&mut is_probed) {
+                        permit.send(ObserveRequest { message: Some(observe_request::Message::Alive(Alive {})) });
+                    } else if let Some(message) = messages.next(&mut self.shared.state()) {
                         permit.send(message);
                     }
                 }
-                () = self.shared.more.notified(), if !ready => {}
+                () = self.shared.more.notified(), if !ready && !is_probed => {}
             }
         }
     }
@@ -201,6 +227,7 @@ impl Link {
                 server: self.client.server().to_owned(),
                 detail: "the daemon ended the stream".to_owned(),
             })),
+            Err(status) if is_idle(&status) => Err(End::Idle),
             Err(status) => Err(refused(self.client.error(&status))),
         }
     }
@@ -264,6 +291,7 @@ fn hello(shared: &Shared, incarnation: u64) -> ObserveRequest {
         sensor: options
             .sensor
             .map(|sensor| ProducerSensor { hit: Some(sensor.hit), false_alarm: Some(sensor.false_alarm) }),
+        answers_probes: true,
     };
     ObserveRequest { message: Some(observe_request::Message::Hello(hello)) }
 }
@@ -290,6 +318,11 @@ fn ending(goodbye: Goodbye) -> End {
         GoodbyeReason::Storage => ProducerError::Storage(detail),
         GoodbyeReason::Unspecified => ProducerError::Other(Error::Protocol("a Goodbye without a reason")),
     })
+}
+
+/// Whether the daemon ended the stream because nothing was sent for long.
+fn is_idle(status: &Status) -> bool {
+    status.code() == Code::Unavailable && status.get_details_error_info().is_some_and(|info| info.reason == "IDLE")
 }
 
 /// The consequence of a status.

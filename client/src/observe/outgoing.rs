@@ -178,7 +178,7 @@ mod tests {
                 }
                 Message::Scans(batch) => (batch.first_sequence, batch.scans.len(), batch.continues),
                 Message::Traversals(batch) => (batch.first_sequence, batch.traversals.len(), false),
-                Message::Hello(_) => return Err("a second Hello".into()),
+                Message::Hello(_) | Message::Alive(_) => return Err("no batch".into()),
             });
         }
         let parts = sent.iter().filter(|(sequence, ..)| *sequence == 9).count();

@@ -16,6 +16,8 @@ pub(crate) enum Ending {
     Shutdown,
     /// Another stream of the key took over.
     Superseded,
+    /// Another stream of the key took over, because the client of this one did not answer.
+    Unanswered,
     /// The map was deleted.
     MapDeleted,
     /// Something is erased from the map.

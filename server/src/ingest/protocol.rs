@@ -25,7 +25,7 @@ use tidemap_map::{
 use tidemap_store::AppendError;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
-use super::{anomaly_feed::FeedReceiver, ending::Ending};
+use super::{anomaly_feed::FeedReceiver, ending::Ending, probe::Probe};
 use crate::jobs::UpdateJob;
 
 /// The number of a stream at its map's writer.
@@ -38,6 +38,10 @@ pub(crate) struct Hello {
     pub key: ProducerKey,
     /// 0: a new incarnation is requested.
     pub incarnation: u64,
+    /// How to ask this stream's client whether it is still there, if it answers.
+    pub probe: Option<Probe>,
+    /// The stream of the key that did not answer; this one takes over.
+    pub takes_over: Option<SessionId>,
     /// Whether the stream announces data time.
     pub nightly: bool,
     /// The announced sensor.
@@ -64,9 +68,13 @@ pub(crate) struct Welcome {
 pub(crate) enum HelloError {
     #[error(
         "producer {:?} already streams to this map with label {:?}: stop that stream first, or use another producer \
-         or label", .0.producer(), .0.label()
+         or label", key.producer(), key.label()
     )]
-    AlreadyStreaming(ProducerKey),
+    AlreadyStreaming {
+        key: ProducerKey,
+        /// The stream, and how to ask its client.
+        open: Option<(SessionId, Probe)>,
+    },
     #[error("incarnation {got} of producer {:?} is fenced: incarnation {current} was seen", key.producer())]
     Fenced { key: ProducerKey, got: u64, current: u64 },
     #[error("the map has {max} producer keys, as many as setting max_producers_per_map allows")]

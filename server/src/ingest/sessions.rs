@@ -22,6 +22,7 @@ use tokio::sync::mpsc;
 
 use super::{
     ending::Ending,
+    probe::Probe,
     protocol::{Hello, HelloError, ObservationBatch, RefusedObservation, SessionEvent, SessionId, Welcome},
 };
 
@@ -80,6 +81,7 @@ pub(super) struct Session {
     /// The sensor of all its scans; `None`: the map's default.
     sensor: Option<ProducerSensor>,
     incarnation: u64,
+    probe: Option<Probe>,
     events: mpsc::UnboundedSender<SessionEvent>,
     table: Vec<StreamState>,
     /// What its scans have shown: the tiles that it sent, and those that were ray-cast for it.
@@ -209,15 +211,21 @@ impl Sessions {
         let seen = mark.map_or(0, |(_, mark)| mark.incarnation);
         let issued = self.issued.get(&hello.key).copied().unwrap_or(0);
         let current = open.map_or(0, |session| session.incarnation).max(seen).max(issued);
-        if hello.incarnation == 0 && open.is_some() {
-            return Err(HelloError::AlreadyStreaming(hello.key.clone()));
+        let open_id = self.open_of(&hello.key);
+        let takes_over = open_id.is_some() && hello.takes_over == open_id;
+        if hello.incarnation == 0
+            && let Some(session) = open
+            && !takes_over
+        {
+            let open = open_id.zip(session.probe.clone());
+            return Err(HelloError::AlreadyStreaming { key: hello.key.clone(), open });
         }
         if hello.incarnation != 0 && hello.incarnation < current {
             return Err(HelloError::Fenced { key: hello.key.clone(), got: hello.incarnation, current });
         }
         let sensor = self.sensor(hello, map)?;
-        if let Some(id) = self.open_by_key.get(&hello.key).copied() {
-            self.end(id, &Ending::Superseded);
+        if let Some(id) = open_id {
+            self.end(id, if takes_over { &Ending::Unanswered } else { &Ending::Superseded });
         }
         if self.sessions.values().any(|session| session.key == hello.key && session.in_flight > 0) {
             return Ok(None);
@@ -236,6 +244,7 @@ impl Sessions {
                 producer: mark.map(|(id, _)| id),
                 sensor,
                 incarnation,
+                probe: hello.probe.clone(),
                 events: hello.events.clone(),
                 table: Vec::new(),
                 shown: StreamTiles::default(),

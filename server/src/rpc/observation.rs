@@ -6,10 +6,8 @@
 
 use std::{
     collections::VecDeque,
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
+    convert::Infallible,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -39,14 +37,19 @@ use crate::{
         ending::{Ending, is_fatal},
         handle::MapHandle,
         intake::{Intake, IntakeError, IntakeLimits},
+        probe::{Probed, probe},
         protocol::{
-            BufferBudget, Command, Handover, Hello, ObservationBatch, ScanBatch, SessionEvent, TraversalBatch, Welcome,
+            BufferBudget, Command, Handover, Hello, HelloError, ObservationBatch, ScanBatch, SessionEvent,
+            TraversalBatch, Welcome,
         },
     },
     rpc::lookup::find_map,
 };
 
+pub(crate) mod open_streams;
 mod report;
+
+use open_streams::{OpenStreams, StreamEntry};
 
 /// A stream must say hello within this time.
 const HELLO_WITHIN: Duration = Duration::from_secs(10);
@@ -74,8 +77,6 @@ pub(crate) struct StreamLimits {
     pub max_message_bytes: usize,
     /// Maximum size of what one stream has sent and is not durable yet, in bytes.
     pub max_stream_buffer: usize,
-    /// Maximum number of streams.
-    pub max_streams: usize,
 }
 
 #[derive(Debug)]
@@ -86,20 +87,10 @@ pub(crate) struct Observations {
     pub buffers: Arc<Semaphore>,
     /// Room for the tables of tiles and the unfinished scans of all streams together, in units of 1 KiB.
     pub tables: Arc<Semaphore>,
-    /// Number of open streams.
-    pub streams: Arc<AtomicUsize>,
+    /// The open streams.
+    pub streams: OpenStreams,
     /// Becomes true when the daemon stops.
     pub stopping: watch::Receiver<bool>,
-}
-
-/// Counts a stream during its life.
-struct StreamCount(Arc<AtomicUsize>);
-
-impl Drop for StreamCount {
-    fn drop(&mut self) {
-        let before = self.0.fetch_sub(1, Ordering::Relaxed);
-        metrics::gauge!("tidemap_streams").set(before as f64 - 1.0);
-    }
 }
 
 #[tonic::async_trait]
@@ -121,23 +112,20 @@ impl Observations {
         &self,
         mut requests: impl Requests + 'static,
     ) -> Result<mpsc::Receiver<Result<v1::ObserveResponse, Status>>, RpcError> {
-        let open = self.streams.fetch_add(1, Ordering::Relaxed) + 1;
-        let counted = StreamCount(Arc::clone(&self.streams));
-        metrics::gauge!("tidemap_streams").set(open as f64);
-        OverLimit::check("streams", open, self.limits.max_streams, "setting max_streams")?;
+        let mut entry = self.streams.enter()?;
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
         let catalog = Arc::clone(&self.catalog);
         let limits = self.limits;
         let room = (Arc::clone(&self.buffers), Arc::clone(&self.tables));
         let stopping = self.stopping.clone();
         tokio::spawn(Caller::current().scope(async move {
-            let result = open_and_serve(catalog, limits, room, stopping, &mut requests, &replies).await;
+            let result = open_and_serve(catalog, limits, room, &mut entry, stopping, &mut requests, &replies).await;
             if let Err(error) = result {
                 debug!(%error, "stream ended");
                 // The client may be gone.
                 let _ = tokio::time::timeout(READ_WITHIN, replies.send(Err(error.into()))).await;
             }
-            drop(counted);
+            drop(entry);
         }));
         Ok(stream)
     }
@@ -216,6 +204,7 @@ async fn open_and_serve(
     catalog: Arc<Catalog>,
     limits: StreamLimits,
     (buffers, tables): (Arc<Semaphore>, Arc<Semaphore>),
+    entry: &mut StreamEntry,
     stopping: watch::Receiver<bool>,
     requests: &mut impl Requests,
     replies: &Replies,
@@ -223,7 +212,12 @@ async fn open_and_serve(
     if *stopping.borrow() {
         return Err(RpcError::Stopping);
     }
-    let first = match tokio::time::timeout(HELLO_WITHIN, requests.next()).await {
+    let first = tokio::select! {
+        first = tokio::time::timeout(HELLO_WITHIN, requests.next()) => first,
+        () = entry.displaced() => return Err(RpcError::Idle(entry.idle_after())),
+    };
+    entry.heard();
+    let first = match first {
         Ok(Some(Ok(v1::ObserveRequest { message: Some(Up::Hello(hello)) }))) => hello,
         Ok(None) => return Ok(()),
         Ok(Some(Err(status))) => return Err(unread(&status, &limits)),
@@ -235,20 +229,36 @@ async fn open_and_serve(
     };
     let handle = find_map(&catalog, &first.map).await?;
     let key = key(&first)?;
-    let (events_sender, events) = mpsc::unbounded_channel();
-    let (answer, answered) = oneshot::channel();
-    let hello = Hello {
-        key,
-        incarnation: first.incarnation,
-        nightly: first.nightly,
-        sensor: first.sensor.as_ref().map(sensor),
-        events: events_sender,
-        reply: answer,
+    let (probe, probed, questions) = probe();
+    let probe = first.answers_probes.then_some(probe);
+    let mut takes_over = None;
+    let (opened, events) = loop {
+        let (events_sender, events) = mpsc::unbounded_channel();
+        let (answer, answered) = oneshot::channel();
+        let hello = Hello {
+            key: key.clone(),
+            incarnation: first.incarnation,
+            probe: probe.clone(),
+            takes_over,
+            nightly: first.nightly,
+            sensor: first.sensor.as_ref().map(sensor),
+            events: events_sender,
+            reply: answer,
+        };
+        if !handle.send(Command::Hello(hello)) {
+            return Err(RpcError::Stopping);
+        }
+        match answered.await.map_err(|_| RpcError::Stopping)? {
+            Ok(opened) => break (opened, events),
+            Err(HelloError::AlreadyStreaming { open: Some((session, probe)), .. })
+                if takes_over != Some(session) && !probe.is_alive().await =>
+            {
+                takes_over = Some(session);
+            }
+            Err(error) => return Err(error.into()),
+        }
     };
-    if !handle.send(Command::Hello(hello)) {
-        return Err(RpcError::Stopping);
-    }
-    let opened = answered.await.map_err(|_| RpcError::Stopping)??;
+    entry.heard();
     let mut stream = Stream {
         intake: Some(
             Intake::new(opened.durable_sequence, opened.content_crc, limits.intake, handle.spec.grid.as_ref())
@@ -267,8 +277,13 @@ async fn open_and_serve(
         held: None,
         events,
         replies,
+        probed,
+        entry,
     };
-    let result = stream.serve(catalog.context().store.store_id(), requests).await;
+    let result = tokio::select! {
+        result = stream.serve(catalog.context().store.store_id(), requests) => result,
+        never = pass_on_questions(questions, replies) => match never {},
+    };
     let clean = matches!(result, Ok(()));
     // A writer that has stopped has no session to forget.
     let _ = stream.handle.send(Command::HandOver { session: stream.opened.session, what: Handover::End { clean } });
@@ -276,6 +291,16 @@ async fn open_and_serve(
         stream.say_goodbye(error).await;
     }
     result
+}
+
+/// Asks the client whether it is still there, as often as others want to know. A client that does not read its replies
+/// does not answer either.
+async fn pass_on_questions(mut questions: mpsc::Receiver<()>, replies: &Replies) -> Infallible {
+    while questions.recv().await.is_some() {
+        // The stream's own replies fail as well, and end it.
+        let _ = reply(replies, Down::Probe(v1::Probe {})).await;
+    }
+    std::future::pending().await
 }
 
 struct Stream<'a> {
@@ -295,6 +320,8 @@ struct Stream<'a> {
     handed_over: u64,
     /// The last sequence number of each batch in flight, and when it was handed over.
     in_flight: VecDeque<(u64, Instant)>,
+    probed: Probed,
+    entry: &'a mut StreamEntry,
 }
 
 impl Stream<'_> {
@@ -315,24 +342,21 @@ impl Stream<'_> {
         let mut saturated = self.handle.saturated();
         loop {
             let wait = *saturated.borrow_and_update();
+            self.probed.pause(wait);
             tokio::select! {
                 biased;
                 event = self.events.recv() => self.pass_on(event).await?,
+                () = self.entry.displaced() => {
+                    self.drain().await?;
+                    return Err(RpcError::Idle(self.entry.idle_after()));
+                }
                 _ = saturated.changed(), if wait => {}
                 () = tokio::time::sleep(BUSY_AFTER), if wait => {
                     let retry_after = Some(duration(1_000_000_000));
                     reply(self.replies, Down::Busy(v1::Busy { retry_after })).await?;
                 }
                 request = requests.next(), if !wait => match request {
-                    Some(Ok(v1::ObserveRequest { message: Some(Up::Batch(batch)) })) => self.take(batch).await?,
-                    Some(Ok(v1::ObserveRequest { message: Some(Up::Scans(scans)) })) => self.take_scans(scans).await?,
-                    Some(Ok(v1::ObserveRequest { message: Some(Up::Traversals(traversals)) })) => {
-                        self.take_traversals(&traversals).await?;
-                    }
-                    Some(Ok(_)) => {
-                        let text = "after the Hello a message must be a batch, of observations, scans or traversals";
-                        return Err(InvalidField::new("message", text).into());
-                    }
+                    Some(Ok(request)) => self.take(request).await?,
                     // The producer has sent everything: what is in flight is acknowledged before the stream ends.
                     None => return self.drain().await,
                     Some(Err(status)) => return Err(unread(&status, &self.limits)),
@@ -341,11 +365,30 @@ impl Stream<'_> {
         }
     }
 
+    async fn take(&mut self, request: v1::ObserveRequest) -> Result<(), RpcError> {
+        self.entry.heard();
+        // Answers are not read until the message is taken.
+        self.probed.pause(true);
+        match request.message {
+            Some(Up::Batch(batch)) => self.take_observations(batch).await,
+            Some(Up::Scans(scans)) => self.take_scans(scans).await,
+            Some(Up::Traversals(traversals)) => self.take_traversals(&traversals).await,
+            Some(Up::Alive(v1::Alive {})) => {
+                self.probed.answer();
+                Ok(())
+            }
+            Some(Up::Hello(_)) | None => {
+                let text = "after the Hello a message must be a batch, of observations, scans or traversals";
+                Err(InvalidField::new("message", text).into())
+            }
+        }
+    }
+
     fn intake(&mut self) -> Result<&mut Intake, RpcError> {
         self.intake.as_mut().ok_or(RpcError::Stopping)
     }
 
-    async fn take(&mut self, message: v1::ObservationBatch) -> Result<(), RpcError> {
+    async fn take_observations(&mut self, message: v1::ObservationBatch) -> Result<(), RpcError> {
         let Some(batch) = self.intake()?.take(message)? else { return self.say_durable().await };
         let only_names = batch.last_sequence < batch.first_sequence;
         let budget = self.budget(bytes_of(&batch)).await?;
@@ -418,6 +461,7 @@ impl Stream<'_> {
             self.in_flight.push_back((last_sequence, Instant::now()));
         }
         self.handed_over = last_sequence;
+        self.entry.owe(self.durable < self.handed_over);
     }
 
     fn hand_over(&self, what: Handover) -> Result<(), RpcError> {
@@ -454,6 +498,7 @@ impl Stream<'_> {
     }
 
     async fn drain(&mut self) -> Result<(), RpcError> {
+        self.probed.pause(true);
         while self.durable < self.handed_over {
             let event = self.events.recv().await;
             self.pass_on(event).await?;
@@ -465,6 +510,7 @@ impl Stream<'_> {
         match event {
             Some(SessionEvent::Ack { durable_sequence, refused }) => {
                 let before = std::mem::replace(&mut self.durable, durable_sequence);
+                self.entry.owe(self.durable < self.handed_over);
                 while let Some((_, sent)) = self.in_flight.pop_front_if(|(last, _)| *last <= durable_sequence) {
                     metrics::histogram!("tidemap_acknowledgement_seconds").record(sent.elapsed());
                 }
@@ -480,10 +526,10 @@ impl Stream<'_> {
 
     async fn say_goodbye(&self, error: &RpcError) {
         let reason = match error {
-            // The status says it.
-            RpcError::Revoked => return,
+            // The status says it. Clients connect again after it, as they do when a connection breaks.
+            RpcError::Revoked | RpcError::Idle(_) => return,
             RpcError::Ended(Ending::Shutdown | Ending::Erasure) | RpcError::Stopping => v1::GoodbyeReason::Shutdown,
-            RpcError::Ended(Ending::Superseded) => v1::GoodbyeReason::Superseded,
+            RpcError::Ended(Ending::Superseded | Ending::Unanswered) => v1::GoodbyeReason::Superseded,
             RpcError::Ended(Ending::MapDeleted) => v1::GoodbyeReason::MapDeleted,
             RpcError::Ended(Ending::Storage(error)) if is_fatal(error) => v1::GoodbyeReason::Storage,
             RpcError::Ended(Ending::Storage(_)) => v1::GoodbyeReason::DiskFull,

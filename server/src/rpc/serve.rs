@@ -2,11 +2,7 @@
 //!
 //! Invariant: every RPC of `tidemap.v1` is served here; reflection only if all clients are local.
 
-use std::{
-    future::Future,
-    sync::{Arc, atomic::AtomicUsize},
-    time::Duration,
-};
+use std::{future::Future, sync::Arc, time::Duration};
 
 use axum::middleware::from_fn_with_state;
 use tidemap_proto::convert::scans::ScanLimits;
@@ -28,7 +24,7 @@ use super::{
     guard::{Access, admit},
     maintenance::Maintenance,
     map::Maps,
-    observation::{Observations, StreamLimits},
+    observation::{Observations, StreamLimits, open_streams::OpenStreams},
     query::{Queries, QueryLimits},
     route::Routes,
 };
@@ -83,11 +79,10 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
             },
             max_message_bytes: settings.max_message_bytes,
             max_stream_buffer: settings.max_stream_buffer_bytes,
-            max_streams: settings.max_streams,
         },
         buffers: Arc::new(Semaphore::new(settings.max_buffer_bytes)),
         tables: Arc::new(Semaphore::new(settings.max_stream_tables_bytes / 1024)),
-        streams: Arc::new(AtomicUsize::new(0)),
+        streams: OpenStreams::new(settings.max_streams, Duration::from_secs(settings.stream_idle_secs)),
         stopping,
     };
     let limits = QueryLimits {

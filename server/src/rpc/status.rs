@@ -2,7 +2,7 @@
 //!
 //! Invariant: the message says what is wrong, with which value, and what to do; programs read code and details.
 
-use std::collections::HashMap;
+use std::{collections::HashMap, time::Duration};
 
 use tidemap_map::{
     event::StateShape,
@@ -102,6 +102,11 @@ pub(crate) enum RpcError {
     SlowReader(u64),
     #[error("the connection broke")]
     Broken,
+    #[error(
+        "the stream was silent for {} seconds or more and made room for another one (settings max_streams and \
+         stream_idle_secs): connect again to send more", .0.as_secs()
+    )]
+    Idle(Duration),
     /// Nobody hears it.
     #[error(transparent)]
     Left(#[from] EarlyStop),
@@ -159,6 +164,9 @@ fn ending_text(ending: &Ending) -> String {
         Ending::Shutdown => "the daemon is stopping; connect again later".to_owned(),
         Ending::Erasure => "something is being erased from the map; connect again".to_owned(),
         Ending::Superseded => "another stream of the same producer and label took over".to_owned(),
+        Ending::Unanswered => "another stream of the same producer and label took over, because this one did not \
+                               answer a probe within two seconds"
+            .to_owned(),
         Ending::MapDeleted => "the map was deleted".to_owned(),
         Ending::Storage(error) => error.to_string(),
     }
@@ -270,7 +278,7 @@ impl RpcError {
             Self::Plan(error) => error.code_and_reason(),
             Self::Route(error) => error.code_and_reason(),
             Self::Hello(error) => match error {
-                HelloError::AlreadyStreaming(_) => (Code::AlreadyExists, "ALREADY_STREAMING"),
+                HelloError::AlreadyStreaming { .. } => (Code::AlreadyExists, "ALREADY_STREAMING"),
                 HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),
                 HelloError::TooManyProducers { .. } => (Code::ResourceExhausted, "LIMIT"),
                 HelloError::Sensor(InvalidSensor::Range(_)) => (Code::InvalidArgument, "INVALID_FIELD"),
@@ -286,7 +294,7 @@ impl RpcError {
             Self::Ended(ending) => match ending {
                 Ending::Shutdown => (Code::Unavailable, "STOPPING"),
                 Ending::Erasure => (Code::Unavailable, "ERASING"),
-                Ending::Superseded => (Code::Aborted, "SUPERSEDED"),
+                Ending::Superseded | Ending::Unanswered => (Code::Aborted, "SUPERSEDED"),
                 Ending::MapDeleted => (Code::NotFound, "MAP_DELETED"),
                 Ending::Storage(error) => append_code(error),
             },
@@ -294,6 +302,7 @@ impl RpcError {
             Self::Late { .. } => (Code::DeadlineExceeded, "LATE"),
             Self::SlowReader(_) => (Code::ResourceExhausted, "SLOW_READER"),
             Self::Broken => (Code::Cancelled, "BROKEN"),
+            Self::Idle(_) => (Code::Unavailable, "IDLE"),
             Self::Left(_) => (Code::Cancelled, "LEFT"),
             Self::Opening { .. } => (Code::Unavailable, "OPENING"),
             Self::Stopping => (Code::Unavailable, "STOPPING"),

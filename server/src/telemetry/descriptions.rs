@@ -23,6 +23,7 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_model_cache_hits_total", "Requests for fitted models that the cache answered"),
     ("tidemap_model_cache_misses_total", "Requests for fitted models that had to be fitted"),
     ("tidemap_connections_displaced", "Connections that made room for others"),
+    ("tidemap_streams_displaced_total", "Streams of observations that were silent and made room for others"),
     ("tidemap_connections_refused", "Connections refused because all others were busy"),
     ("tidemap_connections_silent", "Connections that made no request in time"),
     ("tidemap_accept_errors", "Failures to accept a connection, such as a lack of descriptors"),

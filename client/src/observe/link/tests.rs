@@ -2,19 +2,20 @@
 //! only when its machine fails.
 
 use std::{
-    collections::VecDeque,
+    collections::{HashMap, VecDeque},
     pin::Pin,
     sync::{Mutex, PoisonError},
     time::Duration,
 };
 
 use tidemap_proto::v1::{
-    ObservationBatch, Refusal as WireRefusal, RefusalReason as WireReason, ReportRequest, ReportResponse,
+    ObservationBatch, Probe, Refusal as WireRefusal, RefusalReason as WireReason, ReportRequest, ReportResponse,
     observation_service_server::{ObservationService, ObservationServiceServer},
 };
 use tokio::net::TcpListener;
 use tokio_stream::{Stream, StreamExt as _, wrappers::TcpListenerStream};
 use tonic::{Request, Response, Status, transport::Server};
+use tonic_types::ErrorDetails;
 
 use super::*;
 use crate::observe::{Producer, ProducerOptions, RefusalReason, content::ContentCrc};
@@ -36,6 +37,10 @@ enum Act {
     End(GoodbyeReason),
     /// Acknowledges a batch, and then stops.
     ServeAndStop,
+    /// Acknowledges a batch, and then needs the place for another stream.
+    ServeAndDisplace,
+    /// Asks whether the producer is there, and works only after it has answered.
+    Probe,
     /// Is another data folder, with the given number of observations.
     Restored(usize),
 }
@@ -118,6 +123,11 @@ impl Fake {
         };
         let _ = say(observe_response::Message::Welcome(welcome)).await;
         let mut names = Vec::new();
+        if matches!(act, Act::Probe) {
+            let _ = say(observe_response::Message::Probe(Probe {})).await;
+            let answer = requests.message().await?.and_then(|request| request.message);
+            assert_eq!(answer, Some(observe_request::Message::Alive(Alive {})));
+        }
         while let Some(request) = requests.message().await? {
             let Some(observe_request::Message::Batch(batch)) = request.message else { continue };
             match act {
@@ -131,7 +141,13 @@ impl Fake {
                     let _ = say(observe_response::Message::Goodbye(goodbye)).await;
                     return Err(Status::unavailable("so"));
                 }
-                Act::Serve | Act::ServeAndStop | Act::ServeUntil(_) | Act::Refuse(_) | Act::Restored(_) => {
+                Act::Serve
+                | Act::ServeAndStop
+                | Act::ServeAndDisplace
+                | Act::Probe
+                | Act::ServeUntil(_)
+                | Act::Refuse(_)
+                | Act::Restored(_) => {
                     let ack = {
                         let mut stored = self.stored();
                         let refused = stored.take(batch, &mut names);
@@ -142,6 +158,10 @@ impl Fake {
                     }
                     let durable_sequence = ack.durable_sequence;
                     let _ = say(observe_response::Message::Ack(ack)).await;
+                    if matches!(act, Act::ServeAndDisplace) {
+                        let details = ErrorDetails::with_error_info("IDLE", "tidemap", HashMap::new());
+                        return Err(Status::with_error_details(Code::Unavailable, "idle", details));
+                    }
                     if matches!(act, Act::ServeAndStop) {
                         let (reason, detail) = (GoodbyeReason::Shutdown.into(), String::new());
                         let goodbye = Goodbye { reason, durable_sequence, detail };
@@ -290,6 +310,31 @@ async fn a_key_that_an_ended_stream_still_holds_is_waited_for() -> Tested {
     assert_eq!(send(&mut producer, &[1.0]).await, Err(ProducerError::KeyInUse("no".to_owned())));
     let attempts = fake.stored().incarnations.len();
     assert!((2..=3).contains(&attempts), "{attempts}");
+    Ok(())
+}
+
+#[tokio::test]
+async fn a_producer_that_is_asked_says_that_it_is_there() -> Tested {
+    let (_fake, mut producer) = producer(&[Act::Probe]).await?;
+    assert_eq!(send(&mut producer, &[1.0]).await, Ok(()));
+    Ok(())
+}
+
+#[tokio::test]
+async fn a_producer_that_made_room_comes_back_when_it_has_more() -> Tested {
+    let (fake, mut producer) = producer(&[Act::ServeAndDisplace, Act::ServeAndDisplace]).await?;
+    for sent in 1..=3 {
+        send(&mut producer, &[1.0]).await?;
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        assert_eq!(fake.stored().incarnations.len(), sent, "it does not come back before");
+    }
+    producer.close().await?;
+    assert_eq!(fake.stored().rows.len(), 3);
+    // One that has nothing more to send ends without coming back.
+    let (fake, mut producer) = self::producer(&[Act::ServeAndDisplace]).await?;
+    send(&mut producer, &[1.0]).await?;
+    producer.close().await?;
+    assert!(fake.stored().incarnations.len() <= 2);
     Ok(())
 }
 

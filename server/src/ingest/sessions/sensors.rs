@@ -76,7 +76,7 @@ mod tests {
 
     fn hello(name: &str, sensor: Option<ProducerSensor>) -> Hello {
         let (events, reply) = (mpsc::unbounded_channel().0, oneshot::channel().0);
-        Hello { key: key(name), incarnation: 0, nightly: false, sensor, events, reply }
+        Hello { key: key(name), incarnation: 0, probe: None, takes_over: None, nightly: false, sensor, events, reply }
     }
 
     /// The first event of a producer.

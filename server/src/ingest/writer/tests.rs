@@ -102,7 +102,16 @@ async fn hello(handle: &MapHandle, name: &str, incarnation: u64, nightly: bool) 
     let (sender, events) = events::unbounded_channel();
     let (reply, answer) = oneshot::channel();
     let key = ProducerKey::new(name, "").expect("valid");
-    assert!(handle.send(Command::Hello(Hello { key, incarnation, nightly, sensor: None, events: sender, reply })));
+    assert!(handle.send(Command::Hello(Hello {
+        key,
+        incarnation,
+        probe: None,
+        takes_over: None,
+        nightly,
+        sensor: None,
+        events: sender,
+        reply,
+    })));
     let opened = answer.await.expect("an answer")?;
     Ok(Robot { sent: opened.durable_sequence, opened, events })
 }
@@ -248,7 +257,7 @@ async fn one_stream_of_a_key_at_a_time() {
     let mut first = hello(&handle, "r", 0, false).await.expect("accepted");
     first.observe(&handle, NOON).await;
     let second = hello(&handle, "r", 0, false).await.err();
-    assert!(matches!(second, Some(HelloError::AlreadyStreaming(_))));
+    assert!(matches!(second, Some(HelloError::AlreadyStreaming { open: None, .. })));
     let again = hello(&handle, "r", first.opened.incarnation, false).await.expect("a reconnection");
     assert_eq!(again.opened.durable_sequence, 1);
     assert_eq!(first.events.recv().await, Some(SessionEvent::End(Ending::Superseded)));

@@ -119,7 +119,16 @@ impl Bench {
         let (sender, events) = mpsc::unbounded_channel();
         let (reply, answer) = oneshot::channel();
         let key = ProducerKey::new(name, "").expect("valid");
-        let hello = Hello { key, incarnation: 0, nightly: false, sensor: None, events: sender, reply };
+        let hello = Hello {
+            key,
+            incarnation: 0,
+            probe: None,
+            takes_over: None,
+            nightly: false,
+            sensor: None,
+            events: sender,
+            reply,
+        };
         assert!(self.handle.send(Command::Hello(hello)));
         let opened = answer.await.expect("an answer").expect("accepted");
         let intake = Intake::new(opened.durable_sequence, opened.content_crc, LIMITS, self.handle.spec.grid.as_ref());

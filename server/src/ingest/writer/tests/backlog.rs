@@ -105,6 +105,8 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
     assert!(bare.handle.send(Command::Hello(Hello {
         key,
         incarnation: 0,
+        probe: None,
+        takes_over: None,
         nightly: false,
         sensor: None,
         events,

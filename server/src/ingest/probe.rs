@@ -1,0 +1,138 @@
+//! Whether the client of an open stream is still there: another stream of its key asks before it takes over.
+//!
+//! Invariant: only an answer of the client, or a stream that does not read now, counts as a sign of life. Asking never
+//! changes the stream that is asked.
+
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use tokio::{
+    sync::{mpsc, watch},
+    time::{Instant, timeout_at},
+};
+
+/// A client that does not answer a probe within this time is gone: a little less than the two seconds that the wire
+/// promises, so that whoever waits for it is served within them.
+const ANSWER_WITHIN: Duration = Duration::from_millis(1900);
+/// An answer counts for this long.
+const FRESH_FOR: Duration = Duration::from_millis(100);
+/// Questions that wait to be sent.
+const QUESTIONS: usize = 4;
+
+/// When a stream can hear answers.
+#[derive(Clone, Copy, Debug)]
+enum Hearing {
+    /// It has read all that came since then.
+    Since(Instant),
+    /// It waits for the daemon, and reads later.
+    Later,
+}
+
+type SharedHearing = Arc<Mutex<Hearing>>;
+
+fn lock(hearing: &SharedHearing) -> MutexGuard<'_, Hearing> {
+    hearing.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Asks the client of a stream. Clones ask the same one.
+#[derive(Clone, Debug)]
+pub(crate) struct Probe {
+    questions: mpsc::Sender<()>,
+    answered: watch::Receiver<Option<Instant>>,
+    hearing: SharedHearing,
+}
+
+impl PartialEq for Probe {
+    /// Whether both ask the same stream.
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.hearing, &other.hearing)
+    }
+}
+
+/// The side of the stream that is asked.
+#[derive(Debug)]
+pub(crate) struct Probed {
+    answered: watch::Sender<Option<Instant>>,
+    hearing: SharedHearing,
+}
+
+/// A probe, the side of its stream, and the questions that the stream has to pass on to its client.
+pub(crate) fn probe() -> (Probe, Probed, mpsc::Receiver<()>) {
+    let (questions, asked) = mpsc::channel(QUESTIONS);
+    let (answered, answers) = watch::channel(None);
+    let hearing = Arc::new(Mutex::new(Hearing::Since(Instant::now())));
+    (Probe { questions, answered: answers, hearing: Arc::clone(&hearing) }, Probed { answered, hearing }, asked)
+}
+
+impl Probed {
+    /// The client has answered.
+    pub(crate) fn answer(&self) {
+        self.answered.send_replace(Some(Instant::now()));
+    }
+
+    /// Says whether the stream waits for the daemon, so that it cannot read an answer.
+    pub(crate) fn pause(&self, is_paused: bool) {
+        let mut hearing = lock(&self.hearing);
+        *hearing = match *hearing {
+            _ if is_paused => Hearing::Later,
+            Hearing::Later => Hearing::Since(Instant::now()),
+            since @ Hearing::Since(_) => since,
+        };
+    }
+}
+
+impl Probe {
+    /// Whether the client is still there.
+    pub(crate) async fn is_alive(&self) -> bool {
+        if self.answered.borrow().is_some_and(|at| at.elapsed() < FRESH_FOR) {
+            return true;
+        }
+        let mut answered = self.answered.clone();
+        answered.borrow_and_update();
+        // A full channel: others have asked, and the same answer counts.
+        let _ = self.questions.try_send(());
+        let mut since = Instant::now();
+        loop {
+            match timeout_at(since + ANSWER_WITHIN, answered.changed()).await {
+                Ok(Ok(())) => return true,
+                // The stream has ended meanwhile.
+                Ok(Err(_)) => return false,
+                Err(_) => {}
+            }
+            match *lock(&self.hearing) {
+                Hearing::Later => return true,
+                // The stream has waited meanwhile: the client has as much time as if it were asked after that.
+                Hearing::Since(later) if later > since => since = later,
+                Hearing::Since(_) => return false,
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_client_is_there_if_it_answers_or_cannot_be_heard() {
+        let (asked, probed, mut questions) = probe();
+        let asking = asked.clone();
+        let answer = tokio::spawn(async move { asking.is_alive().await });
+        questions.recv().await.expect("a question");
+        probed.answer();
+        assert!(answer.await.expect("no panic"));
+        assert!(asked.is_alive().await, "it has just answered");
+        assert!(questions.try_recv().is_err(), "and is not asked again");
+
+        let [silent, paused, ended] = [(); 3].map(|()| probe());
+        paused.1.pause(true);
+        drop(ended.1);
+        assert!(silent.0 == silent.0.clone() && silent.0 != paused.0);
+        let found = tokio::join!(silent.0.is_alive(), paused.0.is_alive(), ended.0.is_alive());
+        assert_eq!(found, (false, true, false));
+        paused.1.pause(false);
+        assert!(!paused.0.is_alive().await);
+    }
+}
