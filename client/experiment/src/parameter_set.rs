@@ -33,7 +33,7 @@ enum Settings {
     Spectral { order: usize, periodicities: Periodicities },
     Uniform { order: usize },
     Pergam(PergamOptions),
-    Hypertime(HypertimeOptions),
+    Hypertime { options: HypertimeOptions, periodicities: Periodicities },
     Poisson { periodicities: Periodicities, bin_nanos: i64 },
     Calibrated,
     Average { histogram: HistogramSettings, calibrated_weight: f64 },
@@ -79,8 +79,8 @@ impl ComparableKind {
         (Self::Spectral, "spectral", &["order", "period_base", "period_count"]),
         (Self::Uniform, "uniform", &["order"]),
         (Self::Pergam, "pergam", &["gaussians", "period", "seed"]),
-        (Self::HypertimeEm, "hypertime-em", &["clusters", "seed"]),
-        (Self::HypertimeKm, "hypertime-km", &["clusters", "seed"]),
+        (Self::HypertimeEm, "hypertime-em", &["clusters", "seed", "period_base", "period_count"]),
+        (Self::HypertimeKm, "hypertime-km", &["clusters", "seed", "period_base", "period_count"]),
         (Self::Poisson, "poisson", &["bin", "period_base", "period_count"]),
         (Self::Calibrated, "calibrated", &[]),
         (Self::Average, "average", &["bins", "cycle", "smoothing_bins", "prior_readings", "calibrated_weight"]),
@@ -187,11 +187,12 @@ impl ParameterSet {
             ComparableKind::HypertimeEm | ComparableKind::HypertimeKm => {
                 let usual = HypertimeOptions::default();
                 let is_em = kind == ComparableKind::HypertimeEm;
-                Settings::Hypertime(HypertimeOptions {
+                let options = HypertimeOptions {
                     method: if is_em { HypertimeMethod::Em } else { HypertimeMethod::Km },
                     clusters: given.whole("clusters", usual.clusters, "a whole number from 1 to 50")?,
                     seed: given.seed()?,
-                })
+                };
+                Settings::Hypertime { options, periodicities: given.periodicities()? }
             }
             ComparableKind::Poisson => Settings::Poisson {
                 periodicities: given.periodicities()?,
@@ -239,10 +240,12 @@ impl ParameterSet {
                 check_probabilities(samples)?;
                 Box::new(Pergam::fit(readings, options)?)
             }
-            Settings::Hypertime(options) if kind == StateKind::Probability => {
-                Box::new(Hypertime::fit(readings, options)?)
+            Settings::Hypertime { options, periodicities } if kind == StateKind::Probability => {
+                Box::new(Hypertime::fit(readings, periodicities, options)?)
             }
-            Settings::Hypertime(options) => Box::new(Hypertime::fit_continuous(readings, options)?),
+            Settings::Hypertime { options, periodicities } => {
+                Box::new(Hypertime::fit_continuous(readings, periodicities, options)?)
+            }
             Settings::Poisson { periodicities, bin_nanos } => {
                 Box::new(CountRate::fit_in_bins(readings, periodicities, *bin_nanos)?)
             }

@@ -70,7 +70,7 @@ pub struct Hypertime {
     /// When it was fitted.
     #[prost(message, optional, tag = "1")]
     pub fit: Option<Fit>,
-    /// Its periods, as divisors of a week.
+    /// Its periods, as divisors of their cycles.
     #[prost(uint32, repeated, tag = "2")]
     pub week_divisors: Vec<u32>,
     /// Of a probability: mean, background, ln of the factors of ones and of zeros. Otherwise empty.
@@ -88,6 +88,9 @@ pub struct Hypertime {
     /// Of a probability: the factor on the ratio of the densities; absent for 1.
     #[prost(fixed64, optional, tag = "7")]
     pub gain_bits: Option<u64>,
+    /// The cycle that each period divides; absent where all divide a week.
+    #[prost(sint64, repeated, tag = "8")]
+    pub cycle_nanos: Vec<i64>,
 }
 
 /// A cluster in hypertime.

@@ -32,7 +32,7 @@ pub use histogram::{
 };
 pub use hypertime::{
     FieldReading, Hypertime, HypertimeAxis, HypertimeCluster, HypertimeDistribution, HypertimeField,
-    HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeOptions, HypertimeParts,
+    HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeOptions, HypertimeParts, HypertimePeriod,
 };
 pub use interval::{HourMoments, Interval, credible_interval, value_interval, value_tail};
 pub use latest::{Latest, LatestParts};

@@ -164,6 +164,12 @@ impl Periodicities {
         }
     }
 
+    /// Periodicity `k` as some nanoseconds and how often it turns in them; `None` where `k` is too large.
+    pub(crate) fn turns_of(&self, k: usize) -> Option<(i64, u32)> {
+        let (period, turns) = self.period_of_turns(k)?;
+        Some((i64::try_from(period).ok()?, u32::try_from(turns).ok()?))
+    }
+
     /// The phase of a local civil time in periodicity `k`, in turns from -0.5 to 0.5; `None` where
     /// `k` is too large.
     pub(crate) fn turns(&self, k: usize, civil_nanos: i64) -> Option<f64> {

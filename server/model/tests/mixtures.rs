@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use tidemap_model::models::{
     Hypertime, HypertimeMethod, HypertimeOptions, Pergam, PergamOptions, Readings, TemporalModel,
 };
-use tidemap_model::{Sample, Zone};
+use tidemap_model::{Periodicities, Sample, Zone};
 
 fn recordings(name: &str) -> Option<PathBuf> {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
@@ -91,7 +91,7 @@ fn a_periodic_mixture_knows_the_door_better_than_its_mean() {
 }
 
 fn door_by_hypertime(door: &Door, options: &HypertimeOptions) -> f64 {
-    let model = Hypertime::fit(Readings::new(&door.train), options).unwrap();
+    let model = Hypertime::fit(Readings::new(&door.train), &Periodicities::default(), options).unwrap();
     let periods = model.periods_secs();
     assert!(periods.contains(&86_400.0) && periods.contains(&604_800.0), "{periods:?}");
     let HypertimeOptions { method, clusters, seed } = options;
@@ -124,7 +124,7 @@ fn speed_without_a_rhythm_is_predicted_no_worse_than_by_its_mean() {
     let by_mean = error(&mean(&train), &test);
     println!("velocity, mean: {by_mean:.5}");
     for options in [with(HypertimeMethod::Em, 1), with(HypertimeMethod::Em, 5), with(HypertimeMethod::Km, 10)] {
-        let model = Hypertime::fit_continuous(Readings::new(&train), &options).unwrap();
+        let model = Hypertime::fit_continuous(Readings::new(&train), &Periodicities::default(), &options).unwrap();
         let (found, periods) = (error(&model, &test), model.periods_secs());
         println!("velocity, {:?} {} {periods:.0?}: {found:.5}", options.method, options.clusters);
         assert!(found < 1.02 * by_mean, "{found}");
@@ -171,8 +171,10 @@ fn figures() {
             assert!(found < 0.0856, "{method:?} {clusters}: {found}");
         }
         let options = with(method, clusters);
-        let (probability, secs) = timed(&|| Hypertime::fit(Readings::new(&year), &options).unwrap());
-        let (number, as_number_secs) = timed(&|| Hypertime::fit_continuous(Readings::new(&year), &options).unwrap());
+        let (probability, secs) =
+            timed(&|| Hypertime::fit(Readings::new(&year), &Periodicities::default(), &options).unwrap());
+        let (number, as_number_secs) =
+            timed(&|| Hypertime::fit_continuous(Readings::new(&year), &Periodicities::default(), &options).unwrap());
         let (found, as_number) = (error(&probability, &year), error(&number, &year));
         println!(
             "year, {method:?} {clusters}: {found:.4} in {secs:.1} s, as number {as_number:.4} in {as_number_secs:.1} s"

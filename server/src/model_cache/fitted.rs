@@ -65,8 +65,10 @@ impl CachedModel {
         let hypertime = |method, clusters: u32| {
             let options = HypertimeOptions { method, clusters: clusters as usize, seed: SEED };
             let model = match of {
-                StateKind::Probability => Hypertime::fit(readings, &options),
-                StateKind::Continuous | StateKind::Count => Hypertime::fit_continuous(readings, &options),
+                StateKind::Probability => Hypertime::fit(readings, &spec.periodicities, &options),
+                StateKind::Continuous | StateKind::Count => {
+                    Hypertime::fit_continuous(readings, &spec.periodicities, &options)
+                }
             };
             model.map(|model| Self::Hypertime(Box::new(model)))
         };

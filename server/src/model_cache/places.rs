@@ -53,7 +53,7 @@ impl PlaceModel {
         }
         let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
         let weights: Vec<f64> = Readings { half_life_secs, ..Readings::new(&placed) }.weights().collect();
-        let field = HypertimeField::fit_weighted(&readings, &weights, options, stop)?;
+        let field = HypertimeField::fit_weighted(&readings, &weights, (&spec.periodicities, options), stop)?;
         Ok(Self { field, observations: readings.len() as u64 })
     }
 

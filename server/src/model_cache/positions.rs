@@ -66,7 +66,7 @@ impl PositionModel {
             .collect();
         let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
         let weights: Vec<f64> = Readings { half_life_secs, ..Readings::new(first) }.weights().collect();
-        let field = HypertimeField::fit_weighted(&readings, &weights, options, stop)?;
+        let field = HypertimeField::fit_weighted(&readings, &weights, (&spec.periodicities, options), stop)?;
         let counts = counts(first);
         let rate = Readings { half_life_secs, stop, ..Readings::new(&counts.samples) };
         let rate = PoissonSpectral::fit(rate, &spec.periodicities, counts.bin_nanos)?;

@@ -41,8 +41,12 @@ fn a_fit_that_is_told_to_stop_ends_soon_and_gives_no_model() {
     for method in [HypertimeMethod::Em, HypertimeMethod::Km] {
         let options = HypertimeOptions { method, clusters: 3, seed: 0 };
         // The attempt under way ends: for each of its fits a round of clusters and a step.
-        is_stopped("probability", 30, |stop| Hypertime::fit(until(&samples, stop), &options).map(drop));
-        is_stopped("value", 30, |stop| Hypertime::fit_continuous(until(&samples, stop), &options).map(drop));
+        is_stopped("probability", 30, |stop| {
+            Hypertime::fit(until(&samples, stop), &Periodicities::default(), &options).map(drop)
+        });
+        is_stopped("value", 30, |stop| {
+            Hypertime::fit_continuous(until(&samples, stop), &Periodicities::default(), &options).map(drop)
+        });
     }
     is_stopped("pergam", 8, |stop| Pergam::fit(until(&samples, stop), &PergamOptions::default()).map(drop));
     is_stopped("persistence", 2, |stop| MarkovChain::fit(until(&samples, stop)).map(drop));

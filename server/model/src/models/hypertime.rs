@@ -8,9 +8,10 @@
 //! prediction is finite, that of a probability in `[0,1]`.
 
 use super::{CannotFit, Moment, Readings, TemporalModel};
-use crate::InvalidParts;
+use crate::{InvalidParts, Periodicities, Sample};
 
 mod axis;
+mod candidates;
 mod cluster;
 mod concentration;
 mod conditional;
@@ -21,17 +22,21 @@ mod mixture;
 mod odds;
 mod options;
 mod raster;
+mod residuals;
 mod seeding;
-mod week;
+mod training;
 
 pub use axis::HypertimeAxis;
+use candidates::Candidates;
+pub use candidates::HypertimePeriod;
 pub use cluster::HypertimeCluster;
 pub use conditional::HypertimeDistribution;
 pub use field::{FieldReading, HypertimeField, HypertimeFieldParts};
-use grow::{Dealing, Extent, deal, grow, unit_weight};
+use grow::{Dealing, Growth, deal, grow, unit_weight};
 pub use odds::HypertimeOddsParts;
-use odds::{Folds, Odds, SlotWeights};
+use odds::Odds;
 pub use options::{HypertimeMethod, HypertimeOptions};
+use training::{OddsReading, OddsTraining};
 
 #[cfg(test)]
 mod tests;
@@ -58,31 +63,40 @@ enum HypertimeKind {
 }
 
 impl Hypertime {
-    /// Fits the model of a probability; values outside `[0,1]` count as the nearer end. Readings are summed by slots of
-    /// the week of five minutes, so that years of readings take little longer than weeks.
+    /// Fits the model of a probability; values outside `[0,1]` count as the nearer end. The periods are chosen among
+    /// those of a map, a month and a year. Readings are summed by slots (of the week, of five minutes; for cycles of a
+    /// year, of an hour), so that years of readings take little longer than weeks.
     ///
     /// Departures from RA-L 2019: the error that periods are searched in, and that stops the growth (eq. 6), is that of
     /// readings left out, a quarter of the days at a time (of the hours, where there are fewer than four days), and a
     /// period must lower it by a hundredth; of several seeded starts the one is kept under which those readings are
-    /// likeliest; periods are a week divided by 1 to 84, at most five of them; covariances have a prior.
+    /// likeliest; there are at most five periods, the longest cycle of the map divided by at most 84 (by 365 for a
+    /// year); covariances have a prior.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings or an option is outside its range.
-    pub fn fit(readings: Readings<'_>, options: &HypertimeOptions) -> Result<Hypertime, CannotFit> {
+    pub fn fit(
+        readings: Readings<'_>,
+        periodicities: &Periodicities,
+        options: &HypertimeOptions,
+    ) -> Result<Hypertime, CannotFit> {
         options.check()?;
         let samples = readings.samples;
-        let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return Err(CannotFit::NoReadings) };
-        let civil: Vec<i64> = samples.iter().map(|sample| sample.civil_nanos()).collect();
-        let (folds_of, count) = deal(&civil, Dealing::InTurn);
-        let unit = unit_weight(&civil, readings.weights().sum());
-        let mut folds = vec![SlotWeights::new(); count];
-        for (((sample, weight), civil), fold) in samples.iter().zip(readings.weights()).zip(civil).zip(folds_of) {
-            let probability = if sample.value.is_nan() { 0.0 } else { sample.value.clamp(0.0, 1.0) };
-            folds[fold].add(week::slot(civil), weight, probability);
+        if samples.is_empty() {
+            return Err(CannotFit::NoReadings);
         }
-        let extent = Extent { span_nanos: first.utc_nanos.abs_diff(last.utc_nanos), folds: count, stop: readings.stop };
-        let folds = Folds { folds, method: options.method, unit, stop: readings.stop };
-        let odds = grow(&folds, &extent, options);
+        let civil: Vec<i64> = samples.iter().map(|sample| sample.civil_nanos()).collect();
+        let (folds_of, folds) = deal(&civil, Dealing::InTurn);
+        let unit = unit_weight(&civil, readings.weights().sum());
+        let reading = |(((sample, weight), civil_nanos), fold): (((&Sample, f64), i64), usize)| {
+            let probability = if sample.value.is_nan() { 0.0 } else { sample.value.clamp(0.0, 1.0) };
+            OddsReading { civil_nanos, fold, weight, probability }
+        };
+        let weighted = samples.iter().zip(readings.weights()).zip(civil).zip(folds_of);
+        let weighted: Vec<OddsReading> = weighted.map(reading).collect();
+        let candidates = Candidates::new(periodicities, samples.iter().map(|sample| sample.utc_nanos));
+        let training = OddsTraining::new(&weighted, folds, candidates, (options.method, unit, readings.stop));
+        let odds = grow(&training, &Growth { folds, stop: readings.stop }, options);
         readings.stop.check()?;
         Ok(Hypertime { shape: HypertimeKind::Probability(odds) })
     }
@@ -92,14 +106,18 @@ impl Hypertime {
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, an option is outside its range, or a value is not finite.
-    pub fn fit_continuous(readings: Readings<'_>, options: &HypertimeOptions) -> Result<Hypertime, CannotFit> {
+    pub fn fit_continuous(
+        readings: Readings<'_>,
+        periodicities: &Periodicities,
+        options: &HypertimeOptions,
+    ) -> Result<Hypertime, CannotFit> {
         let of_one_place = readings.samples.iter().map(|sample| FieldReading {
             moment: sample.moment(),
             location: Vec::new(),
             value: vec![sample.value],
         });
         let (points, weights): (Vec<FieldReading>, Vec<f64>) = of_one_place.zip(readings.weights()).unzip();
-        let field = HypertimeField::fit_weighted(&points, &weights, options, readings.stop)?;
+        let field = HypertimeField::fit_weighted(&points, &weights, (periodicities, options), readings.stop)?;
         Ok(Hypertime { shape: HypertimeKind::Continuous(field) })
     }
 
@@ -114,11 +132,11 @@ impl Hypertime {
 
     /// The periods found, in seconds, in the order found; at most five.
     pub fn periods_secs(&self) -> Vec<f64> {
-        let divisors = match &self.shape {
-            HypertimeKind::Probability(odds) => odds.divisors(),
-            HypertimeKind::Continuous(field) => field.week_divisors(),
+        let periods = match &self.shape {
+            HypertimeKind::Probability(odds) => odds.periods(),
+            HypertimeKind::Continuous(field) => field.periods(),
         };
-        divisors.iter().map(|&divisor| week::WEEK_NANOS as f64 / f64::from(divisor) / 1e9).collect()
+        periods.iter().map(|period| period.secs()).collect()
     }
 
     /// The method of clustering.
@@ -159,7 +177,7 @@ impl TemporalModel for Hypertime {
     /// The probability, or the mean of the conditional distribution (RA-L 2019 eq. 4), at a moment.
     fn predict(&self, at: Moment) -> f64 {
         match &self.shape {
-            HypertimeKind::Probability(odds) => odds.at(week::turn(at.civil_nanos())),
+            HypertimeKind::Probability(odds) => odds.at(at.civil_nanos()),
             // A model without location and with one number always predicts.
             HypertimeKind::Continuous(field) => {
                 field.mean(at, &[]).and_then(|mean| mean.first().copied()).unwrap_or(0.0)

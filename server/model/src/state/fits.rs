@@ -184,8 +184,10 @@ impl FittedModel {
         let hypertime = |method| {
             let options = HypertimeOptions { method, clusters: CLUSTERS, seed: SEED };
             match of {
-                StateKind::Probability => Hypertime::fit(readings, &options),
-                StateKind::Continuous | StateKind::Count => Hypertime::fit_continuous(readings, &options),
+                StateKind::Probability => Hypertime::fit(readings, periodicities, &options),
+                StateKind::Continuous | StateKind::Count => {
+                    Hypertime::fit_continuous(readings, periodicities, &options)
+                }
             }
         };
         match kind {

@@ -8,13 +8,14 @@ use tidemap_model::{
     Component, FitParts, FittedModelParts, LocalDay, Periodicities,
     models::{
         CountRateParts, HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts,
-        HypertimeParts, PergamGaussian, PergamParts, PoissonSpectralParts,
+        HypertimeParts, HypertimePeriod, PergamGaussian, PergamParts, PoissonSpectralParts,
     },
 };
 
 use super::Invalid;
 
 const INVALID: Invalid = "the fitted models of a state are not valid";
+const WEEK_NANOS: i64 = 7 * 86_400_000_000_000;
 
 /// Empty if there is none.
 pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
@@ -109,7 +110,8 @@ fn encode_hypertime(fit: Option<v2::Fit>, model: &HypertimeParts) -> (HypertimeM
         HypertimeParts::Probability(odds) => {
             let message = v2::Hypertime {
                 fit,
-                week_divisors: odds.week_divisors.clone(),
+                week_divisors: divisors(&odds.periods),
+                cycle_nanos: cycles(&odds.periods),
                 odds_bits: bits(&[odds.mean, odds.background, odds.log_ones, odds.log_zeros]),
                 axis_bits: Vec::new(),
                 clusters: clusters(&odds.ones),
@@ -123,7 +125,8 @@ fn encode_hypertime(fit: Option<v2::Fit>, model: &HypertimeParts) -> (HypertimeM
             let axes = field.value.iter().flat_map(|axis| [axis.centre, axis.scale, axis.low, axis.high]);
             let message = v2::Hypertime {
                 fit,
-                week_divisors: field.week_divisors.clone(),
+                week_divisors: divisors(&field.periods),
+                cycle_nanos: cycles(&field.periods),
                 odds_bits: Vec::new(),
                 axis_bits: bits(&axes.collect::<Vec<f64>>()),
                 clusters: clusters(&field.clusters),
@@ -137,11 +140,11 @@ fn encode_hypertime(fit: Option<v2::Fit>, model: &HypertimeParts) -> (HypertimeM
 
 fn decode_hypertime(method: HypertimeMethod, message: &v2::Hypertime) -> Result<FitParts, Invalid> {
     let clusters = |clusters: &[v2::Cluster]| clusters.iter().map(decode_cluster).collect();
-    let week_divisors = message.week_divisors.clone();
+    let periods = periods(&message.week_divisors, &message.cycle_nanos)?;
     let model = match (doubles(&message.odds_bits).as_slice(), doubles(&message.axis_bits).as_slice()) {
         (&[mean, background, log_ones, log_zeros], []) => HypertimeParts::Probability(HypertimeOddsParts {
             method,
-            week_divisors,
+            periods,
             mean,
             background,
             log_ones,
@@ -152,7 +155,7 @@ fn decode_hypertime(method: HypertimeMethod, message: &v2::Hypertime) -> Result<
         }),
         ([], &[centre, scale, low, high]) => HypertimeParts::Continuous(HypertimeFieldParts {
             method,
-            week_divisors,
+            periods,
             location: Vec::new(),
             value: vec![HypertimeAxis { centre, scale, low, high }],
             clusters: clusters(&message.clusters),
@@ -160,6 +163,24 @@ fn decode_hypertime(method: HypertimeMethod, message: &v2::Hypertime) -> Result<
         _ => return Err(INVALID),
     };
     with_fit(FittedModelParts::Hypertime(model), message.fit.as_ref())
+}
+
+fn divisors(periods: &[HypertimePeriod]) -> Vec<u32> {
+    periods.iter().map(|period| period.divisor).collect()
+}
+
+/// The cycle of each period; nothing where all are weeks.
+fn cycles(periods: &[HypertimePeriod]) -> Vec<i64> {
+    let cycles = periods.iter().map(|period| period.cycle_nanos);
+    if cycles.clone().all(|cycle| cycle == WEEK_NANOS) { Vec::new() } else { cycles.collect() }
+}
+
+fn periods(divisors: &[u32], cycles: &[i64]) -> Result<Vec<HypertimePeriod>, Invalid> {
+    if !cycles.is_empty() && cycles.len() != divisors.len() {
+        return Err(INVALID);
+    }
+    let cycles = cycles.iter().copied().chain(std::iter::repeat(WEEK_NANOS));
+    Ok(divisors.iter().zip(cycles).map(|(&divisor, cycle_nanos)| HypertimePeriod { cycle_nanos, divisor }).collect())
 }
 
 fn encode_cluster(cluster: &HypertimeCluster) -> v2::Cluster {
@@ -209,13 +230,11 @@ mod tests {
         assert_eq!(decode(&message.encode_to_vec(), &periodicities), Err(INVALID));
     }
 
-    #[test]
-    fn the_gain_is_read_back_and_is_one_where_a_record_has_none() {
-        let periodicities = Periodicities::default();
-        let fit = |gain| FitParts {
+    fn hypertime(gain: f64, periods: &[HypertimePeriod]) -> FitParts {
+        FitParts {
             model: FittedModelParts::Hypertime(HypertimeParts::Probability(HypertimeOddsParts {
                 method: HypertimeMethod::Em,
-                week_divisors: vec![7],
+                periods: periods.to_vec(),
                 mean: 0.25,
                 background: 1.0,
                 log_ones: 0.5,
@@ -226,12 +245,38 @@ mod tests {
             })),
             day: LocalDay(1),
             error_sum: None,
-        };
-        for gain in [0.75, 1.0, 1.25] {
-            assert_eq!(decode(&encode(&[fit(gain)]), &periodicities), Ok(vec![fit(gain)]));
         }
-        let mut message = v2::Fits::decode(encode(&[fit(0.75)]).as_slice()).expect("a record");
-        message.hypertime_em.as_mut().expect("the model").gain_bits = None;
-        assert_eq!(decode(&message.encode_to_vec(), &periodicities), Ok(vec![fit(1.0)]));
+    }
+
+    fn stored(fit: &FitParts) -> v2::Hypertime {
+        let message = v2::Fits::decode(encode(std::slice::from_ref(fit)).as_slice()).expect("a record");
+        message.hypertime_em.expect("the model")
+    }
+
+    fn read(model: v2::Hypertime) -> Result<Vec<FitParts>, Invalid> {
+        let message = v2::Fits { hypertime_em: Some(model), ..v2::Fits::default() };
+        decode(&message.encode_to_vec(), &Periodicities::default())
+    }
+
+    const DAY: HypertimePeriod = HypertimePeriod { cycle_nanos: WEEK_NANOS, divisor: 7 };
+    const YEAR: HypertimePeriod = HypertimePeriod { cycle_nanos: 31_556_952_000_000_000, divisor: 1 };
+
+    #[test]
+    fn the_gain_is_read_back_and_is_one_where_a_record_has_none() {
+        for gain in [0.75, 1.0, 1.25] {
+            assert_eq!(read(stored(&hypertime(gain, &[DAY]))), Ok(vec![hypertime(gain, &[DAY])]));
+        }
+        let without = v2::Hypertime { gain_bits: None, ..stored(&hypertime(0.75, &[DAY])) };
+        assert_eq!(read(without), Ok(vec![hypertime(1.0, &[DAY])]));
+    }
+
+    #[test]
+    fn periods_are_read_back_and_are_those_of_a_week_where_a_record_has_no_cycles() {
+        for periods in [&[DAY][..], &[DAY, YEAR], &[]] {
+            assert_eq!(read(stored(&hypertime(1.5, periods))), Ok(vec![hypertime(1.5, periods)]));
+        }
+        assert!(stored(&hypertime(1.5, &[DAY])).cycle_nanos.is_empty());
+        let both = stored(&hypertime(1.5, &[DAY, YEAR]));
+        assert_eq!(read(v2::Hypertime { cycle_nanos: vec![WEEK_NANOS], ..both }), Err(INVALID));
     }
 }

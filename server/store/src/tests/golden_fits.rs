@@ -12,7 +12,7 @@ use tidemap_model::{
     Alternatives, EnabledModels, FitKind, FitParts, FittedModelParts, LocalDay,
     models::{
         HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeParts,
-        PergamGaussian, PergamParts,
+        HypertimePeriod, PergamGaussian, PergamParts,
     },
 };
 
@@ -51,7 +51,7 @@ fn odds(method: HypertimeMethod) -> HypertimeParts {
     };
     HypertimeParts::Probability(HypertimeOddsParts {
         method,
-        week_divisors: vec![7, 1],
+        periods: [7, 1].map(|divisor| HypertimePeriod { cycle_nanos: 604_800_000_000_000, divisor }).to_vec(),
         mean: 0.375,
         background: 60.0,
         log_ones: 2.5,
@@ -65,7 +65,7 @@ fn odds(method: HypertimeMethod) -> HypertimeParts {
 fn field(method: HypertimeMethod) -> HypertimeParts {
     HypertimeParts::Continuous(HypertimeFieldParts {
         method,
-        week_divisors: vec![7],
+        periods: vec![HypertimePeriod { cycle_nanos: 604_800_000_000_000, divisor: 7 }],
         location: Vec::new(),
         value: vec![HypertimeAxis { centre: 20.5, scale: 1.5, low: 17.25, high: 26.0 }],
         clusters: vec![match method {

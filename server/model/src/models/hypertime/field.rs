@@ -4,15 +4,15 @@
 //! here, not on a raster of values). Invariant: an answer is finite, and a mean lies within what was observed.
 
 use super::axis::{HypertimeAxis, standardised};
+use super::candidates::{Candidates, HypertimePeriod, project};
 use super::cluster::COORDINATES_MAX;
 use super::conditional::HypertimeDistribution;
-use super::grow::{Dealing, Extent, deal, grow, unit_weight};
+use super::grow::{Dealing, Growth, deal, grow, unit_weight};
 use super::joint::{FieldPoint, FieldTraining};
 use super::mixture::Mixture;
-use super::week::{check_divisors, project, turn};
 use super::{HypertimeCluster, HypertimeMethod, HypertimeOptions};
 use crate::models::{CannotFit, Moment};
-use crate::{InvalidParts, StopSignal};
+use crate::{InvalidParts, Periodicities, StopSignal};
 
 #[cfg(test)]
 mod tests;
@@ -36,8 +36,8 @@ pub struct FieldReading {
 pub struct HypertimeFieldParts {
     /// The method of clustering.
     pub method: HypertimeMethod,
-    /// The periods, as divisors of a week, in the order found; at most five.
-    pub week_divisors: Vec<u32>,
+    /// The periods, in the order found; at most five.
+    pub periods: Vec<HypertimePeriod>,
     /// The scale of each coordinate of a location.
     pub location: Vec<HypertimeAxis>,
     /// The scale of each coordinate of a value.
@@ -50,21 +50,26 @@ pub struct HypertimeFieldParts {
 #[derive(Clone, Debug, PartialEq)]
 pub struct HypertimeField {
     method: HypertimeMethod,
-    divisors: Vec<u32>,
+    periods: Vec<HypertimePeriod>,
     location: Vec<HypertimeAxis>,
     value: Vec<HypertimeAxis>,
     mixture: Mixture,
 }
 
 impl HypertimeField {
-    /// Fits the model as [`super::Hypertime::fit`] does. From more than 4,000 readings, one is drawn from each of 4,000
+    /// Fits the model as [`super::Hypertime::fit`] does, with the candidate periods of a map. From more than 4,000 readings, one is drawn from each of 4,000
     /// equal runs in the given order.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, an option is outside its range, readings differ in their number of
     /// coordinates, have no value or more than 16 coordinates in total, or a coordinate is not finite.
-    pub fn fit(readings: &[FieldReading], options: &HypertimeOptions) -> Result<HypertimeField, CannotFit> {
-        HypertimeField::fit_weighted(readings, &vec![1.0; readings.len()], options, StopSignal::NEVER)
+    pub fn fit(
+        readings: &[FieldReading],
+        periodicities: &Periodicities,
+        options: &HypertimeOptions,
+    ) -> Result<HypertimeField, CannotFit> {
+        let weights = vec![1.0; readings.len()];
+        HypertimeField::fit_weighted(readings, &weights, (periodicities, options), StopSignal::NEVER)
     }
 
     /// As [`HypertimeField::fit`], where each reading has a weight above 0, unless it is told to stop.
@@ -75,7 +80,7 @@ impl HypertimeField {
     pub fn fit_weighted(
         readings: &[FieldReading],
         weights: &[f64],
-        options: &HypertimeOptions,
+        (periodicities, options): (&Periodicities, &HypertimeOptions),
         stop: StopSignal<'_>,
     ) -> Result<HypertimeField, CannotFit> {
         options.check()?;
@@ -98,14 +103,14 @@ impl HypertimeField {
             location: standardised(&readings[index].location, &location),
             value: standardised(&readings[index].value, &value),
         });
-        let joint =
-            FieldTraining { readings: readable.collect(), method: options.method, value: value.clone(), unit, stop };
-        let times = readings.iter().map(|reading| reading.moment.utc_nanos);
-        let (from, until) = times.fold((i64::MAX, i64::MIN), |(from, until), utc| (from.min(utc), until.max(utc)));
-        let extent = Extent { span_nanos: until.abs_diff(from), folds, stop };
-        let (divisors, mixture) = grow(&joint, &extent, options);
+        let mut times: Vec<i64> = readings.iter().map(|reading| reading.moment.utc_nanos).collect();
+        times.sort_unstable();
+        let candidates = Candidates::new(periodicities, times.into_iter());
+        let (readings, value_axes) = (readable.collect(), value.clone());
+        let joint = FieldTraining { readings, candidates, method: options.method, value: value_axes, unit, stop };
+        let (periods, mixture) = grow(&joint, &Growth { folds, stop }, options);
         stop.check()?;
-        Ok(HypertimeField { method: options.method, divisors, location, value, mixture })
+        Ok(HypertimeField { method: options.method, periods, location, value, mixture })
     }
 
     /// The distribution of the value at a place and time; `None` if the location has another number of coordinates than
@@ -115,8 +120,8 @@ impl HypertimeField {
             return None;
         }
         let mut coordinates = standardised(location, &self.location);
-        let mut hypertime = Vec::with_capacity(2 * self.divisors.len());
-        project(turn(at.civil_nanos()), &self.divisors, &mut hypertime);
+        let mut hypertime = Vec::with_capacity(2 * self.periods.len());
+        project(at.civil_nanos(), &self.periods, &mut hypertime);
         let circles = match self.method {
             HypertimeMethod::Em => {
                 coordinates.append(&mut hypertime);
@@ -143,16 +148,16 @@ impl HypertimeField {
         self.method
     }
 
-    /// The periods of the model, as divisors of a week, in the order found.
-    pub fn week_divisors(&self) -> &[u32] {
-        &self.divisors
+    /// The periods of the model, in the order found.
+    pub fn periods(&self) -> &[HypertimePeriod] {
+        &self.periods
     }
 
     /// The parts of the model; a model built from them predicts the same.
     pub fn to_parts(&self) -> HypertimeFieldParts {
         HypertimeFieldParts {
             method: self.method,
-            week_divisors: self.divisors.clone(),
+            periods: self.periods.clone(),
             location: self.location.clone(),
             value: self.value.clone(),
             clusters: self.mixture.to_parts(),
@@ -164,20 +169,20 @@ impl HypertimeField {
     /// # Errors
     /// [`InvalidParts`] if numbers are outside their range or lists have the wrong length.
     pub fn from_parts(parts: &HypertimeFieldParts) -> Result<HypertimeField, InvalidParts> {
-        check_divisors(&parts.week_divisors)?;
+        HypertimePeriod::check(&parts.periods)?;
         let (locations, values) = (parts.location.len(), parts.value.len());
         InvalidParts::check("value", values as f64, 1.0..=DIMENSIONS_MAX as f64)?;
         InvalidParts::check("location", (locations + values) as f64, 1.0..=DIMENSIONS_MAX as f64)?;
         InvalidParts::check("clusters", parts.clusters.len() as f64, 1.0..=HypertimeOptions::CLUSTERS_MAX as f64)?;
         parts.location.iter().chain(&parts.value).try_for_each(HypertimeAxis::check)?;
-        let periods = parts.week_divisors.len();
+        let count = parts.periods.len();
         let (hypertime, circles) = match parts.method {
-            HypertimeMethod::Em => (2 * periods, 0),
-            HypertimeMethod::Km => (0, periods),
+            HypertimeMethod::Em => (2 * count, 0),
+            HypertimeMethod::Km => (0, count),
         };
         Ok(HypertimeField {
             method: parts.method,
-            divisors: parts.week_divisors.clone(),
+            periods: parts.periods.clone(),
             location: parts.location.clone(),
             value: parts.value.clone(),
             mixture: Mixture::from_parts(&parts.clusters, locations + hypertime + values, circles)?,

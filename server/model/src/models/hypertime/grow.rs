@@ -10,7 +10,8 @@ use rand::SeedableRng;
 use rand::rngs::SmallRng;
 use rand::seq::SliceRandom;
 
-use super::week::{PERIODS_MAX, Residuals};
+use super::candidates::{Candidates, HypertimePeriod, PERIODS_MAX};
+use super::residuals::Residuals;
 use super::{HypertimeMethod, HypertimeOptions};
 use crate::{StopSignal, civil::NANOS_PER_SEC};
 
@@ -28,29 +29,32 @@ const CLUSTER_WORTH: f64 = 0.999;
 const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
 const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
 
-/// The circles of a model and of the fits that leave a fold out, as divisors of a week. They may differ: if a period
-/// were searched in the readings that later judge it, noise would pass for a rhythm.
+/// The circles of a model and of the fits that leave a fold out, by their periods. They may differ: if a period were
+/// searched in the readings that later judge it, noise would pass for a rhythm.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Circles {
-    pub(super) all: Vec<u32>,
+    pub(super) all: Vec<HypertimePeriod>,
     /// For each fold, the circles of the fit without it.
-    pub(super) without: Vec<Vec<u32>>,
+    pub(super) without: Vec<Vec<HypertimePeriod>>,
 }
 
 impl Circles {
     /// Adds one circle to each fit, from the error on its own readings; false if there is none to add.
-    fn extend(&mut self, residuals: &[Residuals], span_nanos: u64) -> bool {
-        let Some(divisor) = Residuals::combined(residuals.iter()).strongest(&self.all, span_nanos) else {
+    fn extend(&mut self, residuals: &[Residuals], candidates: &Candidates) -> bool {
+        let strongest = |residuals: Option<Residuals>, taken: &[HypertimePeriod]| {
+            residuals.and_then(|residuals| residuals.strongest(candidates, taken))
+        };
+        let Some(period) = strongest(Residuals::combined(residuals.iter()), &self.all) else {
             return false;
         };
-        self.all.push(divisor);
-        for (fold, divisors) in self.without.iter_mut().enumerate() {
+        self.all.push(period);
+        for (fold, periods) in self.without.iter_mut().enumerate() {
             let others = residuals.iter().enumerate().filter(|(other, _)| *other != fold);
-            let found = Residuals::combined(others.map(|(_, residuals)| residuals)).strongest(divisors, span_nanos);
-            let taken = divisors.contains(&divisor);
+            let found = strongest(Residuals::combined(others.map(|(_, residuals)| residuals)), periods);
+            let taken = periods.contains(&period);
             match found {
-                Some(found) => divisors.push(found),
-                None if !taken => divisors.push(divisor),
+                Some(found) => periods.push(found),
+                None if !taken => periods.push(period),
                 None => return false,
             }
         }
@@ -70,8 +74,8 @@ pub(super) struct Attempt<M> {
 }
 
 impl<M> Attempt<M> {
-    fn strength(&self) -> f64 {
-        Residuals::combined(self.residuals.iter()).total_strength()
+    fn strength(&self, candidates: &Candidates) -> f64 {
+        Residuals::combined(self.residuals.iter()).map_or(0.0, |residuals| residuals.total_strength(candidates))
     }
 }
 
@@ -96,33 +100,35 @@ impl HeldOutScore {
 
 /// Training data that a model with given circles can be fitted to.
 pub(super) trait Trainer<M> {
+    /// The periods to choose among.
+    fn candidates(&self) -> &Candidates;
+
     /// Fits with these circles; the seed is for the start of the clustering.
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<M>;
 }
 
-/// The extent of the training data: its time span, and the number of folds.
-pub(super) struct Extent<'a> {
-    /// UTC.
-    pub(super) span_nanos: u64,
+/// How a model grows.
+pub(super) struct Growth<'a> {
+    /// Number of folds of the training data.
     pub(super) folds: usize,
     /// Ends the growth early; its result must then not be used.
     pub(super) stop: StopSignal<'a>,
 }
 
 /// Grows a model circle by circle.
-pub(super) fn grow<M, F: Trainer<M>>(fit: &F, extent: &Extent<'_>, options: &HypertimeOptions) -> M {
-    let mut circles = Circles { all: Vec::new(), without: vec![Vec::new(); extent.folds] };
+pub(super) fn grow<M, F: Trainer<M>>(fit: &F, growth: &Growth<'_>, options: &HypertimeOptions) -> M {
+    let mut circles = Circles { all: Vec::new(), without: vec![Vec::new(); growth.folds] };
     let mut clusters = match options.method {
         HypertimeMethod::Em => options.clusters,
         HypertimeMethod::Km => 1,
     };
-    if extent.folds < 2 {
+    if growth.folds < 2 {
         return fit.attempt(&circles, 1, options.seed).model;
     }
-    let mut best = clustered(fit, &circles, &mut clusters, options, extent.stop);
-    while circles.all.len() < PERIODS_MAX && circles.extend(&best.residuals, extent.span_nanos) {
-        let next = clustered(fit, &circles, &mut clusters, options, extent.stop);
-        if extent.stop.is_set() || next.error >= best.error * CIRCLE_WORTH {
+    let mut best = clustered(fit, &circles, &mut clusters, options, growth.stop);
+    while circles.all.len() < PERIODS_MAX && circles.extend(&best.residuals, fit.candidates()) {
+        let next = clustered(fit, &circles, &mut clusters, options, growth.stop);
+        if growth.stop.is_set() || next.error >= best.error * CIRCLE_WORTH {
             break;
         }
         best = next;
@@ -142,7 +148,7 @@ fn clustered<M, F: Trainer<M>>(
     let mut best = best_start(fit, circles, *clusters, options.seed, stop);
     while options.method == HypertimeMethod::Km && *clusters < options.clusters {
         let next = best_start(fit, circles, *clusters + 1, options.seed, stop);
-        if stop.is_set() || next.strength() >= best.strength() * CLUSTER_WORTH {
+        if stop.is_set() || next.strength(fit.candidates()) >= best.strength(fit.candidates()) * CLUSTER_WORTH {
             break;
         }
         best = next;

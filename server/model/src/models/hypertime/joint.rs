@@ -7,11 +7,12 @@ use rand::{Rng, SeedableRng};
 
 use super::HypertimeMethod;
 use super::axis::{HypertimeAxis, standardised};
+use super::candidates::{Candidates, HypertimePeriod, project};
 use super::conditional::HypertimeDistribution;
 use super::grow::{Attempt, Circles, HeldOutScore, Trainer};
 use super::mixture::Mixture;
+use super::residuals::Residuals;
 use super::seeding::Points;
-use super::week::{Residuals, project, slot, turn};
 use crate::StopSignal;
 
 /// Maximum number of readings of a fit.
@@ -46,6 +47,7 @@ impl FieldPoint {
 
 pub(super) struct FieldTraining<'a> {
     pub(super) readings: Vec<FieldPoint>,
+    pub(super) candidates: Candidates,
     pub(super) method: HypertimeMethod,
     pub(super) value: Vec<HypertimeAxis>,
     /// The weight of independent readings.
@@ -55,22 +57,22 @@ pub(super) struct FieldTraining<'a> {
 
 impl<'a> FieldTraining<'a> {
     /// The readings in hypertime: location, circles where they are coordinates, value; then circles where they are not.
-    fn points(&self, divisors: &[u32]) -> Points<'a> {
+    fn points(&self, periods: &[HypertimePeriod]) -> Points<'a> {
         let first = self.readings.first();
         let linear = first.map_or(0, |reading| reading.location.len() + reading.value.len());
         let (hypertime, circles) = match self.method {
-            HypertimeMethod::Em => (2 * divisors.len(), 0),
-            HypertimeMethod::Km => (0, divisors.len()),
+            HypertimeMethod::Em => (2 * periods.len(), 0),
+            HypertimeMethod::Km => (0, periods.len()),
         };
         let mut points = Points::new(linear + hypertime, circles, self.unit, self.stop);
         for reading in &self.readings {
             points.numbers.extend_from_slice(&reading.location);
             if self.method == HypertimeMethod::Em {
-                project(turn(reading.civil_nanos), divisors, &mut points.numbers);
+                project(reading.civil_nanos, periods, &mut points.numbers);
             }
             points.numbers.extend_from_slice(&reading.value);
             if self.method == HypertimeMethod::Km {
-                project(turn(reading.civil_nanos), divisors, &mut points.numbers);
+                project(reading.civil_nanos, periods, &mut points.numbers);
             }
             points.weights.push(reading.weight);
         }
@@ -92,7 +94,7 @@ impl<'a> FieldTraining<'a> {
     /// Scores a fit without a fold on that fold.
     fn score(&self, fitted: &Mixture, points: &Points, fold: usize, score: &mut HeldOutScore) {
         let given = points.coordinates - self.value.len();
-        let mut residuals = Residuals::new(self.value.len());
+        let mut residuals = Residuals::new(&self.candidates, self.value.len());
         for (reading, (numbers, weight)) in self.readings.iter().zip(points.iter()) {
             if reading.fold != fold {
                 continue;
@@ -106,26 +108,35 @@ impl<'a> FieldTraining<'a> {
             let standard = standardised(&mean, &self.value);
             for (dimension, (mean, value)) in standard.iter().zip(&reading.value).enumerate() {
                 score.squared += weight * (mean - value) * (mean - value);
-                residuals.add(slot(reading.civil_nanos), dimension, weight, mean - value);
+                let slot = self.candidates.slot(reading.civil_nanos);
+                residuals.add(slot, dimension, weight, mean - value);
+                residuals.add_at(reading.civil_nanos, &self.candidates, (dimension, weight, mean - value));
             }
         }
         score.residuals.push(residuals);
     }
 }
 
-impl Trainer<(Vec<u32>, Mixture)> for FieldTraining<'_> {
-    fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<(Vec<u32>, Mixture)> {
+/// A mixture and the periods of its circles.
+type CircledMixture = (Vec<HypertimePeriod>, Mixture);
+
+impl Trainer<CircledMixture> for FieldTraining<'_> {
+    fn candidates(&self) -> &Candidates {
+        &self.candidates
+    }
+
+    fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<CircledMixture> {
         let points = self.points(&circles.all);
         let mixture = Mixture::fit(&points, clusters, seed, FIRST_STEPS);
         let mut score = HeldOutScore::default();
-        for (fold, divisors) in circles.without.iter().enumerate() {
+        for (fold, periods) in circles.without.iter().enumerate() {
             // Starts from the fit to all readings, so that its optimum is judged; with other circles, from scratch.
-            if *divisors == circles.all {
+            if *periods == circles.all {
                 let mut fitted = mixture.clone();
                 fitted.refit(&self.others(&points, fold), FOLD_STEPS);
                 self.score(&fitted, &points, fold, &mut score);
             } else {
-                let other = self.points(divisors);
+                let other = self.points(periods);
                 let fitted = Mixture::fit(&self.others(&other, fold), clusters, seed, FIRST_STEPS);
                 self.score(&fitted, &other, fold, &mut score);
             }

@@ -28,6 +28,10 @@ fn options(method: HypertimeMethod, clusters: usize) -> HypertimeOptions {
     HypertimeOptions { method, clusters, seed: 0 }
 }
 
+fn of_week(divisor: u32) -> HypertimePeriod {
+    HypertimePeriod { cycle_nanos: 7 * 1_440 * MINUTE, divisor }
+}
+
 fn on(condition: bool) -> f64 {
     f64::from(u8::from(condition))
 }
@@ -36,7 +40,7 @@ fn on(condition: bool) -> f64 {
 fn two_events_a_day_are_both_there() {
     let samples = days(10, |_, hour| on((8.0..10.0).contains(&hour) || (15.0..18.0).contains(&hour)));
     for method in BOTH {
-        let model = Hypertime::fit(Readings::new(&samples), &options(method, 4)).unwrap();
+        let model = Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 4)).unwrap();
         let periods = model.periods_secs();
         assert!(periods.contains(&86_400.0), "{method:?}: {periods:?}");
         for (hour, expected) in [(9, 1.0), (16, 1.0), (3, 0.0), (12, 0.0), (23, 0.0)] {
@@ -50,7 +54,7 @@ fn two_events_a_day_are_both_there() {
 fn a_weekend_is_not_a_working_day() {
     let samples = days(28, |day, hour| on(day % 7 < 5 && (9.0..17.0).contains(&hour)));
     for method in BOTH {
-        let model = Hypertime::fit(Readings::new(&samples), &options(method, 3)).unwrap();
+        let model = Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap();
         let periods = model.periods_secs();
         assert!(periods.contains(&86_400.0), "{method:?}: {periods:?}");
         let (workday, weekend) =
@@ -70,7 +74,7 @@ fn where_there_is_no_rhythm_there_is_no_period() {
     let samples: Vec<Sample> =
         days(20, |_, _| 0.0).into_iter().map(|sample| Sample { value: on(draw() < 0.3), ..sample }).collect();
     for method in BOTH {
-        let model = Hypertime::fit(Readings::new(&samples), &options(method, 3)).unwrap();
+        let model = Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap();
         assert!(model.periods_secs().is_empty(), "{method:?}: {:?}", model.periods_secs());
         assert!((model.predict(minute(500)) - 0.3).abs() < 0.03);
     }
@@ -81,7 +85,7 @@ fn the_mean_prediction_is_the_mean() {
     let samples = days(14, |_, hour| 0.2 + 0.6 * on((6.0..9.0).contains(&hour)));
     let mean = samples.iter().map(|sample| sample.value).sum::<f64>() / samples.len() as f64;
     for method in BOTH {
-        let model = Hypertime::fit(Readings::new(&samples), &options(method, 2)).unwrap();
+        let model = Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 2)).unwrap();
         assert!(!model.periods_secs().is_empty());
         let predicted = samples.iter().map(|sample| model.predict(sample.moment())).sum::<f64>();
         assert!((predicted / samples.len() as f64 - mean).abs() < 1e-3, "{method:?}");
@@ -93,7 +97,9 @@ fn a_number_that_is_no_probability_follows_its_day() {
     let value = |_, hour: f64| 20.0 + 15.0 * (std::f64::consts::TAU * hour / 24.0).sin();
     let samples = days(12, value);
     for (method, clusters, tolerance) in [(HypertimeMethod::Em, 1, 0.5), (HypertimeMethod::Km, 30, 6.0)] {
-        let model = Hypertime::fit_continuous(Readings::new(&samples), &options(method, clusters)).unwrap();
+        let model =
+            Hypertime::fit_continuous(Readings::new(&samples), &Periodicities::default(), &options(method, clusters))
+                .unwrap();
         assert_eq!(model.periods_secs().first(), Some(&86_400.0));
         for hour in 0..24 {
             let (found, expected) = (model.predict(minute(30 * 1_440 + hour * 60)), value(0, hour as f64));
@@ -111,8 +117,8 @@ fn values_that_do_not_change_are_predicted() {
                     (0..count).map(|i| Sample { utc_nanos: i * 11 * MINUTE, offset_secs: 0, value }).collect();
                 let readings = Readings::new(&samples);
                 for model in [
-                    Hypertime::fit(readings, &options(method, 3)).unwrap(),
-                    Hypertime::fit_continuous(readings, &options(method, 3)).unwrap(),
+                    Hypertime::fit(readings, &Periodicities::default(), &options(method, 3)).unwrap(),
+                    Hypertime::fit_continuous(readings, &Periodicities::default(), &options(method, 3)).unwrap(),
                 ] {
                     let p = model.predict(minute(77));
                     // A value of one half counts as 1 and 0 alike, and may give a model that is constant up to
@@ -131,7 +137,8 @@ fn two_readings_ten_years_apart_say_little() {
     for samples in [[at(0, 0.0), at(ten_years, 1.0)], [at(5, 0.0), at(5, 1.0)], [at(i64::MIN, 1.0), at(i64::MAX, 0.0)]]
     {
         for method in BOTH {
-            let model = Hypertime::fit(Readings::new(&samples), &options(method, 50)).unwrap();
+            let model =
+                Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 50)).unwrap();
             for moment in [minute(0), minute(123_456), samples[1].moment()] {
                 let p = model.predict(moment);
                 assert!((0.0..=1.0).contains(&p), "{p}");
@@ -147,14 +154,24 @@ fn what_cannot_be_fitted_is_refused() {
     for method in BOTH {
         for clusters in [0, 51, 1_000_000, usize::MAX] {
             for refused in [
-                Hypertime::fit(Readings::new(&samples), &options(method, clusters)),
-                Hypertime::fit_continuous(Readings::new(&samples), &options(method, clusters)),
+                Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, clusters)),
+                Hypertime::fit_continuous(
+                    Readings::new(&samples),
+                    &Periodicities::default(),
+                    &options(method, clusters),
+                ),
             ] {
                 assert!(matches!(refused, Err(CannotFit::Parameter { parameter: "clusters", .. })), "{clusters}");
             }
         }
-        assert_eq!(Hypertime::fit(Readings::new(&[]), &options(method, 1)), Err(CannotFit::NoReadings));
-        assert_eq!(Hypertime::fit_continuous(Readings::new(&[]), &options(method, 1)), Err(CannotFit::NoReadings));
+        assert_eq!(
+            Hypertime::fit(Readings::new(&[]), &Periodicities::default(), &options(method, 1)),
+            Err(CannotFit::NoReadings)
+        );
+        assert_eq!(
+            Hypertime::fit_continuous(Readings::new(&[]), &Periodicities::default(), &options(method, 1)),
+            Err(CannotFit::NoReadings)
+        );
     }
 }
 
@@ -163,8 +180,8 @@ fn a_stored_model_predicts_the_same() {
     let samples = days(14, |day, hour| on((8.0..10.0).contains(&hour) && day % 7 != 6));
     for method in BOTH {
         for model in [
-            Hypertime::fit(Readings::new(&samples), &options(method, 3)).unwrap(),
-            Hypertime::fit_continuous(Readings::new(&samples), &options(method, 3)).unwrap(),
+            Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap(),
+            Hypertime::fit_continuous(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap(),
         ] {
             assert!(!model.periods_secs().is_empty());
             assert_eq!(Hypertime::from_parts(&model.to_parts()).unwrap(), model);
@@ -175,19 +192,22 @@ fn a_stored_model_predicts_the_same() {
 #[test]
 fn broken_parts_are_refused() {
     let samples = days(14, |_, hour| on((8.0..10.0).contains(&hour)));
-    let odds = BOTH.map(|method| Hypertime::fit(Readings::new(&samples), &options(method, 2)).unwrap().to_parts());
+    let odds = BOTH.map(|method| {
+        Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 2)).unwrap().to_parts()
+    });
     let odds = odds.map(|parts| match parts {
         HypertimeParts::Probability(parts) => parts,
         HypertimeParts::Continuous(_) => panic!("not a probability"),
     });
-    let broken: [fn(&mut HypertimeOddsParts); 9] = [
+    let broken: [fn(&mut HypertimeOddsParts); 10] = [
         |parts| parts.mean = f64::NAN,
         |parts| parts.background = 0.0,
         |parts| parts.log_ones = f64::INFINITY,
         |parts| parts.gain = 0.0,
-        |parts| parts.week_divisors = vec![85],
-        |parts| parts.week_divisors = vec![7, 7],
-        |parts| parts.week_divisors.push(3),
+        |parts| parts.periods[0].divisor = 401,
+        |parts| parts.periods[0].cycle_nanos = 0,
+        |parts| parts.periods = vec![of_week(7), of_week(7)],
+        |parts| parts.periods.push(of_week(3)),
         |parts| parts.ones[0].weight = 2.0,
         |parts| parts.zeros = vec![parts.zeros[0].clone(); 51],
     ];
@@ -217,7 +237,7 @@ fn strange_but_valid_parts_have_an_answer() {
     };
     let parts = HypertimeParts::Probability(HypertimeOddsParts {
         method: HypertimeMethod::Em,
-        week_divisors: vec![1, 2, 3, 4, 84],
+        periods: [1, 2, 3, 4, 84].map(of_week).to_vec(),
         mean: 0.5,
         background: 1e-300,
         log_ones: 600.0,
@@ -250,7 +270,7 @@ proptest! {
         let options = options(if km { HypertimeMethod::Km } else { HypertimeMethod::Em }, clusters);
         let moments = [samples[0].moment(), Moment { utc_nanos: at, offset_secs: 0 }];
 
-        let model = Hypertime::fit(Readings { half_life_secs, ..Readings::new(&samples) }, &options).unwrap();
+        let model = Hypertime::fit(Readings { half_life_secs, ..Readings::new(&samples) }, &Periodicities::default(), &options).unwrap();
         prop_assert_eq!(&Hypertime::from_parts(&model.to_parts()).unwrap(), &model);
         for moment in moments {
             let p = model.predict(moment);
@@ -263,7 +283,7 @@ proptest! {
         let (low, high) = samples
             .iter()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| (low.min(s.value), high.max(s.value)));
-        let model = Hypertime::fit_continuous(Readings { half_life_secs, ..Readings::new(&samples) }, &options).unwrap();
+        let model = Hypertime::fit_continuous(Readings { half_life_secs, ..Readings::new(&samples) }, &Periodicities::default(), &options).unwrap();
         prop_assert_eq!(&Hypertime::from_parts(&model.to_parts()).unwrap(), &model);
         for moment in moments {
             let value = model.predict(moment);
@@ -274,6 +294,37 @@ proptest! {
                 let density = distribution.density(&[value], &[width]).unwrap();
                 prop_assert!(density.is_finite() && density >= 0.0, "{}", density);
             }
+        }
+    }
+}
+
+/// Open in summer, and shut in winter, but for the nights: readings every three hours over 800 days.
+fn summers() -> Vec<Sample> {
+    let year = 365.2425;
+    (0..6_400)
+        .map(|slot| {
+            let (day, hour) = (slot as f64 / 8.0, slot % 8 * 3);
+            let summer = (std::f64::consts::TAU * (day - 105.0) / year).sin() > 0.0;
+            Sample { utc_nanos: slot * 180 * MINUTE, offset_secs: 0, value: on(summer && (6..21).contains(&hour)) }
+        })
+        .collect()
+}
+
+#[test]
+fn a_year_is_found_where_the_map_has_it_and_where_the_readings_hold_it() {
+    let samples = summers();
+    let (train, test) = samples.split_at(5_200);
+    let of_a_year = Periodicities::harmonics(365 * 86_400 * NANOS_PER_SEC, 1_000).expect("in range");
+    for periodicities in [of_a_year, Periodicities::default()] {
+        for method in BOTH {
+            let model = Hypertime::fit(Readings::new(train), &periodicities, &options(method, 3)).unwrap();
+            let periods = model.periods_secs();
+            let has = |secs: f64| periods.iter().any(|period| (period / secs - 1.0).abs() < 0.01);
+            assert!(has(31_556_952.0) && has(86_400.0), "{method:?}: {periods:?}");
+            let squared = test.iter().map(|sample| (model.predict(sample.moment()) - sample.value).powi(2));
+            let error = squared.sum::<f64>() / test.len() as f64;
+            assert!(error < 0.08, "{method:?}, {periods:?}: {error}");
+            assert_eq!(Hypertime::from_parts(&model.to_parts()).as_ref(), Ok(&model));
         }
     }
 }
