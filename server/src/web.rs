@@ -16,6 +16,7 @@ use axum::{
 use prost_reflect::DescriptorPool;
 use tidemap_proto::v1::DESCRIPTORS;
 use tonic_web::GrpcWebLayer;
+use tower_http::compression::{CompressionLayer, CompressionLevel, predicate::SizeAbove};
 use tower_layer::Layer as _;
 
 use crate::{connections::Peer, rpc::serve::GuardedServices};
@@ -29,6 +30,10 @@ mod origin;
 
 pub(crate) use assets::has_page;
 pub(crate) use origin::KnownHosts;
+
+/// The RPC whose replies browsers take compressed: pictures of grids, of which a fifth remains. Others are small, or
+/// streams of which every message must leave at once.
+const COMPRESSED: &str = "/tidemap.v1.QueryService/PredictGrid";
 
 /// The RPCs behind JSON.
 #[derive(Clone)]
@@ -54,7 +59,12 @@ pub(crate) fn router(services: &GuardedServices, hosts: KnownHosts) -> anyhow::R
     for service in pool.services() {
         for method in service.methods() {
             let path = format!("/{}/{}", service.full_name(), method.name());
-            router = router.route_service(&path, grpc_web.clone());
+            router = if path == COMPRESSED {
+                let gzip = CompressionLayer::new().quality(CompressionLevel::Fastest);
+                router.route_service(&path, gzip.compress_when(SizeAbove::default()).layer(grpc_web.clone()))
+            } else {
+                router.route_service(&path, grpc_web.clone())
+            };
         }
     }
     let gateway =

@@ -2,8 +2,9 @@
 //!
 //! Invariant: expected pixels and forecasts come from what was observed, or from the command line.
 
-use std::io::Cursor;
+use std::io::{Cursor, Read as _};
 
+use prost::Message as _;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 use tidemap_client::{
@@ -14,6 +15,7 @@ use tidemap_client::{
         tiles::{Mask, TileIndex, TileMasks},
     },
 };
+use tidemap_proto::v1;
 use tidemap_tests::{
     cli,
     daemon::{Daemon, Launch},
@@ -21,6 +23,8 @@ use tidemap_tests::{
     tokens::Tokens,
     web::{Answer, request},
 };
+
+use super::grpc_web;
 
 /// Noon of a Monday.
 const NOON_SECS: i64 = 1_767_614_400;
@@ -166,4 +170,20 @@ fn a_topology_is_geojson_at_a_time() {
     assert!((success - route.number("probability")).abs() < 1e-6, "{success} {route:?}");
     let again = [("if-none-match", answer.headers["etag"].as_str())];
     assert_eq!(get(&daemon, &format!("flat/topology.geojson?at={at}"), &again).code, 304);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_browser_gets_a_grid_compressed_if_it_says_that_it_can_read_it() {
+    let (_data, daemon) = daemon_with_a_grid().await;
+    let time = Some(prost_types::Timestamp { seconds: NOON_SECS + 3_600, nanos: 0 });
+    let asked = v1::PredictGridRequest { map: "yard".to_owned(), time, ..Default::default() }.encode_to_vec();
+    let plain = grpc_web(&daemon, "QueryService/PredictGrid", &[], &asked);
+    assert_eq!((plain.code, plain.headers.get("content-encoding")), (200, None));
+    assert!(plain.text().contains("grpc-status:0"), "{}", plain.text());
+
+    let small = grpc_web(&daemon, "QueryService/PredictGrid", &[("accept-encoding", "gzip, br")], &asked);
+    assert_eq!(small.headers.get("content-encoding").map(String::as_str), Some("gzip"));
+    let mut read = Vec::new();
+    flate2::read::GzDecoder::new(small.body.as_slice()).read_to_end(&mut read).expect("gzip");
+    assert_eq!(read, plain.body);
 }
