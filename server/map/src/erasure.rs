@@ -1,4 +1,4 @@
-//! Erasing states: snapshot, events and history as they would be if the states had never been observed.
+//! Erasing states, or some of the observations: snapshot, events and history as they would be if these had never been.
 //!
 //! The states after an erased one move up, so that ids stay without gaps. Positions of events do not change: an event
 //! of which nothing remains becomes the edit that sets the charger to where it already is. Nor do the producers' marks:
@@ -11,16 +11,35 @@ use std::{
     sync::Arc,
 };
 
+use tidemap_model::Sample;
+
 use crate::{
     event::{Event, NewState, Observations, OffsetRun},
     history::HistoryPiece,
-    ids::StateId,
+    ids::{NewProducer, ProducerId, StateId},
     live_map::rename::renamed_states,
-    name::{EdgeState, StateName},
+    name::{EdgeState, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
-    snapshot::MapSnapshot,
+    snapshot::{MapSnapshot, StateSnapshot},
     traversal::{EdgeFailure, Failures},
 };
+
+mod relearn;
+mod selection;
+
+pub use relearn::Relearning;
+pub use selection::{Decision, NotErasable, Selection, Survey};
+
+/// Observations that are erased of states that remain.
+#[derive(Clone, Debug)]
+struct Part {
+    selection: Selection,
+    decision: Decision,
+    /// The states of the snapshot that have changed.
+    relearned: BTreeMap<StateId, StateSnapshot>,
+    /// Edges of which the failed traversals are selected: names of the selected states.
+    names: BTreeMap<StateId, StateName>,
+}
 
 /// Rewrites what a map is made of without some of its states: first the snapshot, then the events in their order.
 #[derive(Clone, Debug)]
@@ -35,6 +54,9 @@ pub struct StateErasure {
     charger_m: Option<[f64; 2]>,
     /// The locations that there are.
     locations: BTreeSet<StateName>,
+    part: Option<Part>,
+    /// The keys that producers get.
+    keys: BTreeMap<ProducerId, ProducerKey>,
 }
 
 impl StateErasure {
@@ -43,7 +65,26 @@ impl StateErasure {
     pub fn new(mut erased: Vec<StateId>) -> Self {
         erased.sort_unstable();
         erased.dedup();
-        Self { erased, names: BTreeMap::new(), position: 0, charger_m: None, locations: BTreeSet::new() }
+        let (names, locations, keys) = (BTreeMap::new(), BTreeSet::new(), BTreeMap::new());
+        Self { erased, names, position: 0, charger_m: None, locations, part: None, keys }
+    }
+
+    /// The erasure of these states, and of the selected observations of the others. `relearned`: the states of the
+    /// snapshot as [`Relearning::learn`] returns them, for all that the decision names.
+    #[must_use]
+    pub fn of_part(
+        erased: Vec<StateId>,
+        selection: Selection,
+        decision: Decision,
+        relearned: BTreeMap<StateId, StateSnapshot>,
+    ) -> Self {
+        Self { part: Some(Part { selection, decision, relearned, names: BTreeMap::new() }), ..Self::new(erased) }
+    }
+
+    /// Gives producers other keys, so that their old keys are new ones.
+    #[must_use]
+    pub fn with_keys(self, keys: BTreeMap<ProducerId, ProducerKey>) -> Self {
+        Self { keys, ..self }
     }
 
     /// The id of a state after the erasure; `None`: it is erased.
@@ -66,8 +107,12 @@ impl StateErasure {
         self.charger_m = snapshot.site.charger_m();
         let mut states = Vec::with_capacity(snapshot.states.len());
         for (id, state) in (0..).map(StateId).zip(snapshot.states) {
+            if let Some(part) = &mut self.part {
+                part.note(id, &state.name);
+            }
             if self.id(id).is_some() {
-                states.push(state);
+                let relearned = self.part.as_mut().and_then(|part| part.relearned.remove(&id));
+                states.push(relearned.unwrap_or(state));
             } else {
                 self.names.insert(id, state.name);
             }
@@ -79,13 +124,23 @@ impl StateErasure {
             snapshot.newest_nanos = newest.map(|(nanos, _)| nanos).max().unwrap_or(0);
         }
         snapshot.states = states;
+        for (id, mark) in (0..).map(ProducerId).zip(&mut snapshot.producers) {
+            if let Some(key) = self.keys.get(&id) {
+                mark.key = key.clone();
+            }
+        }
         snapshot.history = snapshot.history.iter().filter_map(|piece| self.piece(piece)).map(Arc::new).collect();
         snapshot
     }
 
     fn site(&self, site: &Site) -> Site {
         let mut failures = Failures::default();
-        let kept = site.failures().oldest_first().filter(|failure| !self.is_of_erased(failure));
+        let is_selected = |failure: &EdgeFailure| {
+            let failed = self.part.as_ref().map(|part| &part.decision.failed);
+            failed.is_some_and(|f| f.contains(&(failure.edge.state(EdgeState::Success), failure.start_nanos)))
+        };
+        let failures_of = site.failures().oldest_first();
+        let kept = failures_of.filter(|failure| !self.is_of_erased(failure) && !is_selected(failure));
         kept.for_each(|failure| failures.add(failure.clone()));
         let locations = site.locations().iter();
         let locations = locations.filter_map(|(name, location)| Some((name.clone(), self.location(location)?)));
@@ -114,7 +169,17 @@ impl StateErasure {
                 None => self.unchanged(),
             },
             Event::EditSite(edit) => self.edit(position, edit),
-            event @ (Event::Scans(_) | Event::UpdateStart(_)) => event,
+            Event::Scans(mut scans) => {
+                self.rename(scans.producer, &mut scans.new_producer);
+                Event::Scans(scans)
+            }
+            event @ Event::UpdateStart(_) => event,
+        }
+    }
+
+    fn rename(&self, producer: ProducerId, new: &mut Option<NewProducer>) {
+        if let Some((new, key)) = new.as_mut().zip(self.keys.get(&producer)) {
+            new.key = key.clone();
         }
     }
 
@@ -123,6 +188,9 @@ impl StateErasure {
     }
 
     fn new_state(&mut self, new: NewState) -> Option<NewState> {
+        if let Some(part) = &mut self.part {
+            new.states().for_each(|(id, name, _)| part.note(id, &name));
+        }
         match self.id(new.id) {
             Some(id) => Some(NewState { id, ..new }),
             None => {
@@ -151,6 +219,10 @@ impl StateErasure {
                 SiteEdit::Topology(_) => {
                     let renamed = renamed_states(&edit, self.names.iter().map(|(&id, name)| (id, name)));
                     self.names.extend(renamed.into_iter().filter_map(|(id, name)| Some((id, name.ok()?))));
+                    if let Some(part) = &mut self.part {
+                        let renamed = renamed_states(&edit, part.names.iter().map(|(&id, name)| (id, name)));
+                        part.names.extend(renamed.into_iter().filter_map(|(id, name)| Some((id, name.ok()?))));
+                    }
                 }
             }
         }
@@ -160,10 +232,17 @@ impl StateErasure {
     fn observations(&mut self, position: u64, mut event: Observations) -> Observations {
         event.new_states =
             std::mem::take(&mut event.new_states).into_iter().filter_map(|new| self.new_state(new)).collect();
+        self.rename(event.producer, &mut event.new_producer);
         // The snapshot has those up to its position: here they are read for pending observations only.
         let is_known = position <= self.position;
-        event.failures.retain(|failure| !is_known && !self.is_of_erased(failure));
-        let kept: Vec<_> = event.samples().filter_map(|(state, sample)| Some((self.id(state)?, sample))).collect();
+        let (part, producer) = (self.part.as_ref(), event.producer);
+        let is_selected = |failure: &EdgeFailure| part.is_some_and(|part| part.takes(producer, failure));
+        event.failures.retain(|failure| !is_known && !self.is_of_erased(failure) && !is_selected(failure));
+        let is_left = |state: StateId, sample: &Sample| {
+            part.is_none_or(|part| !part.selection.takes(state, Some(producer), sample.utc_nanos))
+        };
+        let kept = event.samples().filter(|(state, sample)| is_left(*state, sample));
+        let kept: Vec<_> = kept.filter_map(|(state, sample)| Some((self.id(state)?, sample))).collect();
         event.states = kept.iter().map(|(state, _)| *state).collect();
         event.times_nanos = kept.iter().map(|(_, sample)| sample.utc_nanos).collect();
         event.values = kept.iter().map(|(_, sample)| sample.value).collect();
@@ -180,8 +259,39 @@ impl StateErasure {
     /// The history of an update without the states; `None` where nothing remains.
     #[must_use]
     pub fn piece(&self, piece: &HistoryPiece) -> Option<HistoryPiece> {
-        let states = piece.states.iter().filter_map(|(id, samples)| Some((self.id(*id)?, samples.clone())));
-        HistoryPiece { states: states.collect(), days: piece.days.clone(), ..*piece }.bounded()
+        let mut kept = HistoryPiece { days: piece.days.clone(), ..HistoryPiece::new(piece.generation) };
+        for (at, (state, samples)) in piece.states.iter().enumerate() {
+            let Some(id) = self.id(*state) else { continue };
+            let origins = piece.origins.get(at);
+            let (samples, origins) = match &self.part {
+                Some(part) => {
+                    let numbers = part.decision.numbers.get(state);
+                    relearn::left(&part.selection, numbers, (*state, samples, origins))
+                }
+                None => (samples.clone(), origins.cloned()),
+            };
+            if !samples.is_empty() {
+                kept.states.push((id, samples));
+                kept.origins.extend(origins);
+            }
+        }
+        kept.bounded()
+    }
+}
+
+impl Part {
+    /// Notes the name of a state that may be selected.
+    fn note(&mut self, id: StateId, name: &StateName) {
+        if self.selection.states.as_ref().is_some_and(|states| states.contains(&id)) {
+            self.names.insert(id, name.clone());
+        }
+    }
+
+    /// Whether a failed traversal that a producer reported is selected.
+    fn takes(&self, producer: ProducerId, failure: &EdgeFailure) -> bool {
+        let name = failure.edge.state(EdgeState::Success);
+        let is_of_states = self.selection.states.is_none() || self.names.values().any(|known| *known == name);
+        is_of_states && self.selection.has_time(failure.start_nanos) && self.selection.has_producer(producer)
     }
 }
 

@@ -7,6 +7,7 @@
 
 use tidemap_model::Sample;
 
+use self::origins::Origins;
 use crate::{
     grid::{day::GridDay, index::TileId},
     ids::StateId,
@@ -15,6 +16,7 @@ use crate::{
 mod bits;
 mod choose;
 mod exchange;
+pub mod origins;
 mod phasors;
 mod recall;
 mod seen;
@@ -48,6 +50,8 @@ pub struct HistoryPiece {
     pub to_nanos: i64,
     /// Observations of named states, by state, in order of arrival.
     pub states: Vec<(StateId, Vec<Sample>)>,
+    /// Of each entry of `states`, who observed it; empty where that is not known, because an older version wrote it.
+    pub origins: Vec<Origins>,
     /// Scans of the grid by day.
     pub days: Vec<HistoryDay>,
 }
@@ -87,7 +91,8 @@ pub struct OutlierComponent {
 impl HistoryPiece {
     /// A piece without observations.
     pub fn new(generation: u64) -> HistoryPiece {
-        HistoryPiece { generation, from_nanos: 0, to_nanos: 0, states: Vec::new(), days: Vec::new() }
+        let (states, origins, days) = (Vec::new(), Vec::new(), Vec::new());
+        HistoryPiece { generation, from_nanos: 0, to_nanos: 0, states, origins, days }
     }
 
     /// Memory in bytes, about.

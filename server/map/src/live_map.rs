@@ -14,7 +14,7 @@ use crate::{
     grid::{live::LiveGrid, view::GridView},
     ids::{ProducerId, StateId},
     name::ProducerKey,
-    pending::Pending,
+    pending::{Origin, Pending},
     prior_models::PriorModels,
     site::Site,
     snapshot::{MapSnapshot, ProducerMark},
@@ -68,6 +68,8 @@ pub struct LiveMap {
     models: Arc<Vec<Arc<StateModel>>>,
     prior_models: PriorModels,
     pending: Pending,
+    /// While a snapshot's pending observations are read again: how many of each state's have been read.
+    recovered: HashMap<StateId, u64>,
     site: Arc<Site>,
     pub(crate) grid: Option<LiveGrid>,
     /// The running update: its start, and the amounts it has taken.
@@ -95,6 +97,7 @@ impl LiveMap {
             models: Arc::new(Vec::new()),
             prior_models,
             pending: Pending::default(),
+            recovered: HashMap::new(),
             site: Arc::default(),
             grid,
             running: None,
@@ -249,6 +252,7 @@ impl LiveMap {
         if position != self.position + 1 {
             return Err(inconsistent(format!("the position before it should be {}", self.position)));
         }
+        self.number_recovered();
         let work = match event {
             Event::Observations(observations) => {
                 self.apply_observations(position, observations).map_err(inconsistent)?;
@@ -281,6 +285,8 @@ impl LiveMap {
     pub fn recover_pending(&mut self, position: u64, event: &Event) -> Result<(), InconsistentEvent> {
         if let Event::Observations(observations) = event {
             for (state, sample) in observations.samples() {
+                let number = self.recovered.entry(state).or_default();
+                *number += 1;
                 if sample.utc_nanos < self.cut_nanos {
                     continue;
                 }
@@ -288,15 +294,28 @@ impl LiveMap {
                     let reason = format!("state {} is unknown", state.0);
                     return Err(InconsistentEvent { position, reason });
                 }
+                let from = Origin { position, producer: observations.producer, number: *number };
                 if sample.utc_nanos <= observations.plausible_nanos() {
-                    self.pending.push(position, state, sample);
+                    self.pending.push(state, sample, from);
                 } else {
-                    self.pending.push_future(position, state, sample);
+                    self.pending.push_future(state, sample, from);
                 }
                 self.pending.received(observations.received_nanos);
             }
         }
         Ok(())
+    }
+
+    /// The last of the observations that were read again is the last that the snapshot counts.
+    fn number_recovered(&mut self) {
+        let mut recovered = std::mem::take(&mut self.recovered);
+        for (state, number) in &mut recovered {
+            let counted = self.live.get(state.0 as usize).map_or(0, |live| live.observations);
+            *number = counted.saturating_sub(*number);
+        }
+        if !recovered.is_empty() {
+            self.pending.raise(&recovered);
+        }
     }
 
     /// The view for readers from now on.

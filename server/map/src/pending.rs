@@ -4,11 +4,14 @@
 //! time. `replay_from` never exceeds the log position of a pending observation. Observations too far in the future of
 //! the clock of their receipt wait apart: they are few, and must not look like work for an update.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use tidemap_model::Sample;
 
-use crate::ids::StateId;
+use crate::{
+    history::origins::{self, OriginRun, Origins},
+    ids::{ProducerId, StateId},
+};
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 
@@ -21,11 +24,46 @@ struct Day {
     oldest_nanos: i64,
 }
 
+/// Where an observation comes from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Origin {
+    /// Log position of its event.
+    pub position: u64,
+    pub producer: ProducerId,
+    /// Its number among the observations of its state.
+    pub number: u64,
+}
+
+/// An observation that waits apart.
+#[derive(Clone, Copy, Debug)]
+struct Ahead {
+    state: StateId,
+    sample: Sample,
+    producer: ProducerId,
+    number: u64,
+}
+
+/// The pending observations of a state.
+#[derive(Debug, Default)]
+struct OfState {
+    samples: Vec<Sample>,
+    /// Of the same observations.
+    runs: Vec<OriginRun>,
+}
+
+impl OfState {
+    #[inline]
+    fn push(&mut self, sample: Sample, producer: ProducerId, number: u64) {
+        self.samples.push(sample);
+        origins::push(&mut self.runs, producer, number);
+    }
+}
+
 #[derive(Debug, Default)]
 pub(crate) struct Pending {
-    by_state: Vec<Vec<Sample>>,
+    by_state: Vec<OfState>,
     total: u64,
-    future: Vec<(StateId, Sample)>,
+    future: Vec<Ahead>,
     days: BTreeMap<i64, Day>,
     /// The day of the previous observation, and its earliest time: most observations need no other day.
     last: Option<(i64, i64)>,
@@ -35,8 +73,10 @@ pub(crate) struct Pending {
 /// What an update takes.
 #[derive(Debug)]
 pub(crate) struct Taken {
-    /// Per state, in order of arrival.
+    /// Per state, in order of arrival; last those that had waited apart.
     pub by_state: Vec<(StateId, Vec<Sample>)>,
+    /// Of each entry of `by_state`.
+    pub origins: Vec<Origins>,
     /// Those that had waited apart, ascending by time.
     pub were_ahead: Vec<(StateId, Sample)>,
 }
@@ -54,23 +94,38 @@ impl Pending {
 
     /// The observations of a state, in order of arrival; those that wait come last.
     pub(crate) fn of_state(&self, state: StateId) -> impl Iterator<Item = &Sample> {
-        let pending = self.by_state.get(state.0 as usize).into_iter().flatten();
-        pending.chain(self.future.iter().filter(move |(of, _)| *of == state).map(|(_, sample)| sample))
+        let pending = self.by_state.get(state.0 as usize).into_iter().flat_map(|of_state| &of_state.samples);
+        pending.chain(self.future.iter().filter(move |ahead| ahead.state == state).map(|ahead| &ahead.sample))
     }
 
-    pub(crate) fn push(&mut self, position: u64, state: StateId, sample: Sample) {
+    fn of_state_mut(&mut self, state: StateId) -> &mut OfState {
         let index = state.0 as usize;
         if index >= self.by_state.len() {
-            self.by_state.resize_with(index + 1, Vec::new);
+            self.by_state.resize_with(index + 1, OfState::default);
         }
-        self.by_state[index].push(sample);
-        self.total += 1;
-        self.note(position, sample.utc_nanos);
+        &mut self.by_state[index]
     }
 
-    pub(crate) fn push_future(&mut self, position: u64, state: StateId, sample: Sample) {
-        self.future.push((state, sample));
-        self.note(position, sample.utc_nanos);
+    pub(crate) fn push(&mut self, state: StateId, sample: Sample, from: Origin) {
+        self.of_state_mut(state).push(sample, from.producer, from.number);
+        self.total += 1;
+        self.note(from.position, sample.utc_nanos);
+    }
+
+    pub(crate) fn push_future(&mut self, state: StateId, sample: Sample, from: Origin) {
+        self.future.push(Ahead { state, sample, producer: from.producer, number: from.number });
+        self.note(from.position, sample.utc_nanos);
+    }
+
+    /// Raises the numbers of the observations of states.
+    pub(crate) fn raise(&mut self, by: &HashMap<StateId, u64>) {
+        for (state, by) in by {
+            let runs = self.by_state.get_mut(state.0 as usize).into_iter().flat_map(|of_state| &mut of_state.runs);
+            runs.for_each(|run| run.first += by);
+        }
+        for ahead in &mut self.future {
+            ahead.number += by.get(&ahead.state).copied().unwrap_or(0);
+        }
     }
 
     fn note(&mut self, position: u64, utc_nanos: i64) {
@@ -100,35 +155,42 @@ impl Pending {
 
     /// Takes the observations before the cut, per state, and leaves the rest.
     pub(crate) fn take_before(&mut self, cut_nanos: i64) -> Taken {
-        let (mut were_ahead, future) =
-            std::mem::take(&mut self.future).into_iter().partition::<Vec<_>, _>(|(_, s)| s.utc_nanos < cut_nanos);
+        let (mut ended, future) = std::mem::take(&mut self.future)
+            .into_iter()
+            .partition::<Vec<_>, _>(|ahead| ahead.sample.utc_nanos < cut_nanos);
         self.future = future;
-        for (state, sample) in &were_ahead {
-            let index = state.0 as usize;
-            if index >= self.by_state.len() {
-                self.by_state.resize_with(index + 1, Vec::new);
-            }
-            self.by_state[index].push(*sample);
+        let mut ahead_of: BTreeMap<StateId, u32> = BTreeMap::new();
+        for ahead in &ended {
+            *ahead_of.entry(ahead.state).or_default() += 1;
+            self.of_state_mut(ahead.state).push(ahead.sample, ahead.producer, ahead.number);
             self.total += 1;
         }
-        were_ahead.sort_by_key(|(_, sample)| sample.utc_nanos);
-        let mut by_state = Vec::new();
-        for (index, samples) in self.by_state.iter_mut().enumerate() {
-            if samples.is_empty() {
+        let (mut by_state, mut origins) = (Vec::new(), Vec::new());
+        for (index, of_state) in self.by_state.iter_mut().enumerate() {
+            if of_state.samples.is_empty() {
                 continue;
             }
-            let part = if samples.iter().all(|sample| sample.utc_nanos < cut_nanos) {
-                std::mem::take(samples)
+            let part = if of_state.samples.iter().all(|sample| sample.utc_nanos < cut_nanos) {
+                std::mem::take(of_state)
             } else {
-                let (before, after) = samples.iter().partition(|sample| sample.utc_nanos < cut_nanos);
-                *samples = after;
+                let (mut before, mut after) = (OfState::default(), OfState::default());
+                for (&sample, (producer, number)) in of_state.samples.iter().zip(origins::each(&of_state.runs)) {
+                    let side = if sample.utc_nanos < cut_nanos { &mut before } else { &mut after };
+                    side.push(sample, producer, number);
+                }
+                *of_state = after;
                 before
             };
-            if !part.is_empty() {
-                self.total -= part.len() as u64;
-                by_state.push((StateId(u32::try_from(index).unwrap_or(u32::MAX)), part));
+            if !part.samples.is_empty() {
+                self.total -= part.samples.len() as u64;
+                let state = StateId(u32::try_from(index).unwrap_or(u32::MAX));
+                let ahead = ahead_of.get(&state).copied().unwrap_or(0);
+                by_state.push((state, part.samples));
+                origins.push(Origins { runs: part.runs, ahead, ..Origins::default() });
             }
         }
+        ended.sort_by_key(|ahead| ahead.sample.utc_nanos);
+        let were_ahead = ended.into_iter().map(|ahead| (ahead.state, ahead.sample)).collect();
         if self.total == 0 && self.future.is_empty() {
             self.days.clear();
         } else {
@@ -139,7 +201,7 @@ impl Pending {
             }
         }
         self.last = None;
-        Taken { by_state, were_ahead }
+        Taken { by_state, origins, were_ahead }
     }
 
     /// Log position from which a replay finds all pending observations; `end` if nothing is pending.
@@ -154,6 +216,6 @@ impl Pending {
 
     /// The latest time before `limit_nanos` of those that wait apart.
     pub(crate) fn newest_future_before(&self, limit_nanos: i64) -> Option<i64> {
-        self.future.iter().map(|(_, sample)| sample.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
+        self.future.iter().map(|ahead| ahead.sample.utc_nanos).filter(|&nanos| nanos < limit_nanos).max()
     }
 }

@@ -39,7 +39,7 @@ use crate::{
         tile::TileUnavailable,
         update::{GridResult, GridWork},
     },
-    history::{HistoryDay, HistoryPiece},
+    history::{HistoryDay, HistoryPiece, origins::Origins},
     ids::StateId,
     name::StateName,
     prior_models::PriorModels,
@@ -96,9 +96,13 @@ pub struct UpdateWork {
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) prior_models: PriorModels,
     pub(crate) samples: Vec<(StateId, Vec<Sample>)>,
+    /// Of each entry of `samples`.
+    pub(crate) origins: Vec<Origins>,
     pub(crate) grid: Option<GridWork>,
     pub(crate) readings: Option<Arc<dyn StateReadings>>,
     pub(crate) room: Option<SpectrumRoom>,
+    /// Whether there are too many untrained states to train models day by day; `None`: by their number here.
+    pub(crate) is_crowded: Option<bool>,
 }
 
 /// What an update learned.
@@ -169,6 +173,7 @@ impl UpdateWork {
         let kept_grid = self.spec.grid.as_ref().filter(|grid| grid.retention != Retention::None);
         let mut history = HistoryPiece::new(self.basis.start.generation);
         history.states = self.samples;
+        history.origins = self.origins;
         let mut grid = self.grid.map(|grid| grid.run(progress)).transpose()?;
         if let Some(grid) = &mut grid {
             let days = std::mem::take(&mut grid.days);
@@ -185,7 +190,13 @@ impl UpdateWork {
         // An update that makes room must be quick: what is due waits for the next of another cause.
         let readings = self.readings.filter(|_| self.basis.start.cause != UpdateCause::PendingLimit);
         let untrained = |(id, _): &&(StateId, Vec<Sample>)| models[id.0 as usize].accumulator().observations() == 0;
-        let rehearsal = readings.is_some() && history.states.iter().filter(untrained).count() <= REFITS_MAX;
+        let is_crowded =
+            self.is_crowded.unwrap_or_else(|| history.states.iter().filter(untrained).count() > REFITS_MAX);
+        let is_early = self.basis.start.cause == UpdateCause::PendingLimit;
+        for origins in &mut history.origins {
+            (origins.is_early, origins.is_crowded) = (is_early, is_crowded);
+        }
+        let rehearsal = readings.is_some() && !is_crowded;
         let rules = UpdateRules { rehearsal, ..self.spec.update_rules() };
         let room = RoomInUse::new(self.room, &models);
         let learn = |(id, samples): &mut (StateId, Vec<Sample>)| {
@@ -215,7 +226,7 @@ impl UpdateWork {
             refit(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
         });
         if !keeps_states {
-            history.states = Vec::new();
+            (history.states, history.origins) = (Vec::new(), Vec::new());
         }
         let history = history.bounded();
         Ok(UpdateResult { basis: self.basis, models: Arc::new(models), grid, history, outcomes, refits })

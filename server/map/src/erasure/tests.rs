@@ -13,6 +13,8 @@ use crate::{
     spec::MapSpec,
 };
 
+mod parts;
+
 const HOUR: i64 = 3_600_000_000_000;
 
 fn spec() -> Arc<MapSpec> {

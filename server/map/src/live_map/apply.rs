@@ -11,6 +11,7 @@ use crate::{
     event::{NewState, Observations, StateKind},
     grid::scan::Scans,
     ids::{NewProducer, ProducerId},
+    pending::Origin,
     snapshot::{CONTENT_MARKS_MAX, ContentMark, ProducerMark},
     view::{LIVE_CHUNK, LiveState},
 };
@@ -64,6 +65,7 @@ impl LiveMap {
                 sensor,
                 received_nanos: None,
                 recent: Vec::new(),
+                has_scans: Some(false),
             });
         }
         let mark =
@@ -124,6 +126,9 @@ impl LiveMap {
             content_crc: event.content_crc,
             received_nanos: event.received_nanos,
         })?;
+        if let Some(mark) = self.producers.get_mut(event.producer.0 as usize) {
+            mark.has_scans = Some(true);
+        }
         if let Some(grid) = &mut self.grid {
             let sensor = self.producers.get(event.producer.0 as usize).and_then(|mark| mark.sensor);
             self.newest_nanos = self.newest_nanos.max(grid.apply_observations(event, sensor).unwrap_or(0));
@@ -153,13 +158,14 @@ impl LiveMap {
             let index = state.0 as usize;
             let live = self.live.get_mut(index).ok_or_else(|| format!("state {index} is unknown"))?;
             live.observations += 1;
+            let from = Origin { position, producer: event.producer, number: live.observations };
             self.live_dirty[index / LIVE_CHUNK] = true;
             if sample.utc_nanos <= plausible {
                 live.persistence.observe(sample.utc_nanos, sample.value);
                 self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
-                self.pending.push(position, state, sample);
+                self.pending.push(state, sample, from);
             } else {
-                self.pending.push_future(position, state, sample);
+                self.pending.push_future(state, sample, from);
             }
         }
         if !event.states.is_empty() {

@@ -33,7 +33,10 @@ impl LiveMap {
         if start.generation != self.generation + 1 || start.cut_nanos < self.cut_nanos {
             return Err(format!("generation {} does not follow {}", start.generation, self.generation));
         }
-        let Taken { by_state: samples, were_ahead } = self.pending.take_before(start.cut_nanos);
+        let Taken { by_state: samples, mut origins, were_ahead } = self.pending.take_before(start.cut_nanos);
+        for ((state, _), origins) in samples.iter().zip(&mut origins).filter(|(_, origins)| origins.ahead > 0) {
+            origins.arrived = self.live.get(state.0 as usize).map_or(0, |live| live.observations);
+        }
         for (state, sample) in were_ahead {
             // Their time has come: from here on they are like all others.
             let index = state.0 as usize;
@@ -77,9 +80,11 @@ impl LiveMap {
             models: Arc::clone(&self.models),
             prior_models: self.prior_models.clone(),
             samples,
+            origins,
             grid: grid_work,
             readings: None,
             room: None,
+            is_crowded: None,
         })
     }
 

@@ -1,0 +1,247 @@
+//! Learning states anew from their history, update by update, without what is erased.
+//!
+//! Each history file is one update. The states go through the same code as in that update, with the readings of the
+//! updates before it, so that they are what they would be had they never seen the rest. Of the nightly limits of models
+//! to train only those of the states that are learned anew are counted: with more models due in one night than an update
+//! trains, a model may be trained earlier than it would have been.
+//!
+//! Invariant: the result depends on the history and on what is left of the pending observations alone.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, atomic::AtomicU64},
+};
+
+use tidemap_model::{Persistence, Sample, StateModel};
+
+use super::selection::{Decision, Selection, renumbered};
+use crate::{
+    directory::{Directory, StateInfo},
+    event::{UpdateCause, UpdateStart},
+    history::{HistoryPiece, origins::Origins},
+    ids::{ProducerId, StateId},
+    prior_models::PriorModels,
+    refit::{ReadingsRequest, StateReadings},
+    site::Site,
+    snapshot::StateSnapshot,
+    spec::MapSpec,
+    update::{Basis, SumsUnavailable, UpdateWork},
+};
+
+/// An observation in the order of arrival.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Arrival {
+    /// Its number among those of its state.
+    pub number: u64,
+    /// The observation.
+    pub sample: Sample,
+    /// Whether it did not have to wait.
+    pub is_plausible: bool,
+}
+
+/// The observations of a state of one update that are left, with their origins; both empty if none is.
+pub(super) fn left(
+    selection: &Selection,
+    erased: Option<&Vec<u64>>,
+    (state, samples, origins): (StateId, &[Sample], Option<&Origins>),
+) -> (Vec<Sample>, Option<Origins>) {
+    let erased = erased.map_or(&[][..], Vec::as_slice);
+    let Some(origins) = origins else {
+        let kept = samples.iter().filter(|sample| !selection.takes(state, None, sample.utc_nanos));
+        return (kept.copied().collect(), None);
+    };
+    let first_ahead = samples.len().saturating_sub(origins.ahead as usize);
+    let (runs, arrived) = (Vec::new(), renumbered(origins.arrived, erased));
+    let mut kept = (Vec::new(), Origins { runs, ahead: 0, arrived, ..*origins });
+    for (at, (sample, (producer, number))) in samples.iter().zip(origins.each()).enumerate() {
+        if selection.takes(state, Some(producer), sample.utc_nanos) {
+            continue;
+        }
+        kept.0.push(*sample);
+        kept.1.push(producer, renumbered(number, erased));
+        kept.1.ahead += u32::from(at >= first_ahead);
+    }
+    if kept.1.ahead == 0 {
+        kept.1.arrived = 0;
+    }
+    (kept.0, Some(kept.1))
+}
+
+/// What earlier updates of the new history have learned.
+#[derive(Debug, Default)]
+struct Earlier(BTreeMap<StateId, Vec<Sample>>);
+
+impl StateReadings for Earlier {
+    fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
+        let of = |wanted: &ReadingsRequest| {
+            let all = self.0.get(&wanted.state).into_iter().flatten();
+            let mut found: Vec<Sample> = all.filter(|sample| sample.utc_nanos >= wanted.from_nanos).copied().collect();
+            found.sort_by_key(|sample| sample.utc_nanos);
+            found
+        };
+        Ok(wanted.iter().map(of).collect())
+    }
+}
+
+/// One update of the history, with what is left of it of the states that are learned anew.
+#[derive(Debug)]
+struct Lesson {
+    generation: u64,
+    /// The latest time of what all states have learned up to it.
+    newest_nanos: i64,
+    samples: Vec<(StateId, Vec<Sample>)>,
+    origins: Vec<Option<Origins>>,
+}
+
+/// Some states that are learned anew.
+#[derive(Debug)]
+pub struct Relearning<'a> {
+    spec: &'a MapSpec,
+    selection: &'a Selection,
+    decision: &'a Decision,
+    /// As the snapshot has them.
+    states: Vec<(StateId, StateSnapshot)>,
+    lessons: Vec<Lesson>,
+    newest_nanos: i64,
+}
+
+impl<'a> Relearning<'a> {
+    /// Begins with these states of the snapshot, ascending.
+    #[must_use]
+    pub fn new(
+        spec: &'a MapSpec,
+        selection: &'a Selection,
+        decision: &'a Decision,
+        states: Vec<(StateId, StateSnapshot)>,
+    ) -> Self {
+        Self { spec, selection, decision, states, lessons: Vec::new(), newest_nanos: 0 }
+    }
+
+    /// Reads the history of an update; they come ascending by generation. `to_nanos`: the latest time of the whole
+    /// update. Other states than those that are learned anew are ignored.
+    pub fn history(&mut self, piece: &HistoryPiece, to_nanos: i64) {
+        self.newest_nanos = self.newest_nanos.max(to_nanos);
+        let (generation, newest_nanos) = (piece.generation, self.newest_nanos);
+        let mut lesson = Lesson { generation, newest_nanos, samples: Vec::new(), origins: Vec::new() };
+        for (at, (state, samples)) in piece.states.iter().enumerate() {
+            let Ok(index) = self.states.binary_search_by_key(state, |(state, _)| *state) else { continue };
+            let of_state = (*state, samples.as_slice(), piece.origins.get(at));
+            let (samples, origins) = left(self.selection, self.decision.numbers.get(state), of_state);
+            if !samples.is_empty() {
+                lesson.samples.push((StateId(u32::try_from(index).unwrap_or(u32::MAX)), samples));
+                lesson.origins.push(origins);
+            }
+        }
+        if !lesson.samples.is_empty() {
+            self.lessons.push(lesson);
+        }
+    }
+
+    /// Learns the states, on the current rayon pool.
+    ///
+    /// # Errors
+    /// [`SumsUnavailable`] does not happen: the sums are in memory.
+    pub fn learn(self) -> Result<Vec<(StateId, StateSnapshot)>, SumsUnavailable> {
+        let Self { spec, decision, mut states, lessons, .. } = self;
+        let spec = Arc::new(MapSpec { grid: None, ..spec.clone() });
+        let mut directory = Directory::new();
+        let prior_models = PriorModels::new(&spec);
+        let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(states.len());
+        let mut arrivals: Vec<Vec<Step>> = Vec::with_capacity(states.len());
+        for (id, state) in &states {
+            directory.push(StateInfo { name: state.name.clone(), kind: state.kind });
+            models.push(Arc::clone(prior_models.of(state.kind)));
+            let waiting = decision.waiting.get(id).into_iter().flatten().filter(|waiting| waiting.is_plausible);
+            arrivals.push(waiting.map(|waiting| Step::arrived(waiting.number, waiting.sample)).collect());
+        }
+        let mut models = Arc::new(models);
+        let mut earlier = Earlier::default();
+        let mut counted: Vec<u64> = vec![0; states.len()];
+        for lesson in lessons {
+            let (mut is_early, mut is_crowded) = (false, false);
+            for ((index, samples), origins) in lesson.samples.iter().zip(&lesson.origins) {
+                let (Some(arrivals), Some(counted)) =
+                    (arrivals.get_mut(index.0 as usize), counted.get_mut(index.0 as usize))
+                else {
+                    continue;
+                };
+                (is_early, is_crowded) = origins.as_ref().map_or((false, false), |o| (o.is_early, o.is_crowded));
+                let first_ahead = samples.len() - origins.as_ref().map_or(0, |origins| origins.ahead as usize);
+                let mut numbers = origins.as_ref().map(Origins::each);
+                for (at, sample) in samples.iter().enumerate() {
+                    let number = numbers.as_mut().and_then(Iterator::next);
+                    let number = number.map_or(*counted + 1, |(_, number): (ProducerId, u64)| number);
+                    *counted = (*counted).max(number);
+                    match origins.as_ref().filter(|_| at >= first_ahead) {
+                        Some(origins) => arrivals.push(Step::waited(origins.arrived, lesson.generation, *sample)),
+                        None => arrivals.push(Step::arrived(number, *sample)),
+                    }
+                }
+            }
+            let cause = if is_early { UpdateCause::PendingLimit } else { UpdateCause::Midnight };
+            let start = UpdateStart { generation: lesson.generation, cut_nanos: i64::MAX, cause };
+            let source = Arc::new(earlier);
+            let work = UpdateWork {
+                basis: Basis {
+                    start,
+                    position: 0,
+                    replay_from: 0,
+                    newest_nanos: lesson.newest_nanos,
+                    producers: Vec::new(),
+                    directory: directory.clone(),
+                    live: Vec::new(),
+                    site: Arc::new(Site::default()),
+                    grid: None,
+                },
+                spec: Arc::clone(&spec),
+                models,
+                prior_models: prior_models.clone(),
+                samples: lesson.samples.clone(),
+                origins: Vec::new(),
+                grid: None,
+                readings: Some(Arc::<Earlier>::clone(&source)),
+                room: None,
+                is_crowded: Some(is_crowded),
+            };
+            models = work.run(&AtomicU64::new(0))?.models;
+            earlier = Arc::try_unwrap(source).unwrap_or_default();
+            for (index, samples) in lesson.samples {
+                earlier.0.entry(index).or_default().extend(samples);
+            }
+        }
+        for ((at, (id, state)), mut arrivals) in states.iter_mut().enumerate().zip(arrivals) {
+            arrivals.sort_by_key(|step| step.place);
+            let mut persistence = Persistence::default();
+            for Step { sample, .. } in &arrivals {
+                persistence.observe(sample.utc_nanos, sample.value);
+            }
+            state.persistence = persistence;
+            let erased = decision.numbers.get(id).map_or(0, |numbers| numbers.len() as u64);
+            state.observations = state.observations.saturating_sub(erased);
+            if decision.unlearned.contains(id)
+                && let Some(model) = models.get(at)
+            {
+                state.model = Arc::clone(model);
+            }
+        }
+        Ok(states)
+    }
+}
+
+/// An observation becomes the last value of its state.
+#[derive(Clone, Copy, Debug)]
+struct Step {
+    /// Number of the last that had arrived, the generation that took it after waiting, and its time then.
+    place: (u64, u64, i64),
+    sample: Sample,
+}
+
+impl Step {
+    fn arrived(number: u64, sample: Sample) -> Self {
+        Self { place: (number, 0, 0), sample }
+    }
+
+    fn waited(arrived: u64, generation: u64, sample: Sample) -> Self {
+        Self { place: (arrived, generation, sample.utc_nanos), sample }
+    }
+}

@@ -1,0 +1,306 @@
+//! Which observations are to be erased, and what has to be known of a map before they can be.
+//!
+//! A survey reads the history from its first file to its last, then the log. It refuses what cannot be done exactly.
+//!
+//! Invariant: a decision names every state of which an observation is selected.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use tidemap_model::Sample;
+
+use super::relearn::Arrival;
+use crate::{
+    event::{Event, Observations},
+    history::HistoryPiece,
+    ids::{ProducerId, StateId},
+    name::{EdgeState, StateName},
+    snapshot::MapSnapshot,
+};
+
+/// Observations of some states and producers in an interval.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Selection {
+    /// Of these states; `None`: of all.
+    pub states: Option<BTreeSet<StateId>>,
+    /// By these producers; `None`: by all.
+    pub producers: Option<BTreeSet<ProducerId>>,
+    /// The first time, nanoseconds UTC.
+    pub from_nanos: i64,
+    /// The time before which they lie, nanoseconds UTC; `i64::MAX`: all from the first on.
+    pub to_nanos: i64,
+}
+
+impl Selection {
+    /// Whether a time is in the interval.
+    #[must_use]
+    pub fn has_time(&self, nanos: i64) -> bool {
+        self.from_nanos <= nanos && (nanos < self.to_nanos || self.to_nanos == i64::MAX)
+    }
+
+    /// Whether observations of a state may be selected.
+    #[must_use]
+    pub fn has_state(&self, state: StateId) -> bool {
+        self.states.as_ref().is_none_or(|states| states.contains(&state))
+    }
+
+    /// Whether observations of a producer may be selected.
+    #[must_use]
+    pub fn has_producer(&self, producer: ProducerId) -> bool {
+        self.producers.as_ref().is_none_or(|producers| producers.contains(&producer))
+    }
+
+    /// Whether an observation is selected. An unknown producer counts as one of them if it does not matter.
+    #[must_use]
+    pub fn takes(&self, state: StateId, producer: Option<ProducerId>, nanos: i64) -> bool {
+        let is_by = || producer.map_or(self.producers.is_none(), |producer| self.has_producer(producer));
+        self.has_state(state) && self.has_time(nanos) && is_by()
+    }
+}
+
+/// Why observations cannot be erased. Times are nanoseconds UTC.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NotErasable {
+    /// Nothing is selected.
+    Nothing,
+    /// The history does not tell who observed.
+    ProducerUnknown {
+        /// The state.
+        state: StateName,
+        /// The producers of all its observations from this time on are known.
+        known_from_nanos: i64,
+    },
+    /// The history does not have all observations of a state, so that it cannot be learned anew.
+    HistoryIncomplete {
+        /// The state.
+        state: StateName,
+        /// The earliest observation that the history has; `None`: it has none.
+        kept_from_nanos: Option<i64>,
+        /// Observations from this time on were not learned, and can be erased.
+        pending_from_nanos: i64,
+    },
+}
+
+/// What is known of a state.
+#[derive(Clone, Debug, Default)]
+struct OfState {
+    /// Observations in the history, and those of them that are selected.
+    learned: (u64, u64),
+    /// Observations that the snapshot has as pending, and those of them that are selected.
+    pending: (u64, u64),
+    /// Observations after the snapshot, and those of them that are selected.
+    later: (u64, u64),
+    /// The earliest time in the history.
+    kept_from_nanos: Option<i64>,
+    /// The latest time with an unknown producer; whether one of them may be selected.
+    unknown: Option<(i64, bool)>,
+    /// The number of the last observation in the history; of older versions their count.
+    last_number: u64,
+    /// Numbers of the selected observations that the history has, ascending or not.
+    numbers: Vec<u64>,
+    /// Observations in the log up to the snapshot's position.
+    read: u64,
+    /// The pending ones, with numbers among those read.
+    waiting: Vec<(Arrival, bool)>,
+}
+
+/// What has been read of a map so far.
+#[derive(Clone, Debug)]
+pub struct Survey {
+    selection: Selection,
+    position: u64,
+    generation: u64,
+    cut_nanos: i64,
+    newest_nanos: i64,
+    /// Of the snapshot: name, acknowledged observations, first and last time that the model has learned.
+    known: Vec<(StateName, u64, Option<(i64, i64)>)>,
+    states: BTreeMap<StateId, OfState>,
+    /// Failed traversals that the snapshot has, and those of them that are selected.
+    failures: BTreeSet<(StateName, i64)>,
+    failed: BTreeSet<(StateName, i64)>,
+}
+
+/// What an erasure has to do.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Decision {
+    /// States of which no observation is left.
+    pub emptied: Vec<StateId>,
+    /// States that have to be learned anew, and those with other last values; ascending.
+    pub relearned: Vec<StateId>,
+    /// Observations that are erased. A position counts for each of its axes.
+    pub observations: u64,
+    /// Numbers of the selected observations that arrived before the snapshot, by state, ascending.
+    pub numbers: BTreeMap<StateId, Vec<u64>>,
+    /// What the snapshot has as pending of the states to learn anew, without what is selected.
+    pub(crate) waiting: BTreeMap<StateId, Vec<Arrival>>,
+    /// States whose learned observations are selected.
+    pub(crate) unlearned: BTreeSet<StateId>,
+    /// Failed traversals of the snapshot that are selected: state of the edge, and start.
+    pub(crate) failed: BTreeSet<(StateName, i64)>,
+}
+
+impl Survey {
+    /// A survey of a map with this snapshot, or with none yet.
+    #[must_use]
+    pub fn new(selection: Selection, snapshot: Option<&MapSnapshot>) -> Self {
+        let states = snapshot.into_iter().flat_map(|snapshot| &snapshot.states);
+        let failures = snapshot.into_iter().flat_map(|snapshot| snapshot.site.failures().oldest_first());
+        Self {
+            selection,
+            position: snapshot.map_or(0, |snapshot| snapshot.position),
+            generation: snapshot.map_or(0, |snapshot| snapshot.generation),
+            cut_nanos: snapshot.map_or(0, |snapshot| snapshot.cut_nanos),
+            newest_nanos: snapshot.map_or(0, |snapshot| snapshot.newest_nanos),
+            known: states
+                .map(|state| {
+                    let sums = state.model.accumulator();
+                    (state.name.clone(), state.observations, sums.first_nanos().zip(sums.last_nanos()))
+                })
+                .collect(),
+            states: BTreeMap::new(),
+            failures: failures.map(|failure| (failure.edge.state(EdgeState::Success), failure.start_nanos)).collect(),
+            failed: BTreeSet::new(),
+        }
+    }
+
+    /// Reads the history of an update; they come ascending by generation.
+    pub fn history(&mut self, piece: &HistoryPiece) {
+        if piece.generation > self.generation {
+            return;
+        }
+        for (at, (state, samples)) in piece.states.iter().enumerate() {
+            if !self.selection.has_state(*state) {
+                continue;
+            }
+            let of_state = self.states.entry(*state).or_default();
+            let mut origins = piece.origins.get(at).map(|origins| origins.each());
+            for sample in samples {
+                let nanos = sample.utc_nanos;
+                let origin = origins.as_mut().and_then(Iterator::next);
+                let number = origin.map_or(of_state.last_number + 1, |(_, number)| number);
+                of_state.last_number = of_state.last_number.max(number);
+                of_state.kept_from_nanos = Some(of_state.kept_from_nanos.map_or(nanos, |from| from.min(nanos)));
+                of_state.learned.0 += 1;
+                if origin.is_none() && self.selection.producers.is_some() {
+                    let (latest, is_asked) = of_state.unknown.unwrap_or((nanos, false));
+                    of_state.unknown = Some((latest.max(nanos), is_asked || self.selection.has_time(nanos)));
+                }
+                if self.selection.takes(*state, origin.map(|(producer, _)| producer), nanos) {
+                    of_state.learned.1 += 1;
+                    of_state.numbers.push(number);
+                    if let Some((name, ..)) = self.known.get(state.0 as usize)
+                        && self.failures.contains(&(name.clone(), nanos))
+                    {
+                        self.failed.insert((name.clone(), nanos));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Reads the event at a position, from the first that has pending observations.
+    pub fn event(&mut self, position: u64, event: &Event) {
+        let Event::Observations(event) = event else { return };
+        for new in event.new_states.iter().flat_map(|new| new.states()).filter(|_| position > self.position) {
+            let (id, name, _) = new;
+            if id.0 as usize == self.known.len() {
+                self.known.push((name, 0, None));
+            }
+        }
+        for (state, sample) in event.samples() {
+            if self.selection.has_state(state) {
+                self.observation(position, event, state, sample);
+            }
+        }
+    }
+
+    fn observation(&mut self, position: u64, event: &Observations, state: StateId, sample: Sample) {
+        let is_taken = self.selection.takes(state, Some(event.producer), sample.utc_nanos);
+        let of_state = self.states.entry(state).or_default();
+        if position > self.position {
+            of_state.later.0 += 1;
+            of_state.later.1 += u64::from(is_taken);
+            return;
+        }
+        of_state.read += 1;
+        if sample.utc_nanos < self.cut_nanos {
+            return;
+        }
+        of_state.pending.0 += 1;
+        of_state.pending.1 += u64::from(is_taken);
+        let is_plausible = sample.utc_nanos <= event.plausible_nanos();
+        of_state.waiting.push((Arrival { number: of_state.read, sample, is_plausible }, is_taken));
+        if is_taken
+            && let Some((name, ..)) = self.known.get(state.0 as usize)
+            && self.failures.contains(&(name.clone(), sample.utc_nanos))
+        {
+            self.failed.insert((name.clone(), sample.utc_nanos));
+        }
+    }
+
+    /// What is to be done.
+    ///
+    /// # Errors
+    /// [`NotErasable`], for the first state of which observations cannot be erased exactly.
+    pub fn decide(self) -> Result<Decision, NotErasable> {
+        let pending_from_nanos = self.cut_nanos.max(self.newest_nanos.saturating_add(1));
+        let mut decision = Decision { failed: self.failed, ..Decision::default() };
+        // A state of which the history has nothing may still have learned what is selected.
+        let known = (0..self.known.len()).filter_map(|at| u32::try_from(at).ok()).map(StateId);
+        for state in known.filter(|state| self.selection.has_state(*state)) {
+            let none = OfState::default();
+            let of_state = self.states.get(&state).unwrap_or(&none);
+            let Some((name, observations, learned)) = self.known.get(state.0 as usize) else { continue };
+            if let Some((latest, true)) = of_state.unknown {
+                return Err(NotErasable::ProducerUnknown {
+                    state: name.clone(),
+                    known_from_nanos: latest.saturating_add(1),
+                });
+            }
+            let is_complete = *observations == of_state.learned.0 + of_state.pending.0;
+            let hits = of_state.learned.1 + of_state.pending.1;
+            let may_miss = learned
+                .is_some_and(|(first, last)| self.selection.from_nanos <= last && (first < self.selection.to_nanos));
+            if !is_complete && (hits > 0 || may_miss) {
+                return Err(NotErasable::HistoryIncomplete {
+                    state: name.clone(),
+                    kept_from_nanos: of_state.kept_from_nanos,
+                    pending_from_nanos,
+                });
+            }
+            if hits + of_state.later.1 == 0 {
+                continue;
+            }
+            decision.observations += hits + of_state.later.1;
+            if observations + of_state.later.0 == hits + of_state.later.1 {
+                decision.emptied.push(state);
+            }
+            if hits == 0 {
+                continue;
+            }
+            let before = observations.saturating_sub(of_state.read);
+            let arrival = |arrival: &Arrival| Arrival { number: before + arrival.number, ..*arrival };
+            let mut numbers = of_state.numbers.clone();
+            let selected = of_state.waiting.iter().filter(|(_, is_taken)| *is_taken);
+            numbers.extend(selected.map(|(waiting, _)| before + waiting.number));
+            numbers.sort_unstable();
+            let left = of_state.waiting.iter().filter(|(_, is_taken)| !is_taken);
+            let left = left.map(|(waiting, _)| without(arrival(waiting), &numbers)).collect();
+            decision.waiting.insert(state, left);
+            decision.numbers.insert(state, numbers);
+            decision.relearned.push(state);
+            if of_state.learned.1 > 0 {
+                decision.unlearned.insert(state);
+            }
+        }
+        if decision.observations == 0 { Err(NotErasable::Nothing) } else { Ok(decision) }
+    }
+}
+
+fn without(arrival: Arrival, erased: &[u64]) -> Arrival {
+    Arrival { number: renumbered(arrival.number, erased), ..arrival }
+}
+
+/// The number of an observation that is left, or of the last one up to it.
+pub(super) fn renumbered(number: u64, erased: &[u64]) -> u64 {
+    number.saturating_sub(erased.partition_point(|erased| *erased <= number) as u64)
+}

@@ -1,0 +1,62 @@
+//! Who observed the observations of a state that an update learned, and in which order they arrived.
+//!
+//! Observations of a state are numbered in the order of their arrival from 1, as it counts them. An update learns them in
+//! this order, without those at or after its cut, which a later update learns: their numbers tell where they belong.
+//!
+//! Invariant: the counts of the runs add up to the number of observations.
+
+use crate::ids::ProducerId;
+
+/// Consecutive observations of one producer with consecutive numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OriginRun {
+    /// The producer.
+    pub producer: ProducerId,
+    /// Number of the first.
+    pub first: u64,
+    /// How many.
+    pub count: u32,
+}
+
+/// The origins of the observations of a state, in the order in which a history piece has them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Origins {
+    /// Runs.
+    pub runs: Vec<OriginRun>,
+    /// How many of the last observations had waited because their time was ahead of the clock.
+    pub ahead: u32,
+    /// Number of the last observation that had arrived when the update began; 0 where none had waited.
+    pub arrived: u64,
+    /// Whether the update ran early, to free memory, and trained no further models.
+    pub is_early: bool,
+    /// Whether the update had too many untrained states to train models day by day.
+    pub is_crowded: bool,
+}
+
+impl Origins {
+    /// Adds an observation.
+    pub(crate) fn push(&mut self, producer: ProducerId, number: u64) {
+        push(&mut self.runs, producer, number);
+    }
+
+    /// Producer and number of each observation.
+    pub fn each(&self) -> impl Iterator<Item = (ProducerId, u64)> {
+        each(&self.runs)
+    }
+}
+
+/// Adds an observation to runs.
+#[inline]
+pub(crate) fn push(runs: &mut Vec<OriginRun>, producer: ProducerId, number: u64) {
+    match runs.last_mut() {
+        Some(run) if run.producer == producer && run.first + u64::from(run.count) == number && run.count < u32::MAX => {
+            run.count += 1;
+        }
+        _ => runs.push(OriginRun { producer, first: number, count: 1 }),
+    }
+}
+
+/// Producer and number of each observation of runs.
+pub(crate) fn each(runs: &[OriginRun]) -> impl Iterator<Item = (ProducerId, u64)> {
+    runs.iter().flat_map(|run| (0..u64::from(run.count)).map(|at| (run.producer, run.first.saturating_add(at))))
+}
