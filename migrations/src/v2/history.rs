@@ -47,6 +47,28 @@ pub struct StateSamples {
     /// Offset of each run.
     #[prost(sint32, repeated, tag = "9")]
     pub offset_secs: Vec<i32>,
+    /// Lengths of the runs of observations of one producer that arrived one after the other; none in older files.
+    #[prost(uint32, repeated, tag = "10")]
+    pub run_counts: Vec<u32>,
+    /// Producer of each run.
+    #[prost(uint32, repeated, tag = "11")]
+    pub run_producers: Vec<u32>,
+    /// Number of the first observation of each run among those of the state, less the number that follows the run
+    /// before; of the first run less 0.
+    #[prost(sint64, repeated, tag = "12")]
+    pub run_steps: Vec<i64>,
+    /// How many of the last observations had waited because their time was ahead of the clock.
+    #[prost(uint32, tag = "13")]
+    pub ahead: u32,
+    /// Number of the last observation of the state that had arrived when the update began; 0 where none had waited.
+    #[prost(uint64, tag = "14")]
+    pub arrived: u64,
+    /// Whether the update ran early, to free memory.
+    #[prost(bool, tag = "15")]
+    pub is_early: bool,
+    /// Whether the update had too many untrained states to train models day by day.
+    #[prost(bool, tag = "16")]
+    pub is_crowded: bool,
 }
 
 /// An entry of the table: key u64, offset u64 of the first record in the file, number of records u32.

@@ -134,6 +134,9 @@ pub struct Producer {
     /// When the newest of its observations was received, nanoseconds UTC; absent in older files.
     #[prost(sfixed64, optional, tag = "9")]
     pub received_nanos: Option<i64>,
+    /// Whether it has sent scans; absent in older files.
+    #[prost(bool, optional, tag = "10")]
+    pub has_scans: Option<bool>,
 }
 
 /// How long exact observations are kept.

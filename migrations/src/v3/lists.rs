@@ -54,8 +54,23 @@ pub struct NewestSegment {
 /// What is to be erased from a map. The file exists until it is done.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ErasureOrder {
-    /// Ids of states, ascending.
+    /// Ids of states, ascending; with a part, none means all.
     pub states: Vec<u32>,
+    /// Which of their observations; `None`: all, with the states.
+    pub part: Option<ErasedPart>,
+}
+
+/// Some of the observations of states.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ErasedPart {
+    /// The first time, nanoseconds UTC.
+    pub from_nanos: i64,
+    /// The time before which they lie, nanoseconds UTC; the greatest i64: all later ones.
+    pub to_nanos: i64,
+    /// Ids of producers, ascending; none means all.
+    pub producers: Vec<u32>,
+    /// Whether the sequences of these producers are forgotten, and states of which nothing is left stay.
+    pub forgets: bool,
 }
 
 /// How often something was erased from a map; there is no file before the first time.
@@ -165,12 +180,34 @@ impl TextList for ErasureOrder {
     const FIRST_LINE: &'static str = "tidemap erasure";
 
     fn lines(&self) -> Vec<String> {
-        self.states.iter().map(|state| format!("state {state}")).collect()
+        let mut lines: Vec<String> = self.states.iter().map(|state| format!("state {state}")).collect();
+        if let Some(part) = &self.part {
+            lines.push(format!("from {}", part.from_nanos));
+            lines.push(format!("to {}", part.to_nanos));
+            lines.extend(part.producers.iter().map(|producer| format!("producer {producer}")));
+            if part.forgets {
+                lines.push("forget".to_owned());
+            }
+        }
+        lines
     }
 
     fn parse(lines: &[&str]) -> Option<ErasureOrder> {
-        let states = lines.iter().map(|line| line.strip_prefix("state ")?.parse().ok()).collect::<Option<_>>()?;
-        Some(ErasureOrder { states })
+        let (states, rest) = lines.split_at(lines.iter().take_while(|line| line.starts_with("state ")).count());
+        let states = states.iter().map(|line| line.strip_prefix("state ")?.parse().ok()).collect::<Option<_>>()?;
+        let [from, to, rest @ ..] = rest else { return rest.is_empty().then_some(ErasureOrder { states, part: None }) };
+        let (forget, producers) = match rest.split_last() {
+            Some((&"forget", producers)) => (true, producers),
+            _ => (false, rest),
+        };
+        let producer = |line: &&str| line.strip_prefix("producer ")?.parse().ok();
+        let part = ErasedPart {
+            from_nanos: from.strip_prefix("from ")?.parse().ok()?,
+            to_nanos: to.strip_prefix("to ")?.parse().ok()?,
+            producers: producers.iter().map(producer).collect::<Option<_>>()?,
+            forgets: forget,
+        };
+        Some(ErasureOrder { states, part: Some(part) })
     }
 }
 
@@ -211,7 +248,10 @@ mod tests {
         check(&FileList { files: vec![ListedFile { name, from_nanos: -5, to_nanos: 9, length: 77, total_crc: 12 }] });
         check(&FileList::default());
         check(&NewestSegment { first_position: 101 });
-        check(&ErasureOrder { states: vec![3, 4, 17] });
+        check(&ErasureOrder { states: vec![3, 4, 17], part: None });
+        let part = ErasedPart { from_nanos: -5, to_nanos: i64::MAX, producers: vec![2, 11], forgets: true };
+        check(&ErasureOrder { states: vec![3], part: Some(part) });
+        check(&ErasureOrder { states: Vec::new(), part: Some(ErasedPart::default()) });
         check(&ErasureCount { count: 2 });
     }
 
@@ -221,8 +261,12 @@ mod tests {
         assert!(maps.to_text().starts_with("tidemap maps\nnext 2\nmap 1 office\ncrc32c "));
         let newest = NewestSegment { first_position: 101 };
         assert!(newest.to_text().starts_with("tidemap log\nnewest 101\ncrc32c "));
-        let order = ErasureOrder { states: vec![3, 4] };
+        let order = ErasureOrder { states: vec![3, 4], part: None };
         assert!(order.to_text().starts_with("tidemap erasure\nstate 3\nstate 4\ncrc32c "));
+        let part = ErasedPart { from_nanos: 7, to_nanos: 9, producers: vec![1], forgets: true };
+        let order = ErasureOrder { states: vec![3], part: Some(part) };
+        let text = "tidemap erasure\nstate 3\nfrom 7\nto 9\nproducer 1\nforget\ncrc32c ";
+        assert!(order.to_text().starts_with(text));
         assert!(ErasureCount { count: 2 }.to_text().starts_with("tidemap erasures\ncount 2\ncrc32c "));
     }
 }

@@ -1,6 +1,7 @@
-//! Erasing states from a map, so that no file holds anything of them.
+//! Erasing states from a map, or some of their observations, so that no file holds anything of them.
 //!
-//! 1. The order is written to the file `ERASE` in the map's folder. From here on the erasure is completed, by this
+//! 1. Where only a part is erased, the history is read: what cannot be erased exactly is refused, with nothing changed,
+//!    and the states that have learned it are learned anew. Then the order is written to the file `ERASE` in the map's folder. From here on the erasure is completed, by this
 //!    process or by the next start, unless this process can take the order back.
 //! 2. The map is written again to a folder beside, `NUMBER.erasing`, without the states: the newest checkpoint, the log
 //!    from where that needs it, and every history file of states. Positions of the log and the producers' sequences
@@ -41,6 +42,10 @@ use crate::{
     },
     store::catalogue,
 };
+
+mod part;
+
+pub use part::Scanner;
 
 pub(crate) const ERASING_SUFFIX: &str = ".erasing";
 pub(crate) const ERASED_SUFFIX: &str = ".erased";
@@ -99,9 +104,41 @@ pub(crate) fn count(disk: &dyn Disk, folder: &Path) -> io::Result<u64> {
     }
 }
 
+/// What has been read before a map is written again.
+pub(crate) struct Prepared {
+    snapshot: Option<MapSnapshot>,
+    erasure: StateErasure,
+    pub(crate) erased: Erased,
+}
+
+/// How much is erased.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Erased {
+    /// States of which something is erased, each axis of a vector counted.
+    pub states: u64,
+    /// Observations, where only a part of a state's was to be erased.
+    pub observations: u64,
+}
+
 impl Rewrite<'_> {
+    /// Reads what is needed to write the map again, and changes nothing.
+    ///
+    /// # Errors
+    /// [`EraseError`], also where the order cannot be carried out exactly.
+    pub(crate) fn prepare(&self, order: &ErasureOrder) -> Result<Prepared, EraseError> {
+        let snapshot = self.newest()?;
+        let states: Vec<StateId> = order.states.iter().copied().map(StateId).collect();
+        let Some(part) = &order.part else {
+            let erased = Erased { states: states.len() as u64, observations: 0 };
+            return Ok(Prepared { snapshot, erasure: StateErasure::new(states), erased });
+        };
+        let (erasure, erased) = self.part(snapshot.as_ref(), states, part)?;
+        Ok(Prepared { snapshot, erasure, erased })
+    }
+
     /// Writes the map without what is to be erased, up to the moment from which on it is erased.
-    pub(crate) fn run(&self, order: &ErasureOrder) -> Result<(), EraseError> {
+    pub(crate) fn run(&self, prepared: Prepared) -> Result<(), EraseError> {
+        let Prepared { snapshot, mut erasure, .. } = prepared;
         let new = beside(self.directory, self.map, ERASING_SUFFIX);
         let old = catalogue::map_folder(self.directory, self.map);
         let disk = &**self.disk;
@@ -111,8 +148,6 @@ impl Rewrite<'_> {
         let count = count(disk, &old).map_err(store_io(old.join(ERASURES_FILE)))?.saturating_add(1);
         list_file::replace(disk, &new.join(ERASURES_FILE), &ErasureCount { count }).map_err(store_io(&new))?;
 
-        let mut erasure = StateErasure::new(order.states.iter().copied().map(StateId).collect());
-        let snapshot = self.newest()?;
         let (position, replay_from) =
             snapshot.as_ref().map_or((0, 1), |snapshot| (snapshot.position, snapshot.replay_from));
         self.write_checkpoint(&new, &mut erasure, snapshot)?;
@@ -157,22 +192,14 @@ impl Rewrite<'_> {
         known: u64,
         replay_from: u64,
     ) -> Result<(), EraseError> {
-        let folder = catalogue::log_folder(self.directory, self.map);
-        let names = self.disk.list(&folder).map_err(store_io(&folder))?;
-        // A map of format 1 has its history in its log.
-        let first = names.iter().find_map(|name| segment_position(name)).filter(|_| !self.history_complete);
-        let first = first.unwrap_or(replay_from).min(replay_from);
-        let expected = Expectation { map: self.map.0, replay_from: first, known };
-        let read = recovery::read(&**self.disk, &folder, &expected, &mut Vec::new())?;
-        let end = read.cursor.position - 1;
-
+        let (first, replay) = self.events(known, replay_from)?;
         let new_folder = new.join("log");
         let cursor = create_log(&**self.disk, &new_folder, self.map.0, first).map_err(store_io(&new_folder))?;
         let segment_bytes = self.options.segment_bytes;
         let writer = LogWriter::open(self.disk, new_folder.clone(), self.map.0, first, cursor, segment_bytes);
         let mut writer = writer.map_err(store_io(&new_folder))?;
         let mut events = Vec::new();
-        for entry in Replay::new(Arc::clone(self.disk), folder, read.segments, first, end) {
+        for entry in replay {
             let (position, event) = entry?;
             let event = EncodedEvent::encode(&erasure.event(position, event)).map_err(AppendError::InvalidEvent)?;
             events.push(event);
@@ -187,12 +214,29 @@ impl Rewrite<'_> {
         Ok(self.disk.sync_folder(&new_folder).map_err(store_io(new_folder))?)
     }
 
+    /// The events of the log that are still needed, and the position of the first.
+    fn events(&self, known: u64, replay_from: u64) -> Result<(u64, Replay), EraseError> {
+        let folder = catalogue::log_folder(self.directory, self.map);
+        let names = self.disk.list(&folder).map_err(store_io(&folder))?;
+        // A map of format 1 has its history in its log.
+        let first = names.iter().find_map(|name| segment_position(name)).filter(|_| !self.history_complete);
+        let first = first.unwrap_or(replay_from).min(replay_from);
+        let expected = Expectation { map: self.map.0, replay_from: first, known };
+        let read = recovery::read(&**self.disk, &folder, &expected, &mut Vec::new())?;
+        let end = read.cursor.position - 1;
+        Ok((first, Replay::new(Arc::clone(self.disk), folder, read.segments, first, end)))
+    }
+
+    fn history(&self) -> History {
+        let folder = catalogue::history_folder(self.directory, self.map);
+        History::at(Arc::clone(self.disk), folder, self.map)
+    }
+
     fn write_history(&self, new: &Path, erasure: &StateErasure) -> Result<(), EraseError> {
         list_file::replace(&**self.disk, &new.join(HISTORY_FILE), &FileList::default()).map_err(store_io(new))?;
-        let of = |folder: PathBuf| History::at(Arc::clone(self.disk), folder, self.map);
-        let old = of(catalogue::history_folder(self.directory, self.map));
+        let written = History::at(Arc::clone(self.disk), new.join("history"), self.map);
         let rewrite = |piece: &HistoryPiece| erasure.piece(piece);
-        of(new.join("history")).write_again(&old, &rewrite, &copy)
+        written.write_again(&self.history(), &rewrite, &copy)
     }
 }
 
@@ -278,7 +322,8 @@ pub(crate) fn repeat(
         }
         Err(Unlisted::Io(error)) => return Err(open_io(file)(error).into()),
     };
-    Rewrite { disk, directory, options, map, spec, history_complete }.run(&order)?;
+    let rewrite = Rewrite { disk, directory, options, map, spec, history_complete };
+    rewrite.run(rewrite.prepare(&order)?)?;
     swap(&**disk, directory, map)?;
     reports.push(Report::ErasureCompleted { map });
     clean_at_start(&**disk, directory, index, map);

@@ -7,9 +7,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use tidemap_map::erasure::NotErasable;
 use tidemap_migrations::manifest::ManifestError;
 
-use crate::MapId;
+use crate::{MapId, erasure::Scanner};
 
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
@@ -145,6 +146,19 @@ pub enum AppendError {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the fields are named in the message")]
 pub enum EraseError {
+    /// Nothing is changed, because it cannot be done exactly.
+    #[error(transparent)]
+    NotErasable(#[from] NotErasable),
+    /// Nothing is changed, because scans cannot be taken out of a grid.
+    #[error(
+        "{} scans of the grid, which cannot be taken out of it. Name a state: its observations can be erased. To erase \
+         the grid, delete the map",
+        producer.as_ref().map_or_else(|| "the map has".to_owned(), |key| key.scans_text())
+    )]
+    HasScans {
+        /// Who has sent them, or may have.
+        producer: Option<Scanner>,
+    },
     /// The map cannot be read.
     #[error(transparent)]
     Open(#[from] OpenError),

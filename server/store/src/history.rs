@@ -312,11 +312,46 @@ impl History {
         })?;
         let mut piece = HistoryPiece::new(generation);
         for id in ids {
-            let mut samples = Vec::new();
-            table.samples(id, |sample| samples.push(sample))?;
+            let (samples, origins) = table.state(id)?;
             piece.states.push((id, samples));
+            piece.origins.extend(origins);
+        }
+        // All of a file are known, or none.
+        if piece.origins.len() != piece.states.len() {
+            piece.origins.clear();
         }
         Ok(piece)
+    }
+
+    /// Passes the observations of named states of each generation up to one to `take`, ascending, with the latest time
+    /// of each: of these states, ascending, or of all. An error if a file is missing that must exist.
+    pub(crate) fn each_generation(
+        &self,
+        until: u64,
+        states: Option<&[StateId]>,
+        mut take: impl FnMut(&HistoryPiece, i64),
+    ) -> Result<(), HistoryError> {
+        for generation in self.generations(Part::States)?.into_iter().filter(|generation| *generation <= until) {
+            let Some(file) = self.open_if_there(generation, Part::States, i64::MIN, i64::MAX)? else { continue };
+            let to_nanos = file.to_nanos();
+            let Some(states) = states else {
+                take(&self.whole(generation)?, to_nanos);
+                continue;
+            };
+            let (mut table, mut piece) = (Table::new(&file), HistoryPiece::new(generation));
+            for &id in states {
+                let (samples, origins) = table.state(id)?;
+                if !samples.is_empty() {
+                    piece.states.push((id, samples));
+                    piece.origins.extend(origins);
+                }
+            }
+            if piece.origins.len() != piece.states.len() {
+                piece.origins.clear();
+            }
+            take(&piece, to_nanos);
+        }
+        Ok(())
     }
 
     /// Writes the files of another history: those of named states as `rewrite` returns them, or none, and those of the

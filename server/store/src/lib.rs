@@ -32,6 +32,7 @@ mod tests;
 pub use backup::{BackupError, BackupReport, restore};
 pub use check::{Checked, Finding, check};
 pub use committer::SyncStats;
+pub use erasure::{Erased, Scanner};
 pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, StoreError};
 pub use history::{GridDays, History, HistorySizes, StateFiles};
 pub use log::{Done, replay::Replay};

@@ -15,6 +15,7 @@ use crate::{
     ids::{ProducerId, StateId},
     name::{EdgeState, StateName},
     snapshot::MapSnapshot,
+    time::format_rfc3339,
 };
 
 /// Observations of some states and producers in an interval.
@@ -58,11 +59,18 @@ impl Selection {
 }
 
 /// Why observations cannot be erased. Times are nanoseconds UTC.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotErasable {
     /// Nothing is selected.
+    #[error("the map has no such observation")]
     Nothing,
     /// The history does not tell who observed.
+    #[error(
+        "an older version wrote a part of the history of state {:?}, which does not tell who observed; it does for all \
+         observations from {} on. Erase only from then on, or name no producer: an interval alone is erased whoever \
+         observed",
+        state.as_str(), format_rfc3339(*known_from_nanos)
+    )]
     ProducerUnknown {
         /// The state.
         state: StateName,
@@ -70,6 +78,11 @@ pub enum NotErasable {
         known_from_nanos: i64,
     },
     /// The history does not have all observations of a state, so that it cannot be learned anew.
+    #[error(
+        "state {:?} cannot be learned anew without them, because {}. Erase the state as a whole, or only observations \
+         from {} on, which no update has learned",
+        state.as_str(), kept(*kept_from_nanos), format_rfc3339(*pending_from_nanos)
+    )]
     HistoryIncomplete {
         /// The state.
         state: StateName,
@@ -78,6 +91,15 @@ pub enum NotErasable {
         /// Observations from this time on were not learned, and can be erased.
         pending_from_nanos: i64,
     },
+}
+
+fn kept(from_nanos: Option<i64>) -> String {
+    match from_nanos {
+        Some(from) => {
+            format!("the history has not kept all that it has learned: the earliest is of {}", format_rfc3339(from))
+        }
+        None => "the history has not kept what it has learned".to_owned(),
+    }
 }
 
 /// What is known of a state.

@@ -39,6 +39,24 @@ impl Origins {
         push(&mut self.runs, producer, number);
     }
 
+    /// Those of `count` observations from a place on.
+    #[must_use]
+    pub fn part(&self, from: usize, count: usize) -> Self {
+        let mut runs = Vec::new();
+        self.each().skip(from).take(count).for_each(|(producer, number)| push(&mut runs, producer, number));
+        // Those that had waited are the last of all.
+        let all: u64 = self.runs.iter().map(|run| u64::from(run.count)).sum();
+        let first_ahead = all.saturating_sub(u64::from(self.ahead));
+        let ahead = ((from + count) as u64).min(all).saturating_sub(first_ahead.max(from as u64));
+        Self { runs, ahead: u32::try_from(ahead).unwrap_or(u32::MAX), ..*self }
+    }
+
+    /// Adds those of the observations that follow.
+    pub fn extend(&mut self, later: &Self) {
+        later.each().for_each(|(producer, number)| self.push(producer, number));
+        self.ahead = self.ahead.saturating_add(later.ahead);
+    }
+
     /// Producer and number of each observation.
     pub fn each(&self) -> impl Iterator<Item = (ProducerId, u64)> {
         each(&self.runs)

@@ -2,7 +2,7 @@
 //!
 //! Invariant: one record of the table is in memory at a time.
 
-use tidemap_map::ids::StateId;
+use tidemap_map::{history::origins::Origins, ids::StateId};
 use tidemap_migrations::{
     v1::file::RECORD_HEADER_LENGTH,
     v2::{
@@ -14,7 +14,11 @@ use tidemap_migrations::{
 use tidemap_model::Sample;
 
 use super::file::HistoryFile;
-use crate::{error::HistoryError, record::history::decode_samples, record_file::anywhere};
+use crate::{
+    error::HistoryError,
+    record::history::{decode_origins, decode_samples},
+    record_file::anywhere,
+};
 
 /// The table of an open file.
 pub(super) struct Table<'file> {
@@ -100,8 +104,39 @@ impl<'file> Table<'file> {
         Ok(())
     }
 
+    /// The observations of a state, in order of arrival, with their origins if these are known.
+    pub(super) fn state(&mut self, id: StateId) -> Result<(Vec<Sample>, Option<Origins>), HistoryError> {
+        let file = self.file;
+        let mut samples = Vec::new();
+        let mut origins: Option<Origins> = None;
+        self.records(id, |message| {
+            samples.extend(decode_samples(message).map_err(|reason| file.damaged(reason))?);
+            let later = decode_origins(message).map_err(|reason| file.damaged(reason))?;
+            match (&mut origins, later) {
+                (Some(known), Some(later)) => known.extend(&later),
+                (_, later) => origins = later,
+            }
+            Ok(())
+        })?;
+        // Of a part only: of none.
+        let origins = origins.filter(|origins| origins.each().count() == samples.len());
+        Ok((samples, origins))
+    }
+
     /// Passes the observations of a state to `take`, in order of arrival.
     pub(super) fn samples(&mut self, id: StateId, mut take: impl FnMut(Sample)) -> Result<(), HistoryError> {
+        let file = self.file;
+        self.records(id, |message| {
+            decode_samples(message).map_err(|reason| file.damaged(reason))?.into_iter().for_each(&mut take);
+            Ok(())
+        })
+    }
+
+    fn records(
+        &mut self,
+        id: StateId,
+        mut take: impl FnMut(&StateSamples) -> Result<(), HistoryError>,
+    ) -> Result<(), HistoryError> {
         let Some(entry) = self.find(u64::from(id.0))? else { return Ok(()) };
         let file = self.file;
         let mut offset = entry.offset;
@@ -111,7 +146,7 @@ impl<'file> Table<'file> {
             if message.state != id.0 {
                 return Err(file.damaged("its table names another state than its records"));
             }
-            decode_samples(&message).map_err(|reason| file.damaged(reason))?.into_iter().for_each(&mut take);
+            take(&message)?;
             offset = next;
         }
         Ok(())

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use tidemap_map::{
     grid::index::TileId,
-    history::{HistoryDay, HistoryPiece},
+    history::{HistoryDay, HistoryPiece, origins::Origins},
 };
 use tidemap_migrations::{
     v1::file::{FileHeader, Trailer},
@@ -125,12 +125,16 @@ impl Out {
     }
 
     fn states(&mut self, piece: &HistoryPiece) -> Result<(), WriteError> {
-        let mut states: Vec<_> = piece.states.iter().collect();
-        states.sort_by_key(|(id, _)| *id);
-        for (id, samples) in states {
+        let mut states: Vec<_> = piece.states.iter().enumerate().collect();
+        states.sort_by_key(|(_, (id, _))| *id);
+        for (at, (id, samples)) in states {
             self.begin(u64::from(id.0))?;
-            for samples in samples.chunks(SAMPLES_MAX) {
-                let message = encode_samples(*id, samples)?;
+            for (number, chunk) in samples.chunks(SAMPLES_MAX).enumerate() {
+                let part = |all: &Origins| match samples.len() == chunk.len() {
+                    true => all.clone(),
+                    false => all.part(number * SAMPLES_MAX, chunk.len()),
+                };
+                let message = encode_samples(*id, chunk, piece.origins.get(at).map(part).as_ref())?;
                 self.put(RecordKind::StateSamples, &message)?;
             }
         }

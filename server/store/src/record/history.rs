@@ -3,8 +3,11 @@
 //! Invariant: `decode(encode(x)) == x` to the last bit, or `encode` refuses.
 
 use tidemap_map::{
-    history::{OutlierComponent, OutlierModel},
-    ids::StateId,
+    history::{
+        OutlierComponent, OutlierModel,
+        origins::{OriginRun, Origins},
+    },
+    ids::{ProducerId, StateId},
 };
 use tidemap_migrations::v2::history as v2;
 use tidemap_model::Sample;
@@ -14,7 +17,22 @@ use super::{Invalid, cells::place, columns, offsets};
 /// Limit of observations in one record. Constant columns take no space, so the payload's length does not limit it.
 pub(crate) const SAMPLES_MAX: usize = 1 << 20;
 
-pub(crate) fn encode_samples(state: StateId, samples: &[Sample]) -> Result<v2::StateSamples, Invalid> {
+/// One record. `origins`: those of `samples`, if they are known.
+pub(crate) fn encode_samples(
+    state: StateId,
+    samples: &[Sample],
+    origins: Option<&Origins>,
+) -> Result<v2::StateSamples, Invalid> {
+    let known = origins.cloned().unwrap_or_default();
+    if origins.is_some() && known.each().count() != samples.len() {
+        return Err("the origins are not as many as the observations");
+    }
+    let mut next = 0_u64;
+    let steps = known.runs.iter().map(|run| {
+        let step = run.first.wrapping_sub(next).cast_signed();
+        next = run.first.wrapping_add(u64::from(run.count));
+        step
+    });
     let nanos: Vec<i64> = samples.iter().map(|sample| sample.utc_nanos).collect();
     let values: Vec<f64> = samples.iter().map(|sample| sample.value).collect();
     let times = columns::encode_times(&nanos)?;
@@ -30,7 +48,36 @@ pub(crate) fn encode_samples(state: StateId, samples: &[Sample]) -> Result<v2::S
         values,
         offset_counts,
         offset_secs,
+        run_counts: known.runs.iter().map(|run| run.count).collect(),
+        run_producers: known.runs.iter().map(|run| run.producer.0).collect(),
+        run_steps: steps.collect(),
+        ahead: known.ahead,
+        arrived: known.arrived,
+        is_early: known.is_early,
+        is_crowded: known.is_crowded,
     })
+}
+
+/// The origins of the observations of a record; `None`: not known.
+pub(crate) fn decode_origins(message: &v2::StateSamples) -> Result<Option<Origins>, Invalid> {
+    let v2::StateSamples { count, run_counts, run_producers, run_steps, ahead, .. } = message;
+    if run_counts.is_empty() && run_producers.is_empty() && run_steps.is_empty() {
+        return Ok(None);
+    }
+    let total = run_counts.iter().map(|&count| u64::from(count)).sum::<u64>();
+    let is_sound = run_producers.len() == run_counts.len() && run_steps.len() == run_counts.len();
+    if !is_sound || total != u64::from(*count) || ahead > count {
+        return Err("the origins are not as many as the observations");
+    }
+    let mut next = 0_u64;
+    let runs = run_counts.iter().zip(run_producers).zip(run_steps).map(|((&count, &producer), step)| {
+        let first = next.wrapping_add(step.cast_unsigned());
+        next = first.wrapping_add(u64::from(count));
+        OriginRun { producer: ProducerId(producer), first, count }
+    });
+    let runs = runs.collect();
+    let (arrived, is_early, is_crowded) = (message.arrived, message.is_early, message.is_crowded);
+    Ok(Some(Origins { runs, ahead: *ahead, arrived, is_early, is_crowded }))
 }
 
 pub(crate) fn decode_samples(message: &v2::StateSamples) -> Result<Vec<Sample>, Invalid> {

@@ -119,6 +119,7 @@ pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v2::Producer {
         recent_sequences: mark.recent.iter().map(|recent| recent.sequence).collect(),
         recent_crcs: mark.recent.iter().map(|recent| recent.crc).collect(),
         received_nanos: mark.received_nanos,
+        has_scans: mark.has_scans,
     }
 }
 
@@ -146,6 +147,7 @@ pub(crate) fn decode_producer(id: usize, message: &v2::Producer) -> Result<Produ
         sensor: sensors::decode(message.sensor.as_ref())?,
         received_nanos: message.received_nanos,
         recent,
+        has_scans: message.has_scans,
     })
 }
 

@@ -10,7 +10,7 @@ use tidemap_model::Sample;
 
 use super::disk::{Fault, SimulatedDisk};
 use crate::{
-    MapId, OpenError, Report, Store, StoreOptions,
+    EraseError, MapId, OpenError, Report, Store, StoreOptions,
     committer::Committer,
     disk::Disk as _,
     index::Index,
@@ -20,6 +20,8 @@ use crate::{
         grid_example,
     },
 };
+
+mod parts;
 
 const MAP: MapId = MapId(1);
 const ERASED: [StateId; 2] = [StateId(0), StateId(2)];
@@ -108,14 +110,27 @@ fn is_erased(store: &Store, spec: &MapSpec, (before, after): (&Content, &Content
     found == *after
 }
 
+fn states_erased(store: &Store) -> Result<(), EraseError> {
+    store.erase_states(MAP, &ERASED).map(drop)
+}
+
 fn erasing_with_faults(spec: &MapSpec) {
     let (disk, before, after) = filled(spec);
-    let both = (&before, &after);
+    with_faults(spec, &disk, (&before, &after), &states_erased);
+}
+
+/// Erases with a fault at every call: the map has one of two contents, whatever happens.
+fn with_faults(
+    spec: &MapSpec,
+    disk: &SimulatedDisk,
+    both: (&Content, &Content),
+    erase: &dyn Fn(&Store) -> Result<(), EraseError>,
+) {
     let calls = {
         let disk = disk.kill();
         let store = started(&disk, &Arc::default()).expect("starts");
         let before = disk.calls();
-        store.erase_states(MAP, &ERASED).expect("erases");
+        erase(&store).expect("erases");
         assert!(is_erased(&store, spec, both));
         let names = disk.list(Path::new("/data/maps")).expect("listed");
         assert_eq!(names, ["00000001"], "nothing is left beside");
@@ -129,7 +144,7 @@ fn erasing_with_faults(spec: &MapSpec) {
             let store = started(&disk, &Arc::default()).expect("starts");
             let call = disk.calls() + call;
             disk.set_fault(Some(Fault { call, kind: ErrorKind::Other, is_sticky }));
-            let erased = store.erase_states(MAP, &ERASED);
+            let erased = erase(&store);
             disk.set_fault(None);
             if !is_sticky && store.set_aside().is_empty() {
                 // The daemon goes on with the map.

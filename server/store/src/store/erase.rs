@@ -1,17 +1,17 @@
-//! Erasing states from a map that is open.
+//! Erasing states, or some of their observations, from a map that is open.
 //!
 //! Invariant: the map's log is closed before its files are written again. After an error the map is as it was, or it is
 //! set aside and the next start completes the erasure.
 
 use std::{io, path::Path, sync::PoisonError};
 
-use tidemap_map::ids::StateId;
-use tidemap_migrations::v3::lists::{ERASE_FILE, ErasureOrder};
+use tidemap_map::{erasure::Selection, ids::StateId};
+use tidemap_migrations::v3::lists::{ERASE_FILE, ErasedPart, ErasureOrder};
 
 use super::{Store, catalogue};
 use crate::{
     MapId,
-    erasure::{ERASED_SUFFIX, ERASING_SUFFIX, Rewrite, beside, clean, remove_folder, swap, with},
+    erasure::{ERASED_SUFFIX, ERASING_SUFFIX, Erased, Rewrite, beside, clean, remove_folder, swap, with},
     error::{EraseError, StoreError, store_io},
     list_file,
 };
@@ -27,21 +27,41 @@ impl Store {
     /// # Errors
     /// [`EraseError`]. But for [`EraseError::Index`], either the map is as it was, or it is no longer in
     /// [`Self::maps`] and the next start completes the erasure.
-    pub fn erase_states(&self, map: MapId, states: &[StateId]) -> Result<(), EraseError> {
+    pub fn erase_states(&self, map: MapId, states: &[StateId]) -> Result<Erased, EraseError> {
+        let mut states: Vec<u32> = states.iter().map(|state| state.0).collect();
+        states.sort_unstable();
+        self.erase(map, &ErasureOrder { states, part: None })
+    }
+
+    /// Erases the selected observations from a map, as [`Self::erase_states`] does; the models of their states are
+    /// learned anew from the history. A state of which nothing is left is erased. `forgets`: the sequences of the
+    /// selected producers begin anew, which must be named, and states of which nothing is left stay, untrained.
+    ///
+    /// # Errors
+    /// [`EraseError`]. After [`EraseError::NotErasable`] and [`EraseError::HasScans`] the map is as it was; else as
+    /// [`Self::erase_states`].
+    pub fn erase_part(&self, map: MapId, selection: &Selection, forgets: bool) -> Result<Erased, EraseError> {
+        let states = selection.states.iter().flatten().map(|state| state.0).collect();
+        let producers = selection.producers.iter().flatten().map(|producer| producer.0).collect();
+        let (from_nanos, to_nanos) = (selection.from_nanos, selection.to_nanos);
+        self.erase(map, &ErasureOrder { states, part: Some(ErasedPart { from_nanos, to_nanos, producers, forgets }) })
+    }
+
+    fn erase(&self, map: MapId, order: &ErasureOrder) -> Result<Erased, EraseError> {
         let inner = self.inner();
         let unknown = || EraseError::Store(StoreError::UnknownMap(map));
         let entry = inner.entry(map).ok_or_else(unknown)?;
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
         let entry = inner.close_log(map).ok_or_else(unknown)?;
-        let mut states: Vec<u32> = states.iter().map(|state| state.0).collect();
-        states.sort_unstable();
-        let (disk, directory, order) = (&inner.disk, &inner.directory, ErasureOrder { states });
+        let (disk, directory) = (&inner.disk, &inner.directory);
         let file = catalogue::map_folder(directory, map).join(ERASE_FILE);
         let (spec, history_complete) = entry.spec();
         let rewrite = Rewrite { disk, directory, options: inner.options(), map, spec, history_complete };
-        let rewritten = list_file::replace(&**disk, &file, &order)
+        let prepared = rewrite.prepare(order)?;
+        let erased = prepared.erased;
+        let rewritten = list_file::replace(&**disk, &file, order)
             .map_err(|error| store_io(&file)(error).into())
-            .and_then(|()| rewrite.run(&order));
+            .and_then(|()| rewrite.run(prepared));
         if let Err(error) = rewritten {
             let is_erased = with(&**disk, directory, ERASED_SUFFIX).is_ok_and(|maps| maps.contains(&map));
             if is_erased || !self.take_back(map, &file) {
@@ -50,7 +70,7 @@ impl Store {
             return Err(error);
         }
         swap(&**disk, directory, map).inspect_err(|_| inner.set_aside(map, UNFINISHED))?;
-        clean(&**disk, directory, &mut inner.index(), map)
+        clean(&**disk, directory, &mut inner.index(), map).map(|()| erased)
     }
 
     /// Takes an order back and removes what was written; whether the map is as before.

@@ -129,6 +129,7 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
             recent: (0..position % 4)
                 .map(|i| ContentMark { sequence: position * 10 + i, crc: i as u32 * 77 })
                 .collect(),
+            has_scans: [None, Some(false), Some(true)][(position % 3) as usize],
         }],
         states,
         site,

@@ -137,6 +137,7 @@ fn snapshot() -> MapSnapshot {
             sensor: None,
             received_nanos: None,
             recent: Vec::new(),
+            has_scans: None,
         }],
         states: vec![
             state("Küche", model.expect("valid"), persistence),

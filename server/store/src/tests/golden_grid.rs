@@ -232,6 +232,7 @@ fn piece() -> HistoryPiece {
             (StateId(0), vec![sample(1_700_000_000, 1.0), sample(1_700_000_007, 0.0), sample(5, 1.0)]),
             (StateId(300), vec![sample(1_700_000_000, 0.1)]),
         ],
+        origins: Vec::new(),
         days: vec![HistoryDay { outliers: day(), models: vec![(TileId(1), vec![model])] }],
     }
 }
@@ -251,6 +252,7 @@ fn snapshot() -> MapSnapshot {
             sensor: None,
             received_nanos: None,
             recent: Vec::new(),
+            has_scans: None,
         }],
         states: Vec::new(),
         site: Arc::default(),

@@ -20,7 +20,10 @@ use tidemap_map::{
         spec::{GridSpec, Retention, SensorNoise},
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
     },
-    history::{HistoryDay, HistoryPiece, OutlierComponent, OutlierModel},
+    history::{
+        HistoryDay, HistoryPiece, OutlierComponent, OutlierModel,
+        origins::{OriginRun, Origins},
+    },
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::ProducerKey,
     snapshot::MapSnapshot,
@@ -311,6 +314,20 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, tiles: u32) -> MapSnapshot
     MapSnapshot { grid: Some(grid(spec, tiles, &mut random)), ..example::snapshot(spec, position, 2) }
 }
 
+/// Two producers that took turns, with a gap in the numbers; some of the observations had waited.
+fn origins(first: u64, count: usize) -> Origins {
+    let mut random = SmallRng::seed_from_u64(first);
+    let (mut left, mut number, mut runs) = (u32::try_from(count).expect("few"), first * 1000, Vec::new());
+    while left > 0 {
+        let count = random.random_range(1..=left);
+        runs.push(OriginRun { producer: ProducerId(runs.len() as u32 % 2), first: number, count });
+        (left, number) = (left - count, number + u64::from(count) + random.random_range(0..3));
+    }
+    let ahead = random.random_range(0..=u32::try_from(count).expect("few"));
+    let (arrived, is_early) = (u64::from(ahead) * number, random.random());
+    Origins { runs, ahead, arrived, is_early, is_crowded: !is_early }
+}
+
 /// The observations that a generation has learned: of the states and of the grid on one day.
 pub(crate) fn piece(generation: u64, day_number: i32, random: &mut SmallRng) -> HistoryPiece {
     let mut piece = HistoryPiece::new(generation);
@@ -323,6 +340,8 @@ pub(crate) fn piece(generation: u64, day_number: i32, random: &mut SmallRng) -> 
         });
         piece.states.push((StateId(id), samples.collect()));
     }
+    piece.origins =
+        piece.states.iter().map(|(id, samples)| origins(generation + u64::from(id.0), samples.len())).collect();
     let outliers = day(day_number, 5, random);
     let modelled: Vec<u32> = (0..5).filter(|_| random.random_bool(0.5)).collect();
     let models = modelled.into_iter().map(|tile| {

@@ -104,10 +104,19 @@ proptest! {
     #[test]
     fn samples_and_small_models_come_back(seed in any::<u64>(), at in any::<prop::sample::Index>(), byte in any::<u8>()) {
         let piece = piece(1, 19_000, &mut SmallRng::seed_from_u64(seed));
-        for (state, samples) in &piece.states {
-            let message = history::encode_samples(*state, samples).expect("valid");
-            prop_assert_eq!(history::decode_samples(&message), Ok(samples.clone()));
-            let _ = changed(&message, at, byte).map(|message| history::decode_samples(&message));
+        for ((state, samples), origins) in piece.states.iter().zip(&piece.origins) {
+            for origins in [Some(origins), None] {
+                let message = history::encode_samples(*state, samples, origins).expect("valid");
+                prop_assert_eq!(history::decode_samples(&message), Ok(samples.clone()));
+                prop_assert_eq!(history::decode_origins(&message), Ok(origins.cloned()));
+                let _ = changed(&message, at, byte).map(|message| history::decode_samples(&message));
+                let _ = changed(&message, at, byte).map(|message| history::decode_origins(&message));
+            }
+            let at = at.index(samples.len());
+            let mut parts = origins.part(0, at);
+            parts.extend(&origins.part(at, samples.len() - at));
+            prop_assert_eq!(&parts, origins);
+            prop_assert!(history::encode_samples(*state, samples, Some(&origins.part(1, at))).is_err());
         }
         for (_, models) in &piece.days[0].models {
             let mut bytes = history::encode_models(models).expect("valid");
@@ -158,9 +167,24 @@ fn counts_that_nothing_stands_behind_are_refused() {
     let models = v2::history::StateSamples { count: u32::MAX, times: vec![0], values: vec![0], ..Default::default() };
     assert!(history::decode_samples(&models).is_err());
     assert!(
-        history::encode_samples(tidemap_map::ids::StateId(0), &[Sample { utc_nanos: -1, offset_secs: 0, value: 0.0 }])
-            .is_err()
+        history::encode_samples(
+            tidemap_map::ids::StateId(0),
+            &[Sample { utc_nanos: -1, offset_secs: 0, value: 0.0 }],
+            None
+        )
+        .is_err()
     );
+    let origins = |run_counts: &[u32], steps: usize| {
+        let (run_counts, run_steps) = (run_counts.to_vec(), vec![1; steps]);
+        let run_producers = vec![0; run_counts.len()];
+        let message =
+            v2::history::StateSamples { count: 5, run_counts, run_producers, run_steps, ..Default::default() };
+        history::decode_origins(&message).map(|known| known.is_some())
+    };
+    assert_eq!(origins(&[], 0), Ok(false));
+    assert_eq!(origins(&[3, 2], 2), Ok(true));
+    assert!(origins(&[3, 2], 1).is_err(), "runs without a number");
+    assert!(origins(&[u32::MAX, 6], 2).is_err(), "more than there are");
 }
 
 #[test]

@@ -31,7 +31,7 @@ fn saves() -> Saves {
 /// A snapshot of the generation, with history of one observation.
 fn of_generation(generation: u64) -> MapSnapshot {
     let states = vec![(StateId(0), vec![Sample { utc_nanos: NOON, offset_secs: 0, value: 1.0 }])];
-    let piece = HistoryPiece { generation, from_nanos: NOON, to_nanos: NOON, states, days: Vec::new() };
+    let piece = HistoryPiece { generation, from_nanos: NOON, to_nanos: NOON, states, ..HistoryPiece::new(generation) };
     MapSnapshot { generation, history: vec![Arc::new(piece)], ..snapshot() }
 }
 
