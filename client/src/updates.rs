@@ -103,7 +103,7 @@ pub struct Job {
     pub states_done: u64,
     /// Number of states that have observations to learn.
     pub states_total: u64,
-    /// Number of observations learned.
+    /// Number of observations learned, or erased of states that were not erased as a whole.
     pub observations: u64,
     /// When the job was created.
     pub created_nanos: Option<i64>,
@@ -123,6 +123,25 @@ impl Job {
     pub fn has_ended(&self) -> bool {
         matches!(self.state, JobState::Done | JobState::Failed)
     }
+}
+
+/// What is to be erased: at least a state, a producer or an interval. Without a producer and an interval it is the whole
+/// state.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Erasure {
+    /// Of this state; `None`: of all.
+    pub state: Option<String>,
+    /// What this producer observed; `None`: what all did.
+    pub producer: Option<String>,
+    /// With this label; `None`: with all labels.
+    pub label: Option<String>,
+    /// From this time on, nanoseconds UTC, at least 0.
+    pub from_nanos: Option<i64>,
+    /// Before this time, nanoseconds UTC.
+    pub to_nanos: Option<i64>,
+    /// Forgets also the sequence of the producer with the label, so that the same observations count when they are sent
+    /// again. Needs both, and neither state nor interval.
+    pub forget_sequence: bool,
 }
 
 /// The effect of an update on one state.
@@ -308,7 +327,23 @@ impl Client {
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if there is no such map or state.
     pub async fn erase(&self, map: &str, state: &str) -> Result<Job, Error> {
-        let request = v1::EraseRequest { map: map.to_owned(), state: state.to_owned() };
+        self.erase_part(map, Erasure { state: Some(state.to_owned()), ..Erasure::default() }).await
+    }
+
+    /// Starts to erase observations from a map. When the job is done, the map is as if they had never been observed.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if there is no such map, state or producer.
+    pub async fn erase_part(&self, map: &str, what: Erasure) -> Result<Job, Error> {
+        let request = v1::EraseRequest {
+            map: map.to_owned(),
+            state: what.state.unwrap_or_default(),
+            producer: what.producer.unwrap_or_default(),
+            label: what.label,
+            from_time: what.from_nanos.map(timestamp),
+            to_time: what.to_nanos.map(timestamp),
+            forget_sequence: what.forget_sequence,
+        };
         let answer = self.maintenance_service().erase(request).await;
         job_from_wire(answer.map_err(|status| self.error(&status))?.into_inner().job)
     }

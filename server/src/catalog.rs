@@ -78,6 +78,11 @@ pub(crate) enum CatalogError {
     Axis { state: String, whole: String },
     #[error("no thread for the map: {0}")]
     Thread(#[from] std::io::Error),
+    #[error(
+        "map {map} has no producer {producer:?}{}. tidemap producer list {map} shows those it has",
+        label.as_ref().map_or(String::new(), |label| format!(" with label {label:?}"))
+    )]
+    NoProducer { map: MapName, producer: String, label: Option<String> },
     #[error("the daemon is stopping")]
     Stopping,
 }

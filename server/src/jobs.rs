@@ -113,6 +113,13 @@ impl UpdateJob {
         });
     }
 
+    /// Corrects the amounts of a running job.
+    pub(crate) fn count(&self, states_total: u64, observations: u64) {
+        self.status.send_modify(|status| {
+            (status.states_total, status.observations) = (states_total, observations);
+        });
+    }
+
     /// Ends the job of an update, which may have published a generation and its cut.
     pub(crate) fn end(&self, result: Result<(u64, i64), String>) {
         self.end_with(result.map(Some));

@@ -1,23 +1,29 @@
-//! Erasing states from a map that is served: its writer stops, the store writes the map again without the states, and
+//! Erasing states, or some of their observations, from a map that is served: its writer stops, the store writes the map again without the states, and
 //! another writer begins with that.
 //!
 //! Invariant: the states are found by name when nothing can change their ids any more, and one erasure of the daemon
 //! runs at a time. Requests wait for the new writer, and what was read for the old one is not answered.
 
-use std::sync::{Arc, atomic::Ordering};
+use std::{
+    collections::BTreeSet,
+    sync::{Arc, atomic::Ordering},
+};
 
 use tidemap_map::{
-    ids::StateId,
+    erasure::Selection,
+    ids::{ProducerId, StateId},
     live_map::LiveMap,
-    name::{MapName, StateName},
+    name::{MapName, ProducerKey, StateName},
     view::MapView,
 };
+use tidemap_store::Erased;
+use tokio::sync::oneshot;
 use tracing::{error, info};
 
-use super::{ByName, Catalog, CatalogError, ended, restore_map};
+use super::{ByName, Catalog, CatalogError, ended, restore_map, shortened};
 use crate::{
     access::Caller,
-    ingest::{ending::Ending, handle::MapHandle, writer::start_in},
+    ingest::{ending::Ending, handle::MapHandle, protocol::Command, writer::start_in},
     jobs::{JobCause, UpdateJob},
 };
 
@@ -39,24 +45,71 @@ pub(crate) fn states_of(view: &MapView, name: &str) -> Result<Vec<StateId>, Cata
     Ok((first.0..first.0.saturating_add(count)).map(StateId).collect())
 }
 
+/// What is to be erased, by names.
+#[derive(Clone, Debug)]
+pub(crate) struct Wish {
+    /// The state; `None`: all, of which a part is to be erased.
+    pub state: Option<String>,
+    /// Which of the observations; `None`: all, with the state.
+    pub part: Option<WishedPart>,
+}
+
+/// Some of the observations.
+#[derive(Clone, Debug)]
+pub(crate) struct WishedPart {
+    /// The producer, and its label; without one, all labels.
+    pub producer: Option<(String, Option<String>)>,
+    /// First time, nanoseconds UTC.
+    pub from_nanos: i64,
+    /// Time before which they lie, nanoseconds UTC; `i64::MAX`: up to the last.
+    pub to_nanos: i64,
+    /// Whether the sequence of the producer is forgotten.
+    pub forgets: bool,
+}
+
 impl Catalog {
-    /// Erases a state from a map, as a job that continues if the caller goes away.
-    pub(crate) fn erase(&self, map: &MapName, state: String, caller: &Caller) -> Arc<UpdateJob> {
+    /// The producers of a map with a name, and with a label if one is given.
+    ///
+    /// # Errors
+    /// [`CatalogError::NoProducer`].
+    pub(crate) async fn producers_of(
+        &self,
+        handle: &MapHandle,
+        (producer, label): (&str, Option<&str>),
+    ) -> Result<BTreeSet<ProducerId>, CatalogError> {
+        let (reply, known) = oneshot::channel();
+        if !handle.send(Command::ListProducers(reply)) {
+            return Err(CatalogError::Stopping);
+        }
+        let known = known.await.map_err(|_| CatalogError::Stopping)?;
+        let is_meant = |key: &ProducerKey| key.producer() == producer && label.is_none_or(|label| key.label() == label);
+        let found: BTreeSet<_> = known.iter().filter(|known| is_meant(&known.mark.key)).map(|known| known.id).collect();
+        if found.is_empty() {
+            let (map, label) = (handle.spec.name.clone(), label.map(shortened));
+            return Err(CatalogError::NoProducer { map, producer: shortened(producer), label });
+        }
+        Ok(found)
+    }
+
+    /// Erases something from a map, as a job that continues if the caller goes away.
+    pub(crate) fn erase(&self, map: &MapName, wish: Wish, caller: &Caller) -> Arc<UpdateJob> {
         let job = self.context.jobs.create(map.clone(), JobCause::Erasure, self.context.clock.now_nanos());
         let (this, map, by, of) = (self.clone(), map.clone(), caller.shown().to_owned(), Arc::clone(&job));
-        info!(%map, state, by, job = job.id, "erasure ordered");
+        info!(%map, ?wish, by, job = job.id, "erasure ordered");
         tokio::spawn(async move {
-            let erased = this.erase_now(&map, &state, &of).await;
+            let erased = this.erase_now(&map, &wish, &of).await;
             match &erased {
-                Ok(states) => info!(%map, state, by, job = of.id, states, "erased"),
-                Err(error) => error!(%map, state, by, job = of.id, %error, "not erased"),
+                Ok(Erased { states, observations }) => {
+                    info!(%map, ?wish, by, job = of.id, states, observations, "erased");
+                }
+                Err(error) => error!(%map, ?wish, by, job = of.id, %error, "not erased"),
             }
             of.end_with(erased.map(|_| None).map_err(|error| error.to_string()));
         });
         job
     }
 
-    async fn erase_now(&self, map: &MapName, state: &str, job: &UpdateJob) -> Result<u64, CatalogError> {
+    async fn erase_now(&self, map: &MapName, wish: &Wish, job: &UpdateJob) -> Result<Erased, CatalogError> {
         let open = self.changing.lock().await;
         if !*open {
             return Err(CatalogError::Stopping);
@@ -66,10 +119,19 @@ impl Catalog {
             return Err(CatalogError::Stopping);
         }
         let (id, spec, view) = (old.id, Arc::clone(&old.spec), old.view());
-        // States are only added from here on.
-        let states = states_of(&view, state)?;
-        let count = states.len() as u64;
-        job.start(count, 0);
+        // States and producers are only added from here on.
+        let states = wish.state.as_deref().map(|state| states_of(&view, state)).transpose()?;
+        let mut selection = None;
+        if let Some(part) = &wish.part {
+            let producers = match &part.producer {
+                Some((producer, label)) => Some(self.producers_of(&old, (producer, label.as_deref())).await?),
+                None => None,
+            };
+            let (from_nanos, to_nanos) = (part.from_nanos, part.to_nanos);
+            let states = states.as_ref().map(|states| states.iter().copied().collect());
+            selection = Some((Selection { states, producers, from_nanos, to_nanos }, part.forgets));
+        }
+        job.start(states.as_ref().map_or(0, |states| states.len() as u64), 0);
         let shown = LiveMap::new(Arc::clone(&spec)).publish();
         let (new, seat) = MapHandle::with_seat(id, Arc::clone(&spec), shown);
         let new = Arc::new(new);
@@ -83,7 +145,10 @@ impl Catalog {
         drop((old, view));
         let context = self.context.clone();
         let (erased, restored) = ended(tokio::task::spawn_blocking(move || {
-            let erased = context.store.erase_states(id, &states);
+            let erased = match &selection {
+                Some((selection, forgets)) => context.store.erase_part(id, selection, *forgets),
+                None => context.store.erase_states(id, &states.unwrap_or_default()),
+            };
             let restored = restore_map(&context, id, &spec, &|_, _| true);
             Ok((erased, restored))
         }))
@@ -100,8 +165,9 @@ impl Catalog {
                 return Err(error);
             }
         }
-        erased?;
-        job.states_done.store(count, Ordering::Relaxed);
-        Ok(count)
+        let erased = erased?;
+        job.count(erased.states, erased.observations);
+        job.states_done.store(erased.states, Ordering::Relaxed);
+        Ok(erased)
     }
 }

@@ -15,7 +15,7 @@ use tidemap_map::{
         tile::TileSource,
     },
     history::{HistoryPiece, Reading, Subject},
-    ids::RefusalReason,
+    ids::{ProducerId, RefusalReason},
     name::{ProducerKey, StateName},
     site::{InvalidEdit, SiteEdit},
     snapshot::{ContentMark, MapSnapshot, ProducerMark},
@@ -292,6 +292,8 @@ pub(crate) enum Handover {
 /// A producer of a map.
 #[derive(Clone, Debug)]
 pub(crate) struct KnownProducer {
+    /// Its number.
+    pub id: ProducerId,
     /// How far its sequence is durable.
     pub mark: ProducerMark,
     /// Whether a stream of it is open.

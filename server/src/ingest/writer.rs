@@ -29,6 +29,7 @@ use std::{
 
 use arc_swap::ArcSwap;
 use tidemap_map::{
+    ids::ProducerId,
     live_map::{LiveMap, PendingLimits},
     snapshot::{MapSnapshot, ProducerMark},
     update::UpdateWork,
@@ -259,9 +260,13 @@ impl Writer {
     }
 
     fn known_producers(&self) -> Vec<KnownProducer> {
-        let known =
-            |mark: &ProducerMark| KnownProducer { mark: mark.clone(), is_connected: self.sessions.is_open(&mark.key) };
-        let mut producers: Vec<KnownProducer> = self.map.producer_marks().iter().map(known).collect();
+        let known = |(id, mark): (ProducerId, &ProducerMark)| KnownProducer {
+            id,
+            mark: mark.clone(),
+            is_connected: self.sessions.is_open(&mark.key),
+        };
+        let marks = (0..).map(ProducerId).zip(self.map.producer_marks());
+        let mut producers: Vec<KnownProducer> = marks.map(known).collect();
         producers.sort_by(|a, b| a.mark.key.cmp(&b.mark.key));
         producers
     }

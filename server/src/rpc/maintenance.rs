@@ -19,7 +19,10 @@ use tonic::{Request, Response, Status};
 use super::{RpcReply, page::page, status::RpcError};
 use crate::{
     access::Caller,
-    catalog::{Catalog, CatalogError, erasure::states_of},
+    catalog::{
+        Catalog, CatalogError,
+        erasure::{Wish, WishedPart, states_of},
+    },
     ingest::protocol::{Command, KnownProducer},
     jobs::{JobCause, Phase, UpdateJob},
     rpc::lookup::{cell_of, find_map, find_state},
@@ -94,6 +97,35 @@ fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
         observations: cells.observations,
         scored: cells.scored,
     }
+}
+
+/// What a request wants to erase.
+fn wish(request: &v1::EraseRequest) -> Result<Wish, RpcError> {
+    let v1::EraseRequest { state, producer, label, from_time, to_time, forget_sequence: forgets, .. } = request;
+    let wrong = |field: &str, problem: &str| Err(RpcError::from(InvalidField::new(field, problem)));
+    let state = (!state.is_empty()).then(|| state.clone());
+    let has_interval = from_time.is_some() || to_time.is_some();
+    if producer.is_empty() && label.is_some() {
+        return wrong("label", "a label is one of a producer: name the producer, too");
+    }
+    if *forgets && (producer.is_empty() || label.is_none() || state.is_some() || has_interval) {
+        let problem = "a sequence is forgotten as a whole: name producer and label, and neither state nor interval";
+        return wrong("forget_sequence", problem);
+    }
+    if producer.is_empty() && !has_interval {
+        return match state {
+            Some(_) => Ok(Wish { state, part: None }),
+            None => wrong("state", "name what is to be erased: a state, a producer, an interval, or some of these"),
+        };
+    }
+    let nanos = |field: &str, time: &Option<_>| time.map(|time| nanos_from_timestamp(field, time)).transpose();
+    let from_nanos = nanos("from_time", from_time).map_err(RpcError::from)?.unwrap_or(i64::MIN);
+    let to_nanos = nanos("to_time", to_time).map_err(RpcError::from)?.unwrap_or(i64::MAX);
+    if from_nanos >= to_nanos {
+        return wrong("to_time", "it must be later than from_time: it is the end of the interval, and not part of it");
+    }
+    let producer = (!producer.is_empty()).then(|| (producer.clone(), label.clone()));
+    Ok(Wish { state, part: Some(WishedPart { producer, from_nanos, to_nanos, forgets: *forgets }) })
 }
 
 fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
@@ -230,21 +262,28 @@ impl MaintenanceService for Maintenance {
     }
 
     async fn erase(&self, request: Request<v1::EraseRequest>) -> RpcReply<v1::EraseResponse> {
-        let v1::EraseRequest { map, state } = request.into_inner();
-        let handle = find_map(&self.catalog, &map).await?;
+        let request = request.into_inner();
+        let wish = wish(&request)?;
+        let handle = find_map(&self.catalog, &request.map).await?;
+        if let Some(WishedPart { producer: Some((producer, label)), .. }) = &wish.part {
+            self.catalog.producers_of(&handle, (producer, label.as_deref())).await.map_err(RpcError::from)?;
+        }
+        let state = request.state;
         if cell_of("state", &state)?.is_some() {
             let problem = "cells of a grid cannot be erased one by one: name a state, or delete the map";
             return Err(RpcError::from(InvalidField::new("state", problem)).into());
         }
         // Found again when the erasure begins: another one may have been first.
-        if let Err(error) = states_of(&handle.view(), &state) {
+        if wish.state.is_some()
+            && let Err(error) = states_of(&handle.view(), &state)
+        {
             return Err(match error {
                 CatalogError::NoState { .. } => find_state(&handle.view(), &state).err().unwrap_or(error.into()),
                 error => error.into(),
             }
             .into());
         }
-        let job = self.catalog.erase(&handle.spec.name, state, &Caller::current());
+        let job = self.catalog.erase(&handle.spec.name, wish, &Caller::current());
         Ok(Response::new(v1::EraseResponse { job: Some(job_to_wire(&self.catalog, &job)) }))
     }
 

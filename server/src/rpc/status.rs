@@ -215,6 +215,7 @@ impl RpcError {
                 | CatalogError::Sums { .. }
                 | CatalogError::Duplicate { .. } => (Code::DataLoss, "STORAGE_FAILED"),
                 CatalogError::Thread(_) => (Code::ResourceExhausted, "LIMIT"),
+                CatalogError::NoProducer { .. } => (Code::NotFound, "UNKNOWN_PRODUCER"),
                 CatalogError::Erase(_) => (Code::Internal, "STORAGE_FAILED"),
                 CatalogError::NoState { .. } => (Code::NotFound, "UNKNOWN_STATE"),
                 CatalogError::Axis { .. } => (Code::InvalidArgument, "IS_VECTOR"),

@@ -18,7 +18,7 @@ use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::{
     observe::{Phase, Producer, ProducerError, ProducerOptions, Progress},
-    updates::{Job, JobCause, JobState},
+    updates::{Erasure, Job, JobCause, JobState},
 };
 use tokio::{sync::watch, task::JoinHandle};
 
@@ -28,7 +28,7 @@ use self::{
     refused::RefusedRows,
     transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
 };
-use super::{Session, files, job, producer_id, state::KindArg, times, usage};
+use super::{Session, erase, files, job, producer_id, state::KindArg, times, usage};
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::{Layout, ObservationColumns},
@@ -51,6 +51,10 @@ pub(crate) struct ObserveArgs {
     /// Writes the refused rows to this new file, to be corrected there and sent
     #[arg(long, value_name = "FILE")]
     refused: Option<PathBuf>,
+    /// Withdraws what this producer has sent with this label before, as if it had never been observed, and sends the
+    /// file anew; for a corrected file (needs the role admin)
+    #[arg(long)]
+    replace: bool,
 }
 
 /// Who sends a file, and how.
@@ -112,7 +116,29 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     }
     let options = args.sender.options(&args.map, &base_name(&args.file))?;
     let options = ProducerOptions { kind: args.kind.and_then(KindArg::single), ..options };
+    if args.replace {
+        withdraw(session, &options).await?;
+    }
     send(session, options, feed, FileSent { shown: &shown, command: "observe", refused }).await
+}
+
+/// Erases what the options' producer has sent with their label.
+async fn withdraw(session: &Session, options: &ProducerOptions) -> anyhow::Result<()> {
+    let ProducerOptions { producer, label, map, .. } = options;
+    let known = session.client.producers(map).await?;
+    if !known.iter().any(|known| (&known.producer, &known.label) == (producer, label)) {
+        status_line(&format!("{producer} has sent nothing as {label} before: there is nothing to withdraw"));
+        return Ok(());
+    }
+    let what = Erasure {
+        producer: Some(producer.clone()),
+        label: Some(label.clone()),
+        forget_sequence: true,
+        ..Erasure::default()
+    };
+    let ended = erase::run_to_end(session, map, what).await?;
+    status_line(&format!("withdrawn: {} observations that {producer} sent as {label}", ended.observations));
+    Ok(())
 }
 
 /// A file that a command sends.
@@ -145,14 +171,24 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
     }
     transfer.report.conclude();
     let again = format!("tidemap {command} {} --producer {}", options.map, options.producer);
+    // The label where it is not that of the file.
+    let label = if base_name(Path::new(shown)) == options.label {
+        String::new()
+    } else {
+        format!(" --label {}", options.label)
+    };
+    let replace = (command == "observe" && shown != "stdin").then(|| format!("{again} {shown}{label} --replace"));
     if let Some(refused) = transfer.report.kept() {
         // A file that differs was not sent, and what is wrong with it says nothing about what was.
         let advice = if matches!(end, TransferEnd::Differs(_)) { None } else { refused.write(&again)? };
         advice.iter().for_each(|advice| status_line(advice));
     } else if counts.refused > 0 && shown != "stdin" {
+        let replaced = replace.as_ref().map_or_else(String::new, |replace| {
+            format!("; or correct them in {shown}, and send all of it anew in place of this: {replace}")
+        });
         status_line(&format!(
-            "to correct the refused rows: {again} {shown} --refused FILE writes them to a file of their own, and sends \
-             nothing twice"
+            "to correct the refused rows: {again} {shown}{label} --refused FILE writes them to a file of their own, and \
+             sends nothing twice{replaced}"
         ));
     }
     if let TransferEnd::Stopped(_) = end {
@@ -172,8 +208,16 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
         &options,
         shown,
         &format!(
-            "Corrected rows of the same file go into a file of their own (--refused FILE writes them); with another label, \
-         all rows would count again. Another file needs another label, such as --label {}",
+            "{} Another file needs another label, such as --label {}",
+            replace.map_or_else(
+                || "Corrected rows of the same file go into a file of their own (--refused FILE writes them); with another \
+                    label, all rows would count again."
+                    .to_owned(),
+                |replace| format!(
+                    "If it was corrected, this withdraws what was sent, and sends it anew: {replace}. (Rows that are only \
+                     added at the end are sent without that; with another label, all rows would count again.)"
+                ),
+            ),
             other_label(&options.label)
         ),
     )
