@@ -13,6 +13,8 @@ use tidemap_tests::{
     disk::files,
 };
 
+mod parts;
+
 /// A Monday.
 const START_SECS: i64 = 1_736_121_600;
 const DAYS: i64 = 21;

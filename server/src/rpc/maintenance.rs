@@ -263,8 +263,8 @@ impl MaintenanceService for Maintenance {
 
     async fn erase(&self, request: Request<v1::EraseRequest>) -> RpcReply<v1::EraseResponse> {
         let request = request.into_inner();
-        let wish = wish(&request)?;
         let handle = find_map(&self.catalog, &request.map).await?;
+        let wish = wish(&request)?;
         if let Some(WishedPart { producer: Some((producer, label)), .. }) = &wish.part {
             self.catalog.producers_of(&handle, (producer, label.as_deref())).await.map_err(RpcError::from)?;
         }
