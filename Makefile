@@ -3,6 +3,8 @@
 
 .DEFAULT_GOAL := help
 .PHONY: help build texts web web-check demo test docs lint sbom bench soak durability install deb clean
+# The tests of `make durability`.
+HARD := test(durability) or package(tidemap-store) or test(random_operations)
 # The recipes of this file share one cargo, and cargo has its own jobs.
 .NOTPARALLEL:
 
@@ -72,25 +74,27 @@ bench:
 	@$(SETUP)
 	@$(ENV); cargo bench --workspace --locked --benches $(ARGS)
 
-## soak: the slow tests of the store in full; `make test` runs short versions of them
-soak: export TIDEMAP_FULL := 1
+## soak: the tests of durability for HOURS hours (default 1), each time with new seeds; counts stay in target/soak
 soak:
 	@$(SETUP) test
-	@$(ENV); cargo test --release --locked -p tidemap-store --lib
+	@$(ENV); python3 deploy/soak.py $(or $(HOURS),1) $(ROWS)
 
-## durability: many rounds of kill -9 and power cuts against the real daemon
+## durability: many rounds of kill -9, power cuts and damage against the real daemon, and of faults of a simulated disk
 durability: export TIDEMAP_KILL_ROUNDS ?= 100
-durability: export TIDEMAP_POWERCUT_ROUNDS ?= 20
+durability: export TIDEMAP_POWERCUT_ROUNDS ?= 60
 durability: export TIDEMAP_FLIPS ?= 1000
 durability: export TIDEMAP_CALL_KILLS ?= 300
 durability: export TIDEMAP_FULL_ROUNDS ?= 100
+durability: export TIDEMAP_SIMULATED_SEEDS ?= 5000
+durability: export TIDEMAP_OPERATIONS ?= 20000
+durability: export TIDEMAP_FULL := 1
 durability:
 	@$(SETUP) test
 	@$(ENV); cargo build --release $(TESTED)
 	@$(ENV); if [ "$$NEXTEST" = yes ]; then \
-		cargo nextest run --release $(TESTED) --profile durability -E 'test(durability)'; \
+		cargo nextest run --release $(TESTED) --profile durability -E "$(HARD)"; \
 	else \
-		cargo test --release $(TESTED) durability -- --nocapture --test-threads 1; \
+		cargo test --release $(TESTED) -- --nocapture --test-threads 1 durability simulation tests:: random_operations; \
 	fi
 
 # Completions and man pages, which both programs write themselves.

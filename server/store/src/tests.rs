@@ -23,7 +23,7 @@ mod spectra;
 mod torn_tail;
 mod traversals;
 
-/// Whether slow tests run in full, as `make soak` does, and not in their short versions.
+/// Whether slow tests run in full, as `make durability` does, and not in their short versions.
 pub(crate) fn is_full() -> bool {
     std::env::var_os("TIDEMAP_FULL").is_some()
 }
