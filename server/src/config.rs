@@ -542,6 +542,41 @@ mod tests {
         }
     }
 
+    /// Any bytes are settings or an error, never a panic. The draws are those of a linear congruential generator.
+    #[test]
+    fn a_garbled_config_file_is_an_error() {
+        let sound = "data_dir = './d'\nlisten = '127.0.0.1:2'\nmax_maps = 7\nlog_format = 'json'\nhttp_write = true\n";
+        let mut state = 1_u64;
+        let mut draw = |below: usize| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as usize % below
+        };
+        let (mut valid, mut refused) = (0, 0);
+        for _ in 0..1_000 {
+            let mut bytes = sound.as_bytes().to_vec();
+            for _ in 0..=draw(4) {
+                let at = draw(bytes.len().max(1));
+                if bytes.is_empty() {
+                    break;
+                }
+                match draw(4) {
+                    0 => bytes[at] ^= 1 << draw(8),
+                    1 => drop(bytes.remove(at)),
+                    2 => bytes.insert(at, [b'\'', b'"', b'=', b'[', b'9', b'-', 0, 255][draw(8)]),
+                    _ => bytes.truncate(at.max(1)),
+                }
+            }
+            let dir = tempfile::tempdir().expect("temporary folder");
+            let path = dir.path().join("tidemapd.toml");
+            std::fs::write(&path, bytes).expect("written");
+            match Settings::load(&Flags { config: Some(path), ..Flags::default() }) {
+                Ok(_) => valid += 1,
+                Err(_) => refused += 1,
+            }
+        }
+        assert!(valid > 10 && refused > 100, "{valid} {refused}");
+    }
+
     #[test]
     fn a_missing_config_file_is_named() {
         let missing = Flags { config: Some("/nonexistent/tidemapd.toml".into()), ..Flags::default() };

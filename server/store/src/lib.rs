@@ -13,6 +13,8 @@ mod committer;
 pub mod disk;
 mod erasure;
 mod error;
+#[cfg(feature = "fuzz")]
+pub mod fuzz;
 mod history;
 mod index;
 mod list_file;

@@ -1,0 +1,4 @@
+//! A history file, record by record or as it is.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| tidemap_store::fuzz::history(bytes));

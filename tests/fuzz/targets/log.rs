@@ -1,0 +1,4 @@
+//! A segment of the log, record by record or as it is.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| tidemap_store::fuzz::log_segment(bytes));
