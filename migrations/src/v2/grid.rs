@@ -6,6 +6,8 @@
 //!
 //! Invariant: a double is kept as its bits, little-endian, so that every bit is preserved.
 
+use super::map::Alarm;
+
 /// The header of a grid.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Grid {
@@ -164,15 +166,59 @@ pub struct Cell {
     /// Sum of β over the readings as occupied. Present if the groups have theirs.
     #[prost(fixed64, optional, tag = "9")]
     pub occupied_weight_bits: Option<u64>,
+    /// The local day on which its change alarm rang, where it rings.
+    #[prost(sint32, optional, tag = "10")]
+    pub rang: Option<i32>,
 }
 
-/// Observation times of cells of a tile that have no sums for them. Follows the sums of a tile, if there are any, in
-/// the same record.
+/// Observation times of cells of a tile. Follows the sums of a tile, if there are any, in the same record.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Sightings {
-    /// Days, in the order in which they were learned.
+    /// Days of cells that have no sums for them, in the order in which they were learned.
     #[prost(message, repeated, tag = "1")]
     pub days: Vec<SeenDay>,
+    /// Times between the observations of each group. Empty: not known of any.
+    #[prost(message, repeated, tag = "2")]
+    pub times: Vec<GroupTimes>,
+    /// Support and change alarm of each changed cell. Empty: not known of any.
+    #[prost(message, repeated, tag = "3")]
+    pub watches: Vec<CellWatch>,
+}
+
+/// The times between the observations of a group.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct GroupTimes {
+    /// Number of gaps.
+    #[prost(uint64, tag = "1")]
+    pub gaps: u64,
+    /// A sample of them in whole seconds.
+    #[prost(uint32, repeated, tag = "2")]
+    pub kept_secs: Vec<u32>,
+    /// Number of single hours with an observation.
+    #[prost(fixed64, tag = "3")]
+    pub hours_bits: u64,
+    /// Observations from before the gaps were kept.
+    #[prost(uint64, tag = "4")]
+    pub unrecorded: u64,
+}
+
+/// Which components of a cell are supported, and its change alarm.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct CellWatch {
+    /// Daily gains of the orders: days, sum and sum of squares. Empty: none.
+    #[prost(fixed64, repeated, tag = "1")]
+    pub gains_bits: Vec<u64>,
+    #[prost(message, optional, tag = "2")]
+    pub alarm: Option<Alarm>,
+    /// Sum of 1 / time between readings over the changes, per second.
+    #[prost(fixed64, tag = "3")]
+    pub change_rate_sum_bits: u64,
+    /// Whether the newest learned reading is occupied.
+    #[prost(bool, optional, tag = "4")]
+    pub last: Option<bool>,
+    /// Number of supported components.
+    #[prost(uint32, tag = "5")]
+    pub supported: u32,
 }
 
 /// When cells of a tile were observed on one day.

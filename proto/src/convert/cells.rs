@@ -17,7 +17,7 @@ use tidemap_model::ORDER_MAX;
 use super::{
     InvalidField,
     grid::{cell_box_from_wire, cell_box_to_wire, grid_to_wire},
-    query::{check_for_cells, components_to_wire, selector_from_wire},
+    query::{check_for_cells, components_to_wire, date_or_empty, selector_from_wire},
     time::{instant_from_wire, timestamp},
 };
 use crate::v1;
@@ -142,6 +142,7 @@ pub fn cell_description_to_wire(
             order: u32::try_from(description.order).ok(),
             ..v1::ModelSelector::default()
         }),
+        change_date: date_or_empty(description.rang),
         ..v1::DescribeModelResponse::default()
     }
 }

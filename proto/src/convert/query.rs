@@ -6,7 +6,7 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::{
-    Component, FitKind, HISTOGRAMS, ModelChoice, ORDER_MAX, SpectralModel, StateModel, models::HistogramCycle,
+    Component, FitKind, HISTOGRAMS, LocalDay, ModelChoice, ORDER_MAX, SpectralModel, StateModel, models::HistogramCycle,
 };
 
 use super::{
@@ -221,8 +221,12 @@ fn model_errors_to_wire(model: &StateModel) -> Vec<v1::ModelError> {
 }
 
 fn change_date(model: &StateModel) -> String {
-    let rang = model.alternatives().and_then(|alternatives| alternatives.alarm().rang_on());
-    rang.map_or_else(String::new, |day| day.to_string())
+    date_or_empty(model.alternatives().and_then(|alternatives| alternatives.alarm().rang_on()))
+}
+
+/// A local date, YYYY-MM-DD; empty without one.
+pub(super) fn date_or_empty(day: Option<LocalDay>) -> String {
+    day.map_or_else(String::new, |day| day.to_string())
 }
 
 /// The components of a model, strongest first.

@@ -97,6 +97,7 @@ fn fit(c: &mut Criterion) {
                         a,
                         b: &b_sum,
                         span_nanos: days * DAY_NANOS as u64,
+                        gap_nanos: (0, 0),
                         levels: (0.1, 0.9),
                     };
                     black_box(SpectralModel::fit_sums(sums, &week));

@@ -6,8 +6,11 @@
 
 use crate::InvalidParts;
 
+mod sample;
 #[cfg(test)]
 mod tests;
+
+pub use sample::GapSample;
 
 /// Gaps that are kept.
 const KEPT: usize = 16;
@@ -42,24 +45,18 @@ impl Gaps {
         if kept.len() >= KEPT && kept.last().is_some_and(|&(last, _)| hash > self::hash(last)) {
             return;
         }
-        let secs = u32::try_from((nanos.saturating_add(SEC_NANOS / 2)) / SEC_NANOS).unwrap_or(u32::MAX);
-        kept.insert(kept.partition_point(|&(other, _)| self::hash(other) < hash), (number, secs));
+        kept.insert(kept.partition_point(|&(other, _)| self::hash(other) < hash), (number, whole_secs(nanos)));
         kept.truncate(KEPT);
     }
 
     /// The median gap, of an even number the shorter of the middle two; 0 without gaps. In nanoseconds.
     pub fn median_nanos(&self) -> u64 {
-        let secs = self.sorted();
-        secs.get(secs.len().saturating_sub(1) / 2).map_or(0, |&secs| u64::from(secs) * SEC_NANOS)
+        median_nanos(&self.sorted())
     }
 
     /// The gap of regular readings in nanoseconds; `None` if there are few, or if some follow each other faster.
     pub fn regular_nanos(&self) -> Option<u64> {
-        let secs = self.sorted();
-        // One in sixteen may be shorter: a reading out of turn.
-        let short = *secs.get(1).filter(|_| secs.len() >= REGULAR_MIN)?;
-        let median = self.median_nanos();
-        (f64::from(short) * SEC_NANOS as f64 >= REGULAR_SHARE * median as f64 && median > 0).then_some(median)
+        regular_nanos(&self.sorted())
     }
 
     fn sorted(&self) -> Vec<u32> {
@@ -91,6 +88,24 @@ impl Gaps {
         }
         Ok(Gaps { parts })
     }
+}
+
+/// To the nearest second.
+fn whole_secs(nanos: u64) -> u32 {
+    u32::try_from((nanos.saturating_add(SEC_NANOS / 2)) / SEC_NANOS).unwrap_or(u32::MAX)
+}
+
+/// The median of ascending gaps.
+fn median_nanos(secs: &[u32]) -> u64 {
+    secs.get(secs.len().saturating_sub(1) / 2).map_or(0, |&secs| u64::from(secs) * SEC_NANOS)
+}
+
+/// The gap of regular readings, from ascending gaps.
+fn regular_nanos(secs: &[u32]) -> Option<u64> {
+    // One in sixteen may be shorter: a reading out of turn.
+    let short = *secs.get(1).filter(|_| secs.len() >= REGULAR_MIN)?;
+    let median = median_nanos(secs);
+    (f64::from(short) * SEC_NANOS as f64 >= REGULAR_SHARE * median as f64 && median > 0).then_some(median)
 }
 
 /// A bijection that scatters numbers (the finaliser of SplitMix64).

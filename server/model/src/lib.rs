@@ -57,7 +57,7 @@ pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
-pub use gaps::{Gaps, GapsParts};
+pub use gaps::{GapSample, Gaps, GapsParts};
 pub use kind::{StateKind, VALUE_MAX};
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
 pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};
@@ -68,8 +68,9 @@ pub use position::{Dimensions, Position};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
 pub use state::{
-    ActiveModel, Alternatives, AlternativesParts, Combination, EnabledModels, FitKind, FitParts, FittedModel,
-    FittedModelParts, HISTOGRAMS, ModelChoice, StateModel, UpdateOutcome, UpdateRules,
+    ActiveModel, Alternatives, AlternativesParts, Combination, DayScores, EnabledModels, FitKind, FitParts,
+    FittedModel, FittedModelParts, HISTOGRAMS, LearnedReadings, ModelChoice, OrderWatch, OrderWatchParts, StateModel,
+    UpdateOutcome, UpdateRules,
 };
 pub use stop_signal::{EarlyStop, StopSignal};
 

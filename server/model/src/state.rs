@@ -17,6 +17,7 @@ mod alternatives;
 mod fits;
 #[cfg(test)]
 mod kind_tests;
+mod order_watch;
 mod rehearsal;
 #[cfg(test)]
 mod tests;
@@ -26,6 +27,7 @@ pub use alternatives::{
     ActiveModel, Alternatives, AlternativesParts, Combination, FitParts, HISTOGRAMS, ModelChoice, UpdateRules,
 };
 pub use fits::{EnabledModels, FitKind, FittedModel, FittedModelParts};
+pub use order_watch::{DayScores, LearnedReadings, OrderWatch, OrderWatchParts};
 
 /// The long-term model of one state.
 #[derive(Clone, Debug, PartialEq)]

@@ -13,7 +13,6 @@ use tidemap_map::{
         index::TileIndex,
         live_tile::LiveTile,
         mask::Mask,
-        observation_runs::ObservationRuns,
         snapshot::GridSnapshot,
         spec::GridSpec,
         tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
@@ -92,7 +91,7 @@ fn grid(spec: &MapSpec, seed: u64) -> GridSnapshot {
     let (mut models, mut sums) = (Vec::new(), Vec::new());
     for _ in 0..TILES {
         let cells = (0..CHANGING).map(|_| sum()).collect();
-        sums.push(TileSums { groups: vec![Arc::new(sum())], cells, runs: ObservationRuns::default(), sensors: None });
+        sums.push(TileSums { groups: vec![Arc::new(sum())], cells, ..TileSums::default() });
     }
     for _ in 0..TILES {
         let group = Group { cells: Mask([u64::MAX; 8]), observations: 17_200, first_nanos: 1, last_nanos: START_NANOS };
@@ -106,6 +105,7 @@ fn grid(spec: &MapSpec, seed: u64) -> GridSnapshot {
                 spectral: SpectralModel::from_parts(0.5, 17_200, components).expect("valid"),
                 order: 2,
                 errors: OrderErrors::default(),
+                rang: None,
             }
         };
         let cells = (0..CHANGING).map(&mut cell).collect();

@@ -228,6 +228,6 @@ impl CellSums {
 
     fn finish(self) -> GroupSums {
         let weighted = self.weighted.map(|(alpha, beta)| WeightedSums { alpha: Arc::new(alpha), beta: Arc::new(beta) });
-        GroupSums { plain: Arc::new(self.plain), weighted }
+        GroupSums { plain: Arc::new(self.plain), weighted, times: None }
     }
 }

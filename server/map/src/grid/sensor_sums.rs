@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use tidemap_model::PhasorSum;
 
-use super::{fade::GroupFade, sensors::Weights};
+use super::{fade::GroupFade, observed_times::ObservedTimes, sensors::Weights};
 
 /// The weights of the readings of a tile's cells, parallel to the groups and cells of its model.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -66,6 +66,8 @@ pub(crate) struct GroupSums {
     /// B_k.
     pub(crate) plain: Arc<PhasorSum>,
     pub(crate) weighted: Option<WeightedSums>,
+    /// When it was observed; `None` where that is not known, and of a part of the readings.
+    pub(crate) times: Option<Arc<ObservedTimes>>,
 }
 
 impl GroupSums {
@@ -85,10 +87,14 @@ impl GroupSums {
             Arc::new(sum)
         };
         let weighted = |of: &WeightedSums| WeightedSums { alpha: scaled(&of.alpha), beta: scaled(&of.beta) };
-        GroupSums { plain: scaled(&self.plain), weighted: self.weighted.as_ref().map(weighted) }
+        GroupSums {
+            plain: scaled(&self.plain),
+            weighted: self.weighted.as_ref().map(weighted),
+            times: self.times.clone(),
+        }
     }
 
-    /// Sums over these readings and others.
+    /// Sums over these readings and others; at most one of the two has times.
     pub(crate) fn plus(&self, other: &GroupSums) -> GroupSums {
         let sum = |one: &PhasorSum, other: &PhasorSum| {
             let mut sum = one.clone();
@@ -104,7 +110,8 @@ impl GroupSums {
             },
             beta: sum(self.beta(), other.beta()),
         });
-        GroupSums { plain: sum(&self.plain, &other.plain), weighted }
+        let times = self.times.as_ref().or(other.times.as_ref()).cloned();
+        GroupSums { plain: sum(&self.plain, &other.plain), weighted, times }
     }
 
     /// Addresses, which identify equal sums while all of them are alive.

@@ -11,6 +11,7 @@ mod compare;
 mod oracle;
 mod robot;
 mod scans;
+mod support;
 pub(crate) mod world;
 
 fn config() -> ProptestConfig {

@@ -10,13 +10,14 @@
 
 use std::sync::Arc;
 
-use tidemap_model::{OrderErrors, PhasorSum, SpectralModel};
+use tidemap_model::{LocalDay, OrderErrors, OrderWatch, PhasorSum, SpectralModel};
 
 use super::{
     fade::GroupFade,
     index::TileId,
     mask::Mask,
     observation_runs::ObservationRuns,
+    observed_times::ObservedTimes,
     sensor_sums::{GroupSums, SensorSums, SensorWeights},
     sensors::{SensorId, Sensors, Weights},
 };
@@ -47,6 +48,8 @@ pub struct CellModel {
     pub order: u8,
     /// Decayed errors of each order.
     pub errors: OrderErrors,
+    /// The day on which its change alarm rang, if it rings.
+    pub rang: Option<LocalDay>,
 }
 
 /// The models of one tile in a generation.
@@ -159,6 +162,10 @@ pub struct TileSums {
     pub cells: Vec<PhasorSum>,
     /// When cells without a complete sum were observed. Unless it is empty, no group has both changed cells and others.
     pub runs: ObservationRuns,
+    /// When each group was observed; empty where that is not known of any.
+    pub times: Vec<Arc<ObservedTimes>>,
+    /// Support and change alarm of each changed cell; empty where they are not known of any.
+    pub watches: Vec<OrderWatch>,
     /// Weighted sums of the groups; `None` where all their readings are of the map's own sensor.
     pub sensors: Option<Box<SensorSums>>,
 }
@@ -173,7 +180,7 @@ impl TileSums {
     pub(crate) fn group(&self, index: usize) -> Option<GroupSums> {
         let plain = Arc::clone(self.groups.get(index)?);
         let weighted = self.sensors.as_ref().and_then(|sensors| sensors.groups.get(index).cloned().flatten());
-        Some(GroupSums { plain, weighted })
+        Some(GroupSums { plain, weighted, times: self.times.get(index).cloned() })
     }
 
     /// Replaces the sums of all groups.
@@ -181,8 +188,10 @@ impl TileSums {
         let has_others = groups.iter().any(|group| group.weighted.is_some());
         let mut weighted = Vec::with_capacity(if has_others { groups.len() } else { 0 });
         self.groups = Vec::with_capacity(groups.len());
+        self.times = Vec::with_capacity(groups.len());
         for group in groups {
             self.groups.push(group.plain);
+            self.times.extend(group.times);
             if has_others {
                 weighted.push(group.weighted);
             }
@@ -206,6 +215,7 @@ impl TileSums {
     /// Appends a group.
     pub(crate) fn push_group(&mut self, group: GroupSums) {
         self.groups.push(group.plain);
+        self.times.extend(group.times);
         if let Some(sensors) = &mut self.sensors {
             sensors.groups.push(group.weighted);
         }
@@ -224,7 +234,9 @@ impl TileSums {
         let pointers = self.groups.len() * size_of::<Arc<PhasorSum>>();
         let cells: usize = self.cells.iter().map(PhasorSum::bytes).sum();
         let sensors = self.sensors.as_ref().map_or(0, |sensors| size_of_val(sensors.groups.as_slice()));
-        size_of::<Self>() + pointers + cells + self.runs.bytes() + sensors
+        let times = self.times.len() * (size_of::<ObservedTimes>() + 3 * size_of::<usize>());
+        let watches = size_of_val(self.watches.as_slice());
+        size_of::<Self>() + pointers + cells + self.runs.bytes() + sensors + times + watches
     }
 }
 
@@ -242,6 +254,8 @@ impl TileData {
         self.model.cells.shrink_to_fit();
         self.sums.groups.shrink_to_fit();
         self.sums.cells.shrink_to_fit();
+        self.sums.times.shrink_to_fit();
+        self.sums.watches.shrink_to_fit();
         if let Some(weights) = &mut self.model.sensors {
             weights.groups.shrink_to_fit();
             weights.occupied.shrink_to_fit();

@@ -27,6 +27,7 @@ mod observed;
 mod pattern;
 pub(crate) mod rules;
 mod shared_sums;
+mod succession;
 mod tile_day;
 
 use batch::{Batch, ProgressMeter};

@@ -4,7 +4,7 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use tidemap_model::{InstantPhasors, Persistence, SpectralModel};
+use tidemap_model::{InstantPhasors, LocalDay, Persistence, SpectralModel};
 
 use super::{
     generation::Generation,
@@ -56,6 +56,8 @@ pub struct CellDescription {
     pub order: usize,
     /// Decayed error sums of the orders; `None` where it has not changed.
     pub errors: Option<[f64; tidemap_model::ORDER_MAX + 1]>,
+    /// The day on which its change alarm rang, if it rings.
+    pub rang: Option<LocalDay>,
     /// Last value and persistence.
     pub persistence: Persistence,
     /// Observations learned.
@@ -234,6 +236,7 @@ impl GridView {
             spectral: SpectralModel::default(),
             order: 0,
             errors: None,
+            rang: None,
             folded: group.map_or(0, |group| group.observations),
             observations: persistence.to_parts().pairs + u64::from(persistence.last().is_some()),
             first_nanos: group.map(|group| group.first_nanos),
@@ -244,6 +247,7 @@ impl GridView {
             description.spectral = model.spectral.clone();
             description.order = usize::from(model.order);
             description.errors = Some(*model.errors.sums());
+            description.rang = model.rang;
         } else if let (Some(at), Some(group)) = (at, group) {
             let levels = model.constant_levels(at, &self.sensors);
             let level = if model.always_occupied.contains(place) { levels.1 } else { levels.0 };

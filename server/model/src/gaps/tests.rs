@@ -55,3 +55,21 @@ fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
     let late = GapsParts { kept: vec![(100, 1)], ..parts };
     assert!(Gaps::from_parts(late).is_err());
 }
+
+#[test]
+fn a_sample_that_takes_many_gaps_at_a_time_is_the_same() {
+    let nanos = |number: u64| (hash(number) % 90_000) * SEC_NANOS;
+    for batches in [&[0_u64, 1, 1, 3, 20, 0, 7, 500, 4_000][..], &[20_000], &[16, 1, 15, 16, 1]] {
+        let (mut one, mut other) = (Gaps::default(), GapSample::default());
+        for &more in batches {
+            let first = other.count();
+            (first..first + more).for_each(|number| one.observe(nanos(number)));
+            other.observe_many(more, |at| nanos(first + at));
+            let kept: Vec<u32> = one.to_parts().kept.iter().map(|&(_, secs)| secs).collect();
+            assert_eq!((other.count(), other.kept_secs()), (one.to_parts().count, &kept[..]));
+            assert_eq!((other.median_nanos(), other.regular_nanos()), (one.median_nanos(), one.regular_nanos()));
+            assert_eq!(GapSample::from_kept(other.count(), other.kept_secs()), Ok(other));
+        }
+        assert!(GapSample::from_kept(other.count(), &[1; 3]).is_err());
+    }
+}

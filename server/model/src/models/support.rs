@@ -50,22 +50,38 @@ pub struct DependenceSums {
 /// If hours are known, the observed time counts instead of the span, with at least one reading an hour.
 pub fn effective_observations(sums: &DependenceSums) -> f64 {
     let variance = sums.mean * (1.0 - sums.mean);
-    effective(sums, |change, _| if variance > 0.0 { 0.5 * change / variance } else { 0.0 })
+    let forgotten = |spacing: Spacing| if variance > 0.0 { 0.5 * spacing.change / variance } else { 0.0 };
+    effective(sums, spacings(sums).map(forgotten))
 }
 
-/// `forgotten`: 1 - ρ, by the mean change from a reading to the next and the seconds between.
-fn effective(sums: &DependenceSums, forgotten: impl Fn(f64, f64) -> f64) -> f64 {
+/// From a reading to the next.
+#[derive(Clone, Copy, Debug, Default)]
+struct Spacing {
+    /// The mean change.
+    change: f64,
+    secs: f64,
+}
+
+/// The spacing of readings that are spread over the span, and of those that are spread over the observed hours.
+fn spacings(sums: &DependenceSums) -> [Spacing; 2] {
+    let pairs = sums.pairs.max(1) as f64;
+    [sums.span_secs, sums.observed_hours.unwrap_or(0.0) * 3600.0]
+        .map(|secs| Spacing { change: sums.change_rate_sum / pairs * (secs / pairs), secs: secs / pairs })
+}
+
+/// `forgotten`: 1 - ρ by each of the [`spacings`].
+fn effective(sums: &DependenceSums, forgotten: [f64; 2]) -> f64 {
     let pairs = sums.pairs as f64;
-    let over = |secs: f64| {
+    let over = |forgotten: f64| {
         if sums.pairs == 0 {
             return 1.0;
         }
-        let forgotten = forgotten(sums.change_rate_sum / pairs * (secs / pairs), secs / pairs).clamp(0.0, 1.0);
+        let forgotten = forgotten.clamp(0.0, 1.0);
         (pairs + 1.0) * forgotten / (2.0 - forgotten)
     };
     let number = match sums.observed_hours {
-        Some(hours) if hours > 0.0 => over(sums.span_secs).min(over(hours * 3600.0).max(hours)),
-        _ => over(sums.span_secs),
+        Some(hours) if hours > 0.0 => over(forgotten[0]).min(over(forgotten[1]).max(hours)),
+        _ => over(forgotten[0]),
     };
     let readings = sums.pairs as f64 + 1.0;
     // NaN, from invalid sums, supports nothing.
@@ -104,20 +120,23 @@ pub(crate) fn supported_order_of(
     model: &SpectralModel,
     periodicities: &Periodicities,
     sums: &DependenceSums,
-    (half_square, variance): (fn(f64) -> f64, f64),
+    (half_square, variance): (impl Fn(f64) -> f64, f64),
     remembered: f64,
 ) -> usize {
     let candidates = periodicities.len() as f64;
+    let spacings = spacings(sums);
+    let changed = spacings.map(|spacing| half_square(spacing.change));
+    let mut explained = [0.0; 2];
     let mut left = variance;
     let mut supported = 0;
     for component in model.components() {
         let own = 2.0 * power(component);
         let share = (own / left).min(SHARE_MAX);
-        let explaining = &model.components()[..=supported];
-        let effective = effective(sums, |change, secs| {
-            let explained: f64 = explaining.iter().map(|known| half_square_of(known, periodicities, secs)).sum();
-            (half_square(change) - explained).max(0.0) / (left * (1.0 - share))
-        });
+        for (explained, spacing) in explained.iter_mut().zip(spacings) {
+            *explained += half_square_of(component, periodicities, spacing.secs);
+        }
+        let forgotten = |at: usize| (changed[at] - explained[at]).max(0.0) / (left * (1.0 - share));
+        let effective = effective(sums, [forgotten(0), forgotten(1)]);
         let exponent = -(-share).ln_1p() * (effective * remembered - 3.0).max(0.0) / 2.0;
         // 1 - (1 - e^-z)^K, exact where e^-z is tiny.
         let false_alarm = -(candidates * (-(-exponent).exp()).ln_1p()).exp_m1();

@@ -31,12 +31,15 @@ pub struct CellSums<'a> {
     pub b: &'a PhasorSum,
     /// The observed span, last observation less first, in nanoseconds UTC.
     pub span_nanos: u64,
+    /// The median time between observations, and that between regular ones, in nanoseconds: as
+    /// [`GapSample`](crate::GapSample) has them, 0 where they are not known.
+    pub gap_nanos: (u64, u64),
     /// The values, each in `[0,1]`, that seeing it free and seeing it occupied stand for.
     pub levels: (f64, f64),
 }
 
 impl SpectralModel {
-    /// The model of a state of two values, by the rules of [`SpectralModel::fit`]. The sums must be over the same
+    /// The model of a state of two values, by the rules of [`SpectralModel::fit_with_gaps`]. The sums must be over the same
     /// periodicities. Without observations, the untrained model.
     pub fn fit_sums(sums: CellSums<'_>, periodicities: &Periodicities) -> SpectralModel {
         if sums.observations == 0 {
@@ -47,6 +50,7 @@ impl SpectralModel {
         Arch::new().dispatch(CellFit {
             sums: &sums,
             scale: (occupied - free) / sums.weight,
+            span_nanos: sums.span_nanos.saturating_add(sums.gap_nanos.0),
             periodicities,
             strongest: &mut strongest,
         });
@@ -59,6 +63,8 @@ impl SpectralModel {
 struct CellFit<'a> {
     sums: &'a CellSums<'a>,
     scale: f64,
+    /// The observed span with the median gap added.
+    span_nanos: u64,
     periodicities: &'a Periodicities,
     strongest: &'a mut Strongest,
 }
@@ -85,7 +91,10 @@ impl WithSimd for CellFit<'_> {
             }
             for (at, power) in power.iter().enumerate() {
                 let k = block * BLOCK + at;
-                if *power > self.strongest.to_beat() && self.periodicities.is_eligible(k, self.sums.span_nanos) {
+                if *power > self.strongest.to_beat()
+                    && self.periodicities.is_eligible(k, self.span_nanos)
+                    && self.periodicities.is_resolved(k, self.sums.gap_nanos.1)
+                {
                     let component = Component { periodicity: k as u32, gamma_re: re[at], gamma_im: im[at] };
                     self.strongest.offer(*power, component);
                 }

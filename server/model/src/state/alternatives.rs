@@ -70,14 +70,14 @@ pub const HISTOGRAMS: [(HistogramCycle, usize); 3] =
 const CLEARLY_LOWER: f64 = 0.95;
 
 /// Days for which an alarm rings; then the change counts as history.
-const ALARM_DAYS: i32 = 28;
+pub(super) const ALARM_DAYS: i32 = 28;
 
 /// The days that have triggered the alarm belong to the new routine: at least this many before the day on which it
 /// rang.
 const RINGING_DAYS: i32 = 3;
 
 /// The factor on errors from before a change of routine: as if they were twenty days older.
-const KEPT_AT_CHANGE: f64 = 0.25;
+pub(super) const KEPT_AT_CHANGE: f64 = 0.25;
 
 /// Errors that differ by less than this share of the squared values are equal.
 const ROUNDING: f64 = 1e-20;

@@ -25,8 +25,6 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Al
     let mut hours = Vec::with_capacity((WEEK + DAYS) * 8);
     doubles::push(&mut hours, parts.hours.cells.as_flattened());
     doubles::push(&mut hours, parts.hours.days.as_flattened());
-    let alarm = parts.alarm;
-    let history = alarm.kinds.iter().flat_map(|kind| [kind.days, kind.mean, kind.variance]);
     v2::Alternatives {
         hours,
         error_sums_bits: parts.error_sums.iter().map(|sum| sum.to_bits()).collect(),
@@ -34,13 +32,7 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Al
         folded_day: parts.learned_day.map(|day| day.0),
         choice: u32::from(parts.choice),
         weight_bits: weight.map(f64::to_bits),
-        alarm: Some(v2::Alarm {
-            history_bits: history.map(f64::to_bits).collect(),
-            typical_observations_bits: alarm.typical_observations.to_bits(),
-            sum_bits: alarm.sum.to_bits(),
-            last_day: alarm.last_day.map(|day| day.0),
-            rang: alarm.rang.map(|day| day.0),
-        }),
+        alarm: Some(encode_alarm(parts.alarm)),
         pairs: parts.succession.pairs,
         change_rate_sum_bits: parts.succession.change_rate_sum.to_bits(),
         last: parts.succession.last.map(|(nanos, value)| v1::LastObservation { nanos, value_bits: value.to_bits() }),
@@ -55,15 +47,41 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Al
     }
 }
 
+pub(super) fn encode_alarm(alarm: ChangeAlarmParts) -> v2::Alarm {
+    let history = alarm.kinds.iter().flat_map(|kind| [kind.days, kind.mean, kind.variance]);
+    v2::Alarm {
+        history_bits: history.map(f64::to_bits).collect(),
+        typical_observations_bits: alarm.typical_observations.to_bits(),
+        sum_bits: alarm.sum.to_bits(),
+        last_day: alarm.last_day.map(|day| day.0),
+        rang: alarm.rang.map(|day| day.0),
+    }
+}
+
+pub(super) fn decode_alarm(message: Option<&v2::Alarm>) -> Result<ChangeAlarmParts, Invalid> {
+    const ALARM: Invalid = "a change alarm is not valid";
+    let alarm = message.ok_or(ALARM)?;
+    let history: Vec<f64> = alarm.history_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
+    let ([weekdays, weekends], []) = history.as_chunks::<3>() else { return Err(ALARM) };
+    let kind = |&[days, mean, variance]: &[f64; 3]| DayErrors { days, mean, variance };
+    Ok(ChangeAlarmParts {
+        kinds: [kind(weekdays), kind(weekends)],
+        typical_observations: f64::from_bits(alarm.typical_observations_bits),
+        sum: f64::from_bits(alarm.sum_bits),
+        last_day: alarm.last_day.map(LocalDay),
+        rang: alarm.rang.map(LocalDay),
+    })
+}
+
 /// Gains; nothing where none were recorded.
-fn encode_gains(gains: OrderGainsParts) -> Vec<u64> {
+pub(super) fn encode_gains(gains: OrderGainsParts) -> Vec<u64> {
     if gains == OrderGainsParts::default() {
         return Vec::new();
     }
     vec![gains.days.to_bits(), gains.sum.to_bits(), gains.squares.to_bits()]
 }
 
-fn decode_gains(bits: &[u64]) -> Result<OrderGainsParts, Invalid> {
+pub(super) fn decode_gains(bits: &[u64]) -> Result<OrderGainsParts, Invalid> {
     match *bits {
         [] => Ok(OrderGainsParts::default()),
         [days, sum, squares] => Ok(OrderGainsParts {
@@ -104,17 +122,12 @@ pub(crate) fn decode(
     message: &v2::Alternatives,
     periodicities: &Periodicities,
 ) -> Result<Alternatives, String> {
-    const ALARM: Invalid = "the change alarm of a state is not valid";
     if message.hours.len() != (WEEK + DAYS) * 8 {
         return Err("the table of the hours of a state does not have its length".to_owned());
     }
     let mut numbers = Vec::with_capacity(WEEK + DAYS);
     doubles::take(&message.hours, &mut numbers);
     let (week, days) = numbers.split_at(WEEK);
-    let alarm = message.alarm.as_ref().ok_or(ALARM)?;
-    let history: Vec<f64> = alarm.history_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
-    let ([weekdays, weekends], []) = history.as_chunks::<3>() else { return Err(ALARM.to_owned()) };
-    let kind = |&[days, mean, variance]: &[f64; 3]| DayErrors { days, mean, variance };
     let calibrated = message.calibrated.as_ref().map(decode_calibrated).transpose()?;
     let parts = AlternativesParts {
         hours: HourTableParts { cells: week.as_chunks::<2>().0.to_vec(), days: days.as_chunks::<3>().0.to_vec() },
@@ -122,13 +135,7 @@ pub(crate) fn decode(
         last_day: message.errors_last_day.map(LocalDay),
         learned_day: message.folded_day.map(LocalDay),
         choice: u8::try_from(message.choice).map_err(|_| "the chosen model of a state is not known")?,
-        alarm: ChangeAlarmParts {
-            kinds: [kind(weekdays), kind(weekends)],
-            typical_observations: f64::from_bits(alarm.typical_observations_bits),
-            sum: f64::from_bits(alarm.sum_bits),
-            last_day: alarm.last_day.map(LocalDay),
-            rang: alarm.rang.map(LocalDay),
-        },
+        alarm: decode_alarm(message.alarm.as_ref())?,
         succession: PersistenceParts {
             pairs: message.pairs,
             change_rate_sum: f64::from_bits(message.change_rate_sum_bits),

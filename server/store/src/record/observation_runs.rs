@@ -1,4 +1,4 @@
-//! When cells of a tile were observed that have no sums for it, as a message, and back.
+//! When cells of a tile were observed that have no sums for it, as messages, and back.
 //!
 //! Invariant: what is read has passed the constructor of the domain again, and is as large as its bytes, but for times
 //! at equal distances.
@@ -17,9 +17,8 @@ use super::{
 const SCANS_MAX: u32 = 1 << 26;
 const INVALID: Invalid = "the runs in which cells were observed are not valid";
 
-pub(crate) fn encode(runs: &ObservationRuns) -> Result<v2::Sightings, Invalid> {
-    let days = runs.days().iter().map(encode_day);
-    Ok(v2::Sightings { days: days.collect::<Result<_, _>>()? })
+pub(crate) fn encode(runs: &ObservationRuns) -> Result<Vec<v2::SeenDay>, Invalid> {
+    runs.days().iter().map(encode_day).collect()
 }
 
 fn encode_day(day: &DayRuns) -> Result<v2::SeenDay, Invalid> {
@@ -56,8 +55,8 @@ fn push_gaps(out: &mut Vec<u8>, numbers: impl ExactSizeIterator<Item = u32>) -> 
     Ok(())
 }
 
-pub(crate) fn decode(message: &v2::Sightings) -> Result<ObservationRuns, Invalid> {
-    let days = message.days.iter().map(decode_day).collect::<Result<_, _>>()?;
+pub(crate) fn decode(days: &[v2::SeenDay]) -> Result<ObservationRuns, Invalid> {
+    let days = days.iter().map(decode_day).collect::<Result<_, _>>()?;
     ObservationRuns::from_days(days).map_err(|_| INVALID)
 }
 

@@ -10,18 +10,19 @@ use tidemap_map::grid::{
     fade::GroupFade,
     mask::Mask,
     observation_runs::ObservationRuns,
+    observed_times::ObservedTimes,
     sensor_sums::{SensorSums, SensorWeights, WeightedSums},
     sensors::Weights,
     tile::{CellModel, Group, TileModel, TileSums},
 };
 use tidemap_migrations::v2::grid as v2;
 use tidemap_model::{
-    Component, InvalidParts, LocalDay, ORDER_MAX, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum,
+    Component, InvalidParts, LocalDay, ORDER_MAX, OrderErrors, OrderErrorsParts, OrderWatch, Periodicities, PhasorSum,
     SpectralModel,
 };
 
 use super::{
-    Invalid,
+    Invalid, cell_watch,
     cells::{decode_mask, encode_mask, place},
     doubles, observation_runs,
 };
@@ -77,6 +78,7 @@ fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v2::Cell 
         error_sums,
         errors_last_day: errors.last_day.map(|day| day.0),
         occupied_weight_bits,
+        rang: cell.rang.map(|day| day.0),
     }
 }
 
@@ -154,6 +156,7 @@ fn decode_cell(message: &v2::Cell, periodicities: &Periodicities) -> Result<Cell
             .map_err(invalid)?,
         order: order.ok_or("the order of a cell is too high")?,
         errors: OrderErrors::from_parts(errors).map_err(invalid)?,
+        rang: message.rang.map(LocalDay),
     })
 }
 
@@ -164,7 +167,7 @@ fn decode_component(bytes: &[u8; COMPONENT]) -> Component {
 }
 
 /// The sums of a tile as bytes: their number, the shared sums, the weighted ones, the sums of the changed cells, and
-/// runs. `shared`: the numbers of its shared sums, in order.
+/// when the cells were observed. `shared`: the numbers of its shared sums, in order.
 pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) -> Result<(), Invalid> {
     if shared.len() < sums.groups.len() {
         return Err("a shared sum has no number");
@@ -174,8 +177,13 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
     for cell in &sums.cells {
         doubles::push(out, cell.as_slice());
     }
-    if !sums.runs.is_empty() {
-        let message = observation_runs::encode(&sums.runs)?.encode_to_vec();
+    let sightings = v2::Sightings {
+        days: observation_runs::encode(&sums.runs)?,
+        times: sums.times.iter().map(|times| cell_watch::encode_times(times)).collect(),
+        watches: sums.watches.iter().map(cell_watch::encode_watch).collect(),
+    };
+    let message = sightings.encode_to_vec();
+    if !message.is_empty() {
         let length = u32::try_from(message.len()).map_err(|_| "the runs of a tile are too many")?;
         out.extend(length.to_le_bytes());
         out.extend(message);
@@ -214,10 +222,33 @@ pub(crate) struct EncodedSums<'bytes> {
     weighted: Option<Vec<bool>>,
     /// Sums of its changed cells.
     cells: &'bytes [u8],
-    /// Its runs.
+    /// When its cells were observed.
+    sightings: Sightings,
+    /// The same as bytes; empty if nothing is known.
+    sightings_bytes: &'bytes [u8],
+}
+
+/// When the cells of a tile were observed, and what follows for the changed ones.
+#[derive(Default)]
+struct Sightings {
     runs: ObservationRuns,
-    /// The same as bytes; empty if there are none.
-    runs_bytes: &'bytes [u8],
+    times: Vec<Arc<ObservedTimes>>,
+    watches: Vec<OrderWatch>,
+}
+
+impl Sightings {
+    /// Of a tile with so many groups and changed cells.
+    fn decode(bytes: &[u8], groups: usize, cells: usize) -> Result<Sightings, Invalid> {
+        let message = v2::Sightings::decode(bytes).map_err(|_| "the runs of a tile are not a message")?;
+        if ![0, groups].contains(&message.times.len()) || ![0, cells].contains(&message.watches.len()) {
+            return Err("the observation times of a tile differ in number from its groups or cells");
+        }
+        Ok(Sightings {
+            runs: observation_runs::decode(&message.days)?,
+            times: message.times.iter().map(cell_watch::decode_times).collect::<Result<_, _>>()?,
+            watches: message.watches.iter().map(cell_watch::decode_watch).collect::<Result<_, _>>()?,
+        })
+    }
 }
 
 impl EncodedSums<'_> {
@@ -236,13 +267,10 @@ impl EncodedSums<'_> {
         let (shared, rest) = rest.split_at(fits(groups.checked_mul(4), rest)?);
         let pairs = if has_weighted { groups } else { 0 };
         let (pairs, rest) = rest.split_at(fits(pairs.checked_mul(8), rest)?);
-        let (cells, runs_bytes) = rest.split_at(fits(changed.checked_mul(16 * periodicities.len()), rest)?);
-        let runs = match runs_bytes.split_first_chunk::<4>() {
-            Some((&length, message)) if number(length) == message.len() => {
-                let message = v2::Sightings::decode(message).map_err(|_| "the runs of a tile are not a message")?;
-                observation_runs::decode(&message)?
-            }
-            None if runs_bytes.is_empty() => ObservationRuns::default(),
+        let (cells, sightings_bytes) = rest.split_at(fits(changed.checked_mul(16 * periodicities.len()), rest)?);
+        let sightings = match sightings_bytes.split_first_chunk::<4>() {
+            Some((&length, message)) if number(length) == message.len() => Sightings::decode(message, groups, changed)?,
+            None if sightings_bytes.is_empty() => Sightings::default(),
             _ => return Err(LENGTH),
         };
         if !doubles::are_finite(cells) {
@@ -258,7 +286,7 @@ impl EncodedSums<'_> {
         }
         let weighted = has_weighted.then(|| pairs.iter().map(|pair| !pair.contains(&NO_SUM)).collect());
         shared.extend(pairs.as_flattened().iter().filter(|&&number| number != NO_SUM));
-        Ok(EncodedSums { shared, groups, weighted, cells, runs, runs_bytes })
+        Ok(EncodedSums { shared, groups, weighted, cells, sightings, sightings_bytes })
     }
 
     /// Number of changed cells.
@@ -285,7 +313,8 @@ impl EncodedSums<'_> {
         let sensors = self.weighted.as_ref();
         let sensors = sensors.map(|known| Box::new(SensorSums { groups: known.iter().map(&mut next).collect() }));
         let cells = cells.collect::<Result<_, _>>()?;
-        Ok(TileSums { groups, cells, runs: self.runs.clone(), sensors })
+        let Sightings { runs, times, watches } = &self.sightings;
+        Ok(TileSums { groups, cells, runs: runs.clone(), times: times.clone(), watches: watches.clone(), sensors })
     }
 
     /// The same bytes with other numbers for the shared sums.
@@ -293,7 +322,7 @@ impl EncodedSums<'_> {
         let has_weighted = self.weighted.as_ref().map(|weighted| weighted.iter().copied());
         push_head(out, shared, self.groups, self.cells(periodicities), has_weighted);
         out.extend_from_slice(self.cells);
-        out.extend_from_slice(self.runs_bytes);
+        out.extend_from_slice(self.sightings_bytes);
     }
 }
 

@@ -14,7 +14,6 @@ use tidemap_map::{
         index::{CellBox, CellIndex, TileId, TileIndex},
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
-        observation_runs::ObservationRuns,
         scan::{CellRef, LoggedScan, Scans},
         sensors::SensorId,
         snapshot::FutureScan,
@@ -158,6 +157,7 @@ fn learned() -> (TileModel, TileSums) {
         spectral: SpectralModel::from_parts(0.4, 4, components).expect("valid"),
         order: 1,
         errors: OrderErrors::from_parts(errors).expect("valid"),
+        rang: None,
     };
     let model = TileModel {
         groups: vec![group(0..40, 4), group(40..64, 3)],
@@ -168,8 +168,7 @@ fn learned() -> (TileModel, TileSums) {
     let sums = TileSums {
         groups: vec![Arc::new(sum([1.0, 2.0, -3.0, 0.1])), Arc::new(sum([-0.0, 0.2, 0.3, 0.4]))],
         cells: vec![sum([5.0, 6.0, 7.0, 8.0]), sum([0.5, 0.6, 0.7, 0.8])],
-        runs: ObservationRuns::default(),
-        sensors: None,
+        ..TileSums::default()
     };
     (model, sums)
 }
@@ -191,12 +190,7 @@ fn grid() -> GridSnapshot {
     // The other tile shares a sum with the first, and a third has not been learned.
     let other_model =
         TileModel { groups: vec![model.groups[0]], always_occupied: Mask::EMPTY, cells: vec![], sensors: None };
-    let other_sums = TileSums {
-        groups: vec![Arc::clone(&sums.groups[0])],
-        cells: vec![],
-        runs: ObservationRuns::default(),
-        sensors: None,
-    };
+    let other_sums = TileSums { groups: vec![Arc::clone(&sums.groups[0])], cells: vec![], ..TileSums::default() };
     let models = [model, other_model, TileModel::default()];
     let sums = [sums, other_sums, TileSums::default()];
     GridSnapshot {

@@ -7,7 +7,6 @@ use tidemap_map::{
     grid::{
         index::TileId,
         mask::Mask,
-        observation_runs::ObservationRuns,
         snapshot::GridSnapshot,
         tile::{CellModel, ColdTile, Group, ModelSlot, SumsSlot, TileModel, TileSource, TileSums, TileUnavailable},
     },
@@ -95,6 +94,7 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
         spectral: SpectralModel::default(),
         order: 0,
         errors: OrderErrors::default(),
+        rang: None,
     };
     let group = Group { cells: Mask::FULL, observations: 2, first_nanos: 0, last_nanos: 1 };
     let model = TileModel {
@@ -106,8 +106,7 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
     let sums = TileSums {
         groups: vec![Arc::new(sum(&spec, &mut random))],
         cells: (0..70).map(|_| sum(&spec, &mut random)).collect(),
-        runs: ObservationRuns::default(),
-        sensors: None,
+        ..TileSums::default()
     };
     let grid = saved.grid.as_mut().expect("has a grid");
     grid.models = vec![ModelSlot::Resident(Arc::new(model))];
@@ -324,12 +323,7 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
         ("more models than tiles", |grid, _| grid.tiles.truncate(1)),
         ("a sum of another length", |grid, sum| {
             let groups = vec![Arc::new(sum)];
-            grid.sums[0] = SumsSlot::Resident(Arc::new(TileSums {
-                groups,
-                cells: Vec::new(),
-                runs: ObservationRuns::default(),
-                sensors: None,
-            }));
+            grid.sums[0] = SumsSlot::Resident(Arc::new(TileSums { groups, ..TileSums::default() }));
         }),
         ("a model without sums", |grid, _| grid.sums[0] = SumsSlot::default()),
         ("a day out of order", |grid, _| {

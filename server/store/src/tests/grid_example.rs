@@ -12,6 +12,7 @@ use tidemap_map::{
         live_tile::{Away, LiveTile},
         mask::{Mask, TileMasks},
         observation_runs::{CellRuns, DayRuns, ObservationRuns},
+        observed_times::ObservedTimes,
         scan::{CellRef, LoggedScan, Scans},
         sensor_sums::{SensorSums, SensorWeights, WeightedSums},
         sensors::{ProducerSensor, SensorId, Weights},
@@ -30,7 +31,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Component, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum, Sample, SpectralModel,
+    Component, DayScores, GapSample, LocalDay, OrderErrors, OrderErrorsParts, OrderWatch, Periodicities, PhasorSum,
+    Sample, SpectralModel,
 };
 
 use super::example;
@@ -184,8 +186,13 @@ pub(crate) fn learned(
             spectral: SpectralModel::from_parts(random.random(), random.random(), components).expect("valid"),
             order: random.random_range(0..16),
             errors: OrderErrors::from_parts(errors).expect("valid"),
+            rang: random.random_bool(0.2).then_some(LocalDay(19_100)),
         });
         sums.cells.push(sum(spec, random));
+    }
+    if random.random_bool(0.5) {
+        sums.times = model.groups.iter().map(|_| Arc::new(times(random))).collect();
+        sums.watches = model.cells.iter().map(|_| watch(random)).collect();
     }
     if random.random_bool(0.5) {
         sums.runs = runs(random);
@@ -214,6 +221,24 @@ pub(crate) fn learned(
         sums.sensors = Some(Box::new(SensorSums { groups }));
     }
     (model, sums)
+}
+
+fn times(random: &mut SmallRng) -> ObservedTimes {
+    let mut gaps = GapSample::default();
+    gaps.observe_many(random.random_range(0..40), |gap| gap * 1_500_000_000);
+    ObservedTimes { gaps, hours: random.random_range(0.0..1e4), unrecorded: random.random_range(0..9) }
+}
+
+fn watch(random: &mut SmallRng) -> OrderWatch {
+    let squared = std::array::from_fn(|_| random.random_range(0.0..9.0));
+    let scores = DayScores { errors: &squared, squared: &squared, scored: 20, order: 2, unit: 1.0 };
+    let mut watch = OrderWatch::of_constant([None, Some(false), Some(true)][random.random_range(0..3)]);
+    let mut errors = OrderErrors::default();
+    for day in 0..random.random_range(0..3) {
+        watch.score(LocalDay(19_000 + day), &spec("office").periodicities, &mut errors, scores);
+    }
+    watch.learn(random.random_range(0.0..1.0), None);
+    watch
 }
 
 /// Observation times of cells on some days, by scans at equal and unequal distances.

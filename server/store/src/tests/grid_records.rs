@@ -53,9 +53,9 @@ proptest! {
         let mut again = Vec::new();
         found.encode_again(&shared, &periodicities, &mut again);
         prop_assert_eq!(&again, &bytes);
-        // A record cut off just before the runs is a valid record without them.
+        // A record cut off just before the observation times is a valid record without them.
         let mut without = Vec::new();
-        let plain = TileSums { runs: ObservationRuns::default(), ..sums.clone() };
+        let plain = TileSums { runs: ObservationRuns::default(), times: Vec::new(), watches: Vec::new(), ..sums.clone() };
         tile_model::encode_sums(&shared, &plain, &mut without).expect("valid");
         prop_assert_eq!(found.decode(sums.shared().cloned().collect(), &periodicities), Ok(sums));
         let at = at.index(bytes.len());

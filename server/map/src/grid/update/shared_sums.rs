@@ -14,17 +14,24 @@ use super::{
         day::GridDay,
         fade::DayFactors,
         fold::{Chunk, Cursor, WeightedScans, fold_toggles, run_length},
+        observed_times::ObservedTimes,
         sensor_sums::{GroupSums, WeightedSums},
         sensors::{SensorId, Weights},
     },
     rules::Rules,
 };
 
+const HOUR_NANOS: i64 = 3_600_000_000_000;
+
 /// Times of a pattern's scans.
 #[derive(Debug)]
 pub(super) struct Times {
     pub(super) utc_nanos: Vec<i64>,
     pub(super) civil_nanos: Arc<[i64]>,
+    /// The scans in the order of their times; `None` if each is newer than the one before.
+    pub(super) by_time: Option<Vec<u32>>,
+    /// Of each scan, the number of local hours of scans up to its time, less one.
+    pub(super) hours: Vec<u32>,
     /// The count for all scans.
     pub(super) all: Counted,
     /// The weights of the scans; `None` if all are of the map's own sensor.
@@ -36,19 +43,39 @@ impl Times {
     pub(super) fn new(ranges: &[(u32, u32)], day: &GridDay, rules: &Rules) -> Times {
         let scans: Vec<_> =
             ranges.iter().filter_map(|&(first, end)| day.scans.get(first as usize..end as usize)).flatten().collect();
-        Times {
-            utc_nanos: scans.iter().map(|scan| scan.utc_nanos).collect(),
-            civil_nanos: scans.iter().map(|scan| scan.civil_nanos()).collect(),
-            all: Counted {
-                observations: scans.len() as u64,
-                first_nanos: scans.iter().map(|scan| scan.utc_nanos).min().unwrap_or(i64::MAX),
-                last_nanos: scans.iter().map(|scan| scan.utc_nanos).max().unwrap_or(i64::MIN),
-            },
-            weighted: scans
-                .iter()
-                .any(|scan| scan.sensor != SensorId::OWN)
-                .then(|| WeightedScans::new(Arc::new(scans.iter().map(|scan| scan.sensor).collect()), &rules.sensors)),
+        let all = Counted {
+            observations: scans.len() as u64,
+            first_nanos: scans.iter().map(|scan| scan.utc_nanos).min().unwrap_or(i64::MAX),
+            last_nanos: scans.iter().map(|scan| scan.utc_nanos).max().unwrap_or(i64::MIN),
+        };
+        let has_others = scans.iter().any(|scan| scan.sensor != SensorId::OWN);
+        let ids = || Arc::new(scans.iter().map(|scan| scan.sensor).collect());
+        let weighted = has_others.then(|| WeightedScans::new(ids(), &rules.sensors));
+        let utc_nanos = scans.iter().map(|scan| scan.utc_nanos).collect();
+        Times::of_scans(utc_nanos, scans.iter().map(|scan| scan.civil_nanos()).collect(), all, weighted)
+    }
+
+    /// `all`: the count for all of them.
+    pub(super) fn of_scans(
+        utc_nanos: Vec<i64>,
+        civil_nanos: Arc<[i64]>,
+        all: Counted,
+        weighted: Option<WeightedScans>,
+    ) -> Times {
+        let by_time = (!utc_nanos.is_sorted_by(|one, next| one < next)).then(|| {
+            let mut scans: Vec<u32> = (0..).take(utc_nanos.len()).collect();
+            scans.sort_by_key(|&scan| utc_nanos.get(scan as usize));
+            scans
+        });
+        let (mut hours, mut hour, mut number) = (vec![0; civil_nanos.len()], None, 0);
+        for place in 0..civil_nanos.len() {
+            let scan = by_time.as_ref().map_or(place, |scans| scans[place] as usize);
+            let of_scan = Some(civil_nanos[scan].div_euclid(HOUR_NANOS));
+            number += u32::from(hour.is_some() && hour != of_scan);
+            hour = of_scan;
+            hours[scan] = number;
         }
+        Times { utc_nanos, civil_nanos, by_time, hours, all, weighted }
     }
 
     /// Counts the scans at which a bit with these toggles is set, with the times of the first and last.
@@ -99,6 +126,9 @@ pub(super) struct Contribution {
 /// The address of a group's earlier sums, the gain, and their factors as bits.
 type SumKey = ([usize; 3], usize, [u64; 2]);
 
+/// The address of a group's earlier times, the gain, the time of the last observation, and the factors as bits.
+type TimesKey = (usize, usize, i64, [u64; 2]);
+
 /// The sums that a day adds (gains), and the results, so that groups with the same history share theirs.
 #[derive(Debug, Default)]
 pub(super) struct Gains {
@@ -107,6 +137,9 @@ pub(super) struct Gains {
     zero: Option<Arc<PhasorSum>>,
     /// By the address of the group's earlier sums, the gain, and their factors; the earlier sums are kept alive.
     shared: HashMap<SumKey, (GroupSums, GroupSums)>,
+    /// Likewise for the times.
+    shared_times: HashMap<TimesKey, (Arc<ObservedTimes>, Arc<ObservedTimes>)>,
+    no_times: Arc<ObservedTimes>,
 }
 
 impl Gains {
@@ -131,7 +164,7 @@ impl Gains {
                     let (alpha, beta) = *weighted;
                     WeightedSums { alpha: Arc::new(alpha), beta: Arc::new(beta) }
                 });
-                self.gains.push(GroupSums { plain: Arc::new(sum), weighted });
+                self.gains.push(GroupSums { plain: Arc::new(sum), weighted, times: None });
             }
         }
     }
@@ -152,7 +185,31 @@ impl Gains {
     /// The sums of a group without any of its observations; all such groups share them.
     pub(super) fn zero(&mut self, rules: &Rules) -> GroupSums {
         let zero = self.zero.get_or_insert_with(|| Arc::new(PhasorSum::zero(&rules.periodicities)));
-        GroupSums { plain: Arc::clone(zero), weighted: None }
+        GroupSums { plain: Arc::clone(zero), weighted: None, times: None }
+    }
+
+    /// The times of a group that was never observed.
+    pub(super) fn no_times(&self) -> Arc<ObservedTimes> {
+        Arc::clone(&self.no_times)
+    }
+
+    /// The times of a group after the day; `gain`: that of the toggles, if there is one.
+    pub(super) fn observe(
+        &mut self,
+        before: Arc<ObservedTimes>,
+        gain: Option<usize>,
+        (times, toggles): (&Times, &[u32]),
+        last_nanos: Option<i64>,
+        factors: DayFactors,
+    ) -> Arc<ObservedTimes> {
+        let observe = |before: &ObservedTimes| Arc::new(times.observe(*before, toggles, last_nanos, factors));
+        let Some(gain) = gain else { return observe(&before) };
+        let key = (Arc::as_ptr(&before) as usize, gain, last_nanos.unwrap_or(i64::MIN), factors.to_bits());
+        let entry = self.shared_times.entry(key).or_insert_with(|| {
+            let after = observe(&before);
+            (before, after)
+        });
+        Arc::clone(&entry.1)
     }
 
     /// The sums of a group after the day.

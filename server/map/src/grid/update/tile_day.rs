@@ -2,7 +2,12 @@
 //!
 //! Invariant: scores use the models as they were before the day; sums and models change at its end.
 
-use tidemap_model::{CellSums, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, PhasorSum, ScoreSums, SpectralModel};
+use std::sync::Arc;
+
+use tidemap_model::{
+    CellSums, DayScores, LearnedReadings, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, OrderWatch, PhasorSum,
+    ScoreSums, SpectralModel,
+};
 
 use super::{
     super::{
@@ -12,8 +17,9 @@ use super::{
         index::{TILE_CELLS, TileId},
         mask::Mask,
         observation_runs::ObservationRuns,
+        observed_times::ObservedTimes,
         outcome::TileOutcome,
-        sensor_sums::SensorWeights,
+        sensor_sums::{GroupSums, SensorWeights},
         sensors::Weights,
         tile::{CellModel, Group, TileData, TileModel, TileSums},
     },
@@ -196,6 +202,15 @@ impl TileDay {
                 weights.push(weight);
             }
             let known = before.as_ref().map(|(group, _)| *group);
+            let observed = before.as_ref().map(|(group, sums)| {
+                let unrecorded = || Arc::new(ObservedTimes::unrecorded(group.observations));
+                (sums.times.clone().unwrap_or_else(unrecorded), Some(group.last_nanos))
+            });
+            let (known_times, last_nanos) = observed.unwrap_or_else(|| (gains.no_times(), None));
+            let of_group = match toggles {
+                Some(toggles) => gains.observe(known_times, gain, (times, toggles), last_nanos, factors),
+                None => known_times,
+            };
             let sum = match (before, gain) {
                 (Some((_, sum)), Some(gain)) => gains.add_to(sum, gain, factors),
                 (Some((_, sum)), None) => sum,
@@ -220,7 +235,7 @@ impl TileDay {
                 fades.push(fade);
             }
             groups.push(Group { cells: split.cells, ..group });
-            group_sums.push(sum);
+            group_sums.push(GroupSums { times: Some(of_group), ..sum });
         }
         model.groups = groups;
         if let Some(known) = &mut model.sensors {
@@ -253,25 +268,27 @@ impl TileDay {
     }
 
     /// Chooses orders and refits the models.
-    pub(super) fn refit(mut self, rules: &Rules) -> BusyTile {
+    pub(super) fn refit(mut self, times: &Times, rules: &Rules) -> BusyTile {
         let mut outcome = TileOutcome::default();
         for (toggles, cells) in &self.observed {
             outcome.observations += u64::from(cells.count()) * run_length(toggles, self.scans);
         }
         let TileData { model, sums } = &mut self.tile.data;
         let TileModel { groups, cells, sensors, .. } = model;
+        let watches = &mut sums.watches;
         for (index, ((cell, sum), of_day)) in cells.iter_mut().zip(&mut sums.cells).zip(&self.cells).enumerate() {
             if let Some((late, weight)) = &of_day.late {
                 sum.add_scaled(late, *weight);
             }
             let sum = &*sum;
-            let observed = self.split.get(of_day.group).is_some_and(|group| group.toggles.is_some());
+            let observed = self.split.get(of_day.group).and_then(|group| self.observed.get(group.toggles?));
             let (Some(group), Some(group_sum)) = (groups.get(of_day.group), sums.groups.get(of_day.group)) else {
                 continue;
             };
-            if !observed {
+            let (Some((observed, _)), Some(group_day)) = (observed, self.groups.get(of_day.group)) else { continue };
+            let (Some(group_times), Some(watch)) = (sums.times.get(of_day.group), watches.get_mut(index)) else {
                 continue;
-            }
+            };
             if of_day.scored > 0 {
                 outcome.scored += of_day.scored;
                 let before = usize::from(cell.order).min(ORDER_MAX);
@@ -283,11 +300,17 @@ impl TileDay {
                     OrderCriterion::SquaredError => &of_day.scores.squared,
                     OrderCriterion::ZeroOne => &of_day.scores.wrong,
                 };
-                cell.errors.record(self.day, errors);
-                cell.order = u8::try_from(cell.errors.best()).unwrap_or(0);
+                let (squared, scored) = (&of_day.scores.squared, of_day.scored);
+                let unit = (rules.levels.1 - rules.levels.0).powi(2);
+                let scores = DayScores { errors, squared, scored, order: before, unit };
+                watch.score(self.day, &rules.periodicities, &mut cell.errors, scores);
+                cell.set_order(watch);
                 outcome.squared_error_chosen += of_day.scores.squared[usize::from(cell.order).min(ORDER_MAX)];
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
+            watch.fade(group_day.factors.known);
+            let changes = times.changes(observed, &of_day.toggles, group_day.newer_than, watch.last());
+            watch.learn(changes.rate_sum, changes.last);
             let (mut units, mut weight) = (cell.occupied as f64, group.observations.max(1) as f64);
             if let Some(SensorWeights { groups, occupied, fades }) = sensors.as_deref_mut()
                 && let (Some(weights), Some(occupied)) = (groups.get(of_day.group), occupied.get_mut(index))
@@ -310,10 +333,23 @@ impl TileDay {
                     a: all.as_ref().unwrap_or(sum),
                     b: group_sum,
                     span_nanos: group.last_nanos.abs_diff(group.first_nanos),
+                    gap_nanos: group_times.gap_nanos(),
                     levels: rules.levels,
                 },
                 &rules.periodicities,
             );
+            let readings = LearnedReadings {
+                pairs: group_times.gaps.count(),
+                unrecorded: group_times.unrecorded,
+                span_secs: group.last_nanos.abs_diff(group.first_nanos) as f64 / 1e9,
+                observed_hours: group_times.hours,
+                mean: units / weight,
+                difference: rules.levels.1 - rules.levels.0,
+                remembered: weight / group.observations.max(1) as f64,
+            };
+            watch.support(&cell.spectral, &rules.periodicities, readings);
+            cell.set_order(watch);
+            cell.rang = watch.alarm().rang_on();
         }
         self.tile.outcome.add(&outcome);
         self.tile
@@ -425,11 +461,13 @@ fn changing(model: &TileModel, toggles: &DayToggles) -> Mask {
 fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
     let TileData { model, sums } = working;
     let changing = changing(model, toggles);
+    sums.watches.resize_with(model.cells.len(), OrderWatch::unrecorded);
     for cell in changing.cells() {
         let before = model.groups.iter().position(|group| group.cells.contains(cell));
         let before = before.and_then(|at| Some((at, *model.groups.get(at)?, sums.group(at)?)));
         let zero = || PhasorSum::zero(&rules.periodicities);
         let was_occupied = model.always_occupied.contains(cell);
+        let before_value = before.as_ref().map(|_| was_occupied);
         let (mut occupied, mut occupied_weight, mut sum, mut spectral) = (0, 0.0, None, SpectralModel::default());
         if let Some((at, group, group_sums)) = before {
             let levels = model.constant_levels(at, &rules.sensors);
@@ -441,7 +479,8 @@ fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
         }
         let at = model.cells.partition_point(|known| known.cell < cell);
         let errors = OrderErrors::default();
-        model.cells.insert(at, CellModel { cell, occupied, spectral, order: 0, errors });
+        model.cells.insert(at, CellModel { cell, occupied, spectral, order: 0, errors, rang: None });
+        sums.watches.insert(at.min(sums.watches.len()), OrderWatch::of_constant(before_value));
         if let Some(weights) = &mut model.sensors {
             weights.occupied.insert(at.min(weights.occupied.len()), occupied_weight);
         }
@@ -449,6 +488,13 @@ fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
     }
     model.always_occupied =
         (model.always_occupied | toggles.ever_occupied).without(toggles.ever_free).without(model.changed());
+}
+
+impl CellModel {
+    /// Puts the order in force that has predicted best, limited to the supported components.
+    fn set_order(&mut self, watch: &OrderWatch) {
+        self.order = u8::try_from(self.errors.best().min(watch.supported_order())).unwrap_or(0);
+    }
 }
 
 /// The model of a cell that has only shown one value.

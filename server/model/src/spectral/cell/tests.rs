@@ -61,6 +61,7 @@ proptest! {
                 a: &a,
                 b: &b,
                 span_nanos: accumulator.span_nanos(),
+                gap_nanos: (0, 0),
                 levels,
             },
             &periodicities,
@@ -93,7 +94,7 @@ fn of_real_parts(periodicities: &Periodicities, real: &[f64], observations: u64)
     let (span_nanos, levels) = (u64::MAX, (0.2, 0.7));
     let weight = observations as f64;
     SpectralModel::fit_sums(
-        CellSums { observations, weight, mean: 0.5, a: &a, b: &b, span_nanos, levels },
+        CellSums { observations, weight, mean: 0.5, a: &a, b: &b, span_nanos, gap_nanos: (0, 0), levels },
         periodicities,
     )
 }
@@ -133,12 +134,19 @@ fn every_instruction_set_chooses_the_same() {
         a: &a,
         b: &b,
         span_nanos: u64::MAX,
+        gap_nanos: (0, 0),
         levels: (0.2, 0.7),
     };
     let mut first = None;
     for arch in crate::phasor::every_arch() {
         let mut strongest = Strongest::new();
-        arch.dispatch(CellFit { sums: &sums, scale: 0.005, periodicities: &periodicities, strongest: &mut strongest });
+        arch.dispatch(CellFit {
+            sums: &sums,
+            scale: 0.005,
+            span_nanos: u64::MAX,
+            periodicities: &periodicities,
+            strongest: &mut strongest,
+        });
         let found = strongest.into_components(&Periodicities::default());
         assert_eq!(found.len(), expected.components().len());
         for (found, expected) in found.iter().zip(expected.components()) {

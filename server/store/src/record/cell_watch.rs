@@ -1,0 +1,59 @@
+//! When the groups of a tile were observed, and which components of its changed cells are supported, as messages, and
+//! back.
+//!
+//! Invariant: every number is read back bit by bit; a value that is read has passed the constructors of the model.
+
+use std::sync::Arc;
+
+use tidemap_map::grid::observed_times::ObservedTimes;
+use tidemap_migrations::v2::grid as v2;
+use tidemap_model::{GapSample, OrderWatch, OrderWatchParts};
+
+use super::{
+    Invalid,
+    alternatives::{decode_alarm, decode_gains, encode_alarm, encode_gains},
+};
+
+/// Larger counts are refused, so that the sum of two never overflows.
+const COUNT_MAX: u64 = 1 << 61;
+
+pub(super) fn encode_times(times: &ObservedTimes) -> v2::GroupTimes {
+    v2::GroupTimes {
+        gaps: times.gaps.count(),
+        kept_secs: times.gaps.kept_secs().to_vec(),
+        hours_bits: times.hours.to_bits(),
+        unrecorded: times.unrecorded,
+    }
+}
+
+pub(super) fn decode_times(message: &v2::GroupTimes) -> Result<Arc<ObservedTimes>, Invalid> {
+    const TIMES: Invalid = "the times between the observations of a group are not valid";
+    let hours = f64::from_bits(message.hours_bits);
+    if message.gaps > COUNT_MAX || message.unrecorded > COUNT_MAX || !(0.0..=f64::MAX).contains(&hours) {
+        return Err(TIMES);
+    }
+    let gaps = GapSample::from_kept(message.gaps, &message.kept_secs).map_err(|_| TIMES)?;
+    Ok(Arc::new(ObservedTimes { gaps, hours, unrecorded: message.unrecorded }))
+}
+
+pub(super) fn encode_watch(watch: &OrderWatch) -> v2::CellWatch {
+    let parts = watch.to_parts();
+    v2::CellWatch {
+        gains_bits: encode_gains(parts.gains),
+        alarm: Some(encode_alarm(parts.alarm)),
+        change_rate_sum_bits: parts.change_rate_sum.to_bits(),
+        last: parts.last,
+        supported: u32::from(parts.supported),
+    }
+}
+
+pub(super) fn decode_watch(message: &v2::CellWatch) -> Result<OrderWatch, Invalid> {
+    let parts = OrderWatchParts {
+        gains: decode_gains(&message.gains_bits)?,
+        alarm: decode_alarm(message.alarm.as_ref())?,
+        change_rate_sum: f64::from_bits(message.change_rate_sum_bits),
+        last: message.last,
+        supported: u8::try_from(message.supported).map_err(|_| "the supported order of a cell is too high")?,
+    };
+    OrderWatch::from_parts(parts).map_err(|_| "the support of the components of a cell is not valid")
+}
