@@ -148,6 +148,8 @@ pub struct Decision {
     pub emptied: Vec<StateId>,
     /// States that have to be learned anew, and those with other last values; ascending.
     pub relearned: Vec<StateId>,
+    /// Number of states of which observations are erased.
+    pub states: u64,
     /// Observations that are erased. A position counts for each of its axes.
     pub observations: u64,
     /// Numbers of the selected observations that arrived before the snapshot, by state, ascending.
@@ -292,6 +294,7 @@ impl Survey {
             if hits + of_state.later.1 == 0 {
                 continue;
             }
+            decision.states += 1;
             decision.observations += hits + of_state.later.1;
             if observations + of_state.later.0 == hits + of_state.later.1 {
                 decision.emptied.push(state);

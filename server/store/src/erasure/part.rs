@@ -140,9 +140,7 @@ impl Rewrite<'_> {
             Err(NotErasable::Nothing) if part.forgets => Decision::default(),
             decision => decision?,
         };
-        let mut affected: BTreeSet<StateId> = decision.relearned.iter().copied().collect();
-        affected.extend(&decision.emptied);
-        let erased = Erased { states: affected.len() as u64, observations: decision.observations };
+        let erased = Erased { states: decision.states, observations: decision.observations };
         let (emptied, keys) = match part.forgets {
             true => (Vec::new(), producers.withdrawn(&part.producers)),
             false => (decision.emptied.clone(), BTreeMap::new()),
