@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts web web-check demo test docs lint sbom bench soak fuzz durability install deb clean
+.PHONY: help build texts web web-check demo test python docs lint sbom bench soak fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -51,6 +51,11 @@ test:
 		cargo test $(TESTED); \
 	fi
 	@$(ENV); cargo test --workspace --doc --locked
+
+## python: the Python wheel with the daemon in it, in target/wheels, and its tests
+python: build
+	@$(SETUP) python
+	@$(ENV); deploy/python.sh "$(BUILT)" $(PYTHONS)
 
 ## docs: the guide, as pages of HTML in target/docs
 docs:

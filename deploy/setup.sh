@@ -2,10 +2,11 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test|docs|lint|web|deb|fuzz]
+#   deploy/setup.sh [test|docs|lint|web|deb|fuzz|python]
 #                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node and Chromium;
-#                                 `web` adds Node, for the page; `docs` adds mdbook, `deb` cargo-deb and `fuzz` cargo-fuzz, in
-#                                 target/tools; `lint` adds cargo-deny there, as a program that others have built
+#                                 `web` adds Node, for the page; `python` adds Python with its environments; `docs`
+#                                 adds mdbook, `deb` cargo-deb and `fuzz` cargo-fuzz, in target/tools; `lint` adds
+#                                 cargo-deny there, as a program that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
 #
 # Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
@@ -146,6 +147,13 @@ if [ "$goal" = docs ] && [ "$(target/tools/bin/mdbook --version 2>/dev/null)" !=
     say "installing mdbook $MDBOOK_VERSION into target/tools, once; this takes some minutes"
     run cargo install mdbook --version "$MDBOOK_VERSION" --locked --quiet --root target/tools \
         --no-default-features --features search || fail "mdbook could not be installed; is there a network?"
+fi
+
+# --- what builds and tests the Python package -----------------------------------------------------------------------
+if [ "$goal" = python ]; then
+    python3 -c 'import ensurepip, venv' 2>/dev/null || install python3 python3-venv ||
+        fail "Python is missing: install python3 and python3-venv (needs root or sudo, and apt-get)"
+    have strip || install binutils || fail "binutils is missing: install it (needs root or sudo)"
 fi
 
 # --- what makes the Debian package ----------------------------------------------------------------------------------

@@ -7,6 +7,8 @@ pub mod bounds;
 pub mod codec;
 #[cfg(feature = "convert")]
 pub mod convert;
+#[cfg(feature = "dynamic")]
+pub mod dynamic;
 
 /// Generated from `proto/tidemap/v1/*.proto`; each item is documented there.
 #[allow(missing_docs, clippy::all, clippy::pedantic)]

@@ -22,7 +22,6 @@ use tower_layer::Layer as _;
 use crate::{connections::Peer, rpc::serve::GuardedServices};
 
 mod assets;
-mod codec;
 mod json;
 mod links;
 mod openapi;

@@ -63,6 +63,7 @@ pages! {
     models: "docs/src/models.md",
     page: "docs/src/page.md",
     people: "docs/src/people.md",
+    python: "docs/src/python.md",
     rotate: "docs/src/rotate.md",
     security: "docs/src/security.md",
     sizing: "docs/src/sizing.md",

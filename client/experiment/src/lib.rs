@@ -45,7 +45,7 @@ pub use report::{summary, write};
 
 use data::{Data, DataError, DataPortions};
 pub use paired::{Difference, PairedModels};
-use parameter_set::ParameterSet;
+pub use parameter_set::{ComparableKind, FittedModel, ParameterSet, WrongParameter};
 use protocol::Predictions;
 use score::{DayErrors, TestScore};
 use tuning::{Fold, Trial};

@@ -15,7 +15,7 @@ use tidemap_model::{
 };
 
 /// A fitted model.
-pub(crate) type FittedModel = Box<dyn TemporalModel + Send + Sync>;
+pub type FittedModel = Box<dyn TemporalModel + Send + Sync>;
 
 /// A kind of model with all its parameters.
 #[derive(Clone, Debug)]
@@ -53,6 +53,7 @@ pub enum WrongParameter {
 
 /// The kinds of models that can be compared: all kinds of the command line except `auto`, and a mean of two of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(missing_docs, reason = "the guide explains the models of these names")]
 pub enum ComparableKind {
     Mean,
     Latest,

@@ -11,12 +11,13 @@ use axum::{
 };
 use prost_reflect::{DeserializeOptions, DynamicMessage, MessageDescriptor, MethodDescriptor, SerializeOptions};
 use serde_json::{Value, json};
+use tidemap_proto::dynamic::DynamicCodec;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_stream::StreamExt as _;
 use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
 use tonic_types::StatusExt as _;
 
-use super::{Gateway, codec::DynamicCodec};
+use super::Gateway;
 use crate::rpc::status::code_name;
 
 /// Maximum size of a request as JSON; larger ones go over gRPC. An object takes up to fifty times its text in memory.

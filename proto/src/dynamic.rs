@@ -11,7 +11,7 @@ use tonic::{
 
 /// Encodes any message, and decodes those of one type.
 #[derive(Clone, Debug)]
-pub(super) struct DynamicCodec {
+pub struct DynamicCodec {
     /// The type of the replies.
     pub output: MessageDescriptor,
 }
@@ -33,7 +33,7 @@ impl Codec for DynamicCodec {
 
 /// Encodes messages.
 #[derive(Debug)]
-pub(super) struct DynamicEncoder;
+pub struct DynamicEncoder;
 
 impl Encoder for DynamicEncoder {
     type Item = DynamicMessage;
@@ -46,7 +46,7 @@ impl Encoder for DynamicEncoder {
 
 /// Decodes messages of a type.
 #[derive(Debug)]
-pub(super) struct DynamicDecoder(MessageDescriptor);
+pub struct DynamicDecoder(MessageDescriptor);
 
 impl Decoder for DynamicDecoder {
     type Item = DynamicMessage;

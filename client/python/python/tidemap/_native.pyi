@@ -1,0 +1,92 @@
+"""The native part of the package."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__version__: str
+
+class Replies(Iterator[str]):
+    def __iter__(self) -> Replies: ...
+    def __next__(self) -> str: ...
+
+class OpenProducer:
+    def send(self, state: str, time_nanos: int, value: float) -> int: ...
+    def flush(self) -> int: ...
+    def close(self) -> None: ...
+
+class NativeClient:
+    def __new__(
+        cls,
+        server: str,
+        token: str | None = None,
+        ca: bytes | None = None,
+        certificate: bytes | None = None,
+        key: bytes | None = None,
+    ) -> NativeClient: ...
+    @property
+    def server(self) -> str: ...
+    def call(self, method: str, request: str) -> Replies: ...
+    def observe(
+        self,
+        map: str,
+        states: list[str],
+        state_indices: npt.NDArray[np.uint32],
+        times_nanos: npt.NDArray[np.int64],
+        values: npt.NDArray[np.float64],
+        producer: str,
+        label: str,
+        kind: str | None,
+        nightly: bool,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> dict[str, Any]: ...
+    def predict(
+        self,
+        map: str,
+        states: list[str],
+        times_nanos: npt.NDArray[np.int64],
+        model: str,
+        interval: float | None = None,
+    ) -> tuple[
+        npt.NDArray[np.float64],
+        tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
+        npt.NDArray[np.float64],
+    ]: ...
+    def predict_grid(
+        self,
+        map: str,
+        time_nanos: int,
+        model: str,
+        output: str,
+        threshold: float,
+        region: tuple[int, int, int, int, int, int] | None,
+        project: bool,
+    ) -> dict[str, Any]: ...
+    def observe_grids(
+        self,
+        map: str,
+        times_nanos: npt.NDArray[np.int64],
+        cells: npt.NDArray[np.int8],
+        first_cell: tuple[int, int, int],
+        producer: str,
+        label: str,
+        nightly: bool,
+    ) -> dict[str, Any]: ...
+    def open_producer(self, map: str, producer: str, label: str) -> OpenProducer: ...
+
+class NativeModel:
+    @staticmethod
+    def fit(
+        kind: str,
+        parameters: list[tuple[str, str]],
+        times_nanos: npt.NDArray[np.int64],
+        values: npt.NDArray[np.float64],
+        state_kind: str,
+        time_zone: str,
+    ) -> NativeModel: ...
+    def predict(self, times_nanos: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]: ...
+
+def model_request(name: str) -> str: ...
+def model_parameters() -> dict[str, list[str]]: ...

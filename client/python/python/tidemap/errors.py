@@ -1,0 +1,64 @@
+"""Exceptions: the words are the daemon's, the class is for programs.
+
+Invariant: each code of gRPC gives the same class, and every class is a TidemapError.
+"""
+
+from __future__ import annotations
+
+
+class TidemapError(Exception):
+    """What the daemon refused, or what failed. ``code`` is the name of the gRPC code, such as ``NOT_FOUND``."""
+
+    def __init__(self, message: str, code: str = "UNKNOWN") -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class InvalidArgument(TidemapError, ValueError):
+    """An argument is not valid; the message says which, and what to do."""
+
+
+class NotFound(TidemapError, LookupError):
+    """A map, a state, a node or a job of that name is not there."""
+
+
+class AlreadyExists(TidemapError):
+    """The name is taken, or another stream of the same producer is open."""
+
+
+class FailedPrecondition(TidemapError):
+    """It cannot be done as things are, for example because these rows are not those that were sent before."""
+
+
+class ResourceExhausted(TidemapError):
+    """A limit is reached, or the disk of the daemon is full."""
+
+
+class PermissionDenied(TidemapError, PermissionError):
+    """The token does not allow it."""
+
+
+class Unauthenticated(TidemapError, PermissionError):
+    """A token is needed, or this one is not known."""
+
+
+class Unavailable(TidemapError, ConnectionError):
+    """No daemon answers, or it cannot answer now."""
+
+
+_CLASSES: dict[str, type[TidemapError]] = {
+    "INVALID_ARGUMENT": InvalidArgument,
+    "OUT_OF_RANGE": InvalidArgument,
+    "NOT_FOUND": NotFound,
+    "ALREADY_EXISTS": AlreadyExists,
+    "FAILED_PRECONDITION": FailedPrecondition,
+    "RESOURCE_EXHAUSTED": ResourceExhausted,
+    "PERMISSION_DENIED": PermissionDenied,
+    "UNAUTHENTICATED": Unauthenticated,
+    "UNAVAILABLE": Unavailable,
+}
+
+
+def of_code(code: str, message: str) -> TidemapError:
+    """The exception for a code."""
+    return _CLASSES.get(code, TidemapError)(message, code)

@@ -1,0 +1,304 @@
+//! The connection to a daemon, and its questions with many numbers: these go as arrays, all others as JSON.
+//!
+//! Invariant: arrays have one row for each state and one column for each time, in the order that was asked.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray4, ndarray::Array2};
+use pyo3::{prelude::*, types::PyDict};
+use tidemap_client::{
+    Client,
+    connection::Credentials,
+    observe::{Producer, ProducerOptions},
+    queries::{GridOutput, GridQuery, ModelSelector},
+};
+
+use crate::{
+    failure, grids,
+    observe::{Columns, Outcome, SentCounts, kind_named, send},
+    rpc::{self, Replies},
+    waiting::{runtime, wait},
+};
+
+/// Predicted values, bounds of the intervals if asked for, entropies.
+type PredictedArrays<'py> = (
+    Bound<'py, PyArray2<f64>>,
+    Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>,
+    Bound<'py, PyArray2<f64>>,
+);
+
+/// A client of a daemon.
+#[pyclass(frozen)]
+pub(crate) struct NativeClient {
+    client: Client,
+}
+
+/// What became of what was sent, or the exception.
+fn report(py: Python<'_>, all: usize, outcome: Outcome) -> PyResult<Bound<'_, PyDict>> {
+    let counts = match outcome {
+        Outcome::Whole(counts) => counts,
+        Outcome::Differs(message) => return Err(failure::of(py, "FAILED_PRECONDITION", &message)),
+        Outcome::Stopped(error) => return Err(failure::producer(py, &error)),
+    };
+    let report = PyDict::new(py);
+    report.set_item("read", all)?;
+    report.set_item("accepted", counts.accepted)?;
+    report.set_item("duplicate", counts.duplicate)?;
+    report.set_item("refused", counts.refused)?;
+    report.set_item("refusals", counts.refusals)?;
+    Ok(report)
+}
+
+pub(crate) fn model_named(py: Python<'_>, name: &str) -> PyResult<ModelSelector> {
+    name.parse().map_err(|error| failure::invalid(py, &format!("model {name:?}: {error}")))
+}
+
+#[pymethods]
+impl NativeClient {
+    /// Connects when it is first asked something.
+    #[new]
+    #[pyo3(signature = (server, token=None, ca=None, certificate=None, key=None))]
+    fn new(
+        py: Python<'_>,
+        server: &str,
+        token: Option<String>,
+        ca: Option<Vec<u8>>,
+        certificate: Option<Vec<u8>>,
+        key: Option<Vec<u8>>,
+    ) -> PyResult<Self> {
+        let credentials = Credentials { token, ca, identity: certificate.zip(key) };
+        // Connections belong to the runtime.
+        let _entered = runtime()?.enter();
+        let client = Client::with_credentials(server, &credentials).map_err(|error| failure::request(py, &error))?;
+        Ok(Self { client })
+    }
+
+    #[getter]
+    fn server(&self) -> &str {
+        self.client.server()
+    }
+
+    /// The replies of `SERVICE/METHOD` to a request in JSON.
+    fn call(&self, py: Python<'_>, method: &str, request: &str) -> PyResult<Replies> {
+        let Some(descriptor) = rpc::method(method) else {
+            let message = format!("there is no method {method:?} that takes one request, as SERVICE/METHOD");
+            return Err(failure::invalid(py, &message));
+        };
+        let message = rpc::request(&descriptor, request)
+            .map_err(|error| failure::invalid(py, &format!("the request of {method}: {error}")))?;
+        let server = self.client.server().to_owned();
+        match wait(py, rpc::call(self.client.clone(), descriptor, message), |_| Ok(()))? {
+            Ok(replies) => Ok(Replies::new(server, replies)),
+            Err(status) => Err(rpc::raised(py, &server, &status)),
+        }
+    }
+
+    /// Sends observations, each exactly once; those that the daemon has are compared. `progress` is called with the
+    /// number of durable ones and of all.
+    #[pyo3(signature = (map, states, state_indices, times_nanos, values, producer, label, kind, nightly, progress=None))]
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
+    fn observe<'py>(
+        &self,
+        py: Python<'py>,
+        map: &str,
+        states: Vec<String>,
+        state_indices: PyReadonlyArray1<'py, u32>,
+        times_nanos: PyReadonlyArray1<'py, i64>,
+        values: PyReadonlyArray1<'py, f64>,
+        producer: &str,
+        label: &str,
+        kind: Option<&str>,
+        nightly: bool,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let kind = kind.map(|name| kind_named(py, name)).transpose()?;
+        let options = ProducerOptions { kind, nightly, ..ProducerOptions::new(producer, label, map) };
+        let columns = Columns {
+            states,
+            state_indices: state_indices.as_array().to_vec(),
+            times_nanos: times_nanos.as_array().to_vec(),
+            values: values.as_array().to_vec(),
+        };
+        columns.check(py)?;
+        let all = columns.times_nanos.len();
+        let counts = Arc::new(Mutex::new(SentCounts::default()));
+        let sent = send(self.client.clone(), options, columns, Arc::clone(&counts));
+        let outcome = wait(py, sent, |_| {
+            let durable = counts.lock().unwrap_or_else(PoisonError::into_inner).durable;
+            progress.as_ref().map_or(Ok(()), |progress| progress.call1((durable, all)).map(|_| ()))
+        })?;
+        let report = report(py, all, outcome)?;
+        if let Some(progress) = &progress {
+            progress.call1((all, all))?;
+        }
+        Ok(report)
+    }
+
+    /// Sends grids that were seen, each exactly once; axes time, z, y, x; below 0 not seen, 0 free, above 0 occupied.
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
+    fn observe_grids<'py>(
+        &self,
+        py: Python<'py>,
+        map: &str,
+        times_nanos: PyReadonlyArray1<'py, i64>,
+        cells: PyReadonlyArray4<'py, i8>,
+        first_cell: [i32; 3],
+        producer: &str,
+        label: &str,
+        nightly: bool,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let options = ProducerOptions { nightly, ..ProducerOptions::new(producer, label, map) };
+        let grids = grids::SeenGrids {
+            times_nanos: times_nanos.as_array().to_vec(),
+            cells: cells.as_array().to_owned(),
+            first_cell,
+        };
+        let all = grids.times_nanos.len();
+        if grids.cells.shape()[0] != all {
+            return Err(failure::invalid(py, &format!("{all} times, {} grids", grids.cells.shape()[0])));
+        }
+        let outcome = wait(py, grids::send(self.client.clone(), options, grids), |_| Ok(()))?;
+        report(py, all, outcome)
+    }
+
+    /// Predictions of states at times.
+    #[pyo3(signature = (map, states, times_nanos, model, interval=None))]
+    fn predict<'py>(
+        &self,
+        py: Python<'py>,
+        map: &str,
+        states: Vec<String>,
+        times_nanos: PyReadonlyArray1<'py, i64>,
+        model: &str,
+        interval: Option<f64>,
+    ) -> PyResult<PredictedArrays<'py>> {
+        let model = model_named(py, model)?;
+        let times = times_nanos.as_array().to_vec();
+        let shape = (states.len(), times.len());
+        let mut predictions = self.client.predict(map, states, times, model);
+        if let Some(level) = interval {
+            predictions = predictions.with_intervals(level);
+        }
+        let predicted = wait(
+            py,
+            async move {
+                let empty = || Array2::from_elem(shape, f64::NAN);
+                let (mut values, mut lower, mut upper, mut entropies) = (empty(), empty(), empty(), empty());
+                while let Some(run) = predictions.next().await? {
+                    if run.axis.is_some() {
+                        return Ok(Err(predictions.states()[run.state].clone()));
+                    }
+                    let put = |numbers: &[f64], into: &mut Array2<f64>| {
+                        for (index, number) in numbers.iter().enumerate() {
+                            into[(run.state, run.first_time + index)] = *number;
+                        }
+                    };
+                    put(&run.probabilities, &mut values);
+                    put(&run.lower, &mut lower);
+                    put(&run.upper, &mut upper);
+                    put(&run.entropies_bits, &mut entropies);
+                }
+                Ok::<_, tidemap_client::Error>(Ok((values, lower, upper, entropies)))
+            },
+            |_| Ok(()),
+        )?;
+        let predicted = predicted.map_err(|error| failure::request(py, &error))?;
+        let (values, lower, upper, entropies) = predicted.map_err(|name| {
+            let message = format!("{name} is a position: ask QueryService/PredictPositions with call()");
+            failure::invalid(py, &message)
+        })?;
+        let array = |numbers: Array2<f64>| PyArray2::from_owned_array(py, numbers);
+        let bounds = interval.map(|_| (array(lower), array(upper)));
+        Ok((array(values), bounds, array(entropies)))
+    }
+
+    /// A grid at one time.
+    #[pyo3(signature = (map, time_nanos, model, output, threshold, region, project))]
+    #[expect(clippy::too_many_arguments, reason = "Python names them")]
+    fn predict_grid<'py>(
+        &self,
+        py: Python<'py>,
+        map: &str,
+        time_nanos: i64,
+        model: &str,
+        output: &str,
+        threshold: f64,
+        region: Option<[i32; 6]>,
+        project: bool,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let output = match output {
+            "probability" => GridOutput::Probability,
+            "entropy" => GridOutput::Entropy,
+            "threshold" => GridOutput::Threshold(threshold),
+            other => {
+                let message = format!("output {other:?}: probability, entropy or threshold");
+                return Err(failure::invalid(py, &message));
+            }
+        };
+        let query = GridQuery {
+            map: map.to_owned(),
+            time_nanos,
+            model: model_named(py, model)?,
+            region: region.map(grids::cell_box),
+            is_projected: project,
+            output,
+        };
+        let client = self.client.clone();
+        let answer = wait(py, async move { client.predict_grid(&query).await?.whole().await }, |_| Ok(()))?;
+        grids::arrays(py, &answer.map_err(|error| failure::request(py, &error))?)
+    }
+
+    /// A producer that stays open, for observations as they come.
+    fn open_producer(&self, py: Python<'_>, map: &str, producer: &str, label: &str) -> PyResult<OpenProducer> {
+        let (client, options) = (self.client.clone(), ProducerOptions::new(producer, label, map));
+        let opened = wait(py, async move { Producer::open(&client, options).await }, |_| Ok(()))?;
+        let producer = opened.map_err(|error| failure::producer(py, &error))?;
+        Ok(OpenProducer { producer: Arc::new(tokio::sync::Mutex::new(Some(producer))) })
+    }
+}
+
+/// A producer for observations as they come; what it has taken is sent in the background.
+#[pyclass(frozen)]
+pub(crate) struct OpenProducer {
+    producer: Arc<tokio::sync::Mutex<Option<Producer>>>,
+}
+
+#[pymethods]
+impl OpenProducer {
+    /// Takes an observation and returns its number; it is durable after `flush`.
+    fn send(&self, py: Python<'_>, state: String, time_nanos: i64, value: f64) -> PyResult<u64> {
+        let producer = Arc::clone(&self.producer);
+        let sent = async move {
+            match producer.lock().await.as_mut() {
+                Some(producer) => producer.send(&state, time_nanos, value).await,
+                None => Err(tidemap_client::observe::ProducerError::Closed),
+            }
+        };
+        wait(py, sent, |_| Ok(()))?.map_err(|error| failure::producer(py, &error))
+    }
+
+    /// Waits until everything that was taken is durable, and returns the number of the last.
+    fn flush(&self, py: Python<'_>) -> PyResult<u64> {
+        let producer = Arc::clone(&self.producer);
+        let flushed = async move {
+            match producer.lock().await.as_mut() {
+                Some(producer) => producer.flush().await.map(|progress| progress.durable_sequence),
+                None => Err(tidemap_client::observe::ProducerError::Closed),
+            }
+        };
+        wait(py, flushed, |_| Ok(()))?.map_err(|error| failure::producer(py, &error))
+    }
+
+    /// Waits until everything is durable, and ends.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        let producer = Arc::clone(&self.producer);
+        let closed = async move {
+            let mut held = producer.lock().await;
+            let Some(producer) = held.as_mut() else { return Ok(()) };
+            producer.close().await?;
+            *held = None;
+            Ok(())
+        };
+        wait(py, closed, |_| Ok(()))?.map_err(|error| failure::producer(py, &error))
+    }
+}

@@ -1,0 +1,159 @@
+//! Sends the rows of arrays. Rows that the daemon has already are compared, not sent.
+//!
+//! Invariant: nothing is sent before all rows that the daemon has are compared. Once it is durable, each row counts as
+//! exactly one of accepted, duplicate and refused.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use pyo3::prelude::*;
+use tidemap_client::{
+    Client,
+    maps::{StateKind, StateShape},
+    observe::{Producer, ProducerError, ProducerOptions, content::ContentCrc},
+};
+
+use crate::failure;
+
+/// Refusals that are told in words.
+const REFUSALS_TOLD: usize = 100;
+/// Rows between two looks at the refusals.
+const CHUNK: usize = 32_768;
+
+/// Observations in columns: row i is of `states[state_indices[i]]`.
+pub(crate) struct Columns {
+    pub(crate) states: Vec<String>,
+    pub(crate) state_indices: Vec<u32>,
+    pub(crate) times_nanos: Vec<i64>,
+    pub(crate) values: Vec<f64>,
+}
+
+impl Columns {
+    /// Checks that the columns are of one length, and that states are there.
+    pub(crate) fn check(&self, py: Python<'_>) -> PyResult<()> {
+        let rows = self.times_nanos.len();
+        if self.state_indices.len() != rows || self.values.len() != rows {
+            let message = format!(
+                "{rows} times, {} values and {} states: they must be as many",
+                self.values.len(),
+                self.state_indices.len()
+            );
+            return Err(failure::invalid(py, &message));
+        }
+        match self.state_indices.iter().find(|index| **index as usize >= self.states.len()) {
+            Some(index) => {
+                Err(failure::invalid(py, &format!("state number {index}, but there are {}", self.states.len())))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn row(&self, row: usize) -> (&str, i64, f64) {
+        (&self.states[self.state_indices[row] as usize], self.times_nanos[row], self.values[row])
+    }
+}
+
+/// What became of the rows.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SentCounts {
+    /// Rows that are durable now, of this call or before.
+    pub(crate) durable: u64,
+    pub(crate) accepted: u64,
+    pub(crate) duplicate: u64,
+    pub(crate) refused: u64,
+    /// Row, counted from 0, and why it was refused; the first ones.
+    pub(crate) refusals: Vec<(u64, String)>,
+}
+
+/// How sending ended.
+pub(crate) enum Outcome {
+    Whole(SentCounts),
+    /// The rows are not those that were sent before; how.
+    Differs(String),
+    Stopped(ProducerError),
+}
+
+/// The kind of that name.
+pub(crate) fn kind_named(py: Python<'_>, name: &str) -> PyResult<StateShape> {
+    let mut kinds = StateKind::ALL.into_iter().map(StateShape::from).chain([StateShape::Angle]);
+    kinds.find(|kind| kind.name() == name).ok_or_else(|| {
+        failure::invalid(py, &format!("kind {name:?}: probability, continuous, count or angle"))
+    })
+}
+
+/// Sends all rows and waits until they are durable.
+pub(crate) async fn send(
+    client: Client,
+    options: ProducerOptions,
+    columns: Columns,
+    shared: Arc<Mutex<SentCounts>>,
+) -> Outcome {
+    let (name, label) = (options.producer.clone(), options.label.clone());
+    let mut producer = match Producer::open(&client, options).await {
+        Ok(producer) => producer,
+        Err(error) => return Outcome::Stopped(error),
+    };
+    let progress = producer.progress();
+    let (before, dropped_before) = (progress.resumed_at, progress.dropped_refusals);
+    let rows = columns.times_nanos.len();
+    if let Err(how) = compare(&columns, before, progress.content_crc) {
+        return differs(&name, &label, &how);
+    }
+    let first = usize::try_from(before).unwrap_or(usize::MAX).min(rows);
+    let mut counts = SentCounts { durable: before, duplicate: before.min(rows as u64), ..SentCounts::default() };
+    for row in first..rows {
+        let (state, time_nanos, value) = columns.row(row);
+        if let Err(error) = producer.send(state, time_nanos, value).await {
+            return Outcome::Stopped(error);
+        }
+        if row % CHUNK == 0 {
+            collect(&mut producer, &mut counts);
+            shared.lock().unwrap_or_else(PoisonError::into_inner).durable = producer.progress().durable_sequence;
+        }
+    }
+    let closed = producer.close().await;
+    collect(&mut producer, &mut counts);
+    let progress = match closed {
+        Ok(progress) => progress,
+        Err(error) => return Outcome::Stopped(error),
+    };
+    counts.refused += progress.dropped_refusals.saturating_sub(dropped_before);
+    counts.durable = progress.durable_sequence;
+    counts.accepted = progress.durable_sequence.saturating_sub(before).saturating_sub(counts.refused);
+    Outcome::Whole(counts)
+}
+
+/// What was sent before is not the beginning of this.
+pub(crate) fn differs(producer: &str, label: &str, how: &str) -> Outcome {
+    let label = if label.is_empty() { String::new() } else { format!(", label {label:?},") };
+    Outcome::Differs(format!(
+        "this does not continue what producer {producer:?}{label} has sent to the map: {how}. Send everything from the \
+         first, or give the data a label of its own (label=\"…\")"
+    ))
+}
+
+/// Compares the rows that the daemon has with the first of these.
+fn compare(columns: &Columns, before: u64, content_crc: u32) -> Result<(), String> {
+    let rows = columns.times_nanos.len();
+    if before > rows as u64 {
+        return Err(format!("there are {rows} rows, but {before} were sent before"));
+    }
+    let mut crc = ContentCrc::default();
+    for row in 0..before as usize {
+        let (state, time_nanos, value) = columns.row(row);
+        crc.add(state, time_nanos, value);
+    }
+    if before > 0 && crc.value() != content_crc {
+        return Err(format!("the first {before} rows are not the {before} that were sent before"));
+    }
+    Ok(())
+}
+
+/// Takes the refusals that have arrived.
+pub(crate) fn collect(producer: &mut Producer, counts: &mut SentCounts) {
+    for refusal in producer.take_refusals() {
+        counts.refused += 1;
+        if counts.refusals.len() < REFUSALS_TOLD {
+            counts.refusals.push((refusal.sequence.saturating_sub(1), refusal.detail));
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Any RPC by its name, with requests and replies as JSON.
+//!
+//! Invariant: messages are read and written by their descriptors alone, so that every RPC that does not stream requests
+//! is here as it is on the wire. 64-bit integers are JSON numbers, which Python reads exactly.
+
+use std::sync::{Arc, OnceLock};
+
+use prost::Message as _;
+use prost_reflect::{DescriptorPool, DeserializeOptions, DynamicMessage, MethodDescriptor, SerializeOptions};
+use pyo3::prelude::*;
+use tidemap_client::Client;
+use tidemap_proto::dynamic::DynamicCodec;
+use tokio::sync::Mutex;
+use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
+
+use crate::{client::model_named, failure, waiting::wait};
+
+/// Maximum size of one reply, as of the client library.
+const REPLY_BYTES: usize = 64 << 20;
+
+fn pool() -> Option<&'static DescriptorPool> {
+    static POOL: OnceLock<Option<DescriptorPool>> = OnceLock::new();
+    POOL.get_or_init(|| DescriptorPool::decode(tidemap_proto::v1::DESCRIPTORS).ok()).as_ref()
+}
+
+/// The method `SERVICE/METHOD`, of the package `tidemap.v1`.
+pub(crate) fn method(name: &str) -> Option<MethodDescriptor> {
+    let (service, method) = name.split_once('/')?;
+    let service = pool()?.get_service_by_name(&format!("tidemap.v1.{service}"))?;
+    let found = service.methods().find(|known| known.name() == method);
+    found.filter(|method| !method.is_client_streaming())
+}
+
+/// A request from JSON.
+pub(crate) fn request(method: &MethodDescriptor, json: &str) -> Result<DynamicMessage, serde_json::Error> {
+    let mut json = serde_json::Deserializer::from_str(json);
+    let options = DeserializeOptions::new().deny_unknown_fields(true);
+    let message = DynamicMessage::deserialize_with_options(method.input(), &mut json, &options)?;
+    json.end()?;
+    Ok(message)
+}
+
+fn text(message: &DynamicMessage) -> Result<String, Status> {
+    let mut text = Vec::new();
+    let options = SerializeOptions::new()
+        .skip_default_fields(false)
+        .use_proto_field_name(true)
+        .stringify_64_bit_integers(false);
+    let mut json = serde_json::Serializer::new(&mut text);
+    message.serialize_with_options(&mut json, &options).map_err(|error| Status::internal(error.to_string()))?;
+    String::from_utf8(text).map_err(|error| Status::internal(error.to_string()))
+}
+
+/// A model, named as on the command line, as the JSON of a ModelSelector.
+#[pyfunction]
+pub(crate) fn model_request(py: Python<'_>, name: &str) -> PyResult<String> {
+    let selector = tidemap_proto::convert::query::selector_to_wire(model_named(py, name)?);
+    let descriptor = pool().and_then(|pool| pool.get_message_by_name("tidemap.v1.ModelSelector"));
+    let message = descriptor.and_then(|known| DynamicMessage::decode(known, selector.encode_to_vec().as_slice()).ok());
+    let json = message.and_then(|message| serde_json::to_string(&message).ok());
+    json.ok_or_else(|| failure::of(py, "INTERNAL", "the descriptors of the wire cannot be read"))
+}
+
+/// Calls a method.
+pub(crate) async fn call(
+    client: Client,
+    method: MethodDescriptor,
+    message: DynamicMessage,
+) -> Result<Streaming<DynamicMessage>, Status> {
+    let path = format!("/{}/{}", method.parent_service().full_name(), method.name());
+    let path = PathAndQuery::try_from(path).map_err(|error| Status::internal(error.to_string()))?;
+    let mut grpc = Grpc::new(client.requests()).max_decoding_message_size(REPLY_BYTES);
+    grpc.ready().await.map_err(|error| Status::unavailable(error.to_string()))?;
+    let codec = DynamicCodec { output: method.output() };
+    Ok(grpc.server_streaming(tonic::Request::new(message), path, codec).await?.into_inner())
+}
+
+/// The exception of a status.
+pub(crate) fn raised(py: Python<'_>, server: &str, status: &Status) -> PyErr {
+    let mut message = status.message().to_owned();
+    if status.code() == Code::Unavailable && std::error::Error::source(status).is_some() {
+        message = format!("no daemon answers at {server}: {message}");
+    }
+    failure::of(py, &failure::code_name(status.code()), &message)
+}
+
+/// Replies of a method, one by one, each as JSON.
+#[pyclass(frozen)]
+pub(crate) struct Replies {
+    server: String,
+    replies: Arc<Mutex<Streaming<DynamicMessage>>>,
+}
+
+impl Replies {
+    pub(crate) fn new(server: String, replies: Streaming<DynamicMessage>) -> Self {
+        Self { server, replies: Arc::new(Mutex::new(replies)) }
+    }
+}
+
+#[pymethods]
+impl Replies {
+    fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        this
+    }
+
+    fn __next__(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        let replies = Arc::clone(&self.replies);
+        let next = async move {
+            let message = replies.lock().await.message().await?;
+            message.as_ref().map(text).transpose()
+        };
+        wait(py, next, |_| Ok(()))?.map_err(|status| raised(py, &self.server, &status))
+    }
+}
