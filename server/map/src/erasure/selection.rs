@@ -125,6 +125,9 @@ struct OfState {
     waiting: Vec<(Arrival, bool)>,
 }
 
+/// Name, acknowledged observations, first and last time that the model has learned.
+type KnownState = (StateName, u64, Option<(i64, i64)>);
+
 /// What has been read of a map so far.
 #[derive(Clone, Debug)]
 pub struct Survey {
@@ -133,8 +136,8 @@ pub struct Survey {
     generation: u64,
     cut_nanos: i64,
     newest_nanos: i64,
-    /// Of the snapshot: name, acknowledged observations, first and last time that the model has learned.
-    known: Vec<(StateName, u64, Option<(i64, i64)>)>,
+    /// The states of the snapshot.
+    known: Vec<KnownState>,
     states: BTreeMap<StateId, OfState>,
     /// Failed traversals that the snapshot has, and those of them that are selected.
     failures: BTreeSet<(StateName, i64)>,

@@ -64,10 +64,10 @@ impl Times {
         after.hours = before.hours * factors.known + hours.len() as f64 * factors.of_day;
         let mut last_nanos = last_nanos;
         for nanos in scans.into_iter().map(|scan| self.at(scan)) {
-            if last_nanos.is_none_or(|last| nanos > last) {
-                if let Some(last) = last_nanos.replace(nanos) {
-                    after.gaps.observe_many(1, |_| nanos.abs_diff(last));
-                }
+            if last_nanos.is_none_or(|last| nanos > last)
+                && let Some(last) = last_nanos.replace(nanos)
+            {
+                after.gaps.observe_many(1, |_| nanos.abs_diff(last));
             }
         }
         after
