@@ -93,6 +93,7 @@ fuzz:
 durability: export TIDEMAP_KILL_ROUNDS ?= 100
 durability: export TIDEMAP_POWERCUT_ROUNDS ?= 60
 durability: export TIDEMAP_FLIPS ?= 1000
+durability: export TIDEMAP_HARMS ?= 500
 durability: export TIDEMAP_CALL_KILLS ?= 300
 durability: export TIDEMAP_FULL_ROUNDS ?= 100
 durability: export TIDEMAP_SIMULATED_SEEDS ?= 5000

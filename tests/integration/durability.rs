@@ -3,6 +3,7 @@
 //!
 //! Invariant: every test prints its seed, and a round in which nothing was acknowledged does not count.
 
+mod backups;
 mod bit_flips;
 mod full_disk;
 mod kill;

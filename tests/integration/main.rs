@@ -2,6 +2,7 @@
 
 mod acceptance;
 mod bad_input;
+mod crowds;
 mod deploy;
 mod durability;
 mod erasures;

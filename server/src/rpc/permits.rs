@@ -77,9 +77,19 @@ impl Permit {
         }
     }
 
-    /// Gives others a turn if the holder had the permit for long and somebody may wait. Only on a blocking thread.
+    /// Whether somebody else has all permits, so that a permit that is given back may not come back soon.
+    pub(super) fn is_contended(&self) -> bool {
+        self.permits.available_permits() == 0
+    }
+
+    /// Whether the holder had the permit for long and somebody may wait.
+    pub(super) fn is_due(&self) -> bool {
+        self.since.elapsed() >= SLICE && self.is_contended()
+    }
+
+    /// Gives others a turn if that is due. Only on a blocking thread.
     pub(super) fn offer(&mut self) {
-        if self.since.elapsed() >= SLICE && self.permits.available_permits() == 0 {
+        if self.is_due() {
             self.pause();
             self.resume();
         }

@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tokio::sync::mpsc;
+use tokio::{runtime::Handle, sync::mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
@@ -21,6 +21,8 @@ use super::{
 const REPLIES_AHEAD: usize = 8;
 /// The time to read all replies.
 const READ_WITHIN: Duration = Duration::from_secs(30);
+/// Work that waits for its reader keeps its memory for this long.
+const KEPT_FOR: Duration = Duration::from_millis(100);
 
 /// A stream of replies.
 pub(super) type Replies<T> = ReceiverStream<Result<T, Status>>;
@@ -41,21 +43,47 @@ impl<T> ReplySink<T> {
 
     /// Sends a reply when there is room. `false`: the client is gone. Only on a blocking thread.
     pub(super) fn send(&self, reply: T) -> bool {
+        self.send_freeing(reply, || ())
+    }
+
+    /// The same, for work that holds much memory, which it can do again: `free` is called before a longer wait, for the
+    /// reader or for a permit, and perhaps more than once.
+    pub(super) fn send_freeing(&self, reply: T, mut free: impl FnMut()) -> bool {
         match self.ready.try_send(Ok(reply)) {
             Ok(()) => {
+                if self.any_permit(Permit::is_due) {
+                    free();
+                }
                 self.with_permits(Permit::offer);
                 true
             }
             Err(mpsc::error::TrySendError::Full(reply)) => {
                 self.with_permits(Permit::pause);
-                let is_sent = self.ready.blocking_send(reply).is_ok();
+                let room = tokio::time::timeout(KEPT_FOR, self.ready.reserve());
+                let is_sent = match Handle::current().block_on(async { room.await.map(|room| room.map(drop)) }) {
+                    // Only this work sends, so that the room is still there.
+                    Ok(Ok(())) => self.ready.blocking_send(reply).is_ok(),
+                    Ok(Err(_)) => false,
+                    Err(_) => {
+                        free();
+                        self.ready.blocking_send(reply).is_ok()
+                    }
+                };
                 if is_sent {
+                    if self.any_permit(Permit::is_contended) {
+                        free();
+                    }
                     self.with_permits(Permit::resume);
                 }
                 is_sent
             }
             Err(mpsc::error::TrySendError::Closed(_)) => false,
         }
+    }
+
+    fn any_permit(&self, which: impl Fn(&Permit) -> bool) -> bool {
+        let permits = self.permits.as_ref().map(|permits| permits.lock().unwrap_or_else(PoisonError::into_inner));
+        permits.is_some_and(|permits| permits.iter().any(which))
     }
 
     fn with_permits(&self, each: impl FnMut(&mut Permit)) {

@@ -1,5 +1,5 @@
-//! Single bits that flip while the daemon is stopped: the answers stay the same, or the daemon reports the damage and
-//! does not start. No damage goes unnoticed.
+//! Damage of single files while the daemon is stopped: a bit flips, a sector is zeroed, the end is cut off, or the file is
+//! gone. The answers stay the same, or the daemon reports the damage. No damage goes unnoticed.
 
 use std::{
     collections::BTreeMap,
@@ -9,9 +9,10 @@ use std::{
 
 use rand::{Rng as _, rngs::SmallRng};
 use tempfile::tempdir;
+use tidemap_client::{Client, Error};
 use tidemap_tests::{
     answers,
-    daemon::Launch,
+    daemon::{Daemon, Launch},
     disk,
     feed::Feed,
     herd::{Herd, Manner},
@@ -29,6 +30,8 @@ fn kind(file: &Path) -> Option<&'static str> {
     match name {
         "MANIFEST" => Some("manifest"),
         "MAP" => Some("map"),
+        "MAPS" | "HISTORY" | "NEWEST" => Some("list"),
+        _ if name.ends_with(".tmh") => Some("history"),
         _ if name.ends_with(".log") => Some("log"),
         _ if name.ends_with(".tmc") => Some("checkpoint"),
         _ if file.starts_with("index") => Some("index"),
@@ -63,77 +66,190 @@ fn flip(file: &Path, random: &mut SmallRng) -> u64 {
     bit
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn durability_a_flipped_bit_is_harmless_or_reported() {
-    let seed = rounds::seed("durability_a_flipped_bit_is_harmless_or_reported");
-    let mut random = rounds::draws(seed);
-    let work = tempdir().expect("a folder");
-    let data = work.path().join("data");
-    fill(&data).await;
+/// What happens to a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Harm {
+    FlippedBit,
+    ZeroedSector,
+    Truncation,
+    Deletion,
+}
 
-    let producers: Vec<String> = (0..PRODUCERS).map(producer_name).collect();
-    let sound = work.path().join("sound");
-    disk::copy_folder(&data, &sound);
-    let daemon = Launch::on(&sound).start();
-    settled(&daemon.client()).await;
-    let expected = answers::all(&daemon, &producers).await;
-    daemon.stop_in_order();
-    assert!(expected.len() > 30, "there is something to compare: {expected:?}");
-
-    let mut by_kind: BTreeMap<&str, Vec<PathBuf>> = BTreeMap::new();
-    for file in disk::files(&data) {
-        let empty = fs::metadata(data.join(&file)).expect("a file").len() == 0;
-        if let Some(kind) = kind(&file).filter(|_| !empty) {
-            by_kind.entry(kind).or_default().push(file);
+/// Harms a file; where.
+fn harm(harm: Harm, file: &Path, random: &mut SmallRng) -> String {
+    let length = fs::metadata(file).expect("a file").len();
+    match harm {
+        Harm::FlippedBit => format!("bit {}", flip(file, random)),
+        Harm::ZeroedSector => {
+            let mut bytes = fs::read(file).expect("a file can be read");
+            let from = random.random_range(0..bytes.len().div_ceil(512)) * 512;
+            let to = bytes.len().min(from + 512);
+            bytes[from..to].fill(0);
+            fs::write(file, bytes).expect("a file can be written");
+            format!("sector at {from}")
+        }
+        Harm::Truncation => {
+            let left = random.random_range(0..length);
+            fs::OpenOptions::new().write(true).open(file).and_then(|file| file.set_len(left)).expect("truncated");
+            format!("cut to {left} of {length}")
+        }
+        Harm::Deletion => {
+            fs::remove_file(file).expect("a file can be removed");
+            "removed".to_owned()
         }
     }
-    let kinds: Vec<&str> = by_kind.keys().copied().collect();
-    assert_eq!(kinds, ["checkpoint", "index", "log", "manifest", "map"]);
-    let mut outcomes: BTreeMap<(&str, bool), u32> = BTreeMap::new();
-    for round in 0..rounds::count("TIDEMAP_FLIPS", 60) {
-        let kind = kinds[round as usize % kinds.len()];
-        let files = &by_kind[kind];
+}
+
+async fn history(client: &Client, state: &str) -> Result<String, Error> {
+    let mut rows = client.reconstruct("office", state, 0, i64::MAX).await?;
+    let mut text = String::new();
+    while let Some(row) = rows.next().await? {
+        text += &format!("{row:?}");
+    }
+    Ok(text)
+}
+
+/// The history of every state, one line each; an error is a line that says so.
+async fn histories(daemon: &Daemon) -> Vec<String> {
+    let client = daemon.client();
+    let (states, _) = client.states("office", "").await.expect("the map is there");
+    let mut lines = Vec::new();
+    for state in states {
+        lines.push(history(&client, &state.name).await.unwrap_or_else(|error| {
+            assert_eq!(error.code(), Some(tonic::Code::DataLoss), "{error}");
+            "DATA_LOSS".to_owned()
+        }));
+    }
+    lines
+}
+
+/// A sound folder, and what a daemon answers from it.
+struct Sound {
+    data: PathBuf,
+    producers: Vec<String>,
+    answers: Vec<String>,
+    histories: Vec<String>,
+    by_kind: BTreeMap<&'static str, Vec<PathBuf>>,
+}
+
+/// What became of a damage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Outcome {
+    Harmless,
+    Refused,
+    /// The daemon serves, and says what is gone.
+    Reported,
+}
+
+impl Sound {
+    async fn new(work: &Path) -> Self {
+        let data = work.join("data");
+        fill(&data).await;
+        let producers: Vec<String> = (0..PRODUCERS).map(producer_name).collect();
+        let sound = work.join("sound");
+        disk::copy_folder(&data, &sound);
+        let daemon = Launch::on(&sound).start();
+        settled(&daemon.client()).await;
+        let (answers, histories) = (answers::all(&daemon, &producers).await, histories(&daemon).await);
+        daemon.stop_in_order();
+        assert!(answers.len() > 30, "there is something to compare: {answers:?}");
+        assert!(histories.iter().all(|line| line.len() > 100 && line != "DATA_LOSS"), "{histories:?}");
+        let mut by_kind: BTreeMap<&str, Vec<PathBuf>> = BTreeMap::new();
+        for file in disk::files(&data) {
+            let empty = fs::metadata(data.join(&file)).expect("a file").len() == 0;
+            if let Some(kind) = kind(&file).filter(|_| !empty) {
+                by_kind.entry(kind).or_default().push(file);
+            }
+        }
+        let kinds: Vec<&str> = by_kind.keys().copied().collect();
+        assert_eq!(kinds, ["checkpoint", "history", "index", "list", "log", "manifest", "map"]);
+        Self { data, producers, answers, histories, by_kind }
+    }
+
+    /// Harms one file of a kind in a copy of the folder, and starts a daemon on it.
+    async fn harmed(&self, copy: &Path, kind: &str, how: Harm, random: &mut SmallRng) -> Outcome {
+        let files = &self.by_kind[kind];
         let file = &files[random.random_range(0..files.len())];
-        let copy = work.path().join("flipped");
-        disk::copy_folder(&data, &copy);
-        let bit = flip(&copy.join(file), &mut random);
+        disk::copy_folder(&self.data, copy);
+        let what = format!("{}: {how:?}, {}", file.display(), harm(how, &copy.join(file), random));
         if kind == "checkpoint" {
             // With a valid index no checkpoint is read.
             fs::remove_dir_all(copy.join("index")).expect("the index can be removed");
         }
-        let what = format!("bit {bit} of {}", file.display());
-        let served = match Launch::on(&copy).try_start() {
-            Ok(daemon) => {
-                settled(&daemon.client()).await;
-                let unavailable = daemon.client().all_maps().await.expect("listed").1;
-                let found = if unavailable.is_empty() { answers::all(&daemon, &producers).await } else { Vec::new() };
-                let log = daemon.stop_in_order();
-                if let Some(map) = unavailable.first() {
-                    assert!(!log.contains("panicked"), "{what}: {log}");
-                    assert!(!map.reason.is_empty() && log.contains("map unavailable"), "{what}: {log}");
-                    *outcomes.entry((kind, false)).or_default() += 1;
-                    fs::remove_dir_all(&copy).expect("a copy can be removed");
-                    continue;
-                }
-                assert!(!log.contains("panicked"), "{what}: {log}");
-                for (expected, found) in expected.iter().zip(&found) {
-                    assert_eq!(found, expected, "{what}: other answers in silence");
-                }
-                assert_eq!(found.len(), expected.len(), "{what}: answers are missing");
-                true
-            }
+        let daemon = match Launch::on(copy).try_start() {
+            Ok(daemon) => daemon,
             Err(exit) => {
+                assert!(!exit.stderr.contains("panicked"), "{what}: {exit}");
                 assert_eq!(exit.code(), Some(65), "{what}: {exit}");
                 let name = file.file_name().expect("a name").to_string_lossy();
-                assert!(exit.stderr.contains("damaged") && exit.stderr.contains(&*name), "{what}: {exit}");
-                assert!(!exit.stderr.contains("panicked"), "{what}: {exit}");
-                false
+                assert!(exit.stderr.contains(&*name), "{what}: {exit}");
+                return Outcome::Refused;
             }
         };
-        *outcomes.entry((kind, served)).or_default() += 1;
-        fs::remove_dir_all(&copy).expect("a copy can be removed");
+        settled(&daemon.client()).await;
+        let unavailable = daemon.client().all_maps().await.expect("listed").1;
+        if let Some(map) = unavailable.first() {
+            let log = daemon.stop_in_order();
+            assert!(!log.contains("panicked"), "{what}: {log}");
+            assert!(!map.reason.is_empty() && log.contains("map unavailable"), "{what}: {log}");
+            return Outcome::Refused;
+        }
+        let (answers, histories) = (answers::all(&daemon, &self.producers).await, histories(&daemon).await);
+        let log = daemon.stop_in_order();
+        assert!(!log.contains("panicked"), "{what}: {log}");
+        // A cut or zeroed end of the log cannot be told from a write that a power cut has torn: it is cut off, in words.
+        let is_torn = kind == "log" && how != Harm::FlippedBit && log.contains("had not been written whole");
+        if is_torn {
+            return Outcome::Reported;
+        }
+        for (expected, found) in self.answers.iter().zip(&answers) {
+            assert_eq!(found, expected, "{what}: other answers in silence");
+        }
+        assert_eq!(answers.len(), self.answers.len(), "{what}: answers are missing");
+        assert_eq!(histories.len(), self.histories.len(), "{what}: states are missing");
+        let mut outcome = Outcome::Harmless;
+        for (expected, found) in self.histories.iter().zip(&histories) {
+            if kind == "history" && found == "DATA_LOSS" {
+                outcome = Outcome::Reported;
+            } else {
+                assert_eq!(found, expected, "{what}: another history in silence");
+            }
+        }
+        outcome
     }
-    for ((kind, served), count) in outcomes {
-        println!("{kind}: {count} {}", if served { "served as before" } else { "refused at start, or set aside" });
+
+    /// Harms files of all kinds in turn.
+    async fn rounds(&self, work: &Path, harms: &[Harm], count: u32, random: &mut SmallRng) {
+        let kinds: Vec<&str> = self.by_kind.keys().copied().collect();
+        let mut outcomes: BTreeMap<(&str, Harm, Outcome), u32> = BTreeMap::new();
+        for round in 0..count as usize {
+            let (kind, how) = (kinds[round % kinds.len()], harms[round / kinds.len() % harms.len()]);
+            let copy = work.join("harmed");
+            let outcome = self.harmed(&copy, kind, how, random).await;
+            *outcomes.entry((kind, how, outcome)).or_default() += 1;
+            fs::remove_dir_all(&copy).expect("a copy can be removed");
+        }
+        for ((kind, how, outcome), count) in outcomes {
+            println!("{kind}, {how:?}: {count} {outcome:?}");
+        }
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_a_flipped_bit_is_harmless_or_reported() {
+    let seed = rounds::seed("durability_a_flipped_bit_is_harmless_or_reported");
+    let work = tempdir().expect("a folder");
+    let sound = Sound::new(work.path()).await;
+    let count = rounds::count("TIDEMAP_FLIPS", 60);
+    sound.rounds(work.path(), &[Harm::FlippedBit], count, &mut rounds::draws(seed)).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_zeroed_cut_and_missing_files_are_harmless_or_reported() {
+    let seed = rounds::seed("durability_zeroed_cut_and_missing_files_are_harmless_or_reported");
+    let work = tempdir().expect("a folder");
+    let sound = Sound::new(work.path()).await;
+    let count = rounds::count("TIDEMAP_HARMS", 42);
+    let harms = [Harm::ZeroedSector, Harm::Truncation, Harm::Deletion];
+    sound.rounds(work.path(), &harms, count, &mut rounds::draws(seed)).await;
 }

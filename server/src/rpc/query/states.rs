@@ -1,7 +1,7 @@
 //! `PredictStates` and `DescribeModel`: predictions of states and cells at many times, and the model of one.
 //!
 //! Invariant: replies come by state, then by time. If all times are one block, its phasors are computed once for all
-//! states and cells. Requests for existing models do not wait for a fit.
+//! states and cells, and again after a longer wait: who waits holds none. Requests for existing models do not wait for a fit.
 
 use std::{ops::Range, sync::Arc};
 
@@ -199,23 +199,19 @@ fn predict(
     sink: &ReplySink<v1::PredictStatesResponse>,
 ) {
     let blocks = blocks(times_nanos.len());
-    let shared = (blocks.len() == 1).then(|| view.prepare(times_nanos));
+    // The block whose phasors are at hand.
+    let mut at_hand: Option<(usize, PreparedTimes)> = None;
     // The cosine and the sine of an angle are neighbours.
     for subjects in named.chunk_by(|(one, _), (other, _)| one.is_angle && one.state_index == other.state_index) {
         let Some((place, _)) = subjects.first() else { continue };
         for block in &blocks {
-            let own;
-            let prepared = match &shared {
-                Some(prepared) => prepared,
-                None => {
-                    own = view.prepare(&times_nanos[block.clone()]);
-                    &own
-                }
-            };
+            let known = at_hand.take().filter(|(start, _)| *start == block.start);
+            let (_, prepared) =
+                at_hand.insert(known.unwrap_or_else(|| (block.start, view.prepare(&times_nanos[block.clone()]))));
             let level = Some(level).filter(|&level| level > 0.0 && !place.is_angle);
             let forecast = subjects.iter().map(|(_, subject)| forecast(view, subject, prepared, selector, level));
             let Some(forecast) = forecast.reduce(Forecast::angle) else { continue };
-            if !sink.send(reply(*place, block.start, forecast)) {
+            if !sink.send_freeing(reply(*place, block.start, forecast), || at_hand = None) {
                 return;
             }
         }
