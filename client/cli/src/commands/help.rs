@@ -78,7 +78,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("producer list", "tidemap producer list office"),
     ("stats", "tidemap stats office"),
     ("backup create", "tidemap backup create /backups/tidemap"),
-    ("erase", "tidemap erase office --state kitchen"),
+    ("erase", "tidemap erase office --producer robot-2 --from 2025-02-18T09:00:00Z --to 2025-02-18T10:00:00Z"),
     ("bench observe", "tidemap bench observe"),
     ("bench latency", "tidemap bench latency"),
     ("bench predict", "tidemap bench predict"),
