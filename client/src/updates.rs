@@ -125,8 +125,8 @@ impl Job {
     }
 }
 
-/// What is to be erased: at least a state, a producer or an interval. Without a producer and an interval it is the whole
-/// state.
+/// What is to be erased: at least a state, a producer or an interval. Without a producer and an interval it is the
+/// whole state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Erasure {
     /// Of this state; `None`: of all.

@@ -1,5 +1,5 @@
-//! Erasing states, or some of their observations, from a map that is served: its writer stops, the store writes the map again without the states, and
-//! another writer begins with that.
+//! Erasing states, or some of their observations, from a map that is served: its writer stops, the store writes the map
+//! again without them, and another writer begins with that.
 //!
 //! Invariant: the states are found by name when nothing can change their ids any more, and one erasure of the daemon
 //! runs at a time. Requests wait for the new writer, and what was read for the old one is not answered.

@@ -1,8 +1,9 @@
 //! Erasing states from a map, or some of their observations, so that no file holds anything of them.
 //!
 //! 1. Where only a part is erased, the history is read: what cannot be erased exactly is refused, with nothing changed,
-//!    and the states that have learned it are learned anew. Then the order is written to the file `ERASE` in the map's folder. From here on the erasure is completed, by this
-//!    process or by the next start, unless this process can take the order back.
+//!    and the states that have learned it are learned anew. Then the order is written to the file `ERASE` in the map's
+//!    folder. From here on the erasure is completed, by this process or by the next start, unless this process can take
+//!    the order back.
 //! 2. The map is written again to a folder beside, `NUMBER.erasing`, without the states: the newest checkpoint, the log
 //!    from where that needs it, and every history file of states. Positions of the log and the producers' sequences
 //!    stay as they are, so that an erased observation still counts as acknowledged.
@@ -44,8 +45,6 @@ use crate::{
 };
 
 mod part;
-
-pub use part::Scanner;
 
 pub(crate) const ERASING_SUFFIX: &str = ".erasing";
 pub(crate) const ERASED_SUFFIX: &str = ".erased";

@@ -7,10 +7,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_map::erasure::NotErasable;
+use tidemap_map::{erasure::NotErasable, name::ProducerKey};
 use tidemap_migrations::manifest::ManifestError;
 
-use crate::{MapId, erasure::Scanner};
+use crate::MapId;
 
 const NANOS_PER_SEC: i64 = 1_000_000_000;
 
@@ -140,6 +140,23 @@ pub enum AppendError {
     /// The store is closed or the map is deleted.
     #[error("the log is closed")]
     Closed,
+}
+
+/// A producer that has sent scans, or may have.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Scanner {
+    /// Its key.
+    pub key: ProducerKey,
+    /// Whether it has, or may have because an older version wrote the map.
+    pub is_certain: bool,
+}
+
+impl Scanner {
+    pub(crate) fn scans_text(&self) -> String {
+        let (producer, label) = (self.key.producer(), self.key.label());
+        let has = if self.is_certain { "has sent" } else { "may have sent to an older version" };
+        format!("producer {producer:?} with label {label:?} {has}")
+    }
 }
 
 /// Why something is not erased.

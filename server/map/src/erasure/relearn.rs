@@ -2,8 +2,8 @@
 //!
 //! Each history file is one update. The states go through the same code as in that update, with the readings of the
 //! updates before it, so that they are what they would be had they never seen the rest. Of the nightly limits of models
-//! to train only those of the states that are learned anew are counted: with more models due in one night than an update
-//! trains, a model may be trained earlier than it would have been.
+//! to train only those of the states that are learned anew are counted: with more models due in one night than an
+//! update trains, a model may be trained earlier than it would have been.
 //!
 //! Invariant: the result depends on the history and on what is left of the pending observations alone.
 
@@ -27,17 +27,6 @@ use crate::{
     spec::MapSpec,
     update::{Basis, SumsUnavailable, UpdateWork},
 };
-
-/// An observation in the order of arrival.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Arrival {
-    /// Its number among those of its state.
-    pub number: u64,
-    /// The observation.
-    pub sample: Sample,
-    /// Whether it did not have to wait.
-    pub is_plausible: bool,
-}
 
 /// The observations of a state of one update that are left, with their origins; both empty if none is.
 pub(super) fn left(

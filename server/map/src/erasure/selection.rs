@@ -8,7 +8,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use tidemap_model::Sample;
 
-use super::relearn::Arrival;
 use crate::{
     event::{Event, Observations},
     history::HistoryPiece,
@@ -17,6 +16,17 @@ use crate::{
     snapshot::MapSnapshot,
     time::format_rfc3339,
 };
+
+/// An observation in the order of arrival.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Arrival {
+    /// Its number among those of its state.
+    pub number: u64,
+    /// The observation.
+    pub sample: Sample,
+    /// Whether it did not have to wait.
+    pub is_plausible: bool,
+}
 
 /// Observations of some states and producers in an interval.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! Who observed the observations of a state that an update learned, and in which order they arrived.
 //!
-//! Observations of a state are numbered in the order of their arrival from 1, as it counts them. An update learns them in
-//! this order, without those at or after its cut, which a later update learns: their numbers tell where they belong.
+//! Observations of a state are numbered in the order of their arrival from 1, as it counts them. An update learns them
+//! in this order, without those at or after its cut, which a later update learns: their numbers tell where they belong.
 //!
 //! Invariant: the counts of the runs add up to the number of observations.
 

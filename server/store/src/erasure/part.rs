@@ -14,29 +14,12 @@ use tidemap_map::{
 use tidemap_migrations::v3::lists::ErasedPart;
 
 use super::{Erased, Rewrite};
-use crate::error::{EraseError, OpenError};
+use crate::error::{EraseError, OpenError, Scanner};
 
 /// About the maximum number of observations that are in memory at once while states are learned anew: 100 MB.
 const RELEARNED_OBSERVATIONS: u64 = 4_000_000;
 /// Maximum number of states that are learned anew at once.
 const RELEARNED_STATES: usize = 2_000;
-
-/// A producer that has sent scans, or may have.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Scanner {
-    /// Its key.
-    pub key: ProducerKey,
-    /// Whether it has, or may have because an older version wrote the map.
-    pub is_certain: bool,
-}
-
-impl Scanner {
-    pub(crate) fn scans_text(&self) -> String {
-        let (producer, label) = (self.key.producer(), self.key.label());
-        let has = if self.is_certain { "has sent" } else { "may have sent to an older version" };
-        format!("producer {producer:?} with label {label:?} {has}")
-    }
-}
 
 /// The producers of a map.
 #[derive(Debug, Default)]
