@@ -10,7 +10,7 @@ mod positions;
 mod predict;
 mod reconstruct;
 
-pub use anomalies::{Anomalies, Anomaly, AnomalyWatch, Judgement, Watched};
+pub use anomalies::{Anomalies, Anomaly, AnomalyWatch, Judgement, Watched, WatchedPlaces};
 pub use evaluate::{Comparison, EvaluateOptions, Evaluation, Evaluator, Unavailable};
 pub use grid::{
     CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,

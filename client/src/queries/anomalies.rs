@@ -4,8 +4,9 @@
 //! order in which the daemon applied them, and missed observations are counted.
 
 pub use tidemap_map::anomaly::Anomaly;
+use tidemap_map::grid::index::CellBox;
 use tidemap_proto::{
-    convert::{query::selector_to_wire, time::timestamp},
+    convert::{grid::cell_box_to_wire, query::selector_to_wire, time::timestamp},
     v1,
 };
 use tonic::Streaming;
@@ -26,6 +27,23 @@ pub struct Judgement {
 impl Default for Judgement {
     fn default() -> Self {
         Self { confidence: 0.99, model: ModelSelector::default() }
+    }
+}
+
+/// What a watch is of.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WatchedPlaces {
+    /// Names of states, and of cells (`cell/X/Y/Z`).
+    pub states: Vec<String>,
+    /// Cells of the grid, observed or not.
+    pub region: Option<CellBox>,
+    /// A location: its states and cells.
+    pub location: Option<String>,
+}
+
+impl From<Vec<String>> for WatchedPlaces {
+    fn from(states: Vec<String>) -> WatchedPlaces {
+        WatchedPlaces { states, ..WatchedPlaces::default() }
     }
 }
 
@@ -81,23 +99,26 @@ impl Client {
         Ok(Anomalies { client: self.clone(), replies: answer.into_inner(), from_nanos, to_nanos })
     }
 
-    /// Watches the anomalies of these states, or of all states if none is named, from now on. When this returns the
-    /// watch has begun.
+    /// Watches the anomalies of these states and cells from now on; of all states, but no cells, if there are none. When
+    /// this returns the watch has begun.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist, `INVALID_ARGUMENT` if the confidence is
+    /// [`Error`]; the code is `NOT_FOUND` if the map, state, cell or location does not exist, `INVALID_ARGUMENT` if the confidence is
     /// invalid or the model is not `auto`, `mean` or `spectral`, `RESOURCE_EXHAUSTED` if there are too many watches.
     pub async fn watch_anomalies(
         &self,
         map: &str,
-        states: Vec<String>,
+        places: impl Into<WatchedPlaces>,
         judgement: Judgement,
     ) -> Result<AnomalyWatch, Error> {
+        let WatchedPlaces { states, region, location } = places.into();
         let request = v1::WatchAnomaliesRequest {
             map: map.to_owned(),
             states,
             confidence: Some(judgement.confidence),
             model: Some(selector_to_wire(judgement.model)),
+            region: region.as_ref().map(cell_box_to_wire),
+            location: location.unwrap_or_default(),
         };
         let answer = self.query_service().watch_anomalies(request).await.map_err(|status| self.error(&status))?;
         Ok(AnomalyWatch { client: self.clone(), replies: answer.into_inner() })

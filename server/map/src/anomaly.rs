@@ -2,13 +2,14 @@
 //!
 //! A past observation is judged by the model of one view. A watched observation is judged by the models in force when
 //! the watch processes it, even if the observation itself must wait to be learned. Models that answer from the newest
-//! value judge nothing, because at the time of an old observation that value was another. Cells are not watched: a scan
-//! is logged as changed bits of tiles, which become readings of cells only in an update or when history is read.
+//! value judge nothing, because at the time of an old observation that value was another. A scan is logged as changed
+//! bits of tiles, so a watch follows those of its cells ([`crate::grid::follower`]).
 //!
 //! Invariant: only this module decides what an anomaly is. A probability of one half is never sure enough, so an
 //! untrained state has no anomalies.
 
 use crate::{
+    grid::view::GridView,
     history::Reading,
     selector::{ModelKind, ModelSelector},
     view::MapView,
@@ -122,13 +123,14 @@ impl ModelSelector {
 }
 
 impl MapView {
-    /// The view without last values and grid: enough to judge observations of named states. It holds little more than
-    /// the models of its generation.
+    /// The view without last values: enough to judge observations. It holds little more than the models of its
+    /// generation.
     pub fn models_only(&self) -> MapView {
-        MapView { live: Vec::new(), grid: None, ..self.clone() }
+        MapView { live: Vec::new(), grid: self.grid.as_ref().map(GridView::models_only), ..self.clone() }
     }
 }
 
+mod cells;
 mod values;
 
 pub use values::ValueJudge;

@@ -35,6 +35,7 @@ mod blend;
 pub mod day;
 pub mod fade;
 mod fold;
+pub mod follower;
 pub mod generation;
 pub mod index;
 pub mod live;

@@ -5,7 +5,7 @@
 
 use std::sync::{Arc, Weak};
 
-use tidemap_map::{event::Observations, ids::StateId, view::MapView};
+use tidemap_map::{event::Observations, grid::scan::Scans, ids::StateId, view::MapView};
 use tokio::sync::broadcast;
 
 use super::ending::Ending;
@@ -14,6 +14,8 @@ use super::ending::Ending;
 const PIECE: usize = 4096;
 /// Maximum number of pieces that wait for a watcher: 5 MB.
 const PIECES: usize = 64;
+/// Maximum number of events of scans that wait for a watcher, each at most as large as a message.
+const SCAN_PIECES: usize = 16;
 /// Generations whose models are kept for watchers: the one in force and the one before.
 const GENERATIONS: usize = 2;
 
@@ -32,16 +34,40 @@ pub(crate) struct FeedPiece {
     pub values: Vec<f64>,
 }
 
+/// Scans that were applied.
+#[derive(Debug)]
+pub(crate) struct FeedScans {
+    /// As [`FeedPiece::models`].
+    pub models: Weak<MapView>,
+    /// Number of scans sent before.
+    pub before: u64,
+    /// The scans.
+    pub event: Scans,
+}
+
 /// A message to the watchers.
 #[derive(Debug)]
 pub(crate) enum FeedMessage {
     Applied(FeedPiece),
+    /// Only to those who watch cells.
+    Scanned(FeedScans),
     /// The map stops.
     End(Ending),
 }
 
 /// The watcher's end.
 pub(crate) type FeedReceiver = broadcast::Receiver<Arc<FeedMessage>>;
+
+/// What a watcher of cells begins with.
+#[derive(Debug)]
+pub(crate) struct CellFeed {
+    /// Scans to come.
+    pub scans: FeedReceiver,
+    /// Number of scans sent before.
+    pub sent: u64,
+    /// The view with all scans before.
+    pub view: Arc<MapView>,
+}
 
 /// The writer's end.
 #[derive(Debug)]
@@ -51,13 +77,26 @@ pub(crate) struct AnomalyFeed {
     waiting: Vec<FeedPiece>,
     /// Number of observations sent so far.
     sent: u64,
+    /// To those who watch cells.
+    scans: broadcast::Sender<Arc<FeedMessage>>,
+    waiting_scans: Vec<Scans>,
+    /// Number of scans sent so far.
+    sent_scans: u64,
     /// The models that watchers may still need, oldest first.
     models: Vec<Arc<MapView>>,
 }
 
 impl Default for AnomalyFeed {
     fn default() -> Self {
-        Self { sender: broadcast::channel(PIECES).0, waiting: Vec::new(), sent: 0, models: Vec::new() }
+        Self {
+            sender: broadcast::channel(PIECES).0,
+            waiting: Vec::new(),
+            sent: 0,
+            scans: broadcast::channel(SCAN_PIECES).0,
+            waiting_scans: Vec::new(),
+            sent_scans: 0,
+            models: Vec::new(),
+        }
     }
 }
 
@@ -66,6 +105,18 @@ impl AnomalyFeed {
     /// observations that are applied and not public yet come too.
     pub(crate) fn listen(&self) -> (FeedReceiver, u64) {
         (self.sender.subscribe(), self.sent)
+    }
+
+    /// Subscribes a watcher of cells, after everything that was applied has been told with this view.
+    pub(crate) fn listen_to_cells(&self, view: Arc<MapView>) -> CellFeed {
+        CellFeed { scans: self.scans.subscribe(), sent: self.sent_scans, view }
+    }
+
+    /// Collects scans that were applied.
+    pub(crate) fn scanned(&mut self, event: &Scans) {
+        if self.scans.receiver_count() > 0 {
+            self.waiting_scans.push(event.clone());
+        }
     }
 
     /// Collects observations that were applied.
@@ -87,19 +138,25 @@ impl AnomalyFeed {
 
     /// Sends what was collected, after this view has been published.
     pub(crate) fn tell(&mut self, view: &MapView) {
-        let waiting = std::mem::take(&mut self.waiting);
-        if self.sender.receiver_count() == 0 {
+        let (waiting, scans) = (std::mem::take(&mut self.waiting), std::mem::take(&mut self.waiting_scans));
+        if self.sender.receiver_count() + self.scans.receiver_count() == 0 {
             return self.models.clear();
         }
-        if waiting.is_empty() {
+        if waiting.is_empty() && scans.is_empty() {
             return;
         }
         if self.models.last().is_none_or(|models| models.generation() != view.generation()) {
             self.models.push(Arc::new(view.models_only()));
             self.models.drain(..self.models.len().saturating_sub(GENERATIONS));
         }
+        let models = self.models.last().map_or_else(Weak::new, Arc::downgrade);
+        for event in scans {
+            let (before, models) = (self.sent_scans, Weak::clone(&models));
+            self.sent_scans += event.scans.len() as u64;
+            let _ = self.scans.send(Arc::new(FeedMessage::Scanned(FeedScans { models, before, event })));
+        }
         for mut piece in waiting {
-            piece.models = self.models.last().map_or_else(Weak::new, Arc::downgrade);
+            piece.models = Weak::clone(&models);
             piece.before = self.sent;
             self.sent += piece.states.len() as u64;
             // All watchers may have just left.
@@ -110,7 +167,9 @@ impl AnomalyFeed {
     /// Tells the watchers that the map stops.
     pub(crate) fn end(&self, ending: Ending) {
         // There may be no watcher.
-        let _ = self.sender.send(Arc::new(FeedMessage::End(ending)));
+        let message = Arc::new(FeedMessage::End(ending));
+        let _ = self.sender.send(Arc::clone(&message));
+        let _ = self.scans.send(message);
     }
 }
 

@@ -25,7 +25,11 @@ use tidemap_map::{
 use tidemap_store::AppendError;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
-use super::{anomaly_feed::FeedReceiver, ending::Ending, probe::Probe};
+use super::{
+    anomaly_feed::{CellFeed, FeedReceiver},
+    ending::Ending,
+    probe::Probe,
+};
 use crate::jobs::UpdateJob;
 
 /// The number of a stream at its map's writer.
@@ -358,6 +362,8 @@ pub(crate) enum Command {
     ListProducers(oneshot::Sender<Vec<KnownProducer>>),
     /// Subscribe to what is applied from now on. The answer: a receiver, and the number of observations sent before.
     Watch(oneshot::Sender<(FeedReceiver, u64)>),
+    /// Subscribe to scans that are applied from now on.
+    WatchCells(oneshot::Sender<CellFeed>),
     /// End all streams and stop.
     Stop {
         /// The reason for the streams.

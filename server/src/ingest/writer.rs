@@ -251,6 +251,11 @@ impl Writer {
             // The clients may have gone away.
             Command::ListProducers(reply) => drop(reply.send(self.known_producers())),
             Command::Watch(reply) => drop(reply.send(self.feed.listen())),
+            Command::WatchCells(reply) => {
+                // A watcher needs the view just before the first scans that it hears of.
+                self.publish();
+                drop(reply.send(self.feed.listen_to_cells(self.view.load_full())));
+            }
             Command::Stop { ending, done } => {
                 self.stopping = Some((ending, done));
                 // Not acknowledged: the streams end, and their producers still have the data.

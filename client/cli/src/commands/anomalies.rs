@@ -7,9 +7,17 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::Args;
-use tidemap_client::queries::{Anomaly, AnomalyWatch, Judgement, ModelSelector};
+use tidemap_client::{
+    maps::{CellBox, CellIndex},
+    queries::{Anomaly, AnomalyWatch, Judgement, ModelSelector, WatchedPlaces},
+};
 
-use super::{Session, observe::INTERRUPTED, times, usage};
+use super::{
+    Session,
+    grid::place::{self, AxisRange, Rectangle},
+    observe::INTERRUPTED,
+    times, usage,
+};
 use crate::progress::status_line;
 use tidemap_formats::table::Cell;
 
@@ -17,7 +25,7 @@ use tidemap_formats::table::Cell;
 pub(crate) struct AnomaliesArgs {
     /// Name of the map
     map: String,
-    /// Name of the state, or cell/X/Y/Z; with --watch several names, or none for all states
+    /// Name of the state, or cell/X/Y/Z; with --watch several names, or none for all named states
     #[arg(value_name = "STATE")]
     states: Vec<String>,
     /// How sure the model has to be of the opposite value, above 0.5 and at most 1. For other kinds of states: the
@@ -36,6 +44,15 @@ pub(crate) struct AnomaliesArgs {
     /// Shows anomalies as they occur, until interrupted
     #[arg(long, conflicts_with_all = ["from", "to"])]
     watch: bool,
+    /// Watches the cells of the grid in this rectangle, metres; at most 10,000 cells
+    #[arg(long, value_name = "X0:X1,Y0:Y1", allow_hyphen_values = true, requires = "watch")]
+    region: Option<Rectangle>,
+    /// Only cells of the region between these heights, metres
+    #[arg(long, value_name = "MIN:MAX", allow_hyphen_values = true, requires = "region")]
+    z: Option<AxisRange>,
+    /// Watches the states and cells of this location
+    #[arg(long, value_name = "LOCATION", requires = "watch")]
+    location: Option<String>,
 }
 
 fn confidence(text: &str) -> Result<f64, String> {
@@ -44,10 +61,15 @@ fn confidence(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitCode> {
-    let AnomaliesArgs { map, states, confidence, from, to, model, watch } = args;
+    let AnomaliesArgs { map, states, confidence, from, to, model, watch, region, z, location } = args;
     let judgement = Judgement { confidence, model };
     if watch {
-        let watch = session.client.watch_anomalies(&map, states, judgement).await?;
+        let region = match region {
+            Some(region) => Some(cells_within(session, &map, region, z).await?),
+            None => None,
+        };
+        let places = WatchedPlaces { states, region, location };
+        let watch = session.client.watch_anomalies(&map, places, judgement).await?;
         return watched(session, watch).await;
     }
     let (Some(from), Some(to)) = (from, to) else {
@@ -68,6 +90,30 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     }
     table.finish()?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The cells of a map in a rectangle and between two heights.
+async fn cells_within(
+    session: &Session,
+    map: &str,
+    region: Rectangle,
+    z: Option<AxisRange>,
+) -> anyhow::Result<CellBox> {
+    let map = session.client.map(map).await?;
+    let Some(grid) = &map.grid else {
+        return Err(usage(format!("--region: map {:?} has no grid", map.name)));
+    };
+    if grid.is_flat && z.is_some() {
+        return Err(usage(format!("--z: the grid of map {:?} is flat, it has one layer", map.name)));
+    }
+    let Some(bounds) = map.grid_summary.as_ref().and_then(|summary| summary.bounds.as_ref()) else {
+        return Err(usage(format!("--region: no scan of map {:?} was observed yet", map.name)));
+    };
+    let region = place::cells(grid, bounds, Some(region), z);
+    if !grid.is_flat {
+        return Ok(region);
+    }
+    Ok(CellBox { min: CellIndex { z: 0, ..region.min }, max: CellIndex { z: 1, ..region.max } })
 }
 
 async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<ExitCode> {

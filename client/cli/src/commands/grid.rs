@@ -4,7 +4,7 @@
 
 mod cell_masks;
 mod observe;
-mod place;
+pub(super) mod place;
 pub(crate) mod predict;
 mod scans;
 mod sensor;

@@ -26,6 +26,7 @@ pub struct GridView {
     pub(crate) ids: Arc<HashMap<TileIndex, TileId>>,
     pub(crate) chunks: Vec<TileChunk>,
     pub(crate) run: ScanRun,
+    pub(crate) last_seen: Arc<[TileId]>,
     pub(crate) generation: Arc<Generation>,
     pub(crate) scans: u64,
     pub(crate) pending_scans: u64,
@@ -76,11 +77,17 @@ impl GridView {
             ids: Arc::clone(&grid.ids),
             chunks: grid.publish(),
             run: grid.run,
+            last_seen: Arc::clone(grid.last_seen()),
             generation: Arc::clone(&grid.generation),
             scans: grid.scans,
             pending_scans: grid.pending_scans() + grid.future(),
             cell_observations: grid.cell_observations,
         }
+    }
+
+    /// The view without the newest readings.
+    pub(crate) fn models_only(&self) -> GridView {
+        GridView { chunks: Vec::new(), ..self.clone() }
     }
 
     /// The fixed properties of the grid.
@@ -228,9 +235,15 @@ impl GridView {
         let Some(tile) = self.find(index) else { return Ok(None) };
         let model = self.model(tile)?;
         let Some(live) = self.live(tile).filter(|live| live.known.contains(place)) else { return Ok(None) };
+        let persistence = live.persistence(place, self.run, &self.sensors);
+        let observations = persistence.to_parts().pairs + u64::from(persistence.last().is_some());
+        Ok(Some(CellDescription { observations, persistence, ..self.describe_learned(&model, place) }))
+    }
+
+    /// What a tile's model says of one of its cells; nothing of its newest readings.
+    pub(crate) fn describe_learned(&self, model: &TileModel, place: u16) -> CellDescription {
         let at = model.groups.iter().position(|group| group.cells.contains(place));
         let group = at.and_then(|at| model.groups.get(at));
-        let persistence = live.persistence(place, self.run, &self.sensors);
         let mut description = CellDescription {
             changed: false,
             spectral: SpectralModel::default(),
@@ -238,9 +251,9 @@ impl GridView {
             errors: None,
             rang: None,
             folded: group.map_or(0, |group| group.observations),
-            observations: persistence.to_parts().pairs + u64::from(persistence.last().is_some()),
+            observations: 0,
             first_nanos: group.map(|group| group.first_nanos),
-            persistence,
+            persistence: Persistence::default(),
         };
         if let Some(model) = model.cell(place) {
             description.changed = true;
@@ -253,7 +266,7 @@ impl GridView {
             let level = if model.always_occupied.contains(place) { levels.1 } else { levels.0 };
             description.spectral = SpectralModel::from_parts(level, group.observations, Vec::new()).unwrap_or_default();
         }
-        Ok(Some(description))
+        description
     }
 }
 

@@ -39,8 +39,8 @@ pub struct CellSums<'a> {
 }
 
 impl SpectralModel {
-    /// The model of a state of two values, by the rules of [`SpectralModel::fit_with_gaps`]. The sums must be over the same
-    /// periodicities. Without observations, the untrained model.
+    /// The model of a state of two values, by the rules of [`SpectralModel::fit_with_gaps`]. The sums must be over the
+    /// same periodicities. Without observations, the untrained model.
     pub fn fit_sums(sums: CellSums<'_>, periodicities: &Periodicities) -> SpectralModel {
         if sums.observations == 0 {
             return SpectralModel::default();

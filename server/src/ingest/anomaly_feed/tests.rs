@@ -47,7 +47,7 @@ fn observations(first: i64, count: usize) -> Observations {
 fn heard(listening: &mut FeedReceiver) -> Result<(u64, Vec<i64>), TryRecvError> {
     match &*listening.try_recv()? {
         FeedMessage::Applied(piece) => Ok((piece.before, piece.times_nanos.clone())),
-        FeedMessage::End(ending) => panic!("{ending:?}"),
+        other => panic!("{other:?}"),
     }
 }
 

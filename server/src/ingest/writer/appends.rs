@@ -200,6 +200,7 @@ impl Writer {
                         event.last_sequence
                     }
                     Event::Scans(event) => {
+                        self.feed.scanned(event);
                         metrics::counter!("tidemap_scans_total").increment(event.scans.len() as u64);
                         metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
                         event.last_sequence

@@ -4,26 +4,36 @@
 //! ([`crate::ingest::anomaly_feed`]). A watch judges them in its own task, by the models that were in force when they
 //! were applied, however late it is. What falls out of the feed, or is two updates behind, is counted as missed, and a
 //! reader that reads nothing for five minutes is disconnected. An observation ahead of the clock is judged at once,
-//! although it waits to be learned. Cells cannot be watched: a scan is logged as the bits of tiles that it changed,
-//! which become readings of cells only in an update.
+//! although it waits to be learned. Scans come as the bits of tiles that they changed, from which each watch follows its
+//! cells; where scans were missed, it begins again with what the tiles show.
 //!
 //! Invariant: a watcher never slows the writer, and a bounded number of observations wait for it. Judging has its own
 //! permits, which leave processors free.
 
-use std::{collections::HashSet, sync::Arc, time::Duration};
+use std::{
+    collections::{BTreeSet, HashSet},
+    sync::Arc,
+    time::Duration,
+};
 
 use tidemap_map::{
     anomaly::{Anomaly, Confidence},
-    grid::index::CellIndex,
+    grid::{
+        follower::CellFollower,
+        index::{CellBox, CellIndex},
+    },
     history::Reading,
     ids::StateId,
+    name::StateName,
     selector::ModelSelector,
+    site::InvalidEdit,
     view::MapView,
 };
 use tidemap_proto::{
     convert::{
         InvalidField, OverLimit,
         anomaly::{confidence_from_wire, watching_judge_from_wire},
+        grid::cell_box_from_wire,
     },
     v1,
 };
@@ -34,12 +44,12 @@ use tonic::Status;
 use super::{Queries, STATES_MAX};
 use crate::{
     ingest::{
-        anomaly_feed::{FeedMessage, FeedPiece, FeedReceiver},
+        anomaly_feed::{CellFeed, FeedMessage, FeedPiece, FeedReceiver, FeedScans},
         handle::MapHandle,
-        protocol::Command,
+        protocol::{Command, EditSiteError},
     },
     rpc::{
-        lookup::{check_limit, find_map, find_state},
+        lookup::{cell_of, check_limit, find_map, find_state},
         permits::{processors, run_blocking},
         replies::Replies,
         status::RpcError,
@@ -82,20 +92,27 @@ pub(super) async fn watch_anomalies(
     queries: &Queries,
     request: v1::WatchAnomaliesRequest,
 ) -> Result<Replies<v1::WatchAnomaliesResponse>, RpcError> {
-    let v1::WatchAnomaliesRequest { map, states, confidence, model } = request;
+    let v1::WatchAnomaliesRequest { map, states, confidence, model, region, location } = request;
     let handle = find_map(&queries.catalog, &map).await?;
     let confidence = confidence_from_wire("confidence", confidence)?;
     let selector = watching_judge_from_wire("model", model)?;
     check_limit("states", states.len() as u64, STATES_MAX as u64, "one request")?;
-    let watched = watched(&handle.view(), &states)?;
+    let Selection { states, cells } = watched(&handle.view(), &states, region.as_ref(), &location)?;
     let place = queries.watches.place()?;
-    let (reply, listening) = oneshot::channel();
-    if !handle.send(Command::Watch(reply)) {
-        return Err(RpcError::Stopping);
-    }
-    let (listening, sent) = listening.await.map_err(|_| RpcError::Stopping)?;
+    let listening = if states.as_ref().is_none_or(|states| !states.is_empty()) {
+        let (reply, listening) = oneshot::channel();
+        if !handle.send(Command::Watch(reply)) {
+            return Err(RpcError::Stopping);
+        }
+        Some(listening.await.map_err(|_| RpcError::Stopping)?)
+    } else {
+        None
+    };
+    let scans = if cells.is_empty() { None } else { Some(CellsWatch::begin(&handle, cells).await?) };
+    let sent = listening.as_ref().map_or(0, |(_, sent)| *sent);
+    let listening = listening.map(|(listening, _)| listening);
     let permits = Arc::clone(&queries.watches.permits);
-    let watch = Watch { handle, watched, confidence, selector, permits, sent, missed: 0 };
+    let watch = Watch { handle, watched: states, scans, confidence, selector, permits, sent, missed: 0 };
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD + 1);
     // Reserved now: when the reader is slow, there is no room for the last reply.
     let last_word = replies.clone().try_reserve_owned().map_err(|_| RpcError::Stopping)?;
@@ -108,25 +125,123 @@ pub(super) async fn watch_anomalies(
     Ok(ReceiverStream::new(stream))
 }
 
-/// The watched states; `None`: all, including future ones.
-fn watched(view: &MapView, names: &[String]) -> Result<Option<HashSet<StateId>>, RpcError> {
-    let find = |(i, name): (usize, &String)| match CellIndex::from_name(name) {
-        Some(_) => {
-            let text = format!("{name} is a cell, and cells are not watched: use FindAnomalies");
-            Err(InvalidField::new(format!("states[{i}]"), text).into())
+/// What is watched.
+struct Selection {
+    /// `None`: all, including future ones.
+    states: Option<HashSet<StateId>>,
+    cells: BTreeSet<CellIndex>,
+}
+
+fn watched(
+    view: &MapView,
+    names: &[String],
+    region: Option<&v1::CellBox>,
+    location: &str,
+) -> Result<Selection, RpcError> {
+    let (mut states, mut cells) = (HashSet::new(), BTreeSet::new());
+    let map = || view.spec().name.as_str().to_owned();
+    let grid = || view.grid().ok_or_else(|| RpcError::NoGrid { map: map() });
+    for (i, name) in names.iter().enumerate() {
+        match cell_of(&format!("states[{i}]"), name)? {
+            Some(cell) => {
+                let (index, place) = cell.tile();
+                let tile = grid()?.find(index).and_then(|tile| grid().ok()?.live(tile));
+                if !tile.is_some_and(|tile| tile.known.contains(place)) {
+                    return Err(RpcError::UnknownCell { map: map(), name: cell.name() });
+                }
+                cells.insert(cell);
+            }
+            None => _ = states.insert(find_state(view, name)?),
         }
-        None => find_state(view, name),
-    };
-    let states = names.iter().enumerate().map(find).collect::<Result<HashSet<_>, RpcError>>()?;
-    Ok((!states.is_empty()).then_some(states))
+    }
+    if !location.is_empty() {
+        let unknown = || RpcError::EditSite(EditSiteError::Invalid(InvalidEdit::UnknownLocation(location.to_owned())));
+        let name = StateName::new(location).map_err(|error| InvalidField::new("location", error))?;
+        let members = view.site().locations().get(&name).ok_or_else(unknown)?;
+        states.extend(&members.states);
+        cells.extend(&members.cells);
+    }
+    if let Some(region) = region {
+        grid()?;
+        let region = cell_box_from_wire(region);
+        let count = u64::try_from(region.count()).unwrap_or(u64::MAX);
+        if count == 0 {
+            return Err(
+                InvalidField::new("region", "the region holds no cells: each maximum is above its minimum").into()
+            );
+        }
+        check_limit("cells", count, STATES_MAX as u64, "one request")?;
+        let CellBox { min, max } = region;
+        let row = |y: i32, z: i32| (min.x..max.x).map(move |x| CellIndex { x, y, z });
+        cells.extend((min.z..max.z).flat_map(|z| (min.y..max.y).flat_map(move |y| row(y, z))));
+    }
+    check_limit("states and cells", (states.len() + cells.len()) as u64, STATES_MAX as u64, "one request")?;
+    let is_all = names.is_empty() && region.is_none() && location.is_empty();
+    Ok(Selection { states: (!is_all).then_some(states), cells })
 }
 
 /// A reading of a state.
 type StateReading = (StateId, Reading);
 
+/// An anomaly of a state or a cell.
+type Found = (Subject, Anomaly);
+
+/// What an anomaly is of.
+#[derive(Clone, Copy)]
+enum Subject {
+    State(StateId),
+    Cell(CellIndex),
+}
+
+/// Watched cells.
+struct CellsWatch {
+    cells: Arc<BTreeSet<CellIndex>>,
+    /// Absent while it judges.
+    follower: Option<CellFollower>,
+    scans: FeedReceiver,
+    /// Number of scans before the next event.
+    sent: u64,
+}
+
+impl CellsWatch {
+    async fn begin(handle: &MapHandle, cells: BTreeSet<CellIndex>) -> Result<CellsWatch, RpcError> {
+        let cells = Arc::new(cells);
+        let (follower, CellFeed { scans, sent, .. }) = follow(handle, &cells).await?;
+        Ok(CellsWatch { cells, follower: Some(follower), scans, sent })
+    }
+
+    /// Begins again after scans were missed; gives their number.
+    async fn resume(&mut self, handle: &MapHandle) -> Result<u64, RpcError> {
+        let (follower, CellFeed { scans, sent, .. }) = follow(handle, &self.cells).await?;
+        let missed = sent.saturating_sub(self.sent);
+        (self.follower, self.scans, self.sent) = (Some(follower), scans, sent);
+        Ok(missed)
+    }
+}
+
+/// Subscribes to scans, and follows cells from there on.
+async fn follow(handle: &MapHandle, cells: &BTreeSet<CellIndex>) -> Result<(CellFollower, CellFeed), RpcError> {
+    let (reply, listening) = oneshot::channel();
+    if !handle.send(Command::WatchCells(reply)) {
+        return Err(RpcError::Stopping);
+    }
+    let feed = listening.await.map_err(|_| RpcError::Stopping)?;
+    let grid = feed.view.grid().ok_or(RpcError::Stopping)?;
+    Ok((CellFollower::new(grid, cells.iter().copied()), feed))
+}
+
+/// The next message; never without a receiver.
+async fn next(receiver: Option<&mut FeedReceiver>) -> Result<Arc<FeedMessage>, RecvError> {
+    match receiver {
+        Some(receiver) => receiver.recv().await,
+        None => std::future::pending().await,
+    }
+}
+
 struct Watch {
     handle: Arc<MapHandle>,
     watched: Option<HashSet<StateId>>,
+    scans: Option<CellsWatch>,
     confidence: Confidence,
     selector: ModelSelector,
     permits: Arc<Semaphore>,
@@ -138,15 +253,25 @@ struct Watch {
 
 impl Watch {
     /// Sends anomalies until the client leaves, which is no error, or the map stops.
-    async fn run(mut self, mut listening: FeedReceiver, replies: &Sender) -> Result<(), RpcError> {
+    async fn run(mut self, mut listening: Option<FeedReceiver>, replies: &Sender) -> Result<(), RpcError> {
         loop {
             let message = tokio::select! {
                 () = replies.closed() => return Ok(()),
-                message = listening.recv() => message,
+                message = next(listening.as_mut()) => message,
+                message = next(self.scans.as_mut().map(|cells| &mut cells.scans)) => match message {
+                    Err(RecvError::Lagged(_)) => {
+                        if let Some(cells) = &mut self.scans {
+                            self.missed += cells.resume(&self.handle).await?;
+                        }
+                        continue;
+                    }
+                    message => message,
+                },
             };
             let found = match message {
                 Ok(message) => match &*message {
                     FeedMessage::Applied(applied) => self.judge(applied).await?,
+                    FeedMessage::Scanned(_) => self.judge_cells(message).await?,
                     FeedMessage::End(ending) => return Err(RpcError::Ended(ending.clone())),
                 },
                 // The next piece has the number of missed observations.
@@ -159,8 +284,36 @@ impl Watch {
         }
     }
 
+    /// The anomalies among the readings of the watched cells in applied scans, scan by scan.
+    async fn judge_cells(&mut self, message: Arc<FeedMessage>) -> Result<Vec<Found>, RpcError> {
+        let (Some(cells), FeedMessage::Scanned(FeedScans { models, before, event })) = (&mut self.scans, &*message)
+        else {
+            return Ok(Vec::new());
+        };
+        self.missed += before.saturating_sub(cells.sent);
+        cells.sent = before + event.scans.len() as u64;
+        let Some(mut follower) = cells.follower.take() else { return Ok(Vec::new()) };
+        let Some(models) = models.upgrade() else {
+            follower.pass(event, |_, _| ());
+            cells.follower = Some(follower);
+            self.missed += event.scans.len() as u64;
+            return Ok(Vec::new());
+        };
+        let permit = Arc::clone(&self.permits).acquire_owned().await.map_err(|_| RpcError::Stopping)?;
+        let (confidence, selector) = (self.confidence, self.selector);
+        let message = Arc::clone(&message);
+        let judge = move || {
+            let FeedMessage::Scanned(scans) = &*message else { return (Ok(Vec::new()), follower) };
+            let found = models.unexpected_cells(&mut follower, &scans.event, selector, confidence);
+            (found, follower)
+        };
+        let (found, follower) = run_blocking(permit, judge).await?;
+        cells.follower = Some(follower);
+        Ok(found?.into_iter().map(|(cell, anomaly)| (Subject::Cell(cell), anomaly)).collect())
+    }
+
     /// The anomalies among applied observations, in their order.
-    async fn judge(&mut self, applied: &FeedPiece) -> Result<Vec<(StateId, Anomaly)>, RpcError> {
+    async fn judge(&mut self, applied: &FeedPiece) -> Result<Vec<Found>, RpcError> {
         let count = applied.states.len() as u64;
         self.missed += applied.before.saturating_sub(self.sent);
         self.sent = applied.before + count;
@@ -174,7 +327,8 @@ impl Watch {
         };
         let permit = Arc::clone(&self.permits).acquire_owned().await.map_err(|_| RpcError::Stopping)?;
         let (confidence, selector) = (self.confidence, self.selector);
-        run_blocking(permit, move || unexpected(&models, &observed, selector, confidence)).await
+        let found = run_blocking(permit, move || unexpected(&models, &observed, selector, confidence)).await?;
+        Ok(found.into_iter().map(|(state, anomaly)| (Subject::State(state), anomaly)).collect())
     }
 
     /// The observations of the watched states.
@@ -185,7 +339,7 @@ impl Watch {
     }
 
     /// Sends anomalies, and the number of missed observations. `false`: the client is gone.
-    async fn reply(&mut self, found: &[(StateId, Anomaly)], replies: &Sender) -> Result<bool, RpcError> {
+    async fn reply(&mut self, found: &[Found], replies: &Sender) -> Result<bool, RpcError> {
         let mut pieces: Vec<_> = found.chunks(ANOMALIES_PER_REPLY).collect();
         if pieces.is_empty() && self.missed > 0 {
             pieces.push(&[]);
@@ -202,11 +356,14 @@ impl Watch {
         Ok(true)
     }
 
-    fn reply_of(&self, found: &[(StateId, Anomaly)], missed_observations: u64) -> v1::WatchAnomaliesResponse {
+    fn reply_of(&self, found: &[Found], missed_observations: u64) -> v1::WatchAnomaliesResponse {
         let view = self.handle.view();
         let mut reply = v1::WatchAnomaliesResponse { missed_observations, ..Default::default() };
-        for &(state, Anomaly { utc_nanos, value, probability }) in found {
-            reply.states.push(view.info(state).map_or_else(String::new, |info| info.name.as_str().to_owned()));
+        for &(subject, Anomaly { utc_nanos, value, probability }) in found {
+            reply.states.push(match subject {
+                Subject::State(id) => view.info(id).map_or_else(String::new, |info| info.name.as_str().to_owned()),
+                Subject::Cell(cell) => cell.name(),
+            });
             reply.times_nanos.push(utc_nanos);
             reply.values.push(value);
             reply.probabilities.push(probability);

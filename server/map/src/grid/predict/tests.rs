@@ -124,6 +124,7 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
         sensors: Arc::new(sensors),
         ids: Arc::new(ids),
         chunks: live.chunks(TILE_CHUNK).map(|chunk| Arc::new(chunk.to_vec())).collect(),
+        last_seen: Arc::default(),
         run: ScanRun::default(),
         generation: Arc::new(Generation { models }),
         scans: 0,

@@ -136,11 +136,21 @@ async fn what_cannot_be_judged_is_refused() {
         (&["door"][..], wire(ModelKind::Calibrated), invalid, ["model.kind", "must be fitted"]),
         (&["door"], wire(ModelKind::Latest), invalid, ["model.kind", "latest"]),
         (&["door"], with_persistence(), invalid, ["model.persistence", "leave it out"]),
-        (&["door", "cell/2/0/0"], None, invalid, ["states[1]", "cells are not watched"]),
+        (&["door", "cell/2/0"], None, invalid, ["states[1]", "cell/2/0"]),
+        (&["door", "cell/9/9/9"], None, Code::NotFound, ["cell/9/9/9", "office"]),
         (&["window"], None, Code::NotFound, ["window", "door"]),
     ] {
         check_refused(bench.watch(watch(states, model)).await.map(drop), code, &words);
     }
+    let region = |max_x| v1::WatchAnomaliesRequest {
+        region: Some(v1::CellBox { max_x, max_y: 10, max_z: 10, ..Default::default() }),
+        ..watch(&["door"], None)
+    };
+    check_refused(bench.watch(region(0)).await.map(drop), invalid, &["region", "no cells"]);
+    check_refused(bench.watch(region(101)).await.map(drop), invalid, &["cells", "10100"]);
+    check_refused(bench.watch(region(100)).await.map(drop), invalid, &["states and cells", "10001"]);
+    let request = v1::WatchAnomaliesRequest { location: "desk".to_owned(), ..watch(&[], None) };
+    check_refused(bench.watch(request).await.map(drop), Code::NotFound, &["desk"]);
     let request = v1::WatchAnomaliesRequest { confidence: Some(0.5), ..watch(&[], None) };
     check_refused(bench.watch(request).await.map(drop), invalid, &["confidence"]);
 }
@@ -194,6 +204,58 @@ async fn a_watcher_hears_of_what_is_not_expected_as_soon_as_it_is_durable() {
     let end = all.next().await.expect("a status").expect_err("an end");
     assert_eq!(end.code(), Code::Unavailable, "{end:?}");
     assert!(all.next().await.is_none());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watcher_hears_of_cells_what_is_found_later() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let bench = Bench::new(dir.path(), Retention::Forever, Some(Retention::Forever)).await;
+    let mut robot = bench.robot("s").await;
+    robot.show(&bench, &minutes(1000)).await;
+    bench.update().await;
+    // One cell by name, and a box that reaches into a tile that was never seen. Cell 2 changes, and is never certain.
+    let request = v1::WatchAnomaliesRequest {
+        states: vec!["cell/0/0/0".to_owned()],
+        region: Some(v1::CellBox { min_x: 1, max_x: 12, max_y: 1, max_z: 1, ..Default::default() }),
+        model: wire(ModelKind::Mean),
+        ..Default::default()
+    };
+    let mut watching = bench.watch(request).await.expect("accepted");
+    let seen =
+        |observed: &[u16], occupied: &[u16]| (tile(0, 0, 0), TileMasks::clipped(cells(observed), cells(occupied)));
+    let new = (tile(1, 0, 0), TileMasks::clipped(cells(&[0, 1]), cells(&[1])));
+    let scans: Vec<(i64, Shown)> = [
+        vec![seen(&[0, 1, 2], &[0, 1])],
+        vec![seen(&[0, 1, 2], &[0, 2]), new],
+        vec![new],
+        vec![seen(&[1, 2, 3], &[1])],
+        vec![seen(&[1, 3], &[])],
+    ]
+    .into_iter()
+    .enumerate()
+    .map(|(number, shown)| (LATER + number as i64 * MINUTE, shown))
+    .collect();
+    robot.show(&bench, &scans).await;
+    let at = |number: i64| LATER + number * MINUTE;
+    let expected = [
+        ("cell/0/0/0", at(0), 1.0, 0.0),
+        ("cell/0/0/0", at(1), 1.0, 0.0),
+        ("cell/1/0/0", at(1), 0.0, 1.0),
+        ("cell/1/0/0", at(4), 0.0, 1.0),
+    ];
+    let mut told = Vec::new();
+    while told.len() < expected.len() {
+        let reply = watching.next().await.expect("a reply").expect("well");
+        assert_eq!(reply.missed_observations, 0);
+        told.extend(rows(reply));
+    }
+    assert_eq!(told, expected.map(|(cell, time, value, p)| (cell.to_owned(), time, value, p)));
+    for cell in ["cell/0/0/0", "cell/1/0/0", "cell/2/0/0", "cell/3/0/0"] {
+        let later =
+            bench.find(v1::FindAnomaliesRequest { model: wire(ModelKind::Mean), ..about(cell, (LATER, LATER + HOUR)) });
+        let of_cell = told.iter().filter(|row| row.0 == cell).map(|&(_, time, value, p)| (time, value, p));
+        assert_eq!(later.await.expect("an answer"), of_cell.collect::<Rows>(), "{cell}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,0 +1,101 @@
+//! Followed cells against all cells of every scan.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::{
+    event::Event,
+    grid::tests::world::{HOUR, spec},
+    ids::ProducerId,
+    live_map::LiveMap,
+    name::ProducerKey,
+};
+
+const TILES: u32 = 3;
+
+/// A scan: which tiles it sees, and of some cells of a tile whether they are observed and occupied.
+type Drawn = ([bool; TILES as usize], Vec<(u32, u16, bool, bool)>);
+
+/// The scan as it is logged; changes what the tiles show.
+fn logged(number: usize, (seen, cells): &Drawn, shown: &mut [[Mask; 2]]) -> LoggedScan {
+    let seen: Arc<[TileId]> = (0..TILES).filter(|&tile| seen[tile as usize]).map(TileId).collect();
+    let mut flips = [const { Vec::new() }; 2];
+    for &(tile, cell, observed, occupied) in cells {
+        if !seen.contains(&TileId(tile)) {
+            continue;
+        }
+        for ((bits, flips), value) in
+            shown[tile as usize].iter_mut().zip(&mut flips).zip([observed, observed && occupied])
+        {
+            if bits.contains(cell) != value {
+                bits.flip(cell);
+                flips.push(CellRef::new(TileId(tile), cell));
+            }
+        }
+    }
+    flips.iter_mut().for_each(|flips| flips.sort_unstable());
+    let [observed_flips, occupied_flips] = flips;
+    LoggedScan { utc_nanos: number as i64 * HOUR, offset_secs: 0, seen: Some(seen), observed_flips, occupied_flips }
+}
+
+fn event(first: u64, scans: Vec<LoggedScan>, new_tiles: Vec<TileIndex>) -> Scans {
+    Scans {
+        producer: ProducerId(0),
+        new_producer: (first == 1).then(|| ProducerKey::new("camera", "").expect("valid").into()),
+        incarnation: 1,
+        first_sequence: first,
+        last_sequence: first + scans.len() as u64 - 1,
+        content_crc: 0,
+        received_nanos: 10_000 * HOUR,
+        new_tiles,
+        scans,
+        refused: Vec::new(),
+    }
+}
+
+fn drawn() -> impl Strategy<Value = Vec<Drawn>> {
+    let cell = (0..TILES, 0_u16..6, any::<bool>(), any::<bool>());
+    prop::collection::vec((any::<[bool; TILES as usize]>(), prop::collection::vec(cell, 0..12)), 2..20)
+}
+
+proptest! {
+    #[test]
+    fn followed_cells_are_read_as_they_are(mut scans in drawn(), begin in 0.0..1.0_f64, wanted in any::<u32>()) {
+        // The last tile is new after the watch began.
+        let begin = 1 + (begin * (scans.len() - 1) as f64) as usize;
+        scans[..begin].iter_mut().for_each(|(seen, _)| seen[TILES as usize - 1] = false);
+        for (_, cells) in &mut scans {
+            cells.sort_unstable();
+            cells.dedup_by_key(|cell| (cell.0, cell.1));
+        }
+        let index = |tile: u32| TileIndex { x: i32::try_from(tile).expect("few"), y: 0, z: 0 };
+        let place = |bit: u32| (bit % TILES, u16::try_from(bit / TILES).expect("few"));
+        let wanted: Vec<(u32, u16)> = (0..18).filter(|bit| wanted >> bit & 1 == 1).map(place).collect();
+        let mut shown = [[Mask::EMPTY; 2]; TILES as usize];
+        let mut map = LiveMap::new(Arc::new(spec(&mut 1)));
+        let before = scans[..begin].iter().enumerate().map(|(number, scan)| logged(number, scan, &mut shown)).collect();
+        map.apply(1, &Event::Scans(event(1, before, (0..TILES - 1).map(index).collect()))).expect("consistent");
+        let view = map.publish();
+        let cells = wanted.iter().map(|&(tile, cell)| index(tile).cell(cell));
+        let mut follower = CellFollower::new(view.grid().expect("a grid"), cells);
+
+        let (mut after, mut expected) = (Vec::new(), Vec::new());
+        for (number, scan) in scans[begin..].iter().enumerate() {
+            after.push(logged(begin + number, scan, &mut shown));
+            for tile in (0..TILES).filter(|&tile| scan.0[tile as usize]) {
+                let [observed, occupied] = shown[tile as usize];
+                for cell in observed.cells().filter(|&cell| wanted.contains(&(tile, cell))) {
+                    let is_occupied = occupied.contains(cell);
+                    expected.push((number, CellReading { tile: TileId(tile), index: index(tile), cell, is_occupied }));
+                }
+            }
+        }
+        let mut found = Vec::new();
+        if !after.is_empty() {
+            let after = event(begin as u64 + 1, after, vec![index(TILES - 1)]);
+            map.apply(2, &Event::Scans(after.clone())).expect("consistent");
+            follower.pass(&after, |scan, reading| found.push((scan, reading)));
+        }
+        prop_assert_eq!(found, expected);
+    }
+}
