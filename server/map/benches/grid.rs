@@ -8,7 +8,11 @@ use std::{hint::black_box, sync::Arc, sync::atomic::AtomicU64};
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use tidemap_map::{
     event::{Event, UpdateCause},
-    grid::{index::TileId, log_head::LogHead, spec::Retention},
+    grid::{
+        index::TileId,
+        log_head::LogHead,
+        spec::{GridSpec, Retention},
+    },
     live_map::LiveMap,
     selector::{ModelKind, ModelSelector},
     snapshot::MapSnapshot,
@@ -50,6 +54,10 @@ fn full(spec: &Arc<MapSpec>, before: Option<&MapSnapshot>, events: &[Event], day
 
 fn day(c: &mut Criterion) {
     let (spec, keeping) = (spec(Retention::None), spec(Retention::Forever));
+    let forgetting = Arc::new(MapSpec {
+        grid: spec.grid.clone().map(|grid| GridSpec { half_life_nanos: Some(60 * DAY_NANOS), ..grid }),
+        ..MapSpec::clone(&spec)
+    });
     let mut office = Office::new();
     let mut map = LiveMap::new(Arc::clone(&spec));
     let sent = office.day(0);
@@ -61,6 +69,12 @@ fn day(c: &mut Criterion) {
     let work = learn(&mut second_map, 1);
     let learned = finish(&mut second_map, work);
     report(&learned, second_map);
+    let (mut map, work) = full(&forgetting, None, &first, 0);
+    let forgotten = finish(&mut map, work);
+    let (mut map, work) = full(&forgetting, Some(&forgotten), &second, 1);
+    print!("with a half-life: ");
+    let work = finish(&mut map, work);
+    report(&work, map);
 
     let mut group = c.benchmark_group("grid_day");
     group.sample_size(10);
@@ -109,6 +123,7 @@ fn day(c: &mut Criterion) {
     for (name, spec, before, events, day) in [
         ("update_accumulate", &spec, None, &first, 0),
         ("update_score_too", &spec, Some(&snapshot), &second, 1),
+        ("update_score_with_half_life", &forgetting, Some(&forgotten), &second, 1),
         ("update_score_and_keep_history", &keeping, Some(&snapshot), &second, 1),
     ] {
         group.bench_function(name, |b| {

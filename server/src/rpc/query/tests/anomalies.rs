@@ -147,8 +147,9 @@ async fn what_cannot_be_judged_is_refused() {
         ..watch(&["door"], None)
     };
     check_refused(bench.watch(region(0)).await.map(drop), invalid, &["region", "no cells"]);
-    check_refused(bench.watch(region(101)).await.map(drop), invalid, &["cells", "10100"]);
-    check_refused(bench.watch(region(100)).await.map(drop), invalid, &["states and cells", "10001"]);
+    let too_many = Code::ResourceExhausted;
+    check_refused(bench.watch(region(101)).await.map(drop), too_many, &["cells", "10100"]);
+    check_refused(bench.watch(region(100)).await.map(drop), too_many, &["states and cells", "10001"]);
     let request = v1::WatchAnomaliesRequest { location: "desk".to_owned(), ..watch(&[], None) };
     check_refused(bench.watch(request).await.map(drop), Code::NotFound, &["desk"]);
     let request = v1::WatchAnomaliesRequest { confidence: Some(0.5), ..watch(&[], None) };
