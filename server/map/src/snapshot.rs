@@ -93,7 +93,8 @@ pub struct ProducerMark {
     pub received_nanos: Option<i64>,
     /// The same CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
     pub recent: Vec<ContentMark>,
-    /// Whether any of them was a scan; `None`: a checkpoint of an older version does not tell.
+    /// Whether any of them was a scan; `None`: it began with an older version, which did not tell. So it did not note
+    /// in the history who observed either.
     pub has_scans: Option<bool>,
 }
 

@@ -137,7 +137,8 @@ async fn withdraw(session: &Session, options: &ProducerOptions) -> anyhow::Resul
         ..Erasure::default()
     };
     let ended = erase::run_to_end(session, map, what).await?;
-    status_line(&format!("withdrawn: {} observations that {producer} sent as {label}", ended.observations));
+    let observations = if ended.observations == 1 { "observation" } else { "observations" };
+    status_line(&format!("withdrawn: {} {observations} that {producer} sent as {label}", ended.observations));
     Ok(())
 }
 

@@ -142,6 +142,8 @@ type KnownState = (StateName, u64, Option<(i64, i64)>);
 #[derive(Clone, Debug)]
 pub struct Survey {
     selection: Selection,
+    /// Whether some of the producers began with an older version, which did not note who observed.
+    has_old_producers: bool,
     position: u64,
     generation: u64,
     cut_nanos: i64,
@@ -181,8 +183,14 @@ impl Survey {
     pub fn new(selection: Selection, snapshot: Option<&MapSnapshot>) -> Self {
         let states = snapshot.into_iter().flat_map(|snapshot| &snapshot.states);
         let failures = snapshot.into_iter().flat_map(|snapshot| snapshot.site.failures().oldest_first());
+        let is_old = |producer: &ProducerId| {
+            let mark = snapshot.and_then(|snapshot| snapshot.producers.get(producer.0 as usize));
+            mark.is_some_and(|mark| mark.has_scans.is_none())
+        };
+        let has_old_producers = selection.producers.iter().flatten().any(is_old);
         Self {
             selection,
+            has_old_producers,
             position: snapshot.map_or(0, |snapshot| snapshot.position),
             generation: snapshot.map_or(0, |snapshot| snapshot.generation),
             cut_nanos: snapshot.map_or(0, |snapshot| snapshot.cut_nanos),
@@ -217,7 +225,7 @@ impl Survey {
                 of_state.last_number = of_state.last_number.max(number);
                 of_state.kept_from_nanos = Some(of_state.kept_from_nanos.map_or(nanos, |from| from.min(nanos)));
                 of_state.learned.0 += 1;
-                if origin.is_none() && self.selection.producers.is_some() {
+                if origin.is_none() && self.has_old_producers {
                     let (latest, is_asked) = of_state.unknown.unwrap_or((nanos, false));
                     of_state.unknown = Some((latest.max(nanos), is_asked || self.selection.has_time(nanos)));
                 }

@@ -126,8 +126,8 @@ impl LiveMap {
             content_crc: event.content_crc,
             received_nanos: event.received_nanos,
         })?;
-        if let Some(mark) = self.producers.get_mut(event.producer.0 as usize) {
-            mark.has_scans = Some(true);
+        if let Some(has_scans) = self.producers.get_mut(event.producer.0 as usize).and_then(|m| m.has_scans.as_mut()) {
+            *has_scans = true;
         }
         if let Some(grid) = &mut self.grid {
             let sensor = self.producers.get(event.producer.0 as usize).and_then(|mark| mark.sensor);

@@ -314,10 +314,14 @@ fn what_the_history_does_not_tell_is_refused() {
     let mut old = pieces.clone();
     Arc::make_mut(&mut old[0]).origins = Vec::new();
     let known_from_nanos = 18 * HOUR + 1;
-    let refused = decided(&of(Some(0), 0), snapshot, &old, &events);
+    let mut with_old = published.last().expect("an update").clone();
+    with_old.producers[0].has_scans = None;
+    let refused = decided(&of(Some(0), 0), Some(&with_old), &old, &events);
+    // One that began later observed nothing of that.
+    assert!(decided(&of(Some(1), 0), Some(&with_old), &old, &events).is_ok());
     assert_eq!(refused, Err(NotErasable::ProducerUnknown { state: named("s0"), known_from_nanos }));
-    assert!(decided(&of(Some(0), DAY), snapshot, &old, &events).is_ok());
-    assert!(decided(&of(None, 0), snapshot, &old, &events).is_ok());
+    assert!(decided(&of(Some(0), DAY), Some(&with_old), &old, &events).is_ok());
+    assert!(decided(&of(None, 0), Some(&with_old), &old, &events).is_ok());
     // Its file was deleted.
     let pending_from_nanos = 3 * DAY;
     let refused = decided(&of(None, DAY), snapshot, &pieces[1..], &events);
