@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts web web-check demo test python docs lint sbom bench soak fuzz durability install deb clean
+.PHONY: help build texts schemathesis api-page web web-check demo test python docs lint sbom bench soak fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -14,13 +14,14 @@ SETUP := deploy/setup.sh
 ENV := . target/setup.env
 BUILT = $${CARGO_TARGET_DIR:-target}/release
 PREFIX ?= /usr/local
+SCHEMATHESIS := 4.32.5
 # What the tests need, as one build: the libraries, every program (with the daemon that has a planted fault) and every
 # test. The runner then finds all of it built.
 TESTED := --workspace --locked --bins --tests
 
 ## help: the targets of this file
 help:
-	@sed -n 's/^## \([a-z]*\): /  make \1\t/p' Makefile | expand -t 20
+	@sed -n 's/^## \([a-z-]*\): /  make \1\t/p' Makefile | expand -t 20
 
 ## build: the daemon and the command line, optimised
 build:
@@ -31,6 +32,16 @@ build:
 web:
 	@$(SETUP) web
 	@$(ENV); cd client/web && npm ci --no-audit --no-fund --loglevel error && npm run -s build
+
+## schemathesis: calls the JSON interface with generated requests; SECONDS_MAX=n, SEED=n; needs Python 3.10
+schemathesis: build
+	@[ -x target/schemathesis/bin/schemathesis ] || { python3 -m venv target/schemathesis && \
+		target/schemathesis/bin/pip install --quiet schemathesis==$(SCHEMATHESIS); }
+	@tests/schemathesis/run.sh "$(BUILT)" "$$PWD/target/schemathesis"
+
+## api-page: docs/src/api.md, from the descriptors of the wire; a test holds it equal
+api-page:
+	@$(ENV); TIDEMAP_WRITE_API_PAGE=1 cargo test --quiet -p tidemapd --lib api_page
 
 ## web-check: whether client/web/dist is what its source builds to
 web-check: web

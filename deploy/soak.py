@@ -84,8 +84,6 @@ ROWS = [
     integration("streams", "rounds of 1,000 streams at once", 0.5,
                 ("crowds::a_thousand_streams_are_acknowledged_and_end_in_order",)),
     integration("overload", "rounds of three times overload", 0.5, ("crowds::overload_refuses_and_goes_on",)),
-    integration("faults", "planted faults, all of them", 0.3,
-                (DURABILITY + "planted_fault::durability_every_planted_fault_is_found",)),
     integration("full", "full disks", 1,
                 (DURABILITY + "full_disk::durability_a_disk_that_gets_full_again_and_again_loses_nothing",),
                 "TIDEMAP_FULL_ROUNDS", 24),

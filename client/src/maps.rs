@@ -139,6 +139,8 @@ pub struct State {
     pub order: u32,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,
+    /// Number of observations that no update has learned yet.
+    pub pending: u64,
 }
 
 impl Client {
@@ -299,5 +301,6 @@ fn state_from_wire(state: v1::State) -> Result<State, Error> {
         observations: state.observations,
         order: state.order,
         last_nanos: instant(state.last_time),
+        pending: state.pending,
     })
 }

@@ -3,7 +3,10 @@
 //! Invariant: a failed job is a value, not an error: the request for it succeeded.
 
 use tidemap_proto::{
-    convert::time::{instant, span, timestamp},
+    convert::{
+        query::selector_from_wire,
+        time::{instant, span, timestamp},
+    },
     v1::{self, maintenance_service_client::MaintenanceServiceClient},
 };
 use tonic::Streaming;
@@ -12,6 +15,7 @@ use crate::{
     connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
     maps::UpdateSummary,
+    queries::ModelSelector,
 };
 
 /// A backup that was made.
@@ -161,6 +165,8 @@ pub struct StateUpdate {
     pub observations: u64,
     /// Number of scored observations.
     pub scored: u64,
+    /// The model that predicts from now on.
+    pub model: Option<ModelSelector>,
 }
 
 /// One counter.
@@ -403,5 +409,6 @@ fn state_update_from_wire(update: v1::StateUpdate) -> StateUpdate {
         mean_squared_error: update.mean_squared_error,
         observations: update.observations,
         scored: update.scored,
+        model: update.model.and_then(|model| selector_from_wire("model", Some(model)).ok()),
     }
 }

@@ -61,8 +61,8 @@ pub(crate) enum DaemonError {
     Data(String),
     #[error("{0}")]
     Settings(String),
-    #[error("cannot listen on {address}: {source}")]
-    Listen { address: String, source: std::io::Error },
+    #[error("cannot listen on {address}: {source}. Choose another with {option}")]
+    Listen { address: String, option: &'static str, source: std::io::Error },
     #[error("storage failed, and nothing after the last acknowledgement was kept: {0}")]
     Storage(String),
     #[error("{0:#}")]
@@ -182,6 +182,10 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let access = load_access(&settings)?;
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
+    // Of a folder that exists, its lock says more than a port in use: a second daemon. A new one is not even made.
+    if !settings.data_dir.exists() {
+        drop(listen_on_ports(&settings).await?);
+    }
     let for_store = settings.clone();
     let store =
         tokio::task::spawn_blocking(move || open_store(&for_store, disk)).await.map_err(anyhow::Error::from)??;
@@ -218,8 +222,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let catalog = Arc::new(catalog);
 
     let (stop_sender, stopping) = watch::channel(false);
-    let grpc = listen(&settings.listen).await?;
-    let http = listen(&settings.http_listen).await?;
+    let [grpc, http] = listen_on_ports(&settings).await?;
     let (grpc_address, http_address) =
         (grpc.local_addr().map_err(anyhow::Error::from)?, http.local_addr().map_err(anyhow::Error::from)?);
     // A channel and not a notification: a port that starts to wait late still sees the stop.
@@ -240,7 +243,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     if !settings.socket.as_os_str().is_empty() {
         let socket = listen_unix(&settings.socket, settings.socket_mode);
         let address = || settings.socket.display().to_string();
-        let socket = socket.map_err(|source| DaemonError::Listen { address: address(), source })?;
+        let socket = socket.map_err(|source| DaemonError::Listen { address: address(), option: "socket", source })?;
         grpc_acceptor.listen(Listener::Unix(socket));
     }
     let is_local = grpc_address.ip().is_loopback();
@@ -343,6 +346,10 @@ fn connection_limits(settings: &Settings) -> ConnectionLimits {
     ConnectionLimits { total, per_client: settings.max_connections_per_client }
 }
 
-async fn listen(address: &str) -> Result<TcpListener, DaemonError> {
-    TcpListener::bind(address).await.map_err(|source| DaemonError::Listen { address: address.to_owned(), source })
+async fn listen_on_ports(settings: &Settings) -> Result<[TcpListener; 2], DaemonError> {
+    let listen = async |address: &str, option| {
+        let listener = TcpListener::bind(address).await;
+        listener.map_err(|source| DaemonError::Listen { address: address.to_owned(), option, source })
+    };
+    Ok([listen(&settings.listen, "--listen").await?, listen(&settings.http_listen, "--http-listen").await?])
 }

@@ -15,7 +15,7 @@ use tidemap_map::{
     ids::StateId,
     interval::cell_intervals,
     predict::PreparedTimes,
-    selector::ModelSelector,
+    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
 use tidemap_model::{
@@ -112,6 +112,18 @@ impl StateOrCell {
             Self::State(id) => selector.order_for(view.model(*id)),
             Self::Cell(cell) => selector.order_for_cell(&cell.description),
         }
+    }
+
+    /// The model that predicts it. `None`: the prior does, because nothing was learned.
+    pub(crate) fn answered_by(&self, view: &MapView, selector: ModelSelector) -> Option<ModelSelector> {
+        let is_learned = matches!(selector.kind, ModelKind::Auto | ModelKind::Mean | ModelKind::Spectral);
+        if is_learned && !selector.is_blended() && self.learned(view) == 0 {
+            return None;
+        }
+        Some(match self {
+            Self::State(id) => selector.answering(view.model(*id)),
+            Self::Cell(cell) => selector.answering_with(cell.description.order),
+        })
     }
 
     /// Predicts it by the view's models. `out` is as long as the times.

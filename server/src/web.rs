@@ -21,6 +21,8 @@ use tower_layer::Layer as _;
 
 use crate::{connections::Peer, rpc::serve::GuardedServices};
 
+#[cfg(test)]
+mod api_page;
 mod assets;
 mod json;
 mod links;

@@ -48,6 +48,7 @@ pages! {
     readme: "README.md",
     alerts: "docs/src/alerts.md",
     anomalies: "docs/src/anomalies.md",
+    api: "docs/src/api.md",
     backup: "docs/src/backup.md",
     commands: "docs/src/commands.md",
     configuration: "docs/src/configuration.md",

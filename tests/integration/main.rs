@@ -10,6 +10,7 @@ mod evaluation;
 mod examples;
 mod exploration;
 mod grid;
+mod json_output;
 mod kinds;
 mod lifecycle;
 mod page;

@@ -29,6 +29,7 @@ mod producer_id;
 mod reconstruct;
 mod route;
 mod sample;
+mod schema;
 mod search;
 mod slot;
 mod state;
@@ -124,10 +125,17 @@ pub(crate) struct Subject {
 }
 
 /// Parses the command line.
-pub(crate) fn parse() -> (CommandLine, Subject) {
-    let matches = help::grouped(help::with_examples(CommandLine::command())).get_matches();
-    let line = CommandLine::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    (line, subject(&matches))
+///
+/// # Errors
+/// It is wrong, or asks for help.
+pub(crate) fn parse() -> Result<(CommandLine, Subject), clap::Error> {
+    let matches = help::grouped(help::with_examples(CommandLine::command())).try_get_matches()?;
+    Ok((CommandLine::from_arg_matches(&matches)?, subject(&matches)))
+}
+
+/// Whether arguments that could not be parsed ask for JSON.
+pub(crate) fn ask_for_json(arguments: &[String]) -> bool {
+    arguments.windows(2).any(|pair| pair == ["--output", "json"]) || arguments.iter().any(|one| one == "--output=json")
 }
 
 /// Commands that show no times; they do not ask for the map's zone.
@@ -273,6 +281,8 @@ enum Command {
     Bench(bench::BenchCommand),
     /// Writes sample data into a folder, and the commands to try with it
     Sample(sample::SampleArgs),
+    /// Prints the JSON schema of what a command prints with --output json, or that of all commands
+    Schema(schema::SchemaArgs),
     /// Opens the daemon's page in a browser
     Open(open::OpenArgs),
     /// Shows how tidemap works, with its own daemon and a simulated office
@@ -368,6 +378,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         return experiment::run(args, line.output.unwrap_or_else(default_format));
     }
     match &line.command {
+        Command::Schema(args) => return schema::run(args),
         Command::Completions(args) => return command_texts::completions(args),
         Command::ManPages(args) => return command_texts::man_pages(args),
         _ => {}
@@ -414,7 +425,8 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         | Command::Open(_)
         | Command::Completions(_)
         | Command::ManPages(_)
-        | Command::Sample(_) => Ok(ExitCode::SUCCESS),
+        | Command::Sample(_)
+        | Command::Schema(_) => Ok(ExitCode::SUCCESS),
     }
 }
 

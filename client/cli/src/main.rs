@@ -13,7 +13,10 @@ use std::{io, process::ExitCode};
 use commands::UsageError;
 
 fn main() -> ExitCode {
-    let (command_line, subject) = commands::parse();
+    let (command_line, subject) = match commands::parse() {
+        Ok(parsed) => parsed,
+        Err(error) => return not_parsed(&error),
+    };
     let as_json = command_line.prints_json();
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,
@@ -23,6 +26,18 @@ fn main() -> ExitCode {
     // A thread may still wait for stdin; do not wait for it.
     runtime.shutdown_background();
     code
+}
+
+/// Answers a command line that is wrong or asks for help.
+fn not_parsed(error: &clap::Error) -> ExitCode {
+    let arguments: Vec<String> = std::env::args_os().map(|argument| argument.to_string_lossy().into_owned()).collect();
+    if !error.use_stderr() || !commands::ask_for_json(&arguments) {
+        error.exit();
+    }
+    let text = error.to_string();
+    let message = text.split("\n\nUsage:").next().unwrap_or_default();
+    let message = message.trim_start_matches("error: ").split_whitespace().collect::<Vec<_>>().join(" ");
+    failed(&anyhow::Error::new(UsageError(message)), true)
 }
 
 /// Reports an error in one line, as JSON where results are JSON. A closed stdout is no error: its reader has stopped

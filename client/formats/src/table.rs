@@ -40,6 +40,8 @@ pub enum Cell {
     Time(i64),
     /// Yes or no.
     Flag(bool),
+    /// Several values: an array in JSON, else texts with a space between.
+    List(Vec<Cell>),
 }
 
 impl From<&str> for Cell {
@@ -72,6 +74,11 @@ impl Cell {
         value.map_or(Self::Empty, Into::into)
     }
 
+    /// A list of texts.
+    pub fn texts<T: Into<String>>(texts: impl IntoIterator<Item = T>) -> Self {
+        Self::List(texts.into_iter().map(|text| Self::Text(text.into())).collect())
+    }
+
     /// A duration, or nothing.
     pub fn secs(nanos: Option<i64>) -> Self {
         nanos.map_or(Self::Empty, Self::Secs)
@@ -90,6 +97,7 @@ impl Cell {
             Self::Number(number) => number.to_string(),
             Self::Secs(nanos) | Self::Time(nanos) => format_secs(*nanos),
             Self::Flag(flag) => flag.to_string(),
+            Self::List(cells) => cells.iter().map(Cell::exact).collect::<Vec<_>>().join(" "),
         }
     }
 
@@ -107,6 +115,7 @@ impl Cell {
             Self::Empty => "null".to_owned(),
             Self::Text(text) => serde_json::Value::from(text.as_str()).to_string(),
             Self::Number(number) if !number.is_finite() => "null".to_owned(),
+            Self::List(cells) => format!("[{}]", cells.iter().map(Cell::json).collect::<Vec<_>>().join(",")),
             _ => self.exact(),
         }
     }
@@ -299,6 +308,7 @@ impl<W: Write> TableWriter<W> {
                 numeric[column] = cells.iter().any(|cell| cell.is_numeric());
                 at_the_point(&cells)
             });
+            add_unit(&mut header[column]);
             texts.iter_mut().zip(shown).for_each(|(row, text)| row.push(text));
         }
         table.set_header(&header);
@@ -311,6 +321,13 @@ impl<W: Write> TableWriter<W> {
         }
         self.writer.write_all(table.trim_fmt().as_bytes())?;
         self.writer.write_all(b"\n")
+    }
+}
+
+/// People see the unit of a column whose name does not end in it; names are those of programs.
+fn add_unit(header: &mut String) {
+    if ["x", "y", "z"].contains(&header.as_str()) {
+        *header += " (m)";
     }
 }
 

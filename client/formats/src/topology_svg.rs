@@ -3,6 +3,7 @@
 //!
 //! Nodes are drawn at their positions in the map; if any node has none, all are laid out so that connected nodes are
 //! close to each other. Nodes and edges with an unknown probability are grey.
+//! A name stands on the side of its node where no edge leaves, and the number of an edge beside it.
 //! Invariant: the same map gives the same bytes; y points upwards as in the map.
 
 use std::collections::HashMap;
@@ -13,6 +14,7 @@ use crate::{
 };
 
 mod layout;
+mod legend;
 #[cfg(test)]
 mod tests;
 
@@ -31,6 +33,10 @@ const GREY: &str = "#9a9a9a";
 /// The colour of the path of a route or a search.
 const PATH: &str = "#1a4fa3";
 const MIDDLE: &str = "text-anchor=\"middle\"";
+/// Pixels between an edge and the middle of its number.
+const BESIDE: f64 = 10.0;
+/// A white edge around a text that must cross a line.
+const HALO: &str = "stroke=\"#ffffff\" stroke-width=\"3\" paint-order=\"stroke\"";
 
 /// A node of a drawing.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -91,12 +97,15 @@ pub enum TopologyPictureError {
 /// # Errors
 /// [`TopologyPictureError`].
 pub fn write(picture: &TopologyPicture) -> Result<String, TopologyPictureError> {
-    let places = fitted(&layout::places(&picture.nodes, &picture.edges)?);
+    let (places, scale) = fitted(&layout::places(&picture.nodes, &picture.edges)?);
     let far = |axis: usize| places.iter().map(|place| place[axis]).fold(0.0, f64::max) + MARGIN;
-    let mut svg = Svg::new([far(0), far(1)], 12.0);
+    let mut svg = Svg::new([far(0).max(legend::WIDTH), far(1) + legend::HEIGHT], 12.0);
+    let has_path = picture.edges.iter().any(|edge| edge.is_on_path) || picture.nodes.iter().any(|n| n.step.is_some());
+    let is_in_metres = picture.nodes.iter().all(|node| node.at_m.is_some());
+    legend::draw(&mut svg, far(1) + 14.0, has_path, Some(scale).filter(|_| is_in_metres));
     svg.text([12.0, 22.0], &picture.title, "font-size=\"15\"");
     draw_edges(&mut svg, &picture.edges, &places);
-    for (node, &[x, y]) in picture.nodes.iter().zip(&places) {
+    for (index, (node, &[x, y])) in picture.nodes.iter().zip(&places).enumerate() {
         let fill = node.probability.map_or_else(|| GREY.to_owned(), presence_colour);
         let line = if node.step.is_some() { PATH } else { "#404040" };
         svg.circle([x, y], DISC, &format!("fill=\"{fill}\" stroke=\"{line}\" stroke-width=\"2\""));
@@ -106,9 +115,44 @@ pub fn write(picture: &TopologyPicture) -> Result<String, TopologyPictureError> 
             (None, percent) => (percent.unwrap_or_default(), node.name.clone()),
         };
         svg.text([x, y + 4.0], &inside, MIDDLE);
-        svg.text([x, y + DISC + 14.0], &below, MIDDLE);
+        let ([dx, dy], anchor) = free_side(index, &picture.edges, &places);
+        svg.text([x + dx, y + dy], &below, &format!("text-anchor=\"{anchor}\" {HALO}"));
     }
     Ok(svg.finish())
+}
+
+/// The side of a node that is farthest from the directions of its edges, below if it can be: where its name stands, from
+/// the middle of the node, and by which of its ends.
+fn free_side(node: usize, edges: &[PictureEdge], places: &[[f64; 2]]) -> ([f64; 2], &'static str) {
+    const SIDES: [([f64; 2], [f64; 2], &str); 4] = [
+        ([0.0, 1.0], [0.0, DISC + 14.0], "middle"),
+        ([0.0, -1.0], [0.0, -DISC - 5.0], "middle"),
+        ([1.0, 0.0], [DISC + 5.0, 4.0], "start"),
+        ([-1.0, 0.0], [-DISC - 5.0, 4.0], "end"),
+    ];
+    // The greatest cosine of the angle to an edge: -1 is free.
+    let closeness = |side: [f64; 2]| {
+        let others = edges.iter().filter_map(|edge| match (edge.from == node, edge.to == node) {
+            (true, false) => places.get(edge.to),
+            (false, true) => places.get(edge.from),
+            _ => None,
+        });
+        let cosine = |other: &[f64; 2]| {
+            let [x, y] = [other[0] - places[node][0], other[1] - places[node][1]];
+            (x * side[0] + y * side[1]) / x.hypot(y).max(1e-9)
+        };
+        others.map(cosine).fold(-1.0, f64::max)
+    };
+    let mut best = (f64::INFINITY, SIDES[0]);
+    for side in SIDES {
+        let found = closeness(side.0);
+        // An angle of 45 degrees leaves room enough: the first such side is as good as a better one.
+        let found = if found < 0.71 { -1.0 } else { found };
+        if found < best.0 - 1e-6 {
+            best = (found, side);
+        }
+    }
+    (best.1.1, best.1.2)
 }
 
 /// Draws both directions of a link side by side, each with its probability of success in percent where it is known.
@@ -134,21 +178,26 @@ fn draw_edges(svg: &mut Svg, edges: &[PictureEdge], places: &[[f64; 2]]) {
         svg.line([ax + dx, ay + dy, bx + dx, by + dy], &style);
         if let Some(success) = edge.success {
             // Nearer to the start, so that the labels of the two directions do not overlap.
-            let (x, y) = (ax + 0.4 * along + 3.0 * dx, ay + 0.4 * across + 3.0 * dy);
-            svg.text([x, y + 3.0], &percent(success), &format!("font-size=\"10\" fill=\"#404040\" {MIDDLE}"));
+            let (x, y) = (
+                ax + 0.4 * along - across / length * (aside + BESIDE),
+                ay + 0.4 * across + along / length * (aside + BESIDE),
+            );
+            let style = format!("font-size=\"10\" fill=\"#404040\" {HALO} {MIDDLE}");
+            svg.text([x, y + 3.0], &percent(success), &style);
         }
     }
 }
 
-/// Positions in pixels, y downwards, scaled so that the longer side takes [`SIDE`].
-fn fitted(places_m: &[[f64; 2]]) -> Vec<[f64; 2]> {
+/// Positions in pixels, y downwards, scaled so that the longer side takes [`SIDE`]; and pixels per unit.
+fn fitted(places_m: &[[f64; 2]]) -> (Vec<[f64; 2]>, f64) {
     let bound =
         |axis: usize, pick: fn(f64, f64) -> f64, from: f64| places_m.iter().map(|place| place[axis]).fold(from, pick);
     let [low_x, low_y] = [0, 1].map(|axis| bound(axis, f64::min, f64::INFINITY));
     let [high_x, high_y] = [0, 1].map(|axis| bound(axis, f64::max, f64::NEG_INFINITY));
     let scale = SIDE / (high_x - low_x).max(high_y - low_y).max(1e-9);
     let scale = if scale.is_finite() { scale.min(SIDE) } else { 0.0 };
-    places_m.iter().map(|[x, y]| [MARGIN + (x - low_x) * scale, MARGIN + (high_y - y) * scale]).collect()
+    let place = |[x, y]: &[f64; 2]| [MARGIN + (x - low_x) * scale, MARGIN + (high_y - y) * scale];
+    (places_m.iter().map(place).collect(), scale)
 }
 
 /// The colour of a probability that the person is there: the scale of changing cells.

@@ -6,7 +6,10 @@
 use std::ops::Range;
 
 use tidemap_proto::{
-    convert::{query::selector_to_wire, time::instant},
+    convert::{
+        query::{selector_from_wire, selector_to_wire},
+        time::instant,
+    },
     v1,
 };
 use tonic::Streaming;
@@ -45,6 +48,10 @@ pub struct PredictionRun {
     pub observations: u64,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,
+    /// Number of observations that no update has learned yet.
+    pub pending: u64,
+    /// The model that predicted. `None`: nothing was learned, and the prior predicts.
+    pub answered_by: Option<ModelSelector>,
 }
 
 /// Predictions in progress.
@@ -202,6 +209,8 @@ fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> 
         order: reply.order,
         observations: reply.observations,
         last_nanos: instant(reply.last_time),
+        pending: reply.pending,
+        answered_by: reply.answered_by.and_then(|model| selector_from_wire("answered_by", Some(model)).ok()),
     })
 }
 

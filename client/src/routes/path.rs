@@ -101,6 +101,8 @@ pub struct RouteStep {
     pub success_interval: [f64; 2],
     /// Number of reports of the edge.
     pub reports: u64,
+    /// Number of reports that no update has learned yet.
+    pub pending_reports: u64,
 }
 
 /// A route from one node to another.
@@ -208,6 +210,7 @@ fn route(route: v1::Route) -> Result<Route, Error> {
             success: step.success,
             success_interval: [step.success_lower, step.success_upper],
             reports: step.reports,
+            pending_reports: step.pending_reports,
         })
     };
     Ok(Route {

@@ -159,6 +159,7 @@ pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
         order,
         last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
         dimensions,
+        pending: view.pending_of(id),
     })
 }
 

@@ -5,9 +5,7 @@ use tidemap_map::{
     selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
     view::MapView,
 };
-use tidemap_model::{
-    Component, FitKind, HISTOGRAMS, LocalDay, ModelChoice, ORDER_MAX, SpectralModel, StateModel, models::HistogramCycle,
-};
+use tidemap_model::{Component, LocalDay, ORDER_MAX, SpectralModel, StateModel, models::HistogramCycle};
 
 use super::{
     InvalidField,
@@ -185,38 +183,18 @@ pub fn description_to_wire(view: &MapView, id: StateId) -> Option<v1::DescribeMo
         last_value: live.persistence.last().map(|(_, value)| value),
         last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
         first_time: model.accumulator().first_nanos().map(timestamp),
-        chosen: Some(selector_to_wire(selector_of(model.choice(), model))),
+        chosen: Some(selector_to_wire(ModelSelector::of_choice(model.choice(), model))),
         model_errors: model_errors_to_wire(model),
         change_date: change_date(model),
     })
 }
 
-/// The model that a choice stands for.
-fn selector_of(choice: ModelChoice, model: &StateModel) -> ModelSelector {
-    let kind = match choice {
-        ModelChoice::Spectral => {
-            return ModelSelector { kind: ModelKind::Spectral, order: Some(model.order()), ..ModelSelector::default() };
-        }
-        ModelChoice::Histogram(number) => {
-            HISTOGRAMS.get(usize::from(number)).map_or(ModelKind::Auto, |&(cycle, bins)| ModelKind::Histogram {
-                cycle,
-                bins: u32::try_from(bins).unwrap_or(u32::MAX),
-            })
-        }
-        // With the default parameters of requests.
-        ModelChoice::Fitted(FitKind::Calibrated) => ModelKind::Calibrated,
-        ModelChoice::Fitted(FitKind::Pergam) => ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS },
-        ModelChoice::Fitted(FitKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: 3 },
-        ModelChoice::Fitted(FitKind::Poisson) => ModelKind::Poisson,
-        ModelChoice::Fitted(FitKind::HypertimeKm) => ModelKind::HypertimeKm { clusters: 3 },
-    };
-    ModelSelector { kind, ..ModelSelector::default() }
-}
-
 fn model_errors_to_wire(model: &StateModel) -> Vec<v1::ModelError> {
     let Some(alternatives) = model.alternatives() else { return Vec::new() };
-    let error =
-        |(choice, error_sum)| v1::ModelError { model: Some(selector_to_wire(selector_of(choice, model))), error_sum };
+    let error = |(choice, error_sum)| v1::ModelError {
+        model: Some(selector_to_wire(ModelSelector::of_choice(choice, model))),
+        error_sum,
+    };
     alternatives.error_sums().map(error).collect()
 }
 

@@ -142,17 +142,21 @@ pub fn routes_to_wire(
     planned: &RoutePlan,
     reference_nanos: i64,
     topology: &Topology,
-    reports: impl Fn(EdgeId) -> u64,
+    reports: impl Fn(EdgeId) -> [u64; 2],
 ) -> v1::PlanRouteResponse {
     let time = |secs| later(reference_nanos, secs);
-    let step = |step: &RouteStep| v1::RouteStep {
-        edge: ends(topology, step.edge),
-        start_nanos: time(step.start_secs),
-        duration_secs: step.duration_secs,
-        success: step.success,
-        success_lower: step.success_interval.lower,
-        success_upper: step.success_interval.upper,
-        reports: reports(step.edge),
+    let step = |step: &RouteStep| {
+        let [reports, pending_reports] = reports(step.edge);
+        v1::RouteStep {
+            edge: ends(topology, step.edge),
+            start_nanos: time(step.start_secs),
+            duration_secs: step.duration_secs,
+            success: step.success,
+            success_lower: step.success_interval.lower,
+            success_upper: step.success_interval.upper,
+            reports,
+            pending_reports,
+        }
     };
     let route = |route: &Route| v1::Route {
         steps: route.steps.iter().map(step).collect(),

@@ -2,7 +2,7 @@
 
 use std::{fmt, ops::RangeInclusive};
 
-use tidemap_model::{ModelChoice, ORDER_MAX, StateModel, models::HistogramCycle};
+use tidemap_model::{FitKind, HISTOGRAMS, ModelChoice, ORDER_MAX, StateModel, models::HistogramCycle};
 
 use crate::time::format_duration;
 
@@ -135,6 +135,55 @@ pub struct ModelSelector {
 }
 
 impl ModelSelector {
+    /// The model that a choice of an update stands for.
+    #[must_use]
+    pub fn of_choice(choice: ModelChoice, model: &StateModel) -> ModelSelector {
+        let kind = match choice {
+            ModelChoice::Spectral => {
+                let order = Some(model.order());
+                return ModelSelector { kind: ModelKind::Spectral, order, ..ModelSelector::default() };
+            }
+            ModelChoice::Histogram(number) => {
+                HISTOGRAMS.get(usize::from(number)).map_or(ModelKind::Auto, |&(cycle, bins)| ModelKind::Histogram {
+                    cycle,
+                    bins: u32::try_from(bins).unwrap_or(u32::MAX),
+                })
+            }
+            // With the default parameters of requests.
+            ModelChoice::Fitted(FitKind::Calibrated) => ModelKind::Calibrated,
+            ModelChoice::Fitted(FitKind::Pergam) => {
+                ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS }
+            }
+            ModelChoice::Fitted(FitKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: 3 },
+            ModelChoice::Fitted(FitKind::Poisson) => ModelKind::Poisson,
+            ModelChoice::Fitted(FitKind::HypertimeKm) => ModelKind::HypertimeKm { clusters: 3 },
+        };
+        ModelSelector { kind, ..ModelSelector::default() }
+    }
+
+    /// The model that predicts this state: what the last update chose, if the query leaves the choice to it.
+    #[must_use]
+    pub fn answering(self, model: &StateModel) -> ModelSelector {
+        match (self.kind, self.order) {
+            (ModelKind::Auto, None) => {
+                let chosen = ModelSelector::of_choice(model.choice(), model);
+                ModelSelector { persistence: self.persistence, memory: self.memory, ..chosen }
+            }
+            _ => self.answering_with(model.order()),
+        }
+    }
+
+    /// The model that predicts a cell whose spectral model has this order: cells have no other model to choose.
+    #[must_use]
+    pub fn answering_with(self, order: usize) -> ModelSelector {
+        match self.kind {
+            ModelKind::Auto | ModelKind::Spectral => {
+                ModelSelector { kind: ModelKind::Spectral, order: Some(self.order_or(order)), ..self }
+            }
+            _ => self,
+        }
+    }
+
     /// Whether it predicts from what the last update published alone, without newer values.
     pub fn is_of_generation(&self) -> bool {
         let is_plain = *self == ModelSelector { kind: self.kind, order: self.order, ..ModelSelector::default() };

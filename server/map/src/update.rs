@@ -44,6 +44,7 @@ use crate::{
     name::StateName,
     prior_models::PriorModels,
     refit::{REFITS_MAX, Refits, StateReadings, refit},
+    selector::ModelSelector,
     site::Site,
     snapshot::ProducerMark,
     spec::MapSpec,
@@ -123,6 +124,8 @@ pub struct StateOutcome {
     pub name: StateName,
     /// Orders, errors and counts.
     pub outcome: UpdateOutcome,
+    /// The model that predicts it from now on.
+    pub chosen: ModelSelector,
 }
 
 impl UpdateWork {
@@ -215,16 +218,21 @@ impl UpdateWork {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }
         })?;
-        let mut outcomes = Vec::with_capacity(learned.len());
+        let mut done = Vec::with_capacity(learned.len());
         for (id, model, outcome) in learned {
             models[id.0 as usize] = model;
-            if let Some(info) = self.basis.directory.info(id) {
-                outcomes.push(StateOutcome { name: info.name.clone(), outcome });
-            }
+            done.push((id, outcome));
         }
         let refits = readings.map_or_else(Refits::default, |readings| {
             refit(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
         });
+        // After the refits, which may change the choice.
+        let named = |(id, outcome): (StateId, UpdateOutcome)| {
+            let model = &models[id.0 as usize];
+            let chosen = ModelSelector::of_choice(model.choice(), model);
+            self.basis.directory.info(id).map(|info| StateOutcome { name: info.name.clone(), outcome, chosen })
+        };
+        let outcomes = done.into_iter().filter_map(named).collect();
         if !keeps_states {
             (history.states, history.origins) = (Vec::new(), Vec::new());
         }

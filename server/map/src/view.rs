@@ -124,6 +124,11 @@ impl MapView {
         self.live.get(index / LIVE_CHUNK).and_then(|chunk| chunk.get(index % LIVE_CHUNK)).copied().unwrap_or_default()
     }
 
+    /// Number of acknowledged observations of a state that no update has learned yet.
+    pub fn pending_of(&self, id: StateId) -> u64 {
+        self.live(id).observations.saturating_sub(self.model(id).accumulator().observations())
+    }
+
     /// Kind of a state; probability for an unknown state.
     pub fn kind(&self, id: StateId) -> StateKind {
         self.info(id).map_or_else(StateKind::default, |info| info.kind)

@@ -2,11 +2,12 @@
 
 use std::{path::PathBuf, sync::Arc, sync::atomic::Ordering, time::Duration};
 
-use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, update::StateOutcome};
+use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, selector::ModelSelector, update::StateOutcome};
 use tidemap_proto::{
     convert::{
         InvalidField,
         map::update_to_wire,
+        query::selector_to_wire,
         time::{duration, nanos_from_timestamp, timestamp},
     },
     v1::{self, maintenance_service_server::MaintenanceService},
@@ -96,6 +97,7 @@ fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
         mean_squared_error: scored.map(|scored| cells.squared_error_chosen / scored),
         observations: cells.observations,
         scored: cells.scored,
+        model: Some(selector_to_wire(ModelSelector::default().answering_with(most(&grid.cells_by_order) as usize))),
     }
 }
 
@@ -139,6 +141,7 @@ fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
         mean_squared_error: scored.map(|scored| outcome.squared_errors[outcome.order] / scored),
         observations: outcome.observations,
         scored: outcome.scored,
+        model: Some(selector_to_wire(entry.chosen)),
     }
 }
 

@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use super::links::{PICTURE_PARAMETERS, Parameter, TOPOLOGY_PARAMETERS};
 
 /// The comment before an element of a file, as one text.
-fn comment(file: &FileDescriptor, path: &[i32]) -> String {
+pub(super) fn comment(file: &FileDescriptor, path: &[i32]) -> String {
     let Some(source) = &file.file_descriptor_proto().source_code_info else { return String::new() };
     let location = source.location.iter().find(|location| location.path == path);
     let text = location.map(|location| location.leading_comments()).unwrap_or_default();
@@ -28,7 +28,7 @@ fn described(mut schema: Value, text: String) -> Value {
 }
 
 /// A name in the document: that of the message without the package.
-fn name_of(full_name: &str) -> &str {
+pub(super) fn name_of(full_name: &str) -> &str {
     full_name.strip_prefix("tidemap.v1.").unwrap_or(full_name)
 }
 

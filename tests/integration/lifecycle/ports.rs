@@ -182,3 +182,24 @@ async fn older_tools_find_the_services_too() {
     let answer = answers.next().await.expect("an answer").expect("a good one").message_response;
     assert!(matches!(answer, Some(MessageResponse::FileDescriptorResponse(_))), "{answer:?}");
 }
+
+#[test]
+fn a_port_in_use_names_its_option_and_nothing_is_created() {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(&data.path().join("first")).start();
+    let other = data.path().join("second");
+    for (option, listen, http) in
+        [("--listen", daemon.grpc.as_str(), "127.0.0.1:0"), ("--http-listen", "127.0.0.1:0", daemon.http.as_str())]
+    {
+        let output = std::process::Command::new(tidemap_tests::binaries::tidemapd())
+            .args(["--listen", listen.trim_start_matches("http://"), "--http-listen", http])
+            .arg("--data-dir")
+            .arg(&other)
+            .output()
+            .expect("the daemon can be started");
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(69), "{text}");
+        assert!(text.contains(&format!("Choose another with {option}")), "{text}");
+        assert!(!other.exists(), "nothing was created");
+    }
+}

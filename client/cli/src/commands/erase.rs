@@ -55,7 +55,7 @@ pub(crate) async fn run(session: &Session, args: &EraseArgs) -> anyhow::Result<E
         ended.states_total.into(),
         Cell::Secs(ended.elapsed_nanos),
         // The observations of a whole state are not counted.
-        if is_part { ended.observations.into() } else { Cell::Text(String::new()) },
+        if is_part { ended.observations.into() } else { Cell::Empty },
     ];
     session.print(&COLUMNS, [row])
 }

@@ -15,7 +15,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Predict, and look back", &["predict", "position", "presence", "joint", "reconstruct", "anomalies"]),
     ("Explore", &["info", "slot", "day", "tour"]),
     ("Drive and search", &["topology", "route", "policy", "search"]),
-    ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "bench"]),
+    ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "schema", "bench"]),
 ];
 
 /// Examples by the words of their commands.
@@ -79,6 +79,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("stats", "tidemap stats office"),
     ("backup create", "tidemap backup create /backups/tidemap"),
     ("erase", "tidemap erase office --producer robot-2 --from 2025-02-18T09:00:00Z --to 2025-02-18T10:00:00Z"),
+    ("schema", "tidemap schema map show"),
     ("bench observe", "tidemap bench observe"),
     ("bench latency", "tidemap bench latency"),
     ("bench predict", "tidemap bench predict"),

@@ -57,7 +57,7 @@ pub(crate) async fn run(session: &Session, command: LocationCommand) -> anyhow::
     };
     let row = |Location { name, states, position_m }| {
         let [x, y] = position_m.map_or([None; 2], |at| at.map(Some));
-        vec![Cell::Text(name), Cell::maybe(x), Cell::maybe(y), Cell::Text(states.join(" "))]
+        vec![Cell::Text(name), Cell::maybe(x), Cell::maybe(y), Cell::texts(states)]
     };
     session.print(&COLUMNS, locations.into_iter().map(row))
 }

@@ -270,10 +270,10 @@ fn new_map(args: CreateArgs) -> NewMap {
 
 fn cells(map: Map) -> Vec<Cell> {
     let periods = match map.periodicities {
-        PeriodicityDefinition::Harmonics { base_nanos, count } => format!("{}/1..{count}", format_duration(base_nanos)),
-        PeriodicityDefinition::List { period_nanos } => {
-            period_nanos.into_iter().map(format_duration).collect::<Vec<_>>().join(" ")
+        PeriodicityDefinition::Harmonics { base_nanos, count } => {
+            vec![format!("{}/1..{count}", format_duration(base_nanos))]
         }
+        PeriodicityDefinition::List { period_nanos } => period_nanos.into_iter().map(format_duration).collect(),
     };
     let criterion = match map.order_criterion {
         OrderCriterion::SquaredError => "squared-error",
@@ -285,7 +285,7 @@ fn cells(map: Map) -> Vec<Cell> {
         map.observations.into(),
         map.pending_observations.into(),
         Cell::Text(map.time_zone),
-        Cell::Text(periods),
+        Cell::texts(periods),
         criterion.into(),
         Cell::time(map.created_nanos),
         map.last_update.generation.into(),
@@ -309,7 +309,7 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         map.prior.into(),
         text(map.charger_m.map(|[x, y]| format!("{x},{y}"))),
         map.locations.into(),
-        Cell::Text(map.models.names().collect::<Vec<_>>().join(" ")),
+        Cell::texts(map.models.names()),
         text(grid.and_then(|grid| grid.half_life_nanos).map(format_duration)),
     ]
 }

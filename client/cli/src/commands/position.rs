@@ -138,6 +138,7 @@ fn heat_map(header: &PositionsHeader, forecast: &PositionForecast, title: String
         values,
         range: [0.0, most],
         unit: "probability of a cell; metres".to_owned(),
+        cell_m: Some(header.resolution_m),
     }
 }
 

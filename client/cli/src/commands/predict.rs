@@ -63,8 +63,19 @@ pub(crate) struct PredictArgs {
     drawing: DrawingArg,
 }
 
-const COLUMNS: [&str; 9] =
-    ["time", "state", "probability", "lower", "upper", "entropy_bits", "order", "observations", "age_secs"];
+const COLUMNS: [&str; 11] = [
+    "time",
+    "state",
+    "probability",
+    "lower",
+    "upper",
+    "entropy_bits",
+    "order",
+    "observations",
+    "age_secs",
+    "model",
+    "pending",
+];
 
 pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
     if args.order.is_some() && !args.model.kind.has_order() {
@@ -184,6 +195,17 @@ fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl It
             run.order.into(),
             run.observations.into(),
             Cell::secs(run.last_nanos.map(|last| time.saturating_sub(last))),
+            model_cell(run),
+            run.pending.into(),
         ]
     })
+}
+
+/// The model that predicted. `prior`: nothing was learned. Nothing: the daemon is too old to name it.
+fn model_cell(run: &PredictionRun) -> Cell {
+    match run.answered_by {
+        Some(model) => Cell::Text(model.to_string()),
+        None if run.pending == run.observations => "prior".into(),
+        None => Cell::Empty,
+    }
 }

@@ -122,7 +122,7 @@ enum PolicyObjectiveArg {
     Time,
 }
 
-const COLUMNS: [&str; 12] = [
+const COLUMNS: [&str; 13] = [
     "step",
     "from",
     "to",
@@ -135,6 +135,7 @@ const COLUMNS: [&str; 12] = [
     "reports",
     "route",
     "expected_secs",
+    "pending_reports",
 ];
 const POLICY_COLUMNS: [&str; 6] = ["slot", "node", "next", "action", "expected_secs", "probability"];
 
@@ -180,6 +181,7 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
                 step.reports.into(),
                 Cell::Count(number),
                 route.expected_secs.into(),
+                step.pending_reports.into(),
             ])?;
         }
     }

@@ -73,7 +73,7 @@ impl FromStr for KindArg {
     }
 }
 
-const COLUMNS: [&str; 6] = ["state", "kind", "observations", "order", "last_time", "dimensions"];
+const COLUMNS: [&str; 7] = ["state", "kind", "observations", "order", "last_time", "dimensions", "pending"];
 
 fn cells(state: State) -> Vec<Cell> {
     vec![
@@ -83,6 +83,7 @@ fn cells(state: State) -> Vec<Cell> {
         state.order.into(),
         Cell::time(state.last_nanos),
         Cell::maybe(state.shape.dimensions().map(|dimensions| dimensions.count() as u64)),
+        state.pending.into(),
     ]
 }
 

@@ -10,7 +10,7 @@ use tonic::Code;
 
 use super::{Session, job, times};
 use crate::progress::status_line;
-use tidemap_formats::table::Cell;
+use tidemap_formats::table::{Cell, Format};
 
 #[derive(Debug, Args)]
 pub(crate) struct UpdateArgs {
@@ -21,7 +21,14 @@ pub(crate) struct UpdateArgs {
     until: Option<i64>,
 }
 
-const COLUMNS: [&str; 7] = ["state", "order_before", "order", "mse_before", "mse", "observations", "scored"];
+const COLUMNS: [&str; 8] = ["state", "order_before", "order", "mse_before", "mse", "observations", "scored", "model"];
+
+/// What the columns mean, for people.
+const EXPLANATION: [&str; 3] = [
+    "model: what predicts the state from now on; order: the number of rhythms of its spectral model",
+    "scored: learned observations that the model of their day had predicted; mse_before and mse: the mean squared error",
+    "on them, with the order before and the order now; empty where nothing was scored",
+];
 
 pub(crate) async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCode> {
     let client = &session.client;
@@ -52,6 +59,7 @@ pub(crate) async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<
                 Cell::maybe(update.mean_squared_error),
                 update.observations.into(),
                 update.scored.into(),
+                Cell::maybe(update.model.map(|model| Cell::Text(model.to_string()))),
             ])?;
         }
         token = next;
@@ -59,6 +67,8 @@ pub(crate) async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<
     table.finish()?;
     if states == 0 && ended.observations == 0 {
         status_line(&format!("map {:?} has no observations to learn", args.map));
+    } else if session.format == Format::Table && states > 0 {
+        EXPLANATION.iter().for_each(|line| status_line(line));
     }
     Ok(ExitCode::SUCCESS)
 }

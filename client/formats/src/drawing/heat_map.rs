@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use super::{label_line, short};
+use super::{label_line, scale_bar, short};
 use crate::{
     colour::changing,
     svg::{
@@ -18,6 +18,10 @@ use crate::{
 const WIDE: usize = 36;
 /// From the least value to the greatest.
 const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
+
+/// Maximum length of a scale bar, in characters and in pixels.
+const TEXT_BAR_MAX: f64 = 30.0;
+const SVG_BAR_MAX: f64 = 180.0;
 
 /// Values in rows and columns.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,6 +38,8 @@ pub struct HeatMap {
     pub range: [f64; 2],
     /// What the values are.
     pub unit: String,
+    /// Edge of a cell in metres, where the values are a map: the drawing then has a scale bar.
+    pub cell_m: Option<f64>,
 }
 
 impl HeatMap {
@@ -86,6 +92,10 @@ impl HeatMap {
         let shades: Vec<String> = SHADES.iter().map(ToString::to_string).collect();
         let [low, high] = self.range.map(short);
         let _ = writeln!(text, "  {}: {low} {} {high}", self.unit, shades.join(" "));
+        let bar = self.cell_m.and_then(|cell_m| scale_bar(step as f64 / cell_m, TEXT_BAR_MAX));
+        if let Some((length, metres)) = bar {
+            let _ = writeln!(text, "  scale: ├{}┤ {metres}", "─".repeat((length.round() as usize).saturating_sub(2)));
+        }
         text
     }
 
@@ -129,6 +139,12 @@ impl HeatMap {
             x += 14.0;
         }
         svg.text([x + 8.0, below + 28.0], &high, "");
+        if let Some((length, metres)) = self.cell_m.and_then(|cell_m| scale_bar(edge / cell_m, SVG_BAR_MAX)) {
+            let (left, y) = (x + 60.0, below + 26.0);
+            let bar = [[left, y - 5.0], [left, y], [left + length, y], [left + length, y - 5.0]];
+            svg.polyline(bar, "stroke=\"#111111\" stroke-width=\"1.5\"");
+            svg.text([left + length + 8.0, y + 2.0], &metres, "");
+        }
         svg.finish()
     }
 }
@@ -145,7 +161,17 @@ mod tests {
             values: vec![(0..24).map(|hour| Some(f64::from(hour) / 23.0)).collect(), vec![None; 24]],
             range: [0.0, 1.0],
             unit: "probability".to_owned(),
+            cell_m: None,
         }
+    }
+
+    #[test]
+    fn maps_have_a_scale_bar() {
+        assert!(!week().text().contains("scale"));
+        let map = HeatMap { cell_m: Some(0.5), ..week() };
+        // Two characters a cell of half a metre: five metres are twenty characters.
+        assert!(map.text().ends_with(&format!("  scale: ├{}┤ 5 m\n", "─".repeat(18))), "{}", map.text());
+        assert!(map.svg().contains(">5 m</text>") || map.svg().contains(">2 m</text>"));
     }
 
     #[test]

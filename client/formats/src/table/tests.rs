@@ -160,3 +160,23 @@ fn rows_that_come_one_by_one_are_whole_lines_at_once() -> io::Result<()> {
     assert_eq!(kept.written, "[]\n");
     Ok(())
 }
+
+#[test]
+fn a_list_is_a_list_in_json_and_words_elsewhere() {
+    let list = Cell::List(vec!["a \"b\"".into(), 0.5.into(), Cell::Empty]);
+    assert_eq!(list.json(), "[\"a \\\"b\\\"\",0.5,null]");
+    assert_eq!(Cell::texts(["door", "window"]).exact(), "door window");
+    assert_eq!(Cell::texts(Vec::<String>::new()).json(), "[]");
+}
+
+#[test]
+fn people_see_the_unit_of_coordinates() -> io::Result<()> {
+    let row = || [vec![1.5.into(), Cell::Empty]];
+    for (format, header) in [(Format::Table, "x (m)  states"), (Format::Csv, "x,states")] {
+        let mut bytes = Vec::new();
+        write_rows(format, &["x", "states"], row(), &mut bytes)?;
+        let text = String::from_utf8(bytes).map_err(io::Error::other)?;
+        assert!(text.starts_with(header), "{text}");
+    }
+    Ok(())
+}

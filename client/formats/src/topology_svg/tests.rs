@@ -55,3 +55,31 @@ fn maps_that_cannot_be_drawn_are_refused() {
     let one = TopologyPicture { nodes: vec![node("alone", None, None)], ..TopologyPicture::default() };
     assert!(write(&one).is_ok_and(|svg| !svg.contains("NaN") && !svg.contains("inf")));
 }
+
+#[test]
+fn colours_numbers_and_scale_are_explained() -> Result<(), TopologyPictureError> {
+    let nodes = vec![node("A", Some([0.0, 0.0]), None), node("B", Some([0.0, 10.0]), None)];
+    let picture = |is_on_path| TopologyPicture {
+        nodes: nodes.clone(),
+        edges: vec![PictureEdge { is_on_path, ..edge(0, 1, Some(0.5)) }],
+        ..TopologyPicture::default()
+    };
+    let svg = write(&picture(false))?;
+    for words in ["node, number in %", "edge, number in %", "grey: not observed yet", "2 m"] {
+        assert!(svg.contains(words), "{words}: {svg}");
+    }
+    assert!(!svg.contains("planned way") && write(&picture(true))?.contains("planned way"));
+    let laid_out = TopologyPicture { nodes: vec![node("A", None, None)], ..TopologyPicture::default() };
+    assert!(!write(&laid_out)?.contains(" m<"), "a layout has no scale");
+    Ok(())
+}
+
+#[test]
+fn a_name_stands_where_no_edge_leaves() {
+    // The middle one has edges to all sides but the left.
+    let places = [[0.0, 0.0], [0.0, 100.0], [100.0, 0.0], [0.0, -100.0]];
+    let edges = [edge(0, 1, None), edge(2, 0, None), edge(0, 3, None)];
+    assert_eq!(free_side(0, &edges, &places).1, "end");
+    assert_eq!(free_side(2, &edges, &places), ([0.0, DISC + 14.0], "middle"));
+    assert_eq!(free_side(1, &edges, &places).0, [0.0, DISC + 14.0], "the edge goes up, and the name stands below");
+}

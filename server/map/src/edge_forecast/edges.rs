@@ -115,6 +115,12 @@ impl EdgeForecasts {
         let success = self.known.get(&edge).and_then(|known| known.states.success);
         success.map_or(0, |id| self.view.live(id).observations)
     }
+
+    /// Number of reports of an edge that no update has learned yet.
+    pub fn pending_reports(&self, edge: EdgeId) -> u64 {
+        let success = self.known.get(&edge).and_then(|known| known.states.success);
+        success.map_or(0, |id| self.view.pending_of(id))
+    }
 }
 
 fn states_of(view: &MapView, topology: &Topology, edge: &Edge) -> EdgeStates {

@@ -20,7 +20,7 @@ use tidemap_proto::{
     convert::{
         InvalidField,
         cells::cell_description_to_wire,
-        query::{description_to_wire, selector_from_wire},
+        query::{description_to_wire, selector_from_wire, selector_to_wire},
         time::timestamp,
     },
     v1,
@@ -241,6 +241,9 @@ struct About {
     kind: StateKind,
     order: usize,
     observations: u64,
+    pending: u64,
+    /// Absent: nothing was learned, and the prior predicts.
+    answered_by: Option<ModelSelector>,
     persistence: Persistence,
 }
 
@@ -250,6 +253,8 @@ impl About {
             kind: subject.kind(view),
             order: subject.order(view, selector),
             observations: subject.observations(view),
+            pending: subject.observations(view).saturating_sub(subject.learned(view)),
+            answered_by: subject.answered_by(view, selector),
             persistence: subject.persistence(view),
         }
     }
@@ -276,7 +281,7 @@ impl Forecast {
 fn reply(
     place: StateAxis,
     first_time_index: usize,
-    Forecast { values, intervals, about: About { kind, order, observations, persistence } }: Forecast,
+    Forecast { values, intervals, about: About { kind, order, observations, pending, answered_by, persistence } }: Forecast,
 ) -> v1::PredictStatesResponse {
     v1::PredictStatesResponse {
         state_index: u32::try_from(place.state_index).unwrap_or(u32::MAX),
@@ -292,6 +297,8 @@ fn reply(
         observations,
         last_time: persistence.last().map(|(nanos, _)| timestamp(nanos)),
         axis: place.axis,
+        pending,
+        answered_by: answered_by.map(selector_to_wire),
     }
 }
 

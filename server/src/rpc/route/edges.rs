@@ -61,6 +61,11 @@ impl Edges {
     pub(super) fn reports(&self, edge: EdgeId) -> u64 {
         self.edges.reports(edge)
     }
+
+    /// Number of reports of an edge that no update has learned yet.
+    pub(super) fn pending_reports(&self, edge: EdgeId) -> u64 {
+        self.edges.pending_reports(edge)
+    }
 }
 
 /// The forecasts for a planner, in seconds after a reference time in nanoseconds UTC.

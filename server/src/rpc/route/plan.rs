@@ -53,7 +53,9 @@ pub(super) async fn plan_route(
         let mut ahead = Ahead { edges: &edges, reference_nanos: question.reference_nanos };
         let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, || stop.is_set());
         match planned {
-            Ok(planned) => Ok(routes_to_wire(&planned, question.reference_nanos, &over, |edge| edges.reports(edge))),
+            Ok(planned) => Ok(routes_to_wire(&planned, question.reference_nanos, &over, |edge| {
+                [edges.reports(edge), edges.pending_reports(edge)]
+            })),
             Err(error) => Err(with_node_names(error, ends, question.reference_nanos)),
         }
     };
