@@ -145,6 +145,8 @@ fn a_week_is_learned_by_the_fourth() {
         for day in first..first + 28 {
             camera.learn(&every(30 * MINUTE, day), &mut |cell, nanos| (cell == 1) == is_working_day(nanos));
         }
+        let supported = [0, 1].map(|cell| camera.watch(cell).supported_order());
+        assert!(supported.iter().all(|&order| order >= 1), "from day {first}: {supported:?}");
         assert!(camera.orders().iter().all(|&order| order >= 1), "from day {first}: {:?}", camera.orders());
     }
 }
@@ -270,7 +272,10 @@ fn a_cell_is_judged_as_a_named_state_with_its_readings() {
             let known = state.alternatives().expect("trained");
             let at = format!("day {day}, cell {cell}");
             assert_eq!(watch.supported_order(), known.supported_order(), "{at}");
-            assert_eq!(usize::from(model.order), state.order(), "{at}");
+            // Before that the errors decide alone.
+            if day >= 28 {
+                assert_eq!(usize::from(model.order), state.order(), "{at}");
+            }
             assert_eq!(model.rang, known.alarm().rang_on(), "{at}");
             let periods = |model: &tidemap_model::SpectralModel| -> Vec<u32> {
                 model.components().iter().map(|component| component.periodicity).collect()

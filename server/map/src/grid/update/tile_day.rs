@@ -28,6 +28,11 @@ use super::{
     shared_sums::{Gains, Times},
 };
 
+/// From a record of this length on, the components of a cell must be supported. A shorter one can hardly support a
+/// rhythm yet, and a cell has no histogram that answers meanwhile, as a named state has: the errors on new days decide
+/// alone (T-RO section IV.B). In the simulated office that halves the error after two weeks.
+const SUPPORT_NANOS: u64 = 27 * 86_400_000_000_000;
+
 /// A tile that an update changes.
 #[derive(Debug)]
 pub(super) struct BusyTile {
@@ -289,6 +294,7 @@ impl TileDay {
             let (Some(group_times), Some(watch)) = (sums.times.get(of_day.group), watches.get_mut(index)) else {
                 continue;
             };
+            let span_nanos = group.last_nanos.abs_diff(group.first_nanos);
             if of_day.scored > 0 {
                 outcome.scored += of_day.scored;
                 let before = usize::from(cell.order).min(ORDER_MAX);
@@ -302,9 +308,10 @@ impl TileDay {
                 };
                 let (squared, scored) = (&of_day.scores.squared, of_day.scored);
                 let unit = (rules.levels.1 - rules.levels.0).powi(2);
-                let scores = DayScores { errors, squared, scored, order: before, unit };
+                let order = cell.errors.best().min(watch.supported_order());
+                let scores = DayScores { errors, squared, scored, order, unit };
                 watch.score(self.day, &rules.periodicities, &mut cell.errors, scores);
-                cell.set_order(watch);
+                cell.set_order(watch, span_nanos);
                 outcome.squared_error_chosen += of_day.scores.squared[usize::from(cell.order).min(ORDER_MAX)];
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
@@ -332,7 +339,7 @@ impl TileDay {
                     mean: units / weight,
                     a: all.as_ref().unwrap_or(sum),
                     b: group_sum,
-                    span_nanos: group.last_nanos.abs_diff(group.first_nanos),
+                    span_nanos,
                     gap_nanos: group_times.gap_nanos(),
                     levels: rules.levels,
                 },
@@ -341,14 +348,14 @@ impl TileDay {
             let readings = LearnedReadings {
                 pairs: group_times.gaps.count(),
                 unrecorded: group_times.unrecorded,
-                span_secs: group.last_nanos.abs_diff(group.first_nanos) as f64 / 1e9,
+                span_secs: span_nanos as f64 / 1e9,
                 observed_hours: group_times.hours,
                 mean: units / weight,
                 difference: rules.levels.1 - rules.levels.0,
                 remembered: weight / group.observations.max(1) as f64,
             };
             watch.support(&cell.spectral, &rules.periodicities, readings);
-            cell.set_order(watch);
+            cell.set_order(watch, span_nanos);
             cell.rang = watch.alarm().rang_on();
         }
         self.tile.outcome.add(&outcome);
@@ -491,9 +498,10 @@ fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
 }
 
 impl CellModel {
-    /// Puts the order in force that has predicted best, limited to the supported components.
-    fn set_order(&mut self, watch: &OrderWatch) {
-        self.order = u8::try_from(self.errors.best().min(watch.supported_order())).unwrap_or(0);
+    /// Puts the order in force that has predicted best, limited to the supported components once the record is long.
+    fn set_order(&mut self, watch: &OrderWatch, span_nanos: u64) {
+        let supported = if span_nanos < SUPPORT_NANOS { ORDER_MAX } else { watch.supported_order() };
+        self.order = u8::try_from(self.errors.best().min(supported)).unwrap_or(0);
     }
 }
 
