@@ -99,11 +99,12 @@ impl Client {
         Ok(Anomalies { client: self.clone(), replies: answer.into_inner(), from_nanos, to_nanos })
     }
 
-    /// Watches the anomalies of these states and cells from now on; of all states, but no cells, if there are none. When
-    /// this returns the watch has begun.
+    /// Watches the anomalies of these states and cells from now on; of all states, but no cells, if there are none.
+    /// When this returns the watch has begun.
     ///
     /// # Errors
-    /// [`Error`]; the code is `NOT_FOUND` if the map, state, cell or location does not exist, `INVALID_ARGUMENT` if the confidence is
+    /// [`Error`]; the code is `NOT_FOUND` if the map, state, cell or location does not exist, `INVALID_ARGUMENT` if the
+    /// confidence is
     /// invalid or the model is not `auto`, `mean` or `spectral`, `RESOURCE_EXHAUSTED` if there are too many watches.
     pub async fn watch_anomalies(
         &self,

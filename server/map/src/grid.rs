@@ -19,8 +19,8 @@
 //!   sums at the first change. A tile never takes more than twice what the smaller of the two would take.
 //! - **Scoring is explicit**: every reading of a changed cell, every order, with saturation. This is the largest cost
 //!   of a night.
-//! - **Support and change alarm** follow the rules of named states, support from the fourth week on. The times of the observations are kept per group
-//!   ([`observed_times`]), and per changed cell some 120 bytes: gains, alarm and changes.
+//! - **Support and change alarm** follow the rules of named states, support from the fourth week on. The times of the
+//!   observations are kept per group ([`observed_times`]), and per changed cell some 120 bytes: gains, alarm, changes.
 //! - **Sensors with different levels**: see [`sensors`]. A map with one sensor has none of their sums.
 //! - **Sums stay with the writer**, models go to readers. An update takes the sums out, changes them in place and
 //!   brings them back, so that they are in memory once.

@@ -4,7 +4,7 @@
 //! ([`crate::ingest::anomaly_feed`]). A watch judges them in its own task, by the models that were in force when they
 //! were applied, however late it is. What falls out of the feed, or is two updates behind, is counted as missed, and a
 //! reader that reads nothing for five minutes is disconnected. An observation ahead of the clock is judged at once,
-//! although it waits to be learned. Scans come as the bits of tiles that they changed, from which each watch follows its
+//! although it waits to be learned. Scans come as the bits of tiles that they changed, from which a watch follows its
 //! cells; where scans were missed, it begins again with what the tiles show.
 //!
 //! Invariant: a watcher never slows the writer, and a bounded number of observations wait for it. Judging has its own
@@ -184,16 +184,16 @@ fn watched(
 type StateReading = (StateId, Reading);
 
 /// An anomaly of a state or a cell.
-type Found = (Subject, Anomaly);
+type Found = (AnomalySubject, Anomaly);
 
 /// What an anomaly is of.
 #[derive(Clone, Copy)]
-enum Subject {
+enum AnomalySubject {
     State(StateId),
     Cell(CellIndex),
 }
 
-/// Watched cells.
+/// AnomalySubject cells.
 struct CellsWatch {
     cells: Arc<BTreeSet<CellIndex>>,
     /// Absent while it judges.
@@ -309,7 +309,7 @@ impl Watch {
         };
         let (found, follower) = run_blocking(permit, judge).await?;
         cells.follower = Some(follower);
-        Ok(found?.into_iter().map(|(cell, anomaly)| (Subject::Cell(cell), anomaly)).collect())
+        Ok(found?.into_iter().map(|(cell, anomaly)| (AnomalySubject::Cell(cell), anomaly)).collect())
     }
 
     /// The anomalies among applied observations, in their order.
@@ -328,7 +328,7 @@ impl Watch {
         let permit = Arc::clone(&self.permits).acquire_owned().await.map_err(|_| RpcError::Stopping)?;
         let (confidence, selector) = (self.confidence, self.selector);
         let found = run_blocking(permit, move || unexpected(&models, &observed, selector, confidence)).await?;
-        Ok(found.into_iter().map(|(state, anomaly)| (Subject::State(state), anomaly)).collect())
+        Ok(found.into_iter().map(|(state, anomaly)| (AnomalySubject::State(state), anomaly)).collect())
     }
 
     /// The observations of the watched states.
@@ -361,8 +361,10 @@ impl Watch {
         let mut reply = v1::WatchAnomaliesResponse { missed_observations, ..Default::default() };
         for &(subject, Anomaly { utc_nanos, value, probability }) in found {
             reply.states.push(match subject {
-                Subject::State(id) => view.info(id).map_or_else(String::new, |info| info.name.as_str().to_owned()),
-                Subject::Cell(cell) => cell.name(),
+                AnomalySubject::State(id) => {
+                    view.info(id).map_or_else(String::new, |info| info.name.as_str().to_owned())
+                }
+                AnomalySubject::Cell(cell) => cell.name(),
             });
             reply.times_nanos.push(utc_nanos);
             reply.values.push(value);
