@@ -35,8 +35,8 @@ fn short(number: f64) -> String {
     if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
-/// The bar of a drawing whose metre takes `per_m` characters or pixels: its length, at most `most`, and its text; 1, 2 or
-/// 5 times a power of ten metres. `None`: there is no such scale.
+/// The bar of a drawing whose metre takes `per_m` characters or pixels: its length, at most `most`, and its text; 1, 2
+/// or 5 times a power of ten metres. `None`: there is no such scale.
 pub(crate) fn scale_bar(per_m: f64, most: f64) -> Option<(f64, String)> {
     let longest = most / per_m;
     if !(longest.is_finite() && longest > 0.0) {

@@ -121,8 +121,8 @@ pub fn write(picture: &TopologyPicture) -> Result<String, TopologyPictureError> 
     Ok(svg.finish())
 }
 
-/// The side of a node that is farthest from the directions of its edges, below if it can be: where its name stands, from
-/// the middle of the node, and by which of its ends.
+/// The side of a node that is farthest from the directions of its edges, below if it can be: where its name stands,
+/// from the middle of the node, and by which of its ends.
 fn free_side(node: usize, edges: &[PictureEdge], places: &[[f64; 2]]) -> ([f64; 2], &'static str) {
     const SIDES: [([f64; 2], [f64; 2], &str); 4] = [
         ([0.0, 1.0], [0.0, DISC + 14.0], "middle"),
