@@ -1,7 +1,8 @@
-//! Many clients at once: silent sockets, streams, more requests than the daemon can answer, and a start with a long log.
+//! Many clients at once: silent sockets, streams, more requests than the daemon can answer, and a start with a long
+//! log.
 //!
-//! Invariant: whatever the crowd does, the daemon answers those who behave, stays within its memory, and stops in order.
-//! Times are printed and not asserted; BENCHMARKS.md has them.
+//! Invariant: whatever the crowd does, the daemon answers those who behave, stays within its memory, and stops in
+//! order. Times are printed and not asserted; BENCHMARKS.md has them.
 
 use std::{
     fs,

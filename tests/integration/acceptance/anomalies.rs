@@ -148,7 +148,7 @@ fn misuse_of_anomalies_is_told() {
     ask(&["door", "--watch", "--from", "100", "--to", "200"]).fails(2, &["--watch", "--from"]);
     ask(&["window", "--from", "100", "--to", "200"]).fails(1, &["window", "states here: door"]);
     ask(&["window", "--watch"]).fails(1, &["window", "states here: door"]);
-    ask(&["cell/1/2/3", "--watch"]).fails(1, &["cells are not watched"]);
+    ask(&["cell/1/2/3", "--watch"]).fails(1, &["has no grid"]);
     for (model, words) in
         [("latest", "newest value"), ("persistence", "newest value"), ("auto+persistence", "newest value")]
     {

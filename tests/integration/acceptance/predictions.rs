@@ -6,8 +6,19 @@ use tidemap_tests::{cli, recordings};
 
 use super::Door;
 
-const COLUMNS: [&str; 9] =
-    ["time", "state", "probability", "lower", "upper", "entropy_bits", "order", "observations", "age_secs"];
+const COLUMNS: [&str; 11] = [
+    "time",
+    "state",
+    "probability",
+    "lower",
+    "upper",
+    "entropy_bits",
+    "order",
+    "observations",
+    "age_secs",
+    "model",
+    "pending",
+];
 
 fn entropy_bits(p: f64) -> f64 {
     [p, 1.0 - p].into_iter().filter(|&p| p > 0.0).map(|p| -p * p.log2()).sum()
@@ -27,9 +38,9 @@ fn predictions_follow_from_what_was_learned() {
     assert_eq!(first.number("accepted"), 2.0);
     let unlearned = door.tidemap(["predict", "door", "door", "--at", "1451865720"]).table();
     assert_eq!(unlearned.columns, COLUMNS);
-    assert_eq!(unlearned.rows, [["1451865720", "door", "0.5", "0", "1", "1", "0", "2", "60"]]);
+    assert_eq!(unlearned.rows, [["1451865720", "door", "0.5", "0", "1", "1", "0", "2", "60", "prior", "2"]]);
     let latest = door.tidemap(["predict", "door", "door", "--at", "1451865720", "--model", "latest"]).table();
-    assert_eq!(latest.rows, [["1451865720", "door", "0", "0", "1", "0", "0", "2", "60"]]);
+    assert_eq!(latest.rows, [["1451865720", "door", "0", "0", "1", "0", "0", "2", "60", "latest", "2"]]);
     door.tidemap(["map", "delete", "door", "--yes"]);
     let created = door.tidemap(["map", "create", "door", "--time-zone", "Europe/London"]).table();
     assert_eq!(created.number("observations"), 0.0);

@@ -223,7 +223,7 @@ async fn refused_rows_are_corrected_without_doubling_the_others() {
     assert_eq!(observations(&daemon).await, 4);
     // Who corrects the file itself is told what to do.
     fs::write(&file, format!("{HEADER}1451865960,door,1\n1451866000,door,1\n")).expect("a file");
-    observe(&file, &[]).fails(1, &["nothing was sent", "--refused FILE", "--label a-2.csv"]);
+    observe(&file, &[]).fails(1, &["nothing was sent", "a.csv --replace", "--label a-2.csv"]);
 }
 
 #[test]

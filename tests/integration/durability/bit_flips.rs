@@ -1,5 +1,5 @@
-//! Damage of single files while the daemon is stopped: a bit flips, a sector is zeroed, the end is cut off, or the file is
-//! gone. The answers stay the same, or the daemon reports the damage. No damage goes unnoticed.
+//! Damage of single files while the daemon is stopped: a bit flips, a sector is zeroed, the end is cut off, or the file
+//! is gone. The answers stay the same, or the daemon reports the damage. No damage goes unnoticed.
 
 use std::{
     collections::BTreeMap,
@@ -197,7 +197,8 @@ impl Sound {
         let (answers, histories) = (answers::all(&daemon, &self.producers).await, histories(&daemon).await);
         let log = daemon.stop_in_order();
         assert!(!log.contains("panicked"), "{what}: {log}");
-        // A cut or zeroed end of the log cannot be told from a write that a power cut has torn: it is cut off, in words.
+        // A cut or zeroed end of the log cannot be told from a write that a power cut has torn: it is cut off, in
+        // words.
         let is_torn = kind == "log" && how != Harm::FlippedBit && log.contains("had not been written whole");
         if is_torn {
             return Outcome::Reported;

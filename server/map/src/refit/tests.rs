@@ -222,7 +222,7 @@ fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_fitted() {
             assert_eq!((found.kind(), day), (kind, LocalDay(19)));
             let all = samples(number as u32, 0..20);
             let expected =
-                FittedModel::fit(kind, StateKind::Probability, Readings::new(&all), &Periodicities::default())
+                FittedModel::fit(kind, StateKind::Probability, Readings::new(&all), &world.spec.periodicities)
                     .expect("fits");
             assert_eq!(found, &expected);
         }

@@ -1,8 +1,8 @@
 //! The open streams of observations: how many there are, and which one makes room for the next.
 //!
 //! Invariant: at most as many streams stay as the limit says. When it is reached, one that has not said hello makes
-//! room, or the one that was silent for longest, if it was silent for a given time and all that it sent is acknowledged.
-//! If there is none, the new stream is refused.
+//! room, or the one that was silent for longest, if it was silent for a given time and all that it sent is
+//! acknowledged. If there is none, the new stream is refused.
 
 use std::{
     collections::HashMap,

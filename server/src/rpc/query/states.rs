@@ -1,7 +1,8 @@
 //! `PredictStates` and `DescribeModel`: predictions of states and cells at many times, and the model of one.
 //!
 //! Invariant: replies come by state, then by time. If all times are one block, its phasors are computed once for all
-//! states and cells, and again after a longer wait: who waits holds none. Requests for existing models do not wait for a fit.
+//! states and cells, and again after a longer wait: who waits holds none. Requests for existing models do not wait for
+//! a fit.
 
 use std::{ops::Range, sync::Arc};
 
