@@ -194,9 +194,9 @@ async fn overload_refuses_and_goes_on() {
     let (mut accepted, mut refused) = (Vec::new(), Vec::new());
     for (time, is_refused) in running.join_all().await {
         if is_refused {
-            refused.push(time)
+            refused.push(time);
         } else {
-            accepted.push(time)
+            accepted.push(time);
         };
     }
     println!(
