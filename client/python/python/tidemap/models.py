@@ -87,9 +87,12 @@ def _column(X: Any) -> npt.NDArray[np.int64]:
         if not np.isfinite(seconds).all():
             raise ValueError("times must be finite: X has NaN or infinity")
         whole = np.floor(seconds)
-        return whole.astype(np.int64) * 1_000_000_000 + np.rint((seconds - whole) * 1e9).astype(np.int64)
+        nanos: npt.NDArray[np.int64] = whole.astype(np.int64) * 1_000_000_000
+        nanos += np.rint((seconds - whole) * 1e9).astype(np.int64)
+        return nanos
     if kind in "iu":
-        return np.asarray(array).ravel().astype(np.int64) * 1_000_000_000
+        whole_seconds: npt.NDArray[np.int64] = np.asarray(array).ravel().astype(np.int64)
+        return np.multiply(whole_seconds, 1_000_000_000, dtype=np.int64)
     return _times.all_nanos(array)
 
 
