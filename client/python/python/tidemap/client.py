@@ -7,7 +7,7 @@ daemon's words.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -516,13 +516,3 @@ def _shown(progress: bool | Callable[[int, int], object]) -> tuple[Callable[[int
         bar.update(durable - bar.n)
 
     return step, bar.close
-
-
-def iterate(rows: Iterable[tuple[str, Time, float]], producer: Producer) -> int:
-    """Sends rows of (state, time, value) as they come, and returns how many are durable at the end."""
-    count = 0
-    for state, time, value in rows:
-        producer.send(state, time, value)
-        count += 1
-    producer.flush()
-    return count

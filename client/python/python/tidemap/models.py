@@ -202,11 +202,8 @@ class Persistence(_Classifier):
     _kind = "persistence"
 
 
-class FreMEn(_Classifier):
-    """Frequency Map Enhancement (T-RO 2017): the mean and the strongest rhythms.
-
-    ``order``: number of rhythms, 0 to 15. ``period_base``, ``period_count``: candidates base/1 … base/count.
-    """
+class _OfRhythms(_Model):
+    """Parameters of the spectral model."""
 
     _kind = "spectral"
 
@@ -219,8 +216,8 @@ class FreMEn(_Classifier):
         self.time_zone = time_zone
 
 
-class Histogram(_Classifier):
-    """The mean of each interval of the ``day``, the ``week``, or the ``weekend`` (the day, with weekends apart)."""
+class _OfBins(_Model):
+    """Parameters of a histogram."""
 
     _kind = "histogram"
 
@@ -230,13 +227,74 @@ class Histogram(_Classifier):
         self.time_zone = time_zone
 
 
-class Calibrated(_Classifier):
-    """A profile of day and week, only as detailed as the readings justify."""
+class _OfWeek(_Model):
+    """Parameters of the calibrated profile."""
 
     _kind = "calibrated"
 
     def __init__(self, time_zone: str = "UTC") -> None:
         self.time_zone = time_zone
+
+
+class _OfClusters(_Model):
+    """Parameters of warped hypertime."""
+
+    def __init__(
+        self,
+        clusters: int = 3,
+        method: str = "em",
+        seed: int = 0,
+        period_base: str = "7d",
+        period_count: int = 168,
+        time_zone: str = "UTC",
+    ) -> None:
+        self.clusters = clusters
+        self.method = method
+        self.seed = seed
+        self.period_base = period_base
+        self.period_count = period_count
+        self.time_zone = time_zone
+
+    def _kind_of(self) -> str:
+        return f"hypertime-{self.method}"
+
+    def _parameters(self) -> dict[str, Any]:
+        return {name: value for name, value in super()._parameters().items() if name != "method"}
+
+
+class FreMEn(_OfRhythms, _Classifier):
+    """Frequency Map Enhancement (T-RO 2017): the mean and the strongest rhythms.
+
+    ``order``: number of rhythms, 0 to 15. ``period_base``, ``period_count``: candidates base/1 … base/count.
+    """
+
+
+class FreMEnRegressor(_OfRhythms, _Regressor):
+    """As :class:`FreMEn`, for any number."""
+
+
+class Histogram(_OfBins, _Classifier):
+    """The mean of each interval of the ``day``, the ``week``, or the ``weekend`` (the day, with weekends apart)."""
+
+
+class HistogramRegressor(_OfBins, _Regressor):
+    """As :class:`Histogram`, for any number."""
+
+
+class Calibrated(_OfWeek, _Classifier):
+    """A profile of day and week, only as detailed as the readings justify."""
+
+
+class CalibratedRegressor(_OfWeek, _Regressor):
+    """As :class:`Calibrated`, for any number."""
+
+
+class Hypertime(_OfClusters, _Classifier):
+    """Warped hypertime (RA-L 2019): clusters in time wrapped onto rhythms. ``method``: ``em`` or ``km``."""
+
+
+class HypertimeRegressor(_OfClusters, _Regressor):
+    """As :class:`Hypertime`, for any number."""
 
 
 class PerGaM(_Classifier):
@@ -249,92 +307,6 @@ class PerGaM(_Classifier):
         self.period = period
         self.seed = seed
         self.time_zone = time_zone
-
-
-class Hypertime(_Classifier):
-    """Warped hypertime (RA-L 2019): clusters in time wrapped onto rhythms. ``method``: ``em`` or ``km``."""
-
-    def __init__(
-        self,
-        clusters: int = 3,
-        method: str = "em",
-        seed: int = 0,
-        period_base: str = "7d",
-        period_count: int = 168,
-        time_zone: str = "UTC",
-    ) -> None:
-        self.clusters = clusters
-        self.method = method
-        self.seed = seed
-        self.period_base = period_base
-        self.period_count = period_count
-        self.time_zone = time_zone
-
-    def _kind_of(self) -> str:
-        return f"hypertime-{self.method}"
-
-    def _parameters(self) -> dict[str, Any]:
-        return {name: value for name, value in super()._parameters().items() if name != "method"}
-
-
-class FreMEnRegressor(_Regressor):
-    """As :class:`FreMEn`, for any number."""
-
-    _kind = "spectral"
-
-    def __init__(
-        self, order: int = 2, period_base: str = "7d", period_count: int = 168, time_zone: str = "UTC"
-    ) -> None:
-        self.order = order
-        self.period_base = period_base
-        self.period_count = period_count
-        self.time_zone = time_zone
-
-
-class HistogramRegressor(_Regressor):
-    """As :class:`Histogram`, for any number."""
-
-    _kind = "histogram"
-
-    def __init__(self, bins: int = 24, cycle: str = "day", time_zone: str = "UTC") -> None:
-        self.bins = bins
-        self.cycle = cycle
-        self.time_zone = time_zone
-
-
-class CalibratedRegressor(_Regressor):
-    """As :class:`Calibrated`, for any number."""
-
-    _kind = "calibrated"
-
-    def __init__(self, time_zone: str = "UTC") -> None:
-        self.time_zone = time_zone
-
-
-class HypertimeRegressor(_Regressor):
-    """As :class:`Hypertime`, for any number."""
-
-    def __init__(
-        self,
-        clusters: int = 3,
-        method: str = "em",
-        seed: int = 0,
-        period_base: str = "7d",
-        period_count: int = 168,
-        time_zone: str = "UTC",
-    ) -> None:
-        self.clusters = clusters
-        self.method = method
-        self.seed = seed
-        self.period_base = period_base
-        self.period_count = period_count
-        self.time_zone = time_zone
-
-    def _kind_of(self) -> str:
-        return f"hypertime-{self.method}"
-
-    def _parameters(self) -> dict[str, Any]:
-        return {name: value for name, value in super()._parameters().items() if name != "method"}
 
 
 class Poisson(_Regressor):
