@@ -219,6 +219,9 @@ pub struct CellWatch {
     /// Number of supported components.
     #[prost(uint32, tag = "5")]
     pub supported: u32,
+    /// Number of changes between readings; absent in data of before they were counted.
+    #[prost(uint32, optional, tag = "6")]
+    pub changes: Option<u32>,
 }
 
 /// When cells of a tile were observed on one day.

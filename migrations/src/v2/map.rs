@@ -318,6 +318,9 @@ pub struct Alternatives {
     /// Those that are kept: number and whole seconds of each in turn.
     #[prost(uint64, repeated, tag = "18")]
     pub kept_gaps: Vec<u64>,
+    /// Sum of |change of value| between readings; absent in data of before it was kept.
+    #[prost(fixed64, optional, tag = "19")]
+    pub changes_bits: Option<u64>,
 }
 
 /// The calibrated model of a state, as it was last fitted.

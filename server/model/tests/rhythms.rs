@@ -184,7 +184,7 @@ fn visits(random: &mut SmallRng, days: i64) -> Vec<Sample> {
 
 type Noise = (&'static str, fn(&mut SmallRng) -> Vec<Sample>);
 
-const NOISES: [Noise; 14] = [
+const NOISES: [Noise; 15] = [
     ("white 0.02, half-hours, 8 weeks", |random| white(random, 0.02, every(30, 56))),
     ("white 0.1, half-hours, 8 weeks", |random| white(random, 0.1, every(30, 56))),
     ("white 0.5, half-hours, 4 weeks", |random| white(random, 0.5, every(30, 28))),
@@ -198,6 +198,10 @@ const NOISES: [Noise; 14] = [
     ("white 0.3, 800 random times, 4 weeks", |random| {
         let minutes = random_times(random, 800, 28);
         white(random, 0.3, minutes)
+    }),
+    ("chain 2 h, 1000 random times, 6 weeks", |random| {
+        let minutes = random_times(random, 1000, 42);
+        chain(random, [120.0; 2], minutes)
     }),
     ("chain 6 h, 800 random times, 4 weeks", |random| {
         let minutes = random_times(random, 800, 28);

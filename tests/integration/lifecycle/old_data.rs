@@ -20,8 +20,8 @@ use tidemap_tests::{
 
 /// Relative error of numbers, for processors that add in another order.
 const ERROR_MAX: f64 = 1e-9;
-/// Error of the bounds of intervals: the earlier build approximated quantiles to 5e-4.
-const BOUND_ERROR_MAX: f64 = 2e-3;
+/// Error of the bounds of intervals: the earlier build took them from points whose distance was 3 % of p (1 - p).
+const BOUND_ERROR_MAX: f64 = 5e-3;
 /// What a question begins with whose model now has other candidate periods, and the error of its numbers.
 const REFITTED: (&str, f64) = ("position ", 0.05);
 /// Columns that depend on the models that an update of this build lets answer.

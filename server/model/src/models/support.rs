@@ -35,6 +35,9 @@ pub struct DependenceSums {
     /// Number of single hours with a reading: [`HourTable::observed_hours`](super::HourTable::observed_hours). `None`:
     /// unknown; then readings count as spread over the span, and visits with many readings each are overrated.
     pub observed_hours: Option<f64>,
+    /// Σ |change of value| over the pairs. `None`: unknown; then the dependence of readings at irregular times is
+    /// underrated.
+    pub changes: Option<f64>,
 }
 
 /// The number of independent readings that the readings are equivalent to, from 1 to their number.
@@ -48,6 +51,10 @@ pub struct DependenceSums {
 /// is conservative.
 ///
 /// If hours are known, the observed time counts instead of the span, with at least one reading an hour.
+///
+/// Of readings at irregular times the mean rate of change times the mean gap is more than the mean change, because
+/// short gaps have high rates. So if the changes are known, their mean is a second bound: with independent gaps, 1 - ρ
+/// of the formula is the mean of 1 - e^(-gap/τ), which is what changes count. At regular times both are the same.
 pub fn effective_observations(sums: &DependenceSums) -> f64 {
     let variance = sums.mean * (1.0 - sums.mean);
     let forgotten = |spacing: Spacing| if variance > 0.0 { 0.5 * spacing.change / variance } else { 0.0 };
@@ -62,15 +69,17 @@ struct Spacing {
     secs: f64,
 }
 
-/// The spacing of readings that are spread over the span, and of those that are spread over the observed hours.
-fn spacings(sums: &DependenceSums) -> [Spacing; 2] {
+/// The spacing of readings that are spread over the span, of those that are spread over the observed hours, and of the
+/// first with the changes that were counted.
+fn spacings(sums: &DependenceSums) -> [Spacing; 3] {
     let pairs = sums.pairs.max(1) as f64;
-    [sums.span_secs, sums.observed_hours.unwrap_or(0.0) * 3600.0]
-        .map(|secs| Spacing { change: sums.change_rate_sum / pairs * (secs / pairs), secs: secs / pairs })
+    let spread = |secs: f64| Spacing { change: sums.change_rate_sum / pairs * (secs / pairs), secs: secs / pairs };
+    let counted = Spacing { change: sums.changes.unwrap_or(0.0) / pairs, secs: sums.span_secs / pairs };
+    [spread(sums.span_secs), spread(sums.observed_hours.unwrap_or(0.0) * 3600.0), counted]
 }
 
 /// `forgotten`: 1 - ρ by each of the [`spacings`].
-fn effective(sums: &DependenceSums, forgotten: [f64; 2]) -> f64 {
+fn effective(sums: &DependenceSums, forgotten: [f64; 3]) -> f64 {
     let pairs = sums.pairs as f64;
     let over = |forgotten: f64| {
         if sums.pairs == 0 {
@@ -83,6 +92,7 @@ fn effective(sums: &DependenceSums, forgotten: [f64; 2]) -> f64 {
         Some(hours) if hours > 0.0 => over(forgotten[0]).min(over(forgotten[1]).max(hours)),
         _ => over(forgotten[0]),
     };
+    let number = if sums.changes.is_some() && !number.is_nan() { number.min(over(forgotten[2])) } else { number };
     let readings = sums.pairs as f64 + 1.0;
     // NaN, from invalid sums, supports nothing.
     if number.is_nan() { 1.0 } else { number.clamp(1.0, readings) }
@@ -126,7 +136,7 @@ pub(crate) fn supported_order_of(
     let candidates = periodicities.len() as f64;
     let spacings = spacings(sums);
     let changed = spacings.map(|spacing| half_square(spacing.change));
-    let mut explained = [0.0; 2];
+    let mut explained = [0.0; 3];
     let mut left = variance;
     let mut supported = 0;
     for component in model.components() {
@@ -136,7 +146,7 @@ pub(crate) fn supported_order_of(
             *explained += half_square_of(component, periodicities, spacing.secs);
         }
         let forgotten = |at: usize| (changed[at] - explained[at]).max(0.0) / (left * (1.0 - share));
-        let effective = effective(sums, [forgotten(0), forgotten(1)]);
+        let effective = effective(sums, [0, 1, 2].map(forgotten));
         let exponent = -(-share).ln_1p() * (effective * remembered - 3.0).max(0.0) / 2.0;
         // 1 - (1 - e^-z)^K, exact where e^-z is tiny.
         let false_alarm = -(candidates * (-(-exponent).exp()).ln_1p()).exp_m1();

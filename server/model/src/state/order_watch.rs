@@ -22,6 +22,7 @@ pub struct OrderWatch {
     gains: OrderGains,
     alarm: ChangeAlarm,
     change_rate_sum: f64,
+    changes: Option<u32>,
     last: Option<bool>,
     supported: u8,
 }
@@ -36,6 +37,8 @@ pub struct OrderWatchParts {
     /// Sum over pairs of successive learned readings of |change| / time between, per second; the two values are 0 and
     /// 1.
     pub change_rate_sum: f64,
+    /// Number of these changes; `None` where some came before they were counted.
+    pub changes: Option<u32>,
     /// Whether the newest learned reading is the higher value; `None` before the first.
     pub last: Option<bool>,
     /// Number of supported components.
@@ -79,7 +82,7 @@ pub struct LearnedReadings {
 impl OrderWatch {
     /// Of a state that has had one value so far; `None`: no value.
     pub fn of_constant(value: Option<bool>) -> OrderWatch {
-        OrderWatch { last: value, ..OrderWatch::default() }
+        OrderWatch { last: value, changes: Some(0), ..OrderWatch::default() }
     }
 
     /// Of a state with readings of which no record was kept: all its components count until one is.
@@ -113,9 +116,10 @@ impl OrderWatch {
         }
     }
 
-    /// Adds the changes among some newer readings: the sum of 1 / time between the readings, per second, over the
-    /// changes, and the value after them.
-    pub fn learn(&mut self, change_rate_sum: f64, last: Option<bool>) {
+    /// Adds the changes among some newer readings: their number, the sum of 1 / time between the readings, per second,
+    /// over them, and the value after them.
+    pub fn learn(&mut self, changes: u32, change_rate_sum: f64, last: Option<bool>) {
+        self.changes = self.changes.map(|before| before.saturating_add(changes));
         self.change_rate_sum += change_rate_sum;
         self.last = last.or(self.last);
     }
@@ -135,6 +139,7 @@ impl OrderWatch {
             span_secs,
             mean,
             observed_hours: Some(observed_hours),
+            changes: self.changes.map(f64::from),
         };
         if unrecorded > 0 {
             if unrecorded >= pairs {
@@ -145,6 +150,7 @@ impl OrderWatch {
             observed_hours *= more;
             sums.pairs = pairs.saturating_add(unrecorded);
             sums.change_rate_sum *= more;
+            sums.changes = sums.changes.map(|changes| changes * more);
             sums.observed_hours = Some(observed_hours);
         }
         let square = difference * difference;
@@ -176,6 +182,7 @@ impl OrderWatch {
             gains: self.gains.to_parts(),
             alarm: self.alarm.to_parts(),
             change_rate_sum: self.change_rate_sum,
+            changes: self.changes,
             last: self.last,
             supported: self.supported,
         }
@@ -186,12 +193,12 @@ impl OrderWatch {
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range.
     pub fn from_parts(parts: OrderWatchParts) -> Result<OrderWatch, InvalidParts> {
-        let OrderWatchParts { gains, alarm, change_rate_sum, last, supported } = parts;
+        let OrderWatchParts { gains, alarm, change_rate_sum, changes, last, supported } = parts;
         InvalidParts::check("rate of changes", change_rate_sum, 0.0..=f64::MAX)?;
         if usize::from(supported) > ORDER_MAX {
             return Err(InvalidParts::OrderTooHigh { found: supported.into() });
         }
         let (gains, alarm) = (OrderGains::from_parts(gains)?, ChangeAlarm::from_parts(alarm)?);
-        Ok(OrderWatch { gains, alarm, change_rate_sum, last, supported })
+        Ok(OrderWatch { gains, alarm, change_rate_sum, changes, last, supported })
     }
 }

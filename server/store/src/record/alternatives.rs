@@ -43,6 +43,7 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Al
         since: parts.since.map(|day| day.0),
         gains_bits: encode_gains(parts.gains),
         gaps: parts.gaps.count,
+        changes_bits: parts.changes.map(f64::to_bits),
         kept_gaps: parts.gaps.kept.iter().flat_map(|&(number, secs)| [number, u64::from(secs)]).collect(),
     }
 }
@@ -142,6 +143,7 @@ pub(crate) fn decode(
             last: message.last.as_ref().map(|last| (last.nanos, f64::from_bits(last.value_bits))),
         },
         gaps: decode_gaps(message)?,
+        changes: message.changes_bits.map(f64::from_bits),
         gains: decode_gains(&message.gains_bits)?,
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,

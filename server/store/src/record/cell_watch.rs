@@ -44,6 +44,7 @@ pub(super) fn encode_watch(watch: &OrderWatch) -> v2::CellWatch {
         change_rate_sum_bits: parts.change_rate_sum.to_bits(),
         last: parts.last,
         supported: u32::from(parts.supported),
+        changes: parts.changes,
     }
 }
 
@@ -52,6 +53,7 @@ pub(super) fn decode_watch(message: &v2::CellWatch) -> Result<OrderWatch, Invali
         gains: decode_gains(&message.gains_bits)?,
         alarm: decode_alarm(message.alarm.as_ref())?,
         change_rate_sum: f64::from_bits(message.change_rate_sum_bits),
+        changes: message.changes,
         last: message.last,
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a cell is too high")?,
     };

@@ -70,6 +70,7 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
             rang: Some(LocalDay(-3)),
         },
         succession: PersistenceParts { pairs: 9, change_rate_sum: 0.375, last: Some((1_700_000_009_000_000_000, 1.0)) },
+        changes: None,
         gaps: GapsParts::default(),
         supported: 3,
         gains: OrderGainsParts::default(),

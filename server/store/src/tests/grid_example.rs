@@ -237,7 +237,7 @@ fn watch(random: &mut SmallRng) -> OrderWatch {
     for day in 0..random.random_range(0..3) {
         watch.score(LocalDay(19_000 + day), &spec("office").periodicities, &mut errors, scores);
     }
-    watch.learn(random.random_range(0.0..1.0), None);
+    watch.learn(7, random.random_range(0.0..1.0), None);
     watch
 }
 

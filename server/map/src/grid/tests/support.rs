@@ -140,10 +140,12 @@ fn is_working_day(nanos: i64) -> bool {
 #[test]
 fn a_week_is_learned_by_the_fourth() {
     // Free on weekdays, occupied on weekends; from each day of the week on.
-    for first in 0..7 {
+    let half_hours: fn(&mut u64, i64) -> Vec<i64> = |_, day| every(30 * MINUTE, day);
+    for (first, times) in (0..7).flat_map(|first| [(first, half_hours), (first, random_day)]) {
         let mut camera = Camera::new(2, spec());
+        let mut rng = 7;
         for day in first..first + 28 {
-            camera.learn(&every(30 * MINUTE, day), &mut |cell, nanos| (cell == 1) == is_working_day(nanos));
+            camera.learn(&times(&mut rng, day), &mut |cell, nanos| (cell == 1) == is_working_day(nanos));
         }
         let supported = [0, 1].map(|cell| camera.watch(cell).supported_order());
         assert!(supported.iter().all(|&order| order >= 1), "from day {first}: {supported:?}");
@@ -184,8 +186,6 @@ impl Chain {
     }
 }
 
-const IRREGULAR_RUNS: &str = "runs of 2 h, at random times";
-
 const NOISES: [Noise; 6] = [
     ("white, every half hour", |_, day| every(30 * MINUTE, day), |rng, _, _| uniform(rng) < 0.3),
     ("white, at random times", random_day, |rng, _, _| uniform(rng) < 0.5),
@@ -196,7 +196,7 @@ const NOISES: [Noise; 6] = [
         |rng, chain, nanos| chain.at(rng, [2 * HOUR, 20 * MINUTE], nanos),
     ),
     ("runs of 12 h", |_, day| every(30 * MINUTE, day), |rng, chain, nanos| chain.at(rng, [12 * HOUR; 2], nanos)),
-    (IRREGULAR_RUNS, random_day, |rng, chain, nanos| chain.at(rng, [2 * HOUR; 2], nanos)),
+    ("runs of 2 h, at random times", random_day, |rng, chain, nanos| chain.at(rng, [2 * HOUR; 2], nanos)),
 ];
 
 fn random_day(rng: &mut u64, day: i64) -> Vec<i64> {
@@ -237,9 +237,7 @@ fn noise_has_hardly_ever_a_rhythm() {
 #[ignore = "takes minutes"]
 fn noise_has_a_rhythm_in_at_most_one_of_a_hundred_cells() {
     for (name, found) in false_rhythms(10_000) {
-        // The dependence of readings at random times is underestimated, of named states as well: 145 were measured.
-        let most = if name == IRREGULAR_RUNS { 200 } else { 100 };
-        assert!(found <= most, "{name}: {found}");
+        assert!(found <= 100, "{name}: {found}");
     }
 }
 

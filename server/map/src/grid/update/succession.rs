@@ -12,6 +12,8 @@ use super::{
 /// The changes of a cell among newer readings.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub(super) struct Changes {
+    /// Their number.
+    pub(super) count: u32,
     /// Sum of 1 / time between the readings, per second, over the changes.
     pub(super) rate_sum: f64,
     /// Whether the newest reading is occupied; `None` if none is newer.
@@ -125,10 +127,11 @@ impl Times {
         last_nanos: Option<i64>,
         last: Option<bool>,
     ) -> Changes {
-        let mut changes = Changes { rate_sum: 0.0, last };
+        let mut changes = Changes { count: 0, rate_sum: 0.0, last };
         let mut last_nanos = last_nanos;
         let mut add = |nanos: i64, is_occupied: bool, last_nanos: Option<i64>| {
             if let (Some(before), true) = (last_nanos, changes.last.is_some_and(|last| last != is_occupied)) {
+                changes.count += 1;
                 changes.rate_sum += 1.0 / (nanos.abs_diff(before) as f64 / 1e9);
             }
             changes.last = Some(is_occupied);

@@ -317,7 +317,7 @@ impl TileDay {
             cell.occupied += run_length(&of_day.toggles, self.scans);
             watch.fade(group_day.factors.known);
             let changes = times.changes(observed, &of_day.toggles, group_day.newer_than, watch.last());
-            watch.learn(changes.rate_sum, changes.last);
+            watch.learn(changes.count, changes.rate_sum, changes.last);
             let (mut units, mut weight) = (cell.occupied as f64, group.observations.max(1) as f64);
             if let Some(SensorWeights { groups, occupied, fades }) = sensors.as_deref_mut()
                 && let (Some(weights), Some(occupied)) = (groups.get(of_day.group), occupied.get_mut(index))

@@ -47,6 +47,7 @@ fn judged(samples: &[Sample]) -> Judged {
     accumulator.add(&week, samples);
     let (mut persistence, mut hours) = (Persistence::default(), HourTable::default());
     samples.iter().for_each(|sample| persistence.observe(sample.utc_nanos, sample.value));
+    let changes = samples.windows(2).map(|pair| (pair[1].value - pair[0].value).abs()).sum();
     hours.add(samples);
     let sums = DependenceSums {
         pairs: persistence.to_parts().pairs,
@@ -54,6 +55,7 @@ fn judged(samples: &[Sample]) -> Judged {
         span_secs: accumulator.span_nanos() as f64 / 1e9,
         mean: accumulator.mean(),
         observed_hours: Some(hours.observed_hours()),
+        changes: Some(changes),
     };
     let effective = effective_observations(&sums);
     let model = SpectralModel::fit(&accumulator, &week);
@@ -94,6 +96,12 @@ fn a_slow_chain_supports_nothing() {
     unsupported("12 h dwell, every hour for ten weeks", |random| {
         observed((0..10 * 7 * 1440).step_by(60), chain(random, 720.0, 720.0))
     });
+    unsupported("2 h dwell, at random times, one an hour", |random| {
+        let mut minutes: Vec<i64> = (0..28 * 24).map(|_| random.random_range(0..FOUR_WEEKS_MINUTES)).collect();
+        minutes.sort_unstable();
+        minutes.dedup();
+        observed(minutes.into_iter(), chain(random, 120.0, 120.0))
+    });
     unsupported("2 h dwell, an hour of minutes every seven hours", |random| {
         observed((0..FOUR_WEEKS_MINUTES).filter(|minute| minute % 420 < 60), chain(random, 120.0, 120.0))
     });
@@ -125,11 +133,27 @@ fn the_effective_number_is_known_for_chains() {
         let found = effective(dwell, step);
         assert!((found / expected - 1.0).abs() < 0.1, "dwell {dwell}, step {step}: {found}, expected {expected}");
     }
+    // At random times, an hour apart on average, of a value that forgets in an hour: half is kept from one to the next.
+    let mut random = SmallRng::seed_from_u64(9);
+    let mut minutes: Vec<i64> =
+        (0..8 * FOUR_WEEKS_MINUTES / 60).map(|_| random.random_range(0..8 * FOUR_WEEKS_MINUTES)).collect();
+    minutes.sort_unstable();
+    minutes.dedup();
+    let expected = minutes.len() as f64 / 3.0;
+    let found = judged(&observed(minutes.into_iter(), chain(&mut random, 120.0, 120.0))).effective;
+    assert!((found / expected - 1.0).abs() < 0.1, "at random times: {found}, expected {expected}");
 }
 
 #[test]
 fn nothing_is_known_from_nothing() {
-    let none = DependenceSums { pairs: 0, change_rate_sum: 0.0, span_secs: 0.0, mean: 0.5, observed_hours: None };
+    let none = DependenceSums {
+        pairs: 0,
+        change_rate_sum: 0.0,
+        span_secs: 0.0,
+        mean: 0.5,
+        observed_hours: None,
+        changes: None,
+    };
     assert!((effective_observations(&none) - 1.0).abs() < 1e-12);
     let constant = DependenceSums { pairs: 1000, span_secs: 1e6, mean: 1.0, ..none };
     assert!((effective_observations(&constant) - 1.0).abs() < 1e-12);
@@ -218,9 +242,10 @@ proptest! {
         span_secs in prop::num::f64::POSITIVE,
         mean in 0.0..=1.0_f64,
         observed_hours in prop::option::of(prop::num::f64::ANY),
+        changes in prop::option::of(prop::num::f64::ANY),
         gammas in prop::collection::vec(-0.3..0.3_f64, 0..=ORDER_MAX),
     ) {
-        let sums = DependenceSums { pairs, change_rate_sum, span_secs, mean, observed_hours };
+        let sums = DependenceSums { pairs, change_rate_sum, span_secs, mean, observed_hours, changes };
         let effective = effective_observations(&sums);
         prop_assert!((1.0..=pairs as f64 + 1.0).contains(&effective), "{}", effective);
         let component = |(k, &gamma_re): (usize, &f64)| Component { periodicity: k as u32, gamma_re, gamma_im: 0.0 };
@@ -232,7 +257,8 @@ proptest! {
             let pairs = (pairs % 1_000_000).saturating_mul(factor);
             let rate = (change_rate_sum % 1e9) * factor as f64;
             let span_secs = (span_secs % 1e9) * factor as f64;
-            let more = DependenceSums { pairs, change_rate_sum: rate, span_secs, observed_hours: None, ..sums };
+            let changes = changes.map(|changes| (changes % 1e9).abs() * factor as f64);
+            let more = DependenceSums { pairs, change_rate_sum: rate, span_secs, observed_hours: None, changes, ..sums };
             let supported = supported_order(&model, &week, &more);
             prop_assert!(supported >= least && supported <= gammas.len());
             least = supported;

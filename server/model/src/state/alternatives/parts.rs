@@ -34,6 +34,8 @@ pub struct AlternativesParts {
     pub succession: PersistenceParts,
     /// The times between the learned readings.
     pub gaps: GapsParts,
+    /// Sum of |change of value| between the learned readings; `None` where some came before it was kept.
+    pub changes: Option<f64>,
     /// Number of components of the spectral model that noise would not show.
     pub supported: u8,
     /// What the choice of orders has gained.
@@ -73,6 +75,7 @@ impl Alternatives {
             alarm: self.alarm.to_parts(),
             succession: self.succession.to_parts(),
             gaps: self.gaps.to_parts(),
+            changes: self.changes,
             supported: self.supported,
             gains: self.gains.to_parts(),
             days: self.days,
@@ -105,6 +108,7 @@ impl Alternatives {
         for &sum in parts.error_sums.iter().chain(parts.fits.iter().filter_map(|fit| fit.error_sum.as_ref())) {
             InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
         }
+        InvalidParts::check("sum of changes", parts.changes.unwrap_or(0.0), 0.0..=f64::MAX)?;
         let mut fits = [const { None }; FitKind::ALL.len()];
         for fit in parts.fits {
             let model = FittedModel::from_parts_of(kind, fit.model)?;
@@ -136,6 +140,7 @@ impl Alternatives {
             alarm: ChangeAlarm::from_parts(parts.alarm)?,
             succession: Persistence::from_parts_of(kind, parts.succession)?,
             gaps: Gaps::from_parts(parts.gaps)?,
+            changes: parts.changes,
             supported: parts.supported,
             gains: OrderGains::from_parts(parts.gains)?,
             days: parts.days,

@@ -9,7 +9,7 @@ fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
     let (mut errors, squared) = (OrderErrors::default(), [3.0; ORDER_MAX + 1]);
     let scores = DayScores { errors: &squared, squared: &squared, scored: 10, order: 0, unit: 1.0 };
     watch.score(LocalDay(3), &week, &mut errors, scores);
-    watch.learn(0.25, Some(false));
+    watch.learn(2, 0.25, Some(false));
     assert_eq!(watch.last(), Some(false));
     let parts = watch.to_parts();
     assert_eq!(OrderWatch::from_parts(parts), Ok(watch));
@@ -34,7 +34,7 @@ fn readings_without_a_record_count_until_there_is_one() {
     };
     let mut watch = OrderWatch::unrecorded();
     // Half of the pairs change: as noise does.
-    watch.learn(500.0 / 3000.0, Some(true));
+    watch.learn(500, 500.0 / 3000.0, Some(true));
     watch.support(&model, &week, readings(1000, 1000));
     assert_eq!(watch.supported_order(), ORDER_MAX);
     watch.support(&model, &week, readings(1000, 999));
