@@ -3,11 +3,9 @@
 //! Invariant: loaded settings are complete and checked; an unknown key in the file is an error that names it.
 
 pub(crate) mod config_text;
+mod protection;
 
-use std::{
-    net::{IpAddr, SocketAddr},
-    path::PathBuf,
-};
+use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use clap::Parser;
@@ -17,7 +15,8 @@ use figment::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::{access::token_command::TokenCommand, connections::tls::TlsFiles};
+use crate::{access::token_command::TokenCommand, connections::tls::TlsFiles, telemetry, telemetry::LogFormat};
+use protection::{MissingProtection, is_local};
 
 /// tidemapd, the map service that learns when things change.
 ///
@@ -139,16 +138,6 @@ pub(crate) enum BackupCommand {
     },
 }
 
-/// Format of the log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub(crate) enum LogFormat {
-    /// Lines for people.
-    Text,
-    /// One JSON object a line.
-    Json,
-}
-
 /// A setting, as the example config shows it.
 #[derive(Debug)]
 struct Setting {
@@ -242,6 +231,15 @@ settings! {
         /// error, warn, info, debug, trace, or a filter such as "info,tidemapd::ingest=debug".
         log_level: String = "info".to_owned();
     }
+    "traces: see the page Traces of the guide" {
+        /// Where spans of requests, updates, erasures, checkpoints and commits of the log go: a collector of
+        /// OpenTelemetry that takes OTLP over gRPC without TLS, as http://HOST:PORT; empty: no spans are made. It needs
+        /// not be there: what it does not take is dropped and counted.
+        otlp_endpoint: String = String::new();
+        /// Share of traces that are recorded, 0 to 1. A request that brings a trace context (the header traceparent) is
+        /// recorded if its context says so.
+        trace_ratio: f64 = 1.0;
+    }
     "limits: the maximum of each" {
         /// Maps.
         max_maps: usize = 256, 1, 10_000;
@@ -329,56 +327,6 @@ settings! {
     }
 }
 
-/// What a port beyond this machine lacks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum MissingProtection {
-    Tls,
-    Tokens,
-    Both,
-}
-
-impl std::fmt::Display for MissingProtection {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Tls => "TLS",
-            Self::Tokens => "tokens",
-            Self::Both => "TLS and tokens",
-        })
-    }
-}
-
-impl MissingProtection {
-    /// What could happen.
-    pub(crate) fn consequence(self) -> &'static str {
-        match self {
-            Self::Tls => "what is sent, and the tokens, can be read and changed on the way",
-            Self::Tokens => "everybody who reaches the port can read, write and delete all maps",
-            Self::Both => {
-                "everybody who reaches the port can read, write and delete all maps, and what is sent can be read"
-            }
-        }
-    }
-
-    fn remedy(self) -> &'static str {
-        match self {
-            Self::Tls => "Set tls_certificate and tls_key",
-            Self::Tokens => "Set tokens_file",
-            Self::Both => "Set tls_certificate, tls_key and tokens_file",
-        }
-    }
-}
-
-/// Whether only this machine can reach an address.
-fn is_local(address: &str) -> bool {
-    match address.parse::<SocketAddr>() {
-        Ok(parsed) => parsed.ip().is_loopback(),
-        Err(_) => address.rsplit_once(':').is_some_and(|(host, port)| {
-            host == "localhost" && port.parse::<u16>().is_ok()
-                || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
-        }),
-    }
-}
-
 fn check_range(key: &str, value: u64, least: u64, most: u64) -> anyhow::Result<()> {
     if !(least..=most).contains(&value) {
         bail!("setting {key} is {value}: it must be between {least} and {most}");
@@ -441,6 +389,7 @@ impl Settings {
     fn check(&self) -> anyhow::Result<()> {
         self.check_ranges()?;
         self.check_tls()?;
+        telemetry::traces::check(&self.otlp_endpoint, self.trace_ratio)?;
         check_range("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30)?;
         for (key, address) in [("listen", &self.listen), ("http_listen", &self.http_listen)] {
             if address.rsplit_once(':').is_none_or(|(_, port)| port.parse::<u16>().is_err()) {
@@ -512,6 +461,10 @@ mod tests {
             ("listen = 'here'", "listen"),
             ("listen = '0.0.0.0:7435'", "allow-insecure-remote"),
             ("log_format = 'xml'", "log_format"),
+            ("otlp_endpoint = 'localhost:4317'", "otlp_endpoint"),
+            ("otlp_endpoint = 'https://collector:4317'", "otlp_endpoint"),
+            ("trace_ratio = 1.5", "trace_ratio"),
+            ("trace_ratio = nan", "trace_ratio"),
         ] {
             let error = load(file, Flags::default()).expect_err(file);
             assert!(error.contains(word), "{file}: {error}");

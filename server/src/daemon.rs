@@ -10,7 +10,7 @@ use rustix::{
     process::{Resource, getrlimit, setrlimit, umask},
 };
 use tidemap_map::live_map::PendingLimits;
-use tidemap_store::{OpenError, Store, StoreOptions, disk::Disk};
+use tidemap_store::{CommitStep, OpenError, Store, StoreOptions, disk::Disk};
 use tokio::{
     net::TcpListener,
     signal::unix::{SignalKind, signal},
@@ -36,7 +36,10 @@ use crate::{
     reload::FileWatch,
     rpc::{self, guard::Access, serve::Services},
     scrubber::Scrubber,
-    telemetry,
+    telemetry::{
+        self,
+        traces::{Span, Traces},
+    },
     web::{self, KnownHosts},
 };
 
@@ -178,6 +181,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     // Whatever the daemon was started with: what robots saw is nobody else's business.
     umask(Mode::RWXG | Mode::RWXO);
     let metrics = http::Metrics { handle: telemetry::start_metrics()?, data_dir: settings.data_dir.clone() };
+    let traces = Traces::start(&settings.otlp_endpoint, settings.trace_ratio)?;
     let (followed, grpc_tls, http_tls) = load_tls(&settings)?;
     let access = load_access(&settings)?;
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
@@ -220,6 +224,8 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let open = move || Catalog::open(context, max_maps, RESTORED_FIRST_BYTES);
     let (catalog, rest) = tokio::task::spawn_blocking(open).await.map_err(anyhow::Error::from)??;
     let catalog = Arc::new(catalog);
+
+    follow_commits(&catalog);
 
     let (stop_sender, stopping) = watch::channel(false);
     let [grpc, http] = listen_on_ports(&settings).await?;
@@ -299,7 +305,37 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         info!("open connections are closed");
     }
     close(store).await;
+    traces.stop().await;
     result
+}
+
+/// Makes a span of each group commit.
+fn follow_commits(catalog: &Arc<Catalog>) {
+    // Weak, because the catalog holds the store.
+    let maps = Arc::downgrade(catalog);
+    catalog.context().store.follow_commits(Box::new(move |map, records, bytes| {
+        let span = Span::root("commit");
+        if span.is_recorded()
+            && let Some(maps) = maps.upgrade()
+            && let Some(handle) = maps.all().values().find(|handle| handle.id == map)
+        {
+            span.text("tidemap.map", &handle.spec.name);
+        }
+        span.number("tidemap.records", records as u64);
+        span.number("tidemap.bytes", bytes);
+        let mut part = span.child("write");
+        Box::new(move |step| {
+            part.end();
+            match step {
+                CommitStep::Written => part = span.child("fdatasync"),
+                CommitStep::Durable => span.end(),
+                CommitStep::Failed => {
+                    span.fail("not durable: the log says why");
+                    span.end();
+                }
+            }
+        })
+    }));
 }
 
 /// Closes the store, in a thread of its own, because all threads of the runtime may wait for a disk that hangs.

@@ -15,6 +15,8 @@ use std::{
 use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, name::MapName, update::StateOutcome};
 use tokio::sync::watch;
 
+use crate::telemetry::traces::Span;
+
 const JOBS_KEPT: usize = 1000;
 
 /// The cause of a job.
@@ -64,6 +66,16 @@ pub(crate) struct JobStatus {
     pub published: Option<(u64, i64)>,
 }
 
+impl JobCause {
+    /// What is done, for the name of its span.
+    fn span_name(self) -> &'static str {
+        match self {
+            Self::Update(_) => "update",
+            Self::Erasure => "erasure",
+        }
+    }
+}
+
 /// An update or an erasure.
 #[derive(Debug)]
 pub(crate) struct UpdateJob {
@@ -75,6 +87,11 @@ pub(crate) struct UpdateJob {
     /// States and tiles done so far.
     pub states_done: AtomicU64,
     status: watch::Sender<JobStatus>,
+    /// The job as a span.
+    span: Span,
+    /// What it does now, as a part of the span. A lock, because steps begin in several threads; held only to replace a
+    /// pointer.
+    step: Mutex<Span>,
     // A lock, because the report is dropped when the map's next update ends; held only to copy a pointer.
     report: Mutex<Option<Arc<Report>>>,
 }
@@ -104,6 +121,13 @@ impl UpdateJob {
         self.status.subscribe()
     }
 
+    /// The next step begins, which ends the one before.
+    pub(crate) fn step(&self, name: &'static str) {
+        let next = self.span.child(name);
+        let last = std::mem::replace(&mut *self.step.lock().unwrap_or_else(PoisonError::into_inner), next);
+        last.end();
+    }
+
     /// Marks the job as running.
     pub(crate) fn start(&self, states_total: u64, observations: u64) {
         self.status.send_modify(|status| {
@@ -127,6 +151,16 @@ impl UpdateJob {
 
     /// Ends the job.
     pub(crate) fn end_with(&self, result: Result<Option<(u64, i64)>, String>) {
+        self.step.lock().unwrap_or_else(PoisonError::into_inner).end();
+        match &result {
+            Ok(Some((generation, _))) => self.span.number("tidemap.generation", *generation),
+            Ok(None) => {}
+            Err(_) => self.span.fail("the job failed: `tidemap job list` and the log say why"),
+        }
+        let status = self.status();
+        self.span.number("tidemap.states", status.states_total);
+        self.span.number("tidemap.observations", status.observations);
+        self.span.end();
         self.status.send_modify(|status| {
             let elapsed = match status.phase {
                 Phase::Running(since) => since.elapsed(),
@@ -164,13 +198,21 @@ impl Jobs {
     pub(crate) fn create(&self, map: MapName, cause: impl Into<JobCause>, created_nanos: i64) -> Arc<UpdateJob> {
         let (status, _) =
             watch::channel(JobStatus { phase: Phase::Waiting, states_total: 0, observations: 0, published: None });
+        let (id, cause) = (self.next_id.fetch_add(1, Ordering::Relaxed) + 1, cause.into());
+        let span = Span::root(cause.span_name());
+        span.text("tidemap.map", &map);
+        span.number("tidemap.job", id);
+        span.text("tidemap.cause", format_args!("{cause:?}"));
+        let step = Mutex::new(span.child("wait"));
         let job = Arc::new(UpdateJob {
-            id: self.next_id.fetch_add(1, Ordering::Relaxed) + 1,
+            id,
             map,
-            cause: cause.into(),
+            cause,
             created_nanos,
             states_done: AtomicU64::new(0),
             status,
+            span,
+            step,
             report: Mutex::new(None),
         });
         let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);

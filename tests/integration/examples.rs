@@ -69,6 +69,7 @@ pages! {
     security: "docs/src/security.md",
     sizing: "docs/src/sizing.md",
     topology: "docs/src/topology.md",
+    traces: "docs/src/traces.md",
     upgrade: "docs/src/upgrade.md",
     wire: "docs/src/wire.md",
 }

@@ -20,6 +20,7 @@ mod routes;
 mod search;
 mod security;
 mod tidy;
+mod traces;
 mod traversals;
 mod vectors;
 mod web;

@@ -12,17 +12,26 @@ use std::{
 };
 
 /// Folder, package, and the workspace's packages that it may depend on.
-const CRATES: [(&str, &str, &[&str]); 14] = [
+const CRATES: [(&str, &str, &[&str]); 15] = [
     ("migrations", "tidemap-migrations", &[]),
     ("server/model", "tidemap-model", &[]),
     ("server/map", "tidemap-map", &["tidemap-model"]),
+    ("server/picture", "tidemap-picture", &[]),
     ("server/plan", "tidemap-plan", &["tidemap-map", "tidemap-model"]),
     ("server/store", "tidemap-store", &["tidemap-map", "tidemap-migrations", "tidemap-model"]),
     ("proto", "tidemap-proto", &["tidemap-map", "tidemap-model", "tidemap-plan"]),
     (
         "server",
         "tidemapd",
-        &["tidemap-map", "tidemap-migrations", "tidemap-model", "tidemap-plan", "tidemap-proto", "tidemap-store"],
+        &[
+            "tidemap-map",
+            "tidemap-migrations",
+            "tidemap-model",
+            "tidemap-picture",
+            "tidemap-plan",
+            "tidemap-proto",
+            "tidemap-store",
+        ],
     ),
     ("client", "tidemap-client", &["tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-proto"]),
     (
@@ -43,7 +52,7 @@ const CRATES: [(&str, &str, &[&str]); 14] = [
         "tidemap-experiment",
         &["tidemap-formats", "tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-sim"],
     ),
-    ("client/formats", "tidemap-formats", &["tidemap-map", "tidemap-model"]),
+    ("client/formats", "tidemap-formats", &["tidemap-map", "tidemap-model", "tidemap-picture"]),
     ("client/sim", "tidemap-sim", &[]),
     ("tests", "tidemap-tests", &["tidemap-client", "tidemap-proto", "tidemap-sim"]),
     // The daemon on a disk with a planted fault. Nothing depends on it.
@@ -58,7 +67,7 @@ const APART: [(&str, &str, &[&str]); 2] = [
 ];
 
 /// Crates that do no I/O, read no clock and draw no hidden randomness.
-const PURE: [&str; 5] = ["server/model", "server/map", "server/plan", "client/formats", "client/sim"];
+const PURE: [&str; 6] = ["server/model", "server/map", "server/picture", "server/plan", "client/formats", "client/sim"];
 
 /// Names that a pure crate must not use.
 const IMPURE: [&str; 18] = [

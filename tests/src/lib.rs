@@ -8,6 +8,7 @@ pub mod answers;
 pub mod binaries;
 pub mod certificates;
 pub mod cli;
+pub mod collector;
 pub mod daemon;
 pub mod disk;
 pub mod feed;

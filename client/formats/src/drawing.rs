@@ -8,6 +8,8 @@ mod heat_map;
 pub use curves::{Curve, CurvePlot};
 pub use heat_map::HeatMap;
 
+pub(crate) use heat_map::{SHADES, text_bar};
+
 /// Columns of a drawing as text, without its margin.
 const COLUMNS: usize = 72;
 
@@ -26,24 +28,4 @@ fn label_line(labels: impl Iterator<Item = (usize, String)>) -> String {
         }
     }
     line
-}
-
-/// A number with three significant digits, for scales.
-fn short(number: f64) -> String {
-    let rounded: f64 = format!("{number:.2e}").parse().unwrap_or(number);
-    let is_plain = rounded == 0.0 || (1e-3..1e6).contains(&rounded.abs());
-    if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
-}
-
-/// The bar of a drawing whose metre takes `per_m` characters or pixels: its length, at most `most`, and its text; 1, 2
-/// or 5 times a power of ten metres. `None`: there is no such scale.
-pub(crate) fn scale_bar(per_m: f64, most: f64) -> Option<(f64, String)> {
-    let longest = most / per_m;
-    if !(longest.is_finite() && longest > 0.0) {
-        return None;
-    }
-    let power = 10_f64.powf(longest.log10().floor());
-    let metres =
-        [5.0, 2.0, 1.0].into_iter().map(|step| step * power).find(|metres| *metres <= longest * (1.0 + 1e-9))?;
-    Some((metres * per_m, format!("{} m", short(metres))))
 }

@@ -10,6 +10,7 @@ mod colour;
 mod cuts;
 pub mod drawing;
 mod error;
+pub mod grid_text;
 pub mod nav2;
 pub mod observation_file;
 pub mod octomap;
@@ -26,8 +27,9 @@ pub mod topology;
 pub mod topology_svg;
 pub mod tour_svg;
 
-pub use picture::{MapPicture, PictureCell, PictureError};
+pub use picture::{MapPicture, PictureCell, PictureError, PictureValue};
 pub use points::PointFile;
+pub use tidemap_picture::SCALE_MAX;
 
 /// Maximum number of points in a file.
 pub const POINTS_MAX: u64 = 50_000_000;

@@ -20,6 +20,28 @@ pub struct MapPicture {
     pub cells: Vec<PictureCell>,
 }
 
+/// What the values of a picture are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PictureValue {
+    /// The probability that a cell is occupied.
+    Probability,
+    /// The entropy of that probability, in bits.
+    Entropy,
+    /// 1 if the probability is at least this, else 0.
+    AtLeast(f64),
+}
+
+impl PictureValue {
+    /// As legends say it.
+    pub fn text(self) -> String {
+        match self {
+            Self::Probability => "probability of occupied".to_owned(),
+            Self::Entropy => "entropy in bits".to_owned(),
+            Self::AtLeast(probability) => format!("1 where the probability of occupied is at least {probability}"),
+        }
+    }
+}
+
 /// The prediction of a cell: the probability that it is occupied, or, in a picture of entropy, its entropy in bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs, reason = "see the type")]

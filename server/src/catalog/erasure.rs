@@ -131,6 +131,7 @@ impl Catalog {
             let states = states.as_ref().map(|states| states.iter().copied().collect());
             selection = Some((Selection { states, producers, from_nanos, to_nanos }, part.forgets));
         }
+        job.step("stop the writer");
         job.start(states.as_ref().map_or(0, |states| states.len() as u64), 0);
         let shown = LiveMap::new(Arc::clone(&spec)).publish();
         let (new, seat) = MapHandle::with_seat(id, Arc::clone(&spec), shown);
@@ -143,6 +144,7 @@ impl Catalog {
         old.replace();
         old.stop(Ending::Erasure).await;
         drop((old, view));
+        job.step("write again");
         let context = self.context.clone();
         let (erased, restored) = ended(tokio::task::spawn_blocking(move || {
             let erased = match &selection {

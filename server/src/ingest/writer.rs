@@ -64,7 +64,7 @@ mod update_run;
 use appends::Appends;
 use backlog::{Backlog, PENDING_LOAD_MAX};
 use edits::Edits;
-use saves::Saves;
+use saves::{Saves, checkpoint_span};
 use update_run::Updates;
 
 /// What a writer needs from the daemon.
@@ -394,10 +394,12 @@ impl Writer {
             let _ = hello.reply.send(Err(HelloError::Closing));
         }
         // History without its snapshot belongs to an update that is abandoned: the log has both.
-        if let Some(snapshot) = self.saves.take_unsaved().filter(|_| ending != Ending::MapDeleted)
-            && let Err(error) = self.context.store.save(self.id, &snapshot)
-        {
-            warn!(map = %self.map.spec().name, %error, "checkpoint not saved: the log has everything");
+        if let Some(snapshot) = self.saves.take_unsaved().filter(|_| ending != Ending::MapDeleted) {
+            let span = checkpoint_span(&self.map.spec().name, &snapshot);
+            if let Err(error) = self.context.store.save(self.id, &snapshot) {
+                span.fail("not saved: the log says why");
+                warn!(map = %self.map.spec().name, %error, "checkpoint not saved: the log has everything");
+            }
         }
         // The store too is released before the caller of the stop continues.
         drop(self);

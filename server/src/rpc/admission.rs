@@ -26,7 +26,7 @@ use tonic::{
 use tower_layer::Layer;
 
 use super::status::{RpcError, code_name};
-use crate::{access::table::method_name, connections::Peer};
+use crate::{access::table::method_name, connections::Peer, telemetry::traces::Span};
 
 /// A request of one message must arrive within this time.
 const ARRIVES_WITHIN: Duration = Duration::from_secs(30);
@@ -147,28 +147,38 @@ where
     }
 
     fn call(&mut self, request: http::Request<Body>) -> Answer {
-        if LASTING.contains(&request.uri().path()) {
-            return Box::pin(self.inner.call(request));
+        let method = method_name(request.uri().path());
+        if LASTING.contains(&method) {
+            let span = Span::of_request(request.headers(), method);
+            let answer = span.clone().scope(self.inner.call(request));
+            let end = RequestEnd { method: None, began: Instant::now(), code: None, span };
+            return Box::pin(count_until_end(answer, end, None));
         }
         let peer = request.extensions().get::<Peer>().copied().unwrap_or(Peer::Local);
         let count = match self.admission.count(peer) {
             Ok(count) => count,
             Err(error) => return Box::pin(std::future::ready(Ok(Status::from(error).into_http()))),
         };
-        let method = method_name(request.uri().path());
         let is_streamed = STREAMED.contains(&request.uri().path());
         let large = Arc::clone(&self.admission.large);
         let deadline = Box::pin(sleep(ARRIVES_WITHIN));
         let request =
             request.map(|body| Body::new(ArrivingBody { body, is_streamed, deadline, arrived: 0, large, held: None }));
-        let answer = self.inner.call(request);
-        let mut end = RequestEnd { method, began: Instant::now(), code: None };
-        Box::pin(async move {
-            let reply = answer.await?;
-            end.read(reply.headers());
-            Ok(reply.map(|body| Body::new(CountedBody { body, end, _count: count })))
-        })
+        let span = Span::of_request(request.headers(), method);
+        let answer = span.clone().scope(self.inner.call(request));
+        let end = RequestEnd { method: Some(method), began: Instant::now(), code: None, span };
+        Box::pin(count_until_end(answer, end, Some(count)))
     }
+}
+
+async fn count_until_end(
+    answer: impl Future<Output = Result<http::Response<Body>, Infallible>> + Send,
+    mut end: RequestEnd,
+    count: Option<RequestCount>,
+) -> Result<http::Response<Body>, Infallible> {
+    let reply = answer.await?;
+    end.read(reply.headers());
+    Ok(reply.map(|body| Body::new(CountedBody { body, end, _count: count })))
 }
 
 /// A request that arrives.
@@ -228,13 +238,15 @@ impl http_body::Body for ArrivingBody {
     }
 }
 
-/// How a request ended: its code and its duration go to the metrics when it is dropped.
+/// How a request ended: its code and its duration go to the metrics when it is dropped, and its span ends.
 #[derive(Debug)]
 struct RequestEnd {
-    method: &'static str,
+    /// For the metrics; `None`: they do not count it.
+    method: Option<&'static str>,
     began: Instant,
     /// `None`: the client left before the end.
     code: Option<Code>,
+    span: Span,
 }
 
 impl RequestEnd {
@@ -249,8 +261,14 @@ impl RequestEnd {
 impl Drop for RequestEnd {
     fn drop(&mut self) {
         let code = code_name(self.code.unwrap_or(Code::Cancelled));
-        metrics::counter!("tidemap_requests_total", "method" => self.method, "code" => code).increment(1);
-        metrics::histogram!("tidemap_request_duration_seconds", "method" => self.method).record(self.began.elapsed());
+        self.span.number("rpc.grpc.status_code", self.code.unwrap_or(Code::Cancelled) as u64);
+        if self.code != Some(Code::Ok) {
+            self.span.fail(code);
+        }
+        self.span.end();
+        let Some(method) = self.method else { return };
+        metrics::counter!("tidemap_requests_total", "method" => method, "code" => code).increment(1);
+        metrics::histogram!("tidemap_request_duration_seconds", "method" => method).record(self.began.elapsed());
     }
 }
 
@@ -258,7 +276,7 @@ impl Drop for RequestEnd {
 struct CountedBody {
     body: Body,
     end: RequestEnd,
-    _count: RequestCount,
+    _count: Option<RequestCount>,
 }
 
 impl http_body::Body for CountedBody {

@@ -17,6 +17,7 @@ use crate::{
     catalog::{Catalog, CatalogError},
     ingest::handle::{MapHandle, OpenProgress},
     state_or_cell::{KnownCell, StateOrCell},
+    telemetry::traces::Span,
 };
 
 /// How long a request waits for a map that is being opened.
@@ -60,7 +61,11 @@ pub(super) fn check_scope(name: &str) -> Result<(), RpcError> {
 pub(super) fn find_published(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
     check_scope(name)?;
     let caller = Caller::current();
-    catalog.get(name).map_err(|error| match error {
+    let found = catalog.get(name);
+    if found.is_ok() {
+        Span::current().text("tidemap.map", name);
+    }
+    found.map_err(|error| match error {
         CatalogError::Unknown(name) => {
             let all = catalog.all();
             let known = all.keys().map(|name| name.as_str()).filter(|name| caller.covers(name));

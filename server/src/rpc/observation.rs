@@ -44,6 +44,7 @@ use crate::{
         },
     },
     rpc::lookup::find_map,
+    telemetry::traces::Span,
 };
 
 pub(crate) mod open_streams;
@@ -118,7 +119,7 @@ impl Observations {
         let limits = self.limits;
         let room = (Arc::clone(&self.buffers), Arc::clone(&self.tables));
         let stopping = self.stopping.clone();
-        tokio::spawn(Caller::current().scope(async move {
+        tokio::spawn(Span::current().scope(Caller::current().scope(async move {
             let result = open_and_serve(catalog, limits, room, &mut entry, stopping, &mut requests, &replies).await;
             if let Err(error) = result {
                 debug!(%error, "stream ended");
@@ -126,7 +127,7 @@ impl Observations {
                 let _ = tokio::time::timeout(READ_WITHIN, replies.send(Err(error.into()))).await;
             }
             drop(entry);
-        }));
+        })));
         Ok(stream)
     }
 }

@@ -26,6 +26,8 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_streams_displaced_total", "Streams of observations that were silent and made room for others"),
     ("tidemap_connections_refused", "Connections refused because all others were busy"),
     ("tidemap_connections_silent", "Connections that made no request in time"),
+    ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
+    ("tidemap_spans_dropped_total", "Spans dropped because the collector did not take them in time"),
     ("tidemap_accept_errors", "Failures to accept a connection, such as a lack of descriptors"),
 ];
 

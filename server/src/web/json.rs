@@ -189,6 +189,13 @@ pub(super) async fn call(
     {
         request.metadata_mut().insert("authorization", token);
     }
+    for header in ["traceparent", "tracestate"] {
+        if let Some(context) = parts.headers.get(header)
+            && let Ok(context) = tonic::metadata::MetadataValue::try_from(context.as_bytes())
+        {
+            request.metadata_mut().insert(header, context);
+        }
+    }
     if let Some(peer) = parts.extensions.get::<crate::connections::Peer>() {
         request.extensions_mut().insert(*peer);
     }

@@ -17,8 +17,11 @@ use crate::{
     trouble::Watch,
 };
 
+mod commit_steps;
 mod sync_stats;
 
+use commit_steps::Followed;
+pub use commit_steps::{CommitFollower, CommitStep, GroupFollower};
 pub use sync_stats::SyncStats;
 use sync_stats::SyncTimes;
 
@@ -52,6 +55,8 @@ pub(crate) struct Committer {
     times: SyncTimes,
     /// Hears of a full disk, and of its end.
     pub(crate) watch: Watch,
+    /// Who follows the group commits.
+    pub(crate) followed: Followed,
     /// Set once and never cleared: after a failed fsync the content of the disk is unknown.
     poison: OnceLock<AppendError>,
 }
@@ -61,6 +66,15 @@ struct Group {
     log: Arc<Log>,
     events: Vec<EncodedEvent>,
     dones: Vec<Done>,
+    follower: Option<GroupFollower>,
+}
+
+impl Group {
+    fn step(&mut self, step: CommitStep) {
+        if let Some(follower) = &mut self.follower {
+            follower(step);
+        }
+    }
 }
 
 impl Committer {
@@ -152,7 +166,8 @@ impl Committer {
                 (append.done)(Err(error));
                 continue;
             }
-            let new_group = || Group { log: Arc::clone(&append.log), events: Vec::new(), dones: Vec::new() };
+            let new_group =
+                || Group { log: Arc::clone(&append.log), events: Vec::new(), dones: Vec::new(), follower: None };
             let group = groups.entry(append.log.map).or_insert_with(new_group);
             group.events.push(append.event);
             group.dones.push(append.done);
@@ -165,14 +180,18 @@ impl Committer {
     }
 
     /// Writes a group; `None` if that failed.
-    fn write(&self, group: Group) -> Option<Group> {
+    fn write(&self, mut group: Group) -> Option<Group> {
+        group.follower = self.followed.begin(group.log.map, group.events.iter().map(EncodedEvent::frame_length));
         let result = match &mut *group.log.writer.lock().unwrap_or_else(PoisonError::into_inner) {
             _ if self.poison.get().is_some() => Err(AppendError::AfterFailure),
             Some(writer) => writer.write(&group.events),
             None => Err(AppendError::Closed),
         };
         match result {
-            Ok(()) => Some(group),
+            Ok(()) => {
+                group.step(CommitStep::Written);
+                Some(group)
+            }
             Err(error) => {
                 self.fail(group, error);
                 None
@@ -181,7 +200,7 @@ impl Committer {
     }
 
     /// Makes a group durable and completes it.
-    fn sync(&self, group: Group) {
+    fn sync(&self, mut group: Group) {
         // Another log of this round may have failed.
         if let Some(error) = self.poison() {
             return self.fail(group, error);
@@ -196,6 +215,7 @@ impl Committer {
             Ok(end) => end,
             Err(error) => return self.fail(group, error),
         };
+        group.step(CommitStep::Durable);
         let first = end + 1 - group.events.len() as u64;
         let mut bytes = 0;
         let mut updates = Vec::new();
@@ -213,7 +233,8 @@ impl Committer {
     }
 
     /// Completes a group with an error. Later appends to the same log fail too.
-    fn fail(&self, group: Group, error: AppendError) {
+    fn fail(&self, mut group: Group, error: AppendError) {
+        group.step(CommitStep::Failed);
         // Set before the first completion, because a completion may make the writer try again.
         group.log.fail();
         if error == AppendError::DiskFull {

@@ -33,7 +33,7 @@ mod tests;
 
 pub use backup::{BackupError, BackupReport, restore};
 pub use check::{Checked, Finding, check};
-pub use committer::SyncStats;
+pub use committer::{CommitFollower, CommitStep, GroupFollower, SyncStats};
 pub use erasure::Erased;
 pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, Scanner, StoreError};
 pub use history::{GridDays, History, HistorySizes, StateFiles};

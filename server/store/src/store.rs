@@ -15,7 +15,7 @@ use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec, update::SpectrumRoom};
 use crate::{
     MapId,
     checkpoint::{Checkpoints, spectra},
-    committer::{Committer, SyncStats},
+    committer::{CommitFollower, Committer, SyncStats},
     disk::Disk,
     error::{HistoryError, Report, StoreError, store_io},
     history::History,
@@ -380,6 +380,11 @@ impl Store {
         let inner = &*self.inner;
         let folder = catalogue::checkpoints_folder(&inner.directory, map);
         spectra::room(Arc::clone(&inner.disk), &folder, inner.options.spectrum_cache_bytes)
+    }
+
+    /// Lets somebody follow the group commits from now on; one follower only.
+    pub fn follow_commits(&self, follower: CommitFollower) {
+        self.inner.committer.followed.set(follower);
     }
 
     /// Durations of fdatasync calls on the logs.

@@ -51,6 +51,36 @@ async fn daemon_with_a_grid() -> (TempDir, Daemon) {
     (data, daemon)
 }
 
+/// A grid of 0.5 m with heights: one tile whose lowest layer, the floor, is occupied, and whose layers from 0.5 m to
+/// 1.5 m are free but for one column.
+async fn daemon_with_heights() -> (TempDir, Daemon) {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let map = NewMap { name: "hall".to_owned(), grid: Some(GridSpec::new(0.5)), ..NewMap::default() };
+    daemon.client().create_map(map).await.expect("a new map");
+    let options = ProducerOptions::new("robot", "", "hall");
+    let mut producer = Producer::open(&daemon.client(), options).await.expect("a Welcome");
+    let masks =
+        TileMasks::clipped(Mask([u64::MAX, u64::MAX, u64::MAX, 0, 0, 0, 0, 0]), Mask([u64::MAX, 0, 1, 0, 0, 0, 0, 0]));
+    let scan = Scan::Tiles(vec![(TileIndex { x: 0, y: 0, z: 0 }, masks)]);
+    producer.send_scan(NOON_SECS * 1_000_000_000, scan).await.expect("taken");
+    producer.flush().await.expect("durable");
+    oracle::run_update(&daemon.client(), "hall", Some((NOON_SECS + 60) * 1_000_000_000)).await;
+    (data, daemon)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn heights_of_a_grid_are_selected() {
+    let (_data, daemon) = daemon_with_heights().await;
+    let get = |ranges: &str| get(&daemon, &format!("hall/grid.png?at={}{ranges}", NOON_SECS + 3_600), &[]);
+    let column = [vec![0; 7 * 8], vec![254], vec![0; 7]].concat();
+    assert_eq!(pixels(&get("&z=0.5:1.8")), (8, 8, column.clone()), "above the floor");
+    assert_eq!(pixels(&get("&z=0.5:1")), (8, 8, vec![0; 64]));
+    assert_eq!(pixels(&get("")), (8, 8, vec![254; 64]), "from 0.1 m, which is within the floor's cells");
+    let none = get("&z=9:10");
+    assert!(none.code == 400 && none.text().contains("0.00 m to 4.00 m"), "{none:?}");
+}
+
 /// Width, height and pixels.
 fn pixels(answer: &Answer) -> (u32, u32, Vec<u8>) {
     assert_eq!((answer.code, answer.headers["content-type"].as_str()), (200, "image/png"), "{}", answer.text());
@@ -76,6 +106,23 @@ async fn a_grid_is_a_picture_at_a_time() {
     assert_eq!(pixels(&part), (6, 3, vec![0; 18]));
     assert_eq!(part.headers["tidemap-lower-left-m"], "5 0");
     assert!(part.headers["tidemap-metres-per-pixel"].starts_with("0.1666"), "{part:?}");
+
+    // For people: larger cells, and below them what the colours mean.
+    let framed = get(&daemon, &format!("yard/grid.png?at={later}&legend=true"), &[]);
+    assert_eq!((framed.code, framed.headers["tidemap-metres-per-pixel"].as_str()), (200, "0.03125"), "{framed:?}");
+    let mut reader = png::Decoder::new(Cursor::new(&framed.body)).read_info().expect("a PNG");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
+    let frame = reader.next_frame(&mut pixels).expect("a frame");
+    assert_eq!(frame.color_type, png::ColorType::Rgb);
+    assert!(frame.width > 8 * 16 && frame.height > 8 * 16 + 60, "{frame:?}");
+    // Not observed, occupied, free, as the palette has them.
+    let at = |y: usize| &pixels[y * 16 * frame.width as usize * 3..][..3];
+    assert_eq!((at(0), at(6), at(7)), (&[255; 3][..], &[253, 231, 37][..], &[68, 1, 84][..]));
+    for wrong in ["legend=yes", "scale=0", "scale=17", "scale=wide"] {
+        let answer = get(&daemon, &format!("yard/grid.png?{wrong}"), &[]);
+        let value = wrong.split_once('=').expect("a value").1;
+        assert!(answer.code == 400 && answer.text().contains(value), "{wrong}: {answer:?}");
+    }
 
     let whole = get(&daemon, &format!("yard/grid.png?at={later}"), &[]);
     assert_eq!(whole.headers["cache-control"], "private, no-cache");

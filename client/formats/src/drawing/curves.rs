@@ -4,7 +4,9 @@
 
 use std::fmt::Write as _;
 
-use super::{BARS, COLUMNS, label_line, short};
+use tidemap_picture::short;
+
+use super::{BARS, COLUMNS, label_line};
 use crate::svg::{
     Svg,
     chart::{CHART_WIDTH, FONT_SIZE, HEADING, Scale, text_width},

@@ -4,7 +4,9 @@
 
 use std::fmt::Write as _;
 
-use super::{label_line, scale_bar, short};
+use tidemap_picture::{scale_bar, short};
+
+use super::label_line;
 use crate::{
     colour::changing,
     svg::{
@@ -17,11 +19,17 @@ use crate::{
 /// Maximum number of columns of which each takes two characters.
 const WIDE: usize = 36;
 /// From the least value to the greatest.
-const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
+pub(crate) const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
 
 /// Maximum length of a scale bar, in characters and in pixels.
 const TEXT_BAR_MAX: f64 = 30.0;
 const SVG_BAR_MAX: f64 = 180.0;
+
+/// The scale bar of a map as text, of which a metre takes `per_m` characters.
+pub(crate) fn text_bar(per_m: f64) -> Option<String> {
+    let (length, metres) = scale_bar(per_m, TEXT_BAR_MAX)?;
+    Some(format!("scale: ├{}┤ {metres}", "─".repeat((length.round() as usize).saturating_sub(2))))
+}
 
 /// Values in rows and columns.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -92,9 +100,8 @@ impl HeatMap {
         let shades: Vec<String> = SHADES.iter().map(ToString::to_string).collect();
         let [low, high] = self.range.map(short);
         let _ = writeln!(text, "  {}: {low} {} {high}", self.unit, shades.join(" "));
-        let bar = self.cell_m.and_then(|cell_m| scale_bar(step as f64 / cell_m, TEXT_BAR_MAX));
-        if let Some((length, metres)) = bar {
-            let _ = writeln!(text, "  scale: ├{}┤ {metres}", "─".repeat((length.round() as usize).saturating_sub(2)));
+        if let Some(bar) = self.cell_m.and_then(|cell_m| text_bar(step as f64 / cell_m)) {
+            let _ = writeln!(text, "  {bar}");
         }
         text
     }

@@ -2,8 +2,10 @@
 //!
 //! Invariant: the legend stands below the drawing and explains only what is drawn.
 
+use tidemap_picture::scale_bar;
+
 use super::{GREY, PATH, presence_colour, success_colour};
-use crate::{drawing::scale_bar, svg::Svg};
+use crate::svg::Svg;
 
 /// Height of the legend, pixels.
 pub(super) const HEIGHT: f64 = 96.0;

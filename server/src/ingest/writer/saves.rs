@@ -13,11 +13,16 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_map::{grid::paging::SavedTiles, history::HistoryPiece, live_map::LiveMap, snapshot::MapSnapshot};
+use tidemap_map::{
+    grid::paging::SavedTiles, history::HistoryPiece, live_map::LiveMap, name::MapName, snapshot::MapSnapshot,
+};
 use tracing::{debug, warn};
 
 use super::Writer;
-use crate::ingest::protocol::{Command, HistoryTail, ReadHistory, SavedGrid};
+use crate::{
+    ingest::protocol::{Command, HistoryTail, ReadHistory, SavedGrid},
+    telemetry::traces::Span,
+};
 
 #[cfg(test)]
 mod tests;
@@ -186,6 +191,14 @@ impl Saves {
     }
 }
 
+/// The span of a save, which begins now.
+pub(super) fn checkpoint_span(map: &MapName, snapshot: &MapSnapshot) -> Span {
+    let span = Span::root("checkpoint");
+    span.text("tidemap.map", map);
+    span.number("tidemap.generation", snapshot.generation);
+    span
+}
+
 impl Writer {
     /// Whether the newest snapshot should be saved.
     pub(super) fn is_save_due(&self) -> bool {
@@ -196,6 +209,7 @@ impl Writer {
     pub(super) fn save(&mut self) {
         let Some(snapshot) = self.saves.begin() else { return };
         let (store, id, commands) = (Arc::clone(&self.context.store), self.id, self.commands.clone());
+        let span = checkpoint_span(&self.map.spec().name, &snapshot);
         let spawned = std::thread::Builder::new().name(format!("save-{}", id.0)).spawn(move || {
             let saved = catch_unwind(AssertUnwindSafe(|| store.save(id, &snapshot)));
             let saved = match saved {
@@ -203,6 +217,10 @@ impl Writer {
                 Ok(Err(error)) => Err((error.to_string(), snapshot)),
                 Err(_) => Err(("saving panicked; this is a defect of tidemap".to_owned(), snapshot)),
             };
+            if saved.is_err() {
+                span.fail("not saved: the log says why");
+            }
+            span.end();
             // The store is released before the answer, which a stop may be waiting for.
             drop(store);
             // During a stop nobody waits: the log has what is not saved.

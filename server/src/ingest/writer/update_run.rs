@@ -194,6 +194,7 @@ impl Writer {
         // There is no room beside the update for the snapshot that it replaces.
         self.saves.drop_unsaved();
         job.start(work.states(), work.observations());
+        job.step("learn");
         self.updates.begin(job, work.from_nanos(), work.start().cut_nanos);
         let commands = self.commands.clone();
         let (context, id, map) = (self.context.clone(), self.id, self.map.spec().name.clone());
@@ -232,6 +233,7 @@ impl Writer {
             Err(reason) => return self.give_up(job, reason),
         };
         let cells = result.grid_outcome().copied();
+        job.step("publish");
         self.context.jobs.set_report(job, Report { cells, states: result.outcomes().to_vec() });
         let states = result.outcomes().len();
         let tiles = cells.map_or(0, |cells| cells.tiles);

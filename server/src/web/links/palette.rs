@@ -3,13 +3,12 @@
 //! Invariant: entry 255 is for what is not known, and is transparent; entries 0 to 254 stand for 0 to 1. A test
 //! compares the colours with those of the page.
 
+use tidemap_picture::{Colour, LegendRow};
+
 /// The index of a value that is not known.
 pub(super) const UNKNOWN: u8 = 255;
 /// The index that stands for 1.
 pub(super) const FULL: u8 = 254;
-
-/// Red, green, blue.
-type Colour = [u8; 3];
 
 const VIRIDIS: [Colour; 9] = [
     [68, 1, 84],
@@ -67,7 +66,25 @@ impl Layer {
         ("difference", Self::Difference),
     ];
 
-    fn colour(self, share: f64) -> Colour {
+    /// The colours of a legend, from the lowest value to the highest, and what they mean.
+    pub(super) fn legend(self) -> LegendRow {
+        const STEPS: u8 = 16;
+        let colours = |colour: &dyn Fn(f64) -> Colour| {
+            (0..=STEPS).map(|step| colour(f64::from(step) / f64::from(STEPS))).collect()
+        };
+        let of_value = |share: f64| self.colour(share);
+        match self {
+            Self::Probability => LegendRow::new(colours(&of_value), "probability of occupied, 0 to 1"),
+            Self::Entropy => LegendRow::new(colours(&|bits| mix(&CIVIDIS, bits)), "entropy in bits, 0 to 1"),
+            Self::Seen => LegendRow::new(colours(&of_value), "seen last: 0 free, 1 occupied"),
+            Self::Difference => {
+                LegendRow::new(colours(&of_value), "difference of the probability of occupied, -1 to 1")
+            }
+        }
+    }
+
+    /// The colour of a value from 0 to 1.
+    pub(super) fn colour(self, share: f64) -> Colour {
         match self {
             Self::Probability | Self::Seen => mix(&VIRIDIS, share),
             Self::Entropy => mix(&CIVIDIS, tidemap_model::entropy_bits(share)),

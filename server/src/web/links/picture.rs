@@ -8,6 +8,7 @@ use axum::{
     http::{HeaderMap, HeaderValue},
     response::Response,
 };
+use tidemap_picture::{Canvas, Legend, LegendRow, SCALE_MAX, fitting_scale};
 use tidemap_proto::{
     convert::time::timestamp,
     v1::{self, predict_grid_response::Message, query_service_client::QueryServiceClient},
@@ -25,10 +26,10 @@ use super::{
 const SIDE_MAX: i64 = 8192;
 /// Maximum number of pixels.
 const PIXELS_MAX: i64 = 1 << 24;
-/// Maximum number of pixels along the side of a cell.
-const SCALE_MAX: u32 = 16;
 /// Maximum size of one reply of the RPC.
 const REPLY_BYTES: usize = 8 << 20;
+/// Cells that were not observed, in a picture with a legend.
+const BLANK: [u8; 3] = [255; 3];
 /// Heights that matter to a robot, metres; the floor and the ceiling are always occupied.
 const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
 /// Cells along the side of a tile.
@@ -58,7 +59,17 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
     },
     Parameter { name: "x", description: "Only cells within MIN:MAX, metres along x. Default: all.", example: "" },
     Parameter { name: "y", description: "Only cells within MIN:MAX, metres along y. Default: all.", example: "" },
-    Parameter { name: "scale", description: "Pixels along the side of a cell, 1 to 16. Default: 1.", example: "4" },
+    Parameter {
+        name: "scale",
+        description: "Pixels along the side of a cell, 1 to 16, or `fit` for a size that can be read. Default: 1, or \
+                      `fit` with a legend.",
+        example: "4",
+    },
+    Parameter {
+        name: "legend",
+        description: "`true`: a legend and a scale bar below the picture, for people. Default: `false`.",
+        example: "true",
+    },
 ];
 
 /// Cells of columns with their values, rows from south to north.
@@ -108,6 +119,18 @@ impl PixelColumns {
                 (now, before) => ((u16::from(now) + u16::from(FULL) - u16::from(before)) / 2) as u8,
             };
         }
+    }
+
+    /// The picture as a PNG file with a legend below it.
+    fn framed_png(&self, layer: Layer, scale: u32, legend: &Legend) -> Result<Vec<u8>, Failure> {
+        let [width, _] = sides(&self.region);
+        let width = usize::try_from(width).unwrap_or(0).max(1);
+        let colour = |&cell: &u8| {
+            if cell == UNKNOWN { BLANK } else { layer.colour(f64::from(cell) / f64::from(FULL)) }
+        };
+        let cells = self.cells.chunks(width).rev().flatten().map(colour);
+        let framed = legend.below(&Canvas::of_cells(width, cells, scale));
+        framed.png().map_err(|error| Failure::from(tonic::Status::internal(error.to_string())))
     }
 
     /// The picture as a PNG file.
@@ -187,7 +210,9 @@ struct Wanted {
     /// The time that layer `difference` compares with.
     than: Option<i64>,
     layer: Layer,
-    scale: u32,
+    /// Pixels along the side of a cell; none: as many as the picture needs to be read.
+    scale: Option<u32>,
+    has_legend: bool,
     ranges: [Option<(f64, f64)>; 3],
 }
 
@@ -198,9 +223,22 @@ impl Wanted {
             let names = Layer::ALL.map(|(name, _)| name).join(", ");
             return Err(Failure::Invalid(format!("there is no layer {layer:.40}: the layers are {names}")));
         };
-        let scale = given.get("scale").unwrap_or("1");
-        let Some(scale) = scale.parse().ok().filter(|scale| (1..=SCALE_MAX).contains(scale)) else {
-            return Err(Failure::Invalid(format!("scale={scale:.40} is not a number from 1 to {SCALE_MAX}")));
+        let has_legend = match given.get("legend") {
+            None | Some("false") => false,
+            Some("true") => true,
+            Some(legend) => return Err(Failure::Invalid(format!("legend={legend:.40} is neither true nor false"))),
+        };
+        let scale = match given.get("scale") {
+            None if has_legend => None,
+            None => Some(1),
+            Some("fit") => None,
+            Some(text) => match text.parse().ok().filter(|scale| (1..=SCALE_MAX).contains(scale)) {
+                None => {
+                    let right = format!("scale={text:.40} is not a number from 1 to {SCALE_MAX}, nor fit");
+                    return Err(Failure::Invalid(right));
+                }
+                scale => scale,
+            },
         };
         let at = time(given.get("at").unwrap_or("now"))?;
         let than = match (given.get("than").map(time).transpose()?, layer) {
@@ -211,7 +249,7 @@ impl Wanted {
             (than, _) => than,
         };
         let ranges = [given.range("x")?, given.range("y")?, given.range("z")?];
-        Ok(Self { map, at, than, layer, scale, ranges })
+        Ok(Self { map, at, than, layer, scale, has_legend, ranges })
     }
 
     fn question(&self, at: i64, region: Option<v1::CellBox>) -> v1::PredictGridRequest {
@@ -221,9 +259,29 @@ impl Wanted {
             time: Some(timestamp(at)),
             model: (self.layer == Layer::Seen).then_some(latest),
             estimate_only: region.is_none(),
+            // The bounds of the grid are wanted with all its heights.
+            project: region.is_some(),
             region,
-            project: true,
             ..v1::PredictGridRequest::default()
+        }
+    }
+
+    /// Pixels along the side of a cell of a region.
+    fn scale_of(&self, region: &v1::CellBox) -> u32 {
+        self.scale.unwrap_or_else(|| {
+            let [width, height] = sides(region).map(|side| u32::try_from(side).unwrap_or(u32::MAX));
+            fitting_scale(width, height)
+        })
+    }
+
+    /// What stands below a picture.
+    fn legend(&self, metres_per_pixel: f64) -> Legend {
+        let text = tidemap_map::time::format_rfc3339;
+        let than = self.than.map_or_else(String::new, |than| format!(", compared with {}", text(than)));
+        Legend {
+            caption: format!("{} at {}{than}", self.map, text(self.at)),
+            rows: vec![self.layer.legend(), LegendRow::new(vec![BLANK], "not observed")],
+            metres_per_pixel,
         }
     }
 
@@ -240,7 +298,7 @@ impl Wanted {
             None => heights.usual(),
         };
         let region = v1::CellBox { min_x: x.0, max_x: x.1, min_y: y.0, max_y: y.1, min_z: z.0, max_z: z.1 };
-        let [width, height] = sides(&region).map(|side| side * i64::from(self.scale));
+        let [width, height] = sides(&region).map(|side| side * i64::from(self.scale_of(&region)));
         if width > SIDE_MAX || height > SIDE_MAX || width * height > PIXELS_MAX {
             return Err(Failure::TooLarge(format!(
                 "the picture would have {width} × {height} pixels; at most {SIDE_MAX} along a side and {PIXELS_MAX} in \
@@ -298,12 +356,14 @@ async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Resp
         let (before, _) = columns(gateway, &caller, &wanted, than, region).await?;
         now.minus(&before);
     }
+    let scale = wanted.scale_of(&region);
+    let metres_per_pixel = grid.resolution_m / f64::from(scale);
     let mut facts = HeaderMap::new();
     let corner = |origin: f64, cell: i32| origin + f64::from(cell) * grid.resolution_m;
     for (name, value) in [
         ("tidemap-time", tidemap_map::time::format_rfc3339(wanted.at)),
         ("tidemap-generation", generation.to_string()),
-        ("tidemap-metres-per-pixel", (grid.resolution_m / f64::from(wanted.scale)).to_string()),
+        ("tidemap-metres-per-pixel", metres_per_pixel.to_string()),
         (
             "tidemap-lower-left-m",
             format!("{} {}", corner(grid.origin_x_m, region.min_x), corner(grid.origin_y_m, region.min_y)),
@@ -313,7 +373,12 @@ async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Resp
             facts.insert(name, value);
         }
     }
-    let file = in_turn(gateway, move || now.png(wanted.layer, wanted.scale)).await?;
+    let legend = wanted.has_legend.then(|| wanted.legend(metres_per_pixel));
+    let file = in_turn(gateway, move || match legend {
+        Some(legend) => now.framed_png(wanted.layer, scale, &legend),
+        None => now.png(wanted.layer, scale),
+    })
+    .await?;
     Ok(caller.answer("image/png", file, facts))
 }
 

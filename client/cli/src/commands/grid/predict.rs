@@ -3,13 +3,15 @@
 //! Invariant: a file is written only after the whole prediction has arrived; unknown cells stay unknown.
 
 use std::{
+    io::{self, Write as _},
     path::{Path, PathBuf},
     process::ExitCode,
+    str::FromStr,
 };
 
 use clap::{Args, ValueEnum};
 use tidemap_client::{
-    maps::{CellBox, CellIndex, Map},
+    maps::{CellBox, CellIndex, GridSpec, Map},
     queries::{CellPrediction, GridOutput, GridQuery, ModelSelector, ORDER_MAX, PredictedGrid},
 };
 
@@ -18,7 +20,13 @@ use crate::{
     commands::{Session, UsageError, files, predict::check_for_cells, times, usage},
     progress::status_line,
 };
-use tidemap_formats::{CELLS_MAX, MapPicture, PictureCell, cells_csv, nav2, ply, png, table::Cell};
+use tidemap_formats::{
+    CELLS_MAX, MapPicture, PictureCell, PictureValue, SCALE_MAX, cells_csv, grid_text, nav2, ply, png,
+    table::{Cell, Format},
+};
+
+/// Heights that matter to a robot, metres: without the floor and the ceiling, which are always occupied.
+const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
 
 #[derive(Debug, Args)]
 pub(crate) struct GridPredictArgs {
@@ -27,22 +35,26 @@ pub(crate) struct GridPredictArgs {
     /// Time of the prediction
     #[arg(long, value_name = "TIME", value_parser = times::time)]
     at: i64,
-    /// File to write: .pgm (with a .yaml beside it), .png, .csv or .ply
+    /// File to write: .pgm (with a .yaml beside it), .png, .csv or .ply [default: a picture in the terminal]
     #[arg(long, value_name = "PATH")]
-    out: PathBuf,
+    out: Option<PathBuf>,
+    /// Draws the map for people, with a legend and a scale bar: in the terminal, or as a .png file. Without FILE it is
+    /// the last option
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-", conflicts_with = "out")]
+    picture: Option<PathBuf>,
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
     /// Model: auto, mean, latest or spectral, each optionally with +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
-    /// Only cells between these heights, metres
+    /// Only cells between these heights, metres [default: all; 0.1:1.8 for people, if the grid has cells there]
     #[arg(long, value_name = "MIN:MAX", allow_hyphen_values = true)]
     z: Option<AxisRange>,
     /// Only cells in this rectangle, metres
     #[arg(long, value_name = "X0:X1,Y0:Y1", allow_hyphen_values = true)]
     region: Option<Rectangle>,
-    /// Projects the cells to one layer: each column becomes its most probable cell; always done for .pgm and .png
+    /// Projects the cells to one layer: each column becomes its most probable cell; always done for pictures
     #[arg(long)]
     project: bool,
     /// Writes the entropy in bits instead of the probability
@@ -54,9 +66,26 @@ pub(crate) struct GridPredictArgs {
     /// Encoding of probabilities in a .pgm file [default: trinary, or raw for entropies]
     #[arg(long, value_name = "MODE")]
     pgm_mode: Option<PgmMode>,
-    /// Pixels along the side of a cell in a .png file, 1 to 16
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
-    scale: u32,
+    /// Pixels along the side of a cell in a .png file, 1 to 16, or fit for a size that can be read; the picture then
+    /// has a legend and a scale bar below it [default: 1, without them; fit with --picture]
+    #[arg(long, value_name = "N|fit")]
+    scale: Option<ScaleArg>,
+}
+
+/// How large a cell is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct ScaleArg(Option<u32>);
+
+impl FromStr for ScaleArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse() {
+            _ if text == "fit" => Ok(Self(None)),
+            Ok(pixels) if (1..=SCALE_MAX).contains(&pixels) => Ok(Self(Some(pixels))),
+            _ => Err(format!("{text:?} is not a scale: use 1 to {SCALE_MAX} pixels, or fit")),
+        }
+    }
 }
 
 /// The modes of Nav2's map server.
@@ -81,6 +110,15 @@ enum OutputKind {
     Png,
     Csv,
     Ply,
+    /// Text for a terminal.
+    Drawing,
+}
+
+impl OutputKind {
+    /// Whether it has one layer.
+    fn is_flat(self) -> bool {
+        matches!(self, Self::Pgm | Self::Png | Self::Drawing)
+    }
 }
 
 fn kind(path: &Path) -> Result<OutputKind, UsageError> {
@@ -93,8 +131,32 @@ fn kind(path: &Path) -> Result<OutputKind, UsageError> {
     }
 }
 
+impl GridPredictArgs {
+    /// Where the map goes: a file, or the terminal.
+    fn target(&self, format: Format) -> anyhow::Result<(OutputKind, Option<&Path>)> {
+        let picture = self.picture.as_deref();
+        match (&self.out, picture.filter(|path| path.as_os_str() != "-")) {
+            (Some(out), _) => Ok((kind(out)?, Some(out))),
+            (None, Some(path)) if files::ending(path).as_deref() == Some("png") => Ok((OutputKind::Png, Some(path))),
+            (None, Some(path)) => Err(usage(format!("--picture {}: its ending has to be .png", path.display()))),
+            (None, None) if picture.is_some() || format == Format::Table => Ok((OutputKind::Drawing, None)),
+            (None, None) => Err(usage(
+                "name the file to write with --out FILE.png, .pgm, .csv or .ply, or draw in the terminal with --picture",
+            )),
+        }
+    }
+
+    fn value(&self) -> PictureValue {
+        match self.threshold {
+            Some(threshold) => PictureValue::AtLeast(threshold),
+            None if self.entropy => PictureValue::Entropy,
+            None => PictureValue::Probability,
+        }
+    }
+}
+
 pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Result<ExitCode> {
-    let kind = kind(&args.out)?;
+    let (kind, path) = args.target(session.format)?;
     if args.order.is_some() && !args.model.kind.has_order() {
         let text = format!("--order does not go with --model {}: only auto and spectral have one", args.model);
         return Err(usage(text));
@@ -103,8 +165,8 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     if args.entropy && kind == OutputKind::Csv {
         return Err(usage("a .csv file has the entropy in a column of its own: leave out --entropy"));
     }
-    if args.scale != 1 && kind != OutputKind::Png {
-        return Err(UsageError(format!("--scale {}: only a .png file can be scaled", args.scale)).into());
+    if args.scale.is_some() && kind != OutputKind::Png {
+        return Err(usage("--scale goes with a .png file only"));
     }
     if args.pgm_mode.is_some() && kind != OutputKind::Pgm {
         return Err(usage("--pgm-mode goes with --out FILE.pgm only"));
@@ -114,11 +176,11 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
         time_nanos: args.at,
         model: ModelSelector { order: args.order.map(|order| order as usize), ..args.model },
         region: region(session, &args).await?,
-        is_projected: args.project || matches!(kind, OutputKind::Pgm | OutputKind::Png),
-        output: match args.threshold {
-            Some(threshold) => GridOutput::Threshold(threshold),
-            None if args.entropy => GridOutput::Entropy,
-            None => GridOutput::Probability,
+        is_projected: args.project || kind.is_flat(),
+        output: match args.value() {
+            PictureValue::AtLeast(threshold) => GridOutput::Threshold(threshold),
+            PictureValue::Entropy => GridOutput::Entropy,
+            PictureValue::Probability => GridOutput::Probability,
         },
     };
     let predicted = session.client.predict_grid(&query).await?;
@@ -131,19 +193,34 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     );
     let predicted = predicted.whole().await?;
     let picture = picture(&predicted);
-    write(kind, &picture, &args)?;
-    let is_picture = matches!(kind, OutputKind::Pgm | OutputKind::Png);
-    if is_picture && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
+    let caption = format!(
+        "{} at {}{}",
+        args.map,
+        session.times.heading(args.at),
+        heights_text(&predicted.header.grid, query.region)
+    );
+    match path {
+        Some(path) => write((kind, path), &picture, &args, &caption)?,
+        None => io::stdout().write_all(grid_text::write(&picture, args.value(), &caption)?.as_bytes())?,
+    }
+    if kind.is_flat() && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
         status_line("every column is occupied at some height: choose heights with --z MIN:MAX");
     }
     let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
+    let known = count(|cell| *cell != PictureCell::Unknown);
+    let changing = count(|cell| matches!(cell, PictureCell::Changing { .. }));
+    let Some(path) = path else {
+        let all = picture.cells.len();
+        status_line(&format!("{all} cells, {known} known, {changing} with a model; --out FILE writes them to a file"));
+        return Ok(ExitCode::SUCCESS);
+    };
     session.print(
         &["out", "cells", "known", "changing", "generation"],
         [vec![
-            Cell::Text(args.out.display().to_string()),
+            Cell::Text(path.display().to_string()),
             (picture.cells.len() as u64).into(),
-            count(|cell| *cell != PictureCell::Unknown).into(),
-            count(|cell| matches!(cell, PictureCell::Changing { .. })).into(),
+            known.into(),
+            changing.into(),
             predicted.header.generation.into(),
         ]],
     )
@@ -151,7 +228,8 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
 
 /// The requested cells; `None` for all.
 async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Option<CellBox>> {
-    if args.region.is_none() && args.z.is_none() {
+    let is_for_people = args.out.is_none();
+    if args.region.is_none() && args.z.is_none() && !is_for_people {
         return Ok(None);
     }
     let map = session.client.map(&args.map).await?;
@@ -161,7 +239,10 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
     }
     // Without observations the prediction is empty, whatever the region.
     let Some(bounds) = map.grid_summary.and_then(|summary| summary.bounds) else { return Ok(None) };
-    let region = cells(&grid, &bounds, args.region, args.z);
+    let has_layers = |region: &CellBox| region.min.z < bounds.max.z && region.max.z > bounds.min.z;
+    let usual = Some(cells(&grid, &bounds, args.region, Some(AxisRange::new(HEIGHTS_M.0, HEIGHTS_M.1))))
+        .filter(|region| is_for_people && !grid.is_flat && args.z.is_none() && has_layers(region));
+    let region = usual.unwrap_or_else(|| cells(&grid, &bounds, args.region, args.z));
     Ok(Some(if grid.is_flat {
         CellBox { min: CellIndex { z: 0, ..region.min }, max: CellIndex { z: 1, ..region.max } }
     } else {
@@ -174,6 +255,15 @@ pub(crate) fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
     let grid = map.grid.as_ref().filter(|grid| !grid.is_flat)?;
     let bounds = map.grid_summary.as_ref()?.bounds.as_ref()?;
     Some(cells(grid, bounds, None, Some(AxisRange::new(from_m, to_m))))
+}
+
+/// The heights of a region as captions say them.
+fn heights_text(grid: &GridSpec, region: Option<CellBox>) -> String {
+    let metres = |cell: i32| (grid.origin_m[2] + f64::from(cell) * grid.resolution_m) as f32;
+    match region {
+        Some(CellBox { min, max }) if !grid.is_flat => format!(", {} to {} m", metres(min.z), metres(max.z)),
+        _ => String::new(),
+    }
 }
 
 /// Whether there are known cells, and all of them are rather occupied than free.
@@ -215,10 +305,19 @@ pub(crate) fn picture(predicted: &PredictedGrid) -> MapPicture {
     }
 }
 
-fn write(kind: OutputKind, picture: &MapPicture, args: &GridPredictArgs) -> anyhow::Result<()> {
-    let out = &args.out;
+fn write(
+    (kind, out): (OutputKind, &Path),
+    picture: &MapPicture,
+    args: &GridPredictArgs,
+    caption: &str,
+) -> anyhow::Result<()> {
     match kind {
-        OutputKind::Png => files::write(out, png::write(picture, args.scale)?),
+        OutputKind::Drawing => files::write(out, grid_text::write(picture, args.value(), caption)?),
+        OutputKind::Png if args.picture.is_none() && args.scale.is_none() => files::write(out, png::write(picture, 1)?),
+        OutputKind::Png => {
+            let scale = args.scale.and_then(|ScaleArg(scale)| scale);
+            files::write(out, png::write_for_people(picture, scale, args.value(), caption)?)
+        }
         OutputKind::Csv => files::write(out, cells_csv::write(picture)?),
         OutputKind::Ply => files::write(out, ply::write(picture)?),
         OutputKind::Pgm => {
@@ -237,10 +336,7 @@ fn write(kind: OutputKind, picture: &MapPicture, args: &GridPredictArgs) -> anyh
 
 #[cfg(test)]
 mod tests {
-    use tidemap_client::{
-        maps::GridSpec,
-        queries::{GridHeader, PredictedTile},
-    };
+    use tidemap_client::queries::{GridHeader, PredictedTile};
 
     use super::*;
 
@@ -273,6 +369,11 @@ mod tests {
     fn an_ending_says_what_to_write() {
         assert_eq!(kind(Path::new("a/map.PGM")).ok(), Some(OutputKind::Pgm));
         assert!(kind(Path::new("map.tif")).is_err_and(|error| error.0.contains(".pgm, .png, .csv or .ply")));
+        assert_eq!(
+            ["fit", "1", "16"].map(|text| text.parse().ok()),
+            [None, Some(1), Some(16)].map(|n| Some(ScaleArg(n)))
+        );
+        assert!(["0", "17", "", "x"].iter().all(|text| text.parse::<ScaleArg>().is_err()));
         assert!(threshold("0").is_err() && threshold("1.1").is_err() && threshold("1").is_ok());
     }
 }

@@ -1,0 +1,55 @@
+//! What a port lacks that others than this machine can reach.
+//!
+//! Invariant: an address that cannot be shown to be this machine's counts as reachable.
+
+use std::net::{IpAddr, SocketAddr};
+
+/// What a port beyond this machine lacks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum MissingProtection {
+    Tls,
+    Tokens,
+    Both,
+}
+
+impl std::fmt::Display for MissingProtection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Tls => "TLS",
+            Self::Tokens => "tokens",
+            Self::Both => "TLS and tokens",
+        })
+    }
+}
+
+impl MissingProtection {
+    /// What could happen.
+    pub(crate) fn consequence(self) -> &'static str {
+        match self {
+            Self::Tls => "what is sent, and the tokens, can be read and changed on the way",
+            Self::Tokens => "everybody who reaches the port can read, write and delete all maps",
+            Self::Both => {
+                "everybody who reaches the port can read, write and delete all maps, and what is sent can be read"
+            }
+        }
+    }
+
+    pub(super) fn remedy(self) -> &'static str {
+        match self {
+            Self::Tls => "Set tls_certificate and tls_key",
+            Self::Tokens => "Set tokens_file",
+            Self::Both => "Set tls_certificate, tls_key and tokens_file",
+        }
+    }
+}
+
+/// Whether only this machine can reach an address.
+pub(super) fn is_local(address: &str) -> bool {
+    match address.parse::<SocketAddr>() {
+        Ok(parsed) => parsed.ip().is_loopback(),
+        Err(_) => address.rsplit_once(':').is_some_and(|(host, port)| {
+            host == "localhost" && port.parse::<u16>().is_ok()
+                || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+        }),
+    }
+}
