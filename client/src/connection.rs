@@ -190,6 +190,15 @@ impl Client {
         Ok(Self { inner: Arc::new(inner) })
     }
 
+    /// A client of the same daemon with the same credentials, and with connections of its own.
+    #[must_use]
+    pub fn with_own_connections(&self) -> Self {
+        let Inner { server, endpoint, bearer, .. } = &*self.inner;
+        let (server, endpoint, bearer) = (server.clone(), endpoint.clone(), bearer.clone());
+        let requests = InterceptedService::new(endpoint.connect_lazy(), bearer.clone());
+        Self { inner: Arc::new(Inner { server, endpoint, bearer, requests, streams: Mutex::new(Vec::new()) }) }
+    }
+
     /// The daemon's address.
     #[must_use]
     pub fn server(&self) -> &str {

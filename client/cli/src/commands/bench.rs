@@ -9,6 +9,7 @@ mod latency;
 mod load;
 mod machine;
 mod observe;
+mod overload;
 mod predict;
 mod search;
 
@@ -31,6 +32,8 @@ pub(crate) enum BenchCommand {
     Latency(latency::LatencyArgs),
     /// Measures the predictions per second
     Predict(predict::PredictBenchArgs),
+    /// Measures the latencies of answers and refusals when more is asked than the daemon can answer
+    Overload(overload::OverloadArgs),
     /// Measures the latency of planning a search
     Search(search::SearchBenchArgs),
     /// Measures how fast months of scans of a whole office are learned, with an update every night
@@ -53,6 +56,7 @@ pub(crate) async fn run(session: &Session, command: &BenchCommand) -> anyhow::Re
     let unique = format!("{}-{}", clock::now_nanos() / 1_000_000_000, process::id());
     let (new_map, keep) = match command {
         BenchCommand::Grid(args) => (args.new_map(format!("bench-grid-{unique}")), args.keeps()),
+        BenchCommand::Observe(args) => (args.new_map(format!("bench-{unique}")), false),
         _ => (NewMap { name: format!("bench-{unique}"), ..NewMap::default() }, false),
     };
     let map = new_map.name.clone();
@@ -77,6 +81,7 @@ async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::
         BenchCommand::Observe(args) => observe::run(client, map, args).await?,
         BenchCommand::Latency(args) => latency::run(client, map, args).await?,
         BenchCommand::Predict(args) => predict::run(client, map, args).await?,
+        BenchCommand::Overload(args) => overload::run(client, map, args).await?,
         BenchCommand::Search(args) => search::run(client, map, args).await?,
         BenchCommand::Grid(args) => grid::run(client, map, args).await?,
     };

@@ -118,7 +118,7 @@ enum ClockArg {
 }
 
 /// The value of `--models`: names with commas between.
-fn enabled_models(text: &str) -> Result<EnabledModels, String> {
+pub(super) fn enabled_models(text: &str) -> Result<EnabledModels, String> {
     text.split(',').try_fold(EnabledModels::SPECTRAL, |models, name| {
         models.with_named(name).ok_or_else(|| {
             let names: Vec<_> = EnabledModels::ALL.names().collect();

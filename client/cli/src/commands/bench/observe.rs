@@ -3,7 +3,11 @@
 //! Invariant: all times differ, and half of the values are 1, so that the data does not compress.
 
 use clap::Args;
-use tidemap_client::{Client, observe::columns::Entry};
+use tidemap_client::{
+    Client,
+    maps::{EnabledModels, NewMap},
+    observe::columns::Entry,
+};
 use tidemap_map::time::NANOS_PER_SEC;
 
 use super::{
@@ -12,7 +16,7 @@ use super::{
     machine::CpuTimes,
     updated,
 };
-use crate::progress::status_line;
+use crate::{commands::map::enabled_models, progress::status_line};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -32,8 +36,17 @@ pub(crate) struct ObserveBenchArgs {
     /// Observations per message
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u64).range(1..))]
     batch: u64,
+    /// Models that the update selects from, as of `map create` [default: those of a new map]
+    #[arg(long, value_name = "MODEL,…", value_parser = enabled_models)]
+    models: Option<EnabledModels>,
     #[command(flatten)]
     process: DaemonProcess,
+}
+
+impl ObserveBenchArgs {
+    pub(super) fn new_map(&self, name: String) -> NewMap {
+        NewMap { name, models: self.models, ..NewMap::default() }
+    }
 }
 
 /// 2020-01-01T00:00:00Z.

@@ -36,9 +36,9 @@ pub(crate) struct PredictBenchArgs {
 }
 
 /// Monday 2020-01-06T00:00:00Z.
-const START_NANOS: i64 = 1_578_268_800 * NANOS_PER_SEC;
-const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
-const HOURS: u64 = 4 * 7 * 24;
+pub(super) const START_NANOS: i64 = 1_578_268_800 * NANOS_PER_SEC;
+pub(super) const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
+pub(super) const HOURS: u64 = 4 * 7 * 24;
 /// As long as it takes for the figure to stand.
 const MEASURED: Duration = Duration::from_secs(5);
 
@@ -103,7 +103,7 @@ async fn request(
 }
 
 /// Each state once per hour: 1 during the day with exceptions, and less often at weekends.
-fn observation(load: &Load, number: u64) -> Entry {
+pub(super) fn observation(load: &Load, number: u64) -> Entry {
     let (state, hour) = (number % load.states, number / load.states);
     let (of_day, day) = (hour % 24, hour / 24 % 7);
     let open = (8 + state % 4..18).contains(&of_day) && (day < 5 || state % 3 == 0);
