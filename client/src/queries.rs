@@ -3,6 +3,7 @@
 //! Invariant: predictions come in the requested order: by state, then by time.
 
 mod anomalies;
+mod cell_alarms;
 mod evaluate;
 mod grid;
 mod places;
@@ -11,6 +12,7 @@ mod predict;
 mod reconstruct;
 
 pub use anomalies::{Anomalies, Anomaly, AnomalyWatch, Judgement, Watched, WatchedPlaces};
+pub use cell_alarms::{CellAlarm, CellAlarms};
 pub use evaluate::{Comparison, EvaluateOptions, Evaluation, Evaluator, Unavailable};
 pub use grid::{
     CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,

@@ -7,6 +7,7 @@
 mod bad_files;
 mod bad_scans;
 mod bad_streams;
+mod changed;
 mod half_life;
 mod history;
 mod kill;

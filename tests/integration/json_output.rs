@@ -13,9 +13,10 @@ use tidemap_tests::{
 };
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run.
-const NOT_RUN: [&str; 9] = [
+const NOT_RUN: [&str; 10] = [
     "bench latency",
     "bench predict",
+    "bench overload",
     "bench search",
     "bench grid",
     "experiment",
@@ -241,6 +242,8 @@ fn every_command_prints_what_its_schema_says() {
     checked.run("grid observe", &format!("home {folder}/scan.pcd --at {NOON} --pose 0,0,0,0,0,0,1 --producer r"));
     checked.run("update", "home");
     checked.run("grid predict", &format!("home --at {NOON} --out {folder}/noon.png"));
+    let changed = checked.run("grid changed", "home");
+    assert_eq!(changed, serde_json::json!([]));
     checked.run("visit", &format!("home 1,1 --reached true --at {NOON}"));
     checked.run("tour", &format!("home --at {NOON} --count 2 --start 0,0"));
     checked.run("info", &format!("home --at {NOON} --state door"));

@@ -147,6 +147,21 @@ pub fn cell_description_to_wire(
     }
 }
 
+/// A cell whose change alarm rings.
+#[must_use]
+pub fn cell_alarm_to_wire(cell: CellIndex, description: &CellDescription) -> v1::CellAlarm {
+    let last = description.persistence.last();
+    v1::CellAlarm {
+        state: cell.name(),
+        change_date: date_or_empty(description.rang),
+        mean: description.spectral.mean(),
+        learned_observations: description.folded,
+        order: u32::try_from(description.order).unwrap_or(u32::MAX),
+        last_value: last.map(|(_, value)| value),
+        last_time: last.map(|(nanos, _)| timestamp(nanos)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use tidemap_map::grid::index::TileIndex;

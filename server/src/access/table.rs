@@ -48,6 +48,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.QueryService/WatchAnomalies", role(Planner)),
     ("/tidemap.v1.QueryService/PredictPositions", role(Planner)),
     ("/tidemap.v1.QueryService/PredictAtPlaces", role(Planner)),
+    ("/tidemap.v1.QueryService/ListCellAlarms", role(Planner)),
     ("/tidemap.v1.ExplorationService/GetInformation", role(Planner)),
     ("/tidemap.v1.ExplorationService/EvaluateViews", role(Planner)),
     ("/tidemap.v1.ExplorationService/PlanTour", role(Planner)),

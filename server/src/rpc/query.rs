@@ -17,6 +17,7 @@ use super::{
 use crate::catalog::Catalog;
 
 mod anomalies;
+mod cell_alarms;
 mod evaluate;
 pub(super) mod fitting;
 mod grid;
@@ -105,6 +106,7 @@ impl QueryService for Queries {
     type ReconstructStream = Replies<v1::ReconstructResponse>;
     type FindAnomaliesStream = Replies<v1::FindAnomaliesResponse>;
     type WatchAnomaliesStream = Replies<v1::WatchAnomaliesResponse>;
+    type ListCellAlarmsStream = Replies<v1::ListCellAlarmsResponse>;
 
     async fn predict_states(&self, request: Request<v1::PredictStatesRequest>) -> RpcReply<Self::PredictStatesStream> {
         Ok(Response::new(states::predict_states(self, request.into_inner()).await?))
@@ -152,5 +154,12 @@ impl QueryService for Queries {
         request: Request<v1::WatchAnomaliesRequest>,
     ) -> RpcReply<Self::WatchAnomaliesStream> {
         Ok(Response::new(watch::watch_anomalies(self, request.into_inner()).await?))
+    }
+
+    async fn list_cell_alarms(
+        &self,
+        request: Request<v1::ListCellAlarmsRequest>,
+    ) -> RpcReply<Self::ListCellAlarmsStream> {
+        Ok(Response::new(cell_alarms::list_cell_alarms(self, request.into_inner()).await?))
     }
 }

@@ -7,10 +7,7 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::Args;
-use tidemap_client::{
-    maps::{CellBox, CellIndex},
-    queries::{Anomaly, AnomalyWatch, Judgement, ModelSelector, WatchedPlaces},
-};
+use tidemap_client::queries::{Anomaly, AnomalyWatch, Judgement, ModelSelector, WatchedPlaces};
 
 use super::{
     Session,
@@ -65,7 +62,7 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     let judgement = Judgement { confidence, model };
     if watch {
         let region = match region {
-            Some(region) => Some(cells_within(session, &map, region, z).await?),
+            Some(region) => Some(place::region_of(&session.client.map(&map).await?, Some(region), z)?),
             None => None,
         };
         let places = WatchedPlaces { states, region, location };
@@ -90,30 +87,6 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     }
     table.finish()?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// The cells of a map in a rectangle and between two heights.
-async fn cells_within(
-    session: &Session,
-    map: &str,
-    region: Rectangle,
-    z: Option<AxisRange>,
-) -> anyhow::Result<CellBox> {
-    let map = session.client.map(map).await?;
-    let Some(grid) = &map.grid else {
-        return Err(usage(format!("--region: map {:?} has no grid", map.name)));
-    };
-    if grid.is_flat && z.is_some() {
-        return Err(usage(format!("--z: the grid of map {:?} is flat, it has one layer", map.name)));
-    }
-    let Some(bounds) = map.grid_summary.as_ref().and_then(|summary| summary.bounds.as_ref()) else {
-        return Err(usage(format!("--region: no scan of map {:?} was observed yet", map.name)));
-    };
-    let region = place::cells(grid, bounds, Some(region), z);
-    if !grid.is_flat {
-        return Ok(region);
-    }
-    Ok(CellBox { min: CellIndex { z: 0, ..region.min }, max: CellIndex { z: 1, ..region.max } })
 }
 
 async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<ExitCode> {

@@ -3,6 +3,7 @@
 //! Invariant: the ending of a file's name determines its format; the content is never guessed.
 
 mod cell_masks;
+mod changed;
 mod observe;
 pub(super) mod place;
 pub(crate) mod predict;
@@ -29,12 +30,18 @@ pub(crate) enum GridCommand {
     ///
     /// The ending of --out gives the format: .pgm (with a .yaml beside it, for Nav2), .png, .csv or .ply.
     Predict(predict::GridPredictArgs),
+    /// Lists the cells whose routine seems to have changed: since when, their mean and their newest value
+    ///
+    /// A cell is listed while its change alarm rings: its predictions have been worse than before, day after day. See
+    /// model show for one cell.
+    Changed(changed::GridChangedArgs),
 }
 
 pub(crate) async fn run(session: &Session, command: GridCommand) -> anyhow::Result<ExitCode> {
     match command {
         GridCommand::Observe(args) => observe::run(session, args).await,
         GridCommand::Predict(args) => predict::run(session, args).await,
+        GridCommand::Changed(args) => changed::run(session, args).await,
     }
 }
 

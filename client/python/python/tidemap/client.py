@@ -445,6 +445,11 @@ class Client:
         """Observations that the model did not expect, live as they come; fields of ``WatchAnomaliesRequest``."""
         return self.stream("QueryService/WatchAnomalies", {"map": map, **request})
 
+    def changed_cells(self, map: str, **request: Any) -> list[dict[str, Any]]:
+        """Cells of the grid whose routine seems to have changed; fields of ``ListCellAlarmsRequest``."""
+        replies = self.stream("QueryService/ListCellAlarms", {"map": map, **request})
+        return [cell for reply in replies for cell in reply.get("cells", [])]
+
 
 def connect(server: str = "127.0.0.1:7435", **credentials: Any) -> Client:
     """A client of the daemon at ``server``, checked: ``HOST:PORT``, ``https://HOST:PORT`` or ``unix:PATH``.

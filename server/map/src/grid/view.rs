@@ -234,10 +234,29 @@ impl GridView {
         let (index, place) = cell.tile();
         let Some(tile) = self.find(index) else { return Ok(None) };
         let model = self.model(tile)?;
-        let Some(live) = self.live(tile).filter(|live| live.known.contains(place)) else { return Ok(None) };
+        Ok(self.describe_place(tile, &model, place))
+    }
+
+    /// Describes the cells of a tile within a region whose change alarm rings, by place.
+    ///
+    /// # Errors
+    /// [`TileUnavailable`] where the tile cannot be read from the disk.
+    pub fn cell_alarms(
+        &self,
+        (index, tile): (TileIndex, TileId),
+        region: &CellBox,
+    ) -> Result<Vec<(CellIndex, CellDescription)>, TileUnavailable> {
+        let model = self.model(tile)?;
+        let rings = model.cells.iter().filter(|cell| cell.rang.is_some());
+        let within = rings.map(|cell| (index.cell(cell.cell), cell.cell)).filter(|(cell, _)| region.contains(*cell));
+        Ok(within.filter_map(|(cell, place)| Some((cell, self.describe_place(tile, &model, place)?))).collect())
+    }
+
+    fn describe_place(&self, tile: TileId, model: &TileModel, place: u16) -> Option<CellDescription> {
+        let live = self.live(tile).filter(|live| live.known.contains(place))?;
         let persistence = live.persistence(place, self.run, &self.sensors);
         let observations = persistence.to_parts().pairs + u64::from(persistence.last().is_some());
-        Ok(Some(CellDescription { observations, persistence, ..self.describe_learned(&model, place) }))
+        Some(CellDescription { observations, persistence, ..self.describe_learned(model, place) })
     }
 
     /// What a tile's model says of one of its cells; nothing of its newest readings.

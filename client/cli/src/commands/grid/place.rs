@@ -5,9 +5,11 @@
 use std::str::FromStr;
 
 use tidemap_client::{
-    maps::{CellBox, GridSpec},
+    maps::{CellBox, CellIndex, GridSpec, Map},
     observe::scan::{Isometry3, Quaternion, Translation3, UnitQuaternion},
 };
+
+use crate::commands::usage;
 
 /// Tolerance of a quaternion's length.
 const QUATERNION_TOLERANCE: f64 = 1e-3;
@@ -100,6 +102,24 @@ pub(crate) fn cells(
         max[axis] = snapped(index(to_m)).ceil() as i32;
     }
     CellBox { min: min.into(), max: max.into() }
+}
+
+/// The cells of a map in a rectangle and between two heights, of what was observed so far.
+pub(crate) fn region_of(map: &Map, rectangle: Option<Rectangle>, height: Option<AxisRange>) -> anyhow::Result<CellBox> {
+    let Some(grid) = &map.grid else {
+        return Err(usage(format!("--region: map {:?} has no grid", map.name)));
+    };
+    if grid.is_flat && height.is_some() {
+        return Err(usage(format!("--z: the grid of map {:?} is flat, it has one layer", map.name)));
+    }
+    let Some(bounds) = map.grid_summary.as_ref().and_then(|summary| summary.bounds.as_ref()) else {
+        return Err(usage(format!("--region: no scan of map {:?} was observed yet", map.name)));
+    };
+    let region = cells(grid, bounds, rectangle, height);
+    if !grid.is_flat {
+        return Ok(region);
+    }
+    Ok(CellBox { min: CellIndex { z: 0, ..region.min }, max: CellIndex { z: 1, ..region.max } })
 }
 
 #[cfg(test)]
