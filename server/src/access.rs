@@ -10,6 +10,8 @@ pub(crate) mod token_file;
 
 use std::{fmt, future::Future, str::FromStr, sync::Arc};
 
+use tidemap_map::name::ProducerKey;
+
 use self::token_file::Token;
 
 /// What a token allows. An operator may do what observers and planners may, and an admin everything.
@@ -87,6 +89,45 @@ impl MapPattern {
     }
 }
 
+/// Which producers a token may send as: all (`*`), those whose names begin alike (`robot-*`), or one (`robot-7`).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ProducerPattern(String);
+
+/// Why a text is no pattern of producers.
+#[derive(Debug, thiserror::Error)]
+#[error("not a pattern of producers: use a name, the beginning of names and * (robot-*), or * for all producers")]
+pub(crate) struct InvalidProducerPattern;
+
+impl FromStr for ProducerPattern {
+    type Err = InvalidProducerPattern;
+
+    fn from_str(text: &str) -> Result<Self, InvalidProducerPattern> {
+        let name = text.strip_suffix('*').unwrap_or(text);
+        let is_valid = text == "*" || (!name.contains('*') && ProducerKey::new(name, "").is_ok());
+        if is_valid { Ok(Self(text.to_owned())) } else { Err(InvalidProducerPattern) }
+    }
+}
+
+impl fmt::Display for ProducerPattern {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl ProducerPattern {
+    /// All producers.
+    fn all() -> Self {
+        Self("*".to_owned())
+    }
+
+    fn matches(&self, producer: &str) -> bool {
+        match self.0.strip_suffix('*') {
+            Some(beginning) => producer.starts_with(beginning),
+            None => producer == self.0,
+        }
+    }
+}
+
 /// Who makes a request.
 #[derive(Clone, Debug)]
 pub(crate) enum Caller {
@@ -143,6 +184,15 @@ impl Caller {
         }
     }
 
+    /// Whether the caller may send observations as this producer.
+    pub(crate) fn may_send_as(&self, producer: &str) -> bool {
+        match self {
+            Self::Anybody => true,
+            Self::Stranger => false,
+            Self::Holder(token) => token.producers.iter().any(|pattern| pattern.matches(producer)),
+        }
+    }
+
     /// Whether the caller may use all maps.
     pub(crate) fn covers_all(&self) -> bool {
         match self {
@@ -184,6 +234,19 @@ mod tests {
             ("lab-*", "office", false),
         ] {
             assert_eq!(pattern.parse::<MapPattern>().expect("a pattern").matches(map), matches, "{pattern} {map}");
+        }
+        for (pattern, producer, matches) in [
+            ("*", "robot-7", true),
+            ("robot-7", "robot-7", true),
+            ("robot-7", "robot-71", false),
+            ("robot-*", "robot-7", true),
+            ("robot-*", "camera", false),
+        ] {
+            let pattern = pattern.parse::<ProducerPattern>().expect("a pattern");
+            assert_eq!(pattern.matches(producer), matches, "{pattern} {producer}");
+        }
+        for text in ["", "**", "*a", "r*t", "a\nb"] {
+            assert!(text.parse::<ProducerPattern>().is_err(), "{text:?}");
         }
         for text in ["", "**", "*a", "Office", "a b", "../x", "o*e", "ä"] {
             assert!(text.parse::<MapPattern>().is_err(), "{text:?}");

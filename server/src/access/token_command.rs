@@ -13,7 +13,7 @@ use clap::{Args, Subcommand};
 use tidemap_map::time::{format_rfc3339, parse_duration, parse_time};
 
 use super::{
-    MapPattern, Role,
+    MapPattern, ProducerPattern, Role,
     token_file::{self, NOTE_BYTES_MAX, Token},
 };
 use crate::clock::{Clock as _, SystemClock};
@@ -25,7 +25,7 @@ const NANOS_PER_SEC: i64 = 1_000_000_000;
 pub(crate) enum TokenCommand {
     /// Make a token and print it, this once; a running daemon takes it within seconds.
     Create(CreateArgs),
-    /// List the tokens: id, roles, maps, when each was made, its note, and when it ends.
+    /// List the tokens: id, roles, maps, when each was made, its note, when it ends, and its producers.
     List,
     /// Revoke a token; a running daemon refuses it within seconds, and ends its streams.
     Revoke {
@@ -45,6 +45,10 @@ pub(crate) struct CreateArgs {
     /// [default: all maps].
     #[arg(long = "map", value_name = "MAP")]
     maps: Vec<MapPattern>,
+    /// A producer that the token may send observations as, or the beginning of names and * (robot-*); give it several
+    /// times for several [default: all producers].
+    #[arg(long = "producer", value_name = "PRODUCER")]
+    producers: Vec<ProducerPattern>,
     /// When the token ends: after a duration such as 90d or 12h, or at a time such as 2027-01-01T00:00:00Z [default:
     /// never].
     #[arg(long, value_name = "WHEN")]
@@ -73,10 +77,12 @@ pub(crate) fn run(command: &TokenCommand, path: &Path) -> anyhow::Result<ExitCod
             roles.dedup();
             let all = || vec![MapPattern::all()];
             let maps = if args.maps.is_empty() { all() } else { args.maps.clone() };
+            let of_all = || vec![ProducerPattern::all()];
+            let producers = if args.producers.is_empty() { of_all() } else { args.producers.clone() };
             let now = SystemClock.now_nanos();
             let expires_secs = args.expires.as_deref().map(|when| expiry_secs(when, now)).transpose()?;
             let created_secs = now.div_euclid(NANOS_PER_SEC);
-            let made = token_file::generate(roles, maps, args.note.clone(), created_secs, expires_secs);
+            let made = token_file::generate(roles, maps, producers, args.note.clone(), created_secs, expires_secs);
             let (token, text) = made.context("token")?;
             token_file::change(path, |tokens| {
                 tokens.push(token);
@@ -85,7 +91,7 @@ pub(crate) fn run(command: &TokenCommand, path: &Path) -> anyhow::Result<ExitCod
             writeln!(out, "{text}")?;
         }
         TokenCommand::List => {
-            writeln!(out, "id,roles,maps,created,note,expires")?;
+            writeln!(out, "id,roles,maps,created,note,expires,producers")?;
             for token in token_file::read(path)? {
                 writeln!(out, "{}", line(&token))?;
             }
@@ -125,9 +131,13 @@ fn expiry_secs(when: &str, now: i64) -> anyhow::Result<i64> {
 fn line(token: &Token) -> String {
     let roles: Vec<&str> = token.roles.iter().map(|role| role.name()).collect();
     let maps: Vec<String> = token.maps.iter().map(ToString::to_string).collect();
+    let producers: Vec<String> = token.producers.iter().map(ToString::to_string).collect();
+    // A name may have any printable character.
+    let producers = producers.join(" ");
+    let producers = if producers.contains([',', '"']) { format!("{producers:?}") } else { producers };
     let time = |secs: i64| format_rfc3339(secs.saturating_mul(NANOS_PER_SEC));
     let created = time(token.created_secs);
     let expires = token.expires_secs.map(time).unwrap_or_default();
     let note = if token.note.contains([',', '"']) { format!("{:?}", token.note) } else { token.note.clone() };
-    format!("{},{},{},{created},{note},{expires}", token.id, roles.join(" "), maps.join(" "))
+    format!("{},{},{},{created},{note},{expires},{producers}", token.id, roles.join(" "), maps.join(" "))
 }

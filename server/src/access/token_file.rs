@@ -1,4 +1,4 @@
-//! The file of tokens: their hashes, roles and maps, as TOML.
+//! The file of tokens: their hashes, roles, maps and producers, as TOML.
 //!
 //! Invariant: the file holds hashes only, and is replaced in one step. Its owner alone may read it; if it belongs to
 //! root, its group too, as files of secrets in containers. Messages name the entry that is wrong, never what is in it.
@@ -17,14 +17,13 @@ use figment::{
 };
 use serde::Deserialize;
 
-use super::{MapPattern, Role};
+use super::{MapPattern, ProducerPattern, Role};
 
 /// The beginning of every token, by which secrets are found in logs and repositories.
 pub(super) const PREFIX: &str = "tm_";
 const ID_BYTES: usize = 6;
 const SECRET_BYTES: usize = 32;
-const HEADER: &str =
-    "# Tokens of tidemapd: hashes, roles and maps. Written by `tidemapd token`; it is read again when it changes.\n";
+const HEADER: &str = "# Tokens of tidemapd: hashes, roles, maps and producers. Written by `tidemapd token`; it is read again when it changes.\n";
 /// Maximum size of a note, in bytes.
 pub(super) const NOTE_BYTES_MAX: usize = 128;
 /// Maximum number of tokens.
@@ -44,6 +43,8 @@ pub(crate) struct Token {
     pub roles: Vec<Role>,
     /// The maps that it is for.
     pub maps: Vec<MapPattern>,
+    /// The producers that it may send as.
+    pub producers: Vec<ProducerPattern>,
     /// Who has it, in the operator's words.
     pub note: String,
     /// When it was made, in seconds since 1970.
@@ -87,6 +88,8 @@ struct Entry {
     sha256: String,
     roles: Vec<String>,
     maps: Vec<String>,
+    /// Absent in files of earlier versions: all.
+    producers: Option<Vec<String>>,
     #[serde(default)]
     note: String,
     #[serde(default)]
@@ -123,6 +126,7 @@ fn from_hex(text: &str) -> Option<TokenHash> {
 pub(super) fn generate(
     roles: Vec<Role>,
     maps: Vec<MapPattern>,
+    producers: Vec<ProducerPattern>,
     note: String,
     created_secs: i64,
     expires_secs: Option<i64>,
@@ -131,7 +135,7 @@ pub(super) fn generate(
     File::open("/dev/urandom")?.read_exact(&mut random)?;
     let id = hex(&random[..ID_BYTES]);
     let text = format!("{PREFIX}{id}_{}", hex(&random[ID_BYTES..]));
-    Ok((Token { hash: hash(text.as_bytes()), id, roles, maps, note, created_secs, expires_secs }, text))
+    Ok((Token { hash: hash(text.as_bytes()), id, roles, maps, producers, note, created_secs, expires_secs }, text))
 }
 
 impl Entry {
@@ -146,6 +150,10 @@ impl Entry {
         let roles = roles.ok_or("roles must be some of observer, planner, operator and admin")?;
         let maps = self.maps.iter().map(|text| text.parse::<MapPattern>()).collect::<Result<Vec<_>, _>>();
         let maps = maps.ok().filter(|maps| !maps.is_empty()).ok_or("maps must be names, beginnings (lab-*) or *")?;
+        let producers = self.producers.unwrap_or_else(|| vec![ProducerPattern::all().to_string()]);
+        let producers = producers.iter().map(|text| text.parse::<ProducerPattern>()).collect::<Result<Vec<_>, _>>();
+        let producers = producers.ok().filter(|producers| !producers.is_empty());
+        let producers = producers.ok_or("producers must be names, beginnings (robot-*) or *")?;
         if self.note.len() > NOTE_BYTES_MAX || self.note.chars().any(char::is_control) {
             return Err("note must be up to 128 bytes without control characters");
         }
@@ -154,6 +162,7 @@ impl Entry {
             hash,
             roles,
             maps,
+            producers,
             note: self.note,
             created_secs: self.created,
             expires_secs: self.expires,
@@ -208,11 +217,12 @@ fn render(tokens: &[Token]) -> String {
     for token in tokens {
         let roles = list(token.roles.iter().map(|role| role.name().to_owned()).collect());
         let maps = list(token.maps.iter().map(ToString::to_string).collect());
+        let producers = list(token.producers.iter().map(ToString::to_string).collect());
         let note = token.note.replace('\\', "\\\\").replace('"', "\\\"");
         // Writing to a text cannot fail.
         let _ = write!(
             text,
-            "\n[[token]]\nid = \"{}\"\nsha256 = \"{}\"\nroles = [{roles}]\nmaps = [{maps}]\nnote = \"{note}\"\ncreated = {}\n",
+            "\n[[token]]\nid = \"{}\"\nsha256 = \"{}\"\nroles = [{roles}]\nmaps = [{maps}]\nproducers = [{producers}]\nnote = \"{note}\"\ncreated = {}\n",
             token.id,
             hex(&token.hash),
             token.created_secs,

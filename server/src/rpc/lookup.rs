@@ -57,6 +57,15 @@ pub(super) fn check_scope(name: &str) -> Result<(), RpcError> {
     Err(RpcError::NotForMap { map: name.chars().take(80).collect() })
 }
 
+/// Checks that the caller of this request may send observations as this producer.
+pub(super) fn check_producer(producer: &str) -> Result<(), RpcError> {
+    if Caller::current().may_send_as(producer) {
+        return Ok(());
+    }
+    metrics::counter!("tidemap_denied_total", "reason" => "NOT_FOR_PRODUCER").increment(1);
+    Err(RpcError::NotForProducer { producer: producer.chars().take(80).collect() })
+}
+
 /// The map of this name, even if it shows no more yet than the generation that the index publishes.
 pub(super) fn find_published(catalog: &Catalog, name: &str) -> Result<Arc<MapHandle>, RpcError> {
     check_scope(name)?;

@@ -43,7 +43,7 @@ use crate::{
             TraversalBatch, Welcome,
         },
     },
-    rpc::lookup::find_map,
+    rpc::lookup::{check_producer, find_map},
     telemetry::traces::Span,
 };
 
@@ -230,6 +230,7 @@ async fn open_and_serve(
     };
     let handle = find_map(&catalog, &first.map).await?;
     let key = key(&first)?;
+    check_producer(key.producer())?;
     let (probe, probed, questions) = probe();
     let probe = first.answers_probes.then_some(probe);
     let mut takes_over = None;

@@ -128,6 +128,10 @@ pub(crate) enum RpcError {
     ReadOnly { method: String },
     #[error("map {map:?} does not exist, or the token is not for it")]
     NotForMap { map: String },
+    #[error(
+        "the token may not send as producer {producer:?}: `tidemapd token list` shows the producers that it is for"
+    )]
+    NotForProducer { producer: String },
     #[error("this needs a token for all maps")]
     NeedsAllMaps,
     #[error("this daemon has no such method; does it have another version?")]
@@ -314,6 +318,7 @@ impl RpcError {
             Self::NeedsRole { .. } => (Code::PermissionDenied, "NEEDS_ROLE"),
             Self::ReadOnly { .. } => (Code::PermissionDenied, "READ_ONLY"),
             Self::NotForMap { .. } => (Code::PermissionDenied, "NOT_FOR_MAP"),
+            Self::NotForProducer { .. } => (Code::PermissionDenied, "NOT_FOR_PRODUCER"),
             Self::NeedsAllMaps => (Code::PermissionDenied, "NEEDS_ALL_MAPS"),
             Self::UnknownMethod => (Code::Unimplemented, "UNKNOWN_METHOD"),
         }

@@ -171,6 +171,44 @@ async fn a_revoked_token_ends_its_streams_and_others_go_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_token_sends_as_its_producers_only() {
+    let work = tempdir().expect("a folder");
+    let tokens = Tokens::of(work.path());
+    let all = tokens.create(&["admin"], &[]);
+    let made = tokens.run(&["create", "--role", "observer", "--producer", "robot-7", "--producer", "lab/*"]);
+    let own = String::from_utf8(made.stdout).expect("text").trim().to_owned();
+    let wrong = tokens.run(&["create", "--role", "observer", "--producer", "r*t"]);
+    assert!(!wrong.status.success() && String::from_utf8_lossy(&wrong.stderr).contains("not a pattern of producers"));
+    let listed = String::from_utf8(tokens.run(&["list"]).stdout).expect("text");
+    assert!(listed.lines().any(|line| line.ends_with(",robot-7 lab/*")), "{listed}");
+    let daemon = launch(work.path(), &tokens).start();
+    create_map(&client(&daemon, &all), "office").await;
+    let report = async |token: &str, producer: &str| {
+        use tidemap_proto::v1::{Reading, ReportRequest, observation_service_client::ObservationServiceClient};
+        let reading = Reading { state: "door".to_owned(), value: 1.0, ..Reading::default() };
+        let request = ReportRequest {
+            map: "office".to_owned(),
+            producer: producer.to_owned(),
+            readings: vec![reading],
+            ..ReportRequest::default()
+        };
+        let mut service = ObservationServiceClient::new(client(&daemon, token).requests());
+        service.report(request).await.map(drop)
+    };
+    for producer in ["robot-7", "lab/camera"] {
+        report(&own, producer).await.expect("its own name");
+    }
+    report(&all, "robot-8").await.expect("all names");
+    for producer in ["robot-8", "robot-71", "lab", ""] {
+        let refused = report(&own, producer).await.expect_err("another's name");
+        let expected = if producer.is_empty() { Code::InvalidArgument } else { Code::PermissionDenied };
+        assert_eq!(refused.code(), expected, "{producer:?}: {refused}");
+    }
+    assert_eq!(client(&daemon, &all).map("office").await.expect("the map").observations, 3);
+    daemon.stop_in_order();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_token_ends_when_it_expires_and_so_do_its_streams() {
     let work = tempdir().expect("a folder");
     let tokens = Tokens::of(work.path());
@@ -192,7 +230,7 @@ async fn a_token_ends_when_it_expires_and_so_do_its_streams() {
     assert!(refused.code() == Some(Code::Unauthenticated) && refused.to_string().contains("expired"), "{refused}");
     client(&daemon, &long).maps().await.expect("valid for months");
     let listed = String::from_utf8(tokens.run(&["list"]).stdout).expect("text");
-    let expiries: Vec<&str> = listed.lines().skip(1).filter_map(|line| line.rsplit(',').next()).collect();
+    let expiries: Vec<&str> = listed.lines().skip(1).filter_map(|line| line.rsplit(',').nth(1)).collect();
     assert!(expiries.len() == 3 && expiries[0].is_empty() && expiries[1].ends_with('Z'), "{listed}");
     for when in ["soon", "0d", "-3d", "2001-01-01T00:00:00Z", "2031-01-01"] {
         let wrong = tokens.run(&["create", "--role", "admin", &format!("--expires={when}")]);
