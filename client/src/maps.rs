@@ -109,6 +109,8 @@ pub struct Map {
     pub models: EnabledModels,
     /// Whether observations before 1990 are refused.
     pub has_real_clock: bool,
+    /// Number of the pending observations that wait because their time is ahead of the daemon's clock.
+    pub ahead_observations: u64,
 }
 
 /// Counters of a grid.
@@ -124,6 +126,8 @@ pub struct GridSummary {
     pub cell_observations: u64,
     /// The smallest box of whole tiles that contains every tile.
     pub bounds: Option<CellBox>,
+    /// Number of the pending scans that wait because their time is ahead of the daemon's clock.
+    pub ahead_scans: u64,
 }
 
 /// A state of a map.
@@ -280,6 +284,7 @@ fn map_from_wire(map: Option<v1::Map>) -> Result<Map, Error> {
         locations: map.locations,
         models: enabled_from_wire("models", &map.models, Retention::Forever).map_err(wrong)?,
         has_real_clock: map.real_clock,
+        ahead_observations: map.ahead_observations,
     })
 }
 
@@ -290,6 +295,7 @@ fn summary_from_wire(summary: &v1::GridSummary) -> GridSummary {
         pending_scans: summary.pending_scans,
         cell_observations: summary.cell_observations,
         bounds: summary.bounds.as_ref().map(cell_box_from_wire),
+        ahead_scans: summary.ahead_scans,
     }
 }
 

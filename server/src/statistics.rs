@@ -27,6 +27,8 @@ pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
     ];
     rows.extend(of_storage(catalog));
     rows.extend(of_grid(catalog, handle, &sizes));
+    rows.push(("ahead_observations", view.ahead() as f64, ""));
+    rows.push(("ahead_scans", view.grid().map_or(0, |grid| grid.scans_ahead()) as f64, ""));
     rows
 }
 

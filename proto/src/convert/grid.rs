@@ -87,6 +87,7 @@ pub fn grid_summary_to_wire(grid: &GridView) -> v1::GridSummary {
         pending_scans: grid.pending_scans(),
         cell_observations: grid.cell_observations(),
         bounds: (!bounds.is_empty()).then(|| cell_box_to_wire(&bounds)),
+        ahead_scans: grid.scans_ahead(),
     }
 }
 

@@ -123,6 +123,7 @@ pub fn map_to_wire(view: &MapView) -> v1::Map {
         locations: view.site().locations().len() as u64,
         models: enabled_to_wire(spec.models),
         real_clock: spec.has_real_clock,
+        ahead_observations: view.ahead(),
     }
 }
 

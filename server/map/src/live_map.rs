@@ -338,6 +338,7 @@ impl LiveMap {
             cut_nanos: self.cut_nanos,
             observations: self.observations,
             pending: self.pending.total() + self.pending.future() + self.updating(),
+            ahead: self.pending.future(),
             directory: self.directory.clone(),
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),

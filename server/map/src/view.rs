@@ -39,6 +39,7 @@ pub struct MapView {
     pub(crate) cut_nanos: i64,
     pub(crate) observations: u64,
     pub(crate) pending: u64,
+    pub(crate) ahead: u64,
     pub(crate) directory: Directory,
     pub(crate) live: Vec<Arc<[LiveState]>>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
@@ -86,6 +87,12 @@ impl MapView {
     /// Observations that no update has learned yet.
     pub fn pending(&self) -> u64 {
         self.pending
+    }
+
+    /// Those of them that wait because their time is more than [`FUTURE_MAX_NANOS`](crate::FUTURE_MAX_NANOS) ahead of
+    /// the clock.
+    pub fn ahead(&self) -> u64 {
+        self.ahead
     }
 
     /// Number of states.

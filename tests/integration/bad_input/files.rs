@@ -224,6 +224,18 @@ async fn refused_rows_are_corrected_without_doubling_the_others() {
     // Who corrects the file itself is told what to do.
     fs::write(&file, format!("{HEADER}1451865960,door,1\n1451866000,door,1\n")).expect("a file");
     observe(&file, &[]).fails(1, &["nothing was sent", "a.csv --replace", "--label a-2.csv"]);
+    // The proposed label is free.
+    let [tuesday, wednesday] = ["tue", "wed"].map(|day| folder.path().join(day));
+    for (day, values) in [(&tuesday, "1,0"), (&wednesday, "0,1")] {
+        fs::create_dir(day).expect("a folder");
+        let (first, second) = values.split_once(',').expect("two values");
+        let rows = format!("{HEADER}1451870000,door,{first}\n1451870060,door,{second}\n");
+        fs::write(day.join("a.csv"), rows).expect("a file");
+    }
+    observe(&tuesday.join("a.csv"), &["--label", "a-2.csv"]).table();
+    observe(&wednesday.join("a.csv"), &[]).fails(1, &["nothing was sent", "--label a-3.csv"]);
+    observe(&wednesday.join("a.csv"), &["--label", "a-3.csv"]).table();
+    assert_eq!(observations(&daemon).await, 8);
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use tidemap_proto::v1::{Refusal, RefusalReason};
 use tidemap_tests::{
+    cli,
     oracle::run_update,
     stream::{RawStream, columns, hello},
 };
@@ -72,7 +73,15 @@ async fn observations_ahead_of_the_clock_are_kept_and_wait() {
     let client = daemon.client();
     run_update(&client, "office", None).await;
     let map = client.map("office").await.expect("the map");
-    assert_eq!((map.observations, map.pending_observations), (2, 1));
+    assert_eq!((map.observations, map.pending_observations, map.ahead_observations), (2, 1, 1));
+    assert_eq!(cli::tidemap(&daemon, ["map", "show", "office"]).table().column("ahead"), ["1"]);
+    let nothing_new =
+        cli::tidemap_reading(&daemon, ["observe", "office", "-", "--producer", "other"], "time,state,value\n");
+    assert!(
+        nothing_new.stderr.contains("1 observation with times ahead of the daemon's clock"),
+        "{}",
+        nothing_new.stderr
+    );
     let model = client.describe_model("office", "door").await.expect("the door");
     assert_eq!((model.learned_observations, model.mean, model.last_value), (1, 1.0, Some(1.0)));
     // A later observation that is not in the future is applied before it.

@@ -153,7 +153,7 @@ const COLUMNS: [&str; 11] = [
     "scans",
 ];
 /// Additional columns of a single map.
-const MORE_COLUMNS: [&str; 13] = [
+const MORE_COLUMNS: [&str; 15] = [
     "retention",
     "grid",
     "grid_retention",
@@ -167,6 +167,8 @@ const MORE_COLUMNS: [&str; 13] = [
     "locations",
     "models",
     "grid_half_life",
+    "ahead",
+    "ahead_scans",
 ];
 
 pub(crate) async fn run(session: &Session, command: MapCommand) -> anyhow::Result<ExitCode> {
@@ -311,5 +313,7 @@ fn more_cells(map: &Map) -> Vec<Cell> {
         map.locations.into(),
         Cell::texts(map.models.names()),
         text(grid.and_then(|grid| grid.half_life_nanos).map(format_duration)),
+        map.ahead_observations.into(),
+        Cell::maybe(summary.map(|summary| summary.ahead_scans)),
     ]
 }

@@ -9,6 +9,7 @@ pub(crate) mod refused;
 pub(crate) mod transfer;
 
 use std::{
+    collections::HashSet,
     path::{Path, PathBuf},
     process::ExitCode,
     time::Duration,
@@ -203,6 +204,8 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
         TransferEnd::Unreadable(error) => TransferEnd::Unreadable(error.context(shown.to_owned())),
         end => end,
     };
+    let differs = matches!(end, TransferEnd::Differs(_));
+    let another = if differs { free_label(session, &options).await } else { String::new() };
     exit_code(
         end,
         &transfer.report,
@@ -219,7 +222,7 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
                      added at the end are sent without that; with another label, all rows would count again.)"
                 ),
             ),
-            other_label(&options.label)
+            another
         ),
     )
 }
@@ -258,7 +261,24 @@ pub(super) async fn run_transfer(
         let _ = tokio::time::timeout(LAST_FLUSH, transfer.flush()).await;
     }
     bar.clear();
+    tell_ahead(session, &options.map).await;
     Ok(end)
+}
+
+/// Tells what of a map waits because it is ahead of the daemon's clock. A daemon that is gone has other messages.
+async fn tell_ahead(session: &Session, map: &str) {
+    let Ok(known) = session.client.map(map).await else { return };
+    let scans = known.grid_summary.map_or(0, |summary| summary.ahead_scans);
+    let some = [(known.ahead_observations, "observation"), (scans, "scan")].into_iter().filter(|(count, _)| *count > 0);
+    let counted = some.map(|(count, noun)| format!("{count} {noun}{}", if count == 1 { "" } else { "s" }));
+    let counted = counted.collect::<Vec<_>>().join(" and ");
+    if !counted.is_empty() {
+        status_line(&format!(
+            "map {map:?} has {counted} with times ahead of the daemon's clock: updates learn them when their time has \
+             come. If these times are wrong, look at the clock of the robot, and at the unit and the UTC offset of the \
+             times sent"
+        ));
+    }
 }
 
 /// The exit status of a transfer, or its error.
@@ -281,6 +301,19 @@ pub(super) fn exit_code(
             anyhow::bail!("{shown} differs from what {producer} sent as {label}: {how}; nothing was sent. {what_to_do}")
         }
     }
+}
+
+/// A label that the options' producer has not used, for another file that has theirs by default.
+pub(super) async fn free_label(session: &Session, options: &ProducerOptions) -> String {
+    // Without the list, the next one is a good guess.
+    let known = session.client.producers(&options.map).await.unwrap_or_default();
+    let used: HashSet<&str> =
+        known.iter().filter(|known| known.producer == options.producer).map(|known| known.label.as_str()).collect();
+    let mut label = other_label(&options.label);
+    while used.contains(label.as_str()) {
+        label = other_label(&label);
+    }
+    label
 }
 
 /// A label for another file that has this label by default.

@@ -30,6 +30,7 @@ pub struct GridView {
     pub(crate) generation: Arc<Generation>,
     pub(crate) scans: u64,
     pub(crate) pending_scans: u64,
+    pub(crate) scans_ahead: u64,
     pub(crate) cell_observations: u64,
 }
 
@@ -81,6 +82,7 @@ impl GridView {
             generation: Arc::clone(&grid.generation),
             scans: grid.scans,
             pending_scans: grid.pending_scans() + grid.future(),
+            scans_ahead: grid.future(),
             cell_observations: grid.cell_observations,
         }
     }
@@ -113,6 +115,12 @@ impl GridView {
     /// Scans that no update has learned.
     pub fn pending_scans(&self) -> u64 {
         self.pending_scans
+    }
+
+    /// Those of them that wait because their time is more than [`FUTURE_MAX_NANOS`](crate::FUTURE_MAX_NANOS) ahead of
+    /// the clock.
+    pub fn scans_ahead(&self) -> u64 {
+        self.scans_ahead
     }
 
     /// Observations of single cells in the scans acknowledged.

@@ -16,7 +16,8 @@ use crate::{
     commands::{
         Session,
         observe::{
-            SenderArgs, base_name, exit_code, feed::RefusalReport, open_stream, run_transfer, transfer::TransferEnd,
+            SenderArgs, base_name, exit_code, feed::RefusalReport, free_label, open_stream, run_transfer,
+            transfer::TransferEnd,
         },
         times,
     },
@@ -87,7 +88,12 @@ pub(crate) async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Res
     if matches!(end, TransferEnd::Stopped(_)) {
         status_line("the same command again sends what is missing");
     }
-    exit_code(end, &transfer.report, &options, &display_names(&args.files), "Other scans need another --label")
+    let what_to_do = if matches!(end, TransferEnd::Differs(_)) {
+        format!("Other scans need another label, such as --label {}", free_label(session, &options).await)
+    } else {
+        String::new()
+    };
+    exit_code(end, &transfer.report, &options, &display_names(&args.files), &what_to_do)
 }
 
 fn display_names(files: &[PathBuf]) -> String {

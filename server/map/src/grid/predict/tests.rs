@@ -129,6 +129,7 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
         generation: Arc::new(Generation { models }),
         scans: 0,
         pending_scans: 0,
+        scans_ahead: 0,
         cell_observations: 0,
     });
     view
