@@ -4,13 +4,14 @@
 //
 // Figures depend on the machine and are printed, not judged. FOLDER is used again if the daemon's data are there.
 
-import { existsSync } from 'node:fs';
+import { existsSync, mkdirSync } from 'node:fs';
 import { join } from 'node:path';
 
 import { Daemon, launch, open, slideTo } from './stage.mjs';
 
 const [program, cli, folder, cell = '0.05'] = process.argv.slice(2);
 const PLAY_SECS = Number(process.env.TIDEMAP_PLAY_SECS ?? 30);
+mkdirSync(folder, { recursive: true });
 const daemon = await Daemon.start(program, cli, folder, ['--http-write']);
 const browser = await launch();
 const quantile = (values, share) => [...values].sort((a, b) => a - b)[Math.min(values.length - 1, Math.floor(share * values.length))];

@@ -8,7 +8,6 @@ use tidemap_client::{
     queries::ModelSelector,
     routes::{EdgeName, NodePose, Presence, PresenceQuery},
 };
-use tidemap_map::time::format_rfc3339;
 use tonic::Code;
 
 use super::Session;
@@ -71,7 +70,7 @@ pub(crate) async fn draw(
         })
     });
     let picture = TopologyPicture {
-        title: format!("{map} at {}", format_rfc3339(time_nanos)),
+        title: format!("{map} at {}", session.times.heading(time_nanos)),
         nodes: nodes.collect(),
         edges: drawn.collect(),
     };
