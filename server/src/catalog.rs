@@ -430,7 +430,7 @@ fn restore_map(
     }
     let unsaved = repeated.unsaved;
     info!(
-        map = %spec.name, source = ?opened.source, replayed, states = map.states(), pending = map.pending(),
+        map = %spec.name, source = opened.source.name(), replayed, states = map.states(), pending = map.pending(),
         "map opened"
     );
     Ok(RestoredMap { map, log: opened.log, unsaved, begun })

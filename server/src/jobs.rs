@@ -28,6 +28,19 @@ pub(crate) enum JobCause {
     Erasure,
 }
 
+impl JobCause {
+    /// Its name, for the log.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Update(UpdateCause::Request) => "request",
+            Self::Update(UpdateCause::Midnight) => "midnight",
+            Self::Update(UpdateCause::DataTime) => "midnight in data time",
+            Self::Update(UpdateCause::PendingLimit) => "limit of pending observations",
+            Self::Erasure => "erasure",
+        }
+    }
+}
+
 impl From<UpdateCause> for JobCause {
     fn from(cause: UpdateCause) -> Self {
         Self::Update(cause)

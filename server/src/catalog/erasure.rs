@@ -6,6 +6,7 @@
 
 use std::{
     collections::BTreeSet,
+    fmt,
     sync::{Arc, atomic::Ordering},
 };
 
@@ -14,6 +15,7 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
+    time::format_rfc3339,
     view::MapView,
 };
 use tidemap_store::Erased;
@@ -67,6 +69,31 @@ pub(crate) struct WishedPart {
     pub forgets: bool,
 }
 
+impl fmt::Display for Wish {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.state {
+            Some(state) => write!(f, "state {state:?}")?,
+            None => f.write_str("all states")?,
+        }
+        self.part.as_ref().map_or(Ok(()), |part| write!(f, ", {part}"))
+    }
+}
+
+impl fmt::Display for WishedPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.producer {
+            Some((producer, Some(label))) => write!(f, "producer {producer:?} with label {label:?}, ")?,
+            Some((producer, None)) => write!(f, "producer {producer:?}, ")?,
+            None => {}
+        }
+        write!(f, "from {}", format_rfc3339(self.from_nanos))?;
+        match self.to_nanos {
+            i64::MAX => f.write_str(" on"),
+            nanos => write!(f, " to {}", format_rfc3339(nanos)),
+        }
+    }
+}
+
 impl Catalog {
     /// The producers of a map with a name, and with a label if one is given.
     ///
@@ -95,14 +122,14 @@ impl Catalog {
     pub(crate) fn erase(&self, map: &MapName, wish: Wish, caller: &Caller) -> Arc<UpdateJob> {
         let job = self.context.jobs.create(map.clone(), JobCause::Erasure, self.context.clock.now_nanos());
         let (this, map, by, of) = (self.clone(), map.clone(), caller.shown().to_owned(), Arc::clone(&job));
-        info!(%map, ?wish, by, job = job.id, "erasure ordered");
+        info!(%map, %wish, by, job = job.id, "erasure ordered");
         tokio::spawn(async move {
             let erased = this.erase_now(&map, &wish, &of).await;
             match &erased {
                 Ok(Erased { states, observations }) => {
-                    info!(%map, ?wish, by, job = of.id, states, observations, "erased");
+                    info!(%map, %wish, by, job = of.id, states, observations, "erased");
                 }
-                Err(error) => error!(%map, ?wish, by, job = of.id, %error, "not erased"),
+                Err(error) => error!(%map, %wish, by, job = of.id, %error, "not erased"),
             }
             of.end_with(erased.map(|_| None).map_err(|error| error.to_string()));
         });

@@ -136,6 +136,18 @@ pub enum Source {
     Log,
 }
 
+impl Source {
+    /// Its name, for the log.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Empty => "empty",
+            Self::Checkpoint => "checkpoint",
+            Self::Log => "log",
+        }
+    }
+}
+
 /// A map that is open for appending.
 pub struct OpenedMap {
     /// Its log.

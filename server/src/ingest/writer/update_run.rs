@@ -241,7 +241,7 @@ impl Writer {
         self.changed = true;
         metrics::counter!("tidemap_updates_total").increment(1);
         info!(
-            map = %self.map.spec().name, cause = ?job.cause, generation = snapshot.generation, states, tiles,
+            map = %self.map.spec().name, cause = job.cause.name(), generation = snapshot.generation, states, tiles,
             observations = job.status().observations, "updated"
         );
         self.updates.end(job, snapshot.generation, snapshot.cut_nanos);
