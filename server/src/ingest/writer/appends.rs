@@ -240,9 +240,6 @@ impl Writer {
         if is_first {
             warn!(map = %self.map.spec().name, error = reason, "the log could not be written: its appends are not acknowledged");
         }
-        if is_newly_fatal {
-            self.fatal(reason);
-        }
         for append in appends {
             let error = cause.clone();
             match append {
@@ -257,6 +254,10 @@ impl Writer {
                 InFlight::AddState { reply, .. } => drop(reply.send(Err(AddStateError::Storage(error)))),
                 InFlight::EditSite { reply, .. } => self.site_edited(reply, Err(EditSiteError::Storage(error))),
             }
+        }
+        // Last, so that streams hear this reason and not that the daemon stops.
+        if is_newly_fatal {
+            self.fatal(reason);
         }
     }
 
