@@ -1,16 +1,17 @@
 //! Connections: how many there are, how long one may be silent, and which one makes room for the next.
 //!
 //! Invariant: the number of connections is bounded, in total and per client. A connection that has not made a request
-//! within [`REQUEST_WITHIN`] ends. When a bound is reached, one that never made a request makes room, or one that made
-//! none for [`IDLE_AFTER`]; if all are busy, the new one is closed. A client that only holds connections open cannot
-//! keep others out.
+//! within [`REQUEST_WITHIN`] ends. When a bound is reached, a connection that works on no request makes room: first one
+//! of which no request was served, then one that is idle for long enough. If all are busy, the new one is closed. A
+//! client that only holds connections open, or whose requests are refused, cannot keep others out.
 
 use std::{
     collections::HashMap,
+    fmt,
     net::IpAddr,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
     },
     task::Waker,
     time::{Duration, Instant},
@@ -27,8 +28,6 @@ mod validity;
 
 /// A connection must make its first request within this time.
 const REQUEST_WITHIN: Duration = Duration::from_secs(5);
-/// A connection without a request for this long may make room for another.
-const IDLE_AFTER: Duration = Duration::from_secs(60);
 
 /// Limits of a port's connections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +36,31 @@ pub(crate) struct ConnectionLimits {
     pub total: usize,
     /// Maximum number of connections of one client.
     pub per_client: usize,
+    /// A connection that works on no request for this long may make room for another.
+    pub idle_after: Duration,
+}
+
+/// Which connections these are, as the metrics name them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Port {
+    /// Those of the gRPC port and of the Unix socket.
+    Grpc,
+    /// Those of the HTTP port.
+    Http,
+    /// Those of the HTTP port beyond its limits, which may ask whether the daemon lives. They last
+    /// [`REQUEST_WITHIN`] at most, and each may make room for the next.
+    Probes,
+}
+
+impl Port {
+    /// Its name.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Grpc => "grpc",
+            Self::Http => "http",
+            Self::Probes => "probes",
+        }
+    }
 }
 
 /// Who is at the other end.
@@ -48,9 +72,19 @@ pub(crate) enum Peer {
     Local,
 }
 
+impl fmt::Display for Peer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Address(address) => address.fmt(f),
+            Self::Local => f.write_str("the Unix socket"),
+        }
+    }
+}
+
 /// The open connections of a port. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Connections {
+    port: Port,
     limits: ConnectionLimits,
     open: Arc<Mutex<Open>>,
 }
@@ -67,11 +101,48 @@ struct Open {
 struct Seat {
     peer: Peer,
     opened: Instant,
-    /// Milliseconds from `opened` to its last request, and one more; 0 if it made none.
-    asked_after_millis: AtomicU64,
+    /// Requests that are worked on.
+    requests: AtomicUsize,
+    /// Milliseconds from `opened` to the end of its last request that was served, and one more; 0 if there was none.
+    served_after_millis: AtomicU64,
     /// The connection has to make room for another.
     is_displaced: AtomicBool,
     waker: Mutex<Option<Waker>>,
+}
+
+/// The other end of a connection, as its requests carry it.
+#[derive(Clone, Debug)]
+pub(crate) struct Remote(Arc<Seat>);
+
+impl Remote {
+    /// Who is there.
+    pub(crate) fn peer(&self) -> Peer {
+        self.0.peer
+    }
+
+    /// Keeps the connection busy until it is dropped. `is_served`: the request is of somebody who may ask, so that the
+    /// connection counts as one in use afterwards.
+    pub(crate) fn busy(&self, is_served: bool) -> Busy {
+        self.0.requests.fetch_add(1, Ordering::AcqRel);
+        Busy { seat: Arc::clone(&self.0), is_served }
+    }
+}
+
+/// A request that is worked on.
+#[derive(Debug)]
+pub(crate) struct Busy {
+    seat: Arc<Seat>,
+    is_served: bool,
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        if self.is_served {
+            let millis = u64::try_from(self.seat.opened.elapsed().as_millis()).unwrap_or(u64::MAX);
+            self.seat.served_after_millis.store(millis.saturating_add(1), Ordering::Release);
+        }
+        self.seat.requests.fetch_sub(1, Ordering::AcqRel);
+    }
 }
 
 /// The place of an open connection; free again when dropped.
@@ -79,6 +150,7 @@ struct Seat {
 pub(crate) struct Place {
     number: u64,
     seat: Arc<Seat>,
+    port: Port,
     open: Arc<Mutex<Open>>,
 }
 
@@ -92,7 +164,7 @@ impl Drop for Place {
                 open.per_client.remove(&self.seat.peer);
             }
         }
-        metrics::gauge!("tidemap_connections").set(open.seats.len() as f64);
+        metrics::gauge!("tidemap_connections", "port" => self.port.name()).set(open.seats.len() as f64);
     }
 }
 
@@ -101,18 +173,6 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Seat {
-    /// The connection made a request now.
-    fn asks(&self) {
-        let millis = u64::try_from(self.opened.elapsed().as_millis()).unwrap_or(u64::MAX);
-        self.asked_after_millis.store(millis.saturating_add(1), Ordering::Relaxed);
-    }
-
-    /// When the connection made its last request.
-    fn asked(&self) -> Option<Instant> {
-        let millis = self.asked_after_millis.load(Ordering::Relaxed).checked_sub(1)?;
-        Some(self.opened + Duration::from_millis(millis))
-    }
-
     fn displace(&self) {
         self.is_displaced.store(true, Ordering::Release);
         if let Some(waker) = lock(&self.waker).take() {
@@ -133,33 +193,21 @@ impl Seat {
         false
     }
 
-    /// Which of two connections makes room first: those that never made a request, then those idle for longest.
-    fn rank(&self, now: Instant) -> Option<(bool, Duration)> {
-        match self.asked() {
-            None => Some((true, now.saturating_duration_since(self.opened))),
-            Some(asked) => {
-                let idle = now.saturating_duration_since(asked);
-                (idle >= IDLE_AFTER).then_some((false, idle))
-            }
+    /// Which of two connections makes room first: those of which no request was served, then those idle for longest.
+    /// `None`: it is in use.
+    fn rank(&self, idle_after: Duration, now: Instant) -> Option<(bool, Duration)> {
+        if self.requests.load(Ordering::Acquire) > 0 {
+            return None;
         }
+        let Some(millis) = self.served_after_millis.load(Ordering::Acquire).checked_sub(1) else {
+            return Some((true, now.saturating_duration_since(self.opened)));
+        };
+        let idle = now.saturating_duration_since(self.opened + Duration::from_millis(millis));
+        (idle >= idle_after).then_some((false, idle))
     }
 }
 
 impl Open {
-    /// Lets a connection make room, of any client or of one.
-    fn displace(&mut self, of: Option<Peer>, now: Instant) -> bool {
-        let candidates = self.seats.iter().filter(|(_, seat)| of.is_none_or(|peer| seat.peer == peer));
-        let ranked = candidates
-            .filter(|(_, seat)| !seat.is_displaced.load(Ordering::Acquire))
-            .filter_map(|(number, seat)| seat.rank(now).map(|rank| (rank, *number)));
-        let Some((_, number)) = ranked.max() else { return false };
-        if let Some(seat) = self.seats.get(&number) {
-            seat.displace();
-        }
-        metrics::counter!("tidemap_connections_displaced").increment(1);
-        true
-    }
-
     /// Number of open connections that do not have to make room, of any client or of one.
     fn staying(&self, of: Option<Peer>) -> usize {
         let stays =
@@ -170,8 +218,29 @@ impl Open {
 
 impl Connections {
     /// No connections.
-    pub(crate) fn new(limits: ConnectionLimits) -> Self {
-        Self { limits, open: Arc::default() }
+    pub(crate) fn new(port: Port, limits: ConnectionLimits) -> Self {
+        Self { port, limits, open: Arc::default() }
+    }
+
+    /// Which connections these are.
+    pub(crate) fn port(&self) -> Port {
+        self.port
+    }
+
+    /// Lets a connection make room, of any client or of one.
+    fn displace(&self, open: &Open, of: Option<Peer>, now: Instant) -> bool {
+        let rank = |seat: &Seat| match self.port {
+            Port::Probes => Some((true, now.saturating_duration_since(seat.opened))),
+            Port::Grpc | Port::Http => seat.rank(self.limits.idle_after, now),
+        };
+        let candidates = open.seats.values().filter(|seat| of.is_none_or(|peer| seat.peer == peer));
+        let ranked = candidates
+            .filter(|seat| !seat.is_displaced.load(Ordering::Acquire))
+            .filter_map(|seat| Some((rank(seat)?, seat)));
+        let Some((_, seat)) = ranked.max_by_key(|(rank, _)| *rank) else { return false };
+        seat.displace();
+        metrics::counter!("tidemap_connections_displaced", "port" => self.port.name()).increment(1);
+        true
     }
 
     /// A place for a new connection; another one makes room if it has to. `None` if all others are busy.
@@ -181,16 +250,17 @@ impl Connections {
         let of_peer = open.per_client.get(&peer).copied().unwrap_or(0);
         // Most of the time both bounds are far away, and nothing is counted one by one.
         let is_full_for_peer = of_peer >= self.limits.per_client && open.staying(Some(peer)) >= self.limits.per_client;
-        let has_room = !is_full_for_peer || open.displace(Some(peer), now);
+        let has_room = !is_full_for_peer || self.displace(&open, Some(peer), now);
         let is_full = open.seats.len() >= self.limits.total && open.staying(None) >= self.limits.total;
-        if !has_room || (is_full && !open.displace(None, now)) {
-            metrics::counter!("tidemap_connections_refused").increment(1);
+        if !has_room || (is_full && !self.displace(&open, None, now)) {
+            metrics::counter!("tidemap_connections_refused", "port" => self.port.name()).increment(1);
             return None;
         }
         let seat = Arc::new(Seat {
             peer,
             opened: now,
-            asked_after_millis: AtomicU64::new(0),
+            requests: AtomicUsize::new(0),
+            served_after_millis: AtomicU64::new(0),
             is_displaced: AtomicBool::new(false),
             waker: Mutex::new(None),
         });
@@ -198,13 +268,13 @@ impl Connections {
         open.next += 1;
         open.seats.insert(number, Arc::clone(&seat));
         *open.per_client.entry(peer).or_default() += 1;
-        metrics::gauge!("tidemap_connections").set(open.seats.len() as f64);
+        metrics::gauge!("tidemap_connections", "port" => self.port.name()).set(open.seats.len() as f64);
         drop(open);
-        Some(Place { number, seat, open: Arc::clone(&self.open) })
+        Some(Place { number, seat, port: self.port, open: Arc::clone(&self.open) })
     }
 
     /// Lets one connection make room, because the process has no descriptors left.
     pub(crate) fn make_room(&self) {
-        lock(&self.open).displace(None, Instant::now());
+        self.displace(&lock(&self.open), None, Instant::now());
     }
 }

@@ -24,7 +24,7 @@ use crate::{
     clock::SystemClock,
     config::Settings,
     connections::{
-        ConnectionLimits, Connections,
+        ConnectionLimits, Connections, Port,
         accept::{Acceptor, HttpListener, Listener},
         request_scan::Protocol,
         socket::listen_unix,
@@ -50,8 +50,13 @@ const MAPS_STOP_WITHIN: Duration = Duration::from_secs(10);
 /// Time for the store to close.
 const CLOSE_WITHIN: Duration = Duration::from_secs(10);
 
-/// Limits of the HTTP port.
-const HTTP_CONNECTIONS: ConnectionLimits = ConnectionLimits { total: 256, per_client: 128 };
+/// A connection of the gRPC port without a request for this long may make room for another.
+const GRPC_IDLE_AFTER: Duration = Duration::from_secs(60);
+/// Limits of the HTTP port. Browsers and scripts connect again where they find an idle connection closed.
+const HTTP_CONNECTIONS: ConnectionLimits =
+    ConnectionLimits { total: 256, per_client: 128, idle_after: Duration::from_secs(1) };
+/// Limits of its reserve, for those who ask whether the daemon lives.
+const PROBE_CONNECTIONS: ConnectionLimits = ConnectionLimits { total: 32, per_client: 4, idle_after: Duration::ZERO };
 /// Descriptors that connections leave to files.
 const FILE_DESCRIPTORS: usize = 512;
 
@@ -233,18 +238,10 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         (grpc.local_addr().map_err(anyhow::Error::from)?, http.local_addr().map_err(anyhow::Error::from)?);
     // A channel and not a notification: a port that starts to wait late still sees the stop.
     let (stop_ports, ports_stopping) = watch::channel(false);
-    let wait = || {
-        let mut stopping = ports_stopping.clone();
-        async move {
-            // An error means that the sender is gone, which is a stop as well.
-            let _ = stopping.wait_for(|stop| *stop).await;
-        }
-    };
-    let grpc_stop = wait();
     let services = rpc::serve::services(Arc::clone(&catalog), &settings, stopping.clone()).await;
     let web = web(&services, &access, &settings)?;
     let (grpc_acceptor, grpc_connections) =
-        Acceptor::new(Connections::new(connection_limits(&settings)), Protocol::Http2);
+        Acceptor::new(Connections::new(Port::Grpc, connection_limits(&settings)), Protocol::Http2);
     grpc_acceptor.listen(Listener::Tcp(grpc, grpc_tls.clone()));
     if !settings.socket.as_os_str().is_empty() {
         let socket = listen_unix(&settings.socket, settings.socket_mode);
@@ -254,14 +251,14 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     }
     let is_local = grpc_address.ip().is_loopback();
     let mut grpc_task =
-        tokio::spawn(rpc::serve::serve(grpc_connections, access.clone(), services, is_local, grpc_stop));
-    let http_stop = wait();
-    let (http_acceptor, accepted) = Acceptor::new(Connections::new(HTTP_CONNECTIONS), Protocol::Http1);
+        tokio::spawn(rpc::serve::serve(grpc_connections, access.clone(), services, is_local, ports_stopping.clone()));
+    let (http_acceptor, accepted) = Acceptor::new(Connections::new(Port::Http, HTTP_CONNECTIONS), Protocol::Http1);
+    let (http_acceptor, in_reserve) = http_acceptor.with_reserve(Connections::new(Port::Probes, PROBE_CONNECTIONS));
     http_acceptor.listen(Listener::Tcp(http, http_tls.clone().filter(|_| !http_address.ip().is_loopback())));
     let http_access = if http_address.ip().is_loopback() { Access::Anybody } else { access };
-    let http = HttpListener { address: http_address, accepted };
+    let http = [accepted, in_reserve].map(|accepted| HttpListener { address: http_address, accepted });
     let mut http_task =
-        tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, http_access, web, stopping, http_stop));
+        tokio::spawn(http::serve(http, Arc::clone(&catalog), metrics, http_access, web, stopping, ports_stopping));
     let tls: Vec<Tls> = grpc_tls.into_iter().chain(http_tls).collect();
     if !tls.is_empty() {
         tokio::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));
@@ -296,12 +293,17 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         warn!("maps did not stop within {} seconds; nothing acknowledged is lost", MAPS_STOP_WITHIN.as_secs());
     }
     stop_ports.send_replace(true);
+    // Whatever the daemon ends of: who has an open stream is told before the process is gone.
     let closed = async {
-        let _ = (&mut grpc_task).await;
-        let _ = (&mut http_task).await;
+        for task in [grpc_task, http_task] {
+            // What has ended must not be asked again.
+            if !task.is_finished() {
+                let _ = task.await;
+            }
+        }
     };
-    // Both tasks may have ended already. A client that keeps its connection open does not keep the daemon running.
-    if result.is_ok() && tokio::time::timeout(STOP_WITHIN, closed).await.is_err() {
+    // A client that keeps its connection open does not keep the daemon running.
+    if tokio::time::timeout(STOP_WITHIN, closed).await.is_err() {
         info!("open connections are closed");
     }
     close(store).await;
@@ -379,7 +381,7 @@ fn connection_limits(settings: &Settings) -> ConnectionLimits {
         let max = settings.max_connections;
         warn!(total, max, "the limit of descriptors allows fewer connections than max_connections");
     }
-    ConnectionLimits { total, per_client: settings.max_connections_per_client }
+    ConnectionLimits { total, per_client: settings.max_connections_per_client, idle_after: GRPC_IDLE_AFTER }
 }
 
 async fn listen_on_ports(settings: &Settings) -> Result<[TcpListener; 2], DaemonError> {

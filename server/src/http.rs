@@ -1,18 +1,27 @@
 //! The HTTP port: health for everybody, metrics, beyond this machine for holders of tokens, and what [`web`] adds.
 //!
-//! Invariant: health and metrics reveal nothing of the content of a map, and are asked by any host name.
+//! Invariant: health and metrics reveal nothing of the content of a map, and are asked by any host name. Whether the
+//! daemon lives and serves is answered also when all connections of the port are busy: by its reserve.
 
-use std::{future::Future, path::PathBuf, sync::Arc};
+use std::{path::PathBuf, sync::Arc};
 
-use axum::{Router, extract::Request, http::StatusCode, routing::get};
+use axum::{
+    Router,
+    body::Body,
+    extract::{ConnectInfo, Request},
+    http::{HeaderValue, StatusCode, header},
+    middleware::{Next, from_fn, map_response},
+    response::Response,
+    routing::get,
+};
+use http_body_util::BodyExt as _;
 use metrics_exporter_prometheus::PrometheusHandle;
 use tidemap_store::Trouble;
 use tokio::sync::watch;
 
 use crate::{
     catalog::Catalog,
-    connections::Peer,
-    connections::accept::HttpListener,
+    connections::{Remote, accept::HttpListener},
     ingest::handle::{MapHandle, OpenProgress},
     rpc::guard::Access,
     statistics,
@@ -63,24 +72,12 @@ pub(crate) struct Metrics {
     pub data_dir: PathBuf,
 }
 
-/// Serves until `stop` is ready.
-///
-/// # Errors
-/// The listener failed.
-pub(crate) async fn serve(
-    listener: HttpListener,
-    catalog: Arc<Catalog>,
-    metrics: Metrics,
-    access: Access,
-    web: Router,
-    stopping: watch::Receiver<bool>,
-    stop: impl Future<Output = ()> + Send + 'static,
-) -> std::io::Result<()> {
-    let maps = Arc::clone(&catalog);
+/// What programs ask that watch the daemon.
+fn probes(catalog: Arc<Catalog>, stopping: watch::Receiver<bool>) -> Router {
     let ready = move || {
         let stopping = *stopping.borrow();
-        let (trouble, is_severe) = trouble(&maps);
-        let (opening, unavailable) = (opening(&maps), unavailable(&maps));
+        let (trouble, is_severe) = trouble(&catalog);
+        let (opening, unavailable) = (opening(&catalog), unavailable(&catalog));
         async move {
             if stopping {
                 (StatusCode::SERVICE_UNAVAILABLE, "stopping\n".to_owned())
@@ -93,12 +90,54 @@ pub(crate) async fn serve(
             }
         }
     };
+    Router::new().route("/healthz", get(|| async { "alive\n" })).route("/readyz", get(ready))
+}
+
+/// A connection that works on a request does not make room for another.
+async fn keep_busy(ConnectInfo(remote): ConnectInfo<Remote>, request: Request, next: Next) -> Response {
+    // Whether the request is served, admission says.
+    let busy = remote.busy(false);
+    let held_by = |body: Body| {
+        body.map_err(move |error| {
+            let _held = &busy;
+            error
+        })
+    };
+    next.run(request).await.map(|body| Body::new(held_by(body)))
+}
+
+/// What connections beyond the limits may ask; each has one answer.
+fn reserve(probes: Router) -> Router {
+    let full = "all connections of this port are busy: try again later\n";
+    probes.fallback(move || async move { (StatusCode::SERVICE_UNAVAILABLE, full) }).layer(map_response(
+        async |mut response: Response| {
+            response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
+            response
+        },
+    ))
+}
+
+/// Serves the port and its reserve until `stop` becomes true.
+///
+/// # Errors
+/// The listener failed.
+pub(crate) async fn serve(
+    [listener, reserve_listener]: [HttpListener; 2],
+    catalog: Arc<Catalog>,
+    metrics: Metrics,
+    access: Access,
+    web: Router,
+    stopping: watch::Receiver<bool>,
+    stop: watch::Receiver<bool>,
+) -> anyhow::Result<()> {
+    let probes = probes(Arc::clone(&catalog), stopping);
+    let reserve = reserve(probes.clone());
     let router = if web::has_page() { web } else { web.route("/", get(|| async { INDEX })) };
-    let router = router.route("/healthz", get(|| async { "alive\n" })).route("/readyz", get(ready)).route(
+    let router = router.merge(probes).route(
         "/metrics",
         get(move |request: Request| {
             let (catalog, metrics) = (Arc::clone(&catalog), metrics.clone());
-            let allowed = access.may_read_metrics(&request);
+            let allowed = access.may_read_metrics(request.headers());
             async move {
                 match allowed {
                     Ok(true) => {}
@@ -120,5 +159,15 @@ pub(crate) async fn serve(
             }
         }),
     );
-    axum::serve(listener, router.into_make_service_with_connect_info::<Peer>()).with_graceful_shutdown(stop).await
+    let serve = |listener, router: Router| {
+        let mut stop = stop.clone();
+        let stopped = async move {
+            // An error means that the sender is gone, which is a stop as well.
+            let _ = stop.wait_for(|stop| *stop).await;
+        };
+        let router = router.into_make_service_with_connect_info::<Remote>();
+        axum::serve(listener, router).with_graceful_shutdown(stopped).into_future()
+    };
+    tokio::try_join!(serve(listener, router.layer(from_fn(keep_busy))), serve(reserve_listener, reserve))?;
+    Ok(())
 }

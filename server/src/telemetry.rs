@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use tracing_subscriber::EnvFilter;
 
 mod descriptions;
+pub(crate) mod occasional;
 pub(crate) mod process;
 pub(crate) mod traces;
 

@@ -1,22 +1,19 @@
 //! Accepts connections and hands them to the server of a port.
 //!
 //! Invariant: an accept that fails never spins: it is logged now and then, a connection makes room, and the next try
-//! comes after a pause.
+//! comes after a pause. A connection beyond the limits is refused, or comes into the reserve of a port that has one.
 
-use std::{
-    io,
-    net::SocketAddr,
-    time::{Duration, Instant},
-};
+use std::{io, net::SocketAddr, time::Duration};
 
 use axum::{extract::connect_info::Connected, serve::IncomingStream};
 use tokio::{
     net::{TcpListener, UnixListener},
     sync::mpsc,
 };
-use tracing::{debug, error};
+use tracing::{error, warn};
 
-use super::{Connections, Peer, guard::GuardedConnection, request_scan::Protocol, socket::Socket, tls::Tls};
+use super::{Connections, Peer, Remote, guard::GuardedConnection, request_scan::Protocol, socket::Socket, tls::Tls};
+use crate::telemetry::occasional::Occasional;
 
 /// A connection as a server gets it.
 pub(crate) type Accepted = GuardedConnection<Socket>;
@@ -25,41 +22,73 @@ pub(crate) type Accepted = GuardedConnection<Socket>;
 const WAITING: usize = 64;
 /// The pause after an accept that failed.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Failing accepts are logged this often.
-const LOGGED_EVERY: Duration = Duration::from_secs(10);
+
+static FAILURES: Occasional = Occasional::new();
+static REFUSALS: Occasional = Occasional::new();
 
 /// Accepts the connections of a port until the receiver is dropped.
 #[derive(Debug)]
 pub(crate) struct Acceptor {
-    connections: Connections,
     protocol: Protocol,
+    door: Door,
+    /// Where connections go that are beyond the limits of the door.
+    reserve: Option<Door>,
+}
+
+/// Connections, and the server that gets them.
+#[derive(Clone, Debug)]
+struct Door {
+    connections: Connections,
     accepted: mpsc::Sender<io::Result<Accepted>>,
+}
+
+impl Door {
+    fn new(connections: Connections) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
+        let (accepted, receiver) = mpsc::channel(WAITING);
+        (Self { connections, accepted }, receiver)
+    }
 }
 
 impl Acceptor {
     /// An acceptor of a port, and the connections that it accepts.
     pub(crate) fn new(connections: Connections, protocol: Protocol) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
-        let (accepted, receiver) = mpsc::channel(WAITING);
-        (Self { connections, protocol, accepted }, receiver)
+        let (door, receiver) = Door::new(connections);
+        (Self { protocol, door, reserve: None }, receiver)
+    }
+
+    /// The same with a reserve, whose connections come from the second receiver.
+    pub(crate) fn with_reserve(self, connections: Connections) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
+        let (reserve, receiver) = Door::new(connections);
+        (Self { reserve: Some(reserve), ..self }, receiver)
     }
 
     /// Accepts the connections of a listener; a port may have several.
     pub(crate) fn listen(&self, listener: Listener) {
-        let (connections, protocol, accepted) = (self.connections.clone(), self.protocol, self.accepted.clone());
+        let (protocol, door, reserve) = (self.protocol, self.door.clone(), self.reserve.clone());
         tokio::spawn(async move {
-            let mut failures = Failures::default();
             loop {
                 let next = tokio::select! {
                     next = listener.accept() => next,
-                    () = accepted.closed() => return,
+                    () = door.accepted.closed() => return,
                 };
-                match next.map(|(socket, peer)| (socket, connections.admit(peer))) {
-                    // The server is gone only when the daemon stops.
-                    Ok((socket, Some(place))) => {
-                        drop(accepted.send(Ok(GuardedConnection::new(socket, place, protocol))).await);
+                let (socket, peer) = match next {
+                    Ok(next) => next,
+                    Err(error) => {
+                        pause(&error, &door.connections).await;
+                        continue;
                     }
-                    Ok((_, None)) => debug!("a connection was refused: all others are busy"),
-                    Err(error) => failures.pause(&error, &connections).await,
+                };
+                let place = door.connections.admit(peer).map(|place| (&door, place));
+                if place.is_none()
+                    && let Some(left_out) = REFUSALS.next()
+                {
+                    let port = door.connections.port().name();
+                    warn!(port, %peer, left_out, "a connection was refused: all others are busy");
+                }
+                let in_reserve = || reserve.as_ref().and_then(|door| Some((door, door.connections.admit(peer)?)));
+                if let Some((door, place)) = place.or_else(in_reserve) {
+                    // The server is gone only when the daemon stops.
+                    drop(door.accepted.send(Ok(GuardedConnection::new(socket, place, protocol))).await);
                 }
             }
         });
@@ -82,7 +111,7 @@ impl Listener {
                 // Replies are small and must not wait for each other.
                 let _ = socket.set_nodelay(true);
                 let socket = match tls {
-                    Some(tls) => Socket::Tls(Box::new(tls.accept(socket))),
+                    Some(tls) => Socket::Tls(Box::new(tls.accept(socket, address))),
                     None => Socket::Tcp(socket),
                 };
                 Ok((socket, Peer::Address(address.ip().to_canonical())))
@@ -92,24 +121,14 @@ impl Listener {
     }
 }
 
-/// Accepts that failed.
-#[derive(Debug, Default)]
-struct Failures {
-    logged: Option<Instant>,
-    since_logged: u64,
-}
-
-impl Failures {
-    async fn pause(&mut self, error: &io::Error, connections: &Connections) {
-        metrics::counter!("tidemap_accept_errors").increment(1);
-        self.since_logged += 1;
-        if self.logged.is_none_or(|logged| logged.elapsed() >= LOGGED_EVERY) {
-            error!(%error, failures = self.since_logged, "connections cannot be accepted; one makes room for the next");
-            (self.logged, self.since_logged) = (Some(Instant::now()), 0);
-        }
-        connections.make_room();
-        tokio::time::sleep(PAUSE).await;
+/// Waits after an accept that failed.
+async fn pause(error: &io::Error, connections: &Connections) {
+    metrics::counter!("tidemap_accept_errors").increment(1);
+    if let Some(left_out) = FAILURES.next() {
+        error!(%error, left_out, "connections cannot be accepted; one makes room for the next");
     }
+    connections.make_room();
+    tokio::time::sleep(PAUSE).await;
 }
 
 /// A listener for axum: the connections of an acceptor.
@@ -140,8 +159,8 @@ impl axum::serve::Listener for HttpListener {
     }
 }
 
-impl Connected<IncomingStream<'_, HttpListener>> for Peer {
+impl Connected<IncomingStream<'_, HttpListener>> for Remote {
     fn connect_info(stream: IncomingStream<'_, HttpListener>) -> Self {
-        stream.io().peer()
+        stream.io().remote()
     }
 }

@@ -1,22 +1,31 @@
 //! A connection under guard: it ends when it makes no request in time, or when it has to make room.
 //!
-//! Invariant: the guard changes no byte.
+//! Invariant: the guard changes no byte. The daemon closes no connection with bytes of the client on their way, because
+//! the client could then lose what it was told last: after its own end, the daemon reads on for [`LINGER`] and
+//! [`LINGER_BYTES`] at most.
 
 use std::{
     io,
     pin::Pin,
+    sync::Arc,
     task::{Context, Poll, ready},
+    time::Duration,
 };
 
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
-    time::{Instant, Sleep, sleep_until},
+    time::{Instant, Sleep, sleep, sleep_until},
 };
 
 use super::{
-    Peer, Place, REQUEST_WITHIN,
+    Place, Port, REQUEST_WITHIN, Remote,
     request_scan::{Protocol, RequestScan},
 };
+
+/// So many bytes are read and ignored meanwhile, a few at a time, because others wait.
+const LINGER_BYTES: usize = 64 << 10;
+/// The other end closes its side within this time after the daemon has closed its own.
+const LINGER: Duration = Duration::from_secs(1);
 
 /// A connection and its place.
 #[derive(Debug)]
@@ -24,19 +33,21 @@ pub(crate) struct GuardedConnection<S> {
     socket: S,
     place: Place,
     scan: RequestScan,
-    /// The deadline of the first request.
+    /// The deadline of the first request; of the reserve for probes, that of the connection.
     deadline: Option<Pin<Box<Sleep>>>,
+    /// Until when the end of the other side is waited for, and the bytes that were ignored.
+    linger: Option<(Pin<Box<Sleep>>, usize)>,
 }
 
 impl<S> GuardedConnection<S> {
     pub(super) fn new(socket: S, place: Place, protocol: Protocol) -> Self {
         let deadline = Some(Box::pin(sleep_until(Instant::now() + REQUEST_WITHIN)));
-        Self { socket, place, scan: RequestScan::new(protocol), deadline }
+        Self { socket, place, scan: RequestScan::new(protocol), deadline, linger: None }
     }
 
-    /// Who is at the other end.
-    pub(crate) fn peer(&self) -> Peer {
-        self.place.seat.peer
+    /// The other end.
+    pub(crate) fn remote(&self) -> Remote {
+        Remote(Arc::clone(&self.place.seat))
     }
 
     /// A server that waits to write its greeting, as in a TLS handshake, does not read; the deadline holds then too.
@@ -53,7 +64,7 @@ impl<S> GuardedConnection<S> {
         }
         let deadline = self.deadline.as_mut()?;
         deadline.as_mut().poll(context).is_ready().then(|| {
-            metrics::counter!("tidemap_connections_silent").increment(1);
+            metrics::counter!("tidemap_connections_silent", "port" => self.place.port.name()).increment(1);
             io::Error::new(io::ErrorKind::TimedOut, "the connection made no request in time")
         })
     }
@@ -71,15 +82,15 @@ impl<S: AsyncRead + Unpin> AsyncRead for GuardedConnection<S> {
         }
         let before = buffer.filled().len();
         ready!(Pin::new(&mut guarded.socket).poll_read(context, buffer))?;
-        if guarded.scan.sees_request(&buffer.filled()[before..]) {
-            guarded.place.seat.asks();
+        let is_limited = guarded.deadline.is_some() && guarded.place.port != Port::Probes;
+        if is_limited && guarded.scan.sees_request(&buffer.filled()[before..]) {
             guarded.deadline = None;
         }
         Poll::Ready(Ok(()))
     }
 }
 
-impl<S: AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
+impl<S: AsyncRead + AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
     fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         self.check_before_request(context)?;
         Pin::new(&mut self.socket).poll_write(context, bytes)
@@ -104,6 +115,21 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.socket).poll_shutdown(context)
+        ready!(Pin::new(&mut self.socket).poll_shutdown(context))?;
+        let guarded = &mut *self;
+        let (until, ignored) = guarded.linger.get_or_insert_with(|| (Box::pin(sleep(LINGER)), 0));
+        let mut bytes = [0; 8192];
+        while *ignored < LINGER_BYTES
+            && !guarded.place.seat.is_displaced(context.waker())
+            && until.as_mut().poll(context).is_pending()
+        {
+            let mut buffer = ReadBuf::new(&mut bytes);
+            let read = ready!(Pin::new(&mut guarded.socket).poll_read(context, &mut buffer));
+            *ignored += buffer.filled().len();
+            if read.is_err() || buffer.filled().is_empty() {
+                break;
+            }
+        }
+        Poll::Ready(Ok(()))
     }
 }

@@ -1,5 +1,5 @@
-//! Finds requests in the bytes that a client sends: frames of HTTP/2 that open or continue a request, or the end of the
-//! headers of HTTP/1.
+//! Finds the first request in the bytes that a client sends: a frame of HTTP/2 that opens it, or the end of the headers
+//! of HTTP/1.
 //!
 //! Invariant: it looks at frame headers only, costs a few operations per frame, and understands no content. Bytes that
 //! are no HTTP are no request.
@@ -7,9 +7,7 @@
 /// The client connection preface of HTTP/2 (RFC 9113, section 3.4).
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 const FRAME_HEADER_BYTES: usize = 9;
-const DATA: u8 = 0;
 const HEADERS: u8 = 1;
-const WINDOW_UPDATE: u8 = 8;
 
 /// Which protocol a port speaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,8 +41,7 @@ impl RequestScan {
         }
     }
 
-    /// Looks at received bytes; whether they hold a request or a part of one. Updates of windows count, because a
-    /// client that reads a long reply sends nothing else; pings do not.
+    /// Looks at received bytes; whether they hold a request.
     pub(super) fn sees_request(&mut self, mut bytes: &[u8]) -> bool {
         let mut has_request = false;
         while let Some((&byte, rest)) = bytes.split_first() {
@@ -65,9 +62,7 @@ impl RequestScan {
                     *seen += 1;
                     bytes = rest;
                     if *seen == FRAME_HEADER_BYTES {
-                        // A window of the connection itself, stream 0, is updated by the answer to a preface too.
-                        let is_of_stream = header[5..] != [0; 4];
-                        has_request |= matches!(header[3], DATA | HEADERS | WINDOW_UPDATE) && is_of_stream;
+                        has_request |= header[3] == HEADERS;
                         let length = header[..3].iter().fold(0, |length, byte| length << 8 | usize::from(*byte));
                         *self =
                             if length == 0 { Self::Header([0; FRAME_HEADER_BYTES], 0) } else { Self::Payload(length) };

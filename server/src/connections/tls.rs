@@ -7,6 +7,7 @@
 
 use std::{
     fmt, io,
+    net::SocketAddr,
     path::{Path, PathBuf},
     pin::Pin,
     sync::Arc,
@@ -29,9 +30,12 @@ use tokio_rustls::{
     },
     server::TlsStream,
 };
-use tracing::debug;
+use tracing::info;
 
 use super::{request_scan::Protocol, validity};
+use crate::telemetry::occasional::Occasional;
+
+static FAILURES: Occasional = Occasional::new();
 
 /// The files of the daemon's TLS, in PEM form.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -151,14 +155,15 @@ impl Tls {
     }
 
     /// A connection whose handshake begins with its first use.
-    pub(crate) fn accept(&self, socket: TcpStream) -> TlsSocket {
+    pub(crate) fn accept(&self, socket: TcpStream, peer: SocketAddr) -> TlsSocket {
         let acceptor = TlsAcceptor::from(self.config.load_full());
-        TlsSocket { stage: Stage::Handshake(acceptor.accept(socket)) }
+        TlsSocket { peer, stage: Stage::Handshake(acceptor.accept(socket)) }
     }
 }
 
 /// A connection with TLS.
 pub(crate) struct TlsSocket {
+    peer: SocketAddr,
     stage: Stage,
 }
 
@@ -184,7 +189,9 @@ impl TlsSocket {
             self.stage = match ready!(Pin::new(accept).poll(context)) {
                 Ok(stream) => Stage::Open(stream),
                 Err(error) => {
-                    debug!(%error, "a TLS handshake failed");
+                    if let Some(left_out) = FAILURES.next() {
+                        info!(peer = %self.peer, %error, left_out, "a TLS handshake failed");
+                    }
                     metrics::counter!("tidemap_tls_handshakes_failed_total").increment(1);
                     self.stage = Stage::Failed;
                     return Poll::Ready(Err(error));

@@ -1,15 +1,15 @@
-//! Who makes a request: the peer of its connection.
+//! Who makes a request: the other end of its connection.
 //!
-//! Invariant: every request of the gRPC port carries a [`Peer`] among its extensions.
+//! Invariant: every request of the gRPC port carries a [`Remote`] among its extensions.
 
 use tonic::transport::server::Connected;
 
-use crate::connections::{Peer, guard::GuardedConnection};
+use crate::connections::{Remote, guard::GuardedConnection};
 
 impl<S> Connected for GuardedConnection<S> {
-    type ConnectInfo = Peer;
+    type ConnectInfo = Remote;
 
-    fn connect_info(&self) -> Peer {
-        self.peer()
+    fn connect_info(&self) -> Remote {
+        self.remote()
     }
 }

@@ -13,7 +13,7 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_update_failures_total", "Updates that failed"),
     ("tidemap_save_failures_total", "Checkpoints that could not be saved; each save is tried again"),
     ("tidemap_requests_total", "Requests that ended, by method and gRPC code; streams of observations are not counted"),
-    ("tidemap_requests_refused", "Requests refused because too many were under way"),
+    ("tidemap_requests_refused", "Requests refused because too many were under way, or waited to be computed"),
     ("tidemap_data_mismatches_total", "Streams that ended because a producer sent other content under a known number"),
     ("tidemap_denied_total", "Requests refused for lack of a token, role or map, by reason"),
     ("tidemap_foreign_requests_total", "HTTP requests refused because a page of another origin sent them"),
@@ -22,10 +22,13 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_reload_failures_total", "Files of tokens or certificates that could not be read again, by what"),
     ("tidemap_model_cache_hits_total", "Requests for fitted models that the cache answered"),
     ("tidemap_model_cache_misses_total", "Requests for fitted models that had to be fitted"),
-    ("tidemap_connections_displaced", "Connections that made room for others"),
+    ("tidemap_connections_displaced", "Connections that made room for others, by port"),
     ("tidemap_streams_displaced_total", "Streams of observations that were silent and made room for others"),
-    ("tidemap_connections_refused", "Connections refused because all others were busy"),
-    ("tidemap_connections_silent", "Connections that made no request in time"),
+    (
+        "tidemap_connections_refused",
+        "Connections refused because all others were busy, by port; those of the HTTP port come into its reserve",
+    ),
+    ("tidemap_connections_silent", "Connections that made no request in time, by port"),
     ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
     ("tidemap_spans_dropped_total", "Spans dropped because the collector did not take them in time"),
     ("tidemap_accept_errors", "Failures to accept a connection, such as a lack of descriptors"),
@@ -33,7 +36,7 @@ const COUNTERS: &[(&str, &str)] = &[
 
 /// Values that go up and down.
 const GAUGES: &[(&str, &str)] = &[
-    ("tidemap_connections", "Open connections of the gRPC and the HTTP port, the one that changed last"),
+    ("tidemap_connections", "Open connections, by port: grpc, http, or probes, the reserve of the HTTP port"),
     ("tidemap_streams", "Open streams of observations"),
     ("tidemap_requests", "Requests under way"),
     ("tidemap_computing_requests", "Requests that compute now"),

@@ -1,0 +1,50 @@
+//! Lines of the log that strangers cause: they are written at a bounded rate.
+//!
+//! Invariant: whatever comes, at most one line per [`EVERY`] is written for each [`Occasional`]; the line says how many
+//! were left out since the one before.
+
+use std::{
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+/// A line is written this often at most.
+const EVERY: Duration = Duration::from_secs(1);
+
+/// When a line of one kind was last written.
+#[derive(Debug)]
+pub(crate) struct Occasional(Mutex<(Option<Instant>, u64)>);
+
+impl Occasional {
+    /// None was written.
+    pub(crate) const fn new() -> Self {
+        Self(Mutex::new((None, 0)))
+    }
+
+    /// Whether the next line may be written now: the number of lines that were left out before it.
+    pub(crate) fn next(&self) -> Option<u64> {
+        let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (written, left_out) = &mut *state;
+        if written.is_some_and(|written| written.elapsed() < EVERY) {
+            *left_out += 1;
+            return None;
+        }
+        *written = Some(Instant::now());
+        Some(std::mem::take(left_out))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_left_out_and_counted() {
+        let lines = Occasional::new();
+        assert_eq!(lines.next(), Some(0));
+        assert_eq!([lines.next(), lines.next()], [None, None]);
+        lines.0.lock().expect("sound").0 = Instant::now().checked_sub(EVERY);
+        assert_eq!(lines.next(), Some(2));
+        assert_eq!(lines.next(), None);
+    }
+}
