@@ -1,13 +1,14 @@
 //! Permits: how many requests of a kind compute at once.
 //!
-//! Invariant: a request that gets no permit within [`PERMIT_WITHIN`] ends with an error that says so. Who waits for a
-//! reader holds no permit, who computes for long gives others a turn, and work that nobody waits for ends and gives its
-//! permit back.
+//! Invariant: a request that gets no permit in time ends with an error that says so; if it can be foreseen, from how
+//! many wait and how long requests of the kind computed lately, the request is refused at once, which costs least. Who
+//! waits for a reader holds no permit, who computes for long gives others a turn, and work that nobody waits for ends
+//! and gives its permit back.
 
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
     },
     time::{Duration, Instant},
 };
@@ -24,6 +25,10 @@ use super::status::RpcError;
 const PERMITS_MIN: usize = 4;
 /// A request waits this long for others to end.
 const PERMIT_WITHIN: Duration = Duration::from_secs(30);
+/// A request that people and robots wait for is refused if it would wait for longer than this.
+const PROMPT: Duration = Duration::from_millis(75);
+/// So many requests per permit may wait, however long that takes: a few at once are no overload.
+const QUEUED_PER_PERMIT: usize = 2;
 
 /// A long computation offers its permit to others after this time.
 const SLICE: Duration = Duration::from_millis(50);
@@ -33,14 +38,61 @@ const SLICE: Duration = Duration::from_millis(50);
 pub(super) struct Permits {
     permits: Arc<Semaphore>,
     max: usize,
+    /// How long a request may be foreseen to wait.
+    patience: Duration,
+    load: Arc<Load>,
+}
+
+/// How much is waited for.
+#[derive(Debug, Default)]
+struct Load {
+    waiting: AtomicUsize,
+    /// How long a request computed lately, in nanoseconds: a mean that fades.
+    computed_nanos: AtomicU64,
+}
+
+impl Load {
+    fn note(&self, computed: Duration) {
+        let nanos = u64::try_from(computed.as_nanos()).unwrap_or(u64::MAX);
+        // Two that end at the same moment may lose one of both, which does not matter.
+        let mean = self.computed_nanos.load(Ordering::Relaxed);
+        self.computed_nanos.store(mean - mean / 8 + nanos / 8, Ordering::Relaxed);
+    }
+}
+
+/// One that waits.
+struct Waiting<'a>(&'a Load);
+
+impl<'a> Waiting<'a> {
+    /// With how many there are now.
+    fn enter(load: &'a Load) -> (Self, usize) {
+        let waiting = load.waiting.fetch_add(1, Ordering::Relaxed) + 1;
+        (Self(load), waiting)
+    }
+}
+
+impl Drop for Waiting<'_> {
+    fn drop(&mut self) {
+        self.0.waiting.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 /// A permit to compute, given back when dropped.
 #[derive(Debug)]
 pub(super) struct Permit {
     permits: Arc<Semaphore>,
+    load: Arc<Load>,
     held: Option<HeldPermit>,
     since: Instant,
+    /// How long it was held before.
+    computed: Duration,
+}
+
+impl Drop for Permit {
+    fn drop(&mut self) {
+        self.pause();
+        self.load.note(self.computed);
+    }
 }
 
 /// A permit that is held now, as the metrics show.
@@ -65,12 +117,15 @@ impl Drop for HeldPermit {
 impl Permit {
     /// Gives the permit to others while its holder waits for something else.
     pub(super) fn pause(&mut self) {
-        self.held = None;
+        if self.held.take().is_some() {
+            self.computed += self.since.elapsed();
+        }
     }
 
     /// Waits for the permit again, behind those that wait already. Only on a blocking thread.
     pub(super) fn resume(&mut self) {
         if self.held.is_none() {
+            let _waits = Waiting::enter(&self.load);
             // The permits are closed never; without a permit the work would end all the same.
             self.held = Handle::current().block_on(Arc::clone(&self.permits).acquire_owned()).ok().map(HeldPermit::new);
             self.since = Instant::now();
@@ -155,21 +210,86 @@ impl Drop for Awaited {
 impl Permits {
     /// `max` permits.
     pub(super) fn new(max: usize) -> Self {
-        Self { permits: Arc::new(Semaphore::new(max)), max }
+        Self { permits: Arc::new(Semaphore::new(max)), max, patience: PERMIT_WITHIN, load: Arc::default() }
+    }
+
+    /// The same for requests that are answered promptly, or refused.
+    pub(super) fn prompt(self) -> Self {
+        Self { patience: PROMPT, ..self }
+    }
+
+    /// Refuses one more, the last of so many that wait, if it would wait for too long.
+    fn foresee(&self, waiting: usize) -> Result<(), RpcError> {
+        let computed = Duration::from_nanos(self.load.computed_nanos.load(Ordering::Relaxed));
+        let wait = computed.mul_f64(waiting as f64 / self.max as f64);
+        if waiting <= QUEUED_PER_PERMIT * self.max || wait <= self.patience {
+            return Ok(());
+        }
+        metrics::counter!("tidemap_requests_refused").increment(1);
+        Err(RpcError::Overloaded { waiting: waiting - 1, wait })
     }
 
     /// Waits for a permit, which is given back when it is dropped.
     ///
     /// # Errors
-    /// [`RpcError::Busy`] if none was free in time.
+    /// [`RpcError::Overloaded`] if that would take too long, [`RpcError::Busy`] if none was free in time.
     pub(super) async fn take(&self) -> Result<Permit, RpcError> {
-        let permit = Arc::clone(&self.permits).acquire_owned();
-        match tokio::time::timeout(PERMIT_WITHIN, permit).await {
-            Ok(held) => {
-                let held = Some(HeldPermit::new(held.map_err(|_| RpcError::Stopping)?));
-                Ok(Permit { permits: Arc::clone(&self.permits), held, since: Instant::now() })
+        let permit = match Arc::clone(&self.permits).try_acquire_owned() {
+            Ok(permit) => permit,
+            Err(_) => {
+                let (_waits, waiting) = Waiting::enter(&self.load);
+                self.foresee(waiting)?;
+                let permit = tokio::time::timeout(PERMIT_WITHIN, Arc::clone(&self.permits).acquire_owned()).await;
+                let busy = |_| RpcError::Busy { max: self.max, secs: PERMIT_WITHIN.as_secs() };
+                permit.map_err(busy)?.map_err(|_| RpcError::Stopping)?
             }
-            Err(_) => Err(RpcError::Busy { max: self.max, secs: PERMIT_WITHIN.as_secs() }),
+        };
+        Ok(Permit {
+            permits: Arc::clone(&self.permits),
+            load: Arc::clone(&self.load),
+            held: Some(HeldPermit::new(permit)),
+            since: Instant::now(),
+            computed: Duration::ZERO,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_request_that_would_wait_for_long_is_refused_at_once() {
+        let permits = Permits::new(1).prompt();
+        let mut held = permits.take().await.expect("the first");
+        // Whatever it is that computes takes an hour.
+        held.computed = Duration::from_secs(3600);
+        drop(held);
+        let held = permits.take().await.expect("it is free again");
+        let queue: Vec<_> = (0..QUEUED_PER_PERMIT)
+            .map(|_| {
+                let permits = permits.clone();
+                tokio::spawn(async move { permits.take().await.map(drop) })
+            })
+            .collect();
+        while permits.load.waiting.load(Ordering::Relaxed) < QUEUED_PER_PERMIT {
+            tokio::task::yield_now().await;
         }
+        let refused = permits.take().await.expect_err("too many wait");
+        assert!(matches!(refused, RpcError::Overloaded { waiting: QUEUED_PER_PERMIT, .. }), "{refused}");
+        drop(held);
+        for waiting in queue {
+            waiting.await.expect("no panic").expect("its turn");
+        }
+        assert_eq!(permits.load.waiting.load(Ordering::Relaxed), 0);
+    }
+
+    #[tokio::test]
+    async fn short_requests_may_wait_in_a_long_queue() {
+        let permits = Permits::new(1).prompt();
+        permits.load.note(Duration::from_micros(800));
+        assert!(permits.foresee(500).is_ok());
+        assert!(permits.foresee(5_000).is_err());
+        assert!(Permits::new(1).foresee(5_000).is_ok(), "nothing is known of their time");
     }
 }

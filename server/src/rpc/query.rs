@@ -79,7 +79,7 @@ impl Queries {
             catalog,
             max_predictions,
             max_batch,
-            permits: Permits::default(),
+            permits: Permits::default().prompt(),
             large_permits: Permits::new((processors() / 2).max(1)),
             past_permits: Permits::default(),
             fitting,

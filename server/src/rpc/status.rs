@@ -92,11 +92,14 @@ pub(crate) enum RpcError {
         "{max} requests for predictions are running, which is the maximum, and none ended within {secs} seconds: try again"
     )]
     Busy { max: usize, secs: u64 },
-    #[error("{max} requests are under way, which is the maximum of {setting}: try again when some have ended")]
-    TooManyRequests { max: usize, setting: &'static str },
-    #[error("the large requests that arrive now have {max_bytes} bytes together, which is the maximum: try again")]
-    LargeRequests { max_bytes: usize },
-    #[error("the request did not arrive within {secs} seconds")]
+    #[error(
+        "{waiting} requests of this kind wait already, and this one would wait for about {} ms: try again later",
+        .wait.as_millis()
+    )]
+    Overloaded { waiting: usize, wait: Duration },
+    #[error("{max} are under way, which is the maximum of {bound}: try again when some have ended")]
+    TooManyRequests { max: usize, bound: &'static str },
+    #[error("the request, or more of it, did not arrive within {secs} seconds")]
     Late { secs: u64 },
     #[error("the stream's replies were not read for {0} seconds")]
     SlowReader(u64),
@@ -204,7 +207,7 @@ pub(crate) fn code_name(code: Code) -> &'static str {
 }
 
 impl RpcError {
-    fn code_and_reason(&self) -> (Code, &'static str) {
+    pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
         match self {
             Self::Field(_) | Self::Intake(IntakeError::Invalid(_)) => (Code::InvalidArgument, "INVALID_FIELD"),
             Self::Catalog(error) => match error {
@@ -260,7 +263,7 @@ impl RpcError {
             Self::Updating(_) => (Code::Unavailable, "UPDATING"),
             Self::UnknownJob(_) => (Code::NotFound, "UNKNOWN_JOB"),
             Self::NoReport(_) => (Code::FailedPrecondition, "NO_REPORT"),
-            Self::Limit(_) | Self::Busy { .. } | Self::Intake(IntakeError::Limit(_)) => {
+            Self::Limit(_) | Self::Busy { .. } | Self::Overloaded { .. } | Self::Intake(IntakeError::Limit(_)) => {
                 (Code::ResourceExhausted, "LIMIT")
             }
             Self::AddState(error) => match error {
@@ -303,7 +306,7 @@ impl RpcError {
                 Ending::MapDeleted => (Code::NotFound, "MAP_DELETED"),
                 Ending::Storage(error) => append_code(error),
             },
-            Self::TooManyRequests { .. } | Self::LargeRequests { .. } => (Code::ResourceExhausted, "LIMIT"),
+            Self::TooManyRequests { .. } => (Code::ResourceExhausted, "LIMIT"),
             Self::Late { .. } => (Code::DeadlineExceeded, "LATE"),
             Self::SlowReader(_) => (Code::ResourceExhausted, "SLOW_READER"),
             Self::Broken => (Code::Cancelled, "BROKEN"),
@@ -327,11 +330,6 @@ impl RpcError {
     /// The message. A request may have names and values of any length; such a message is cut in its middle.
     pub(crate) fn message(&self) -> String {
         shortened(self.to_string())
-    }
-
-    /// The reason, for programs and metrics.
-    pub(crate) fn reason(&self) -> &'static str {
-        self.code_and_reason().1
     }
 }
 
