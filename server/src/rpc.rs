@@ -2,6 +2,7 @@
 //!
 //! Invariant: nothing about maps is decided here, and every error becomes a status in [`status`] only.
 
+pub(crate) mod admission;
 pub(crate) mod exploration;
 pub(crate) mod guard;
 pub(crate) mod maintenance;
@@ -13,7 +14,6 @@ pub(crate) mod serve;
 pub(crate) mod status;
 
 mod acks;
-mod admission;
 mod lookup;
 mod page;
 mod peer;

@@ -19,11 +19,12 @@ use tonic_web::GrpcWebLayer;
 use tower_http::compression::{CompressionLayer, CompressionLevel, predicate::SizeAbove};
 use tower_layer::Layer as _;
 
-use crate::{connections::Peer, rpc::serve::GuardedServices};
+use crate::{connections::Remote, rpc::serve::GuardedServices};
 
 #[cfg(test)]
 mod api_page;
 mod assets;
+mod codec;
 mod json;
 mod links;
 mod openapi;
@@ -41,6 +42,7 @@ const COMPRESSED: &str = "/tidemap.v1.QueryService/PredictGrid";
 struct Gateway {
     services: GuardedServices,
     pool: DescriptorPool,
+    /// Turns to convert a large message.
     large: Arc<tokio::sync::Semaphore>,
 }
 
@@ -68,20 +70,21 @@ pub(crate) fn router(services: &GuardedServices, hosts: KnownHosts) -> anyhow::R
             };
         }
     }
-    let gateway =
-        Gateway { services: services.clone(), pool, large: Arc::new(tokio::sync::Semaphore::new(json::LARGE)) };
+    // Half of the processors are left to others, but for a machine that has one.
+    let at_once = std::thread::available_parallelism().map_or(1, |processors| processors.get().div_ceil(2));
+    let gateway = Gateway { services: services.clone(), pool, large: Arc::new(tokio::sync::Semaphore::new(at_once)) };
     Ok(router
         .with_state(gateway)
-        .layer(from_fn(name_peer))
+        .layer(from_fn(name_remote))
         .merge(assets::router())
         .layer(from_fn_with_state(hosts, origin::check)))
 }
 
-/// Admission counts requests by the peer of their connection.
-async fn name_peer(mut request: Request, next: Next) -> Response {
-    if let Some(axum::extract::ConnectInfo(peer)) = request.extensions().get::<axum::extract::ConnectInfo<Peer>>() {
-        let peer = *peer;
-        request.extensions_mut().insert(peer);
+/// Admission counts requests by the other end of their connection.
+async fn name_remote(mut request: Request, next: Next) -> Response {
+    if let Some(axum::extract::ConnectInfo(remote)) = request.extensions().get::<axum::extract::ConnectInfo<Remote>>() {
+        let remote = remote.clone();
+        request.extensions_mut().insert(remote);
     }
     next.run(request).await
 }

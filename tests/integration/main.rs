@@ -9,6 +9,7 @@ mod erasures;
 mod evaluation;
 mod examples;
 mod exploration;
+mod floods;
 mod grid;
 mod json_output;
 mod kinds;

@@ -13,6 +13,7 @@ pub mod daemon;
 pub mod disk;
 pub mod feed;
 pub mod film;
+pub mod flood;
 pub mod garbage;
 pub mod herd;
 pub mod oracle;

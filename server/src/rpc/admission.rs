@@ -1,49 +1,58 @@
-//! Admission: how many requests are under way, of one client and in total, and how they may arrive.
+//! Admission: who may ask, how many requests are under way, of one client and in total, and how they may arrive.
 //!
-//! Invariant: a request beyond a bound is refused at once, before anything of it is decoded. It counts from its arrival
-//! until its last reply is sent or its client is gone. A request that does not arrive within [`ARRIVES_WITHIN`] ends,
-//! and large requests that arrive at the same time share [`LARGE_REQUESTS_BYTES`].
+//! Invariant: a request that is not allowed, or beyond a bound, is refused at once, before anything of it is read, and
+//! holds nothing. What is admitted counts until its last reply is sent or its client is gone.
 
 use std::{
-    collections::HashMap,
     convert::Infallible,
     pin::Pin,
-    sync::{Arc, Mutex, PoisonError},
-    task::{Context, Poll, ready},
-    time::Duration,
+    sync::Arc,
+    task::{Context, Poll},
+    time::Instant,
 };
 
 use http_body::{Frame, SizeHint};
-use tokio::{
-    sync::{OwnedSemaphorePermit, Semaphore},
-    time::{Instant, Sleep, sleep},
-};
 use tonic::{
     Code, Status,
     body::Body,
     codegen::{Bytes, Service, http},
 };
-use tower_layer::Layer;
+use tracing::info;
 
-use super::status::{RpcError, code_name};
-use crate::{access::table::method_name, connections::Peer, telemetry::traces::Span};
+use super::{
+    guard::Access,
+    status::{RpcError, code_name},
+};
+use crate::{
+    access::{
+        Caller,
+        table::{Need, method_name, need},
+    },
+    connections::{Busy, Peer, Remote},
+    telemetry::{occasional::Occasional, traces::Span},
+};
 
-/// A request of one message must arrive within this time.
-const ARRIVES_WITHIN: Duration = Duration::from_secs(30);
-/// What large requests that arrive at the same time may take together, in bytes.
-const LARGE_REQUESTS_BYTES: usize = 64 << 20;
-/// A request of at most so many bytes is not large.
-const SMALL_REQUEST_BYTES: usize = 64 << 10;
+mod arriving;
+mod shares;
 
-/// Streams that last: they have bounds of their own, `max_streams` and `max_watches`, or belong to the health service.
-const LASTING: [&str; 3] = [
-    "/tidemap.v1.ObservationService/Observe",
-    "/tidemap.v1.QueryService/WatchAnomalies",
-    "/grpc.health.v1.Health/Watch",
-];
+use arriving::ArrivingBody;
+use shares::Shares;
+pub(crate) use shares::{Share, Taken};
+
+/// Streams of observations have a bound of their own, `max_streams`, and take their requests when they like.
+const OBSERVE: &str = "/tidemap.v1.ObservationService/Observe";
+
+/// Requests whose replies last: the metrics do not count them.
+const WATCHES: [&str; 2] = ["/tidemap.v1.QueryService/WatchAnomalies", "/grpc.health.v1.Health/Watch"];
 
 /// Requests of many messages: each message must arrive in time, and is bounded by itself.
-const STREAMED: [&str; 1] = ["/tidemap.v1.QueryService/EvaluateStates"];
+const STREAMED: [&str; 3] = [
+    "/tidemap.v1.QueryService/EvaluateStates",
+    "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
+    "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
+];
+
+static DENIALS: Occasional = Occasional::new();
 
 /// Bounds of requests under way.
 #[derive(Clone, Copy, Debug)]
@@ -54,81 +63,93 @@ pub(crate) struct RequestLimits {
     pub per_client: usize,
 }
 
-/// Admits the requests of a port. Clones share what they count.
+/// What the requests of all ports hold. Clones share it.
 #[derive(Clone, Debug)]
-pub(crate) struct Admission {
-    limits: RequestLimits,
-    under_way: Arc<Mutex<UnderWay>>,
-    large: Arc<Semaphore>,
-}
-
-#[derive(Debug, Default)]
-struct UnderWay {
-    total: usize,
-    per_client: HashMap<Peer, usize>,
-}
-
-/// Counts a request while it is under way.
-#[derive(Debug)]
-struct RequestCount {
-    peer: Peer,
-    under_way: Arc<Mutex<UnderWay>>,
-}
-
-impl Drop for RequestCount {
-    fn drop(&mut self) {
-        let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
-        under_way.total -= 1;
-        metrics::gauge!("tidemap_requests").set(under_way.total as f64);
-        if let Some(count) = under_way.per_client.get_mut(&self.peer) {
-            *count -= 1;
-            if *count == 0 {
-                under_way.per_client.remove(&self.peer);
-            }
-        }
-    }
-}
+pub(crate) struct Admission(Shares);
 
 impl Admission {
     /// Nothing is under way.
     pub(crate) fn new(limits: RequestLimits) -> Self {
-        Self { limits, under_way: Arc::default(), large: Arc::new(Semaphore::new(LARGE_REQUESTS_BYTES)) }
+        Self(Shares::new(limits))
     }
 
-    fn count(&self, peer: Peer) -> Result<RequestCount, RpcError> {
-        let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
-        let of_client = under_way.per_client.get(&peer).copied().unwrap_or(0);
-        let refuse = |max, setting| {
-            metrics::counter!("tidemap_requests_refused").increment(1);
-            Err(RpcError::TooManyRequests { max, setting })
-        };
-        if of_client >= self.limits.per_client {
-            return refuse(self.limits.per_client, "max_requests_per_client");
-        }
-        if under_way.total >= self.limits.total {
-            return refuse(self.limits.total, "max_requests");
-        }
-        under_way.total += 1;
-        *under_way.per_client.entry(peer).or_default() += 1;
-        metrics::gauge!("tidemap_requests").set(under_way.total as f64);
-        drop(under_way);
-        Ok(RequestCount { peer, under_way: Arc::clone(&self.under_way) })
+    /// A service for callers with this access.
+    pub(crate) fn service<S>(&self, inner: S, access: Access) -> AdmittedService<S> {
+        AdmittedService { inner, access, shares: self.0.clone() }
     }
 }
 
-impl<S> Layer<S> for Admission {
-    type Service = AdmittedService<S>;
-
-    fn layer(&self, inner: S) -> AdmittedService<S> {
-        AdmittedService { inner, admission: self.clone() }
-    }
+/// A request that was admitted: what it holds is free when all clones are dropped.
+#[derive(Clone, Debug)]
+pub(crate) struct Admitted {
+    caller: Caller,
+    peer: Peer,
+    _held: Arc<(Option<Taken>, Option<Busy>)>,
 }
 
 /// A service whose requests are admitted.
 #[derive(Clone, Debug)]
 pub(crate) struct AdmittedService<S> {
     inner: S,
-    admission: Admission,
+    access: Access,
+    shares: Shares,
+}
+
+impl<S> AdmittedService<S> {
+    /// Admits a request by its head. The service takes the answer from the extensions of a request that has one.
+    ///
+    /// # Errors
+    /// The caller may not ask this, or too many requests are under way.
+    pub(crate) fn admit(
+        &self,
+        path: &str,
+        headers: &http::HeaderMap,
+        extensions: &http::Extensions,
+    ) -> Result<Admitted, RpcError> {
+        let remote = extensions.get::<Remote>();
+        let peer = remote.map_or(Peer::Local, Remote::peer);
+        let method = method_name(path);
+        let caller = self.access.check(path, headers).inspect_err(|error| {
+            let (code, reason) = error.code_and_reason();
+            if let Some(left_out) = DENIALS.next() {
+                info!(%peer, reason, method, left_out, "a request was refused");
+            }
+            metrics::counter!("tidemap_denied_total", "reason" => reason).increment(1);
+            metrics::counter!("tidemap_requests_total", "method" => method, "code" => code_name(code)).increment(1);
+        })?;
+        let is_stranger = need(path) == Some(Need::Open) && !matches!(caller, Caller::Holder(_));
+        let share = match method {
+            OBSERVE => None,
+            _ if WATCHES.contains(&method) => Some(Share::Watches),
+            _ if is_stranger => Some(Share::Open),
+            _ => Some(Share::Requests),
+        };
+        let taken = share.map(|share| self.shares.take(share, peer, 1)).transpose()?;
+        let busy = remote.map(|remote| remote.busy(!matches!(caller, Caller::Stranger)));
+        Ok(Admitted { caller, peer, _held: Arc::new((taken, busy)) })
+    }
+
+    /// Reads the whole body of a request that was admitted, with what it holds of the bytes of large requests. `None`:
+    /// it has more than `max` bytes, or broke off.
+    ///
+    /// # Errors
+    /// It does not arrive in time, or there is no room.
+    pub(crate) async fn read_all(
+        &self,
+        admitted: &Admitted,
+        body: axum::body::Body,
+        max: usize,
+    ) -> Result<Option<(Vec<u8>, Option<Taken>)>, Status> {
+        ArrivingBody::new(Body::new(body), false, admitted.peer, self.shares.clone()).read_all(max).await
+    }
+
+    /// Room for a large request as JSON.
+    ///
+    /// # Errors
+    /// There is none.
+    pub(crate) fn large_json(&self, admitted: &Admitted) -> Result<Taken, RpcError> {
+        self.shares.take(Share::LargeJson, admitted.peer, 1)
+    }
 }
 
 type Answer = Pin<Box<dyn Future<Output = Result<http::Response<Body>, Infallible>> + Send>>;
@@ -146,95 +167,29 @@ where
         self.inner.poll_ready(context)
     }
 
-    fn call(&mut self, request: http::Request<Body>) -> Answer {
-        let method = method_name(request.uri().path());
-        if LASTING.contains(&method) {
-            let span = Span::of_request(request.headers(), method);
-            let answer = span.clone().scope(self.inner.call(request));
-            let end = RequestEnd { method: None, began: Instant::now(), code: None, span };
-            return Box::pin(count_until_end(answer, end, None));
-        }
-        let peer = request.extensions().get::<Peer>().copied().unwrap_or(Peer::Local);
-        let count = match self.admission.count(peer) {
-            Ok(count) => count,
+    fn call(&mut self, mut request: http::Request<Body>) -> Answer {
+        let known = request.extensions_mut().remove::<Admitted>();
+        let admit = || self.admit(request.uri().path(), request.headers(), request.extensions());
+        let admitted = match known.map_or_else(admit, Ok) {
+            Ok(admitted) => admitted,
             Err(error) => return Box::pin(std::future::ready(Ok(Status::from(error).into_http()))),
         };
-        let is_streamed = STREAMED.contains(&request.uri().path());
-        let large = Arc::clone(&self.admission.large);
-        let deadline = Box::pin(sleep(ARRIVES_WITHIN));
-        let request =
-            request.map(|body| Body::new(ArrivingBody { body, is_streamed, deadline, arrived: 0, large, held: None }));
+        let method = method_name(request.uri().path());
+        if method != OBSERVE {
+            let is_streamed = STREAMED.contains(&method);
+            let (peer, shares) = (admitted.peer, self.shares.clone());
+            request = request.map(|body| Body::new(ArrivingBody::new(body, is_streamed, peer, shares)));
+        }
+        request.extensions_mut().insert(admitted.caller.clone());
+        let lasts = method == OBSERVE || WATCHES.contains(&method);
         let span = Span::of_request(request.headers(), method);
         let answer = span.clone().scope(self.inner.call(request));
-        let end = RequestEnd { method: Some(method), began: Instant::now(), code: None, span };
-        Box::pin(count_until_end(answer, end, Some(count)))
-    }
-}
-
-async fn count_until_end(
-    answer: impl Future<Output = Result<http::Response<Body>, Infallible>> + Send,
-    mut end: RequestEnd,
-    count: Option<RequestCount>,
-) -> Result<http::Response<Body>, Infallible> {
-    let reply = answer.await?;
-    end.read(reply.headers());
-    Ok(reply.map(|body| Body::new(CountedBody { body, end, _count: count })))
-}
-
-/// A request that arrives.
-struct ArrivingBody {
-    body: Body,
-    is_streamed: bool,
-    deadline: Pin<Box<Sleep>>,
-    arrived: usize,
-    large: Arc<Semaphore>,
-    held: Option<OwnedSemaphorePermit>,
-}
-
-impl ArrivingBody {
-    /// Reserves room for what has arrived.
-    fn hold(&mut self) -> Result<(), Status> {
-        let wanted = self.arrived.saturating_sub(SMALL_REQUEST_BYTES);
-        let held = self.held.as_ref().map_or(0, OwnedSemaphorePermit::num_permits);
-        let Some(more) = wanted.checked_sub(held).filter(|more| *more > 0) else { return Ok(()) };
-        let more = u32::try_from(more).unwrap_or(u32::MAX);
-        let Ok(more) = Arc::clone(&self.large).try_acquire_many_owned(more) else {
-            return Err(RpcError::LargeRequests { max_bytes: LARGE_REQUESTS_BYTES }.into());
-        };
-        match &mut self.held {
-            Some(held) => held.merge(more),
-            none => *none = Some(more),
-        }
-        Ok(())
-    }
-}
-
-impl http_body::Body for ArrivingBody {
-    type Data = Bytes;
-    type Error = Status;
-
-    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
-        let Poll::Ready(frame) = Pin::new(&mut self.body).poll_frame(context) else {
-            ready!(self.deadline.as_mut().poll(context));
-            return Poll::Ready(Some(Err(RpcError::Late { secs: ARRIVES_WITHIN.as_secs() }.into())));
-        };
-        if self.is_streamed {
-            self.deadline.as_mut().reset(Instant::now() + ARRIVES_WITHIN);
-        } else if let Some(Ok(frame)) = &frame {
-            self.arrived += frame.data_ref().map_or(0, Bytes::len);
-            if let Err(refusal) = self.hold() {
-                return Poll::Ready(Some(Err(refusal)));
-            }
-        }
-        Poll::Ready(frame)
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
+        let end = RequestEnd { method: (!lasts).then_some(method), began: Instant::now(), code: None, span };
+        Box::pin(async move {
+            let (mut end, reply) = (end, answer.await?);
+            end.read(reply.headers());
+            Ok(reply.map(|body| Body::new(CountedBody { body, end, _admitted: admitted })))
+        })
     }
 }
 
@@ -276,7 +231,7 @@ impl Drop for RequestEnd {
 struct CountedBody {
     body: Body,
     end: RequestEnd,
-    _count: Option<RequestCount>,
+    _admitted: Admitted,
 }
 
 impl http_body::Body for CountedBody {
@@ -319,25 +274,10 @@ mod tests {
 
     #[test]
     fn every_request_of_many_messages_is_known() {
-        let mut known: Vec<&str> = LASTING.iter().chain(&STREAMED).copied().collect();
-        known.retain(|path| !path.contains("Health") && !path.contains("Watch"));
+        let mut known: Vec<&str> = [OBSERVE].into_iter().chain(STREAMED).collect();
+        known.retain(|path| !path.contains("reflection"));
         assert_eq!(paths(prost_types::MethodDescriptorProto::client_streaming), known);
         let replies = paths(prost_types::MethodDescriptorProto::server_streaming);
-        assert!(replies.iter().any(|path| path == LASTING[1]), "{replies:?}");
-    }
-
-    #[test]
-    fn requests_beyond_a_bound_are_refused_and_counted_until_they_end() {
-        let admission = Admission::new(RequestLimits { total: 3, per_client: 2 });
-        let peer = |last: u8| Peer::Address([10, 0, 0, last].into());
-        let counts: Vec<_> = (0..2).map(|_| admission.count(peer(1)).expect("admitted")).collect();
-        let refused = admission.count(peer(1)).expect_err("two are under way").to_string();
-        assert!(refused.contains("max_requests_per_client"), "{refused}");
-        let other = admission.count(peer(2)).expect("another client");
-        let refused = admission.count(peer(3)).expect_err("three are under way").to_string();
-        assert!(refused.contains("max_requests:"), "{refused}");
-        drop((counts, other));
-        assert!(admission.count(peer(3)).is_ok());
-        assert_eq!(admission.under_way.lock().expect("sound").per_client.len(), 0);
+        assert!(replies.iter().any(|path| path == WATCHES[0]), "{replies:?}");
     }
 }

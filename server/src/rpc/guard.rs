@@ -1,17 +1,17 @@
-//! The guard of the gRPC port: each request passes it before any service sees it.
+//! The guard of the RPCs: each request passes it before any service sees it.
 //!
-//! Invariant: it decides by the table and the token alone. The map of a request is checked where its name is known, for
-//! the caller that the guard has set. No service sees the token.
+//! Invariant: it decides by the table and the token alone, before anything of a request is counted or read. The map of
+//! a request is checked where its name is known, for the caller that the guard has set. No service sees the token.
 
 use axum::{
     body::Body,
     extract::{Request, State},
-    http::header::AUTHORIZATION,
+    http::{HeaderMap, header::AUTHORIZATION},
     middleware::Next,
     response::Response,
 };
 use tonic::Status;
-use tracing::{debug, info};
+use tracing::info;
 
 use super::{
     status::RpcError,
@@ -35,8 +35,11 @@ pub(crate) enum Access {
 }
 
 impl Access {
-    /// The caller of a method, if the caller may call it.
-    fn check(&self, path: &str, request: &Request) -> Result<Caller, RpcError> {
+    /// The caller of a method, by the headers of the request.
+    ///
+    /// # Errors
+    /// The caller may not call it.
+    pub(super) fn check(&self, path: &str, headers: &HeaderMap) -> Result<Caller, RpcError> {
         let need = need(path).ok_or(RpcError::UnknownMethod)?;
         let keyring = match (self, need) {
             (Self::Tokens(keyring), _) => keyring,
@@ -45,7 +48,7 @@ impl Access {
             }
             (Self::Anybody | Self::Readers, _) => return Ok(Caller::Anybody),
         };
-        let caller = match (keyring.caller(request.headers()), need) {
+        let caller = match (keyring.caller(headers), need) {
             (Ok(caller), _) => caller,
             (Err(_), Need::Open) => return Ok(Caller::Stranger),
             (Err(denied), _) => return Err(RpcError::Denial(denied)),
@@ -60,31 +63,22 @@ impl Access {
     ///
     /// # Errors
     /// There is no token, or it is not valid.
-    pub(crate) fn may_read_metrics(&self, request: &Request) -> Result<bool, Denial> {
+    pub(crate) fn may_read_metrics(&self, headers: &HeaderMap) -> Result<bool, Denial> {
         let Self::Tokens(keyring) = self else { return Ok(true) };
-        let caller = keyring.caller(request.headers())?;
+        let caller = keyring.caller(headers)?;
         Ok(caller.has(Role::Planner) && caller.covers_all())
     }
 }
 
-/// Lets a request through to the services, or refuses it.
-pub(crate) async fn admit(State(access): State<Access>, mut request: Request, next: Next) -> Response {
-    let path = request.uri().path().to_owned();
-    let caller = match access.check(&path, &request) {
-        Ok(caller) => caller,
-        Err(error) => {
-            let reason = error.reason();
-            debug!(reason, method = %path.chars().take(100).collect::<String>(), "request refused");
-            metrics::counter!("tidemap_denied_total", "reason" => reason).increment(1);
-            return Status::from(error).into_http::<Body>();
-        }
-    };
+/// Works on a request for the caller that admission has found, until the caller's token is revoked.
+pub(super) async fn serve_caller(State(access): State<Access>, mut request: Request, next: Next) -> Response {
+    let caller = request.extensions_mut().remove::<Caller>().unwrap_or(Caller::Stranger);
     request.headers_mut().remove(AUTHORIZATION);
     let (Access::Tokens(keyring), Caller::Holder(token)) = (access, &caller) else {
         return caller.scope(next.run(request)).await;
     };
-    if let Some(Need::Role(Role::Operator | Role::Admin)) = need(&path) {
-        info!(token = %token.id, method = %path, "an operator's request");
+    if let Some(Need::Role(Role::Operator | Role::Admin)) = need(request.uri().path()) {
+        info!(token = %token.id, method = %request.uri().path(), "an operator's request");
     }
     let (for_caller, for_reply) = (caller.clone(), keyring.clone());
     let for_request = (keyring.clone(), caller.clone());

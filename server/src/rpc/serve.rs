@@ -2,7 +2,7 @@
 //!
 //! Invariant: every RPC of `tidemap.v1` is served here; reflection only if all clients are local.
 
-use std::{future::Future, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use axum::middleware::from_fn_with_state;
 use tidemap_proto::convert::scans::ScanLimits;
@@ -16,12 +16,11 @@ use tidemap_proto::v1::{
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{service, transport::Server};
-use tower_layer::Layer as _;
 
 use super::{
     admission::{Admission, AdmittedService, RequestLimits},
     exploration::{Explorations, PlanLimits},
-    guard::{Access, admit},
+    guard::{Access, serve_caller},
     maintenance::Maintenance,
     map::Maps,
     observation::{Observations, StreamLimits, open_streams::OpenStreams},
@@ -54,9 +53,10 @@ pub(crate) struct Services {
 impl Services {
     /// The services for callers with this access.
     pub(crate) fn guarded(&self, access: Access) -> GuardedServices {
-        // Every request passes the guard, also one of a method that does not exist.
-        let router = self.routes.clone().prepare().into_axum_router().layer(from_fn_with_state(access, admit));
-        self.admission.layer(service::Routes::from(router))
+        let serve_caller = from_fn_with_state(access.clone(), serve_caller);
+        let router = self.routes.clone().prepare().into_axum_router().layer(serve_caller);
+        // Every request passes it, also one of a method that does not exist.
+        self.admission.service(service::Routes::from(router), access)
     }
 }
 
@@ -122,8 +122,8 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
     Services { routes, admission }
 }
 
-/// Serves the gRPC port to those with access until `stop` is ready and the connections are closed. Reflection is served
-/// if all clients are local.
+/// Serves the gRPC port to those with access until `stop` becomes true and the connections are closed. Reflection is
+/// served if all clients are local.
 ///
 /// # Errors
 /// The transport failed.
@@ -132,7 +132,7 @@ pub(crate) async fn serve(
     access: Access,
     mut services: Services,
     is_local: bool,
-    stop: impl Future<Output = ()>,
+    mut stop: watch::Receiver<bool>,
 ) -> anyhow::Result<()> {
     if is_local {
         let reflection = || {
@@ -144,6 +144,10 @@ pub(crate) async fn serve(
         services.routes =
             services.routes.add_service(reflection().build_v1()?).add_service(reflection().build_v1alpha()?);
     }
+    let stopped = async move {
+        // An error means that the sender is gone, which is a stop as well.
+        let _ = stop.wait_for(|stop| *stop).await;
+    };
     Server::builder()
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
         .initial_stream_window_size(STREAM_WINDOW)
@@ -152,7 +156,7 @@ pub(crate) async fn serve(
         .http2_keepalive_interval(Some(Duration::from_secs(20)))
         .http2_keepalive_timeout(Some(Duration::from_secs(10)))
         .http2_max_header_list_size(16 * 1024)
-        .serve_with_incoming_shutdown(services.guarded(access), ReceiverStream::new(connections), stop)
+        .serve_with_incoming_shutdown(services.guarded(access), ReceiverStream::new(connections), stopped)
         .await?;
     Ok(())
 }

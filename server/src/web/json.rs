@@ -2,34 +2,34 @@
 //!
 //! Invariant: messages are read and written by their descriptors alone, so each RPC that does not stream requests is
 //! here as it is on the wire. A stream of replies is one object a line (NDJSON); an error inside it is its last line.
+//! Nothing of a request is read before it is admitted, and no message but the smallest is converted on a thread that
+//! answers others.
 
 use axum::{
-    body::{Body, Bytes, to_bytes},
+    body::{Body, Bytes},
     extract::{Path, Request, State},
     http::{HeaderMap, StatusCode, header},
     response::Response,
 };
+use prost::Message as _;
 use prost_reflect::{DeserializeOptions, DynamicMessage, MessageDescriptor, MethodDescriptor, SerializeOptions};
 use serde_json::{Value, json};
-use tidemap_proto::dynamic::DynamicCodec;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_stream::StreamExt as _;
 use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
 use tonic_types::StatusExt as _;
 
-use super::Gateway;
-use crate::rpc::status::code_name;
+use super::{Gateway, codec::BytesCodec};
+use crate::rpc::{admission::Admitted, status::code_name};
 
 /// Maximum size of a request as JSON; larger ones go over gRPC. An object takes up to fifty times its text in memory.
 const REQUEST_BYTES: usize = 1 << 20;
-/// Requests beyond this wait for each other.
-const SMALL_REQUEST_BYTES: usize = 64 << 10;
+/// Messages beyond this are converted one after the other.
+const SMALL_MESSAGE_BYTES: usize = 64 << 10;
+/// Messages of at most so many bytes are converted at once, in less time than another thread takes to begin.
+const TINY_MESSAGE_BYTES: usize = 1 << 10;
 /// Maximum size of one reply message on the wire, before it becomes JSON.
 const REPLY_BYTES: usize = 8 << 20;
-/// Number of large requests and replies that are converted at once.
-pub(super) const LARGE: usize = 4;
-/// A request must arrive within this time.
-const ARRIVES_WITHIN: std::time::Duration = std::time::Duration::from_secs(30);
 
 /// The answer of a JSON document that is there.
 pub(super) fn ok(document: Bytes) -> Response {
@@ -103,18 +103,20 @@ fn is_json(headers: &HeaderMap) -> bool {
     of.split(';').next().is_some_and(|media| media.trim().eq_ignore_ascii_case("application/json"))
 }
 
-fn parse(text: &[u8], input: MessageDescriptor) -> Result<DynamicMessage, serde_json::Error> {
+/// A request as it is on the wire.
+fn parse(text: &[u8], input: MessageDescriptor) -> Result<Bytes, serde_json::Error> {
     // No text at all is a request without fields.
     let text = if text.trim_ascii().is_empty() { b"{}" } else { text };
     let mut json = serde_json::Deserializer::from_slice(text);
     let options = DeserializeOptions::new().deny_unknown_fields(true);
     let message = DynamicMessage::deserialize_with_options(input, &mut json, &options)?;
     json.end()?;
-    Ok(message)
+    Ok(message.encode_to_vec().into())
 }
 
 /// A message as one line. Fields with their defaults are there as well: a probability of 0 is a statement.
-fn line(message: &DynamicMessage) -> Result<Vec<u8>, Status> {
+fn line(message: Bytes, output: MessageDescriptor) -> Result<Vec<u8>, Status> {
+    let message = DynamicMessage::decode(output, message).map_err(|error| Status::internal(error.to_string()))?;
     let mut text = Vec::new();
     let options = SerializeOptions::new().skip_default_fields(false);
     message
@@ -124,26 +126,60 @@ fn line(message: &DynamicMessage) -> Result<Vec<u8>, Status> {
     Ok(text)
 }
 
+/// Does the work on a message of so many bytes.
+async fn convert<T: Send + 'static>(bytes: usize, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Status> {
+    if bytes <= TINY_MESSAGE_BYTES {
+        return Ok(work());
+    }
+    tokio::task::spawn_blocking(work).await.map_err(|_| Status::internal("the message was not converted"))
+}
+
 impl Gateway {
-    /// A turn for a large message; small ones need none.
+    /// A turn for a large message; others need none.
     async fn turn(&self, bytes: usize) -> Option<OwnedSemaphorePermit> {
-        if bytes <= SMALL_REQUEST_BYTES {
+        if bytes <= SMALL_MESSAGE_BYTES {
             return None;
         }
         // The semaphore is never closed.
         std::sync::Arc::clone(&self.large).acquire_owned().await.ok()
     }
 
-    async fn converted(&self, message: DynamicMessage) -> Result<Bytes, Status> {
-        let bytes = prost::Message::encoded_len(&message);
+    async fn converted(&self, message: Bytes, output: MessageDescriptor) -> Result<Bytes, Status> {
+        let bytes = message.len();
         let turn = self.turn(bytes).await;
-        if turn.is_none() {
-            return line(&message).map(Bytes::from);
-        }
-        let work = tokio::task::spawn_blocking(move || line(&message));
-        let text = work.await.map_err(|_| Status::internal("the reply was not converted"))?;
-        drop(turn);
-        text.map(Bytes::from)
+        // The work has the turn, also when nobody waits for it any more.
+        let work = move || (line(message, output), turn);
+        convert(bytes, work).await?.0.map(Bytes::from)
+    }
+
+    /// The message of a request that was admitted, as it is on the wire.
+    async fn read(&self, admitted: &Admitted, body: Body, input: MessageDescriptor) -> Result<Bytes, Box<Response>> {
+        let refused = |status: Status| {
+            let mut response = status_reply(&status);
+            if status.code() == Code::DeadlineExceeded {
+                // It is the client that was late, and no server behind this one.
+                *response.status_mut() = StatusCode::REQUEST_TIMEOUT;
+            }
+            Box::new(response)
+        };
+        let place = |bytes: usize| {
+            let place = (bytes > SMALL_MESSAGE_BYTES).then(|| self.services.large_json(admitted)).transpose();
+            place.map_err(|error| refused(error.into()))
+        };
+        // Before it is read, if its length is said.
+        let declared = usize::try_from(http_body::Body::size_hint(&body).lower()).unwrap_or(usize::MAX);
+        let known = place(declared)?;
+        let text = self.services.read_all(admitted, body, REQUEST_BYTES).await.map_err(refused)?;
+        let Some((text, held)) = text else {
+            let message = format!("the request has more than {REQUEST_BYTES} bytes, or broke off: use gRPC");
+            return Err(Box::new(failure(StatusCode::PAYLOAD_TOO_LARGE, "RESOURCE_EXHAUSTED", "LIMIT", &message)));
+        };
+        let bytes = text.len();
+        let place = if known.is_some() { known } else { place(bytes)? };
+        let turn = self.turn(bytes).await;
+        let work = move || (parse(&text, input), held, place, turn);
+        let (message, ..) = convert(bytes, work).await.map_err(refused)?;
+        message.map_err(|error| Box::new(invalid(&error.to_string())))
     }
 }
 
@@ -166,29 +202,17 @@ pub(super) async fn call(
         return failure(StatusCode::UNSUPPORTED_MEDIA_TYPE, "INVALID_ARGUMENT", "MEDIA_TYPE", message);
     }
     let (parts, body) = request.into_parts();
-    let text = match tokio::time::timeout(ARRIVES_WITHIN, to_bytes(body, REQUEST_BYTES)).await {
-        Ok(Ok(text)) => text,
-        Ok(Err(_)) => {
-            let message = format!("the request has more than {REQUEST_BYTES} bytes, or broke off: use gRPC");
-            return failure(StatusCode::PAYLOAD_TOO_LARGE, "RESOURCE_EXHAUSTED", "LIMIT", &message);
-        }
-        Err(_) => {
-            let message = format!("the request did not arrive within {} seconds", ARRIVES_WITHIN.as_secs());
-            return failure(StatusCode::REQUEST_TIMEOUT, "DEADLINE_EXCEEDED", "LATE", &message);
-        }
+    let path = format!("/{}/{}", method.parent_service().full_name(), method.name());
+    let admitted = match gateway.services.admit(&path, &parts.headers, &parts.extensions) {
+        Ok(admitted) => admitted,
+        Err(error) => return status_reply(&error.into()),
     };
-    let turn = gateway.turn(text.len()).await;
-    let message = match parse(&text, method.input()) {
+    let message = match gateway.read(&admitted, body, method.input()).await {
         Ok(message) => message,
-        Err(error) => return invalid(&error.to_string()),
+        Err(response) => return *response,
     };
-    drop((text, turn));
     let mut request = tonic::Request::new(message);
-    if let Some(token) = parts.headers.get(header::AUTHORIZATION)
-        && let Ok(token) = tonic::metadata::MetadataValue::try_from(token.as_bytes())
-    {
-        request.metadata_mut().insert("authorization", token);
-    }
+    request.extensions_mut().insert(admitted);
     for header in ["traceparent", "tracestate"] {
         if let Some(context) = parts.headers.get(header)
             && let Ok(context) = tonic::metadata::MetadataValue::try_from(context.as_bytes())
@@ -196,23 +220,19 @@ pub(super) async fn call(
             request.metadata_mut().insert(header, context);
         }
     }
-    if let Some(peer) = parts.extensions.get::<crate::connections::Peer>() {
-        request.extensions_mut().insert(*peer);
-    }
-    let path = format!("/{}/{}", method.parent_service().full_name(), method.name());
     let Ok(path) = PathAndQuery::try_from(path) else { return invalid("the path of the method") };
     let mut client = Grpc::new(gateway.services.clone()).max_decoding_message_size(REPLY_BYTES);
-    let codec = DynamicCodec { output: method.output() };
-    let replies = match client.server_streaming(request, path, codec).await {
+    let replies = match client.server_streaming(request, path, BytesCodec).await {
         Ok(replies) => replies.into_inner(),
         Err(status) => return status_reply(&status),
     };
-    if method.is_server_streaming() { stream(gateway, replies) } else { single(&gateway, replies).await }
+    let (output, is_stream) = (method.output(), method.is_server_streaming());
+    if is_stream { stream(gateway, output, replies) } else { single(&gateway, output, replies).await }
 }
 
-async fn single(gateway: &Gateway, mut replies: Streaming<DynamicMessage>) -> Response {
+async fn single(gateway: &Gateway, output: MessageDescriptor, mut replies: Streaming<Bytes>) -> Response {
     let converted = match replies.message().await {
-        Ok(Some(message)) => gateway.converted(message).await,
+        Ok(Some(message)) => gateway.converted(message, output).await,
         Ok(None) => Err(Status::internal("the method gave no reply")),
         Err(status) => Err(status),
     };
@@ -222,12 +242,12 @@ async fn single(gateway: &Gateway, mut replies: Streaming<DynamicMessage>) -> Re
     }
 }
 
-fn stream(gateway: Gateway, replies: Streaming<DynamicMessage>) -> Response {
+fn stream(gateway: Gateway, output: MessageDescriptor, replies: Streaming<Bytes>) -> Response {
     let lines = replies.then(move |message| {
-        let gateway = gateway.clone();
+        let (gateway, output) = (gateway.clone(), output.clone());
         async move {
             let text = match message {
-                Ok(message) => gateway.converted(message).await,
+                Ok(message) => gateway.converted(message, output).await,
                 Err(status) => Err(status),
             };
             let text = text.unwrap_or_else(|status| format!("{}\n", error_object(&status)).into());

@@ -68,7 +68,7 @@ pub(super) struct Parameter {
 /// Who asks: requests to the RPCs carry the caller's token, and count for the caller's connection.
 struct Caller {
     token: Option<HeaderValue>,
-    peer: Option<crate::connections::Peer>,
+    remote: Option<crate::connections::Remote>,
     known_tag: Option<HeaderValue>,
 }
 
@@ -77,7 +77,7 @@ impl Caller {
         let header = |name| request.headers().get(name).cloned();
         Self {
             token: header(header::AUTHORIZATION),
-            peer: request.extensions().get().copied(),
+            remote: request.extensions().get().cloned(),
             known_tag: header(header::IF_NONE_MATCH),
         }
     }
@@ -89,8 +89,8 @@ impl Caller {
         {
             request.metadata_mut().insert("authorization", token);
         }
-        if let Some(peer) = self.peer {
-            request.extensions_mut().insert(peer);
+        if let Some(remote) = &self.remote {
+            request.extensions_mut().insert(remote.clone());
         }
         request
     }
