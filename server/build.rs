@@ -1,6 +1,8 @@
-//! Lists the files of the page, so that the daemon carries them.
+//! Lists the files of the page, so that the daemon carries them, and tells its version.
 //!
 //! Without `client/web/dist` the daemon has no page; everything else is the same.
+
+mod build_version;
 
 use std::{
     env,
@@ -25,6 +27,7 @@ fn list(folder: &Path, below: &str, files: &mut Vec<(String, PathBuf)>) -> Resul
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
+    build_version::tell();
     let root = PathBuf::from(env::var("CARGO_MANIFEST_DIR")?).join("../client/web/dist");
     println!("cargo::rerun-if-changed={}", root.display());
     let mut files = Vec::new();

@@ -22,7 +22,7 @@ use protection::{MissingProtection, is_local};
 ///
 /// Every option is also a key of the config file and an environment variable: --data-dir, data_dir, TIDEMAP_DATA_DIR.
 #[derive(Debug, Default, Parser, Serialize)]
-#[command(name = "tidemapd", version)]
+#[command(name = "tidemapd", version = telemetry::VERSION)]
 pub(crate) struct Flags {
     /// What to do instead of serving.
     #[command(subcommand)]

@@ -199,6 +199,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let store =
         tokio::task::spawn_blocking(move || open_store(&for_store, disk)).await.map_err(anyhow::Error::from)??;
     close_to_others(&settings.data_dir);
+    telemetry::tell_build(store.store_id());
     for report in store.reports() {
         warn!("{report}");
     }

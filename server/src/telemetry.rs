@@ -40,6 +40,16 @@ pub(crate) fn start_logs(format: LogFormat, level: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Version and, where it is known, commit: what `--version` says.
+pub(crate) const VERSION: &str = env!("TIDEMAP_VERSION");
+
+/// Tells which program serves which data, as a metric.
+pub(crate) fn tell_build(store_id: &str) {
+    let (version, commit) = (env!("CARGO_PKG_VERSION"), env!("TIDEMAP_BUILT_FROM"));
+    metrics::gauge!("tidemap_build_info", "version" => version, "commit" => commit, "store_id" => store_id.to_owned())
+        .set(1.0);
+}
+
 /// Starts metrics for the whole process.
 ///
 /// # Errors

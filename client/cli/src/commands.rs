@@ -81,7 +81,7 @@ fn usage(text: impl Into<String>) -> anyhow::Error {
 /// Times are Unix seconds (1458518400, 1458518400.5), RFC 3339 (2016-03-21T00:00:00Z) or `now`; durations are like 90s,
 /// 15m, 1h, 7d.
 #[derive(Debug, Parser)]
-#[command(name = "tidemap", version, max_term_width = 110, arg_required_else_help = true)]
+#[command(name = "tidemap", version = env!("TIDEMAP_VERSION"), max_term_width = 110, arg_required_else_help = true)]
 pub(crate) struct CommandLine {
     /// Address of the daemon, HOST:PORT, http://HOST:PORT, https://HOST:PORT or unix:PATH
     #[arg(long, global = true, help_heading = GLOBAL, display_order = 100, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]

@@ -65,6 +65,7 @@ const GAUGES: &[(&str, &str)] = &[
     ("tidemap_disk_free_bytes", "Free space of the disk with the data folder"),
     ("tidemap_disk_size_bytes", "Size of the disk with the data folder"),
     ("tidemap_index_unavailable", "1 if the index cannot be used; everything else works"),
+    ("tidemap_build_info", "1; the labels say version and commit of the daemon, and the identity of its data folder"),
     ("tidemap_fdatasyncs", "Calls of fdatasync since the start"),
     ("tidemap_fdatasync_p50_secs", "Median of the last fdatasync calls, seconds"),
     ("tidemap_fdatasync_p99_secs", "99th centile of the last fdatasync calls, seconds"),
