@@ -22,6 +22,7 @@ mod reload;
 mod repair;
 mod rpc;
 mod scrubber;
+mod secret_file;
 mod state_or_cell;
 mod statistics;
 mod telemetry;

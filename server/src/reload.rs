@@ -1,15 +1,25 @@
 //! Files that are read again when they change: certificates and tokens.
 //!
-//! Invariant: a change is noticed within [`LOOK_EVERY`], or at once after SIGHUP. What cannot be used is logged,
-//! counted and not put into use; what was in use before stays.
+//! Invariant: a change is noticed within [`LOOK_EVERY`], or at once after SIGHUP. What cannot be used is not put into
+//! use, and if it stays so, it is logged and counted once; what was in use before stays, and the new files are tried
+//! again every [`AGAIN_AFTER`]: they may become valid without a change.
 
-use std::{fs, os::unix::fs::MetadataExt as _, path::PathBuf, time::Duration};
+use std::{
+    fs,
+    os::unix::fs::MetadataExt as _,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
 
 use tokio::signal::unix::{SignalKind, signal};
 use tracing::{error, info, warn};
 
 /// Files are looked at this often.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Files that belong together are replaced one after the other, within this time; meanwhile they may not fit together.
+const REPLACED_WITHIN: Duration = Duration::from_secs(3);
+/// Files that could not be used are tried again after this time.
+const AGAIN_AFTER: Duration = Duration::from_secs(60);
 
 /// What tells one version of a file from another: inode, size, and times of change in nanoseconds.
 type Stamp = Option<(u64, u64, i64, i64, i64)>;
@@ -22,6 +32,20 @@ fn stamps(paths: &[PathBuf]) -> Vec<Stamp> {
         Some((found.ino(), found.size(), found.mtime(), found.mtime_nsec(), changed))
     };
     paths.iter().map(stamp).collect()
+}
+
+/// Files that could not be used.
+struct Failure {
+    reason: String,
+    tried: Instant,
+    is_told: bool,
+}
+
+impl Failure {
+    /// Whether the files are to be tried again.
+    fn is_due(&self) -> bool {
+        self.tried.elapsed() >= if self.is_told { AGAIN_AFTER } else { REPLACED_WITHIN }
+    }
 }
 
 /// Files to be followed, as they are now.
@@ -50,6 +74,7 @@ impl FileWatch {
             }
         };
         let mut pause = tokio::time::interval(LOOK_EVERY);
+        let mut failed: Option<Failure> = None;
         pause.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             let is_asked = tokio::select! {
@@ -58,18 +83,28 @@ impl FileWatch {
                     if hangup.is_some() => received.is_some(),
             };
             let now = stamps(&self.paths);
-            if now == self.stamps && !is_asked {
+            let is_changed = now != self.stamps;
+            if !is_changed && !is_asked && failed.as_ref().is_none_or(|failure| !failure.is_due()) {
                 continue;
             }
             self.stamps = now;
             match reload() {
                 Ok(()) => {
+                    failed = None;
                     metrics::counter!("tidemap_reloads_total", "what" => what).increment(1);
                     info!("the {what} were read again and are in use");
                 }
                 Err(error) => {
-                    metrics::counter!("tidemap_reload_failures_total", "what" => what).increment(1);
-                    error!("the {what} changed, and the new ones cannot be used; those before stay in use: {error}");
+                    let reason = error.to_string();
+                    let before = failed.take().filter(|before| before.is_told && before.reason == reason);
+                    let is_settled = is_asked || !is_changed;
+                    if is_asked || (is_settled && before.is_none()) {
+                        metrics::counter!("tidemap_reload_failures_total", "what" => what).increment(1);
+                        error!(
+                            "the {what} changed, and the new ones cannot be used; those before stay in use: {reason}"
+                        );
+                    }
+                    failed = Some(Failure { reason, tried: Instant::now(), is_told: is_settled });
                 }
             }
         }

@@ -32,13 +32,15 @@ pub struct Pair {
     pub key: String,
 }
 
-/// Until when a certificate is valid.
+/// When a certificate is valid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Validity {
     /// For years.
     Years,
     /// It ended years ago.
     Ended,
+    /// It begins in a century.
+    NotYet,
 }
 
 impl Authority {
@@ -72,9 +74,12 @@ impl Authority {
         let names = vec!["localhost".to_owned(), "127.0.0.1".to_owned()];
         let mut params = CertificateParams::new(names).expect("parameters");
         params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
-        if validity == Validity::Ended {
-            (params.not_before, params.not_after) = (date_time_ymd(2019, 1, 1), date_time_ymd(2020, 1, 1));
-        }
+        let years = match validity {
+            Validity::Years => (2020, 2120),
+            Validity::Ended => (2019, 2020),
+            Validity::NotYet => (2120, 2130),
+        };
+        (params.not_before, params.not_after) = (date_time_ymd(years.0, 1, 1), date_time_ymd(years.1, 1, 1));
         let key = KeyPair::generate().expect("a key");
         let certificate = params.signed_by(&key, &self.issuer).expect("a certificate").pem();
         Pair { certificate, key: key.serialize_pem() }

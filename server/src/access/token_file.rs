@@ -18,6 +18,7 @@ use figment::{
 use serde::Deserialize;
 
 use super::{MapPattern, ProducerPattern, Role};
+use crate::secret_file::is_private;
 
 /// The beginning of every token, by which secrets are found in logs and repositories.
 pub(super) const PREFIX: &str = "tm_";
@@ -170,12 +171,6 @@ impl Entry {
     }
 }
 
-/// Whether nobody but the owner can change a file or read it; of root's files, the group may read.
-fn is_private(mode: u32, owner: u32) -> bool {
-    let of_others = if owner == 0 { 0o037 } else { 0o077 };
-    mode & of_others == 0
-}
-
 /// Reads the tokens of a file.
 ///
 /// # Errors
@@ -269,25 +264,4 @@ pub(super) fn change<T>(
     fs::rename(&new, path).map_err(io)?;
     folder_file.sync_all().map_err(io)?;
     Ok(outcome)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_group_may_read_a_file_of_root_and_of_nobody_else() {
-        for (mode, owner, is_fine) in [
-            (0o600, 0, true),
-            (0o400, 1000, true),
-            (0o440, 0, true),
-            (0o640, 0, true),
-            (0o640, 1000, false),
-            (0o660, 0, false),
-            (0o604, 0, false),
-            (0o610, 0, false),
-        ] {
-            assert_eq!(is_private(mode, owner), is_fine, "{mode:o} of {owner}");
-        }
-    }
 }

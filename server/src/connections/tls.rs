@@ -2,12 +2,15 @@
 //! the client.
 //!
 //! Invariant: the handshake is driven by the first read or write, so that the deadline of a connection's first request
-//! covers it. A certificate that cannot be used never takes the place of one that can. Errors name files, and never
-//! hold what is in them.
+//! covers it. A certificate that cannot be used, or that clients would not take now, never takes the place of one that
+//! can. Errors name files, and never hold what is in them.
 
 use std::{
-    fmt, io,
+    fmt,
+    fs::File,
+    io::{self, Read as _},
     net::SocketAddr,
+    os::unix::fs::{MetadataExt as _, PermissionsExt as _},
     path::{Path, PathBuf},
     pin::Pin,
     sync::Arc,
@@ -15,6 +18,7 @@ use std::{
 };
 
 use arc_swap::ArcSwap;
+use tidemap_map::time::format_rfc3339;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::TcpStream,
@@ -30,10 +34,14 @@ use tokio_rustls::{
     },
     server::TlsStream,
 };
-use tracing::info;
+use tracing::{error, info, warn};
 
-use super::{request_scan::Protocol, validity};
-use crate::telemetry::occasional::Occasional;
+use super::{request_scan::Protocol, validity, validity::Validity};
+use crate::{
+    clock::{Clock as _, SystemClock},
+    secret_file::{is_open_to_all, is_private},
+    telemetry::occasional::Occasional,
+};
 
 static FAILURES: Occasional = Occasional::new();
 
@@ -55,10 +63,32 @@ pub(crate) enum TlsError {
     Read { setting: &'static str, path: PathBuf, source: io::Error },
     #[error("setting {setting}: {} holds no {what} in PEM form", .path.display())]
     Missing { setting: &'static str, path: PathBuf, what: &'static str },
+    #[error(
+        "setting tls_key: {} has permissions {mode:o}, so that everybody on this machine can read or change the key. \
+         Say chmod 600 {}",
+        .path.display(), .path.display()
+    )]
+    Open { path: PathBuf, mode: u32 },
+    #[error(
+        "setting tls_certificate: the certificate in {} has expired, it was valid until {}. Put a new one in its place",
+        .path.display(), shown(*.until_secs)
+    )]
+    Expired { path: PathBuf, until_secs: i64 },
+    #[error(
+        "setting tls_certificate: the certificate in {} is not valid before {}, and this machine's clock says {}. Set \
+         the clock, or wait",
+        .path.display(), shown(*.from_secs), shown(*.now_secs)
+    )]
+    NotYetValid { path: PathBuf, from_secs: i64, now_secs: i64 },
     #[error("settings tls_certificate and tls_key cannot be used together: {0}")]
     Pair(rustls::Error),
     #[error("setting tls_client_ca: {} cannot be used: {reason}", .path.display())]
     ClientCa { path: PathBuf, reason: String },
+}
+
+/// A time in seconds since 1970, for people.
+fn shown(secs: i64) -> String {
+    format_rfc3339(secs.saturating_mul(1_000_000_000))
 }
 
 impl TlsFiles {
@@ -76,15 +106,54 @@ impl TlsFiles {
 
     /// Tells by when the daemon's certificate has to be replaced: when it, or one behind it in the file, ends.
     fn tell_end(chain: &[CertificateDer<'static>]) {
-        if let Some(ends_secs) = chain.iter().filter_map(|certificate| validity::ends_secs(certificate)).min() {
+        let ends = chain.iter().filter_map(|certificate| validity::validity(certificate)).map(|valid| valid.until_secs);
+        if let Some(ends_secs) = ends.min() {
             metrics::gauge!("tidemap_certificate_expiry_seconds").set(ends_secs as f64);
         }
     }
 
-    /// The settings of handshakes.
-    fn load(&self, protocol: Protocol) -> Result<ServerConfig, TlsError> {
+    /// Whether clients can take the daemon's own certificate now. Those behind it in the file may not be needed.
+    fn check_dates(&self, chain: &[CertificateDer<'static>]) -> Result<(), TlsError> {
+        let now_secs = SystemClock.now_nanos().div_euclid(1_000_000_000);
+        let path = || self.certificate.clone();
+        match chain.first().and_then(|own| validity::validity(own)) {
+            Some(Validity { until_secs, .. }) if until_secs < now_secs => {
+                Err(TlsError::Expired { path: path(), until_secs })
+            }
+            Some(Validity { from_secs, .. }) if from_secs > now_secs => {
+                Err(TlsError::NotYetValid { path: path(), from_secs, now_secs })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The private key's file, if it is not open to everybody. Groups of users that may read keys are usual.
+    fn key_file(&self) -> Result<Vec<u8>, TlsError> {
+        let unreadable = |source| TlsError::Read { setting: "tls_key", path: self.key.clone(), source };
+        let mut file = File::open(&self.key).map_err(unreadable)?;
+        let metadata = file.metadata().map_err(unreadable)?;
+        let (mode, owner) = (metadata.permissions().mode() & 0o777, metadata.uid());
+        if is_open_to_all(mode) {
+            return Err(TlsError::Open { path: self.key.clone(), mode });
+        }
+        if !is_private(mode, owner) {
+            let path = self.key.display();
+            warn!("the private key {path} has permissions {mode:o}: its group can use it. Say chmod 600 {path}");
+        }
+        let mut text = Vec::new();
+        file.read_to_end(&mut text).map_err(unreadable)?;
+        Ok(text)
+    }
+
+    /// The settings of handshakes. A certificate that is not valid yet is taken only at the start: a clock that is
+    /// wrong then is often set right a little later, and there is no other certificate.
+    fn load(&self, protocol: Protocol, is_start: bool) -> Result<ServerConfig, TlsError> {
         let chain = Self::certificates("tls_certificate", &self.certificate)?;
-        let key = PrivateKeyDer::from_pem_slice(&read("tls_key", &self.key)?);
+        match self.check_dates(&chain) {
+            Err(early @ TlsError::NotYetValid { .. }) if is_start => error!("clients refuse to connect: {early}"),
+            checked => checked?,
+        }
+        let key = PrivateKeyDer::from_pem_slice(&self.key_file()?);
         let missing = |_| TlsError::Missing {
             setting: "tls_key",
             path: self.key.clone(),
@@ -141,7 +210,7 @@ impl Tls {
     /// # Errors
     /// A file that cannot be used.
     pub(crate) fn new(files: TlsFiles, protocol: Protocol) -> Result<Self, TlsError> {
-        let config = Arc::new(ArcSwap::from_pointee(files.load(protocol)?));
+        let config = Arc::new(ArcSwap::from_pointee(files.load(protocol, true)?));
         Ok(Self { files: Arc::new(files), protocol, config })
     }
 
@@ -150,7 +219,7 @@ impl Tls {
     /// # Errors
     /// A file that cannot be used; what was in use before stays.
     pub(crate) fn reload(&self) -> Result<(), TlsError> {
-        self.config.store(Arc::new(self.files.load(self.protocol)?));
+        self.config.store(Arc::new(self.files.load(self.protocol, false)?));
         Ok(())
     }
 

@@ -1,4 +1,4 @@
-//! Until when a certificate is valid, read from its DER form (X.509, RFC 5280, section 4.1).
+//! From when and until when a certificate is valid, read from its DER form (X.509, RFC 5280, section 4.1).
 //!
 //! Invariant: reads only; whether a certificate is good is for rustls to say. What is no certificate has no time.
 
@@ -24,8 +24,17 @@ const VERSION: u8 = 0xa0;
 const UTC_TIME: u8 = 0x17;
 const GENERALIZED_TIME: u8 = 0x18;
 
-/// The time from which on a certificate is not valid any more, in seconds since 1970.
-pub(super) fn ends_secs(certificate: &[u8]) -> Option<i64> {
+/// When a certificate is valid, in seconds since 1970.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Validity {
+    /// The first second.
+    pub from_secs: i64,
+    /// The last second.
+    pub until_secs: i64,
+}
+
+/// When a certificate is valid.
+pub(super) fn validity(certificate: &[u8]) -> Option<Validity> {
     let sequence = |bytes| element(bytes).filter(|&(tag, ..)| tag == SEQUENCE).map(|(_, content, _)| content);
     let mut fields = sequence(sequence(certificate)?)?;
     if let (VERSION, _, rest) = element(fields)? {
@@ -35,9 +44,10 @@ pub(super) fn ends_secs(certificate: &[u8]) -> Option<i64> {
     for _ in 0..3 {
         fields = element(fields)?.2;
     }
-    let (_, _, not_after) = element(sequence(fields)?)?;
+    let (tag, text, not_after) = element(sequence(fields)?)?;
+    let from_secs = time_secs(tag, std::str::from_utf8(text).ok()?)?;
     let (tag, text, _) = element(not_after)?;
-    time_secs(tag, std::str::from_utf8(text).ok()?)
+    Some(Validity { from_secs, until_secs: time_secs(tag, std::str::from_utf8(text).ok()?)? })
 }
 
 /// `YYMMDDHHMMSSZ` or `YYYYMMDDHHMMSSZ`, the only forms that RFC 5280 allows.
@@ -54,7 +64,10 @@ fn time_secs(tag: u8, text: &str) -> Option<i64> {
     };
     let part = |at: usize| &rest[at..at + 2];
     let rfc3339 = format!("{year}-{}-{}T{}:{}:{}Z", part(0), part(2), part(4), part(6), part(8));
-    // Times in nanoseconds end in 2262; 99991231235959Z stands for no end.
+    // Times in nanoseconds begin in 1677 and end in 2262; 99991231235959Z stands for no end.
+    if year.as_str() < "1678" {
+        return Some(i64::MIN / 1_000_000_000);
+    }
     if year.as_str() > "2261" {
         return Some(i64::MAX / 1_000_000_000);
     }
@@ -86,8 +99,15 @@ mod tests {
         der(SEQUENCE, &der(SEQUENCE, &fields))
     }
 
+    fn ends_secs(certificate: &[u8]) -> Option<i64> {
+        validity(certificate).map(|valid| valid.until_secs)
+    }
+
     #[test]
-    fn the_end_is_read_in_both_forms() {
+    fn the_times_are_read_in_both_forms() {
+        let valid = validity(&certificate(true, UTC_TIME, "260101120000Z"));
+        assert_eq!(valid, Some(Validity { from_secs: 1_735_689_600, until_secs: 1_767_268_800 }));
+        assert_eq!(time_secs(GENERALIZED_TIME, "00000101000000Z"), Some(i64::MIN / 1_000_000_000), "for ever");
         for version in [false, true] {
             assert_eq!(ends_secs(&certificate(version, UTC_TIME, "260101120000Z")), Some(1_767_268_800));
             assert_eq!(ends_secs(&certificate(version, GENERALIZED_TIME, "20600101000000Z")), Some(2_840_140_800));

@@ -32,6 +32,7 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
     ("tidemap_spans_dropped_total", "Spans dropped because the collector did not take them in time"),
     ("tidemap_accept_errors", "Failures to accept a connection, such as a lack of descriptors"),
+    ("tidemap_tls_handshakes_failed_total", "TLS handshakes that failed, for example of clients without a certificate"),
 ];
 
 /// Values that go up and down.

@@ -4,6 +4,7 @@ use std::{
     fs,
     io::Read as _,
     net::TcpStream,
+    os::unix::fs::PermissionsExt as _,
     path::Path,
     sync::Arc,
     time::{Duration, Instant},
@@ -92,6 +93,17 @@ async fn a_daemon_that_names_an_authority_of_clients_serves_only_clients_of_it()
     for (what, pair) in [("none", None), ("foreign", Some(&foreign)), ("ended", Some(&ended))] {
         authority.client(&daemon, pair, None).maps().await.expect_err(what);
     }
+    // The alert may be lost when the connection breaks, but not always.
+    let (trusted, server) =
+        (private_file(&work.path().join("ca.pem"), authority.pem()), format!("https://{}", daemon.grpc));
+    let (mut said, trusted) = (String::new(), trusted.display().to_string());
+    eventually("the command line says what is missing", async || {
+        let listed = cli::command(&server, ["--tls-ca", &trusted, "map", "list"]).output().expect("tidemap runs");
+        said = String::from_utf8_lossy(&listed.stderr).into_owned();
+        said.contains("--tls-cert") && said.contains("asks for a certificate of the client")
+    })
+    .await;
+    assert!(!said.contains("no daemon answers"), "{said}");
     assert!(metrics(&daemon).contains("tidemap_tls_handshakes_failed_total"));
     daemon.stop_in_order();
 }
@@ -123,6 +135,44 @@ async fn a_new_certificate_is_used_without_a_restart_and_a_bad_one_is_not() {
     let _ = last.sign(Validity::Years).write(work.path());
     daemon.process().signal(Signal::HUP);
     eventually("the last certificate", async || last.client(&daemon, None, None).maps().await.is_ok()).await;
+    daemon.stop_in_order();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_certificate_that_clients_would_not_take_never_replaces_one_that_they_take() {
+    let work = tempdir().expect("a folder");
+    let authority = Authority::new("ours");
+    let daemon = launch(work.path(), &authority.sign(Validity::Years)).start();
+    let (mut failures, key) = (0, work.path().join("daemon.key"));
+    let mut refused = async |words: &str| {
+        failures += 1;
+        let counted = format!("tidemap_reload_failures_total{{what=\"certificates\"}} {failures}");
+        eventually(words, async || daemon.process().stderr().contains(words) && metrics(&daemon).contains(&counted))
+            .await;
+        authority.client(&daemon, None, None).maps().await.expect("the certificate before stays");
+    };
+    // The file of the certificate last: the pair fits together when it is looked at.
+    for (validity, words) in [(Validity::Ended, "has expired"), (Validity::NotYet, "is not valid before 2120")] {
+        let next = authority.sign(validity);
+        daemon.process().signal(Signal::STOP);
+        let _ = next.write(work.path());
+        daemon.process().signal(Signal::CONT);
+        refused(words).await;
+    }
+    let next = authority.sign(Validity::Years);
+    daemon.process().signal(Signal::STOP);
+    let _ = next.write(work.path());
+    fs::set_permissions(&key, fs::Permissions::from_mode(0o644)).expect("permissions");
+    daemon.process().signal(Signal::CONT);
+    refused(&format!("chmod 600 {}", key.display())).await;
+
+    // The permissions are all that is wrong.
+    fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("permissions");
+    eventually("the next certificate", async || {
+        metrics(&daemon).contains("tidemap_reloads_total{what=\"certificates\"} 1")
+    })
+    .await;
+    authority.client(&daemon, None, None).maps().await.expect("served");
     daemon.stop_in_order();
 }
 
@@ -186,4 +236,28 @@ fn wrong_files_are_named_before_anything_is_created() {
         let secret = pair.key.lines().nth(1).expect("a line of the key");
         assert!(!exit.stderr.contains(secret) && !data.exists(), "{exit}");
     }
+    let ended = Authority::new("ours").sign(Validity::Ended);
+    let exit = launch(work.path(), &ended).try_start().expect_err("expired");
+    assert!(exit.code() == Some(78) && exit.stderr.contains("expired, it was valid until 2020"), "{exit}");
+    for (mode, is_fine) in [(0o604, false), (0o606, false), (0o640, true)] {
+        let launch = launch(work.path(), &pair);
+        fs::set_permissions(work.path().join("daemon.key"), fs::Permissions::from_mode(mode)).expect("permissions");
+        match launch.try_start() {
+            Ok(daemon) => {
+                assert!(is_fine && daemon.stop_in_order().contains("has permissions") != is_root(), "{mode:o}");
+            }
+            Err(exit) => {
+                assert!(!is_fine && exit.code() == Some(78) && exit.stderr.contains("chmod 600"), "{mode:o}: {exit}");
+            }
+        }
+    }
+    // A clock that is wrong at the start is often set right soon.
+    let early = Authority::new("ours").sign(Validity::NotYet);
+    let daemon = launch(work.path(), &early).start();
+    assert!(daemon.stop_in_order().contains("clients refuse to connect"));
+}
+
+/// Whether files made here belong to root, whose groups may read keys.
+fn is_root() -> bool {
+    rustix::process::getuid().is_root()
 }
