@@ -22,6 +22,9 @@ pub enum Error {
     Tls(String),
     #[error("no daemon answers at {server}: {detail}")]
     Unreachable { server: String, detail: String },
+    /// The daemon ended the handshake of TLS because of this client's certificate, or for want of one.
+    #[error("the daemon at {server} {problem}")]
+    ClientCertificate { server: String, problem: String },
     /// The daemon refused the request, or failed.
     #[error("{0}")]
     Server(ServerError),
@@ -63,7 +66,10 @@ impl Error {
     /// Converts a status from `server`, or from the connection to it.
     pub(crate) fn from_status(server: &str, status: &Status) -> Self {
         match transport_cause(status) {
-            Some(detail) => Self::Unreachable { server: server.to_owned(), detail },
+            Some(detail) => match certificate_problem(&detail) {
+                Some(problem) => Self::ClientCertificate { server: server.to_owned(), problem },
+                None => Self::Unreachable { server: server.to_owned(), detail },
+            },
             None => Self::Server(ServerError::from_status(status)),
         }
     }
@@ -72,7 +78,8 @@ impl Error {
     #[must_use]
     pub fn is_transient(&self) -> bool {
         match self {
-            Self::Unreachable { .. } => true,
+            // Another certificate may be in place by then, on either side.
+            Self::Unreachable { .. } | Self::ClientCertificate { .. } => true,
             Self::Server(error) => error.is_transient(),
             Self::Address { .. } | Self::Token | Self::TokenInClear { .. } | Self::Tls(_) | Self::Protocol(_) => false,
         }
@@ -117,6 +124,25 @@ fn transport_cause(status: &Status) -> Option<String> {
     status.source().map(root_cause)
 }
 
+/// What the alert of TLS in a cause says of the client's certificate. HTTP/2 passes the alert on as text only.
+fn certificate_problem(cause: &str) -> Option<String> {
+    let alert = cause.split("received fatal alert: ").nth(1)?;
+    let alert: String = alert.chars().take_while(char::is_ascii_alphanumeric).collect();
+    let refused = ["BadCertificate", "UnknownCA", "CertificateExpired", "CertificateUnknown", "CertificateRevoked"];
+    match alert.as_str() {
+        "CertificateRequired" => Some(
+            "asks for a certificate of the client: name it and its private key (--tls-cert FILE and --tls-key FILE, or \
+             TIDEMAP_TLS_CERT and TIDEMAP_TLS_KEY)"
+                .to_owned(),
+        ),
+        _ if refused.contains(&alert.as_str()) => Some(format!(
+            "does not take the certificate of the client ({alert}): it must be valid now, and one of an authority that \
+             the daemon's setting tls_client_ca names"
+        )),
+        _ => None,
+    }
+}
+
 /// The text of the innermost cause.
 pub(crate) fn root_cause(error: &(dyn StdError + 'static)) -> String {
     let mut cause = error;
@@ -150,6 +176,19 @@ mod tests {
         let details = ErrorDetails::with_bad_request_violation("name", "too long");
         let status = Status::with_error_details(Code::InvalidArgument, "name: too long", details);
         assert_eq!(Error::from_status("http://h:1", &status).to_string(), "name: too long");
+    }
+
+    #[test]
+    fn an_alert_about_the_certificate_says_what_to_do() {
+        for (alert, words) in [("CertificateRequired", "--tls-cert"), ("CertificateExpired", "valid now")] {
+            let cause = io::Error::other(format!("received fatal alert: {alert}"));
+            let error = Error::from_status("https://h:1", &Status::from_error(Box::new(cause)));
+            assert!(matches!(error, Error::ClientCertificate { .. }) && error.is_transient(), "{error}");
+            assert!(error.to_string().contains(words), "{error}");
+        }
+        let cause = io::Error::other("received fatal alert: HandshakeFailure");
+        let error = Error::from_status("https://h:1", &Status::from_error(Box::new(cause)));
+        assert!(matches!(error, Error::Unreachable { .. }), "{error}");
     }
 
     #[test]

@@ -55,11 +55,12 @@ fn failed(error: &anyhow::Error, as_json: bool) -> ExitCode {
     if is_usage { ExitCode::from(2) } else { ExitCode::FAILURE }
 }
 
-/// `{"error":{"code":…,"message":…}}`: the code of the daemon's status, UNAVAILABLE if it cannot be reached, USAGE for
-/// a wrong command line, else FAILED.
+/// `{"error":{"code":…,"message":…}}`: the code of the daemon's status, UNAVAILABLE if it cannot be reached,
+/// UNAUTHENTICATED if it does not take the client's certificate, USAGE for a wrong command line, else FAILED.
 fn json_of(error: &anyhow::Error, is_usage: bool) -> String {
     let code = match error.downcast_ref::<tidemap_client::Error>() {
         Some(tidemap_client::Error::Unreachable { .. }) => "UNAVAILABLE".to_owned(),
+        Some(tidemap_client::Error::ClientCertificate { .. }) => "UNAUTHENTICATED".to_owned(),
         Some(error) => error.code().map_or("FAILED".to_owned(), |code| screaming(&format!("{code:?}"))),
         None if is_usage => "USAGE".to_owned(),
         None => "FAILED".to_owned(),

@@ -37,6 +37,7 @@ pub(crate) fn request(py: Python<'_>, error: &Error) -> PyErr {
     let code = match error {
         Error::Server(refused) => code_name(refused.code),
         Error::Unreachable { .. } => "UNAVAILABLE".to_owned(),
+        Error::ClientCertificate { .. } => "UNAUTHENTICATED".to_owned(),
         Error::Protocol(_) => "INTERNAL".to_owned(),
         _ => "INVALID_ARGUMENT".to_owned(),
     };
