@@ -73,6 +73,8 @@ pub enum JobCause {
     PendingLimit,
     /// A request to erase something from the map.
     Erasure,
+    /// The schedule of backups.
+    Backup,
     /// A cause that this version does not know.
     Other,
 }
@@ -87,17 +89,18 @@ impl JobCause {
             Self::DataTime => "data-time",
             Self::PendingLimit => "pending-limit",
             Self::Erasure => "erasure",
+            Self::Backup => "backup",
             Self::Other => "other",
         }
     }
 }
 
-/// An update or an erasure, as a job.
+/// An update, an erasure or a scheduled backup, as a job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Job {
     /// Id, unique while the daemon runs.
     pub id: u64,
-    /// Name of the map.
+    /// Name of the map; empty: all maps.
     pub map: String,
     /// State of the job.
     pub state: JobState,
@@ -382,6 +385,7 @@ fn job_from_wire(job: Option<v1::Job>) -> Result<Job, Error> {
         v1::JobCause::DataTime => JobCause::DataTime,
         v1::JobCause::PendingLimit => JobCause::PendingLimit,
         v1::JobCause::Erasure => JobCause::Erasure,
+        v1::JobCause::Backup => JobCause::Backup,
         v1::JobCause::Unspecified => JobCause::Other,
     };
     Ok(Job {

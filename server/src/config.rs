@@ -325,6 +325,17 @@ settings! {
         /// Pause between two such rounds, and before the first, in seconds.
         scrub_every_secs: u64 = 21_600, 1, 31_536_000;
     }
+    "backups: see the page Backup and restore of the guide" {
+        /// The folder of backups, as an absolute path, best on another disk. Requests for a backup (tidemap backup
+        /// create) write below it and nowhere else. Empty: only programs of this machine may ask for a backup, into any
+        /// folder, and only while there is no tokens_file.
+        backup_dir: PathBuf = PathBuf::new();
+        /// Time from one scheduled backup to the next, in seconds (86400 is a day); 0: none is scheduled. It needs
+        /// backup_dir.
+        backup_every_secs: u64 = 0, 0, 31_536_000;
+        /// Scheduled backups that are kept. Older ones are removed when a new one is complete.
+        backups_kept: usize = 7, 1, 10_000;
+    }
 }
 
 fn check_range(key: &str, value: u64, least: u64, most: u64) -> anyhow::Result<()> {
@@ -386,9 +397,23 @@ impl Settings {
         Ok(())
     }
 
+    fn check_backups(&self) -> anyhow::Result<()> {
+        let folder = &self.backup_dir;
+        if folder.as_os_str().is_empty() {
+            if self.backup_every_secs > 0 {
+                let every = self.backup_every_secs;
+                bail!("setting backup_every_secs is {every}, and backup_dir is not set: name the folder of backups");
+            }
+        } else if !folder.is_absolute() {
+            bail!("setting backup_dir is {:?}: it must be an absolute path", folder.display().to_string());
+        }
+        Ok(())
+    }
+
     fn check(&self) -> anyhow::Result<()> {
         self.check_ranges()?;
         self.check_tls()?;
+        self.check_backups()?;
         telemetry::traces::check(&self.otlp_endpoint, self.trace_ratio)?;
         check_range("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30)?;
         for (key, address) in [("listen", &self.listen), ("http_listen", &self.http_listen)] {
@@ -465,6 +490,8 @@ mod tests {
             ("otlp_endpoint = 'https://collector:4317'", "otlp_endpoint"),
             ("trace_ratio = 1.5", "trace_ratio"),
             ("trace_ratio = nan", "trace_ratio"),
+            ("backup_dir = 'saved'", "backup_dir"),
+            ("backup_every_secs = 60", "backup_dir"),
         ] {
             let error = load(file, Flags::default()).expect_err(file);
             assert!(error.contains(word), "{file}: {error}");

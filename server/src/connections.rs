@@ -81,6 +81,16 @@ impl fmt::Display for Peer {
     }
 }
 
+impl Peer {
+    /// Whether it is a process of this machine.
+    pub(crate) fn is_of_this_machine(self) -> bool {
+        match self {
+            Self::Address(address) => address.is_loopback(),
+            Self::Local => true,
+        }
+    }
+}
+
 /// The open connections of a port. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Connections {

@@ -20,6 +20,7 @@ use tracing::{error, info, warn};
 
 use crate::{
     access::keyring::Keyring,
+    backups::Schedule,
     catalog::{Catalog, CatalogError, RESTORED_FIRST_BYTES},
     clock::SystemClock,
     config::Settings,
@@ -185,10 +186,15 @@ pub(crate) fn random_id() -> anyhow::Result<String> {
 pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), DaemonError> {
     // Whatever the daemon was started with: what robots saw is nobody else's business.
     umask(Mode::RWXG | Mode::RWXO);
-    let metrics = http::Metrics { handle: telemetry::start_metrics()?, data_dir: settings.data_dir.clone() };
+    let recorder = telemetry::start_metrics()?;
     let traces = Traces::start(&settings.otlp_endpoint, settings.trace_ratio)?;
     let (followed, grpc_tls, http_tls) = load_tls(&settings)?;
     let access = load_access(&settings)?;
+    let metrics = http::Metrics {
+        handle: recorder,
+        data_dir: settings.data_dir.clone(),
+        backups: Schedule::of(&settings),
+    };
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
     // Of a folder that exists, its lock says more than a port in use: a second daemon. A new one is not even made.
@@ -270,6 +276,8 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     info!(grpc = %grpc_address, http = %http_address, data = %settings.data_dir.display(), "ready");
 
     let scrubber = Scrubber::start(&store, &settings);
+    if let Some(schedule) = Schedule::of(&settings) {
+        tokio::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));
     let restoring = Arc::clone(&catalog);
     let restored = tokio::task::spawn_blocking(move || restoring.restore_rest(rest));
     let cannot_restore = async {

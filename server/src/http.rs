@@ -20,6 +20,7 @@ use tidemap_store::Trouble;
 use tokio::sync::watch;
 
 use crate::{
+    backups::Schedule,
     catalog::Catalog,
     connections::{Remote, accept::HttpListener},
     ingest::handle::{MapHandle, OpenProgress},
@@ -70,6 +71,8 @@ pub(crate) struct Metrics {
     pub handle: PrometheusHandle,
     /// The data folder, whose disk is watched.
     pub data_dir: PathBuf,
+    /// The schedule of backups, if there is one.
+    pub backups: Option<Schedule>,
 }
 
 /// What programs ask that watch the daemon.
@@ -144,13 +147,17 @@ pub(crate) async fn serve(
                     Ok(false) => return Err(StatusCode::FORBIDDEN),
                     Err(_) => return Err(StatusCode::UNAUTHORIZED),
                 }
-                // Sizes are read from the disk.
+                let silent = if may_read_names { metrics.silent.metrics(&catalog).await } else { String::new() };
+                // Sizes and backups are read from the disk.
                 let text = tokio::task::spawn_blocking(move || {
                     for (name, value, _) in statistics::of_daemon(&catalog) {
                         metrics::gauge!(format!("tidemap_{name}")).set(value);
                     }
                     let process = process::metrics(&metrics.data_dir);
-                    for (name, value) in statistics::of_updates(&catalog).into_iter().chain(process) {
+                    let context = catalog.context();
+                    let (id, now) = (context.store.store_id(), context.clock.now_nanos());
+                    let backups = metrics.backups.iter().flat_map(|backups| backups.metrics(id, now));
+                    for (name, value) in statistics::of_updates(&catalog).into_iter().chain(process).chain(backups) {
                         metrics::gauge!(name).set(value);
                     }
                     metrics.handle.render()

@@ -1,4 +1,4 @@
-//! Updates and erasures as jobs that can be listed, watched and reported.
+//! Updates, erasures and scheduled backups as jobs that can be listed, watched and reported.
 //!
 //! Invariant: a job only moves forward: waiting, running, ended. Old jobs are forgotten; only the last update of each
 //! map keeps its report.
@@ -26,6 +26,8 @@ pub(crate) enum JobCause {
     Update(UpdateCause),
     /// A request to erase something.
     Erasure,
+    /// The schedule of backups.
+    Backup,
 }
 
 impl JobCause {
@@ -37,6 +39,7 @@ impl JobCause {
             Self::Update(UpdateCause::DataTime) => "midnight in data time",
             Self::Update(UpdateCause::PendingLimit) => "limit of pending observations",
             Self::Erasure => "erasure",
+            Self::Backup => "backup",
         }
     }
 }
@@ -85,15 +88,17 @@ impl JobCause {
         match self {
             Self::Update(_) => "update",
             Self::Erasure => "erasure",
+            Self::Backup => "backup",
         }
     }
 }
 
-/// An update or an erasure.
+/// An update, an erasure or a backup.
 #[derive(Debug)]
 pub(crate) struct UpdateJob {
     pub id: u64,
-    pub map: MapName,
+    /// Its map; `None`: all maps.
+    pub map: Option<MapName>,
     pub cause: JobCause,
     /// When it was requested, nanoseconds UTC.
     pub created_nanos: i64,
@@ -119,6 +124,11 @@ pub(crate) struct Report {
 }
 
 impl UpdateJob {
+    /// The name of its map; empty: all maps.
+    pub(crate) fn map_name(&self) -> &str {
+        self.map.as_ref().map_or("", MapName::as_str)
+    }
+
     /// The current status.
     pub(crate) fn status(&self) -> JobStatus {
         self.status.borrow().clone()
@@ -185,7 +195,9 @@ impl UpdateJob {
                     status.phase = Phase::Done(elapsed);
                 }
                 Err(error) => {
-                    metrics::counter!("tidemap_update_failures_total").increment(1);
+                    if matches!(self.cause, JobCause::Update(_)) {
+                        metrics::counter!("tidemap_update_failures_total").increment(1);
+                    }
                     status.phase = Phase::Failed(elapsed, error);
                 }
             }
@@ -208,12 +220,20 @@ pub(crate) struct Jobs {
 
 impl Jobs {
     /// Adds a waiting job.
-    pub(crate) fn create(&self, map: MapName, cause: impl Into<JobCause>, created_nanos: i64) -> Arc<UpdateJob> {
+    pub(crate) fn create(
+        &self,
+        map: impl Into<Option<MapName>>,
+        cause: impl Into<JobCause>,
+        created_nanos: i64,
+    ) -> Arc<UpdateJob> {
+        let map = map.into();
         let (status, _) =
             watch::channel(JobStatus { phase: Phase::Waiting, states_total: 0, observations: 0, published: None });
         let (id, cause) = (self.next_id.fetch_add(1, Ordering::Relaxed) + 1, cause.into());
         let span = Span::root(cause.span_name());
-        span.text("tidemap.map", &map);
+        if let Some(map) = &map {
+            span.text("tidemap.map", map);
+        }
         span.number("tidemap.job", id);
         span.text("tidemap.cause", format_args!("{cause:?}"));
         let step = Mutex::new(span.child("wait"));

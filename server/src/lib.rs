@@ -6,6 +6,7 @@
 //! anything else.
 
 mod access;
+mod backups;
 mod catalog;
 mod clock;
 mod command_texts;

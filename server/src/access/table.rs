@@ -14,6 +14,8 @@ pub(crate) enum Need {
     Token,
     /// A token with this role, or one that includes it.
     Role(Role),
+    /// The same, and for all maps: the method acts on the daemon as a whole.
+    AllMaps(Role),
 }
 
 const fn role(role: Role) -> Need {
@@ -73,13 +75,18 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MaintenanceService/GetUpdateReport", Need::Token),
     ("/tidemap.v1.MaintenanceService/GetStatistics", role(Planner)),
     ("/tidemap.v1.MaintenanceService/ListProducers", role(Planner)),
-    ("/tidemap.v1.MaintenanceService/CreateBackup", role(Admin)),
+    ("/tidemap.v1.MaintenanceService/CreateBackup", Need::AllMaps(Admin)),
     ("/tidemap.v1.MaintenanceService/Erase", role(Admin)),
 ];
 
 /// What the method of a path needs; `None` if there is no such method.
 pub(crate) fn need(path: &str) -> Option<Need> {
     TABLE.iter().find(|(method, _)| *method == path).map(|(_, need)| *need)
+}
+
+/// All methods.
+pub(crate) fn methods() -> impl Iterator<Item = &'static str> {
+    TABLE.iter().map(|(method, _)| *method)
 }
 
 /// The method of a path for metrics: as in the table, so that their number is bounded.
@@ -127,6 +134,40 @@ mod tests {
         let rest: Vec<&String> = rows.difference(&served).collect();
         assert!(rest.is_empty(), "these methods are gone: {rest:?}");
         assert!(served.len() > 40, "{served:?}");
+    }
+
+    /// Methods whose requests name no map, and which show or change only what belongs to the token's maps.
+    const LIMITED_TO_MAPS: [&str; 8] = [
+        "ListMaps",
+        "Observe",        // its Hello names the map
+        "EvaluateStates", // its first message names the map
+        "GetJob",
+        "ListJobs",
+        "WatchJob",
+        "GetUpdateReport",
+        "GetStatistics", // without a map it needs all
+    ];
+
+    #[test]
+    fn what_acts_on_the_whole_daemon_needs_all_maps() {
+        let set = FileDescriptorSet::decode(tidemap_proto::v1::DESCRIPTORS).expect("descriptors");
+        let messages: Vec<_> = set.file.iter().flat_map(|file| &file.message_type).collect();
+        let mut of_daemon = Vec::new();
+        for service in set.file.iter().flat_map(|file| &file.service) {
+            for method in &service.method {
+                let name = method.input_type().rsplit('.').next().unwrap_or_default();
+                let request = messages.iter().find(|message| message.name() == name).expect("a request");
+                let is_map = |field: &str| field == "map" || (field == "name" && method.name().ends_with("Map"));
+                let names_a_map = request.field.iter().any(|field| is_map(field.name()));
+                if !LIMITED_TO_MAPS.contains(&method.name()) && !names_a_map {
+                    of_daemon.push(format!("/tidemap.v1.{}/{}", service.name(), method.name()));
+                }
+            }
+        }
+        let needing: Vec<String> =
+            TABLE.iter().filter(|(_, need)| matches!(need, Need::AllMaps(_))).map(|(path, _)| (*path).into()).collect();
+        assert_eq!(of_daemon, needing, "a method that names no map needs a token for all maps");
+        assert!(needing.contains(&"/tidemap.v1.MaintenanceService/CreateBackup".to_owned()));
     }
 
     #[test]

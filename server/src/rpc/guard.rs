@@ -43,7 +43,7 @@ impl Access {
         let need = need(path).ok_or(RpcError::UnknownMethod)?;
         let keyring = match (self, need) {
             (Self::Tokens(keyring), _) => keyring,
-            (Self::Readers, Need::Role(role)) if role != Role::Planner => {
+            (Self::Readers, Need::Role(role) | Need::AllMaps(role)) if role != Role::Planner => {
                 return Err(RpcError::ReadOnly { method: path.to_owned() });
             }
             (Self::Anybody | Self::Readers, _) => return Ok(Caller::Anybody),
@@ -54,7 +54,10 @@ impl Access {
             (Err(denied), _) => return Err(RpcError::Denial(denied)),
         };
         match need {
-            Need::Role(role) if !caller.has(role) => Err(RpcError::NeedsRole { method: path.to_owned(), role }),
+            Need::Role(role) | Need::AllMaps(role) if !caller.has(role) => {
+                Err(RpcError::NeedsRole { method: path.to_owned(), role })
+            }
+            Need::AllMaps(_) if !caller.covers_all() => Err(RpcError::NeedsAllMaps),
             _ => Ok(caller),
         }
     }
@@ -77,7 +80,7 @@ pub(super) async fn serve_caller(State(access): State<Access>, mut request: Requ
     let (Access::Tokens(keyring), Caller::Holder(token)) = (access, &caller) else {
         return caller.scope(next.run(request)).await;
     };
-    if let Some(Need::Role(Role::Operator | Role::Admin)) = need(request.uri().path()) {
+    if let Some(Need::Role(Role::Operator | Role::Admin) | Need::AllMaps(_)) = need(request.uri().path()) {
         info!(token = %token.id, method = %request.uri().path(), "an operator's request");
     }
     let (for_caller, for_reply) = (caller.clone(), keyring.clone());

@@ -1,6 +1,10 @@
 //! `MaintenanceService`: updates as jobs, and counters.
 
-use std::{path::PathBuf, sync::Arc, sync::atomic::Ordering, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    sync::{Arc, atomic::Ordering},
+    time::Duration,
+};
 
 use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, selector::ModelSelector, update::StateOutcome};
 use tidemap_proto::{
@@ -20,10 +24,12 @@ use tonic::{Request, Response, Status};
 use super::{RpcReply, page::page, status::RpcError};
 use crate::{
     access::Caller,
+    backups,
     catalog::{
         Catalog, CatalogError,
         erasure::{Wish, WishedPart, states_of},
     },
+    connections::Peer,
     ingest::protocol::{Command, KnownProducer},
     jobs::{JobCause, Phase, UpdateJob},
     rpc::lookup::{cell_of, find_map, find_state},
@@ -36,6 +42,8 @@ const WATCH_INTERVAL: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub(crate) struct Maintenance {
     pub catalog: Arc<Catalog>,
+    /// The folder below which requests may make backups; empty: none is set.
+    pub backup_dir: PathBuf,
 }
 
 fn job_to_wire(catalog: &Catalog, job: &UpdateJob) -> v1::Job {
@@ -52,10 +60,11 @@ fn job_to_wire(catalog: &Catalog, job: &UpdateJob) -> v1::Job {
         JobCause::Update(UpdateCause::DataTime) => v1::JobCause::DataTime,
         JobCause::Update(UpdateCause::PendingLimit) => v1::JobCause::PendingLimit,
         JobCause::Erasure => v1::JobCause::Erasure,
+        JobCause::Backup => v1::JobCause::Backup,
     };
     v1::Job {
         id: job.id,
-        map: job.map.as_str().to_owned(),
+        map: job.map_name().to_owned(),
         state: state.into(),
         cause: cause.into(),
         states_done: job.states_done.load(Ordering::Relaxed),
@@ -72,7 +81,7 @@ fn job_to_wire(catalog: &Catalog, job: &UpdateJob) -> v1::Job {
 /// Why the newest generation of a map is not saved, if the job has published it.
 fn save_error(catalog: &Catalog, job: &UpdateJob, published: Option<(u64, i64)>) -> Option<String> {
     let (generation, _) = published?;
-    let handle = catalog.get(job.map.as_str()).ok().filter(|handle| handle.view().generation() == generation)?;
+    let handle = catalog.get(job.map_name()).ok().filter(|handle| handle.view().generation() == generation)?;
     catalog.context().store.trouble().into_iter().find_map(|trouble| match trouble {
         Trouble::NotSaved { map, reason } if map == handle.id => Some(reason),
         _ => None,
@@ -145,11 +154,31 @@ fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
     }
 }
 
+/// Whether a caller may see a job: those of its maps, and those of the whole daemon if it has all maps.
+fn may_see(caller: &Caller, job: &UpdateJob) -> bool {
+    job.map.as_ref().map_or_else(|| caller.covers_all(), |map| caller.covers(map.as_str()))
+}
+
 impl Maintenance {
+    /// Whether a backup may go to any folder that a caller names, because the operator has named none.
+    fn check_any_folder(path: &str, peer: Option<Peer>) -> Result<(), RpcError> {
+        // Without tokens, who may connect from this machine may do everything anyway.
+        let is_local = peer.is_some_and(Peer::is_of_this_machine);
+        if !matches!(Caller::current(), Caller::Anybody) || !is_local {
+            return Err(RpcError::NoBackupFolder);
+        }
+        if !Path::new(path).is_absolute() {
+            let problem = "it must be the absolute path of a folder on the daemon's machine, or setting backup_dir \
+                           must name the folder that it is below";
+            return Err(InvalidField::new("path", problem).into());
+        }
+        Ok(())
+    }
+
     fn job(&self, id: u64) -> Result<Arc<UpdateJob>, RpcError> {
         let job = self.catalog.context().jobs.get(id);
         // A job of a map that the caller has no right to does not exist for it.
-        job.filter(|job| Caller::current().covers(job.map.as_str())).ok_or(RpcError::UnknownJob(id))
+        job.filter(|job| may_see(&Caller::current(), job)).ok_or(RpcError::UnknownJob(id))
     }
 }
 
@@ -180,7 +209,7 @@ impl MaintenanceService for Maintenance {
     async fn list_jobs(&self, request: Request<v1::ListJobsRequest>) -> RpcReply<v1::ListJobsResponse> {
         let request = request.into_inner();
         let (mut jobs, caller) = (self.catalog.context().jobs.list(), Caller::current());
-        jobs.retain(|job| caller.covers(job.map.as_str()));
+        jobs.retain(|job| may_see(&caller, job));
         let (range, next_page_token) = page(jobs.len(), request.page_size, 100, 1000, &request.page_token)?;
         let jobs = jobs[range].iter().map(|job| job_to_wire(&self.catalog, job)).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
@@ -251,16 +280,20 @@ impl MaintenanceService for Maintenance {
     }
 
     async fn create_backup(&self, request: Request<v1::CreateBackupRequest>) -> RpcReply<v1::CreateBackupResponse> {
-        let path = PathBuf::from(request.into_inner().path);
-        if !path.is_absolute() {
-            let problem = "it must be the absolute path of a folder on the daemon's machine";
-            return Err(RpcError::from(InvalidField::new("path", problem)).into());
+        let peer = request.extensions().get::<Peer>().copied();
+        let path = request.into_inner().path;
+        let folder = Some(self.backup_dir.clone()).filter(|folder| !folder.as_os_str().is_empty());
+        if folder.is_none() {
+            Self::check_any_folder(&path, peer)?;
         }
         let store = Arc::clone(&self.catalog.context().store);
-        let copied = tokio::task::spawn_blocking(move || store.backup(&path)).await;
-        let copied = copied.map_err(|_| RpcError::Stopping)?.map_err(RpcError::from)?;
-        let BackupReport { maps, copied_files, copied_bytes, kept_files } = copied;
-        tracing::info!(maps, copied_files, copied_bytes, kept_files, "backup made");
+        let work = move || {
+            let target = folder.map_or_else(|| Ok(PathBuf::from(&path)), |folder| backups::target(&folder, &path));
+            let target = target.map_err(|error| InvalidField::new("path", error))?;
+            backups::make(&store, &target).map_err(RpcError::from)
+        };
+        let copied = tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)?;
+        let BackupReport { maps, copied_files, copied_bytes, kept_files } = copied?;
         Ok(Response::new(v1::CreateBackupResponse { maps, copied_files, copied_bytes, kept_files }))
     }
 
@@ -309,5 +342,25 @@ impl MaintenanceService for Maintenance {
             .map(|(name, value, unit)| v1::Statistic { name: name.to_owned(), value, unit: unit.to_owned() })
             .collect();
         Ok(Response::new(v1::GetStatisticsResponse { statistics }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_folder_of_backups_others_than_this_machine_make_none() {
+        let check = |peer: &str, path| {
+            Maintenance::check_any_folder(path, Some(Peer::Address(peer.parse().expect("an address"))))
+        };
+        for peer in ["127.0.0.1", "::1"] {
+            assert!(check(peer, "/srv/backup").is_ok(), "{peer}");
+            assert_eq!(check(peer, "backup").expect_err("relative").reason(), "INVALID_FIELD");
+        }
+        assert!(Maintenance::check_any_folder("/srv/backup", Some(Peer::Local)).is_ok());
+        let refused = check("10.0.0.7", "/srv/backup").expect_err("from elsewhere");
+        assert!(refused.reason() == "BACKUP_FOLDER" && refused.message().contains("backup_dir"), "{refused}");
+        assert!(Maintenance::check_any_folder("/srv/backup", None).is_err(), "nobody knows from where");
     }
 }

@@ -118,7 +118,10 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
         .add_service(TopologyServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(TOPOLOGY_BYTES))
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
         .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
-        .add_service(MaintenanceServiceServer::new(Maintenance { catalog }).max_decoding_message_size(REQUEST_BYTES));
+        .add_service(
+            MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone() })
+                .max_decoding_message_size(REQUEST_BYTES),
+        );
     Services { routes, admission }
 }
 

@@ -64,6 +64,11 @@ pub(crate) enum RpcError {
     BeyondHistory { map: String, name: String, kept_from_nanos: i64 },
     #[error(transparent)]
     Backup(#[from] BackupError),
+    #[error(
+        "this daemon has no folder for the backups that others ask for: name an absolute one in its setting backup_dir, \
+         and a folder below it in the request"
+    )]
+    NoBackupFolder,
     #[error(transparent)]
     History(#[from] HistoryError),
     #[error("an update has the observations of that time and has not ended within {0} seconds: try again")]
@@ -250,9 +255,11 @@ impl RpcError {
                 BackupError::NotEmpty(_) | BackupError::Inside(_) | BackupError::OtherStore(_) => {
                     (Code::FailedPrecondition, "BACKUP_FOLDER")
                 }
+                BackupError::Stopped => (Code::Unavailable, "STOPPING"),
                 error if error.is_disk_full() => (Code::ResourceExhausted, "DISK_FULL"),
                 _ => (Code::Internal, "STORAGE_FAILED"),
             },
+            Self::NoBackupFolder => (Code::FailedPrecondition, "BACKUP_FOLDER"),
             Self::History(error) => match error {
                 HistoryError::UnknownMap(_) => (Code::NotFound, "MAP_DELETED"),
                 HistoryError::Damaged { .. } => (Code::DataLoss, "STORAGE_FAILED"),

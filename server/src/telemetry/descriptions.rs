@@ -33,6 +33,8 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_spans_dropped_total", "Spans dropped because the collector did not take them in time"),
     ("tidemap_accept_errors", "Failures to accept a connection, such as a lack of descriptors"),
     ("tidemap_tls_handshakes_failed_total", "TLS handshakes that failed, for example of clients without a certificate"),
+    ("tidemap_backups_total", "Backups made, scheduled or asked for"),
+    ("tidemap_backup_failures_total", "Backups that failed, scheduled or asked for"),
 ];
 
 /// Values that go up and down.
@@ -66,6 +68,8 @@ const GAUGES: &[(&str, &str)] = &[
     ("tidemap_disk_free_bytes", "Free space of the disk with the data folder"),
     ("tidemap_disk_size_bytes", "Size of the disk with the data folder"),
     ("tidemap_index_unavailable", "1 if the index cannot be used; everything else works"),
+        "tidemap_backup_age_seconds",
+    ("tidemap_backup_interval_seconds", "Time from one scheduled backup to the next; with a schedule"),
     ("tidemap_build_info", "1; the labels say version and commit of the daemon, and the identity of its data folder"),
     ("tidemap_fdatasyncs", "Calls of fdatasync since the start"),
     ("tidemap_fdatasync_p50_secs", "Median of the last fdatasync calls, seconds"),

@@ -87,6 +87,7 @@ fn role(method: &MethodDescriptor) -> String {
     let path = format!("/{}/{}", method.parent_service().full_name(), method.name());
     match need(&path) {
         Some(Need::Role(role)) => role.name().to_owned(),
+        Some(Need::AllMaps(role)) => format!("{}, for all maps", role.name()),
         Some(Need::Token) => "any".to_owned(),
         Some(Need::Open) => "none".to_owned(),
         None => panic!("{path} has no row in the table of roles"),

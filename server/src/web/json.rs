@@ -213,6 +213,9 @@ pub(super) async fn call(
     };
     let mut request = tonic::Request::new(message);
     request.extensions_mut().insert(admitted);
+    if let Some(remote) = parts.extensions.get::<crate::connections::Remote>() {
+        request.extensions_mut().insert(remote.clone());
+    }
     for header in ["traceparent", "tracestate"] {
         if let Some(context) = parts.headers.get(header)
             && let Ok(context) = tonic::metadata::MetadataValue::try_from(context.as_bytes())

@@ -52,6 +52,9 @@ pub enum BackupError {
     /// The backup cannot be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
+    /// The caller wanted no more of it.
+    #[error("the backup was stopped; make it again")]
+    Stopped,
     /// The manifest cannot be read or written.
     #[error(transparent)]
     Manifest(#[from] ManifestError),
@@ -114,12 +117,16 @@ fn put(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(
 /// The copies that are being made.
 struct Copies<'a> {
     disk: &'a dyn Disk,
+    goes_on: &'a dyn Fn() -> bool,
     report: BackupReport,
 }
 
 impl Copies<'_> {
     /// Copies the first `length` bytes of a file that does not change in them, unless the copy is there.
     fn copy(&mut self, from: &Path, to: &Path, length: u64) -> Result<(), BackupError> {
+        if !(self.goes_on)() {
+            return Err(BackupError::Stopped);
+        }
         if self.is_there(from, to, length).map_err(io_error(from))? {
             self.report.kept_files += 1;
             return Ok(());
@@ -179,11 +186,19 @@ impl Store {
     /// # Errors
     /// [`BackupError`]; an earlier backup in the folder can still be restored.
     pub fn backup(&self, target: &Path) -> Result<BackupReport, BackupError> {
+        self.backup_while(target, &|| true)
+    }
+
+    /// As [`Store::backup`]; before each file it is asked whether the backup goes on.
+    ///
+    /// # Errors
+    /// As [`Store::backup`], and [`BackupError::Stopped`].
+    pub fn backup_while(&self, target: &Path, goes_on: &dyn Fn() -> bool) -> Result<BackupReport, BackupError> {
         let inner = self.inner();
         // Two at once would write the same files.
         let _alone = inner.backup.lock().unwrap_or_else(PoisonError::into_inner);
         let is_new = prepare(&inner.directory, target, self.store_id())?;
-        let mut copies = Copies { disk: &*inner.disk, report: BackupReport::default() };
+        let mut copies = Copies { disk: &*inner.disk, goes_on, report: BackupReport::default() };
         for (map, entry) in inner.entries() {
             inner.backup_map(&mut copies, target, map, &entry)?;
             copies.report.maps += 1;
@@ -194,13 +209,15 @@ impl Store {
         });
         let list = list.map_err(io_error(&inner.directory))?;
         put(&target.join(MAPS_FILE), |file| file.write_all(&list))?;
+        let maps = catalogue::maps_folder(target);
+        fs::create_dir_all(&maps).map_err(io_error(&maps))?;
+        sync_folder(&maps)?;
         sync_folder(target)?;
         if is_new {
             manifest::write(target, &Manifest { format: FORMAT, store_id: self.store_id().to_owned() })?;
         }
         // Maps that were deleted since the earlier backup.
         let kept: Vec<MapId> = inner.known();
-        let maps = catalogue::maps_folder(target);
         for name in names(&maps)? {
             let number = name.parse().ok().map(MapId);
             if number.is_none_or(|number| !kept.contains(&number)) {
@@ -209,6 +226,33 @@ impl Store {
         }
         Ok(copies.report)
     }
+}
+
+/// Gives a new folder the files of a complete backup, without copying them: both folders name the same files (hard
+/// links). A backup replaces files and never writes into one, so that bringing the new folder up to date leaves the
+/// other as it is. Where the disk has no hard links the new folder stays empty, and the next backup copies everything.
+///
+/// # Errors
+/// The backup cannot be read, or the folder cannot be made.
+pub fn link_backup(backup: &Path, target: &Path) -> Result<(), BackupError> {
+    fs::create_dir_all(target).map_err(io_error(target))?;
+    for name in names(backup)? {
+        let (from, to) = (backup.join(&name), target.join(&name));
+        if from.is_dir() {
+            link_backup(&from, &to)?;
+        } else if !name.ends_with(".part") {
+            // What cannot be linked is copied by the backup itself.
+            let _ = fs::hard_link(&from, &to);
+        }
+    }
+    Ok(())
+}
+
+/// Whether a folder holds a complete backup of a store, in the present disk format.
+#[must_use]
+pub fn is_backup_of(folder: &Path, store_id: &str) -> bool {
+    let found = manifest::read(folder, FORMAT).ok().flatten();
+    found.is_some_and(|found| found.store_id == store_id && found.format == FORMAT)
 }
 
 /// Checks the folder of a backup; whether it is empty.
@@ -300,7 +344,7 @@ pub fn restore(backup: &Path, directory: &Path, new_store_id: &str) -> Result<Ba
     }
     refuse_damage(backup)?;
     let disk = RealDisk;
-    let mut copies = Copies { disk: &disk, report: BackupReport::default() };
+    let mut copies = Copies { disk: &disk, goes_on: &|| true, report: BackupReport::default() };
     let maps = catalogue::maps_folder(directory);
     fs::create_dir_all(&maps).map_err(io_error(&maps))?;
     for name in names(&catalogue::maps_folder(backup))? {

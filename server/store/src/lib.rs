@@ -31,7 +31,7 @@ mod simulation;
 #[cfg(test)]
 mod tests;
 
-pub use backup::{BackupError, BackupReport, restore};
+pub use backup::{BackupError, BackupReport, is_backup_of, link_backup, restore};
 pub use check::{Checked, Finding, check};
 pub use committer::{CommitFollower, CommitStep, GroupFollower, SyncStats};
 pub use erasure::Erased;

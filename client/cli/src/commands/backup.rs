@@ -15,7 +15,8 @@ pub(crate) enum BackupCommand {
     /// The folder is empty, or holds an earlier backup of the same daemon, which is brought up to date: only new files
     /// are copied. To restore it, stop the daemon and run tidemapd backup restore.
     Create {
-        /// Absolute path of the folder, on the daemon's machine
+        /// Path of the folder on the daemon's machine: below the daemon's folder of backups (setting backup_dir),
+        /// relative to it or absolute; without that setting, any absolute path
         path: String,
     },
 }

@@ -156,7 +156,7 @@ async fn generation(handle: &MapHandle, generation: u64) {
 fn update_cause(job: &UpdateJob) -> Option<UpdateCause> {
     match job.cause {
         JobCause::Update(cause) => Some(cause),
-        JobCause::Erasure => None,
+        JobCause::Erasure | JobCause::Backup => None,
     }
 }
 
