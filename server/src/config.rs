@@ -231,6 +231,11 @@ settings! {
         /// error, warn, info, debug, trace, or a filter such as "info,tidemapd::ingest=debug".
         log_level: String = "info".to_owned();
     }
+    "metrics: see the page Alerts of the guide" {
+        /// Producers whose silence is a metric of its own: those that were heard within 7 days and are silent for
+        /// longest, all maps together; 0: none.
+        metrics_max_producers: usize = 100, 0, 10_000;
+    }
     "traces: see the page Traces of the guide" {
         /// Where spans of requests, updates, erasures, checkpoints and commits of the log go: a collector of
         /// OpenTelemetry that takes OTLP over gRPC without TLS, as http://HOST:PORT; empty: no spans are made. It needs

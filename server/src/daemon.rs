@@ -37,6 +37,7 @@ use crate::{
     reload::FileWatch,
     rpc::{self, guard::Access, serve::Services},
     scrubber::Scrubber,
+    silent_producers::SilentProducers,
     telemetry::{
         self,
         traces::{Span, Traces},
@@ -144,13 +145,21 @@ fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
 /// What the HTTP port serves of maps. Where tokens are asked for, they decide; without, the port is for reading, and
 /// browsers must reach it by a name that the operator knows.
 fn web(services: &Services, access: &Access, settings: &Settings) -> anyhow::Result<axum::Router> {
-    let hosts = KnownHosts::listed(&settings.http_hosts);
-    let (access, hosts) = match access {
-        Access::Tokens(_) => (access.clone(), KnownHosts::any()),
-        Access::Anybody if settings.http_write => (Access::Anybody, hosts),
-        Access::Anybody | Access::Readers => (Access::Readers, hosts),
+    let hosts = known_hosts(access, settings);
+    let access = match access {
+        Access::Tokens(_) => access.clone(),
+        Access::Anybody if settings.http_write => Access::Anybody,
+        Access::Anybody | Access::Readers => Access::Readers,
     };
     web::router(&services.guarded(access), hosts)
+}
+
+/// The names by which browsers may reach the HTTP port; any, where tokens are asked for.
+fn known_hosts(access: &Access, settings: &Settings) -> KnownHosts {
+    match access {
+        Access::Tokens(_) => KnownHosts::any(),
+        Access::Anybody | Access::Readers => KnownHosts::listed(&settings.http_hosts),
+    }
 }
 
 /// Takes the permissions of other users on the data folder away, which an earlier version or a copy may have given.
@@ -194,6 +203,9 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         handle: recorder,
         data_dir: settings.data_dir.clone(),
         backups: Schedule::of(&settings),
+        silent: Arc::new(SilentProducers::new(settings.metrics_max_producers)),
+        names_for: access.clone(),
+        hosts: known_hosts(&access, &settings),
     };
     let mut terminate = signal(SignalKind::terminate()).map_err(anyhow::Error::from)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(anyhow::Error::from)?;
@@ -278,6 +290,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let scrubber = Scrubber::start(&store, &settings);
     if let Some(schedule) = Schedule::of(&settings) {
         tokio::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));
+    }
     let restoring = Arc::clone(&catalog);
     let restored = tokio::task::spawn_blocking(move || restoring.restore_rest(rest));
     let cannot_restore = async {

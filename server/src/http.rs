@@ -1,7 +1,8 @@
 //! The HTTP port: health for everybody, metrics, beyond this machine for holders of tokens, and what [`web`] adds.
 //!
-//! Invariant: health and metrics reveal nothing of the content of a map, and are asked by any host name. Whether the
-//! daemon lives and serves is answered also when all connections of the port are busy: by its reserve.
+//! Invariant: health and metrics reveal nothing of the content of a map, and are asked by any host name. Names of maps
+//! and producers are among the metrics only for those who may list them. Whether the daemon lives and serves is
+//! answered also when all connections of the port are busy: by its reserve.
 
 use std::{path::PathBuf, sync::Arc};
 
@@ -25,9 +26,10 @@ use crate::{
     connections::{Remote, accept::HttpListener},
     ingest::handle::{MapHandle, OpenProgress},
     rpc::guard::Access,
+    silent_producers::SilentProducers,
     statistics,
     telemetry::process,
-    web,
+    web::{self, KnownHosts},
 };
 
 const INDEX: &str = "tidemapd\n\n/api/v1/openapi.json  what can be asked as JSON\n/healthz  the process lives\n/readyz   requests are served\n/metrics  Prometheus\n";
@@ -73,6 +75,18 @@ pub(crate) struct Metrics {
     pub data_dir: PathBuf,
     /// The schedule of backups, if there is one.
     pub backups: Option<Schedule>,
+    /// Finds who is silent.
+    pub silent: Arc<SilentProducers>,
+    /// Who may read names: whoever may do so by the RPCs, also where the port itself is open to this machine.
+    pub names_for: Access,
+    /// The host names by which pages of browsers may read them.
+    pub hosts: KnownHosts,
+}
+
+impl Metrics {
+    fn may_read_names(&self, request: &Request) -> bool {
+        matches!(self.names_for.may_read_metrics(request.headers()), Ok(true)) && web::is_own(&self.hosts, request)
+    }
 }
 
 /// What programs ask that watch the daemon.
@@ -141,6 +155,7 @@ pub(crate) async fn serve(
         get(move |request: Request| {
             let (catalog, metrics) = (Arc::clone(&catalog), metrics.clone());
             let allowed = access.may_read_metrics(request.headers());
+            let may_read_names = metrics.may_read_names(&request);
             async move {
                 match allowed {
                     Ok(true) => {}
@@ -160,7 +175,7 @@ pub(crate) async fn serve(
                     for (name, value) in statistics::of_updates(&catalog).into_iter().chain(process).chain(backups) {
                         metrics::gauge!(name).set(value);
                     }
-                    metrics.handle.render()
+                    metrics.handle.render() + &silent
                 });
                 text.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
             }

@@ -24,6 +24,7 @@ mod repair;
 mod rpc;
 mod scrubber;
 mod secret_file;
+mod silent_producers;
 mod state_or_cell;
 mod statistics;
 mod telemetry;

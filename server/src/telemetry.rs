@@ -7,7 +7,7 @@ use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
 use serde::{Deserialize, Serialize};
 use tracing_subscriber::EnvFilter;
 
-mod descriptions;
+pub(crate) mod descriptions;
 pub(crate) mod occasional;
 pub(crate) mod process;
 pub(crate) mod traces;

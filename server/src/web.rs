@@ -31,7 +31,7 @@ mod openapi;
 mod origin;
 
 pub(crate) use assets::has_page;
-pub(crate) use origin::KnownHosts;
+pub(crate) use origin::{KnownHosts, is_own};
 
 /// The RPC whose replies browsers take compressed: pictures of grids, of which a fifth remains. Others are small, or
 /// streams of which every message must leave at once.

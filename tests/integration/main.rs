@@ -1,6 +1,7 @@
 //! The daemon from outside, and the rules that hold the work tree together. One binary, so that it links once.
 
 mod acceptance;
+mod alerts;
 mod backups;
 mod bad_input;
 mod crowds;

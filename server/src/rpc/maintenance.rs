@@ -29,7 +29,7 @@ use crate::{
         Catalog, CatalogError,
         erasure::{Wish, WishedPart, states_of},
     },
-    connections::Peer,
+    connections::{Peer, Remote},
     ingest::protocol::{Command, KnownProducer},
     jobs::{JobCause, Phase, UpdateJob},
     rpc::lookup::{cell_of, find_map, find_state},
@@ -280,7 +280,7 @@ impl MaintenanceService for Maintenance {
     }
 
     async fn create_backup(&self, request: Request<v1::CreateBackupRequest>) -> RpcReply<v1::CreateBackupResponse> {
-        let peer = request.extensions().get::<Peer>().copied();
+        let peer = request.extensions().get::<Remote>().map(Remote::peer);
         let path = request.into_inner().path;
         let folder = Some(self.backup_dir.clone()).filter(|folder| !folder.as_os_str().is_empty());
         if folder.is_none() {
@@ -356,11 +356,14 @@ mod tests {
         };
         for peer in ["127.0.0.1", "::1"] {
             assert!(check(peer, "/srv/backup").is_ok(), "{peer}");
-            assert_eq!(check(peer, "backup").expect_err("relative").reason(), "INVALID_FIELD");
+            assert_eq!(check(peer, "backup").expect_err("relative").code_and_reason().1, "INVALID_FIELD");
         }
         assert!(Maintenance::check_any_folder("/srv/backup", Some(Peer::Local)).is_ok());
         let refused = check("10.0.0.7", "/srv/backup").expect_err("from elsewhere");
-        assert!(refused.reason() == "BACKUP_FOLDER" && refused.message().contains("backup_dir"), "{refused}");
+        assert!(
+            refused.code_and_reason().1 == "BACKUP_FOLDER" && refused.message().contains("backup_dir"),
+            "{refused}"
+        );
         assert!(Maintenance::check_any_folder("/srv/backup", None).is_err(), "nobody knows from where");
     }
 }

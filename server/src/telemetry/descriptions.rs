@@ -1,8 +1,11 @@
-//! What each metric means, for `/metrics`.
+//! What each metric means, for `/metrics`, and counters that are there before their first event.
 //!
-//! Invariant: every metric has a line here; a test compares a running daemon's metrics with these lines.
+//! Invariant: every metric has a line here; a test compares a running daemon's metrics with these lines. A counter
+//! begins at 0: one that is born at 1 has no increase, and no alert rings for its first event.
 
-use metrics::{Unit, describe_counter, describe_gauge, describe_histogram};
+use metrics::{Unit, counter, describe_counter, describe_gauge, describe_histogram, histogram};
+
+use crate::access::table;
 
 /// Counters that only grow, since the start of the daemon.
 const COUNTERS: &[(&str, &str)] = &[
@@ -29,13 +32,46 @@ const COUNTERS: &[(&str, &str)] = &[
         "Connections refused because all others were busy, by port; those of the HTTP port come into its reserve",
     ),
     ("tidemap_connections_silent", "Connections that made no request in time, by port"),
-    ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
-    ("tidemap_spans_dropped_total", "Spans dropped because the collector did not take them in time"),
     ("tidemap_accept_errors", "Failures to accept a connection, such as a lack of descriptors"),
     ("tidemap_tls_handshakes_failed_total", "TLS handshakes that failed, for example of clients without a certificate"),
     ("tidemap_backups_total", "Backups made, scheduled or asked for"),
     ("tidemap_backup_failures_total", "Backups that failed, scheduled or asked for"),
+    ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
+    (
+        "tidemap_spans_dropped_total",
+        "Spans dropped because the collector did not take them in time; with otlp_endpoint only",
+    ),
 ];
+
+/// Counters with a label, and the values of the label that are known before an event.
+const LABELLED: &[(&str, &str, &[&str])] = &[
+    (
+        "tidemap_denied_total",
+        "reason",
+        &[
+            "NO_TOKEN",
+            "UNKNOWN_TOKEN",
+            "EXPIRED_TOKEN",
+            "NEEDS_ROLE",
+            "NEEDS_ALL_MAPS",
+            "NOT_FOR_MAP",
+            "NOT_FOR_PRODUCER",
+            "READ_ONLY",
+            "UNKNOWN_METHOD",
+        ],
+    ),
+    ("tidemap_reloads_total", "what", &["tokens", "certificates"]),
+    ("tidemap_reload_failures_total", "what", &["tokens", "certificates"]),
+    ("tidemap_connections_displaced", "port", &["grpc", "http", "probes"]),
+    ("tidemap_connections_refused", "port", &["grpc", "http", "probes"]),
+    ("tidemap_connections_silent", "port", &["grpc", "http", "probes"]),
+];
+
+/// Codes of requests that are counted from 0 on: success, and those of which the daemon is to blame.
+const CODES: [&str; 5] = ["OK", "INTERNAL", "DATA_LOSS", "UNKNOWN", "UNAVAILABLE"];
+
+/// Written by its own module, because its labels come and go.
+pub(crate) const PRODUCER_SILENT: &str = "tidemap_producer_silent_seconds";
 
 /// Values that go up and down.
 const GAUGES: &[(&str, &str)] = &[
@@ -68,8 +104,15 @@ const GAUGES: &[(&str, &str)] = &[
     ("tidemap_disk_free_bytes", "Free space of the disk with the data folder"),
     ("tidemap_disk_size_bytes", "Size of the disk with the data folder"),
     ("tidemap_index_unavailable", "1 if the index cannot be used; everything else works"),
+    (
         "tidemap_backup_age_seconds",
+        "Age of the newest complete scheduled backup, +Inf if there is none; with a schedule",
+    ),
     ("tidemap_backup_interval_seconds", "Time from one scheduled backup to the next; with a schedule"),
+    (
+        "tidemap_producer_silent_seconds",
+        "Time since a producer was heard, of those heard within 7 days that are silent for longest",
+    ),
     ("tidemap_build_info", "1; the labels say version and commit of the daemon, and the identity of its data folder"),
     ("tidemap_fdatasyncs", "Calls of fdatasync since the start"),
     ("tidemap_fdatasync_p50_secs", "Median of the last fdatasync calls, seconds"),
@@ -88,8 +131,34 @@ const HISTOGRAMS: &[(&str, &str)] = &[
     ),
 ];
 
-/// Describes all metrics.
+/// What a gauge means.
+pub(crate) fn meaning(gauge: &str) -> &'static str {
+    GAUGES.iter().find(|(name, _)| *name == gauge).map_or("", |(_, text)| text)
+}
+
+/// Begins all counters at 0, and the histograms that alerts look at.
+fn begin() {
+    let is_labelled = |name: &str| LABELLED.iter().any(|(labelled, ..)| *labelled == name);
+    // Requests have two labels. The exporter of traces, if there is one, begins its own.
+    let elsewhere = ["tidemap_requests_total", "tidemap_spans_exported_total", "tidemap_spans_dropped_total"];
+    for (name, _) in COUNTERS.iter().filter(|(name, _)| !elsewhere.contains(name) && !is_labelled(name)) {
+        counter!(*name).increment(0);
+    }
+    for (name, label, values) in LABELLED {
+        values.iter().for_each(|value| counter!(*name, *label => *value).increment(0));
+    }
+    for method in table::methods() {
+        for code in CODES {
+            counter!("tidemap_requests_total", "method" => method, "code" => code).increment(0);
+        }
+        let _ = histogram!("tidemap_request_duration_seconds", "method" => method);
+    }
+    let _ = histogram!("tidemap_acknowledgement_seconds");
+}
+
+/// Describes all metrics, and begins those that count.
 pub(super) fn describe() {
+    begin();
     COUNTERS.iter().for_each(|&(name, text)| describe_counter!(name, text));
     GAUGES.iter().for_each(|&(name, text)| describe_gauge!(name, text));
     HISTOGRAMS.iter().for_each(|&(name, text)| describe_histogram!(name, Unit::Seconds, text));

@@ -73,6 +73,11 @@ fn refusal(hosts: &KnownHosts, request: &Request) -> Option<String> {
     (!is_own).then(|| "a page of another origin may not use this port".to_owned())
 }
 
+/// Whether a request comes by a known name, and from no page of another origin.
+pub(crate) fn is_own(hosts: &KnownHosts, request: &Request) -> bool {
+    refusal(hosts, request).is_none()
+}
+
 /// Whether another site's document fetches it. Links come from anywhere, but not even a picture may be shown elsewhere.
 fn is_embedded(request: &Request) -> bool {
     let says = |name: &str, word: &str| request.headers().get(name).is_some_and(|value| value == word);

@@ -1,0 +1,132 @@
+//! Which producers are silent, as metrics: robots that were heard lately and are not heard now.
+//!
+//! Invariant: at most so many series as the setting says, those that are silent for longest. A map whose writer does
+//! not answer in time delays the metrics by no more than [`ANSWER_WITHIN`]: what it said before is told again.
+
+use std::{collections::BTreeMap, fmt::Write as _, time::Duration};
+
+use tidemap_store::MapId;
+use tokio::{sync::Mutex, sync::oneshot, time::Instant};
+
+use crate::{
+    catalog::Catalog,
+    ingest::{
+        handle::OpenProgress,
+        protocol::{Command, KnownProducer},
+    },
+    telemetry::descriptions::{PRODUCER_SILENT, meaning},
+};
+
+/// Who was not heard for longer has left, and is not told.
+const HEARD_WITHIN_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+/// The writers of all maps together have this long to answer.
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+
+/// What is known of a map's producers.
+#[derive(Debug, Default)]
+struct OfMap {
+    /// When each was heard last, over all its labels, in nanoseconds since 1970.
+    heard: BTreeMap<String, i64>,
+    /// The answer to the last question, if it has not come yet.
+    pending: Option<oneshot::Receiver<Vec<KnownProducer>>>,
+}
+
+/// Finds who is silent.
+#[derive(Debug)]
+pub(crate) struct SilentProducers {
+    max: usize,
+    // A lock, because metrics may be read twice at once; the second waits for the answers to the first.
+    maps: Mutex<BTreeMap<MapId, OfMap>>,
+}
+
+/// A value of a label, as Prometheus reads it.
+fn escaped(text: &str) -> String {
+    text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
+}
+
+/// The series of those silent for longest: map, producer, and when it was heard.
+fn series(mut heard: Vec<(String, String, i64)>, now_nanos: i64, max: usize) -> String {
+    heard.retain(|(_, _, at)| *at >= now_nanos.saturating_sub(HEARD_WITHIN_NANOS));
+    heard.sort_by(|a, b| (a.2, &a.0, &a.1).cmp(&(b.2, &b.0, &b.1)));
+    heard.truncate(max);
+    if heard.is_empty() {
+        return String::new();
+    }
+    let mut text = format!("# HELP {PRODUCER_SILENT} {}\n# TYPE {PRODUCER_SILENT} gauge\n", meaning(PRODUCER_SILENT));
+    for (map, producer, at) in heard {
+        let secs = now_nanos.saturating_sub(at).max(0) as f64 / 1e9;
+        let (map, producer) = (escaped(&map), escaped(&producer));
+        // Writing to a text cannot fail.
+        let _ = writeln!(text, "{PRODUCER_SILENT}{{map=\"{map}\",producer=\"{producer}\"}} {secs}");
+    }
+    text + "\n"
+}
+
+impl SilentProducers {
+    /// Tells at most `max`; with 0, none.
+    pub(crate) fn new(max: usize) -> Self {
+        Self { max, maps: Mutex::default() }
+    }
+
+    /// The metrics, in the text form of Prometheus.
+    pub(crate) async fn metrics(&self, catalog: &Catalog) -> String {
+        if self.max == 0 {
+            return String::new();
+        }
+        let mut maps = self.maps.lock().await;
+        let open = catalog.all();
+        maps.retain(|id, _| open.values().any(|handle| handle.id == *id));
+        for handle in open.values().filter(|handle| matches!(handle.opening(), OpenProgress::Open)) {
+            let of_map = maps.entry(handle.id).or_default();
+            if of_map.pending.is_none() {
+                let (reply, answer) = oneshot::channel();
+                of_map.pending = handle.send(Command::ListProducers(reply)).then_some(answer);
+            }
+        }
+        let deadline = Instant::now() + ANSWER_WITHIN;
+        for of_map in maps.values_mut() {
+            let Some(answer) = &mut of_map.pending else { continue };
+            let Ok(answer) = tokio::time::timeout_at(deadline, answer).await else { continue };
+            of_map.pending = None;
+            let Ok(known) = answer else { continue };
+            of_map.heard.clear();
+            for mark in known.into_iter().map(|known| known.mark) {
+                if let Some(at) = mark.received_nanos {
+                    let heard = of_map.heard.entry(mark.key.producer().to_owned()).or_insert(at);
+                    *heard = at.max(*heard);
+                }
+            }
+        }
+        let mut heard = Vec::new();
+        for handle in open.values() {
+            let of_map = maps.get(&handle.id).into_iter().flat_map(|of_map| &of_map.heard);
+            heard.extend(of_map.map(|(producer, at)| (handle.spec.name.as_str().to_owned(), producer.clone(), *at)));
+        }
+        series(heard, catalog.context().clock.now_nanos(), self.max)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HOUR: i64 = 3600 * 1_000_000_000;
+
+    #[test]
+    fn the_most_silent_of_those_heard_lately_are_told() {
+        let now = 1_000 * HOUR;
+        let heard = |producer: &str, hours: i64| ("lab".to_owned(), producer.to_owned(), now - hours * HOUR);
+        let all = vec![heard("left", 169), heard("robot-1", 0), heard("robot-2", 30), heard("a\"\\b", 2)];
+        let text = series(all.clone(), now, 2);
+        let lines: Vec<&str> = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#')).collect();
+        assert_eq!(
+            lines,
+            [
+                "tidemap_producer_silent_seconds{map=\"lab\",producer=\"robot-2\"} 108000",
+                "tidemap_producer_silent_seconds{map=\"lab\",producer=\"a\\\"\\\\b\"} 7200",
+            ]
+        );
+        assert!(series(all, now, 10).contains("robot-1\"} 0\n"));
+        assert_eq!(series(vec![heard("left", 200)], now, 10), "");
+    }
+}
