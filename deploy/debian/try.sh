@@ -41,9 +41,9 @@ tidemap map create home >/dev/null
 printf 'time,state,value\n2025-01-06T08:57:10Z,door,0\n2025-01-06T09:41:33Z,door,1\n' >door.csv
 tidemap observe home door.csv --producer robot-1
 tidemap update home >/dev/null
-install -d -o tidemap -m 700 /srv/backup
-tidemap backup create /srv/backup >/dev/null
-tidemapd check /srv/backup
+[ "$(stat -c '%U %a' /var/backups/tidemap)" = "tidemap 700" ] || fail "there is no private place for backups"
+tidemap backup create /var/backups/tidemap/by-hand >/dev/null
+tidemapd check /var/backups/tidemap/by-hand
 stop
 
 # Serve with TLS and tokens; then the package again, as an upgrade does: the settings stay.
@@ -83,7 +83,7 @@ stop
 
 # A disk that was lost: back to the backup.
 find /var/lib/tidemap -mindepth 1 -maxdepth 1 ! -name 'daemon.*' ! -name tokens.toml -exec rm -rf {} +
-tidemapd backup restore /srv/backup /srv/restored
+tidemapd backup restore /var/backups/tidemap/by-hand /srv/restored
 chown -R tidemap: /srv/restored
 mv /srv/restored/* /var/lib/tidemap/
 start
@@ -94,7 +94,7 @@ stop
 dpkg -r tidemap >/dev/null
 [ ! -e /usr/bin/tidemapd ] && [ -e /etc/tidemap/tidemapd.toml ] || fail "removed too much, or too little"
 dpkg -P tidemap
-[ ! -e /etc/tidemap/tidemapd.toml ] && [ -e /var/lib/tidemap/MANIFEST ] || fail "purged too much, or too little"
+[ ! -e /etc/tidemap/tidemapd.toml ] && [ -e /var/lib/tidemap/MANIFEST ] && [ -e /var/backups/tidemap/by-hand ] || fail "purged too much, or too little"
 TRY
 env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C chroot "$root" bash /root/try
 echo "the package works"

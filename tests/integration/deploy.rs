@@ -63,6 +63,42 @@ fn the_daemon_takes_the_settings_of_the_cluster_and_probes_ask_what_it_serves() 
         assert!(mounts.iter().any(|mount| path.starts_with(mount)), "{line} lies in none of {mounts:?}");
     }
     assert_eq!(set["spec"]["replicas"], 1, "a folder belongs to one daemon");
+    let budget = objects.iter().find(|object| object["kind"] == "PodDisruptionBudget").expect("a PodDisruptionBudget");
+    assert_eq!(budget["spec"]["selector"], set["spec"]["selector"]);
+    for setting in ["backup_dir = \"/var/backups/tidemap/", "backup_every_secs = 86400"] {
+        assert!(taken.contains(setting), "{setting} in:\n{taken}");
+    }
+}
+
+/// The words of an instruction of the Containerfile.
+fn instruction(name: &str) -> Vec<String> {
+    let image = fs::read_to_string(root().join("container/Containerfile")).expect("a Containerfile");
+    let last = image.lines().filter_map(|line| line.strip_prefix(name)?.strip_prefix(' ')).next_back();
+    let is_mark = |c| ['[', ']', '"', ',', ' '].contains(&c);
+    last.expect(name).split(is_mark).filter(|word| !word.is_empty()).map(str::to_owned).collect()
+}
+
+#[test]
+fn the_settings_of_the_image_are_defaults_and_its_folders_lie_on_volumes() {
+    assert_eq!(instruction("ENTRYPOINT"), ["/usr/bin/tidemapd"], "a flag would win over every file");
+    let environment = instruction("ENV");
+    assert_eq!(environment, ["TIDEMAP_CONFIG=/etc/tidemap/tidemapd.toml"], "a setting would win over every file");
+    let volumes = instruction("VOLUME");
+    let of_image = root().join("container/tidemapd.toml");
+    let taken = settings(Some(&of_image), &BTreeMap::new());
+    for key in ["data_dir", "backup_dir"] {
+        let line = taken.lines().find(|line| line.starts_with(key)).expect(key);
+        let path = Path::new(line.split('"').nth(1).expect("a path"));
+        assert!(volumes.iter().any(|volume| path.starts_with(volume)), "{line} lies on none of {volumes:?}");
+    }
+    assert!(!taken.contains("data_dir = \"/var/lib/tidemap\""), "the root of a volume may belong to root");
+    // A file that is named takes the place of the image's, and the environment wins over it.
+    let image = BTreeMap::from([("TIDEMAP_CONFIG".to_owned(), of_image.display().to_string())]);
+    let cluster = root().join("kubernetes/tidemapd.toml");
+    assert!(settings(Some(&cluster), &image).contains("listen = \"0.0.0.0:7435\""));
+    let changed = [("TIDEMAP_DATA_DIR".to_owned(), "/elsewhere".to_owned())].into_iter().chain(image).collect();
+    let taken = settings(None, &changed);
+    assert!(taken.contains("data_dir = \"/elsewhere\"") && taken.contains("backup_dir = \"/var/backups"), "{taken}");
 }
 
 #[test]
@@ -102,13 +138,21 @@ fn the_daemon_takes_the_environment_of_compose_and_mounted_files_exist() {
         .iter()
         .map(|(name, value)| (name.clone(), value.as_str().expect("a text").to_owned()))
         .collect();
-    let taken = settings(None, &environment);
+    let taken = settings(Some(&root().join("container/tidemapd.toml")), &environment);
     let known: Vec<&str> = taken.lines().filter_map(|line| line.split(" = ").next()).collect();
     for name in environment.keys() {
         let key = name.trim_start_matches("TIDEMAP_").to_lowercase();
         assert!(known.contains(&key.as_str()), "{name} is no setting");
     }
     assert!(taken.contains("listen = \"0.0.0.0:7435\"") && taken.contains("http_hosts = [\"tidemap\"]"), "{taken}");
+    let mounted: Vec<&str> = compose["services"]["tidemap"]["volumes"]
+        .as_array()
+        .expect("volumes")
+        .iter()
+        .filter_map(|volume| volume.as_str()?.split(':').nth(1))
+        .collect();
+    assert_eq!(mounted, instruction("VOLUME"), "data and backups outlive the container");
+    assert!(taken.contains("backup_every_secs = 86400"), "{taken}");
     for service in compose["services"].as_object().expect("services").values() {
         for volume in service["volumes"].as_array().expect("volumes").iter().filter_map(Value::as_str) {
             let source = volume.split(':').next().expect("a source");
