@@ -11,6 +11,7 @@ use tidemap_tests::{
     oracle::{Mark, Oracle, producer_name},
     stream::{RawStream, feed_columns, hello},
 };
+use tokio::task::JoinSet;
 
 use super::{can_trace, create_map, strace};
 
@@ -47,6 +48,43 @@ async fn durability_after_a_failed_sync_nothing_is_acknowledged_and_the_daemon_e
         let daemon = launch.start();
         oracle.verify(&daemon, true).await.unwrap_or_else(|violation| panic!("{when}: {violation}"));
         daemon.stop_in_order();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn durability_every_open_stream_hears_the_reason_before_the_daemon_ends() {
+    if let Err(reason) = can_trace() {
+        return println!("SKIPPED: {reason}");
+    }
+    let data = tempdir().expect("a folder");
+    let oracle = Oracle::new("office", Feed::new(8), 16);
+    create_map(&Launch::on(data.path()).start(), &oracle).await;
+    let daemon = Launch::on(data.path()).under(failing("60", Path::new("/dev/null"))).start();
+    let mut streams = JoinSet::new();
+    for index in 0..16 {
+        let (address, map, feed) = (daemon.grpc.clone(), oracle.map.clone(), oracle.feed);
+        streams.spawn(async move {
+            let opened = RawStream::open(&address, hello(&producer_name(index), &map)).await;
+            let (mut stream, _) = opened.expect("a Welcome");
+            let id = u32::try_from(index).expect("small");
+            // Some batches are always on their way.
+            for next in 1.. {
+                stream.batch(next, feed_columns(&[feed.observation(id, next)], feed.states, next == 1)).await;
+                if next > 4
+                    && let Err(ended) = stream.acknowledged(next - 4).await
+                {
+                    return ended;
+                }
+            }
+            unreachable!("the disk fails")
+        });
+    }
+    assert_eq!(daemon.exit().code(), Some(74));
+    while let Some(ended) = streams.join_next().await {
+        let ended = ended.expect("a stream");
+        let reason = ended.goodbye.as_ref().map(|goodbye| goodbye.reason());
+        // Who had nothing under way at that moment hears that the daemon stops.
+        assert!(matches!(reason, Some(GoodbyeReason::Storage | GoodbyeReason::Shutdown)), "{ended:?}");
     }
 }
 
