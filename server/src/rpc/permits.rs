@@ -25,8 +25,8 @@ use super::status::RpcError;
 const PERMITS_MIN: usize = 4;
 /// A request waits this long for others to end.
 const PERMIT_WITHIN: Duration = Duration::from_secs(30);
-/// A request that people and robots wait for is refused if it would wait for longer than this.
-const PROMPT: Duration = Duration::from_millis(75);
+/// A request that is answered promptly is refused if it would wait for longer than this.
+pub(super) const PROMPT: Duration = Duration::from_millis(75);
 /// So many requests per permit may wait, however long that takes: a few at once are no overload.
 const QUEUED_PER_PERMIT: usize = 2;
 
@@ -213,9 +213,9 @@ impl Permits {
         Self { permits: Arc::new(Semaphore::new(max)), max, patience: PERMIT_WITHIN, load: Arc::default() }
     }
 
-    /// The same for requests that are answered promptly, or refused.
-    pub(super) fn prompt(self) -> Self {
-        Self { patience: PROMPT, ..self }
+    /// The same for requests that begin to compute within a time, as far as that can be foreseen, or are refused.
+    pub(super) fn beginning_within(self, patience: Duration) -> Self {
+        Self { patience, ..self }
     }
 
     /// Refuses one more, the last of so many that wait, if it would wait for too long.
@@ -260,7 +260,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_request_that_would_wait_for_long_is_refused_at_once() {
-        let permits = Permits::new(1).prompt();
+        let permits = Permits::new(1).beginning_within(PROMPT);
         let mut held = permits.take().await.expect("the first");
         // Whatever it is that computes takes an hour.
         held.computed = Duration::from_secs(3600);
@@ -286,7 +286,7 @@ mod tests {
 
     #[tokio::test]
     async fn short_requests_may_wait_in_a_long_queue() {
-        let permits = Permits::new(1).prompt();
+        let permits = Permits::new(1).beginning_within(PROMPT);
         permits.load.note(Duration::from_micros(800));
         assert!(permits.foresee(500).is_ok());
         assert!(permits.foresee(5_000).is_err());

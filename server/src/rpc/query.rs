@@ -3,14 +3,14 @@
 //! Invariant: a request is answered from one view, off the async threads, in pieces that wait for the reader for a
 //! bounded time. A bounded number of requests compute at once; the others wait, and small ones never for large ones.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use tidemap_proto::v1::{self, query_service_server::QueryService};
 use tonic::{Request, Response, Streaming};
 
 use super::{
     RpcReply,
-    permits::{Permit, Permits, processors},
+    permits::{PROMPT, Permit, Permits, processors},
     replies::Replies,
     status::RpcError,
 };
@@ -39,6 +39,9 @@ const STATES_MAX: usize = 10_000;
 
 /// A request of at most so many predictions is small: it computes for some milliseconds.
 const SMALL_PREDICTIONS: u64 = 50_000;
+
+/// A large request is refused if it would wait for longer than this: a long queue helps nobody.
+const LARGE_WITHIN: Duration = Duration::from_secs(10);
 
 #[derive(Debug)]
 pub(crate) struct Queries {
@@ -79,8 +82,8 @@ impl Queries {
             catalog,
             max_predictions,
             max_batch,
-            permits: Permits::default().prompt(),
-            large_permits: Permits::new((processors() / 2).max(1)),
+            permits: Permits::default().beginning_within(PROMPT),
+            large_permits: Permits::new((processors() / 2).max(1)).beginning_within(LARGE_WITHIN),
             past_permits: Permits::default(),
             fitting,
             watches: Watches::new(limits.watches),
