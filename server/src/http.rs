@@ -25,7 +25,7 @@ use crate::{
     catalog::Catalog,
     connections::{Remote, accept::HttpListener},
     ingest::handle::{MapHandle, OpenProgress},
-    rpc::guard::Access,
+    rpc::{admission::note_denial, guard::Access, status::RpcError},
     silent_producers::SilentProducers,
     statistics,
     telemetry::process,
@@ -152,7 +152,7 @@ pub(crate) async fn serve(
     let router = if web::has_page() { web } else { web.route("/", get(|| async { INDEX })) };
     let router = router.merge(probes).route(
         "/metrics",
-        get(move |request: Request| {
+        get(move |ConnectInfo(remote): ConnectInfo<Remote>, request: Request| {
             let (catalog, metrics) = (Arc::clone(&catalog), metrics.clone());
             let allowed = access.may_read_metrics(request.headers());
             let may_read_names = metrics.may_read_names(&request);
@@ -160,7 +160,10 @@ pub(crate) async fn serve(
                 match allowed {
                     Ok(true) => {}
                     Ok(false) => return Err(StatusCode::FORBIDDEN),
-                    Err(_) => return Err(StatusCode::UNAUTHORIZED),
+                    Err(denial) => {
+                        note_denial(remote.peer(), "/metrics", &RpcError::Denial(denial));
+                        return Err(StatusCode::UNAUTHORIZED);
+                    }
                 }
                 let silent = if may_read_names { metrics.silent.metrics(&catalog).await } else { String::new() };
                 // Sizes and backups are read from the disk.

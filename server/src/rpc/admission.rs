@@ -42,8 +42,9 @@ pub(crate) use shares::{Share, Taken};
 /// Streams of observations have a bound of their own, `max_streams`, and take their requests when they like.
 const OBSERVE: &str = "/tidemap.v1.ObservationService/Observe";
 
-/// Requests whose replies last: the metrics do not count them.
-const WATCHES: [&str; 2] = ["/tidemap.v1.QueryService/WatchAnomalies", "/grpc.health.v1.Health/Watch"];
+/// Watches of anomalies have a bound of their own, `max_watches`.
+const WATCH_ANOMALIES: &str = "/tidemap.v1.QueryService/WatchAnomalies";
+const WATCH_HEALTH: &str = "/grpc.health.v1.Health/Watch";
 
 /// Requests of many messages: each message must arrive in time, and is bounded by itself.
 const STREAMED: [&str; 3] = [
@@ -79,6 +80,15 @@ impl Admission {
     }
 }
 
+/// Notes that a client may not ask something.
+pub(crate) fn note_denial(peer: Peer, method: &str, error: &RpcError) {
+    let reason = error.code_and_reason().1;
+    if let Some(left_out) = DENIALS.next() {
+        info!(%peer, reason, method, left_out, "a request was refused");
+    }
+    metrics::counter!("tidemap_denied_total", "reason" => reason).increment(1);
+}
+
 /// A request that was admitted: what it holds is free when all clones are dropped.
 #[derive(Clone, Debug)]
 pub(crate) struct Admitted {
@@ -110,17 +120,14 @@ impl<S> AdmittedService<S> {
         let peer = remote.map_or(Peer::Local, Remote::peer);
         let method = method_name(path);
         let caller = self.access.check(path, headers).inspect_err(|error| {
-            let (code, reason) = error.code_and_reason();
-            if let Some(left_out) = DENIALS.next() {
-                info!(%peer, reason, method, left_out, "a request was refused");
-            }
-            metrics::counter!("tidemap_denied_total", "reason" => reason).increment(1);
-            metrics::counter!("tidemap_requests_total", "method" => method, "code" => code_name(code)).increment(1);
+            note_denial(peer, method, error);
+            let code = code_name(error.code_and_reason().0);
+            metrics::counter!("tidemap_requests_total", "method" => method, "code" => code).increment(1);
         })?;
         let is_stranger = need(path) == Some(Need::Open) && !matches!(caller, Caller::Holder(_));
         let share = match method {
-            OBSERVE => None,
-            _ if WATCHES.contains(&method) => Some(Share::Watches),
+            OBSERVE | WATCH_ANOMALIES => None,
+            WATCH_HEALTH => Some(Share::HealthWatches),
             _ if is_stranger => Some(Share::Open),
             _ => Some(Share::Requests),
         };
@@ -181,7 +188,8 @@ where
             request = request.map(|body| Body::new(ArrivingBody::new(body, is_streamed, peer, shares)));
         }
         request.extensions_mut().insert(admitted.caller.clone());
-        let lasts = method == OBSERVE || WATCHES.contains(&method);
+        // The metrics do not count what lasts.
+        let lasts = matches!(method, OBSERVE | WATCH_ANOMALIES | WATCH_HEALTH);
         let span = Span::of_request(request.headers(), method);
         let answer = span.clone().scope(self.inner.call(request));
         let end = RequestEnd { method: (!lasts).then_some(method), began: Instant::now(), code: None, span };
@@ -278,6 +286,6 @@ mod tests {
         known.retain(|path| !path.contains("reflection"));
         assert_eq!(paths(prost_types::MethodDescriptorProto::client_streaming), known);
         let replies = paths(prost_types::MethodDescriptorProto::server_streaming);
-        assert!(replies.iter().any(|path| path == WATCHES[0]), "{replies:?}");
+        assert!(replies.iter().any(|path| path == WATCH_ANOMALIES), "{replies:?}");
     }
 }

@@ -105,7 +105,9 @@ async fn a_daemon_that_names_an_authority_of_clients_serves_only_clients_of_it()
     .await;
     assert!(!said.contains("no daemon answers"), "{said}");
     assert!(metrics(&daemon).contains("tidemap_tls_handshakes_failed_total"));
-    daemon.stop_in_order();
+    let log = daemon.stop_in_order();
+    let line = log.lines().find(|line| line.contains("a TLS handshake failed")).expect("failures are logged");
+    assert!(line.contains("127.0.0.1:") && line.contains("error="), "{line}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -28,8 +28,8 @@ pub(crate) enum Share {
     Requests,
     /// Requests that need no token, of those who have shown none.
     Open,
-    /// Watches, which may last for long.
-    Watches,
+    /// Watches of health, which may last for long.
+    HealthWatches,
     /// Large requests as JSON.
     LargeJson,
     /// Bytes of large requests.
@@ -94,9 +94,9 @@ impl Shares {
         let RequestLimits { total, per_client } = self.limits;
         match share {
             Share::Requests => [(per_client, "setting max_requests_per_client"), (total, "setting max_requests")],
-            Share::Watches => [
-                (per_client, "setting max_requests_per_client, here for watches"),
-                (total, "setting max_requests, here for watches"),
+            Share::HealthWatches => [
+                (per_client, "setting max_requests_per_client, here for watches of health"),
+                (total, "setting max_requests, here for watches of health"),
             ],
             Share::Open => [
                 (OPEN_REQUESTS_PER_CLIENT, "requests of one client without a token"),
