@@ -127,6 +127,8 @@ fn checkpoints(backup: &Path) -> Vec<PathBuf> {
 async fn scheduled_backups_share_what_is_equal_old_ones_go_and_any_can_be_restored() {
     let work = tempdir().expect("a folder");
     let (data, saved) = (work.path().join("data"), work.path().join("saved/deep"));
+    // A backup of this daemon that was cut off is completed.
+    fs::create_dir_all(saved.join("auto.part/maps")).expect("made");
     let launch = Launch::on(&data).setting("backup_dir", saved.display()).setting("backups_kept", 2);
     let daemon = launch.clone().setting("backup_every_secs", 1).start();
     let client = daemon.client();
@@ -172,6 +174,17 @@ async fn scheduled_backups_share_what_is_equal_old_ones_go_and_any_can_be_restor
     assert!(daemon.client().jobs().await.expect("jobs").is_empty());
     assert_eq!(complete(&saved).len(), 3);
     daemon.stop_in_order();
+
+    // Backups of another data folder stay, also one that was cut off in the middle of such.
+    fs::create_dir_all(saved.join("auto.part")).expect("made");
+    fs::copy(saved.join(&names[1]).join("MANIFEST"), saved.join("auto.part/MANIFEST")).expect("copied");
+    let other = Launch::on(&work.path().join("other")).setting("backup_dir", saved.display());
+    let daemon = other.setting("backups_kept", 1).setting("backup_every_secs", 1).start();
+    eventually("backups of the other", async || metric(&daemon, "tidemap_backups_total") >= Some(3.0)).await;
+    daemon.stop_in_order();
+    let now = complete(&saved);
+    assert!(names.iter().chain(["auto-of-somebody".to_owned()].iter()).all(|name| now.contains(name)), "{now:?}");
+    assert!((4..=5).contains(&now.len()), "one of its own, or two: {now:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

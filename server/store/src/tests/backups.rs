@@ -6,7 +6,7 @@ use super::{
     example::{append, event, fill, options, snapshot, spec},
     missing::with_history,
 };
-use crate::{BackupError, MapId, Store, StoreOptions, check, restore};
+use crate::{BackupError, MapId, Store, StoreOptions, check, is_backup_of, link_backup, restore};
 
 const MAP: MapId = MapId(1);
 const OTHER_ID: &str = "ffffffffffffffffffffffffffffffff";
@@ -61,6 +61,71 @@ fn a_backup_of_a_store_in_use_is_restored_elsewhere() {
     store.delete_map(map).expect("deletes");
     store.backup(&backup).expect("backs up");
     assert!(files(&backup).iter().all(|file| !file.contains("00000001")), "{:?}", files(&backup));
+}
+
+#[test]
+fn a_backup_that_begins_with_the_files_of_another_leaves_that_as_it_is() {
+    let work = tempfile::tempdir().expect("temporary directory");
+    let [data, first, second] = ["data", "first", "second"].map(|name| work.path().join(name));
+    let spec = spec("office");
+    let store = Store::open(&data, StoreOptions { segment_bytes: 300, ..options() }).expect("opens");
+    let map = store.create_map(&spec).expect("creates");
+    let log = store.open_map(map, &spec).expect("opens").log;
+    for position in 1..=20 {
+        append(&log, &event(position)).expect("appends");
+    }
+    store.save(map, &snapshot(&spec, 10, 2)).expect("saves");
+    store.backup(&first).expect("backs up");
+    assert!(is_backup_of(&first, store.store_id()) && !is_backup_of(&first, OTHER_ID));
+    let before: Vec<(String, Vec<u8>)> =
+        files(&first).into_iter().map(|file| (file.clone(), fs::read(file).expect("readable"))).collect();
+    // What a copy that was cut off left behind is not shared, because the next copy writes into it.
+    let part = first.join("maps/00000001/log/0.log.part");
+    fs::write(&part, "begun").expect("writes");
+
+    link_backup(&first, &second).expect("links");
+    assert!(second.join("MANIFEST").exists() && !second.join("maps/00000001/log/0.log.part").exists());
+    fs::remove_file(part).expect("removes");
+    // Names that are free again get other content; old files go, new ones come, and the list of maps changes.
+    for position in 21..=40 {
+        append(&log, &event(position)).expect("appends");
+    }
+    store.save(map, &snapshot(&spec, 40, 3)).expect("saves");
+    store.create_map(&super::example::spec("attic")).expect("creates");
+    let report = store.backup(&second).expect("backs up");
+    assert!(report.kept_files > 0 && report.copied_files > 0, "{report:?}");
+    let after: Vec<(String, Vec<u8>)> =
+        files(&first).into_iter().map(|file| (file.clone(), fs::read(file).expect("readable"))).collect();
+    assert!(before == after, "the first backup changed");
+    for (backup, maps) in [(&first, 1), (&second, 2)] {
+        let restored = work.path().join(format!("restored-{maps}"));
+        assert_eq!(restore(backup, &restored, OTHER_ID).expect("restores").maps, maps);
+    }
+}
+
+#[test]
+fn a_backup_that_is_stopped_keeps_the_earlier_one() {
+    let work = tempfile::tempdir().expect("temporary directory");
+    let (data, backup) = (work.path().join("data"), work.path().join("backup"));
+    let spec = spec("office");
+    let store = Store::open(&data, StoreOptions { segment_bytes: 300, ..options() }).expect("opens");
+    let map = store.create_map(&spec).expect("creates");
+    let log = store.open_map(map, &spec).expect("opens").log;
+    for position in 1..=20 {
+        append(&log, &event(position)).expect("appends");
+    }
+    store.backup(&backup).expect("backs up");
+    for position in 21..=40 {
+        append(&log, &event(position)).expect("appends");
+    }
+    for files in 0..4 {
+        let asked = std::cell::Cell::new(0);
+        let goes_on = || asked.replace(asked.get() + 1) < files;
+        assert!(matches!(store.backup_while(&backup, &goes_on), Err(BackupError::Stopped)), "{files}");
+        let restored = work.path().join(format!("restored-{files}"));
+        restore(&backup, &restored, OTHER_ID).expect("restores");
+    }
+    store.backup(&backup).expect("completes");
 }
 
 #[test]
