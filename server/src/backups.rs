@@ -158,6 +158,7 @@ impl Schedule {
             for map in catalog.all().values() {
                 map.opened().await;
             }
+            job.step("copy");
             job.start(0, 0);
             let is_damaged = |trouble: &Trouble| matches!(trouble, Trouble::Damaged { .. });
             let keeps_all = !catalog.unavailable().is_empty() || store.trouble().iter().any(is_damaged);

@@ -75,7 +75,8 @@ fn at_end(id: u64, last: Option<Job>) -> anyhow::Result<Job> {
 
 /// The error of a failed job.
 pub(crate) fn failure(job: &Job) -> String {
-    format!("job {} of map {:?} failed: {}", job.id, job.map, job.error)
+    let of = if job.map.is_empty() { String::new() } else { format!(" of map {:?}", job.map) };
+    format!("job {}{of} failed: {}", job.id, job.error)
 }
 
 fn cells(job: Job) -> Vec<Cell> {
@@ -100,9 +101,8 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn a_watch_that_ends_before_its_job_is_no_success() {
-        let job = |state| Job {
+    fn job(state: JobState) -> Job {
+        Job {
             id: 7,
             map: "office".to_owned(),
             state,
@@ -112,10 +112,21 @@ mod tests {
             observations: 0,
             created_nanos: None,
             elapsed_nanos: 0,
-            error: String::new(),
+            error: "no room".to_owned(),
             save_error: String::new(),
             update: UpdateSummary::default(),
-        };
+        }
+    }
+
+    #[test]
+    fn a_failure_names_the_map_if_the_job_is_one_of_a_map() {
+        assert_eq!(failure(&job(JobState::Failed)), "job 7 of map \"office\" failed: no room");
+        let of_daemon = Job { map: String::new(), ..job(JobState::Failed) };
+        assert_eq!(failure(&of_daemon), "job 7 failed: no room");
+    }
+
+    #[test]
+    fn a_watch_that_ends_before_its_job_is_no_success() {
         for last in [None, Some(job(JobState::Waiting)), Some(job(JobState::Running))] {
             let said = at_end(7, last).map_err(|error| error.to_string());
             assert_eq!(said, Err("the daemon ended the watch of job 7 before the job ended".to_owned()));
