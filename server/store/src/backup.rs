@@ -240,7 +240,7 @@ pub fn link_backup(backup: &Path, target: &Path) -> Result<(), BackupError> {
         let (from, to) = (backup.join(&name), target.join(&name));
         if from.is_dir() {
             link_backup(&from, &to)?;
-        } else if !name.ends_with(".part") {
+        } else if name != "LOCK" && !name.ends_with(".part") {
             // What cannot be linked is copied by the backup itself.
             let _ = fs::hard_link(&from, &to);
         }
