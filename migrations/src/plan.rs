@@ -4,6 +4,14 @@
 
 use std::{io, path::Path};
 
+use crate::{
+    v3::{
+        self,
+        lists::{HISTORY_FILE, MAPS_FILE, NEWEST_FILE},
+    },
+    v4::{self, lists::CHECKPOINTS_FILE},
+};
+
 /// One step from a format to the next.
 ///
 /// A step must be safe to run again after an interruption at any point: it writes copies beside the old files, makes
@@ -27,10 +35,26 @@ pub const STEPS: &[Step] = &[
     },
     Step {
         from: 2,
-        summary: "existing files do not change; lists of the files that must exist are made when the maps open",
+        summary: "existing files do not change; lists of the files that must exist are made",
+        run: |_| Ok(()),
+    },
+    Step {
+        from: 3,
+        summary: "existing files do not change; lists of the checkpoints that must exist are made",
         run: |_| Ok(()),
     },
 ];
+
+/// Whether a data directory of a format has a list of what must exist from its creation on. The store makes those that
+/// a step adds, before the manifest names the new format.
+pub fn has_list(format: u32, file_name: &str) -> bool {
+    let since = match file_name {
+        MAPS_FILE | HISTORY_FILE | NEWEST_FILE => v3::FORMAT,
+        CHECKPOINTS_FILE => v4::FORMAT,
+        _ => return false,
+    };
+    format >= since
+}
 
 /// What to do with a data directory.
 #[derive(Clone, Debug)]
@@ -94,7 +118,7 @@ mod tests {
     #[test]
     fn the_released_steps_lead_from_format_1_to_the_present() {
         let Plan::Migrate(way) = plan(1, crate::FORMAT, STEPS) else { panic!("expected steps") };
-        assert_eq!(way.iter().map(|step| step.from).collect::<Vec<_>>(), [1, 2]);
+        assert_eq!(way.iter().map(|step| step.from).collect::<Vec<_>>(), [1, 2, 3]);
         for step in way {
             (step.run)(Path::new("/nowhere")).expect("changes nothing");
         }

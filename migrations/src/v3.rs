@@ -14,3 +14,6 @@
 //! Invariant: nothing in this module changes meaning, tag, name or size.
 
 pub mod lists;
+
+/// The number of this format.
+pub const FORMAT: u32 = 3;
