@@ -18,12 +18,13 @@ use tidemap_migrations::{
     FORMAT,
     manifest::{self, Manifest, ManifestError},
     v3::lists::{ERASURES_FILE, HISTORY_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment, TextList as _},
+    v4::lists::{CHECKPOINTS_FILE, LOSSES_FILE},
 };
 
 use crate::{
     MapId, Store,
-    check::check,
-    disk::{Disk, RealDisk},
+    check::{Mode, check},
+    disk::{Disk, RealDisk, read_all},
     erasure,
     error::{OpenError, is_disk_full, shown},
     log::{segment_path, segment_position},
@@ -203,12 +204,17 @@ impl Store {
             inner.backup_map(&mut copies, target, map, &entry)?;
             copies.report.maps += 1;
         }
-        let list = inner.disk.read(&inner.directory.join(MAPS_FILE)).and_then(|mut reader| {
-            let mut text = Vec::new();
-            reader.read_to_end(&mut text).map(|_| text)
-        });
-        let list = list.map_err(io_error(&inner.directory))?;
-        put(&target.join(MAPS_FILE), |file| file.write_all(&list))?;
+        for name in [MAPS_FILE, LOSSES_FILE] {
+            let file = inner.directory.join(name);
+            match read_all(&*inner.disk, &file) {
+                // There are no losses.
+                Err(error) if error.kind() == io::ErrorKind::NotFound && name == LOSSES_FILE => {}
+                list => {
+                    let list = list.map_err(io_error(&file))?;
+                    put(&target.join(name), |to| to.write_all(&list))?;
+                }
+            }
+        }
         let maps = catalogue::maps_folder(target);
         fs::create_dir_all(&maps).map_err(io_error(&maps))?;
         sync_folder(&maps)?;
@@ -268,7 +274,12 @@ fn prepare(directory: &Path, target: &Path, store_id: &str) -> Result<bool, Back
         Some(found) if found.store_id == store_id => Ok(false),
         Some(_) => Err(BackupError::OtherStore(target.to_owned())),
         // A first backup that was cut off has maps and no manifest.
-        None if names(target)?.iter().all(|name| name == "maps" || name.starts_with(MAPS_FILE)) => Ok(true),
+        None if names(target)?
+            .iter()
+            .all(|name| name == "maps" || name.starts_with(MAPS_FILE) || name.starts_with(LOSSES_FILE)) =>
+        {
+            Ok(true)
+        }
         None => Err(BackupError::NotEmpty(target.to_owned())),
     }
 }
@@ -300,6 +311,10 @@ impl OpenStore {
             copies.copy(&from.join(name), &to.join(name), length)?;
         }
         copies.copy_folder(&checkpoints.0, &checkpoints.1, |name| name.ends_with(".tmc"))?;
+        // Behind what it lists, and before what it no longer lists goes.
+        let list = [&from, &to].map(|folder| folder.join(CHECKPOINTS_FILE));
+        let length = self.disk.length(&list[0]).map_err(io_error(&from))?;
+        copies.copy(&list[0], &list[1], length)?;
         sync_folder(&to)?;
         for (from, to) in [&log, &history, &checkpoints] {
             remove_old(&*self.disk, from, to)?;
@@ -342,7 +357,7 @@ pub fn restore(backup: &Path, directory: &Path, new_store_id: &str) -> Result<Ba
     if !names(directory)?.is_empty() {
         return Err(BackupError::NotEmpty(directory.to_owned()));
     }
-    refuse_damage(backup)?;
+    let format = refuse_damage(backup)?;
     let disk = RealDisk;
     let mut copies = Copies { disk: &disk, goes_on: &|| true, report: BackupReport::default() };
     let maps = catalogue::maps_folder(directory);
@@ -352,19 +367,23 @@ pub fn restore(backup: &Path, directory: &Path, new_store_id: &str) -> Result<Ba
         for folder in ["log", "history", "checkpoints"] {
             copies.copy_folder(&from.join(folder), &to.join(folder), |_| true)?;
         }
-        copies.copy_folder(&from, &to, |name| [HISTORY_FILE, ERASURES_FILE, "MAP"].contains(&name))?;
+        let lists = [HISTORY_FILE, CHECKPOINTS_FILE, ERASURES_FILE, "MAP"];
+        copies.copy_folder(&from, &to, |name| lists.contains(&name))?;
         copies.report.maps += 1;
     }
-    copies.copy_folder(backup, directory, |name| name == MAPS_FILE)?;
+    copies.copy_folder(backup, directory, |name| name == MAPS_FILE || name == LOSSES_FILE)?;
     sync_folder(&maps)?;
-    manifest::write(directory, &Manifest { format: FORMAT, store_id: new_store_id.to_owned() })?;
+    // A backup of an older format stays one: the next start migrates it.
+    manifest::write(directory, &Manifest { format, store_id: new_store_id.to_owned() })?;
     refuse_damage(directory)?;
     Ok(copies.report)
 }
 
-fn refuse_damage(directory: &Path) -> Result<(), BackupError> {
-    match check(directory, false)?.findings.into_iter().next() {
+/// The format of a folder that is sound, apart from what can be made again.
+fn refuse_damage(directory: &Path) -> Result<u32, BackupError> {
+    let checked = check(directory, Mode::Look)?;
+    match checked.findings.into_iter().find(|finding| !finding.is_spare) {
         Some(finding) => Err(BackupError::Damaged { file: finding.file, problem: finding.problem }),
-        None => Ok(()),
+        None => Ok(checked.format),
     }
 }

@@ -1,10 +1,13 @@
 //! Checking a data directory that no daemon uses: every record of every log, checkpoint and history file, the lists of
 //! what must exist, and the index.
 //!
-//! Invariant: without `repair` nothing is changed. A repair loses nothing: it only makes lists again and sets a damaged
-//! index aside, which is rebuilt from the checkpoints.
+//! Invariant: a look changes nothing. A repair loses nothing: it only makes lists again where other files prove that all
+//! is there, and sets a damaged index aside, which is rebuilt from the checkpoints. Going on without what is lost is
+//! recorded in `LOSSES` first.
 
 use std::{
+    collections::BTreeSet,
+    io,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -12,19 +15,22 @@ use std::{
 use tidemap_map::spec::MapSpec;
 use tidemap_migrations::{
     FORMAT, manifest,
-    v3::lists::{FileList, HISTORY_FILE, MAPS_FILE, MapList},
+    plan::has_list,
+    v3::lists::{FileList, HISTORY_FILE, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment, TextList},
+    v4::lists::{CheckpointList, Loss},
 };
 
 use crate::{
-    MapId,
+    History, MapId,
     checkpoint::{Checkpoints, Memory},
     disk::{Disk, RealDisk},
-    error::{OpenError, Report},
-    index::{Index, is_present},
+    error::OpenError,
+    index::{Index, RowsState, Unopened, is_present},
     list_file::{self, Unlisted},
-    log::{recovery, replay::Replay, segment_position},
+    log::{recovery, replay::Replay, segment_path, segment_position},
+    losses,
     record_file::check_total,
-    store::{catalogue, lock::Lock},
+    store::{catalogue, lists, lock::Lock},
 };
 
 const INDEX_CACHE_BYTES: u64 = 64 << 20;
@@ -34,6 +40,34 @@ const MEMORY: Memory = Memory { tile_bytes: 64 << 20, spectrum_bytes: 64 << 20 }
 const FROM_BACKUP: &str = "restore this file from a backup";
 const FOLDER_FROM_BACKUP: &str = "restore the folder of this map from a backup, or delete the map";
 const BY_REPAIR: &str = "run the check with --repair, which loses nothing";
+const BY_ACCEPTING: &str = "restore it from a backup of this folder; or, to go on without what is lost, run the check \
+                            with --accept-loss, which records the loss";
+const BY_START: &str = "start the daemon, which makes it again from the checkpoints; nothing is lost";
+
+/// What a check may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Only look.
+    Look,
+    /// Repair what can be repaired without loss.
+    Repair,
+    /// Also go on without what is lost, as an operator has accepted.
+    AcceptLoss {
+        /// The present time, nanoseconds UTC.
+        now_nanos: i64,
+    },
+}
+
+/// What became of a finding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Nothing was done.
+    Open,
+    /// It has been repaired, without loss.
+    Repaired,
+    /// It is lost. The loss is recorded, and the daemon goes on without.
+    Accepted,
+}
 
 /// Something that is wrong with a data directory.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,13 +78,17 @@ pub struct Finding {
     pub problem: String,
     /// What to do.
     pub advice: &'static str,
-    /// Whether it has been repaired.
-    pub is_repaired: bool,
+    /// Whether nothing is lost by it, because other files hold the same.
+    pub is_spare: bool,
+    /// What became of it.
+    pub outcome: Outcome,
 }
 
 /// What a check has read and found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Checked {
+    /// The disk format of the directory; an older one than this version's is migrated at the next start.
+    pub format: u32,
     /// Number of maps.
     pub maps: u64,
     /// Number of files read.
@@ -59,106 +97,155 @@ pub struct Checked {
     pub log_records: u64,
     /// What is wrong.
     pub findings: Vec<Finding>,
+    /// What was lost, and accepted as lost, earlier or now.
+    pub losses: Vec<Loss>,
 }
 
 /// A check that is under way.
 struct Check<'a> {
     directory: &'a Path,
     disk: Arc<dyn Disk>,
-    repair: bool,
+    mode: Mode,
     checked: Checked,
 }
 
 /// Checks a data directory that no daemon uses.
 ///
 /// # Errors
-/// [`OpenError`] where nothing can be checked: there is no data directory, a daemon uses it, or a newer version wrote
-/// it.
-pub fn check(directory: &Path, repair: bool) -> Result<Checked, OpenError> {
-    if manifest::read(directory, FORMAT)?.is_none() {
+/// [`OpenError`] where nothing can be checked: there is no data directory, a daemon uses it, a newer version wrote it, or
+/// the record of its losses is damaged.
+pub fn check(directory: &Path, mode: Mode) -> Result<Checked, OpenError> {
+    let Some(manifest) = manifest::read(directory, FORMAT)? else {
         let reason = "there is none: this is no data directory of tidemapd".to_owned();
         return Err(OpenError::Damaged { file: directory.join(manifest::FILE_NAME), reason });
-    }
-    let _lock = Lock::take(directory)?;
-    let mut check = Check { directory, disk: Arc::new(RealDisk), repair, checked: Checked::default() };
+    };
+    let lock = Lock::look(directory)?;
+    let checked = Checked { format: manifest.format, ..Checked::default() };
+    let mut check = Check { directory, disk: Arc::new(RealDisk), mode, checked };
+    // First: without it, no loss can be recorded.
+    losses::read(&RealDisk, directory)?;
     let maps = check.maps()?;
-    for (map, spec) in &maps {
-        check.map(*map, spec);
+    let mut indexed = BTreeSet::new();
+    for (map, known) in &maps {
+        if check.map(*map, &known.spec, known.history_complete) {
+            indexed.insert(*map);
+        }
     }
-    check.index(&maps);
+    // A backup has no index; nor has a folder that was restored from one, until a daemon has used it.
+    check.index(&maps, &indexed, lock.is_of_daemon())?;
+    check.checked.losses = losses::read(&RealDisk, directory)?;
     Ok(check.checked)
 }
 
 impl Check<'_> {
-    fn find(&mut self, file: &Path, problem: impl Into<String>, advice: &'static str) {
-        let file = file.strip_prefix(self.directory).unwrap_or(file).to_owned();
-        self.checked.findings.push(Finding { file, problem: problem.into(), advice, is_repaired: false });
+    fn within(&self, file: &Path) -> PathBuf {
+        file.strip_prefix(self.directory).unwrap_or(file).to_owned()
     }
 
-    /// The last finding has been repaired.
-    fn repaired(&mut self) {
+    fn find(&mut self, file: &Path, problem: impl Into<String>, advice: &'static str) {
+        let (file, problem, outcome) = (self.within(file), problem.into(), Outcome::Open);
+        self.checked.findings.push(Finding { file, problem, advice, is_spare: false, outcome });
+    }
+
+    /// Something that other files hold as well, with what makes it good.
+    fn find_spare(
+        &mut self,
+        file: &Path,
+        problem: impl Into<String>,
+        advice: &'static str,
+        repair: impl FnOnce() -> bool,
+    ) {
+        self.find(file, problem, advice);
+        let is_repaired = self.mode != Mode::Look && repair();
         if let Some(finding) = self.checked.findings.last_mut() {
-            finding.is_repaired = true;
+            finding.is_spare = true;
+            finding.outcome = if is_repaired { Outcome::Repaired } else { Outcome::Open };
+        }
+    }
+
+    /// Something that is lost, with how to go on without.
+    fn find_lost(&mut self, file: &Path, problem: &str, go_on: impl FnOnce() -> bool) {
+        self.find(file, problem, BY_ACCEPTING);
+        let Mode::AcceptLoss { now_nanos } = self.mode else { return };
+        let file = self.within(file).display().to_string();
+        let loss = Loss { accepted_nanos: now_nanos, file, problem: problem.replace('\n', " ") };
+        if losses::record(&*self.disk, self.directory, loss).is_ok()
+            && go_on()
+            && let Some(finding) = self.checked.findings.last_mut()
+        {
+            finding.outcome = Outcome::Accepted;
+        }
+    }
+
+    /// A list of what must exist; `None` where it is lost, with what is wrong with it, or where the format has none.
+    fn list<L: TextList>(&self, file: &Path) -> (Option<L>, Option<String>) {
+        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        match list_file::read(&*self.disk, file) {
+            Ok(list) => (Some(list), None),
+            Err(Unlisted::Absent) if !has_list(self.checked.format, name) => (None, None),
+            Err(unlisted) => (None, Some(unlisted.problem())),
         }
     }
 
     /// The maps that can be read; finds what is wrong with the others.
-    fn maps(&mut self) -> Result<Vec<(MapId, MapSpec)>, OpenError> {
+    fn maps(&mut self) -> Result<Vec<(MapId, catalogue::Catalogued)>, OpenError> {
         let found = catalogue::look(&*self.disk, self.directory)?;
-        let file = self.directory.join(MAPS_FILE);
-        let problem = match list_file::read::<MapList>(&*self.disk, &file) {
-            Ok(_) => None,
-            Err(Unlisted::Absent) => Some("it is missing".to_owned()),
-            Err(Unlisted::Damaged(reason)) => Some(reason.to_owned()),
-            Err(Unlisted::Io(error)) => Some(error.to_string()),
-        };
-        if let Some(problem) = problem {
-            self.find(&file, problem, BY_REPAIR);
-            if self.repair && list_file::replace(&*self.disk, &file, &found.list()).is_ok() {
-                self.repaired();
-            }
+        let (disk, directory) = (Arc::clone(&self.disk), self.directory);
+        let file = directory.join(MAPS_FILE);
+        if let (_, Some(problem)) = self.list::<MapList>(&file) {
+            self.find_lost(&file, &problem, || list_file::replace(&*disk, &file, &found.list()).is_ok());
         }
         for map in found.set_aside.values() {
             let name = map.name.as_deref().unwrap_or("its name is not known");
-            let folder = catalogue::map_folder(self.directory, map.id);
-            self.find(&folder, format!("map {name}: {}", map.reason), FOLDER_FROM_BACKUP);
+            let folder = catalogue::map_folder(directory, map.id);
+            let problem = format!("map {name}: {}", map.reason);
+            if self.disk.list(&folder).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+                let forget = || {
+                    let forget = |list: &mut MapList| list.maps.retain(|(number, _)| *number != map.id.0);
+                    catalogue::change_list(&*disk, directory, forget).is_ok()
+                };
+                // Its name may be that of a person, and is not recorded.
+                self.find_lost(&folder, "the folder of this map is missing", forget);
+                if let Some(finding) = self.checked.findings.last_mut() {
+                    finding.problem = problem;
+                }
+            } else {
+                self.find(&folder, problem, FOLDER_FROM_BACKUP);
+            }
         }
         self.checked.maps = (found.maps.len() + found.set_aside.len()) as u64;
-        Ok(found.maps.into_iter().map(|(map, known)| (map, known.spec)).collect())
+        Ok(found.maps.into_iter().collect())
     }
 
-    fn map(&mut self, map: MapId, spec: &MapSpec) {
-        self.history(map);
-        let known = self.checkpoints(map, spec);
-        self.log(map, known);
+    /// Whether the index should have rows of the map.
+    fn map(&mut self, map: MapId, spec: &MapSpec, history_complete: bool) -> bool {
+        self.history(map, spec);
+        let newest = self.checkpoints(map, spec, history_complete);
+        self.log(map, newest);
+        newest.is_some()
     }
 
-    fn history(&mut self, map: MapId) {
+    fn history(&mut self, map: MapId, spec: &MapSpec) {
         let folder = catalogue::history_folder(self.directory, map);
+        let history = History::at(Arc::clone(&self.disk), folder.clone(), map);
         let list_path = folder.with_file_name(HISTORY_FILE);
-        let listed = match list_file::read::<FileList>(&*self.disk, &list_path) {
-            Ok(list) => list.files,
-            Err(unlisted) => {
-                let problem = match unlisted {
-                    Unlisted::Absent => "it is missing".to_owned(),
-                    Unlisted::Damaged(reason) => reason.to_owned(),
-                    Unlisted::Io(error) => error.to_string(),
-                };
-                self.find(&list_path, problem, BY_REPAIR);
-                let history = crate::History::at(Arc::clone(&self.disk), folder.clone(), map);
-                if self.repair && history.make_list(&mut Vec::new()).is_ok() {
-                    self.repaired();
-                }
-                Vec::new()
+        let (listed, lost) = self.list::<FileList>(&list_path);
+        let listed = listed.unwrap_or_default().files;
+        if let Some(problem) = lost {
+            let make = || history.make_list().is_ok();
+            if lists::is_history_whole(&self.disk, self.directory, map, spec) {
+                self.find_spare(&list_path, problem, BY_REPAIR, make);
+            } else {
+                self.find_lost(&list_path, &problem, make);
             }
-        };
+        }
         let present = self.disk.list(&folder).unwrap_or_default();
         for file in &listed {
             let path = folder.join(&file.name);
             if !present.contains(&file.name) {
                 let (from, to) = (file.from_nanos.div_euclid(1_000_000_000), file.to_nanos.div_euclid(1_000_000_000));
                 let problem = format!("it is missing, with observations from {from} to {to} s after 1970-01-01");
-                self.find(&path, problem, FROM_BACKUP);
+                self.find_lost(&path, &problem, || history.remove_from_list(std::slice::from_ref(&path)).is_ok());
             } else {
                 self.checked.files += 1;
                 match check_total(&*self.disk, &path) {
@@ -179,10 +266,10 @@ impl Check<'_> {
         }
     }
 
-    /// Reads all checkpoints; gives the position and the first needed record of the newest good one.
-    fn checkpoints(&mut self, map: MapId, spec: &MapSpec) -> Option<(u64, u64)> {
-        let disk = Arc::clone(&self.disk);
-        let folder = catalogue::checkpoints_folder(self.directory, map);
+    /// Reads all checkpoints; gives the position, the first needed record and the generation of the newest good one.
+    fn checkpoints(&mut self, map: MapId, spec: &MapSpec, history_complete: bool) -> Option<(u64, u64)> {
+        let (disk, directory) = (Arc::clone(&self.disk), self.directory);
+        let folder = catalogue::checkpoints_folder(directory, map);
         let checkpoints = Checkpoints { disk: &*disk, folder: folder.clone(), map };
         let mut newest = None;
         match checkpoints.check_all(spec, MEMORY) {
@@ -200,27 +287,58 @@ impl Check<'_> {
                 }
             }
         }
+        let log = catalogue::log_folder(directory, map);
+        let Ok(present) = checkpoints.present(&log) else { return newest };
+        // Where the map can be restored, nothing else that is listed holds more.
+        let is_whole = newest.map_or(1, |(_, replay_from)| replay_from) >= present.first_record;
+        let make = || lists::make_checkpoints(&*disk, directory, map).is_ok();
+        let list_path = checkpoints.list_path();
+        let (listed, lost) = self.list::<CheckpointList>(&list_path);
+        if let Some(problem) = lost {
+            self.find_spare(&list_path, problem, BY_REPAIR, make);
+        }
+        let Some(listed) = listed else { return newest };
+        for position in listed.checkpoints {
+            let path = checkpoints.path(position);
+            match present.checkpoints.contains(&position) {
+                true => {}
+                false if is_whole => self.find_spare(&path, "it is missing", BY_REPAIR, make),
+                false => self.find(&path, "it is missing", FROM_BACKUP),
+            }
+        }
+        if listed.first_record < present.first_record {
+            let path = segment_path(&log, listed.first_record);
+            match is_whole {
+                // The history of a map of format 1 is in its log.
+                true if !history_complete => self.find_lost(&path, "it is missing", make),
+                true => self.find_spare(&path, "it is missing", BY_REPAIR, make),
+                false => self.find(&path, "it is missing", FROM_BACKUP),
+            }
+        }
         newest
     }
 
     fn log(&mut self, map: MapId, known: Option<(u64, u64)>) {
-        let folder = catalogue::log_folder(self.directory, map);
+        let (disk, directory) = (Arc::clone(&self.disk), self.directory);
+        let folder = catalogue::log_folder(directory, map);
         let (position, replay_from) = known.unwrap_or((0, 1));
-        // Also the segments that only older checkpoints need.
         let names = self.disk.list(&folder).unwrap_or_default();
         let first = names.iter().find_map(|name| segment_position(name)).unwrap_or(1);
+        // Also the segments that only older checkpoints need. Without a checkpoint, the log must begin with record 1.
         let replay_from = replay_from.min(first.max(1));
-        let expected = recovery::Expectation { map: map.0, replay_from, known: position };
-        let mut reports = Vec::new();
-        let read = match recovery::read(&*self.disk, &folder, &expected, &mut reports) {
+        let list = folder.join(NEWEST_FILE);
+        if let (_, Some(problem)) = self.list::<NewestSegment>(&list) {
+            self.find_lost(&list, &problem, || lists::make_newest(&*disk, directory, map).is_ok());
+        }
+        // What is wrong with the list has been found.
+        let is_listed = self.list::<NewestSegment>(&list).0.is_some();
+        let expected = recovery::Expectation { map: map.0, replay_from, known: position, is_listed };
+        let read = match recovery::read(&*self.disk, &folder, &expected) {
             Ok(read) => read,
+            // A damaged list, which has been found.
+            Err(OpenError::ListLost { .. }) => return,
             Err(error) => return self.find(&folder, error.to_string(), FOLDER_FROM_BACKUP),
         };
-        for report in reports {
-            if let Report::ListMade { file, reason } = report {
-                self.find(&file, reason, "start the daemon, which makes it again");
-            }
-        }
         self.checked.files += read.segments.len() as u64;
         let end = read.cursor.position - 1;
         let first = read.segments.first().copied().unwrap_or(1);
@@ -232,22 +350,40 @@ impl Check<'_> {
         }
     }
 
-    fn index(&mut self, maps: &[(MapId, MapSpec)]) {
+    /// Checks the rows of the maps, and that those are there which should be.
+    fn index(
+        &mut self,
+        maps: &[(MapId, catalogue::Catalogued)],
+        indexed: &BTreeSet<MapId>,
+        must_exist: bool,
+    ) -> Result<(), OpenError> {
         let folder = self.directory.join("index");
         if !is_present(&folder) {
-            // It may be lost at any time.
-            return;
+            if must_exist && !indexed.is_empty() {
+                self.find_spare(&folder, "it is missing", BY_START, || false);
+            }
+            return Ok(());
         }
+        let rows = |map: MapId, found: Result<RowsState, String>| match found {
+            Err(damage) => Some(damage),
+            Ok(RowsState::Nothing) if indexed.contains(&map) => {
+                Some(format!("it holds nothing of map number {}", map.0))
+            }
+            // A save that was cut off is completed by the next start.
+            Ok(_) => None,
+        };
         let damage = match Index::inspect(folder.clone(), INDEX_CACHE_BYTES) {
-            Ok(mut index) => maps.iter().find_map(|(map, _)| index.check(map.0).err()),
-            Err(reason) => Some(reason),
+            Ok(mut index) => maps.iter().find_map(|&(map, _)| rows(map, index.check(map.0))),
+            Err(Unopened::Damaged(reason)) => Some(reason),
+            Err(Unopened::InUse) => {
+                return Err(OpenError::Locked { directory: self.directory.to_owned(), pid: None });
+            }
         };
         if let Some(damage) = damage {
-            self.find(&folder, damage, BY_REPAIR);
-            let aside = self.directory.join("index.damaged");
-            if self.repair && !is_present(&aside) && self.disk.rename(&folder, &aside).is_ok() {
-                self.repaired();
-            }
+            let (disk, aside) = (Arc::clone(&self.disk), self.directory.join("index.damaged"));
+            let repair = || !is_present(&aside) && disk.rename(&folder, &aside).is_ok();
+            self.find_spare(&folder, damage, BY_REPAIR, repair);
         }
+        Ok(())
     }
 }

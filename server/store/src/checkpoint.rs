@@ -27,6 +27,7 @@ use crate::{
 
 mod grid_reader;
 mod grid_writer;
+mod list;
 mod model_cache;
 pub(crate) mod spectra;
 mod tiles;
@@ -123,7 +124,12 @@ impl Checkpoints<'_> {
         let path = self.path(snapshot.position);
         self.disk.rename(&new_path, &path).map_err(store_io(&path))?;
         self.disk.sync_folder(&self.folder).map_err(store_io(&self.folder))?;
-        self.remove_old(kept).map_err(store_io(&self.folder))?;
+        let positions = self.positions().map_err(store_io(&self.folder))?;
+        let (old, kept) = positions.split_at(positions.len().saturating_sub(kept.max(1)));
+        self.keep(kept.to_vec())?;
+        for &position in old {
+            self.disk.remove(&self.path(position)).map_err(store_io(&self.folder))?;
+        }
         Ok(read_from)
     }
 
@@ -254,6 +260,14 @@ impl Checkpoints<'_> {
         Ok(positions.iter().map(replay_from).collect::<Option<Vec<u64>>>().and_then(|all| all.into_iter().min()))
     }
 
+    /// The generation of the newest checkpoint that can say; `None` where there is none.
+    pub(crate) fn newest_generation(&self) -> Option<u64> {
+        self.positions().ok()?.into_iter().rev().find_map(|position| {
+            let mut reader = RecordReader::open(self.disk, &self.path(position), CHECKPOINT_MAGIC, self.map.0).ok()?;
+            Some(reader.record::<v2::Snapshot>(RecordKind::Snapshot).ok()?.generation)
+        })
+    }
+
     /// The newest good checkpoint, and the damaged ones that are newer. Changes nothing.
     pub(crate) fn load(
         &self,
@@ -293,6 +307,9 @@ impl Checkpoints<'_> {
         let file = path.with_added_extension(DAMAGED_EXTENSION);
         self.disk.rename(&path, &file).map_err(open_io(&path))?;
         self.disk.sync_folder(&self.folder).map_err(open_io(&self.folder))?;
+        if let Some(position) = path.file_name().and_then(|name| name.to_str()).and_then(position) {
+            self.unlist(position).map_err(|error| open_io(self.list_path())(io::Error::other(error.to_string())))?;
+        }
         Ok(Report::CheckpointSetAside { file, reason })
     }
 
@@ -304,14 +321,6 @@ impl Checkpoints<'_> {
                 self.disk.remove(&file).map_err(open_io(&file))?;
                 reports.push(Report::LeftoverRemoved { file });
             }
-        }
-        Ok(())
-    }
-
-    fn remove_old(&self, kept: usize) -> io::Result<()> {
-        let positions = self.positions()?;
-        for &position in positions.iter().rev().skip(kept.max(1)) {
-            self.disk.remove(&self.path(position))?;
         }
         Ok(())
     }

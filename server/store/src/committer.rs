@@ -7,13 +7,14 @@
 use std::{
     collections::BTreeMap,
     mem,
-    sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError},
+    sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, Weak},
     time::Instant,
 };
 
 use crate::{
     error::AppendError,
     log::{Done, Log, frame::EncodedEvent},
+    store::lock::Lock,
     trouble::Watch,
 };
 
@@ -59,6 +60,8 @@ pub(crate) struct Committer {
     pub(crate) followed: Followed,
     /// Set once and never cleared: after a failed fsync the content of the disk is unknown.
     poison: OnceLock<AppendError>,
+    /// The lock of the folder, which a store holds; none on a simulated disk.
+    lock: OnceLock<Weak<Lock>>,
 }
 
 /// The appends of one log in one round.
@@ -81,6 +84,24 @@ impl Committer {
     /// The error that stopped all writing, if there was one.
     pub(crate) fn poison(&self) -> Option<AppendError> {
         self.poison.get().cloned()
+    }
+
+    /// From now on nothing is appended without this lock.
+    pub(crate) fn hold(&self, lock: &Arc<Lock>) {
+        // Set once, when the store is opened.
+        let _ = self.lock.set(Arc::downgrade(lock));
+    }
+
+    /// Stops all writing.
+    pub(crate) fn poison_with(&self, error: AppendError) -> AppendError {
+        self.poison.get_or_init(|| error).clone()
+    }
+
+    /// The error that stops all writing, if the folder is no longer ours. A look takes microseconds beside a sync.
+    pub(crate) fn check_lock(&self) -> Option<AppendError> {
+        let lock = self.lock.get()?.upgrade()?;
+        let (file, reason) = lock.problem()?;
+        Some(self.poison_with(AppendError::Poisoned { file, reason: reason.to_owned() }))
     }
 
     pub(crate) fn sync_stats(&self) -> SyncStats {
@@ -211,6 +232,7 @@ impl Committer {
             None => Err(AppendError::Closed),
         };
         self.times.add(start.elapsed());
+        let result = result.and_then(|end| self.check_lock().map_or(Ok(end), Err));
         let end = match result {
             Ok(end) => end,
             Err(error) => return self.fail(group, error),
@@ -241,7 +263,7 @@ impl Committer {
             self.watch.appended(true);
         }
         let error = match error {
-            AppendError::Poisoned { .. } => self.poison.get_or_init(|| error).clone(),
+            AppendError::Poisoned { .. } => self.poison_with(error),
             AppendError::AfterFailure => self.poison().unwrap_or(error),
             _ => error,
         };

@@ -44,9 +44,9 @@ pub trait DiskFile: Send {
     fn truncate(&mut self, length: u64) -> io::Result<()>;
     /// Makes the file's bytes and length durable. After an error it is not known what is.
     fn sync(&mut self) -> io::Result<()>;
-    /// Whether a path still leads to this file, and not to another or none.
-    fn is_at(&self, _path: &Path) -> bool {
-        true
+    /// What somebody else has done to the file, if a path no longer leads to it or it has another length.
+    fn problem(&self, _path: &Path, _length: u64) -> Option<&'static str> {
+        None
     }
 }
 
@@ -145,12 +145,14 @@ impl DiskFile for RealFile {
         Ok(rustix::fs::fdatasync(&self.0)?)
     }
 
-    fn is_at(&self, path: &Path) -> bool {
+    fn problem(&self, path: &Path, length: u64) -> Option<&'static str> {
         let identity = |metadata: &fs::Metadata| (metadata.dev(), metadata.ino());
         // Where the path cannot be followed, the file is out of reach for the next start.
         match (self.0.metadata(), fs::metadata(path)) {
-            (Ok(open), Ok(named)) => identity(&open) == identity(&named),
-            _ => false,
+            (Ok(open), Ok(named)) if identity(&open) == identity(&named) => {
+                (open.len() != length).then_some("it was cut or written to by somebody else while the daemon ran")
+            }
+            _ => Some("it was removed or replaced while the daemon ran"),
         }
     }
 }

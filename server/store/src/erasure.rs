@@ -24,7 +24,10 @@ use std::{
 };
 
 use tidemap_map::{erasure::StateErasure, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::v3::lists::{ERASE_FILE, ERASURES_FILE, ErasureCount, ErasureOrder, FileList, HISTORY_FILE};
+use tidemap_migrations::{
+    v3::lists::{ERASE_FILE, ERASURES_FILE, ErasureCount, ErasureOrder, FileList, HISTORY_FILE},
+    v4::lists::CheckpointList,
+};
 
 use crate::{
     MapId, Report, StoreOptions,
@@ -177,8 +180,9 @@ impl Rewrite<'_> {
     ) -> Result<(), EraseError> {
         let folder = new.join("checkpoints");
         self.disk.create_folder(&folder).map_err(store_io(&folder))?;
+        let checkpoints = Checkpoints { disk: &**self.disk, folder: folder.clone(), map: self.map };
+        checkpoints.list(&CheckpointList::default())?;
         if let Some(snapshot) = snapshot {
-            let checkpoints = Checkpoints { disk: &**self.disk, folder: folder.clone(), map: self.map };
             checkpoints.save(self.spec, &erasure.snapshot(snapshot), 1)?;
         }
         Ok(self.disk.sync_folder(&folder).map_err(store_io(folder))?)
@@ -192,6 +196,8 @@ impl Rewrite<'_> {
         replay_from: u64,
     ) -> Result<(), EraseError> {
         let (first, replay) = self.events(known, replay_from)?;
+        let checkpoints = Checkpoints { disk: &**self.disk, folder: new.join("checkpoints"), map: self.map };
+        checkpoints.begin_log(first)?;
         let new_folder = new.join("log");
         let cursor = create_log(&**self.disk, &new_folder, self.map.0, first).map_err(store_io(&new_folder))?;
         let segment_bytes = self.options.segment_bytes;
@@ -220,8 +226,8 @@ impl Rewrite<'_> {
         // A map of format 1 has its history in its log.
         let first = names.iter().find_map(|name| segment_position(name)).filter(|_| !self.history_complete);
         let first = first.unwrap_or(replay_from).min(replay_from);
-        let expected = Expectation { map: self.map.0, replay_from: first, known };
-        let read = recovery::read(&**self.disk, &folder, &expected, &mut Vec::new())?;
+        let expected = Expectation { map: self.map.0, replay_from: first, known, is_listed: true };
+        let read = recovery::read(&**self.disk, &folder, &expected)?;
         let end = read.cursor.position - 1;
         Ok((first, Replay::new(Arc::clone(self.disk), folder, read.segments, first, end)))
     }

@@ -56,6 +56,21 @@ pub enum OpenError {
     /// A file other than the log is damaged and cannot be rebuilt.
     #[error("{} is damaged: {reason}. Restore it from a backup of this data directory", shown(.file))]
     Damaged { file: PathBuf, reason: String },
+    /// A list of what must exist is missing or damaged, and it is not proven that all is there.
+    #[error(
+        "{} is lost: {problem}. It lists what must exist, so acknowledged observations may be lost with it. Stop the \
+         daemon and run tidemapd check, which says what to do",
+        shown(.file)
+    )]
+    ListLost { file: PathBuf, problem: String },
+    /// The data directory is not the one that is expected.
+    #[error(
+        "{} {}, and the setting expect_store_id is {expected}: is the disk with the data mounted? Nothing has been \
+         changed. If this folder is the right one, change the setting",
+        .directory.display(),
+        .found.as_ref().map_or_else(|| "holds no data yet".to_owned(), |found| format!("has the store id {found}"))
+    )]
+    OtherStore { directory: PathBuf, expected: String, found: Option<String> },
     /// There is no such map.
     #[error("there is no map number {}", .0.0)]
     UnknownMap(MapId),
@@ -80,6 +95,13 @@ pub enum StoreError {
     /// The bytes read back differ from the bytes written.
     #[error("{} is not read back as it was written: {reason}. Check the disk", shown(.file))]
     NotReadBack { file: PathBuf, reason: String },
+    /// A list of what must exist is missing or damaged; a new one would hide what is lost.
+    #[error(
+        "{} is lost: {problem}. Nothing is written that would hide what is lost. Stop the daemon and run tidemapd \
+         check, which says what to do",
+        shown(.file)
+    )]
+    ListLost { file: PathBuf, problem: String },
     /// The disk is full.
     #[error("the disk is full: {} has not been written. Free some space", shown(.file))]
     DiskFull { file: PathBuf },
@@ -205,8 +227,11 @@ pub enum Report {
     IndexSetAside { folder: PathBuf, reason: String },
     /// An earlier version wrote the index, and it was dropped; it is written again from the checkpoints.
     IndexDropped,
-    /// A list of the files that must exist was damaged; it was made again of those that exist.
-    ListMade { file: PathBuf, reason: &'static str },
+    /// A list of the files that must exist was damaged or missing. Other files prove that all are there, and it was
+    /// made again.
+    ListMade { file: PathBuf, reason: String },
+    /// A file that must exist is missing, and nothing is lost by it: others hold the same.
+    SpareMissing { file: PathBuf },
     /// A map is listed, but was not; its creation was interrupted, or its folder was put there.
     MapListed { map: MapId },
     /// The index of a map was written again from its checkpoint.
@@ -235,7 +260,10 @@ impl fmt::Display for Report {
                 write!(f, "dropped the index, which an earlier version wrote; it is written again from the checkpoints")
             }
             Report::ListMade { file, reason } => {
-                write!(f, "made {} again of the files that exist: {reason}", shown(file))
+                write!(f, "made {} again of the files that exist, which prove to be all: {reason}", shown(file))
+            }
+            Report::SpareMissing { file } => {
+                write!(f, "{} is missing. Nothing is lost by it, but find out who removed it", shown(file))
             }
             Report::MapListed { map } => write!(f, "listed map number {}, which was not listed", map.0),
             Report::IndexRebuilt { map, reason } => {

@@ -26,6 +26,7 @@ use tidemap_migrations::{
         site as v2_site,
     },
     v3::lists::{ErasureCount, ErasureOrder, FileList, MapList, NewestSegment, TextList},
+    v4::lists::{CheckpointList, LossList},
 };
 use tidemap_model::Periodicities;
 
@@ -301,12 +302,14 @@ pub fn list(bytes: &[u8]) {
         drop(L::from_text(lines));
     }
     let Some((&first, rest)) = bytes.split_first() else { return };
-    match first % 5 {
+    match first % 7 {
         0 => read::<MapList>(rest),
         1 => read::<FileList>(rest),
         2 => read::<NewestSegment>(rest),
         3 => read::<ErasureOrder>(rest),
-        _ => read::<ErasureCount>(rest),
+        4 => read::<ErasureCount>(rest),
+        5 => read::<CheckpointList>(rest),
+        _ => read::<LossList>(rest),
     }
 }
 

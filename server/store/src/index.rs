@@ -36,6 +36,34 @@ const LOCK_PAUSE: Duration = Duration::from_millis(20);
 /// The reason why an index must be replaced as a whole.
 pub(crate) type Damage = String;
 
+/// Another process has the index open, which is no damage.
+#[derive(Debug)]
+pub(crate) struct IndexInUse;
+
+/// Why an index is not opened.
+#[derive(Debug)]
+pub(crate) enum Unopened {
+    /// Another process has it open.
+    InUse,
+    /// It is damaged.
+    Damaged(Damage),
+}
+
+impl From<Damage> for Unopened {
+    fn from(damage: Damage) -> Self {
+        Unopened::Damaged(damage)
+    }
+}
+
+impl From<Unopened> for Damage {
+    fn from(unopened: Unopened) -> Self {
+        match unopened {
+            Unopened::InUse => "another process has it open".to_owned(),
+            Unopened::Damaged(damage) => damage,
+        }
+    }
+}
+
 /// The open database.
 struct Trees {
     db: sled::Db,
@@ -108,13 +136,14 @@ pub(crate) enum OpenRepair {
 }
 
 impl Trees {
-    fn open(folder: &Path, cache_bytes: u64) -> Result<Trees, Damage> {
+    fn open(folder: &Path, cache_bytes: u64) -> Result<Trees, Unopened> {
         panics::catch(|| {
             folder::remove_unfinished_snapshots(folder).map_err(|error| error.to_string())?;
             // sled only logs a failed fsync of its own; here every flush is followed by an fsync of ours.
             let config = sled::Config::new().path(folder).cache_capacity(cache_bytes).flush_every_ms(None);
             let text = |error: sled::Error| error.to_string();
-            let db = open_unlocked(&config).map_err(text)?;
+            let db = open_unlocked(&config)
+                .map_err(|error| if is_in_use(&error) { Unopened::InUse } else { text(error).into() })?;
             let tree = |kind: Kind| db.open_tree(kind.name()).map_err(text);
             let [states, tiles, cells, sites, producers] = Kind::ALL.map(tree);
             Ok(Trees {
@@ -147,24 +176,29 @@ impl Trees {
 fn open_unlocked(config: &sled::Config) -> sled::Result<sled::Db> {
     let mut opened = config.open();
     for _ in 0..LOCK_TRIES {
-        match &opened {
-            Err(sled::Error::Io(error)) if error.to_string().contains("could not acquire lock") => {
-                std::thread::sleep(LOCK_PAUSE);
-                opened = config.open();
-            }
-            _ => break,
+        if !opened.as_ref().is_err_and(is_in_use) {
+            break;
         }
+        std::thread::sleep(LOCK_PAUSE);
+        opened = config.open();
     }
     opened
+}
+
+fn is_in_use(error: &sled::Error) -> bool {
+    matches!(error, sled::Error::Io(error) if error.to_string().contains("could not acquire lock"))
 }
 
 impl Index {
     /// Opens the index. One that cannot be opened is renamed and an empty one created, one of an earlier build is
     /// replaced by an empty one; the second value reports that.
-    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> (Index, Option<OpenRepair>) {
+    ///
+    /// # Errors
+    /// [`IndexInUse`]; nothing is changed.
+    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> Result<(Index, Option<OpenRepair>), IndexInUse> {
         let mut index = Index { folder, cache_bytes, trees: None, written: BTreeMap::new() };
-        let opened = rewrite::remove_leftovers(&index.folder).map_err(|error| error.to_string());
-        match opened.and_then(|()| Trees::open(&index.folder, cache_bytes)) {
+        let opened = rewrite::remove_leftovers(&index.folder).map_err(|error| Unopened::Damaged(error.to_string()));
+        Ok(match opened.and_then(|()| Trees::open(&index.folder, cache_bytes)) {
             Ok(trees) if trees.is_old() => {
                 index.trees = Some(trees);
                 let dropped = index
@@ -176,16 +210,17 @@ impl Index {
                 index.trees = Some(trees);
                 (index, None)
             }
-            Err(damage) => {
+            Err(Unopened::InUse) => return Err(IndexInUse),
+            Err(Unopened::Damaged(damage)) => {
                 let aside = index.replace();
                 let aside = aside.unwrap_or_else(|_| index.folder.clone());
                 (index, Some(OpenRepair::SetAside(aside, damage)))
             }
-        }
+        })
     }
 
     /// Opens the index as it is, to look at it.
-    pub(crate) fn inspect(folder: PathBuf, cache_bytes: u64) -> Result<Index, Damage> {
+    pub(crate) fn inspect(folder: PathBuf, cache_bytes: u64) -> Result<Index, Unopened> {
         let trees = Some(Trees::open(&folder, cache_bytes)?);
         Ok(Index { folder, cache_bytes, trees, written: BTreeMap::new() })
     }

@@ -19,6 +19,7 @@ mod history;
 mod index;
 mod list_file;
 mod log;
+mod losses;
 mod map_log;
 mod record;
 mod record_file;
@@ -32,7 +33,7 @@ mod simulation;
 mod tests;
 
 pub use backup::{BackupError, BackupReport, is_backup_of, link_backup, restore};
-pub use check::{Checked, Finding, check};
+pub use check::{Checked, Finding, Mode, Outcome, check};
 pub use committer::{CommitFollower, CommitStep, GroupFollower, SyncStats};
 pub use erasure::Erased;
 pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, Scanner, StoreError};
@@ -42,6 +43,7 @@ pub use map_log::MapLog;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use scrub::Pace;
 pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store, StoreOptions};
+pub use tidemap_migrations::v4::lists::Loss;
 pub use trouble::Trouble;
 
 /// Number of a map within its store, from 1, never reused; also the name of its folder.

@@ -9,7 +9,7 @@ use tidemap_migrations::v3::lists::TextList;
 
 use crate::{
     disk::{Disk, read_all},
-    error::{OpenError, Report, open_io},
+    error::{OpenError, StoreError, open_io, store_io},
 };
 
 /// Suffix of a list that is being written.
@@ -35,6 +35,30 @@ impl Unlisted {
             Unlisted::Io(error) => error.to_string(),
         }
     }
+
+    /// What is wrong with a list that is lost; an error of the disk tells nothing of the list.
+    pub(crate) fn lost(self) -> io::Result<String> {
+        match self {
+            Unlisted::Io(error) => Err(error),
+            lost => Ok(lost.problem()),
+        }
+    }
+
+    /// Why a change of the list fails.
+    pub(crate) fn changing(self, file: &Path) -> StoreError {
+        match self.lost() {
+            Ok(problem) => StoreError::ListLost { file: file.to_owned(), problem },
+            Err(error) => store_io(file)(error),
+        }
+    }
+
+    /// Why what needs the list is not opened.
+    pub(crate) fn opening(self, file: &Path) -> OpenError {
+        match self.lost() {
+            Ok(problem) => OpenError::ListLost { file: file.to_owned(), problem },
+            Err(error) => open_io(file)(error),
+        }
+    }
 }
 
 /// Reads a list.
@@ -44,23 +68,6 @@ pub(crate) fn read<L: TextList>(disk: &dyn Disk, file: &Path) -> Result<L, Unlis
         _ => Unlisted::Io(error),
     })?;
     L::from_text(&bytes).map_err(Unlisted::Damaged)
-}
-
-/// Reads a list when its folder is opened; `None` where it must be made again, which is reported if it is damaged.
-pub(crate) fn open<L: TextList>(
-    disk: &dyn Disk,
-    file: &Path,
-    reports: &mut Vec<Report>,
-) -> Result<Option<L>, OpenError> {
-    match read(disk, file) {
-        Ok(list) => Ok(Some(list)),
-        Err(Unlisted::Absent) => Ok(None),
-        Err(Unlisted::Damaged(reason)) => {
-            reports.push(Report::ListMade { file: file.to_owned(), reason });
-            Ok(None)
-        }
-        Err(Unlisted::Io(error)) => Err(open_io(file)(error)),
-    }
 }
 
 /// Writes a list in the place of the old one.

@@ -12,13 +12,13 @@ use std::{
 use tidemap_migrations::{
     v1::log::{FRAME_HEADER_LENGTH, SEGMENT_HEADER_LENGTH, SegmentHeader},
     v2::log::FrameHeader,
-    v3::lists::MAPS_FILE,
+    v3::lists::{MAPS_FILE, MapList, NEWEST_FILE, NewestSegment},
 };
 
 use crate::{
     MapId, Store,
     error::{HistoryError, is_shortage},
-    list_file,
+    list_file::{self, Unlisted},
     log::{segment_path, segment_position},
     record_file::check_total_paced,
     store::{MapEntry, OpenStore, catalogue},
@@ -58,8 +58,8 @@ impl Round<'_> {
     fn run(&mut self) -> Result<(), Ended> {
         let list = self.store.directory.join(MAPS_FILE);
         self.look(&list, |round| {
-            let read = list_file::read::<tidemap_migrations::v3::lists::MapList>(&*round.store.disk, &list);
-            read.map(drop).map_err(|unlisted| unlisted.problem())
+            let read = list_file::read::<MapList>(&*round.store.disk, &list);
+            read.map(drop).map_err(Unlisted::problem)
         })?;
         for (map, entry) in self.store.entries() {
             self.history(map)?;
@@ -139,13 +139,27 @@ impl Round<'_> {
 
     fn checkpoints(&mut self, map: MapId) -> Result<(), Ended> {
         let folder = catalogue::checkpoints_folder(&self.store.directory, map);
-        for position in self.store.checkpoints(map).positions().unwrap_or_default() {
+        let list = self.store.checkpoints(map).list_path();
+        self.look(&list, |round| {
+            let listed = round.store.checkpoints(map).listed();
+            listed.map(drop).map_err(Unlisted::problem)
+        })?;
+        let is_there = self.is_there(map);
+        self.forget_unless(&list, is_there);
+        let mut positions = self.store.checkpoints(map).positions().unwrap_or_default();
+        let listed = self.store.checkpoints(map).listed().map(|list| list.checkpoints).unwrap_or_default();
+        positions.extend(listed);
+        positions.sort_unstable();
+        positions.dedup();
+        for position in positions {
             let file = self.store.checkpoints(map).path(position);
             self.look(&file, |round| round.total(&file).map(drop))?;
-            // An older checkpoint is deleted when a newer one is written.
+            // An older checkpoint is deleted when a newer one is written; before, it is listed no longer.
             let names = self.store.disk.list(&folder).unwrap_or_default();
             let is_there = names.iter().any(|name| file.file_name().is_some_and(|file| file == name.as_str()));
-            self.forget_unless(&file, is_there);
+            let listed = self.store.checkpoints(map).listed();
+            let is_listed = listed.is_ok_and(|list| list.checkpoints.contains(&position)) && self.is_there(map);
+            self.forget_unless(&file, is_there || is_listed);
         }
         Ok(())
     }
@@ -169,7 +183,13 @@ impl Round<'_> {
             let names = self.store.disk.list(&folder).unwrap_or_default();
             names.iter().filter_map(|name| segment_position(name)).collect()
         };
+        self.newest_listed(map, &folder)?;
         let known = segments();
+        // Read after the names: a segment is listed no longer before it is deleted.
+        let begin = self.store.checkpoints(map).listed().map_or(u64::MAX, |list| list.first_record);
+        if known.first().is_some_and(|&first| begin < first) {
+            self.tell(&segment_path(&folder, begin), Some("it is missing".to_owned()));
+        }
         for (place, &first) in known.iter().enumerate() {
             let last = known.get(place + 1).map_or(end, |next| next - 1).min(end);
             let file = segment_path(&folder, first);
@@ -179,6 +199,24 @@ impl Round<'_> {
             let oldest = now.iter().find_map(|name| segment_position(name)).unwrap_or(u64::MAX);
             self.forget_unless(&file, first >= oldest && self.is_there(map));
         }
+        Ok(())
+    }
+
+    /// Checks the list of the newest segment.
+    fn newest_listed(&mut self, map: MapId, folder: &Path) -> Result<(), Ended> {
+        let list = folder.join(NEWEST_FILE);
+        self.look(&list, |round| {
+            let listed = list_file::read::<NewestSegment>(&*round.store.disk, &list).map_err(Unlisted::problem)?;
+            let segment = segment_path(folder, listed.first_position);
+            match round.store.disk.length(&segment) {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    Err(format!("the segment that it names, {}, is missing", listed.first_position))
+                }
+                _ => Ok(()),
+            }
+        })?;
+        let is_there = self.is_there(map);
+        self.forget_unless(&list, is_there);
         Ok(())
     }
 

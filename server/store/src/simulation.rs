@@ -2,8 +2,27 @@
 //!
 //! Each run follows from its seed alone.
 
+use std::{path::Path, sync::Arc};
+
+use tidemap_migrations::FORMAT;
+
+use crate::{disk::Disk, store::lists};
+
 mod crash;
 mod disk;
 mod erasures;
 mod faults;
 mod machine;
+
+/// The data directory on simulated disks.
+const DIRECTORY: &str = "/data";
+
+/// Makes the data directory of a new store.
+fn make_directory(disk: &disk::SimulatedDisk) {
+    for folder in [DIRECTORY, "/data/maps"] {
+        disk.create_folder(Path::new(folder)).expect("created");
+        disk.sync_folder(Path::new(folder).parent().expect("has one")).expect("synced");
+    }
+    let disk: Arc<dyn Disk> = Arc::new(disk.clone());
+    lists::make_new(&disk, Path::new(DIRECTORY), 0, FORMAT).expect("a new store gets its list of maps");
+}

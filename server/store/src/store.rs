@@ -11,16 +11,18 @@ use std::{
 };
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec, update::SpectrumRoom};
+use tidemap_migrations::v4::lists::Loss;
 
 use crate::{
     MapId,
     checkpoint::{Checkpoints, spectra},
     committer::{CommitFollower, Committer, SyncStats},
     disk::Disk,
-    error::{HistoryError, Report, StoreError, store_io},
+    error::{AppendError, HistoryError, OpenError, Report, StoreError, store_io},
     history::History,
     index::Index,
-    log::{Log, replay::Replay},
+    log::{Log, replay::Replay, writer::LogWriter},
+    losses,
     map_log::MapLog,
     trouble::Trouble,
 };
@@ -28,6 +30,7 @@ use crate::{
 pub(crate) mod catalogue;
 mod contents;
 mod erase;
+pub(crate) mod lists;
 pub(crate) mod lock;
 pub(crate) mod open;
 mod open_map;
@@ -52,6 +55,8 @@ pub struct StoreOptions {
     pub checkpoints_kept: usize,
     /// Identity of the store if it is created now: 16 random bytes as 32 lower-case hexadecimal digits.
     pub new_store_id: String,
+    /// The identity that the store must have. No other store is opened then, and none is created.
+    pub expected_store_id: Option<String>,
 }
 
 impl Default for StoreOptions {
@@ -63,6 +68,7 @@ impl Default for StoreOptions {
             spectrum_cache_bytes: 64 << 20,
             checkpoints_kept: 2,
             new_store_id: String::new(),
+            expected_store_id: None,
         }
     }
 }
@@ -84,6 +90,7 @@ pub(crate) struct OpenStore {
     pub(crate) disk: Arc<dyn Disk>,
     options: StoreOptions,
     store_id: String,
+    is_new: bool,
     reports: Vec<Report>,
     /// Held for a look-up, and while a map is created so that no two maps get the same number.
     maps: Mutex<Maps>,
@@ -94,7 +101,7 @@ pub(crate) struct OpenStore {
     pub(crate) committer: Arc<Committer>,
     thread: Mutex<Option<JoinHandle<()>>>,
     /// The last field, so that it is released after everything else is closed.
-    _lock: Option<Lock>,
+    _lock: Option<Arc<Lock>>,
 }
 
 struct Maps {
@@ -294,6 +301,35 @@ impl Store {
         })
     }
 
+    /// Whether the store was created when it was opened.
+    pub fn is_new(&self) -> bool {
+        self.inner.is_new
+    }
+
+    /// What was lost, and accepted as lost, in the order of its acceptance.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the file of it is damaged.
+    pub fn losses(&self) -> Result<Vec<Loss>, OpenError> {
+        losses::read(&*self.inner.disk, &self.inner.directory)
+    }
+
+    /// Looks whether the folder and the logs are still those that are held; if not, nothing is appended any more. Gives
+    /// the reason why appends have stopped, if they have. Waits for the disk.
+    pub fn verify(&self) -> Option<AppendError> {
+        let inner = &*self.inner;
+        inner.committer.check_lock();
+        for (_, entry) in inner.entries() {
+            // A log that is being written is checked by that.
+            let Some(log) = &entry.log else { continue };
+            let Ok(writer) = log.writer.try_lock() else { continue };
+            if let Some(Err(error)) = writer.as_ref().map(LogWriter::verify) {
+                inner.committer.poison_with(error);
+            }
+        }
+        inner.committer.poison()
+    }
+
     /// What was repaired when the store was opened.
     pub fn reports(&self) -> &[Report] {
         &self.inner.reports
@@ -337,6 +373,8 @@ impl Store {
     /// or only freeing its space failed, and the next start does that.
     pub fn delete_map(&self, map: MapId) -> Result<(), StoreError> {
         let inner = &*self.inner;
+        // Without the list the deletion could not be completed.
+        catalogue::read_list(&*inner.disk, &inner.directory)?;
         if inner.maps().set_aside.remove(&map).is_some() {
             match catalogue::mark_deleted(&*inner.disk, &inner.directory, map) {
                 // Its folder may be what is missing.

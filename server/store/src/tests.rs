@@ -14,6 +14,7 @@ mod grid_life;
 mod grid_records;
 mod history;
 mod life;
+mod losses;
 mod missing;
 mod round_trip;
 mod scans;

@@ -1,12 +1,12 @@
-//! What is wrong with the storage now: a full disk, saves that fail, an index that cannot be written, files
-//! that are damaged.
+//! What is wrong with the storage now: a full disk, lists that are lost, saves that fail, an index that cannot be
+//! written, files that are damaged.
 //!
 //! Invariant: looking never waits for the disk. What has ended is no longer told.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{
         Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
@@ -33,6 +33,14 @@ pub enum Trouble {
     },
     /// There is no index. A start takes longer.
     NoIndex,
+    /// A list of what must exist was lost before the start, and it is not proven that all is there. What it covers is
+    /// refused.
+    ListLost {
+        /// The file, within the data directory.
+        file: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
     /// A file is damaged or missing, as the last look at it has found.
     Damaged {
         /// The file, within the data directory.
@@ -53,6 +61,15 @@ impl fmt::Display for Trouble {
                 let file = file.display();
                 write!(f, "{file} is damaged: {problem}. Make a backup, stop the daemon, and run tidemapd check")
             }
+            Trouble::ListLost { file, problem } => {
+                let file = file.display();
+                write!(
+                    f,
+                    "{file} is lost: {problem}. It lists what must exist, so acknowledged observations may be lost with \
+                     it, and what it covers is refused. Restore it from a backup of this folder; or stop the daemon and \
+                     run tidemapd check, which says what is lost and how to go on without"
+                )
+            }
             Trouble::NoIndex => write!(f, "the index cannot be written: the next start takes longer and repairs it"),
         }
     }
@@ -65,6 +82,7 @@ pub(crate) struct Watch {
     not_saved: Mutex<BTreeMap<MapId, String>>,
     has_no_index: AtomicBool,
     damaged: Mutex<BTreeMap<PathBuf, String>>,
+    lost: Mutex<BTreeMap<PathBuf, String>>,
 }
 
 impl Watch {
@@ -87,6 +105,11 @@ impl Watch {
         self.has_no_index.store(!is_available, Ordering::Relaxed);
     }
 
+    /// Lists that are lost, with what is wrong with them.
+    pub(crate) fn lost(&self, lists: BTreeMap<PathBuf, String>) {
+        *self.lost.lock().unwrap_or_else(PoisonError::into_inner) = lists;
+    }
+
     /// A file was read again: its problem, if it has one.
     pub(crate) fn damaged(&self, file: PathBuf, problem: Option<String>) {
         let mut damaged = self.damaged.lock().unwrap_or_else(PoisonError::into_inner);
@@ -102,6 +125,11 @@ impl Watch {
         damaged.retain(|file, _| files.contains(file));
     }
 
+    /// Files below a folder are gone for good, and none of those that must exist: nothing more is told of them.
+    pub(crate) fn forget(&self, is_forgotten: impl Fn(&Path) -> bool) {
+        self.damaged.lock().unwrap_or_else(PoisonError::into_inner).retain(|file, _| !is_forgotten(file));
+    }
+
     /// What is wrong now.
     pub(crate) fn trouble(&self) -> Vec<Trouble> {
         let full_since = *self.full_since.lock().unwrap_or_else(PoisonError::into_inner);
@@ -114,7 +142,10 @@ impl Watch {
         let damaged = damaged.iter();
         let damaged = damaged.map(|(file, problem)| Trouble::Damaged { file: file.clone(), problem: problem.clone() });
         let index = has_no_index.then_some(Trouble::NoIndex);
-        full.into_iter().chain(not_saved).chain(index).chain(damaged).collect()
+        let lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner);
+        let lost = lost.iter();
+        let lost = lost.map(|(file, problem)| Trouble::ListLost { file: file.clone(), problem: problem.clone() });
+        full.into_iter().chain(lost).chain(not_saved).chain(index).chain(damaged).collect()
     }
 }
 

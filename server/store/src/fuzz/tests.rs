@@ -60,6 +60,7 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
             0 => example::snapshot(&spec, POSITION, states),
             _ => grid_example::snapshot(&spec, POSITION, states as u32),
         };
+        checkpoints.list(&CheckpointList::default()).unwrap_or_else(|error| panic!("{error}"));
         checkpoints.save(&spec, &snapshot, 1).unwrap_or_else(|error| panic!("{error}"));
         let file = disk.bytes(&checkpoints.path(POSITION)).expect("written");
         add("checkpoint", has_grid, &as_parts(&file));
@@ -102,6 +103,8 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
     add("list", 1, b"file 00000000000000000015.states.tmh 0 3600000000000 1a2b3c4d\n");
     add("list", 2, b"segment 1\n");
     add("list", 4, b"count 3\n");
+    add("list", 5, b"first 101\ncheckpoint 120\n");
+    add("list", 6, b"loss 5 maps/00000001/HISTORY it is missing\n");
     found
 }
 

@@ -5,11 +5,12 @@
 
 use std::path::{Path, PathBuf};
 
+use tidemap_map::{grid::spec::Retention, spec::MapSpec};
 use tidemap_migrations::v3::lists::{FileList, HISTORY_FILE, ListedFile};
 
 use super::{History, Part};
 use crate::{
-    error::{HistoryError, OpenError, Report, StoreError, store_io},
+    error::{HistoryError, OpenError, StoreError, open_io, store_io},
     list_file::{self, Unlisted},
 };
 
@@ -22,9 +23,10 @@ impl History {
     pub(crate) fn listed(&self) -> Result<FileList, HistoryError> {
         let file = self.list_path();
         list_file::read(&*self.disk, &file).map_err(|unlisted| match unlisted {
-            Unlisted::Absent => HistoryError::Damaged { file, reason: "it was removed".to_owned() },
-            Unlisted::Damaged(reason) => HistoryError::Damaged { file, reason: reason.to_owned() },
             Unlisted::Io(source) => HistoryError::Io { file, source },
+            lost => {
+                HistoryError::Damaged { file, reason: format!("{}, so what must be there is unknown", lost.problem()) }
+            }
         })
     }
 
@@ -62,14 +64,7 @@ impl History {
 
     pub(super) fn add_to_list(&self, written: Vec<ListedFile>) -> Result<(), StoreError> {
         let path = self.list_path();
-        let mut list: FileList = match list_file::read(&*self.disk, &path) {
-            Ok(list) => list,
-            Err(Unlisted::Absent) => return Err(store_io(path)(std::io::ErrorKind::NotFound.into())),
-            Err(Unlisted::Damaged(reason)) => {
-                return Err(StoreError::NotReadBack { file: path, reason: reason.to_owned() });
-            }
-            Err(Unlisted::Io(error)) => return Err(store_io(path)(error)),
-        };
+        let mut list: FileList = list_file::read(&*self.disk, &path).map_err(|unlisted| unlisted.changing(&path))?;
         // A save that is repeated after a crash writes the same file again.
         list.files.retain(|listed| written.iter().all(|file| file.name != listed.name));
         list.files.extend(written);
@@ -85,20 +80,35 @@ impl History {
         list_file::replace(&*self.disk, &file, &list).map_err(|source| HistoryError::Io { file, source })
     }
 
-    /// Makes the list of the files that exist where there is none: before format 3 there was none. A file that cannot
-    /// be read is not listed; reading it is an error anyway.
-    pub(crate) fn make_list(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
+    /// Makes the list again of the files that exist. A file that cannot be read is not listed; reading it is an error
+    /// anyway.
+    pub(crate) fn make_list(&self) -> Result<(), OpenError> {
         let path = self.list_path();
-        if list_file::open::<FileList>(&*self.disk, &path, reports)?.is_some() {
-            return Ok(());
-        }
-        let names = self.names().map_err(crate::error::open_io(&self.folder))?;
+        let names = self.names().map_err(open_io(&self.folder))?;
         let entry = |name: String| {
             let (generation, _) = Part::of(&name)?;
             self.entry(&self.folder.join(&name), name, generation).ok()
         };
         let mut list = FileList { files: names.into_iter().filter_map(entry).collect() };
         list.files.sort();
-        list_file::replace(&*self.disk, &path, &list).map_err(crate::error::open_io(path))
+        list_file::replace(&*self.disk, &path, &list).map_err(open_io(path))
+    }
+
+    /// Whether the files that exist prove to be all, without a list: nothing is kept, or there is a sound file of each
+    /// part for every generation up to the newest that is saved; `None`: none is saved yet.
+    pub(crate) fn is_whole(&self, spec: &MapSpec, newest: Option<u64>) -> bool {
+        let grid = spec.grid.as_ref().map_or(Retention::None, |grid| grid.retention);
+        let Ok(names) = self.names() else { return false };
+        let newest = newest.unwrap_or(0);
+        [(Part::States, spec.retention), (Part::Grid, grid)].into_iter().all(|(part, retention)| match retention {
+            Retention::None => true,
+            // What is too old may have been deleted.
+            Retention::Duration(_) => newest == 0,
+            // A map of format 1 has no files of its first generations.
+            Retention::Forever => (1..=newest).all(|generation| {
+                names.contains(&part.name(generation))
+                    && self.entry(&self.path(generation, part), part.name(generation), generation).is_ok()
+            }),
+        })
     }
 }

@@ -87,7 +87,7 @@ mod tests {
     fn a_rewritten_index_publishes_the_same_and_leaves_nothing_behind() {
         let directory = tempfile::tempdir().expect("temporary directory");
         let folder = directory.path().join("index");
-        let (mut index, repair) = Index::open(folder.clone(), 1 << 20);
+        let (mut index, repair) = Index::open(folder.clone(), 1 << 20).expect("not in use");
         assert_eq!(repair, None);
         let spec = spec("office");
         let saved = [snapshot(&spec, 10, 3), snapshot(&spec, 15, 4)];
@@ -101,7 +101,7 @@ mod tests {
         index.close();
         // What an interrupted rewrite leaves is removed.
         std::fs::create_dir(directory.path().join("index.new")).expect("writable");
-        let (mut index, repair) = Index::open(folder, 1 << 20);
+        let (mut index, repair) = Index::open(folder, 1 << 20).expect("not in use");
         assert_eq!(repair, None);
         assert_eq!(index.check(1), Ok(RowsState::Whole { position: 10, generation: 2 }));
         assert_eq!(std::fs::read_dir(directory.path()).expect("readable").count(), 1);
@@ -114,9 +114,9 @@ mod tests {
         let old = sled::open(&folder).expect("opens");
         old.open_tree("states").expect("opens").insert("1", "a state with its sums").expect("inserts");
         drop(old);
-        let (mut index, repair) = Index::open(folder.clone(), 1 << 20);
+        let (mut index, repair) = Index::open(folder.clone(), 1 << 20).expect("not in use");
         assert_eq!((repair, index.is_available()), (Some(OpenRepair::Dropped), true));
         index.close();
-        assert_eq!(Index::open(folder, 1 << 20).1, None);
+        assert_eq!(Index::open(folder, 1 << 20).expect("not in use").1, None);
     }
 }

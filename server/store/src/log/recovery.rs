@@ -13,7 +13,7 @@ use tidemap_migrations::{
 use crate::{
     disk::{Disk, read_all},
     error::{OpenError, Report, open_io},
-    list_file,
+    list_file::{self, Unlisted},
     log::{
         Progress,
         frame::{Cursor, has_unwritten_sector, is_followed, next_frame},
@@ -38,6 +38,8 @@ pub(crate) struct Expectation {
     pub(crate) replay_from: u64,
     /// The last record that a checkpoint or the index knows; the log cannot end before it.
     pub(crate) known: u64,
+    /// Whether the newest segment must be listed; older formats have no such list.
+    pub(crate) is_listed: bool,
 }
 
 fn corrupt(file: &Path, offset: usize, position: u64, reason: impl Into<String>) -> OpenError {
@@ -61,7 +63,7 @@ pub(crate) struct Read {
 /// Reads the log from the segment that holds `replay_from`, cuts off a torn tail, and makes the rest durable.
 pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Result<Recovered, OpenError> {
     let mut reports = Vec::new();
-    let read = read(disk, folder, expected, &mut reports)?;
+    let read = read(disk, folder, expected)?;
     let Read { segments, cursor, progress, listed, unfinished, torn } = read;
     let newest = segment_path(folder, segments.last().copied().unwrap_or(1));
     if let Some(file) = unfinished {
@@ -85,15 +87,15 @@ pub(crate) fn recover(disk: &dyn Disk, folder: &Path, expected: &Expectation) ->
 }
 
 /// Reads the log from the segment that holds `replay_from`, and changes nothing.
-pub(crate) fn read(
-    disk: &dyn Disk,
-    folder: &Path,
-    expected: &Expectation,
-    reports: &mut Vec<Report>,
-) -> Result<Read, OpenError> {
+pub(crate) fn read(disk: &dyn Disk, folder: &Path, expected: &Expectation) -> Result<Read, OpenError> {
     let names = disk.list(folder).map_err(open_io(folder))?;
     let mut segments: Vec<u64> = names.iter().filter_map(|name| segment_position(name)).collect();
-    let listed: Option<NewestSegment> = list_file::open(disk, &folder.join(NEWEST_FILE), reports)?;
+    let list = folder.join(NEWEST_FILE);
+    let listed: Option<NewestSegment> = match list_file::read(disk, &list) {
+        Ok(listed) => Some(listed),
+        Err(Unlisted::Absent) if !expected.is_listed => None,
+        Err(unlisted) => return Err(unlisted.opening(&list)),
+    };
     let unfinished = unfinished_segment(disk, folder, &segments)?;
     if unfinished.is_some() {
         segments.pop();

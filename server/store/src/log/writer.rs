@@ -117,16 +117,22 @@ impl LogWriter {
     /// Makes the written group durable. After an error the content of the disk is unknown.
     pub(crate) fn sync(&mut self) -> Result<(), AppendError> {
         self.file.sync().map_err(|error| Self::poisoned(&self.path, &error))?;
-        // The records of a file that nobody can find again are lost, although the disk has them. A look takes
-        // microseconds beside a sync.
-        if !self.file.is_at(&self.path) {
-            let reason = "it was removed or replaced while the daemon ran".to_owned();
-            return Err(AppendError::Poisoned { file: self.path.clone(), reason });
-        }
+        self.verify()?;
         if let Some((length, next_position, chain)) = self.written.take() {
             (self.length, self.next_position, self.chain) = (length, next_position, chain);
         }
         Ok(())
+    }
+
+    /// Looks whether the file is still the one that was written, as long as it was written: the records of a file that
+    /// nobody can find again, or that was cut, are lost although the disk has taken them. A look takes microseconds
+    /// beside a sync.
+    pub(crate) fn verify(&self) -> Result<(), AppendError> {
+        let length = self.written.map_or(self.length, |(length, ..)| length);
+        match self.file.problem(&self.path, length) {
+            Some(reason) => Err(AppendError::Poisoned { file: self.path.clone(), reason: reason.to_owned() }),
+            None => Ok(()),
+        }
     }
 
     /// Creates the next segment. All records of the current one are durable.

@@ -8,7 +8,10 @@ use tidemap_map::{
 };
 use tidemap_model::Sample;
 
-use super::disk::{Fault, SimulatedDisk};
+use super::{
+    disk::{Fault, SimulatedDisk},
+    make_directory,
+};
 use crate::{
     EraseError, MapId, OpenError, Report, Store, StoreOptions,
     committer::Committer,
@@ -41,6 +44,7 @@ fn started(disk: &SimulatedDisk, committer: &Arc<Committer>) -> Result<Store, Op
         directory: "/data".into(),
         options: StoreOptions { segment_bytes: 1200, spectrum_cache_bytes: 100, ..StoreOptions::default() },
         store_id: String::new(),
+        is_new: false,
         index: Index::none(),
         committer: Arc::clone(committer),
         reports: Vec::new(),
@@ -60,10 +64,7 @@ fn content(store: &Store, spec: &MapSpec) -> Content {
 /// A disk with a map, and the map without the states.
 fn filled(spec: &MapSpec) -> (SimulatedDisk, Content, Content) {
     let disk = SimulatedDisk::new(SmallRng::seed_from_u64(5));
-    for folder in ["/data", "/data/maps"] {
-        disk.create_folder(Path::new(folder)).expect("created");
-        disk.sync_folder(Path::new(folder).parent().expect("has one")).expect("synced");
-    }
+    make_directory(&disk);
     let committer = Arc::default();
     let store = started(&disk, &committer).expect("starts");
     store.create_map(spec).expect("creates");

@@ -11,7 +11,7 @@ use tidemap_map::{
     spec::MapSpec,
 };
 
-use super::disk::SimulatedDisk;
+use super::{DIRECTORY, disk::SimulatedDisk, make_directory};
 use crate::{
     AppendError, MapId, MapLog, OpenError, Store, StoreOptions,
     committer::Committer,
@@ -25,7 +25,6 @@ use crate::{
     },
 };
 
-const DIRECTORY: &str = "/data";
 const STATES: usize = 2;
 
 /// One map and what is known of it.
@@ -65,10 +64,7 @@ fn numbered(number: u64) -> Event {
 
 impl Machine {
     pub(super) fn new(disk: SimulatedDisk) -> Machine {
-        for folder in [DIRECTORY, "/data/maps"] {
-            disk.create_folder(Path::new(folder)).expect("created");
-            disk.sync_folder(Path::new(folder).parent().expect("has one")).expect("synced");
-        }
+        make_directory(&disk);
         Machine { disk, committer: Arc::default(), store: None, maps: Vec::new(), acknowledged: 0 }
     }
 
@@ -85,6 +81,7 @@ impl Machine {
                 ..StoreOptions::default()
             },
             store_id: String::new(),
+            is_new: false,
             index: Index::none(),
             committer: Arc::clone(&self.committer),
             reports: Vec::new(),

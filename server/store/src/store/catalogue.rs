@@ -14,13 +14,14 @@ use tidemap_migrations::{
     v1::file::{FileHeader, MAP_MAGIC},
     v2::{file::RecordKind, map as v2},
     v3::lists::{FileList, HISTORY_FILE, MAPS_FILE, MapList},
+    v4::lists::{CHECKPOINTS_FILE, CheckpointList},
 };
 
 use crate::{
     MapId,
     disk::Disk,
     error::{OpenError, Report, StoreError, open_io, store_io},
-    list_file::{self, Unlisted},
+    list_file,
     log::writer::create_log,
     record,
     record_file::{RecordReader, RecordWriter},
@@ -55,6 +56,8 @@ pub(crate) struct Catalogue {
     pub(crate) set_aside: BTreeMap<MapId, SetAside>,
     /// Whether `MAPS` says something else.
     pub(crate) is_list_old: bool,
+    /// What is wrong with `MAPS`, if it is lost: which maps must exist is not known then.
+    pub(crate) lost_list: Option<String>,
     /// Deleted maps, which may still have files.
     pub(crate) deleted: BTreeSet<MapId>,
     /// The next unused number.
@@ -113,13 +116,18 @@ fn read_with(
     remove: &dyn Fn(&Path) -> Result<(), OpenError>,
 ) -> Result<Catalogue, OpenError> {
     let folder = maps_folder(directory);
-    let list = list_file::open::<MapList>(disk, &directory.join(MAPS_FILE), reports)?;
+    let file = directory.join(MAPS_FILE);
+    let (list, lost_list) = match list_file::read::<MapList>(disk, &file) {
+        Ok(list) => (Some(list), None),
+        Err(unlisted) => (None, Some(unlisted.lost().map_err(open_io(&file))?)),
+    };
     let known = list.clone().unwrap_or_default();
     let name_of = |map: MapId| known.maps.iter().find(|(number, _)| *number == map.0).map(|(_, name)| name.clone());
     let mut catalogue = Catalogue {
         maps: BTreeMap::new(),
         set_aside: BTreeMap::new(),
         is_list_old: false,
+        lost_list,
         deleted: BTreeSet::new(),
         next: known.next.max(1),
     };
@@ -157,7 +165,7 @@ fn read_with(
             catalogue.set_aside.insert(map, SetAside { id: map, name: Some(name.clone()), reason });
         }
     }
-    catalogue.is_list_old = list.as_ref() != Some(&catalogue.list());
+    catalogue.is_list_old = list.is_some_and(|list| list != catalogue.list());
     Ok(catalogue)
 }
 
@@ -183,20 +191,22 @@ impl Catalogue {
     }
 }
 
+/// The list of maps.
+pub(crate) fn read_list(disk: &dyn Disk, directory: &Path) -> Result<MapList, StoreError> {
+    let file = directory.join(MAPS_FILE);
+    list_file::read(disk, &file).map_err(|unlisted| unlisted.changing(&file))
+}
+
 /// Changes the list of maps; durable when this returns.
 pub(crate) fn change_list(
     disk: &dyn Disk,
     directory: &Path,
     change: impl FnOnce(&mut MapList),
 ) -> Result<(), StoreError> {
-    let file = directory.join(MAPS_FILE);
-    let mut list = list_file::read::<MapList>(disk, &file).map_err(|unlisted| match unlisted {
-        Unlisted::Absent => store_io(&file)(std::io::ErrorKind::NotFound.into()),
-        Unlisted::Damaged(reason) => StoreError::NotReadBack { file: file.clone(), reason: reason.to_owned() },
-        Unlisted::Io(error) => store_io(&file)(error),
-    })?;
+    let mut list = read_list(disk, directory)?;
     change(&mut list);
     list.maps.sort();
+    let file = directory.join(MAPS_FILE);
     list_file::replace(disk, &file, &list).map_err(store_io(file))
 }
 
@@ -234,6 +244,7 @@ pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         create_log(disk, &new_folder.join("log"), map.0, 1)?;
         disk.create_folder(&new_folder.join("checkpoints"))?;
         disk.sync_folder(&new_folder.join("checkpoints"))?;
+        list_file::replace(disk, &new_folder.join(CHECKPOINTS_FILE), &CheckpointList::default())?;
         list_file::replace(disk, &new_folder.join(HISTORY_FILE), &FileList::default())
     };
     let written = write().map_err(store_io(&new_folder)).and_then(|()| match read_spec(disk, &file, map) {

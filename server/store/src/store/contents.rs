@@ -12,7 +12,7 @@ use crate::{
     MapId,
     disk::RealDisk,
     error::OpenError,
-    index::{Index, RowsState, is_present},
+    index::{Index, RowsState, Unopened, is_present},
 };
 
 /// The rows of one map in the index.
@@ -56,9 +56,12 @@ impl IndexContents {
             let reason = "there is none: this is no data directory of tidemapd".to_owned();
             return Err(OpenError::Damaged { file: directory.join(manifest::FILE_NAME), reason });
         }
-        let lock = Lock::take(directory)?;
+        let lock = Lock::look(directory)?;
         let index = if is_present(&folder) { Index::inspect(folder.clone(), cache_bytes) } else { Ok(Index::none()) };
-        let mut index = index.map_err(|reason| OpenError::Damaged { file: folder, reason })?;
+        let mut index = index.map_err(|unopened| match unopened {
+            Unopened::InUse => OpenError::Locked { directory: directory.to_owned(), pid: None },
+            Unopened::Damaged(reason) => OpenError::Damaged { file: folder, reason },
+        })?;
         let mut maps = Vec::new();
         for (map, spec) in catalogue::list(&RealDisk, directory)? {
             let rows = match index.check(map.0) {

@@ -20,14 +20,14 @@ use tidemap_migrations::{
 use super::{
     Lock, MapEntry, Maps, OpenStore, Store, StoreOptions,
     catalogue::{self, Catalogued},
+    lists,
 };
 use crate::{
     committer::Committer,
     disk::{Disk, RealDisk},
     erasure,
     error::{OpenError, Report, open_io},
-    history::History,
-    index::{Index, OpenRepair, is_present},
+    index::{Index, IndexInUse, OpenRepair, is_present},
     list_file,
 };
 
@@ -37,11 +37,13 @@ pub(crate) struct Parts {
     pub(crate) directory: PathBuf,
     pub(crate) options: StoreOptions,
     pub(crate) store_id: String,
+    /// Whether it was created just now.
+    pub(crate) is_new: bool,
     pub(crate) index: Index,
     pub(crate) committer: Arc<Committer>,
     pub(crate) reports: Vec<Report>,
     /// `None` for a simulated disk.
-    pub(crate) lock: Option<Lock>,
+    pub(crate) lock: Option<Arc<Lock>>,
 }
 
 impl Store {
@@ -59,7 +61,14 @@ impl Store {
     /// See [`Self::open`].
     pub fn open_on(disk: Arc<dyn Disk>, directory: &Path, options: StoreOptions) -> Result<Store, OpenError> {
         let found = manifest::read(directory, FORMAT)?;
-        if found.is_none() {
+        if let Some(expected) = &options.expected_store_id
+            && found.as_ref().map(|found| &found.store_id) != Some(expected)
+        {
+            let (expected, found) = (expected.clone(), found.map(|found| found.store_id));
+            return Err(OpenError::OtherStore { directory: directory.to_owned(), expected, found });
+        }
+        let is_new = found.is_none();
+        if is_new {
             if is_present(&directory.join("maps")) || is_present(&directory.join("index")) {
                 return Err(OpenError::ManifestMissing { directory: directory.to_owned() });
             }
@@ -71,8 +80,10 @@ impl Store {
         let lock = Lock::take(directory)?;
         // Checked again: another process may have created or migrated it meanwhile.
         let manifest = match manifest::read(directory, FORMAT)? {
-            Some(manifest) => migrate(directory, manifest)?,
+            Some(manifest) => migrate(&disk, directory, manifest)?,
             None => {
+                // First, so that a data directory has its list of maps from its creation on.
+                lists::make_new(&disk, directory, 0, FORMAT)?;
                 let manifest = Manifest { format: FORMAT, store_id: options.new_store_id.clone() };
                 manifest::write(directory, &manifest)?;
                 manifest
@@ -85,7 +96,10 @@ impl Store {
         // Also if it existed: its name, and that of the manifest, may not be durable yet.
         File::open(directory).and_then(|folder| folder.sync_all()).map_err(open_io(directory))?;
 
-        let (index, repair) = Index::open(directory.join("index"), options.index_cache_bytes);
+        let opened = Index::open(directory.join("index"), options.index_cache_bytes);
+        // Whoever has it uses the folder, whatever became of the lock.
+        let in_use = |IndexInUse| OpenError::Locked { directory: directory.to_owned(), pid: None };
+        let (index, repair) = opened.map_err(in_use)?;
         let mut reports = Vec::new();
         match repair {
             Some(OpenRepair::SetAside(folder, reason)) => reports.push(Report::IndexSetAside { folder, reason }),
@@ -98,7 +112,8 @@ impl Store {
         let committer = Arc::new(Committer::default());
         let directory = directory.to_owned();
         let store_id = manifest.store_id;
-        let parts = Parts { disk, directory, options, store_id, index, committer, reports, lock: Some(lock) };
+        let lock = Some(Arc::new(lock));
+        let parts = Parts { disk, directory, options, store_id, is_new, index, committer, reports, lock };
         let store = Store::assemble(parts)?;
         store.start().map_err(open_io(&store.inner.directory))?;
         Ok(store)
@@ -106,23 +121,17 @@ impl Store {
 
     /// A store on any disk, without a thread yet.
     pub(crate) fn assemble(parts: Parts) -> Result<Store, OpenError> {
-        let Parts { disk, directory, options, store_id, mut index, committer, mut reports, lock } = parts;
+        let Parts { disk, directory, options, store_id, is_new, mut index, committer, mut reports, lock } = parts;
+        if let Some(lock) = &lock {
+            committer.hold(lock);
+        }
         // Names may be in the page cache only. From here on they are used,
         // so they must be durable first.
         let maps_folder = catalogue::maps_folder(&directory);
         disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
         erasure::complete(&*disk, &directory, &mut index, &mut reports)?;
         let mut catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
-        let unlisted = catalogue.maps.keys().filter_map(|&map| {
-            let history = History::at(Arc::clone(&disk), catalogue::history_folder(&directory, map), map);
-            history.make_list(&mut reports).err().map(|error| (map, error))
-        });
-        for (map, error) in unlisted.collect::<Vec<_>>() {
-            if error.is_shortage() {
-                return Err(error);
-            }
-            catalogue.set_aside(map, error.to_string());
-        }
+        committer.watch.lost(lists::lost(&disk, &directory, &mut catalogue, &mut reports)?);
         let unfinished = catalogue.maps.iter().filter_map(|(&map, known)| {
             let known = (&known.spec, known.history_complete);
             let repeated = erasure::repeat(&disk, &directory, &options, &mut index, map, known, &mut reports);
@@ -149,6 +158,7 @@ impl Store {
             disk,
             options,
             store_id,
+            is_new,
             reports,
             maps: Mutex::new(Maps { entries, set_aside: catalogue.set_aside, next: catalogue.next }),
             index: Mutex::new(index),
@@ -179,12 +189,13 @@ fn create_directory(directory: &Path) -> io::Result<()> {
     File::open(parent.unwrap_or(&PathBuf::from(".")))?.sync_all()
 }
 
-fn migrate(directory: &Path, mut manifest: Manifest) -> Result<Manifest, OpenError> {
+fn migrate(disk: &Arc<dyn Disk>, directory: &Path, mut manifest: Manifest) -> Result<Manifest, OpenError> {
     match plan(manifest.format, FORMAT, STEPS) {
         Plan::Current => {}
         Plan::Migrate(steps) => {
             for step in steps {
                 (step.run)(directory).map_err(open_io(directory))?;
+                lists::make_new(disk, directory, step.from, step.from + 1)?;
                 manifest.format = step.from + 1;
                 manifest::write(directory, &manifest)?;
             }

@@ -15,11 +15,12 @@ use crate::{
     checkpoint::{DamagedCheckpoint, Memory},
     error::{OpenError, Report, open_io},
     index::RowsState,
+    list_file::{self, Unlisted},
     log::{
         Log,
         recovery::{Expectation, Recovered, recover},
         replay::Replay,
-        segment_position,
+        segment_path, segment_position,
         writer::LogWriter,
     },
     map_log::MapLog,
@@ -62,11 +63,12 @@ impl Store {
         let replay_from = newest.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
         let folder = catalogue::log_folder(&inner.directory, map);
         inner.check_beginning(&folder, &newest)?;
-        let expected = Expectation { map: map.0, replay_from, known: newest.known };
+        let expected = Expectation { map: map.0, replay_from, known: newest.known, is_listed: true };
         let recovered = recover(&*inner.disk, &folder, &expected)?;
         let (log, replay, mut reports) = inner.open_log(map, &folder, replay_from, recovered)?;
 
         let checkpoints = inner.checkpoints(map);
+        inner.miss_spares(map, &folder, &mut reports)?;
         checkpoints.remove_leftovers(&mut reports)?;
         inner.history(map).remove_leftovers(&mut reports)?;
         for damaged in newest.damaged {
@@ -101,6 +103,31 @@ impl OpenStore {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Tells what should exist beside what the map was opened from, and is missing. The next save lists it no longer.
+    fn miss_spares(&self, map: MapId, log: &Path, reports: &mut Vec<Report>) -> Result<(), OpenError> {
+        let (checkpoints, file) = (self.checkpoints(map), self.checkpoints(map).list_path());
+        let present = checkpoints.present(log).map_err(open_io(log))?;
+        let listed = match checkpoints.listed().map_err(Unlisted::lost) {
+            Ok(listed) => listed,
+            // The map is whole, whatever else was listed: the newest checkpoint and the log after it are good.
+            Err(Ok(reason)) => {
+                list_file::replace(&*self.disk, &file, &present).map_err(open_io(&file))?;
+                reports.push(Report::ListMade { file, reason });
+                return Ok(());
+            }
+            Err(Err(error)) => return Err(open_io(file)(error)),
+        };
+        let is_missing = |position: &&u64| !present.checkpoints.contains(position);
+        let missing = listed.checkpoints.iter().filter(is_missing).map(|&position| checkpoints.path(position));
+        let first = Some(listed.first_record).filter(|&first| first < present.first_record);
+        for file in missing.chain(first.map(|first| segment_path(log, first))) {
+            let within = file.strip_prefix(&self.directory).unwrap_or(&file).to_owned();
+            self.committer.watch.damaged(within, Some("it is missing".to_owned()));
+            reports.push(Report::SpareMissing { file });
+        }
+        Ok(())
     }
 
     /// The newest good checkpoint, and whether the index has its rows. Changes nothing.

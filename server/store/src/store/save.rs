@@ -38,6 +38,9 @@ impl Store {
 
     fn save_now(&self, map: MapId, snapshot: &MapSnapshot) -> Result<Option<Arc<dyn TileSource>>, StoreError> {
         let inner = &*self.inner;
+        if let Some(error) = inner.committer.check_lock() {
+            return Err(StoreError::Io { file: inner.directory.clone(), source: std::io::Error::other(error) });
+        }
         let entry = inner.maps().entries.get(&map).cloned().ok_or(StoreError::UnknownMap(map))?;
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
         if !inner.maps().entries.contains_key(&map) {
@@ -54,6 +57,7 @@ impl Store {
         inner.committer.watch.indexed(index.is_available());
         drop(index);
         inner.forget(map, &entry, snapshot);
+        inner.forget_missing(map);
         Ok(tiles.map(|tiles| tiles as Arc<dyn TileSource>))
     }
 }
@@ -83,11 +87,32 @@ impl OpenStore {
         // A newer segment may already have a name and still be lost in a power cut.
         let newest = log.writer.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or(0, LogWriter::segment);
         let deletable = self.deletable(&folder, replay_from.min(newest))?;
+        // Also where nothing is deleted: a segment may have been missing that is needed no longer.
+        let segments = self.disk.list(&folder)?;
+        let mut segments = segments.iter().filter_map(|name| segment_position(name));
+        if let Some(first) = segments.find(|first| !deletable.contains(first)) {
+            self.checkpoints(map).begin_log(first).map_err(std::io::Error::other)?;
+        }
         // The oldest first, so that the remaining segments never have a gap.
         for &first in &deletable {
             self.disk.remove(&segment_path(&folder, first))?;
         }
         if deletable.is_empty() { Ok(()) } else { self.disk.sync_folder(&folder) }
+    }
+
+    /// Takes back what was told of missing checkpoints and segments that need not exist any more.
+    fn forget_missing(&self, map: MapId) {
+        let checkpoints = self.checkpoints(map);
+        let Ok(list) = checkpoints.listed() else { return };
+        let within = |folder: &Path| folder.strip_prefix(&self.directory).unwrap_or(folder).to_owned();
+        let [folder, log] =
+            [&checkpoints.folder, &catalogue::log_folder(&self.directory, map)].map(|path| within(path));
+        let kept: Vec<_> = list.checkpoints.iter().map(|&position| within(&checkpoints.path(position))).collect();
+        self.committer.watch.forget(|file| {
+            let segment = file.file_name().and_then(|name| segment_position(name.to_str()?));
+            file.starts_with(&folder) && !kept.iter().any(|kept| kept == file)
+                || file.starts_with(&log) && segment.is_some_and(|first| first < list.first_record)
+        });
     }
 
     /// Segments that end before a position.

@@ -6,7 +6,9 @@ use super::{
     example::{append, event, fill, options, snapshot, spec},
     missing::with_history,
 };
-use crate::{BackupError, MapId, Store, StoreOptions, check, is_backup_of, link_backup, restore};
+use crate::{
+    BackupError, MapId, Mode, Outcome, Store, StoreOptions, check, is_backup_of, link_backup, restore,
+};
 
 const MAP: MapId = MapId(1);
 const OTHER_ID: &str = "ffffffffffffffffffffffffffffffff";
@@ -155,7 +157,7 @@ fn a_check_finds_every_damaged_missing_and_cut_file_and_changes_nothing() {
     let work = tempfile::tempdir().expect("temporary directory");
     let data = work.path().join("data");
     drop(with_history(&data, &super::grid_example::spec("office")));
-    let sound = check(&data, false).expect("checks");
+    let sound = check(&data, Mode::Look).expect("checks");
     assert_eq!(sound.findings, []);
     assert!(sound.maps == 1 && sound.files > 6, "{sound:?}");
     for file in files(&data) {
@@ -173,18 +175,19 @@ fn a_check_finds_every_damaged_missing_and_cut_file_and_changes_nothing() {
                 "cut" => fs::write(&file, &good[..good.len() - 1]).expect("writes"),
                 _ => fs::remove_file(&file).expect("removes"),
             }
-            // A checkpoint that is missing is no damage: the log, or an older one, has what was in it. A list of the
-            // newest segment is made again by the next start.
-            let is_spare = damage == "remove" && (file.ends_with(".tmc") || file.ends_with("NEWEST"));
-            let found = check(&data, false).expect("checks").findings;
-            assert_eq!(found.is_empty(), is_spare, "{damage} {file}: {found:?}");
+            let found = check(&data, Mode::Look).expect("checks").findings;
+            assert_eq!(found.len(), 1, "{damage} {file}: {found:?}");
+            // The log, or the older one, has what was in a checkpoint. Two lists are proven by the files.
+            let is_proven = file.ends_with("CHECKPOINTS") || file.ends_with("HISTORY");
+            let is_spare = damage == "remove" && file.ends_with(".tmc") || is_proven;
+            assert_eq!(found[0].is_spare, is_spare, "{damage} {file}: {found:?}");
             if damage == "flip" {
                 assert_ne!(fs::read(&file).expect("there"), good, "nothing is repaired unasked");
             }
             fs::write(&file, &good).expect("writes");
         }
     }
-    assert_eq!(check(&data, false).expect("checks").findings, []);
+    assert_eq!(check(&data, Mode::Look).expect("checks").findings, []);
 }
 
 #[test]
@@ -193,16 +196,20 @@ fn a_repair_makes_lists_and_the_index_again_and_nothing_else() {
     let data = work.path().join("data");
     let spec = super::grid_example::spec("office");
     drop(with_history(&data, &spec));
-    for file in ["MAPS", "maps/00000001/HISTORY"] {
+    for file in ["maps/00000001/CHECKPOINTS", "maps/00000001/HISTORY"] {
         fs::write(data.join(file), "damaged").expect("writes");
     }
+    let database = data.join("index/db");
+    let length = fs::metadata(&database).expect("there").len();
+    fs::write(&database, vec![0x5A; length as usize]).expect("writes");
+    let sound = check(&data, Mode::Repair).expect("checks").findings;
+    let repaired: Vec<_> = sound.iter().map(|finding| finding.outcome).collect();
+    assert_eq!(repaired, [Outcome::Repaired; 3], "{sound:?}");
     let history = data.join("maps/00000001/history/00000000000000000003.states.tmh");
     fs::write(&history, "damaged").expect("writes");
-    let found = check(&data, true).expect("checks").findings;
-    let repaired: Vec<bool> = found.iter().map(|finding| finding.is_repaired).collect();
-    assert_eq!(repaired, [true, true, false], "{found:?}");
-    let again = check(&data, false).expect("checks").findings;
-    assert_eq!(again.len(), 1, "{again:?}");
+    let found = check(&data, Mode::Repair).expect("checks").findings;
+    assert_eq!(found.len(), 2, "the history file, and the index, which the next start makes again: {found:?}");
+    assert!(found.iter().all(|finding| finding.outcome == Outcome::Open), "{found:?}");
     assert_eq!(fs::read(&history).expect("there"), b"damaged");
 }
 
@@ -213,6 +220,6 @@ fn a_folder_in_use_or_none_is_not_checked() {
     let example = fill(&data, 5, &[], 300);
     let store = Store::open(&data, options()).expect("opens");
     store.open_map(MAP, &example.spec).expect("opens");
-    assert!(matches!(check(&data, false), Err(crate::OpenError::Locked { .. })));
-    assert!(check(work.path(), false).is_err());
+    assert!(matches!(check(&data, Mode::Look), Err(crate::OpenError::Locked { .. })));
+    assert!(check(work.path(), Mode::Look).is_err());
 }

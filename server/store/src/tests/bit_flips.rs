@@ -20,7 +20,12 @@ fn flip(example: &Example, master: &std::path::Path, file: &std::path::Path, bit
     fs::write(&target, bytes).expect("writable");
     match example.check(directory.path()) {
         Ok(_) => true,
-        Err(OpenError::CorruptLog { .. } | OpenError::Manifest(_) | OpenError::Damaged { .. }) => false,
+        Err(
+            OpenError::CorruptLog { .. }
+            | OpenError::Manifest(_)
+            | OpenError::Damaged { .. }
+            | OpenError::ListLost { .. },
+        ) => false,
         Err(other) => panic!("bit {bit} of {}: {other}", file.display()),
     }
 }

@@ -29,8 +29,13 @@ const FILES: [&str; 4] = [
     "maps/00000001/log/00000000000000000001.log",
 ];
 
+/// A folder of an older format.
+pub(super) fn folder(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tests/golden").join(name)
+}
+
 fn golden() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tests/golden/format-1")
+    folder("format-1")
 }
 
 fn spec() -> MapSpec {
@@ -191,9 +196,9 @@ fn format_1_is_read_as_it_always_was() {
     let replayed: Vec<_> = opened.replay.map(|item| item.expect("readable")).collect();
     let expected: Vec<_> = (1..).zip(events()).skip(1).collect();
     assert_eq!(replayed, expected);
-    // From here on it has format 3, and nothing else has changed.
+    // From here on it has format 4, and nothing else has changed.
     let manifest = fs::read_to_string(directory.path().join("MANIFEST")).expect("readable");
-    assert!(manifest.starts_with("tidemap store\nformat 3\nstore 00112233445566778899aabbccddeeff\n"), "{manifest}");
+    assert!(manifest.starts_with("tidemap store\nformat 4\nstore 00112233445566778899aabbccddeeff\n"), "{manifest}");
     for file in &FILES[1..] {
         let read = |folder: &Path| fs::read(folder.join(file)).expect("readable");
         assert!(read(directory.path()) == read(&golden()), "{file}");

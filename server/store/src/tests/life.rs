@@ -2,7 +2,10 @@
 
 use std::fs;
 
-use tidemap_migrations::manifest::{Manifest, ManifestError, to_text};
+use tidemap_migrations::{
+    FORMAT,
+    manifest::{Manifest, ManifestError, to_text},
+};
 
 use super::example::{STORE_ID, append, content, event, fill, options, snapshot, spec};
 use crate::{AppendError, MapId, OpenError, Source, Store, StoreError, StoreOptions};
@@ -78,12 +81,13 @@ fn a_second_opener_is_told_who_is_first() {
 fn a_newer_format_is_refused_and_nothing_is_touched() {
     let directory = tempfile::tempdir().expect("temporary directory");
     fill(directory.path(), 5, &[5], 64 << 20);
-    let manifest = Manifest { format: 4, store_id: STORE_ID.to_owned() };
+    let manifest = Manifest { format: FORMAT + 1, store_id: STORE_ID.to_owned() };
     fs::write(directory.path().join("MANIFEST"), to_text(&manifest)).expect("writable");
     fs::write(directory.path().join("index/snap.0000.generating"), "left over").expect("writable");
     let before = content(directory.path());
     let error = Store::open(directory.path(), options()).expect_err("too new");
-    assert!(matches!(error, OpenError::Manifest(ManifestError::TooNew { found: 4, supported: 3, .. })), "{error}");
+    let OpenError::Manifest(ManifestError::TooNew { found, supported, .. }) = &error else { panic!("{error}") };
+    assert_eq!((*found, *supported), (FORMAT + 1, FORMAT));
     assert_eq!(content(directory.path()), before);
 }
 

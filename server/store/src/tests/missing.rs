@@ -9,7 +9,7 @@ use super::{
     example::{append, event, fill, options, spec as plain_spec},
     grid_example::{DAY_NANOS, piece, snapshot, spec},
 };
-use crate::{AppendError, HistoryError, MapId, OpenError, Report, Store};
+use crate::{AppendError, HistoryError, MapId, Mode, OpenError, Store, check};
 
 const MAP: MapId = MapId(1);
 const FILE: &str = "maps/00000001/history/00000000000000000002.states.tmh";
@@ -32,7 +32,8 @@ pub(super) fn with_history(directory: &Path, spec: &MapSpec) -> Store {
         let piece = Arc::new(piece(generation, 19_000 + generation as i32, &mut random));
         let newest_nanos = piece.to_nanos;
         let history = vec![piece];
-        store.save(MAP, &MapSnapshot { history, newest_nanos, ..snapshot(spec, generation + 2, 2) }).expect("saves");
+        let snapshot = MapSnapshot { history, newest_nanos, generation, ..snapshot(spec, generation + 2, 2) };
+        store.save(MAP, &snapshot).expect("saves");
     }
     store
 }
@@ -75,32 +76,6 @@ fn a_removed_history_folder_is_no_empty_history() {
     assert!(matches!(history.state(StateId(0), 0, i64::MAX), Err(HistoryError::Missing { .. })));
     fs::remove_dir_all(directory.path().join("maps/00000001")).expect("removable");
     assert!(matches!(history.state(StateId(0), 0, i64::MAX), Err(HistoryError::Damaged { .. })));
-}
-
-#[test]
-fn a_folder_without_lists_gets_them() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    drop(with_history(directory.path(), &spec("office")));
-    let lists = ["MAPS", "maps/00000001/HISTORY", "maps/00000001/log/NEWEST"].map(|list| directory.path().join(list));
-    let before = lists.clone().map(|list| fs::read(list).expect("there"));
-    for list in &lists {
-        fs::remove_file(list).expect("removable");
-    }
-    let store = Store::open(directory.path(), options()).expect("opens");
-    assert_eq!(store.reports(), []);
-    assert_eq!(store.open_map(MAP, &spec("office")).expect("opens").reports, []);
-    assert_eq!(lists.clone().map(|list| fs::read(list).expect("there")), before);
-    // A damaged list is made again too, and reported.
-    drop(store);
-    for list in &lists {
-        fs::write(list, "tidemap").expect("writable");
-    }
-    let store = Store::open(directory.path(), options()).expect("opens");
-    let is_made = |report: &Report| matches!(report, Report::ListMade { .. });
-    assert!(store.reports().iter().all(is_made) && store.reports().len() == 2, "{:?}", store.reports());
-    let reports = store.open_map(MAP, &spec("office")).expect("opens").reports;
-    assert!(reports.iter().all(is_made) && reports.len() == 1, "{reports:?}");
-    assert_eq!(lists.map(|list| fs::read(list).expect("there")), before);
 }
 
 #[test]
@@ -156,9 +131,22 @@ fn a_missing_newest_segment_is_refused() {
     example.check(directory.path()).expect("opens");
 }
 
+/// What somebody does to the data folder of a running daemon.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Harm {
+    RemoveAll,
+    ReplaceAll,
+    CutLog,
+    LengthenLog,
+    EmptyLog,
+    RemoveLock,
+    ReplaceLock,
+}
+
 #[test]
-fn a_log_that_was_removed_or_replaced_acknowledges_nothing() {
-    for replace in [false, true] {
+fn a_folder_that_is_no_longer_ours_acknowledges_nothing() {
+    use Harm::{CutLog, EmptyLog, LengthenLog, RemoveAll, RemoveLock, ReplaceAll, ReplaceLock};
+    for harm in [RemoveAll, ReplaceAll, CutLog, LengthenLog, EmptyLog, RemoveLock, ReplaceLock] {
         let directory = tempfile::tempdir().expect("temporary directory");
         let folder = directory.path().join("data");
         let store = Store::open(&folder, options()).expect("opens");
@@ -167,13 +155,39 @@ fn a_log_that_was_removed_or_replaced_acknowledges_nothing() {
         assert_eq!(append(&log, &event(1)), Ok(1));
         let segment = super::example::segment(&folder);
         let content = fs::read(&segment).expect("readable");
-        fs::remove_dir_all(&folder).expect("removable");
-        if replace {
-            fs::create_dir_all(segment.parent().expect("has one")).expect("creatable");
-            fs::write(&segment, content).expect("writable");
+        let lock = folder.join("LOCK");
+        assert_eq!(store.verify(), None, "{harm:?}");
+        match harm {
+            RemoveAll | ReplaceAll => {
+                fs::remove_dir_all(&folder).expect("removable");
+                if harm == ReplaceAll {
+                    fs::create_dir_all(segment.parent().expect("has one")).expect("creatable");
+                    fs::write(&segment, content).expect("writable");
+                }
+            }
+            CutLog => fs::write(&segment, &content[..content.len() - 1]).expect("writable"),
+            LengthenLog => fs::write(&segment, [&content[..], b"x"].concat()).expect("writable"),
+            EmptyLog => fs::write(&segment, "").expect("writable"),
+            RemoveLock => fs::remove_file(&lock).expect("removable"),
+            ReplaceLock => {
+                fs::remove_file(&lock).expect("removable");
+                fs::write(&lock, "1").expect("writable");
+            }
         }
-        let error = append(&log, &event(2)).expect_err("not to be found again");
-        assert!(matches!(error, AppendError::Poisoned { .. }), "{error}");
+        // Without an append it is noticed too; here only every other time.
+        if harm as usize % 2 == 0 {
+            assert!(matches!(store.verify(), Some(AppendError::Poisoned { .. })), "{harm:?}");
+        }
+        let error = append(&log, &event(2)).expect_err("it could not be found again");
+        assert!(matches!(error, AppendError::Poisoned { .. }), "{harm:?}: {error}");
         assert!(!error.to_string().contains(folder.to_str().expect("text")), "{error}");
+        if matches!(harm, RemoveLock | ReplaceLock) {
+            assert!(error.to_string().contains("LOCK"), "{error}");
+            let second = Store::open(&folder, options()).expect_err("a daemon uses the folder");
+            assert!(matches!(second, OpenError::Locked { .. }), "{harm:?}: {second}");
+            assert!(matches!(check(&folder, Mode::Look), Err(OpenError::Locked { .. })), "{harm:?}");
+            assert!(store.save(map, &super::example::snapshot(&plain_spec("office"), 1, 1)).is_err());
+            assert!(!folder.join("index.damaged-1").exists());
+        }
     }
 }

@@ -68,10 +68,7 @@ fn observed(half_day: i64, without: &Selection) -> Event {
 /// A disk with a map that was told all of it but what is selected; the last days are in the log only.
 fn told(spec: &MapSpec, without: &Selection) -> SimulatedDisk {
     let disk = SimulatedDisk::new(SmallRng::seed_from_u64(5));
-    for folder in ["/data", "/data/maps"] {
-        disk.create_folder(Path::new(folder)).expect("created");
-        disk.sync_folder(Path::new(folder).parent().expect("has one")).expect("synced");
-    }
+    make_directory(&disk);
     let committer = Arc::default();
     let store = started(&disk, &committer).expect("starts");
     store.create_map(spec).expect("creates");

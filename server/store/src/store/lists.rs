@@ -1,0 +1,123 @@
+//! The lists of what must exist, when a store is opened: an older format gets those that it lacks, and a list that is
+//! lost is made again only where other files prove that all is there.
+//!
+//! Invariant: nothing that may be lost is hidden. A list that is lost and not proven stays as it is, and what it covers
+//! is refused.
+
+use std::{
+    collections::BTreeMap,
+    io,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use tidemap_map::spec::MapSpec;
+use tidemap_migrations::{
+    plan::has_list,
+    v3::lists::{FileList, HISTORY_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment},
+    v4::lists::CHECKPOINTS_FILE,
+};
+
+use super::catalogue::{self, Catalogue};
+use crate::{
+    MapId,
+    checkpoint::Checkpoints,
+    disk::Disk,
+    error::{OpenError, Report, open_io},
+    history::History,
+    list_file::{self, Unlisted},
+    log::segment_position,
+};
+
+/// Makes the lists that a format has and an older one has not. Safe to run again: a list that is there stays.
+pub(crate) fn make_new(disk: &Arc<dyn Disk>, directory: &Path, from: u32, to: u32) -> Result<(), OpenError> {
+    let is_new = |file: &str| !has_list(from, file) && has_list(to, file);
+    let is_made = |path: &Path| disk.length(path).is_ok();
+    if !disk.list(directory).map_err(open_io(directory))?.iter().any(|name| name == "maps") {
+        disk.create_folder(&catalogue::maps_folder(directory)).map_err(open_io(directory))?;
+    }
+    let catalogue = catalogue::look(&**disk, directory)?;
+    for &map in catalogue.maps.keys() {
+        let folder = catalogue::map_folder(directory, map);
+        if is_new(HISTORY_FILE) && !is_made(&folder.join(HISTORY_FILE)) {
+            history(disk, directory, map).make_list()?;
+        }
+        if is_new(NEWEST_FILE) && !is_made(&folder.join("log").join(NEWEST_FILE)) {
+            make_newest(&**disk, directory, map).map_err(open_io(&folder))?;
+        }
+        if is_new(CHECKPOINTS_FILE) && !is_made(&folder.join(CHECKPOINTS_FILE)) {
+            make_checkpoints(&**disk, directory, map).map_err(open_io(&folder))?;
+        }
+    }
+    let file = directory.join(MAPS_FILE);
+    if is_new(MAPS_FILE) && !is_made(&file) {
+        list_file::replace(&**disk, &file, &catalogue.list()).map_err(open_io(file))?;
+    }
+    Ok(())
+}
+
+/// Lists the newest segment that exists.
+pub(crate) fn make_newest(disk: &dyn Disk, directory: &Path, map: MapId) -> io::Result<()> {
+    let folder = catalogue::log_folder(directory, map);
+    let newest = disk.list(&folder)?.iter().rev().find_map(|name| segment_position(name));
+    let first_position = newest.ok_or(io::ErrorKind::NotFound)?;
+    list_file::replace(disk, &folder.join(NEWEST_FILE), &NewestSegment { first_position })
+}
+
+/// Lists the checkpoints that exist, and the first segment.
+pub(crate) fn make_checkpoints(disk: &dyn Disk, directory: &Path, map: MapId) -> io::Result<()> {
+    let checkpoints = Checkpoints { disk, folder: catalogue::checkpoints_folder(directory, map), map };
+    let present = checkpoints.present(&catalogue::log_folder(directory, map))?;
+    list_file::replace(disk, &checkpoints.list_path(), &present)
+}
+
+fn history(disk: &Arc<dyn Disk>, directory: &Path, map: MapId) -> History {
+    History::at(Arc::clone(disk), catalogue::history_folder(directory, map), map)
+}
+
+/// Whether the history files of a map prove to be all, without their list.
+pub(crate) fn is_history_whole(disk: &Arc<dyn Disk>, directory: &Path, map: MapId, spec: &MapSpec) -> bool {
+    let checkpoints = Checkpoints { disk: &**disk, folder: catalogue::checkpoints_folder(directory, map), map };
+    let newest = checkpoints.newest_generation();
+    // Without a checkpoint nothing was saved, if none must exist.
+    let is_known = newest.is_some() || checkpoints.listed().is_ok_and(|list| list.checkpoints.is_empty());
+    is_known && history(disk, directory, map).is_whole(spec, newest)
+}
+
+/// Reads the lists of the maps that are found. Those that are lost and not proven are returned, with what is wrong with
+/// them; a map whose list the disk cannot read is set aside.
+pub(super) fn lost(
+    disk: &Arc<dyn Disk>,
+    directory: &Path,
+    catalogue: &mut Catalogue,
+    reports: &mut Vec<Report>,
+) -> Result<BTreeMap<PathBuf, String>, OpenError> {
+    let mut lost = BTreeMap::new();
+    if let Some(problem) = &catalogue.lost_list {
+        lost.insert(PathBuf::from(MAPS_FILE), problem.clone());
+    }
+    let maps: Vec<_> = catalogue.maps.iter().map(|(&map, known)| (map, known.spec.clone())).collect();
+    for (map, spec) in maps {
+        let history = history(disk, directory, map);
+        let file = history.list_path();
+        let problem = match list_file::read::<FileList>(&**disk, &file).map_err(Unlisted::lost) {
+            Ok(_) => continue,
+            Err(Ok(problem)) => problem,
+            Err(Err(error)) => {
+                let error = open_io(&file)(error);
+                if error.is_shortage() {
+                    return Err(error);
+                }
+                catalogue.set_aside(map, error.to_string());
+                continue;
+            }
+        };
+        if is_history_whole(disk, directory, map, &spec) {
+            history.make_list()?;
+            reports.push(Report::ListMade { file, reason: problem });
+        } else {
+            lost.insert(file.strip_prefix(directory).unwrap_or(&file).to_owned(), problem);
+        }
+    }
+    Ok(lost)
+}
