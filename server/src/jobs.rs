@@ -204,7 +204,7 @@ impl UpdateJob {
         });
     }
 
-    /// The result of the update; `None` if a later update has ended since.
+    /// The result of the update; `None` if a later update of the map has ended since, or something was erased from it.
     pub(crate) fn report(&self) -> Option<Arc<Report>> {
         self.report.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -267,6 +267,21 @@ impl Jobs {
         *job.report.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(report));
     }
 
+    /// Something was erased from a map: its reports go, because they name states, and so do the reasons of failures that
+    /// have one of these names.
+    pub(crate) fn erased(&self, map: &MapName, names: &[&str]) {
+        for job in self.list().iter().filter(|job| job.map == *map) {
+            *job.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
+            job.status.send_if_modified(|status| match &mut status.phase {
+                Phase::Failed(_, reason) if names.iter().any(|name| reason.contains(name)) => {
+                    *reason = "its reason named what has been erased since".to_owned();
+                    true
+                }
+                _ => false,
+            });
+        }
+    }
+
     /// All jobs known, newest first.
     pub(crate) fn list(&self) -> Vec<Arc<UpdateJob>> {
         self.jobs.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
@@ -280,6 +295,28 @@ impl Jobs {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_erased_is_named_by_no_job() {
+        let jobs = Jobs::default();
+        let map = |name: &str| MapName::new(name).expect("valid");
+        let failed = ["office", "home"].map(|name| jobs.create(map(name), UpdateCause::Request, 0));
+        failed.iter().for_each(|job| job.end(Err("state \"anna\" is too large".to_owned())));
+        let other = jobs.create(map("office"), UpdateCause::Request, 0);
+        other.end(Err("no thread".to_owned()));
+        let done = jobs.create(map("office"), UpdateCause::Request, 0);
+        done.end(Ok((1, 2)));
+        jobs.set_report(&done, Report::default());
+        jobs.erased(&map("office"), &["anna"]);
+        assert!(done.report().is_none());
+        let reason = |job: &UpdateJob| match job.status().phase {
+            Phase::Failed(_, reason) => reason,
+            phase => panic!("{phase:?}"),
+        };
+        assert!(!reason(&failed[0]).contains("anna"));
+        assert!(reason(&failed[1]).contains("anna"), "that of another map stays");
+        assert_eq!(reason(&other), "no thread");
+    }
 
     #[test]
     fn the_oldest_ended_job_is_forgotten_first() {

@@ -127,7 +127,12 @@ async fn as_if_never_observed(create: &[&str]) {
     daemon.client().create_backup(&saved.path().join("old").display().to_string()).await.expect("made");
     assert!(!holding(saved.path(), &marks()).is_empty());
 
+    let update = daemon.client().jobs().await.expect("jobs").into_iter().find(|job| job.error.is_empty());
+    let update = update.expect("an update").id;
+    assert!(daemon.client().update_report(update, "").await.is_ok());
     erase(&daemon, "anna-77113").await;
+    let report = daemon.client().update_report(update, "").await;
+    assert!(report.is_err_and(|error| error.to_string().contains("erased")), "no report names it");
     assert!(holding(data.path(), &marks()[..1]).is_empty(), "{:?}", holding(data.path(), &marks()[..1]));
     tidemap(&daemon, ["erase", "home", "--state", "bed-77113"]).table();
     let left = holding(data.path(), &marks());

@@ -195,6 +195,10 @@ impl Catalog {
             }
         }
         let erased = erased?;
+        let producer = wish.part.iter().filter_map(|part| part.producer.as_ref());
+        let producer = producer.flat_map(|(producer, label)| [Some(producer), label.as_ref()]).flatten();
+        let names: Vec<&str> = wish.state.iter().chain(producer).map(String::as_str).collect();
+        self.context.jobs.erased(map, &names);
         job.count(erased.states, erased.observations);
         job.states_done.store(erased.states, Ordering::Relaxed);
         Ok(erased)

@@ -75,7 +75,10 @@ pub(crate) enum RpcError {
     Updating(u64),
     #[error("job {0} is not known: it is long past, or the daemon was restarted since")]
     UnknownJob(u64),
-    #[error("job {0} has no report: it has not ended successfully, or a later update of the same map replaced it")]
+    #[error(
+        "job {0} has no report: it has not ended successfully, a later update of the same map replaced it, or something was \
+         erased from the map since"
+    )]
     NoReport(u64),
     #[error(transparent)]
     Limit(#[from] OverLimit),
