@@ -252,6 +252,7 @@ impl Link {
             progress.durable_sequence = welcome.durable_sequence;
             progress.resumed_at = welcome.durable_sequence;
             progress.content_crc = welcome.content_crc;
+            progress.store_changes += u64::from(!progress.store_id.is_empty() && progress.store_id != welcome.store_id);
             progress.store_id.clone_from(&welcome.store_id);
             progress.unreported += unreported;
         });

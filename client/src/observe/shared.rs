@@ -89,6 +89,9 @@ pub struct Progress {
     pub content_crc: u32,
     /// Id of the data folder of the daemon.
     pub store_id: String,
+    /// How often the daemon came back with another data folder, such as a restored backup or an empty disk. What was
+    /// acknowledged before may be missing there; of this producer, [`ProducerError::Lost`] tells it.
+    pub store_changes: u64,
     /// Number of observations that became durable while the connection broke, so that refusals of them are unknown.
     pub unreported: u64,
     /// Number of refusals that were dropped because the earlier ones were not collected; see

@@ -374,12 +374,22 @@ async fn await_updates(session: &Session, map: &str, bar: &Bar) -> anyhow::Resul
     Ok(())
 }
 
-/// Reports on stderr, once per outage, that the daemon cannot be reached, and that the connection is back.
+/// Reports on stderr, once per outage, that the daemon cannot be reached, and that the connection is back; and that the
+/// daemon came back with another data folder.
 async fn report_outages(mut progress: watch::Receiver<Progress>, bar: Bar, patience: Duration) {
     let mut waiting = false;
+    let mut store_changes = 0;
     while progress.changed().await.is_ok() {
-        let phase = progress.borrow_and_update().phase.clone();
-        match phase {
+        let seen = progress.borrow_and_update().clone();
+        if seen.store_changes > store_changes {
+            store_changes = seen.store_changes;
+            bar.status_line(&format!(
+                "the daemon has another data folder than before (store id {}): what was acknowledged before may be missing. \
+                 Was a backup restored, or is a disk not mounted?",
+                seen.store_id
+            ));
+        }
+        match seen.phase {
             Phase::Waiting(error) if !waiting => {
                 waiting = true;
                 bar.status_line(&format!("{error}; trying again for up to {} s", patience.as_secs()));

@@ -346,6 +346,7 @@ async fn a_restored_daemon_gets_what_it_lacks_or_is_noticed() -> Tested {
     // This one becomes durable without an acknowledgement, and is lost with the data folder.
     send(&mut mended, &[1.0]).await?;
     assert_ne!(mended.progress().store_id, store_id);
+    assert_eq!(mended.progress().store_changes, 1);
     assert_eq!(fake.stored().rows.len(), 4);
 
     let (_fake, mut lost) = producer(&[Act::ServeUntil(3), Act::Restored(2)]).await?;
