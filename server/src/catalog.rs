@@ -230,7 +230,11 @@ impl Catalog {
     fn check_available(&self, name: &str) -> Result<(), CatalogError> {
         match self.unavailable.load().iter().find(|map| map.name == name) {
             Some(map) => Err(CatalogError::Unavailable { map: map.name.clone(), reason: map.reason.clone() }),
-            None => Ok(()),
+            // Whether there was such a map is not known.
+            None => match self.context.store.lost_map_list() {
+                Some(lost) => Err(CatalogError::Unavailable { map: shortened(name), reason: lost.to_string() }),
+                None => Ok(()),
+            },
         }
     }
 

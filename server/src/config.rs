@@ -14,6 +14,7 @@ use figment::{
     providers::{Env, Format as _, Serialized, Toml},
 };
 use serde::{Deserialize, Serialize};
+use tidemap_store::is_store_id;
 
 use crate::{access::token_command::TokenCommand, connections::tls::TlsFiles, telemetry, telemetry::LogFormat};
 use protection::{MissingProtection, is_local};
@@ -36,6 +37,11 @@ pub(crate) struct Flags {
     #[arg(long, value_name = "DIR")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
+    /// The id that the data folder must have; the daemon refuses another folder, and an empty one [default: none, any
+    /// folder].
+    #[arg(long, value_name = "ID")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expect_store_id: Option<String>,
     /// Address of the gRPC port; port 0 picks a free one [default: 127.0.0.1:7435].
     #[arg(long, value_name = "HOST:PORT")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -94,9 +100,13 @@ pub(crate) enum OfflineCommand {
         /// The data folder.
         #[arg(value_name = "DIR")]
         dir: PathBuf,
-        /// Repair what can be repaired without loss: lists of files, and the index.
+        /// Repair what can be repaired without loss: lists of files where the files prove to be all, and the index.
         #[arg(long)]
         repair: bool,
+        /// Also go on without what is lost: lists that are lost, and files and maps that are listed and missing. The
+        /// loss is recorded in the file LOSSES, which check, start and metrics show from then on.
+        #[arg(long)]
+        accept_loss: bool,
     },
     /// Restore a backup, which `tidemap backup create` made.
     #[command(subcommand)]
@@ -190,6 +200,10 @@ settings! {
         /// Folder of all data. One daemon at a time; a second one refuses to start. The systemd unit sets it to
         /// /var/lib/tidemap.
         data_dir: PathBuf = PathBuf::from("./tidemap-data");
+        /// The id that the data folder must have: the daemon refuses to start on another folder, and on an empty one,
+        /// such as the place of a disk that is not mounted. Empty: any folder. The daemon writes the id of a new folder
+        /// to its log; tidemapd check prints it.
+        expect_store_id: String = String::new();
     }
     "ports" {
         /// Address of the gRPC port. Port 0 picks a free port; the line `listening grpc=HOST:PORT http=HOST:PORT` on
@@ -419,6 +433,10 @@ impl Settings {
         self.check_ranges()?;
         self.check_tls()?;
         self.check_backups()?;
+        if !self.expect_store_id.is_empty() && !is_store_id(&self.expect_store_id) {
+            let found = &self.expect_store_id;
+            bail!("setting expect_store_id is {found:?}: it must be 32 lower-case hexadecimal digits, or empty");
+        }
         telemetry::traces::check(&self.otlp_endpoint, self.trace_ratio)?;
         check_range("max_buffer_bytes", self.max_buffer_bytes as u64, self.max_stream_buffer_bytes as u64, 4 << 30)?;
         for (key, address) in [("listen", &self.listen), ("http_listen", &self.http_listen)] {
@@ -497,6 +515,7 @@ mod tests {
             ("trace_ratio = nan", "trace_ratio"),
             ("backup_dir = 'saved'", "backup_dir"),
             ("backup_every_secs = 60", "backup_dir"),
+            ("expect_store_id = 'mine'", "expect_store_id"),
         ] {
             let error = load(file, Flags::default()).expect_err(file);
             assert!(error.contains(word), "{file}: {error}");

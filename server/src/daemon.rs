@@ -9,7 +9,7 @@ use rustix::{
     fs::Mode,
     process::{Resource, getrlimit, setrlimit, umask},
 };
-use tidemap_map::live_map::PendingLimits;
+use tidemap_map::{live_map::PendingLimits, time::format_rfc3339};
 use tidemap_store::{CommitStep, OpenError, Store, StoreOptions, disk::Disk};
 use tokio::{
     net::TcpListener,
@@ -38,6 +38,7 @@ use crate::{
     rpc::{self, guard::Access, serve::Services},
     scrubber::Scrubber,
     silent_producers::SilentProducers,
+    storage_watch,
     telemetry::{
         self,
         traces::{Span, Traces},
@@ -111,6 +112,7 @@ fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonE
         tile_cache_bytes: settings.tile_cache_bytes,
         spectrum_cache_bytes: settings.spectrum_cache_bytes,
         new_store_id: random_id()?,
+        expected_store_id: Some(settings.expect_store_id.clone()).filter(|id| !id.is_empty()),
     };
     Store::open_on(disk, &settings.data_dir, options).map_err(|error| match error {
         OpenError::Locked { .. } => DaemonError::Locked(error.to_string()),
@@ -188,6 +190,30 @@ pub(crate) fn random_id() -> anyhow::Result<String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
+/// Writes to the log which folder was opened, and what was found in it.
+fn tell_state(store: &Store, folder: &Path) {
+    let (id, folder) = (store.store_id(), folder.display());
+    if store.is_new() {
+        warn!(
+            "{folder} is a new data folder, with the store id {id}. If it should have held data: is its disk mounted? To \
+             refuse any other folder from now on, put this line into the config file: expect_store_id = \"{id}\""
+        );
+    }
+    for report in store.reports() {
+        warn!("{report}");
+    }
+    for trouble in store.trouble() {
+        error!("{trouble}");
+    }
+    match store.losses() {
+        Ok(losses) => losses.iter().for_each(|loss| {
+            let accepted = format_rfc3339(loss.accepted_nanos);
+            warn!(file = loss.file, accepted, "accepted as lost: {}", loss.problem);
+        }),
+        Err(error) => error!(%error, "the record of accepted losses cannot be read"),
+    }
+}
+
 /// Runs the daemon on a disk until it is stopped.
 ///
 /// # Errors
@@ -218,15 +244,14 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         tokio::task::spawn_blocking(move || open_store(&for_store, disk)).await.map_err(anyhow::Error::from)??;
     close_to_others(&settings.data_dir);
     telemetry::tell_build(store.store_id());
-    for report in store.reports() {
-        warn!("{report}");
-    }
+    tell_state(&store, &settings.data_dir);
     let update_pool = rayon::ThreadPoolBuilder::new()
         .num_threads(settings.update_threads())
         .thread_name(|index| format!("learn-{index}"))
         .build()
         .map_err(anyhow::Error::from)?;
     let (fatal_sender, mut fatal) = mpsc::unbounded_channel();
+    let storage_failed = fatal_sender.clone();
     let context = Context {
         store: Arc::new(store),
         jobs: Arc::new(Jobs::default()),
@@ -258,6 +283,9 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     // A channel and not a notification: a port that starts to wait late still sees the stop.
     let (stop_ports, ports_stopping) = watch::channel(false);
     let services = rpc::serve::services(Arc::clone(&catalog), &settings, stopping.clone()).await;
+    services.health().tell(http::readiness(&catalog, false).0).await;
+    let watched = Arc::downgrade(&catalog);
+    tokio::spawn(storage_watch::run(watched, services.health(), stopping.clone(), storage_failed));
     let web = web(&services, &access, &settings)?;
     let (grpc_acceptor, grpc_connections) =
         Acceptor::new(Connections::new(Port::Grpc, connection_limits(&settings)), Protocol::Http2);
@@ -285,7 +313,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     println!("listening grpc={grpc_address} http={http_address}");
     // A closed stdout is no reason to stop.
     let _ = std::io::stdout().flush();
-    info!(grpc = %grpc_address, http = %http_address, data = %settings.data_dir.display(), "ready");
+    info!(grpc = %grpc_address, http = %http_address, data = %settings.data_dir.display(), store_id = store.store_id(), "ready");
 
     let scrubber = Scrubber::start(&store, &settings);
     if let Some(schedule) = Schedule::of(&settings) {

@@ -48,7 +48,7 @@ fn opening(catalog: &Catalog) -> String {
     catalog.all().values().filter_map(line).collect()
 }
 
-/// A line for each problem of the storage; whether observations or generations are not kept as they should be.
+/// A line for each problem of the storage; whether observations, generations or lists are not kept as they should be.
 fn trouble(catalog: &Catalog) -> (String, bool) {
     let trouble = catalog.context().store.trouble();
     let serves = |trouble: &Trouble| matches!(trouble, Trouble::NoIndex | Trouble::Damaged { .. });
@@ -64,6 +64,21 @@ fn trouble(catalog: &Catalog) -> (String, bool) {
 fn unavailable(catalog: &Catalog) -> String {
     let maps = catalog.unavailable();
     maps.iter().map(|map| format!("map number {} is unavailable: {}\n", map.id.0, map.reason)).collect()
+}
+
+/// Whether requests are served as they should be, and what is to be said about it.
+pub(crate) fn readiness(catalog: &Catalog, is_stopping: bool) -> (bool, String) {
+    let (trouble, is_severe) = trouble(catalog);
+    let (opening, unavailable) = (opening(catalog), unavailable(catalog));
+    if is_stopping {
+        (false, "stopping\n".to_owned())
+    } else if is_severe {
+        (false, trouble + &unavailable)
+    } else if opening.is_empty() {
+        (true, format!("ready\n{trouble}{unavailable}"))
+    } else {
+        (false, opening)
+    }
 }
 
 /// Where metrics come from.
@@ -92,20 +107,8 @@ impl Metrics {
 /// What programs ask that watch the daemon.
 fn probes(catalog: Arc<Catalog>, stopping: watch::Receiver<bool>) -> Router {
     let ready = move || {
-        let stopping = *stopping.borrow();
-        let (trouble, is_severe) = trouble(&catalog);
-        let (opening, unavailable) = (opening(&catalog), unavailable(&catalog));
-        async move {
-            if stopping {
-                (StatusCode::SERVICE_UNAVAILABLE, "stopping\n".to_owned())
-            } else if is_severe {
-                (StatusCode::SERVICE_UNAVAILABLE, trouble + &unavailable)
-            } else if opening.is_empty() {
-                (StatusCode::OK, format!("ready\n{trouble}{unavailable}"))
-            } else {
-                (StatusCode::SERVICE_UNAVAILABLE, opening)
-            }
-        }
+        let (is_ready, text) = readiness(&catalog, *stopping.borrow());
+        async move { (if is_ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE }, text) }
     };
     Router::new().route("/healthz", get(|| async { "alive\n" })).route("/readyz", get(ready))
 }

@@ -270,7 +270,7 @@ impl Jobs {
     /// Something was erased from a map: its reports go, because they name states, and so do the reasons of failures that
     /// have one of these names.
     pub(crate) fn erased(&self, map: &MapName, names: &[&str]) {
-        for job in self.list().iter().filter(|job| job.map == *map) {
+        for job in self.list().iter().filter(|job| job.map.as_ref() == Some(map)) {
             *job.report.lock().unwrap_or_else(PoisonError::into_inner) = None;
             job.status.send_if_modified(|status| match &mut status.phase {
                 Phase::Failed(_, reason) if names.iter().any(|name| reason.contains(name)) => {

@@ -27,6 +27,7 @@ mod secret_file;
 mod silent_producers;
 mod state_or_cell;
 mod statistics;
+mod storage_watch;
 mod telemetry;
 mod web;
 
@@ -48,7 +49,9 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
         return index_print::run(dir, map.as_deref());
     }
     match &flags.command {
-        Some(OfflineCommand::Check { dir, repair }) => return repair::run_check(dir, *repair),
+        Some(OfflineCommand::Check { dir, repair, accept_loss }) => {
+            return repair::run_check(dir, *repair, *accept_loss);
+        }
         Some(OfflineCommand::Backup(BackupCommand::Restore { backup, dir })) => {
             return repair::run_restore(backup, dir);
         }

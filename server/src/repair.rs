@@ -6,32 +6,56 @@
 
 use std::{io::Write, path::Path, process::ExitCode};
 
-use tidemap_store::{BackupError, Checked, check};
+use tidemap_map::time::format_rfc3339;
+use tidemap_store::{BackupError, Checked, Mode, Outcome, check};
 
-use crate::daemon::random_id;
+use crate::{
+    clock::{Clock as _, SystemClock},
+    daemon::random_id,
+};
 
 /// Checks a data folder, and prints what is wrong.
-pub(crate) fn run_check(directory: &Path, repair: bool) -> ExitCode {
-    let checked = match check(directory, repair) {
+pub(crate) fn run_check(directory: &Path, repair: bool, accept_loss: bool) -> ExitCode {
+    let mode = match (repair, accept_loss) {
+        (_, true) => Mode::AcceptLoss { now_nanos: SystemClock.now_nanos() },
+        (true, false) => Mode::Repair,
+        (false, false) => Mode::Look,
+    };
+    let checked = match check(directory, mode) {
         Ok(checked) => checked,
         Err(error) => return refuse(&error.to_string(), 2),
     };
     // A reader that goes away is no error.
     let printed = print(&checked, &mut std::io::stdout().lock());
-    let is_sound = checked.findings.iter().all(|finding| finding.is_repaired);
+    let is_sound = checked.findings.iter().all(|finding| finding.outcome != Outcome::Open);
     if printed.is_ok() && is_sound { ExitCode::SUCCESS } else { ExitCode::from(1) }
 }
 
 fn print(checked: &Checked, out: &mut impl Write) -> std::io::Result<()> {
-    for finding in &checked.findings {
-        let file = finding.file.display();
-        let advice = if finding.is_repaired { "repaired" } else { finding.advice };
-        writeln!(out, "{file}: {}\n    {advice}", finding.problem)?;
+    let Checked { format, newest_format, store_id, maps, files, log_records, findings, losses } = checked;
+    for finding in findings {
+        let advice = match finding.outcome {
+            Outcome::Open => finding.advice,
+            Outcome::Repaired => "repaired",
+            Outcome::Accepted => "accepted as lost",
+        };
+        writeln!(out, "{}: {}\n    {advice}", finding.file.display(), finding.problem)?;
     }
-    let Checked { maps, files, log_records, findings } = checked;
-    let repaired = findings.iter().filter(|finding| finding.is_repaired).count();
-    let left = findings.len() - repaired;
-    writeln!(out, "{maps} maps, {files} files, {log_records} records of logs: {left} problems, {repaired} repaired")
+    for loss in losses {
+        let at = format_rfc3339(loss.accepted_nanos);
+        writeln!(out, "{}: {}\n    accepted as lost on {at}", loss.file, loss.problem)?;
+    }
+    writeln!(out, "store id {store_id}")?;
+    if format < newest_format {
+        writeln!(out, "disk format {format}: the next start migrates it to format {newest_format}")?;
+    }
+    let count = |outcome| findings.iter().filter(|finding| finding.outcome == outcome).count();
+    let (left, repaired) = (count(Outcome::Open), count(Outcome::Repaired));
+    write!(out, "{maps} maps, {files} files, {log_records} records of logs: {left} problems, {repaired} repaired")?;
+    match losses.len() {
+        0 => writeln!(out),
+        accepted => writeln!(out, ", {accepted} accepted as lost"),
+    }
 }
 
 /// Restores a backup to an empty folder.

@@ -68,6 +68,8 @@ pub(crate) fn of_daemon(catalog: &Catalog) -> Vec<Counter> {
     ]);
     rows.push(("maps_unavailable", catalog.unavailable().len() as f64, ""));
     rows.extend(of_storage(catalog));
+    rows.push(("lists_lost", count(|trouble| matches!(trouble, Trouble::ListLost { .. })), ""));
+    rows.push(("losses_accepted", catalog.context().store.losses().map_or(0, |losses| losses.len()) as f64, ""));
     rows
 }
 

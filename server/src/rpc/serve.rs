@@ -15,7 +15,8 @@ use tidemap_proto::v1::{
 };
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::{service, transport::Server};
+use tonic::{server::NamedService, service, transport::Server};
+use tonic_health::{ServingStatus, server::HealthReporter};
 
 use super::{
     admission::{Admission, AdmittedService, RequestLimits},
@@ -48,9 +49,30 @@ pub(crate) type GuardedServices = AdmittedService<service::Routes>;
 pub(crate) struct Services {
     routes: service::Routes,
     admission: Admission,
+    health: Health,
+}
+
+/// What the health service says.
+#[derive(Clone, Debug)]
+pub(crate) struct Health(HealthReporter);
+
+impl Health {
+    /// Tells whether requests are served as they should be, of the daemon as a whole and of two of its services.
+    pub(crate) async fn tell(&self, is_ready: bool) {
+        let status = if is_ready { ServingStatus::Serving } else { ServingStatus::NotServing };
+        let observation = <ObservationServiceServer<Observations> as NamedService>::NAME;
+        for service in ["", observation, <QueryServiceServer<Queries> as NamedService>::NAME] {
+            self.0.set_service_status(service, status).await;
+        }
+    }
 }
 
 impl Services {
+    /// The health service, which says that nothing is served until it is told.
+    pub(crate) fn health(&self) -> Health {
+        self.health.clone()
+    }
+
     /// The services for callers with this access.
     pub(crate) fn guarded(&self, access: Access) -> GuardedServices {
         let serve_caller = from_fn_with_state(access.clone(), serve_caller);
@@ -63,8 +85,8 @@ impl Services {
 /// Makes the services.
 pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stopping: watch::Receiver<bool>) -> Services {
     let (health, health_service) = tonic_health::server::health_reporter();
-    health.set_serving::<ObservationServiceServer<Observations>>().await;
-    health.set_serving::<QueryServiceServer<Queries>>().await;
+    let health = Health(health);
+    health.tell(false).await;
     let observations = Observations {
         catalog: Arc::clone(&catalog),
         limits: StreamLimits {
@@ -122,7 +144,7 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
             MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone() })
                 .max_decoding_message_size(REQUEST_BYTES),
         );
-    Services { routes, admission }
+    Services { routes, admission, health }
 }
 
 /// Serves the gRPC port to those with access until `stop` becomes true and the connections are closed. Reflection is

@@ -87,8 +87,12 @@ pub struct Finding {
 /// What a check has read and found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Checked {
-    /// The disk format of the directory; an older one than this version's is migrated at the next start.
+    /// The disk format of the directory.
     pub format: u32,
+    /// The disk format of this version, to which the next start migrates an older one.
+    pub newest_format: u32,
+    /// The identity of the store.
+    pub store_id: String,
     /// Number of maps.
     pub maps: u64,
     /// Number of files read.
@@ -120,7 +124,8 @@ pub fn check(directory: &Path, mode: Mode) -> Result<Checked, OpenError> {
         return Err(OpenError::Damaged { file: directory.join(manifest::FILE_NAME), reason });
     };
     let lock = Lock::look(directory)?;
-    let checked = Checked { format: manifest.format, ..Checked::default() };
+    let checked =
+        Checked { format: manifest.format, newest_format: FORMAT, store_id: manifest.store_id, ..Checked::default() };
     let mut check = Check { directory, disk: Arc::new(RealDisk), mode, checked };
     // First: without it, no loss can be recorded.
     losses::read(&RealDisk, directory)?;

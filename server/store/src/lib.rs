@@ -43,7 +43,7 @@ pub use map_log::MapLog;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use scrub::Pace;
 pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store, StoreOptions};
-pub use tidemap_migrations::v4::lists::Loss;
+pub use tidemap_migrations::{manifest::is_store_id, v4::lists::Loss};
 pub use trouble::Trouble;
 
 /// Number of a map within its store, from 1, never reused; also the name of its folder.

@@ -11,7 +11,7 @@ use std::{
 };
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec, update::SpectrumRoom};
-use tidemap_migrations::v4::lists::Loss;
+use tidemap_migrations::{v3::lists::MAPS_FILE, v4::lists::Loss};
 
 use crate::{
     MapId,
@@ -338,6 +338,13 @@ impl Store {
     /// What is wrong with the storage now. Does not wait for the disk.
     pub fn trouble(&self) -> Vec<Trouble> {
         self.inner.committer.watch.trouble()
+    }
+
+    /// What is wrong with the list of all maps, if it is lost: there may have been other maps than those that are found.
+    pub fn lost_map_list(&self) -> Option<Trouble> {
+        let is_it =
+            |trouble: &Trouble| matches!(trouble, Trouble::ListLost { file, .. } if *file == Path::new(MAPS_FILE));
+        self.trouble().into_iter().find(is_it)
     }
 
     /// All maps, by number.
