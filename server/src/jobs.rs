@@ -267,8 +267,8 @@ impl Jobs {
         *job.report.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(report));
     }
 
-    /// Something was erased from a map: its reports go, because they name states, and so do the reasons of failures that
-    /// have one of these names.
+    /// Something was erased from a map: its reports go, because they name states, and so do the reasons of failures
+    /// that have one of these names.
     pub(crate) fn erased(&self, map: &MapName, names: &[&str]) {
         for job in self.list().iter().filter(|job| job.map.as_ref() == Some(map)) {
             *job.report.lock().unwrap_or_else(PoisonError::into_inner) = None;

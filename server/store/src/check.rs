@@ -1,9 +1,9 @@
 //! Checking a data directory that no daemon uses: every record of every log, checkpoint and history file, the lists of
 //! what must exist, and the index.
 //!
-//! Invariant: a look changes nothing. A repair loses nothing: it only makes lists again where other files prove that all
-//! is there, and sets a damaged index aside, which is rebuilt from the checkpoints. Going on without what is lost is
-//! recorded in `LOSSES` first.
+//! Invariant: a look changes nothing. A repair loses nothing: it only makes lists again where other files prove that
+//! all is there, and sets a damaged index aside, which is rebuilt from the checkpoints. Going on without what is lost
+//! is recorded in `LOSSES` first.
 
 use std::{
     collections::BTreeSet,
@@ -116,8 +116,8 @@ struct Check<'a> {
 /// Checks a data directory that no daemon uses.
 ///
 /// # Errors
-/// [`OpenError`] where nothing can be checked: there is no data directory, a daemon uses it, a newer version wrote it, or
-/// the record of its losses is damaged.
+/// [`OpenError`] where nothing can be checked: there is no data directory, a daemon uses it, a newer version wrote it,
+/// or the record of its losses is damaged.
 pub fn check(directory: &Path, mode: Mode) -> Result<Checked, OpenError> {
     let Some(manifest) = manifest::read(directory, FORMAT)? else {
         let reason = "there is none: this is no data directory of tidemapd".to_owned();

@@ -340,7 +340,7 @@ impl Store {
         self.inner.committer.watch.trouble()
     }
 
-    /// What is wrong with the list of all maps, if it is lost: there may have been other maps than those that are found.
+    /// What is wrong with the list of all maps, if it is lost: there may have been other maps than those that exist.
     pub fn lost_map_list(&self) -> Option<Trouble> {
         let is_it =
             |trouble: &Trouble| matches!(trouble, Trouble::ListLost { file, .. } if *file == Path::new(MAPS_FILE));

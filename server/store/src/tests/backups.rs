@@ -6,9 +6,7 @@ use super::{
     example::{append, event, fill, options, snapshot, spec},
     missing::with_history,
 };
-use crate::{
-    BackupError, MapId, Mode, Outcome, Store, StoreOptions, check, is_backup_of, link_backup, restore,
-};
+use crate::{BackupError, MapId, Mode, Outcome, Store, StoreOptions, check, is_backup_of, link_backup, restore};
 
 const MAP: MapId = MapId(1);
 const OTHER_ID: &str = "ffffffffffffffffffffffffffffffff";

@@ -175,7 +175,7 @@ fn a_folder_that_is_no_longer_ours_acknowledges_nothing() {
             }
         }
         // Without an append it is noticed too; here only every other time.
-        if harm as usize % 2 == 0 {
+        if (harm as usize).is_multiple_of(2) {
             assert!(matches!(store.verify(), Some(AppendError::Poisoned { .. })), "{harm:?}");
         }
         let error = append(&log, &event(2)).expect_err("it could not be found again");
