@@ -253,11 +253,15 @@ impl Check<'_> {
                 self.find_lost(&path, &problem, || history.remove_from_list(std::slice::from_ref(&path)).is_ok());
             } else {
                 self.checked.files += 1;
-                match check_total(&*self.disk, &path) {
-                    Ok(total) if total == (file.length, file.total_crc) => {}
-                    Ok(_) => self.find(&path, "it is another file than the list says", FROM_BACKUP),
-                    Err(problem) => self.find(&path, problem, FROM_BACKUP),
-                }
+                let problem = match check_total(&*self.disk, &path) {
+                    Ok(total) if total == (file.length, file.total_crc) => continue,
+                    Ok(_) => "it is another file than the list says".to_owned(),
+                    Err(problem) => problem,
+                };
+                let disk = Arc::clone(&self.disk);
+                self.find_lost(&path, &problem, || {
+                    history.remove_from_list(std::slice::from_ref(&path)).is_ok() && disk.remove(&path).is_ok()
+                });
             }
         }
         // A save that was cut off may have left a file that is not listed yet.
@@ -332,8 +336,19 @@ impl Check<'_> {
         // Also the segments that only older checkpoints need. Without a checkpoint, the log must begin with record 1.
         let replay_from = replay_from.min(first.max(1));
         let list = folder.join(NEWEST_FILE);
-        if let (_, Some(problem)) = self.list::<NewestSegment>(&list) {
-            self.find_lost(&list, &problem, || lists::make_newest(&*disk, directory, map).is_ok());
+        let go_on = || lists::make_newest(&*disk, directory, map).is_ok();
+        match self.list::<NewestSegment>(&list) {
+            (_, Some(problem)) => self.find_lost(&list, &problem, go_on),
+            (Some(NewestSegment { first_position }), None) => {
+                let newest = segment_path(&folder, first_position);
+                if disk.length(&newest).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+                    self.find_lost(&newest, "it is missing, the newest segment of the log", go_on);
+                    if !matches!(self.mode, Mode::AcceptLoss { .. }) {
+                        return;
+                    }
+                }
+            }
+            (None, None) => {}
         }
         // What is wrong with the list has been found.
         let is_listed = self.list::<NewestSegment>(&list).0.is_some();

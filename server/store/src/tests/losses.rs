@@ -173,6 +173,33 @@ fn a_lost_end_of_a_log_is_refused_until_it_is_accepted() {
     assert!((1..60).contains(&end), "{end}");
 }
 
+#[test]
+fn a_missing_newest_segment_and_a_damaged_history_file_are_refused_until_they_are_accepted() {
+    let work = tempfile::tempdir().expect("temporary directory");
+    let data = &work.path().join("log");
+    let example = fill(data, 60, &[], 300);
+    let segments = fs::read_dir(data.join("maps/00000001/log")).expect("readable");
+    let segments = segments.map(|entry| entry.expect("entry").path());
+    let newest = segments.filter(|path| path.extension().is_some_and(|it| it == "log")).max().expect("several");
+    fs::remove_file(&newest).expect("removable");
+    assert!(matches!(example.check(data), Err(OpenError::CorruptLog { .. })));
+    accept(data, &[newest.strip_prefix(data).expect("within").to_str().expect("text")]);
+    let store = Store::open(data, options()).expect("opens");
+    assert!(store.open_map(MAP, &example.spec).expect("opens").log.end() < 60);
+
+    let data = &work.path().join("history");
+    drop(with_history(data, &spec("office")));
+    let file = "maps/00000001/history/00000000000000000002.states.tmh";
+    let mut bytes = fs::read(data.join(file)).expect("readable");
+    bytes[40] ^= 1;
+    fs::write(data.join(file), bytes).expect("writable");
+    accept(data, &[file]);
+    assert!(!data.join(file).exists());
+    let store = Store::open(data, options()).expect("opens");
+    assert_eq!(store.trouble(), []);
+    assert!(store.history(MAP).expect("known").state(StateId(0), 0, i64::MAX).is_ok());
+}
+
 /// A map with two checkpoints, whose log has lost its beginning to them.
 fn shortened(data: &Path) -> (super::example::Example, PathBuf, PathBuf) {
     let example = fill(data, 60, &[20, 40], 300);
