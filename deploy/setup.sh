@@ -3,10 +3,10 @@
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
 #   deploy/setup.sh [test|docs|lint|web|deb|fuzz|python]
-#                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node and Chromium;
-#                                 `web` adds Node, for the page; `python` adds Python with its environments; `docs`
-#                                 adds mdbook, `deb` cargo-deb and `fuzz` cargo-fuzz, in target/tools; `lint` adds
-#                                 cargo-deny there, as a program that others have built
+#                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node, Chromium
+#                                 and promtool; `web` adds Node, for the page; `python` adds Python with its
+#                                 environments; `docs` adds mdbook, `deb` cargo-deb and `fuzz` cargo-fuzz, in
+#                                 target/tools; `lint` adds cargo-deny there, as a program that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
 #
 # Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
@@ -241,6 +241,21 @@ if [ "$goal" = web ] || [ "$goal" = test ]; then
         fi
     fi
 fi
+
+# promtool plays the rules of the alerts. Only the program is taken from the package, which would start a service.
+promtool=$PWD/target/tools/promtool
+fetch_promtool() {
+    have apt-get && have dpkg || return 1
+    say "fetching promtool from Debian's package prometheus, once"
+    if [ -n "$dry" ]; then return; fi
+    rm -rf "$promtool" && mkdir -p "$promtool" && cd "$promtool" || return 1
+    apt-get download -q=2 prometheus 2>/dev/null ||
+        { as_root apt-get update -q=2 && apt-get download -q=2 prometheus 2>/dev/null; } || return 1
+    dpkg -x prometheus_*.deb all && mv all/usr/bin/promtool . && rm -rf all prometheus_*.deb
+}
+if [ "$goal" = test ] && ! have promtool && [ ! -x "$promtool/promtool" ]; then
+    (fetch_promtool) || say "promtool could not be had: the rules of the alerts are not played"
+fi
 if [ "$goal" = test ]; then
     have chromium || install chromium || say "no chromium: the tests of the page are skipped"
     if [ ! -e client/web/node_modules/playwright-core ] && PATH="$node_path:$PATH" have npm; then
@@ -253,7 +268,7 @@ fi
 if [ -n "$dry" ]; then exit 0; fi
 mkdir -p target
 {
-    printf 'export PATH=%q\n' "${node_path:+$node_path:}$PATH:/usr/sbin:/sbin"
+    printf 'export PATH=%q\n' "${node_path:+$node_path:}$PATH:$promtool:/usr/sbin:/sbin"
     if [ -n "$toolchain" ]; then printf 'export RUSTUP_TOOLCHAIN=%q\n' "$toolchain"; fi
     echo "NEXTEST=$nextest"
 } >target/setup.env

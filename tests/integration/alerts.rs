@@ -94,6 +94,7 @@ const PLAYED: &[(&str, &[Played], u32)] = &[
     ("TidemapDiskFull", &[("tidemap_disk_full", "0x4 1x20")], 10),
     ("TidemapDiskFillsUp", &[("tidemap_disk_free_bytes", "50x4 5x40"), ("tidemap_disk_size_bytes", "100x60")], 30),
     ("TidemapMapUnavailable", &[("tidemap_maps_unavailable", "0x4 1x20")], 10),
+    ("TidemapListsLost", &[("tidemap_lists_lost", "0x4 1x20")], 10),
     ("TidemapDamagedFiles", &[("tidemap_damaged_files", "0x4 1x20")], 10),
     ("TidemapSavesFail", &[("tidemap_maps_not_saved", "0x60"), ("tidemap_save_failures_total", "0x4 1x60")], 30),
     ("TidemapIndexUnavailable", &[("tidemap_index_unavailable", "0x4 1x40")], 30),
