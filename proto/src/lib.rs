@@ -4,11 +4,10 @@
 //! Invariant: nothing here makes decisions. Conversions validate what is received, not what is sent; v1 only grows.
 
 pub mod bounds;
+pub mod bytes_codec;
 pub mod codec;
 #[cfg(feature = "convert")]
 pub mod convert;
-#[cfg(feature = "dynamic")]
-pub mod dynamic;
 
 /// Generated from `proto/tidemap/v1/*.proto`; each item is documented there.
 #[allow(missing_docs, clippy::all, clippy::pedantic)]

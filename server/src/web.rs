@@ -24,7 +24,6 @@ use crate::{connections::Remote, rpc::serve::GuardedServices};
 #[cfg(test)]
 mod api_page;
 mod assets;
-mod codec;
 mod json;
 mod links;
 mod openapi;

@@ -3,9 +3,8 @@
 //! Invariant: the gRPC frames are valid; their content is that of the test.
 
 use bytes::Bytes;
+use tidemap_proto::bytes_codec::BytesCodec;
 use tonic::{Status, client::Grpc, codegen::http::uri::PathAndQuery, transport::Endpoint};
-
-use crate::raw_calls::Unchanged;
 
 /// Opens a stream of observations, sends these messages, and returns how the stream ended.
 ///
@@ -24,7 +23,7 @@ pub async fn observe(address: &str, messages: Vec<Vec<u8>>) -> Result<usize, Sta
         tokio_stream::iter(messages.into_iter().map(Bytes::from)),
         tokio_stream::pending(),
     );
-    let mut replies = grpc.streaming(tonic::Request::new(requests), path, Unchanged).await?.into_inner();
+    let mut replies = grpc.streaming(tonic::Request::new(requests), path, BytesCodec).await?.into_inner();
     let count = async {
         let mut count = 0;
         while replies.message().await?.is_some() {

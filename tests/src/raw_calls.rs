@@ -4,55 +4,13 @@
 
 use std::time::Duration;
 
-use bytes::{Buf as _, BufMut as _, Bytes};
+use bytes::Bytes;
 use prost::Message as _;
 use prost_types::{DescriptorProto, FileDescriptorSet};
 use tidemap_client::connection::Connection;
+use tidemap_proto::bytes_codec::BytesCodec;
 use tokio_stream::StreamExt as _;
-use tonic::{
-    Code, Request, Status,
-    client::Grpc,
-    codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder},
-    codegen::http::uri::PathAndQuery,
-};
-
-/// Messages as they are.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Unchanged;
-
-impl Codec for Unchanged {
-    type Encode = Bytes;
-    type Decode = Bytes;
-    type Encoder = Self;
-    type Decoder = Self;
-
-    fn encoder(&mut self) -> Self {
-        Self
-    }
-
-    fn decoder(&mut self) -> Self {
-        Self
-    }
-}
-
-impl Encoder for Unchanged {
-    type Item = Bytes;
-    type Error = Status;
-
-    fn encode(&mut self, item: Bytes, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
-        buffer.put(item);
-        Ok(())
-    }
-}
-
-impl Decoder for Unchanged {
-    type Item = Bytes;
-    type Error = Status;
-
-    fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<Bytes>, Status> {
-        Ok(Some(buffer.copy_to_bytes(buffer.remaining())))
-    }
-}
+use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery};
 
 /// A method of `tidemap.v1`.
 #[derive(Clone, Debug)]
@@ -138,7 +96,7 @@ pub async fn call(connection: Connection, path: &str, message: Bytes, within: Du
     let requests = tokio_stream::once(message);
     let path = PathAndQuery::try_from(path).expect("a path");
     let work = async {
-        let replies = grpc.streaming(Request::new(requests), path, Unchanged).await?.into_inner();
+        let replies = grpc.streaming(Request::new(requests), path, BytesCodec).await?.into_inner();
         tokio::pin!(replies);
         replies.next().await.transpose()
     };

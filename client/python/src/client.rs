@@ -87,8 +87,9 @@ impl NativeClient {
         let message = rpc::request(&descriptor, request)
             .map_err(|error| failure::invalid(py, &format!("the request of {method}: {error}")))?;
         let server = self.client.server().to_owned();
+        let kind = descriptor.output();
         match wait(py, rpc::call(self.client.clone(), descriptor, message), |_| Ok(()))? {
-            Ok(replies) => Ok(Replies::new(server, replies)),
+            Ok(replies) => Ok(Replies::new(server, kind, replies)),
             Err(status) => Err(rpc::raised(py, &server, &status)),
         }
     }

@@ -5,11 +5,13 @@
 
 use std::sync::{Arc, OnceLock};
 
-use prost::Message as _;
-use prost_reflect::{DescriptorPool, DeserializeOptions, DynamicMessage, MethodDescriptor, SerializeOptions};
+use prost::{Message as _, bytes::Bytes};
+use prost_reflect::{
+    DescriptorPool, DeserializeOptions, DynamicMessage, MessageDescriptor, MethodDescriptor, SerializeOptions,
+};
 use pyo3::prelude::*;
 use tidemap_client::Client;
-use tidemap_proto::dynamic::DynamicCodec;
+use tidemap_proto::bytes_codec::BytesCodec;
 use tokio::sync::Mutex;
 use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
 
@@ -31,21 +33,19 @@ pub(crate) fn method(name: &str) -> Option<MethodDescriptor> {
     found.filter(|method| !method.is_client_streaming())
 }
 
-/// A request from JSON.
-pub(crate) fn request(method: &MethodDescriptor, json: &str) -> Result<DynamicMessage, serde_json::Error> {
+/// A request from JSON, as bytes of the wire.
+pub(crate) fn request(method: &MethodDescriptor, json: &str) -> Result<Bytes, serde_json::Error> {
     let mut json = serde_json::Deserializer::from_str(json);
     let options = DeserializeOptions::new().deny_unknown_fields(true);
     let message = DynamicMessage::deserialize_with_options(method.input(), &mut json, &options)?;
     json.end()?;
-    Ok(message)
+    Ok(message.encode_to_vec().into())
 }
 
 fn text(message: &DynamicMessage) -> Result<String, Status> {
     let mut text = Vec::new();
-    let options = SerializeOptions::new()
-        .skip_default_fields(false)
-        .use_proto_field_name(true)
-        .stringify_64_bit_integers(false);
+    let options =
+        SerializeOptions::new().skip_default_fields(false).use_proto_field_name(true).stringify_64_bit_integers(false);
     let mut json = serde_json::Serializer::new(&mut text);
     message.serialize_with_options(&mut json, &options).map_err(|error| Status::internal(error.to_string()))?;
     String::from_utf8(text).map_err(|error| Status::internal(error.to_string()))
@@ -65,14 +65,13 @@ pub(crate) fn model_request(py: Python<'_>, name: &str) -> PyResult<String> {
 pub(crate) async fn call(
     client: Client,
     method: MethodDescriptor,
-    message: DynamicMessage,
-) -> Result<Streaming<DynamicMessage>, Status> {
+    request: Bytes,
+) -> Result<Streaming<Bytes>, Status> {
     let path = format!("/{}/{}", method.parent_service().full_name(), method.name());
     let path = PathAndQuery::try_from(path).map_err(|error| Status::internal(error.to_string()))?;
     let mut grpc = Grpc::new(client.requests()).max_decoding_message_size(REPLY_BYTES);
     grpc.ready().await.map_err(|error| Status::unavailable(error.to_string()))?;
-    let codec = DynamicCodec { output: method.output() };
-    Ok(grpc.server_streaming(tonic::Request::new(message), path, codec).await?.into_inner())
+    Ok(grpc.server_streaming(tonic::Request::new(request), path, BytesCodec).await?.into_inner())
 }
 
 /// The exception of a status.
@@ -88,12 +87,14 @@ pub(crate) fn raised(py: Python<'_>, server: &str, status: &Status) -> PyErr {
 #[pyclass(frozen)]
 pub(crate) struct Replies {
     server: String,
-    replies: Arc<Mutex<Streaming<DynamicMessage>>>,
+    kind: MessageDescriptor,
+    replies: Arc<Mutex<Streaming<Bytes>>>,
 }
 
 impl Replies {
-    pub(crate) fn new(server: String, replies: Streaming<DynamicMessage>) -> Self {
-        Self { server, replies: Arc::new(Mutex::new(replies)) }
+    /// Replies of a server, of the type `kind`.
+    pub(crate) fn new(server: String, kind: MessageDescriptor, replies: Streaming<Bytes>) -> Self {
+        Self { server, kind, replies: Arc::new(Mutex::new(replies)) }
     }
 }
 
@@ -104,10 +105,11 @@ impl Replies {
     }
 
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<String>> {
-        let replies = Arc::clone(&self.replies);
+        let (replies, kind) = (Arc::clone(&self.replies), self.kind.clone());
         let next = async move {
-            let message = replies.lock().await.message().await?;
-            message.as_ref().map(text).transpose()
+            let Some(bytes) = replies.lock().await.message().await? else { return Ok(None) };
+            let message = DynamicMessage::decode(kind, bytes).map_err(|error| Status::internal(error.to_string()))?;
+            text(&message).map(Some)
         };
         wait(py, next, |_| Ok(()))?.map_err(|status| raised(py, &self.server, &status))
     }

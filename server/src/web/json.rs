@@ -14,12 +14,13 @@ use axum::{
 use prost::Message as _;
 use prost_reflect::{DeserializeOptions, DynamicMessage, MessageDescriptor, MethodDescriptor, SerializeOptions};
 use serde_json::{Value, json};
+use tidemap_proto::bytes_codec::BytesCodec;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_stream::StreamExt as _;
 use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
 use tonic_types::StatusExt as _;
 
-use super::{Gateway, codec::BytesCodec};
+use super::Gateway;
 use crate::rpc::{admission::Admitted, status::code_name};
 
 /// Maximum size of a request as JSON; larger ones go over gRPC. An object takes up to fifty times its text in memory.

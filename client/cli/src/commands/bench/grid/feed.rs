@@ -11,14 +11,13 @@ use prost::{
     bytes::{BufMut as _, Bytes, BytesMut},
 };
 use tidemap_client::{Client, scan_file::ScanFile};
-use tidemap_proto::v1::{Hello, ObserveRequest, ObserveResponse, ScanBatch, observe_request, observe_response};
+use tidemap_proto::{
+    bytes_codec::BytesCodec,
+    v1::{Hello, ObserveRequest, ObserveResponse, ScanBatch, observe_request, observe_response},
+};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
-use tonic::{
-    Status, Streaming,
-    codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder},
-    codegen::http::uri::PathAndQuery,
-};
+use tonic::codegen::http::uri::PathAndQuery;
 
 use crate::progress::{Bar, status_line};
 
@@ -34,42 +33,8 @@ pub(super) struct FeedTotals {
     pub(super) bytes: u64,
 }
 
-/// A codec that sends encoded requests and decodes replies.
-#[derive(Clone, Copy, Debug, Default)]
-struct Raw;
-
-impl Codec for Raw {
-    type Encode = Bytes;
-    type Decode = ObserveResponse;
-    type Encoder = Self;
-    type Decoder = Self;
-
-    fn encoder(&mut self) -> Self {
-        Self
-    }
-
-    fn decoder(&mut self) -> Self {
-        Self
-    }
-}
-
-impl Encoder for Raw {
-    type Item = Bytes;
-    type Error = Status;
-
-    fn encode(&mut self, item: Bytes, buffer: &mut EncodeBuf<'_>) -> Result<(), Status> {
-        buffer.put(item);
-        Ok(())
-    }
-}
-
-impl Decoder for Raw {
-    type Item = ObserveResponse;
-    type Error = Status;
-
-    fn decode(&mut self, buffer: &mut DecodeBuf<'_>) -> Result<Option<ObserveResponse>, Status> {
-        ObserveResponse::decode(buffer).map(Some).map_err(|error| Status::internal(error.to_string()))
-    }
+fn decoded(reply: Option<Bytes>) -> anyhow::Result<Option<observe_response::Message>> {
+    Ok(reply.map(ObserveResponse::decode).transpose()?.and_then(|reply| reply.message))
 }
 
 /// Sends a file and waits until it is durable and the stream has ended.
@@ -88,8 +53,8 @@ pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Res
     service.ready().await.context("the connection")?;
     let path = PathAndQuery::from_static("/tidemap.v1.ObservationService/Observe");
     let request = tonic::Request::new(ReceiverStream::new(outgoing));
-    let mut replies: Streaming<ObserveResponse> = service.streaming(request, path, Raw).await?.into_inner();
-    match replies.message().await?.and_then(|reply| reply.message) {
+    let mut replies = service.streaming(request, path, BytesCodec).await?.into_inner();
+    match decoded(replies.message().await?)? {
         Some(observe_response::Message::Welcome(_)) => {}
         _ => bail!("no Welcome"),
     }
@@ -102,7 +67,7 @@ pub(super) async fn send(client: &Client, map: &str, path: &Path) -> anyhow::Res
     })?;
     let (mut durable, mut refused) = (0, 0);
     while let Some(reply) = replies.message().await? {
-        match reply.message {
+        match decoded(Some(reply))? {
             Some(observe_response::Message::Ack(ack)) => {
                 durable = ack.durable_sequence;
                 refused += ack.refused.len() as u64;

@@ -1,4 +1,6 @@
-//! A gRPC codec that leaves messages as they are, so that they are read and written where that delays nobody.
+//! A gRPC codec for messages as bytes, for callers that encode and decode them elsewhere.
+//!
+//! Invariant: no byte is changed.
 
 use prost::bytes::{Buf as _, BufMut as _, Bytes};
 use tonic::{
@@ -8,7 +10,7 @@ use tonic::{
 
 /// Messages as bytes.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct BytesCodec;
+pub struct BytesCodec;
 
 impl Codec for BytesCodec {
     type Encode = Bytes;
