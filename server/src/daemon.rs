@@ -60,6 +60,8 @@ const HTTP_CONNECTIONS: ConnectionLimits =
     ConnectionLimits { total: 256, per_client: 128, idle_after: Duration::from_secs(1) };
 /// Limits of its reserve, for those who ask whether the daemon lives.
 const PROBE_CONNECTIONS: ConnectionLimits = ConnectionLimits { total: 32, per_client: 4, idle_after: Duration::ZERO };
+/// Connections that wait until they are accepted: a whole fleet may come back at once. The system may allow fewer.
+const BACKLOG: i32 = 4096;
 /// Descriptors that connections leave to files.
 const FILE_DESCRIPTORS: usize = 512;
 
@@ -436,7 +438,11 @@ fn connection_limits(settings: &Settings) -> ConnectionLimits {
 
 async fn listen_on_ports(settings: &Settings) -> Result<[TcpListener; 2], DaemonError> {
     let listen = async |address: &str, option| {
-        let listener = TcpListener::bind(address).await;
+        let listener = TcpListener::bind(address).await.and_then(|listener| {
+            // A second call changes the number of connections that may wait.
+            rustix::net::listen(&listener, BACKLOG)?;
+            Ok(listener)
+        });
         listener.map_err(|source| DaemonError::Listen { address: address.to_owned(), option, source })
     };
     Ok([listen(&settings.listen, "--listen").await?, listen(&settings.http_listen, "--http-listen").await?])
