@@ -77,7 +77,7 @@ docs:
 lint:
 	@$(SETUP) lint
 	@$(ENV); cargo fmt --all --check
-	@$(ENV); cargo clippy --workspace --all-targets --locked -- -D warnings
+	@$(ENV); cargo clippy --workspace --all-targets --features tidemap-store/fuzz --locked -- -D warnings
 	@$(ENV); deploy/check-dependencies.sh
 
 ## sbom: the programs' dependencies with versions, licences and hashes, as CycloneDX in target/sbom
