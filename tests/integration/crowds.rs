@@ -109,7 +109,7 @@ async fn a_thousand_streams_are_acknowledged_and_end_in_order() {
     }
     let (mut streams, mut times) = (Vec::new(), Vec::new());
     while let Some(opened) = opening.join_next().await {
-        let (stream, of_stream) = opened.expect("a stream");
+        let (stream, of_stream) = opened.unwrap_or_else(|error| panic!("{error}\n{}", daemon.process().stderr()));
         streams.push(stream);
         times.extend(of_stream);
     }

@@ -3,19 +3,27 @@
 //! Invariant: computed only from the feed and the daemon's own sequence numbers. A daemon may hold more than it
 //! acknowledged, complete and in order, never less, and nothing twice.
 
-use std::{collections::BTreeMap, fmt, time::Duration};
+use std::{
+    collections::BTreeMap,
+    fmt,
+    time::{Duration, Instant},
+};
 
 use tidemap_client::{
     Client,
     queries::{ModelKind, ModelSelector},
     updates::JobState,
 };
+use tonic::Code;
 
 use crate::{
     daemon::Daemon,
     feed::{Feed, state_name},
-    stream::{RawStream, hello},
+    stream::{Ended, RawStream, hello},
 };
+
+/// A daemon that has space again welcomes producers within this time.
+const WELCOME_WITHIN: Duration = Duration::from_secs(30);
 
 /// A violation of a daemon's promises.
 #[derive(Clone, Debug, PartialEq)]
@@ -165,11 +173,21 @@ impl Oracle {
 
     async fn verify_producer(&self, daemon: &Daemon, producer: usize, mark: Mark) -> Result<u64, Violation> {
         let name = producer_name(producer);
-        let (mut stream, welcome) = match RawStream::open(&daemon.grpc, hello(&name, &self.map)).await {
+        let began = Instant::now();
+        let opened = loop {
+            let opened = RawStream::open(&daemon.grpc, hello(&name, &self.map)).await;
+            // After a full disk nobody is welcome until all that was under way is answered.
+            let is_full = |ended: &Ended| ended.status.as_ref().is_some_and(|it| it.code() == Code::ResourceExhausted);
+            if !opened.as_ref().is_err_and(is_full) || began.elapsed() > WELCOME_WITHIN {
+                break opened;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        };
+        let (mut stream, welcome) = match opened {
             Ok(opened) => opened,
             Err(ended) => {
                 let status = ended.error();
-                assert_eq!(status.code(), tonic::Code::NotFound, "the daemon does not welcome {name}: {status:?}");
+                assert_eq!(status.code(), Code::NotFound, "the daemon does not welcome {name}: {status:?}");
                 return Err(Violation::MapGone(self.map.clone()));
             }
         };
