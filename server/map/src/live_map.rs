@@ -24,6 +24,7 @@ use crate::{
 };
 
 mod apply;
+mod paging;
 mod recall;
 pub mod rename;
 mod updates;

@@ -9,7 +9,11 @@ use tidemap_model::{
 };
 
 use crate::{
-    grid::view::CellDescription,
+    grid::{
+        predict::{GridQuestion, GridSelection, TileCells},
+        tile::TileUnavailable,
+        view::{CellDescription, GridView},
+    },
     ids::StateId,
     selector::{ModelKind, ModelSelector},
     view::MapView,
@@ -55,6 +59,16 @@ impl PreparedTimes {
 }
 
 impl MapView {
+    /// The predictions of the selected tiles, in their order; nothing if the map has no grid.
+    pub fn predict_grid<'a>(
+        &'a self,
+        question: &'a GridQuestion,
+        selection: &'a GridSelection,
+    ) -> impl Iterator<Item = Result<TileCells, TileUnavailable>> + 'a {
+        let predict = |grid: &'a GridView| grid.predict(question, selection, self.instant(question.utc_nanos));
+        self.grid().map(predict).into_iter().flatten()
+    }
+
     /// Computes the phasors of times in nanoseconds UTC. Memory: 16 bytes per time and candidate periodicity.
     pub fn prepare(&self, utc_nanos: &[i64]) -> PreparedTimes {
         let moments = self.moments(utc_nanos);

@@ -17,7 +17,6 @@ use super::{
     snapshot::GridSnapshot,
     tile::{ColdTile, ModelSlot, SumsSlot, TileModel, TileSource, TileSums},
 };
-use crate::live_map::LiveMap;
 
 /// The models and sums of a save, without holding them in memory.
 #[derive(Clone, Debug, Default)]
@@ -54,15 +53,14 @@ pub struct TileMemory {
     pub cold_tiles: u64,
 }
 
-impl LiveMap {
+impl LiveGrid {
     /// Memory of models and sums, without those that a running update has.
-    pub fn tile_memory(&self) -> TileMemory {
-        let Some(grid) = &self.grid else { return TileMemory::default() };
+    pub fn memory(&self) -> TileMemory {
         let mut shared = HashSet::new();
         let mut memory = TileMemory::default();
-        let models = &grid.generation.models;
+        let models = &self.generation.models;
         for (tile, model) in models.iter().enumerate() {
-            let sums = grid.sums.get(tile);
+            let sums = self.sums.get(tile);
             memory.bytes += bytes_of(model, sums, &mut shared);
             let is_cold = matches!(model, ModelSlot::Cold(_)) && !matches!(sums, Some(SumsSlot::Resident(_)));
             memory.cold_tiles += u64::from(is_cold);
@@ -72,21 +70,15 @@ impl LiveMap {
 
     /// Reads tiles outside of memory from this save, the newest, from now on; then moves saved tiles out of memory
     /// until the rest take `budget_bytes` or less, those first that were not observed for longest. Returns how many.
-    /// Views published from now on are without them.
+    /// Views published from now on are without them. No update may have the sums.
     pub fn page_out(&mut self, source: &Arc<dyn TileSource>, saved: &SavedTiles, budget_bytes: u64) -> usize {
-        if self.is_updating() {
-            return 0;
-        }
-        if let Some(grid) = &mut self.grid {
-            grid.follow(source);
-        }
-        let mut bytes = self.tile_memory().bytes;
+        self.follow(source);
+        let mut bytes = self.memory().bytes;
         if bytes <= budget_bytes {
             return 0;
         }
-        let Some(grid) = &mut self.grid else { return 0 };
         let mut may_go: Vec<(i64, usize)> = Vec::new();
-        for (tile, slots) in grid.generation.models.iter().zip(&grid.sums).enumerate() {
+        for (tile, slots) in self.generation.models.iter().zip(&self.sums).enumerate() {
             if let (ModelSlot::Resident(model), SumsSlot::Resident(sums)) = slots
                 && saved.has(tile, model, sums)
             {
@@ -94,10 +86,10 @@ impl LiveMap {
             }
         }
         may_go.sort_unstable();
-        let mut models = grid.generation.models.clone();
+        let mut models = self.generation.models.clone();
         // A sum is freed with the last tile that has it.
         let mut holders: std::collections::HashMap<*const PhasorSum, usize> = std::collections::HashMap::new();
-        for sums in grid.sums.iter().filter_map(resident) {
+        for sums in self.sums.iter().filter_map(resident) {
             for group in sums.shared() {
                 *holders.entry(Arc::as_ptr(group)).or_default() += 1;
             }
@@ -112,7 +104,7 @@ impl LiveMap {
             if let ModelSlot::Resident(model) = std::mem::replace(&mut models[tile], ModelSlot::Cold(cold.clone())) {
                 bytes = bytes.saturating_sub(model.bytes() as u64);
             }
-            if let SumsSlot::Resident(sums) = std::mem::replace(&mut grid.sums[tile], SumsSlot::Cold(cold)) {
+            if let SumsSlot::Resident(sums) = std::mem::replace(&mut self.sums[tile], SumsSlot::Cold(cold)) {
                 bytes = bytes.saturating_sub(sums.own_bytes() as u64);
                 for group in sums.shared() {
                     let left = holders.entry(Arc::as_ptr(group)).or_default();
@@ -125,13 +117,11 @@ impl LiveMap {
             gone += 1;
         }
         if gone > 0 {
-            grid.generation = Arc::new(Generation { models });
+            self.generation = Arc::new(Generation { models });
         }
         gone
     }
-}
 
-impl LiveGrid {
     /// Reads tiles outside of memory from the newest save, which has them unchanged, so that no older one is kept open.
     fn follow(&mut self, source: &Arc<dyn TileSource>) {
         let is_older = |cold: &ColdTile| !Arc::ptr_eq(&cold.source, source);

@@ -14,10 +14,7 @@ use super::{
     tile::{ModelSlot, TileModel, TileUnavailable},
     view::GridView,
 };
-use crate::{
-    selector::{ModelKind, ModelSelector},
-    view::MapView,
-};
+use crate::selector::{ModelKind, ModelSelector};
 
 mod project;
 
@@ -307,26 +304,25 @@ fn same_column(one: TileIndex, other: TileIndex) -> bool {
     (one.x, one.y) == (other.x, other.y)
 }
 
-impl MapView {
-    /// The predictions of the selected tiles, in their order; nothing if the map has no grid.
-    pub fn predict_grid<'a>(
+impl GridView {
+    /// The predictions of the selected tiles, in their order, with the phasors of the question's time.
+    pub fn predict<'a>(
         &'a self,
         question: &'a GridQuestion,
         selection: &'a GridSelection,
+        phasors: InstantPhasors,
     ) -> impl Iterator<Item = Result<TileCells, TileUnavailable>> + 'a {
-        let phasors = self.instant(question.utc_nanos);
-        let grid = self.grid();
         let groups = selection.tiles.chunk_by(|(one, _), (next, _)| question.project && same_column(*one, *next));
         let mut columns = Columns::default();
         groups.filter_map(move |tiles| {
             if question.project {
-                return Some(columns.project(grid?, tiles, question, &phasors));
+                return Some(columns.project(self, tiles, question, &phasors));
             }
-            let mut told = grid?.predict_changed(*tiles.first()?, question, &phasors, Vec::new());
-            if let (Ok(cells), false) = (&mut told, question.output == CellOutput::Probability) {
+            let mut cells = self.predict_changed(*tiles.first()?, question, &phasors, Vec::new());
+            if let (Ok(cells), false) = (&mut cells, question.output == CellOutput::Probability) {
                 cells.values.iter_mut().for_each(|value| *value = question.output.of(*value));
             }
-            Some(told)
+            Some(cells)
         })
     }
 }

@@ -21,6 +21,7 @@ use crate::{
     live_map::LiveMap,
     name::MapName,
     spec::MapSpec,
+    view::MapView,
 };
 
 const HOUR: i64 = 3_600_000_000_000;

@@ -1,0 +1,29 @@
+//! Tiles that leave memory, of a map that has a grid.
+//!
+//! Invariant: no tile leaves while an update has the sums.
+
+use std::sync::Arc;
+
+use super::LiveMap;
+use crate::grid::{
+    live::LiveGrid,
+    paging::{SavedTiles, TileMemory},
+    tile::TileSource,
+};
+
+impl LiveMap {
+    /// Memory of models and sums of tiles, without those that a running update has.
+    pub fn tile_memory(&self) -> TileMemory {
+        self.grid.as_ref().map(LiveGrid::memory).unwrap_or_default()
+    }
+
+    /// Reads tiles outside of memory from this save, the newest, from now on; then moves saved tiles out of memory
+    /// until the rest take `budget_bytes` or less. Returns how many; none while an update runs. Views published from
+    /// now on are without them.
+    pub fn page_out(&mut self, source: &Arc<dyn TileSource>, saved: &SavedTiles, budget_bytes: u64) -> usize {
+        if self.is_updating() {
+            return 0;
+        }
+        self.grid.as_mut().map_or(0, |grid| grid.page_out(source, saved, budget_bytes))
+    }
+}
