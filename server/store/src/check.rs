@@ -27,10 +27,11 @@ use crate::{
     error::OpenError,
     index::{Index, RowsState, Unopened, is_present},
     list_file::{self, Unlisted},
+    lock::Lock,
     log::{recovery, replay::Replay, segment_path, segment_position},
     losses,
     record_file::check_total,
-    store::{catalogue, lists, lock::Lock},
+    store::{catalogue, lists},
 };
 
 const INDEX_CACHE_BYTES: u64 = 64 << 20;

@@ -13,8 +13,8 @@ use std::{
 
 use crate::{
     error::AppendError,
+    lock::Lock,
     log::{Done, Log, frame::EncodedEvent},
-    store::lock::Lock,
     trouble::Watch,
 };
 

@@ -18,6 +18,7 @@ pub mod fuzz;
 mod history;
 mod index;
 mod list_file;
+mod lock;
 mod log;
 mod losses;
 mod map_log;

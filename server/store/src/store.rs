@@ -21,6 +21,7 @@ use crate::{
     error::{AppendError, HistoryError, OpenError, Report, StoreError, store_io},
     history::History,
     index::Index,
+    lock::Lock,
     log::{Log, replay::Replay, writer::LogWriter},
     losses,
     map_log::MapLog,
@@ -31,14 +32,12 @@ pub(crate) mod catalogue;
 mod contents;
 mod erase;
 pub(crate) mod lists;
-pub(crate) mod lock;
 pub(crate) mod open;
 mod open_map;
 mod save;
 
 pub use catalogue::SetAside;
 pub use contents::{IndexContents, IndexedRows};
-use lock::Lock;
 
 /// Options of a store.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! No import circles between the files of a crate.
+//! No import circles between the files of a crate, nor between the rooms of a folder.
 //!
 //! A file may use the modules that it lies in, and a module the files below it: that is one room with its inner rooms.
 //! Every other use is an arrow, and arrows must not run in a circle. A name that a module only re-exports counts as
@@ -196,26 +196,54 @@ impl Crate {
 
     /// Groups of files each of which leads to each other.
     fn circles(&self) -> Vec<Vec<&str>> {
-        let arrows = self.arrows();
-        let reached = |from: &Names| {
-            let mut reached: BTreeSet<&Names> = BTreeSet::new();
-            let mut open: Vec<&Names> = arrows[from].iter().collect();
-            while let Some(next) = open.pop() {
-                if reached.insert(next) {
-                    open.extend(&arrows[next]);
-                }
-            }
-            reached
-        };
-        let reached: BTreeMap<&Names, BTreeSet<&Names>> =
-            self.modules.keys().map(|module| (module, reached(module))).collect();
-        let mut circles = BTreeSet::new();
-        for (module, beyond) in reached.iter().filter(|(module, beyond)| beyond.contains(*module)) {
-            let both = |other: &&&Names| reached[**other].contains(module);
-            circles.insert(beyond.iter().filter(both).map(|other| self.modules[*other].as_str()).collect::<Vec<_>>());
-        }
-        circles.into_iter().collect()
+        let arrows = self.arrows().into_iter().map(|(module, uses)| (module.clone(), uses)).collect();
+        let files = |circle: Vec<Names>| circle.iter().map(|module| self.modules[module].as_str()).collect();
+        circles(&arrows).into_iter().map(files).collect()
     }
+
+    /// Groups of rooms of a folder, each of which leads to each other, whatever file of a room it is that does.
+    fn circles_of_rooms(&self) -> Vec<Vec<String>> {
+        let arrows = self.arrows();
+        let folders: BTreeSet<&[String]> =
+            self.modules.keys().filter_map(|module| Some(module.split_last()?.1)).collect();
+        let mut found = Vec::new();
+        for folder in folders {
+            let room = |module: &Names| {
+                let room = module.get(..=folder.len()).filter(|room| room.starts_with(folder));
+                room.map(<[String]>::to_vec)
+            };
+            let mut between: BTreeMap<Names, BTreeSet<Names>> = BTreeMap::new();
+            for (module, uses) in &arrows {
+                let Some(own) = room(module) else { continue };
+                let others = uses.iter().filter_map(room).filter(|other| *other != own);
+                between.entry(own.clone()).or_default().extend(others);
+            }
+            let shown = |circle: Vec<Names>| circle.iter().map(|room| room.join("/")).collect();
+            found.extend(circles(&between).into_iter().map(shown));
+        }
+        found
+    }
+}
+
+/// Groups of which each member leads to each other.
+fn circles(arrows: &BTreeMap<Names, BTreeSet<Names>>) -> BTreeSet<Vec<Names>> {
+    let reached = |from: &Names| {
+        let mut reached: BTreeSet<&Names> = BTreeSet::new();
+        let mut open: Vec<&Names> = arrows[from].iter().collect();
+        while let Some(next) = open.pop() {
+            if reached.insert(next) {
+                open.extend(arrows.get(next).into_iter().flatten());
+            }
+        }
+        reached
+    };
+    let reached: BTreeMap<&Names, BTreeSet<&Names>> = arrows.keys().map(|module| (module, reached(module))).collect();
+    let mut circles = BTreeSet::new();
+    for (module, beyond) in reached.iter().filter(|(module, beyond)| beyond.contains(*module)) {
+        let both = |other: &&&Names| reached.get(**other).is_some_and(|back| back.contains(module));
+        circles.insert(beyond.iter().filter(both).map(|other| (*other).clone()).collect::<Vec<_>>());
+    }
+    circles
 }
 
 #[test]
@@ -227,6 +255,42 @@ fn imports_of_files_run_in_no_circle() {
         }
     }
     hold(&broken);
+}
+
+/// Rooms that still import each other. This list only gets shorter.
+const KNOWN_CIRCLES: &[(&str, &[&str])] = &[
+    ("server/map", &["grid", "ids", "name"]),
+    ("server/store", &["erasure", "store"]),
+    (
+        "server",
+        &[
+            "rpc/exploration",
+            "rpc/lookup",
+            "rpc/map",
+            "rpc/page",
+            "rpc/permits",
+            "rpc/query",
+            "rpc/replies",
+            "rpc/route",
+            "rpc/series",
+            "rpc/status",
+        ],
+    ),
+];
+
+#[test]
+fn rooms_of_a_folder_import_each_other_in_no_new_circle() {
+    let mut found = Vec::new();
+    for (folder, ..) in CRATES {
+        found.extend(Crate::read(folder).circles_of_rooms().into_iter().map(|circle| (folder.to_owned(), circle)));
+    }
+    let mut known = KNOWN_CIRCLES
+        .iter()
+        .map(|(folder, rooms)| ((*folder).to_owned(), rooms.iter().map(|room| (*room).to_owned()).collect()))
+        .collect::<Vec<(String, Vec<String>)>>();
+    found.sort();
+    known.sort();
+    assert_eq!(found, known, "rooms that import each other in a circle; what is mended leaves the list of those known");
 }
 
 #[test]
@@ -249,4 +313,15 @@ fn a_circle_is_found_and_a_room_with_inner_rooms_is_none() {
         ("c", "use super::a;\nuse super::{a::A};"),
     ]);
     assert_eq!(circle.circles(), [["a.rs", "b.rs", "c.rs"]]);
+    let rooms = crate_of(&[
+        ("lib", "mod a;\nmod b;"),
+        ("a", "pub mod one;\npub mod two;"),
+        ("a/one", "use crate::b::three;"),
+        ("a/two", "use std::fmt;"),
+        ("b", "pub mod three;\npub mod four;"),
+        ("b/three", "use std::fmt;"),
+        ("b/four", "use crate::a::two;"),
+    ]);
+    assert!(rooms.circles().is_empty());
+    assert_eq!(rooms.circles_of_rooms(), [["a", "b"]]);
 }
