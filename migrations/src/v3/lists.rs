@@ -225,10 +225,11 @@ impl TextList for ErasureCount {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    fn check<L: TextList + PartialEq + std::fmt::Debug>(list: &L) {
+    /// Checks that a list is read as it was written, and that no flipped bit and no cut passes.
+    pub(crate) fn check<L: TextList + PartialEq + std::fmt::Debug>(list: &L) {
         let text = list.to_text().into_bytes();
         assert_eq!(L::from_text(&text).as_ref(), Ok(list));
         for bit in 0..text.len() * 8 {

@@ -81,16 +81,7 @@ impl TextList for LossList {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn check<L: TextList + PartialEq + std::fmt::Debug>(list: &L) {
-        let text = list.to_text().into_bytes();
-        assert_eq!(L::from_text(&text).as_ref(), Ok(list));
-        for bit in 0..text.len() * 8 {
-            let mut bad = text.clone();
-            bad[bit / 8] ^= 1 << (bit % 8);
-            assert!(L::from_text(&bad).is_err(), "bit {bit}");
-        }
-    }
+    use crate::v3::lists::tests::check;
 
     #[test]
     fn the_lists_are_read_as_written_and_written_like_this_for_ever() {

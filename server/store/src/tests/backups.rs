@@ -1,12 +1,16 @@
 //! Backups of a store in use, their way back, and checks that find every damage.
 
-use std::{fs, path::Path};
+use std::{fs, ops::RangeInclusive, path::Path};
+
+use tidemap_map::spec::MapSpec;
 
 use super::{
     example::{append, event, fill, options, snapshot, spec},
     missing::with_history,
 };
-use crate::{BackupError, MapId, Mode, Outcome, Store, StoreOptions, check, is_backup_of, link_backup, restore};
+use crate::{
+    BackupError, MapId, MapLog, Mode, Outcome, Store, StoreOptions, check, is_backup_of, link_backup, restore,
+};
 
 const MAP: MapId = MapId(1);
 const OTHER_ID: &str = "ffffffffffffffffffffffffffffffff";
@@ -21,25 +25,33 @@ fn files(folder: &Path) -> Vec<String> {
     found
 }
 
+fn append_all(log: &MapLog, positions: RangeInclusive<u64>) {
+    for position in positions {
+        append(log, &event(position)).expect("appends");
+    }
+}
+
+/// A new store with a map of short segments and 20 records.
+fn in_use(data: &Path, spec: &MapSpec) -> (Store, MapLog) {
+    let store = Store::open(data, StoreOptions { segment_bytes: 300, ..options() }).expect("opens");
+    assert_eq!(store.create_map(spec).expect("creates"), MAP);
+    let log = store.open_map(MAP, spec).expect("opens").log;
+    append_all(&log, 1..=20);
+    (store, log)
+}
+
 #[test]
 fn a_backup_of_a_store_in_use_is_restored_elsewhere() {
     let work = tempfile::tempdir().expect("temporary directory");
     let [data, backup, restored] = ["data", "backup", "restored"].map(|name| work.path().join(name));
     let spec = spec("office");
-    let store = Store::open(&data, StoreOptions { segment_bytes: 300, ..options() }).expect("opens");
-    let map = store.create_map(&spec).expect("creates");
-    let log = store.open_map(map, &spec).expect("opens").log;
-    for position in 1..=20 {
-        append(&log, &event(position)).expect("appends");
-    }
-    store.save(map, &snapshot(&spec, 10, 2)).expect("saves");
+    let (store, log) = in_use(&data, &spec);
+    store.save(MAP, &snapshot(&spec, 10, 2)).expect("saves");
     let first = store.backup(&backup).expect("backs up");
     assert_eq!((first.maps, first.kept_files), (1, 0));
 
-    for position in 21..=30 {
-        append(&log, &event(position)).expect("appends");
-    }
-    store.save(map, &snapshot(&spec, 25, 3)).expect("saves");
+    append_all(&log, 21..=30);
+    store.save(MAP, &snapshot(&spec, 25, 3)).expect("saves");
     let second = store.backup(&backup).expect("backs up");
     assert!(second.kept_files > 0 && second.copied_files < first.copied_files + 10, "{second:?}");
     // What happens after the backup is not in it.
@@ -51,14 +63,14 @@ fn a_backup_of_a_store_in_use_is_restored_elsewhere() {
     assert_eq!(report.maps, 1);
     let copy = Store::open(&restored, options()).expect("opens");
     assert_eq!((copy.store_id(), copy.reports()), (OTHER_ID, &[][..]));
-    let opened = copy.open_map(map, &spec).expect("opens");
+    let opened = copy.open_map(MAP, &spec).expect("opens");
     assert_eq!((opened.log.end(), opened.snapshot), (30, Some(snapshot(&spec, 25, 3))));
     let events: Vec<_> = opened.replay.map(|entry| entry.expect("whole").0).collect();
     assert_eq!(events.last(), Some(&30));
     assert_eq!(append(&opened.log, &event(31)), Ok(31));
 
     // A deleted map leaves the next backup.
-    store.delete_map(map).expect("deletes");
+    store.delete_map(MAP).expect("deletes");
     store.backup(&backup).expect("backs up");
     assert!(files(&backup).iter().all(|file| !file.contains("00000001")), "{:?}", files(&backup));
 }
@@ -68,13 +80,8 @@ fn a_backup_that_begins_with_the_files_of_another_leaves_that_as_it_is() {
     let work = tempfile::tempdir().expect("temporary directory");
     let [data, first, second] = ["data", "first", "second"].map(|name| work.path().join(name));
     let spec = spec("office");
-    let store = Store::open(&data, StoreOptions { segment_bytes: 300, ..options() }).expect("opens");
-    let map = store.create_map(&spec).expect("creates");
-    let log = store.open_map(map, &spec).expect("opens").log;
-    for position in 1..=20 {
-        append(&log, &event(position)).expect("appends");
-    }
-    store.save(map, &snapshot(&spec, 10, 2)).expect("saves");
+    let (store, log) = in_use(&data, &spec);
+    store.save(MAP, &snapshot(&spec, 10, 2)).expect("saves");
     store.backup(&first).expect("backs up");
     assert!(is_backup_of(&first, store.store_id()) && !is_backup_of(&first, OTHER_ID));
     let before: Vec<(String, Vec<u8>)> =
@@ -87,10 +94,8 @@ fn a_backup_that_begins_with_the_files_of_another_leaves_that_as_it_is() {
     assert!(second.join("MANIFEST").exists() && !second.join("maps/00000001/log/0.log.part").exists());
     fs::remove_file(part).expect("removes");
     // Names that are free again get other content; old files go, new ones come, and the list of maps changes.
-    for position in 21..=40 {
-        append(&log, &event(position)).expect("appends");
-    }
-    store.save(map, &snapshot(&spec, 40, 3)).expect("saves");
+    append_all(&log, 21..=40);
+    store.save(MAP, &snapshot(&spec, 40, 3)).expect("saves");
     store.create_map(&super::example::spec("attic")).expect("creates");
     let report = store.backup(&second).expect("backs up");
     assert!(report.kept_files > 0 && report.copied_files > 0, "{report:?}");
@@ -108,16 +113,9 @@ fn a_backup_that_is_stopped_keeps_the_earlier_one() {
     let work = tempfile::tempdir().expect("temporary directory");
     let (data, backup) = (work.path().join("data"), work.path().join("backup"));
     let spec = spec("office");
-    let store = Store::open(&data, StoreOptions { segment_bytes: 300, ..options() }).expect("opens");
-    let map = store.create_map(&spec).expect("creates");
-    let log = store.open_map(map, &spec).expect("opens").log;
-    for position in 1..=20 {
-        append(&log, &event(position)).expect("appends");
-    }
+    let (store, log) = in_use(&data, &spec);
     store.backup(&backup).expect("backs up");
-    for position in 21..=40 {
-        append(&log, &event(position)).expect("appends");
-    }
+    append_all(&log, 21..=40);
     for files in 0..4 {
         let asked = std::cell::Cell::new(0);
         let goes_on = || asked.replace(asked.get() + 1) < files;
