@@ -33,7 +33,7 @@ use tracing::{error, info, warn};
 
 use crate::ingest::{
     ending::Ending,
-    handle::{MapHandle, OpenProgress, Seat},
+    handle::{MapHandle, OpenProgress, WriterEndpoints},
     writer::{Context, RestoredMap, start, start_in},
 };
 
@@ -127,10 +127,10 @@ pub(crate) struct Catalog {
 }
 
 /// A map that shows what the index publishes, and that is still to be restored.
-pub(crate) struct SeatedMap {
+pub(crate) struct UnopenedMap {
     id: MapId,
     spec: Arc<MapSpec>,
-    seat: Seat,
+    endpoints: WriterEndpoints,
 }
 
 impl Catalog {
@@ -145,7 +145,7 @@ impl Catalog {
         context: Context,
         max_maps: usize,
         restored_first_bytes: u64,
-    ) -> Result<(Self, Vec<SeatedMap>), CatalogError> {
+    ) -> Result<(Self, Vec<UnopenedMap>), CatalogError> {
         let stored = context.store.maps();
         let (mut maps, mut rest, mut unavailable) = (ByName::new(), Vec::new(), Vec::new());
         for map in context.store.set_aside() {
@@ -167,8 +167,8 @@ impl Catalog {
                     let generation = published.generation;
                     let view = LiveMap::restore(Arc::clone(&spec), published).publish();
                     info!(map = %name, states = view.len(), generation, "map served from the index");
-                    let (handle, seat) = MapHandle::with_seat(id, Arc::clone(&spec), view);
-                    rest.push(SeatedMap { id, spec, seat });
+                    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), view);
+                    rest.push(UnopenedMap { id, spec, endpoints });
                     Arc::new(handle)
                 }
                 None => match open_map(&context, id, &spec) {
@@ -192,17 +192,17 @@ impl Catalog {
     ///
     /// # Errors
     /// As [`Self::open`]; [`CatalogError::Stopping`].
-    pub(crate) fn restore_rest(&self, rest: Vec<SeatedMap>) -> Result<(), CatalogError> {
-        for SeatedMap { id, spec, seat } in rest {
+    pub(crate) fn restore_rest(&self, rest: Vec<UnopenedMap>) -> Result<(), CatalogError> {
+        for UnopenedMap { id, spec, endpoints } in rest {
             let tell = |done, total| {
-                seat.opening.send_replace(OpenProgress::Replay { done, total });
+                endpoints.opening.send_replace(OpenProgress::Replay { done, total });
                 !self.stopping.load(Ordering::Relaxed)
             };
             match restore_map(&self.context, id, &spec, &tell) {
-                Ok(restored) => drop(start_in(seat, self.context.clone(), id, restored)?),
+                Ok(restored) => drop(start_in(endpoints, self.context.clone(), id, restored)?),
                 Err(error) if error.is_of_one_map() => {
                     self.set_aside(id, &spec.name, &error);
-                    drop(seat);
+                    drop(endpoints);
                 }
                 Err(error) => return Err(error),
             }
@@ -210,7 +210,8 @@ impl Catalog {
         Ok(())
     }
 
-    /// Sets a map aside that is listed. Who waits for it learns why if its seat is dropped afterwards.
+    /// Sets a map aside that is listed. Who waits for it learns why, if the endpoints of its writer are dropped
+    /// afterwards.
     fn set_aside(&self, id: MapId, name: &MapName, error: &CatalogError) {
         let map = set_aside(id, name.as_str().to_owned(), error.to_string());
         self.unavailable.rcu(|all| [&all[..], std::slice::from_ref(&map)].concat());

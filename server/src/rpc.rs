@@ -14,10 +14,12 @@ pub(crate) mod serve;
 pub(crate) mod status;
 
 mod acks;
+mod fitting;
 mod lookup;
 mod page;
 mod peer;
 mod permits;
+mod readings;
 mod replies;
 mod series;
 mod watched_body;

@@ -161,7 +161,7 @@ impl Catalog {
         job.step("stop the writer");
         job.start(states.as_ref().map_or(0, |states| states.len() as u64), 0);
         let shown = LiveMap::new(Arc::clone(&spec)).publish();
-        let (new, seat) = MapHandle::with_seat(id, Arc::clone(&spec), shown);
+        let (new, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), shown);
         let new = Arc::new(new);
         self.maps.rcu(|all| {
             let mut maps = ByName::clone(all);
@@ -183,13 +183,13 @@ impl Catalog {
         }))
         .await?;
         match restored {
-            Ok(restored) => drop(start_in(seat, self.context.clone(), id, restored)?),
+            Ok(restored) => drop(start_in(endpoints, self.context.clone(), id, restored)?),
             Err(error) => {
                 let aside = self.context.store.set_aside().into_iter().find(|map| map.id == id);
                 let reason = aside.map(|map| map.reason);
                 let map_error = reason.map(|reason| CatalogError::Unavailable { map: map.to_string(), reason });
                 self.set_aside(id, map, map_error.as_ref().unwrap_or(&error));
-                drop(seat);
+                drop(endpoints);
                 erased?;
                 return Err(error);
             }

@@ -38,7 +38,7 @@ fn catalog(store: Store) -> Result<Catalog, CatalogError> {
     Ok(Catalog::open(context(store), 10, u64::MAX)?.0)
 }
 
-fn opened_first(store: Store, restored_first_bytes: u64) -> (Catalog, Vec<SeatedMap>) {
+fn opened_first(store: Store, restored_first_bytes: u64) -> (Catalog, Vec<UnopenedMap>) {
     Catalog::open(context(store), 10, restored_first_bytes).expect("maps")
 }
 
@@ -165,8 +165,8 @@ async fn a_stop_does_not_wait_for_a_map_that_is_never_restored() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let catalog = catalog(store(dir.path())).expect("no maps");
     let map = LiveMap::new(Arc::new(spec())).publish();
-    let (handle, seat) = MapHandle::with_seat(MapId(1), Arc::new(spec()), map);
-    drop(seat);
+    let (handle, endpoints) = MapHandle::with_endpoints(MapId(1), Arc::new(spec()), map);
+    drop(endpoints);
     assert!(!handle.opened().await);
     catalog.stop().await;
 }

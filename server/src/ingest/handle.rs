@@ -35,8 +35,8 @@ pub(crate) enum OpenProgress {
     Open,
 }
 
-/// The place of a map's writer: what it shares with the handle.
-pub(crate) struct Seat {
+/// The endpoints of a map's writer: what it shares with the handle.
+pub(crate) struct WriterEndpoints {
     pub(super) view: Arc<ArcSwap<MapView>>,
     pub(super) commands: mpsc::Sender<Command>,
     pub(super) inbox: mpsc::Receiver<Command>,
@@ -66,14 +66,14 @@ pub(crate) struct MapHandle {
 }
 
 impl MapHandle {
-    /// The handle of a map that shows `view`, and the place of its writer.
-    pub(crate) fn with_seat(id: MapId, spec: Arc<MapSpec>, view: MapView) -> (Self, Seat) {
+    /// The handle of a map that shows `view`, and the endpoints of its writer.
+    pub(crate) fn with_endpoints(id: MapId, spec: Arc<MapSpec>, view: MapView) -> (Self, WriterEndpoints) {
         let view = Arc::new(ArcSwap::from_pointee(view));
         let (commands, inbox) = mpsc::channel();
         let (saturated_sender, saturated) = watch::channel(false);
         let (opening_sender, opening) = watch::channel(OpenProgress::Replay { done: 0, total: 0 });
         let tile_bytes = Arc::new(AtomicU64::new(0));
-        let seat = Seat {
+        let endpoints = WriterEndpoints {
             view: Arc::clone(&view),
             commands: commands.clone(),
             inbox,
@@ -84,7 +84,7 @@ impl MapHandle {
         let tile_totals = Mutex::new(None);
         let number = HANDLES.fetch_add(1, Ordering::Relaxed);
         let replaced = AtomicBool::new(false);
-        (Self { id, number, spec, view, commands, saturated, tile_bytes, opening, replaced, tile_totals }, seat)
+        (Self { id, number, spec, view, commands, saturated, tile_bytes, opening, replaced, tile_totals }, endpoints)
     }
 
     /// Another handle takes the place of this one.

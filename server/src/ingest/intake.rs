@@ -140,14 +140,15 @@ impl Intake {
         }
     }
 
-    /// The same, with the running CRCs that are known, ascending: what comes again is compared.
-    pub(crate) fn knowing(mut self, marks: Vec<ContentMark>) -> Self {
+    /// This stream, with the running CRCs that are known, ascending. Repeated observations are compared with these
+    /// CRCs.
+    pub(crate) fn with_known_content(mut self, marks: Vec<ContentMark>) -> Self {
         self.known = KnownContent::new(marks);
         self
     }
 
-    /// The same, and observations before this time are refused.
-    pub(crate) fn not_before(mut self, earliest_nanos: i64) -> Self {
+    /// This stream, which refuses observations before this time, nanoseconds UTC.
+    pub(crate) fn with_earliest_time(mut self, earliest_nanos: i64) -> Self {
         self.earliest_nanos = earliest_nanos;
         self
     }

@@ -279,7 +279,7 @@ pub(crate) enum EditSiteError {
 
 /// What a stream hands to its map's writer, with its room in the buffers until it is durable and applied.
 #[derive(Debug)]
-pub(crate) enum Handover {
+pub(crate) enum StreamData {
     /// Checked observations.
     Observations(ObservationBatch, BufferBudget),
     /// Checked scans.
@@ -338,7 +338,7 @@ pub(crate) enum Command {
     /// Open a stream.
     Hello(Hello),
     /// Take what a stream hands over.
-    HandOver { session: SessionId, what: Handover },
+    StreamData { session: SessionId, data: StreamData },
     /// Update the map.
     Update {
         /// Learn observations before this time; `None`: all.

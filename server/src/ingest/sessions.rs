@@ -85,8 +85,8 @@ pub(super) struct Session {
     events: mpsc::UnboundedSender<SessionEvent>,
     table: Vec<StreamState>,
     /// What its scans have shown: the tiles that it sent, and those that were ray-cast for it.
-    shown: StreamTiles,
-    cast: StreamTiles,
+    sent_tiles: StreamTiles,
+    raycast_tiles: StreamTiles,
     in_flight: usize,
     open: bool,
     /// If the stream announces data time: the greatest time so far, nanoseconds UTC.
@@ -174,7 +174,7 @@ pub(super) struct Sessions {
     broken: Vec<(ProducerKey, i64)>,
     offsets: OffsetCache,
     /// The map's tiles after everything in flight is applied; `None` until a scan comes.
-    front: Option<LogHead>,
+    log_head: Option<LogHead>,
     /// Tiles of scans in flight that wait because their time is in the future.
     tiles_ahead: u64,
     limits: SessionLimits,
@@ -192,7 +192,7 @@ impl Sessions {
             issued: HashMap::new(),
             broken: Vec::new(),
             offsets,
-            front: None,
+            log_head: None,
             tiles_ahead: 0,
             limits,
         }
@@ -247,8 +247,8 @@ impl Sessions {
                 probe: hello.probe.clone(),
                 events: hello.events.clone(),
                 table: Vec::new(),
-                shown: StreamTiles::default(),
-                cast: StreamTiles::default(),
+                sent_tiles: StreamTiles::default(),
+                raycast_tiles: StreamTiles::default(),
                 in_flight: 0,
                 open: true,
                 data_time: hello.nightly.then_some(i64::MIN),
@@ -385,10 +385,10 @@ impl Sessions {
         self.renames_in_flight.clear();
         self.producers_in_flight = 0;
         self.tiles_ahead = 0;
-        self.front = None;
+        self.log_head = None;
         for session in self.sessions.values_mut() {
-            session.shown.forget_tiles();
-            session.cast.forget_tiles();
+            session.sent_tiles.forget_tiles();
+            session.raycast_tiles.forget_tiles();
         }
     }
 

@@ -42,7 +42,7 @@ use tracing::warn;
 use super::{
     anomaly_feed::AnomalyFeed,
     ending::Ending,
-    handle::{MapHandle, OpenProgress, Seat},
+    handle::{MapHandle, OpenProgress, WriterEndpoints},
     protocol::{Command, Hello, HelloError, KnownProducer, RefusedObservation, SessionEvent, SessionId, Welcome},
     sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
@@ -107,8 +107,8 @@ pub(crate) struct RestoredMap {
 /// # Errors
 /// The thread cannot be started.
 pub(crate) fn start(context: Context, id: MapId, mut restored: RestoredMap) -> std::io::Result<Arc<MapHandle>> {
-    let (handle, seat) = MapHandle::with_seat(id, Arc::clone(restored.map.spec()), restored.map.publish());
-    start_in(seat, context, id, restored)?;
+    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(restored.map.spec()), restored.map.publish());
+    start_in(endpoints, context, id, restored)?;
     Ok(Arc::new(handle))
 }
 
@@ -116,9 +116,14 @@ pub(crate) fn start(context: Context, id: MapId, mut restored: RestoredMap) -> s
 ///
 /// # Errors
 /// The thread cannot be started.
-pub(crate) fn start_in(seat: Seat, context: Context, id: MapId, restored: RestoredMap) -> std::io::Result<()> {
+pub(crate) fn start_in(
+    endpoints: WriterEndpoints,
+    context: Context,
+    id: MapId,
+    restored: RestoredMap,
+) -> std::io::Result<()> {
     let RestoredMap { map, log, unsaved, begun } = restored;
-    let (mut writer, inbox) = build(seat, context, id, map, log, unsaved);
+    let (mut writer, inbox) = build(endpoints, context, id, map, log, unsaved);
     begun.into_iter().for_each(|work| writer.repeat_update(work));
     std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
         let fatal = writer.context.fatal.clone();
@@ -132,7 +137,7 @@ pub(crate) fn start_in(seat: Seat, context: Context, id: MapId, restored: Restor
 
 /// A writer that does not run yet, and the receiver of its commands. The map is open when this returns.
 fn build(
-    seat: Seat,
+    endpoints: WriterEndpoints,
     context: Context,
     id: MapId,
     mut map: LiveMap,
@@ -140,7 +145,7 @@ fn build(
     unsaved: Option<MapSnapshot>,
 ) -> (Writer, mpsc::Receiver<Command>) {
     let spec = Arc::clone(map.spec());
-    let Seat { view, commands, inbox, saturated, tile_bytes, opening } = seat;
+    let WriterEndpoints { view, commands, inbox, saturated, tile_bytes, opening } = endpoints;
     tile_bytes.store(map.tile_memory().bytes, Ordering::Relaxed);
     // First the view: who has waited for the map sees everything that is acknowledged.
     view.store(Arc::new(map.publish()));
@@ -238,7 +243,7 @@ impl Writer {
     fn handle(&mut self, command: Command) {
         match command {
             Command::Hello(hello) => self.hello(hello),
-            Command::HandOver { session, what } => self.hand_over(session, what),
+            Command::StreamData { session, data } => self.hand_over(session, data),
             Command::Update { until_nanos, cause, job } => {
                 self.updates.schedule.push(DueUpdate { until_nanos, cause, job });
             }

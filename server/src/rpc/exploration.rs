@@ -15,10 +15,11 @@ use tonic::{Request, Response};
 
 use super::{
     RpcReply,
+    fitting::ModelFitter,
     lookup::{check_limit, check_on_grid, find_map},
     map::edit_site,
     permits::{Permits, processors},
-    query::{Queries, fitting::ModelFitter},
+    query::Queries,
     replies::Replies,
     series::PredictContext,
     status::RpcError,
@@ -26,7 +27,6 @@ use super::{
 use crate::catalog::Catalog;
 
 mod day;
-pub(super) mod error;
 mod information;
 mod presence;
 mod slot;

@@ -39,7 +39,7 @@ use crate::{
         intake::{Intake, IntakeError, IntakeLimits},
         probe::{Probed, probe},
         protocol::{
-            BufferBudget, Command, Handover, Hello, HelloError, ObservationBatch, ScanBatch, SessionEvent,
+            BufferBudget, Command, Hello, HelloError, ObservationBatch, ScanBatch, SessionEvent, StreamData,
             TraversalBatch, Welcome,
         },
     },
@@ -217,7 +217,7 @@ async fn open_and_serve(
         first = tokio::time::timeout(HELLO_WITHIN, requests.next()) => first,
         () = entry.displaced() => return Err(RpcError::Idle(entry.idle_after())),
     };
-    entry.heard();
+    entry.mark_active();
     let first = match first {
         Ok(Some(Ok(v1::ObserveRequest { message: Some(Up::Hello(hello)) }))) => hello,
         Ok(None) => return Ok(()),
@@ -260,12 +260,12 @@ async fn open_and_serve(
             Err(error) => return Err(error.into()),
         }
     };
-    entry.heard();
+    entry.mark_active();
     let mut stream = Stream {
         intake: Some(
             Intake::new(opened.durable_sequence, opened.content_crc, limits.intake, handle.spec.grid.as_ref())
-                .knowing(opened.content_marks.clone())
-                .not_before(handle.spec.earliest_nanos()),
+                .with_known_content(opened.content_marks.clone())
+                .with_earliest_time(handle.spec.earliest_nanos()),
         ),
         own_buffer: Arc::new(Semaphore::new(limits.max_stream_buffer)),
         durable: opened.durable_sequence,
@@ -288,15 +288,15 @@ async fn open_and_serve(
     };
     let clean = matches!(result, Ok(()));
     // A writer that has stopped has no session to forget.
-    let _ = stream.handle.send(Command::HandOver { session: stream.opened.session, what: Handover::End { clean } });
+    let _ = stream.handle.send(Command::StreamData { session: stream.opened.session, data: StreamData::End { clean } });
     if let Err(error) = &result {
         stream.say_goodbye(error).await;
     }
     result
 }
 
-/// Asks the client whether it is still there, as often as others want to know. A client that does not read its replies
-/// does not answer either.
+/// Sends a Probe whenever another stream wants this key. A client that does not read its replies does not answer
+/// either.
 async fn pass_on_questions(mut questions: mpsc::Receiver<()>, replies: &Replies) -> Infallible {
     while questions.recv().await.is_some() {
         // The stream's own replies fail as well, and end it.
@@ -368,7 +368,7 @@ impl Stream<'_> {
     }
 
     async fn take(&mut self, request: v1::ObserveRequest) -> Result<(), RpcError> {
-        self.entry.heard();
+        self.entry.mark_active();
         // Answers are not read until the message is taken.
         self.probed.pause(true);
         match request.message {
@@ -395,7 +395,7 @@ impl Stream<'_> {
         let only_names = batch.last_sequence < batch.first_sequence;
         let budget = self.budget(bytes_of(&batch)).await?;
         self.note(batch.last_sequence);
-        self.hand_over(Handover::Observations(batch, budget))?;
+        self.hand_over(StreamData::Observations(batch, budget))?;
         // The writer does not acknowledge names.
         if only_names { self.say_durable().await } else { Ok(()) }
     }
@@ -408,7 +408,7 @@ impl Stream<'_> {
             let budget = self.budget(batch.bytes).await?;
             is_any_new |= batch.last_sequence >= batch.first_sequence;
             self.note(batch.last_sequence);
-            self.hand_over(Handover::Scans(batch, budget))?;
+            self.hand_over(StreamData::Scans(batch, budget))?;
         }
         // The writer acknowledges neither tiles nor what was taken before; an unfinished scan waits for its end.
         if is_any_new { Ok(()) } else { self.say_durable().await }
@@ -418,7 +418,7 @@ impl Stream<'_> {
         let Some(batch) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
         let budget = self.budget(bytes_of_traversals(&batch)).await?;
         self.note(batch.last_sequence);
-        self.hand_over(Handover::Traversals(batch, budget))
+        self.hand_over(StreamData::Traversals(batch, budget))
     }
 
     /// Reserves room for the tiles that the stream's scans refer to, for the life of the stream. It does not wait,
@@ -463,11 +463,11 @@ impl Stream<'_> {
             self.in_flight.push_back((last_sequence, Instant::now()));
         }
         self.handed_over = last_sequence;
-        self.entry.owe(self.durable < self.handed_over);
+        self.entry.set_unacknowledged(self.durable < self.handed_over);
     }
 
-    fn hand_over(&self, what: Handover) -> Result<(), RpcError> {
-        if self.handle.send(Command::HandOver { session: self.opened.session, what }) {
+    fn hand_over(&self, data: StreamData) -> Result<(), RpcError> {
+        if self.handle.send(Command::StreamData { session: self.opened.session, data }) {
             Ok(())
         } else {
             Err(RpcError::Stopping)
@@ -512,7 +512,7 @@ impl Stream<'_> {
         match event {
             Some(SessionEvent::Ack { durable_sequence, refused }) => {
                 let before = std::mem::replace(&mut self.durable, durable_sequence);
-                self.entry.owe(self.durable < self.handed_over);
+                self.entry.set_unacknowledged(self.durable < self.handed_over);
                 while let Some((_, sent)) = self.in_flight.pop_front_if(|(last, _)| *last <= durable_sequence) {
                     metrics::histogram!("tidemap_acknowledgement_seconds").record(sent.elapsed());
                 }

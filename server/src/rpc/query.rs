@@ -10,6 +10,7 @@ use tonic::{Request, Response, Streaming};
 
 use super::{
     RpcReply,
+    fitting::ModelFitter,
     permits::{PROMPT, Permit, Permits, processors},
     replies::Replies,
     status::RpcError,
@@ -19,11 +20,9 @@ use crate::catalog::Catalog;
 mod anomalies;
 mod cell_alarms;
 mod evaluate;
-pub(super) mod fitting;
 mod grid;
 mod places;
 mod positions;
-mod readings;
 mod reconstruct;
 pub(super) mod states;
 mod watch;
@@ -31,7 +30,6 @@ mod watch;
 #[cfg(test)]
 mod tests;
 
-use fitting::ModelFitter;
 use watch::Watches;
 
 /// Maximum number of states of one request.

@@ -29,17 +29,17 @@ use tonic::{Request, Response};
 
 use super::{
     RpcReply,
+    fitting::ModelFitter,
     lookup::find_map,
     map::edit_site,
     permits::{Permits, processors, run_blocking, run_while_awaited},
-    query::{Queries, fitting::ModelFitter},
+    query::Queries,
     series::PredictContext,
     status::RpcError,
 };
 use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
 mod edges;
-pub(super) mod error;
 mod places;
 mod plan;
 mod presence;

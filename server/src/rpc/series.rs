@@ -9,9 +9,9 @@ use tidemap_model::{EarlyStop, StopSignal, models::Moment};
 use tidemap_proto::convert::InvalidField;
 
 use super::{
+    fitting::{LearnedState, ModelFitter},
     lookup::check_limit,
     permits::{Permits, run_while_awaited},
-    query::fitting::{LearnedState, ModelFitter},
     status::RpcError,
 };
 use crate::{ingest::handle::MapHandle, model_cache::CachedModel, state_or_cell::StateOrCell};

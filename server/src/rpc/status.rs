@@ -25,11 +25,15 @@ use crate::{
         protocol::{AddStateError, EditSiteError, HelloError},
     },
     model_cache::ModelUnavailable,
-    rpc::{
-        exploration::error::PlanError,
-        route::error::{RouteError, refusal_of},
-    },
 };
+
+mod plan_error;
+mod route_error;
+
+pub(crate) use plan_error::PlanError;
+pub(crate) use route_error::RouteError;
+
+use route_error::refusal_of;
 
 const DOMAIN: &str = "tidemap";
 const NAMES_SHOWN: usize = 10;

@@ -53,7 +53,7 @@ fn known_numbers_with_other_content_end_the_stream() {
         let mark = |batch: &ObservationBatch| ContentMark { sequence: batch.last_sequence, crc: batch.content_crc };
         vec![mark(&before), mark(&after)]
     };
-    let again = || Intake::new(4, after.content_crc, limits(9, 9), None).knowing(marks());
+    let again = || Intake::new(4, after.content_crc, limits(9, 9), None).with_known_content(marks());
     // The same content in any parts is fine, also with new observations behind it.
     for parts in [&[4][..], &[2, 2], &[1, 3], &[1, 1, 1, 1]] {
         let (mut stream, mut next) = (again(), 1);
@@ -170,7 +170,7 @@ fn times_before_1970_are_refused() {
 
 #[test]
 fn with_real_clocks_times_before_1990_are_refused_with_a_guess() {
-    let mut intake = intake().not_before(tidemap_map::spec::REAL_CLOCK_MIN_NANOS);
+    let mut intake = intake().with_earliest_time(tidemap_map::spec::REAL_CLOCK_MIN_NANOS);
     let times = [1_738_000_000, 1_738_000_000_000_000_000, -1];
     let batch = intake.take(message(1, &["a"], &[0; 3], &times, &[0.0; 3])).expect("fine").expect("new");
     assert_eq!(batch.kept, [1]);

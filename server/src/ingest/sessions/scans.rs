@@ -64,7 +64,7 @@ impl Sessions {
         let mut portions: Vec<(Portion, u64, u32)> = Vec::new();
         if session.open {
             for index in new_tiles {
-                session.shown.push(index);
+                session.sent_tiles.push(index);
             }
             let mut portion = Portion::default();
             for taken in scans {
@@ -130,8 +130,8 @@ impl Sessions {
     ) -> Result<Option<(ScanDelta, u64)>, RefusedObservation> {
         let CheckedScan { sequence, origin, is_taken, scan, new_tiles, restarts, .. } = taken;
         let (source, stream) = match origin {
-            ScanOrigin::Stream => (&mut session.shown, 2 * id.0),
-            ScanOrigin::Cast => (&mut session.cast, 2 * id.0 + 1),
+            ScanOrigin::Stream => (&mut session.sent_tiles, 2 * id.0),
+            ScanOrigin::Cast => (&mut session.raycast_tiles, 2 * id.0 + 1),
         };
         if restarts {
             *source = StreamTiles::default();
@@ -154,9 +154,9 @@ impl Sessions {
             );
             return refuse(RefusalReason::Time, detail);
         }
-        let front = self.front.get_or_insert_with(|| LogHead::new(grid));
+        let log_head = self.log_head.get_or_insert_with(|| LogHead::new(grid));
         if scan.seen.len() > TILES_UNCOUNTED {
-            let flips = front.flips_at_most(grid, stream, source, &scan);
+            let flips = log_head.flips_at_most(grid, stream, source, &scan);
             if flips > FLIPS_MAX {
                 source.skip(&scan);
                 let detail = format!("the scan changes {flips} readings of cells, and one may change {FLIPS_MAX}");
@@ -164,7 +164,7 @@ impl Sessions {
             }
         }
         let offset_secs = self.offsets.offset_secs(scan.utc_nanos);
-        let Ok(taken) = front.take(grid, stream, source, &scan, offset_secs, self.limits.tiles) else {
+        let Ok(taken) = log_head.take(grid, stream, source, &scan, offset_secs, self.limits.tiles) else {
             let detail = format!(
                 "the scan has new tiles, and the map would have more than the {} that setting max_tiles_per_map allows",
                 self.limits.tiles

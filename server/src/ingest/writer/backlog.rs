@@ -9,7 +9,7 @@ use std::{collections::VecDeque, sync::Arc};
 use super::{Writer, appends::InFlight};
 use crate::ingest::{
     ending::Ending,
-    protocol::{Handover, Hello, ReadHistory, SessionId},
+    protocol::{Hello, ReadHistory, SessionId, StreamData},
     sessions::StreamEvent,
 };
 
@@ -22,7 +22,7 @@ pub(super) const PENDING_LOAD_MAX: f64 = 2.0;
 /// Commands that wait.
 #[derive(Default)]
 pub(super) struct Backlog {
-    handovers: VecDeque<(SessionId, Handover)>,
+    handovers: VecDeque<(SessionId, StreamData)>,
     /// Streams that wait for the end of an earlier stream of their key.
     hellos: Vec<Hello>,
     /// Requests for observations that the running update has.
@@ -30,17 +30,17 @@ pub(super) struct Backlog {
 }
 
 impl Backlog {
-    pub(super) fn push(&mut self, session: SessionId, handover: Handover) {
+    pub(super) fn push(&mut self, session: SessionId, handover: StreamData) {
         self.handovers.push_back((session, handover));
     }
 
     /// The oldest handover, if it may be taken now. The end of a stream needs no room. A traversal waits while an edit
     /// of the site is in flight, because its meaning depends on the topology.
-    pub(super) fn next(&mut self, has_room: bool, is_site_changing: bool) -> Option<(SessionId, Handover)> {
+    pub(super) fn next(&mut self, has_room: bool, is_site_changing: bool) -> Option<(SessionId, StreamData)> {
         let may_take = match &self.handovers.front()?.1 {
-            Handover::End { .. } => true,
-            Handover::Traversals(..) => has_room && !is_site_changing,
-            Handover::Observations(..) | Handover::Scans(..) => has_room,
+            StreamData::End { .. } => true,
+            StreamData::Traversals(..) => has_room && !is_site_changing,
+            StreamData::Observations(..) | StreamData::Scans(..) => has_room,
         };
         if may_take { self.handovers.pop_front() } else { None }
     }
@@ -61,7 +61,7 @@ impl Backlog {
 
     /// Whether the end of the stream waits behind other handovers.
     pub(super) fn has_end(&self, session: SessionId) -> bool {
-        self.handovers.iter().any(|(of, handover)| *of == session && matches!(handover, Handover::End { .. }))
+        self.handovers.iter().any(|(of, handover)| *of == session && matches!(handover, StreamData::End { .. }))
     }
 
     pub(super) fn wait_hello(&mut self, hello: Hello) {
@@ -85,15 +85,15 @@ impl Backlog {
 
 impl Writer {
     /// Takes what a stream hands over, or enqueues it behind earlier handovers.
-    pub(super) fn hand_over(&mut self, session: SessionId, what: Handover) {
-        match what {
+    pub(super) fn hand_over(&mut self, session: SessionId, data: StreamData) {
+        match data {
             // The end of a stream without a backlog need not wait for other streams.
-            Handover::End { clean } if !self.backlog.has(session) => return self.leave(session, clean),
+            StreamData::End { clean } if !self.backlog.has(session) => return self.leave(session, clean),
             // During a stop, and while the log accepts nothing, the stream is informed at once.
-            what if self.stopping.is_some() || (self.appends.failure().is_some() && self.backlog.is_empty()) => {
-                self.take(session, what);
+            data if self.stopping.is_some() || (self.appends.failure().is_some() && self.backlog.is_empty()) => {
+                self.take(session, data);
             }
-            what => self.backlog.push(session, what),
+            data => self.backlog.push(session, data),
         }
         self.drain_backlog(false);
     }
@@ -103,9 +103,9 @@ impl Writer {
     pub(super) fn drain_backlog(&mut self, mut is_idle: bool) {
         while self.appends.failure().is_none() && self.stopping.is_none() {
             let has_room = is_idle || (self.appends.has_room() && self.pending_load() <= PENDING_LOAD_MAX);
-            let Some((session, what)) = self.backlog.next(has_room, self.edits.is_in_flight()) else { return };
-            is_idle = is_idle && matches!(what, Handover::End { .. });
-            self.take(session, what);
+            let Some((session, data)) = self.backlog.next(has_room, self.edits.is_in_flight()) else { return };
+            is_idle = is_idle && matches!(data, StreamData::End { .. });
+            self.take(session, data);
         }
     }
 
@@ -114,8 +114,8 @@ impl Writer {
         self.map.pending_load(self.context.max_pending, true)
     }
 
-    fn take(&mut self, session: SessionId, what: Handover) {
-        let is_end = matches!(what, Handover::End { .. });
+    fn take(&mut self, session: SessionId, data: StreamData) {
+        let is_end = matches!(data, StreamData::End { .. });
         if self.stopping.is_some() && !is_end {
             return;
         }
@@ -124,15 +124,15 @@ impl Writer {
         }
         let now = self.context.clock.now_nanos();
         let sessions = &mut self.sessions;
-        let (events, budget) = match what {
-            Handover::Observations(batch, budget) => {
+        let (events, budget) = match data {
+            StreamData::Observations(batch, budget) => {
                 (sessions.observation_event(session, batch, &self.map, now).into_iter().collect(), budget)
             }
-            Handover::Traversals(batch, budget) => {
+            StreamData::Traversals(batch, budget) => {
                 (sessions.traversal_event(session, batch, &self.map, now).into_iter().collect(), budget)
             }
-            Handover::Scans(batch, budget) => (sessions.scan_events(session, batch, &self.map, now), budget),
-            Handover::End { clean } => return self.leave(session, clean),
+            StreamData::Scans(batch, budget) => (sessions.scan_events(session, batch, &self.map, now), budget),
+            StreamData::End { clean } => return self.leave(session, clean),
         };
         let budget = Arc::new(budget);
         let mut is_accepted = true;

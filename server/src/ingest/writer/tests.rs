@@ -20,7 +20,7 @@ use tidemap_map::spec::MapSpec;
 use super::*;
 use crate::{
     catalog::Catalog,
-    ingest::protocol::{Handover, ObservationBatch},
+    ingest::protocol::{ObservationBatch, StreamData},
     jobs::{JobCause, Phase, UpdateJob},
 };
 
@@ -134,8 +134,10 @@ impl Robot {
         };
         let budget = [permit(), permit()];
         assert!(
-            handle
-                .send(Command::HandOver { session: self.opened.session, what: Handover::Observations(batch, budget) })
+            handle.send(Command::StreamData {
+                session: self.opened.session,
+                data: StreamData::Observations(batch, budget)
+            })
         );
         let expected = SessionEvent::Ack { durable_sequence: self.sent, refused: Vec::new() };
         assert_eq!(self.events.recv().await, Some(expected));
@@ -231,7 +233,7 @@ async fn a_day_of_imported_data_closes_when_every_announcing_stream_has_passed_i
     assert_eq!(view.cut_nanos(), Some(day(1) - 12 * HOUR), "midnight between the days");
     assert_eq!(view.pending(), 2);
     // One of them ends on purpose: the other continues alone.
-    assert!(handle.send(Command::HandOver { session: b.opened.session, what: Handover::End { clean: true } }));
+    assert!(handle.send(Command::StreamData { session: b.opened.session, data: StreamData::End { clean: true } }));
     a.observe(&handle, day(2)).await;
     assert_eq!(ended(&bench, 2).await.len(), 2);
 }
@@ -287,7 +289,9 @@ async fn the_last_midnight_of_an_import_counts_although_its_stream_ends_at_once(
                 other => panic!("{other:?}"),
             }
         }
-        assert!(handle.send(Command::HandOver { session: robot.opened.session, what: Handover::End { clean: true } }));
+        assert!(
+            handle.send(Command::StreamData { session: robot.opened.session, data: StreamData::End { clean: true } })
+        );
         for _ in 0..200 {
             if handle.view().pending() == 1 {
                 break;
@@ -323,7 +327,8 @@ fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: V
     };
     let budget = [permit(), permit()];
     assert!(
-        handle.send(Command::HandOver { session: robot.opened.session, what: Handover::Observations(batch, budget) })
+        handle
+            .send(Command::StreamData { session: robot.opened.session, data: StreamData::Observations(batch, budget) })
     );
 }
 

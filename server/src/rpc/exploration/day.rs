@@ -26,13 +26,13 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, error::PlanError, information::members, presence::predict_presence, tour::tour_question};
+use super::{Explorations, information::members, presence::predict_presence, tour::tour_question};
 use crate::{
     rpc::{
         lookup::{check_limit, find_map, find_state},
         permits::run_while_awaited,
         series::{check_kind, predict_series},
-        status::RpcError,
+        status::{PlanError, RpcError},
     },
     state_or_cell::StateOrCell,
 };

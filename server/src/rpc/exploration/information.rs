@@ -24,14 +24,14 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, error::PlanError};
+use super::Explorations;
 use crate::{
     ingest::protocol::EditSiteError,
     rpc::{
         lookup::{check_limit, find_all, find_map},
         replies::{Replies, compute_replies, stream_replies},
         series::{check_kind, predict_series},
-        status::RpcError,
+        status::{PlanError, RpcError},
     },
     state_or_cell::StateOrCell,
 };

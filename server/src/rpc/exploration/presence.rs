@@ -10,10 +10,13 @@ use tidemap_model::StopSignal;
 use tidemap_plan::presence::{READINGS_MAX_NANOS, Sighting, presence_series};
 use tidemap_proto::convert::InvalidField;
 
-use super::{Explorations, error::PlanError};
+use super::Explorations;
 use crate::{
     ingest::handle::MapHandle,
-    rpc::{permits::run_while_awaited, status::RpcError},
+    rpc::{
+        permits::run_while_awaited,
+        status::{PlanError, RpcError},
+    },
     state_or_cell::StateOrCell,
 };
 

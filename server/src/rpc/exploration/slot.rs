@@ -21,9 +21,13 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, day::locations, error::PlanError, presence::predict_presence};
+use super::{Explorations, day::locations, presence::predict_presence};
 use crate::{
-    rpc::{lookup::find_map, series::predict_series, status::RpcError},
+    rpc::{
+        lookup::find_map,
+        series::predict_series,
+        status::{PlanError, RpcError},
+    },
     state_or_cell::StateOrCell,
 };
 
@@ -52,7 +56,7 @@ pub(super) async fn plan_slot(
         return Err(InvalidField::new("planned", text).into());
     }
     if !is_novelty && !request.planned.is_empty() {
-        return Err(InvalidField::new("planned", "only the novelty-driven strategy goes by a plan").into());
+        return Err(InvalidField::new("planned", "`planned` needs strategy NOVELTY: leave it empty").into());
     }
     let states: Vec<StateOrCell> = by_location.iter().flatten().cloned().collect();
     let ask = |times, selector| {

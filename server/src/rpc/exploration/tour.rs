@@ -18,8 +18,12 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, error::PlanError};
-use crate::rpc::{lookup::find_map, permits::run_while_awaited, status::RpcError};
+use super::Explorations;
+use crate::rpc::{
+    lookup::find_map,
+    permits::run_while_awaited,
+    status::{PlanError, RpcError},
+};
 
 pub(super) async fn plan_tour(
     explorations: &Explorations,

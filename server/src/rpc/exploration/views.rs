@@ -18,11 +18,11 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Explorations, error::PlanError};
+use super::Explorations;
 use crate::rpc::{
     lookup::{check_limit, find_map},
     replies::{Replies, compute_replies},
-    status::RpcError,
+    status::{PlanError, RpcError},
 };
 
 pub(super) async fn evaluate_views(

@@ -35,19 +35,19 @@ struct Open {
 struct Activity {
     opened: Instant,
     /// Milliseconds from `opened` to its last message, and one more; 0 before its Hello.
-    heard_after_millis: AtomicU64,
+    active_after_millis: AtomicU64,
     /// Something that it sent is not acknowledged.
-    is_owed: AtomicBool,
+    is_unacknowledged: AtomicBool,
     is_displaced: watch::Sender<bool>,
 }
 
 impl Activity {
     /// Which of two streams makes room first: those that have not said hello, then those silent for longest.
     fn rank(&self, idle_after: Duration, now: Instant) -> Option<(bool, Duration)> {
-        if *self.is_displaced.borrow() || self.is_owed.load(Ordering::Acquire) {
+        if *self.is_displaced.borrow() || self.is_unacknowledged.load(Ordering::Acquire) {
             return None;
         }
-        let silent_since = match self.heard_after_millis.load(Ordering::Acquire).checked_sub(1) {
+        let silent_since = match self.active_after_millis.load(Ordering::Acquire).checked_sub(1) {
             None => return Some((true, now.saturating_duration_since(self.opened))),
             Some(millis) => self.opened + Duration::from_millis(millis),
         };
@@ -111,8 +111,8 @@ impl OpenStreams {
         let (is_displaced, displaced) = watch::channel(false);
         let activity = Arc::new(Activity {
             opened: now,
-            heard_after_millis: AtomicU64::new(0),
-            is_owed: AtomicBool::new(false),
+            active_after_millis: AtomicU64::new(0),
+            is_unacknowledged: AtomicBool::new(false),
             is_displaced,
         });
         let number = open.next;
@@ -126,14 +126,14 @@ impl OpenStreams {
 
 impl StreamEntry {
     /// The stream has sent something now.
-    pub(super) fn heard(&self) {
+    pub(super) fn mark_active(&self) {
         let millis = u64::try_from(self.activity.opened.elapsed().as_millis()).unwrap_or(u64::MAX);
-        self.activity.heard_after_millis.store(millis.saturating_add(1), Ordering::Release);
+        self.activity.active_after_millis.store(millis.saturating_add(1), Ordering::Release);
     }
 
     /// Says whether something that the stream sent is not acknowledged.
-    pub(super) fn owe(&self, is_owed: bool) {
-        self.activity.is_owed.store(is_owed, Ordering::Release);
+    pub(super) fn set_unacknowledged(&self, is_unacknowledged: bool) {
+        self.activity.is_unacknowledged.store(is_unacknowledged, Ordering::Release);
     }
 
     /// Waits until the stream has to make room.
@@ -161,15 +161,15 @@ mod tests {
         let streams = OpenStreams::new(3, Duration::ZERO);
         let [first, second, third] = [(); 3].map(|()| streams.enter().expect("room"));
         for entry in [&second, &first, &third] {
-            entry.heard();
+            entry.mark_active();
             std::thread::sleep(Duration::from_millis(2));
         }
-        first.owe(true);
+        first.set_unacknowledged(true);
         let _fourth = streams.enter().expect("the second makes room");
         assert!(is_displaced(&second) && !is_displaced(&first) && !is_displaced(&third));
         // The fourth has not said hello.
         let fifth = streams.enter().expect("the fourth makes room");
-        fifth.heard();
+        fifth.mark_active();
         assert!(is_displaced(&_fourth) && !is_displaced(&third));
         let _sixth = streams.enter().expect("the third makes room");
         assert!(is_displaced(&third) && !is_displaced(&first), "never one with something that is not acknowledged");
@@ -181,7 +181,7 @@ mod tests {
     fn streams_in_use_are_left_alone() {
         let streams = OpenStreams::new(1, Duration::from_secs(60));
         let first = streams.enter().expect("room");
-        first.heard();
+        first.mark_active();
         let error = streams.enter().expect_err("the first was heard just now");
         assert!(error.to_string().contains("max_streams"), "{error}");
         assert!(!is_displaced(&first));

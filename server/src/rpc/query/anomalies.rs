@@ -21,12 +21,12 @@ use tidemap_proto::{
 
 use super::{
     Queries,
-    fitting::LearnedState,
     reconstruct::{PastQuery, past},
 };
 use crate::{
     model_cache::CachedModel,
     rpc::{
+        fitting::LearnedState,
         lookup::{find_all, find_map},
         replies::{Replies, compute_replies},
         status::RpcError,

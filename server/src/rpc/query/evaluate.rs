@@ -26,12 +26,13 @@ use tidemap_proto::{
 };
 use tonic::{Status, Streaming};
 
-use super::{Queries, STATES_MAX, fitting::LearnedState};
+use super::{Queries, STATES_MAX};
 use crate::{
     evaluation::{AnswerSource, Evaluator, Sine},
     ingest::handle::MapHandle,
     model_cache::ModelUnavailable,
     rpc::{
+        fitting::LearnedState,
         lookup::{check_limit, find_all, find_map},
         permits::run_while_awaited,
         status::RpcError,

@@ -9,8 +9,9 @@ use tidemap_map::ids::StateId;
 use tidemap_model::{StopSignal, VALUE_MAX};
 use tidemap_proto::{convert::InvalidField, v1};
 
-use super::{Queries, fitting::LearnedState, positions};
+use super::{Queries, positions};
 use crate::rpc::{
+    fitting::LearnedState,
     lookup::{check_limit, find_all, find_map},
     permits::run_while_awaited,
     status::RpcError,

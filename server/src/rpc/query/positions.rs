@@ -21,10 +21,11 @@ use tidemap_proto::{
     v1::{self, predict_positions_response::Message},
 };
 
-use super::{Queries, fitting::LearnedState};
+use super::Queries;
 use crate::{
     model_cache::PositionModel,
     rpc::{
+        fitting::LearnedState,
         lookup::{check_limit, find_map, find_state},
         permits::run_blocking,
         replies::{Replies, ReplySink, stream_replies},

@@ -14,15 +14,13 @@ use tidemap_model::StopSignal;
 use tidemap_proto::{convert::time::interval_from_wire, v1};
 use tidemap_store::History;
 
-use super::{
-    Queries,
-    readings::{self, ReadingsQuery, gather, not_replaced, read},
-};
+use super::Queries;
 use crate::{
     ingest::{handle::MapHandle, protocol::HistoryTail},
     rpc::{
         lookup::{cell_of, check_limit, find_cell, find_map, find_state},
         permits::Permit,
+        readings::{self, ReadingsQuery, gather, not_replaced, read},
         replies::{Replies, compute_replies},
         status::RpcError,
     },

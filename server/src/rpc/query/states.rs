@@ -1,8 +1,8 @@
 //! `PredictStates` and `DescribeModel`: predictions of states and cells at many times, and the model of one.
 //!
 //! Invariant: replies come by state, then by time. If all times are one block, its phasors are computed once for all
-//! states and cells, and again after a longer wait: who waits holds none. Requests for existing models do not wait for
-//! a fit.
+//! states and cells, and again after a longer wait. A reply that waits for its reader keeps no phasors in memory.
+//! Requests for existing models do not wait for a fit.
 
 use std::{ops::Range, sync::Arc};
 
@@ -27,11 +27,12 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Queries, STATES_MAX, fitting::LearnedState};
+use super::{Queries, STATES_MAX};
 use crate::{
     ingest::handle::MapHandle,
     model_cache::CachedModel,
     rpc::{
+        fitting::LearnedState,
         lookup::{check_limit, find_all, find_map, find_published, opened},
         permits::run_blocking,
         replies::{Replies, ReplySink, compute_replies, stream_replies},

@@ -31,7 +31,7 @@ use crate::{
     ingest::{
         handle::MapHandle,
         intake::{Intake, IntakeLimits},
-        protocol::{Command, Handover, Hello, ObservationBatch, SessionEvent, Welcome},
+        protocol::{Command, Hello, ObservationBatch, SessionEvent, StreamData, Welcome},
         writer::Context,
     },
     jobs::Jobs,
@@ -220,7 +220,9 @@ impl Robot {
         };
         let session = self.opened.session;
         assert!(
-            bench.handle.send(Command::HandOver { session, what: Handover::Observations(batch, [permit(), permit()]) })
+            bench
+                .handle
+                .send(Command::StreamData { session, data: StreamData::Observations(batch, [permit(), permit()]) })
         );
         self.settled().await;
     }
@@ -237,7 +239,7 @@ impl Robot {
                 assert!(
                     bench
                         .handle
-                        .send(Command::HandOver { session, what: Handover::Scans(batch, [permit(), permit()]) })
+                        .send(Command::StreamData { session, data: StreamData::Scans(batch, [permit(), permit()]) })
                 );
             }
         }

@@ -12,8 +12,8 @@ use tidemap_map::{
 };
 use tidemap_proto::convert::InvalidField;
 
-use super::{Routes, error::RouteError};
-use crate::rpc::status::RpcError;
+use super::Routes;
+use crate::rpc::status::{RouteError, RpcError};
 
 /// Maximum number of nodes in a message.
 const NODES_SHOWN: usize = 10;

@@ -27,10 +27,9 @@ use tidemap_proto::{
 use super::{
     Routes,
     edges::{Ahead, Edges},
-    error::RouteError,
     places::find_node,
 };
-use crate::rpc::status::RpcError;
+use crate::rpc::status::{RouteError, RpcError};
 
 /// Maximum number of edges of a reply.
 const EDGES_TOLD_MAX: usize = 100_000;

@@ -24,12 +24,11 @@ use tidemap_proto::{
 use super::{
     Routes,
     edges::Edges,
-    error::RouteError,
     places::{Places, find_node},
 };
 use crate::rpc::{
     series::{Predictor, predict_series},
-    status::RpcError,
+    status::{RouteError, RpcError},
 };
 
 /// Checks the number of goals before anything is predicted.

@@ -79,7 +79,9 @@ impl RefusedRows {
             1 => "refused row".to_owned(),
             rows => format!("{rows} refused rows"),
         };
-        Ok(Some(format!("{shown} has the {rows}{lost}. Correct that file, and send only it: {command} {shown}")))
+        Ok(Some(format!(
+            "{shown} has the {rows}{lost}. Correct the rows in that file. Then send that file, not the original: {command} {shown}"
+        )))
     }
 
     fn copy(&self) -> anyhow::Result<()> {

@@ -22,8 +22,8 @@ pub(super) fn bare(dir: &Path, now: i64, grid: Option<GridSpec>) -> Bare {
     let id = context.store.create_map(&spec).expect("created");
     let log = context.store.open_map(id, &spec).expect("opened").log;
     let mut map = LiveMap::new(Arc::new(spec));
-    let (handle, seat) = MapHandle::with_seat(id, Arc::clone(map.spec()), map.publish());
-    let (writer, inbox) = build(seat, context, id, map, log, None);
+    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(map.spec()), map.publish());
+    let (writer, inbox) = build(endpoints, context, id, map, log, None);
     Bare { bench, writer, inbox, handle: Arc::new(handle), kept: Vec::new() }
 }
 
@@ -97,7 +97,8 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
     assert!(bare.writer.backlog.len() >= 36, "{}", bare.writer.backlog.len());
     // The end of a stream waits behind its scans, and the next stream of the key behind that.
     assert!(
-        bare.handle.send(Command::HandOver { session: b.robot.opened.session, what: Handover::End { clean: true } })
+        bare.handle
+            .send(Command::StreamData { session: b.robot.opened.session, data: StreamData::End { clean: true } })
     );
     let (reply, mut answer) = oneshot::channel();
     let (events, _kept) = events::unbounded_channel();
@@ -113,7 +114,7 @@ async fn scans_wait_while_those_on_their_way_take_too_much_memory() {
         reply
     })));
     bare.take_in();
-    assert!(matches!(bare.writer.backlog.newest(), Some(Handover::End { .. })));
+    assert!(matches!(bare.writer.backlog.newest(), Some(StreamData::End { .. })));
     assert!(answer.try_recv().is_err());
     bare.go_on(|writer| writer.backlog.is_empty() && writer.appends.is_empty());
     assert_eq!(a.settled().await, []);

@@ -58,12 +58,10 @@ impl Scanner {
             let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
             let budget = [permit(), permit()];
             self.robot.sent = batch.last_sequence;
-            assert!(
-                handle.send(Command::HandOver {
-                    session: self.robot.opened.session,
-                    what: Handover::Scans(batch, budget)
-                })
-            );
+            assert!(handle.send(Command::StreamData {
+                session: self.robot.opened.session,
+                data: StreamData::Scans(batch, budget)
+            }));
         }
     }
 
@@ -216,7 +214,8 @@ async fn a_new_stream_that_sends_known_scans_again_has_them_remembered() {
         (0..6u16).map(|i| (NOON - 9 + i64::from(i), vec![(tile(0), masks(&[1, 2, i], &[2]))])).collect();
     first.show(&handle, &scans[..4]).await;
     assert!(
-        handle.send(Command::HandOver { session: first.robot.opened.session, what: Handover::End { clean: false } })
+        handle
+            .send(Command::StreamData { session: first.robot.opened.session, data: StreamData::End { clean: false } })
     );
     let mut second = scanner(&handle, "r", false).await;
     assert_eq!(second.robot.opened.durable_sequence, 4);

@@ -38,7 +38,8 @@ async fn send(
     };
     let budget = [permit(), permit()];
     assert!(
-        handle.send(Command::HandOver { session: robot.opened.session, what: Handover::Observations(batch, budget) })
+        handle
+            .send(Command::StreamData { session: robot.opened.session, data: StreamData::Observations(batch, budget) })
     );
     match robot.events.recv().await {
         Some(SessionEvent::Ack { durable_sequence, refused }) if durable_sequence == robot.sent => {
@@ -144,7 +145,8 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
     let before = handle.view().position();
     let budget = [permit(), permit()];
     assert!(
-        handle.send(Command::HandOver { session: robot.opened.session, what: Handover::Observations(batch, budget) })
+        handle
+            .send(Command::StreamData { session: robot.opened.session, data: StreamData::Observations(batch, budget) })
     );
     let refused = match robot.events.recv().await {
         Some(SessionEvent::Ack { durable_sequence: 7, refused }) => refused,

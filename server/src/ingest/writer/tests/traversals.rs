@@ -53,8 +53,10 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
         traversals: (first_sequence..).zip(traversals).collect(),
         refused: Vec::new(),
     };
-    let command =
-        Command::HandOver { session: robot.opened.session, what: Handover::Traversals(batch, [permit(), permit()]) };
+    let command = Command::StreamData {
+        session: robot.opened.session,
+        data: StreamData::Traversals(batch, [permit(), permit()]),
+    };
     assert!(handle.send(command));
 }
 
@@ -164,7 +166,7 @@ async fn traversals_wait_while_a_change_of_the_topology_is_on_its_way() {
     send(&bare.handle, &mut robot, vec![trip("", NOON, true)]);
     bare.take_in();
     assert!(answer.try_recv().is_err(), "it is on its way");
-    assert!(matches!(bare.writer.backlog.oldest(), Some(Handover::Traversals(..))));
+    assert!(matches!(bare.writer.backlog.oldest(), Some(StreamData::Traversals(..))));
     bare.go_on(|writer| writer.map.states() == 2);
     let expected = SessionEvent::Ack { durable_sequence: 1, refused: Vec::new() };
     assert_eq!(robot.events.recv().await, Some(expected), "the edge was there when its turn came");

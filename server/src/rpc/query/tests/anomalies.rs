@@ -305,7 +305,9 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
             ..ObservationBatch::default()
         };
         assert!(
-            bench.handle.send(Command::HandOver { session, what: Handover::Observations(batch, [permit(), permit()]) })
+            bench
+                .handle
+                .send(Command::StreamData { session, data: StreamData::Observations(batch, [permit(), permit()]) })
         );
     };
     // An untrained state has no anomalies.

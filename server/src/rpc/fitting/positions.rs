@@ -18,7 +18,7 @@ impl ModelFitter {
     ///
     /// # Errors
     /// [`RpcError::ModelUnavailable`] if there can be no such model; others if the readings cannot be read.
-    pub(in crate::rpc::query) async fn position_model(
+    pub(in crate::rpc) async fn position_model(
         self: &Arc<Self>,
         axes: Vec<Arc<LearnedState>>,
         kind: ModelKind,
@@ -69,7 +69,7 @@ impl ModelFitter {
     ///
     /// # Errors
     /// As [`ModelFitter::position_model`]; also if the two have no time in common.
-    pub(in crate::rpc::query) async fn place_model(
+    pub(in crate::rpc) async fn place_model(
         self: &Arc<Self>,
         learned: Arc<LearnedState>,
         axes: Vec<Arc<LearnedState>>,

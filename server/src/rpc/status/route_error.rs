@@ -45,7 +45,7 @@ pub(crate) enum RouteError {
 }
 
 impl RouteError {
-    pub(in crate::rpc) fn code_and_reason(&self) -> (Code, &'static str) {
+    pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
         match self {
             Self::NoNodes(_) => (Code::FailedPrecondition, "NO_TOPOLOGY"),
             Self::UnknownNode { .. } => (Code::NotFound, "UNKNOWN_NODE"),
@@ -72,7 +72,7 @@ impl RouteError {
 }
 
 /// Code and reason of a refused edit.
-pub(in crate::rpc) fn refusal_of(error: &TopologyError) -> (Code, &'static str) {
+pub(super) fn refusal_of(error: &TopologyError) -> (Code, &'static str) {
     match error {
         TopologyError::UnknownNode(_) | TopologyError::UnknownNodeId(_) => (Code::NotFound, "UNKNOWN_NODE"),
         TopologyError::UnknownEdge(_) | TopologyError::UnknownEdgeId(_) => (Code::NotFound, "UNKNOWN_EDGE"),

@@ -55,7 +55,7 @@ mod positions;
 
 /// Fits models, or takes them from the cache.
 #[derive(Debug)]
-pub(in crate::rpc) struct ModelFitter {
+pub(super) struct ModelFitter {
     catalog: Arc<Catalog>,
     models: ModelCache,
     /// The same for models of positions.
@@ -73,7 +73,7 @@ pub(in crate::rpc) struct ModelFitter {
 
 /// A state or cell of one view, and the readings that the view's updates have learned, after they are gathered.
 #[derive(Debug)]
-pub(in crate::rpc) struct LearnedState {
+pub(super) struct LearnedState {
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
     of: StateOrCell,
@@ -81,7 +81,7 @@ pub(in crate::rpc) struct LearnedState {
 }
 
 impl LearnedState {
-    pub(in crate::rpc) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, of: StateOrCell) -> Arc<Self> {
+    pub(super) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, of: StateOrCell) -> Arc<Self> {
         Arc::new(Self { handle, view, of, samples: OnceCell::new() })
     }
 
@@ -146,7 +146,7 @@ impl ModelFitter {
     ///
     /// # Errors
     /// [`RpcError::ModelUnavailable`] if there can be no such model; others if the readings cannot be read.
-    pub(in crate::rpc) async fn fitted(
+    pub(super) async fn fitted(
         self: &Arc<Self>,
         learned: &Arc<LearnedState>,
         kind: ModelKind,
@@ -175,7 +175,7 @@ impl ModelFitter {
     ///
     /// # Errors
     /// The map keeps no history, or it cannot be read; too many readings.
-    pub(in crate::rpc) async fn readings(
+    pub(super) async fn readings(
         &self,
         handle: &Arc<MapHandle>,
         states: &[StateId],

@@ -35,7 +35,7 @@ pub(crate) enum PlanError {
 }
 
 impl PlanError {
-    pub(in crate::rpc) fn code_and_reason(&self) -> (Code, &'static str) {
+    pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
         match self {
             Self::Predict(PredictError::NoGrid) => (Code::FailedPrecondition, "NO_GRID"),
             Self::Predict(PredictError::EmptyRegion) => (Code::FailedPrecondition, "NOTHING_OBSERVED"),
