@@ -259,15 +259,19 @@ impl Client {
         };
         let answer = self.exploration_service().get_information(request).await;
         let mut replies = answer.map_err(|status| self.error(&status))?.into_inner();
-        let mut told = Vec::with_capacity(wanted);
+        let mut information = Vec::with_capacity(wanted);
         while let Some(reply) = replies.message().await.map_err(|status| self.error(&status))? {
             let v1::GetInformationResponse { target, entropy_bits, information_bits, states } = reply;
             if entropy_bits.len() != times || information_bits.len() != times {
                 return Err(Error::Protocol("information at other times than asked for"));
             }
-            told.push(Information { target, entropy_bits, information_bits, states });
+            information.push(Information { target, entropy_bits, information_bits, states });
         }
-        if told.len() == wanted { Ok(told) } else { Err(Error::Protocol("information about a target is missing")) }
+        if information.len() == wanted {
+            Ok(information)
+        } else {
+            Err(Error::Protocol("information about a target is missing"))
+        }
     }
 
     /// The views of the grid from viewpoints at times (nanoseconds), in their order.

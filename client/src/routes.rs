@@ -215,23 +215,23 @@ impl Client {
             as_travelled: query.as_travelled,
         };
         let answer = self.search_service().plan_search(request).await.map_err(|status| self.error(&status))?;
-        let told = answer.into_inner();
-        let stop = stop_from_wire(told.stop());
+        let reply = answer.into_inner();
+        let stop = stop_from_wire(reply.stop());
         let step = |step: v1::SearchStep| {
             let v1::SearchStep { node, arrival_secs, probability } = step;
             SearchStep { node, arrival_secs, probability }
         };
         Ok(Search {
-            steps: told.steps.into_iter().map(step).collect(),
-            walk: told.walk.into_iter().map(|at| (at.node, at.arrival_secs)).collect(),
-            expected_secs: told.expected_secs,
-            lower_bound_secs: told.lower_bound_secs,
-            optimal: told.optimal,
-            remains: told.remains,
+            steps: reply.steps.into_iter().map(step).collect(),
+            walk: reply.walk.into_iter().map(|at| (at.node, at.arrival_secs)).collect(),
+            expected_secs: reply.expected_secs,
+            lower_bound_secs: reply.lower_bound_secs,
+            optimal: reply.optimal,
+            remains: reply.remains,
             stop,
-            unreachable: told.unreachable,
-            unobserved: told.unobserved,
-            unobserved_nodes: told.unobserved_nodes,
+            unreachable: reply.unreachable,
+            unobserved: reply.unobserved,
+            unobserved_nodes: reply.unobserved_nodes,
         })
     }
 }

@@ -80,8 +80,8 @@ async fn every_series_of_a_rule_is_there_before_the_first_event() {
         assert!(metrics.contains(&format!("\n{line}\n")), "{line} in:\n{metrics}");
     }
     let counters = metrics.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.strip_suffix(" counter"));
-    let told: BTreeSet<&str> = counters.collect();
-    assert!(told.len() >= 23, "all counters are there: {told:?}");
+    let counted: BTreeSet<&str> = counters.collect();
+    assert!(counted.len() >= 23, "all counters are there: {counted:?}");
     daemon.stop_in_order();
 }
 

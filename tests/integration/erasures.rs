@@ -105,9 +105,9 @@ async fn of_door(daemon: &Daemon) -> (Vec<u64>, Vec<String>) {
         vec!["predict", "home", "door", "--at", "2025-01-30T10:00:00Z", "--model", "hypertime-em"],
     ];
     let shown = shown.map(|args| {
-        let told = tidemap(daemon, args);
-        told.table();
-        told.stdout
+        let outcome = tidemap(daemon, args);
+        outcome.table();
+        outcome.stdout
     });
     (bits, shown.to_vec())
 }

@@ -99,14 +99,14 @@ async fn a_tour_goes_where_the_room_changes_and_avoids_what_is_not_reached() {
     let shown = tidemap(&daemon, ["map", "set", MAP, "--charger", "1,7"]).table();
     assert_eq!(shown.column("charger"), ["1,7"]);
     let picture = data.path().join("tour.svg");
-    let told = tour(&daemon, nine, &["--count", "1", "--picture", picture.to_str().expect("text")]).table();
-    let best = goals(&told)[0];
+    let reply = tour(&daemon, nine, &["--count", "1", "--picture", picture.to_str().expect("text")]).table();
+    let best = goals(&reply)[0];
     assert!(sees_seat(best), "{best:?}");
-    assert!(told.number("information_bits") > 2.0 && told.number("reachability") == 0.5, "{told:?}");
+    assert!(reply.number("information_bits") > 2.0 && reply.number("reachability") == 0.5, "{reply:?}");
     let drawn = fs::read_to_string(&picture).expect("a picture");
     assert!(drawn.starts_with("<svg") && drawn.matches("<circle").count() == 1);
     // From the charger through the gap: farther than as the crow flies.
-    let secs = told.number("arrival_secs");
+    let secs = reply.number("arrival_secs");
     assert!(secs > 1.01 * (best[0] - 1.0).hypot(best[1] - 7.0) / 0.5, "{secs} to {best:?}");
 
     // Late at night there is nothing to learn.
@@ -117,8 +117,8 @@ async fn a_tour_goes_where_the_room_changes_and_avoids_what_is_not_reached() {
 
     let place = format!("{},{}", best[0], best[1]);
     for attempt in 1..=5 {
-        let told = tidemap(&daemon, ["visit", MAP, &place, "--reached", "false", "--at", "1452470400"]).table();
-        assert_eq!((told.number("reachability"), told.number("attempts")), (0.0, f64::from(attempt)));
+        let reply = tidemap(&daemon, ["visit", MAP, &place, "--reached", "false", "--at", "1452470400"]).table();
+        assert_eq!((reply.number("reachability"), reply.number("attempts")), (0.0, f64::from(attempt)));
     }
     let elsewhere = goals(&tour(&daemon, nine, &["--count", "1"]).table())[0];
     assert!(elsewhere != best && sees_seat(elsewhere), "{elsewhere:?}");
@@ -173,7 +173,7 @@ async fn views_regions_and_mistakes_are_answered() {
     let tours = day(&["--tours", "1", "--explore", "2", "--strategy", "greedy"]).table();
     let bits = tours.numbers("information_bits");
     assert_eq!(tours.column("location").iter().filter(|place| **place == "tour").count(), 2, "{tours:?}");
-    assert!(bits.iter().fold(0.0, |most: f64, &bits| most.max(bits)) > 1.0, "{tours:?}");
+    assert!(bits.iter().fold(0.0, |highest: f64, &bits| highest.max(bits)) > 1.0, "{tours:?}");
     day(&["--tours", "0"]).fails(2, &["1..=100"]);
     day(&["--tours", "101"]).fails(2, &["101"]);
     day(&["--tours", "2", "--views", "1"]).fails(2, &["--views"]);

@@ -111,12 +111,12 @@ fn speeds_of_a_robot_are_learned_and_told_as_well_as_by_the_reference() {
     assert_eq!((found.column("time"), found.column("value")), (vec!["1410000000"], vec!["25"]));
 
     let at = "1409844784,1409900000,1500000000";
-    let told = tidemap(&daemon, ["predict", "office", "path", "--at", at, "--interval", "0.9"]).table();
-    let ends = told.numbers("lower").into_iter().zip(told.numbers("upper"));
-    for (expected, (lower, upper)) in told.numbers("probability").into_iter().zip(ends) {
+    let reply = tidemap(&daemon, ["predict", "office", "path", "--at", at, "--interval", "0.9"]).table();
+    let ends = reply.numbers("lower").into_iter().zip(reply.numbers("upper"));
+    for (expected, (lower, upper)) in reply.numbers("probability").into_iter().zip(ends) {
         assert!(lower < expected && expected < upper && upper - lower < 2.0, "{lower} {expected} {upper}");
     }
-    assert!(told.column("entropy_bits").iter().all(|entropy| entropy.is_empty()), "{told:?}");
+    assert!(reply.column("entropy_bits").iter().all(|entropy| entropy.is_empty()), "{reply:?}");
 
     let before = answers(&daemon, "path", at);
     daemon.kill();
@@ -152,9 +152,9 @@ fn counts_are_learned_as_counts() {
 
     // It is untrained: 0, and no interval.
     let at = (START_SECS + 30 * DAY_SECS + 12 * 3600).to_string();
-    let told = tidemap(&daemon, ["predict", "office", "people", "--at", &at]).table();
+    let reply = tidemap(&daemon, ["predict", "office", "people", "--at", &at]).table();
     assert_eq!(
-        (told.column("probability"), told.column("lower"), told.column("upper")),
+        (reply.column("probability"), reply.column("lower"), reply.column("upper")),
         (vec!["0"], vec![""], vec![""])
     );
 
@@ -168,12 +168,12 @@ fn counts_are_learned_as_counts() {
     }
     let night = (START_SECS + 30 * DAY_SECS + 3 * 3600).to_string();
     for model in ["auto", "spectral", "poisson", "calibrated", "hypertime-em"] {
-        let told =
+        let reply =
             tidemap(&daemon, ["predict", "office", "people", "--at", &format!("{at},{night}"), "--model", model]);
-        let told = told.table();
-        assert!(told.numbers("probability").iter().all(|&p| (0.0..30.0).contains(&p)), "{model}: {told:?}");
-        assert!(told.numbers("probability")[0] > told.numbers("probability")[1], "{model}: {told:?}");
-        assert!(told.numbers("lower").iter().all(|&lower| lower >= 0.0), "{model}: {told:?}");
+        let reply = reply.table();
+        assert!(reply.numbers("probability").iter().all(|&p| (0.0..30.0).contains(&p)), "{model}: {reply:?}");
+        assert!(reply.numbers("probability")[0] > reply.numbers("probability")[1], "{model}: {reply:?}");
+        assert!(reply.numbers("lower").iter().all(|&lower| lower >= 0.0), "{model}: {reply:?}");
     }
 
     let before = answers(&daemon, "people", &at);
@@ -270,9 +270,9 @@ fn angles_are_averaged_on_the_circle_and_survive_a_kill() {
 
     let ask = |daemon: &Daemon, model: &str| {
         let at = format!("{NIGHT},{DAY}");
-        let told = ["predict", "office", "wind", "--at", &at, "--interval", "0.9", "--model"];
-        let told = tidemap(daemon, told.into_iter().chain(model.split(' ')));
-        let table = told.table();
+        let args = ["predict", "office", "wind", "--at", &at, "--interval", "0.9", "--model"];
+        let reply = tidemap(daemon, args.into_iter().chain(model.split(' ')));
+        let table = reply.table();
         assert_eq!(table.column("state"), ["wind"; 2], "one row for each time");
         assert_eq!((table.column("lower"), table.column("entropy_bits")), (vec![""; 2], vec![""; 2]));
         let angles = table.numbers("probability");
@@ -310,7 +310,7 @@ fn answers_of_angle(daemon: &Daemon, at: i64) -> Vec<String> {
         &["predict", "office", "wind/cos", "wind/sin", "--at", &at, "--interval", "0.9"],
         &["state", "list", "office"],
     ];
-    commands.iter().map(|args| tidemap(daemon, args.iter().copied())).map(|told| told.stdout).collect()
+    commands.iter().map(|args| tidemap(daemon, args.iter().copied())).map(|reply| reply.stdout).collect()
 }
 
 #[test]

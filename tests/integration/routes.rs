@@ -106,16 +106,16 @@ fn the_door_is_taken_by_day_and_the_way_around_it_at_night() {
     let renamed = route(&daemon, "lobby", "laboratory", &["--at", &at(23)]).table();
     assert_eq!(nodes(&renamed), ["lobby", "hall", "laboratory"]);
     assert_eq!(renamed.numbers("probability")[..], night.numbers("probability")[..2]);
-    let told = tidemap(&daemon, ["topology", "predict", "b", "--at", &at(23)]).table();
-    assert_eq!((told.rows.len(), told.column("to")[0]), (8, "laboratory"));
-    assert_eq!(told.numbers("probability")[0], night.numbers("probability")[2]);
+    let table = tidemap(&daemon, ["topology", "predict", "b", "--at", &at(23)]).table();
+    assert_eq!((table.rows.len(), table.column("to")[0]), (8, "laboratory"));
+    assert_eq!(table.numbers("probability")[0], night.numbers("probability")[2]);
 }
 
 #[test]
 fn a_policy_waits_for_the_door_where_there_is_no_way_around_it() {
     let (_data, _launch, daemon) = learned();
     let policy = |args: &[&str]| tidemap(&daemon, ["policy", "b", "lab"].into_iter().chain(args.iter().copied()));
-    let of = |table: &Table, node: &str| -> Vec<(String, String)> {
+    let entries_of = |table: &Table, node: &str| -> Vec<(String, String)> {
         let rows = table.column("node").into_iter().zip(table.column("action")).zip(table.column("next"));
         rows.filter(|((at, _), _)| *at == node)
             .map(|((_, action), next)| (action.to_owned(), next.to_owned()))
@@ -124,15 +124,15 @@ fn a_policy_waits_for_the_door_where_there_is_no_way_around_it() {
     let early = ["--at", &at(4), "--horizon", "4h", "--slot", "30m", "--objective", "time"];
     let around = policy(&early).table();
     assert_eq!(around.rows.len(), 4 * 8);
-    let lobby = of(&around, "lobby");
+    let lobby = entries_of(&around, "lobby");
     assert_eq!(lobby[0], ("take".to_owned(), "hall".to_owned()), "{lobby:?}");
     assert_eq!(lobby[7], ("take".to_owned(), "lab".to_owned()), "{lobby:?}");
-    assert!(of(&around, "lab").iter().all(|(action, _)| action == "arrived"));
+    assert!(entries_of(&around, "lab").iter().all(|(action, _)| action == "arrived"));
 
     tidemap(&daemon, ["topology", "edit", "unlink", "b", "hall", "lab"]).table();
     // A failure at half past five would last until after six.
     let waiting = policy(&[&early[..], &["--recovery", "3000"]].concat()).table();
-    let lobby = of(&waiting, "lobby");
+    let lobby = entries_of(&waiting, "lobby");
     assert_eq!(lobby[3].0, "wait", "{lobby:?}");
     assert_eq!(lobby[4], ("take".to_owned(), "lab".to_owned()), "{lobby:?}");
     assert!(waiting.numbers("probability").iter().all(|p| (0.0..=1.0).contains(p)));

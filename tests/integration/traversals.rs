@@ -79,14 +79,15 @@ fn edges_are_learned_from_reports_exactly_once() {
     let rows = (DAYS * 48) as u64;
     let text = BAD.iter().fold(good.clone(), |text, (row, _)| text + row + "\n");
 
-    let told = traverse(&daemon, &text);
-    let table = told.table_with(1);
+    let outcome = traverse(&daemon, &text);
+    let table = outcome.table_with(1);
     let bad = BAD.len() as u64;
     let numbers = ["read", "accepted", "duplicate", "refused"].map(|column| table.number(column) as u64);
     assert_eq!(numbers, [rows + bad, rows, 0, bad]);
     for (place, (_, words)) in (1..).zip(BAD) {
         let row = format!("row {} (line {})", rows + place, rows + place + 1);
-        let line = told.stderr.lines().find(|line| line.starts_with(&row)).unwrap_or_else(|| panic!("{}", told.stderr));
+        let line =
+            outcome.stderr.lines().find(|line| line.starts_with(&row)).unwrap_or_else(|| panic!("{}", outcome.stderr));
         assert!(line.contains(words), "{line}");
     }
 
@@ -169,8 +170,9 @@ fn single_reports_are_told_what_is_wrong_with_them() {
 
     // Only traversals create such states.
     let rows = "time,state,value\n1451865600,edge/Hall/Lab,1\n1451865600,speed/Hall/Lab,1\n1451865600,pace/A/B,1\n";
-    let told = cli::tidemap_reading(&daemon, ["observe", "office", "-", "--producer", "robot", "--label", "x"], rows);
-    assert_eq!(told.table_with(1).number("refused"), 3.0);
+    let outcome =
+        cli::tidemap_reading(&daemon, ["observe", "office", "-", "--producer", "robot", "--label", "x"], rows);
+    assert_eq!(outcome.table_with(1).number("refused"), 3.0);
     tidemap(&daemon, ["state", "add", "office", "edge/Lab/Hall"]).fails(1, &["'/'"]);
     let missing = cli::tidemap_reading(&daemon, ["traverse", "office", "-"], "from,to,start,end\n");
     missing.fails(1, &["\"success\"", "from, to, start, end and success"]);
@@ -247,6 +249,7 @@ fn states_of_edges_may_have_long_names() {
     let rows = format!("time,state,value\n{START_SECS},{state},0.25\n");
     let errors = cli::tidemap_reading(&daemon, ["evaluate", "office", "-", "--models", "mean"], &rows).table();
     assert!((errors.number("mse") - 0.0625).abs() < 1e-9, "{errors:?}");
-    let told = cli::tidemap_reading(&daemon, ["observe", "office", "-", "--producer", "robot", "--label", "x"], &rows);
-    assert_eq!(told.table_with(1).number("refused"), 1.0);
+    let outcome =
+        cli::tidemap_reading(&daemon, ["observe", "office", "-", "--producer", "robot", "--label", "x"], &rows);
+    assert_eq!(outcome.table_with(1).number("refused"), 1.0);
 }

@@ -71,10 +71,10 @@ fn kinds(daemon: &Daemon) -> Vec<[String; 4]> {
 }
 
 /// The probability outside the region, as reported on stderr.
-fn outside(told: &Outcome, time: i64) -> f64 {
-    let line = told.stderr.lines().find(|line| line.contains(&format!("{time}: expected at")));
+fn outside(outcome: &Outcome, time: i64) -> f64 {
+    let line = outcome.stderr.lines().find(|line| line.contains(&format!("{time}: expected at")));
     let text = line.and_then(|line| line.split("the region with ").nth(1)?.split(';').next());
-    text.and_then(|text| text.parse().ok()).unwrap_or_else(|| panic!("{}", told.stderr))
+    text.and_then(|text| text.parse().ok()).unwrap_or_else(|| panic!("{}", outcome.stderr))
 }
 
 #[test]
@@ -123,11 +123,14 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     assert_eq!(few.rows.len(), 6);
 
     // An axis is a state like any other.
-    let told = tidemap(&daemon, ["predict", "office", "anna", "--at", &at]).table();
-    assert_eq!(told.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y"]);
-    let told = told.numbers("probability");
+    let outcome = tidemap(&daemon, ["predict", "office", "anna", "--at", &at]).table();
+    assert_eq!(outcome.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y"]);
+    let positions = outcome.numbers("probability");
     let expected = [KITCHEN[0], DESK[0], KITCHEN[1], DESK[1]];
-    assert!(told.iter().zip(expected).all(|(told, expected)| (told - expected).abs() < 1.0), "{told:?}");
+    assert!(
+        positions.iter().zip(expected).all(|(position, expected)| (position - expected).abs() < 1.0),
+        "{positions:?}"
+    );
     let fitted = ["predict", "office", "anna", "anna/y", "--at", &at, "--model", "histogram:24"];
     let fitted = tidemap(&daemon, fitted).table();
     assert_eq!(fitted.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y", "anna/y", "anna/y"]);
@@ -180,21 +183,21 @@ fn three_coordinates_are_learned_and_told() {
     });
     observe(&daemon, "flight", &text, &["--nightly"]).table();
     let at = (START_SECS + 15 * DAY_SECS + 15 * 3600).to_string();
-    let told = tidemap(&daemon, ["position", "office", "drone", "--at", &at, "--top", "0"]);
-    let beyond = outside(&told, at.parse().expect("a time"));
-    let told = told.table();
-    let sum: f64 = told.numbers("probability").iter().sum();
+    let outcome = tidemap(&daemon, ["position", "office", "drone", "--at", &at, "--top", "0"]);
+    let beyond = outside(&outcome, at.parse().expect("a time"));
+    let outcome = outcome.table();
+    let sum: f64 = outcome.numbers("probability").iter().sum();
     assert!((sum + beyond - 1.0).abs() < 1e-3, "{sum} and {beyond}");
-    let high: f64 = told
+    let high: f64 = outcome
         .numbers("z")
         .into_iter()
-        .zip(told.numbers("probability"))
+        .zip(outcome.numbers("probability"))
         .filter(|(z, _)| *z > 1.5)
         .map(|(_, probability)| probability)
         .sum();
     assert!(high > 0.75 * sum, "{high} of {sum}");
-    let told = tidemap(&daemon, ["predict", "office", "drone", "--at", &at]).table();
-    assert_eq!(told.column("state"), ["drone/x", "drone/y", "drone/z"]);
+    let outcome = tidemap(&daemon, ["predict", "office", "drone", "--at", &at]).table();
+    assert_eq!(outcome.column("state"), ["drone/x", "drone/y", "drone/z"]);
 }
 
 #[test]
@@ -322,14 +325,14 @@ fn a_state_depends_on_where_it_was_observed() {
         let args = ["predict", "office", "noise", "--at", &at];
         tidemap(&daemon, args.into_iter().chain(more.iter().copied()).collect::<Vec<_>>())
     };
-    let told = ask(&["--where", "anna=2,1", "--where", "anna=8,5", "--density", "60,40"]);
-    let table = told.table();
+    let outcome = ask(&["--where", "anna=2,1", "--where", "anna=8,5", "--density", "60,40"]);
+    let table = outcome.table();
     let (expected, lower, upper) = (table.numbers("expected"), table.numbers("lower"), table.numbers("upper"));
     assert!((expected[0] - 60.0).abs() < 3.0 && (expected[1] - 40.0).abs() < 3.0, "{expected:?}");
     assert!((0..2).all(|i| lower[i] <= expected[i] && expected[i] <= upper[i]), "{lower:?}, {upper:?}");
     let (loud, quiet) = (table.numbers("density_60"), table.numbers("density_40"));
     assert!(loud[0] > 10.0 * loud[1] && quiet[1] > 10.0 * quiet[0], "{loud:?}, {quiet:?}");
-    assert!(told.stderr.contains(&format!("from {} of", rows.len().div_ceil(2))), "{}", told.stderr);
+    assert!(outcome.stderr.contains(&format!("from {} of", rows.len().div_ceil(2))), "{}", outcome.stderr);
 
     ask(&["--where", "anna=1,2,3"]).fails(1, &["each place has 2"]);
     ask(&["--where", "noise=1,2"]).fails(1, &["only a vector"]);

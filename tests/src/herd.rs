@@ -149,8 +149,8 @@ impl Run {
         let mut next = first;
         while !self.stop.load(Ordering::Relaxed) && (self.manner.until == 0 || next <= self.manner.until) {
             // Most batches are small, some fill a message.
-            let most = if self.random.random_ratio(1, 40) { 4096 } else { 60 };
-            let mut end = next + self.random.random_range(1..=most);
+            let max_length = if self.random.random_ratio(1, 40) { 4096 } else { 60 };
+            let mut end = next + self.random.random_range(1..=max_length);
             if self.manner.until != 0 {
                 end = end.min(self.manner.until + 1);
             }

@@ -40,7 +40,7 @@ pub enum DataError {
     #[error("{}: line {line}: {wrong}", path.display())]
     Row { path: PathBuf, line: u64, wrong: String },
     /// A file has no rows of the protocol's states.
-    #[error("{path} has no rows{of}", of = if states.is_empty() { String::new() } else { format!(" of {}", states.join(", ")) })]
+    #[error("{path} has no rows{of_states}", of_states = if states.is_empty() { String::new() } else { format!(" of {}", states.join(", ")) })]
     Empty { path: PathBuf, states: Vec<String> },
     /// A state has no training data.
     #[error("state {state:?} of {path} is not in the training data, which has {}", known.join(", "))]

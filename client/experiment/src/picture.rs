@@ -53,8 +53,8 @@ pub(crate) fn draw(protocol: &Protocol, outcome: &Comparison) -> String {
         (lower < upper).then_some((baseline_mse + lower, baseline_mse + upper))
     };
     let highest = |model: &ModelResult| whisker(model).map_or(0.0, |(_, upper)| upper).max(model.score.mse());
-    let most = models.iter().map(highest).fold(0.0, f64::max);
-    let scale = Scale::up_to(most);
+    let highest = models.iter().map(highest).fold(0.0, f64::max);
+    let scale = Scale::up_to(highest);
     let x = |mse: f64| LABELS + (mse / scale.end()).max(0.0) * (WIDTH - LABELS - FIGURES);
     let bottom = TOP + ROW * models.len() as f64;
 

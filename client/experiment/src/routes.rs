@@ -116,15 +116,15 @@ impl RobotCourse {
         self.seeds.iter().map(slope).collect()
     }
 
-    fn over(&self, weeks: Range<usize>, of: impl Fn(&[Week]) -> f64) -> SeedMean {
-        let of_seed = |seed: &Vec<Week>| of(seed.get(weeks.clone()).unwrap_or_default());
+    fn over(&self, weeks: Range<usize>, value_of: impl Fn(&[Week]) -> f64) -> SeedMean {
+        let of_seed = |seed: &Vec<Week>| value_of(seed.get(weeks.clone()).unwrap_or_default());
         SeedMean::of(&self.seeds.iter().map(of_seed).collect::<Vec<f64>>())
     }
 }
 
-fn per_task(weeks: &[Week], of: impl Fn(&Week) -> f64) -> f64 {
+fn per_task(weeks: &[Week], value_of: impl Fn(&Week) -> f64) -> f64 {
     let tasks: u64 = weeks.iter().map(|week| week.tasks).sum();
-    weeks.iter().map(of).sum::<f64>() / tasks.max(1) as f64
+    weeks.iter().map(value_of).sum::<f64>() / tasks.max(1) as f64
 }
 
 /// The results of all robots.

@@ -326,15 +326,15 @@ fn attribute<'a>(element: &'a str, name: &str) -> Option<&'a str> {
 
 /// Left, right, top and bottom of an element, if it has such.
 fn extent(element: &str) -> Option<[f64; 4]> {
-    let of = |name: &str| attribute(element, name)?.parse::<f64>().ok();
+    let number = |name: &str| attribute(element, name)?.parse::<f64>().ok();
     if element.starts_with("<line") {
-        let [x1, y1, x2, y2] = [of("x1")?, of("y1")?, of("x2")?, of("y2")?];
+        let [x1, y1, x2, y2] = [number("x1")?, number("y1")?, number("x2")?, number("y2")?];
         return Some([x1.min(x2), x1.max(x2), y1.min(y2), y1.max(y2)]);
     }
     let text = element.strip_suffix("</text>")?.rsplit('>').next()?;
-    let height = of("font-size").unwrap_or(13.0);
+    let height = number("font-size").unwrap_or(13.0);
     // As wide as in DejaVu Sans, which is wide.
-    let (x, y, width) = (of("x")?, of("y")?, 0.6 * height * text.chars().count() as f64);
+    let (x, y, width) = (number("x")?, number("y")?, 0.6 * height * text.chars().count() as f64);
     let left = match attribute(element, "text-anchor") {
         Some("end") => x - width,
         Some("middle") => x - width / 2.0,

@@ -47,8 +47,8 @@ pub enum FormatProblem {
     #[error("{count} bytes follow {what}, where the file must end")]
     Trailing { count: u64, what: String },
     /// A limit is exceeded.
-    #[error("{what} is {found}; at most {most} can be read, so cut the file into parts or thin it out")]
-    TooMany { what: String, found: u64, most: u64 },
+    #[error("{what} is {found}; at most {max} can be read, so cut the file into parts or thin it out")]
+    TooMany { what: String, found: u64, max: u64 },
 }
 
 impl FormatError {
@@ -87,8 +87,8 @@ impl FormatError {
     }
 
     /// A limit is exceeded.
-    pub fn too_many(place: FilePlace, what: impl Into<String>, found: u64, most: u64) -> Self {
-        Self { place, problem: FormatProblem::TooMany { what: what.into(), found, most } }
+    pub fn too_many(place: FilePlace, what: impl Into<String>, found: u64, max: u64) -> Self {
+        Self { place, problem: FormatProblem::TooMany { what: what.into(), found, max } }
     }
 
     /// Bytes after the end.

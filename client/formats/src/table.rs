@@ -335,14 +335,14 @@ fn add_unit(header: &mut String) {
 fn at_the_point(cells: &[&Cell]) -> Vec<String> {
     let mut texts: Vec<String> = cells.iter().map(|cell| cell.rounded()).collect();
     // An exponent stands apart.
-    let of = |(cell, text): (&&Cell, &String)| {
+    let places_after_point = |(cell, text): (&&Cell, &String)| {
         let is_decimal = matches!(cell, Cell::Number(_) | Cell::Secs(_)) && !text.contains('e');
         is_decimal.then(|| text.find('.').map_or(0, |point| text.len() - point))
     };
-    let places: Vec<Option<usize>> = cells.iter().zip(&texts).map(of).collect();
-    let most = places.iter().copied().flatten().max().unwrap_or(0);
+    let places: Vec<Option<usize>> = cells.iter().zip(&texts).map(places_after_point).collect();
+    let widest = places.iter().copied().flatten().max().unwrap_or(0);
     for (text, places) in texts.iter_mut().zip(places) {
-        text.extend(std::iter::repeat_n(' ', places.map_or(0, |places| most - places)));
+        text.extend(std::iter::repeat_n(' ', places.map_or(0, |places| widest - places)));
     }
     texts
 }

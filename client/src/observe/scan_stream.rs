@@ -89,9 +89,9 @@ impl ScanStream {
     }
 
     fn new_tiles<'a>(&mut self, scan: &KeptScan, tiles: &'a [TileIndex]) -> impl Iterator<Item = i32> + use<'a> {
-        let told = self.tiles;
-        self.tiles = told.max(scan.tiles());
-        tiles.get(told..self.tiles).unwrap_or_default().iter().flat_map(|tile| [tile.x, tile.y, tile.z])
+        let sent = self.tiles;
+        self.tiles = sent.max(scan.tiles());
+        tiles.get(sent..self.tiles).unwrap_or_default().iter().flat_map(|tile| [tile.x, tile.y, tile.z])
     }
 
     fn wire(&mut self, kept: &KeptScan) -> Content {

@@ -174,35 +174,35 @@ impl Window {
         &self.names
     }
 
-    /// The observations to send next, at most `most`; empty if it is better to wait for more, or another kind of item
+    /// The observations to send next, at most `max_count`; empty if it is better to wait for more, or another kind of item
     /// comes next.
     ///
     /// A batch is sent when it is full, when no other batch is in progress, or when a caller waits for one of its
     /// observations (`urgent`: up to that number). So the observations of a slow producer are sent at once, and those
     /// of a fast one together.
-    pub fn to_send(&self, most: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
-        self.unsent(most, usize::MAX, urgent).map_while(|item| match item {
+    pub fn to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
+        self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
             Item::Observation(entry) => Some(entry),
             Item::Scan(_) | Item::Traversal(_) => None,
         })
     }
 
-    /// The traversals to send next, at most `most`; empty if it is better to wait for more, or another kind of item
+    /// The traversals to send next, at most `max_count`; empty if it is better to wait for more, or another kind of item
     /// comes next.
-    pub fn traversals_to_send(&self, most: usize, urgent: u64) -> impl Iterator<Item = &v1::Traversal> {
-        self.unsent(most, usize::MAX, urgent).map_while(|item| match item {
+    pub fn traversals_to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &v1::Traversal> {
+        self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
             Item::Traversal(traversal) => Some(&**traversal),
             Item::Observation(_) | Item::Scan(_) => None,
         })
     }
 
-    /// The items to send next, at most `most`; empty if it is better to wait for more.
-    fn unsent(&self, most: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &Item> {
+    /// The items to send next, at most `max_count`; empty if it is better to wait for more.
+    fn unsent(&self, max_count: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &Item> {
         let sent = usize::try_from(self.next_unsent - self.first_kept).unwrap_or(usize::MAX);
         let unsent = self.entries.len() - sent;
-        let full = unsent >= most || self.bytes - self.sent_bytes >= bytes;
+        let full = unsent >= max_count || self.bytes - self.sent_bytes >= bytes;
         let go = full || sent == 0 || urgent >= self.next_unsent;
-        self.entries.iter().skip(if go { sent } else { self.entries.len() }).take(most)
+        self.entries.iter().skip(if go { sent } else { self.entries.len() }).take(max_count)
     }
 
     /// Notes that the next `count` observations or scans were sent.

@@ -274,9 +274,9 @@ impl Client {
             plan_within: query.plan_within_nanos.map(duration),
         };
         let answer = self.route_service().plan_route(request).await.map_err(|status| self.error(&status))?;
-        let told = answer.into_inner();
-        let certainty = route_certainty_from_wire(told.certainty()).unwrap_or(Certainty::CutOff);
-        Ok((told.routes.into_iter().map(route).collect::<Result<_, _>>()?, certainty))
+        let reply = answer.into_inner();
+        let certainty = route_certainty_from_wire(reply.certainty()).unwrap_or(Certainty::CutOff);
+        Ok((reply.routes.into_iter().map(route).collect::<Result<_, _>>()?, certainty))
     }
 
     /// Plans a policy: the action at each node in each time slot to reach a node.
@@ -297,12 +297,12 @@ impl Client {
             model: Some(selector_to_wire(query.model)),
             speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
         };
-        let told = self.route_service().plan_policy(request).await.map_err(|status| self.error(&status))?.into_inner();
-        let slot = told.slot.unwrap_or_default();
+        let reply = self.route_service().plan_policy(request).await.map_err(|status| self.error(&status))?.into_inner();
+        let slot = reply.slot.unwrap_or_default();
         Ok(Policy {
-            time_nanos: instant(told.start_time).unwrap_or(query.time_nanos),
+            time_nanos: instant(reply.start_time).unwrap_or(query.time_nanos),
             slot_nanos: slot.seconds.saturating_mul(1_000_000_000).saturating_add(slot.nanos.into()),
-            nodes: told.nodes.into_iter().map(entries).collect::<Result<_, _>>()?,
+            nodes: reply.nodes.into_iter().map(entries).collect::<Result<_, _>>()?,
         })
     }
 
@@ -324,7 +324,7 @@ impl Client {
             speed_m_per_s: speed_m_per_s.unwrap_or_default(),
             confidence: None,
         };
-        let told =
+        let reply =
             self.route_service().predict_edges(request).await.map_err(|status| self.error(&status))?.into_inner();
         let edge = |edge: v1::PredictedEdge| {
             Ok(PredictedEdge {
@@ -335,6 +335,6 @@ impl Client {
                 reports: edge.reports,
             })
         };
-        told.edges.into_iter().map(edge).collect()
+        reply.edges.into_iter().map(edge).collect()
     }
 }

@@ -91,16 +91,16 @@ impl Client {
         let PresenceQuery { map, object, times_nanos, model } = query;
         let request = v1::PredictPresenceRequest { map, object, times_nanos, model: Some(selector_to_wire(model)) };
         let answer = self.search_service().predict_presence(request).await.map_err(|status| self.error(&status))?;
-        let told = answer.into_inner();
+        let reply = answer.into_inner();
         let at = |at: v1::PresenceAt| {
             let v1::PresenceAt { time_nanos, probabilities, shares, anybody } = at;
             PresenceAt { time_nanos, probabilities, shares, anybody }
         };
         Ok(Presence {
-            nodes: told.nodes,
-            times: told.times.into_iter().map(at).collect(),
-            unobserved: told.unobserved,
-            unobserved_nodes: told.unobserved_nodes,
+            nodes: reply.nodes,
+            times: reply.times.into_iter().map(at).collect(),
+            unobserved: reply.unobserved,
+            unobserved_nodes: reply.unobserved_nodes,
         })
     }
 

@@ -209,8 +209,8 @@ mod tests {
         let tile = TileCells { index, known, changed, high: Mask::FULL, values, all_values: false };
         let question = GridQuestion::default();
         let page = v1::GridPage { tiles: vec![tile_to_wire(tile, &question, (0.1, 0.9)); 3] };
-        let most = 3 * (3 * MASK_BYTES as u64 + TILE_OVERHEAD + 4 * TILE_CELLS as u64);
-        assert!(page.encoded_len() as u64 <= most, "{} of {most}", page.encoded_len());
+        let max_bytes = 3 * (3 * MASK_BYTES as u64 + TILE_OVERHEAD + 4 * TILE_CELLS as u64);
+        assert!(page.encoded_len() as u64 <= max_bytes, "{} of {max_bytes}", page.encoded_len());
     }
 
     #[test]

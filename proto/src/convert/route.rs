@@ -219,9 +219,9 @@ fn known_objective(objective: i32) -> Result<v1::RouteObjective, InvalidField> {
         .map_err(|_| InvalidField::new("objective", format!("{objective} is not known")))
 }
 
-fn within(field: &'static str, value: f64, least: f64, most: f64) -> Result<f64, InvalidField> {
-    let wrong = || InvalidField::new(field, format!("{value}: expected {least} to {most}"));
-    if (least..=most).contains(&value) { Ok(value) } else { Err(wrong()) }
+fn within(field: &'static str, value: f64, least: f64, max: f64) -> Result<f64, InvalidField> {
+    let wrong = || InvalidField::new(field, format!("{value}: expected {least} to {max}"));
+    if (least..=max).contains(&value) { Ok(value) } else { Err(wrong()) }
 }
 
 fn secs(field: &'static str, value: Option<f64>, default: f64) -> Result<f64, InvalidField> {

@@ -75,11 +75,11 @@ fn day(c: &mut Criterion) {
     let scene = TimedScene::new(day, &SceneOptions::default(), StopSignal::NEVER).expect("valid");
     let run = |viewpoints: &[Viewpoint]| {
         let mut sum = 0.0;
-        let told = view_many(&scene, &sensor, viewpoints, ViewLimits::default(), StopSignal::NEVER, |_, told| {
-            sum += told.into_iter().flatten().flatten().sum::<f64>();
+        let outcome = view_many(&scene, &sensor, viewpoints, ViewLimits::default(), StopSignal::NEVER, |_, view| {
+            sum += view.into_iter().flatten().flatten().sum::<f64>();
             ControlFlow::Continue(())
         });
-        told.expect("little work");
+        outcome.expect("little work");
         sum
     };
     group.bench_function("views_500_times_96", |b| b.iter(|| run(black_box(&viewpoints))));
@@ -88,12 +88,12 @@ fn day(c: &mut Criterion) {
         b.iter(|| {
             let mut sum = 0.0;
             single.install(|| {
-                let told =
-                    view_many(&scene, &sensor, &viewpoints, ViewLimits::default(), StopSignal::NEVER, |_, told| {
-                        sum += told.into_iter().flatten().flatten().sum::<f64>();
+                let outcome =
+                    view_many(&scene, &sensor, &viewpoints, ViewLimits::default(), StopSignal::NEVER, |_, view| {
+                        sum += view.into_iter().flatten().flatten().sum::<f64>();
                         ControlFlow::Continue(())
                     });
-                told.expect("little work");
+                outcome.expect("little work");
             });
             sum
         });
@@ -110,14 +110,14 @@ fn tours(c: &mut Criterion) {
         [("6_goals", 6, 0.5), ("12_goals", 12, 0.5), ("6_goals_of_500", 6, 0.325), ("6_goals_of_many", 6, 0.2)]
     {
         let question = TourQuestion { start_m: [10.0, 6.4], goals, spacing_m, ..TourQuestion::default() };
-        let told = plan_tour(&grid, &reachability, &question, StopSignal::NEVER).expect("valid");
+        let tour = plan_tour(&grid, &reachability, &question, StopSignal::NEVER).expect("valid");
         println!(
             "{name}: {} goals of {} candidates, {} looks, {:.0} bits, {:.0} m",
-            told.steps.len(),
-            told.candidates,
-            told.looks,
-            told.information_bits,
-            told.length_m
+            tour.steps.len(),
+            tour.candidates,
+            tour.looks,
+            tour.information_bits,
+            tour.length_m
         );
         group.bench_function(name, |b| b.iter(|| plan_tour(&grid, &reachability, &question, StopSignal::NEVER)));
         let fan = Fan::new(&question.sensor, grid.lattice(), 0.0).expect("valid");

@@ -118,8 +118,8 @@ pub enum SearchError {
     #[error("an exact search of {found} places: at most {EXACT_GOALS_MAX} are possible; use the heuristic")]
     TooManyForExact { found: usize },
     /// Too many goals.
-    #[error("a search of {found} places: at most {most} are possible; omit unlikely ones")]
-    TooMany { found: usize, most: usize },
+    #[error("a search of {found} places: at most {max} are possible; omit unlikely ones")]
+    TooMany { found: usize, max: usize },
     /// No goal can be reached.
     #[error("no goal can be reached from node number {start}")]
     Unreachable { start: u32 },

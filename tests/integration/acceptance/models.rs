@@ -104,12 +104,12 @@ fn a_model_that_is_not_there_is_left_out_and_said_so() {
     observe(&door, "door", &states);
     let all = evaluate(&door, "door", &states, "all");
     let table = all.table();
-    let of = |wanted: &str| table.column("model").into_iter().filter(|model| *model == wanted).count();
+    let count_of = |wanted: &str| table.column("model").into_iter().filter(|model| *model == wanted).count();
     for model in ["auto", "mean", "latest", "persistence", "histogram:24", "pergam:3", "calibrated"] {
-        assert_eq!(of(model), states.len(), "{model}");
+        assert_eq!(count_of(model), states.len(), "{model}");
     }
-    assert_eq!((of("hypertime-em:3"), of("hypertime-km:3"), of("spectral")), (7, 7, 16 * 7));
-    assert_eq!(of("poisson"), 0);
+    assert_eq!((count_of("hypertime-em:3"), count_of("hypertime-km:3"), count_of("spectral")), (7, 7, 16 * 7));
+    assert_eq!(count_of("poisson"), 0);
     assert!(all.stderr.contains("poisson is left out of a, b, c, d, e and 2 more"), "{}", all.stderr);
     // A model that was requested by name is reported as missing.
     let named = evaluate(&door, "door", &states[..1], "mean,poisson");

@@ -44,17 +44,17 @@ fn from_the_same_readings_it_answers_as_the_spectral_model_and_recalls_what_that
     let (first, last) = (readings[0].0, readings[readings.len() - 1].0);
     learn(&door, "regular", &readings);
     for order in ["0", "1", "2", "3"] {
-        let of = |model, times| predicted(&door, "regular", model, order, times);
+        let predictions = |model, times| predicted(&door, "regular", model, order, times);
         // The week after: only the rhythms are known.
         let later = (last + 60, last + 60 + WEEK_SECS);
-        let (uniform, spectral) = (of("uniform", later), of("spectral", later));
+        let (uniform, spectral) = (predictions("uniform", later), predictions("spectral", later));
         assert!(uniform.column("order").iter().all(|found| *found == order));
         for (found, expected) in uniform.numbers("probability").into_iter().zip(spectral.numbers("probability")) {
             assert!((found - expected).abs() < 1e-6, "order {order}: {found}, {expected}");
         }
         // The learned weeks: outliers are stored as read, so every reading is reproduced exactly.
         let past = (first, last + 60);
-        let (uniform, spectral) = (of("uniform", past), of("spectral", past));
+        let (uniform, spectral) = (predictions("uniform", past), predictions("spectral", past));
         let mut outliers = 0;
         let pairs = uniform.numbers("probability").into_iter().zip(spectral.numbers("probability"));
         for ((time, value), (found, expected)) in readings.iter().zip(pairs) {

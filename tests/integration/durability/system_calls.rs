@@ -77,13 +77,13 @@ async fn durability_kill_at_chosen_system_calls() {
     }
     let seed = rounds::seed("durability_kill_at_chosen_system_calls");
     let mut random = rounds::draws(seed);
-    let (mut killed, mut told) = (0, 0);
+    let (mut killed, mut acknowledged) = (0, 0);
     let count = rounds::count("TIDEMAP_CALL_KILLS", 24);
     for round in 0..count {
-        let (call, most) = CALLS[round as usize % CALLS.len()];
+        let (call, max_number) = CALLS[round as usize % CALLS.len()];
         // Early calls are chosen more often, because each of them does something different.
-        let most = *[most, most.div_ceil(4)].choose(&mut random).expect("two of them");
-        let number = random.random_range(1..=most);
+        let max_number = *[max_number, max_number.div_ceil(4)].choose(&mut random).expect("two of them");
+        let number = random.random_range(1..=max_number);
         let inject = format!("inject={call}:signal=KILL:when={number}");
         let what = format!("killed at {call} number {number}");
         let data = tempdir().expect("a folder");
@@ -101,10 +101,10 @@ async fn durability_kill_at_chosen_system_calls() {
         };
         killed += u32::from(reached.killed);
         check(&launch, &what, reached.created, &mut oracle).await;
-        told += u32::from(oracle.marks[0].acknowledged > 0);
+        acknowledged += u32::from(oracle.marks[0].acknowledged > 0);
     }
-    println!("{killed} of {count} runs were killed, {told} had acknowledged something");
-    assert!(killed >= count / 3 && told > 0, "the calls or their numbers are wrong");
+    println!("{killed} of {count} runs were killed, {acknowledged} had acknowledged something");
+    assert!(killed >= count / 3 && acknowledged > 0, "the calls or their numbers are wrong");
 }
 
 /// The daemon starts without help and has all acknowledged observations.

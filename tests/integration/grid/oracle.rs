@@ -159,8 +159,9 @@ async fn grid_models_of_cells_are_those_of_a_naive_model() {
 
 /// P(occupied | reads free) and P(occupied | reads occupied), by Bayes' rule.
 fn levels(ProducerSensor { hit, false_alarm }: ProducerSensor, prior: f64) -> (f64, f64) {
-    let of = |if_occupied: f64, if_free: f64| if_occupied * prior / (if_occupied * prior + if_free * (1.0 - prior));
-    (of(1.0 - hit, 1.0 - false_alarm), of(hit, false_alarm))
+    let posterior =
+        |if_occupied: f64, if_free: f64| if_occupied * prior / (if_occupied * prior + if_free * (1.0 - prior));
+    (posterior(1.0 - hit, 1.0 - false_alarm), posterior(hit, false_alarm))
 }
 
 async fn with_sensor(daemon: &Daemon, name: &str, sensor: Option<ProducerSensor>) -> Result<Producer, String> {

@@ -65,7 +65,7 @@ async fn until_health(daemon: &Daemon, expected: ServingStatus) {
 }
 
 /// Whether a daemon on the folder tells a loss of this file everywhere, and what a check says.
-async fn told(data: &Path, file: &str) -> Daemon {
+async fn daemon_that_reports(data: &Path, file: &str) -> Daemon {
     let (status, text) = check(data, &[]);
     assert_eq!(status, Some(1), "{text}");
     assert!(text.contains(file) && text.contains("--accept-loss"), "{text}");
@@ -101,7 +101,7 @@ async fn a_lost_list_of_maps_is_told_until_the_loss_is_accepted() {
     two_maps(data.path()).await;
     fs::remove_file(data.path().join("MAPS")).expect("removable");
     fs::remove_dir_all(data.path().join("maps/00000002")).expect("removable");
-    let daemon = told(data.path(), "MAPS").await;
+    let daemon = daemon_that_reports(data.path(), "MAPS").await;
     let asked = call(&daemon.http, "MapService/GetMap", &[], &json!({ "name": "home" }));
     assert!(asked.text().contains("DATA_LOSS") && asked.text().contains("MAPS"), "{}", asked.text());
     tidemap(&daemon, ["map", "create", "home"]).fails(1, &["MAPS"]);
@@ -118,7 +118,7 @@ async fn a_lost_list_of_history_is_told_until_the_loss_is_accepted() {
     let history = data.path().join("maps/00000001/history");
     fs::remove_dir_all(&history).expect("removable");
     fs::remove_file(history.with_file_name("HISTORY")).expect("removable");
-    let daemon = told(data.path(), "maps/00000001/HISTORY").await;
+    let daemon = daemon_that_reports(data.path(), "maps/00000001/HISTORY").await;
     let times = json!({ "map": "office", "state": "door", "fromTime": "1970-01-01T00:00:00Z", "toTime": "1970-01-02T00:00:00Z" });
     let asked = call(&daemon.http, "QueryService/Reconstruct", &[], &times);
     assert!(asked.text().contains("DATA_LOSS"), "{}", asked.text());

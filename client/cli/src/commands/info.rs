@@ -45,10 +45,10 @@ pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<Exi
     let mut rows = Vec::new();
     if views.is_empty() {
         let targets = Targets { states, locations };
-        for told in session.client.information(&map, targets, at.clone(), model).await? {
-            let numbers = told.entropy_bits.into_iter().zip(told.information_bits);
+        for answer in session.client.information(&map, targets, at.clone(), model).await? {
+            let numbers = answer.entropy_bits.into_iter().zip(answer.information_bits);
             rows.extend(at.iter().zip(numbers).map(|(&time, (entropy, information))| {
-                vec![Cell::Text(told.target.clone()), entropy.into(), information.into(), Cell::Time(time)]
+                vec![Cell::Text(answer.target.clone()), entropy.into(), information.into(), Cell::Time(time)]
             }));
         }
     }

@@ -75,8 +75,8 @@ fn at_end(id: u64, last: Option<Job>) -> anyhow::Result<Job> {
 
 /// The error of a failed job.
 pub(crate) fn failure(job: &Job) -> String {
-    let of = if job.map.is_empty() { String::new() } else { format!(" of map {:?}", job.map) };
-    format!("job {}{of} failed: {}", job.id, job.error)
+    let of_map = if job.map.is_empty() { String::new() } else { format!(" of map {:?}", job.map) };
+    format!("job {}{of_map} failed: {}", job.id, job.error)
 }
 
 fn cells(job: Job) -> Vec<Cell> {

@@ -91,13 +91,13 @@ async fn week(session: &Session, map: &str, state: &str, model: &ModelDescriptio
 
 /// Bars of the amplitudes of the rhythms, for a terminal.
 fn amplitudes(model: &ModelDescription) -> String {
-    let most = model.components.iter().map(|component| component.amplitude).fold(0.0, f64::max);
+    let strongest = model.components.iter().map(|component| component.amplitude).fold(0.0, f64::max);
     let mut text = String::new();
-    if most > 0.0 {
+    if strongest > 0.0 {
         text += "rhythms of the spectral model, the used ones with █\n";
     }
     for (index, component) in model.components.iter().enumerate() {
-        let length = (component.amplitude / most * 40.0).round().max(1.0) as usize;
+        let length = (component.amplitude / strongest * 40.0).round().max(1.0) as usize;
         let bar = if used(model, index) { "█" } else { "░" }.repeat(length);
         text += &format!("  {:>8} │{bar} {:.3}\n", words(component.period_secs), component.amplitude);
     }

@@ -80,7 +80,7 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
     let counted = args.count.map(|_| "expected_count");
     let columns: Vec<&str> = ["time"].into_iter().chain(axes).chain(["probability"]).chain(counted).collect();
     let mut table = session.table(&columns);
-    let mut told = Vec::new();
+    let mut summaries = Vec::new();
     while let Some(forecast) = positions.next().await? {
         let time = args.at.get(forecast.time).copied().unwrap_or_default();
         if args.drawing.is_wanted() {
@@ -102,12 +102,12 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
             }
             table.row(cells)?;
         }
-        told.push(summary(&header, &forecast, time, args.count));
+        summaries.push(summary(&header, &forecast, time, args.count));
     }
     if !args.drawing.is_in_terminal() {
         table.finish()?;
     }
-    told.iter().for_each(|line| status_line(line));
+    summaries.iter().for_each(|line| status_line(line));
     Ok(ExitCode::SUCCESS)
 }
 
@@ -129,14 +129,14 @@ fn heat_map(header: &PositionsHeader, forecast: &PositionForecast, title: String
             *cell += probability;
         }
     }
-    let most = values.iter().flatten().flatten().copied().fold(0.0, f64::max);
+    let highest = values.iter().flatten().flatten().copied().fold(0.0, f64::max);
     let metres = |low: f64, at: usize| format!("{:.1}", low + at as f64 * header.resolution_m);
     HeatMap {
         title,
         rows: (0..height).rev().map(|row| metres(low_y, row)).collect(),
         columns: (0..width).map(|column| metres(low_x, column)).collect(),
         values,
-        range: [0.0, most],
+        range: [0.0, highest],
         unit: "probability of a cell; metres".to_owned(),
         cell_m: Some(header.resolution_m),
     }

@@ -195,17 +195,17 @@ impl LinkArgs {
 
 impl EditCommand {
     fn edit(self) -> (String, TopologyEdit) {
-        fn of<T>((map, what): (String, T), edit: impl FnOnce(T) -> TopologyEdit) -> (String, TopologyEdit) {
+        fn with_map<T>((map, what): (String, T), edit: impl FnOnce(T) -> TopologyEdit) -> (String, TopologyEdit) {
             (map, edit(what))
         }
         match self {
-            EditCommand::AddNode(args) => of(args.node(), TopologyEdit::AddNode),
-            EditCommand::SetNode(args) => of(args.node(), TopologyEdit::SetNode),
+            EditCommand::AddNode(args) => with_map(args.node(), TopologyEdit::AddNode),
+            EditCommand::SetNode(args) => with_map(args.node(), TopologyEdit::SetNode),
             EditCommand::RemoveNode { map, node } => (map, TopologyEdit::RemoveNode(node)),
             EditCommand::RenameNode { map, from, to } => (map, TopologyEdit::RenameNode { from, to }),
-            EditCommand::Link(args) => of(args.edge(), TopologyEdit::AddEdge),
-            EditCommand::SetLink(args) => of(args.edge(), TopologyEdit::SetExtent),
-            EditCommand::Unlink(args) => of(args.ends(), TopologyEdit::RemoveEdge),
+            EditCommand::Link(args) => with_map(args.edge(), TopologyEdit::AddEdge),
+            EditCommand::SetLink(args) => with_map(args.edge(), TopologyEdit::SetExtent),
+            EditCommand::Unlink(args) => with_map(args.ends(), TopologyEdit::RemoveEdge),
         }
     }
 }

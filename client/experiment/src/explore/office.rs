@@ -153,13 +153,13 @@ impl OfficeExploration {
         let errors = |course: &ExplorerCourse| -> Vec<f64> {
             course.errors.get(slots.clone()).unwrap_or_default().iter().flatten().copied().collect()
         };
-        let mean = |of: &dyn Fn(&Vec<ExplorerCourse>) -> f64| {
-            self.runs.iter().map(of).sum::<f64>() / self.runs.len().max(1) as f64
+        let mean = |value_of: &dyn Fn(&Vec<ExplorerCourse>) -> f64| {
+            self.runs.iter().map(value_of).sum::<f64>() / self.runs.len().max(1) as f64
         };
         let mean_of = |errors: &[f64]| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
         let error = |index: usize| mean(&|run| mean_of(&errors(&run[index])));
-        let count = |of: fn(&ExplorerCourse) -> &Vec<u64>| {
-            mean(&|run| of(&run[index]).get(day).map_or(0.0, |&count| count as f64))
+        let count = |value_of: fn(&ExplorerCourse) -> &Vec<u64>| {
+            mean(&|run| value_of(&run[index]).get(day).map_or(0.0, |&count| count as f64))
         };
         let (mut p_values, mut better, mut worse) = (Vec::new(), 0, 0);
         for run in self.runs.iter().filter(|_| index > 0) {

@@ -14,8 +14,8 @@ pub enum ProtocolError {
     #[error(transparent)]
     Io(#[from] io::Error),
     /// The file is too long for a protocol.
-    #[error("the file has {found} bytes, and a protocol has at most {most}; is it a file of data?")]
-    TooLong { found: u64, most: u64 },
+    #[error("the file has {found} bytes, and a protocol has at most {max}; is it a file of data?")]
+    TooLong { found: u64, max: u64 },
     /// The file is not YAML, or has unknown keys.
     #[error("{0}")]
     Yaml(String),

@@ -30,7 +30,7 @@ impl ProtocolFile {
     pub(crate) fn read(path: &Path) -> Result<Self, ProtocolError> {
         let length = fs::metadata(path)?.len();
         if length > FILE_BYTES_MAX {
-            return Err(ProtocolError::TooLong { found: length, most: FILE_BYTES_MAX });
+            return Err(ProtocolError::TooLong { found: length, max: FILE_BYTES_MAX });
         }
         let name = path.file_stem().map_or_else(|| "experiment".into(), |stem| stem.to_string_lossy().into_owned());
         let folder = path.parent().unwrap_or_else(|| Path::new("")).to_owned();

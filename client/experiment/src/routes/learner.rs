@@ -42,7 +42,7 @@ struct History(Vec<Arc<HistoryPiece>>);
 
 impl StateReadings for History {
     fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
-        let of = |wanted: &ReadingsRequest| {
+        let readings_of = |wanted: &ReadingsRequest| {
             let of_state = |piece: &Arc<HistoryPiece>| {
                 piece
                     .states
@@ -55,7 +55,7 @@ impl StateReadings for History {
             found.sort_by_key(|sample| sample.utc_nanos);
             found
         };
-        Ok(wanted.iter().map(of).collect())
+        Ok(wanted.iter().map(readings_of).collect())
     }
 }
 

@@ -125,10 +125,10 @@ impl Window {
         &self.base
     }
 
-    /// The scans to send next, at most `most`; empty if it is better to wait for more, or another kind of item comes
+    /// The scans to send next, at most `max_count`; empty if it is better to wait for more, or another kind of item comes
     /// next.
-    pub fn scans_to_send(&self, most: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &KeptScan> {
-        self.unsent(most, bytes, urgent).map_while(|item| match item {
+    pub fn scans_to_send(&self, max_count: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &KeptScan> {
+        self.unsent(max_count, bytes, urgent).map_while(|item| match item {
             Item::Scan(scan) => Some(&**scan),
             Item::Observation(_) | Item::Traversal(_) => None,
         })

@@ -27,10 +27,10 @@ impl Daemon {
     }
 }
 
-fn taken(window: &mut Window, most: usize, urgent: u64) -> (u64, Vec<(String, Entry)>) {
+fn taken(window: &mut Window, max_count: usize, urgent: u64) -> (u64, Vec<(String, Entry)>) {
     let first = window.next_unsent();
     let batch: Vec<_> =
-        window.to_send(most, urgent).map(|e| (window.names()[e.state as usize].to_string(), *e)).collect();
+        window.to_send(max_count, urgent).map(|e| (window.names()[e.state as usize].to_string(), *e)).collect();
     window.sent(batch.len());
     (first, batch)
 }
@@ -101,7 +101,7 @@ fn what_the_daemon_lost_or_never_got_from_here_is_noticed() {
 enum Step {
     Push(u8),
     Send {
-        most: usize,
+        max_count: usize,
         urgent: bool,
     },
     Acknowledge,
@@ -112,7 +112,7 @@ enum Step {
 fn steps() -> impl Strategy<Value = Vec<Step>> {
     let step = prop_oneof![
         4 => any::<u8>().prop_map(Step::Push),
-        4 => (1..6_usize, any::<bool>()).prop_map(|(most, urgent)| Step::Send { most, urgent }),
+        4 => (1..6_usize, any::<bool>()).prop_map(|(max_count, urgent)| Step::Send { max_count, urgent }),
         2 => Just(Step::Acknowledge),
         1 => (0..6_usize).prop_map(Step::Break),
     ];
@@ -135,9 +135,9 @@ proptest! {
                         prop_assert_eq!(sequence, pushed.len() as u64);
                     }
                 }
-                Step::Send { most, urgent } => {
+                Step::Send { max_count, urgent } => {
                     let until = if urgent { window.last() } else { 0 };
-                    let (first, batch) = taken(&mut window, most, until);
+                    let (first, batch) = taken(&mut window, max_count, until);
                     if !batch.is_empty() {
                         under_way.push_back((first, batch));
                     }

@@ -171,8 +171,8 @@ impl TileScans {
 
 /// The slots that a malformed scan names as changed; `None` if that cannot be determined.
 fn named(scan: &v1::TileScan, table: usize) -> Option<Vec<u32>> {
-    let most = scan.masked.len() * MASK_BYTES;
-    if scan.observed.len() > most || scan.occupied.len() > most {
+    let max_bytes = scan.masked.len() * MASK_BYTES;
+    if scan.observed.len() > max_bytes || scan.occupied.len() > max_bytes {
         return None;
     }
     let mut slots = scan.masked.clone();

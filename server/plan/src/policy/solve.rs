@@ -47,15 +47,15 @@ pub fn solve_policy(
 
 fn check(options: &PolicyOptions) -> Result<(), PolicyError> {
     let slots = options.slots as f64;
-    let most = NOMINAL_MAX_SECS;
+    let max = NOMINAL_MAX_SECS;
     let range = [
-        ("the width of a slot", options.slot_secs, (1e-3..=most).contains(&options.slot_secs), "0.001 s", most),
-        ("the recovery", options.recovery_secs, (0.0..=most).contains(&options.recovery_secs), "0 s", most),
+        ("the width of a slot", options.slot_secs, (1e-3..=max).contains(&options.slot_secs), "0.001 s", max),
+        ("the recovery", options.recovery_secs, (0.0..=max).contains(&options.recovery_secs), "0 s", max),
         ("the number of slots", slots, options.slots >= 1, "1", POLICY_STATES_MAX as f64),
     ];
     match range.into_iter().find(|range| !range.2) {
-        Some((what, found, _, least, most)) => {
-            Err(PolicyError::Range { what, found, expected: format!("{least} to {most}") })
+        Some((what, found, _, least, max)) => {
+            Err(PolicyError::Range { what, found, expected: format!("{least} to {max}") })
         }
         None => Ok(()),
     }

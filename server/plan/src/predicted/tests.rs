@@ -222,6 +222,6 @@ fn numbers_from_elsewhere_are_clipped() {
     let lattice = Arc::new(Lattice::new(&spec(true), region, 1000).unwrap());
     let numbers = [Some(f32::NAN), Some(7.0), Some(-1.0), None];
     let grid = PredictedGrid::from_fn(lattice, |cell| numbers[cell.x as usize]);
-    let told: Vec<_> = (0..4).map(|x| grid.probability(CellIndex { x, ..region.min })).collect();
-    assert_eq!(told, [None, Some(1.0), Some(0.0), None]);
+    let probabilities: Vec<_> = (0..4).map(|x| grid.probability(CellIndex { x, ..region.min })).collect();
+    assert_eq!(probabilities, [None, Some(1.0), Some(0.0), None]);
 }

@@ -47,8 +47,8 @@ impl PredictedGrid {
     pub fn from_fn(lattice: Arc<Lattice>, mut probability: impl FnMut(CellIndex) -> Option<f32>) -> PredictedGrid {
         let mut probabilities = vec![f32::NAN; lattice.held()];
         for place in lattice.rows().flatten() {
-            let told = lattice.cell(place).and_then(&mut probability);
-            probabilities[place] = told.map_or(f32::NAN, |told| told.clamp(0.0, 1.0));
+            let value = lattice.cell(place).and_then(&mut probability);
+            probabilities[place] = value.map_or(f32::NAN, |value| value.clamp(0.0, 1.0));
         }
         PredictedGrid { lattice, probabilities }
     }
@@ -118,18 +118,18 @@ impl PredictedTimes {
         let lattice = Arc::new(Lattice::new(grid.spec(), region, options.max_cells)?);
         let phasors = |moment| InstantPhasors::new(&view.spec().periodicities, moment);
         let moments: Vec<(i64, InstantPhasors)> =
-            view.moments(utc_nanos).iter().map(|of| (of.utc_nanos, phasors(of.civil_nanos()))).collect();
+            view.moments(utc_nanos).iter().map(|moment| (moment.utc_nanos, phasors(moment.civil_nanos()))).collect();
         let tiles = grid.tiles_in(&lattice.region());
         let values = AtomicU64::new(0);
         let tiles: Vec<TileTimes> = tiles
             .par_iter()
             .map(|&tile| {
-                let told = tile_times(grid, tile, &moments, &lattice, (options, stop))?;
-                let added = told.varying.len() as u64 * moments.len() as u64;
+                let tile = tile_times(grid, tile, &moments, &lattice, (options, stop))?;
+                let added = tile.varying.len() as u64 * moments.len() as u64;
                 if values.fetch_add(added, Ordering::Relaxed) + added > options.max_values {
                     return Err(PredictError::TooManyValues { times: moments.len(), max: options.max_values });
                 }
-                Ok(told)
+                Ok(tile)
             })
             .collect::<Result<_, PredictError>>()?;
         let mut first = vec![f32::NAN; lattice.held()];
@@ -166,12 +166,12 @@ impl PredictedTimes {
         let mut varying = Vec::new();
         for place in lattice.rows().flatten() {
             let Some(cell) = lattice.cell(place) else { continue };
-            let mut told =
-                |time| probability(cell, time).filter(|told| !told.is_nan()).map(|told| told.clamp(0.0, 1.0));
-            let Some(known) = told(0) else { continue };
+            let mut value_at =
+                |time| probability(cell, time).filter(|value| !value.is_nan()).map(|value| value.clamp(0.0, 1.0));
+            let Some(known) = value_at(0) else { continue };
             first[place] = known;
             let values: Vec<f32> =
-                std::iter::once(known).chain((1..times).map(|time| told(time).unwrap_or(known))).collect();
+                std::iter::once(known).chain((1..times).map(|time| value_at(time).unwrap_or(known))).collect();
             if values.iter().any(|value| *value != known) {
                 varying.push((place as u32, values));
             }
@@ -250,14 +250,14 @@ fn tile_times(
         return Err(PredictError::NoTime);
     };
     stop.check()?;
-    let told = grid.predict_tile(id, *utc_nanos, phasors, options.selector)?;
-    for cell in told.known.cells() {
-        first[usize::from(cell)] = told.probabilities[usize::from(cell)];
+    let tile = grid.predict_tile(id, *utc_nanos, phasors, options.selector)?;
+    for cell in tile.known.cells() {
+        first[usize::from(cell)] = tile.probabilities[usize::from(cell)];
     }
     let is_constant = match options.selector.kind {
         ModelKind::Latest => true,
         ModelKind::Mean => !options.selector.is_blended(),
-        _ => !options.selector.is_blended() && told.changed.is_empty(),
+        _ => !options.selector.is_blended() && tile.changed.is_empty(),
     };
     if is_constant || later.is_empty() {
         return Ok(TileTimes { index, first, varying });
@@ -267,9 +267,9 @@ fn tile_times(
         Ok(grid.predict_tile(id, *utc_nanos, phasors, options.selector)?)
     };
     let later: Vec<_> = later.iter().map(at).collect::<Result<_, PredictError>>()?;
-    for cell in told.known.cells().filter(|&cell| lattice.region().contains(index.cell(cell))) {
+    for cell in tile.known.cells().filter(|&cell| lattice.region().contains(index.cell(cell))) {
         let known = first[usize::from(cell)];
-        let values = later.iter().map(|told| told.probabilities[usize::from(cell)]);
+        let values = later.iter().map(|tile| tile.probabilities[usize::from(cell)]);
         if values.clone().any(|value| value != known) {
             varying.push((cell, std::iter::once(known).chain(values).collect()));
         }

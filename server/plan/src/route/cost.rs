@@ -48,7 +48,7 @@ impl Cost {
 
     /// Whether a lower bound excludes costs at or below `limit`; sums in another order may differ in their last digits.
     pub(super) fn is_beyond(self, limit: Cost) -> bool {
-        let above = |found: f64, most: f64| found > most * (1.0 + 1e-12);
+        let above = |found: f64, bound: f64| found > bound * (1.0 + 1e-12);
         above(self.first, limit.first) || (self.first == limit.first && above(self.then, limit.then))
     }
 }

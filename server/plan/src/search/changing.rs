@@ -38,7 +38,7 @@ pub fn search_changing(
     mut until: impl FnMut() -> bool,
 ) -> Result<SearchPlan, SearchError> {
     if nodes.len() > CHANGING_GOALS_MAX {
-        return Err(SearchError::TooMany { found: nodes.len(), most: CHANGING_GOALS_MAX });
+        return Err(SearchError::TooMany { found: nodes.len(), max: CHANGING_GOALS_MAX });
     }
     let at_start: Vec<Goal> = nodes.iter().map(|&node| Goal { node, probability: probability(node, 0.0) }).collect();
     let mut question = SearchQuestion::new(roads, start, &at_start, options)?;

@@ -61,7 +61,7 @@ impl SortedProblem<'_> {
     pub(super) fn prove(self, known: f64, before: &Proof, states_max: usize, mut until: impl FnMut() -> bool) -> Proof {
         let (mut lower_bound, mut states) = (before.lower_bound, before.states);
         let mut paths = Paths::new(self.problem, self.passing, PATHS[0].1);
-        for (rounds, units, last_units, most) in PATHS {
+        for (rounds, units, last_units, max_states) in PATHS {
             if states >= states_max || until() {
                 break;
             }
@@ -71,7 +71,7 @@ impl SortedProblem<'_> {
             paths.improve(1, known, &mut until);
             lower_bound = lower_bound.max(paths.root);
             let layers = Layers { search: self, paths: Some(&paths), known };
-            let mut proven = layers.search(most.min(states_max - states), &mut until);
+            let mut proven = layers.search(max_states.min(states_max - states), &mut until);
             states += proven.states;
             lower_bound = lower_bound.max(proven.lower_bound).min(known);
             if proven.complete {

@@ -80,11 +80,11 @@ fn greedy(problem: &SearchProblem) -> Vec<usize> {
     while !left.is_empty() {
         let rate = |goal: usize| problem.weight[goal] / problem.secs(at, goal).max(f64::MIN_POSITIVE);
         let mut next = 0;
-        let mut most = rate(left[0]);
+        let mut best_rate = rate(left[0]);
         for (index, &goal) in left.iter().enumerate().skip(1) {
             let found = rate(goal);
-            if found > most {
-                (next, most) = (index, found);
+            if found > best_rate {
+                (next, best_rate) = (index, found);
             }
         }
         at = left.swap_remove(next);

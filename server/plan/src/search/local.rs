@@ -20,8 +20,8 @@ pub(super) struct Neighbours {
 }
 
 impl Neighbours {
-    pub(super) fn new(problem: &SearchProblem, most: usize) -> Neighbours {
-        let each = most.min(problem.count.saturating_sub(1)).max(1);
+    pub(super) fn new(problem: &SearchProblem, max_count: usize) -> Neighbours {
+        let each = max_count.min(problem.count.saturating_sub(1)).max(1);
         let mut goals = Vec::with_capacity((problem.count + 1) * each);
         let mut sorted: Vec<u32> = Vec::with_capacity(problem.count);
         for from in 0..=problem.count {

@@ -72,11 +72,11 @@ fn least_arrival(problem: &SearchProblem, passing: Option<&Passing>, to: usize) 
 /// paths.
 fn assignment_dual(problem: &SearchProblem, passing: Option<&Passing>) -> (Vec<f64>, Vec<f64>) {
     let count = problem.count;
-    let most = (0..count).flat_map(|from| problem.row(from)).copied().fold(0.0, f64::max);
+    let longest = (0..count).flat_map(|from| problem.row(from)).copied().fold(0.0, f64::max);
     // Successions that no walk has are expensive, so that they do not limit the shares.
     let cost = |from: usize, to: usize| {
         let follows = from != to && passing.is_none_or(|passing| passing.may_follow(from, to, Goals::MAX));
-        if follows { problem.secs(from, to) } else { 4.0 * most }
+        if follows { problem.secs(from, to) } else { 4.0 * longest }
     };
     let costs: Vec<f64> = (0..count * count).map(|pair| cost(pair / count, pair % count)).collect();
     let (mut leaving, mut arriving) = (vec![0.0; count + 1], vec![0.0; count + 1]);
@@ -123,7 +123,7 @@ fn assignment_dual(problem: &SearchProblem, passing: Option<&Passing>) -> (Vec<f
     leaving.truncate(count);
     arriving.truncate(count);
     // Rounding must not raise a sum of shares above the time itself.
-    let slip = most * 1e-14 * count as f64;
+    let slip = longest * 1e-14 * count as f64;
     leaving.iter_mut().for_each(|share| *share -= slip);
     (leaving, arriving)
 }

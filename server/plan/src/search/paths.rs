@@ -56,14 +56,14 @@ impl Paths {
     }
 
     /// Rounds the weights again; the rewards stay.
-    pub(crate) fn set_units(&mut self, problem: &SearchProblem, passing: &Passing, most: u32) {
+    pub(crate) fn set_units(&mut self, problem: &SearchProblem, passing: &Passing, max_units: u32) {
         let sum: f64 = problem.weight.iter().sum();
         let units_by = |unit: f64| problem.weight.iter().map(move |weight| (weight / unit * (1.0 + 1e-13)) as u32);
         // Chooses the number of units that loses least; equal weights lose nothing with few.
         let lost = |unit: f64| sum - unit * f64::from(units_by(unit).sum::<u32>());
-        let least = (most / 2).max(2);
+        let least = (max_units / 2).max(2);
         let few = (1..=256_u32).take_while(|&few| few < least);
-        let tried = few.chain((0..64).map(|step| least + (most - least) * step / 63));
+        let tried = few.chain((0..64).map(|step| least + (max_units - least) * step / 63));
         let mut best = (f64::INFINITY, 1.0);
         for number in tried {
             let unit = sum / f64::from(number);

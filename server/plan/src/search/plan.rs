@@ -168,14 +168,14 @@ fn steps_worth_it(plan: &SearchPlan, cost_per_sec: f64) -> usize {
     // With several targets, one of them is certainly at the goals.
     let scale = if sum > 1.0 { 1.0 / sum } else { 1.0 };
     let (mut found, mut found_secs) = (0.0, 0.0);
-    let (mut best, mut most) = (0, 0.0);
+    let (mut best, mut best_net) = (0, 0.0);
     for (taken, step) in plan.steps.iter().enumerate() {
         found += scale * step.probability;
         found_secs += scale * step.probability * step.arrival_secs;
         let search_secs = found_secs + (1.0 - found).max(0.0) * step.arrival_secs;
         let net = found - cost_per_sec * search_secs;
-        if net >= most {
-            (best, most) = (taken + 1, net);
+        if net >= best_net {
+            (best, best_net) = (taken + 1, net);
         }
     }
     best

@@ -47,10 +47,10 @@ impl SearchProblem {
     /// Replaces missing paths by a time longer than any possible walk. Returns whether there were any: a goal without a
     /// way back.
     pub(crate) fn fill_missing(&mut self) -> bool {
-        let most = self.secs.iter().copied().filter(|secs| secs.is_finite()).fold(1.0, f64::max);
+        let longest = self.secs.iter().copied().filter(|secs| secs.is_finite()).fold(1.0, f64::max);
         let mut missing = false;
         for secs in self.secs.iter_mut().filter(|secs| secs.is_infinite()) {
-            *secs = most * 4.0 * (self.count + 1) as f64;
+            *secs = longest * 4.0 * (self.count + 1) as f64;
             missing = true;
         }
         missing

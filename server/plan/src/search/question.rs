@@ -40,7 +40,7 @@ impl SearchQuestion {
             return Err(SearchError::TooManyForExact { found: goals.len() });
         }
         if goals.len() > GOALS_MAX {
-            return Err(SearchError::TooMany { found: goals.len(), most: GOALS_MAX });
+            return Err(SearchError::TooMany { found: goals.len(), max: GOALS_MAX });
         }
         let index = |node: NodeId| roads.index_of(node).ok_or(SearchError::UnknownNode(node.0));
         let start_index = index(start)?;

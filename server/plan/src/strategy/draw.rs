@@ -48,8 +48,8 @@ pub(super) fn distinct(random: &mut SmallRng, weights: &[f64], count: usize) -> 
 
 /// The index of the largest value, with its value; ties are broken at random. `None` without values.
 pub(super) fn largest(random: &mut SmallRng, values: &[f64]) -> Option<(usize, f64)> {
-    let most = values.iter().copied().max_by(f64::total_cmp)?;
-    let tied = || values.iter().enumerate().filter(|(_, value)| **value >= most);
+    let highest = values.iter().copied().max_by(f64::total_cmp)?;
+    let tied = || values.iter().enumerate().filter(|(_, value)| **value >= highest);
     let chosen = random.random_range(0..tied().count().max(1));
-    tied().nth(chosen).map(|(at, _)| (at, most))
+    tied().nth(chosen).map(|(at, _)| (at, highest))
 }

@@ -67,9 +67,9 @@ impl Gains {
         if !(0.0..=1.0).contains(&exploration) {
             return Err(StrategyError::Weight { found: exploration });
         }
-        let most = self.values.iter().copied().fold(0.0, f64::max);
+        let highest = self.values.iter().copied().fold(0.0, f64::max);
         Gains::of(self.slots, self.places, |slot, place| {
-            let information = if most > 0.0 { self.at(slot, place) / most } else { 0.0 };
+            let information = if highest > 0.0 { self.at(slot, place) / highest } else { 0.0 };
             match task.at(slot, place) {
                 p if p <= 1.0 => exploration * information + (1.0 - exploration) * p,
                 _ => f64::NAN,

@@ -64,15 +64,15 @@ fn rest_that_keeps_the_ratio(gains: &Gains, ratio: f64) -> f64 {
     let odds = (1.0 - ratio) / ratio;
     // If all slots were as the poorest, or as the richest.
     let mut least = sums.iter().copied().fold(f64::INFINITY, f64::min) * odds;
-    let mut most = sums.iter().copied().fold(0.0, f64::max) * odds;
+    let mut highest = sums.iter().copied().fold(0.0, f64::max) * odds;
     let wanted = ratio * sums.len() as f64;
     for _ in 0..STEPS {
         // Gains differ by orders of magnitude, so the geometric mean; of 0 (a ratio of 1) it is 0.
-        let middle = least.sqrt() * most.sqrt();
+        let middle = least.sqrt() * highest.sqrt();
         let expected: f64 = sums.iter().map(|sum| sum / (sum + middle)).sum();
-        if expected > wanted { least = middle } else { most = middle }
+        if expected > wanted { least = middle } else { highest = middle }
     }
-    least.sqrt() * most.sqrt()
+    least.sqrt() * highest.sqrt()
 }
 
 /// The weight of rest as RAS 2017, section 5.1, prints it, plus ι. `ratio` is above 0.
@@ -161,7 +161,7 @@ pub fn novel(places: impl IntoIterator<Item = (f64, f64)>) -> Option<usize> {
         let more = surprise - expected;
         // Surprise limits probabilities to the certainty, so the compared value must, too.
         let is_novel = surprise >= NOVELTY_FACTOR * expected.max(entropy_bits(INFORMATION_CERTAINTY));
-        if is_novel && best.is_none_or(|(_, most)| more > most) {
+        if is_novel && best.is_none_or(|(_, highest)| more > highest) {
             best = Some((place, more));
         }
     }

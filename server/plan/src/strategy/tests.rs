@@ -66,8 +66,8 @@ fn monte_carlo_keeps_the_ratio_and_the_proportions_of_equation_11() {
     for wanted in [0.5, 0.25, 0.02, 0.98] {
         let days = 300;
         let share = |strategy| {
-            let of = |seed| visits(&schedule(strategy, &flat, Budget::Ratio(wanted), seed).unwrap());
-            (0..days).map(of).sum::<usize>() as f64 / (days as f64 * 144.0)
+            let visits_of = |seed| visits(&schedule(strategy, &flat, Budget::Ratio(wanted), seed).unwrap());
+            (0..days).map(visits_of).sum::<usize>() as f64 / (days as f64 * 144.0)
         };
         // Three standard errors of a mean of 43,200 draws are below 0.01.
         assert!((share(Strategy::MonteCarlo) - wanted).abs() <= 0.01, "{wanted}: {}", share(Strategy::MonteCarlo));

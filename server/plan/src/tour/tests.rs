@@ -61,33 +61,33 @@ fn two_corners() -> PredictedGrid {
 #[test]
 fn goals_lie_where_there_is_something_to_learn() {
     let grid = two_corners();
-    let told = tour(&grid, &TourQuestion { goals: 2, ..question(&grid, 30, 5) });
-    assert_eq!((told.steps.len(), told.no_tour), (2, None));
+    let plan = tour(&grid, &TourQuestion { goals: 2, ..question(&grid, 30, 5) });
+    assert_eq!((plan.steps.len(), plan.no_tour), (2, None));
     let [left, right] = [at(&grid, 15, 0)[0] + 0.3, at(&grid, 45, 0)[0] - 0.3];
-    assert!(told.steps.iter().any(|step| step.x_m < left));
-    assert!(told.steps.iter().any(|step| step.x_m > right));
-    for step in &told.steps {
+    assert!(plan.steps.iter().any(|step| step.x_m < left));
+    assert!(plan.steps.iter().any(|step| step.x_m > right));
+    for step in &plan.steps {
         assert_eq!(step.reachability, 0.5);
         assert!((step.information_bits - step.alone_bits).abs() < 1e-9);
     }
-    let bits: f64 = told.steps.iter().map(|step| step.information_bits).sum();
-    assert!((told.information_bits - bits).abs() < 1e-9 && (told.expected_bits - bits / 2.0).abs() < 1e-9);
+    let bits: f64 = plan.steps.iter().map(|step| step.information_bits).sum();
+    assert!((plan.information_bits - bits).abs() < 1e-9 && (plan.expected_bits - bits / 2.0).abs() < 1e-9);
 }
 
 #[test]
 fn arrivals_are_the_drive_and_the_looks_before() {
     let grid = two_corners();
     let ask = TourQuestion { goals: 2, speed_m_per_s: 0.5, observation_secs: 10.0, ..question(&grid, 30, 5) };
-    let told = tour(&grid, &ask);
+    let plan = tour(&grid, &ask);
     let travel = TravelGrid::new(&grid, &ask.travel).unwrap();
-    let columns: Vec<Column> = told.steps.iter().map(|step| travel.column_at(step.x_m, step.y_m).unwrap()).collect();
+    let columns: Vec<Column> = plan.steps.iter().map(|step| travel.column_at(step.x_m, step.y_m).unwrap()).collect();
     let from_start = travel.distances(travel.column_at(ask.start_m[0], ask.start_m[1]).unwrap());
     let between = travel.distances(columns[0]).to(columns[1]).unwrap();
     let [first, back] = [from_start.to(columns[0]).unwrap(), from_start.to(columns[1]).unwrap()];
-    assert!((told.steps[0].arrival_secs - first / 0.5).abs() < 1e-9);
-    assert!((told.steps[1].arrival_secs - ((first + between) / 0.5 + 10.0)).abs() < 1e-9);
-    assert!((told.length_m - (first + between + back)).abs() < 1e-9);
-    assert!((told.duration_secs - (told.length_m / 0.5 + 20.0)).abs() < 1e-9);
+    assert!((plan.steps[0].arrival_secs - first / 0.5).abs() < 1e-9);
+    assert!((plan.steps[1].arrival_secs - ((first + between) / 0.5 + 10.0)).abs() < 1e-9);
+    assert!((plan.length_m - (first + between + back)).abs() < 1e-9);
+    assert!((plan.duration_secs - (plan.length_m / 0.5 + 20.0)).abs() < 1e-9);
     let open = tour(&grid, &TourQuestion { end: TourEnd::LastGoal, ..ask });
     assert!((open.length_m - (first.min(back) + between)).abs() < 1e-9);
 }
@@ -97,10 +97,10 @@ fn goals_are_apart_where_views_overlap() {
     let grid = room(60, 60, |_, _| 0.5);
     let ask = TourQuestion { goals: 5, ..question(&grid, 30, 30) };
     for suppression in [Suppression::Shared, Suppression::Distance { radius_m: 1.6 }] {
-        let told = tour(&grid, &TourQuestion { suppression, ..ask });
-        assert_eq!(told.steps.len(), 5);
-        for (number, one) in told.steps.iter().enumerate() {
-            for other in &told.steps[..number] {
+        let plan = tour(&grid, &TourQuestion { suppression, ..ask });
+        assert_eq!(plan.steps.len(), 5);
+        for (number, one) in plan.steps.iter().enumerate() {
+            for other in &plan.steps[..number] {
                 let apart = (one.x_m - other.x_m).hypot(one.y_m - other.y_m);
                 assert!(apart >= 1.2, "{suppression:?}: {apart} m");
             }
@@ -112,8 +112,8 @@ fn goals_are_apart_where_views_overlap() {
 fn a_view_that_shares_all_is_not_taken_twice() {
     // Small enough that one view sees all of it.
     let grid = room(9, 9, |_, _| 0.5);
-    let told = tour(&grid, &TourQuestion { spacing_m: 0.1, ..question(&grid, 4, 4) });
-    assert_eq!(told.steps.len(), 1);
+    let plan = tour(&grid, &TourQuestion { spacing_m: 0.1, ..question(&grid, 4, 4) });
+    assert_eq!(plan.steps.len(), 1);
 }
 
 #[test]
@@ -129,13 +129,13 @@ fn obstacles_are_in_the_way() {
     };
     let grid = wall(true);
     let ask = TourQuestion { goals: 1, ..question(&grid, 26, 3) };
-    let told = tour(&grid, &ask);
-    assert!(told.steps[0].x_m > at(&grid, 30, 0)[0]);
-    assert!(told.length_m > 2.0 * 3.5, "{} m", told.length_m);
+    let plan = tour(&grid, &ask);
+    assert!(plan.steps[0].x_m > at(&grid, 30, 0)[0]);
+    assert!(plan.length_m > 2.0 * 3.5, "{} m", plan.length_m);
     let closed = wall(false);
-    let told = tour(&closed, &ask);
-    assert_eq!(told.no_tour, Some(NoTour::NothingToLearn));
-    assert!(told.steps.is_empty() && told.candidates > 0);
+    let plan = tour(&closed, &ask);
+    assert_eq!(plan.no_tour, Some(NoTour::NothingToLearn));
+    assert!(plan.steps.is_empty() && plan.candidates > 0);
 }
 
 #[test]
@@ -156,12 +156,12 @@ fn a_tour_without_a_goal_says_why() {
             failed.report(f64::from(x) * 0.5 + 0.1, f64::from(y) * 0.5 + 0.1, false, 0).unwrap();
         }
     }
-    let told = plan_tour(&grid, &failed, &ask, StopSignal::NEVER).unwrap();
-    assert_eq!(told.no_tour, Some(NoTour::NothingReachable));
+    let plan = plan_tour(&grid, &failed, &ask, StopSignal::NEVER).unwrap();
+    assert_eq!(plan.no_tour, Some(NoTour::NothingReachable));
 
-    let told = tour(&grid, &TourQuestion { budget_secs: Some(30.0), ..ask });
-    let Some(NoTour::Budget { budget_secs, least_secs }) = told.no_tour else { panic!("{told:?}") };
-    assert!(budget_secs == 30.0 && least_secs > 60.0 && told.steps.is_empty());
+    let plan = tour(&grid, &TourQuestion { budget_secs: Some(30.0), ..ask });
+    let Some(NoTour::Budget { budget_secs, least_secs }) = plan.no_tour else { panic!("{plan:?}") };
+    assert!(budget_secs == 30.0 && least_secs > 60.0 && plan.steps.is_empty());
 }
 
 #[test]
@@ -188,9 +188,9 @@ fn places_that_were_not_reached_are_worth_less() {
     }
     let ask = TourQuestion { goals: 1, ..question(&grid, 30, 5) };
     assert!(tour(&grid, &ask).steps[0].x_m > at(&grid, 30, 0)[0]);
-    let told = plan_tour(&grid, &known, &ask, StopSignal::NEVER).unwrap();
-    assert!(told.steps[0].x_m < at(&grid, 30, 0)[0]);
-    assert_eq!(told.steps[0].reachability, 1.0);
+    let plan = plan_tour(&grid, &known, &ask, StopSignal::NEVER).unwrap();
+    assert!(plan.steps[0].x_m < at(&grid, 30, 0)[0]);
+    assert_eq!(plan.steps[0].reachability, 1.0);
 }
 
 #[test]
@@ -200,10 +200,10 @@ fn what_fits_into_the_time_is_kept() {
     let whole = tour(&grid, &ask);
     let mut before = 7;
     for budget_secs in [whole.duration_secs, 60.0, 40.0, 25.0, 15.0] {
-        let told = tour(&grid, &TourQuestion { budget_secs: Some(budget_secs), ..ask });
-        assert!(told.duration_secs <= budget_secs && told.steps.len() < before, "{told:?}");
-        assert!(!told.steps.is_empty());
-        before = told.steps.len() + 1;
+        let plan = tour(&grid, &TourQuestion { budget_secs: Some(budget_secs), ..ask });
+        assert!(plan.duration_secs <= budget_secs && plan.steps.len() < before, "{plan:?}");
+        assert!(!plan.steps.is_empty());
+        before = plan.steps.len() + 1;
     }
     assert_eq!(tour(&grid, &TourQuestion { budget_secs: Some(whole.duration_secs), ..ask }), whole);
 }

@@ -158,10 +158,10 @@ proptest! {
                 }
             }
         }
-        let told = grid.distances(column(from));
+        let distances = grid.distances(column(from));
         for (at, &length) in lengths.iter().enumerate() {
-            let told = told.to(column(at)).map_or(f64::INFINITY, |metres| metres / 0.1);
-            prop_assert!(told == length || (told - length).abs() < 1e-9);
+            let steps = distances.to(column(at)).map_or(f64::INFINITY, |metres| metres / 0.1);
+            prop_assert!(steps == length || (steps - length).abs() < 1e-9);
         }
     }
 }

@@ -110,11 +110,11 @@ pub fn view_many(
             stop.check()?;
             Ok(Ok(scorer.view_until(scene, fans.of(at.yaw_rad)?.as_ref(), from, stop)))
         };
-        let told: Vec<Result<_, TooMuchWork>> =
+        let views: Vec<Result<_, TooMuchWork>> =
             viewpoints.par_iter().map_init(|| TimedViewScorer::new(&first), evaluate).collect();
         stop.check()?;
-        for (number, told) in (round * ROUND..).zip(told) {
-            if tell(number, told?).is_break() {
+        for (number, view) in (round * ROUND..).zip(views) {
+            if tell(number, view?).is_break() {
                 return Ok(());
             }
         }

@@ -39,16 +39,16 @@ fn dice(seed: u64) -> f64 {
 
 /// Mostly free; some cells are unknown, occupied, or in between.
 fn probability(seed: u64, at: CellIndex) -> Option<f32> {
-    let of = |salt: u64| {
+    let value = |salt: u64| {
         let place = (at.x as u64) << 40 ^ (at.y as u64 & 0xff_ffff) << 16 ^ (at.z as u64 & 0xffff);
         dice(place ^ seed.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ salt << 56)
     };
-    match of(1) {
+    match value(1) {
         0.0..0.1 => None,
         0.1..0.6 => Some(0.0),
         0.6..0.65 => Some(0.5),
         0.65..0.7 => Some(1.0),
-        _ => Some((of(2) * 0.6) as f32),
+        _ => Some((value(2) * 0.6) as f32),
     }
 }
 
@@ -118,15 +118,15 @@ fn scene(grid: &PredictedGrid) -> Scene {
 }
 
 /// A reported result of [`view_many`].
-type Told = Vec<(usize, Result<Vec<Option<f64>>, ViewError>)>;
+type ReportedViews = Vec<(usize, Result<Vec<Option<f64>>, ViewError>)>;
 
-fn look_at_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> Told {
+fn look_at_all(scene: &TimedScene, sensor: &Sensor, viewpoints: &[Viewpoint]) -> ReportedViews {
     let mut all = Vec::new();
-    let told = view_many(scene, sensor, viewpoints, ViewLimits::default(), StopSignal::NEVER, |number, told| {
-        all.push((number, told));
+    let outcome = view_many(scene, sensor, viewpoints, ViewLimits::default(), StopSignal::NEVER, |number, view| {
+        all.push((number, view));
         ControlFlow::Continue(())
     });
-    told.unwrap();
+    outcome.unwrap();
     all
 }
 
@@ -236,17 +236,17 @@ proptest! {
         let all = look_at_all(&timed, &sensor, &viewpoints);
         prop_assert_eq!(all.len(), viewpoints.len());
         let scenes: Vec<Scene> = (0..times).map(|time| scene(&day.at(time).unwrap())).collect();
-        for ((number, told), at) in all.iter().zip(&viewpoints) {
+        for ((number, view), at) in all.iter().zip(&viewpoints) {
             let fan = Fan::new(&sensor, &lattice, at.yaw_rad).unwrap();
             let mut scorer = ViewScorer::new(&fan);
             for (time, scene) in scenes.iter().enumerate() {
-                let told = told.as_ref().ok().and_then(|told| told[time]);
+                let bits = view.as_ref().ok().and_then(|bits| bits[time]);
                 match scene.stand(&sensor, at) {
-                    Err(_) => prop_assert_eq!(told, None),
+                    Err(_) => prop_assert_eq!(bits, None),
                     Ok(from) => {
                         let alone = scorer.view(scene, &fan, from).information_bits;
-                        let told = told.unwrap();
-                        prop_assert!((told - alone).abs() < 1e-9, "view {} time {}: {} {}", number, time, told, alone);
+                        let bits = bits.unwrap();
+                        prop_assert!((bits - alone).abs() < 1e-9, "view {} time {}: {} {}", number, time, bits, alone);
                     }
                 }
             }
@@ -326,16 +326,16 @@ fn telling_can_be_ended() {
     let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();
     let sensor = Sensor { range_m: 0.3, ..Sensor::default() };
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 9];
-    let mut told = 0;
+    let mut reported = 0;
     let answer = view_many(&timed, &sensor, &viewpoints, ViewLimits::default(), StopSignal::NEVER, |_, _| {
-        told += 1;
-        if told == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        reported += 1;
+        if reported == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    assert_eq!((answer, told), (Ok(()), 3));
+    assert_eq!((answer, reported), (Ok(()), 3));
 }
 
 #[test]
-fn views_that_are_told_to_stop_end_soon_and_are_not_reported() {
+fn views_that_should_stop_end_soon_and_are_not_reported() {
     let (lattice, grid) = hall();
     let day = PredictedTimes::from_fn(Arc::clone(&lattice), 2, |at, _| grid.probability(at)).unwrap();
     let asked = AtomicUsize::new(0);
@@ -344,13 +344,13 @@ fn views_that_are_told_to_stop_end_soon_and_are_not_reported() {
     let sensor = Sensor { range_m: 0.3, ..Sensor::default() };
     let viewpoints = vec![centre(&lattice, cell(5, 15, 0), 0.0); 1_000];
     let timed = TimedScene::new(&day, &SceneOptions::default(), StopSignal::NEVER).unwrap();
-    let mut told = 0;
+    let mut reported = 0;
     let answer = view_many(&timed, &sensor, &viewpoints, ViewLimits::default(), stop, |_, _| {
-        told += 1;
+        reported += 1;
         ControlFlow::Continue(())
     });
     assert_eq!(answer, Err(TooMuchWork::Stop(EarlyStop)));
-    assert!(told < 128 && asked.load(Ordering::Relaxed) < 400, "{told}");
+    assert!(reported < 128 && asked.load(Ordering::Relaxed) < 400, "{reported}");
     assert_eq!(TimedScene::new(&day, &SceneOptions::default(), stop).map(|_| ()), Err(SceneError::Stop(EarlyStop)));
 }
 

@@ -151,10 +151,10 @@ impl TimedViewScorer {
         from: CellIndex,
         stop: StopSignal<'_>,
     ) -> Vec<Option<f64>> {
-        let mut told = Vec::with_capacity(scene.times);
+        let mut bits_by_time = Vec::with_capacity(scene.times);
         let Some(start) = scene.lattice.place(from).filter(|_| fan.fits(&scene.lattice)) else {
-            told.resize(scene.times, None);
-            return told;
+            bits_by_time.resize(scene.times, None);
+            return bits_by_time;
         };
         for chunk in 0..scene.times.div_ceil(CHUNK) {
             let count = CHUNK.min(scene.times - chunk * CHUNK);
@@ -169,9 +169,9 @@ impl TimedViewScorer {
             if free != 0 {
                 self.pass((scene, fan, stop), start, (chunk, free), &mut bits[..count]);
             }
-            told.extend((0..count).map(|time| (free >> time & 1 == 1).then_some(bits[time])));
+            bits_by_time.extend((0..count).map(|time| (free >> time & 1 == 1).then_some(bits[time])));
         }
-        told
+        bits_by_time
     }
 
     /// One pass, from a place that is free at these times of a chunk.

@@ -36,8 +36,8 @@ fn check_count(found: usize, effort: Effort, for_arrival: bool) -> Result<(), Se
     if effort == Effort::Exact && found > EXACT_GOALS_MAX {
         return Err(SearchError::TooManyForExact { found });
     }
-    let most = if for_arrival { CHANGING_GOALS_MAX } else { GOALS_MAX };
-    if found > most { Err(SearchError::TooMany { found, most }) } else { Ok(()) }
+    let max = if for_arrival { CHANGING_GOALS_MAX } else { GOALS_MAX };
+    if found > max { Err(SearchError::TooMany { found, max }) } else { Ok(()) }
 }
 
 pub(super) async fn plan_search(

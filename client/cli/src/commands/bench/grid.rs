@@ -119,8 +119,8 @@ pub(super) async fn run(client: &Client, map: &str, args: &GridArgs) -> anyhow::
     } else {
         let began = Instant::now();
         status_line(&format!("recording {} days of scans to {}", args.days, path.display()));
-        let (of, to) = (args.clone(), path.clone());
-        let bytes = tokio::task::spawn_blocking(move || office::write(&to, &of)).await??;
+        let (office_args, to) = (args.clone(), path.clone());
+        let bytes = tokio::task::spawn_blocking(move || office::write(&to, &office_args)).await??;
         status_line(&format!("{bytes} bytes in {:.1} s, which are not measured", began.elapsed().as_secs_f64()));
         None
     };

@@ -104,9 +104,9 @@ fn judge(space: &Space, explorers: &[Explorer], utc_nanos: i64) -> Result<Vec<Op
         let is_occupied = |cell: usize| grid.probability(space.cell(cell)).is_some_and(|p| p > 0.5);
         seen.iter().filter(|&&cell| is_occupied(cell) != truth[cell]).count()
     };
-    let of = |explorer: &Explorer| {
+    let error_share = |explorer: &Explorer| {
         let grid = explorer.predict(utc_nanos)?;
         Ok((!seen.is_empty()).then(|| wrong(&grid) as f64 / seen.len() as f64))
     };
-    explorers.iter().map(of).collect()
+    explorers.iter().map(error_share).collect()
 }

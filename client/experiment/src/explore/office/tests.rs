@@ -60,14 +60,15 @@ fn the_first_day_is_the_same_for_all_and_the_model_errs_less_every_day() {
     let protocol = protocol();
     let outcome = run(&protocol, &|_, _| ()).unwrap();
     let days = outcome.days(&protocol);
-    let of = |day: usize, kind: ExplorerKind| days.iter().find(|found| (found.day, found.kind) == (day, kind)).unwrap();
+    let figures_of =
+        |day: usize, kind: ExplorerKind| days.iter().find(|found| (found.day, found.kind) == (day, kind)).unwrap();
     for day in &days {
         assert!(day.tours <= 16.0 && (day.tours >= 16.0 || day.day == 1), "{day:?}");
     }
-    let (spatial, temporal) = (of(1, ExplorerKind::Spatial), of(1, ExplorerKind::Temporal));
+    let (spatial, temporal) = (figures_of(1, ExplorerKind::Spatial), figures_of(1, ExplorerKind::Temporal));
     assert_eq!((spatial.changes, spatial.discovered), (temporal.changes, temporal.discovered), "the same first day");
     assert_eq!(temporal.worse, 1, "{temporal:?}");
-    let errors: Vec<f64> = (1..=4).map(|day| of(day, ExplorerKind::Temporal).error).collect();
+    let errors: Vec<f64> = (1..=4).map(|day| figures_of(day, ExplorerKind::Temporal).error).collect();
     assert!(errors.is_sorted_by(|one, next| one > next), "{errors:?}");
     let folder = tempfile::tempdir().unwrap();
     write(&protocol, &outcome, folder.path()).unwrap();

@@ -62,10 +62,10 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         let (ends, span) = ((self.start, self.goal), (secs, secs + self.options.horizon_secs));
         let (count, labels_max) = (self.options.alternatives, self.options.labels_max);
         let is_try = self.bounds == Bounds::Auto && !self.marks.cut_off;
-        let most = if is_try { AUTO_LABELS.min(labels_max) } else { labels_max };
+        let max_labels = if is_try { AUTO_LABELS.min(labels_max) } else { labels_max };
         let marks = self.marks;
         let again = found.clone();
-        let all = self.search(secs, &to_go, most, |search, _| next_best(search, found, ends, span, count))?;
+        let all = self.search(secs, &to_go, max_labels, |search, _| next_best(search, found, ends, span, count))?;
         if !is_try || !self.marks.cut_off {
             return Ok(all);
         }

@@ -146,7 +146,7 @@ fn a_search_of_a_hundred_thousand_places_is_refused_before_anything_is_computed(
     assert_eq!(refused, SearchError::TooManyForExact { found: 100_000 });
     assert!(refused.to_string().contains("at most 40"), "{refused}");
     let refused = search(&roads, map.start(), &many, &SearchOptions::default(), || false).unwrap_err();
-    assert_eq!(refused, SearchError::TooMany { found: 100_000, most: GOALS_MAX });
+    assert_eq!(refused, SearchError::TooMany { found: 100_000, max: GOALS_MAX });
     // A few places of a large map.
     let few = search(&roads, map.start(), &goals(&map)[2_990..], &exact, || false).unwrap();
     assert!(few.optimal && few.steps.len() == 10);
