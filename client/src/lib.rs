@@ -19,4 +19,4 @@ pub mod updates;
 
 pub use connection::Client;
 pub use error::Error;
-pub use tidemap_map::time;
+pub use tidemap_model::time;

@@ -21,8 +21,10 @@ pub use places::{PlacePrediction, PlacePredictions, PlaceQuery};
 pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader};
 pub use predict::{PredictionRun, Predictions};
 pub use reconstruct::Reconstruction;
-pub use tidemap_map::selector::{InvalidModel, ModelKind, ModelSelector};
-pub use tidemap_model::{ORDER_MAX, StateKind};
+pub use tidemap_model::{
+    ORDER_MAX, StateKind,
+    selector::{InvalidModel, ModelKind, ModelSelector},
+};
 
 use tidemap_proto::{
     convert::{map::kind_from_wire, query::selector_from_wire, time::instant},

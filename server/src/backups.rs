@@ -11,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use tidemap_map::time::{format_rfc3339, parse_time};
+use tidemap_model::time::{format_rfc3339, parse_time};
 use tidemap_store::{BackupError, BackupReport, Store, Trouble, is_backup_of, link_backup};
 use tokio::sync::watch;
 use tracing::{error, info, warn};

@@ -9,7 +9,8 @@ use rustix::{
     fs::Mode,
     process::{Resource, getrlimit, setrlimit, umask},
 };
-use tidemap_map::{live_map::PendingLimits, time::format_rfc3339};
+use tidemap_map::live_map::PendingLimits;
+use tidemap_model::time::format_rfc3339;
 use tidemap_store::{CommitStep, OpenError, Store, StoreOptions, disk::Disk};
 use tokio::{
     net::TcpListener,

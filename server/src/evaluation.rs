@@ -9,14 +9,11 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_map::{
-    history::Subject,
-    ids::StateId,
-    predict::PreparedTimes,
+use tidemap_map::{history::Subject, ids::StateId, predict::PreparedTimes, view::MapView};
+use tidemap_model::{
+    EarlyStop, Evaluation, Sample, StopSignal, direction_rad,
     selector::{ModelKind, ModelSelector},
-    view::MapView,
 };
-use tidemap_model::{EarlyStop, Evaluation, Sample, StopSignal, direction_rad};
 
 use crate::{model_cache::CachedModel, state_or_cell::StateOrCell};
 

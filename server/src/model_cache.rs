@@ -12,7 +12,8 @@ use std::{
     },
 };
 
-use tidemap_map::{history::Subject, ids::StateId, selector::ModelKind};
+use tidemap_map::{history::Subject, ids::StateId};
+use tidemap_model::selector::ModelKind;
 use tidemap_store::MapId;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 

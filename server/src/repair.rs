@@ -6,7 +6,7 @@
 
 use std::{io::Write, path::Path, process::ExitCode};
 
-use tidemap_map::time::format_rfc3339;
+use tidemap_model::time::format_rfc3339;
 use tidemap_store::{BackupError, Checked, Mode, Outcome, check};
 
 use crate::{

@@ -15,12 +15,12 @@ use tidemap_map::{
     ids::StateId,
     interval::cell_intervals,
     predict::PreparedTimes,
-    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
 use tidemap_model::{
     Persistence, Sample,
     models::{Interval, Moment, TemporalModel},
+    selector::{ModelKind, ModelSelector},
 };
 
 /// A named state or a cell.
@@ -110,7 +110,7 @@ impl StateOrCell {
     pub(crate) fn order(&self, view: &MapView, selector: ModelSelector) -> usize {
         match self {
             Self::State(id) => selector.order_for(view.model(*id)),
-            Self::Cell(cell) => selector.order_for_cell(&cell.description),
+            Self::Cell(cell) => cell.description.order_for(selector),
         }
     }
 

@@ -37,15 +37,7 @@ const CRATES: [(&str, &str, &[&str]); 15] = [
     (
         "client/cli",
         "tidemap",
-        &[
-            "tidemap-client",
-            "tidemap-experiment",
-            "tidemap-formats",
-            "tidemap-map",
-            "tidemap-model",
-            "tidemap-proto",
-            "tidemap-sim",
-        ],
+        &["tidemap-client", "tidemap-experiment", "tidemap-formats", "tidemap-model", "tidemap-proto", "tidemap-sim"],
     ),
     (
         "client/experiment",

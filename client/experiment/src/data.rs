@@ -16,11 +16,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_map::time::{format_rfc3339, parse_time};
-use tidemap_model::{OffsetCache, Sample, StateKind};
+use tidemap_formats::observation_file::{RowError, RowItem, RowReader};
+use tidemap_model::{
+    OffsetCache, Sample, StateKind,
+    time::{format_rfc3339, parse_time},
+};
 
 use super::protocol::{Protocol, Refit, RowFormat};
-use tidemap_formats::observation_file::{RowError, RowItem, RowReader};
 
 /// Name of the state of files without state names.
 const UNNAMED: &str = "value";

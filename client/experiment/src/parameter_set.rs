@@ -4,7 +4,6 @@
 //! Invariant: a parameter set can be fitted to any readings in the model's range of values; a parameter out of range is
 //! refused before data is read.
 
-use tidemap_map::time::{format_duration, parse_duration};
 use tidemap_model::{
     Accumulator, ORDER_MAX, Periodicities, Sample, SpectralModel, StateKind,
     models::{
@@ -12,6 +11,7 @@ use tidemap_model::{
         HistogramCycle, HistogramSettings, Hypertime, HypertimeMethod, HypertimeOptions, Latest, MarkovChain, Mean,
         Moment, Pergam, PergamOptions, Readings, TemporalModel, UniformSpectral,
     },
+    time::{format_duration, parse_duration},
 };
 
 /// A fitted model.

@@ -5,8 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_map::time::parse_duration;
-use tidemap_model::{StateKind, Zone};
+use tidemap_model::{StateKind, Zone, time::parse_duration};
 
 mod error;
 pub(super) mod keys;

@@ -6,8 +6,10 @@
 //! Invariant: tuning has no access to test sets; every parameter set is scored on the same readings.
 
 use rayon::prelude::*;
-use tidemap_map::time::{format_duration, format_rfc3339};
-use tidemap_model::{Evaluation, Sample, StateKind};
+use tidemap_model::{
+    Evaluation, Sample, StateKind,
+    time::{format_duration, format_rfc3339},
+};
 
 use super::{
     ExperimentError,

@@ -12,8 +12,7 @@ use std::io::{self, BufRead};
 
 use fields::split;
 use tidemap_map::name::StateName;
-use tidemap_map::time::parse_time;
-use tidemap_model::{Dimensions, Position, StateKind};
+use tidemap_model::{Dimensions, Position, StateKind, time::parse_time};
 
 /// Maximum length of a line. Three fields need far less; a file without line ends must not fill the memory.
 const LINE_BYTES_MAX: usize = 64 * 1024;

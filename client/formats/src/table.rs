@@ -8,7 +8,7 @@ mod times;
 use std::io::{self, Write};
 
 use comfy_table::{CellAlignment, Table, presets};
-use tidemap_map::time::format_secs;
+use tidemap_model::time::format_secs;
 
 pub use times::TimeStyle;
 

@@ -1,9 +1,7 @@
 //! Confidence and model of a request for anomalies.
 
-use tidemap_map::{
-    anomaly::{CannotJudge, Confidence},
-    selector::ModelSelector,
-};
+use tidemap_map::anomaly::{CannotJudge, Confidence, can_judge, can_watch};
+use tidemap_model::selector::ModelSelector;
 
 use super::{InvalidField, query::selector_from_wire};
 use crate::v1;
@@ -23,7 +21,7 @@ pub fn confidence_from_wire(field: &str, wire: Option<f64>) -> Result<Confidence
 /// The errors of [`selector_from_wire`], or the model predicts from the newest value.
 pub fn judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
     let selector = selector_from_wire(field, wire)?;
-    selector.can_judge().map_err(|error| cannot_judge(field, error))?;
+    can_judge(selector).map_err(|error| cannot_judge(field, error))?;
     Ok(selector)
 }
 
@@ -33,7 +31,7 @@ pub fn judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<M
 /// The errors of [`selector_from_wire`], or the model predicts from the newest value or must be fitted first.
 pub fn watching_judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
     let selector = selector_from_wire(field, wire)?;
-    selector.can_watch().map_err(|error| cannot_judge(field, error))?;
+    can_watch(selector).map_err(|error| cannot_judge(field, error))?;
     Ok(selector)
 }
 

@@ -7,10 +7,9 @@ use tidemap_map::{
     ids::{RefusalReason, StateId},
     name::MapName,
     spec::MapSpec,
-    time::HALF_LIFE_MIN_NANOS,
     view::MapView,
 };
-use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
+use tidemap_model::{OrderCriterion, Periodicities, PeriodicityDefinition, Zone, time::HALF_LIFE_MIN_NANOS};
 
 use super::{
     InvalidField,

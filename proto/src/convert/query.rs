@@ -1,11 +1,11 @@
 //! Models of requests, and descriptions of the models of states.
 
-use tidemap_map::{
-    ids::StateId,
+use tidemap_map::{ids::StateId, view::MapView};
+use tidemap_model::{
+    Component, LocalDay, ORDER_MAX, SpectralModel, StateModel,
+    models::HistogramCycle,
     selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
-    view::MapView,
 };
-use tidemap_model::{Component, LocalDay, ORDER_MAX, SpectralModel, StateModel, models::HistogramCycle};
 
 use super::{
     InvalidField,

@@ -7,10 +7,13 @@ use tidemap_map::{
         spec::{GridSpec, Retention, SensorNoise},
     },
     ids::RefusalReason,
+};
+use tidemap_model::{
+    ORDER_MAX, OrderCriterion, Periodicities,
+    models::HistogramCycle,
     selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIODS},
     time::HALF_LIFE_MIN_NANOS,
 };
-use tidemap_model::{ORDER_MAX, OrderCriterion, Periodicities, models::HistogramCycle};
 use tidemap_plan::{
     route::{Certainty, Objective},
     search::{Effort, StopReason},

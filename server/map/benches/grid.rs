@@ -14,12 +14,14 @@ use tidemap_map::{
         spec::{GridSpec, Retention},
     },
     live_map::LiveMap,
-    selector::{ModelKind, ModelSelector},
     snapshot::MapSnapshot,
     spec::MapSpec,
     update::UpdateWork,
 };
-use tidemap_model::InstantPhasors;
+use tidemap_model::{
+    InstantPhasors,
+    selector::{ModelKind, ModelSelector},
+};
 
 use crate::office::{CELLS, DAY_NANOS, FLIPS, Office, SCANS, TILES, apply, spec};
 

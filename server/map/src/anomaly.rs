@@ -8,12 +8,9 @@
 //! Invariant: only this module decides what an anomaly is. A probability of one half is never sure enough, so an
 //! untrained state has no anomalies.
 
-use crate::{
-    grid::view::GridView,
-    history::Reading,
-    selector::{ModelKind, ModelSelector},
-    view::MapView,
-};
+use tidemap_model::selector::{ModelKind, ModelSelector};
+
+use crate::{grid::view::GridView, history::Reading, view::MapView};
 
 /// How sure a model must be for an observation of the contrary to count as an anomaly: above 0.5, at most 1.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
@@ -98,28 +95,26 @@ pub enum CannotJudge {
     NeedsFit(ModelKind),
 }
 
-impl ModelSelector {
-    /// Whether the model can judge past observations.
-    ///
-    /// # Errors
-    /// [`CannotJudge`], with what to use instead.
-    pub fn can_judge(&self) -> Result<(), CannotJudge> {
-        match self.kind {
-            ModelKind::Latest | ModelKind::Persistence => Err(CannotJudge::Newest(self.kind)),
-            _ if self.persistence => Err(CannotJudge::Persistence),
-            _ if self.memory => Err(CannotJudge::Memory),
-            _ => Ok(()),
-        }
+/// Whether a model can judge past observations.
+///
+/// # Errors
+/// [`CannotJudge`], with what to use instead.
+pub fn can_judge(model: ModelSelector) -> Result<(), CannotJudge> {
+    match model.kind {
+        ModelKind::Latest | ModelKind::Persistence => Err(CannotJudge::Newest(model.kind)),
+        _ if model.persistence => Err(CannotJudge::Persistence),
+        _ if model.memory => Err(CannotJudge::Memory),
+        _ => Ok(()),
     }
+}
 
-    /// Whether the model can judge observations as they arrive: every view has such a model ready.
-    ///
-    /// # Errors
-    /// [`CannotJudge`], with what to use instead.
-    pub fn can_watch(&self) -> Result<(), CannotJudge> {
-        self.can_judge()?;
-        if self.kind.needs_readings() { Err(CannotJudge::NeedsFit(self.kind)) } else { Ok(()) }
-    }
+/// Whether a model can judge observations as they arrive: every view has such a model ready.
+///
+/// # Errors
+/// [`CannotJudge`], with what to use instead.
+pub fn can_watch(model: ModelSelector) -> Result<(), CannotJudge> {
+    can_judge(model)?;
+    if model.kind.needs_readings() { Err(CannotJudge::NeedsFit(model.kind)) } else { Ok(()) }
 }
 
 impl MapView {

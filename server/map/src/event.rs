@@ -9,11 +9,10 @@
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
-use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, Sample, allows_angle};
+use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, Sample, allows_angle, time::FUTURE_MAX_NANOS};
 pub use tidemap_model::{Dimensions, Position, StateKind};
 
 use crate::{
-    FUTURE_MAX_NANOS,
     grid::scan::Scans,
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::StateName,

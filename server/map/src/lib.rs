@@ -17,11 +17,9 @@ pub mod name;
 pub mod predict;
 pub mod reachability;
 pub mod refit;
-pub mod selector;
 pub mod site;
 pub mod snapshot;
 pub mod spec;
-pub mod time;
 pub mod topology;
 pub mod traversal;
 pub mod update;
@@ -30,7 +28,3 @@ pub mod view;
 mod directory;
 mod pending;
 mod prior_models;
-
-/// How far ahead of the clock of receipt an observation's time counts as plausible, in nanoseconds. Observations beyond
-/// wait: they change nothing until an update whose cut has passed their time.
-pub const FUTURE_MAX_NANOS: i64 = 5 * 60 * 1_000_000_000;

@@ -6,6 +6,7 @@
 use tidemap_model::{
     ActiveModel, InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     models::{Moment, TemporalModel},
+    selector::{ModelKind, ModelSelector},
 };
 
 use crate::{
@@ -15,24 +16,8 @@ use crate::{
         view::{CellDescription, GridView},
     },
     ids::StateId,
-    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
-
-impl CellDescription {
-    /// What the memory of a cell needs beside its last value. Its first scan is not stored; scans are frequent compared
-    /// with changes.
-    fn memory_basis(&self) -> MemoryBasis {
-        MemoryBasis { usual_change: 1.0, mean: self.spectral.mean(), first_nanos: None }
-    }
-}
-
-impl ModelSelector {
-    /// Order of the spectral model that predicts this cell; 0 for a constant model.
-    pub fn order_for_cell(&self, cell: &CellDescription) -> usize {
-        if self.kind.has_order() { self.order_or(cell.order) } else { 0 }
-    }
-}
 
 /// Times with their phasors, ready for any number of states of one map.
 #[derive(Debug)]
@@ -161,7 +146,7 @@ impl MapView {
         selector: ModelSelector,
         out: &mut [f64],
     ) {
-        let parts = (&cell.spectral, selector.order_for_cell(cell), &cell.persistence);
+        let parts = (&cell.spectral, cell.order_for(selector), &cell.persistence);
         predict_state(StateKind::Probability, parts, cell.memory_basis(), times, selector, out);
     }
 

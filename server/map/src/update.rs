@@ -25,7 +25,7 @@ use std::sync::{
 };
 
 use rayon::prelude::*;
-use tidemap_model::{Sample, StateModel, UpdateOutcome, UpdateRules};
+use tidemap_model::{Sample, StateModel, UpdateOutcome, UpdateRules, selector::ModelSelector};
 
 #[cfg(test)]
 use crate::grid::update::rules::UpdateLimits;
@@ -44,7 +44,6 @@ use crate::{
     name::StateName,
     prior_models::PriorModels,
     refit::{REFITS_MAX, Refits, StateReadings, refit},
-    selector::ModelSelector,
     site::Site,
     snapshot::ProducerMark,
     spec::MapSpec,

@@ -89,8 +89,8 @@ impl MapView {
         self.pending
     }
 
-    /// Those of them that wait because their time is more than [`FUTURE_MAX_NANOS`](crate::FUTURE_MAX_NANOS) ahead of
-    /// the clock.
+    /// Those of them that wait because their time is more than
+    /// [`FUTURE_MAX_NANOS`](tidemap_model::time::FUTURE_MAX_NANOS) ahead of the clock.
     pub fn ahead(&self) -> u64 {
         self.ahead
     }

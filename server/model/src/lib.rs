@@ -47,10 +47,12 @@ mod phasor;
 mod phasor_sum;
 mod position;
 mod sample;
+pub mod selector;
 pub mod special;
 mod spectral;
 mod state;
 mod stop_signal;
+pub mod time;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
 pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};

@@ -7,11 +7,8 @@
 //! Invariant: probabilities are those of [`tidemap_map::grid::view::GridView::predict_tile`]. A cell that does not
 //! change between the times is stored once.
 
-use tidemap_map::{
-    grid::{index::CellBox, spec::InvalidGrid, tile::TileUnavailable},
-    selector::ModelSelector,
-};
-use tidemap_model::EarlyStop;
+use tidemap_map::grid::{index::CellBox, spec::InvalidGrid, tile::TileUnavailable};
+use tidemap_model::{EarlyStop, selector::ModelSelector};
 
 mod lattice;
 mod times;

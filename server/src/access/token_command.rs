@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::{Context as _, bail};
 use clap::{Args, Subcommand};
-use tidemap_map::time::{format_rfc3339, parse_duration, parse_time};
+use tidemap_model::time::{format_rfc3339, parse_duration, parse_time};
 
 use super::{
     MapPattern, ProducerPattern, Role,

@@ -15,9 +15,9 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
-    time::format_rfc3339,
     view::MapView,
 };
+use tidemap_model::time::format_rfc3339;
 use tidemap_store::Erased;
 use tokio::sync::oneshot;
 use tracing::{error, info};

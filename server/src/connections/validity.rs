@@ -71,7 +71,7 @@ fn time_secs(tag: u8, text: &str) -> Option<i64> {
     if year.as_str() > "2261" {
         return Some(i64::MAX / 1_000_000_000);
     }
-    Some(tidemap_map::time::parse_time(&rfc3339).ok()?.div_euclid(1_000_000_000))
+    Some(tidemap_model::time::parse_time(&rfc3339).ok()?.div_euclid(1_000_000_000))
 }
 
 #[cfg(test)]

@@ -6,7 +6,6 @@
 use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
-    FUTURE_MAX_NANOS,
     event::{Event, NewState, Observations, OffsetRun, StateKind, StateShape},
     grid::{
         log_head::{LogHead, StreamTiles},
@@ -17,7 +16,7 @@ use tidemap_map::{
     name::{ProducerKey, StateName},
     traversal::EdgeFailure,
 };
-use tidemap_model::{OffsetCache, cos_sin};
+use tidemap_model::{OffsetCache, cos_sin, time::FUTURE_MAX_NANOS};
 use tokio::sync::mpsc;
 
 use super::{

@@ -17,11 +17,11 @@ use std::{
 };
 
 use tidemap_map::{
-    FUTURE_MAX_NANOS,
     event::UpdateCause,
     live_map::{LiveMap, PendingLimits},
     name::{MapName, ProducerKey},
 };
+use tidemap_model::time::FUTURE_MAX_NANOS;
 
 use super::sessions::Sessions;
 use crate::jobs::{Jobs, UpdateJob};

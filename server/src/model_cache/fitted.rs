@@ -3,18 +3,14 @@
 //! Invariant: a prediction is within the bounds of the state's kind. An untrained state has the same prediction as with
 //! any other model.
 
-use tidemap_map::{
-    event::StateKind,
-    selector::{ModelKind, ModelSelector},
-    spec::MapSpec,
-    view::MapView,
-};
+use tidemap_map::{event::StateKind, spec::MapSpec, view::MapView};
 use tidemap_model::{
     ORDER_MAX, Sample, StopSignal,
     models::{
         Calibrated, CalibratedOptions, CannotFit, CountRate, Histogram, HistogramSettings, Hypertime, HypertimeMethod,
         HypertimeOptions, MarkovChain, Moment, Pergam, PergamOptions, Readings, TemporalModel, UniformSpectral,
     },
+    selector::{ModelKind, ModelSelector},
 };
 
 use crate::state_or_cell::StateOrCell;

@@ -70,7 +70,8 @@ impl PlaceModel {
 
 #[cfg(test)]
 mod tests {
-    use tidemap_map::{name::MapName, selector::ModelKind};
+    use tidemap_map::name::MapName;
+    use tidemap_model::selector::ModelKind;
 
     use super::*;
     use crate::model_cache::PositionModel;

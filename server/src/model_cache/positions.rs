@@ -2,13 +2,14 @@
 //!
 //! Invariant: a model is fitted to at least one position, and its results are finite.
 
-use tidemap_map::{event::Dimensions, selector::ModelKind, spec::MapSpec};
+use tidemap_map::{event::Dimensions, spec::MapSpec};
 use tidemap_model::{
     Sample, StopSignal,
     models::{
         COUNT_BIN_NANOS, CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeMethod,
         HypertimeOptions, Moment, PoissonSpectral, Readings, TemporalModel as _,
     },
+    selector::ModelKind,
 };
 
 /// Seed of the random starts of a fit: the same positions give the same model.

@@ -5,10 +5,10 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
-use tidemap_map::selector::PERGAM_PERIOD_NANOS;
 use tidemap_model::{
     Sample,
     models::{MarkovChain, Readings},
+    selector::PERGAM_PERIOD_NANOS,
 };
 use tokio::sync::Notify;
 

@@ -31,10 +31,9 @@ use tidemap_map::{
     grid::spec::Retention,
     history::{Reading, Subject},
     ids::StateId,
-    selector::ModelKind,
     view::MapView,
 };
-use tidemap_model::{Sample, StopSignal};
+use tidemap_model::{Sample, StopSignal, selector::ModelKind};
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 

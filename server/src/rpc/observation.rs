@@ -12,11 +12,11 @@ use std::{
 };
 
 use tidemap_map::{
-    FUTURE_MAX_NANOS,
     grid::sensors::ProducerSensor,
     name::ProducerKey,
     traversal::{EdgeFailure, Traversal},
 };
+use tidemap_model::time::FUTURE_MAX_NANOS;
 use tidemap_proto::{
     convert::{InvalidField, OverLimit, time::duration},
     v1::{

@@ -4,8 +4,8 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{event::StateKind, ids::StateId, predict::PreparedTimes, selector::ModelSelector, view::MapView};
-use tidemap_model::{EarlyStop, StopSignal, models::Moment};
+use tidemap_map::{event::StateKind, ids::StateId, predict::PreparedTimes, view::MapView};
+use tidemap_model::{EarlyStop, StopSignal, models::Moment, selector::ModelSelector};
 use tidemap_proto::convert::InvalidField;
 
 use super::{

@@ -7,10 +7,9 @@ use std::{collections::HashMap, time::Duration};
 use tidemap_map::{
     event::StateShape,
     grid::{sensors::InvalidSensor, tile::TileUnavailable},
-    selector::ModelKind,
     site::InvalidEdit,
 };
-use tidemap_model::EarlyStop;
+use tidemap_model::{EarlyStop, selector::ModelKind};
 use tidemap_proto::convert::{InvalidField, OverLimit};
 use tidemap_store::{AppendError, BackupError, HistoryError};
 use tonic::{Code, Status};

@@ -9,7 +9,7 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse as _, Response},
 };
-use tidemap_map::time::{InvalidTime, parse_time};
+use tidemap_model::time::{InvalidTime, parse_time};
 use tonic::Status;
 
 use super::{Gateway, json};

@@ -8,12 +8,14 @@ use std::{process::ExitCode, str::FromStr};
 
 use clap::{Args, Subcommand, ValueEnum};
 use tidemap_client::maps::{EnabledModels, GridSpec, Map, NewMap, OrderCriterion, PeriodicityDefinition, Retention};
-use tidemap_map::time::format_duration;
+use tidemap_formats::table::{Cell, Format};
+use tidemap_model::time::format_duration;
 
 use self::grid_spec::{GridArg, box_text, retention_text, spec_text};
+
 use super::{Session, point::Point, times, usage};
+
 use crate::progress::status_line;
-use tidemap_formats::table::{Cell, Format};
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum MapCommand {

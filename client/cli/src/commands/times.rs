@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use tidemap_client::clock;
-use tidemap_map::time::{InvalidDuration, InvalidTime, parse_duration, parse_time};
+use tidemap_model::time::{InvalidDuration, InvalidTime, parse_duration, parse_time};
 
 use super::{UsageError, files};
 

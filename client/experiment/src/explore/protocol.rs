@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
-use tidemap_map::time::parse_duration;
+use tidemap_model::time::parse_duration;
 
 use super::{
     ExploreProtocol,

@@ -13,13 +13,12 @@ use tidemap_map::{
     live_map::LiveMap,
     name::{MapName, ProducerKey},
     refit::{ReadingsRequest, StateReadings},
-    selector::ModelSelector,
     site::SiteEdit,
     spec::MapSpec,
     topology::Topology,
     traversal::Traversal,
 };
-use tidemap_model::Sample;
+use tidemap_model::{Sample, selector::ModelSelector};
 
 use super::{
     RoutesError, START_NANOS,

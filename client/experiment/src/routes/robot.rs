@@ -5,10 +5,10 @@
 
 use rand::Rng as _;
 use tidemap_map::{
-    selector::ModelSelector,
     topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
     traversal::Traversal,
 };
+use tidemap_model::selector::ModelSelector;
 use tidemap_plan::route::{EdgeForecast, Objective, PlanRouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
 
 use super::{

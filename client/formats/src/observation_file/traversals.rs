@@ -4,9 +4,9 @@
 //! daemon refuses. A row that can be read is not checked here.
 
 use tidemap_map::name::NAME_CHARS_MAX;
+use tidemap_model::time::parse_time;
 
 use super::{CsvHeader, Layout, RowError, RowPlace, fields, shown};
-use tidemap_map::time::parse_time;
 
 /// A row of traversals.
 #[derive(Clone, Debug, PartialEq, Eq)]

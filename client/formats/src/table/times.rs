@@ -3,8 +3,7 @@
 //! Invariant: a column shows as much of the clock as its times need, the same for all of them, and its header says in
 //! which zone they are.
 
-use tidemap_map::time::format_rfc3339;
-use tidemap_model::Zone;
+use tidemap_model::{Zone, time::format_rfc3339};
 
 use super::Cell;
 

@@ -2,7 +2,10 @@
 //!
 //! Invariant: a reading is judged as [`super::anomalies`] judges it when it is looked up later with the same model.
 
+use tidemap_model::selector::ModelSelector;
+
 use super::{Anomaly, Confidence, is_anomalous};
+
 use crate::{
     grid::{
         follower::{CellFollower, CellReading},
@@ -10,7 +13,6 @@ use crate::{
         scan::Scans,
         tile::TileUnavailable,
     },
-    selector::ModelSelector,
     view::MapView,
 };
 

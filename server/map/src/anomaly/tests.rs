@@ -1,9 +1,9 @@
 //! What counts as an anomaly, against the definition in words.
 
 use proptest::prelude::*;
+use tidemap_model::selector::PERGAM_PERIOD_NANOS;
 
 use super::*;
-use crate::selector::PERGAM_PERIOD_NANOS;
 
 fn confidence(c: f64) -> Confidence {
     Confidence::new(c).expect("valid")
@@ -48,20 +48,20 @@ fn the_thresholds_are_included_on_both_sides() {
 fn models_that_answer_from_the_newest_value_judge_nothing() {
     let of = |kind| ModelSelector { kind, ..ModelSelector::default() };
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Spectral] {
-        assert_eq!((of(kind).can_judge(), of(kind).can_watch()), (Ok(()), Ok(())));
+        assert_eq!((can_judge(of(kind)), can_watch(of(kind))), (Ok(()), Ok(())));
         let blended = ModelSelector { persistence: true, ..of(kind) };
-        assert_eq!((blended.can_judge(), blended.can_watch()).0, Err(CannotJudge::Persistence));
+        assert_eq!((can_judge(blended), can_watch(blended)).0, Err(CannotJudge::Persistence));
     }
     for kind in [ModelKind::Latest, ModelKind::Persistence] {
-        assert_eq!(of(kind).can_judge(), Err(CannotJudge::Newest(kind)));
-        assert_eq!(of(kind).can_watch(), Err(CannotJudge::Newest(kind)));
+        assert_eq!(can_judge(of(kind)), Err(CannotJudge::Newest(kind)));
+        assert_eq!(can_watch(of(kind)), Err(CannotJudge::Newest(kind)));
     }
     for kind in [
         ModelKind::Calibrated,
         ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS },
         ModelKind::Uniform,
     ] {
-        assert_eq!((of(kind).can_judge(), of(kind).can_watch()), (Ok(()), Err(CannotJudge::NeedsFit(kind))));
+        assert_eq!((can_judge(of(kind)), can_watch(of(kind))), (Ok(()), Err(CannotJudge::NeedsFit(kind))));
     }
 }
 

@@ -10,16 +10,11 @@
 use tidemap_model::{
     FitKind, HISTOGRAMS, ModelChoice, StateKind, StateModel,
     models::{Moment, value_tail},
+    selector::{ModelKind, ModelSelector},
 };
 
 use super::{Anomaly, Confidence};
-use crate::{
-    history::Reading,
-    ids::StateId,
-    interval::Spreads,
-    selector::{ModelKind, ModelSelector},
-    view::MapView,
-};
+use crate::{history::Reading, ids::StateId, interval::Spreads, view::MapView};
 
 #[cfg(test)]
 mod tests;

@@ -7,12 +7,13 @@ use std::{
     collections::HashMap,
     sync::{Arc, OnceLock},
 };
+use tidemap_model::selector::ModelSelector;
 
 use super::{EdgeForecast, EdgePrior, EdgeRecord, EdgeStates, LEARNED_SUCCESS_MIN};
+
 use crate::{
     ids::StateId,
     predict::PreparedTimes,
-    selector::ModelSelector,
     topology::{Edge, EdgeId, Topology},
     traversal::{success_state, travel_state},
     view::MapView,

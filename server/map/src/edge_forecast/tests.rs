@@ -3,7 +3,7 @@
 use std::sync::{Arc, atomic::AtomicU64};
 
 use proptest::prelude::*;
-use tidemap_model::{Periodicities, Sample};
+use tidemap_model::{Periodicities, Sample, selector::ModelSelector};
 
 use super::*;
 use crate::{
@@ -11,7 +11,6 @@ use crate::{
     ids::ProducerId,
     live_map::LiveMap,
     name::{EdgeName, MapName, ProducerKey, StateName},
-    selector::ModelSelector,
     site::SiteEdit,
     spec::MapSpec,
     topology::{EdgeEnds, NewEdge, NewNode, TopologyEdit},

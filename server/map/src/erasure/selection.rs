@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use tidemap_model::Sample;
+use tidemap_model::{Sample, time::format_rfc3339};
 
 use crate::{
     event::{Event, Observations},
@@ -14,7 +14,6 @@ use crate::{
     ids::{ProducerId, StateId},
     name::{EdgeState, StateName},
     snapshot::MapSnapshot,
-    time::format_rfc3339,
 };
 
 /// An observation in the order of arrival.

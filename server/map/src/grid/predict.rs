@@ -3,7 +3,10 @@
 //! Invariant: each known cell of the region is reported with the value that [`GridView::predict_tile`] gives it, and no
 //! other cell is reported. The cost of an answer follows the existing tiles, not the size of the region.
 
-use tidemap_model::{InstantPhasors, entropy_bits};
+use tidemap_model::{
+    InstantPhasors, entropy_bits,
+    selector::{ModelKind, ModelSelector},
+};
 
 use super::{
     blend::blend_cell,
@@ -14,7 +17,6 @@ use super::{
     tile::{ModelSlot, TileModel, TileUnavailable},
     view::GridView,
 };
-use crate::selector::{ModelKind, ModelSelector};
 
 mod project;
 

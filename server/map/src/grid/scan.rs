@@ -5,6 +5,8 @@
 
 use std::sync::Arc;
 
+use tidemap_model::time::FUTURE_MAX_NANOS;
+
 use super::index::{TILE_CELLS, TileId, TileIndex};
 use crate::ids::{NewProducer, ProducerId, RefusalReason};
 
@@ -75,6 +77,6 @@ pub struct Scans {
 impl Scans {
     /// The latest plausible time by the clock of receipt, nanoseconds UTC; later observations wait.
     pub fn plausible_nanos(&self) -> i64 {
-        self.received_nanos.saturating_add(crate::FUTURE_MAX_NANOS)
+        self.received_nanos.saturating_add(FUTURE_MAX_NANOS)
     }
 }

@@ -3,8 +3,9 @@
 //! Invariant: a specification that [`GridSpec::check`] accepts keeps every cell of every valid tile at finite
 //! coordinates.
 
+use tidemap_model::time::HALF_LIFE_MIN_NANOS;
+
 use super::index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT};
-use crate::time::HALF_LIFE_MIN_NANOS;
 
 /// Longest frame id in bytes.
 pub(crate) const FRAME_BYTES_MAX: usize = 128;

@@ -4,9 +4,13 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use tidemap_model::{InstantPhasors, LocalDay, Persistence, SpectralModel};
+use tidemap_model::{
+    InstantPhasors, LocalDay, MemoryBasis, Persistence, SpectralModel,
+    selector::{ModelKind, ModelSelector},
+};
 
 use super::{
+    blend::memory_basis,
     generation::Generation,
     index::{CellBox, CellIndex, TILE_CELLS, TileId, TileIndex},
     live::{LiveGrid, TILE_CHUNK, TileChunk},
@@ -16,7 +20,6 @@ use super::{
     spec::GridSpec,
     tile::{TileModel, TileUnavailable},
 };
-use crate::selector::{ModelKind, ModelSelector};
 
 /// An immutable picture of a grid.
 #[derive(Clone, Debug)]
@@ -70,6 +73,18 @@ pub struct CellDescription {
     pub first_nanos: Option<i64>,
 }
 
+impl CellDescription {
+    /// Order of the spectral model of this cell that a selector asks for; 0 for a constant model.
+    pub fn order_for(&self, selector: ModelSelector) -> usize {
+        if selector.kind.has_order() { selector.order_or(self.order) } else { 0 }
+    }
+
+    /// What the memory of the cell needs beside its last value.
+    pub fn memory_basis(&self) -> MemoryBasis {
+        memory_basis(self.spectral.mean())
+    }
+}
+
 impl GridView {
     pub(crate) fn new(grid: &mut LiveGrid) -> GridView {
         GridView {
@@ -117,8 +132,8 @@ impl GridView {
         self.pending_scans
     }
 
-    /// Those of them that wait because their time is more than [`FUTURE_MAX_NANOS`](crate::FUTURE_MAX_NANOS) ahead of
-    /// the clock.
+    /// Those of them that wait because their time is more than
+    /// [`FUTURE_MAX_NANOS`](tidemap_model::time::FUTURE_MAX_NANOS) ahead of the clock.
     pub fn scans_ahead(&self) -> u64 {
         self.scans_ahead
     }

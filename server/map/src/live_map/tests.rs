@@ -3,11 +3,10 @@
 use std::sync::atomic::AtomicU64;
 
 use proptest::prelude::*;
-use tidemap_model::Periodicities;
+use tidemap_model::{Periodicities, selector::ModelSelector, time::FUTURE_MAX_NANOS};
 
 use super::*;
 use crate::{
-    FUTURE_MAX_NANOS,
     event::{NewState, Observations, OffsetRun, StateKind, UpdateCause},
     name::{MapName, StateName},
 };
@@ -70,7 +69,7 @@ fn update(map: &mut LiveMap, until: Option<i64>) -> MapSnapshot {
 
 fn predict(view: &MapView, state: u32, time: i64) -> f64 {
     let mut out = [0.0];
-    view.predict_into(StateId(state), &view.prepare(&[time]), crate::selector::ModelSelector::default(), &mut out);
+    view.predict_into(StateId(state), &view.prepare(&[time]), ModelSelector::default(), &mut out);
     out[0]
 }
 

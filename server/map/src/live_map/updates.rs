@@ -3,10 +3,11 @@
 //! Invariant: the log position of its start and its cut determine what an update takes.
 
 use std::sync::Arc;
+use tidemap_model::time::FUTURE_MAX_NANOS;
 
 use super::{LiveMap, PendingLimits};
+
 use crate::{
-    FUTURE_MAX_NANOS,
     event::{UpdateCause, UpdateStart},
     pending::Taken,
     snapshot::{MapSnapshot, StateSnapshot},

@@ -16,11 +16,13 @@ use tidemap_map::{
     ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},
-    selector::{ModelKind, ModelSelector},
     spec::MapSpec,
     view::MapView,
 };
-use tidemap_model::{EarlyStop, InstantPhasors, StopSignal, Zone};
+use tidemap_model::{
+    EarlyStop, InstantPhasors, StopSignal, Zone,
+    selector::{ModelKind, ModelSelector},
+};
 
 use super::*;
 

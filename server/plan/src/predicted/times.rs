@@ -13,10 +13,9 @@ use tidemap_map::{
         index::{CellIndex, TILE_CELLS, TileId, TileIndex},
         view::GridView,
     },
-    selector::ModelKind,
     view::MapView,
 };
-use tidemap_model::{InstantPhasors, StopSignal};
+use tidemap_model::{InstantPhasors, StopSignal, selector::ModelKind};
 
 use super::{Lattice, PredictError, PredictOptions};
 

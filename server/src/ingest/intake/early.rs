@@ -2,7 +2,8 @@
 //!
 //! Invariant: only maps with a real clock refuse them, so that simulations may begin at 0.
 
-use tidemap_map::{spec::REAL_CLOCK_MIN_NANOS, time::format_rfc3339};
+use tidemap_map::spec::REAL_CLOCK_MIN_NANOS;
+use tidemap_model::time::format_rfc3339;
 
 /// After this, a time in another unit is not what was meant: the year 2100.
 const LATEST_NANOS: i64 = 4_102_444_800_000_000_000;

@@ -4,7 +4,6 @@
 //! spread over several events if needed, in their order.
 
 use tidemap_map::{
-    FUTURE_MAX_NANOS,
     event::Event,
     grid::{
         index::TileIndex,
@@ -14,6 +13,7 @@ use tidemap_map::{
     ids::RefusalReason,
     live_map::LiveMap,
 };
+use tidemap_model::time::FUTURE_MAX_NANOS;
 
 use super::{
     super::protocol::{CheckedScan, RefusedObservation, ScanBatch, ScanOrigin, SessionId},

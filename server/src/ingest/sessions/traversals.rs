@@ -8,7 +8,8 @@
 //! Invariant: a traversal is taken with all of its observations, in one event, or not at all. Its meaning depends on
 //! the topology; the writer makes no event of traversals while an edit of the topology is in flight.
 
-use tidemap_map::{FUTURE_MAX_NANOS, ids::RefusalReason, live_map::LiveMap, traversal::Traversal};
+use tidemap_map::{ids::RefusalReason, live_map::LiveMap, traversal::Traversal};
+use tidemap_model::time::FUTURE_MAX_NANOS;
 use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
 
 use super::{

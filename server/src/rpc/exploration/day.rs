@@ -4,8 +4,8 @@
 
 use std::{ops::ControlFlow, sync::Arc};
 
-use tidemap_map::{event::StateKind, selector::ModelSelector, view::MapView};
-use tidemap_model::StopSignal;
+use tidemap_map::{event::StateKind, view::MapView};
+use tidemap_model::{StopSignal, selector::ModelSelector};
 use tidemap_plan::{
     day::{DaySlots, plan_day as plan},
     information::Certainty,

@@ -2,10 +2,8 @@
 //!
 //! Invariant: the location is one of the given ones, and the decision is based on one view.
 
-use tidemap_map::{
-    selector::{ModelKind, ModelSelector},
-    view::MapView,
-};
+use tidemap_map::view::MapView;
+use tidemap_model::selector::{ModelKind, ModelSelector};
 use tidemap_plan::{
     day::{DayError, DaySlots},
     location::{error_gain, information_bits, surprise_bits},

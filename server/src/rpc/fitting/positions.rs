@@ -4,8 +4,8 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{ids::StateId, selector::ModelKind};
-use tidemap_model::{Sample, StopSignal, models::CannotFit};
+use tidemap_map::ids::StateId;
+use tidemap_model::{Sample, StopSignal, models::CannotFit, selector::ModelKind};
 
 use super::{LearnedState, ModelFitter};
 use crate::{

@@ -7,10 +7,9 @@ use std::sync::Arc;
 use tidemap_map::{
     anomaly::{Anomaly, Confidence, anomalies},
     history::Reading,
-    selector::ModelSelector,
     view::MapView,
 };
-use tidemap_model::StopSignal;
+use tidemap_model::{StopSignal, selector::ModelSelector};
 use tidemap_proto::{
     convert::{
         anomaly::{confidence_from_wire, judge_from_wire},

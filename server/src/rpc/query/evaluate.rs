@@ -12,10 +12,12 @@ use tidemap_map::{
     event::{StateKind, StateShape},
     history::Subject,
     ids::StateId,
-    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
-use tidemap_model::{EarlyStop, Sample, StopSignal};
+use tidemap_model::{
+    EarlyStop, Sample, StopSignal,
+    selector::{ModelKind, ModelSelector},
+};
 use tidemap_proto::{
     convert::{
         InvalidField,

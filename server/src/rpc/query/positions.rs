@@ -8,10 +8,9 @@ use std::sync::Arc;
 use tidemap_map::{
     event::{Dimensions, StateShape},
     ids::StateId,
-    selector::ModelKind,
     view::MapView,
 };
-use tidemap_model::{VALUE_MAX, models::Moment};
+use tidemap_model::{VALUE_MAX, models::Moment, selector::ModelKind};
 use tidemap_proto::{
     convert::{
         InvalidField,

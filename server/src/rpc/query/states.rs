@@ -10,12 +10,12 @@ use tidemap_map::{
     event::{StateKind, StateShape},
     grid::index::CellIndex,
     predict::PreparedTimes,
-    selector::ModelSelector,
     view::MapView,
 };
 use tidemap_model::{
     Persistence, direction_rad, entropy_bits,
     models::{Interval, Moment},
+    selector::ModelSelector,
 };
 use tidemap_proto::{
     convert::{

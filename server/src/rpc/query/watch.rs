@@ -25,10 +25,10 @@ use tidemap_map::{
     history::Reading,
     ids::StateId,
     name::StateName,
-    selector::ModelSelector,
     site::InvalidEdit,
     view::MapView,
 };
+use tidemap_model::selector::ModelSelector;
 use tidemap_proto::{
     convert::{
         InvalidField, OverLimit,

@@ -9,18 +9,19 @@ use tidemap_map::{
     edge_forecast::{EdgeForecast, EdgeForecasts},
     ids::StateId,
     predict::PreparedTimes,
-    selector::ModelSelector,
     topology::{Edge, EdgeId},
     view::MapView,
 };
+use tidemap_model::selector::ModelSelector;
 use tidemap_plan::route::Forecasts;
+use tidemap_proto::convert::route::later;
 
 use super::Routes;
+
 use crate::{
     ingest::handle::MapHandle,
     rpc::{series::Predictor, status::RpcError},
 };
-use tidemap_proto::convert::route::later;
 
 /// The edges of a map, ready for forecasts.
 pub(super) struct Edges {

@@ -4,11 +4,8 @@
 
 use std::{sync::Arc, time::Duration};
 
-use tidemap_map::{
-    selector::ModelSelector,
-    topology::{NodeId, Roads},
-};
-use tidemap_model::StopSignal;
+use tidemap_map::topology::{NodeId, Roads};
+use tidemap_model::{StopSignal, selector::ModelSelector};
 use tidemap_plan::search::{
     CHANGING_GOALS_MAX, EXACT_GOALS_MAX, Effort, GOALS_MAX, Goal, SearchError, search, search_changing,
 };

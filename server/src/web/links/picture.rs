@@ -276,7 +276,7 @@ impl Wanted {
 
     /// What stands below a picture.
     fn legend(&self, metres_per_pixel: f64) -> Legend {
-        let text = tidemap_map::time::format_rfc3339;
+        let text = tidemap_model::time::format_rfc3339;
         let than = self.than.map_or_else(String::new, |than| format!(", compared with {}", text(than)));
         Legend {
             caption: format!("{} at {}{than}", self.map, text(self.at)),
@@ -361,7 +361,7 @@ async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Resp
     let mut facts = HeaderMap::new();
     let corner = |origin: f64, cell: i32| origin + f64::from(cell) * grid.resolution_m;
     for (name, value) in [
-        ("tidemap-time", tidemap_map::time::format_rfc3339(wanted.at)),
+        ("tidemap-time", tidemap_model::time::format_rfc3339(wanted.at)),
         ("tidemap-generation", generation.to_string()),
         ("tidemap-metres-per-pixel", metres_per_pixel.to_string()),
         (

@@ -11,7 +11,7 @@ use axum::{
     response::Response,
 };
 use serde_json::{Value, json};
-use tidemap_map::time::format_rfc3339;
+use tidemap_model::time::format_rfc3339;
 use tidemap_proto::{
     convert::time::timestamp,
     v1::{

@@ -8,7 +8,8 @@ use tidemap_client::{
     maps::{EnabledModels, NewMap},
     observe::columns::Entry,
 };
-use tidemap_map::time::NANOS_PER_SEC;
+use tidemap_formats::table::Cell;
+use tidemap_model::time::NANOS_PER_SEC;
 
 use super::{
     DaemonProcess, Figures,
@@ -16,8 +17,8 @@ use super::{
     machine::CpuTimes,
     updated,
 };
+
 use crate::{commands::map::enabled_models, progress::status_line};
-use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
 pub(crate) struct ObserveBenchArgs {

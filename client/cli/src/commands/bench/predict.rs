@@ -10,7 +10,7 @@ use tidemap_client::{
     observe::columns::Entry,
     queries::{ModelKind, ModelSelector, ORDER_MAX},
 };
-use tidemap_map::time::NANOS_PER_SEC;
+use tidemap_model::time::NANOS_PER_SEC;
 
 use super::{
     DaemonProcess, Figures,

@@ -13,7 +13,8 @@ use tidemap_client::{
     queries::ModelSelector,
     routes::{EdgeEnds, Extent, NewEdge, NewNode, SearchQuery, StateName},
 };
-use tidemap_map::time::NANOS_PER_SEC;
+use tidemap_formats::topology::read_lines;
+use tidemap_model::time::NANOS_PER_SEC;
 use tokio::task::JoinSet;
 
 use super::{
@@ -23,11 +24,11 @@ use super::{
     machine::CpuTimes,
     updated,
 };
+
 use crate::{
     commands::{files, topology::from_file},
     progress::status_line,
 };
-use tidemap_formats::topology::read_lines;
 
 #[derive(Debug, Args)]
 pub(crate) struct SearchBenchArgs {

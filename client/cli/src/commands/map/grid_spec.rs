@@ -5,7 +5,7 @@
 use std::{fmt::Write as _, str::FromStr};
 
 use tidemap_client::maps::{CellBox, CellIndex, GridSpec, Retention, SensorNoise};
-use tidemap_map::time::{format_duration, parse_duration};
+use tidemap_model::time::{format_duration, parse_duration};
 
 /// A grid, parsed from the command line.
 #[derive(Clone, Debug, PartialEq)]

@@ -22,10 +22,12 @@ use tidemap_map::{
     live_map::LiveMap,
     name::ProducerKey,
     reachability::Reachability,
-    selector::{ModelKind, ModelSelector},
     view::MapView,
 };
-use tidemap_model::StopSignal;
+use tidemap_model::{
+    StopSignal,
+    selector::{ModelKind, ModelSelector},
+};
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedGrid},
     tour::{Tour, TourQuestion, TourStep, plan_tour},

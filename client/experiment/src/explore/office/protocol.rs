@@ -5,7 +5,7 @@
 use std::{ops::RangeInclusive, path::PathBuf};
 
 use serde::Deserialize;
-use tidemap_map::time::parse_duration;
+use tidemap_model::time::parse_duration;
 use tidemap_plan::tour::GOALS_MAX;
 use tidemap_sim::ExploredOffice;
 

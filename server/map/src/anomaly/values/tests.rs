@@ -1,9 +1,8 @@
 //! What is well specified is rarely an anomaly, and what was planted always is.
 
-use tidemap_model::{OrderCriterion, Periodicities, Sample, SpectralModel};
+use tidemap_model::{OrderCriterion, Periodicities, Sample, SpectralModel, selector::ModelKind};
 
 use super::*;
-use crate::selector::ModelKind;
 
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 

@@ -2,20 +2,20 @@
 //!
 //! Invariant: a comparison changes nothing but the oracle's choice among equals.
 
-use tidemap_model::{InstantPhasors, ORDER_MAX};
+use tidemap_model::{
+    InstantPhasors, ORDER_MAX,
+    selector::{ModelKind, ModelSelector},
+};
 
 use super::{
     oracle::{gammas, near},
     world::{HOUR, World},
 };
-use crate::{
-    grid::{
-        index::{TileId, TileIndex},
-        mask::Mask,
-        tile::TileModel,
-        view::GridView,
-    },
-    selector::{ModelKind, ModelSelector},
+use crate::grid::{
+    index::{TileId, TileIndex},
+    mask::Mask,
+    tile::TileModel,
+    view::GridView,
 };
 
 fn selectors() -> Vec<ModelSelector> {

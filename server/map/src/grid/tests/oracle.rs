@@ -7,15 +7,13 @@ use std::collections::BTreeMap;
 use tidemap_model::{
     AccumulatorParts, EnabledModels, MemoryBasis, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Persistence,
     Sample, SpectralModel, StateModel, UpdateRules,
+    selector::{ModelKind, ModelSelector},
 };
 
-use crate::{
-    grid::{
-        index::{CellIndex, TileIndex},
-        tile::CellModel,
-        view::CellDescription,
-    },
-    selector::{ModelKind, ModelSelector},
+use crate::grid::{
+    index::{CellIndex, TileIndex},
+    tile::CellModel,
+    view::CellDescription,
 };
 
 /// A reading: what it counts as, and what it was.

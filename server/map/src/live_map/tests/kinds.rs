@@ -1,8 +1,11 @@
 //! States that are not probabilities: how they are created, which values they take and what views show of them.
 
+use tidemap_model::{
+    models::Moment,
+    selector::{ModelKind, ModelSelector},
+};
+
 use super::*;
-use crate::selector::{ModelKind, ModelSelector};
-use tidemap_model::models::Moment;
 
 fn new_state(id: u32, kind: StateKind) -> Event {
     let name = StateName::new(&format!("s{id}")).expect("valid");

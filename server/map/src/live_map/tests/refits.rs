@@ -1,12 +1,14 @@
 //! Models are fitted at updates, and the same ones when updates are run again from the log.
 
-use tidemap_model::{EnabledModels, FitKind, ModelChoice, Sample, StateKind};
+use tidemap_model::{
+    EnabledModels, FitKind, ModelChoice, Sample, StateKind,
+    selector::{ModelKind, ModelSelector},
+};
 
 use super::*;
 use crate::{
     history::HistoryPiece,
     refit::{ReadingsRequest, Refits, StateReadings},
-    selector::{ModelKind, ModelSelector},
 };
 
 const DAYS: i64 = 40;

@@ -1,9 +1,7 @@
 //! Unexpected observations: found in the past, and reported as they arrive.
 
-use tidemap_map::{
-    event::StateKind,
-    selector::{ModelKind, ModelSelector},
-};
+use tidemap_map::event::StateKind;
+use tidemap_model::selector::{ModelKind, ModelSelector};
 use tidemap_proto::convert::query::selector_to_wire;
 use tokio_stream::wrappers::ReceiverStream;
 

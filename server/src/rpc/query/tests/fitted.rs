@@ -1,9 +1,9 @@
 //! Models that are fitted on request: to which readings, shared by whom, and errors.
 
-use tidemap_map::selector::ModelKind;
 use tidemap_model::{
     Sample,
     models::{Calibrated, CalibratedOptions, Histogram, HistogramCycle, HistogramSettings, Readings, TemporalModel},
+    selector::ModelKind,
 };
 use tidemap_proto::convert::{query::selector_to_wire, time::timestamp};
 
@@ -28,7 +28,7 @@ fn door(hours: std::ops::Range<i64>) -> Vec<(i64, f64)> {
 }
 
 fn wire(kind: ModelKind, persistence: bool) -> Option<v1::ModelSelector> {
-    Some(selector_to_wire(tidemap_map::selector::ModelSelector { kind, order: None, persistence, memory: false }))
+    Some(selector_to_wire(tidemap_model::selector::ModelSelector { kind, order: None, persistence, memory: false }))
 }
 
 impl Bench {

@@ -4,10 +4,11 @@
 
 use std::str::FromStr;
 
-use tidemap_model::models::HistogramCycle;
-
 use super::{ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS};
-use crate::time::{InvalidDuration, parse_duration};
+use crate::{
+    models::HistogramCycle,
+    time::{InvalidDuration, parse_duration},
+};
 
 /// Greatest number of Gaussians of a periodic mixture.
 pub const GAUSSIANS_MAX: u32 = 20;

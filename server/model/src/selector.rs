@@ -2,9 +2,7 @@
 
 use std::{fmt, ops::RangeInclusive};
 
-use tidemap_model::{FitKind, HISTOGRAMS, ModelChoice, ORDER_MAX, StateModel, models::HistogramCycle};
-
-use crate::time::format_duration;
+use crate::{FitKind, HISTOGRAMS, ModelChoice, ORDER_MAX, StateModel, models::HistogramCycle, time::format_duration};
 
 mod name;
 
@@ -208,8 +206,9 @@ impl ModelSelector {
         ModelSelector { persistence: false, memory: false, ..self }
     }
 
-    /// The requested order, or the one that the last update chose.
-    pub(crate) fn order_or(&self, chosen: usize) -> usize {
+    /// The requested order, or the one that the last update chose; at most [`ORDER_MAX`].
+    #[must_use]
+    pub fn order_or(&self, chosen: usize) -> usize {
         self.order.unwrap_or(chosen).min(ORDER_MAX)
     }
 }

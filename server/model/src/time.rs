@@ -1,4 +1,4 @@
-//! Times and durations as text.
+//! Times and durations as text, and the limits of both.
 //!
 //! Invariant: a time is i64 nanoseconds UTC since 1970, at least 0. Times are read and written with decimal arithmetic,
 //! never with floats, so that every digit is kept. RFC 3339 is read by jiff. Durations are read here: jiff's parser has
@@ -13,6 +13,10 @@ pub const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 /// The shortest half-life: a tenth of a day.
 pub const HALF_LIFE_MIN_NANOS: i64 = 8_640 * 1_000_000_000;
+
+/// How far ahead of the clock of receipt an observation's time counts as plausible, in nanoseconds. Observations beyond
+/// wait: they change nothing until an update whose cut has passed their time.
+pub const FUTURE_MAX_NANOS: i64 = 5 * 60 * NANOS_PER_SEC;
 
 /// Why a text is not a valid time.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -68,8 +72,8 @@ fn shown(text: &str) -> String {
 /// [`InvalidTime`], with the text.
 ///
 /// ```
-/// assert_eq!(tidemap_map::time::parse_time("1458518400.25"), Ok(1_458_518_400_250_000_000));
-/// assert_eq!(tidemap_map::time::parse_time("2016-03-21T01:00:00+01:00"), Ok(1_458_518_400_000_000_000));
+/// assert_eq!(tidemap_model::time::parse_time("1458518400.25"), Ok(1_458_518_400_250_000_000));
+/// assert_eq!(tidemap_model::time::parse_time("2016-03-21T01:00:00+01:00"), Ok(1_458_518_400_000_000_000));
 /// ```
 pub fn parse_time(text: &str) -> Result<i64, InvalidTime> {
     match Decimal::parse(text) {
