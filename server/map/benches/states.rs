@@ -10,7 +10,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
@@ -66,23 +66,27 @@ fn observe(map: &mut LiveMap, day: i64, step: i64) {
             name: StateName::new(&format!("state {state}")).expect("valid"),
             shape: StateKind::Probability.into(),
         };
-        let event = Observations {
+        let envelope = Envelope {
             producer: ProducerId(0),
             new_producer: known.is_none().then(|| key.into()),
             incarnation: 1,
-            first_sequence,
-            last_sequence: first_sequence + samples.len() as u64 - 1,
-            content_crc: 0,
+            span: SequenceSpan {
+                first: first_sequence,
+                last: first_sequence + samples.len() as u64 - 1,
+                content_crc: 0,
+            },
             received_nanos: (day + 1) * DAY,
+            refused: Vec::new(),
+        };
+        let event = Observations {
             new_states: if is_new { vec![new] } else { Vec::new() },
             states: vec![StateId(state); samples.len()],
             times_nanos: samples.iter().map(|sample| sample.utc_nanos).collect(),
             values: samples.iter().map(|sample| sample.value).collect(),
             offsets: vec![OffsetRun { count: samples.len() as u32, offset_secs: 0 }],
-            refused: Vec::new(),
             failures: Vec::new(),
         };
-        apply(map, &Event::Observations(event));
+        apply(map, &Event::Observations(envelope, event));
     }
 }
 

@@ -14,9 +14,9 @@ use std::{
 use tidemap_model::Sample;
 
 use crate::{
-    event::{Event, NewState, Observations, OffsetRun},
+    event::{Envelope, Event, NewState, Observations},
     history::HistoryPiece,
-    ids::{NewProducer, ProducerId, StateId},
+    ids::{ProducerId, StateId},
     live_map::rename::renamed_states,
     name::{EdgeState, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
@@ -163,22 +163,26 @@ impl StateErasure {
     #[must_use]
     pub fn event(&mut self, position: u64, event: Event) -> Event {
         match event {
-            Event::Observations(observations) => Event::Observations(self.observations(position, observations)),
+            Event::Observations(mut envelope, observations) => {
+                let observations = self.observations(position, envelope.producer, observations);
+                self.rename(&mut envelope);
+                Event::Observations(envelope, observations)
+            }
             Event::AddState(new) => match self.new_state(new) {
                 Some(new) => Event::AddState(new),
                 None => self.unchanged(),
             },
             Event::EditSite(edit) => self.edit(position, edit),
-            Event::Scans(mut scans) => {
-                self.rename(scans.producer, &mut scans.new_producer);
-                Event::Scans(scans)
+            Event::Scans(mut envelope, scans) => {
+                self.rename(&mut envelope);
+                Event::Scans(envelope, scans)
             }
             event @ Event::UpdateStart(_) => event,
         }
     }
 
-    fn rename(&self, producer: ProducerId, new: &mut Option<NewProducer>) {
-        if let Some((new, key)) = new.as_mut().zip(self.keys.get(&producer)) {
+    fn rename(&self, envelope: &mut Envelope) {
+        if let Some((new, key)) = envelope.new_producer.as_mut().zip(self.keys.get(&envelope.producer)) {
             new.key = key.clone();
         }
     }
@@ -229,13 +233,12 @@ impl StateErasure {
         Event::EditSite(edit)
     }
 
-    fn observations(&mut self, position: u64, mut event: Observations) -> Observations {
+    fn observations(&mut self, position: u64, producer: ProducerId, mut event: Observations) -> Observations {
         event.new_states =
             std::mem::take(&mut event.new_states).into_iter().filter_map(|new| self.new_state(new)).collect();
-        self.rename(event.producer, &mut event.new_producer);
         // The snapshot has those up to its position: here they are read for pending observations only.
         let is_known = position <= self.position;
-        let (part, producer) = (self.part.as_ref(), event.producer);
+        let part = self.part.as_ref();
         let is_selected = |failure: &EdgeFailure| part.is_some_and(|part| part.takes(producer, failure));
         event.failures.retain(|failure| !is_known && !self.is_of_erased(failure) && !is_selected(failure));
         let is_left = |state: StateId, sample: &Sample| {
@@ -243,17 +246,10 @@ impl StateErasure {
         };
         let kept = event.samples().filter(|(state, sample)| is_left(*state, sample));
         let kept: Vec<_> = kept.filter_map(|(state, sample)| Some((self.id(state)?, sample))).collect();
-        event.states = kept.iter().map(|(state, _)| *state).collect();
-        event.times_nanos = kept.iter().map(|(_, sample)| sample.utc_nanos).collect();
-        event.values = kept.iter().map(|(_, sample)| sample.value).collect();
-        event.offsets = Vec::new();
-        for (_, sample) in &kept {
-            match event.offsets.last_mut().filter(|run| run.offset_secs == sample.offset_secs) {
-                Some(run) => run.count += 1,
-                None => event.offsets.push(OffsetRun { count: 1, offset_secs: sample.offset_secs }),
-            }
-        }
-        event
+        let mut left =
+            Observations { new_states: event.new_states, failures: event.failures, ..Observations::default() };
+        kept.into_iter().for_each(|(state, sample)| left.push(state, sample));
+        left
     }
 
     /// The history of an update without the states; `None` where nothing remains.

@@ -29,23 +29,52 @@ pub struct OffsetRun {
     pub offset_secs: i32,
 }
 
-/// Observations of one producer that became durable together.
+/// What an event of a producer says beside its content: who sent it, which part of the producer's sequence it is, and
+/// what was refused of that.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Observations {
+pub struct Envelope {
     /// The producer.
     pub producer: ProducerId,
     /// The producer's key and sensor, in its first event only.
     pub new_producer: Option<NewProducer>,
     /// The producer's incarnation.
     pub incarnation: u64,
-    /// Sequence number of the first observation, refused ones included.
-    pub first_sequence: u64,
-    /// Sequence number of the last observation, refused ones included; at least `first_sequence`.
-    pub last_sequence: u64,
-    /// Running CRC-32C over the producer's observations 1..=`last_sequence`.
-    pub content_crc: u32,
-    /// When they were received, nanoseconds UTC of the server's clock.
+    /// The part of the producer's sequence, with what was refused; not empty.
+    pub span: SequenceSpan,
+    /// When it was received, nanoseconds UTC of the server's clock.
     pub received_nanos: i64,
+    /// Refused observations or scans: sequence number and reason, ascending.
+    pub refused: Vec<(u64, RefusalReason)>,
+}
+
+impl Envelope {
+    /// The latest plausible time by the clock of receipt, nanoseconds UTC; later observations wait.
+    pub fn plausible_nanos(&self) -> i64 {
+        self.received_nanos.saturating_add(FUTURE_MAX_NANOS)
+    }
+}
+
+/// A part of a producer's sequence.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SequenceSpan {
+    /// Sequence number of the first observation or scan.
+    pub first: u64,
+    /// Sequence number of the last one; less than `first` in an empty part.
+    pub last: u64,
+    /// Running CRC-32C over all that the producer has sent, from 1 up to `last`.
+    pub content_crc: u32,
+}
+
+impl SequenceSpan {
+    /// Whether there is no sequence number in it.
+    pub fn is_empty(self) -> bool {
+        self.last < self.first
+    }
+}
+
+/// Observations that became durable together.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Observations {
     /// States that appear for the first time; the ids continue those of the map.
     pub new_states: Vec<NewState>,
     /// Per accepted observation: the state. A position is an observation of each of its axes, one after the other, with
@@ -57,13 +86,23 @@ pub struct Observations {
     pub values: Vec<f64>,
     /// UTC offsets of the accepted observations; the counts add up to their number.
     pub offsets: Vec<OffsetRun>,
-    /// Refused observations: sequence number and reason, ascending.
-    pub refused: Vec<(u64, RefusalReason)>,
     /// Traversals that failed, each with an observation of its edge's state among those above.
     pub failures: Vec<EdgeFailure>,
 }
 
 impl Observations {
+    /// Appends an accepted observation.
+    pub fn push(&mut self, state: StateId, sample: Sample) {
+        let Sample { utc_nanos, offset_secs, value } = sample;
+        match self.offsets.last_mut() {
+            Some(run) if run.offset_secs == offset_secs => run.count += 1,
+            _ => self.offsets.push(OffsetRun { count: 1, offset_secs }),
+        }
+        self.states.push(state);
+        self.times_nanos.push(utc_nanos);
+        self.values.push(value);
+    }
+
     /// The accepted observations with their states.
     pub fn samples(&self) -> impl Iterator<Item = (StateId, Sample)> {
         let offsets = self.offsets.iter().flat_map(|run| std::iter::repeat_n(run.offset_secs, run.count as usize));
@@ -73,11 +112,6 @@ impl Observations {
             .zip(&self.values)
             .zip(offsets)
             .map(|(((&state, &utc_nanos), &value), offset_secs)| (state, Sample { utc_nanos, offset_secs, value }))
-    }
-
-    /// The latest plausible time by the clock of receipt, nanoseconds UTC; later observations wait.
-    pub fn plausible_nanos(&self) -> i64 {
-        self.received_nanos.saturating_add(FUTURE_MAX_NANOS)
     }
 }
 
@@ -236,13 +270,23 @@ pub struct UpdateStart {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// Observations became durable.
-    Observations(Observations),
+    Observations(Envelope, Observations),
     /// Scans became durable.
-    Scans(Scans),
+    Scans(Envelope, Scans),
     /// An update starts.
     UpdateStart(UpdateStart),
     /// A state or vector was added before its first observation.
     AddState(NewState),
     /// The site was changed.
     EditSite(SiteEdit),
+}
+
+impl Event {
+    /// The envelope, where the event is of a producer.
+    pub fn envelope(&self) -> Option<&Envelope> {
+        match self {
+            Event::Observations(envelope, _) | Event::Scans(envelope, _) => Some(envelope),
+            Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => None,
+        }
+    }
 }

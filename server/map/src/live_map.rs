@@ -255,12 +255,12 @@ impl LiveMap {
         }
         self.number_recovered();
         let work = match event {
-            Event::Observations(observations) => {
-                self.apply_observations(position, observations).map_err(inconsistent)?;
+            Event::Observations(envelope, observations) => {
+                self.apply_observations(position, envelope, observations).map_err(inconsistent)?;
                 None
             }
-            Event::Scans(scans) => {
-                self.take_in_scans(scans).map_err(inconsistent)?;
+            Event::Scans(envelope, scans) => {
+                self.take_in_scans(envelope, scans).map_err(inconsistent)?;
                 None
             }
             Event::UpdateStart(start) => Some(self.start_update(position, *start).map_err(inconsistent)?),
@@ -284,7 +284,7 @@ impl LiveMap {
     /// # Errors
     /// [`InconsistentEvent`] where the event names states that the snapshot lacks.
     pub fn recover_pending(&mut self, position: u64, event: &Event) -> Result<(), InconsistentEvent> {
-        if let Event::Observations(observations) = event {
+        if let Event::Observations(envelope, observations) = event {
             for (state, sample) in observations.samples() {
                 let number = self.recovered.entry(state).or_default();
                 *number += 1;
@@ -295,13 +295,13 @@ impl LiveMap {
                     let reason = format!("state {} is unknown", state.0);
                     return Err(InconsistentEvent { position, reason });
                 }
-                let from = Origin { position, producer: observations.producer, number: *number };
-                if sample.utc_nanos <= observations.plausible_nanos() {
+                let from = Origin { position, producer: envelope.producer, number: *number };
+                if sample.utc_nanos <= envelope.plausible_nanos() {
                     self.pending.push(state, sample, from);
                 } else {
                     self.pending.push_future(state, sample, from);
                 }
-                self.pending.received(observations.received_nanos);
+                self.pending.received(envelope.received_nanos);
             }
         }
         Ok(())

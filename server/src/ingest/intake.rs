@@ -6,7 +6,7 @@
 //! values, because it knows the state.
 
 use tidemap_map::{
-    event::{Dimensions, Position, StateKind, StateShape},
+    event::{Dimensions, Position, SequenceSpan, StateKind, StateShape},
     grid::spec::GridSpec,
     ids::RefusalReason,
     name::StateName,
@@ -184,9 +184,9 @@ impl Intake {
         }
         let mut batch = self.check(&columns, &positions, skip);
         batch.new_names = new_names;
-        batch.last_sequence = last.max(self.next_sequence - 1);
-        self.next_sequence = batch.last_sequence + 1;
-        batch.content_crc = self.content_crc;
+        batch.span.last = last.max(self.next_sequence - 1);
+        self.next_sequence = batch.span.last + 1;
+        batch.span.content_crc = self.content_crc;
         self.known.took(self.next_sequence - 1, self.content_crc);
         Ok(Some(batch))
     }
@@ -293,7 +293,7 @@ impl Intake {
     fn check(&mut self, columns: &DecodedColumns, positions: &[(u32, Position)], skip: usize) -> ObservationBatch {
         let new = columns.values.len() - skip;
         let mut batch = ObservationBatch {
-            first_sequence: self.next_sequence,
+            span: SequenceSpan { first: self.next_sequence, ..SequenceSpan::default() },
             table_indices: Vec::with_capacity(new),
             times_nanos: Vec::with_capacity(new),
             values: Vec::with_capacity(new),

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::{Position, StateShape, UpdateCause},
+    event::{Position, SequenceSpan, StateShape, UpdateCause},
     grid::{
         index::TileIndex,
         log_head::StreamScan,
@@ -126,15 +126,11 @@ impl From<StateName> for NewName {
 /// Checked observations of one message, with their states as indices into the stream's table.
 #[derive(Debug, Default)]
 pub(crate) struct ObservationBatch {
-    /// First sequence number that is new.
-    pub first_sequence: u64,
-    /// Last sequence number; less than the first if nothing is new.
-    pub last_sequence: u64,
-    /// Running CRC up to it.
-    pub content_crc: u32,
+    /// What is new of the message; may be empty.
+    pub span: SequenceSpan,
     /// Names added to the stream's table since the last batch; an invalid name keeps its index.
     pub new_names: Vec<Option<NewName>>,
-    /// Per accepted observation: sequence number minus `first_sequence`. Empty if all were accepted.
+    /// Per accepted observation: sequence number minus the first one of `span`. Empty if all were accepted.
     pub kept: Vec<u32>,
     /// Per accepted observation: index into the stream's table; its name is valid.
     pub table_indices: Vec<u32>,
@@ -188,12 +184,8 @@ impl Default for CheckedScan {
 /// Checked scans of one message, or some of them.
 #[derive(Debug, Default)]
 pub(crate) struct ScanBatch {
-    /// First sequence number that is new.
-    pub first_sequence: u64,
-    /// Last sequence number; less than the first if nothing is new.
-    pub last_sequence: u64,
-    /// Running CRC up to it.
-    pub content_crc: u32,
+    /// What is new of the message, or of the part of it; may be empty.
+    pub span: SequenceSpan,
     /// Tiles added to the client's table before the scans.
     pub new_tiles: Vec<TileIndex>,
     /// The scans, in order.
@@ -207,12 +199,8 @@ pub(crate) struct ScanBatch {
 /// Checked traversals of one message.
 #[derive(Debug, Default)]
 pub(crate) struct TraversalBatch {
-    /// First sequence number that is new.
-    pub first_sequence: u64,
-    /// Last sequence number; not less than the first.
-    pub last_sequence: u64,
-    /// Running CRC up to it.
-    pub content_crc: u32,
+    /// What is new of the message; not empty.
+    pub span: SequenceSpan,
     /// The valid traversals with their sequence numbers. The map's writer checks whether the edges exist.
     pub traversals: Vec<(u64, Traversal)>,
     /// The refused traversals.

@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use tidemap_map::{
-    event::{Event, NewState, Observations, OffsetRun, StateKind, StateShape},
+    event::{Envelope, Event, NewState, Observations, SequenceSpan, StateKind, StateShape},
     grid::{
         log_head::{LogHead, StreamTiles},
         sensors::ProducerSensor,
@@ -14,9 +14,8 @@ use tidemap_map::{
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
-    traversal::EdgeFailure,
 };
-use tidemap_model::{OffsetCache, cos_sin, time::FUTURE_MAX_NANOS};
+use tidemap_model::{OffsetCache, Sample, cos_sin, time::FUTURE_MAX_NANOS};
 use tokio::sync::mpsc;
 
 use super::{
@@ -40,37 +39,6 @@ pub(super) struct StreamEvent {
     pub refused: Vec<RefusedObservation>,
     /// Tiles of its scans that wait because their time is in the future.
     pub tiles_ahead: u64,
-}
-
-/// The range of an event: the first and the last sequence number, and the running CRC up to the last.
-#[derive(Clone, Copy)]
-struct Span {
-    first: u64,
-    last: u64,
-    content_crc: u32,
-}
-
-/// The columns of an event of observations.
-#[derive(Default)]
-struct Columns {
-    new_states: Vec<NewState>,
-    states: Vec<StateId>,
-    times_nanos: Vec<i64>,
-    values: Vec<f64>,
-    offsets: Vec<OffsetRun>,
-    failures: Vec<EdgeFailure>,
-}
-
-impl Columns {
-    fn push(&mut self, state: StateId, time_nanos: i64, value: f64, offset_secs: i32) {
-        match self.offsets.last_mut() {
-            Some(run) if run.offset_secs == offset_secs => run.count += 1,
-            _ => self.offsets.push(OffsetRun { count: 1, offset_secs }),
-        }
-        self.states.push(state);
-        self.times_nanos.push(time_nanos);
-        self.values.push(value);
-    }
 }
 
 #[derive(Debug)]
@@ -104,37 +72,26 @@ impl Session {
         (producer, Some(NewProducer { key: self.key.clone(), sensor: self.sensor }))
     }
 
-    /// An event of observations of the stream, in flight from now on.
-    fn observations(
+    /// The envelope of an event of the stream, which is in flight from now on. Sorts what was refused.
+    fn envelope(
         &mut self,
         map: &LiveMap,
         producers_in_flight: &mut usize,
         now: i64,
-        span: Span,
-        columns: Columns,
-        mut refused: Vec<RefusedObservation>,
-    ) -> StreamEvent {
+        span: SequenceSpan,
+        refused: &mut [RefusedObservation],
+    ) -> Envelope {
         refused.sort_by_key(|refused| refused.sequence);
         let (producer, new_producer) = self.producer(map, producers_in_flight);
         self.in_flight += 1;
-        let Columns { new_states, states, times_nanos, values, offsets, failures } = columns;
-        let event = Event::Observations(Observations {
+        Envelope {
             producer,
             new_producer,
             incarnation: self.incarnation,
-            first_sequence: span.first,
-            last_sequence: span.last,
-            content_crc: span.content_crc,
+            span,
             received_nanos: now,
-            new_states,
-            states,
-            times_nanos,
-            values,
-            offsets,
             refused: refused.iter().map(|refused| (refused.sequence, refused.reason)).collect(),
-            failures,
-        });
-        StreamEvent { event, refused, tiles_ahead: 0 }
+        }
     }
 
     /// Sends the stream a message, if it is still there.
@@ -279,23 +236,23 @@ impl Sessions {
         session
             .table
             .extend(batch.new_names.into_iter().map(|name| name.map_or(StreamState::Invalid, StreamState::Unused)));
-        if batch.last_sequence < batch.first_sequence {
+        if batch.span.is_empty() {
             return None;
         }
         let mut refused = batch.refused;
         let mut refuse = |i: usize, reason: RefusalReason, detail: String| {
             let offset = batch.kept.get(i).map_or(i as u64, |&kept| u64::from(kept));
-            refused.push(RefusedObservation { sequence: batch.first_sequence + offset, reason, detail });
+            refused.push(RefusedObservation { sequence: batch.span.first + offset, reason, detail });
         };
         let plausible = now.saturating_add(FUTURE_MAX_NANOS);
         let may_wait = map.future() < self.limits.ahead;
         let mut positions = batch.positions.iter().peekable();
         let count = batch.table_indices.len();
-        let mut columns = Columns {
+        let mut observations = Observations {
             states: Vec::with_capacity(count),
             times_nanos: Vec::with_capacity(count),
             values: Vec::with_capacity(count),
-            ..Columns::default()
+            ..Observations::default()
         };
         for i in 0..count {
             let time = batch.times_nanos[i];
@@ -312,7 +269,8 @@ impl Sessions {
                 max: self.limits.states,
             };
             let (state, shape) =
-                match slot.state_for(batch.values[i], position.is_some(), &mut allocator, &mut columns.new_states) {
+                match slot.state_for(batch.values[i], position.is_some(), &mut allocator, &mut observations.new_states)
+                {
                     Ok(state) => state,
                     Err(Some((reason, text))) => {
                         refuse(i, reason, text);
@@ -330,35 +288,33 @@ impl Sessions {
                 }
                 (None, _) => &batch.values[i..=i],
             };
-            for (&number, state) in numbers.iter().zip(state.0..) {
-                columns.push(StateId(state), time, number, offset_secs);
+            for (&value, state) in numbers.iter().zip(state.0..) {
+                observations.push(StateId(state), Sample { utc_nanos: time, offset_secs, value });
             }
         }
-        let span = Span { first: batch.first_sequence, last: batch.last_sequence, content_crc: batch.content_crc };
-        Some(session.observations(map, &mut self.producers_in_flight, now, span, columns, refused))
+        let envelope = session.envelope(map, &mut self.producers_in_flight, now, batch.span, &mut refused);
+        Some(StreamEvent { event: Event::Observations(envelope, observations), refused, tiles_ahead: 0 })
     }
 
     /// An event of the stream was applied to the map. `tiles_ahead`: its tiles that wait for their time.
     pub(super) fn applied(&mut self, id: SessionId, event: &Event, tiles_ahead: u64) {
         self.tiles_ahead = self.tiles_ahead.saturating_sub(tiles_ahead);
+        let Some(envelope) = event.envelope() else { return };
         // A time in the future does not close the days before it.
-        let (is_first, newest) = match event {
-            Event::Observations(event) => {
+        let plausible = envelope.plausible_nanos();
+        let newest = match event {
+            Event::Observations(_, event) => {
                 for (_, name, _) in event.new_states.iter().flat_map(NewState::states) {
                     self.states_in_flight.remove(&name);
                 }
-                let plausible = event.plausible_nanos();
-                let times = event.times_nanos.iter().copied();
-                (event.new_producer.is_some(), times.filter(|time| *time <= plausible).max())
+                event.times_nanos.iter().copied().filter(|time| *time <= plausible).max()
             }
-            Event::Scans(event) => {
-                let plausible = event.plausible_nanos();
-                let times = event.scans.iter().map(|scan| scan.utc_nanos);
-                (event.new_producer.is_some(), times.filter(|time| *time <= plausible).max())
+            Event::Scans(_, event) => {
+                event.scans.iter().map(|scan| scan.utc_nanos).filter(|time| *time <= plausible).max()
             }
-            Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => return,
+            Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => None,
         };
-        self.producers_in_flight -= usize::from(is_first);
+        self.producers_in_flight -= usize::from(envelope.new_producer.is_some());
         if let Some(session) = self.sessions.get_mut(&id) {
             session.in_flight -= 1;
             self.issued.remove(&session.key);

@@ -392,9 +392,9 @@ impl Stream<'_> {
 
     async fn take_observations(&mut self, message: v1::ObservationBatch) -> Result<(), RpcError> {
         let Some(batch) = self.intake()?.take(message)? else { return self.say_durable().await };
-        let only_names = batch.last_sequence < batch.first_sequence;
+        let only_names = batch.span.is_empty();
         let budget = self.budget(bytes_of(&batch)).await?;
-        self.note(batch.last_sequence);
+        self.note(batch.span.last);
         self.hand_over(StreamData::Observations(batch, budget))?;
         // The writer does not acknowledge names.
         if only_names { self.say_durable().await } else { Ok(()) }
@@ -406,8 +406,8 @@ impl Stream<'_> {
         let mut is_any_new = false;
         while let Some(batch) = self.next_scans(is_much_work).await? {
             let budget = self.budget(batch.bytes).await?;
-            is_any_new |= batch.last_sequence >= batch.first_sequence;
-            self.note(batch.last_sequence);
+            is_any_new |= !batch.span.is_empty();
+            self.note(batch.span.last);
             self.hand_over(StreamData::Scans(batch, budget))?;
         }
         // The writer acknowledges neither tiles nor what was taken before; an unfinished scan waits for its end.
@@ -417,7 +417,7 @@ impl Stream<'_> {
     async fn take_traversals(&mut self, message: &v1::TraversalBatch) -> Result<(), RpcError> {
         let Some(batch) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
         let budget = self.budget(bytes_of_traversals(&batch)).await?;
-        self.note(batch.last_sequence);
+        self.note(batch.span.last);
         self.hand_over(StreamData::Traversals(batch, budget))
     }
 

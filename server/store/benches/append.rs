@@ -10,7 +10,7 @@ use std::{
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use tidemap_map::{
-    event::{Event, Observations, OffsetRun},
+    event::{Envelope, Event, Observations, OffsetRun, SequenceSpan},
     ids::{ProducerId, StateId},
     name::MapName,
     spec::MapSpec,
@@ -24,22 +24,24 @@ const IN_FLIGHT: usize = 64;
 
 fn batch(is_binary: bool) -> Event {
     let numbers = 0..u64::from(COUNT);
-    Event::Observations(Observations {
-        producer: ProducerId(0),
-        new_producer: None,
-        incarnation: 1,
-        first_sequence: 1,
-        last_sequence: u64::from(COUNT),
-        content_crc: 0,
-        received_nanos: 1_700_000_000_000_000_000,
-        new_states: Vec::new(),
-        states: numbers.clone().map(|i| StateId((i * 7 % 1000) as u32)).collect(),
-        times_nanos: numbers.clone().map(|i| 1_700_000_000_000_000_000 + (i * i % 97) as i64 * 1_000_000).collect(),
-        values: numbers.map(|i| if is_binary { (i % 2) as f64 } else { (i % 101) as f64 / 100.0 }).collect(),
-        offsets: vec![OffsetRun { count: COUNT, offset_secs: 3600 }],
-        refused: Vec::new(),
-        failures: Vec::new(),
-    })
+    Event::Observations(
+        Envelope {
+            producer: ProducerId(0),
+            new_producer: None,
+            incarnation: 1,
+            span: SequenceSpan { first: 1, last: u64::from(COUNT), content_crc: 0 },
+            received_nanos: 1_700_000_000_000_000_000,
+            refused: Vec::new(),
+        },
+        Observations {
+            new_states: Vec::new(),
+            states: numbers.clone().map(|i| StateId((i * 7 % 1000) as u32)).collect(),
+            times_nanos: numbers.clone().map(|i| 1_700_000_000_000_000_000 + (i * i % 97) as i64 * 1_000_000).collect(),
+            values: numbers.map(|i| if is_binary { (i % 2) as f64 } else { (i % 101) as f64 / 100.0 }).collect(),
+            offsets: vec![OffsetRun { count: COUNT, offset_secs: 3600 }],
+            failures: Vec::new(),
+        },
+    )
 }
 
 /// Appends `count` events; returns the time spent in the calls.

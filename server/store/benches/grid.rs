@@ -7,7 +7,7 @@ use std::{hint::black_box, path::Path, sync::Arc, sync::mpsc, time::Duration, ti
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, UpdateCause, UpdateStart},
+    event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
     grid::{
         index::{TileId, TileIndex},
         scan::{CellRef, LoggedScan, Scans},
@@ -64,22 +64,24 @@ fn events(random: &mut SmallRng, flips_per_scan: usize) -> Vec<Event> {
                 occupied_flips: if is_first { Vec::new() } else { flips },
             });
         }
-        events.push(Event::Scans(Scans {
-            producer: ProducerId(0),
-            new_producer: (first == 1).then(|| ProducerKey::new("robot", "lidar").expect("valid").into()),
-            incarnation: 1,
-            first_sequence: first,
-            last_sequence: first + count - 1,
-            content_crc: 0,
-            received_nanos: START_NANOS + SCANS as i64 * 5_000_000_000,
-            new_tiles: if first == 1 {
-                (0..TILES as i32).map(|i| TileIndex { x: i % 20, y: i / 20, z: 0 }).collect()
-            } else {
-                Vec::new()
+        events.push(Event::Scans(
+            Envelope {
+                producer: ProducerId(0),
+                new_producer: (first == 1).then(|| ProducerKey::new("robot", "lidar").expect("valid").into()),
+                incarnation: 1,
+                span: SequenceSpan { first, last: first + count - 1, content_crc: 0 },
+                received_nanos: START_NANOS + SCANS as i64 * 5_000_000_000,
+                refused: Vec::new(),
             },
-            scans,
-            refused: Vec::new(),
-        }));
+            Scans {
+                new_tiles: if first == 1 {
+                    (0..TILES as i32).map(|i| TileIndex { x: i % 20, y: i / 20, z: 0 }).collect()
+                } else {
+                    Vec::new()
+                },
+                scans,
+            },
+        ));
     }
     events
 }
@@ -196,7 +198,7 @@ fn benches(criterion: &mut Criterion) {
 }
 
 fn flips_of(event: &Event) -> u64 {
-    let Event::Scans(scans) = event else { return 0 };
+    let Event::Scans(_, scans) = event else { return 0 };
     scans.scans.iter().map(|scan| scan.occupied_flips.len() as u64).sum()
 }
 

@@ -7,7 +7,7 @@ use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_map::{
     edge_forecast::EdgeForecasts,
-    event::{Event, NewState, Observations, OffsetRun, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, SequenceSpan, UpdateCause},
     history::HistoryPiece,
     ids::{ProducerId, StateId},
     live_map::LiveMap,
@@ -88,22 +88,16 @@ impl Learner {
         let key = ProducerKey::new("robot", "").map_err(RoutesError::setting)?;
         let first_sequence = self.sequence + 1;
         self.sequence += traversals.len() as u64;
-        let mut event = Observations {
+        let envelope = Envelope {
             producer: ProducerId(0),
             new_producer: (first_sequence == 1).then(|| key.into()),
             incarnation: 1,
-            first_sequence,
-            last_sequence: self.sequence,
-            content_crc: 0,
+            span: SequenceSpan { first: first_sequence, last: self.sequence, content_crc: 0 },
             received_nanos: last.end_nanos,
-            new_states: Vec::new(),
-            states: Vec::new(),
-            times_nanos: Vec::new(),
-            values: Vec::new(),
-            offsets: Vec::new(),
             refused: Vec::new(),
-            failures: traversals.iter().filter_map(Traversal::failure).collect(),
         };
+        let failures = traversals.iter().filter_map(Traversal::failure).collect();
+        let mut event = Observations { failures, ..Observations::default() };
         for traversal in traversals {
             let edge = self.topology().edge_named(&traversal.edge).map_err(RoutesError::setting)?;
             for (what, value) in traversal.samples(edge.extent).map_err(RoutesError::setting)? {
@@ -117,13 +111,10 @@ impl Learner {
                         id
                     }
                 };
-                event.states.push(id);
-                event.times_nanos.push(traversal.start_nanos);
-                event.values.push(value);
+                event.push(id, Sample { utc_nanos: traversal.start_nanos, offset_secs: 0, value });
             }
         }
-        event.offsets.push(OffsetRun { count: event.states.len() as u32, offset_secs: 0 });
-        self.map.apply(self.map.position() + 1, &Event::Observations(event))?;
+        self.map.apply(self.map.position() + 1, &Event::Observations(envelope, event))?;
         if self.blend.is_blended() {
             self.refresh();
         }

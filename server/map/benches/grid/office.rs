@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::Event,
+    event::{Envelope, Event, SequenceSpan},
     grid::{
         index::TileIndex,
         log_head::{LogHead, StreamScan, StreamTiles},
@@ -172,25 +172,26 @@ impl Office {
         }
         for scans in sent.chunks(batch) {
             let first_sequence = map.producer(&key).map_or(0, |(_, mark)| mark.durable_sequence) + 1;
-            let mut event = Scans {
+            let envelope = Envelope {
                 producer: ProducerId(0),
                 new_producer: (first_sequence == 1).then(|| key.clone().into()),
                 incarnation: 1,
-                first_sequence,
-                last_sequence: first_sequence + scans.len() as u64 - 1,
-                content_crc: 0,
+                span: SequenceSpan {
+                    first: first_sequence,
+                    last: first_sequence + scans.len() as u64 - 1,
+                    content_crc: 0,
+                },
                 received_nanos: 100 * DAY_NANOS,
-                new_tiles: Vec::new(),
-                scans: Vec::new(),
                 refused: Vec::new(),
             };
+            let mut event = Scans::default();
             for scan in scans {
                 let taken = front.take(map.grid().expect("a grid"), 1, &mut source, scan, 0, TILES);
                 let taken = taken.expect("room");
                 event.new_tiles.extend(taken.new_tiles);
                 event.scans.push(taken.scan);
             }
-            let event = Event::Scans(event);
+            let event = Event::Scans(envelope, event);
             apply(map, &event);
             events.push(event);
         }

@@ -7,7 +7,7 @@ use tidemap_model::{Periodicities, Sample, selector::ModelSelector};
 
 use super::*;
 use crate::{
-    event::{Event, NewState, Observations, OffsetRun, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, SequenceSpan, UpdateCause},
     ids::ProducerId,
     live_map::LiveMap,
     name::{EdgeName, MapName, ProducerKey, StateName},
@@ -150,22 +150,16 @@ fn driven(reports: &[(i64, bool)]) -> LiveMap {
         let (start, end) = (hour * HOUR, hour * HOUR + HOUR / 180);
         let driven =
             Traversal { edge: edge.clone(), start_nanos: start, end_nanos: end, success, reason: String::new() };
-        let mut event = Observations {
+        let envelope = Envelope {
             producer: ProducerId(0),
             new_producer: (sequence == 1).then(|| ProducerKey::new("robot", "").expect("valid").into()),
             incarnation: 1,
-            first_sequence: sequence,
-            last_sequence: sequence,
-            content_crc: 0,
+            span: SequenceSpan { first: sequence, last: sequence, content_crc: 0 },
             received_nanos: end,
-            new_states: Vec::new(),
-            states: Vec::new(),
-            times_nanos: Vec::new(),
-            values: Vec::new(),
-            offsets: Vec::new(),
             refused: Vec::new(),
-            failures: driven.failure().into_iter().collect(),
         };
+        let failures = driven.failure().into_iter().collect();
+        let mut event = Observations { failures, ..Observations::default() };
         for (what, value) in driven.samples(Extent::metres(12.0)).expect("sensible") {
             let name = edge.state(what);
             let id = map.find(name.as_str()).unwrap_or_else(|| {
@@ -173,12 +167,9 @@ fn driven(reports: &[(i64, bool)]) -> LiveMap {
                 event.new_states.push(NewState { id, name, shape: what.kind().into() });
                 id
             });
-            event.states.push(id);
-            event.times_nanos.push(start);
-            event.values.push(value);
+            event.push(id, Sample { utc_nanos: start, offset_secs: 0, value });
         }
-        event.offsets.push(OffsetRun { count: u32::try_from(event.states.len()).expect("few"), offset_secs: 0 });
-        map.apply(map.position() + 1, &Event::Observations(event)).expect("consistent");
+        map.apply(map.position() + 1, &Event::Observations(envelope, event)).expect("consistent");
     }
     map
 }

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use tidemap_model::{Sample, time::format_rfc3339};
 
 use crate::{
-    event::{Event, Observations},
+    event::{Envelope, Event},
     history::HistoryPiece,
     ids::{ProducerId, StateId},
     name::{EdgeState, StateName},
@@ -243,7 +243,7 @@ impl Survey {
 
     /// Reads the event at a position, from the first that has pending observations.
     pub fn event(&mut self, position: u64, event: &Event) {
-        let Event::Observations(event) = event else { return };
+        let Event::Observations(envelope, event) = event else { return };
         for new in event.new_states.iter().flat_map(|new| new.states()).filter(|_| position > self.position) {
             let (id, name, _) = new;
             if id.0 as usize == self.known.len() {
@@ -252,13 +252,13 @@ impl Survey {
         }
         for (state, sample) in event.samples() {
             if self.selection.has_state(state) {
-                self.observation(position, event, state, sample);
+                self.observation(position, envelope, state, sample);
             }
         }
     }
 
-    fn observation(&mut self, position: u64, event: &Observations, state: StateId, sample: Sample) {
-        let is_taken = self.selection.takes(state, Some(event.producer), sample.utc_nanos);
+    fn observation(&mut self, position: u64, envelope: &Envelope, state: StateId, sample: Sample) {
+        let is_taken = self.selection.takes(state, Some(envelope.producer), sample.utc_nanos);
         let of_state = self.states.entry(state).or_default();
         if position > self.position {
             of_state.later.0 += 1;
@@ -271,7 +271,7 @@ impl Survey {
         }
         of_state.pending.0 += 1;
         of_state.pending.1 += u64::from(is_taken);
-        let is_plausible = sample.utc_nanos <= event.plausible_nanos();
+        let is_plausible = sample.utc_nanos <= envelope.plausible_nanos();
         of_state.waiting.push((Arrival { number: of_state.read, sample, is_plausible }, is_taken));
         if is_taken
             && let Some((name, ..)) = self.known.get(state.0 as usize)

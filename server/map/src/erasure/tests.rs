@@ -6,7 +6,7 @@ use tidemap_model::Periodicities;
 
 use super::*;
 use crate::{
-    event::{Dimensions, StateKind, StateShape, UpdateCause},
+    event::{Dimensions, OffsetRun, SequenceSpan, StateKind, StateShape, UpdateCause},
     ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},
@@ -52,22 +52,24 @@ fn observed(number: u64, hour: i64, new_states: Vec<NewState>, states: u32) -> E
         .collect();
     let key = ProducerKey::new("robot", "").expect("valid");
     let count = samples.len() as u64;
-    Event::Observations(Observations {
-        producer: ProducerId(0),
-        new_producer: (number == 0).then(|| key.into()),
-        incarnation: 1,
-        first_sequence: number * 1000 + 1,
-        last_sequence: (number + 1) * 1000,
-        content_crc: 7,
-        received_nanos: 10_000 * HOUR,
-        new_states,
-        states: samples.iter().map(|sample| sample.0).collect(),
-        times_nanos: samples.iter().map(|sample| sample.1).collect(),
-        values: samples.iter().map(|sample| sample.2).collect(),
-        offsets: vec![OffsetRun { count: u32::try_from(count).expect("few"), offset_secs: 3600 }],
-        refused: Vec::new(),
-        failures: Vec::new(),
-    })
+    Event::Observations(
+        Envelope {
+            producer: ProducerId(0),
+            new_producer: (number == 0).then(|| key.into()),
+            incarnation: 1,
+            span: SequenceSpan { first: number * 1000 + 1, last: (number + 1) * 1000, content_crc: 7 },
+            received_nanos: 10_000 * HOUR,
+            refused: Vec::new(),
+        },
+        Observations {
+            new_states,
+            states: samples.iter().map(|sample| sample.0).collect(),
+            times_nanos: samples.iter().map(|sample| sample.1).collect(),
+            values: samples.iter().map(|sample| sample.2).collect(),
+            offsets: vec![OffsetRun { count: u32::try_from(count).expect("few"), offset_secs: 3600 }],
+            failures: Vec::new(),
+        },
+    )
 }
 
 fn update(map: &mut LiveMap, hour: i64) -> (Event, MapSnapshot) {

@@ -5,10 +5,7 @@
 
 use std::sync::Arc;
 
-use tidemap_model::time::FUTURE_MAX_NANOS;
-
 use super::index::{TILE_CELLS, TileId, TileIndex};
-use crate::ids::{NewProducer, ProducerId, RefusalReason};
 
 /// A cell of a map: tile and place there as one number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -49,34 +46,11 @@ pub struct LoggedScan {
     pub occupied_flips: Vec<CellRef>,
 }
 
-/// Scans of one producer that became durable together.
-#[derive(Clone, Debug, PartialEq)]
+/// Scans that became durable together.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scans {
-    /// The producer.
-    pub producer: ProducerId,
-    /// The producer's key and sensor, in its first event only.
-    pub new_producer: Option<NewProducer>,
-    /// The producer's incarnation.
-    pub incarnation: u64,
-    /// Sequence number of the first scan, refused ones included.
-    pub first_sequence: u64,
-    /// Sequence number of the last scan, refused ones included; at least `first_sequence`.
-    pub last_sequence: u64,
-    /// Running CRC-32C over what the producer sent, up to `last_sequence`.
-    pub content_crc: u32,
-    /// When they were received, nanoseconds UTC of the server's clock.
-    pub received_nanos: i64,
     /// Tiles that appear for the first time; their ids continue those of the map.
     pub new_tiles: Vec<TileIndex>,
     /// The accepted scans.
     pub scans: Vec<LoggedScan>,
-    /// Refused scans: sequence number and reason, ascending.
-    pub refused: Vec<(u64, RefusalReason)>,
-}
-
-impl Scans {
-    /// The latest plausible time by the clock of receipt, nanoseconds UTC; later observations wait.
-    pub fn plausible_nanos(&self) -> i64 {
-        self.received_nanos.saturating_add(FUTURE_MAX_NANOS)
-    }
 }

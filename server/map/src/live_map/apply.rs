@@ -8,24 +8,13 @@ use std::sync::Arc;
 use super::LiveMap;
 use crate::{
     directory::StateInfo,
-    event::{NewState, Observations, StateKind},
+    event::{Envelope, NewState, Observations, StateKind},
     grid::scan::Scans,
     ids::{NewProducer, ProducerId},
     pending::Origin,
     snapshot::{CONTENT_MARKS_MAX, ContentMark, ProducerMark},
     view::{LIVE_CHUNK, LiveState},
 };
-
-/// How an event advances its producer's mark.
-struct Advance<'a> {
-    producer: ProducerId,
-    new_producer: Option<&'a NewProducer>,
-    incarnation: u64,
-    first_sequence: u64,
-    last_sequence: u64,
-    content_crc: u32,
-    received_nanos: i64,
-}
 
 impl LiveMap {
     pub(super) fn add_producer(&mut self, mark: ProducerMark) {
@@ -47,8 +36,9 @@ impl LiveMap {
     }
 
     /// Advances a producer's mark.
-    fn advance(&mut self, event: &Advance<'_>) -> Result<(), String> {
-        if let Some(NewProducer { key, sensor }) = event.new_producer {
+    fn advance(&mut self, event: &Envelope) -> Result<(), String> {
+        let span = event.span;
+        if let Some(NewProducer { key, sensor }) = &event.new_producer {
             if event.producer.0 as usize != self.producers.len() || self.producer_ids.contains_key(key) {
                 return Err(format!("producer {} is not new", event.producer.0));
             }
@@ -70,11 +60,9 @@ impl LiveMap {
         }
         let mark =
             self.producers.get_mut(event.producer.0 as usize).ok_or("it names an unknown producer".to_owned())?;
-        if event.first_sequence != mark.durable_sequence + 1 || event.last_sequence < event.first_sequence {
-            return Err(format!(
-                "its sequence {}..={} does not follow {}",
-                event.first_sequence, event.last_sequence, mark.durable_sequence
-            ));
+        if span.first != mark.durable_sequence + 1 || span.is_empty() {
+            let before = mark.durable_sequence;
+            return Err(format!("its sequence {}..={} does not follow {before}", span.first, span.last));
         }
         if mark.durable_sequence > 0 {
             if mark.recent.len() + 1 >= CONTENT_MARKS_MAX {
@@ -83,8 +71,8 @@ impl LiveMap {
             mark.recent.push(ContentMark { sequence: mark.durable_sequence, crc: mark.content_crc });
         }
         mark.incarnation = mark.incarnation.max(event.incarnation);
-        mark.durable_sequence = event.last_sequence;
-        mark.content_crc = event.content_crc;
+        mark.durable_sequence = span.last;
+        mark.content_crc = span.content_crc;
         mark.received_nanos = Some(event.received_nanos);
         Ok(())
     }
@@ -115,50 +103,41 @@ impl LiveMap {
         Ok(())
     }
 
-    pub(super) fn take_in_scans(&mut self, event: &Scans) -> Result<(), String> {
+    pub(super) fn take_in_scans(&mut self, envelope: &Envelope, event: &Scans) -> Result<(), String> {
         self.grid.as_ref().ok_or("the map has no grid")?.check(event)?;
-        self.advance(&Advance {
-            producer: event.producer,
-            new_producer: event.new_producer.as_ref(),
-            incarnation: event.incarnation,
-            first_sequence: event.first_sequence,
-            last_sequence: event.last_sequence,
-            content_crc: event.content_crc,
-            received_nanos: event.received_nanos,
-        })?;
-        if let Some(has_scans) = self.producers.get_mut(event.producer.0 as usize).and_then(|m| m.has_scans.as_mut()) {
+        self.advance(envelope)?;
+        if let Some(has_scans) = self.producers.get_mut(envelope.producer.0 as usize).and_then(|m| m.has_scans.as_mut())
+        {
             *has_scans = true;
         }
         if let Some(grid) = &mut self.grid {
-            let sensor = self.producers.get(event.producer.0 as usize).and_then(|mark| mark.sensor);
-            self.newest_nanos = self.newest_nanos.max(grid.apply_observations(event, sensor).unwrap_or(0));
+            let sensor = self.producers.get(envelope.producer.0 as usize).and_then(|mark| mark.sensor);
+            let newest = grid.apply_observations(event, sensor, envelope.plausible_nanos());
+            self.newest_nanos = self.newest_nanos.max(newest.unwrap_or(0));
         }
         if !event.scans.is_empty() {
-            self.pending.received(event.received_nanos);
+            self.pending.received(envelope.received_nanos);
         }
         Ok(())
     }
 
-    pub(super) fn apply_observations(&mut self, position: u64, event: &Observations) -> Result<(), String> {
-        self.advance(&Advance {
-            producer: event.producer,
-            new_producer: event.new_producer.as_ref(),
-            incarnation: event.incarnation,
-            first_sequence: event.first_sequence,
-            last_sequence: event.last_sequence,
-            content_crc: event.content_crc,
-            received_nanos: event.received_nanos,
-        })?;
+    pub(super) fn apply_observations(
+        &mut self,
+        position: u64,
+        envelope: &Envelope,
+        event: &Observations,
+    ) -> Result<(), String> {
+        self.advance(envelope)?;
         for new in &event.new_states {
             self.add_new_state(new)?;
         }
         self.check_values(event)?;
-        let plausible = event.plausible_nanos();
+        let plausible = envelope.plausible_nanos();
         for (state, sample) in event.samples() {
             let index = state.0 as usize;
             let live = self.live.get_mut(index).ok_or_else(|| format!("state {index} is unknown"))?;
             live.observations += 1;
-            let from = Origin { position, producer: event.producer, number: live.observations };
+            let from = Origin { position, producer: envelope.producer, number: live.observations };
             self.live_dirty[index / LIVE_CHUNK] = true;
             if sample.utc_nanos <= plausible {
                 live.persistence.observe(sample.utc_nanos, sample.value);
@@ -169,7 +148,7 @@ impl LiveMap {
             }
         }
         if !event.states.is_empty() {
-            self.pending.received(event.received_nanos);
+            self.pending.received(envelope.received_nanos);
         }
         self.observations += event.states.len() as u64;
         if !event.failures.is_empty() {

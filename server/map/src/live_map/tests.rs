@@ -7,7 +7,7 @@ use tidemap_model::{Periodicities, selector::ModelSelector, time::FUTURE_MAX_NAN
 
 use super::*;
 use crate::{
-    event::{NewState, Observations, OffsetRun, StateKind, UpdateCause},
+    event::{Envelope, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause},
     name::{MapName, StateName},
 };
 
@@ -39,22 +39,28 @@ fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
         })
         .collect();
     let first_sequence = known.unwrap_or(0) + 1;
-    Event::Observations(Observations {
-        producer: ProducerId(0),
-        new_producer: known.is_none().then_some(key.into()),
-        incarnation: 1,
-        first_sequence,
-        last_sequence: first_sequence + observations.len() as u64 - 1,
-        content_crc: 7,
-        received_nanos: NOW,
-        new_states,
-        states: observations.iter().map(|(state, ..)| StateId(*state)).collect(),
-        times_nanos: observations.iter().map(|(_, time, _)| *time).collect(),
-        values: observations.iter().map(|(.., value)| *value).collect(),
-        offsets: vec![OffsetRun { count: u32::try_from(observations.len()).expect("few"), offset_secs: 0 }],
-        refused: Vec::new(),
-        failures: Vec::new(),
-    })
+    Event::Observations(
+        Envelope {
+            producer: ProducerId(0),
+            new_producer: known.is_none().then_some(key.into()),
+            incarnation: 1,
+            span: SequenceSpan {
+                first: first_sequence,
+                last: first_sequence + observations.len() as u64 - 1,
+                content_crc: 7,
+            },
+            received_nanos: NOW,
+            refused: Vec::new(),
+        },
+        Observations {
+            new_states,
+            states: observations.iter().map(|(state, ..)| StateId(*state)).collect(),
+            times_nanos: observations.iter().map(|(_, time, _)| *time).collect(),
+            values: observations.iter().map(|(.., value)| *value).collect(),
+            offsets: vec![OffsetRun { count: u32::try_from(observations.len()).expect("few"), offset_secs: 0 }],
+            failures: Vec::new(),
+        },
+    )
 }
 
 fn apply(map: &mut LiveMap, event: &Event) -> Option<UpdateWork> {
@@ -142,9 +148,9 @@ fn events_that_do_not_follow_are_refused() {
     assert!(map.apply(2, &good).is_err(), "a gap in the log");
     apply(&mut map, &good);
     assert!(map.apply(2, &good).is_err(), "a sequence twice, a producer twice");
-    let Event::Observations(mut unknown) = event(&map, &[(0, HOUR, 1.0)]) else { panic!("observations") };
+    let Event::Observations(envelope, mut unknown) = event(&map, &[(0, HOUR, 1.0)]) else { panic!("observations") };
     unknown.states = vec![StateId(9)];
-    assert!(map.apply(2, &Event::Observations(unknown)).is_err());
+    assert!(map.apply(2, &Event::Observations(envelope, unknown)).is_err());
 }
 
 proptest! {

@@ -6,7 +6,7 @@ use std::sync::{
 };
 
 use tidemap_map::{
-    event::{Event, UpdateCause},
+    event::{Envelope, Event, SequenceSpan, UpdateCause},
     grid::{
         index::{CellBox, CellIndex, TileIndex},
         log_head::{LogHead, StreamScan, StreamTiles},
@@ -53,18 +53,15 @@ fn learned(grid: GridSpec) -> MapView {
     let mut source = StreamTiles::default();
     source.push(TileIndex { x: 0, y: 0, z: 0 });
     source.push(TileIndex { x: 2, y: 1, z: 0 });
-    let mut scans = Scans {
+    let envelope = Envelope {
         producer: ProducerId(0),
         new_producer: Some(ProducerKey::new("robot", "").unwrap().into()),
         incarnation: 1,
-        first_sequence: 1,
-        last_sequence: 240,
-        content_crc: 0,
+        span: SequenceSpan { first: 1, last: 240, content_crc: 0 },
         received_nanos: 300 * HOUR,
-        new_tiles: Vec::new(),
-        scans: Vec::new(),
         refused: Vec::new(),
     };
+    let mut scans = Scans::default();
     for hour in 0..240_i64 {
         let mut sent = StreamScan {
             utc_nanos: hour * HOUR,
@@ -83,7 +80,7 @@ fn learned(grid: GridSpec) -> MapView {
         scans.new_tiles.extend(taken.new_tiles);
         scans.scans.push(taken.scan);
     }
-    apply(&mut map, &Event::Scans(scans));
+    apply(&mut map, &Event::Scans(envelope, scans));
     let start = map.plan_update(Some(240 * HOUR), 300 * HOUR, UpdateCause::Midnight);
     let work = apply(&mut map, &Event::UpdateStart(start)).unwrap();
     map.finish_update(work.run(&AtomicU64::new(0)).unwrap());

@@ -3,9 +3,8 @@
 use tidemap_map::{
     event::{NewState, OffsetRun, StateKind},
     grid::spec::Retention,
-    ids::ProducerId,
     live_map::LiveMap,
-    name::{MapName, ProducerKey, StateName},
+    name::{MapName, StateName},
     spec::MapSpec,
 };
 use tokio::sync::broadcast::error::TryRecvError;
@@ -22,13 +21,6 @@ fn map() -> LiveMap {
 /// `count` observations of one state, the first of them at this time.
 fn observations(first: i64, count: usize) -> Observations {
     Observations {
-        producer: ProducerId(0),
-        new_producer: Some(ProducerKey::new("r", "").expect("valid").into()),
-        incarnation: 1,
-        first_sequence: 1,
-        last_sequence: count as u64,
-        content_crc: 0,
-        received_nanos: 0,
         new_states: vec![NewState {
             id: StateId(0),
             name: StateName::new("s").expect("valid"),
@@ -38,7 +30,6 @@ fn observations(first: i64, count: usize) -> Observations {
         times_nanos: (first..).take(count).collect(),
         values: vec![1.0; count],
         offsets: vec![OffsetRun { count: u32::try_from(count).expect("few"), offset_secs: 0 }],
-        refused: Vec::new(),
         failures: Vec::new(),
     }
 }

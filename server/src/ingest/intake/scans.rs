@@ -7,6 +7,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{
+    event::SequenceSpan,
     grid::{
         index::TileIndex,
         mask::TileMasks,
@@ -169,7 +170,8 @@ impl Intake {
     /// Errors that end the stream.
     pub(crate) fn next_scans(&mut self) -> Result<Option<ScanBatch>, IntakeError> {
         let new_tiles = std::mem::take(&mut self.scans.new_tiles);
-        let mut batch = ScanBatch { first_sequence: self.next_sequence, new_tiles, ..ScanBatch::default() };
+        let span = SequenceSpan { first: self.next_sequence, ..SequenceSpan::default() };
+        let mut batch = ScanBatch { span, new_tiles, ..ScanBatch::default() };
         batch.bytes = 4 * SCAN_BYTES + batch.new_tiles.len() * SCAN_BYTES;
         let mut is_empty = batch.new_tiles.is_empty();
         let permit = self.scans.is_much_work.then(effort::permit);
@@ -180,10 +182,10 @@ impl Intake {
             cells += self.take_scan(scan, &mut batch)?;
         }
         drop(permit);
-        batch.last_sequence = self.next_sequence - 1;
-        batch.content_crc = self.content_crc;
-        if batch.last_sequence >= batch.first_sequence {
-            self.known.took(batch.last_sequence, self.content_crc);
+        batch.span.last = self.next_sequence - 1;
+        batch.span.content_crc = self.content_crc;
+        if !batch.span.is_empty() {
+            self.known.took(batch.span.last, self.content_crc);
         }
         Ok((!is_empty).then_some(batch))
     }

@@ -29,10 +29,10 @@ fn intake() -> Intake {
 fn numbers_go_up_by_one_and_known_ones_are_skipped() {
     let mut intake = intake();
     let batch = intake.take(message(1, &["a"], &[0, 0], &[1, 2], &[0.0, 1.0])).expect("fine").expect("new");
-    assert_eq!((batch.first_sequence, batch.last_sequence), (1, 2));
+    assert_eq!((batch.span.first, batch.span.last), (1, 2));
     assert!(intake.take(message(1, &[], &[0, 0], &[1, 2], &[0.0, 1.0])).expect("fine").is_none());
     let batch = intake.take(message(2, &[], &[0, 0], &[2, 3], &[1.0, 0.5])).expect("fine").expect("new");
-    assert_eq!((batch.first_sequence, batch.last_sequence, batch.times_nanos.as_slice()), (3, 3, [3].as_slice()));
+    assert_eq!((batch.span.first, batch.span.last, batch.times_nanos.as_slice()), (3, 3, [3].as_slice()));
     let leap = intake.take(message(5, &[], &[0], &[1], &[0.0]));
     assert_eq!(leap.expect_err("a gap"), IntakeError::OutOfSequence { got: 5, expected: 4 });
     assert!(intake.take(message(0, &[], &[0], &[1], &[0.0])).is_err());
@@ -50,10 +50,10 @@ fn known_numbers_with_other_content_end_the_stream() {
     let before = first.take(values(1, &[0.0, 1.0])).expect("fine").expect("new");
     let after = first.take(values(3, &[0.25, 0.5])).expect("fine").expect("new");
     let marks = || {
-        let mark = |batch: &ObservationBatch| ContentMark { sequence: batch.last_sequence, crc: batch.content_crc };
+        let mark = |batch: &ObservationBatch| ContentMark { sequence: batch.span.last, crc: batch.span.content_crc };
         vec![mark(&before), mark(&after)]
     };
-    let again = || Intake::new(4, after.content_crc, limits(9, 9), None).with_known_content(marks());
+    let again = || Intake::new(4, after.span.content_crc, limits(9, 9), None).with_known_content(marks());
     // The same content in any parts is fine, also with new observations behind it.
     for parts in [&[4][..], &[2, 2], &[1, 3], &[1, 1, 1, 1]] {
         let (mut stream, mut next) = (again(), 1);
@@ -64,7 +64,7 @@ fn known_numbers_with_other_content_end_the_stream() {
         }
     }
     let more = again().take(values(3, &[0.25, 0.5, 1.0])).expect("fine").expect("new");
-    assert_eq!((more.first_sequence, more.last_sequence), (5, 5));
+    assert_eq!((more.span.first, more.span.last), (5, 5));
     // Any other value, time or name is found where the CRC is known next.
     let differs = |first, last| IntakeError::DataMismatch { first, last, next: 5 };
     assert_eq!(again().take(values(1, &[0.0, 0.5, 0.25, 0.5])).expect_err("other"), differs(1, 2));
@@ -88,14 +88,17 @@ fn the_crc_depends_on_content_alone() {
     let mut parts = intake();
     parts.take(message(1, &["b", "a"], &[1, 0], &[1, 2], &[0.0, 1.0])).expect("fine");
     let parts = parts.take(message(2, &[], &[0, 1], &[2, 3], &[1.0, 0.5]));
-    assert_eq!(whole.expect("fine").expect("new").content_crc, parts.expect("fine").expect("new").content_crc);
+    assert_eq!(
+        whole.expect("fine").expect("new").span.content_crc,
+        parts.expect("fine").expect("new").span.content_crc
+    );
     let by_hand = [("a", 1i64, 0f64), ("b", 2, 1.0), ("a", 3, 0.5)].iter().fold(0, |crc, (name, time, value)| {
         let crc = crc32c::crc32c_append(crc, name.as_bytes());
         crc32c::crc32c_append(crc32c::crc32c_append(crc, &time.to_le_bytes()), &value.to_le_bytes())
     });
     let mut again = intake();
     let again = again.take(message(1, &["a", "b"], &[0, 1, 0], &[1, 2, 3], &[0.0, 1.0, 0.5]));
-    assert_eq!(again.expect("fine").expect("new").content_crc, by_hand);
+    assert_eq!(again.expect("fine").expect("new").span.content_crc, by_hand);
 }
 
 #[test]
@@ -105,7 +108,7 @@ fn a_wrong_observation_does_not_take_its_neighbours_with_it() {
     let mut sent = message(11, &["a", "b/c"], &[0, 0, 1, 0, 9, 0, 0], &[1, 2, 3, 4, 5, 6, 7], &values);
     say_kinds(&mut sent, &[v1::StateKind::Probability; 2]);
     let batch = intake.take(sent).expect("fine").expect("new");
-    assert_eq!(batch.last_sequence, 17);
+    assert_eq!(batch.span.last, 17);
     assert_eq!(batch.kept, [0]);
     assert_eq!(batch.values, [0.5]);
     let reasons: Vec<_> = batch.refused.iter().map(|refused| (refused.sequence, refused.reason)).collect();
@@ -189,7 +192,7 @@ fn limits_are_errors_and_nothing_is_taken() {
     assert!(matches!(over, IntakeError::Limit(OverLimit { got: Some(4), max: 3, .. })), "{over}");
     assert!(intake.take(v1::ObservationBatch { first_sequence: 1, observations: None }).is_err());
     let batch = intake.take(message(1, &["a"], &[0], &[0], &[0.0])).expect("fine").expect("new");
-    assert_eq!(batch.first_sequence, 1);
+    assert_eq!(batch.span.first, 1);
     let edge = intake.take(message(u64::MAX, &[], &[0], &[0], &[0.0]));
     assert!(matches!(edge, Err(IntakeError::OutOfSequence { .. })));
 }
@@ -213,7 +216,7 @@ fn names_alone_are_handed_over_without_observations() {
     let mut intake = intake();
     intake.take(message(1, &["a"], &[0], &[1], &[0.0])).expect("fine");
     let batch = intake.take(message(1, &["b"], &[0], &[1], &[0.0])).expect("fine").expect("names");
-    assert!(batch.last_sequence < batch.first_sequence);
+    assert!(batch.span.is_empty());
     assert_eq!((batch.new_names.len(), batch.values.len()), (1, 0));
 }
 
@@ -238,7 +241,7 @@ fn a_few_long_rays_are_much_work_and_end_parcels() {
     let limits = IntakeLimits { scans, ..limits(4, 3) };
     let mut intake = Intake::new(0, 0, limits, Some(&wide()));
     assert!(!intake.begin_scans(clouds(1, &[50.0, 0.0, 0.0], 2)).expect("fine"));
-    assert_eq!(intake.next_scans().expect("fine").expect("scans").last_sequence, 2);
+    assert_eq!(intake.next_scans().expect("fine").expect("scans").span.last, 2);
     assert!(intake.begin_scans(clouds(3, &[30_000.0, 0.0, 0.0], 1)).expect("fine"));
     assert_eq!(intake.next_scans().expect("fine").expect("scans").scans.len(), 1);
     assert!(intake.next_scans().expect("fine").is_none());
@@ -246,7 +249,7 @@ fn a_few_long_rays_are_much_work_and_end_parcels() {
     let points = [11_000.0, 0.0, 0.0].repeat(1000);
     assert!(intake.begin_scans(clouds(4, &points, 3)).expect("fine"));
     let lasts: Vec<u64> =
-        std::iter::from_fn(|| intake.next_scans().expect("fine").map(|batch| batch.last_sequence)).collect();
+        std::iter::from_fn(|| intake.next_scans().expect("fine").map(|batch| batch.span.last)).collect();
     assert_eq!(lasts, [5, 6]);
     // The parts of a scan are taken together.
     let part = |continues| v1::ScanBatch { continues, ..clouds(7, &[9_000.0, 0.0, 0.0], 1) };
@@ -295,7 +298,7 @@ fn positions_are_taken_whole_or_refused_whole() {
         bytes.extend_from_slice(&time.to_le_bytes());
         numbers.iter().for_each(|number| bytes.extend_from_slice(&number.to_le_bytes()));
     }
-    assert_eq!(batch.content_crc, crc32c::crc32c(&bytes));
+    assert_eq!(batch.span.content_crc, crc32c::crc32c(&bytes));
 
     // What was taken before is skipped with its coordinates; its names are known.
     let mut again = message(4, &[], &[0, 0], &[4, 5], &[0.0; 2]);

@@ -2,7 +2,7 @@
 //!
 //! Invariant: as for observations. Whether the map has an edge is checked by its writer, which knows the topology.
 
-use tidemap_map::ids::RefusalReason;
+use tidemap_map::{event::SequenceSpan, ids::RefusalReason};
 use tidemap_proto::{
     convert::{
         InvalidField, OverLimit,
@@ -51,8 +51,10 @@ impl Intake {
         if last < self.next_sequence {
             return Ok(None);
         }
-        let mut batch =
-            TraversalBatch { first_sequence: self.next_sequence, last_sequence: last, ..TraversalBatch::default() };
+        let mut batch = TraversalBatch {
+            span: SequenceSpan { first: self.next_sequence, last, content_crc: 0 },
+            ..TraversalBatch::default()
+        };
         self.rows.clear();
         for (sequence, wire) in (self.next_sequence..).zip(&traversals[skip..]) {
             append_content(wire, &mut self.rows);
@@ -70,7 +72,7 @@ impl Intake {
         }
         self.content_crc = crc32c::crc32c_append(self.content_crc, &self.rows);
         self.next_sequence = last + 1;
-        batch.content_crc = self.content_crc;
+        batch.span.content_crc = self.content_crc;
         self.known.took(last, self.content_crc);
         Ok(Some(batch))
     }

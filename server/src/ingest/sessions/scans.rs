@@ -4,7 +4,7 @@
 //! spread over several events if needed, in their order.
 
 use tidemap_map::{
-    event::Event,
+    event::{Event, Observations, SequenceSpan},
     grid::{
         index::TileIndex,
         log_head::{LogHead, ScanDelta, StreamTiles},
@@ -17,7 +17,7 @@ use tidemap_model::time::FUTURE_MAX_NANOS;
 
 use super::{
     super::protocol::{CheckedScan, RefusedObservation, ScanBatch, ScanOrigin, SessionId},
-    Columns, Session, Sessions, Span, StreamEvent,
+    Session, Sessions, StreamEvent,
 };
 
 /// Maximum number of bits that one scan flips, without those of tiles that are observed again as a whole: 2 bytes each,
@@ -59,7 +59,7 @@ impl Sessions {
     /// Converts scans to events; adds refusals if the map has no room for more tiles. Empty: the stream is closed, or
     /// there is nothing to log.
     pub(crate) fn scan_events(&mut self, id: SessionId, batch: ScanBatch, map: &LiveMap, now: i64) -> Vec<StreamEvent> {
-        let ScanBatch { first_sequence, last_sequence, content_crc, new_tiles, scans, mut refused, .. } = batch;
+        let ScanBatch { span, new_tiles, scans, mut refused, .. } = batch;
         let Some(mut session) = self.sessions.remove(&id) else { return Vec::new() };
         let mut portions: Vec<(Portion, u64, u32)> = Vec::new();
         if session.open {
@@ -78,41 +78,28 @@ impl Sessions {
                     portions.push((std::mem::take(&mut portion), sequence, crc));
                 }
             }
-            let done = portions.last().map_or(first_sequence.saturating_sub(1), |(_, sequence, _)| *sequence);
-            if last_sequence >= first_sequence && last_sequence > done {
-                portions.push((portion, last_sequence, content_crc));
+            let done = portions.last().map_or(span.first.saturating_sub(1), |(_, sequence, _)| *sequence);
+            if !span.is_empty() && span.last > done {
+                portions.push((portion, span.last, span.content_crc));
             }
         }
         refused.sort_by_key(|refused| refused.sequence);
         let mut refused = refused.into_iter().peekable();
-        let mut first = first_sequence;
+        let mut first = span.first;
         let mut events = Vec::with_capacity(portions.len());
         for (portion, last, content_crc) in portions {
-            let of_portion: Vec<RefusedObservation> =
+            let mut of_portion: Vec<RefusedObservation> =
                 std::iter::from_fn(|| refused.next_if(|refused| refused.sequence <= last)).collect();
-            let span = Span { first, last, content_crc };
+            let span = SequenceSpan { first, last, content_crc };
             first = last.saturating_add(1);
-            let mut event =
-                session.observations(map, &mut self.producers_in_flight, now, span, Columns::default(), of_portion);
+            let envelope = session.envelope(map, &mut self.producers_in_flight, now, span, &mut of_portion);
+            let Portion { scans, new_tiles, tiles_ahead, .. } = portion;
             // A map without a grid has no events of scans; their refusals are reported as an event of observations.
-            if map.grid().is_some()
-                && let Event::Observations(of_stream) = event.event
-            {
-                event.event = Event::Scans(Scans {
-                    producer: of_stream.producer,
-                    new_producer: of_stream.new_producer,
-                    incarnation: of_stream.incarnation,
-                    first_sequence: of_stream.first_sequence,
-                    last_sequence: of_stream.last_sequence,
-                    content_crc,
-                    received_nanos: now,
-                    new_tiles: portion.new_tiles,
-                    scans: portion.scans,
-                    refused: of_stream.refused,
-                });
-                event.tiles_ahead = portion.tiles_ahead;
-            }
-            events.push(event);
+            let event = match map.grid() {
+                Some(_) => Event::Scans(envelope, Scans { new_tiles, scans }),
+                None => Event::Observations(envelope, Observations::default()),
+            };
+            events.push(StreamEvent { event, refused: of_portion, tiles_ahead });
         }
         self.sessions.insert(id, session);
         events

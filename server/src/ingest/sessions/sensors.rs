@@ -34,7 +34,7 @@ mod tests {
     use std::sync::Arc;
 
     use tidemap_map::{
-        event::Event,
+        event::{Envelope, Event, SequenceSpan},
         grid::{
             scan::Scans,
             sensors::{InvalidSensor, SENSORS_MAX},
@@ -82,19 +82,15 @@ mod tests {
     /// The first event of a producer.
     fn first(map: &mut LiveMap, name: &str, sensor: Option<ProducerSensor>) {
         let producer = ProducerId(u32::try_from(map.producers()).expect("few"));
-        let scans = Scans {
+        let envelope = Envelope {
             producer,
             new_producer: Some(NewProducer { key: key(name), sensor }),
             incarnation: 1,
-            first_sequence: 1,
-            last_sequence: 1,
-            content_crc: 0,
+            span: SequenceSpan { first: 1, last: 1, content_crc: 0 },
             received_nanos: 0,
-            new_tiles: Vec::new(),
-            scans: Vec::new(),
             refused: Vec::new(),
         };
-        map.apply(map.position() + 1, &Event::Scans(scans)).expect("consistent");
+        map.apply(map.position() + 1, &Event::Scans(envelope, Scans::default())).expect("consistent");
     }
 
     #[test]

@@ -8,13 +8,18 @@
 //! Invariant: a traversal is taken with all of its observations, in one event, or not at all. Its meaning depends on
 //! the topology; the writer makes no event of traversals while an edit of the topology is in flight.
 
-use tidemap_map::{ids::RefusalReason, live_map::LiveMap, traversal::Traversal};
-use tidemap_model::time::FUTURE_MAX_NANOS;
+use tidemap_map::{
+    event::{Event, Observations},
+    ids::RefusalReason,
+    live_map::LiveMap,
+    traversal::Traversal,
+};
+use tidemap_model::{Sample, time::FUTURE_MAX_NANOS};
 use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
 
 use super::{
     super::protocol::{RefusedObservation, SessionId, TraversalBatch},
-    Columns, Sessions, Span, StreamEvent,
+    Sessions, StreamEvent,
     states::{Refusal, StateAllocator},
     too_far_ahead,
 };
@@ -30,10 +35,10 @@ impl Sessions {
         now: i64,
     ) -> Option<StreamEvent> {
         let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
-        let TraversalBatch { first_sequence, last_sequence, content_crc, traversals, mut refused } = batch;
+        let TraversalBatch { span, traversals, mut refused } = batch;
         let plausible = now.saturating_add(FUTURE_MAX_NANOS);
         let may_wait = map.future() < self.limits.ahead;
-        let mut columns = Columns::default();
+        let mut observations = Observations::default();
         for (sequence, traversal) in traversals {
             let time = traversal.start_nanos;
             let result = if time > plausible && !may_wait {
@@ -45,32 +50,31 @@ impl Sessions {
                     renames: &self.renames_in_flight,
                     max: self.limits.states,
                 };
-                columns.take(&traversal, allocator, self.offsets.offset_secs(time))
+                take(&mut observations, &traversal, allocator, self.offsets.offset_secs(time))
             };
             if let Err((reason, detail)) = result {
                 refused.push(RefusedObservation { sequence, reason, detail });
             }
         }
-        let span = Span { first: first_sequence, last: last_sequence, content_crc };
-        Some(session.observations(map, &mut self.producers_in_flight, now, span, columns, refused))
+        let envelope = session.envelope(map, &mut self.producers_in_flight, now, span, &mut refused);
+        Some(StreamEvent { event: Event::Observations(envelope, observations), refused, tiles_ahead: 0 })
     }
 }
 
-impl Columns {
-    fn take(
-        &mut self,
-        traversal: &Traversal,
-        mut allocator: StateAllocator<'_>,
-        offset_secs: i32,
-    ) -> Result<(), Refusal> {
-        let edge = allocator.map.site().topology().edge_named(&traversal.edge).map_err(|error| unknown_edge(&error))?;
-        let samples = traversal.samples(edge.extent).map_err(|error| refusal_of(&error))?;
-        let wanted: Vec<_> = samples.iter().map(|&(what, _)| (traversal.edge.state(what), what.kind())).collect();
-        let states = allocator.states_for(&wanted, &mut self.new_states)?;
-        for (state, (_, value)) in states.into_iter().zip(samples) {
-            self.push(state, traversal.start_nanos, value, offset_secs);
-        }
-        self.failures.extend(traversal.failure());
-        Ok(())
+/// Appends the observations of a traversal.
+fn take(
+    observations: &mut Observations,
+    traversal: &Traversal,
+    mut allocator: StateAllocator<'_>,
+    offset_secs: i32,
+) -> Result<(), Refusal> {
+    let edge = allocator.map.site().topology().edge_named(&traversal.edge).map_err(|error| unknown_edge(&error))?;
+    let samples = traversal.samples(edge.extent).map_err(|error| refusal_of(&error))?;
+    let wanted: Vec<_> = samples.iter().map(|&(what, _)| (traversal.edge.state(what), what.kind())).collect();
+    let states = allocator.states_for(&wanted, &mut observations.new_states)?;
+    for (state, (_, value)) in states.into_iter().zip(samples) {
+        observations.push(state, Sample { utc_nanos: traversal.start_nanos, offset_secs, value });
     }
+    observations.failures.extend(traversal.failure());
+    Ok(())
 }

@@ -57,7 +57,7 @@ impl InFlight {
 
     /// Memory of the scans of the event, in bytes. Everything else is bounded by the buffer budgets.
     fn bytes(&self) -> usize {
-        let Event::Scans(event) = self.event() else { return 0 };
+        let Event::Scans(_, event) = self.event() else { return 0 };
         let of_scan = |scan: &LoggedScan| {
             let flips = scan.observed_flips.len() + scan.occupied_flips.len();
             size_of::<LoggedScan>() + 4 * (flips + scan.seen.as_ref().map_or(0, |seen| seen.len()))
@@ -192,23 +192,21 @@ impl Writer {
                 if self.apply(position, &event).is_none() {
                     return;
                 }
-                let last = match &event {
-                    Event::Observations(event) => {
+                let Some(envelope) = event.envelope() else { return };
+                match &event {
+                    Event::Observations(_, event) => {
                         self.feed.applied(event);
                         metrics::counter!("tidemap_observations_total").increment(event.states.len() as u64);
-                        metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
-                        event.last_sequence
                     }
-                    Event::Scans(event) => {
+                    Event::Scans(_, event) => {
                         self.feed.scanned(event);
                         metrics::counter!("tidemap_scans_total").increment(event.scans.len() as u64);
-                        metrics::counter!("tidemap_refused_total").increment(event.refused.len() as u64);
-                        event.last_sequence
                     }
-                    Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => return,
-                };
+                    Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => {}
+                }
+                metrics::counter!("tidemap_refused_total").increment(envelope.refused.len() as u64);
                 let ack = self.acks.entry(session).or_default();
-                ack.durable_sequence = last;
+                ack.durable_sequence = envelope.span.last;
                 ack.refused.extend(refused);
                 self.sessions.applied(session, &event, tiles_ahead);
             }

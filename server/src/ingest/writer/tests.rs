@@ -6,7 +6,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::UpdateCause,
+    event::{SequenceSpan, UpdateCause},
     grid::spec::{GridSpec, Retention},
     ids::RefusalReason,
     name::{MapName, ProducerKey, StateName},
@@ -123,9 +123,7 @@ impl Robot {
         let first = self.sent == self.opened.durable_sequence;
         self.sent += 1;
         let batch = ObservationBatch {
-            first_sequence: self.sent,
-            last_sequence: self.sent,
-            content_crc: 1,
+            span: SequenceSpan { first: self.sent, last: self.sent, content_crc: 1 },
             new_names: if first { vec![Some(StateName::new("s").expect("valid").into())] } else { Vec::new() },
             table_indices: vec![0],
             times_nanos: vec![time],
@@ -316,9 +314,7 @@ fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: V
     let first_sequence = robot.sent + 1;
     robot.sent += count as u64;
     let batch = ObservationBatch {
-        first_sequence,
-        last_sequence: robot.sent,
-        content_crc: 1,
+        span: SequenceSpan { first: first_sequence, last: robot.sent, content_crc: 1 },
         new_names: if first { vec![Some(StateName::new("s").expect("valid").into())] } else { Vec::new() },
         table_indices: vec![0; count],
         values,

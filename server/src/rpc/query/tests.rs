@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use tidemap_map::{
-    event::UpdateCause,
+    event::{SequenceSpan, UpdateCause},
     grid::{
         index::TileIndex,
         mask::{Mask, TileMasks},
@@ -209,9 +209,7 @@ impl Robot {
         let first_sequence = self.sent + 1;
         self.sent += observed.len() as u64;
         let batch = ObservationBatch {
-            first_sequence,
-            last_sequence: self.sent,
-            content_crc: 1,
+            span: SequenceSpan { first: first_sequence, last: self.sent, content_crc: 1 },
             new_names,
             table_indices: vec![0; observed.len()],
             times_nanos: observed.iter().map(|(time, _)| *time).collect(),
@@ -234,7 +232,7 @@ impl Robot {
         for message in split(batch(self.sent + 1, &times, encoded), 1 << 20) {
             self.intake.begin_scans(message).expect("well formed");
             while let Some(batch) = self.intake.next_scans().expect("well formed") {
-                self.sent = batch.last_sequence;
+                self.sent = batch.span.last;
                 let session = self.opened.session;
                 assert!(
                     bench

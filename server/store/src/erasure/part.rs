@@ -39,18 +39,14 @@ impl Producers {
     }
 
     fn event(&mut self, event: &Event) {
-        let (producer, new, scans) = match event {
-            Event::Observations(event) => (event.producer, &event.new_producer, None),
-            Event::Scans(event) => (event.producer, &event.new_producer, Some(true)),
-            _ => return,
-        };
-        if let Some(new) = new {
-            self.known.entry(producer).or_insert_with(|| (new.key.clone(), Some(false)));
+        let Some(envelope) = event.envelope() else { return };
+        if let Some(new) = &envelope.new_producer {
+            self.known.entry(envelope.producer).or_insert_with(|| (new.key.clone(), Some(false)));
         }
-        if scans.is_some()
-            && let Some((_, has_scans)) = self.known.get_mut(&producer)
+        if let Event::Scans(..) = event
+            && let Some((_, has_scans)) = self.known.get_mut(&envelope.producer)
         {
-            (*has_scans, self.has_scans) = (scans, true);
+            (*has_scans, self.has_scans) = (Some(true), true);
         }
     }
 

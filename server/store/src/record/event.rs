@@ -4,7 +4,10 @@
 
 use prost::Message as _;
 use tidemap_map::{
-    event::{Dimensions, Event, NewState, Observations, OffsetRun, StateShape, UpdateCause, UpdateStart},
+    event::{
+        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateShape, UpdateCause,
+        UpdateStart,
+    },
     ids::{ProducerId, StateId},
     name::StateName,
 };
@@ -31,10 +34,10 @@ const COUNT_MAX: usize = 1 << 20;
 /// The kind and the payload of an event.
 pub(crate) fn encode(event: &Event) -> Result<(FrameKind, Vec<u8>), Invalid> {
     match event {
-        Event::Observations(observations) => {
-            Ok((FrameKind::Observations, encode_observations(observations)?.encode_to_vec()))
+        Event::Observations(envelope, observations) => {
+            Ok((FrameKind::Observations, encode_observations(envelope, observations)?.encode_to_vec()))
         }
-        Event::Scans(event) => Ok((FrameKind::Scans, scans::encode(event)?.encode_to_vec())),
+        Event::Scans(envelope, event) => Ok((FrameKind::Scans, scans::encode(envelope, event)?.encode_to_vec())),
         Event::UpdateStart(start) => Ok((FrameKind::UpdateStart, encode_update_start(start).encode_to_vec())),
         Event::AddState(state) => Ok((FrameKind::AddState, encode_new_state(state).encode_to_vec())),
         Event::EditSite(edit) => Ok((FrameKind::EditSite, site::encode_edit(edit).encode_to_vec())),
@@ -47,11 +50,13 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
     match kind {
         FrameKind::Observations => {
             let message = v2::event::Observations::decode(payload).map_err(|_| GARBLED)?;
-            decode_observations(&message).map(Event::Observations)
+            let (envelope, observations) = decode_observations(&message)?;
+            Ok(Event::Observations(envelope, observations))
         }
         FrameKind::Scans => {
             let message = v2::event::Scans::decode(payload).map_err(|_| GARBLED)?;
-            scans::decode(&message).map(Event::Scans)
+            let (envelope, scans) = scans::decode(&message)?;
+            Ok(Event::Scans(envelope, scans))
         }
         FrameKind::UpdateStart => {
             let message = v1::UpdateStart::decode(payload).map_err(|_| GARBLED)?;
@@ -102,23 +107,23 @@ fn check_counts(accepted: usize, columns: [usize; 3], offsets: impl Iterator<Ite
     Ok(())
 }
 
-fn encode_observations(event: &Observations) -> Result<v2::event::Observations, Invalid> {
+fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v2::event::Observations, Invalid> {
     let lengths = [event.states.len(), event.times_nanos.len(), event.values.len()];
     check_counts(event.states.len(), lengths, event.offsets.iter().map(|run| run.count))?;
-    if event.last_sequence < event.first_sequence {
+    if envelope.span.is_empty() {
         return Err("the last sequence number is before the first");
     }
-    let (refused_sequences, refused_reasons) = encode_refused(&event.refused)?;
+    let (refused_sequences, refused_reasons) = encode_refused(&envelope.refused)?;
     let times = columns::encode_times(&event.times_nanos)?;
     let (value_encoding, values) = columns::encode_values(&event.values)?;
     Ok(v2::event::Observations {
-        producer: event.producer.0,
-        new_producer: event.new_producer.as_ref().map(encode_new_producer),
-        incarnation: event.incarnation,
-        first_sequence: event.first_sequence,
-        last_sequence: event.last_sequence,
-        content_crc: event.content_crc,
-        received_nanos: event.received_nanos,
+        producer: envelope.producer.0,
+        new_producer: envelope.new_producer.as_ref().map(encode_new_producer),
+        incarnation: envelope.incarnation,
+        first_sequence: envelope.span.first,
+        last_sequence: envelope.span.last,
+        content_crc: envelope.span.content_crc,
+        received_nanos: envelope.received_nanos,
         new_states: event.new_states.iter().map(encode_new_state).collect(),
         // Checked above against a much lower limit.
         count: event.states.len() as u32,
@@ -136,7 +141,7 @@ fn encode_observations(event: &Observations) -> Result<v2::event::Observations, 
     })
 }
 
-fn decode_observations(message: &v2::event::Observations) -> Result<Observations, Invalid> {
+fn decode_observations(message: &v2::event::Observations) -> Result<(Envelope, Observations), Invalid> {
     let count = message.count as usize;
     check_counts(count, [count; 3], message.offset_counts.iter().copied())?;
     if message.offset_counts.len() != message.offset_secs.len() {
@@ -151,22 +156,28 @@ fn decode_observations(message: &v2::event::Observations) -> Result<Observations
         differences: &message.times,
     };
     let runs = message.offset_counts.iter().zip(&message.offset_secs);
-    Ok(Observations {
-        producer: ProducerId(message.producer),
-        new_producer: message.new_producer.as_ref().map(decode_new_producer).transpose()?,
-        incarnation: message.incarnation,
-        first_sequence: message.first_sequence,
-        last_sequence: message.last_sequence,
-        content_crc: message.content_crc,
-        received_nanos: message.received_nanos,
-        new_states: message.new_states.iter().map(decode_new_state).collect::<Result<_, _>>()?,
-        states: columns::decode_states(&message.states, count, StateId)?,
-        times_nanos: columns::decode_times(&times, count)?,
-        values: columns::decode_values(message.value_encoding, &message.values, count)?,
-        offsets: runs.map(|(&count, &offset_secs)| OffsetRun { count, offset_secs }).collect(),
-        refused: decode_refused(&message.refused_sequences, &message.refused_reasons)?,
-        failures: message.failures.iter().map(traversal::decode_failure).collect::<Result<_, _>>()?,
-    })
+    Ok((
+        Envelope {
+            producer: ProducerId(message.producer),
+            new_producer: message.new_producer.as_ref().map(decode_new_producer).transpose()?,
+            incarnation: message.incarnation,
+            span: SequenceSpan {
+                first: message.first_sequence,
+                last: message.last_sequence,
+                content_crc: message.content_crc,
+            },
+            received_nanos: message.received_nanos,
+            refused: decode_refused(&message.refused_sequences, &message.refused_reasons)?,
+        },
+        Observations {
+            new_states: message.new_states.iter().map(decode_new_state).collect::<Result<_, _>>()?,
+            states: columns::decode_states(&message.states, count, StateId)?,
+            times_nanos: columns::decode_times(&times, count)?,
+            values: columns::decode_values(message.value_encoding, &message.values, count)?,
+            offsets: runs.map(|(&count, &offset_secs)| OffsetRun { count, offset_secs }).collect(),
+            failures: message.failures.iter().map(traversal::decode_failure).collect::<Result<_, _>>()?,
+        },
+    ))
 }
 
 fn encode_new_state(state: &NewState) -> v1::NewState {

@@ -7,6 +7,7 @@
 use std::{borrow::Cow, sync::Arc};
 
 use tidemap_map::{
+    event::{Envelope, SequenceSpan},
     grid::{
         index::{TILE_CELLS, TileId, TileIndex},
         scan::{CellRef, LoggedScan, Scans},
@@ -92,15 +93,15 @@ fn add_whole(flips: &mut Vec<CellRef>, tiles: &[TileId]) {
 }
 
 /// The message of an event.
-pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
+pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<v2::Scans, Invalid> {
     let scans = &event.scans;
     if scans.len() > SCANS_MAX {
         return Err("there are more scans than one record may hold");
     }
-    if event.last_sequence < event.first_sequence {
+    if envelope.span.is_empty() {
         return Err("the last sequence number is before the first");
     }
-    let (refused_sequences, refused_reasons) = encode_refused(&event.refused)?;
+    let (refused_sequences, refused_reasons) = encode_refused(&envelope.refused)?;
     let observed: Vec<ObservedFlips<'_>> = scans.iter().map(|scan| ObservedFlips::new(&scan.observed_flips)).collect();
     if observed.iter().map(|scan| scan.whole.len()).sum::<usize>() > WHOLE_TILES_MAX {
         return Err("its scans observe more whole tiles than one record may hold");
@@ -109,13 +110,13 @@ pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
     let times = columns::encode_times(&nanos)?;
     let (offset_counts, offset_secs) = offsets::encode(scans.iter().map(|scan| scan.offset_secs));
     Ok(v2::Scans {
-        producer: event.producer.0,
-        new_producer: event.new_producer.as_ref().map(encode_new_producer),
-        incarnation: event.incarnation,
-        first_sequence: event.first_sequence,
-        last_sequence: event.last_sequence,
-        content_crc: event.content_crc,
-        received_nanos: event.received_nanos,
+        producer: envelope.producer.0,
+        new_producer: envelope.new_producer.as_ref().map(encode_new_producer),
+        incarnation: envelope.incarnation,
+        first_sequence: envelope.span.first,
+        last_sequence: envelope.span.last,
+        content_crc: envelope.span.content_crc,
+        received_nanos: envelope.received_nanos,
         new_tiles: encode_tiles(&event.new_tiles),
         // Checked above.
         count: scans.len() as u32,
@@ -136,7 +137,7 @@ pub(super) fn encode(event: &Scans) -> Result<v2::Scans, Invalid> {
 }
 
 /// The event of a message.
-pub(super) fn decode(message: &v2::Scans) -> Result<Scans, Invalid> {
+pub(super) fn decode(message: &v2::Scans) -> Result<(Envelope, Scans), Invalid> {
     let count = message.count as usize;
     if count > SCANS_MAX {
         return Err("there are more scans than one record may hold");
@@ -177,18 +178,21 @@ pub(super) fn decode(message: &v2::Scans) -> Result<Scans, Invalid> {
             add_whole(&mut scan.observed_flips, &tiles);
         }
     }
-    Ok(Scans {
-        producer: ProducerId(message.producer),
-        new_producer: message.new_producer.as_ref().map(decode_new_producer).transpose()?,
-        incarnation: message.incarnation,
-        first_sequence: message.first_sequence,
-        last_sequence: message.last_sequence,
-        content_crc: message.content_crc,
-        received_nanos: message.received_nanos,
-        new_tiles: decode_tiles(&message.new_tiles)?,
-        scans,
-        refused: decode_refused(&message.refused_sequences, &message.refused_reasons)?,
-    })
+    Ok((
+        Envelope {
+            producer: ProducerId(message.producer),
+            new_producer: message.new_producer.as_ref().map(decode_new_producer).transpose()?,
+            incarnation: message.incarnation,
+            span: SequenceSpan {
+                first: message.first_sequence,
+                last: message.last_sequence,
+                content_crc: message.content_crc,
+            },
+            received_nanos: message.received_nanos,
+            refused: decode_refused(&message.refused_sequences, &message.refused_reasons)?,
+        },
+        Scans { new_tiles: decode_tiles(&message.new_tiles)?, scans },
+    ))
 }
 
 fn encode_tiles(tiles: &[TileIndex]) -> Vec<u8> {
@@ -303,21 +307,18 @@ mod tests {
             scan(Vec::new()),
             scan([CellRef(7)].into_iter().chain(whole(3..4)).chain(whole(9..10).skip(1)).collect()),
         ];
-        let event = Scans {
+        let envelope = Envelope {
             producer: ProducerId(0),
             new_producer: None,
             incarnation: 1,
-            first_sequence: 1,
-            last_sequence: 3,
-            content_crc: 0,
+            span: SequenceSpan { first: 1, last: 3, content_crc: 0 },
             received_nanos: 0,
-            new_tiles: Vec::new(),
-            scans,
             refused: Vec::new(),
         };
-        let message = encode(&event).expect("a good event");
+        let event = Scans { new_tiles: Vec::new(), scans };
+        let message = encode(&envelope, &event).expect("a good event");
         assert_eq!(message.observed_flips.len(), 1 + 2 + 510);
         assert!(message.observed_tiles.len() < 16);
-        assert_eq!(decode(&message).expect("what was encoded"), event);
+        assert_eq!(decode(&message).expect("what was encoded"), (envelope, event));
     }
 }

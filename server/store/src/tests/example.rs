@@ -8,7 +8,7 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause, UpdateStart},
+    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
     ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
@@ -50,28 +50,30 @@ pub(crate) fn event(position: u64) -> Event {
     }
     let count = random.random_range(1..40);
     let is_first = position == 1;
-    Event::Observations(Observations {
-        producer: ProducerId(0),
-        new_producer: is_first.then(|| ProducerKey::new("robot", "door").expect("valid").into()),
-        incarnation: 1,
-        first_sequence: position * 100,
-        last_sequence: position * 100 + 60,
-        content_crc: random.random(),
-        received_nanos: position as i64 * HOUR_NANOS,
-        new_states: (0..if is_first { 3 } else { 0 })
-            .map(|id| NewState {
-                id: StateId(id),
-                name: StateName::new(&format!("state {id}")).expect("valid"),
-                shape: StateKind::Probability.into(),
-            })
-            .collect(),
-        states: (0..count).map(|_| StateId(random.random_range(0..3))).collect(),
-        times_nanos: (0..count as i64).map(|i| position as i64 * HOUR_NANOS + i * 1_000_000_000).collect(),
-        values: (0..count).map(|_| f64::from(random.random_range(0..2_u8))).collect(),
-        offsets: vec![OffsetRun { count, offset_secs: 3600 }],
-        refused: vec![(position * 100 + 60, RefusalReason::Value)],
-        failures: Vec::new(),
-    })
+    Event::Observations(
+        Envelope {
+            producer: ProducerId(0),
+            new_producer: is_first.then(|| ProducerKey::new("robot", "door").expect("valid").into()),
+            incarnation: 1,
+            span: SequenceSpan { first: position * 100, last: position * 100 + 60, content_crc: random.random() },
+            received_nanos: position as i64 * HOUR_NANOS,
+            refused: vec![(position * 100 + 60, RefusalReason::Value)],
+        },
+        Observations {
+            new_states: (0..if is_first { 3 } else { 0 })
+                .map(|id| NewState {
+                    id: StateId(id),
+                    name: StateName::new(&format!("state {id}")).expect("valid"),
+                    shape: StateKind::Probability.into(),
+                })
+                .collect(),
+            states: (0..count).map(|_| StateId(random.random_range(0..3))).collect(),
+            times_nanos: (0..count as i64).map(|i| position as i64 * HOUR_NANOS + i * 1_000_000_000).collect(),
+            values: (0..count).map(|_| f64::from(random.random_range(0..2_u8))).collect(),
+            offsets: vec![OffsetRun { count, offset_secs: 3600 }],
+            failures: Vec::new(),
+        },
+    )
 }
 
 fn location_name(number: u64) -> StateName {

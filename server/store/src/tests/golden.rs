@@ -8,7 +8,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause, UpdateStart},
+    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
     ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey, StateName},
     snapshot::{MapSnapshot, ProducerMark, StateSnapshot},
@@ -49,14 +49,15 @@ fn spec() -> MapSpec {
 }
 
 fn events() -> Vec<Event> {
-    let first = Observations {
+    let envelope = Envelope {
         producer: ProducerId(0),
         new_producer: Some(ProducerKey::new("robot", "door").expect("valid").into()),
         incarnation: 2,
-        first_sequence: 1,
-        last_sequence: 12,
-        content_crc: 0x1234_5678,
+        span: SequenceSpan { first: 1, last: 12, content_crc: 0x1234_5678 },
         received_nanos: 1_700_000_001_000_000_000,
+        refused: vec![(3, RefusalReason::Value), (12, RefusalReason::StateKind)],
+    };
+    let first = Observations {
         new_states: vec![NewState {
             id: StateId(0),
             name: StateName::new("Küche").expect("valid"),
@@ -66,32 +67,33 @@ fn events() -> Vec<Event> {
         times_nanos: (0..10).map(|i| 1_700_000_000_000_000_000 + i * 1_000_000_000).collect(),
         values: vec![0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
         offsets: vec![OffsetRun { count: 4, offset_secs: 3600 }, OffsetRun { count: 6, offset_secs: 7200 }],
-        refused: vec![(3, RefusalReason::Value), (12, RefusalReason::StateKind)],
         failures: Vec::new(),
     };
-    let second = Observations {
+    let later = Envelope {
         new_producer: None,
+        span: SequenceSpan { first: 13, last: 15, ..envelope.span },
+        refused: vec![],
+        ..envelope.clone()
+    };
+    let second = Observations {
         new_states: vec![NewState {
             id: StateId(1),
             name: StateName::new("door").expect("valid"),
             shape: StateKind::Probability.into(),
         }],
-        first_sequence: 13,
-        last_sequence: 15,
         states: vec![StateId(1), StateId(0), StateId(300)],
         times_nanos: vec![5, 1_700_000_100_000_000_000, 7],
         values: vec![0.1, 1.0, -0.0],
         offsets: vec![OffsetRun { count: 3, offset_secs: -16_200 }],
-        refused: vec![],
-        ..first.clone()
+        failures: Vec::new(),
     };
     let floats = Observations { values: vec![0.25; 3], ..second.clone() };
     let cut_nanos = 1_700_000_050_000_000_000;
     vec![
-        Event::Observations(first),
-        Event::Observations(second),
+        Event::Observations(envelope, first),
+        Event::Observations(later.clone(), second),
         Event::UpdateStart(UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::DataTime }),
-        Event::Observations(floats),
+        Event::Observations(later, floats),
     ]
 }
 

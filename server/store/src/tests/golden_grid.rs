@@ -8,7 +8,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Event, UpdateCause, UpdateStart},
+    event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
     grid::{
         day::{GridDay, ScanTime},
         index::{CellBox, CellIndex, TileId, TileIndex},
@@ -88,21 +88,12 @@ fn events() -> Vec<Event> {
         observed_flips,
         occupied_flips,
     };
-    let scans = Scans {
+    let envelope = Envelope {
         producer: ProducerId(0),
         new_producer: Some(ProducerKey::new("robot", "lidar").expect("valid").into()),
         incarnation: 2,
-        first_sequence: 1,
-        last_sequence: 8,
-        content_crc: 0x1234_5678,
+        span: SequenceSpan { first: 1, last: 8, content_crc: 0x1234_5678 },
         received_nanos: 1_700_000_001_000_000_000,
-        new_tiles: vec![TileIndex { x: 0, y: 0, z: 0 }, TileIndex { x: -1, y: 5, z: 0 }],
-        scans: vec![
-            scan(0, Some(&[0, 1]), [refs(0, 0..64), refs(1, 10..30)].concat(), refs(0, 3..5)),
-            scan(1_000_000_000, None, vec![], vec![]),
-            scan(3_000_000_000, None, vec![], [refs(0, 4..6), refs(1, 20..21)].concat()),
-            scan(4_500_000_000, Some(&[1]), refs(1, 30..31), vec![]),
-        ],
         refused: vec![
             (2, RefusalReason::NoGrid),
             (3, RefusalReason::Scan),
@@ -111,9 +102,18 @@ fn events() -> Vec<Event> {
             (8, RefusalReason::Frame),
         ],
     };
+    let scans = Scans {
+        new_tiles: vec![TileIndex { x: 0, y: 0, z: 0 }, TileIndex { x: -1, y: 5, z: 0 }],
+        scans: vec![
+            scan(0, Some(&[0, 1]), [refs(0, 0..64), refs(1, 10..30)].concat(), refs(0, 3..5)),
+            scan(1_000_000_000, None, vec![], vec![]),
+            scan(3_000_000_000, None, vec![], [refs(0, 4..6), refs(1, 20..21)].concat()),
+            scan(4_500_000_000, Some(&[1]), refs(1, 30..31), vec![]),
+        ],
+    };
     let cut_nanos = 1_700_000_050_000_000_000;
     vec![
-        Event::Scans(scans),
+        Event::Scans(envelope, scans),
         Event::UpdateStart(UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::Midnight }),
     ]
 }

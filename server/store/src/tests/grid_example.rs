@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::Event,
+    event::{Envelope, Event, SequenceSpan},
     grid::{
         day::{GridDay, ScanTime},
         fade::GroupFade,
@@ -86,25 +86,27 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
             occupied_flips: if random.random_bool(0.7) { cells(random) } else { Vec::new() },
         });
     }
-    Event::Scans(Scans {
-        producer: ProducerId(0),
-        new_producer: random.random_bool(0.3).then(|| NewProducer {
-            key: ProducerKey::new("robot", "lidar").expect("valid"),
-            sensor: random
-                .random_bool(0.5)
-                .then(|| ProducerSensor { hit: random.random_range(0.5..1.0), false_alarm: 0.25 }),
-        }),
-        incarnation: random.random(),
-        first_sequence: number * 100,
-        last_sequence: number * 100 + 60,
-        content_crc: random.random(),
-        received_nanos: random.random(),
-        new_tiles: (0..random.random_range(0..5))
-            .map(|_| TileIndex { x: random.random(), y: random.random_range(-3..3), z: 0 })
-            .collect(),
-        scans,
-        refused: vec![(number * 100 + 3, RefusalReason::Frame), (number * 100 + 5, RefusalReason::TileLimit)],
-    })
+    Event::Scans(
+        Envelope {
+            producer: ProducerId(0),
+            new_producer: random.random_bool(0.3).then(|| NewProducer {
+                key: ProducerKey::new("robot", "lidar").expect("valid"),
+                sensor: random
+                    .random_bool(0.5)
+                    .then(|| ProducerSensor { hit: random.random_range(0.5..1.0), false_alarm: 0.25 }),
+            }),
+            incarnation: random.random(),
+            span: SequenceSpan { first: number * 100, last: number * 100 + 60, content_crc: random.random() },
+            received_nanos: random.random(),
+            refused: vec![(number * 100 + 3, RefusalReason::Frame), (number * 100 + 5, RefusalReason::TileLimit)],
+        },
+        Scans {
+            new_tiles: (0..random.random_range(0..5))
+                .map(|_| TileIndex { x: random.random(), y: random.random_range(-3..3), z: 0 })
+                .collect(),
+            scans,
+        },
+    )
 }
 
 /// Sensors of a map: mostly only its own.

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, UpdateCause, UpdateStart},
+    event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
     grid::{
         index::{TileId, TileIndex},
         scan::{CellRef, LoggedScan, Scans},
@@ -49,18 +49,20 @@ fn events() -> Vec<Event> {
         };
         let is_first = number == 0;
         let tiles = (0..TILES as i32).map(|x| TileIndex { x, y: 0, z: 0 });
-        events.push(Event::Scans(Scans {
-            producer: ProducerId(0),
-            new_producer: is_first.then(|| ProducerKey::new("robot", "lidar").expect("valid").into()),
-            incarnation: 1,
-            first_sequence: first,
-            last_sequence: first + PER_EVENT - 1,
-            content_crc: 0,
-            received_nanos: 100 * DAY_NANOS,
-            new_tiles: if is_first { tiles.collect() } else { Vec::new() },
-            scans: (first..first + PER_EVENT).map(scan).collect(),
-            refused: Vec::new(),
-        }));
+        events.push(Event::Scans(
+            Envelope {
+                producer: ProducerId(0),
+                new_producer: is_first.then(|| ProducerKey::new("robot", "lidar").expect("valid").into()),
+                incarnation: 1,
+                span: SequenceSpan { first, last: first + PER_EVENT - 1, content_crc: 0 },
+                received_nanos: 100 * DAY_NANOS,
+                refused: Vec::new(),
+            },
+            Scans {
+                new_tiles: if is_first { tiles.collect() } else { Vec::new() },
+                scans: (first..first + PER_EVENT).map(scan).collect(),
+            },
+        ));
         if number % 2 == 1 {
             let generation = number / 2 + 1;
             // Not all scans, so that some stay pending.

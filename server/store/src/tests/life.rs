@@ -215,16 +215,16 @@ fn an_event_that_could_not_be_read_back_is_not_written() {
     let spec = spec("office");
     let map = store.create_map(&spec).expect("creates");
     let log = store.open_map(map, &spec).expect("opens").log;
-    let tidemap_map::event::Event::Observations(good) = event(1) else { panic!("observations") };
+    let tidemap_map::event::Event::Observations(envelope, good) = event(1) else { panic!("observations") };
     for value in [f64::NAN, -1.1e12, 1e300, f64::INFINITY] {
         let mut bad = good.clone();
         bad.values[0] = value;
-        let error = append(&log, &tidemap_map::event::Event::Observations(bad));
+        let error = append(&log, &tidemap_map::event::Event::Observations(envelope.clone(), bad));
         assert!(matches!(error, Err(AppendError::InvalidEvent(_))), "{value}");
     }
     let mut bad = good.clone();
     bad.times_nanos.pop();
-    let error = append(&log, &tidemap_map::event::Event::Observations(bad));
+    let error = append(&log, &tidemap_map::event::Event::Observations(envelope.clone(), bad));
     assert!(matches!(error, Err(AppendError::InvalidEvent(_))));
     assert_eq!(append(&log, &event(1)), Ok(1), "the log goes on");
 }

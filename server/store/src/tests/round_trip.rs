@@ -5,7 +5,10 @@ use std::sync::Arc;
 use proptest::{collection::vec, option, prelude::*};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Dimensions, Event, NewState, Observations, OffsetRun, StateKind, StateShape, UpdateCause, UpdateStart},
+    event::{
+        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, StateShape,
+        UpdateCause, UpdateStart,
+    },
     grid::index::CellIndex,
     grid::sensors::ProducerSensor,
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
@@ -59,54 +62,56 @@ fn observations() -> impl Strategy<Value = Event> {
     (columns, key, refused, numbers, vec("[a-zü ]{1,20}", 0..5), failures()).prop_map(
         |(columns, key, refused, numbers, names, failures)| {
             let (states, times_nanos, values, split, offsets) = columns;
-            let (producer, incarnation, first_sequence, length, content_crc, received_nanos) = numbers;
+            let (producer, incarnation, first, length, content_crc, received_nanos) = numbers;
             let rest = values.len() as u32 - split;
             let mut sequence = 0;
-            Event::Observations(Observations {
-                producer: ProducerId(producer),
-                new_producer: key.map(|(producer, label, sensor)| NewProducer {
-                    key: ProducerKey::new(&producer, &label).expect("valid"),
-                    sensor: sensor.map(|(hit, false_alarm)| ProducerSensor { hit, false_alarm }),
-                }),
-                incarnation,
-                first_sequence,
-                last_sequence: first_sequence.saturating_add(u64::from(length)),
-                content_crc,
-                received_nanos,
-                new_states: (0..)
-                    .zip(names)
-                    .map(|(id, name)| NewState {
-                        id: StateId(id),
-                        name: StateName::new(&name).expect("valid"),
-                        shape: shape(id as usize),
-                    })
-                    .chain(states_of_places())
-                    .collect(),
-                states: states.into_iter().map(StateId).collect(),
-                times_nanos,
-                values,
-                offsets: vec![
-                    OffsetRun { count: split, offset_secs: offsets.0 },
-                    OffsetRun { count: rest, offset_secs: offsets.1 },
-                ],
-                refused: refused
-                    .into_iter()
-                    .map(|(step, reason)| {
-                        sequence += step;
-                        let reason = match reason {
-                            0 => RefusalReason::Value,
-                            1 => RefusalReason::Time,
-                            2 => RefusalReason::StateName,
-                            3 => RefusalReason::StateIndex,
-                            4 => RefusalReason::StateLimit,
-                            6 => RefusalReason::Edge,
-                            _ => RefusalReason::StateKind,
-                        };
-                        (sequence, reason)
-                    })
-                    .collect(),
-                failures,
-            })
+            Event::Observations(
+                Envelope {
+                    producer: ProducerId(producer),
+                    new_producer: key.map(|(producer, label, sensor)| NewProducer {
+                        key: ProducerKey::new(&producer, &label).expect("valid"),
+                        sensor: sensor.map(|(hit, false_alarm)| ProducerSensor { hit, false_alarm }),
+                    }),
+                    incarnation,
+                    span: SequenceSpan { first, last: first.saturating_add(u64::from(length)), content_crc },
+                    received_nanos,
+                    refused: refused
+                        .into_iter()
+                        .map(|(step, reason)| {
+                            sequence += step;
+                            let reason = match reason {
+                                0 => RefusalReason::Value,
+                                1 => RefusalReason::Time,
+                                2 => RefusalReason::StateName,
+                                3 => RefusalReason::StateIndex,
+                                4 => RefusalReason::StateLimit,
+                                6 => RefusalReason::Edge,
+                                _ => RefusalReason::StateKind,
+                            };
+                            (sequence, reason)
+                        })
+                        .collect(),
+                },
+                Observations {
+                    new_states: (0..)
+                        .zip(names)
+                        .map(|(id, name)| NewState {
+                            id: StateId(id),
+                            name: StateName::new(&name).expect("valid"),
+                            shape: shape(id as usize),
+                        })
+                        .chain(states_of_places())
+                        .collect(),
+                    states: states.into_iter().map(StateId).collect(),
+                    times_nanos,
+                    values,
+                    offsets: vec![
+                        OffsetRun { count: split, offset_secs: offsets.0 },
+                        OffsetRun { count: rest, offset_secs: offsets.1 },
+                    ],
+                    failures,
+                },
+            )
         },
     )
 }
@@ -244,8 +249,8 @@ fn edit_site() -> impl Strategy<Value = Event> {
 /// Equal to the bit: 0.0 and -0.0 differ.
 fn bits(event: &Event) -> Vec<u64> {
     match event {
-        Event::Observations(observations) => observations.values.iter().map(|value| value.to_bits()).collect(),
-        Event::Scans(_) | Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => Vec::new(),
+        Event::Observations(_, observations) => observations.values.iter().map(|value| value.to_bits()).collect(),
+        Event::Scans(..) | Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => Vec::new(),
     }
 }
 

@@ -6,7 +6,7 @@ use proptest::{collection::vec, prelude::*};
 use prost::Message as _;
 use rand::{SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::Event,
+    event::{Envelope, Event, SequenceSpan},
     grid::{
         index::TileId,
         scan::{CellRef, LoggedScan, Scans},
@@ -22,19 +22,18 @@ fn decode(message: &v2::event::Scans) -> Result<Event, &'static str> {
     record::event::decode(FrameKind::Scans, &message.encode_to_vec())
 }
 
-fn event_of(scans: Vec<LoggedScan>) -> Scans {
-    Scans {
-        producer: ProducerId(3),
-        new_producer: None,
-        incarnation: 1,
-        first_sequence: 1,
-        last_sequence: 256,
-        content_crc: 77,
-        received_nanos: 1_700_000_000_000_000_000,
-        new_tiles: Vec::new(),
-        scans,
-        refused: Vec::new(),
-    }
+fn event_of(scans: Vec<LoggedScan>) -> Event {
+    Event::Scans(
+        Envelope {
+            producer: ProducerId(3),
+            new_producer: None,
+            incarnation: 1,
+            span: SequenceSpan { first: 1, last: 256, content_crc: 77 },
+            received_nanos: 1_700_000_000_000_000_000,
+            refused: Vec::new(),
+        },
+        Scans { new_tiles: Vec::new(), scans },
+    )
 }
 
 fn still(count: i64) -> Vec<LoggedScan> {
@@ -76,7 +75,7 @@ proptest! {
             observed_flips: flips.clone(),
             occupied_flips: flips.iter().copied().rev().take(number).rev().collect(),
         };
-        let event = Event::Scans(event_of(times.into_iter().enumerate().map(scan).collect()));
+        let event = event_of(times.into_iter().enumerate().map(scan).collect());
         let (kind, payload) = record::event::encode(&event).expect("valid");
         prop_assert_eq!(record::event::decode(kind, &payload), Ok(event));
     }
@@ -96,7 +95,7 @@ proptest! {
 
 #[test]
 fn a_scan_in_which_nothing_changed_takes_a_few_bytes() {
-    let length = |count| record::event::encode(&Event::Scans(event_of(still(count)))).expect("valid").1.len();
+    let length = |count| record::event::encode(&event_of(still(count))).expect("valid").1.len();
     let (few, many) = (length(1), length(257));
     assert!(few < 60, "{few} bytes");
     assert!(many - few <= 256 * 5, "{} bytes for 256 scans", many - few);
@@ -108,7 +107,7 @@ fn what_could_not_be_read_back_is_refused() {
     let change = |change: fn(&mut LoggedScan)| {
         let mut scans = good.clone();
         change(&mut scans[1]);
-        record::event::encode(&Event::Scans(event_of(scans)))
+        record::event::encode(&event_of(scans))
     };
     assert!(change(|_| {}).is_ok());
     assert!(change(|scan| scan.utc_nanos = -1).is_err());
@@ -116,9 +115,10 @@ fn what_could_not_be_read_back_is_refused() {
     assert!(change(|scan| scan.occupied_flips = vec![CellRef(5), CellRef(4)]).is_err());
     assert!(change(|scan| scan.seen = Some(Arc::new([TileId(2), TileId(1)]))).is_err());
     let many = vec![good[1].clone(); SCANS_MAX + 1];
-    assert!(record::event::encode(&Event::Scans(event_of(many))).is_err());
-    let reversed = Scans { last_sequence: 0, ..event_of(Vec::new()) };
-    assert!(record::event::encode(&Event::Scans(reversed)).is_err());
+    assert!(record::event::encode(&event_of(many)).is_err());
+    let Event::Scans(mut envelope, scans) = event_of(Vec::new()) else { unreachable!("scans") };
+    envelope.span.last = 0;
+    assert!(record::event::encode(&Event::Scans(envelope, scans)).is_err());
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Event, NewState, Observations, OffsetRun, StateKind, UpdateCause, UpdateStart},
+    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
@@ -50,22 +50,24 @@ fn events(seed: u64) -> Vec<Event> {
         let first_sequence = sequence + 1;
         sequence += readings.len() as u64;
         let is_first = day == 0;
-        events.push(Event::Observations(Observations {
-            producer: ProducerId(0),
-            new_producer: is_first.then(|| ProducerKey::new("robot", "doors").expect("valid").into()),
-            incarnation: 1,
-            first_sequence,
-            last_sequence: sequence,
-            content_crc: 0,
-            received_nanos: 100 * DAY_NANOS,
-            new_states: if is_first { (0..STATES).map(new).collect() } else { Vec::new() },
-            states: readings.iter().map(|reading| reading.0).collect(),
-            times_nanos: readings.iter().map(|reading| reading.1).collect(),
-            values: readings.iter().map(|reading| reading.2).collect(),
-            offsets: vec![OffsetRun { offset_secs: 3600, count: readings.len() as u32 }],
-            refused: Vec::new(),
-            failures: Vec::new(),
-        }));
+        events.push(Event::Observations(
+            Envelope {
+                producer: ProducerId(0),
+                new_producer: is_first.then(|| ProducerKey::new("robot", "doors").expect("valid").into()),
+                incarnation: 1,
+                span: SequenceSpan { first: first_sequence, last: sequence, content_crc: 0 },
+                received_nanos: 100 * DAY_NANOS,
+                refused: Vec::new(),
+            },
+            Observations {
+                new_states: if is_first { (0..STATES).map(new).collect() } else { Vec::new() },
+                states: readings.iter().map(|reading| reading.0).collect(),
+                times_nanos: readings.iter().map(|reading| reading.1).collect(),
+                values: readings.iter().map(|reading| reading.2).collect(),
+                offsets: vec![OffsetRun { offset_secs: 3600, count: readings.len() as u32 }],
+                failures: Vec::new(),
+            },
+        ));
         let cut_nanos = (day + 1) * DAY_NANOS - random.random_range(0..DAY_NANOS / 4);
         let generation = day as u64 + 1;
         events.push(Event::UpdateStart(UpdateStart { generation, cut_nanos, cause: UpdateCause::Midnight }));

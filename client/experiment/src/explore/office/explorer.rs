@@ -11,7 +11,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Event, UpdateCause},
+    event::{Envelope, Event, SequenceSpan, UpdateCause},
     grid::{
         index::{CellIndex, TILE_CELLS, TileIndex},
         log_head::{LogHead, StreamScan, StreamTiles},
@@ -307,19 +307,16 @@ impl Explorer {
             .transpose()
             .map_err(OfficeError::setting)?;
         self.scans += 1;
-        let scans = Scans {
+        let envelope = Envelope {
             producer: ProducerId(0),
             new_producer,
             incarnation: 1,
-            first_sequence: self.scans,
-            last_sequence: self.scans,
-            content_crc: 0,
+            span: SequenceSpan { first: self.scans, last: self.scans, content_crc: 0 },
             received_nanos: utc_nanos,
-            new_tiles: taken.new_tiles,
-            scans: vec![taken.scan],
             refused: Vec::new(),
         };
-        self.map.apply(self.map.position() + 1, &Event::Scans(scans))?;
+        let scans = Scans { new_tiles: taken.new_tiles, scans: vec![taken.scan] };
+        self.map.apply(self.map.position() + 1, &Event::Scans(envelope, scans))?;
         Ok(())
     }
 

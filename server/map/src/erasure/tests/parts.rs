@@ -65,26 +65,26 @@ fn story(steps: &[Step]) -> Vec<Event> {
             NewState { id: StateId(id), name: named(&format!("s{id}")), shape }
         };
         let key = ProducerKey::new(&format!("robot-{of}"), "").expect("valid");
-        events.push(Event::Observations(Observations {
-            producer: ProducerId(step.producer),
-            new_producer: None,
-            incarnation: 1,
-            first_sequence: sequences[of] + 1,
-            last_sequence: sequences[of] + u64::from(count),
-            content_crc: 7,
-            // What lies on the day after tomorrow waits.
-            received_nanos: from + DAY,
-            new_states: (known..most).map(new).collect(),
-            states: step.rows.iter().map(|(state, ..)| StateId(*state)).collect(),
-            times_nanos: step.rows.iter().map(|(_, minute, _)| from + minute * HOUR / 60).collect(),
-            values: step.rows.iter().map(|(.., quarters)| f64::from(*quarters) / 4.0).collect(),
-            offsets: vec![OffsetRun { count, offset_secs: 3600 }],
-            refused: Vec::new(),
-            failures: Vec::new(),
-        }));
-        let Some(Event::Observations(event)) = events.last_mut() else { unreachable!("just pushed") };
-        event.new_producer = (sequences[of] == 0).then(|| key.into());
-        (sequences[of], known) = (event.last_sequence, most);
+        events.push(Event::Observations(
+            Envelope {
+                producer: ProducerId(step.producer),
+                new_producer: (sequences[of] == 0).then(|| key.into()),
+                incarnation: 1,
+                span: SequenceSpan { first: sequences[of] + 1, last: sequences[of] + u64::from(count), content_crc: 7 },
+                // What lies on the day after tomorrow waits.
+                received_nanos: from + DAY,
+                refused: Vec::new(),
+            },
+            Observations {
+                new_states: (known..most).map(new).collect(),
+                states: step.rows.iter().map(|(state, ..)| StateId(*state)).collect(),
+                times_nanos: step.rows.iter().map(|(_, minute, _)| from + minute * HOUR / 60).collect(),
+                values: step.rows.iter().map(|(.., quarters)| f64::from(*quarters) / 4.0).collect(),
+                offsets: vec![OffsetRun { count, offset_secs: 3600 }],
+                failures: Vec::new(),
+            },
+        ));
+        (sequences[of], known) = (sequences[of] + u64::from(count), most);
         if let Some((minutes, is_nightly)) = step.update {
             generation += 1;
             cut_nanos = (from + DAY - minutes * HOUR / 60).max(cut_nanos);
@@ -100,7 +100,7 @@ fn story(steps: &[Step]) -> Vec<Event> {
 fn number_producers(events: &mut [Event]) {
     let mut order = Vec::new();
     for event in events {
-        if let Event::Observations(event) = event {
+        if let Event::Observations(event, _) = event {
             if !order.contains(&event.producer) {
                 order.push(event.producer);
             }
@@ -138,11 +138,11 @@ fn told(
 /// The events without what is selected.
 fn naive(events: &[Event], selection: &Selection) -> Vec<Event> {
     let without = |event: &Event| match event {
-        Event::Observations(event) => {
+        Event::Observations(envelope, event) => {
             let mut left = event.clone();
             let is_left = |state: StateId, nanos: i64| {
                 let of_state = selection.states.as_ref().is_none_or(|states| states.contains(&state));
-                let by = selection.producers.as_ref().is_none_or(|producers| producers.contains(&event.producer));
+                let by = selection.producers.as_ref().is_none_or(|producers| producers.contains(&envelope.producer));
                 !(of_state && by && selection.from_nanos <= nanos && nanos < selection.to_nanos)
             };
             let kept: Vec<_> = event.samples().filter(|(state, sample)| is_left(*state, sample.utc_nanos)).collect();
@@ -151,7 +151,7 @@ fn naive(events: &[Event], selection: &Selection) -> Vec<Event> {
             left.values = kept.iter().map(|(_, sample)| sample.value).collect();
             let count = u32::try_from(kept.len()).expect("few");
             left.offsets = if count > 0 { vec![OffsetRun { count, offset_secs: 3600 }] } else { Vec::new() };
-            Event::Observations(left)
+            Event::Observations(envelope.clone(), left)
         }
         event => event.clone(),
     };
@@ -257,7 +257,7 @@ fn compare(models: EnabledModels, steps: &[Step], selection: &Selection, saved: 
             events
                 .iter()
                 .map(|event| match event {
-                    Event::Observations(event) => event.states.len() as u64,
+                    Event::Observations(_, event) => event.states.len() as u64,
                     _ => 0,
                 })
                 .sum::<u64>()

@@ -4,7 +4,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    event::Event,
+    event::{Envelope, Event, SequenceSpan},
     grid::tests::world::{HOUR, spec},
     ids::ProducerId,
     live_map::LiveMap,
@@ -38,19 +38,18 @@ fn logged(number: usize, (seen, cells): &Drawn, shown: &mut [[Mask; 2]]) -> Logg
     LoggedScan { utc_nanos: number as i64 * HOUR, offset_secs: 0, seen: Some(seen), observed_flips, occupied_flips }
 }
 
-fn event(first: u64, scans: Vec<LoggedScan>, new_tiles: Vec<TileIndex>) -> Scans {
-    Scans {
-        producer: ProducerId(0),
-        new_producer: (first == 1).then(|| ProducerKey::new("camera", "").expect("valid").into()),
-        incarnation: 1,
-        first_sequence: first,
-        last_sequence: first + scans.len() as u64 - 1,
-        content_crc: 0,
-        received_nanos: 10_000 * HOUR,
-        new_tiles,
-        scans,
-        refused: Vec::new(),
-    }
+fn event(first: u64, scans: Vec<LoggedScan>, new_tiles: Vec<TileIndex>) -> Event {
+    Event::Scans(
+        Envelope {
+            producer: ProducerId(0),
+            new_producer: (first == 1).then(|| ProducerKey::new("camera", "").expect("valid").into()),
+            incarnation: 1,
+            span: SequenceSpan { first, last: first + scans.len() as u64 - 1, content_crc: 0 },
+            received_nanos: 10_000 * HOUR,
+            refused: Vec::new(),
+        },
+        Scans { new_tiles, scans },
+    )
 }
 
 fn drawn() -> impl Strategy<Value = Vec<Drawn>> {
@@ -74,7 +73,7 @@ proptest! {
         let mut shown = [[Mask::EMPTY; 2]; TILES as usize];
         let mut map = LiveMap::new(Arc::new(spec(&mut 1)));
         let before = scans[..begin].iter().enumerate().map(|(number, scan)| logged(number, scan, &mut shown)).collect();
-        map.apply(1, &Event::Scans(event(1, before, (0..TILES - 1).map(index).collect()))).expect("consistent");
+        map.apply(1, &event(1, before, (0..TILES - 1).map(index).collect())).expect("consistent");
         let view = map.publish();
         let cells = wanted.iter().map(|&(tile, cell)| index(tile).cell(cell));
         let mut follower = CellFollower::new(view.grid().expect("a grid"), cells);
@@ -93,7 +92,8 @@ proptest! {
         let mut found = Vec::new();
         if !after.is_empty() {
             let after = event(begin as u64 + 1, after, vec![index(TILES - 1)]);
-            map.apply(2, &Event::Scans(after.clone())).expect("consistent");
+            map.apply(2, &after).expect("consistent");
+            let Event::Scans(_, after) = after else { unreachable!("scans") };
             follower.pass(&after, |scan, reading| found.push((scan, reading)));
         }
         prop_assert_eq!(found, expected);

@@ -97,24 +97,28 @@ impl LiveGrid {
         Ok(())
     }
 
-    /// Applies scans that [`LiveGrid::check`] has accepted, made with this sensor. Returns the latest time that did not
-    /// have to wait.
-    pub(crate) fn apply_observations(&mut self, event: &Scans, sensor: Option<ProducerSensor>) -> Option<i64> {
+    /// Applies scans that [`LiveGrid::check`] has accepted, made with this sensor. Scans later than `plausible_nanos`
+    /// wait. Returns the latest time of those that do not.
+    pub(crate) fn apply_observations(
+        &mut self,
+        event: &Scans,
+        sensor: Option<ProducerSensor>,
+        plausible_nanos: i64,
+    ) -> Option<i64> {
         let sensor = self.sensors.find(sensor).unwrap_or_default();
         for &index in &event.new_tiles {
             self.add_tile(Arc::new(LiveTile::new(index)));
         }
-        let plausible = event.plausible_nanos();
         let mut newest = None;
         for scan in &event.scans {
-            if self.take_in_scan(scan, sensor, plausible) {
+            if self.take_in_scan(scan, sensor, plausible_nanos) {
                 newest = newest.max(Some(scan.utc_nanos));
             }
         }
         newest
     }
 
-    fn take_in_scan(&mut self, scan: &LoggedScan, sensor: SensorId, plausible: i64) -> bool {
+    fn take_in_scan(&mut self, scan: &LoggedScan, sensor: SensorId, plausible_nanos: i64) -> bool {
         if let Some(seen) = &scan.seen {
             self.last_seen = Arc::clone(seen);
         }
@@ -122,7 +126,7 @@ impl LiveGrid {
         self.scans += 1;
         let time = ScanTime { utc_nanos: scan.utc_nanos, offset_secs: scan.offset_secs, sensor };
         let flips = ScanFlips { observed: &scan.observed_flips, occupied: &scan.occupied_flips };
-        if scan.utc_nanos > plausible {
+        if scan.utc_nanos > plausible_nanos {
             self.flip_arrivals(flips);
             let shown = seen.iter().filter_map(|&tile| Some((tile, self.arrival(tile)?)));
             let tiles: Vec<(TileId, TileMasks)> = shown.collect();

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::*;
 use crate::{
-    event::{Event, UpdateCause},
+    event::{Envelope, Event, SequenceSpan, UpdateCause},
     grid::{
         scan::{CellRef, LoggedScan, Scans},
         spec::SensorNoise,
@@ -17,16 +17,17 @@ use crate::{
 };
 
 fn scans(new_tiles: &[i32], scans: Vec<LoggedScan>) -> Scans {
-    Scans {
+    Scans { new_tiles: new_tiles.iter().map(|&x| TileIndex { x, y: 0, z: 0 }).collect(), scans }
+}
+
+/// The first event of a producer.
+fn envelope() -> Envelope {
+    Envelope {
         producer: ProducerId(0),
         new_producer: Some(ProducerKey::new("robot", "").expect("valid").into()),
         incarnation: 1,
-        first_sequence: 1,
-        last_sequence: 9,
-        content_crc: 0,
+        span: SequenceSpan { first: 1, last: 9, content_crc: 0 },
         received_nanos: 1000,
-        new_tiles: new_tiles.iter().map(|&x| TileIndex { x, y: 0, z: 0 }).collect(),
-        scans,
         refused: Vec::new(),
     }
 }
@@ -65,7 +66,7 @@ fn events_that_do_not_follow_are_refused() {
 fn a_restored_map_still_waits_to_fold_in_its_pending_scans() {
     let spec = Arc::new(spec(&mut 1));
     let mut map = LiveMap::new(Arc::clone(&spec));
-    map.apply(1, &Event::Scans(scans(&[0], vec![scan(&[0], &[7])]))).expect("consistent");
+    map.apply(1, &Event::Scans(envelope(), scans(&[0], vec![scan(&[0], &[7])]))).expect("consistent");
     let start = map.plan_update(Some(400), 1000, UpdateCause::Midnight);
     let work = map.apply(2, &Event::UpdateStart(start)).expect("consistent").expect("an update");
     let snapshot = map.finish_update(work.run(&std::sync::atomic::AtomicU64::new(0)).expect("in memory"));
@@ -86,7 +87,7 @@ fn tiles_of_scans_that_wait_are_counted_until_their_time_has_come() {
         LoggedScan { utc_nanos: future(10), ..scan(&[0, 1], &[7]) },
         LoggedScan { utc_nanos: future(20), ..scan(&[1], &[]) },
     );
-    map.apply(1, &Event::Scans(scans(&[0, 4], vec![one, other]))).expect("consistent");
+    map.apply(1, &Event::Scans(envelope(), scans(&[0, 4], vec![one, other]))).expect("consistent");
     assert_eq!(map.grid().expect("a grid").future_tiles(), 3);
     let update = |map: &mut LiveMap, position: u64, now: i64| {
         let start = map.plan_update(None, now, UpdateCause::Request);
@@ -123,18 +124,18 @@ fn a_scan_of_another_sensor_changes_what_the_cells_before_it_count_as() {
         let observed: &[u32] = if position == 1 { &[7, 8] } else { &[] };
         let times = [utc_nanos, utc_nanos + 3_000_000_000];
         let key = ProducerKey::new(&format!("robot{producer}"), "").expect("valid");
-        let event = Scans {
+        let envelope = Envelope {
             producer: ProducerId(1 - producer),
             new_producer: is_first.then_some(NewProducer { key, sensor: (producer == 0).then_some(other) }),
-            first_sequence: turn * 2 - 1,
-            last_sequence: turn * 2,
+            span: SequenceSpan { first: turn * 2 - 1, last: turn * 2, content_crc: 0 },
             received_nanos: times[1],
-            ..scans(
-                if position == 1 { &[0] } else { &[] },
-                vec![scan(times[0], position == 1, observed), scan(times[1], false, &[])],
-            )
+            ..envelope()
         };
-        map.apply(position, &Event::Scans(event)).expect("consistent");
+        let scans = scans(
+            if position == 1 { &[0] } else { &[] },
+            vec![scan(times[0], position == 1, observed), scan(times[1], false, &[])],
+        );
+        map.apply(position, &Event::Scans(envelope, scans)).expect("consistent");
         for time in times {
             expected.observe(time, levels[usize::from(producer == 0)].0);
         }
@@ -153,8 +154,8 @@ fn a_producer_that_cannot_have_its_sensor_is_refused() {
     let mut map = LiveMap::new(Arc::new(spec(&mut 1)));
     let sensor = Some(ProducerSensor { hit: 0.2, false_alarm: 0.3 });
     let key = ProducerKey::new("robot", "").expect("valid");
-    let event = Scans { new_producer: Some(NewProducer { key, sensor }), ..scans(&[], vec![]) };
-    let refused = map.apply(1, &Event::Scans(event)).expect_err("refused");
+    let envelope = Envelope { new_producer: Some(NewProducer { key, sensor }), ..envelope() };
+    let refused = map.apply(1, &Event::Scans(envelope, Scans::default())).expect_err("refused");
     assert!(refused.reason.contains("hit 0.2, false alarm 0.3"), "{refused}");
     assert_eq!((map.producers(), map.grid().map(|grid| grid.sensors().others())), (0, Some(0)));
 }

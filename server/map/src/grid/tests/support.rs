@@ -11,7 +11,7 @@ use super::{
     world::{HOUR, SECOND},
 };
 use crate::{
-    event::{Event, UpdateCause},
+    event::{Envelope, Event, SequenceSpan, UpdateCause},
     grid::{
         index::{TileId, TileIndex},
         scan::{CellRef, LoggedScan, Scans},
@@ -74,18 +74,21 @@ impl Camera {
         }
         let cut_nanos = times.last().map_or(0, |last| (last / DAY + 1) * DAY);
         let new_tiles = (0..tiles as i32).map(|x| TileIndex { x, y: 0, z: 0 });
-        let event = Event::Scans(Scans {
-            producer: ProducerId(0),
-            new_producer: is_first.then(|| ProducerKey::new("camera", "").expect("valid").into()),
-            incarnation: 1,
-            first_sequence: self.sequence + 1,
-            last_sequence: self.sequence + scans.len() as u64,
-            content_crc: 0,
-            received_nanos: cut_nanos,
-            new_tiles: if is_first { new_tiles.collect() } else { Vec::new() },
-            scans,
-            refused: Vec::new(),
-        });
+        let event = Event::Scans(
+            Envelope {
+                producer: ProducerId(0),
+                new_producer: is_first.then(|| ProducerKey::new("camera", "").expect("valid").into()),
+                incarnation: 1,
+                span: SequenceSpan {
+                    first: self.sequence + 1,
+                    last: self.sequence + scans.len() as u64,
+                    content_crc: 0,
+                },
+                received_nanos: cut_nanos,
+                refused: Vec::new(),
+            },
+            Scans { new_tiles: if is_first { new_tiles.collect() } else { Vec::new() }, scans },
+        );
         self.sequence += times.len() as u64;
         let map = &mut self.map;
         map.apply(map.position() + 1, &event).expect("consistent");

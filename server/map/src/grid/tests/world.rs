@@ -12,7 +12,7 @@ use super::{
     scans::ScanOracle,
 };
 use crate::{
-    event::{Event, UpdateCause},
+    event::{Envelope, Event, SequenceSpan, UpdateCause},
     grid::{
         live::LiveGrid,
         log_head::{LogHead, TooManyTiles},
@@ -199,18 +199,15 @@ impl World {
             prior: of_grid.prior,
         });
         let levels = noise.levels();
-        let mut event = Scans {
+        let mut envelope = Envelope {
             producer: known.map_or(new_id, |(id, _)| id),
             new_producer: known.is_none().then(|| NewProducer { key: stream.key.clone(), sensor }),
             incarnation: 1,
-            first_sequence,
-            last_sequence: first_sequence + seen.len() as u64 - 1,
-            content_crc: 3,
+            span: SequenceSpan { first: first_sequence, last: first_sequence + seen.len() as u64 - 1, content_crc: 3 },
             received_nanos: self.now_nanos,
-            new_tiles: Vec::new(),
-            scans: Vec::new(),
             refused: Vec::new(),
         };
+        let mut event = Scans::default();
         for (sequence, scan) in (first_sequence..).zip(seen) {
             let sent = stream.send(scan);
             let offset_secs = self.spec.zone.offset_secs(scan.utc_nanos);
@@ -222,11 +219,11 @@ impl World {
                     event.scans.push(taken.scan);
                 }
                 Err(TooManyTiles) => {
-                    event.refused.push((sequence, RefusalReason::TileLimit));
+                    envelope.refused.push((sequence, RefusalReason::TileLimit));
                     continue;
                 }
             }
-            let is_ahead = scan.utc_nanos > event.plausible_nanos();
+            let is_ahead = scan.utc_nanos > envelope.plausible_nanos();
             self.scans.take(scan, offset_secs, sensor, is_ahead);
             for &(tile, masks) in &scan.tiles {
                 for cell in masks.observed().cells() {
@@ -237,7 +234,7 @@ impl World {
                 }
             }
         }
-        self.apply(Event::Scans(event));
+        self.apply(Event::Scans(envelope, event));
     }
 
     fn apply(&mut self, event: Event) {

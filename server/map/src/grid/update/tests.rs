@@ -4,7 +4,7 @@ use std::{collections::HashSet, sync::atomic::AtomicU64};
 
 use super::*;
 use crate::{
-    event::{Event, UpdateCause},
+    event::{Envelope, Event, SequenceSpan, UpdateCause},
     grid::{
         index::TileIndex,
         scan::{CellRef, LoggedScan, Scans},
@@ -33,18 +33,21 @@ fn fixed_day(day: i64, tiles: u32) -> Event {
         occupied_flips: (0..tiles).map(|tile| CellRef(tile * 512 + u32::try_from(number).expect("small"))).collect(),
     };
     let new_tiles = (0..i32::try_from(tiles).expect("few")).map(|x| TileIndex { x, y: 0, z: 0 });
-    Event::Scans(Scans {
-        producer: ProducerId(0),
-        new_producer: (day == 0).then(|| ProducerKey::new("camera", "").expect("valid").into()),
-        incarnation: 1,
-        first_sequence: day.cast_unsigned() * 8 + 1,
-        last_sequence: day.cast_unsigned() * 8 + 8,
-        content_crc: 0,
-        received_nanos: 24 * (day + 1) * HOUR,
-        new_tiles: if day == 0 { new_tiles.collect() } else { Vec::new() },
-        scans: (0..8).map(scan).collect(),
-        refused: Vec::new(),
-    })
+    Event::Scans(
+        Envelope {
+            producer: ProducerId(0),
+            new_producer: (day == 0).then(|| ProducerKey::new("camera", "").expect("valid").into()),
+            incarnation: 1,
+            span: SequenceSpan {
+                first: day.cast_unsigned() * 8 + 1,
+                last: day.cast_unsigned() * 8 + 8,
+                content_crc: 0,
+            },
+            received_nanos: 24 * (day + 1) * HOUR,
+            refused: Vec::new(),
+        },
+        Scans { new_tiles: if day == 0 { new_tiles.collect() } else { Vec::new() }, scans: (0..8).map(scan).collect() },
+    )
 }
 
 #[test]

@@ -28,13 +28,13 @@ fn they_share_the_numbers_and_the_crc_of_observations() {
     let mut intake = intake(0);
     let trips = [trip("Hall", 1, 5, true), trip("Hall", 5, 9, false)];
     let batch = intake.take_traversals(&message(1, &trips)).expect("fine").expect("new");
-    assert_eq!((batch.first_sequence, batch.last_sequence), (1, 2));
+    assert_eq!((batch.span.first, batch.span.last), (1, 2));
     assert_eq!(batch.traversals.iter().map(|(sequence, _)| *sequence).collect::<Vec<_>>(), [1, 2]);
     let bytes = |trip: &Traversal| {
         let tail = [&trip.start_nanos.to_le_bytes()[..], &trip.end_nanos.to_le_bytes(), &[u8::from(trip.success)]];
         [b"edge/Hall/Lab", &tail.concat()[..], b"stuck"].concat()
     };
-    assert_eq!(batch.content_crc, crc32c::crc32c_append(0, &trips.each_ref().map(bytes).concat()));
+    assert_eq!(batch.span.content_crc, crc32c::crc32c_append(0, &trips.each_ref().map(bytes).concat()));
     assert!(intake.take_traversals(&message(1, &trips)).expect("fine").is_none());
     let observations = Some(encode(&[3], &[0], &[1.0], vec!["door".to_owned()]));
     intake.take(v1::ObservationBatch { first_sequence: 3, observations }).expect("fine").expect("new");
@@ -43,7 +43,7 @@ fn they_share_the_numbers_and_the_crc_of_observations() {
     let other = intake.take_traversals(&message(2, &more)).expect_err("other content");
     assert_eq!(other, IntakeError::DataMismatch { first: 3, last: 3, next: 4 });
     let batch = intake.take_traversals(&message(4, &more[2..])).expect("fine").expect("new");
-    assert_eq!((batch.first_sequence, batch.last_sequence, batch.traversals.len()), (4, 4, 1));
+    assert_eq!((batch.span.first, batch.span.last, batch.traversals.len()), (4, 4, 1));
     assert_eq!(batch.traversals[0].1.start_nanos, 9);
     let leap = intake.take_traversals(&message(6, &trips)).expect_err("a gap");
     assert_eq!(leap, IntakeError::OutOfSequence { got: 6, expected: 5 });
@@ -60,7 +60,7 @@ fn a_wrong_traversal_does_not_take_its_neighbours_with_it() {
     assert!(batch.refused.iter().all(|refused| refused.detail.chars().count() <= 200));
     let [(12, taken)] = batch.traversals.as_slice() else { panic!("{:?}", batch.traversals) };
     assert!(taken.reason.starts_with("x x ") && taken.reason.chars().count() <= 200);
-    assert_eq!(batch.last_sequence, 14);
+    assert_eq!(batch.span.last, 14);
 }
 
 #[test]

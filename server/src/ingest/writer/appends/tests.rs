@@ -1,7 +1,7 @@
 //! Failures of appends, and the memory of those in flight.
 
 use tidemap_map::{
-    event::{UpdateCause, UpdateStart},
+    event::{Envelope, SequenceSpan, UpdateCause, UpdateStart},
     grid::{index::TileIndex, scan::Scans},
     ids::ProducerId,
     name::MapName,
@@ -36,18 +36,17 @@ fn update(generation: u64) -> InFlight {
 }
 
 fn scans(new_tiles: usize) -> InFlight {
-    let event = Event::Scans(Scans {
-        producer: ProducerId(0),
-        new_producer: None,
-        incarnation: 1,
-        first_sequence: 1,
-        last_sequence: 1,
-        content_crc: 0,
-        received_nanos: 0,
-        new_tiles: vec![TileIndex::default(); new_tiles],
-        scans: Vec::new(),
-        refused: Vec::new(),
-    });
+    let event = Event::Scans(
+        Envelope {
+            producer: ProducerId(0),
+            new_producer: None,
+            incarnation: 1,
+            span: SequenceSpan { first: 1, last: 1, content_crc: 0 },
+            received_nanos: 0,
+            refused: Vec::new(),
+        },
+        Scans { new_tiles: vec![TileIndex::default(); new_tiles], scans: Vec::new() },
+    );
     let permit = || Arc::new(tokio::sync::Semaphore::new(1)).try_acquire_owned().expect("free");
     let _budget = Arc::new([permit(), permit()]);
     InFlight::Stream { session: SessionId(1), event, refused: Vec::new(), tiles_ahead: 0, _budget }

@@ -57,7 +57,7 @@ impl Scanner {
         while let Some(batch) = self.intake.next_scans().expect("well formed") {
             let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
             let budget = [permit(), permit()];
-            self.robot.sent = batch.last_sequence;
+            self.robot.sent = batch.span.last;
             assert!(handle.send(Command::StreamData {
                 session: self.robot.opened.session,
                 data: StreamData::Scans(batch, budget)

@@ -1,7 +1,7 @@
 //! States that are added before anything is observed of them, and the effect of a state's kind on its observations.
 
 use tidemap_map::{
-    event::{Dimensions, Position, StateKind, StateShape},
+    event::{Dimensions, Position, SequenceSpan, StateKind, StateShape},
     ids::StateId,
 };
 
@@ -27,9 +27,7 @@ async fn send(
     let first_sequence = robot.sent + 1;
     robot.sent += values.len() as u64;
     let batch = ObservationBatch {
-        first_sequence,
-        last_sequence: robot.sent,
-        content_crc: 1,
+        span: SequenceSpan { first: first_sequence, last: robot.sent, content_crc: 1 },
         new_names: vec![Some(name)],
         table_indices: vec![0; values.len()],
         times_nanos: (0..values.len() as i64).map(|i| NOON + i).collect(),
@@ -127,8 +125,7 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
     let mut names = vec![vector("anna", Dimensions::Two), Some(StateName::new("door").expect("valid").into())];
     names.extend(["a", "b", "c"].map(|name| vector(name, Dimensions::Three)));
     let batch = ObservationBatch {
-        first_sequence: 1,
-        last_sequence: 7,
+        span: SequenceSpan { first: 1, last: 7, content_crc: 0 },
         new_names: names,
         table_indices: vec![0, 1, 0, 2, 3, 4, 1],
         times_nanos: (0..7).map(|i| NOON - 10 + i).collect(),

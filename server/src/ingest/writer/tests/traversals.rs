@@ -1,7 +1,7 @@
 //! Traversals of edges: their observations, refusals, a restart, and waiting for edits.
 
 use tidemap_map::{
-    event::StateKind,
+    event::{SequenceSpan, StateKind},
     name::EdgeName,
     site::SiteEdit,
     topology::{EdgeEnds, Extent, NewEdge, NewNode, TopologyEdit},
@@ -47,9 +47,7 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
     let first_sequence = robot.sent + 1;
     robot.sent += traversals.len() as u64;
     let batch = TraversalBatch {
-        first_sequence,
-        last_sequence: robot.sent,
-        content_crc: 1,
+        span: SequenceSpan { first: first_sequence, last: robot.sent, content_crc: 1 },
         traversals: (first_sequence..).zip(traversals).collect(),
         refused: Vec::new(),
     };

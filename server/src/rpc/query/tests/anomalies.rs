@@ -1,6 +1,6 @@
 //! Unexpected observations: found in the past, and reported as they arrive.
 
-use tidemap_map::event::StateKind;
+use tidemap_map::event::{SequenceSpan, StateKind};
 use tidemap_model::selector::{ModelKind, ModelSelector};
 use tidemap_proto::convert::query::selector_to_wire;
 use tokio_stream::wrappers::ReceiverStream;
@@ -293,9 +293,11 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
     let session = counter.opened.session;
     let batch = |first_sequence: u64, readings: &[(i64, f64)], new_names| {
         let batch = ObservationBatch {
-            first_sequence,
-            last_sequence: first_sequence + readings.len() as u64 - 1,
-            content_crc: 1,
+            span: SequenceSpan {
+                first: first_sequence,
+                last: first_sequence + readings.len() as u64 - 1,
+                content_crc: 1,
+            },
             new_names,
             table_indices: vec![0; readings.len()],
             times_nanos: readings.iter().map(|(nanos, _)| *nanos).collect(),

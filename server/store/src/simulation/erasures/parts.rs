@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicU64;
 
 use tidemap_map::{
     erasure::{NotErasable, Selection},
-    event::{NewState, Observations, OffsetRun, UpdateCause},
+    event::{Envelope, NewState, Observations, OffsetRun, SequenceSpan, UpdateCause},
     grid::spec::Retention,
     ids::ProducerId,
     live_map::LiveMap,
@@ -44,25 +44,31 @@ fn observed(half_day: i64, without: &Selection) -> Event {
         name: StateName::new(&format!("s{id}")).expect("valid"),
         shape: StateKind::Probability.into(),
     };
-    Event::Observations(Observations {
-        producer,
-        new_producer: (number == 0).then(|| key.into()),
-        incarnation: 1,
-        first_sequence: u64::try_from(number).expect("small") * 36 + 1,
-        last_sequence: u64::try_from(number).expect("small") * 36 + 36,
-        content_crc: 7,
-        received_nanos: 1000 * HOUR,
-        new_states: if half_day == 0 { (0..STATES).map(new).collect() } else { Vec::new() },
-        states: left.iter().map(|(state, _)| *state).collect(),
-        times_nanos: left.iter().map(|(_, nanos)| *nanos).collect(),
-        values: left
-            .iter()
-            .map(|(state, at)| f64::from(u8::from((at / HOUR / 7 + i64::from(state.0)) % 2 == 0)))
-            .collect(),
-        offsets: if count > 0 { vec![OffsetRun { count, offset_secs: 3600 }] } else { Vec::new() },
-        refused: Vec::new(),
-        failures: Vec::new(),
-    })
+    Event::Observations(
+        Envelope {
+            producer,
+            new_producer: (number == 0).then(|| key.into()),
+            incarnation: 1,
+            span: SequenceSpan {
+                first: u64::try_from(number).expect("small") * 36 + 1,
+                last: u64::try_from(number).expect("small") * 36 + 36,
+                content_crc: 7,
+            },
+            received_nanos: 1000 * HOUR,
+            refused: Vec::new(),
+        },
+        Observations {
+            new_states: if half_day == 0 { (0..STATES).map(new).collect() } else { Vec::new() },
+            states: left.iter().map(|(state, _)| *state).collect(),
+            times_nanos: left.iter().map(|(_, nanos)| *nanos).collect(),
+            values: left
+                .iter()
+                .map(|(state, at)| f64::from(u8::from((at / HOUR / 7 + i64::from(state.0)) % 2 == 0)))
+                .collect(),
+            offsets: if count > 0 { vec![OffsetRun { count, offset_secs: 3600 }] } else { Vec::new() },
+            failures: Vec::new(),
+        },
+    )
 }
 
 /// A disk with a map that was told all of it but what is selected; the last days are in the log only.
