@@ -47,11 +47,11 @@ pub struct Targets {
 
 /// The view from a viewpoint.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Look {
+pub enum View {
     /// Expected information gain at each time, bits; `None` if the viewpoint is probably occupied then.
     Information(Vec<Option<f64>>),
-    /// Why nothing can be seen at any time.
-    Nothing(String),
+    /// Nothing can be seen at any time; why.
+    Blocked(String),
 }
 
 /// A request for a tour. `None`: the daemon's default.
@@ -204,7 +204,7 @@ pub struct SlotQuery {
     pub exactly_one: bool,
     /// Seed of the random choices.
     pub seed: u64,
-    /// Length of a slot, nanoseconds, with [`SlotQuery::exactly_one`]; that of the allowance goes before.
+    /// Length of a slot, nanoseconds, with [`SlotQuery::exactly_one`]. If the allowance has a slot length, that one is used.
     pub slot_nanos: Option<i64>,
     /// A daily allowance of visits; `None`: every slot is used.
     pub allowance: Option<SlotAllowance>,
@@ -286,7 +286,7 @@ impl Client {
         times_nanos: Vec<i64>,
         sensor: Sensor,
         model: ModelSelector,
-    ) -> Result<Vec<Look>, Error> {
+    ) -> Result<Vec<View>, Error> {
         let times = times_nanos.len();
         let request = v1::EvaluateViewsRequest {
             map: map.to_owned(),
@@ -298,20 +298,20 @@ impl Client {
         };
         let answer = self.exploration_service().evaluate_views(request).await;
         let mut replies = answer.map_err(|status| self.error(&status))?.into_inner();
-        let mut looks = Vec::with_capacity(viewpoints.len());
+        let mut views = Vec::with_capacity(viewpoints.len());
         while let Some(reply) = replies.message().await.map_err(|status| self.error(&status))? {
-            if reply.viewpoint as usize != looks.len() {
+            if reply.viewpoint as usize != views.len() {
                 return Err(Error::Protocol("a viewpoint out of order"));
             }
-            looks.push(if !reply.reason.is_empty() {
-                Look::Nothing(reply.reason)
+            views.push(if !reply.reason.is_empty() {
+                View::Blocked(reply.reason)
             } else if reply.information_bits.len() == times {
-                Look::Information(reply.information_bits.into_iter().map(|b| Some(b).filter(|b| !b.is_nan())).collect())
+                View::Information(reply.information_bits.into_iter().map(|b| Some(b).filter(|b| !b.is_nan())).collect())
             } else {
                 return Err(Error::Protocol("views at other times than asked for"));
             });
         }
-        if looks.len() == viewpoints.len() { Ok(looks) } else { Err(Error::Protocol("a viewpoint is missing")) }
+        if views.len() == viewpoints.len() { Ok(views) } else { Err(Error::Protocol("a viewpoint is missing")) }
     }
 
     /// Plans the goals of one exploration run.

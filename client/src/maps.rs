@@ -30,7 +30,7 @@ use crate::{
 /// A map to create.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NewMap {
-    /// Its name.
+    /// Name of the map, 1 to 63 of the characters a-z 0-9 _ -, the first a letter or digit.
     pub name: String,
     /// IANA time zone; UTC if absent.
     pub time_zone: Option<String>,
@@ -73,7 +73,7 @@ impl UpdateSummary {
 /// A map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Map {
-    /// Its name.
+    /// Name of the map.
     pub name: String,
     /// IANA time zone of the people on the map.
     pub time_zone: String,
@@ -133,7 +133,7 @@ pub struct GridSummary {
 /// A state of a map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct State {
-    /// Its name.
+    /// Name of the state, unique within the map.
     pub name: String,
     /// Values of a kind, positions of a vector, or angles.
     pub shape: StateShape,
@@ -253,7 +253,7 @@ impl Client {
 /// A map that cannot be used, because its data is damaged or missing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnavailableMap {
-    /// Its name.
+    /// Name of the map.
     pub name: String,
     /// What is wrong with it, and what to do.
     pub reason: String,

@@ -14,7 +14,7 @@ macro_rules! both_ways {
             match domain { $(<$domain>::$here => <$wire>::$there,)* }
         }
 
-        /// The same from the wire; `None` if the value is unspecified.
+        /// A value from the wire; `None` if it is unspecified.
         #[must_use]
         pub fn $from(wire: $wire) -> Option<$domain> {
             match wire { $(<$wire>::$there => Some(<$domain>::$here),)* <$wire>::Unspecified => None }

@@ -59,7 +59,7 @@ impl Authority {
         Self { issuer: Issuer::new(params, key), pem }
     }
 
-    /// Its own certificate.
+    /// The certificate of the authority, in PEM format.
     #[must_use]
     pub fn pem(&self) -> &str {
         &self.pem

@@ -141,7 +141,7 @@ impl Launch {
 /// Exit status and stderr of a process.
 #[derive(Clone, Debug)]
 pub struct Exit {
-    /// Its status.
+    /// How the process ended.
     pub status: ExitStatus,
     /// All of stderr.
     pub stderr: String,

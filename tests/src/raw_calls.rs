@@ -17,7 +17,7 @@ use tonic::{Code, Request, client::Grpc, codegen::http::uri::PathAndQuery};
 pub struct Method {
     /// Its path, `/package.Service/Method`.
     pub path: String,
-    /// Its name.
+    /// The method without package and service.
     pub name: String,
     /// Numbers of the fields, from the outermost in, that lead to the name of a map in a request; empty if none does.
     map_field: Vec<u32>,

@@ -12,7 +12,7 @@ use crate::binaries;
 /// A file of tokens.
 #[derive(Clone, Debug)]
 pub struct Tokens {
-    /// Its path.
+    /// Where the file is.
     pub path: PathBuf,
 }
 

@@ -277,7 +277,7 @@ struct Reader<'a> {
     format: RowFormat,
     kind: StateKind,
     asked: &'a [String],
-    /// The same as a set; empty: all states.
+    /// The states of `asked` as a set; empty: all states.
     wanted: HashSet<&'a str>,
     offsets: OffsetCache,
 }

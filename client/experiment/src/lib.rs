@@ -88,7 +88,7 @@ pub struct ModelResult {
     pub label: String,
     /// Its parameters, as chosen.
     pub parameters: String,
-    /// Its errors.
+    /// Errors of the model on the test days.
     pub score: TestScore,
     /// The difference to the baseline; none for the baseline itself.
     pub difference: Option<Difference>,

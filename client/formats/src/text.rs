@@ -19,7 +19,7 @@ pub(crate) struct Lines<'a> {
 pub(crate) struct Line<'a> {
     /// Its number, from 1.
     pub number: u64,
-    /// Its text.
+    /// The line without its ending.
     pub text: &'a str,
 }
 
@@ -74,12 +74,12 @@ impl<'a> Lines<'a> {
 }
 
 impl<'a> Line<'a> {
-    /// Its place.
+    /// Where the line is in the file, for an error.
     pub(crate) fn place(&self) -> FilePlace {
         FilePlace::Line(self.number)
     }
 
-    /// Its words.
+    /// The words of the line, split at white space.
     pub(crate) fn words(&self) -> std::str::SplitAsciiWhitespace<'a> {
         self.text.split_ascii_whitespace()
     }

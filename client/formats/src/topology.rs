@@ -27,9 +27,9 @@ pub struct EdgeEntry {
     pub action: String,
     /// Whether the file declares the reverse direction, too.
     pub both_ways: bool,
-    /// Its length.
+    /// Length of the edge, metres.
     pub length_m: Option<f64>,
-    /// Its nominal duration.
+    /// Nominal duration of the edge, seconds.
     pub nominal_secs: Option<f64>,
 }
 

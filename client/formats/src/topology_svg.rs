@@ -41,7 +41,7 @@ const HALO: &str = "stroke=\"#ffffff\" stroke-width=\"3\" paint-order=\"stroke\"
 /// A node of a drawing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PictureNode {
-    /// Its label.
+    /// Text beside the node.
     pub name: String,
     /// Position in metres; none: laid out by the drawing.
     pub at_m: Option<[f64; 2]>,

@@ -37,7 +37,7 @@ pub(crate) struct NativeClient {
 fn report(py: Python<'_>, all: usize, outcome: Outcome) -> PyResult<Bound<'_, PyDict>> {
     let counts = match outcome {
         Outcome::Whole(counts) => counts,
-        Outcome::Differs(message) => return Err(failure::of(py, "FAILED_PRECONDITION", &message)),
+        Outcome::Differs(message) => return Err(failure::exception(py, "FAILED_PRECONDITION", &message)),
         Outcome::Stopped(error) => return Err(failure::producer(py, &error)),
     };
     let report = PyDict::new(py);

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use tidemap_client::{Error, observe::ProducerError};
 
 /// The exception for a code of gRPC, made by `tidemap.errors`.
-pub(crate) fn of(py: Python<'_>, code: &str, message: &str) -> PyErr {
+pub(crate) fn exception(py: Python<'_>, code: &str, message: &str) -> PyErr {
     let made = py.import("tidemap.errors").and_then(|errors| errors.call_method1("of_code", (code, message)));
     match made {
         Ok(exception) => PyErr::from_value(exception),
@@ -29,7 +29,7 @@ pub(crate) fn code_name(code: tonic::Code) -> String {
 
 /// A wrong argument.
 pub(crate) fn invalid(py: Python<'_>, message: &str) -> PyErr {
-    of(py, "INVALID_ARGUMENT", message)
+    exception(py, "INVALID_ARGUMENT", message)
 }
 
 /// An error of a request.
@@ -41,7 +41,7 @@ pub(crate) fn request(py: Python<'_>, error: &Error) -> PyErr {
         Error::Protocol(_) => "INTERNAL".to_owned(),
         _ => "INVALID_ARGUMENT".to_owned(),
     };
-    of(py, &code, &error.to_string())
+    exception(py, &code, &error.to_string())
 }
 
 /// Why observations could not all be sent.
@@ -59,5 +59,5 @@ pub(crate) fn producer(py: Python<'_>, error: &ProducerError) -> PyErr {
         ProducerError::Storage(_) => "UNAVAILABLE",
         _ => "INVALID_ARGUMENT",
     };
-    of(py, code, &error.to_string())
+    exception(py, code, &error.to_string())
 }

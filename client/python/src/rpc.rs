@@ -58,7 +58,7 @@ pub(crate) fn model_request(py: Python<'_>, name: &str) -> PyResult<String> {
     let descriptor = pool().and_then(|pool| pool.get_message_by_name("tidemap.v1.ModelSelector"));
     let message = descriptor.and_then(|known| DynamicMessage::decode(known, selector.encode_to_vec().as_slice()).ok());
     let json = message.and_then(|message| serde_json::to_string(&message).ok());
-    json.ok_or_else(|| failure::of(py, "INTERNAL", "the descriptors of the wire cannot be read"))
+    json.ok_or_else(|| failure::exception(py, "INTERNAL", "the descriptors of the wire cannot be read"))
 }
 
 /// Calls a method.
@@ -80,7 +80,7 @@ pub(crate) fn raised(py: Python<'_>, server: &str, status: &Status) -> PyErr {
     if status.code() == Code::Unavailable && std::error::Error::source(status).is_some() {
         message = format!("no daemon answers at {server}: {message}");
     }
-    failure::of(py, &failure::code_name(status.code()), &message)
+    failure::exception(py, &failure::code_name(status.code()), &message)
 }
 
 /// Replies of a method, one by one, each as JSON.

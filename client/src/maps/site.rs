@@ -9,7 +9,7 @@ use crate::{connection::Client, error::Error};
 /// States that are observed together, from one place.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Location {
-    /// Its name.
+    /// Name of the location, 1 to 128 characters.
     pub name: String,
     /// Names of its states.
     pub states: Vec<String>,

@@ -52,7 +52,7 @@ impl Replay {
         self.0.durable()
     }
 
-    /// Their checksum.
+    /// Checksum of the durable scans.
     #[must_use]
     pub fn content_crc(&self) -> u32 {
         self.0.content_crc()

@@ -87,7 +87,7 @@ impl Window {
         }
     }
 
-    /// The same window with another limit of bytes. A single scan may exceed it.
+    /// This window with another limit of bytes. A single scan may exceed it.
     #[must_use]
     pub fn with_bytes(self, bytes_max: usize) -> Self {
         Self { bytes_max: bytes_max.max(1), ..self }

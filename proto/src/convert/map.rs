@@ -173,7 +173,7 @@ pub fn kind_to_wire(kind: StateKind) -> v1::StateKind {
     }
 }
 
-/// The same from the wire; `None` if the kind is unspecified, and for vectors, which are no values.
+/// A kind of values from the wire; `None` if the kind is unspecified, and for vectors, which have no kind of values.
 #[must_use]
 pub fn kind_from_wire(kind: v1::StateKind) -> Option<StateKind> {
     StateKind::ALL.into_iter().find(|&known| kind_to_wire(known) == kind)

@@ -123,7 +123,7 @@ pub fn edge_name_to_wire(EdgeName { from, to, action }: &EdgeName) -> v1::EdgeEn
     v1::EdgeEnds { from: text(from), to: text(to), action, both_ways: false }
 }
 
-/// The same from the wire.
+/// The name of an edge from the wire.
 ///
 /// # Errors
 /// The edge is missing, or a name is invalid.

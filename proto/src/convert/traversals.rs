@@ -145,7 +145,7 @@ pub fn failure_to_wire(failure: &EdgeFailure) -> v1::EdgeFailure {
     v1::EdgeFailure { edge, start_nanos: *start_nanos, end_nanos: *end_nanos, reason: reason.clone() }
 }
 
-/// The same from the wire.
+/// A failed traversal from the wire.
 ///
 /// # Errors
 /// An edge without a valid name.

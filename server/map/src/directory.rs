@@ -23,9 +23,9 @@ type Shard = HashMap<StateName, StateId>;
 /// Name and kind of a state.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StateInfo {
-    /// Its name.
+    /// The name of the state, unique within the map.
     pub name: StateName,
-    /// Its kind.
+    /// The kind of values that the state has; never changes.
     pub kind: StateKind,
 }
 

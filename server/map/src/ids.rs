@@ -44,7 +44,7 @@ pub enum RefusalReason {
 /// A producer that appears for the first time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewProducer {
-    /// Its key.
+    /// The producer's name and the label of its sequence.
     pub key: ProducerKey,
     /// The sensor of all its scans; `None`: the map's own.
     pub sensor: Option<ProducerSensor>,

@@ -38,7 +38,8 @@ impl Spreads {
         credible_interval(p, self.hour(at), self.all, level)
     }
 
-    /// The same for continuous and count states. `readings`: the variance of single readings.
+    /// The band of a prediction, as [`Spreads::interval`], for continuous and count states. `readings`: the variance of
+    /// single readings.
     pub fn value_interval(&self, kind: StateKind, p: f64, at: Moment, readings: f64, level: f64) -> Interval {
         value_interval(kind, p, self.hour(at), readings, level)
     }

@@ -34,9 +34,9 @@ pub(crate) struct Origin {
     pub number: u64,
 }
 
-/// An observation that waits apart.
+/// An observation ahead of the clock. It waits apart from the others until the cut of an update has passed it.
 #[derive(Clone, Copy, Debug)]
-struct Ahead {
+struct FutureObservation {
     state: StateId,
     sample: Sample,
     producer: ProducerId,
@@ -63,7 +63,7 @@ impl OfState {
 pub(crate) struct Pending {
     by_state: Vec<OfState>,
     total: u64,
-    future: Vec<Ahead>,
+    future: Vec<FutureObservation>,
     days: BTreeMap<i64, Day>,
     /// The day of the previous observation, and its earliest time: most observations need no other day.
     last: Option<(i64, i64)>,
@@ -113,7 +113,7 @@ impl Pending {
     }
 
     pub(crate) fn push_future(&mut self, state: StateId, sample: Sample, from: Origin) {
-        self.future.push(Ahead { state, sample, producer: from.producer, number: from.number });
+        self.future.push(FutureObservation { state, sample, producer: from.producer, number: from.number });
         self.note(from.position, sample.utc_nanos);
     }
 

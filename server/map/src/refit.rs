@@ -93,7 +93,7 @@ const LIMITS: Limits = Limits { refits: refits_max, readings: REFIT_READINGS };
 /// A state with models due.
 struct Due<'a> {
     wanted: ReadingsRequest,
-    of: StateKind,
+    state_kind: StateKind,
     /// The models to fit.
     kinds: Vec<FitKind>,
     /// What this update has learned.
@@ -236,7 +236,7 @@ fn due<'a>(
             from_nanos.max(civil_nanos.saturating_sub(i64::from(offsets.offset_secs(civil_nanos)) * SEC_NANOS));
     }
     let expected = ((expected * share) as u64).max(1);
-    Some(Due { wanted: ReadingsRequest { from_nanos, ..wanted }, of: model.kind(), kinds, own, day, expected })
+    Some(Due { wanted: ReadingsRequest { from_nanos, ..wanted }, state_kind: model.kind(), kinds, own, day, expected })
 }
 
 /// Number of due states to process together: at least one, if there are any.
@@ -257,5 +257,5 @@ fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<Fitted
     samples.sort_by_key(|sample| sample.utc_nanos);
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
     let readings = Readings { half_life_secs, ..Readings::new(&samples) };
-    due.kinds.par_iter().map(|&kind| FittedModel::fit(kind, due.of, readings, &spec.periodicities)).collect()
+    due.kinds.par_iter().map(|&kind| FittedModel::fit(kind, due.state_kind, readings, &spec.periodicities)).collect()
 }

@@ -101,7 +101,7 @@ pub enum InvalidEdit {
     StateExists {
         /// The state of the node.
         state: String,
-        /// Its new name.
+        /// The name that another state has.
         name: String,
     },
     /// A state of a renamed node would have an invalid name.
@@ -135,7 +135,7 @@ impl Site {
         &self.reachability
     }
 
-    /// The same site with stored reachability.
+    /// This site with stored reachability.
     pub fn with_reachability(self, reachability: Reachability) -> Site {
         Site { reachability, ..self }
     }
@@ -145,7 +145,7 @@ impl Site {
         &self.topology
     }
 
-    /// The same site with a stored topological map.
+    /// This site with a stored topological map.
     pub fn with_topology(self, topology: Topology) -> Site {
         Site { topology: Arc::new(topology), ..self }
     }
@@ -155,12 +155,12 @@ impl Site {
         &self.failures
     }
 
-    /// The same site with these locations.
+    /// This site with the given locations.
     pub(crate) fn with_locations(self, locations: BTreeMap<StateName, Location>) -> Site {
         Site { locations, ..self }
     }
 
-    /// The same site with stored failed traversals.
+    /// This site with stored failed traversals.
     pub fn with_failures(self, failures: Failures) -> Site {
         Site { failures, ..self }
     }

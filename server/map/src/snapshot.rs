@@ -78,7 +78,7 @@ pub struct ContentMark {
 /// How far a producer's sequence is durable.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProducerMark {
-    /// Its key.
+    /// The producer's name and the label of its sequence.
     pub key: ProducerKey,
     /// Highest incarnation seen.
     pub incarnation: u64,
@@ -91,7 +91,7 @@ pub struct ProducerMark {
     /// When the daemon received the newest of them, nanoseconds UTC; `None`: a checkpoint of an older version does not
     /// tell.
     pub received_nanos: Option<i64>,
-    /// The same CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
+    /// The running CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
     pub recent: Vec<ContentMark>,
     /// Whether any of them was a scan; `None`: it began with an older version, which did not tell. So it did not note
     /// in the history who observed either.
@@ -110,9 +110,9 @@ impl ProducerMark {
 /// One state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateSnapshot {
-    /// Its name.
+    /// The name of the state, unique within the map.
     pub name: StateName,
-    /// Its kind.
+    /// The kind of values that the state has.
     pub kind: StateKind,
     /// Observations acknowledged, pending ones included.
     pub observations: u64,

@@ -13,7 +13,7 @@ pub const REAL_CLOCK_MIN_NANOS: i64 = 631_152_000 * 1_000_000_000;
 /// The fixed properties of a map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapSpec {
-    /// Its name.
+    /// The name of the map, unique within the daemon.
     pub name: MapName,
     /// The time zone by whose civil time the people on the map live.
     pub zone: Zone,
@@ -67,6 +67,6 @@ impl MapSpec {
     pub fn update_rules(&self) -> UpdateRules {
         let days = |nanos: i64| nanos as f64 / (86_400.0 * 1e9);
         let half_life_days = self.half_life_nanos.map(days);
-        UpdateRules { criterion: self.criterion, half_life_days, models: self.models, rehearsal: false }
+        UpdateRules { criterion: self.criterion, half_life_days, models: self.models, trains_day_by_day: false }
     }
 }

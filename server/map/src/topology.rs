@@ -53,7 +53,7 @@ pub struct NodePose {
 /// A place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Node {
-    /// Its number.
+    /// Identifies the node in this map; never used again.
     pub id: NodeId,
     /// Its name, unique in the map.
     pub name: StateName,
@@ -89,7 +89,7 @@ impl Extent {
     }
 
     fn check(&self, what: impl Fn() -> String) -> Result<(), TopologyError> {
-        let bad = |value: Option<f64>, most: f64| value.filter(|value| !(*value > 0.0 && *value <= most));
+        let bad = |value: Option<f64>, max: f64| value.filter(|value| !(*value > 0.0 && *value <= max));
         if let Some(found) = bad(self.length_m, LENGTH_MAX_M) {
             return Err(TopologyError::Length { edge: what(), found });
         }
@@ -106,7 +106,7 @@ impl Extent {
 /// An edge from one node to another, in that direction only.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edge {
-    /// Its number.
+    /// Identifies the edge in this map; never used again.
     pub id: EdgeId,
     /// Where it begins.
     pub from: NodeId,

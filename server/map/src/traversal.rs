@@ -46,9 +46,9 @@ pub enum TraversalError {
     /// It ends before it starts.
     #[error("end {end_nanos} ns is before start {start_nanos} ns: a traversal ends after it starts")]
     Backwards {
-        /// Its start.
+        /// When the traversal started, nanoseconds UTC.
         start_nanos: i64,
-        /// Its end.
+        /// When the traversal ended, nanoseconds UTC.
         end_nanos: i64,
     },
     /// It succeeded in zero time.

@@ -67,7 +67,7 @@ pub enum SumsUnavailable {
     /// The sums of a state.
     #[error("state {name:?}: {reason}")]
     State {
-        /// Its name.
+        /// The name of the state.
         name: String,
         /// The reason.
         reason: String,
@@ -76,7 +76,7 @@ pub enum SumsUnavailable {
 
 /// The map at the update's log position, but for its models.
 #[derive(Debug)]
-pub(crate) struct Basis {
+pub(crate) struct MapAtUpdate {
     pub(crate) start: UpdateStart,
     pub(crate) position: u64,
     pub(crate) replay_from: u64,
@@ -91,7 +91,7 @@ pub(crate) struct Basis {
 /// An update, ready to run.
 #[derive(Debug)]
 pub struct UpdateWork {
-    pub(crate) basis: Basis,
+    pub(crate) basis: MapAtUpdate,
     pub(crate) spec: Arc<MapSpec>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) prior_models: PriorModels,
@@ -108,7 +108,7 @@ pub struct UpdateWork {
 /// What an update learned.
 #[derive(Debug)]
 pub struct UpdateResult {
-    pub(crate) basis: Basis,
+    pub(crate) basis: MapAtUpdate,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
     pub(crate) grid: Option<GridResult>,
     pub(crate) history: Option<HistoryPiece>,
@@ -119,7 +119,7 @@ pub struct UpdateResult {
 /// What an update did to one state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateOutcome {
-    /// Its name.
+    /// The name of the state.
     pub name: StateName,
     /// Orders, errors and counts.
     pub outcome: UpdateOutcome,
@@ -144,19 +144,19 @@ impl UpdateWork {
         self.samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>() + scans
     }
 
-    /// The same with what earlier updates have learned, so that models are fitted again where they are due. Without it
-    /// they stay as they are, and so they do in an update for [`UpdateCause::PendingLimit`]. The same update must be
-    /// given the same readings whenever it is run.
+    /// This update, with what earlier updates have learned, so that models are trained again where they are due.
+    /// Without it they stay as they are, and so they do in an update for [`UpdateCause::PendingLimit`]. A repeated
+    /// update must be given the same readings as the first time.
     pub fn with_readings(self, readings: Arc<dyn StateReadings>) -> UpdateWork {
         UpdateWork { readings: Some(readings), ..self }
     }
 
-    /// The same with a limit of the memory for sums of states; without it all that it learns stays in memory.
+    /// This update with a limit of the memory for sums of states; without it all that it learns stays in memory.
     pub fn with_room(self, room: SpectrumRoom) -> UpdateWork {
         UpdateWork { room: Some(room), ..self }
     }
 
-    /// The same with other limits of the update of the grid.
+    /// This update with other limits of the update of the grid.
     #[cfg(test)]
     pub(crate) fn with_limits(mut self, limits: UpdateLimits) -> UpdateWork {
         if let Some(grid) = &mut self.grid {
@@ -198,8 +198,8 @@ impl UpdateWork {
         for origins in &mut history.origins {
             (origins.is_early, origins.is_crowded) = (is_early, is_crowded);
         }
-        let rehearsal = readings.is_some() && !is_crowded;
-        let rules = UpdateRules { rehearsal, ..self.spec.update_rules() };
+        let trains_day_by_day = readings.is_some() && !is_crowded;
+        let rules = UpdateRules { trains_day_by_day, ..self.spec.update_rules() };
         let room = RoomInUse::new(self.room, &models);
         let learn = |(id, samples): &mut (StateId, Vec<Sample>)| {
             let id = *id;

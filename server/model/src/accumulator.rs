@@ -284,7 +284,7 @@ impl Accumulator {
         Accumulator::checked(kind, 0, parts)
     }
 
-    /// The same without its spectrum and readings, from which only an update computes anything.
+    /// A copy without the spectrum and the readings, from which only an update computes anything.
     pub(crate) fn published(&self) -> Accumulator {
         let AccumulatorParts { observations, weight, sum, sum_squares, first_nanos, last_nanos, .. } = self.parts;
         let (spectrum, short) = (Vec::new(), None);
@@ -303,17 +303,17 @@ impl Accumulator {
             return Err(InvalidParts::TimesReversed { first_nanos, last_nanos });
         }
         // Room for the rounding of long sums.
-        let most = parts.weight * (1.0 + 1e-9);
-        let least = if parts.observations == 0 { 0.0 } else { f64::MIN_POSITIVE };
-        InvalidParts::check("weight", parts.weight, least..=parts.observations as f64)?;
+        let highest = parts.weight * (1.0 + 1e-9);
+        let lowest = if parts.observations == 0 { 0.0 } else { f64::MIN_POSITIVE };
+        InvalidParts::check("weight", parts.weight, lowest..=parts.observations as f64)?;
         let magnitude = kind.magnitude();
-        InvalidParts::check("sum", parts.sum, most * kind.bounds().start()..=most * magnitude)?;
-        InvalidParts::check("sum of squares", parts.sum_squares, 0.0..=most * magnitude * magnitude)?;
+        InvalidParts::check("sum", parts.sum, highest * kind.bounds().start()..=highest * magnitude)?;
+        InvalidParts::check("sum of squares", parts.sum_squares, 0.0..=highest * magnitude * magnitude)?;
         if let Some(short) = &parts.short {
             short.check(kind, parts.observations)?;
         }
         for &entry in parts.spectrum.as_flattened() {
-            InvalidParts::check("spectrum", entry, -most * magnitude..=most * magnitude)?;
+            InvalidParts::check("spectrum", entry, -highest * magnitude..=highest * magnitude)?;
         }
         Ok(Accumulator { kind, parts, cell: None })
     }

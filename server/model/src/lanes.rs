@@ -40,7 +40,7 @@ impl<S: Simd, const V: usize> Eight<S, V> {
 
 /// A computation on eight lanes.
 pub(crate) trait EightLanes {
-    /// Its result.
+    /// What the computation returns.
     type Output;
 
     /// Runs it with `V` vectors of eight numbers together.

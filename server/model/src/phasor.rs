@@ -124,9 +124,9 @@ impl PhasorTable {
     }
 }
 
-fn fill_turns(turns: &mut [f64], civil_nanos: &[i64], of: impl Fn(i64) -> f64) {
+fn fill_turns(turns: &mut [f64], civil_nanos: &[i64], turn: impl Fn(i64) -> f64) {
     for (turns, &civil) in turns.iter_mut().zip(civil_nanos) {
-        *turns = of(civil);
+        *turns = turn(civil);
     }
 }
 

@@ -200,7 +200,7 @@ impl ModelSelector {
         self.persistence || self.memory
     }
 
-    /// The same model without the last value.
+    /// This model without the last value.
     #[must_use]
     pub fn unblended(self) -> ModelSelector {
         ModelSelector { persistence: false, memory: false, ..self }

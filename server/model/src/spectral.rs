@@ -96,9 +96,9 @@ impl SpectralModel {
         for component in &components {
             // |γ| is at most 1 for values in [0,1], and twice the magnitude of values that may be negative; leave room
             // for rounding.
-            let most = if kind == StateKind::Probability { 1.01 } else { 2.02 * kind.magnitude() };
-            InvalidParts::check("gamma_re", component.gamma_re, -most..=most)?;
-            InvalidParts::check("gamma_im", component.gamma_im, -most..=most)?;
+            let max_amplitude = if kind == StateKind::Probability { 1.01 } else { 2.02 * kind.magnitude() };
+            InvalidParts::check("gamma_re", component.gamma_re, -max_amplitude..=max_amplitude)?;
+            InvalidParts::check("gamma_im", component.gamma_im, -max_amplitude..=max_amplitude)?;
         }
         Ok(SpectralModel { mean, observations, components })
     }

@@ -14,11 +14,11 @@ use crate::{
 };
 
 mod alternatives;
+mod day_by_day;
 mod fits;
 #[cfg(test)]
 mod kind_tests;
 mod order_watch;
-mod rehearsal;
 #[cfg(test)]
 mod tests;
 
@@ -136,13 +136,13 @@ impl StateModel {
         kind.is_for(self.kind()) && self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_fit_due(kind))
     }
 
-    /// The same with a model that was fitted to the state's readings up to a local day, that day included, in place of
-    /// the last one of its kind. It is scored on the days learned from now on, and may then come into force. An
-    /// untrained state takes no fit, nor does a state take a kind that it does not support.
+    /// This state with a newly trained model in place of the last one of its kind. The model was trained on the state's
+    /// readings up to a local day, that day included. It is scored on the days learned from now on, and may then come
+    /// into force. An untrained state takes no trained model, nor does a state take a kind that it does not support.
     #[must_use]
     pub fn refitted(mut self, model: impl Into<FittedModel>, day: LocalDay) -> StateModel {
-        let (model, of) = (model.into(), self.kind());
-        if let Some(alternatives) = self.alternatives.as_mut().filter(|_| model.kind().is_for(of)) {
+        let (model, state_kind) = (model.into(), self.kind());
+        if let Some(alternatives) = self.alternatives.as_mut().filter(|_| model.kind().is_for(state_kind)) {
             alternatives.refit(model, day);
         }
         self
@@ -197,8 +197,8 @@ impl StateModel {
     }
 
     /// Learns observations, local day by local day: scores those newer than the last learned one with every order and
-    /// every enabled model, chooses, learns the day and refits the spectral model. Models fitted to readings stay as
-    /// they are, unless the rules ask for a rehearsal.
+    /// every enabled model, chooses, learns the day and trains the spectral model again. Models that are trained on
+    /// readings stay as they are, unless the rules ask for training day by day.
     ///
     /// A local day that is split over two updates is scored in two parts, the second against the model that has seen
     /// the first. With a half-life, data is weighted by its age in whole local days, late data too.
@@ -217,7 +217,7 @@ impl StateModel {
             samples.sort_by_key(|sample| sample.utc_nanos);
         }
         let mut outcome = UpdateOutcome { order_before: self.order(), ..UpdateOutcome::default() };
-        let rehearsal = self.has_rehearsal(rules, &samples);
+        let trains_day_by_day = self.trains_day_by_day(rules, &samples);
         if self.load(periodicities).is_err() {
             return outcome;
         }
@@ -235,8 +235,8 @@ impl StateModel {
                 alternatives.support(&self.spectral, periodicities, &self.accumulator);
             }
             rest = later;
-            if rehearsal {
-                self.rehearse(periodicities, rules, day, &samples[..samples.len() - rest.len()]);
+            if trains_day_by_day {
+                self.train_after_day(periodicities, rules, day, &samples[..samples.len() - rest.len()]);
             }
         }
         self.accumulator.pack();

@@ -33,15 +33,15 @@ fn train() -> Option<Vec<Sample>> {
     Some(std::fs::read_to_string(file).unwrap().lines().skip(1).map(sample).collect())
 }
 
-/// A whole record in one update.
+/// Learns a whole record in one update.
 fn learn_at_once(kind: StateKind, samples: &[Sample]) -> StateModel {
-    let rules = UpdateRules { rehearsal: true, ..UpdateRules::default() };
+    let rules = UpdateRules { trains_day_by_day: true, ..UpdateRules::default() };
     let mut state = StateModel::of_kind(kind);
     state.update(&Periodicities::default(), rules, samples.to_vec());
     state
 }
 
-/// The same record, night by night.
+/// Learns a whole record night by night.
 fn learn_nightly(kind: StateKind, samples: &[Sample]) -> StateModel {
     let (week, mut state, mut seen) = (Periodicities::default(), StateModel::of_kind(kind), 0);
     for day in samples.chunk_by(|one, next| one.local_day() == next.local_day()) {

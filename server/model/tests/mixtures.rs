@@ -104,9 +104,10 @@ fn hypertime_knows_the_door_by_day_and_week_whatever_the_seed() {
     for clusters in [1, 3] {
         let method = HypertimeMethod::Em;
         let errors = [0, 1, 2].map(|seed| door_by_hypertime(&door, &HypertimeOptions { method, clusters, seed }));
-        let (least, most) = errors.iter().fold((1.0_f64, 0.0_f64), |(least, most), &e| (least.min(e), most.max(e)));
+        let (lowest, highest) =
+            errors.iter().fold((1.0_f64, 0.0_f64), |(lowest, highest), &e| (lowest.min(e), highest.max(e)));
         // Published, on the authors' own nine weeks: HyT-EM_1 0.0660, HyT-EM_3 0.0666.
-        assert!(most < 0.066 && most - least < 0.004, "{clusters}: {errors:?}");
+        assert!(highest < 0.066 && highest - lowest < 0.004, "{clusters}: {errors:?}");
     }
 }
 

@@ -263,24 +263,25 @@ fn what_never_changes_has_the_mean() {
 #[test]
 #[ignore = "a measurement"]
 fn how_long_a_fit_and_a_day_take() {
-    let minutes = |days: std::ops::Range<i64>, of: StateKind| -> Vec<Sample> {
+    let minutes = |days: std::ops::Range<i64>, state_kind: StateKind| -> Vec<Sample> {
         let sample = |minute: i64| {
             let (day, of_day) = (minute.div_euclid(1440), minute.rem_euclid(1440));
             let open = is_weekday(day) && (540..1020).contains(&of_day) && chance(minute / 7, 0.9);
-            let value = if of == StateKind::Probability { flag(open) } else { 20.0 + flag(open) + noise(minute) };
+            let value =
+                if state_kind == StateKind::Probability { flag(open) } else { 20.0 + flag(open) + noise(minute) };
             Sample { utc_nanos: minute * 60_000_000_000, offset_secs: 0, value }
         };
         (days.start * 1440..days.end * 1440).map(sample).collect()
     };
-    for of in [StateKind::Probability, StateKind::Continuous] {
-        let (seen, next) = (minutes(0..FIT_DAYS, of), minutes(FIT_DAYS..FIT_DAYS + 1, of));
-        for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(of)) {
+    for state_kind in [StateKind::Probability, StateKind::Continuous] {
+        let (seen, next) = (minutes(0..FIT_DAYS, state_kind), minutes(FIT_DAYS..FIT_DAYS + 1, state_kind));
+        for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(state_kind)) {
             let started = std::time::Instant::now();
-            let model = FittedModel::fit(kind, of, Readings::new(&seen), &Periodicities::default()).unwrap();
+            let model = FittedModel::fit(kind, state_kind, Readings::new(&seen), &Periodicities::default()).unwrap();
             let fitted = started.elapsed();
             let started = std::time::Instant::now();
             let error = mse(&model, &next);
-            println!("{of:?} {kind:?}: fit {fitted:?}, a day of minutes {:?}, error {error:.4}", started.elapsed());
+            println!("{state_kind:?} {kind:?}: fit {fitted:?}, a day of minutes {:?}, error {error:.4}", started.elapsed());
         }
     }
 }

@@ -20,7 +20,7 @@ const BAR_MAX: f64 = 240.0;
 pub struct LegendRow {
     /// One colour, or those of a scale from its lowest value to its highest.
     pub colours: Vec<Colour>,
-    /// Their meaning.
+    /// What the colours mean.
     pub text: String,
 }
 

@@ -19,16 +19,17 @@ pub fn short(number: f64) -> String {
     if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
-/// The bar of a drawing whose metre takes `per_m` characters or pixels: its length, at most `most`, and its text; 1, 2
-/// or 5 times a power of ten metres. `None`: there is no such scale.
-pub fn scale_bar(per_m: f64, most: f64) -> Option<(f64, String)> {
-    let longest = most / per_m;
-    if !(longest.is_finite() && longest > 0.0) {
+/// The scale bar of a drawing: its length, at most `longest`, and its text. A metre is `per_m` characters or pixels
+/// long, and the lengths are in the same unit. The bar shows 1, 2 or 5 times a power of ten metres; `None` if there is
+/// no such bar.
+pub fn scale_bar(per_m: f64, longest: f64) -> Option<(f64, String)> {
+    let longest_m = longest / per_m;
+    if !(longest_m.is_finite() && longest_m > 0.0) {
         return None;
     }
-    let power = 10_f64.powf(longest.log10().floor());
+    let power = 10_f64.powf(longest_m.log10().floor());
     let metres =
-        [5.0, 2.0, 1.0].into_iter().map(|step| step * power).find(|metres| *metres <= longest * (1.0 + 1e-9))?;
+        [5.0, 2.0, 1.0].into_iter().map(|step| step * power).find(|metres| *metres <= longest_m * (1.0 + 1e-9))?;
     Some((metres * per_m, format!("{} m", short(metres))))
 }
 

@@ -103,7 +103,7 @@ impl TravelGrid {
         TravelGrid::until(grid, options, StopSignal::NEVER)
     }
 
-    /// The same; not to be used if the signal is set.
+    /// Like [`TravelGrid::new`]; if the signal was set, the result must not be used.
     pub(crate) fn until(
         grid: &PredictedGrid,
         options: &TravelOptions,
@@ -236,7 +236,7 @@ impl TravelGrid {
         self.distances_until(from, StopSignal::NEVER)
     }
 
-    /// The same; not to be used if the signal is set.
+    /// Like [`TravelGrid::distances`]; if the signal was set, the result must not be used.
     pub(crate) fn distances_until(&self, from: Column, stop: StopSignal<'_>) -> Distances {
         let [width, _] = self.size;
         let mut lengths = vec![f64::INFINITY; self.passable.len()];

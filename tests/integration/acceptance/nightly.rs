@@ -74,7 +74,7 @@ async fn each_day_is_predicted_from_the_days_before() {
     let by_day = described(&client, "door").await;
     let at_once = from_the_command_line(&door, &client).await;
     assert_eq!((at_once.order, at_once.learned_observations), (by_day.order, by_day.learned_observations));
-    // The same days, with other boundaries of batches and updates.
+    // Both learned the same days; their batches and updates had other boundaries.
     for (found, expected) in at_once.order_errors.iter().zip(&by_day.order_errors) {
         assert!((found - expected).abs() <= 1e-9 * expected.max(1.0), "{found}, expected {expected}");
     }

@@ -140,7 +140,7 @@ async fn numbers_that_leap_end_the_stream_and_numbers_again_are_no_news() {
     let mut stream = opened(&daemon).await;
     stream.batch(1, columns(&["door"], &[row(1), row(2), row(3)])).await;
     stream.acknowledged(3).await.expect("new");
-    // The same, a part of it, and one that overlaps what is new.
+    // Sent again: all, a part, and rows that overlap new ones.
     stream.batch(1, columns(&[], &[row(1), row(2), row(3)])).await;
     stream.acknowledged(3).await.expect("acknowledged again");
     stream.batch(2, columns(&[], &[row(2)])).await;

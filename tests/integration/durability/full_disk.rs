@@ -109,7 +109,7 @@ async fn durability_a_disk_that_gets_full_again_and_again_loses_nothing() {
     }
 }
 
-/// The same command fails while the disk is full and continues when it is not. Frees the disk.
+/// A command fails while the disk is full; repeated as it is, it continues when the disk is not full. Frees the disk.
 fn from_the_command_line(daemon: &Daemon, work: &Path, ballast: &Path) {
     const ROWS: u32 = 100_000;
     let file = work.join("more.csv");

@@ -155,7 +155,7 @@ impl Naive {
         p.clamp(0.0, 1.0)
     }
 
-    /// The same with the last reading blended in.
+    /// The probability with `order` components and the last reading blended in.
     pub(crate) fn persistent(&self, order: usize, utc_nanos: i64) -> f64 {
         let p = self.probability(order, utc_nanos);
         match self.last {

@@ -74,7 +74,8 @@ pub(crate) struct DayArgs {
 enum StrategyArg {
     /// At random, in proportion to the expected information
     MonteCarlo,
-    /// The same with the weight of rest that RAS 2017 prints: below --ratio, if slots differ in their information
+    /// As monte-carlo, with the weight of rest that RAS 2017 prints: below --ratio, if slots differ in their
+    /// information
     MonteCarloPrinted,
     /// The slots and locations with the most information
     Greedy,

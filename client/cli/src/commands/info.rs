@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tidemap_client::{
-    exploration::{Look, Sensor, Targets, Viewpoint},
+    exploration::{View, Sensor, Targets, Viewpoint},
     queries::ModelSelector,
 };
 
@@ -66,10 +66,10 @@ pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<Exi
             let [x, y, z] = view.at_m;
             let target = format!("{x},{y},{z}");
             match look {
-                Look::Information(bits) => rows.extend(at.iter().zip(bits).map(|(&time, bits)| {
+                View::Information(bits) => rows.extend(at.iter().zip(bits).map(|(&time, bits)| {
                     vec![Cell::Text(target.clone()), Cell::Empty, Cell::maybe(bits), Cell::Time(time)]
                 })),
-                Look::Nothing(reason) => anyhow::bail!(reason),
+                View::Blocked(reason) => anyhow::bail!(reason),
             }
         }
     }

@@ -32,7 +32,7 @@ pub(crate) struct SlotArgs {
     /// Visits a day: rests if later slots of the day are predicted to be worth more
     #[arg(long, value_name = "N", conflicts_with_all = ["ratio", "planned", "monte_carlo"])]
     explore: Option<u32>,
-    /// The same as a share of the slots of a day, above 0 and at most 1
+    /// Visits a day as a share of the slots of a day, above 0 and at most 1; instead of --explore
     #[arg(long, value_name = "E", conflicts_with_all = ["planned", "monte_carlo"])]
     ratio: Option<f64>,
     /// Visits since midnight, with --explore or --ratio

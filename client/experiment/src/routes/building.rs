@@ -155,7 +155,7 @@ impl Building {
         Self { seed, topology }
     }
 
-    /// Its map.
+    /// The topological map of the building.
     pub(super) fn topology(&self) -> &Topology {
         &self.topology
     }

@@ -108,7 +108,7 @@ fn the_top_row_of_the_image_has_the_largest_y() -> Result<(), FormatError> {
         assert_eq!((grid.size_cells, grid.resolution_m, grid.origin_m), ([2, 2], 0.05, [-1.5, 2.0]));
         assert_eq!(grid.cells, expected);
     }
-    // The same with two bytes for each pixel, and with values from 0 to 15.
+    // The picture with two bytes for each pixel, and with values from 0 to 15.
     let wide = [&b"P5\n2 2\n65535\n"[..], &[0, 0, 0xfe, 0xfe, 0xff, 0xff, 0xcd, 0xcd]].concat();
     assert_eq!(read(&settings(&[])?, &wide)?.cells, expected);
     assert_eq!(read(&settings(&[])?, b"P2 2 2 15 0 15\n14 12\n")?.cells, expected);

@@ -50,7 +50,7 @@ struct Field<'a> {
 
 /// The layout of a point.
 pub(super) struct PointLayout {
-    /// Its length.
+    /// Length of a point in the file, in bytes.
     pub bytes: usize,
     /// Its number of values.
     pub values: usize,

@@ -29,7 +29,7 @@ pub(super) enum Encoding {
 
 /// A group of equal records, such as vertices or faces.
 pub(super) struct Element<'a> {
-    /// Its name.
+    /// Name of the group, as in the header.
     pub name: &'a str,
     /// Number of records.
     pub count: u64,
@@ -42,9 +42,9 @@ pub(super) struct Element<'a> {
 
 /// A property of an element.
 pub(super) struct Property<'a> {
-    /// Its name.
+    /// Name of the property, as in the header.
     pub name: &'a str,
-    /// Its type.
+    /// One number, or a list of them.
     pub kind: PropertyKind,
 }
 

@@ -59,7 +59,7 @@ pub(super) struct DecoderTable {
     known: HashSet<TileIndex>,
     /// The slots seen last, as runs.
     pub runs: Vec<(u32, u32)>,
-    /// The same slots one by one, without those that have no cell in the extent of the grid.
+    /// The slots of `runs` one by one, without those that have no cell in the extent of the grid.
     pub seen: Arc<[u32]>,
     pub digest: u64,
     /// Cells observed within the grid's extent.

@@ -59,7 +59,7 @@ impl TilePicture {
         self.runs.iter().flat_map(|&(first, beyond)| first..beyond)
     }
 
-    /// The same slots in the form of `TileScan.seen`: a gap and a length for each run.
+    /// The slots that the last scan saw, in the form of `TileScan.seen`: a gap and a length for each run.
     #[must_use]
     pub fn packed_seen(&self) -> Vec<u32> {
         pack_runs(&self.runs)

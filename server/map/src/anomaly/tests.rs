@@ -46,22 +46,22 @@ fn the_thresholds_are_included_on_both_sides() {
 
 #[test]
 fn models_that_answer_from_the_newest_value_judge_nothing() {
-    let of = |kind| ModelSelector { kind, ..ModelSelector::default() };
+    let select = |kind| ModelSelector { kind, ..ModelSelector::default() };
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Spectral] {
-        assert_eq!((can_judge(of(kind)), can_watch(of(kind))), (Ok(()), Ok(())));
-        let blended = ModelSelector { persistence: true, ..of(kind) };
+        assert_eq!((can_judge(select(kind)), can_watch(select(kind))), (Ok(()), Ok(())));
+        let blended = ModelSelector { persistence: true, ..select(kind) };
         assert_eq!((can_judge(blended), can_watch(blended)).0, Err(CannotJudge::Persistence));
     }
     for kind in [ModelKind::Latest, ModelKind::Persistence] {
-        assert_eq!(can_judge(of(kind)), Err(CannotJudge::Newest(kind)));
-        assert_eq!(can_watch(of(kind)), Err(CannotJudge::Newest(kind)));
+        assert_eq!(can_judge(select(kind)), Err(CannotJudge::Newest(kind)));
+        assert_eq!(can_watch(select(kind)), Err(CannotJudge::Newest(kind)));
     }
     for kind in [
         ModelKind::Calibrated,
         ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS },
         ModelKind::Uniform,
     ] {
-        assert_eq!((can_judge(of(kind)), can_watch(of(kind))), (Ok(()), Err(CannotJudge::NeedsFit(kind))));
+        assert_eq!((can_judge(select(kind)), can_watch(select(kind))), (Ok(()), Err(CannotJudge::NeedsFit(kind))));
     }
 }
 

@@ -73,7 +73,8 @@ impl EdgeForecasts {
         self.forecast_with(edge, time_nanos, by_chosen)
     }
 
-    /// The same with a success model of the caller: `success` predicts the success state at the single time given.
+    /// The forecast of an edge with a success model of the caller: `success` predicts the success state at the single
+    /// time given.
     pub fn forecast_with(
         &self,
         edge: &Edge,

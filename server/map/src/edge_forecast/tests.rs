@@ -84,8 +84,8 @@ fn reports_of_other_hours_alone_do_not_make_an_edge_certain() {
         let expected = |hour: i64| edge.forecast(&PRIOR, value, 1.0, at(22 * 24 + hour)).success;
         // As reported at that hour, and nearer to the map's mean at night.
         assert!((expected(10) - value).abs() < 0.1, "{value}: {}", expected(10));
-        let (away, most) = ((expected(3) - PRIOR.success).abs(), (value - PRIOR.success).abs());
-        assert!(away < 0.6 * most, "{value}: {}", expected(3));
+        let (distance, reported_distance) = ((expected(3) - PRIOR.success).abs(), (value - PRIOR.success).abs());
+        assert!(distance < 0.6 * reported_distance, "{value}: {}", expected(3));
     }
 }
 
@@ -208,9 +208,9 @@ fn edges_are_expected_to_be_as_they_were_reported() {
     // The last report was a failure at 21:00 of the day before; a minute later it is nearly all that counts.
     let soon = at(-3) + HOUR / 60;
     assert!(recent.forecast(there, soon).success < edges.forecast(there, soon).success, "{soon}");
-    let told = edges.forecast_with(there, at(20), |id, times| {
+    let with_model = edges.forecast_with(there, at(20), |id, times| {
         assert_eq!((Some(id), times.moments().len()), (edges.success_states().next(), 1));
         1.0
     });
-    assert!(told.success > edges.forecast(there, at(20)).success, "the caller's model counts: {told:?}");
+    assert!(with_model.success > edges.forecast(there, at(20)).success, "the caller's model counts: {with_model:?}");
 }

@@ -25,7 +25,7 @@ use crate::{
     site::Site,
     snapshot::StateSnapshot,
     spec::MapSpec,
-    update::{Basis, SumsUnavailable, UpdateWork},
+    update::{MapAtUpdate, SumsUnavailable, UpdateWork},
 };
 
 /// The observations of a state of one update that are left, with their origins; both empty if none is.
@@ -62,13 +62,13 @@ struct Earlier(BTreeMap<StateId, Vec<Sample>>);
 
 impl StateReadings for Earlier {
     fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
-        let of = |wanted: &ReadingsRequest| {
+        let samples_for = |wanted: &ReadingsRequest| {
             let all = self.0.get(&wanted.state).into_iter().flatten();
             let mut found: Vec<Sample> = all.filter(|sample| sample.utc_nanos >= wanted.from_nanos).copied().collect();
             found.sort_by_key(|sample| sample.utc_nanos);
             found
         };
-        Ok(wanted.iter().map(of).collect())
+        Ok(wanted.iter().map(samples_for).collect())
     }
 }
 
@@ -171,7 +171,7 @@ impl<'a> Relearning<'a> {
             let start = UpdateStart { generation: lesson.generation, cut_nanos: i64::MAX, cause };
             let source = Arc::new(earlier);
             let work = UpdateWork {
-                basis: Basis {
+                basis: MapAtUpdate {
                     start,
                     position: 0,
                     replay_from: 0,

@@ -86,18 +86,19 @@ fn story() -> (Vec<Event>, MapSnapshot, Vec<HistoryPiece>) {
     let mut events = Vec::new();
     let mut pieces = Vec::new();
     let mut snapshot = None;
-    let of = |states: &[u32]| Location { states: states.iter().copied().map(StateId).collect(), ..Location::default() };
+    let location =
+        |states: &[u32]| Location { states: states.iter().copied().map(StateId).collect(), ..Location::default() };
     let first = vec![
         observed(0, 0, vec![door, anna, lamp], 4),
-        Event::EditSite(SiteEdit::SetLocation(named("hall"), of(&[0, 1]))),
-        Event::EditSite(SiteEdit::SetLocation(named("bed"), of(&[1, 2]))),
+        Event::EditSite(SiteEdit::SetLocation(named("hall"), location(&[0, 1]))),
+        Event::EditSite(SiteEdit::SetLocation(named("bed"), location(&[1, 2]))),
     ];
     let second = vec![
         Event::AddState(late),
         Event::EditSite(SiteEdit::Charger(Some([1.0, 2.0]))),
         Event::EditSite(SiteEdit::RemoveLocation(named("bed"))),
-        Event::EditSite(SiteEdit::SetLocation(named("bath"), of(&[2]))),
-        Event::EditSite(SiteEdit::SetLocation(named("hall"), of(&[1]))),
+        Event::EditSite(SiteEdit::SetLocation(named("bath"), location(&[2]))),
+        Event::EditSite(SiteEdit::SetLocation(named("hall"), location(&[1]))),
         observed(1, 20, Vec::new(), 5),
     ];
     for (batch, until) in [(first, 24), (second, 30)] {
@@ -136,13 +137,13 @@ fn what_is_left_is_the_map_that_never_had_the_states() {
         let after = erasure.snapshot(MapSnapshot { history: Vec::new(), ..snapshot.clone() });
         let left: Vec<Event> =
             (1..).zip(&events).map(|(position, event)| erasure.event(position, event.clone())).collect();
-        // The map that never had them: the whole story is told again without them.
+        // The map that never had them: all events are applied again without them.
         let mut never = StateErasure::new(erased.clone());
-        let told: Vec<Event> =
+        let remaining: Vec<Event> =
             (1..).zip(&events).map(|(position, event)| never.event(position, event.clone())).collect();
         let mut map = LiveMap::new(spec());
         let (mut known, mut published) = (None, None);
-        for event in &told {
+        for event in &remaining {
             if let Some(work) = map.apply(map.position() + 1, event).expect("consistent") {
                 let of_update = map.finish_update(work.run(&AtomicU64::new(0)).expect("in memory"));
                 known = known.or(Some(of_update.clone()));

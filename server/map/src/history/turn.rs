@@ -159,7 +159,8 @@ mod tests {
     fn the_bits_are_those_of_the_first_version() {
         let times = [0, 1_451_865_600_123_456_789, 1_458_518_400_000_000_000, -1, i64::MAX];
         let day_and_hour = Periodicities::list(vec![86_400_000_000_000, 3_600_000_000_001]).expect("valid");
-        let [week, list] = [Periodicities::default(), day_and_hour].map(|of| Phases::new(&of, times.into_iter()));
+        let [week, list] = [Periodicities::default(), day_and_hour]
+            .map(|periodicities| Phases::new(&periodicities, times.into_iter()));
         let bits = |phases: &Phases, k: usize| {
             let (mut cos, mut sin) = (Vec::new(), Vec::new());
             phases.cos_sin_into(k, &mut cos, &mut sin);

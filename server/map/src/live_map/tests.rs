@@ -30,8 +30,8 @@ fn spec() -> Arc<MapSpec> {
 fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
     let key = ProducerKey::new("robot", "").expect("valid");
     let known = map.producer(&key).map(|(_, mark)| mark.durable_sequence);
-    let most = observations.iter().map(|(state, ..)| *state as usize + 1).max().unwrap_or(0);
-    let new_states = (map.states()..most)
+    let state_count = observations.iter().map(|(state, ..)| *state as usize + 1).max().unwrap_or(0);
+    let new_states = (map.states()..state_count)
         .map(|id| NewState {
             id: StateId(u32::try_from(id).expect("few")),
             name: StateName::new(&format!("s{id}")).expect("valid"),

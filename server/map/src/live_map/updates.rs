@@ -11,7 +11,7 @@ use crate::{
     event::{UpdateCause, UpdateStart},
     pending::Taken,
     snapshot::{MapSnapshot, StateSnapshot},
-    update::{Basis, UpdateResult, UpdateWork},
+    update::{MapAtUpdate, UpdateResult, UpdateWork},
     view::LIVE_CHUNK,
 };
 
@@ -64,7 +64,7 @@ impl LiveMap {
         if let Some(basis) = &mut grid_basis {
             basis.received_nanos = self.pending.received_nanos();
         }
-        let basis = Basis {
+        let basis = MapAtUpdate {
             start,
             position,
             replay_from: self.pending.replay_from(position + 1),

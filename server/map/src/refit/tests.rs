@@ -28,11 +28,11 @@ impl StateReadings for Kept {
         if let Some(damaged) = wanted.iter().find(|wanted| Some(wanted.state) == self.damaged) {
             return Err(format!("the file of {:?} is damaged", damaged.state));
         }
-        let of = |wanted: &ReadingsRequest| {
+        let samples_for = |wanted: &ReadingsRequest| {
             let all = self.readings.get(&wanted.state).into_iter().flatten();
             all.filter(|sample| sample.utc_nanos >= wanted.from_nanos).copied().collect()
         };
-        Ok(wanted.iter().skip(usize::from(self.is_short)).map(of).collect())
+        Ok(wanted.iter().skip(usize::from(self.is_short)).map(samples_for).collect())
     }
 }
 

@@ -11,7 +11,7 @@ use crate::name::StateName;
 /// A node to add or set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewNode {
-    /// Its name.
+    /// The name of the node, unique within the map.
     pub name: StateName,
     /// Where it lies, if that is known.
     pub pose: Option<NodePose>,

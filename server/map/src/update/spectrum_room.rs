@@ -37,8 +37,8 @@ pub(super) struct RoomInUse {
 impl RoomInUse {
     /// With what the models of the generation in force have in memory.
     pub(super) fn new(room: Option<SpectrumRoom>, models: &[Arc<StateModel>]) -> RoomInUse {
-        let of = |model: &Arc<StateModel>| model.accumulator().cell().map_or(0, |cell| cell.bytes() as u64);
-        let bytes = if room.is_some() { models.iter().map(of).sum() } else { 0 };
+        let room_bytes = |model: &Arc<StateModel>| model.accumulator().cell().map_or(0, |cell| cell.bytes() as u64);
+        let bytes = if room.is_some() { models.iter().map(room_bytes).sum() } else { 0 };
         RoomInUse { room, bytes: AtomicU64::new(bytes) }
     }
 

@@ -20,7 +20,7 @@ pub struct ShortRecord {
 }
 
 impl ShortRecord {
-    /// The same with a batch; `None` if it is then too long to be worth it for that number of periodicities.
+    /// This record with one more batch; `None` if it is then too long to be worth it for that number of periodicities.
     pub(super) fn with(mut self, samples: &[Sample], periodicities: usize) -> Option<ShortRecord> {
         if samples.is_empty() {
             return Some(self);

@@ -187,7 +187,8 @@ fn every_instruction_set_gives_the_same_bits() {
             let mut spectrum = vec![[0.0; 4]; periodicities.len()];
             let (cycles, samples) = (periodicities.cycles(), &samples[..]);
             arch.dispatch(OnLanes(fold::Fold { cycles, samples, spectrum: &mut spectrum }));
-            let bits = |spectrum: &[[f64; 4]]| spectrum.iter().map(|of| of.map(f64::to_bits)).collect::<Vec<_>>();
+            let bits =
+                |spectrum: &[[f64; 4]]| spectrum.iter().map(|numbers| numbers.map(f64::to_bits)).collect::<Vec<_>>();
             assert_eq!(bits(&spectrum), bits(expected.spectrum()), "{arch:?}");
         }
     }
@@ -217,8 +218,8 @@ proptest! {
         }
         let stored = Accumulator::from_parts_of(StateKind::Continuous, &week, packed.to_parts()).unwrap();
         prop_assert_eq!(&stored, &whole);
-        let bits = |of: &Accumulator| -> Vec<u64> {
-            of.to_summed_parts(&week).spectrum.as_flattened().iter().map(|number| number.to_bits()).collect()
+        let bits = |accumulator: &Accumulator| -> Vec<u64> {
+            accumulator.to_summed_parts(&week).spectrum.as_flattened().iter().map(|number| number.to_bits()).collect()
         };
         let expected: Vec<u64> = whole.spectrum().as_flattened().iter().map(|number| number.to_bits()).collect();
         prop_assert_eq!(bits(&packed), expected.clone());

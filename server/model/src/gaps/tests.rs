@@ -4,9 +4,9 @@ use super::*;
 
 const HOUR: u64 = 3_600 * SEC_NANOS;
 
-fn gaps(of: impl IntoIterator<Item = u64>) -> Gaps {
+fn gaps(times_nanos: impl IntoIterator<Item = u64>) -> Gaps {
     let mut gaps = Gaps::default();
-    of.into_iter().for_each(|nanos| gaps.observe(nanos));
+    times_nanos.into_iter().for_each(|nanos| gaps.observe(nanos));
     gaps
 }
 

@@ -73,9 +73,9 @@ impl HourMoments {
         if variance.is_finite() { variance.max(0.0) } else { 0.0 }
     }
 
-    /// The same, limited to values that hourly means in `[0,1]` can have.
+    /// These sums, limited to values that hourly means in `[0,1]` can have.
     fn plausible(self) -> HourMoments {
-        let number = |found: f64, most: f64| if found > 0.0 { found.min(most) } else { 0.0 };
+        let number = |found: f64, max: f64| if found > 0.0 { found.min(max) } else { 0.0 };
         let days = number(self.days, 1e12);
         let sum = number(self.sum, days);
         let least = if days > 0.0 { sum * sum / days } else { 0.0 };

@@ -69,7 +69,7 @@ pub struct PergamParts {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pergam {
     parts: PergamParts,
-    /// The same Gaussians; mean and deviation in turns.
+    /// The Gaussians of `parts`, with mean and deviation in turns.
     wrapped: Vec<WrappedGaussian>,
 }
 

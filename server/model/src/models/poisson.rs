@@ -147,14 +147,14 @@ impl PoissonSpectral {
         }
         for component in &parts.components {
             // |γ| is at most twice the mean of the counts, and that at most twice the posterior's; room for rounding.
-            let most = 4.0 * parts.mean + 1.0;
+            let max_amplitude = 4.0 * parts.mean + 1.0;
             InvalidParts::check(
                 "component index",
                 f64::from(component.periodicity),
                 0.0..=periodicities.len() as f64 - 1.0,
             )?;
-            InvalidParts::check("gamma_re", component.gamma_re, -most..=most)?;
-            InvalidParts::check("gamma_im", component.gamma_im, -most..=most)?;
+            InvalidParts::check("gamma_re", component.gamma_re, -max_amplitude..=max_amplitude)?;
+            InvalidParts::check("gamma_im", component.gamma_im, -max_amplitude..=max_amplitude)?;
         }
         Ok(PoissonSpectral { periodicities: periodicities.clone(), parts })
     }

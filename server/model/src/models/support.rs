@@ -69,8 +69,8 @@ struct Spacing {
     secs: f64,
 }
 
-/// The spacing of readings that are spread over the span, of those that are spread over the observed hours, and of the
-/// first with the changes that were counted.
+/// Three spacings of the readings: spread over the span; spread over the observed hours; and over the span, with the
+/// changes that were counted.
 fn spacings(sums: &DependenceSums) -> [Spacing; 3] {
     let pairs = sums.pairs.max(1) as f64;
     let spread = |secs: f64| Spacing { change: sums.change_rate_sum / pairs * (secs / pairs), secs: secs / pairs };
@@ -98,13 +98,14 @@ fn effective(sums: &DependenceSums, forgotten: [f64; 3]) -> f64 {
     if number.is_nan() { 1.0 } else { number.clamp(1.0, readings) }
 }
 
-/// Half the mean squared change from a reading to the next of values in `[0,1]`, by their mean change: exact where they
-/// are 0 or 1, else more than it is.
+/// Half the mean squared change from a reading to the next, computed from the mean change, of values in `[0,1]`. Exact
+/// where they are 0 or 1, otherwise too large.
 pub(crate) fn half_square_of_probabilities(change: f64) -> f64 {
     0.5 * change
 }
 
-/// The same of values with a normal distribution, of which E|Δs| = 2σ√((1 - ρ)/π).
+/// Half the mean squared change from a reading to the next, computed from the mean change, of values with a normal
+/// distribution, for which E|Δs| = 2σ√((1 - ρ)/π).
 pub(crate) fn half_square_of_values(change: f64) -> f64 {
     std::f64::consts::FRAC_PI_4 * change * change
 }

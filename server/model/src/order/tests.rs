@@ -2,17 +2,17 @@
 
 use super::*;
 
-fn errors(of: &[(usize, f64)]) -> [f64; ORDER_MAX + 1] {
+fn errors(given: &[(usize, f64)]) -> [f64; ORDER_MAX + 1] {
     let mut errors = [1000.0; ORDER_MAX + 1];
-    for &(order, error) in of {
+    for &(order, error) in given {
         errors[order] = error;
     }
     errors
 }
 
-fn best_of(of: &[(usize, f64)]) -> usize {
+fn best_of(given: &[(usize, f64)]) -> usize {
     let mut order_errors = OrderErrors::default();
-    order_errors.record(LocalDay(0), &errors(of));
+    order_errors.record(LocalDay(0), &errors(given));
     order_errors.best()
 }
 

@@ -113,13 +113,13 @@ proptest! {
     ) {
         let periodicities = Periodicities::harmonics(7 * DAY_NANOS, count).unwrap();
         let width = 2 * count as usize;
-        let of = |row: &[f64], i: usize| row.get(i).copied().unwrap_or(0.0);
+        let entry = |row: &[f64], i: usize| row.get(i).copied().unwrap_or(0.0);
         let mut sum = PhasorSum::zero(&periodicities);
         sum.add_row(&plus);
         let twice = sum.clone();
         sum.add(&twice);
         sum.subtract_row(&minus);
-        let expected: Vec<f64> = (0..width).map(|i| 2.0 * of(&plus, i) - of(&minus, i)).collect();
+        let expected: Vec<f64> = (0..width).map(|i| 2.0 * entry(&plus, i) - entry(&minus, i)).collect();
         check_same(sum.as_slice(), &expected, 1);
         let used = width.min(plus.len()).min(minus.len());
         let expected: Vec<f64> = (0..width).map(|i| if i < used { plus[i] - minus[i] } else { 0.0 }).collect();

@@ -143,8 +143,8 @@ fn eights<S: Simd, const V: usize, const N: usize>(numbers: &[f64]) -> Option<&[
 /// The observations at `N` times eight times.
 struct ErrorBounds<S: Simd, const V: usize, const N: usize> {
     /// The bounds of the error.
-    least: [[S::f64s; V]; N],
-    most: [[S::f64s; V]; N],
+    lowest: [[S::f64s; V]; N],
+    highest: [[S::f64s; V]; N],
     /// The error from which the prediction is at least 0.5.
     threshold: [[S::f64s; V]; N],
     /// How many wrong predictions more there are from there on: 1, or -1 where the value is itself at
@@ -190,13 +190,13 @@ impl<S: Simd, const V: usize> ScoreLanes<S, V> {
             }
         }
         let mut error = [[zero; V]; N];
-        let mut observed = ErrorBounds { least: error, most: error, threshold: error, step: error };
+        let mut observed = ErrorBounds { lowest: error, highest: error, threshold: error, step: error };
         for n in 0..N {
             for v in 0..V {
                 let (value, counted) = (values[n][v], counted[n][v]);
                 error[n][v] = simd.sub_f64s(mean, value);
-                observed.least[n][v] = simd.neg_f64s(simd.mul_f64s(counted, value));
-                observed.most[n][v] = simd.add_f64s(counted, observed.least[n][v]);
+                observed.lowest[n][v] = simd.neg_f64s(simd.mul_f64s(counted, value));
+                observed.highest[n][v] = simd.add_f64s(counted, observed.lowest[n][v]);
                 if WRONG {
                     let positive = simd.greater_than_or_equal_f64s(value, half);
                     observed.threshold[n][v] = simd.sub_f64s(half, value);
@@ -232,8 +232,8 @@ impl<S: Simd, const V: usize> ScoreLanes<S, V> {
         let mut squared = self.squared[order].0;
         for n in 0..N {
             for v in 0..V {
-                let error = simd.max_f64s(error[n][v], observed.least[n][v]);
-                let saturated = simd.min_f64s(error, observed.most[n][v]);
+                let error = simd.max_f64s(error[n][v], observed.lowest[n][v]);
+                let saturated = simd.min_f64s(error, observed.highest[n][v]);
                 squared[v] = simd.mul_add_f64s(saturated, saturated, squared[v]);
             }
         }

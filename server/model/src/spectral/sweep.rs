@@ -69,7 +69,7 @@ impl WithSimd for Predict<'_> {
     }
 }
 
-/// The same two roundings at every time, so that a prediction does not depend on the width of vectors.
+/// Adds a term with two roundings at every time, so that a prediction does not depend on the width of vectors.
 #[inline(always)]
 fn add_term<S: Simd>(simd: S, term: &Term<'_>, cos: S::f64s, sin: S::f64s, p: S::f64s) -> S::f64s {
     let (cos_weight, sin_weight) = (simd.splat_f64s(term.cos_weight), simd.splat_f64s(term.sin_weight));

@@ -51,9 +51,9 @@ pub struct UpdateRules {
     pub half_life_days: Option<f64>,
     /// Which models there are to choose among.
     pub models: EnabledModels,
-    /// Whether cheap models are fitted while the first observations of a state are learned, if these are of few days:
-    /// as if each day had been learned on its own, so that they are scored by the end.
-    pub rehearsal: bool,
+    /// Whether cheap models are trained after each day while the first observations of a state are learned, if these
+    /// are of few days: as if each day had been learned on its own, so that they are scored by the end.
+    pub trains_day_by_day: bool,
 }
 
 impl From<OrderCriterion> for UpdateRules {
@@ -161,7 +161,7 @@ pub struct Alternatives {
 struct Errors {
     /// Faded sum of errors of the spectral model with its best order.
     spectral: f64,
-    /// The same of each histogram; `None` where they are not tried.
+    /// Faded sum of errors of each histogram; `None` where they are not tried.
     histograms: Option<[f64; HISTOGRAMS.len()]>,
     last_day: Option<LocalDay>,
     learned_day: Option<LocalDay>,
@@ -254,7 +254,7 @@ impl Alternatives {
         *fit = Some(FitRecord { model: Arc::new(model), day, error });
     }
 
-    /// The same without the fitted models that do not answer.
+    /// A copy without the trained models that do not answer.
     pub(super) fn published(&self) -> Alternatives {
         let weights = self.weights();
         let answers = |kind| weights.iter().any(|(choice, _)| *choice == ModelChoice::Fitted(kind));

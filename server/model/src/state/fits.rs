@@ -39,10 +39,10 @@ impl FitKind {
         [FitKind::Calibrated, FitKind::Pergam, FitKind::HypertimeEm, FitKind::HypertimeKm, FitKind::Poisson];
 
     /// Whether states of the given kind support it.
-    pub fn is_for(self, of: StateKind) -> bool {
+    pub fn is_for(self, state_kind: StateKind) -> bool {
         match self {
-            FitKind::Pergam => of == StateKind::Probability,
-            FitKind::Poisson => of == StateKind::Count,
+            FitKind::Pergam => state_kind == StateKind::Probability,
+            FitKind::Poisson => state_kind == StateKind::Count,
             FitKind::Calibrated | FitKind::HypertimeEm | FitKind::HypertimeKm => true,
         }
     }
@@ -96,20 +96,21 @@ impl EnabledModels {
     /// All models.
     pub const ALL: EnabledModels = EnabledModels { histograms: true, fits: [true; FitKind::ALL.len()] };
 
-    /// The same with or without histograms.
+    /// These models, with or without histograms.
     #[must_use]
     pub fn with_histograms(self, histograms: bool) -> EnabledModels {
         EnabledModels { histograms, ..self }
     }
 
-    /// The same with models of the given kind.
+    /// These models, and the models of the given kind.
     #[must_use]
     pub fn with_fit(mut self, kind: FitKind) -> EnabledModels {
         self.fits[kind.index()] = true;
         self
     }
 
-    /// The same with the model of a name (see [`EnabledModels::names`]) or with `all`; `None` for any other name.
+    /// These models, and the one of a name (see [`EnabledModels::names`]) or, with `all`, every model; `None` for any
+    /// other name.
     #[must_use]
     pub fn with_named(self, name: &str) -> Option<EnabledModels> {
         let fit = FitKind::ALL.into_iter().find(|kind| kind.name() == name);
@@ -127,7 +128,7 @@ impl EnabledModels {
         [SPECTRAL_NAME].into_iter().chain(histogram).chain(self.fits().map(FitKind::name))
     }
 
-    /// The same without models that are fitted to readings.
+    /// These models without those that are trained on readings.
     #[must_use]
     pub fn without_fits(self) -> EnabledModels {
         EnabledModels { fits: [false; FitKind::ALL.len()], ..self }
@@ -171,19 +172,19 @@ pub enum FittedModelParts {
 }
 
 impl FittedModel {
-    /// Fits a model of this kind to readings of a state of kind `of`; `periodicities` are those of its map.
+    /// Fits a model of this kind to readings of a state of kind `state_kind`; `periodicities` are those of its map.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, or states of that kind do not support the model.
     pub fn fit(
         kind: FitKind,
-        of: StateKind,
+        state_kind: StateKind,
         readings: Readings<'_>,
         periodicities: &Periodicities,
     ) -> Result<FittedModel, CannotFit> {
         let hypertime = |method| {
             let options = HypertimeOptions { method, clusters: CLUSTERS, seed: SEED };
-            match of {
+            match state_kind {
                 StateKind::Probability => Hypertime::fit(readings, periodicities, &options),
                 StateKind::Continuous | StateKind::Count => {
                     Hypertime::fit_continuous(readings, periodicities, &options)
@@ -191,7 +192,7 @@ impl FittedModel {
             }
         };
         match kind {
-            _ if !kind.is_for(of) => Err(CannotFit::NoReadings),
+            _ if !kind.is_for(state_kind) => Err(CannotFit::NoReadings),
             FitKind::Poisson => CountRate::fit(readings, periodicities).map(Self::Poisson),
             FitKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
             FitKind::Pergam => {
@@ -203,7 +204,7 @@ impl FittedModel {
         }
     }
 
-    /// Its kind.
+    /// Which kind of model this is.
     pub fn kind(&self) -> FitKind {
         match self {
             Self::Calibrated(_) => FitKind::Calibrated,
@@ -230,12 +231,12 @@ impl FittedModel {
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range, or states of that kind do not support the model.
-    pub fn from_parts_of(of: StateKind, parts: FittedModelParts) -> Result<FittedModel, InvalidParts> {
-        let is_probability = of == StateKind::Probability;
+    pub fn from_parts_of(state_kind: StateKind, parts: FittedModelParts) -> Result<FittedModel, InvalidParts> {
+        let is_probability = state_kind == StateKind::Probability;
         let is_fitting = match &parts {
             FittedModelParts::Calibrated(_) => true,
             FittedModelParts::Pergam(_) => is_probability,
-            FittedModelParts::Poisson(_) => of == StateKind::Count,
+            FittedModelParts::Poisson(_) => state_kind == StateKind::Count,
             FittedModelParts::Hypertime(HypertimeParts::Probability(_)) => is_probability,
             FittedModelParts::Hypertime(HypertimeParts::Continuous(_)) => !is_probability,
         };

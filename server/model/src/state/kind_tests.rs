@@ -120,8 +120,8 @@ fn parts_come_back_and_only_as_what_they_are() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// The same numbers in another unit, from another zero, give the same model; so do those of a probability, except
-    /// for saturation.
+    /// Numbers in another unit, from another zero, give the same model; so do those of a probability, except for
+    /// saturation.
     #[test]
     fn the_unit_does_not_matter(seed in any::<u64>(), scale in 1e-3..1e6_f64, shift in -5.0..5.0_f64) {
         let periodicities = Periodicities::default();

@@ -79,7 +79,7 @@ impl SearchProblem {
         expected_secs
     }
 
-    /// The same search with its goals in another order.
+    /// This search with its goals in another order.
     pub(crate) fn reordered(&self, order: &[usize]) -> SearchProblem {
         let mut secs = Vec::with_capacity(self.secs.len());
         for from in order.iter().copied().chain([self.count]) {
@@ -140,7 +140,7 @@ impl Passing {
         }
     }
 
-    /// The same after [`SearchProblem::reordered`].
+    /// This table for the search after [`SearchProblem::reordered`].
     pub(crate) fn reordered(&self, order: &[usize]) -> Passing {
         let mut place = [0_u32; Goals::BITS as usize];
         for (new, &old) in order.iter().enumerate() {

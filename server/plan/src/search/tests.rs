@@ -18,7 +18,7 @@ fn goals(map: &Map) -> Vec<Goal> {
     map.goals.iter().map(|&(node, probability)| Goal { node, probability }).collect()
 }
 
-/// The same map with dwell times at about half of its nodes.
+/// The given map, with dwell times at about half of its nodes.
 fn with_looks(mut map: Map, seed: u64) -> Map {
     let mut random = SmallRng::seed_from_u64(seed);
     for &(node, _) in &map.goals {

@@ -71,7 +71,7 @@ impl Fan {
         Fan::until(sensor, lattice, yaw_rad, StopSignal::NEVER)
     }
 
-    /// The same; not to be used if the signal is set.
+    /// Like [`Fan::new`]; if the signal was set, the result must not be used.
     pub(crate) fn until(
         sensor: &Sensor,
         lattice: &Lattice,

@@ -104,7 +104,7 @@ impl Scene {
         Scene::until(grid, options, StopSignal::NEVER)
     }
 
-    /// The same; not to be used if the signal is set.
+    /// Like [`Scene::new`]; if the signal was set, the result must not be used.
     pub(crate) fn until(
         grid: &PredictedGrid,
         options: &SceneOptions,

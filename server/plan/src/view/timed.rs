@@ -143,7 +143,7 @@ impl TimedViewScorer {
         self.view_until(scene, fan, from, StopSignal::NEVER)
     }
 
-    /// The same; not to be used if the signal is set.
+    /// Like [`TimedViewScorer::view`]; if the signal was set, the result must not be used.
     pub(super) fn view_until(
         &mut self,
         scene: &TimedScene,

@@ -152,7 +152,7 @@ fn tree(nodes: u64) -> anyhow::Result<NewTopology> {
     Ok((nodes_of, (1..nodes).map(edge).collect::<anyhow::Result<_>>()?))
 }
 
-/// The same with nodes named like the states of the load.
+/// The given nodes and edges, with nodes named like the states of the load.
 fn renamed(mut nodes: Vec<NewNode>, mut edges: Vec<NewEdge>, load: &Load) -> anyhow::Result<NewTopology> {
     let numbers: HashMap<StateName, u64> = nodes.iter().map(|node| node.name.clone()).zip(0..).collect();
     let renamed = |name: &StateName| {

@@ -198,7 +198,7 @@ fn plane_files(file: &Path) -> anyhow::Result<(nav2::GridSettings, PathBuf)> {
     Ok((settings, image_path))
 }
 
-/// Names the file in an error, unless it is the given file, which the caller names.
+/// Adds the path to the error; for the given file, the caller adds it.
 fn of_file<T>(read: anyhow::Result<T>, path: &Path, named: &Path) -> anyhow::Result<T> {
     if path == named { read } else { read.with_context(|| path.display().to_string()) }
 }

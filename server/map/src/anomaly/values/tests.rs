@@ -68,9 +68,9 @@ fn about_one_in_a_hundred_at_a_confidence_of_99_percent_and_every_planted_one() 
             spectral.predict_value(kind, &periodicities, order, sample.civil_nanos())
         };
         let order = model.order().max(1);
-        let of = |name: ModelSelector| ValueJudge::new(&model, name).expect("enough was learned");
-        let spectral = of(ModelSelector { order: Some(order), ..selector(ModelKind::Spectral) });
-        let mean = of(selector(ModelKind::Mean));
+        let judge = |name: ModelSelector| ValueJudge::new(&model, name).expect("enough was learned");
+        let spectral = judge(ModelSelector { order: Some(order), ..selector(ModelKind::Spectral) });
+        let mean = judge(selector(ModelKind::Mean));
         let fresh = samples(kind, &mut random, 144 * 42..144 * 112);
         let share = |judge: &ValueJudge, order: usize, confidence: f64| {
             let tails = fresh.iter().map(|sample| judge.tail(sample.value, expect(sample, order), sample.moment()));

@@ -15,14 +15,14 @@ struct Pieces(Vec<Arc<HistoryPiece>>);
 
 impl StateReadings for Pieces {
     fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
-        let of = |wanted: &ReadingsRequest| {
+        let samples_for = |wanted: &ReadingsRequest| {
             let all = self.0.iter().flat_map(|piece| &piece.states).filter(|(state, _)| *state == wanted.state);
             let mut found: Vec<Sample> =
                 all.flat_map(|(_, samples)| samples).filter(|s| s.utc_nanos >= wanted.from_nanos).copied().collect();
             found.sort_by_key(|sample| sample.utc_nanos);
             found
         };
-        Ok(wanted.iter().map(of).collect())
+        Ok(wanted.iter().map(samples_for).collect())
     }
 }
 
@@ -57,26 +57,26 @@ fn story(steps: &[Step]) -> Vec<Event> {
     let (mut generation, mut cut_nanos) = (0, 0);
     for (day, step) in (0..).zip(steps) {
         let from = day * DAY;
-        let of = step.producer as usize;
-        let most = step.rows.iter().map(|(state, ..)| state + 1).max().unwrap_or(0).max(known);
+        let producer = step.producer as usize;
+        let state_count = step.rows.iter().map(|(state, ..)| state + 1).max().unwrap_or(0).max(known);
         let count = u32::try_from(step.rows.len()).expect("few");
         let new = |id: u32| {
             let shape = StateShape::Scalar(StateKind::Probability);
             NewState { id: StateId(id), name: named(&format!("s{id}")), shape }
         };
-        let key = ProducerKey::new(&format!("robot-{of}"), "").expect("valid");
+        let key = ProducerKey::new(&format!("robot-{producer}"), "").expect("valid");
         events.push(Event::Observations(
             Envelope {
                 producer: ProducerId(step.producer),
-                new_producer: (sequences[of] == 0).then(|| key.into()),
+                new_producer: (sequences[producer] == 0).then(|| key.into()),
                 incarnation: 1,
-                span: SequenceSpan { first: sequences[of] + 1, last: sequences[of] + u64::from(count), content_crc: 7 },
+                span: SequenceSpan { first: sequences[producer] + 1, last: sequences[producer] + u64::from(count), content_crc: 7 },
                 // What lies on the day after tomorrow waits.
                 received_nanos: from + DAY,
                 refused: Vec::new(),
             },
             Observations {
-                new_states: (known..most).map(new).collect(),
+                new_states: (known..state_count).map(new).collect(),
                 states: step.rows.iter().map(|(state, ..)| StateId(*state)).collect(),
                 times_nanos: step.rows.iter().map(|(_, minute, _)| from + minute * HOUR / 60).collect(),
                 values: step.rows.iter().map(|(.., quarters)| f64::from(*quarters) / 4.0).collect(),
@@ -84,7 +84,7 @@ fn story(steps: &[Step]) -> Vec<Event> {
                 failures: Vec::new(),
             },
         ));
-        (sequences[of], known) = (sequences[of] + u64::from(count), most);
+        (sequences[producer], known) = (sequences[producer] + u64::from(count), state_count);
         if let Some((minutes, is_nightly)) = step.update {
             generation += 1;
             cut_nanos = (from + DAY - minutes * HOUR / 60).max(cut_nanos);
@@ -110,8 +110,9 @@ fn number_producers(events: &mut [Event]) {
     }
 }
 
-/// Tells events to a map, from a snapshot with its history or from nothing; all that its updates published.
-fn told(
+/// A map after it has applied the events, from a snapshot with its history or from nothing; all that its updates
+/// published.
+fn applied(
     spec: &Arc<MapSpec>,
     events: &[Event],
     from: Option<&MapSnapshot>,
@@ -193,7 +194,7 @@ fn comparable(snapshot: &MapSnapshot) -> MapSnapshot {
 }
 
 fn selection() -> impl Strategy<Value = Selection> {
-    let some = |of: u32| prop::option::of(prop::collection::btree_set(0..of, 1..3));
+    let some = |count: u32| prop::option::of(prop::collection::btree_set(0..count, 1..3));
     (some(STATES), some(PRODUCERS), 0..14_i64 * 24, 1..200_i64).prop_map(|(states, producers, from, hours)| Selection {
         states: states.map(|ids| ids.into_iter().map(StateId).collect()),
         producers: producers.map(|ids| ids.into_iter().map(ProducerId).collect()),
@@ -205,9 +206,9 @@ fn selection() -> impl Strategy<Value = Selection> {
 fn compare(models: EnabledModels, steps: &[Step], selection: &Selection, saved: usize) -> Result<(), TestCaseError> {
     let spec = &spec(models);
     let events = story(steps);
-    let (_, published, pieces) = told(spec, &events, None, Vec::new());
+    let (_, published, pieces) = applied(spec, &events, None, Vec::new());
     let naive = naive(&events, selection);
-    let (mut never, of_never, never_pieces) = told(spec, &naive, None, Vec::new());
+    let (mut never, of_never, never_pieces) = applied(spec, &naive, None, Vec::new());
     let never_observed = never.publish().observations();
     // The newest checkpoint may be older than the log's end, and history newer than it.
     let at = saved % (published.len() + 1);
@@ -242,7 +243,7 @@ fn compare(models: EnabledModels, steps: &[Step], selection: &Selection, saved: 
         }
         let generation = after.as_ref().map_or(0, |after| after.generation);
         let before = kept.into_iter().filter(|piece| piece.generation <= generation).collect();
-        let (mut restored, again, all) = told(spec, &left, after.as_ref(), before);
+        let (mut restored, again, all) = applied(spec, &left, after.as_ref(), before);
         if let (Some(again), Some(never)) = (again.last(), of_never.last()) {
             prop_assert_eq!(comparable(again), expected(never));
         }
@@ -302,9 +303,9 @@ fn what_the_history_does_not_tell_is_refused() {
         update: Some((0, true)),
     };
     let events = story(&[step(0), step(1), step(0), Step { update: None, ..step(1) }]);
-    let (_, published, pieces) = told(&spec(EnabledModels::default()), &events, None, Vec::new());
+    let (_, published, pieces) = applied(&spec(EnabledModels::default()), &events, None, Vec::new());
     let snapshot = published.last();
-    let of = |producer: Option<u32>, from_nanos: i64| Selection {
+    let selection = |producer: Option<u32>, from_nanos: i64| Selection {
         states: None,
         producers: producer.map(|producer| [ProducerId(producer)].into()),
         from_nanos,
@@ -316,20 +317,20 @@ fn what_the_history_does_not_tell_is_refused() {
     let known_from_nanos = 18 * HOUR + 1;
     let mut with_old = published.last().expect("an update").clone();
     with_old.producers[0].has_scans = None;
-    let refused = decided(&of(Some(0), 0), Some(&with_old), &old, &events);
+    let refused = decided(&selection(Some(0), 0), Some(&with_old), &old, &events);
     // One that began later observed nothing of that.
-    assert!(decided(&of(Some(1), 0), Some(&with_old), &old, &events).is_ok());
+    assert!(decided(&selection(Some(1), 0), Some(&with_old), &old, &events).is_ok());
     assert_eq!(refused, Err(NotErasable::ProducerUnknown { state: named("s0"), known_from_nanos }));
-    assert!(decided(&of(Some(0), DAY), Some(&with_old), &old, &events).is_ok());
-    assert!(decided(&of(None, 0), Some(&with_old), &old, &events).is_ok());
+    assert!(decided(&selection(Some(0), DAY), Some(&with_old), &old, &events).is_ok());
+    assert!(decided(&selection(None, 0), Some(&with_old), &old, &events).is_ok());
     // Its file was deleted.
     let pending_from_nanos = 3 * DAY;
-    let refused = decided(&of(None, DAY), snapshot, &pieces[1..], &events);
+    let refused = decided(&selection(None, DAY), snapshot, &pieces[1..], &events);
     let missing = NotErasable::HistoryIncomplete { state: named("s0"), kept_from_nanos: Some(DAY), pending_from_nanos };
     assert_eq!(refused, Err(missing));
-    let later = decided(&of(None, pending_from_nanos), snapshot, &pieces[1..], &events).expect("pending only");
+    let later = decided(&selection(None, pending_from_nanos), snapshot, &pieces[1..], &events).expect("pending only");
     assert_eq!((later.observations, later.relearned), (20, Vec::new()));
-    assert_eq!(decided(&of(Some(2), 0), snapshot, &pieces, &events), Err(NotErasable::Nothing));
+    assert_eq!(decided(&selection(Some(2), 0), snapshot, &pieces, &events), Err(NotErasable::Nothing));
 }
 
 #[test]

@@ -19,14 +19,14 @@ struct Pieces(Vec<Arc<HistoryPiece>>);
 
 impl StateReadings for Pieces {
     fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
-        let of = |wanted: &ReadingsRequest| {
+        let samples_for = |wanted: &ReadingsRequest| {
             let all = self.0.iter().flat_map(|piece| &piece.states).filter(|(state, _)| *state == wanted.state);
             let mut found: Vec<Sample> =
                 all.flat_map(|(_, samples)| samples).filter(|s| s.utc_nanos >= wanted.from_nanos).copied().collect();
             found.sort_by_key(|sample| sample.utc_nanos);
             found
         };
-        Ok(wanted.iter().map(of).collect())
+        Ok(wanted.iter().map(samples_for).collect())
     }
 }
 

@@ -77,10 +77,13 @@ fn positions_are_learned_by_axis_and_restored() {
     let observed = event(&map, &rows);
     apply(&mut map, &observed);
     let snapshot = update(&mut map, None);
-    let told = |view: &MapView| [0, 1].map(|axis| predict(view, axis, (240 + 18) * HOUR));
-    let [x, y] = told(&map.publish());
+    let predicted = |view: &MapView| [0, 1].map(|axis| predict(view, axis, (240 + 18) * HOUR));
+    let [x, y] = predicted(&map.publish());
     assert!((x - 4.0).abs() < 1.5 && (y - 99.0).abs() < 0.3, "{x}, {y}");
     let mut restored = LiveMap::restore(spec(), snapshot);
     let view = restored.publish();
-    assert_eq!((view.shape("anna"), told(&view)), (Some((StateId(0), StateShape::Vector(Dimensions::Two))), [x, y]));
+    assert_eq!(
+        (view.shape("anna"), predicted(&view)),
+        (Some((StateId(0), StateShape::Vector(Dimensions::Two))), [x, y])
+    );
 }

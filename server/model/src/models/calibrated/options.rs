@@ -1,8 +1,8 @@
-//! How a calibrated model is fitted.
+//! Options of the training of a calibrated model.
 
 use crate::models::CannotFit;
 
-/// How a [`Calibrated`] model is fitted.
+/// How a [`Calibrated`] model is trained.
 ///
 /// The defaults were chosen by rolling origin on ten weeks of one office door: of the settings whose error was within
 /// half a percent of the lowest, the one with the longest memory, then the least caution. The error is flat around it.
@@ -10,15 +10,16 @@ use crate::models::CannotFit;
 pub struct CalibratedOptions {
     /// Standard deviation of the Gaussian that smooths each day over time of day, in seconds, 0 to 86,400.
     pub smoothing_secs: f64,
-    /// The same for the broad daily profile, towards which the time of day is shrunk if there is little data.
+    /// Standard deviation of the Gaussian that smooths the broad daily profile, in seconds, 0 to 86,400. The time of
+    /// day is shrunk towards that profile if there is little data.
     pub broad_smoothing_secs: f64,
     /// How fast days lose weight, in days, above 0: a day that is `a` days older than the newest counts 1/(1 +
     /// a/memory). Infinite: all have equal weight.
     pub memory_days: f64,
-    /// The factor by which a tier is shrunk towards the one before more than the credibility formula says, above 0; 1
-    /// is Bühlmann's formula. More than 1 allows for routines that do not last.
+    /// How much more a tier is shrunk towards the one before than the credibility formula says: a factor above 0; 1 is
+    /// Bühlmann's formula. More than 1 allows for routines that do not last.
     pub caution: f64,
-    /// The same for the last tier, the days of the week.
+    /// The factor, as `caution`, for the last tier, the days of the week.
     pub day_of_week_caution: f64,
 }
 

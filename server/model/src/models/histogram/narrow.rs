@@ -40,7 +40,7 @@ impl<const N: usize> Narrow<N> {
         Narrow::Bytes(vec![[0; N]; len].into())
     }
 
-    /// The same numbers.
+    /// The given cells, in the narrowest numbers that hold them exactly.
     pub(super) fn of(cells: &[[f64; N]]) -> Narrow<N> {
         let mut narrow = Narrow::zeros(cells.len());
         cells.iter().enumerate().for_each(|(index, &cell)| narrow.set(index, cell));
@@ -84,7 +84,7 @@ impl<const N: usize> Narrow<N> {
         }
     }
 
-    /// The same in wider numbers that hold `cell`, too.
+    /// These cells in wider numbers, which can also hold `cell`.
     fn wider(&self, cell: [f64; N]) -> Narrow<N> {
         // Single precision holds every byte, but nothing else need fit.
         match self {

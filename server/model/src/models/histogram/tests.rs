@@ -97,12 +97,12 @@ fn settings_out_of_range_are_refused() {
     let refused = |settings: HistogramSettings| {
         matches!(Histogram::fit(Readings::new(&samples), &settings), Err(CannotFit::Parameter { .. }))
     };
-    for (cycle, most) in
+    for (cycle, max_bins) in
         [(HistogramCycle::Day, 1440), (HistogramCycle::Week, 10_080), (HistogramCycle::WeekdayWeekend, 1440)]
     {
         assert!(refused(HistogramSettings::new(cycle, 0)));
-        assert!(refused(HistogramSettings::new(cycle, most + 1)));
-        assert!(!refused(HistogramSettings::new(cycle, most)));
+        assert!(refused(HistogramSettings::new(cycle, max_bins + 1)));
+        assert!(!refused(HistogramSettings::new(cycle, max_bins)));
     }
     let good = HistogramSettings::new(HistogramCycle::Day, 24);
     for smoothing_bins in [-1.0, 6.1, f64::NAN] {

@@ -101,14 +101,14 @@ impl Candidates {
         let periods: Vec<(i64, u32)> = (0..periodicities.len()).filter_map(|k| periodicities.turns_of(k)).collect();
         let cycle_nanos = periods.iter().map(|&(nanos, _)| nanos).max().unwrap_or(DAY_NANOS);
         let days = cycle_nanos.div_euclid(DAY_NANOS) + i64::from(cycle_nanos.rem_euclid(DAY_NANOS) > 0);
-        let most = days.clamp(DIVISOR_MIN, DIVISOR_MAX);
+        let max_divisor = days.clamp(DIVISOR_MIN, DIVISOR_MAX);
         let (mut divisors, mut others) = (Vec::new(), Vec::new());
         for &(nanos, turns) in &periods {
             let turned = i128::from(cycle_nanos) * i128::from(turns);
             let (divisor, rest) = (turned / i128::from(nanos), turned % i128::from(nanos));
             match u32::try_from(divisor) {
-                Ok(divisor) if i64::from(divisor) <= most && rest == 0 => divisors.push(divisor),
-                Ok(divisor) if i64::from(divisor) < most => {
+                Ok(divisor) if i64::from(divisor) <= max_divisor && rest == 0 => divisors.push(divisor),
+                Ok(divisor) if i64::from(divisor) < max_divisor => {
                     others.push(HypertimePeriod { cycle_nanos: nanos, divisor: turns });
                 }
                 _ => {}
@@ -125,7 +125,7 @@ impl Candidates {
                 others.push(HypertimePeriod { cycle_nanos: nanos, divisor: 1 });
             }
         }
-        let slots = SLOTS_PER_PERIOD * most as usize;
+        let slots = SLOTS_PER_PERIOD * max_divisor as usize;
         let mut candidates = Candidates { cycle_nanos, divisors, slots, others: Vec::new(), span_nanos, gaps };
         others.retain(|&period| candidates.holds(period));
         others.sort_by(|a, b| b.secs().total_cmp(&a.secs()));

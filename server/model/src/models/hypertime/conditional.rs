@@ -41,7 +41,7 @@ impl HypertimeDistribution {
 
     /// Variance of each coordinate of the value, in its squared unit; at most the greatest finite number.
     pub fn variance(&self) -> Vec<f64> {
-        let of = |coordinate: usize| {
+        let standard_variance = |coordinate: usize| {
             let mean = self.standard_mean(coordinate);
             let second = self.mixture.clusters.iter().map(|cluster| {
                 let distance = cluster.parts().centre[coordinate] - mean;
@@ -49,7 +49,11 @@ impl HypertimeDistribution {
             });
             second.sum::<f64>()
         };
-        let scaled = self.axes.iter().enumerate().map(|(coordinate, axis)| of(coordinate) * axis.scale * axis.scale);
+        let scaled = self
+            .axes
+            .iter()
+            .enumerate()
+            .map(|(coordinate, axis)| standard_variance(coordinate) * axis.scale * axis.scale);
         scaled.map(|variance| variance.min(f64::MAX)).collect()
     }
 

@@ -118,43 +118,43 @@ impl Mixture {
 /// ln Σ exp of numbers, added one by one.
 #[derive(Clone, Copy)]
 struct LogSum {
-    most: f64,
+    highest: f64,
     sum: f64,
 }
 
 impl Default for LogSum {
     fn default() -> LogSum {
-        LogSum { most: f64::NEG_INFINITY, sum: 0.0 }
+        LogSum { highest: f64::NEG_INFINITY, sum: 0.0 }
     }
 }
 
 impl LogSum {
     fn add(&mut self, log: f64) {
-        if log > self.most {
-            self.sum = self.sum * (self.most - log).exp() + 1.0;
-            self.most = log;
+        if log > self.highest {
+            self.sum = self.sum * (self.highest - log).exp() + 1.0;
+            self.highest = log;
         } else {
-            self.sum += (log - self.most).exp();
+            self.sum += (log - self.highest).exp();
         }
     }
 
     fn get(self) -> f64 {
-        self.most + self.sum.ln()
+        self.highest + self.sum.ln()
     }
 }
 
 /// Turns logarithms into shares that add up to 1; returns the logarithm of their sum.
 fn normalise(logs: &mut [f64]) -> f64 {
-    let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let mut sum = 0.0;
     for log in logs.iter_mut() {
-        *log = (*log - most).exp();
+        *log = (*log - highest).exp();
         sum += *log;
     }
     for log in logs.iter_mut() {
         *log /= sum;
     }
-    most + sum.ln()
+    highest + sum.ln()
 }
 
 /// The prior of a cluster.

@@ -209,12 +209,12 @@ impl Odds {
 
 /// ln of the sum of two exponentials.
 fn log_sum(one: f64, other: f64) -> f64 {
-    let most = one.max(other);
-    most + ((one - most).exp() + (other - most).exp()).ln()
+    let highest = one.max(other);
+    highest + ((one - highest).exp() + (other - highest).exp()).ln()
 }
 
 /// ln of the mean of the exponentials.
 fn log_mean(logs: &[f64]) -> f64 {
-    let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    most + (logs.iter().map(|log| (log - most).exp()).sum::<f64>() / logs.len() as f64).ln()
+    let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    highest + (logs.iter().map(|log| (log - highest).exp()).sum::<f64>() / logs.len() as f64).ln()
 }

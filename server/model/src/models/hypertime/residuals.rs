@@ -40,7 +40,7 @@ impl Residuals {
         }
     }
 
-    /// The same where errors are taken in slots of this length.
+    /// These residuals, with errors taken in slots of this length.
     pub(super) fn in_slots_of(self, coarseness_nanos: i64) -> Residuals {
         Residuals { coarseness_nanos, ..self }
     }

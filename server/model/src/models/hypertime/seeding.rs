@@ -67,7 +67,7 @@ pub(super) fn first_clusters(points: &Points, clusters: usize, seed: u64) -> Vec
     let variances = spread(points);
     let count = centres.len().max(1) as f64;
     let shrunk = count.powf(-2.0 / points.stride().max(1) as f64);
-    let of = |centre: Vec<f64>| {
+    let cluster = |centre: Vec<f64>| {
         let (linear, circles) = centre.split_at(points.coordinates);
         let factor = (0..points.coordinates).flat_map(|i| {
             let deviation = (variances[i] * shrunk + VARIANCE_MIN).sqrt();
@@ -82,7 +82,7 @@ pub(super) fn first_clusters(points: &Points, clusters: usize, seed: u64) -> Vec
             concentrations: vec![if alone { 0.0 } else { 1.0 }; points.circles],
         })
     };
-    centres.iter().cloned().map(of).collect()
+    centres.iter().cloned().map(cluster).collect()
 }
 
 fn distance(point: &[f64], centre: &[f64], coordinates: usize) -> f64 {

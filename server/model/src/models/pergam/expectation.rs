@@ -65,8 +65,8 @@ pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64, stop: Sto
     if distinct == 0 || mass <= 0.0 {
         return Vec::new();
     }
-    let (least, most) = shares.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &share| (a.min(share), b.max(share)));
-    if most - least <= most * 1e-12 {
+    let (lowest, highest) = shares.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), &share| (a.min(share), b.max(share)));
+    if highest - lowest <= highest * 1e-12 {
         return vec![WrappedGaussian { weight: 1.0, mean: 0.5, deviation: DEVIATION_MAX }];
     }
     let gaussians = gaussians.clamp(1, distinct);

@@ -35,7 +35,7 @@ impl CountRate {
         CountRate::fit_in_bins(readings, periodicities, COUNT_BIN_NANOS)
     }
 
-    /// The same with bins of another length, in nanoseconds.
+    /// Trains on counts of single readings as [`CountRate::fit`], with bins of the given length in nanoseconds.
     ///
     /// # Errors
     /// As [`CountRate::fit`].

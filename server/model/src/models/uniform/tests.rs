@@ -88,23 +88,23 @@ fn components_pay_where_the_state_has_a_rhythm() {
 #[test]
 fn what_is_irregular_is_told_by_the_usual_interval_and_the_first_that_departs_from_it() {
     let samples = regular_samples(&office(), MINUTE_NANOS);
-    let told = |samples: &[Sample]| UniformSpectral::fit(Readings::new(samples), 2).unwrap_err();
+    let fit_error = |samples: &[Sample]| UniformSpectral::fit(Readings::new(samples), 2).unwrap_err();
     let first_secs = WEEK_NANOS as f64 / 1e9;
     let mut missing = samples.clone();
     missing.drain(40..70);
     let expected =
         CannotFit::Irregular { interval_secs: 60.0, at_secs: first_secs + 70.0 * 60.0, after_secs: 31.0 * 60.0 };
-    assert_eq!(told(&missing), expected);
-    let message = told(&missing).to_string();
+    assert_eq!(fit_error(&missing), expected);
+    let message = fit_error(&missing).to_string();
     assert!(message.contains("60 s apart") && message.contains("1860 s after") && message.contains("spectral"));
     let twice = [samples[0], samples[0], samples[0]];
-    assert_eq!(told(&twice), CannotFit::Irregular { interval_secs: 0.0, at_secs: first_secs, after_secs: 0.0 });
+    assert_eq!(fit_error(&twice), CannotFit::Irregular { interval_secs: 0.0, at_secs: first_secs, after_secs: 0.0 });
     // Each a little later than the one before: no single jump, but a drift.
     let mut drifting = samples[..1000].to_vec();
     for (i, sample) in (0..).zip(&mut drifting) {
         sample.utc_nanos += i * i * 100_000;
     }
-    let CannotFit::Irregular { interval_secs, after_secs, .. } = told(&drifting) else { panic!("irregular") };
+    let CannotFit::Irregular { interval_secs, after_secs, .. } = fit_error(&drifting) else { panic!("irregular") };
     assert!((interval_secs - 60.1).abs() < 0.01 && (after_secs - interval_secs).abs() < 0.6);
 }
 

@@ -153,7 +153,7 @@ fn every_instruction_set_chooses_the_same() {
             assert_eq!(found.periodicity, expected.periodicity);
             assert!((found.gamma_re - expected.gamma_re).abs() < 1e-12);
         }
-        let bits = |of: &Component| (of.gamma_re.to_bits(), of.gamma_im.to_bits());
+        let bits = |component: &Component| (component.gamma_re.to_bits(), component.gamma_im.to_bits());
         let bits: Vec<_> = found.iter().map(bits).collect();
         assert_eq!(first.get_or_insert_with(|| bits.clone()), &bits, "{arch:?}");
     }

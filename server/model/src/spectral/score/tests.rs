@@ -110,9 +110,9 @@ proptest! {
         let week = Periodicities::default();
         let component = |&(periodicity, gamma_re, gamma_im): &(u32, f64, f64)| Component { periodicity, gamma_re, gamma_im };
         let model = SpectralModel::from_parts(mean, 9, parts.iter().map(component).collect()).unwrap();
-        let times: Vec<i64> = observed.iter().map(|of| of.0).collect();
-        let values: Vec<f64> = observed.iter().map(|of| of.1).collect();
-        let weights: Vec<f64> = observed.iter().map(|of| f64::from(u8::from(of.2))).collect();
+        let times: Vec<i64> = observed.iter().map(|row| row.0).collect();
+        let values: Vec<f64> = observed.iter().map(|row| row.1).collect();
+        let weights: Vec<f64> = observed.iter().map(|row| f64::from(u8::from(row.2))).collect();
         let weights = weighted.then_some(&weights[..]);
         // A table that holds all there are, and one that does not hold what the model needs.
         for table in [PhasorTable::new(&week, &times), PhasorTable::only(&week, &times, &chosen)] {

@@ -53,8 +53,9 @@ impl Combination<'_> {
     /// The weighted sum of the predictions of the other models: add that of the spectral model times its weight.
     pub fn others_at(&self, at: Moment) -> f64 {
         // A histogram without readings of that hour leaves it to the spectral model.
-        let of = |model: &ActiveModel<'_>| if model.covers(at) { model.predict(at) } else { self.spectral.predict(at) };
-        self.others.iter().map(|(model, weight)| weight * of(model)).sum()
+        let prediction =
+            |model: &ActiveModel<'_>| if model.covers(at) { model.predict(at) } else { self.spectral.predict(at) };
+        self.others.iter().map(|(model, weight)| weight * prediction(model)).sum()
     }
 }
 

@@ -1,27 +1,27 @@
-//! Fits of cheap models while the first days of a state are learned in one update.
+//! Trains cheap models day by day, while the first days of a state are learned in one update.
 //!
-//! If a short record comes at once, fits after the update would never have been scored, and could not be chosen before
-//! the next day is learned. So cheap models are fitted after each day here, at the days on which nightly updates would
-//! have fitted them. Invariant: a fit has seen only days before those that it is scored on.
+//! If a short record comes at once, models trained after the update would never have been scored, and could not be
+//! chosen before the next day is learned. So cheap models are trained after each day here, on the days on which nightly
+//! updates would have trained them. Invariant: a model has seen only days before those that it is scored on.
 
 use super::{FittedModel, StateModel, UpdateRules};
 use crate::{LocalDay, Periodicities, Sample, models::Readings};
 
-/// With more days, models that are fitted at the end of the update join on the day after.
+/// With more days, models are trained at the end of the update and join on the day after.
 const DAYS_MAX: usize = 14;
-/// With more observations, fits would delay the update.
+/// With more observations, the training would delay the update.
 const OBSERVATIONS_MAX: usize = 500_000;
 
 impl StateModel {
-    /// Whether an update with these samples, in order of time, has a rehearsal.
-    pub(super) fn has_rehearsal(&self, rules: UpdateRules, samples: &[Sample]) -> bool {
+    /// Whether an update with these samples, in order of time, trains after each day.
+    pub(super) fn trains_day_by_day(&self, rules: UpdateRules, samples: &[Sample]) -> bool {
         let is_first = self.accumulator.last_nanos().is_none();
         let days = || samples.chunk_by(|one, next| one.local_day() == next.local_day()).take(DAYS_MAX + 1).count();
-        rules.rehearsal && is_first && samples.len() <= OBSERVATIONS_MAX && days() <= DAYS_MAX
+        rules.trains_day_by_day && is_first && samples.len() <= OBSERVATIONS_MAX && days() <= DAYS_MAX
     }
 
-    /// Fits the cheap models that are due after a day; `seen`: all samples so far.
-    pub(super) fn rehearse(
+    /// Trains the cheap models that are due after a day; `seen`: all samples so far.
+    pub(super) fn train_after_day(
         &mut self,
         periodicities: &Periodicities,
         rules: UpdateRules,
@@ -36,7 +36,7 @@ impl StateModel {
             if !self.is_fit_due(kind) {
                 continue;
             }
-            // Without a fit the state keeps what it has.
+            // If the training fails, the state keeps the model that it has.
             if let Ok(model) = FittedModel::fit(kind, self.kind(), readings, periodicities)
                 && let Some(known) = &mut self.alternatives
             {
