@@ -204,7 +204,8 @@ pub struct SlotQuery {
     pub exactly_one: bool,
     /// Seed of the random choices.
     pub seed: u64,
-    /// Length of a slot, nanoseconds, with [`SlotQuery::exactly_one`]. If the allowance has a slot length, that one is used.
+    /// Length of a slot, nanoseconds, with [`SlotQuery::exactly_one`]. If the allowance has a slot length, that one is
+    /// used.
     pub slot_nanos: Option<i64>,
     /// A daily allowance of visits; `None`: every slot is used.
     pub allowance: Option<SlotAllowance>,

@@ -162,7 +162,7 @@ struct Setting {
 /// allowed value. The example config is made of the same text.
 macro_rules! settings {
     ($($section:literal {
-        $($(#[doc = $meaning:literal])* $key:ident: $type:ty = $default:expr $(, $least:expr, $most:expr)?;)*
+        $($(#[doc = $meaning:literal])* $key:ident: $type:ty = $default:expr $(, $min:expr, $max:expr)?;)*
     })*) => {
         /// All settings; the keys of the config file.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -175,7 +175,7 @@ macro_rules! settings {
         const SECTIONS: &[(&str, &[Setting])] = &[$(($section, &[$(Setting {
             key: stringify!($key),
             meaning: &[$($meaning),*],
-            range: settings!(@range $($least, $most)?),
+            range: settings!(@range $($min, $max)?),
         }),*])),*];
 
         impl Default for Settings {
@@ -186,13 +186,13 @@ macro_rules! settings {
 
         impl Settings {
             fn check_ranges(&self) -> anyhow::Result<()> {
-                $($($(check_range(stringify!($key), self.$key as u64, $least, $most)?;)?)*)*
+                $($($(check_range(stringify!($key), self.$key as u64, $min, $max)?;)?)*)*
                 Ok(())
             }
         }
     };
     (@range) => { None };
-    (@range $least:expr, $most:expr) => { Some(($least, $most)) };
+    (@range $min:expr, $max:expr) => { Some(($min, $max)) };
 }
 
 settings! {
@@ -303,18 +303,19 @@ settings! {
         /// Observations of a map that wait for the nightly update. Above this an update runs early; above twice this,
         /// including those of a running update, streams wait. An observation takes 24 to 48 bytes of memory.
         max_pending_observations: u64 = 4_000_000, 1000, 1 << 32;
-        /// The same for the grid of a map, in changes: scans, and cells that differ from the scan before. A change
-        /// takes 8 to 16 bytes of memory.
+        /// Changes of the grid of a map that wait for the nightly update: scans, and cells that differ from the scan
+        /// before. Above this an update runs early; above twice this, streams wait. A change takes 8 to 16 bytes of
+        /// memory.
         max_pending_changes: u64 = 1_000_000, 1000, 1 << 32;
         /// Update each map at its local midnight. Without it, a map is updated on request (tidemap update), at the
         /// midnights of imported data, and when too much is pending.
         update_at_midnight: bool = true;
         /// Predictions (states x times) of one request.
         max_predictions: u64 = 10_000_000, 1, 1 << 40;
-        /// Models that are fitted on request and cached, all maps together, and that evaluations hold at once (each
+        /// Models that are trained on request and cached, all maps together, and that evaluations hold at once (each
         /// holds those of one state). A model takes 100 bytes to 10 KB, a histogram 16 bytes per bin.
         max_fitted_models: usize = 4000, 1, 1_000_000;
-        /// Observations that one model is fitted to. A fit takes some 100 bytes for each while it runs.
+        /// Observations that one model is trained on. The training takes some 100 bytes for each while it runs.
         max_fit_readings: u64 = 2_000_000, 1, 1 << 32;
         /// Open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5 MB, and the
         /// models of the previous generation.
@@ -357,9 +358,9 @@ settings! {
     }
 }
 
-fn check_range(key: &str, value: u64, least: u64, most: u64) -> anyhow::Result<()> {
-    if !(least..=most).contains(&value) {
-        bail!("setting {key} is {value}: it must be between {least} and {most}");
+fn check_range(key: &str, value: u64, min: u64, max: u64) -> anyhow::Result<()> {
+    if !(min..=max).contains(&value) {
+        bail!("setting {key} is {value}: it must be between {min} and {max}");
     }
     Ok(())
 }

@@ -53,7 +53,7 @@ pub(crate) enum Port {
 }
 
 impl Port {
-    /// Its name.
+    /// The value of the label `port` in metrics.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Grpc => "grpc",
@@ -155,16 +155,16 @@ impl Drop for Busy {
     }
 }
 
-/// The place of an open connection; free again when dropped.
+/// One of the connections that a port may have open; free again when dropped.
 #[derive(Debug)]
-pub(crate) struct Place {
+pub(crate) struct ConnectionSlot {
     number: u64,
     seat: Arc<Seat>,
     port: Port,
     open: Arc<Mutex<Open>>,
 }
 
-impl Drop for Place {
+impl Drop for ConnectionSlot {
     fn drop(&mut self) {
         let mut open = lock(&self.open);
         open.seats.remove(&self.number);
@@ -219,9 +219,9 @@ impl Seat {
 
 impl Open {
     /// Number of open connections that do not have to make room, of any client or of one.
-    fn staying(&self, of: Option<Peer>) -> usize {
+    fn staying(&self, peer: Option<Peer>) -> usize {
         let stays =
-            |seat: &&Arc<Seat>| of.is_none_or(|peer| seat.peer == peer) && !seat.is_displaced.load(Ordering::Acquire);
+            |seat: &&Arc<Seat>| peer.is_none_or(|peer| seat.peer == peer) && !seat.is_displaced.load(Ordering::Acquire);
         self.seats.values().filter(stays).count()
     }
 }
@@ -238,12 +238,12 @@ impl Connections {
     }
 
     /// Lets a connection make room, of any client or of one.
-    fn displace(&self, open: &Open, of: Option<Peer>, now: Instant) -> bool {
+    fn displace(&self, open: &Open, peer: Option<Peer>, now: Instant) -> bool {
         let rank = |seat: &Seat| match self.port {
             Port::Probes => Some((true, now.saturating_duration_since(seat.opened))),
             Port::Grpc | Port::Http => seat.rank(self.limits.idle_after, now),
         };
-        let candidates = open.seats.values().filter(|seat| of.is_none_or(|peer| seat.peer == peer));
+        let candidates = open.seats.values().filter(|seat| peer.is_none_or(|peer| seat.peer == peer));
         let ranked = candidates
             .filter(|seat| !seat.is_displaced.load(Ordering::Acquire))
             .filter_map(|seat| Some((rank(seat)?, seat)));
@@ -253,8 +253,8 @@ impl Connections {
         true
     }
 
-    /// A place for a new connection; another one makes room if it has to. `None` if all others are busy.
-    pub(crate) fn admit(&self, peer: Peer) -> Option<Place> {
+    /// A slot for a new connection; another connection makes room if it has to. `None` if all others are busy.
+    pub(crate) fn admit(&self, peer: Peer) -> Option<ConnectionSlot> {
         let now = Instant::now();
         let mut open = lock(&self.open);
         let of_peer = open.per_client.get(&peer).copied().unwrap_or(0);
@@ -280,7 +280,7 @@ impl Connections {
         *open.per_client.entry(peer).or_default() += 1;
         metrics::gauge!("tidemap_connections", "port" => self.port.name()).set(open.seats.len() as f64);
         drop(open);
-        Some(Place { number, seat, port: self.port, open: Arc::clone(&self.open) })
+        Some(ConnectionSlot { number, seat, port: self.port, open: Arc::clone(&self.open) })
     }
 
     /// Lets one connection make room, because the process has no descriptors left.

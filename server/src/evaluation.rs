@@ -1,7 +1,7 @@
 //! Compares the predictions of models with observations that are not learned.
 //!
 //! Invariant: only sums and the reasons of missing models are kept, so that memory depends neither on the number of
-//! observations nor on the number of fitted models: those are lent for one addition.
+//! observations nor on the number of trained models: those are lent for one addition.
 
 use std::{
     borrow::Cow,
@@ -20,10 +20,10 @@ use crate::{model_cache::CachedModel, state_or_cell::StateOrCell};
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;
 
-/// What predicts a state where a model must be fitted to its readings.
+/// What predicts a state where a model must be trained on its readings.
 #[derive(Clone, Debug)]
 pub(crate) enum AnswerSource {
-    /// The fitted model.
+    /// The trained model.
     Fitted(Arc<CachedModel>),
     /// There is no such model, for this reason.
     Nothing(Arc<str>),
@@ -44,7 +44,7 @@ pub(crate) struct Evaluator {
 /// The sums of one state, or of an angle, each as long as the rows.
 #[derive(Debug)]
 struct ErrorSums {
-    of: StateOrCell,
+    target: StateOrCell,
     /// Why there is no model, once one was missing.
     missing: Vec<Option<Arc<str>>>,
     is_angle: bool,
@@ -79,7 +79,7 @@ impl Evaluator {
         self.rows.len()
     }
 
-    /// The model kind of each row that is fitted to the readings of a state, in order.
+    /// The model kind of each row that is trained on the readings of a state, in order.
     pub(crate) fn kinds_to_fit(&self) -> impl Iterator<Item = ModelKind> + use<> {
         let kinds: Vec<_> = self.rows.iter().map(|row| row.kind).filter(|kind| kind.needs_readings()).collect();
         kinds.into_iter()
@@ -96,12 +96,12 @@ impl Evaluator {
     }
 
     /// Begins the sums of a state, so that rows have the order of the beginnings. No effect if the state is known.
-    pub(crate) fn begin(&mut self, of: &StateOrCell, is_angle: bool) {
-        let subject = of.subject();
+    pub(crate) fn begin(&mut self, target: &StateOrCell, is_angle: bool) {
+        let subject = target.subject();
         if let Entry::Vacant(entry) = self.sums.entry(subject) {
             let rows = self.rows.len();
             entry.insert(ErrorSums {
-                of: of.clone(),
+                target: target.clone(),
                 missing: vec![None; rows],
                 is_angle,
                 errors: vec![Evaluation::default(); rows],
@@ -142,7 +142,7 @@ impl Evaluator {
             let rows = self.rows.iter().zip(&answering).zip(&mut sums.errors).enumerate();
             for (index, ((row, answering), sum)) in rows {
                 stop.check()?;
-                if !answer(&self.view, &sums.of, answering.as_ref(), &prepared, *row, &mut predicted) {
+                if !answer(&self.view, &sums.target, answering.as_ref(), &prepared, *row, &mut predicted) {
                     continue;
                 }
                 if let Some((sine, answering)) = &sine {
@@ -164,9 +164,9 @@ impl Evaluator {
 
     /// The rows: name of the state, model with its order, sums.
     pub(crate) fn rows(&self) -> impl Iterator<Item = (StateOrCell, Cow<'_, str>, ModelSelector, &Evaluation)> {
-        self.all().filter(|(.., missing, _)| missing.is_none()).map(|(of, row, _, errors)| {
-            let order = Some(of.order(&self.view, *row)).filter(|_| row.kind.has_order());
-            (of.clone(), self.name(of), ModelSelector { order, ..*row }, errors)
+        self.all().filter(|(.., missing, _)| missing.is_none()).map(|(target, row, _, errors)| {
+            let order = Some(target.order(&self.view, *row)).filter(|_| row.kind.has_order());
+            (target.clone(), self.name(target), ModelSelector { order, ..*row }, errors)
         })
     }
 
@@ -174,14 +174,14 @@ impl Evaluator {
     pub(crate) fn unavailable(&self) -> Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> {
         let mut found: Vec<(ModelSelector, &str, Vec<Cow<'_, str>>)> = Vec::new();
         let mut places = HashMap::new();
-        for (of, row, missing, _) in self.all() {
+        for (target, row, missing, _) in self.all() {
             let Some(reason) = missing.as_deref() else { continue };
             let place = *places.entry((*row, reason)).or_insert_with(|| {
                 found.push((*row, reason, Vec::new()));
                 found.len() - 1
             });
             if let Some((.., states)) = found.get_mut(place) {
-                states.push(self.name(of));
+                states.push(self.name(target));
             }
         }
         found.sort_by_key(|(row, ..)| self.rows.iter().position(|other| other == row));
@@ -192,20 +192,20 @@ impl Evaluator {
     fn all(&self) -> impl Iterator<Item = (&StateOrCell, &ModelSelector, &Option<Arc<str>>, &Evaluation)> {
         self.states.iter().filter_map(|subject| self.sums.get(subject)).flat_map(|sums| {
             let rows = self.rows.iter().zip(&sums.missing).zip(&sums.errors);
-            rows.map(move |((row, missing), errors)| (&sums.of, row, missing, errors))
+            rows.map(move |((row, missing), errors)| (&sums.target, row, missing, errors))
         })
     }
 
-    fn name(&self, of: &StateOrCell) -> Cow<'_, str> {
-        let StateOrCell::State(id) = *of else { return of.name(&self.view) };
-        let is_angle = self.sums.get(&of.subject()).is_some_and(|sums| sums.is_angle);
+    fn name(&self, target: &StateOrCell) -> Cow<'_, str> {
+        let StateOrCell::State(id) = *target else { return target.name(&self.view) };
+        let is_angle = self.sums.get(&target.subject()).is_some_and(|sums| sums.is_angle);
         let name = self.view.info(id).map(|info| &info.name);
         let angle = name.filter(|_| is_angle).and_then(|name| name.as_angle_axis()).map(|(angle, _)| angle);
         Cow::Borrowed(angle.or(name.map(|name| name.as_str())).unwrap_or_default())
     }
 }
 
-/// The answer source of each row, from those of the rows that are fitted to readings.
+/// The answer source of each row, from those of the rows that are trained on readings.
 fn by_row(rows: &[ModelSelector], fitted: impl IntoIterator<Item = AnswerSource>) -> Vec<Option<AnswerSource>> {
     let mut fitted = fitted.into_iter();
     rows.iter().map(|row| if row.kind.needs_readings() { fitted.next() } else { None }).collect()
@@ -214,15 +214,15 @@ fn by_row(rows: &[ModelSelector], fitted: impl IntoIterator<Item = AnswerSource>
 /// Predicts a state; `false` if there is no model.
 fn answer(
     view: &MapView,
-    of: &StateOrCell,
+    target: &StateOrCell,
     answering: Option<&AnswerSource>,
     prepared: &PreparedTimes,
     row: ModelSelector,
     predicted: &mut [f64],
 ) -> bool {
     match answering {
-        None => of.predict_into(view, prepared, row, predicted),
-        Some(AnswerSource::Fitted(fitted)) => fitted.predict_into(view, of, prepared.moments(), row, predicted),
+        None => target.predict_into(view, prepared, row, predicted),
+        Some(AnswerSource::Fitted(fitted)) => fitted.predict_into(view, target, prepared.moments(), row, predicted),
         Some(AnswerSource::Nothing(_)) => return false,
     }
     true

@@ -1,8 +1,8 @@
-//! Models that are fitted to the readings of a state on request, and kept for the next request.
+//! Models that are trained on the readings of a state on request, and kept for the next request.
 //!
-//! Invariant: a model is kept under the generation whose readings it was fitted to, so that it never answers for
-//! another. Concurrent requests for the same model share one fit, which ends without a model when none of them waits
-//! any more; no lock is held meanwhile. A fit that failed is not kept.
+//! Invariant: a model is kept under the generation whose readings it was trained on, so that it never answers for
+//! another. Concurrent requests for the same model share one training, which ends without a model when none of them
+//! waits any more; no lock is held meanwhile. A failure is not kept.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -59,7 +59,7 @@ impl<T> Default for FitRoom<T> {
     }
 }
 
-/// A model, after it has been fitted.
+/// A model, after it has been trained.
 type CacheSlot<T> = Arc<FitRoom<T>>;
 
 /// Counts a request that waits for a model, until it is dropped.
@@ -69,7 +69,7 @@ pub(crate) struct FitInterest<T> {
 }
 
 impl<T> FitInterest<T> {
-    /// For one fit of the model: whether nobody waits for it any more.
+    /// For one training of the model: whether nobody waits for it any more.
     pub(crate) fn fit_stop(&self) -> FitStop {
         FitStop { waiting: Arc::clone(&self.slot.waiting), is_over: AtomicBool::new(false) }
     }
@@ -81,11 +81,12 @@ impl<T> Drop for FitInterest<T> {
     }
 }
 
-/// Ends a fit when nobody waits for the model.
+/// Ends the training when nobody waits for the model.
 #[derive(Debug)]
 pub(crate) struct FitStop {
     waiting: Arc<AtomicUsize>,
-    /// Once told to stop, a fit gives nothing, also if somebody asks for the model again: that request fits it anew.
+    /// Once asked to stop, the training gives nothing, even if somebody requests the model again: that request trains
+    /// it anew.
     is_over: AtomicBool,
 }
 
@@ -99,11 +100,11 @@ impl FitStop {
     }
 }
 
-/// The fitted models of all maps: those of states, or those of positions.
+/// The trained models of all maps: those of states, or those of positions.
 #[derive(Debug)]
 pub(crate) struct ModelCache<T = CachedModel> {
     max: usize,
-    // A lock, because a lookup changes when a model was last used; never held during a fit.
+    // A lock, because a lookup changes when a model was last used; never held during training.
     entries: Mutex<CacheEntries<T>>,
     reserved: Arc<Semaphore>,
 }
@@ -111,13 +112,13 @@ pub(crate) struct ModelCache<T = CachedModel> {
 #[derive(Debug)]
 struct CacheEntries<T> {
     slots: HashMap<ModelKey, (CacheSlot<T>, u64)>,
-    /// The same keys by their last use, oldest first.
+    /// The keys of `slots` by their last use, oldest first.
     by_use: BTreeMap<u64, ModelKey>,
     uses: u64,
 }
 
 impl<T> ModelCache<T> {
-    /// Keeps at most `max` models, at least one, besides those that are being fitted.
+    /// Keeps at most `max` models, at least one, besides those that are being trained.
     pub(crate) fn new(max: usize) -> Self {
         let max = max.clamp(1, Semaphore::MAX_PERMITS);
         Self {

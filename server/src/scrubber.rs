@@ -53,7 +53,7 @@ impl Scrubber {
         // The store closes when nobody holds it, so a round holds it only while it runs.
         let (stopping, store) = (Arc::clone(&scrubber.is_stopping), Arc::downgrade(store));
         let spawned = std::thread::Builder::new().name("scrub".to_owned()).spawn(move || {
-            let mut told = Vec::new();
+            let mut reported = Vec::new();
             while wait(&stopping, pause) {
                 let Some(store) = store.upgrade() else { return };
                 let mut pace =
@@ -61,10 +61,10 @@ impl Scrubber {
                 let Some(damaged) = store.scrub(&mut pace) else { return };
                 let mut found = store.trouble();
                 found.retain(|trouble| matches!(trouble, Trouble::Damaged { .. }));
-                for trouble in found.iter().filter(|trouble| !told.contains(*trouble)) {
+                for trouble in found.iter().filter(|trouble| !reported.contains(*trouble)) {
                     error!("{trouble}");
                 }
-                told = found;
+                reported = found;
                 info!(damaged, "the data folder was read again");
             }
         });

@@ -37,7 +37,7 @@ pub(crate) enum StateOrCell {
 pub(crate) struct KnownCell {
     /// Where it is.
     pub index: CellIndex,
-    /// Its tile.
+    /// The tile that holds the cell.
     pub tile: TileId,
     /// Its description by the view.
     pub description: CellDescription,
@@ -58,7 +58,7 @@ impl StateOrCell {
         }
     }
 
-    /// Its name.
+    /// Name of the state, or `cell/X/Y/Z`.
     pub(crate) fn name<'a>(&self, view: &'a MapView) -> Cow<'a, str> {
         match self {
             Self::State(id) => Cow::Borrowed(view.info(*id).map_or("", |info| info.name.as_str())),
@@ -134,7 +134,7 @@ impl StateOrCell {
         }
     }
 
-    /// Predicts it by a model that was fitted to its readings. `out` is as long as the moments.
+    /// Predicts it by a model that was trained on its readings. `out` is as long as the moments.
     pub(crate) fn predict_fitted_into(
         &self,
         view: &MapView,

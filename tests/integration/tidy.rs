@@ -4,6 +4,7 @@
 //! Invariant: reads the work tree and changes nothing. Rules apply to code only: comments and tests may name anything.
 
 mod circles;
+mod phrases;
 mod words;
 
 use std::{

@@ -69,7 +69,7 @@ async fn model(client: &Client, map: &str, state: &str) -> String {
 
 async fn predictions(client: &Client, map: &str, state: &str) -> String {
     let mut text = format!("{map} {state}:");
-    // The other models are fitted to history, which is read only on demand, so its damage is reported only then.
+    // The other models are trained on history, which is read only on demand, so its damage is reported only then.
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
         for persistence in [false, true] {
             let model = ModelSelector { kind, persistence, ..ModelSelector::default() };

@@ -15,7 +15,7 @@
 //!
 //! - `protocol.rs`: YAML to [`ExploreProtocol`]; `place_recording.rs`: rows `FROM UNTIL PLACE` to a place for every
 //!   minute;
-//! - `belief.rs`: the explorer's knowledge; its models are fitted at midnight (`belief/learner.rs`);
+//! - `belief.rs`: the explorer's knowledge; its models are trained at midnight (`belief/learner.rs`);
 //! - `replay.rs`: one run of a strategy with a model and a seed; runs are independent and parallel;
 //! - `report.rs`: results.csv, weeks.csv; `picture.rs`: exploration.svg.
 //!
@@ -73,8 +73,8 @@ pub enum ExploreError {
     /// The recording has fewer weeks than the protocol scores separately.
     #[error("weeks {first} to {last} are scored separately, and the world has {found} whole weeks")]
     Weeks { first: usize, last: usize, found: usize },
-    /// A model cannot be fitted.
-    #[error("model {model} cannot be fitted: {refused}")]
+    /// A model cannot be trained.
+    #[error("model {model} cannot be trained: {refused}")]
     Fit { model: String, refused: CannotFit },
     /// A strategy fails.
     #[error("strategy {strategy}: {refused}")]

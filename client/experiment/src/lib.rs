@@ -11,7 +11,7 @@
 //! - `paired.rs`: models in pairs: studentised bootstrap over days within test sets, fixed seed, corrected by Holm;
 //! - `report.rs`: results.csv, pairs.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
 //!
-//! A `ParameterSet` is a model kind with all its parameters. Models are fitted state by
+//! A `ParameterSet` is a model kind with all its parameters. Models are trained state by
 //! state, with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested
 //! with fewer than five days more than test sets.
 //!
@@ -66,8 +66,8 @@ pub enum ExperimentError {
     /// The folds do not fit the training data.
     #[error("tuning: the training data: {0}")]
     Folds(String),
-    /// A model cannot be fitted.
-    #[error("model {model} cannot be fitted to state {state:?}: {refused}")]
+    /// A model cannot be trained.
+    #[error("model {model} cannot be trained on state {state:?}: {refused}")]
     Fit { model: String, state: String, refused: CannotFit },
 }
 

@@ -1,8 +1,7 @@
-//! A model kind with all its parameters, ready to be fitted.
+//! A model kind with all its parameters, ready to be trained.
 //!
-//! Names of models and parameters are those of the command line and the protocols.
-//! Invariant: a parameter set can be fitted to any readings in the model's range of values; a parameter out of range is
-//! refused before data is read.
+//! Names of models and parameters are those of the command line and the protocols. Invariant: a parameter set can be
+//! trained on any readings in the model's range of values; a parameter out of range is refused before data is read.
 
 use tidemap_model::{
     Accumulator, ORDER_MAX, Periodicities, Sample, SpectralModel, StateKind,
@@ -14,7 +13,7 @@ use tidemap_model::{
     time::{format_duration, parse_duration},
 };
 
-/// A fitted model.
+/// A trained model.
 pub type FittedModel = Box<dyn TemporalModel + Send + Sync>;
 
 /// A kind of model with all its parameters.
@@ -207,7 +206,7 @@ impl ParameterSet {
             // It needs two readings.
             return Ok(set);
         }
-        // Fitting one reading makes the model check its parameters.
+        // Training on one reading makes the model check its parameters.
         let reading = [Sample { utc_nanos: 0, offset_secs: 0, value: 0.5 }];
         match set.fit(&reading, StateKind::Probability) {
             Err(refused @ (CannotFit::Parameter { .. } | CannotFit::Irregular { .. })) => {
@@ -222,7 +221,7 @@ impl ParameterSet {
         &self.shown
     }
 
-    /// Fits the model to the readings of one state, ascending by time.
+    /// Trains the model on the readings of one state, ascending by time.
     ///
     /// # Errors
     /// [`CannotFit`] without readings, or if a value is out of the model's range.

@@ -1,6 +1,6 @@
 //! The protocol of a comparison of models: data, models, tuning and baseline.
 //!
-//! Invariant: a protocol that was read is consistent in itself: every model can be fitted, every list can be tuned,
+//! Invariant: a protocol that was read is consistent in itself: every model can be trained, every list can be tuned,
 //! labels are unique. The files it names may be missing. Paths are relative to the protocol's file.
 
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ use raw::{RawProtocol, RawTuning, Word, Words};
 /// The meaning of the key `out`.
 pub(super) const OUT: &str = "the folder that results are written to";
 
-/// Maximum number of folds; each fits every parameter set once.
+/// Maximum number of folds; each trains every parameter set once.
 const FOLDS_MAX: usize = 1000;
 
 /// The layout of data files.
@@ -37,7 +37,7 @@ pub enum RowFormat {
     Pairs,
 }
 
-/// When models are fitted again.
+/// When models are trained again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Refit {
     /// Once, on the training data.
@@ -94,7 +94,7 @@ pub struct Protocol {
     pub train: Vec<PathBuf>,
     /// Test sets, at least one, in temporal order.
     pub test: Vec<TestFile>,
-    /// When models are fitted again.
+    /// When models are trained again.
     pub refit: Refit,
     /// The models, at least one.
     pub models: Vec<ModelEntry>,

@@ -54,7 +54,7 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
     values.sum::<f64>() / count
 }
 
-/// Fits each model and predicts all test sets, portion by portion.
+/// Trains each model and predicts all test sets, portion by portion.
 pub(crate) fn score(
     portions: &DataPortions<'_>,
     models: &[(&str, &ParameterSet)],

@@ -7,7 +7,7 @@
 //! row of the results is an oracle that knows the person's position.
 //!
 //! - `protocol.rs`: YAML to [`SearchProtocol`]; `recorded_world.rs`: topology and recording to a node for every minute;
-//! - `simulate.rs`: fits models, plans a search for every minute, and computes when the robot arrives at the person;
+//! - `simulate.rs`: trains models, plans a search for every minute, and computes when the robot arrives at the person;
 //! - `report.rs`: results.csv, folds.csv.
 //!
 //! Parameters are tuned on the mean time until the person is found in the folds, or on the log loss of the person's
@@ -59,8 +59,8 @@ pub enum ReplayError {
     /// The person is never at a node.
     #[error("in minutes {from} to {until} nobody is at any node of the topology")]
     Nobody { from: usize, until: usize },
-    /// A model cannot be fitted.
-    #[error("model {model} cannot be fitted to place {place:?}: {refused}")]
+    /// A model cannot be trained.
+    #[error("model {model} cannot be trained on place {place:?}: {refused}")]
     Fit { model: String, place: String, refused: CannotFit },
     /// A search cannot be planned.
     #[error("a search cannot be planned: {0}")]

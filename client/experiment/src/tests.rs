@@ -268,7 +268,7 @@ fn values_beyond_a_probability_need_a_kind_and_a_model_that_takes_them() {
         assert!(mse(&outcome, "spectral") < 0.5 * mse(&outcome, "mean"), "{}", mse(&outcome, "spectral"));
     }
     let found = problem(folder.path(), &format!("{}kind: continuous\n", text.replace("histogram", "pergam")));
-    assert_eq!(found, "model pergam cannot be fitted to state \"value\": a reading's value is 2, expected 0 to 1");
+    assert_eq!(found, "model pergam cannot be trained on state \"value\": a reading's value is 2, expected 0 to 1");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Tuning of parameters by rolling origin, on training data only.
 //!
-//! The last folds of the training data are predicted one after another, each by models fitted to all data before it.
+//! The last folds of the training data are predicted one after another, each by models trained on all data before it.
 //! The parameter set with the lowest mean error over the folds is chosen; ties: the first (L. Tashman, "Out-of-sample
 //! tests of forecasting accuracy", IJF 2000).
 //! Invariant: tuning has no access to test sets; every parameter set is scored on the same readings.

@@ -9,7 +9,7 @@ use tidemap_model::{Sample, StateKind, Zone, models::{Moment, TemporalModel}};
 
 use crate::failure;
 
-/// A model that was fitted to readings.
+/// A model that was trained on readings.
 #[pyclass(frozen)]
 pub(crate) struct NativeModel {
     model: Box<dyn TemporalModel + Send + Sync>,
@@ -40,7 +40,7 @@ pub(crate) fn model_parameters(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
 
 #[pymethods]
 impl NativeModel {
-    /// Fits a model of that kind to readings, ascending by time.
+    /// Trains a model of that kind on readings, ascending by time.
     #[staticmethod]
     fn fit<'py>(
         py: Python<'py>,

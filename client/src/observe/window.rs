@@ -174,8 +174,8 @@ impl Window {
         &self.names
     }
 
-    /// The observations to send next, at most `max_count`; empty if it is better to wait for more, or another kind of item
-    /// comes next.
+    /// The observations to send next, at most `max_count`; empty if it is better to wait for more, or another kind of
+    /// item comes next.
     ///
     /// A batch is sent when it is full, when no other batch is in progress, or when a caller waits for one of its
     /// observations (`urgent`: up to that number). So the observations of a slow producer are sent at once, and those
@@ -187,8 +187,8 @@ impl Window {
         })
     }
 
-    /// The traversals to send next, at most `max_count`; empty if it is better to wait for more, or another kind of item
-    /// comes next.
+    /// The traversals to send next, at most `max_count`; empty if it is better to wait for more, or another kind of
+    /// item comes next.
     pub fn traversals_to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &v1::Traversal> {
         self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
             Item::Traversal(traversal) => Some(&**traversal),

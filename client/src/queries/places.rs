@@ -48,7 +48,7 @@ pub struct PlacePredictions {
     pub rows: Vec<PlacePrediction>,
     /// Number of observations that updates have learned.
     pub observations: u64,
-    /// Number of observations with a position, to which the model was fitted.
+    /// Number of observations with a position, on which the model was trained.
     pub fitted_observations: u64,
     /// Number of updates published so far.
     pub generation: u64,

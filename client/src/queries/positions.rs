@@ -43,7 +43,7 @@ pub struct PositionsHeader {
     pub counts: Vec<u32>,
     /// Number of acknowledged positions.
     pub observations: u64,
-    /// Number of positions that the model was fitted to.
+    /// Number of positions that the model was trained on.
     pub fitted_observations: u64,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,

@@ -28,7 +28,7 @@ pub fn judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<M
 /// The model that judges observations as they arrive.
 ///
 /// # Errors
-/// The errors of [`selector_from_wire`], or the model predicts from the newest value or must be fitted first.
+/// The errors of [`selector_from_wire`], or the model predicts from the newest value or must be trained first.
 pub fn watching_judge_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
     let selector = selector_from_wire(field, wire)?;
     can_watch(selector).map_err(|error| cannot_judge(field, error))?;

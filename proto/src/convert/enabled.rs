@@ -11,7 +11,7 @@ use crate::v1::ModelKind;
 /// The valid models, in words.
 const CANDIDATES: &str = "spectral, histogram, calibrated, poisson, pergam, hypertime-em and hypertime-km";
 
-/// The kind on the wire of a model that is fitted to observations.
+/// The kind on the wire of a model that is trained on observations.
 fn wire(kind: FitKind) -> ModelKind {
     match kind {
         FitKind::Calibrated => ModelKind::Calibrated,
@@ -25,7 +25,7 @@ fn wire(kind: FitKind) -> ModelKind {
 /// The models of a request; if it names none, the default ones that the map can have.
 ///
 /// # Errors
-/// A model from which updates do not select, or one that is fitted to observations which the map does not keep.
+/// A model from which updates do not select, or one that is trained on observations which the map does not keep.
 pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> Result<EnabledModels, InvalidField> {
     let keeps = retention != Retention::None;
     if wanted.is_empty() {

@@ -1,6 +1,6 @@
 //! An occupancy grid on the day of T-RO 2017, section VI: 416 tiles, 17,200 scans, 600,000 changes, 168 periodicities.
 //!
-//! `cargo bench -p tidemap-map --bench grid`. An update of the first day accumulates and fits; that of the second
+//! `cargo bench -p tidemap-map --bench grid`. An update of the first day accumulates and trains; that of the second
 //! scores as well, by models of 15 components. Updates run on one thread.
 
 use std::{hint::black_box, sync::Arc, sync::atomic::AtomicU64};

@@ -1,8 +1,9 @@
 //! A night of 10,000 named states that were read once a minute, on two threads.
 //!
 //! `cargo bench -p tidemap-map --bench states`. The update scores and learns a day of 1,440 readings of each state:
-//! with no calibrated model to fit, and with as many as an update fits, each to twelve weeks of minutes. Measured once
-//! each, because a night takes seconds. The readings of earlier updates come from memory; reading files is the store's.
+//! with no calibrated model to train, and with as many as an update trains, each on twelve weeks of minutes. Measured
+//! once each, because a night takes seconds. The readings of earlier updates come from memory; reading files is the
+//! store's.
 
 use std::{
     sync::{Arc, atomic::AtomicU64},

@@ -90,8 +90,8 @@ pub enum CannotJudge {
     /// The newest value is blended in by the chain.
     #[error("memory blends in the newest value, not the one before an observation: leave it out")]
     Memory,
-    /// The model is fitted on request, and observations do not wait for that.
-    #[error("{0} must be fitted, and a watch does not wait for that: use auto, mean or spectral")]
+    /// The model is trained on request, and observations do not wait for that.
+    #[error("{0} must be trained, and a watch does not wait for that: use auto, mean or spectral")]
     NeedsFit(ModelKind),
 }
 

@@ -61,14 +61,14 @@ impl MapView {
         PreparedTimes { moments, phasors: PhasorTable::new(&self.spec.periodicities, &civil) }
     }
 
-    /// Times in nanoseconds UTC, with the local time of the map: the input of models that were fitted to readings.
+    /// Times in nanoseconds UTC, with the local time of the map: the input of models that were trained on readings.
     pub fn moments(&self, utc_nanos: &[i64]) -> Vec<Moment> {
         let mut offsets = self.spec.zone.offset_cache();
         let moment = |&utc_nanos| Moment { utc_nanos, offset_secs: offsets.offset_secs(utc_nanos) };
         utc_nanos.iter().map(moment).collect()
     }
 
-    /// Predicts a state at each moment by a model that was fitted to its readings: the probability of 1, or the
+    /// Predicts a state at each moment by a model that was trained on its readings: the probability of 1, or the
     /// expected value. `out` is as long as the moments.
     pub fn predict_fitted_into(
         &self,
@@ -87,7 +87,7 @@ impl MapView {
     }
 
     /// Predicts a state at each time: the probability of 1, or the expected value. `out` is as long as the times. A
-    /// kind that must be fitted to readings first ([`ModelKind::needs_readings`]) predicts as [`ModelKind::Auto`].
+    /// kind that must be trained on readings first ([`ModelKind::needs_readings`]) predicts as [`ModelKind::Auto`].
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
@@ -150,7 +150,7 @@ impl MapView {
         predict_state(StateKind::Probability, parts, cell.memory_basis(), times, selector, out);
     }
 
-    /// Predicts the probability that a cell is occupied at each moment by a model that was fitted to its readings.
+    /// Predicts the probability that a cell is occupied at each moment by a model that was trained on its readings.
     /// `out` is as long as the moments.
     pub fn predict_fitted_cell_into(
         &self,

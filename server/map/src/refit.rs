@@ -1,13 +1,14 @@
-//! Fitting models again at the end of an update, to the readings that updates have learned.
+//! Trains models again at the end of an update, on the readings that updates have learned.
 //!
 //! The calibrated model, the rate of counts, the periodic mixture and warped hypertime are due after seven observed
-//! days, seven days after their last fit, and when the change alarm has rung since. Each is fitted to the last twelve
-//! weeks. Starting one week after an alarm, models are fitted only to data from three days before the alarm onwards. Of
-//! each kind, the models that have waited longest go first, and an update fits a limited number ([`refits_max`]), so
-//! that a costly kind does not delay another. Maps without history of named states have none.
+//! days, seven days after they were last trained, and when the change alarm has rung since. Each is trained on the
+//! last twelve weeks. Starting one week after an alarm, models are trained only on data from three days before the
+//! alarm onwards. Of each kind, the models that have waited longest go first, and an update trains a limited number
+//! ([`refits_max`]), so that a costly kind does not delay another. Maps without history of named states have none.
 //!
-//! Invariant: a fit depends on the readings, the models and the map's properties alone: an update that is repeated from
-//! the same history fits the same. Readings that cannot be read cost the fit, and nothing else of the update.
+//! Invariant: the training depends on the readings, the models and the map's properties alone: an update that is
+//! repeated from the same history trains the same models. If readings cannot be read, their models stay as they are,
+//! and the rest of the update goes on.
 
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
@@ -22,7 +23,7 @@ use crate::{event::StateKind, grid::spec::Retention, ids::StateId, spec::MapSpec
 #[cfg(test)]
 mod tests;
 
-/// Maximum number of models of a kind that one update fits: as many as take a few minutes, so that a night with very
+/// Maximum number of models of a kind that one update trains: as many as take a few minutes, so that a night with very
 /// many states ends. The longest-waiting go first; the others wait for the next update that learns new data of theirs.
 #[must_use]
 pub(crate) const fn refits_max(kind: FitKind) -> usize {
@@ -33,17 +34,17 @@ pub(crate) const fn refits_max(kind: FitKind) -> usize {
     }
 }
 
-/// Maximum number of calibrated models, and of models of counts, that an update fits; they are the cheapest.
+/// Maximum number of calibrated models, and of models of counts, that an update trains; they are the cheapest.
 pub(crate) const REFITS_MAX: usize = 2_000;
 
 const SEC_NANOS: i64 = 1_000_000_000;
 const DAY_NANOS: i64 = 86_400 * SEC_NANOS;
 
-/// A model is fitted to readings at most this old against the state's newest: twelve weeks. Older days would hardly
-/// count in a calibrated model, and a fit takes no longer after a year than after these weeks.
+/// A model is trained on readings at most this old against the state's newest: twelve weeks. Older days would hardly
+/// count in a calibrated model, and the training takes no longer after a year than after these weeks.
 pub const REFIT_NANOS: i64 = 84 * DAY_NANOS;
 
-/// About the maximum number of readings that a model is fitted to: a state with more frequent readings is fitted to
+/// About the maximum number of readings that a model is trained on: a state with more frequent readings is trained on
 /// fewer days. The states whose readings add up to this are in memory at once, with those of the next batch: 200 MB.
 pub const REFIT_READINGS: u64 = 4_000_000;
 
@@ -69,9 +70,9 @@ pub trait StateReadings: fmt::Debug + Send + Sync {
 /// What became of the models that were due.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Refits {
-    /// Models that were fitted.
+    /// Models that were trained.
     pub fitted: u64,
-    /// Models that wait, because an update fits at most [`refits_max`] of their kind.
+    /// Models that wait, because an update trains at most [`refits_max`] of their kind.
     pub waiting: u64,
     /// States that keep their models, because their readings could not be read.
     pub failed: u64,
@@ -79,12 +80,12 @@ pub struct Refits {
     pub failure: Option<String>,
 }
 
-/// Limits of a round of fits.
+/// Limits of a round of training.
 #[derive(Clone, Copy, Debug)]
 struct Limits {
     /// Models of a kind.
     refits: fn(FitKind) -> usize,
-    /// Readings of one state, and of those whose models are fitted at the same time.
+    /// Readings of one state, and of those whose models are trained at the same time.
     readings: u64,
 }
 
@@ -94,7 +95,7 @@ const LIMITS: Limits = Limits { refits: refits_max, readings: REFIT_READINGS };
 struct Due<'a> {
     wanted: ReadingsRequest,
     state_kind: StateKind,
-    /// The models to fit.
+    /// The models to train.
     kinds: Vec<FitKind>,
     /// What this update has learned.
     own: &'a [Sample],
@@ -104,8 +105,8 @@ struct Due<'a> {
     expected: u64,
 }
 
-/// Fits the due models of the states of which this update has learned `own`, on the current rayon pool. `newest_nanos`:
-/// the latest time of the map's observations, which sets the age of readings.
+/// Trains the due models of the states of which this update has learned `own`, on the current rayon pool.
+/// `newest_nanos`: the latest time of the map's observations, which sets the age of readings.
 pub(crate) fn refit(
     spec: &MapSpec,
     newest_nanos: i64,
@@ -134,7 +135,7 @@ fn refit_within(
     for kind in spec.models.fits() {
         let mut of_kind: Vec<(Option<LocalDay>, StateId)> =
             own.iter().filter_map(|(id, _)| Some((fitted_on(models.get(id.0 as usize)?, kind)?, *id))).collect();
-        // Models that were never fitted go first.
+        // Models that were never trained go first.
         of_kind.sort_by_key(|(fitted, _)| *fitted);
         waiting += of_kind.len().saturating_sub((limits.refits)(kind)) as u64;
         of_kind.truncate((limits.refits)(kind));
@@ -206,7 +207,7 @@ impl<'a> Iterator for Batches<'a> {
     }
 }
 
-/// How long a model of a state has waited: the day of its last fit, if any. `None` if it is not due.
+/// How long a model of a state has waited: the day on which it was last trained, if any. `None` if it is not due.
 fn fitted_on(model: &StateModel, kind: FitKind) -> Option<Option<LocalDay>> {
     let known = model.alternatives().filter(|_| model.is_fit_due(kind))?;
     Some(known.fit(kind).map(|(_, day)| day))
@@ -249,7 +250,7 @@ fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     fits.count().max(1).min(due.len())
 }
 
-/// Fits each due model of a state.
+/// Trains each due model of a state.
 fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<FittedModel, CannotFit>> {
     let mut samples = earlier;
     samples.extend(due.own.iter().filter(|sample| sample.utc_nanos >= due.wanted.from_nanos));

@@ -6,10 +6,10 @@
 //!    that position. The map continues to change meanwhile.
 //! 3. Per state and local day, in order of time: the model as it was before the day predicts every observation that is
 //!    newer than all it knows, with each order 0 to 15. The errors join the decayed sums, the order with the lowest sum
-//!    is chosen, then the day is learned and the model refitted. Older observations are learned without a score. The
-//!    alternative models that the map enables are scored alike; `auto` changes only to one that is lower by 5 %.
-//! 4. Models that need training data are fitted again where they are due (`refit.rs`). An update for
-//!    [`UpdateCause::PendingLimit`] fits none: its purpose is to free memory.
+//!    is chosen, then the day is learned and the model trained again. Older observations are learned without a score.
+//!    The alternative models that the map enables are scored alike; `auto` changes only to one that is lower by 5 %.
+//! 4. Models that need training data are trained again where they are due (`refit.rs`). An update for
+//!    [`UpdateCause::PendingLimit`] trains none: its purpose is to free memory.
 //! 5. The writer publishes the generation, and a snapshot goes to the store. If saving fails, the log still has
 //!    everything.
 //!

@@ -1,10 +1,10 @@
 //! The temporal models of one state, behind one small interface.
 //!
-//! Each model is fitted to the readings of one state and predicts its value at a moment; a new kind of model is a file
-//! here with a fit, a [`TemporalModel`] implementation and parts for storage. The nightly update chooses between the
-//! spectral model, histograms and models fitted to readings by held-out error (`state/alternatives.rs`); the other
-//! models are fitted when a query asks for them, always to learned data in order of time, so that the same data gives
-//! the same model. Invariant: for all readings, a prediction is finite.
+//! Each model is trained on the readings of one state and predicts its value at a moment; a new kind of model is a file
+//! here, with a function that trains it, a [`TemporalModel`] implementation and parts for storage. The nightly update
+//! chooses between the spectral model, histograms and models trained on readings by held-out error
+//! (`state/alternatives.rs`); the other models are trained when a query asks for them, always on learned data in order
+//! of time, so that the same data gives the same model. Invariant: for all readings, a prediction is finite.
 
 mod alarm;
 mod calibrated;
@@ -83,7 +83,7 @@ pub struct Readings<'a> {
     pub samples: &'a [Sample],
     /// A reading that is this many seconds older than the newest counts half; `None`: all have equal weight.
     pub half_life_secs: Option<f64>,
-    /// Ends a fit early, with [`CannotFit::Stop`].
+    /// Ends the training early, with [`CannotFit::Stop`].
     pub stop: StopSignal<'a>,
 }
 
@@ -108,12 +108,12 @@ impl<'a> Readings<'a> {
     }
 }
 
-/// Why a model could not be fitted.
+/// Why a model could not be trained.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum CannotFit {
     /// There are no readings.
-    #[error("there are no observations to fit the model to")]
+    #[error("there are no observations to train the model on")]
     NoReadings,
     /// A parameter is outside its range.
     #[error("{parameter} is {found}, expected {expected}")]
@@ -125,7 +125,7 @@ pub enum CannotFit {
          needs no regular ones"
     )]
     Irregular { interval_secs: f64, at_secs: f64, after_secs: f64 },
-    /// The fit was told to stop.
+    /// The training was asked to stop.
     #[error(transparent)]
     Stop(#[from] EarlyStop),
 }

@@ -1,4 +1,4 @@
-//! Choosing the model order: how well each order has predicted what was observed after it was fitted.
+//! Choosing the model order: how well each order has predicted what was observed after it was trained.
 //!
 //! T-RO section IV.B, with memory: errors fade by 7 % with each further day of observations, so that neither one
 //! unusual day nor the distant past decides. Days without observations do not count: a place that is seen once a month

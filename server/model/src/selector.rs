@@ -69,7 +69,7 @@ impl ModelKind {
         matches!(self, ModelKind::Auto | ModelKind::Spectral | ModelKind::Uniform)
     }
 
-    /// Whether it must be fitted to the readings of a state before it can predict.
+    /// Whether it must be trained on the readings of a state before it can predict.
     pub fn needs_readings(self) -> bool {
         !self.is_for_cells()
     }

@@ -108,7 +108,7 @@ impl SpectralModel {
         self.mean
     }
 
-    /// Number of observations that the model was fitted to.
+    /// Number of observations that the model was trained on.
     pub fn observations(&self) -> u64 {
         self.observations
     }

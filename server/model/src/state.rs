@@ -3,8 +3,8 @@
 //! An update goes through the local days: first it scores each order on the observations of the day with the model of
 //! the day before, then the model learns the day (T-RO section IV.B). So scores are of predictions, never of training
 //! data. Invariant: the result of an update does not depend on how it was batched, as long as no local day is split and
-//! batches come in order of time; data older than the last learned observation is never scored. Models that are fitted
-//! to readings between updates ([`StateModel::refitted`]) take part from the next day on.
+//! batches come in order of time; data older than the last learned observation is never scored. Models that are trained
+//! on readings between updates ([`StateModel::refitted`]) take part from the next day on.
 
 use crate::SpectralModel;
 use crate::evaluate::score_samples;
@@ -99,8 +99,8 @@ impl StateModel {
         StateModel { alternatives: Some(Box::new(alternatives)), ..self }
     }
 
-    /// What readers need of the model: the same without the sums over periodicities, and without fitted models that are
-    /// not in force. It predicts the same to the last bit, and cannot be updated.
+    /// What readers need of the model: a copy without the sums over periodicities, and without trained models that are
+    /// not in force. It gives the same predictions to the last bit, and cannot be updated.
     #[must_use]
     pub fn published(&self) -> StateModel {
         StateModel {
@@ -129,9 +129,9 @@ impl StateModel {
         self.alternatives.as_ref()?.chosen(SpectralAtOrder { model, order, kind, periodicities })
     }
 
-    /// Whether a refit of the model of this kind is due: after seven observed local days, seven local days after its
-    /// last fit, and after a change alarm; a cheap one also from the third observed day to the seventh. Never for a
-    /// kind that such states do not support.
+    /// Whether the model of this kind is due to be trained: after seven observed local days, seven local days after it
+    /// was last trained, and after a change alarm; a cheap one also from the third observed day to the seventh. Never
+    /// for a kind that such states do not support.
     pub fn is_fit_due(&self, kind: FitKind) -> bool {
         kind.is_for(self.kind()) && self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_fit_due(kind))
     }
@@ -229,7 +229,7 @@ impl StateModel {
             let (of_day, later) = rest.split_at(length);
             self.score_day(periodicities, rules, day, of_day, &mut outcome);
             self.learn_day(periodicities, rules, day, of_day);
-            // Refitted each day, so that the next day is scored with the knowledge before it.
+            // Trained again each day, so that the next day is scored with the knowledge before it.
             if let Some(alternatives) = &mut self.alternatives {
                 self.spectral = SpectralModel::fit_with_gaps(&self.accumulator, periodicities, alternatives.gaps());
                 alternatives.support(&self.spectral, periodicities, &self.accumulator);

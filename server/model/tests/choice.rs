@@ -71,7 +71,7 @@ fn mse(model: &dyn TemporalModel, samples: &[Sample]) -> f64 {
 }
 
 /// Errors on new days: of what answers, and of each model that may answer: the spectral one with the order in force,
-/// the histograms, and the models that were fitted.
+/// the histograms, and the models that were trained.
 fn errors(state: &StateModel, test: &[Sample]) -> (f64, Vec<f64>) {
     let (week, known) = (Periodicities::default(), state.alternatives().unwrap());
     let spectral = mse(&Spectral(state, &week, state.order()), test);

@@ -115,7 +115,7 @@ fn next_day_errors(days: &[Vec<Sample>], mut next_order: impl FnMut(LocalDay, &S
 }
 
 /// Mean squared errors of the next day, from the fifteenth day on, over observations: of the best order, and of the
-/// model in force. Without `refits` the calibrated model is never fitted.
+/// model in force. Without `refits` the calibrated model is never trained.
 fn next_day_in_force(samples: &[Sample], refits: bool) -> (f64, f64, StateModel) {
     let week = Periodicities::default();
     let mut state = StateModel::new(&week);

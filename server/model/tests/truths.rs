@@ -1,6 +1,6 @@
 //! Simulated truths: the nightly choice on states with a known routine, with every model enabled.
 //!
-//! Each state is driven day by day as the daemon does it: an update after each day, and models fitted to the readings
+//! Each state is driven day by day as the daemon does it: an update after each day, and models trained on the readings
 //! of the last twelve weeks when they are due. The result is the error of the model in force on each day, which has not
 //! seen that day. Invariant: everything is drawn from seeds, so that every run sees the same days.
 
@@ -281,7 +281,10 @@ fn how_long_a_fit_and_a_day_take() {
             let fitted = started.elapsed();
             let started = std::time::Instant::now();
             let error = mse(&model, &next);
-            println!("{state_kind:?} {kind:?}: fit {fitted:?}, a day of minutes {:?}, error {error:.4}", started.elapsed());
+            println!(
+                "{state_kind:?} {kind:?}: fit {fitted:?}, a day of minutes {:?}, error {error:.4}",
+                started.elapsed()
+            );
         }
     }
 }

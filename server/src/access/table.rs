@@ -14,7 +14,7 @@ pub(crate) enum Need {
     Token,
     /// A token with this role, or one that includes it.
     Role(Role),
-    /// The same, and for all maps: the method acts on the daemon as a whole.
+    /// A token with this role, or one that includes it, for all maps: the method acts on the daemon as a whole.
     AllMaps(Role),
 }
 

@@ -121,17 +121,17 @@ impl Catalog {
     /// Erases something from a map, as a job that continues if the caller goes away.
     pub(crate) fn erase(&self, map: &MapName, wish: Wish, caller: &Caller) -> Arc<UpdateJob> {
         let job = self.context.jobs.create(map.clone(), JobCause::Erasure, self.context.clock.now_nanos());
-        let (this, map, by, of) = (self.clone(), map.clone(), caller.shown().to_owned(), Arc::clone(&job));
+        let (this, map, by, running) = (self.clone(), map.clone(), caller.shown().to_owned(), Arc::clone(&job));
         info!(%map, %wish, by, job = job.id, "erasure ordered");
         tokio::spawn(async move {
-            let erased = this.erase_now(&map, &wish, &of).await;
+            let erased = this.erase_now(&map, &wish, &running).await;
             match &erased {
                 Ok(Erased { states, observations }) => {
-                    info!(%map, %wish, by, job = of.id, states, observations, "erased");
+                    info!(%map, %wish, by, job = running.id, states, observations, "erased");
                 }
-                Err(error) => error!(%map, %wish, by, job = of.id, %error, "not erased"),
+                Err(error) => error!(%map, %wish, by, job = running.id, %error, "not erased"),
             }
-            of.end_with(erased.map(|_| None).map_err(|error| error.to_string()));
+            running.end_with(erased.map(|_| None).map_err(|error| error.to_string()));
         });
         job
     }

@@ -44,8 +44,8 @@ fn assignment(values: &Value, setting: &Setting) -> String {
 
 fn range(setting: &Setting) -> String {
     match setting.range {
-        Some((least, most)) if setting.key.ends_with("_mode") => format!(" From 0o{least:03o} to 0o{most:03o}."),
-        Some((least, most)) => format!(" From {least} to {most}."),
+        Some((min, max)) if setting.key.ends_with("_mode") => format!(" From 0o{min:03o} to 0o{max:03o}."),
+        Some((min, max)) => format!(" From {min} to {max}."),
         None => String::new(),
     }
 }

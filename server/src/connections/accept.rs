@@ -56,7 +56,7 @@ impl Acceptor {
         (Self { protocol, door, reserve: None }, receiver)
     }
 
-    /// The same with a reserve, whose connections come from the second receiver.
+    /// This acceptor with a reserve, whose connections come from the second receiver.
     pub(crate) fn with_reserve(self, connections: Connections) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
         let (reserve, receiver) = Door::new(connections);
         (Self { reserve: Some(reserve), ..self }, receiver)
@@ -78,17 +78,17 @@ impl Acceptor {
                         continue;
                     }
                 };
-                let place = door.connections.admit(peer).map(|place| (&door, place));
-                if place.is_none()
+                let slot = door.connections.admit(peer).map(|slot| (&door, slot));
+                if slot.is_none()
                     && let Some(left_out) = REFUSALS.next()
                 {
                     let port = door.connections.port().name();
                     warn!(port, %peer, left_out, "a connection was refused: all others are busy");
                 }
                 let in_reserve = || reserve.as_ref().and_then(|door| Some((door, door.connections.admit(peer)?)));
-                if let Some((door, place)) = place.or_else(in_reserve) {
+                if let Some((door, slot)) = slot.or_else(in_reserve) {
                     // The server is gone only when the daemon stops.
-                    drop(door.accepted.send(Ok(GuardedConnection::new(socket, place, protocol))).await);
+                    drop(door.accepted.send(Ok(GuardedConnection::new(socket, slot, protocol))).await);
                 }
             }
         });

@@ -18,7 +18,7 @@ use tokio::{
 };
 
 use super::{
-    Place, Port, REQUEST_WITHIN, Remote,
+    ConnectionSlot, Port, REQUEST_WITHIN, Remote,
     request_scan::{Protocol, RequestScan},
 };
 
@@ -27,11 +27,11 @@ const LINGER_BYTES: usize = 64 << 10;
 /// The other end closes its side within this time after the daemon has closed its own.
 const LINGER: Duration = Duration::from_secs(1);
 
-/// A connection and its place.
+/// A connection and its slot.
 #[derive(Debug)]
 pub(crate) struct GuardedConnection<S> {
     socket: S,
-    place: Place,
+    slot: ConnectionSlot,
     scan: RequestScan,
     /// The deadline of the first request; of the reserve for probes, that of the connection.
     deadline: Option<Pin<Box<Sleep>>>,
@@ -40,14 +40,14 @@ pub(crate) struct GuardedConnection<S> {
 }
 
 impl<S> GuardedConnection<S> {
-    pub(super) fn new(socket: S, place: Place, protocol: Protocol) -> Self {
+    pub(super) fn new(socket: S, slot: ConnectionSlot, protocol: Protocol) -> Self {
         let deadline = Some(Box::pin(sleep_until(Instant::now() + REQUEST_WITHIN)));
-        Self { socket, place, scan: RequestScan::new(protocol), deadline, linger: None }
+        Self { socket, slot, scan: RequestScan::new(protocol), deadline, linger: None }
     }
 
     /// The other end.
     pub(crate) fn remote(&self) -> Remote {
-        Remote(Arc::clone(&self.place.seat))
+        Remote(Arc::clone(&self.slot.seat))
     }
 
     /// A server that waits to write its greeting, as in a TLS handshake, does not read; the deadline holds then too.
@@ -59,12 +59,12 @@ impl<S> GuardedConnection<S> {
     }
 
     fn must_end(&mut self, context: &mut Context<'_>) -> Option<io::Error> {
-        if self.place.seat.is_displaced(context.waker()) {
+        if self.slot.seat.is_displaced(context.waker()) {
             return Some(io::Error::new(io::ErrorKind::ConnectionAborted, "the connection made room for another"));
         }
         let deadline = self.deadline.as_mut()?;
         deadline.as_mut().poll(context).is_ready().then(|| {
-            metrics::counter!("tidemap_connections_silent", "port" => self.place.port.name()).increment(1);
+            metrics::counter!("tidemap_connections_silent", "port" => self.slot.port.name()).increment(1);
             io::Error::new(io::ErrorKind::TimedOut, "the connection made no request in time")
         })
     }
@@ -82,7 +82,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for GuardedConnection<S> {
         }
         let before = buffer.filled().len();
         ready!(Pin::new(&mut guarded.socket).poll_read(context, buffer))?;
-        let is_limited = guarded.deadline.is_some() && guarded.place.port != Port::Probes;
+        let is_limited = guarded.deadline.is_some() && guarded.slot.port != Port::Probes;
         if is_limited && guarded.scan.sees_request(&buffer.filled()[before..]) {
             guarded.deadline = None;
         }
@@ -120,7 +120,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> AsyncWrite for GuardedConnection<S> {
         let (until, ignored) = guarded.linger.get_or_insert_with(|| (Box::pin(sleep(LINGER)), 0));
         let mut bytes = [0; 8192];
         while *ignored < LINGER_BYTES
-            && !guarded.place.seat.is_displaced(context.waker())
+            && !guarded.slot.seat.is_displaced(context.waker())
             && until.as_mut().poll(context).is_pending()
         {
             let mut buffer = ReadBuf::new(&mut bytes);

@@ -9,8 +9,8 @@ fn address(last: u8) -> Peer {
     Peer::Address(IpAddr::from([10, 0, 0, last]))
 }
 
-fn is_displaced(place: &Place) -> bool {
-    place.seat.is_displaced.load(Ordering::Acquire)
+fn is_displaced(slot: &ConnectionSlot) -> bool {
+    slot.seat.is_displaced.load(Ordering::Acquire)
 }
 
 fn connections(port: Port, total: usize, per_client: usize) -> Connections {
@@ -18,8 +18,8 @@ fn connections(port: Port, total: usize, per_client: usize) -> Connections {
 }
 
 /// A request, from its beginning to its end.
-fn request(place: &Place, is_served: bool) -> Busy {
-    Remote(Arc::clone(&place.seat)).busy(is_served)
+fn request(slot: &ConnectionSlot, is_served: bool) -> Busy {
+    Remote(Arc::clone(&slot.seat)).busy(is_served)
 }
 
 #[test]
@@ -27,7 +27,7 @@ fn the_oldest_connection_of_which_no_request_was_served_makes_room() {
     let connections = connections(Port::Grpc, 3, 3);
     let busy = connections.admit(address(1)).expect("room");
     let long = request(&busy, false);
-    let silent: Vec<Place> = (0..2).map(|_| connections.admit(address(2)).expect("room")).collect();
+    let silent: Vec<ConnectionSlot> = (0..2).map(|_| connections.admit(address(2)).expect("room")).collect();
     drop(request(&silent[0], false));
     let newcomer = connections.admit(address(3)).expect("the oldest one that was refused makes room");
     assert_eq!([&busy, &silent[0], &silent[1], &newcomer].map(is_displaced), [false, true, false, false]);
@@ -44,7 +44,7 @@ fn the_oldest_connection_of_which_no_request_was_served_makes_room() {
 fn a_client_at_its_bound_displaces_only_its_own_connections() {
     let connections = connections(Port::Http, 10, 2);
     let other = connections.admit(address(1)).expect("room");
-    let own: Vec<Place> = (0..2).map(|_| connections.admit(address(2)).expect("room")).collect();
+    let own: Vec<ConnectionSlot> = (0..2).map(|_| connections.admit(address(2)).expect("room")).collect();
     let third = connections.admit(address(2)).expect("its oldest makes room");
     assert_eq!([&other, &own[0], &own[1], &third].map(is_displaced), [false, true, false, false]);
     let _requests = [request(&own[1], true), request(&third, true)];

@@ -50,7 +50,7 @@ static FAILURES: Occasional = Occasional::new();
 pub(crate) struct TlsFiles {
     /// The daemon's certificate, followed by those of the authorities between it and the root.
     pub certificate: PathBuf,
-    /// Its private key.
+    /// The private key of the daemon's certificate.
     pub key: PathBuf,
     /// Authorities of clients; if named, each client must present a certificate of one of them.
     pub client_ca: Option<PathBuf>,

@@ -1,4 +1,4 @@
-//! One fitted model of any kind, of a named state or a cell.
+//! One trained model of any kind, of a named state or a cell.
 //!
 //! Invariant: a prediction is within the bounds of the state's kind. An untrained state has the same prediction as with
 //! any other model.
@@ -15,10 +15,10 @@ use tidemap_model::{
 
 use crate::state_or_cell::StateOrCell;
 
-/// Seed of the random starts of a fit: the same readings give the same model.
+/// Seed of the random starts of the training: the same readings give the same model.
 const SEED: u64 = 0;
 
-/// A model that was fitted to the readings of a state.
+/// A model that was trained on the readings of a state.
 #[derive(Clone, Debug)]
 pub(crate) enum CachedModel {
     /// There are no readings: the prediction of an untrained state.
@@ -40,15 +40,15 @@ pub(crate) enum CachedModel {
 }
 
 impl CachedModel {
-    /// Fits a model to the readings of a state, ascending by time, whose values are `of` that kind. Models that need no
-    /// readings ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
+    /// Trains a model on the readings of a state of kind `state_kind`, ascending by time. Models that need no readings
+    /// ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
     ///
     /// # Errors
-    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or the fit is told to
-    /// stop.
+    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or the training
+    /// is asked to stop.
     pub(crate) fn fit(
         kind: ModelKind,
-        of: StateKind,
+        state_kind: StateKind,
         samples: &[Sample],
         spec: &MapSpec,
         stop: StopSignal<'_>,
@@ -60,7 +60,7 @@ impl CachedModel {
         let readings = Readings { samples, half_life_secs, stop };
         let hypertime = |method, clusters: u32| {
             let options = HypertimeOptions { method, clusters: clusters as usize, seed: SEED };
-            let model = match of {
+            let model = match state_kind {
                 StateKind::Probability => Hypertime::fit(readings, &spec.periodicities, &options),
                 StateKind::Continuous | StateKind::Count => {
                     Hypertime::fit_continuous(readings, &spec.periodicities, &options)
@@ -93,30 +93,30 @@ impl CachedModel {
     pub(crate) fn predict_into(
         &self,
         view: &MapView,
-        of: &StateOrCell,
+        target: &StateOrCell,
         moments: &[Moment],
         selector: ModelSelector,
         out: &mut [f64],
     ) {
-        self.answer(view, of, moments, selector, true, out);
+        self.answer(view, target, moments, selector, true, out);
     }
 
-    /// The same without stored outliers, to judge observations.
+    /// Predicts as [`CachedModel::predict_into`], but without stored outliers, to judge observations.
     pub(crate) fn expect_into(
         &self,
         view: &MapView,
-        of: &StateOrCell,
+        target: &StateOrCell,
         moments: &[Moment],
         selector: ModelSelector,
         out: &mut [f64],
     ) {
-        self.answer(view, of, moments, selector, false, out);
+        self.answer(view, target, moments, selector, false, out);
     }
 
     fn answer(
         &self,
         view: &MapView,
-        of: &StateOrCell,
+        target: &StateOrCell,
         moments: &[Moment],
         selector: ModelSelector,
         with_recall: bool,
@@ -124,10 +124,10 @@ impl CachedModel {
     ) {
         let (latest, uniform);
         let model: &dyn TemporalModel = match self {
-            Self::Unlearned => &Constant(of.mean(view)),
+            Self::Unlearned => &Constant(target.mean(view)),
             Self::MarkovChain(chain) => {
                 // Starts from the newest value, which changes as soon as it is acknowledged; the rates do not change.
-                latest = from_newest(*chain, view, of);
+                latest = from_newest(*chain, view, target);
                 &latest
             }
             Self::Histogram(model) => model,
@@ -136,16 +136,16 @@ impl CachedModel {
             Self::Poisson(model) => &**model,
             Self::Calibrated(model) => model,
             Self::Uniform(model) => {
-                uniform = Uniform { model, order: of.order(view, selector), with_recall };
+                uniform = Uniform { model, order: target.order(view, selector), with_recall };
                 &uniform
             }
         };
-        of.predict_fitted_into(view, moments, model, selector, out);
+        target.predict_fitted_into(view, moments, model, selector, out);
     }
 }
 
-fn from_newest(mut chain: MarkovChain, view: &MapView, of: &StateOrCell) -> MarkovChain {
-    if let Some((nanos, value)) = of.persistence(view).last() {
+fn from_newest(mut chain: MarkovChain, view: &MapView, target: &StateOrCell) -> MarkovChain {
+    if let Some((nanos, value)) = target.persistence(view).last() {
         chain.observe(nanos, value);
     }
     chain
@@ -165,7 +165,7 @@ impl TemporalModel for Uniform<'_> {
     }
 }
 
-/// The same value at all moments.
+/// Answers one value at all moments.
 struct Constant(f64);
 
 impl TemporalModel for Constant {

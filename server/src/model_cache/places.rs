@@ -1,6 +1,6 @@
 //! The distribution of a state over place and time, p(a | x, t), by warped hypertime.
 //!
-//! Invariant: it is fitted to observations of the state at whose time a position was observed, at least one.
+//! Invariant: it is trained on observations of the state at whose time a position was observed, at least one.
 
 use tidemap_map::spec::MapSpec;
 use tidemap_model::{
@@ -16,11 +16,11 @@ pub(crate) struct PlaceModel {
 }
 
 impl PlaceModel {
-    /// Fits a model to the readings of a state and those of the axes of a vector, each ascending by time. Of several
+    /// Trains a model on the readings of a state and those of the axes of a vector, each ascending by time. Of several
     /// readings of the same time, the first belong together, then the second, and so on.
     ///
     /// # Errors
-    /// [`CannotFit`] if an option is out of range, no time is among both, or the fit is stopped.
+    /// [`CannotFit`] if an option is out of range, no time is among both, or the training is stopped.
     pub(crate) fn fit(
         options: &HypertimeOptions,
         values: &[Sample],
@@ -84,8 +84,8 @@ mod tests {
     fn only_readings_with_a_position_of_the_same_time_count() {
         let options = PositionModel::options(ModelKind::HypertimeEm { clusters: 2 }).expect("options");
         let values: Vec<Sample> = (0..400).map(|i| sample(30 * i, f64::from(u8::from(i % 4 == 0)))).collect();
-        let axis = |of: f64| -> Vec<Sample> {
-            (0..200).map(|i| sample(60 * i, of * f64::from(u8::from(i % 2 == 0)))).collect()
+        let axis = |scale: f64| -> Vec<Sample> {
+            (0..200).map(|i| sample(60 * i, scale * f64::from(u8::from(i % 2 == 0)))).collect()
         };
         let spec = MapSpec::new(MapName::new("office").expect("valid"));
         let model =

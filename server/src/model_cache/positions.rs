@@ -1,6 +1,6 @@
 //! The distribution over positions of a vector at a time, by warped hypertime, and how many positions there are.
 //!
-//! Invariant: a model is fitted to at least one position, and its results are finite.
+//! Invariant: a model is trained on at least one position, and its results are finite.
 
 use tidemap_map::{event::Dimensions, spec::MapSpec};
 use tidemap_model::{
@@ -12,12 +12,12 @@ use tidemap_model::{
     selector::ModelKind,
 };
 
-/// Seed of the random starts of a fit: the same positions give the same model.
+/// Seed of the random starts of the training: the same positions give the same model.
 const SEED: u64 = 0;
 /// Positions are counted in this many intervals at most; longer records have longer intervals.
 const COUNTED_MAX: i64 = 100_000;
 
-/// A model that was fitted to the positions of a vector.
+/// A model that was trained on the positions of a vector.
 #[derive(Clone, Debug)]
 pub(crate) struct PositionModel {
     field: HypertimeField,
@@ -39,7 +39,7 @@ impl PositionModel {
         Some(HypertimeOptions { method, clusters: clusters as usize, seed: SEED })
     }
 
-    /// Fits a model to the readings of all axes of a vector, each ascending by time.
+    /// Trains a model on the readings of all axes of a vector, each ascending by time.
     ///
     /// # Errors
     /// [`CannotFit`] if an option is out of range, there is no reading, or the axes do not have readings at the same
@@ -79,7 +79,7 @@ impl PositionModel {
         Ok(Self { field, rate, low_m, high_m, positions: first.len() as u64 })
     }
 
-    /// Number of positions that it was fitted to.
+    /// Number of positions that it was trained on.
     pub(crate) fn positions(&self) -> u64 {
         self.positions
     }

@@ -1,4 +1,4 @@
-//! Which fitted models are kept, for how long, and how often one is fitted.
+//! Which trained models are kept, for how long, and how often one is trained.
 
 use std::{
     convert::Infallible,
@@ -51,7 +51,7 @@ async fn a_model_is_fitted_once_however_many_ask_for_it() {
             })
         })
         .collect();
-    // While it is fitted, others are requested and fitted.
+    // While it is trained, others are requested and trained.
     while fitted.load(Ordering::Relaxed) == 0 {
         tokio::task::yield_now().await;
     }

@@ -8,18 +8,18 @@ use tidemap_model::models::CannotFit;
 /// Why a model cannot answer for a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ModelUnavailable {
-    #[error("it must be fitted to observations, and the map, created with {option} none, keeps none")]
+    #[error("it must be trained on observations, and the map, created with {option} none, keeps none")]
     NotKept { option: &'static str },
     #[error(
-        "it must be fitted to observations, and the map no longer keeps those of this state: see --retention and --grid-retention"
+        "it must be trained on observations, and the map no longer keeps those of this state: see --retention and --grid-retention"
     )]
     Forgotten,
     #[error(
-        "it must be fitted to all {total} observations that updates have learned, and the map, which is older than its \
+        "it must be trained on all {total} observations that updates have learned, and the map, which is older than its \
          history, keeps {kept} of them"
     )]
     Incomplete { total: u64, kept: u64 },
-    #[error("it would be fitted to {got} observations or more, and setting max_fit_readings allows {max}")]
+    #[error("it would be trained on {got} observations or more, and setting max_fit_readings allows {max}")]
     TooMany { got: u64, max: u64 },
     #[error("it is a model of {expected}, and the state is a {found}", found = .found.name())]
     OtherKind { expected: &'static str, found: StateKind },

@@ -23,8 +23,8 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_revoked_requests_total", "Requests that ended because their token was revoked"),
     ("tidemap_reloads_total", "Files of tokens or certificates that were read again, by what"),
     ("tidemap_reload_failures_total", "Files of tokens or certificates that could not be read again, by what"),
-    ("tidemap_model_cache_hits_total", "Requests for fitted models that the cache answered"),
-    ("tidemap_model_cache_misses_total", "Requests for fitted models that had to be fitted"),
+    ("tidemap_model_cache_hits_total", "Requests for trained models that the cache answered"),
+    ("tidemap_model_cache_misses_total", "Requests for models that had to be trained"),
     ("tidemap_connections_displaced", "Connections that made room for others, by port"),
     ("tidemap_streams_displaced_total", "Streams of observations that were silent and made room for others"),
     (

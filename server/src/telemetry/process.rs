@@ -18,8 +18,8 @@ pub(crate) fn metrics(data_dir: &Path) -> Vec<(&'static str, f64)> {
     found.extend(pages.map(|pages| ("process_resident_memory_bytes", pages * page_size() as f64)));
     let descriptors = fs::read_dir("/proc/self/fd").ok().map(|entries| entries.count() as f64);
     found.extend(descriptors.map(|count| ("process_open_fds", count)));
-    let most = getrlimit(Resource::Nofile).current;
-    found.extend(most.map(|most| ("process_max_fds", most as f64)));
+    let max_open = getrlimit(Resource::Nofile).current;
+    found.extend(max_open.map(|max_open| ("process_max_fds", max_open as f64)));
     if let Ok(disk) = statvfs(data_dir) {
         let bytes = |blocks: u64| blocks as f64 * disk.f_frsize as f64;
         found.push(("tidemap_disk_free_bytes", bytes(disk.f_bavail)));

@@ -155,7 +155,7 @@ fn misuse_of_anomalies_is_told() {
         ask(&["door", "--from", "100", "--to", "200", "--model", model]).fails(1, &[words]);
         ask(&["door", "--watch", "--model", model]).fails(1, &[words]);
     }
-    ask(&["door", "--watch", "--model", "calibrated"]).fails(1, &["must be fitted", "auto, mean or spectral"]);
+    ask(&["door", "--watch", "--model", "calibrated"]).fails(1, &["must be trained", "auto, mean or spectral"]);
     door.tidemap(["map", "create", "forgetful", "--retention", "none"]).table();
     cli::tidemap_reading(&door.daemon, ["observe", "forgetful", "-"], rows).table();
     door.tidemap(["anomalies", "forgetful", "door", "--from", "0", "--to", "9"])

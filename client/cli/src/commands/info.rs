@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use tidemap_client::{
-    exploration::{View, Sensor, Targets, Viewpoint},
+    exploration::{Sensor, Targets, View, Viewpoint},
     queries::ModelSelector,
 };
 

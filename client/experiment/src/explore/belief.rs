@@ -118,7 +118,7 @@ impl Belief {
         Ok(Belief { slots, now: None, places, presence, blend, remembers })
     }
 
-    /// Fits the models for the day that starts with a slot.
+    /// Trains the models for the day that starts with a slot.
     pub(super) fn midnight(&mut self, slot: usize) -> Result<(), CannotFit> {
         if let Some(presence) = &mut self.presence {
             presence.learn();

@@ -125,8 +125,8 @@ impl Window {
         &self.base
     }
 
-    /// The scans to send next, at most `max_count`; empty if it is better to wait for more, or another kind of item comes
-    /// next.
+    /// The scans to send next, at most `max_count`; empty if it is better to wait for more, or another kind of item
+    /// comes next.
     pub fn scans_to_send(&self, max_count: usize, bytes: usize, urgent: u64) -> impl Iterator<Item = &KeptScan> {
         self.unsent(max_count, bytes, urgent).map_while(|item| match item {
             Item::Scan(scan) => Some(&**scan),

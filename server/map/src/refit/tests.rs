@@ -1,4 +1,4 @@
-//! Which models are fitted again, to what, and what happens where that cannot be.
+//! Which models are trained again, on what, and what happens where that cannot be.
 
 use std::{collections::BTreeMap, sync::Mutex};
 
@@ -74,7 +74,7 @@ impl World {
         world
     }
 
-    /// As if a model had been fitted on a day.
+    /// As if a model had been trained on a day.
     fn fitted_on(&mut self, state: usize, day: i32) {
         let fit = Calibrated::fit(Readings::new(&samples(9, 0..2)), CalibratedOptions::default()).expect("fits");
         self.models[state] = Arc::new(StateModel::clone(&self.models[state]).refitted(fit, LocalDay(day)));
@@ -150,7 +150,7 @@ fn readings_that_cannot_be_had_cost_the_fits_of_their_batch_alone() {
         assert!(world.models[state].is_fit_due(FitKind::Calibrated));
     }
     assert_eq!(world.fit_of(4).map(|(_, day)| day), Some(19));
-    // What is repaired is fitted by the next update.
+    // What is repaired is trained by the next update.
     world.kept.damaged = None;
     assert_eq!(world.refit(LIMITS), Refits { fitted: 2, ..Refits::default() });
 }
@@ -172,7 +172,7 @@ fn those_that_have_waited_longest_go_first() {
     }
     let days =
         |world: &World| (0..6).map(|state| world.fit_of(state).map(|(_, day)| day)).collect::<Vec<Option<i32>>>();
-    // Those that were never fitted, then the oldest fit; the fresh one is not due.
+    // Those that were never trained, then the oldest fit; the fresh one is not due.
     let limits = Limits { refits: |_| 3, ..LIMITS };
     assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 2, ..Refits::default() });
     assert_eq!(days(&world), [Some(30), Some(39), Some(39), Some(25), Some(39), Some(39)]);
@@ -214,7 +214,7 @@ fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_fitted() {
     assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 3, ..Refits::default() });
     assert_eq!(world.refit(limits), Refits { fitted: 3, ..Refits::default() });
     assert_eq!(world.refit(limits), Refits::default());
-    // The readings of a state are asked for once, whatever is fitted to them.
+    // The readings of a state are asked for once, whatever is trained on them.
     assert_eq!(world.asked(), [vec![0, 1, 2], vec![1], vec![2]]);
     for (number, model) in world.models.iter().enumerate() {
         for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(StateKind::Probability)) {

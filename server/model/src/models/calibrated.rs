@@ -7,7 +7,7 @@
 //! weekly rhythm gets none, and pure noise gets its mean. Later days count more, so that the level follows the last
 //! weeks.
 //!
-//! Invariant: a prediction lies between the lowest and the highest reading that it was fitted to.
+//! Invariant: a prediction lies between the lowest and the highest reading that it was trained on.
 
 use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
@@ -30,7 +30,7 @@ const SLOTS_PER_WEEK: usize = SLOTS_PER_DAY * DAYS_OF_WEEK;
 /// What a [`Calibrated`] model consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibratedParts {
-    /// Number of readings that it was fitted to, at least 1.
+    /// Number of readings that it was trained on, at least 1.
     pub observations: u64,
     /// The lowest reading.
     pub lowest: f64,
@@ -48,7 +48,7 @@ pub struct Calibrated {
 }
 
 impl Calibrated {
-    /// Fits it to the readings of one state, in time proportional to their number; readings that are not finite are
+    /// Trains it on the readings of one state, in time proportional to their number; readings that are not finite are
     /// ignored. A half-life of the readings applies in addition to the memory of the options.
     ///
     /// # Errors
@@ -76,7 +76,7 @@ impl Calibrated {
         Ok(Calibrated { parts: CalibratedParts { observations, lowest, highest, profile } })
     }
 
-    /// Number of readings that the model was fitted to.
+    /// Number of readings that the model was trained on.
     pub fn observations(&self) -> u64 {
         self.parts.observations
     }

@@ -63,7 +63,7 @@ enum HypertimeKind {
 }
 
 impl Hypertime {
-    /// Fits the model of a probability; values outside `[0,1]` count as the nearer end. The periods are chosen among
+    /// Trains the model of a probability; values outside `[0,1]` count as the nearer end. The periods are chosen among
     /// those of a map, a month and a year. Readings are summed by slots (of the week, of five minutes; for cycles of a
     /// year, of an hour), so that years of readings take little longer than weeks.
     ///
@@ -101,7 +101,7 @@ impl Hypertime {
         Ok(Hypertime { shape: HypertimeKind::Probability(odds) })
     }
 
-    /// Fits the model of a value that is not a probability, such as a speed or a count, as [`HypertimeField::fit`]
+    /// Trains the model of a value that is not a probability, such as a speed or a count, as [`HypertimeField::fit`]
     /// does.
     ///
     /// # Errors

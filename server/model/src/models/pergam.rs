@@ -1,9 +1,9 @@
 //! Periodic Gaussian mixture: events at fixed times of the period, such as a day.
 //!
 //! PerGaM of Krajník et al., "Where's Waldo at time t?", ICRA 2015 ("Waldo"), section IV.B: the readings are folded
-//! into one period (eq. 6) and a mixture of Gaussians is fitted to their mean values (eq. 7). The Gaussians are wrapped
-//! here, so that 23:59 is next to 0:01. It can represent several short events, but only one period, which must be
-//! known. Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in `[0,1]`.
+//! into one period (eq. 6) and a mixture of Gaussians is fitted to their mean values (eq. 7). The Gaussians are
+//! wrapped here, so that 23:59 is next to 0:01. It can represent several short events, but only one period, which must
+//! be known. Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in `[0,1]`.
 
 use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
@@ -22,14 +22,14 @@ const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
 /// A hundred years of 365.25 days.
 const PERIOD_MAX_NANOS: i64 = 36_525 * DAY_NANOS;
 
-/// How a periodic Gaussian mixture is fitted.
+/// How a periodic Gaussian mixture is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PergamOptions {
     /// Number of Gaussians, 1 to [`PergamOptions::GAUSSIANS_MAX`]; fewer where the readings have fewer distinct phases.
     pub gaussians: usize,
     /// The period, in nanoseconds of local civil time, from 1 s to 100 years.
     pub period_nanos: i64,
-    /// Seed of the starting points of the fit.
+    /// Seed of the starting points of the training.
     pub seed: u64,
 }
 

@@ -54,13 +54,13 @@ pub struct PoissonSpectralParts {
 }
 
 impl PoissonSpectral {
-    /// Fits counts: the values of all readings in a bin are added up, a bin without a reading counts as unobserved (so
-    /// a counter that saw nobody must report 0). Bins are of local civil time, from 1970.
+    /// Trains on counts: the values of all readings in a bin are added up, a bin without a reading counts as unobserved
+    /// (so a counter that saw nobody must report 0). Bins are of local civil time, from 1970.
     ///
     /// The mean is that of the Gamma posterior, (½ + Σ counts)/(1 + bins), so that a count that was always 0 has a
     /// small positive rate. The rate is at least ½/(1 + days), the rate of a time of day without any count, but this
     /// floor is at most the mean. The order, 0..=[`ORDER_MAX`], is the one with the highest Poisson log-likelihood on
-    /// the last quarter of the days, when fitted to those before, or the lowest that is at most 20 times less likely;
+    /// the last quarter of the days, when trained on those before, or the lowest that is at most 20 times less likely;
     /// with fewer than four days it is 0.
     ///
     /// # Errors
@@ -130,7 +130,7 @@ impl PoissonSpectral {
         self.parts.clone()
     }
 
-    /// A model from stored parts and the periodicities that it was fitted with.
+    /// A model from stored parts and the periodicities that it was trained with.
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range or there are too many components.

@@ -1,10 +1,10 @@
-//! Alternatives to the spectral model: histograms and models that are fitted to readings, and the choice among all by
+//! Alternatives to the spectral model: histograms and models that are trained on readings, and the choice among all by
 //! held-out error.
 //!
 //! Each is scored on a local day before the day is learned, as the orders of the spectral model are, with the same
-//! fading (T-RO section IV.B). Histograms follow from sums of the training data; the others are fitted outside, to the
+//! fading (T-RO section IV.B). Histograms follow from sums of the training data; the others are trained outside, on the
 //! readings themselves, and handed in from time to time. Invariant: the errors of all are over the same observations,
-//! so that they can be compared, and no model is scored on what it was fitted to.
+//! so that they can be compared, and no model is scored on what it was trained on.
 
 use std::sync::Arc;
 
@@ -31,14 +31,14 @@ pub use parts::{AlternativesParts, FitParts};
 /// A model's prediction for the time of a sample.
 pub(super) type SampleForecast<'a> = &'a dyn Fn(&Sample) -> f64;
 
-/// The last fit of a model to readings.
+/// A model as it was last trained on readings.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FitRecord {
     /// Shared: it is a large part of a state, and most updates leave it as it is.
     pub(super) model: Arc<FittedModel>,
-    /// The last local day that it was fitted to.
+    /// The last local day that it was trained on.
     pub(super) day: LocalDay,
-    /// Faded sum of errors, of this fit and those before it; `None` before the first day that it was scored on.
+    /// Faded sum of errors, of this model and those before it; `None` before the first day that it was scored on.
     pub(super) error: Option<f64>,
 }
 
@@ -82,10 +82,10 @@ pub(super) const KEPT_AT_CHANGE: f64 = 0.25;
 /// Errors that differ by less than this share of the squared values are equal.
 const ROUNDING: f64 = 1e-20;
 
-/// Models are fitted to readings first after this many observed local days, and again every this many local days.
+/// Models are trained on readings first after this many observed local days, and again every this many local days.
 const REFIT_DAYS: u32 = 7;
 
-/// Cheap models are fitted first after this many observed local days, then daily until [`REFIT_DAYS`]: a short record
+/// Cheap models are trained first after this many observed local days, then daily until [`REFIT_DAYS`]: a short record
 /// can already choose among them.
 const EARLY_FIT_DAYS: u32 = 3;
 
@@ -97,7 +97,7 @@ pub enum ModelChoice {
     Spectral,
     /// The histogram of that number in [`HISTOGRAMS`].
     Histogram(u8),
-    /// The last fit of a model to readings.
+    /// A model that was trained on readings, as it was last trained.
     Fitted(FitKind),
 }
 
@@ -106,7 +106,7 @@ pub enum ModelChoice {
 pub enum ActiveModel<'a> {
     /// A histogram of the training data.
     Histogram(Histogram),
-    /// A model that was fitted to readings.
+    /// A model that was trained on readings.
     Fitted(&'a FittedModel),
     /// Several models together.
     Combination(Combination<'a>),
@@ -219,7 +219,7 @@ impl Alternatives {
     }
 
     /// Faded sums of errors of all that is tried: of the spectral model with its best order, of each of [`HISTOGRAMS`],
-    /// and of each model that is fitted to readings once it was scored.
+    /// and of each model that is trained on readings once it was scored.
     pub fn error_sums(&self) -> impl Iterator<Item = (ModelChoice, f64)> {
         // There are fewer than 256.
         let histograms = (0..).map(ModelChoice::Histogram).zip(self.parts.histograms.into_iter().flatten());
@@ -228,12 +228,12 @@ impl Alternatives {
         std::iter::once((ModelChoice::Spectral, self.parts.spectral)).chain(histograms).chain(fits)
     }
 
-    /// The model of the given kind and the last local day that it was fitted to; `None` before its first fit.
+    /// The model of the given kind and the last local day that it was trained on; `None` before it was first trained.
     pub fn fit(&self, kind: FitKind) -> Option<(&FittedModel, LocalDay)> {
         self.fits[kind.index()].as_ref().map(|fit| (&*fit.model, fit.day))
     }
 
-    /// Whether a refit of the model of the given kind is due.
+    /// Whether the model of the given kind is due to be trained again.
     pub(super) fn is_fit_due(&self, kind: FitKind) -> bool {
         let Some(folded) = self.parts.learned_day else { return false };
         match &self.fits[kind.index()] {
@@ -247,7 +247,8 @@ impl Alternatives {
         }
     }
 
-    /// Takes a new fit, which is scored from the next day on; the errors of earlier fits of its kind stay.
+    /// Takes a newly trained model, which is scored from the next day on; the errors of earlier models of its kind
+    /// stay.
     pub(super) fn refit(&mut self, model: FittedModel, day: LocalDay) {
         let fit = &mut self.fits[model.kind().index()];
         let error = fit.as_ref().and_then(|fit| fit.error);
@@ -345,7 +346,7 @@ impl Alternatives {
         let squared_in_force = combined.unwrap_or(alone);
         self.watch(day, squared_in_force / newer.len().max(1) as f64 / unit, newer.len() as u64);
         let kept = self.parts.last_day.map(|last| kept(last, day));
-        // The spectral model may have been scored for long: the histograms begin with what it has, and fitted models
+        // The spectral model may have been scored for long: the histograms begin with what it has, and trained models
         // with what the model in force has, which they then have to beat from the same start.
         let before_spectral = spectral_sum - spectral_day;
         let faded = |sum: f64| kept.map(|kept| sum * kept);
@@ -391,7 +392,7 @@ impl Alternatives {
         KEPT_AT_CHANGE
     }
 
-    /// The first local day whose readings are worth fitting to: since the change alarm last rang, once seven days have
+    /// The first local day whose readings are worth training on: since the change alarm last rang, once seven days have
     /// passed. `None`: all are.
     pub fn fit_since(&self) -> Option<LocalDay> {
         let folded = i64::from(self.parts.learned_day?.0);
@@ -436,7 +437,7 @@ impl Alternatives {
         }
     }
 
-    /// Determines which components of a new fit are supported.
+    /// Determines which components of a newly trained model are supported.
     pub(super) fn support(&mut self, model: &SpectralModel, periodicities: &Periodicities, folded: &Accumulator) {
         let succession = self.succession.to_parts();
         let sums = DependenceSums {

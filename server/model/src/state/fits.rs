@@ -1,4 +1,4 @@
-//! Models that are fitted to the readings of a state outside its update: their kinds, and a model of any kind.
+//! Models that are trained on the readings of a state outside its update: their kinds, and a model of any kind.
 //!
 //! Invariant: a stored model reads back as the same model.
 
@@ -15,10 +15,10 @@ use crate::{
 const GAUSSIANS: usize = 3;
 /// Clusters of a warped hypertime.
 const CLUSTERS: usize = 3;
-/// Seed of the random starts of a fit: the same readings give the same model.
+/// Seed of the random starts of the training: the same readings give the same model.
 const SEED: u64 = 0;
 
-/// A kind of model that is fitted to the readings themselves, with the one setting in which it is tried.
+/// A kind of model that is trained on the readings themselves, with the one setting in which it is tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum FitKind {
     /// [`Calibrated`], with its defaults.
@@ -47,7 +47,7 @@ impl FitKind {
         }
     }
 
-    /// Whether a fit takes milliseconds, so that it may be repeated daily.
+    /// Whether the training takes milliseconds, so that it may be repeated daily.
     pub(super) fn is_cheap(self) -> bool {
         matches!(self, FitKind::Calibrated | FitKind::Poisson)
     }
@@ -139,13 +139,13 @@ impl EnabledModels {
         self.fits[kind.index()]
     }
 
-    /// The kinds that are fitted to readings.
+    /// The kinds that are trained on readings.
     pub fn fits(self) -> impl Iterator<Item = FitKind> {
         FitKind::ALL.into_iter().filter(move |kind| self.has_fit(*kind))
     }
 }
 
-/// A model that was fitted to the readings of a state.
+/// A model that was trained on the readings of a state.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FittedModel {
     /// A profile of the week.
@@ -172,7 +172,7 @@ pub enum FittedModelParts {
 }
 
 impl FittedModel {
-    /// Fits a model of this kind to readings of a state of kind `state_kind`; `periodicities` are those of its map.
+    /// Trains a model of this kind on readings of a state of kind `state_kind`; `periodicities` are those of its map.
     ///
     /// # Errors
     /// [`CannotFit`] where there are no readings, or states of that kind do not support the model.

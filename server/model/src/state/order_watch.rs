@@ -129,7 +129,7 @@ impl OrderWatch {
         self.gains.fade(factor);
     }
 
-    /// Determines which components of a new fit are supported.
+    /// Determines which components of a newly trained model are supported.
     pub fn support(&mut self, model: &SpectralModel, periodicities: &Periodicities, readings: LearnedReadings) {
         let LearnedReadings { pairs, unrecorded, span_secs, mut observed_hours, mean, difference, remembered } =
             readings;

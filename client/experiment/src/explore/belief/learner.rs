@@ -1,4 +1,4 @@
-//! Models of one state, fitted every midnight to the readings of visits.
+//! Models of one state, trained every midnight to the readings of visits.
 //!
 //! Invariant: a state without readings has probability 0.5.
 
@@ -86,7 +86,7 @@ impl Learner {
         self.kind
     }
 
-    /// Fits all readings; earlier ones must come first.
+    /// Trains on all readings; earlier ones must come first.
     pub(super) fn learn(&mut self, readings: &[Sample]) -> Result<(), CannotFit> {
         if readings.is_empty() {
             return Ok(());

@@ -1,4 +1,4 @@
-//! Models are fitted at updates, and the same ones when updates are run again from the log.
+//! Models are trained at updates, and the same ones when updates are run again from the log.
 
 use tidemap_model::{
     EnabledModels, FitKind, ModelChoice, Sample, StateKind,

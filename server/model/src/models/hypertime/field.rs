@@ -57,7 +57,7 @@ pub struct HypertimeField {
 }
 
 impl HypertimeField {
-    /// Fits the model as [`super::Hypertime::fit`] does, with the candidate periods of a map. From more than 4,000
+    /// Trains the model as [`super::Hypertime::fit`] does, with the candidate periods of a map. From more than 4,000
     /// readings, one is drawn from each of 4,000 equal runs in the given order.
     ///
     /// # Errors

@@ -98,7 +98,7 @@ impl HeldOutScore {
     }
 }
 
-/// Training data that a model with given circles can be fitted to.
+/// Training data in the form that a model with given circles needs.
 pub(super) trait Trainer<M> {
     /// The periods to choose among.
     fn candidates(&self) -> &Candidates;

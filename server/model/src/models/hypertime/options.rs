@@ -1,4 +1,4 @@
-//! How a warped hypertime model is fitted.
+//! How a warped hypertime model is trained.
 
 use crate::models::CannotFit;
 
@@ -12,7 +12,7 @@ pub enum HypertimeMethod {
     Km,
 }
 
-/// How a hypertime model is fitted.
+/// How a hypertime model is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HypertimeOptions {
     /// The method of clustering.

@@ -18,7 +18,7 @@ pub struct CountRate {
 /// What a [`CountRate`] consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CountRateParts {
-    /// The periodicities that it was fitted with: those of the map.
+    /// The periodicities that it was trained with: those of the map.
     pub periodicities: Periodicities,
     /// The model of the bins.
     pub bins: PoissonSpectralParts,
@@ -27,7 +27,7 @@ pub struct CountRateParts {
 }
 
 impl CountRate {
-    /// Fits the counts of single readings.
+    /// Trains on the counts of single readings.
     ///
     /// # Errors
     /// [`CannotFit`] as [`PoissonSpectral::fit`].

@@ -44,18 +44,18 @@ pub struct AlternativesParts {
     pub days: u32,
     /// The first local day of the present routine, where the change alarm has rung before.
     pub since: Option<LocalDay>,
-    /// The models that were fitted to readings, at most one of a kind.
+    /// The models that were trained on readings, at most one of a kind.
     pub fits: Vec<FitParts>,
 }
 
-/// The stored form of a model that was fitted to readings.
+/// The stored form of a model that was trained on readings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FitParts {
     /// The model.
     pub model: FittedModelParts,
-    /// The last local day that it was fitted to.
+    /// The last local day that it was trained on.
     pub day: LocalDay,
-    /// Faded sum of errors, of this fit and those before it; `None` before the first day that it was scored on.
+    /// Faded sum of errors, of this model and those before it; `None` before the first day that it was scored on.
     pub error_sum: Option<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! When the calibrated model is fitted again, what it is scored on, and when it is chosen.
+//! When the calibrated model is trained again, what it is scored on, and when it is chosen.
 
 use super::*;
 use crate::{

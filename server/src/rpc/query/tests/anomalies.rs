@@ -131,7 +131,7 @@ async fn what_cannot_be_judged_is_refused() {
         ..Default::default()
     };
     for (states, model, code, words) in [
-        (&["door"][..], wire(ModelKind::Calibrated), invalid, ["model.kind", "must be fitted"]),
+        (&["door"][..], wire(ModelKind::Calibrated), invalid, ["model.kind", "must be trained"]),
         (&["door"], wire(ModelKind::Latest), invalid, ["model.kind", "latest"]),
         (&["door"], with_persistence(), invalid, ["model.persistence", "leave it out"]),
         (&["door", "cell/2/0"], None, invalid, ["states[1]", "cell/2/0"]),

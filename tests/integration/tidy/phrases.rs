@@ -1,0 +1,177 @@
+//! Names and comments that a reader understands without guessing.
+//!
+//! Invariant: strings are neither code nor comments; a list of exceptions only gets shorter.
+
+use super::{files, hold, read};
+
+/// Words that say nothing as the name of a value. Name what the value is: a reply, a tile, a `state_kind`, a `max`.
+const EMPTY_NAMES: [&str; 3] = ["told", "of", "most"];
+
+/// Folders and files whose names and comments still have to be mended.
+const NOT_YET: [&str; 9] = [
+    "migrations/",
+    "proto/src/convert/cells.rs",
+    "server/grid/",
+    "server/map/src/event.rs",
+    "server/map/src/grid/",
+    "server/src/ingest",
+    "server/src/rpc/",
+    "server/src/web",
+    "server/store/",
+];
+
+/// A line of a file, split into its code and the text of its comment.
+#[derive(Debug, Default, PartialEq)]
+struct Line {
+    /// Without comments and without the contents of strings.
+    code: String,
+    /// Without the slashes in front; `None`: the line has no comment, or code in front of it.
+    comment: Option<String>,
+}
+
+/// Where the text of a file is between two characters.
+#[derive(Clone, Copy, PartialEq)]
+enum Within {
+    Code,
+    /// A string that ends with a quote and this many `#`; `true`: a backslash escapes the next character.
+    Text(usize, bool),
+}
+
+/// The lines of a Rust file.
+fn lines(text: &str) -> Vec<Line> {
+    let mut within = Within::Code;
+    text.lines()
+        .map(|line| {
+            let mut found = Line::default();
+            let mut rest = line;
+            while let Some(next) = rest.chars().next() {
+                let mut length = next.len_utf8();
+                match within {
+                    Within::Text(_, true) if next == '\\' => {
+                        length += rest[length..].chars().next().map_or(0, char::len_utf8);
+                    }
+                    Within::Text(hashes, _) => {
+                        if next == '"' && rest[1..].starts_with(&"#".repeat(hashes)) {
+                            length += hashes;
+                            within = Within::Code;
+                            found.code.push('"');
+                        }
+                    }
+                    Within::Code if rest.starts_with("//") => {
+                        let comment = rest.trim_start_matches('/').trim_start_matches('!').trim();
+                        found.comment = found.code.trim().is_empty().then(|| comment.to_owned());
+                        length = rest.len();
+                    }
+                    Within::Code if ["'\"'", "'\\\"'"].iter().any(|quote| rest.starts_with(quote)) => {
+                        length = if rest.starts_with("'\\") { 4 } else { 3 };
+                    }
+                    Within::Code => {
+                        if next == '"' {
+                            let before = found.code.trim_end_matches('#');
+                            let is_raw = before.ends_with('r');
+                            let hashes = if is_raw { found.code.len() - before.len() } else { 0 };
+                            within = Within::Text(hashes, !is_raw);
+                        }
+                        found.code.push(next);
+                    }
+                }
+                rest = &rest[length..];
+            }
+            found
+        })
+        .collect()
+}
+
+/// The empty names that a line of code gives to a value. A method or an associated function may be called `of`: it is
+/// read together with its type, as in `Dimensions::of(3)`.
+fn empty_names(code: &str) -> Vec<&'static str> {
+    let is_word = |character: char| character.is_alphanumeric() || character == '_';
+    let is_name = |at: usize, name: &str| {
+        let (before, after) = (&code[..at], &code[at + name.len()..]);
+        let is_whole = !before.ends_with(is_word) && !after.starts_with(is_word);
+        let is_called = before.ends_with("::") || (before.ends_with('.') && after.starts_with('('));
+        let is_method = code.starts_with(' ') && before.ends_with("fn ");
+        is_whole && !(name == "of" && (is_called || is_method))
+    };
+    EMPTY_NAMES.into_iter().filter(|name| code.match_indices(name).any(|(at, _)| is_name(at, name))).collect()
+}
+
+/// Whether a comment says nothing by itself: "The same …" as what? "Its name." of what, and which names are there?
+fn is_empty_comment(comment: &[String]) -> bool {
+    let says_only_its = |text: &str| {
+        let words: Vec<&str> = text.split(' ').collect();
+        let is_bare = text.ends_with('.') && !text.contains([',', ':', '`']);
+        is_bare && matches!(words[..], ["Its" | "Their", _] | ["Its" | "Their", _, _])
+    };
+    let begins_again = comment.first().is_some_and(|line| line.starts_with("The same"));
+    begins_again || matches!(comment, [line] if says_only_its(line))
+}
+
+/// The paragraphs of comments: number of the first line, and the lines.
+fn paragraphs(lines: &[Line]) -> Vec<(usize, Vec<String>)> {
+    let mut found: Vec<(usize, Vec<String>)> = Vec::new();
+    let mut is_open = false;
+    for (number, line) in lines.iter().enumerate() {
+        let comment = line.comment.clone().filter(|comment| !comment.is_empty());
+        let was_open = std::mem::replace(&mut is_open, comment.is_some());
+        match (comment, found.last_mut()) {
+            (Some(comment), Some((_, paragraph))) if was_open => paragraph.push(comment),
+            (Some(comment), _) => found.push((number + 1, vec![comment])),
+            (None, _) => {}
+        }
+    }
+    found
+}
+
+fn is_checked(path: &str) -> bool {
+    !NOT_YET.iter().any(|folder| path.starts_with(folder))
+}
+
+#[test]
+fn names_say_what_a_value_is() {
+    let mut broken = Vec::new();
+    for path in files(".", ".rs").iter().filter(|path| is_checked(path)) {
+        for (number, line) in lines(&read(path)).iter().enumerate() {
+            for name in empty_names(&line.code) {
+                broken.push(format!("{path}:{}: `{name}` does not say what the value is", number + 1));
+            }
+        }
+    }
+    hold(&broken);
+}
+
+#[test]
+fn comments_can_be_read_alone() {
+    let mut broken = Vec::new();
+    for path in files(".", ".rs").into_iter().chain(files(".", ".proto")).filter(|path| is_checked(path)) {
+        let text = read(&path);
+        for (number, comment) in paragraphs(&lines(&text)) {
+            if is_empty_comment(&comment) {
+                broken.push(format!("{path}:{number}: {:?} says nothing by itself: name what it is", comment[0]));
+            }
+        }
+    }
+    hold(&broken);
+}
+
+#[test]
+fn the_rules_of_phrases_can_fail() {
+    let text = "let told = 1; // of it\n/// The same\nlet a = \"of // most\n told\"; f(most);\nlet b = r#\"\"of\"#; g('\"', of);\n";
+    let split = lines(text);
+    let codes: Vec<&str> = split.iter().map(|line| line.code.as_str()).collect();
+    assert_eq!(codes, ["let told = 1; ", "", "let a = \"", "\"; f(most);", "let b = r#\"\"; g(, of);"]);
+    assert_eq!(split[1].comment.as_deref(), Some("The same"));
+    assert_eq!(split[0].comment, None);
+    assert_eq!(empty_names("let told = told_before;"), ["told"]);
+    assert_eq!(empty_names("    fn new(of: u8, most: u8) {"), ["of", "most"]);
+    assert_eq!(empty_names("sums.of.iter()"), ["of"]);
+    assert_eq!(empty_names("fn of(py: u8) {"), ["of"]);
+    assert_eq!(empty_names("    pub fn of(count: usize) -> Dimensions { Dimensions::of(row.of(1), of_day) }"), [""; 0]);
+    let comment = |text: &'static str| paragraphs(&lines(text)).into_iter().next().expect("a comment").1;
+    assert!(is_empty_comment(&comment("/// The same without\n/// sums.")));
+    assert!(is_empty_comment(&comment("    // Its private key.")));
+    assert!(!is_empty_comment(&comment("/// This is\n/// The same day.")));
+    assert!(!is_empty_comment(&comment("/// Its name, unique in the map.")));
+    assert!(!is_empty_comment(&comment("/// Name of the map.\n/// Its owner.")));
+    assert_eq!(paragraphs(&lines("/// A\n/// b\n\n/// C\n///\n/// d")).len(), 3);
+}
