@@ -41,7 +41,7 @@ use crate::{
 pub struct ModelDescription {
     /// Name of the state.
     pub state: String,
-    /// Kind.
+    /// Which values the state has.
     pub kind: StateKind,
     /// Mean of the learned values; if there are none: 0.5 for a probability, else 0.
     pub mean: f64,

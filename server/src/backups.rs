@@ -205,7 +205,8 @@ impl Schedule {
         Ok(report)
     }
 
-    /// The folder to make a backup in: what an earlier one left that was cut off, or the files of the newest one.
+    /// Prepares the folder of an unfinished backup. If an earlier backup was cut off, its files are used; else the
+    /// files of the newest complete backup are linked.
     fn prepare(&self, store: &Store) -> Result<PathBuf, BackupError> {
         let unfinished = self.folder.join(UNFINISHED);
         let io = |source| BackupError::Io { file: unfinished.clone(), source };

@@ -37,13 +37,14 @@ use crate::ingest::{
     writer::{Context, RestoredMap, start, start_in},
 };
 
-/// History of updates that are repeated at the start is saved when it takes this much memory.
+/// At the start, the updates in the log behind the checkpoint are repeated. Their history is saved each time it takes
+/// this much memory.
 const HISTORY_BYTES: usize = 64 << 20;
 
 /// A map with more bytes of checkpoints and log is served from the index until it is restored.
 pub(crate) const RESTORED_FIRST_BYTES: u64 = 8 << 20;
 
-/// The progress of a replay is told after this many records.
+/// The progress of a replay is reported after this many records.
 const RECORDS_PER_REPORT: u64 = 256;
 
 /// Why a map is not created or deleted.

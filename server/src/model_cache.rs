@@ -85,7 +85,7 @@ impl<T> Drop for FitInterest<T> {
 #[derive(Debug)]
 pub(crate) struct FitStop {
     waiting: Arc<AtomicUsize>,
-    /// Once asked to stop, the training gives nothing, even if somebody requests the model again: that request trains
+    /// Once told to stop, the training gives nothing, even if somebody requests the model again: that request trains
     /// it anew.
     is_over: AtomicBool,
 }

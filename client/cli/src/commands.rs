@@ -115,7 +115,7 @@ impl CommandLine {
     }
 }
 
-/// What a command is about, as far as it concerns how its times are shown.
+/// What decides how a command shows times: the map, whose time zone is used, and whether a picture is drawn.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Subject {
     /// Name of the map.

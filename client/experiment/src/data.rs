@@ -22,7 +22,7 @@ use tidemap_model::{
     time::{format_rfc3339, parse_time},
 };
 
-use super::protocol::{Protocol, Refit, RowFormat};
+use super::protocol::{Protocol, Retrain, RowFormat};
 
 /// Name of the state of files without state names.
 const UNNAMED: &str = "value";
@@ -228,14 +228,14 @@ fn check_order(protocol: &Protocol, extents: &[TimeExtent]) -> Result<(), DataEr
     for (&test, file) in tests.iter().zip(&protocol.test) {
         let (Some((begins, ends)), Some((_, known_until))) = (test, before.1) else { continue };
         if begins < known_until {
-            let right = match protocol.refit {
-                Refit::Never => "a test set must be after all training data",
-                Refit::Each => "with refit: each, test sets must follow one another",
+            let right = match protocol.retrain {
+                Retrain::Never => "a test set must be after all training data",
+                Retrain::Each => "with retrain: each, test sets must follow one another",
             };
             let path = file.path.clone();
             return Err(DataError::Order { path, begins, before: before.0, ends: known_until, right });
         }
-        if protocol.refit == Refit::Each {
+        if protocol.retrain == Retrain::Each {
             before = (format!("test set {}", file.label), Some((begins, ends)));
         }
     }

@@ -172,7 +172,7 @@ fn run_in_portions(
         .enumerate()
         .map(|(index, model)| (model.label.as_str(), &model.sets[tuning::chosen(&trials, index)]))
         .collect();
-    let scores = score::score(&data, &models, protocol.refit, kind, &step)?;
+    let scores = score::score(&data, &models, protocol.retrain, kind, &step)?;
     let days: Vec<&[DayErrors]> = scores.iter().map(|score| score.days.as_slice()).collect();
     let pairs = paired::all_pairs(&days, protocol.significance);
     let baseline = scores.get(protocol.baseline).map_or_else(Vec::new, |score| score.days.clone());

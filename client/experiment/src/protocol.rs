@@ -39,7 +39,7 @@ pub enum RowFormat {
 
 /// When models are trained again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Refit {
+pub enum Retrain {
     /// Once, on the training data.
     #[default]
     Never,
@@ -95,7 +95,7 @@ pub struct Protocol {
     /// Test sets, at least one, in temporal order.
     pub test: Vec<TestFile>,
     /// When models are trained again.
-    pub refit: Refit,
+    pub retrain: Retrain,
     /// The models, at least one.
     pub models: Vec<ModelEntry>,
     /// Tuning of parameters.
@@ -129,7 +129,7 @@ pub(crate) fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, P
     let states = states(written.states, format)?;
     let train = paths(written.train, "train", folder)?.into_iter().map(|(_, path)| path).collect();
     let test = labelled(paths(written.test, "test", folder)?);
-    let refit = choice(written.refit, "refit", &[("never", Refit::Never), ("each", Refit::Each)])?;
+    let retrain = choice(written.retrain, "retrain", &[("never", Retrain::Never), ("each", Retrain::Each)])?;
     let tuning = written.tuning.as_ref().map(tuning).transpose()?;
     let models = model_entry::read(written.models, kind, tuning.is_some())?;
     let baseline = match written.baseline {
@@ -162,7 +162,7 @@ pub(crate) fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, P
         states,
         train,
         test,
-        refit,
+        retrain,
         models,
         tuning,
         baseline,

@@ -12,7 +12,7 @@ use super::{
     ExperimentError,
     data::{Data, DataPortions},
     parameter_set::ParameterSet,
-    protocol::Refit,
+    protocol::Retrain,
 };
 
 /// The errors of one local day of a test set, all states together.
@@ -58,7 +58,7 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 pub(crate) fn score(
     portions: &DataPortions<'_>,
     models: &[(&str, &ParameterSet)],
-    refit: Refit,
+    retrain: Retrain,
     kind: StateKind,
     step: &(impl Fn() + Sync),
 ) -> Result<Vec<TestScore>, ExperimentError> {
@@ -71,7 +71,7 @@ pub(crate) fn score(
             .into_par_iter()
             .map(|(model, state)| {
                 let (label, set) = models[model];
-                let predictions = predict(&data, state, set, refit, kind)
+                let predictions = predict(&data, state, set, retrain, kind)
                     .map_err(|refused| ExperimentError::fit(label, set, &data.states[state], refused));
                 step();
                 predictions
@@ -89,7 +89,7 @@ fn predict(
     data: &Data,
     state: usize,
     set: &ParameterSet,
-    refit: Refit,
+    retrain: Retrain,
     kind: StateKind,
 ) -> Result<Vec<Vec<f64>>, tidemap_model::models::CannotFit> {
     let mut known: Vec<Sample> = data.train[state].clone();
@@ -98,7 +98,7 @@ fn predict(
     for (index, test) in data.tests.iter().enumerate() {
         let samples = &test.samples[state];
         predictions.push(samples.iter().map(|sample| model.predict(sample.moment())).collect());
-        if refit == Refit::Each && index + 1 < data.tests.len() && !samples.is_empty() {
+        if retrain == Retrain::Each && index + 1 < data.tests.len() && !samples.is_empty() {
             known.extend_from_slice(samples);
             model = set.fit(&known, kind)?;
         }

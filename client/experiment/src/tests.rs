@@ -38,7 +38,7 @@ const PROTOCOL: &str = "\
 zone: UTC
 train: train.csv
 test: [one.csv, two.csv]
-refit: REFIT
+retrain: RETRAIN
 models:
   - mean
   - latest
@@ -86,7 +86,7 @@ fn tuned(outcome: &Comparison) -> Vec<(String, bool, Vec<f64>)> {
 #[test]
 fn models_that_know_the_rhythm_win() {
     let folder = folder();
-    let outcome = ran(folder.path(), &PROTOCOL.replace("REFIT", "never"));
+    let outcome = ran(folder.path(), &PROTOCOL.replace("RETRAIN", "never"));
     let histogram = &outcome.models[2];
     // The week, at the resolution of hours: neither coarse bins nor a day alone can show it.
     assert!(histogram.parameters == "bins=24 cycle=weekend", "{}", histogram.parameters);
@@ -101,9 +101,9 @@ fn models_that_know_the_rhythm_win() {
 
 #[test]
 fn tuning_sees_no_test_data() {
-    for refit in ["never", "each"] {
+    for retrain in ["never", "each"] {
         let folder = folder();
-        let text = PROTOCOL.replace("REFIT", refit);
+        let text = PROTOCOL.replace("RETRAIN", retrain);
         let before = ran(folder.path(), &text);
         // A door that is open at night: a choice that saw the test data would differ.
         fs::write(folder.path().join("one.csv"), recording(28, 7, 9)).unwrap();
@@ -122,9 +122,9 @@ fn tuning_sees_no_test_data() {
 #[test]
 fn test_sets_are_learned_only_where_asked_and_only_once_they_are_past() {
     let folder = folder();
-    let predictions = |refit: &str, one: String| {
+    let predictions = |retrain: &str, one: String| {
         fs::write(folder.path().join("one.csv"), one).unwrap();
-        let outcome = ran(folder.path(), &PROTOCOL.replace("REFIT", refit));
+        let outcome = ran(folder.path(), &PROTOCOL.replace("RETRAIN", retrain));
         outcome.models.into_iter().map(|model| model.score.predictions).collect::<Vec<_>>()
     };
     let (usual, other) = (recording(28, 7, 0), recording(28, 7, 5));
@@ -146,7 +146,7 @@ fn states_are_learned_apart_and_scored_together() {
         let lamp = lamp.replace(",lamp,0", ",lamp,x").replace(",lamp,1", ",lamp,0").replace(",lamp,x", ",lamp,1");
         text + &lamp
     };
-    let text = PROTOCOL.replace("REFIT", "never");
+    let text = PROTOCOL.replace("RETRAIN", "never");
     let door = ran(folder.path(), &text);
     for (name, first_day, days) in [("train.csv", 0, 28), ("one.csv", 28, 7), ("two.csv", 35, 7)] {
         fs::write(folder.path().join(name), both(recording(first_day, days, 0))).unwrap();
@@ -176,8 +176,8 @@ fn portions_of_states_give_the_results_of_the_whole() {
     for (name, first_day, days) in [("train.csv", 0, 28), ("one.csv", 28, 7), ("two.csv", 35, 7)] {
         fs::write(folder.path().join(name), states(recording(first_day, days, 0))).unwrap();
     }
-    for refit in ["never", "each"] {
-        let text = format!("{}predictions: off\n", PROTOCOL.replace("REFIT", refit));
+    for retrain in ["never", "each"] {
+        let text = format!("{}predictions: off\n", PROTOCOL.replace("RETRAIN", retrain));
         let protocol = protocol(folder.path(), &text);
         let whole = run(&protocol, &|_, _| ()).unwrap();
         for readings_max in [1, 5_000, 9_000] {
@@ -200,7 +200,7 @@ fn portions_of_states_give_the_results_of_the_whole() {
 #[test]
 fn every_pair_of_models_is_compared() {
     let folder = folder();
-    let outcome = ran(folder.path(), &PROTOCOL.replace("REFIT", "never"));
+    let outcome = ran(folder.path(), &PROTOCOL.replace("RETRAIN", "never"));
     assert_eq!(
         outcome.pairs.iter().map(|pair| (pair.model, pair.other)).collect::<Vec<_>>(),
         [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
@@ -219,7 +219,7 @@ fn every_pair_of_models_is_compared() {
 #[test]
 fn wrong_data_is_named_with_its_place() {
     let folder = folder();
-    let text = PROTOCOL.replace("REFIT", "each");
+    let text = PROTOCOL.replace("RETRAIN", "each");
     let with = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     let found = problem(folder.path(), &text.replace("two.csv", "none.csv"));
     assert!(found.starts_with("test file ") && found.contains("none.csv cannot be read: No such file"), "{found}");
@@ -274,7 +274,7 @@ fn values_beyond_a_probability_need_a_kind_and_a_model_that_takes_them() {
 #[test]
 fn the_same_protocol_writes_the_same_files() {
     let folder = folder();
-    let text = PROTOCOL.replace("REFIT", "each");
+    let text = PROTOCOL.replace("RETRAIN", "each");
     let written = |name: &str| {
         let protocol = Protocol {
             predictions: Predictions::Every { nanos: 3600 * 1_000_000_000 },
@@ -309,7 +309,7 @@ fn the_same_protocol_writes_the_same_files() {
 fn names_do_not_break_the_picture() {
     let folder = folder();
     let text = PROTOCOL
-        .replace("REFIT", "never")
+        .replace("RETRAIN", "never")
         .replace("- mean", "- mean: {name: 'a<b>&\"'}")
         .replace("baseline: mean", "name: <x>");
     let protocol = protocol(folder.path(), &text);
@@ -348,7 +348,7 @@ fn nothing_in_the_picture_overlaps_a_text() {
     let folder = folder();
     let long = "a model with a name that is longer than what anyone would like to read";
     let text = PROTOCOL
-        .replace("REFIT", "never")
+        .replace("RETRAIN", "never")
         .replace("- mean", &format!("- mean: {{name: '{long}'}}"))
         .replace("baseline: mean", &format!("name: '{}'", [long; 3].join(" ")));
     let protocol = protocol(folder.path(), &text);

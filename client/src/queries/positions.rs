@@ -60,8 +60,8 @@ pub struct PositionForecast {
     pub expected_m: Vec<f64>,
     /// Probability that the position is outside the cells of the region.
     pub outside: f64,
-    /// Expected number of positions in the window, everywhere; that of a cell is this times its probability. 0 without
-    /// a window.
+    /// Expected number of positions in the window, in all cells together; for one cell, multiply it by the cell's
+    /// probability. 0 without a window.
     pub expected_count: f64,
     /// Centre of each cell in metres, and its probability; most probable first.
     pub cells: Vec<(Vec<f64>, f64)>,

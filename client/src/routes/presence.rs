@@ -17,7 +17,8 @@ use crate::{connection::Client, error::Error, queries::ModelSelector};
 pub struct PresenceQuery {
     /// Name of the map.
     pub map: String,
-    /// Name of the target: the states `node/N/OBJECT`; empty: the states with the names of the nodes.
+    /// Name of the target: presence is read from the states `node/N/OBJECT`. Empty: from the states that are named like
+    /// the nodes.
     pub object: String,
     /// Times, nanoseconds UTC; at least one.
     pub times_nanos: Vec<i64>,

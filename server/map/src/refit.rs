@@ -91,7 +91,7 @@ struct Limits {
 
 const LIMITS: Limits = Limits { refits: refits_max, readings: REFIT_READINGS };
 
-/// A state with models due.
+/// A state with models that are due to be trained.
 struct Due<'a> {
     wanted: ReadingsRequest,
     state_kind: StateKind,

@@ -127,8 +127,8 @@ impl Traversal {
     }
 }
 
-/// The travel state of an edge with this extent, and the number that is divided by the duration: metres, or nominal
-/// seconds.
+/// The travel state of an edge with this extent, and the number that a traversal's duration divides: metres for a
+/// speed, or nominal seconds for a pace.
 fn travel(extent: Extent) -> (EdgeState, f64) {
     match (extent.length_m, extent.nominal_secs) {
         (Some(length_m), _) => (EdgeState::Speed, length_m),

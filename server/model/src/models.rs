@@ -125,7 +125,7 @@ pub enum CannotFit {
          needs no regular ones"
     )]
     Irregular { interval_secs: f64, at_secs: f64, after_secs: f64 },
-    /// The training was asked to stop.
+    /// The training was told to stop.
     #[error(transparent)]
     Stop(#[from] EarlyStop),
 }

@@ -98,8 +98,8 @@ pub enum Bounds {
     /// [`Bounds::Known`] with few labels; if they do not suffice, [`Bounds::Sampled`] with four samples.
     #[default]
     Auto,
-    /// The bounds of [`Forecasts::best`], or else none: a success of 1 in no time. This never misses a better route,
-    /// but a map of more than about 15 nodes without bounds uses up any number of labels.
+    /// The bounds of [`Forecasts::best`]. An edge without one counts as certain to succeed, in no time. So no better
+    /// route is missed, but on a map of more than about 15 nodes the search then reaches its limit of labels.
     Known,
     /// The best of about this many forecasts, 1 to [`SAMPLES_MAX`], spread evenly over twice the time of a good route.
     /// A route is missed only if an edge of it is better, or open, between the samples only; this cannot be excluded.

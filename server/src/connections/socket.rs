@@ -17,7 +17,7 @@ use tokio::{
 
 use super::tls::TlsSocket;
 
-/// A connection of one of the kinds.
+/// A connection over TCP, TLS or the Unix socket.
 #[derive(Debug)]
 pub(crate) enum Socket {
     /// Over TCP.

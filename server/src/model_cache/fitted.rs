@@ -45,7 +45,7 @@ impl CachedModel {
     ///
     /// # Errors
     /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or the training
-    /// is asked to stop.
+    /// is told to stop.
     pub(crate) fn fit(
         kind: ModelKind,
         state_kind: StateKind,

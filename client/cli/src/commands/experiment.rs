@@ -127,7 +127,7 @@ fn compare(args: &CompareArgs, format: Format) -> anyhow::Result<ExitCode> {
     let protocol = tidemap_experiment::read(&args.protocol).map_err(|error| refused(&args.protocol, &error))?;
     let outcome = conduct(
         args.out.as_ref().unwrap_or(&protocol.out),
-        "fits",
+        "models",
         |bar| tidemap_experiment::run(&protocol, &|done, total| bar.set_of(done, total)).with_context(|| args.shown()),
         |outcome, out| tidemap_experiment::write(&protocol, outcome, out),
         |outcome, stdout| tidemap_experiment::summary(&protocol, outcome, format, stdout),

@@ -11,7 +11,7 @@
 //! - `protocol.rs`: YAML to [`OfficeProtocol`]; `space.rs`: the office as lattice, truth and scene;
 //! - `explorer.rs`: a map in this process ([`LiveMap`](tidemap_map::live_map::LiveMap)) with its tours and
 //!   observations;
-//! - `run.rs`: slot by slot: first all explorers are judged, then the tours take place; updates at midnight;
+//! - `run.rs`: goes slot by slot: all explorers are judged before any tour takes place; updates run at midnight;
 //! - `report.rs`: results.csv, slots.csv; `picture.rs`: exploration.svg.
 //!
 //! A tour is planned by `plan_tour` on the explorer's prediction; an observation is `ViewScorer::cells` on the truth,

@@ -48,7 +48,7 @@ pub(crate) struct RawProtocol {
     pub states: Option<Words>,
     pub train: Option<Words>,
     pub test: Option<Words>,
-    pub refit: Option<Word>,
+    pub retrain: Option<Word>,
     pub models: Option<Vec<RawModel>>,
     pub tuning: Option<RawTuning>,
     pub baseline: Option<Word>,

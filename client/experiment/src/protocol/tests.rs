@@ -12,7 +12,7 @@ name: door
 zone: Europe/London
 train: [data/train.csv]
 test: [week1.csv, more/week1.csv, week2.csv]
-refit: each
+retrain: each
 states: [door, lamp]
 models:
   - mean
@@ -55,7 +55,7 @@ fn everything_of_a_protocol_is_read() {
         tests,
         [("week1", path("lab/week1.csv")), ("week1-2", path("lab/more/week1.csv")), ("week2", path("lab/week2.csv"))]
     );
-    assert_eq!(protocol.refit, Refit::Each);
+    assert_eq!(protocol.retrain, Retrain::Each);
     assert_eq!(protocol.states, ["door", "lamp"]);
     assert_eq!(protocol.tuning, Some(Tuning { folds: 4, fold_nanos: 7 * 86_400 * 1_000_000_000 }));
     assert_eq!((protocol.baseline, protocol.significance), (2, 0.1));
@@ -84,7 +84,7 @@ fn what_may_be_left_out_has_a_default() {
         parsed("zone: UTC\ntrain: a.csv\ntest: b.csv\nmodels: [mean, spectral]\npredictions: off\nout: o").unwrap();
     assert_eq!(protocol.name, "stem");
     assert_eq!((protocol.kind, protocol.format), (StateKind::Probability, RowFormat::Csv));
-    assert_eq!((protocol.refit, protocol.tuning), (Refit::Never, None));
+    assert_eq!((protocol.retrain, protocol.tuning), (Retrain::Never, None));
     assert_eq!((protocol.baseline, protocol.significance), (0, 0.05));
     assert_eq!(protocol.predictions, Predictions::Off);
     assert!(protocol.states.is_empty());
@@ -92,8 +92,8 @@ fn what_may_be_left_out_has_a_default() {
 
 #[test]
 fn an_unknown_key_is_named_with_its_line_and_the_keys_there_are() {
-    let message = refused_with("refit: each", "refits: each");
-    assert!(message.contains("line 5") && message.contains("refits") && message.contains("refit,"), "{message}");
+    let message = refused_with("retrain: each", "retrains: each");
+    assert!(message.contains("line 5") && message.contains("retrains") && message.contains("retrain,"), "{message}");
     let message = refused_with("{folds: 4, fold: 7d}", "{folds: 4, length: 7d}");
     assert!(message.contains("line 12") && message.contains("length") && message.contains("fold"), "{message}");
 }
@@ -149,7 +149,7 @@ fn a_list_that_nothing_chooses_from_is_refused() {
 fn wrong_values_are_named_with_their_lines() {
     for (line, other, begins) in [
         ("zone: Europe/London", "zone: Mars/Base", "line 2: zone is \"Mars/Base\": it has to be the IANA time zone"),
-        ("refit: each", "refit: daily", "line 5: refit is \"daily\": it has to be one of: never, each"),
+        ("retrain: each", "retrain: daily", "line 5: retrain is \"daily\": it has to be one of: never, each"),
         ("folds: 4", "folds: 0", "line 12: folds is \"0\": it has to be a whole number"),
         ("fold: 7d", "fold: week", "line 12: fold is \"week\": it has to be a duration"),
         (

@@ -100,7 +100,7 @@ impl Window {
         self.take(Item::Scan(Box::new(KeptScan { time_nanos, digest, tiles, content })))
     }
 
-    /// Continues from a table of tiles: those of the last scan that the daemon has.
+    /// Continues from the table of tiles after the last scan that the daemon has.
     pub fn go_on_from(&mut self, tiles: TileTable) {
         debug_assert!(self.entries.is_empty(), "scans follow it");
         self.base = tiles.picture().clone();

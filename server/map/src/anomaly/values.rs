@@ -58,11 +58,10 @@ impl ValueJudge {
     }
 
     /// The p-value of a value at a moment: the probability of a value at least as far from the prediction, to either
-    /// side. The variance is at least that between days of the hour, as in prediction intervals. The variance of counts
-    /// is proportional to the rate.
+    /// side.
     ///
-    /// The variance is not less than that between days of the hour, as prediction intervals take it: the hours of some
-    /// states differ in how much they vary. That of counts goes with the rate.
+    /// The variance is at least the variance between days at that hour, as for prediction intervals, because some
+    /// states vary more at some hours. The variance of counts is proportional to their rate.
     #[must_use]
     pub fn tail(&self, value: f64, expected: f64, at: Moment) -> f64 {
         let between_days = self.spreads.variance_between_days(at);

@@ -345,7 +345,7 @@ fn without(arrival: Arrival, erased: &[u64]) -> Arrival {
     Arrival { number: renumbered(arrival.number, erased), ..arrival }
 }
 
-/// The number of an observation that is left, or of the last one up to it.
+/// The new number of an observation. If it was erased: the new number of the last observation before it that is left.
 pub(super) fn renumbered(number: u64, erased: &[u64]) -> u64 {
     number.saturating_sub(erased.partition_point(|erased| *erased <= number) as u64)
 }

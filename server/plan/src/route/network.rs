@@ -1,7 +1,7 @@
 //! A topological map laid out for searches: indices instead of numbers, edges by their ends.
 //!
-//! Invariant: nodes are ascending by number, the edges of a node ascending by number, so that ties are always broken
-//! alike.
+//! Invariant: nodes are ascending by number, and so are the edges of a node, so that of equal routes the same one is
+//! always chosen.
 
 use tidemap_map::topology::{Edge, NodeId, Topology};
 

@@ -5,7 +5,7 @@
 use anyhow::bail;
 use http::HeaderMap;
 
-/// A span that is recorded: there is none.
+/// Stands for a recorded span. It has no values, because nothing is recorded.
 #[derive(Clone)]
 pub(super) enum Recorder {}
 

@@ -145,7 +145,7 @@ impl RefusalReport {
         Self { bar, noun, verb, wrong: 0, reported: 0, torn: false, kept: None }
     }
 
-    /// Also keeps the rows.
+    /// Adds refused rows to `kept`, so that they can be written to a file.
     pub(crate) fn keeping(self, kept: Option<RefusedRows>) -> Self {
         Self { kept, ..self }
     }

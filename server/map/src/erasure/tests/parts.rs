@@ -70,7 +70,11 @@ fn story(steps: &[Step]) -> Vec<Event> {
                 producer: ProducerId(step.producer),
                 new_producer: (sequences[producer] == 0).then(|| key.into()),
                 incarnation: 1,
-                span: SequenceSpan { first: sequences[producer] + 1, last: sequences[producer] + u64::from(count), content_crc: 7 },
+                span: SequenceSpan {
+                    first: sequences[producer] + 1,
+                    last: sequences[producer] + u64::from(count),
+                    content_crc: 7,
+                },
                 // What lies on the day after tomorrow waits.
                 received_nanos: from + DAY,
                 refused: Vec::new(),
