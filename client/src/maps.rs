@@ -7,11 +7,11 @@ mod site;
 pub use site::Location;
 pub(crate) use site::point_from_wire;
 
-pub use tidemap_map::event::{Dimensions, StateKind, StateShape};
-pub use tidemap_map::grid::{
+pub use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
 };
+pub use tidemap_map::event::{Dimensions, StateKind, StateShape};
 pub use tidemap_model::{EnabledModels, OrderCriterion, PeriodicityDefinition};
 use tidemap_proto::convert::time::{duration, instant, span};
 use tidemap_proto::convert::{

@@ -26,14 +26,15 @@ pub use tidemap_proto::convert::traversals::TraversalReport;
 
 /// Tiles of a grid, and the table by which scans of them are sent as differences.
 pub mod tiles {
-    pub use tidemap_map::grid::{
+    pub use tidemap_grid::{
         index::TileIndex,
         mask::{Mask, TileMasks},
     };
     pub use tidemap_proto::convert::scans::{MASK_BYTES, TileError, TilePicture, TileTable, pack_seen};
 }
 
-pub use tidemap_map::{grid::sensors::ProducerSensor, ids::RefusalReason};
+pub use tidemap_grid::sensors::ProducerSensor;
+pub use tidemap_map::ids::RefusalReason;
 
 use crate::error::Error;
 

@@ -12,7 +12,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, name::MapName, update::StateOutcome};
+use tidemap_grid::outcome::GridOutcome;
+use tidemap_map::{event::UpdateCause, name::MapName, update::StateOutcome};
 use tokio::sync::watch;
 
 use crate::telemetry::traces::Span;

@@ -5,17 +5,12 @@
 
 use std::{borrow::Cow, sync::Arc};
 
+use tidemap_grid::{
+    index::{CellIndex, TileId},
+    view::CellDescription,
+};
 use tidemap_map::{
-    event::StateKind,
-    grid::{
-        index::{CellIndex, TileId},
-        view::CellDescription,
-    },
-    history::Subject,
-    ids::StateId,
-    interval::cell_intervals,
-    predict::PreparedTimes,
-    view::MapView,
+    event::StateKind, history::Subject, ids::StateId, interval::cell_intervals, predict::PreparedTimes, view::MapView,
 };
 use tidemap_model::{
     Persistence, Sample,

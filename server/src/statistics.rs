@@ -4,7 +4,7 @@
 
 use std::sync::{Arc, atomic::Ordering};
 
-use tidemap_map::grid::index::TileId;
+use tidemap_grid::index::TileId;
 use tidemap_store::{Sizes, Trouble};
 
 use crate::{catalog::Catalog, ingest::handle::MapHandle, jobs::Phase};

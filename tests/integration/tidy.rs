@@ -13,18 +13,20 @@ use std::{
 };
 
 /// Folder, package, and the workspace's packages that it may depend on.
-const CRATES: [(&str, &str, &[&str]); 15] = [
+const CRATES: [(&str, &str, &[&str]); 16] = [
     ("migrations", "tidemap-migrations", &[]),
     ("server/model", "tidemap-model", &[]),
-    ("server/map", "tidemap-map", &["tidemap-model"]),
+    ("server/grid", "tidemap-grid", &["tidemap-model"]),
+    ("server/map", "tidemap-map", &["tidemap-grid", "tidemap-model"]),
     ("server/picture", "tidemap-picture", &[]),
-    ("server/plan", "tidemap-plan", &["tidemap-map", "tidemap-model"]),
-    ("server/store", "tidemap-store", &["tidemap-map", "tidemap-migrations", "tidemap-model"]),
-    ("proto", "tidemap-proto", &["tidemap-map", "tidemap-model", "tidemap-plan"]),
+    ("server/plan", "tidemap-plan", &["tidemap-grid", "tidemap-map", "tidemap-model"]),
+    ("server/store", "tidemap-store", &["tidemap-grid", "tidemap-map", "tidemap-migrations", "tidemap-model"]),
+    ("proto", "tidemap-proto", &["tidemap-grid", "tidemap-map", "tidemap-model", "tidemap-plan"]),
     (
         "server",
         "tidemapd",
         &[
+            "tidemap-grid",
             "tidemap-map",
             "tidemap-migrations",
             "tidemap-model",
@@ -34,7 +36,7 @@ const CRATES: [(&str, &str, &[&str]); 15] = [
             "tidemap-store",
         ],
     ),
-    ("client", "tidemap-client", &["tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-proto"]),
+    ("client", "tidemap-client", &["tidemap-grid", "tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-proto"]),
     (
         "client/cli",
         "tidemap",
@@ -43,7 +45,7 @@ const CRATES: [(&str, &str, &[&str]); 15] = [
     (
         "client/experiment",
         "tidemap-experiment",
-        &["tidemap-formats", "tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-sim"],
+        &["tidemap-formats", "tidemap-grid", "tidemap-map", "tidemap-model", "tidemap-plan", "tidemap-sim"],
     ),
     ("client/formats", "tidemap-formats", &["tidemap-map", "tidemap-model", "tidemap-picture"]),
     ("client/sim", "tidemap-sim", &[]),
@@ -56,11 +58,12 @@ const CRATES: [(&str, &str, &[&str]); 15] = [
 /// them.
 const APART: [(&str, &str, &[&str]); 2] = [
     ("client/python", "tidemap-python", &["tidemap-client", "tidemap-experiment", "tidemap-model", "tidemap-proto"]),
-    ("tests/fuzz", "tidemap-fuzz", &["tidemap-formats", "tidemap-map", "tidemap-proto", "tidemap-store"]),
+    ("tests/fuzz", "tidemap-fuzz", &["tidemap-formats", "tidemap-grid", "tidemap-proto", "tidemap-store"]),
 ];
 
 /// Crates that do no I/O, read no clock and draw no hidden randomness.
-const PURE: [&str; 6] = ["server/model", "server/map", "server/picture", "server/plan", "client/formats", "client/sim"];
+const PURE: [&str; 7] =
+    ["server/model", "server/grid", "server/map", "server/picture", "server/plan", "client/formats", "client/sim"];
 
 /// Names that a pure crate must not use.
 const IMPURE: [&str; 18] = [

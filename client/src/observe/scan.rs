@@ -3,7 +3,7 @@
 //! Invariant: a scan is sent as given; the daemon checks whether it is valid for the map.
 
 pub use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
+use tidemap_grid::{index::TileIndex, mask::TileMasks};
 use tidemap_proto::{
     convert::grid::pose_to_wire,
     v1::{self, scan::Content},

@@ -5,7 +5,7 @@
 //!
 //! Invariant: the daemon decodes exactly what the producer has seen; no message exceeds the limits.
 
-use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
+use tidemap_grid::{index::TileIndex, mask::TileMasks};
 use tidemap_proto::{
     convert::scans::{MASK_BYTES, TilePicture, pack_flips, set_masks, set_times, split, unpack_flips},
     v1::{Scan, ScanBatch, TileScan, scan::Content},

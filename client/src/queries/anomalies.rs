@@ -3,8 +3,8 @@
 //! Invariant: past anomalies come by time, each once, within the requested interval; watched anomalies come in the
 //! order in which the daemon applied them, and missed observations are counted.
 
+use tidemap_grid::index::CellBox;
 pub use tidemap_map::anomaly::Anomaly;
-use tidemap_map::grid::index::CellBox;
 use tidemap_proto::{
     convert::{grid::cell_box_to_wire, query::selector_to_wire, time::timestamp},
     v1,

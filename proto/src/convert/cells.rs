@@ -3,15 +3,13 @@
 //! Invariant: a tile on the wire has a value for each known cell, from its masks and levels or from its list.
 
 use prost::Message as _;
-use tidemap_map::{
-    grid::{
-        index::{CellIndex, TILE_CELLS},
-        mask::Mask,
-        predict::{CellOutput, GridQuestion, GridSelection, TileCells},
-        view::{CellDescription, GridView},
-    },
-    view::MapView,
+use tidemap_grid::{
+    index::{CellIndex, TILE_CELLS},
+    mask::Mask,
+    predict::{CellOutput, GridQuestion, GridSelection, TileCells},
+    view::{CellDescription, GridView},
 };
+use tidemap_map::view::MapView;
 use tidemap_model::ORDER_MAX;
 
 use super::{
@@ -164,7 +162,7 @@ pub fn cell_alarm_to_wire(cell: CellIndex, description: &CellDescription) -> v1:
 
 #[cfg(test)]
 mod tests {
-    use tidemap_map::grid::index::TileIndex;
+    use tidemap_grid::index::TileIndex;
 
     use super::*;
 

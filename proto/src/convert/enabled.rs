@@ -2,7 +2,7 @@
 //!
 //! Invariant: a refusal names the valid models; the spectral model is always included.
 
-use tidemap_map::grid::spec::Retention;
+use tidemap_grid::spec::Retention;
 use tidemap_model::{EnabledModels, FitKind};
 
 use super::InvalidField;

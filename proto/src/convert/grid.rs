@@ -3,7 +3,7 @@
 //! Invariant: a specification from [`grid_from_wire`] has passed `GridSpec::check`.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, InvalidGrid, Retention, SensorNoise},
     view::GridView,

@@ -1,9 +1,9 @@
 //! Maps, their periodicities, their states and refusals.
 
 use prost_types::Duration;
+use tidemap_grid::spec::Retention;
 use tidemap_map::{
     event::StateKind,
-    grid::spec::Retention,
     ids::{RefusalReason, StateId},
     name::MapName,
     spec::MapSpec,

@@ -1,13 +1,11 @@
 //! Values of the domain survive the way to the wire and back.
 
 use proptest::prelude::*;
-use tidemap_map::{
-    grid::{
-        index::{CellBox, CellIndex},
-        spec::{GridSpec, Retention, SensorNoise},
-    },
-    ids::RefusalReason,
+use tidemap_grid::{
+    index::{CellBox, CellIndex},
+    spec::{GridSpec, Retention, SensorNoise},
 };
+use tidemap_map::ids::RefusalReason;
 use tidemap_model::{
     ORDER_MAX, OrderCriterion, Periodicities,
     models::HistogramCycle,

@@ -6,10 +6,8 @@
 //! of the order of the stream is an error of the message; an error within one scan refuses that scan and leaves the
 //! picture unchanged. The slots that it names are then in doubt until their masks are sent.
 
-use tidemap_map::{
-    grid::{log_head::StreamScan, raycast::Readings},
-    ids::RefusalReason,
-};
+use tidemap_grid::{log_head::StreamScan, raycast::Readings};
+use tidemap_map::ids::RefusalReason;
 
 use super::{InvalidField, OverLimit};
 

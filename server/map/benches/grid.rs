@@ -6,13 +6,13 @@
 use std::{hint::black_box, sync::Arc, sync::atomic::AtomicU64};
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
+use tidemap_grid::{
+    index::TileId,
+    log_head::LogHead,
+    spec::{GridSpec, Retention},
+};
 use tidemap_map::{
     event::{Event, UpdateCause},
-    grid::{
-        index::TileId,
-        log_head::LogHead,
-        spec::{GridSpec, Retention},
-    },
     live_map::LiveMap,
     snapshot::MapSnapshot,
     spec::MapSpec,

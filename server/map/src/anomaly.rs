@@ -3,14 +3,15 @@
 //! A past observation is judged by the model of one view. A watched observation is judged by the models in force when
 //! the watch processes it, even if the observation itself must wait to be learned. Models that answer from the newest
 //! value judge nothing, because at the time of an old observation that value was another. A scan is logged as changed
-//! bits of tiles, so a watch follows those of its cells ([`crate::grid::follower`]).
+//! bits of tiles, so a watch follows those of its cells ([`tidemap_grid::follower`]).
 //!
 //! Invariant: only this module decides what an anomaly is. A probability of one half is never sure enough, so an
 //! untrained state has no anomalies.
 
+use tidemap_grid::view::GridView;
 use tidemap_model::selector::{ModelKind, ModelSelector};
 
-use crate::{grid::view::GridView, history::Reading, view::MapView};
+use crate::{history::Reading, view::MapView};
 
 /// How sure a model must be for an observation of the contrary to count as an anomaly: above 0.5, at most 1.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]

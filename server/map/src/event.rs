@@ -12,8 +12,9 @@
 use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, Sample, allows_angle, time::FUTURE_MAX_NANOS};
 pub use tidemap_model::{Dimensions, Position, StateKind};
 
+use tidemap_grid::scan::Scans;
+
 use crate::{
-    grid::scan::Scans,
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::StateName,
     site::SiteEdit,
@@ -120,7 +121,7 @@ impl Observations {
 pub struct NewState {
     /// Its id; for a vector or an angle, the id of the first axis, followed by the others.
     pub id: StateId,
-    /// Its name.
+    /// The name, which no other state of the map has.
     pub name: StateName,
     /// What it is.
     pub shape: StateShape,

@@ -5,13 +5,12 @@
 //!
 //! Invariant: readings come back to the last bit, whatever model they were kept against.
 
+use tidemap_grid::{day::GridDay, index::TileId};
 use tidemap_model::Sample;
 
 use self::origins::Origins;
-use crate::{
-    grid::{day::GridDay, index::TileId},
-    ids::StateId,
-};
+
+use crate::ids::StateId;
 
 mod bits;
 mod choose;
@@ -26,6 +25,7 @@ mod turn;
 mod tests;
 
 pub use recall::cell_readings;
+pub(crate) use recall::day_readings;
 
 /// What was observed: nanoseconds UTC, and value.
 pub type Reading = (i64, f64);

@@ -2,7 +2,9 @@
 //!
 //! Invariant: ids are dense from 0, given in the order of the log, and never reused.
 
-use crate::{grid::sensors::ProducerSensor, name::ProducerKey};
+use tidemap_grid::sensors::ProducerSensor;
+
+use crate::name::ProducerKey;
 
 /// Index of a state within its map: dense from 0, in order of first appearance, never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

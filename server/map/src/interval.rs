@@ -3,12 +3,13 @@
 //! Invariant: a band holds its prediction and lies in the bounds of the state's kind. The band of a probability that
 //! was never observed is [0, 1]; a state of another kind has none then.
 
+use tidemap_grid::view::CellDescription;
 use tidemap_model::{
     StateKind,
     models::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval},
 };
 
-use crate::{grid::view::CellDescription, ids::StateId, view::MapView};
+use crate::{ids::StateId, view::MapView};
 
 const HOUR_SECS: f64 = 3600.0;
 const HOUR_NANOS: i64 = 3_600_000_000_000;

@@ -8,7 +8,6 @@ pub mod anomaly;
 pub mod edge_forecast;
 pub mod erasure;
 pub mod event;
-pub mod grid;
 pub mod history;
 pub mod ids;
 pub mod interval;

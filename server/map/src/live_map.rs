@@ -6,12 +6,12 @@
 
 use std::{collections::HashMap, sync::Arc};
 
+use tidemap_grid::{live::LiveGrid, view::GridView};
 use tidemap_model::StateModel;
 
 use crate::{
     directory::{Directory, StateInfo},
     event::{Event, StateKind, StateShape, UpdateStart},
-    grid::{live::LiveGrid, view::GridView},
     ids::{ProducerId, StateId},
     name::ProducerKey,
     pending::{Origin, Pending},
@@ -195,7 +195,7 @@ impl LiveMap {
     /// Pending data that an update could learn, without that of a running update: observations, and changes of scans,
     /// which are what memory holds.
     pub fn pending(&self) -> u64 {
-        self.pending.total() + self.grid.as_ref().map_or(0, |grid| grid.pending_changes)
+        self.pending.total() + self.grid.as_ref().map_or(0, LiveGrid::pending_changes)
     }
 
     /// Observations and scans that wait because their time is too far in the future.
@@ -213,14 +213,14 @@ impl LiveMap {
     pub fn pending_load(&self, limits: PendingLimits, with_running: bool) -> f64 {
         let taken = self.running.map(|(_, taken)| taken).filter(|_| with_running).unwrap_or_default();
         let observations = self.pending.total() + taken.observations;
-        let changes = self.grid.as_ref().map_or(0, |grid| grid.pending_changes) + taken.changes;
+        let changes = self.grid.as_ref().map_or(0, LiveGrid::pending_changes) + taken.changes;
         let share = |held: u64, limit: u64| held as f64 / limit.max(1) as f64;
         share(observations, limits.observations).max(share(changes, limits.changes))
     }
 
     /// The earliest time of the pending observations, nanoseconds UTC, or earlier.
     pub fn pending_since_nanos(&self) -> Option<i64> {
-        let scans = self.grid.as_ref().and_then(|grid| grid.oldest_pending_nanos);
+        let scans = self.grid.as_ref().and_then(LiveGrid::oldest_pending_nanos);
         [self.pending.oldest_nanos(), scans].into_iter().flatten().min()
     }
 

@@ -7,8 +7,6 @@ use std::{fmt, sync::Arc};
 use tidemap_model::{ANGLE_AXES, Dimensions};
 use unicode_normalization::is_nfc;
 
-use crate::grid::index::{CellIndex, TILE_EDGE, TILE_LIMIT};
-
 mod edge;
 
 pub use edge::{EDGE_STATE_CHARS_MAX, EdgeName, EdgeState};
@@ -274,40 +272,6 @@ impl std::borrow::Borrow<str> for StateName {
 impl fmt::Display for StateName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0)
-    }
-}
-
-/// Minimum index of a cell along an axis.
-const CELL_MIN: i32 = -TILE_LIMIT * TILE_EDGE;
-/// Maximum index of a cell along an axis.
-const CELL_MAX: i32 = TILE_LIMIT * TILE_EDGE - 1;
-
-/// A name that starts like a cell's and is invalid. The payload is the name, shortened and escaped for display.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not the name of a cell: write cell/X/Y/Z, its index along each axis, from {CELL_MIN} to {CELL_MAX}")]
-pub struct InvalidCellName(String);
-
-impl CellIndex {
-    /// The cell of a name `cell/X/Y/Z`; `None` for a name that does not begin with `cell/`.
-    ///
-    /// # Errors
-    /// [`InvalidCellName`] where what follows is not three indices as [`CellIndex::name`] writes them.
-    pub fn from_name(name: &str) -> Option<Result<CellIndex, InvalidCellName>> {
-        let parts = name.strip_prefix("cell/")?;
-        let mut indices = parts.splitn(4, '/').map(|part| {
-            let index = part.parse::<i32>().ok()?;
-            // One name for one cell: no +1, 01 or -0.
-            let is_plain = part.len() == index.to_string().len() && !part.starts_with('+');
-            Some(index).filter(|index| is_plain && (CELL_MIN..=CELL_MAX).contains(index))
-        });
-        let mut next = || indices.next().flatten();
-        let cell = next().zip(next()).zip(next()).map(|((x, y), z)| CellIndex { x, y, z });
-        Some(cell.filter(|_| indices.next().is_none()).ok_or_else(|| InvalidCellName(shown(name))))
-    }
-
-    /// The cell's name, `cell/X/Y/Z`.
-    pub fn name(self) -> String {
-        format!("cell/{}/{}/{}", self.x, self.y, self.z)
     }
 }
 

@@ -3,21 +3,18 @@
 //! Invariant: a prediction lies in the bounds of its state's kind, a probability in [0, 1]. The phasors of a set of
 //! times are computed once and shared by all states.
 
+use tidemap_grid::{
+    predict::{GridQuestion, GridSelection, TileCells},
+    tile::TileUnavailable,
+    view::{CellDescription, GridView},
+};
 use tidemap_model::{
     ActiveModel, InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     models::{Moment, TemporalModel},
     selector::{ModelKind, ModelSelector},
 };
 
-use crate::{
-    grid::{
-        predict::{GridQuestion, GridSelection, TileCells},
-        tile::TileUnavailable,
-        view::{CellDescription, GridView},
-    },
-    ids::StateId,
-    view::MapView,
-};
+use crate::{ids::StateId, view::MapView};
 
 /// Times with their phasors, ready for any number of states of one map.
 #[derive(Debug)]

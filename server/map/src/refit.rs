@@ -13,12 +13,13 @@
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use rayon::prelude::*;
+use tidemap_grid::spec::Retention;
 use tidemap_model::{
     FitKind, FittedModel, LocalDay, OffsetCache, Sample, StateModel,
     models::{CannotFit, Readings},
 };
 
-use crate::{event::StateKind, grid::spec::Retention, ids::StateId, spec::MapSpec};
+use crate::{event::StateKind, ids::StateId, spec::MapSpec};
 
 #[cfg(test)]
 mod tests;

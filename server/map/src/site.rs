@@ -5,9 +5,9 @@
 //! applied whole; any other changes nothing.
 
 use std::{collections::BTreeMap, sync::Arc};
+use tidemap_grid::index::CellIndex;
 
 use crate::{
-    grid::index::CellIndex,
     ids::StateId,
     name::{InvalidName, StateName},
     reachability::{Reachability, ReachabilityError},

@@ -6,11 +6,11 @@
 
 use std::sync::Arc;
 
+use tidemap_grid::{sensors::ProducerSensor, snapshot::GridSnapshot};
 use tidemap_model::{Persistence, StateModel};
 
 use crate::{
     event::StateKind,
-    grid::{sensors::ProducerSensor, snapshot::GridSnapshot},
     history::HistoryPiece,
     name::{ProducerKey, StateName},
     site::Site,

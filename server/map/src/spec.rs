@@ -1,11 +1,9 @@
 //! The specification of a map: the choices made when it is created, which never change afterwards.
 
+use tidemap_grid::spec::{GridSpec, Retention};
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, UpdateRules, Zone};
 
-use crate::{
-    grid::spec::{GridSpec, Retention},
-    name::MapName,
-};
+use crate::name::MapName;
 
 /// The earliest time that a real clock shows: 1 January 1990. Robots whose clock is not set begin near 1970 or 1980.
 pub const REAL_CLOCK_MIN_NANOS: i64 = 631_152_000 * 1_000_000_000;

@@ -28,17 +28,18 @@ use rayon::prelude::*;
 use tidemap_model::{Sample, StateModel, UpdateOutcome, UpdateRules, selector::ModelSelector};
 
 #[cfg(test)]
-use crate::grid::update::rules::UpdateLimits;
+use tidemap_grid::update::rules::UpdateLimits;
+use tidemap_grid::{
+    live::GridBasis,
+    outcome::GridOutcome,
+    spec::Retention,
+    tile::TileUnavailable,
+    update::{GridResult, GridWork},
+};
+
 use crate::{
     directory::Directory,
     event::{UpdateCause, UpdateStart},
-    grid::{
-        live::GridBasis,
-        outcome::GridOutcome,
-        spec::Retention,
-        tile::TileUnavailable,
-        update::{GridResult, GridWork},
-    },
     history::{HistoryDay, HistoryPiece, origins::Origins},
     ids::StateId,
     name::StateName,
@@ -159,9 +160,7 @@ impl UpdateWork {
     /// This update with other limits of the update of the grid.
     #[cfg(test)]
     pub(crate) fn with_limits(mut self, limits: UpdateLimits) -> UpdateWork {
-        if let Some(grid) = &mut self.grid {
-            grid.rules.limits = limits;
-        }
+        self.grid = self.grid.map(|grid| grid.with_limits(limits));
         self
     }
 

@@ -5,13 +5,14 @@
 
 use std::sync::Arc;
 
+use tidemap_grid::view::GridView;
 use tidemap_model::{Persistence, StateModel};
 
 pub use crate::directory::StateInfo;
+
 use crate::{
     directory::Directory,
     event::{StateKind, StateShape},
-    grid::view::GridView,
     ids::StateId,
     prior_models::PriorModels,
     site::Site,

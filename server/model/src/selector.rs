@@ -65,6 +65,7 @@ pub enum ModelKind {
 
 impl ModelKind {
     /// Whether it has an order.
+    #[inline]
     pub fn has_order(self) -> bool {
         matches!(self, ModelKind::Auto | ModelKind::Spectral | ModelKind::Uniform)
     }
@@ -196,18 +197,21 @@ impl ModelSelector {
 
     /// Whether the last value is blended in.
     #[must_use]
+    #[inline]
     pub fn is_blended(self) -> bool {
         self.persistence || self.memory
     }
 
     /// This model without the last value.
     #[must_use]
+    #[inline]
     pub fn unblended(self) -> ModelSelector {
         ModelSelector { persistence: false, memory: false, ..self }
     }
 
     /// The requested order, or the one that the last update chose; at most [`ORDER_MAX`].
     #[must_use]
+    #[inline]
     pub fn order_or(&self, chosen: usize) -> usize {
         self.order.unwrap_or(chosen).min(ORDER_MAX)
     }

@@ -10,13 +10,11 @@ use std::{
 };
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use tidemap_map::{
-    grid::{
-        index::{CellBox, CellIndex},
-        spec::GridSpec,
-    },
-    reachability::Reachability,
+use tidemap_grid::{
+    index::{CellBox, CellIndex},
+    spec::GridSpec,
 };
+use tidemap_map::reachability::Reachability;
 use tidemap_model::StopSignal;
 use tidemap_plan::{
     predicted::{Lattice, PredictedTimes},

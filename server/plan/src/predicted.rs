@@ -4,10 +4,10 @@
 //! the requested box. A cell that was never observed is unknown: it counts as 0.5, full uncertainty, and does not block
 //! a view unless the threshold is below 0.5. Cells outside the region have no information and end a view.
 //!
-//! Invariant: probabilities are those of [`tidemap_map::grid::view::GridView::predict_tile`]. A cell that does not
+//! Invariant: probabilities are those of [`tidemap_grid::view::GridView::predict_tile`]. A cell that does not
 //! change between the times is stored once.
 
-use tidemap_map::grid::{index::CellBox, spec::InvalidGrid, tile::TileUnavailable};
+use tidemap_grid::{index::CellBox, spec::InvalidGrid, tile::TileUnavailable};
 use tidemap_model::{EarlyStop, selector::ModelSelector};
 
 mod lattice;

@@ -9,7 +9,7 @@
 
 use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc};
 
-use tidemap_map::grid::index::CellIndex;
+use tidemap_grid::index::CellIndex;
 use tidemap_model::StopSignal;
 
 use crate::predicted::{Lattice, PredictedGrid};

@@ -9,7 +9,7 @@
 //!
 //! Invariant: the same request gives the same result, bit by bit, for any number of threads.
 
-use tidemap_map::grid::index::CellIndex;
+use tidemap_grid::index::CellIndex;
 
 use crate::predicted::Lattice;
 

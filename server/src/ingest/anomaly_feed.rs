@@ -5,7 +5,8 @@
 
 use std::sync::{Arc, Weak};
 
-use tidemap_map::{event::Observations, grid::scan::Scans, ids::StateId, view::MapView};
+use tidemap_grid::scan::Scans;
+use tidemap_map::{event::Observations, ids::StateId, view::MapView};
 use tokio::sync::broadcast;
 
 use super::ending::Ending;

@@ -5,9 +5,9 @@
 //! observation is refused by itself and uses up its number. If a name has no declared kind, the map's writer checks its
 //! values, because it knows the state.
 
+use tidemap_grid::spec::GridSpec;
 use tidemap_map::{
     event::{Dimensions, Position, SequenceSpan, StateKind, StateShape},
-    grid::spec::GridSpec,
     ids::RefusalReason,
     name::StateName,
     snapshot::ContentMark,

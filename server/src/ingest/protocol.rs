@@ -5,15 +5,15 @@
 
 use std::sync::Arc;
 
+use tidemap_grid::{
+    index::TileIndex,
+    log_head::StreamScan,
+    paging::SavedTiles,
+    sensors::{InvalidSensor, ProducerSensor},
+    tile::TileSource,
+};
 use tidemap_map::{
     event::{Position, SequenceSpan, StateShape, UpdateCause},
-    grid::{
-        index::TileIndex,
-        log_head::StreamScan,
-        paging::SavedTiles,
-        sensors::{InvalidSensor, ProducerSensor},
-        tile::TileSource,
-    },
     history::{HistoryPiece, Reading, Subject},
     ids::{ProducerId, RefusalReason},
     name::{ProducerKey, StateName},

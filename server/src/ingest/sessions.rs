@@ -5,12 +5,12 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use tidemap_grid::{
+    log_head::{LogHead, StreamTiles},
+    sensors::ProducerSensor,
+};
 use tidemap_map::{
     event::{Envelope, Event, NewState, Observations, SequenceSpan, StateKind, StateShape},
-    grid::{
-        log_head::{LogHead, StreamTiles},
-        sensors::ProducerSensor,
-    },
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},

@@ -2,10 +2,8 @@
 //!
 //! Invariant: the totals change only with an update.
 
-use tidemap_map::{
-    grid::{index::TileId, tile::TileModel},
-    view::MapView,
-};
+use tidemap_grid::{index::TileId, tile::TileModel};
+use tidemap_map::view::MapView;
 
 /// Bytes of a published cell: its mean as a double.
 const MEAN_BYTES: u64 = 8;

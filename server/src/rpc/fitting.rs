@@ -26,9 +26,9 @@
 
 use std::{ops::Range, sync::Arc};
 
+use tidemap_grid::spec::Retention;
 use tidemap_map::{
     event::StateKind,
-    grid::spec::Retention,
     history::{Reading, Subject},
     ids::StateId,
     view::MapView,

@@ -4,11 +4,8 @@
 
 use std::{sync::Arc, time::Duration};
 
-use tidemap_map::{
-    grid::{index::CellIndex, view::CellDescription},
-    ids::StateId,
-    view::MapView,
-};
+use tidemap_grid::{index::CellIndex, view::CellDescription};
+use tidemap_map::{ids::StateId, view::MapView};
 use tidemap_proto::convert::{InvalidField, OverLimit};
 
 use super::status::RpcError;

@@ -6,7 +6,8 @@ use std::{
     time::Duration,
 };
 
-use tidemap_map::{event::UpdateCause, grid::outcome::GridOutcome, update::StateOutcome};
+use tidemap_grid::outcome::GridOutcome;
+use tidemap_map::{event::UpdateCause, update::StateOutcome};
 use tidemap_model::selector::ModelSelector;
 use tidemap_proto::{
     convert::{

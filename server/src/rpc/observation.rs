@@ -11,8 +11,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use tidemap_grid::sensors::ProducerSensor;
 use tidemap_map::{
-    grid::sensors::ProducerSensor,
     name::ProducerKey,
     traversal::{EdgeFailure, Traversal},
 };

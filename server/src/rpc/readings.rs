@@ -4,8 +4,8 @@
 
 use std::{ops::Range, time::Duration};
 
+use tidemap_grid::spec::Retention;
 use tidemap_map::{
-    grid::spec::Retention,
     history::{Reading, Subject, cell_readings},
     spec::MapSpec,
 };

@@ -4,11 +4,8 @@
 
 use std::{collections::HashMap, time::Duration};
 
-use tidemap_map::{
-    event::StateShape,
-    grid::{sensors::InvalidSensor, tile::TileUnavailable},
-    site::InvalidEdit,
-};
+use tidemap_grid::{sensors::InvalidSensor, tile::TileUnavailable};
+use tidemap_map::{event::StateShape, site::InvalidEdit};
 use tidemap_model::{EarlyStop, selector::ModelKind};
 use tidemap_proto::convert::{InvalidField, OverLimit};
 use tidemap_store::{AppendError, BackupError, HistoryError};

@@ -6,13 +6,13 @@ use std::{hint::black_box, path::Path, sync::Arc, sync::mpsc, time::Duration, ti
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_grid::{
+    index::{TileId, TileIndex},
+    scan::{CellRef, LoggedScan, Scans},
+    spec::{GridSpec, Retention},
+};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
-    grid::{
-        index::{TileId, TileIndex},
-        scan::{CellRef, LoggedScan, Scans},
-        spec::{GridSpec, Retention},
-    },
     ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},

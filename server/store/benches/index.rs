@@ -7,16 +7,16 @@
 use std::{fs, path::Path, sync::Arc, time::Instant};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_grid::{
+    index::TileIndex,
+    live_tile::LiveTile,
+    mask::Mask,
+    snapshot::GridSnapshot,
+    spec::GridSpec,
+    tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
+};
 use tidemap_map::{
     event::StateKind,
-    grid::{
-        index::TileIndex,
-        live_tile::LiveTile,
-        mask::Mask,
-        snapshot::GridSnapshot,
-        spec::GridSpec,
-        tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
-    },
     name::{MapName, StateName},
     snapshot::{MapSnapshot, StateSnapshot},
     spec::MapSpec,

@@ -11,7 +11,8 @@ use std::{
 };
 
 use prost::Message as _;
-use tidemap_map::{grid::spec::GridSpec, ids::StateId, name::MapName, refit::ReadingsRequest, spec::MapSpec};
+use tidemap_grid::spec::GridSpec;
+use tidemap_map::{ids::StateId, name::MapName, refit::ReadingsRequest, spec::MapSpec};
 use tidemap_migrations::{
     v1::{
         file::{CHECKPOINT_MAGIC, FileHeader},

@@ -10,12 +10,8 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_map::{
-    grid::{index::TileId, spec::Retention},
-    history::HistoryPiece,
-    ids::StateId,
-    spec::MapSpec,
-};
+use tidemap_grid::{index::TileId, spec::Retention};
+use tidemap_map::{history::HistoryPiece, ids::StateId, spec::MapSpec};
 use tidemap_migrations::v3::lists::ListedFile;
 use tidemap_model::{Sample, StopSignal};
 

@@ -12,7 +12,8 @@ use std::{
     time::Duration,
 };
 
-use tidemap_map::{grid::tile::TileModel, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_grid::tile::TileModel;
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_migrations::{
     v1::index::OLD_TREES,
     v2::published::{GENERATIONS, Total},

@@ -3,7 +3,7 @@
 #![no_main]
 
 use prost::Message;
-use tidemap_map::grid::spec::GridSpec;
+use tidemap_grid::spec::GridSpec;
 use tidemap_proto::{
     bounds,
     convert::{

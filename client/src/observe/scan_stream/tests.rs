@@ -4,7 +4,7 @@ use std::collections::{HashMap, VecDeque};
 
 use proptest::prelude::*;
 use prost::Message as _;
-use tidemap_map::grid::mask::Mask;
+use tidemap_grid::mask::Mask;
 use tidemap_proto::{
     convert::{
         grid::grid_from_wire,

@@ -6,10 +6,8 @@
 
 use std::vec::IntoIter;
 
-use tidemap_map::{
-    grid::{index::TileIndex, spec::GridSpec},
-    ids::RefusalReason,
-};
+use tidemap_grid::{index::TileIndex, spec::GridSpec};
+use tidemap_map::ids::RefusalReason;
 
 use super::{
     DecodedScan, ScanContent, ScanError, ScanLimits, ScanRefusal,
@@ -180,7 +178,7 @@ impl ScanDecoder {
 
     fn readings(
         &self,
-        read: impl FnOnce(&GridSpec) -> Result<tidemap_map::grid::raycast::Readings, ScanRefusal>,
+        read: impl FnOnce(&GridSpec) -> Result<tidemap_grid::raycast::Readings, ScanRefusal>,
     ) -> Result<ScanContent, ScanRefusal> {
         self.spec.as_ref().map_or_else(|| Err(no_grid()), |spec| read(spec).map(ScanContent::Readings))
     }

@@ -7,7 +7,7 @@
 
 use std::{collections::HashSet, sync::Arc};
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::{CellBox, TILE_LIMIT, TileIndex},
     mask::{Mask, TileMasks},
     spec::GridSpec,

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a digest depends on what a scan shows, not on how it was split into messages.
 
-use tidemap_map::grid::{index::TileIndex, mask::TileMasks};
+use tidemap_grid::{index::TileIndex, mask::TileMasks};
 
 use crate::v1::{self, scan::Content};
 

@@ -4,13 +4,11 @@
 //! least one finite reading.
 
 use nalgebra::Isometry3;
-use tidemap_map::{
-    grid::{
-        raycast::{Rays, Readings},
-        spec::GridSpec,
-    },
-    ids::RefusalReason,
+use tidemap_grid::{
+    raycast::{Rays, Readings},
+    spec::GridSpec,
 };
+use tidemap_map::ids::RefusalReason;
 
 use super::ScanRefusal;
 use crate::{convert::grid::pose_from_wire, v1};

@@ -7,7 +7,7 @@
 
 use std::collections::HashMap;
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::TileIndex,
     mask::{Mask, TileMasks},
 };

@@ -1,6 +1,6 @@
 //! Scans there and back, refusals one by one, parts, and what ends a stream.
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::{CellBox, CellIndex, TileIndex},
     mask::{Mask, TileMasks},
     raycast::Rays,

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a message names the field, the value and the limit.
 
-use tidemap_map::grid::index::TileIndex;
+use tidemap_grid::index::TileIndex;
 
 use super::MASK_BYTES;
 

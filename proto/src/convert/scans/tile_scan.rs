@@ -4,7 +4,7 @@
 //! refused until masks come. The cost of a scan depends on its changes, and on the number of slots if it sees other
 //! slots than the scan before.
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     log_head::{SlotCell, StreamScan},
     mask::{Mask, TileMasks},
 };

@@ -5,14 +5,14 @@
 
 use std::sync::Arc;
 
+use tidemap_grid::{
+    index::TileIndex,
+    log_head::{LogHead, StreamScan, StreamTiles},
+    scan::Scans,
+    spec::{GridSpec, Retention},
+};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan},
-    grid::{
-        index::TileIndex,
-        log_head::{LogHead, StreamScan, StreamTiles},
-        scan::Scans,
-        spec::{GridSpec, Retention},
-    },
     ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},

@@ -6,15 +6,14 @@ use tidemap_model::selector::ModelSelector;
 
 use super::{Anomaly, Confidence, is_anomalous};
 
-use crate::{
-    grid::{
-        follower::{CellFollower, CellReading},
-        index::CellIndex,
-        scan::Scans,
-        tile::TileUnavailable,
-    },
-    view::MapView,
+use tidemap_grid::{
+    follower::{CellFollower, CellReading},
+    index::CellIndex,
+    scan::Scans,
+    tile::TileUnavailable,
 };
+
+use crate::view::MapView;
 
 /// Scans that are judged at once.
 const SCANS: usize = 64;

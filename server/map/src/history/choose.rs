@@ -2,16 +2,17 @@
 //!
 //! Invariant: a model that is chosen makes the cell's part of the history smaller, as the store writes it, about.
 
+use tidemap_grid::{
+    day::{Bit, DayTile},
+    mask::Mask,
+    tile::TileModel,
+};
+
 use super::{
     OutlierComponent, OutlierModel,
     exchange::Rows,
     phasors::DayPhasors,
     seen::{Seen, flips_of},
-};
-use crate::grid::{
-    day::{Bit, DayTile},
-    mask::Mask,
-    tile::TileModel,
 };
 
 /// Bytes of a model: its cell, mean and number of components.

@@ -3,15 +3,16 @@
 //! Invariant: done twice with the same models it changes nothing, because models say the same each time. A tile without
 //! models stays as it is.
 
+use tidemap_grid::{
+    day::{Bit, DayTile, Flip},
+    mask::{Mask, TileMasks},
+};
+
 use super::{
     OutlierModel,
     bits::Bits,
     phasors::{DayPhasors, Sum},
     seen::{CellBits, Seen, flips_of, order},
-};
-use crate::grid::{
-    day::{Bit, DayTile, Flip},
-    mask::{Mask, TileMasks},
 };
 
 /// Reused memory for the rows of one cell.

@@ -8,10 +8,10 @@ use std::sync::{
     atomic::{AtomicUsize, Ordering},
 };
 
+use tidemap_grid::day::ScanTime;
 use tidemap_model::Periodicities;
 
 use super::{OutlierComponent, bits::Bits, turn::Phases};
-use crate::grid::day::ScanTime;
 
 /// Bytes of phasors that are held for one day.
 const BYTES_MAX: usize = 128 << 20;

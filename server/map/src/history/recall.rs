@@ -3,6 +3,13 @@
 //! Invariant: decoding returns exactly what was encoded.
 
 use rayon::prelude::*;
+use tidemap_grid::{
+    day::{DayTile, GridDay},
+    generation::Generation,
+    index::TileId,
+    mask::Mask,
+    tile::ModelSlot,
+};
 use tidemap_model::Periodicities;
 
 use super::{
@@ -11,13 +18,6 @@ use super::{
     exchange::{Rows, exchange},
     phasors::DayPhasors,
     seen::{Seen, flips_of, order},
-};
-use crate::grid::{
-    day::{DayTile, GridDay},
-    generation::Generation,
-    index::TileId,
-    mask::Mask,
-    tile::ModelSlot,
 };
 
 impl HistoryDay {
@@ -91,12 +91,10 @@ impl HistoryDay {
     }
 }
 
-impl GridDay {
-    /// The readings of a cell, occupied or not, at each scan that observed it: nanoseconds UTC and reading, in order of
-    /// arrival.
-    pub fn readings(&self, tile: TileId, cell: u16, periodicities: &Periodicities) -> Vec<(i64, bool)> {
-        readings(self, tile, cell, None, periodicities)
-    }
+/// The readings of a cell in a day of scans, occupied or not, at each scan that observed it: nanoseconds UTC and
+/// reading, in order of arrival.
+pub(crate) fn day_readings(day: &GridDay, tile: TileId, cell: u16, periodicities: &Periodicities) -> Vec<(i64, bool)> {
+    readings(day, tile, cell, None, periodicities)
 }
 
 fn readings(

@@ -3,11 +3,12 @@
 //! Invariant: places count the scans that saw the tile, from 0. Ranges and flips that do not fit the day, as damaged
 //! data may have them, are left out.
 
-use super::bits::Bits;
-use crate::grid::{
+use tidemap_grid::{
     day::{Bit, DayTile, Flip},
     mask::Mask,
 };
+
+use super::bits::Bits;
 
 /// Which scans of a day saw a tile.
 #[derive(Debug, Default)]

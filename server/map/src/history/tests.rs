@@ -3,19 +3,19 @@
 use std::sync::Arc;
 
 use proptest::prelude::*;
+use tidemap_grid::{
+    day::{Bit, ScanTime},
+    generation::Generation,
+    mask::{Mask, TileMasks},
+    sensors::SensorId,
+    tile::{CellModel, Group, ModelSlot, TileModel},
+};
 use tidemap_model::{Component, LocalDay, OrderErrors, Periodicities, SpectralModel};
 
 use super::{
     bits::Bits,
     phasors::{DayPhasors, Sum},
     *,
-};
-use crate::grid::{
-    day::{Bit, ScanTime},
-    generation::Generation,
-    mask::{Mask, TileMasks},
-    sensors::SensorId,
-    tile::{CellModel, Group, ModelSlot, TileModel},
 };
 
 const SECOND: i64 = 1_000_000_000;
@@ -119,7 +119,7 @@ fn check(scans: &[Shown], models: Vec<ModelSlot>, periodicities: &Periodicities,
         for cell in (0..512).step_by(61).chain(kept.models_of(TileId(tile)).iter().map(|model| model.cell)) {
             let expected = naive_readings(scans, tile, cell);
             assert_eq!(kept.readings(TileId(tile), cell, periodicities), expected, "tile {tile} cell {cell}");
-            assert_eq!(day.readings(TileId(tile), cell, periodicities), expected);
+            assert_eq!(day_readings(&day, TileId(tile), cell, periodicities), expected);
         }
     }
 }
@@ -229,7 +229,7 @@ fn models_that_make_no_sense_do_no_harm() {
         HistoryDay { outliers: day_of(&scans), models: vec![(TileId(0), models.to_vec()), (TileId(7), Vec::new())] };
     let periodicities = Periodicities::default();
     let day = kept.decode(&periodicities);
-    assert_eq!(day.readings(TileId(0), 0, &periodicities), kept.readings(TileId(0), 0, &periodicities));
+    assert_eq!(day_readings(&day, TileId(0), 0, &periodicities), kept.readings(TileId(0), 0, &periodicities));
     assert_eq!(kept.readings(TileId(0), 600, &periodicities), []);
     assert_eq!(kept.readings(TileId(9), 1, &periodicities), []);
 }

@@ -4,12 +4,12 @@
 //! whatever else it holds.
 
 use std::sync::Arc;
+use tidemap_grid::scan::Scans;
 
 use super::LiveMap;
 use crate::{
     directory::StateInfo,
     event::{Envelope, NewState, Observations, StateKind},
-    grid::scan::Scans,
     ids::{NewProducer, ProducerId},
     pending::Origin,
     snapshot::{CONTENT_MARKS_MAX, ContentMark, ProducerMark},
@@ -104,7 +104,7 @@ impl LiveMap {
     }
 
     pub(super) fn take_in_scans(&mut self, envelope: &Envelope, event: &Scans) -> Result<(), String> {
-        self.grid.as_ref().ok_or("the map has no grid")?.check(event)?;
+        self.grid.as_ref().ok_or("the map has no grid")?.check(event).map_err(|error| error.to_string())?;
         self.advance(envelope)?;
         if let Some(has_scans) = self.producers.get_mut(envelope.producer.0 as usize).and_then(|m| m.has_scans.as_mut())
         {
@@ -112,7 +112,7 @@ impl LiveMap {
         }
         if let Some(grid) = &mut self.grid {
             let sensor = self.producers.get(envelope.producer.0 as usize).and_then(|mark| mark.sensor);
-            let newest = grid.apply_observations(event, sensor, envelope.plausible_nanos());
+            let newest = grid.apply(event, sensor, envelope.plausible_nanos());
             self.newest_nanos = self.newest_nanos.max(newest.unwrap_or(0));
         }
         if !event.scans.is_empty() {

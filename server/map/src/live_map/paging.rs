@@ -3,13 +3,13 @@
 //! Invariant: no tile leaves while an update has the sums.
 
 use std::sync::Arc;
-
-use super::LiveMap;
-use crate::grid::{
+use tidemap_grid::{
     live::LiveGrid,
     paging::{SavedTiles, TileMemory},
     tile::TileSource,
 };
+
+use super::LiveMap;
 
 impl LiveMap {
     /// Memory of models and sums of tiles, without those that a running update has.

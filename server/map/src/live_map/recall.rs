@@ -3,12 +3,12 @@
 //! Invariant: together with the history of all finished updates, this is every acknowledged observation except those
 //! that a running update has taken.
 
+use tidemap_grid::day::GridDay;
 use tidemap_model::Sample;
 
 use super::LiveMap;
 use crate::{
-    grid::day::GridDay,
-    history::{Reading, Subject, cell_readings},
+    history::{Reading, Subject, cell_readings, day_readings},
     update::UpdateWork,
 };
 
@@ -30,9 +30,9 @@ impl LiveMap {
             Subject::Cell(tile, cell) => {
                 let Some(grid) = &self.grid else { return Vec::new() };
                 let is_asked = |day: &&GridDay| day.scans.iter().any(|scan| within.contains(&scan.utc_nanos));
-                let days = grid.days.iter().filter(is_asked);
-                let pending = days.flat_map(|day| day.readings(tile, cell, &self.spec.periodicities));
-                let future = grid.future.iter().filter_map(|scan| {
+                let days = grid.days().iter().filter(is_asked);
+                let pending = days.flat_map(|day| day_readings(day, tile, cell, &self.spec.periodicities));
+                let future = grid.future_scans().iter().filter_map(|scan| {
                     let at = scan.tiles.binary_search_by_key(&tile, |(tile, _)| *tile).ok()?;
                     let (_, masks) = scan.tiles.get(at)?;
                     masks.observed().contains(cell).then(|| (scan.time.utc_nanos, masks.occupied().contains(cell)))
@@ -48,7 +48,7 @@ impl UpdateWork {
     /// Earliest time of the observations, nanoseconds UTC.
     pub fn from_nanos(&self) -> Option<i64> {
         let samples = self.samples.iter().flat_map(|(_, samples)| samples).map(|sample| sample.utc_nanos);
-        let scans = self.grid.iter().flat_map(|grid| &grid.days).flat_map(|day| &day.scans).map(|scan| scan.utc_nanos);
+        let scans = self.grid.iter().flat_map(|grid| grid.days()).flat_map(|day| &day.scans).map(|scan| scan.utc_nanos);
         samples.chain(scans).min()
     }
 }

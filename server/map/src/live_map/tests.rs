@@ -11,6 +11,7 @@ use crate::{
     name::{MapName, StateName},
 };
 
+mod grid;
 mod kinds;
 mod refits;
 mod rename;

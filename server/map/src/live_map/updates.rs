@@ -6,7 +6,6 @@ use std::sync::Arc;
 use tidemap_model::time::FUTURE_MAX_NANOS;
 
 use super::{LiveMap, PendingLimits};
-
 use crate::{
     event::{UpdateCause, UpdateStart},
     pending::Taken,
@@ -48,11 +47,11 @@ impl LiveMap {
             self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
         }
         let grid = self.grid.as_mut().map(|grid| {
-            let before = grid.pending_changes;
+            let before = grid.pending_changes();
             let (work, basis, newest) =
                 grid.start_update(start.cut_nanos, &self.spec.periodicities, self.spec.criterion);
             self.newest_nanos = self.newest_nanos.max(newest.unwrap_or(0));
-            (work, basis, before.saturating_sub(grid.pending_changes))
+            (work, basis, before.saturating_sub(grid.pending_changes()))
         });
         let observations = samples.iter().map(|(_, samples)| samples.len() as u64).sum::<u64>();
         let changes = grid.as_ref().map_or(0, |(_, _, changes)| *changes);

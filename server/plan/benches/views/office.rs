@@ -2,7 +2,7 @@
 //!
 //! Invariant: the same each time.
 
-use tidemap_map::grid::index::CellIndex;
+use tidemap_grid::index::CellIndex;
 use tidemap_plan::{predicted::PredictedTimes, view::Sensor, view::Viewpoint};
 
 /// Cells along x, y, z.

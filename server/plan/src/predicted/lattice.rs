@@ -3,7 +3,7 @@
 //! Invariant: around the region lies a border of one cell (none below and above a flat one), so that steps from cell to
 //! neighbouring cell reach the border before leaving memory. x runs fastest, z slowest.
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::GridSpec,
 };

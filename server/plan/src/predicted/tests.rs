@@ -5,14 +5,14 @@ use std::sync::{
     atomic::{AtomicU64, AtomicUsize, Ordering},
 };
 
+use tidemap_grid::{
+    index::{CellBox, CellIndex, TileIndex},
+    log_head::{LogHead, StreamScan, StreamTiles},
+    scan::Scans,
+    spec::{GridSpec, Retention},
+};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause},
-    grid::{
-        index::{CellBox, CellIndex, TileIndex},
-        log_head::{LogHead, StreamScan, StreamTiles},
-        scan::Scans,
-        spec::{GridSpec, Retention},
-    },
     ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},

@@ -8,13 +8,11 @@ use std::sync::{
 };
 
 use rayon::prelude::*;
-use tidemap_map::{
-    grid::{
-        index::{CellIndex, TILE_CELLS, TileId, TileIndex},
-        view::GridView,
-    },
-    view::MapView,
+use tidemap_grid::{
+    index::{CellIndex, TILE_CELLS, TileId, TileIndex},
+    view::GridView,
 };
+use tidemap_map::view::MapView;
 use tidemap_model::{InstantPhasors, StopSignal, selector::ModelKind};
 
 use super::{Lattice, PredictError, PredictOptions};

@@ -11,7 +11,7 @@ use std::{
 };
 
 use rayon::prelude::*;
-use tidemap_map::grid::index::CellIndex;
+use tidemap_grid::index::CellIndex;
 use tidemap_model::StopSignal;
 
 use super::question::{Suppression, TourCandidate};

@@ -2,7 +2,8 @@
 //!
 //! Invariant: a request that [`TourQuestion::check`] accepts can be planned.
 
-use tidemap_map::{grid::index::CellIndex, reachability::Reachability};
+use tidemap_grid::index::CellIndex;
+use tidemap_map::reachability::Reachability;
 use tidemap_model::EarlyStop;
 
 use crate::{

@@ -9,7 +9,7 @@ use std::{
 };
 
 use proptest::prelude::*;
-use tidemap_map::grid::index::{CellBox, CellIndex};
+use tidemap_grid::index::{CellBox, CellIndex};
 use tidemap_model::EarlyStop;
 
 use super::*;

@@ -1,7 +1,7 @@
 //! Paths around obstacles, against relaxation of all steps until convergence.
 
 use proptest::prelude::*;
-use tidemap_map::grid::index::CellBox;
+use tidemap_grid::index::CellBox;
 
 use super::*;
 use crate::predicted::tests::spec;

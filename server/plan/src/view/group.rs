@@ -6,7 +6,7 @@
 //!
 //! Invariant: each viewpoint sees the cells that [`super::ViewScorer`] gives, in the same order.
 
-use tidemap_map::grid::index::CellIndex;
+use tidemap_grid::index::CellIndex;
 use tidemap_model::StopSignal;
 
 use super::{

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::grid::index::CellIndex;
+use tidemap_grid::index::CellIndex;
 use tidemap_model::{EarlyStop, StopSignal};
 
 use super::{Fan, Sensor, ViewError, Viewpoint};

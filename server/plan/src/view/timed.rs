@@ -8,7 +8,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::grid::index::CellIndex;
+use tidemap_grid::index::CellIndex;
 use tidemap_model::StopSignal;
 
 use super::{

@@ -1,8 +1,8 @@
 //! Which pieces watchers get, and what is kept.
 
+use tidemap_grid::spec::Retention;
 use tidemap_map::{
     event::{NewState, OffsetRun, StateKind},
-    grid::spec::Retention,
     live_map::LiveMap,
     name::{MapName, StateName},
     spec::MapSpec,

@@ -4,7 +4,7 @@
 
 use std::{collections::HashMap, sync::Arc};
 
-use tidemap_map::grid::{index::TileIndex, log_head::StreamScan, mask::TileMasks};
+use tidemap_grid::{index::TileIndex, log_head::StreamScan, mask::TileMasks};
 
 #[derive(Debug)]
 pub(super) struct CastTable {

@@ -6,16 +6,13 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{
-    event::SequenceSpan,
-    grid::{
-        index::TileIndex,
-        mask::TileMasks,
-        raycast::{CastError, CastLimits, Readings, cast},
-        spec::GridSpec,
-    },
-    ids::RefusalReason,
+use tidemap_grid::{
+    index::TileIndex,
+    mask::TileMasks,
+    raycast::{CastError, CastLimits, Readings, cast},
+    spec::GridSpec,
 };
+use tidemap_map::{event::SequenceSpan, ids::RefusalReason};
 use tidemap_proto::{
     convert::{
         InvalidField,

@@ -3,13 +3,13 @@
 //! Invariant: an event is at most 16 MiB, which the log accepts, whatever the streams show; the scans of one batch are
 //! spread over several events if needed, in their order.
 
+use tidemap_grid::{
+    index::TileIndex,
+    log_head::{LogHead, ScanDelta, StreamTiles},
+    scan::{LoggedScan, Scans},
+};
 use tidemap_map::{
     event::{Event, Observations, SequenceSpan},
-    grid::{
-        index::TileIndex,
-        log_head::{LogHead, ScanDelta, StreamTiles},
-        scan::{LoggedScan, Scans},
-    },
     ids::RefusalReason,
     live_map::LiveMap,
 };

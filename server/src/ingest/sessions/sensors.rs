@@ -3,7 +3,8 @@
 //! Invariant: a key keeps the sensor of its first event. Announced sensors that are not durable yet are counted too, so
 //! that the map always has a number for the sensor of an event.
 
-use tidemap_map::{grid::sensors::ProducerSensor, live_map::LiveMap};
+use tidemap_grid::sensors::ProducerSensor;
+use tidemap_map::live_map::LiveMap;
 
 use super::{
     super::protocol::{Hello, HelloError},
@@ -33,13 +34,13 @@ impl Sessions {
 mod tests {
     use std::sync::Arc;
 
+    use tidemap_grid::{
+        scan::Scans,
+        sensors::{InvalidSensor, SENSORS_MAX},
+        spec::{GridSpec, Retention, SensorNoise},
+    };
     use tidemap_map::{
         event::{Envelope, Event, SequenceSpan},
-        grid::{
-            scan::Scans,
-            sensors::{InvalidSensor, SENSORS_MAX},
-            spec::{GridSpec, Retention, SensorNoise},
-        },
         ids::{NewProducer, ProducerId},
         name::{MapName, ProducerKey},
         spec::MapSpec,

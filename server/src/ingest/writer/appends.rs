@@ -5,7 +5,8 @@
 
 use std::{collections::VecDeque, sync::Arc, time::Instant};
 
-use tidemap_map::{event::Event, grid::scan::LoggedScan, update::UpdateWork};
+use tidemap_grid::scan::LoggedScan;
+use tidemap_map::{event::Event, update::UpdateWork};
 use tidemap_store::AppendError;
 use tokio::sync::oneshot;
 use tracing::{error, warn};

@@ -13,9 +13,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_map::{
-    grid::paging::SavedTiles, history::HistoryPiece, live_map::LiveMap, name::MapName, snapshot::MapSnapshot,
-};
+use tidemap_grid::paging::SavedTiles;
+use tidemap_map::{history::HistoryPiece, live_map::LiveMap, name::MapName, snapshot::MapSnapshot};
 use tracing::{debug, warn};
 
 use super::Writer;

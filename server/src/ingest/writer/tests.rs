@@ -5,9 +5,9 @@ use std::{
     sync::atomic::{AtomicI64, Ordering},
 };
 
+use tidemap_grid::spec::{GridSpec, Retention};
 use tidemap_map::{
     event::{SequenceSpan, UpdateCause},
-    grid::spec::{GridSpec, Retention},
     ids::RefusalReason,
     name::{MapName, ProducerKey, StateName},
 };

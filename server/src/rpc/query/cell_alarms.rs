@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::grid::predict::GridQuestion;
+use tidemap_grid::predict::GridQuestion;
 use tidemap_proto::{
     convert::{cells::cell_alarm_to_wire, grid::cell_box_from_wire},
     v1,

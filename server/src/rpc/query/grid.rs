@@ -4,10 +4,8 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{
-    grid::predict::{GridQuestion, GridSelection},
-    view::MapView,
-};
+use tidemap_grid::predict::{GridQuestion, GridSelection};
+use tidemap_map::view::MapView;
 use tidemap_proto::{
     convert::cells::{header_to_wire, question_from_wire, tile_bytes, tile_to_wire},
     v1::{self, predict_grid_response::Message},
@@ -69,7 +67,7 @@ fn predict(
     selection: &GridSelection,
     sink: &ReplySink<v1::PredictGridResponse>,
 ) -> Result<(), RpcError> {
-    let levels = view.grid().map_or((0.0, 1.0), tidemap_map::grid::view::GridView::levels);
+    let levels = view.grid().map_or((0.0, 1.0), tidemap_grid::view::GridView::levels);
     let send = |tiles| sink.send(v1::PredictGridResponse { message: Some(Message::Page(v1::GridPage { tiles })) });
     let (mut page, mut bytes) = (Vec::new(), 0);
     for tile in view.predict_grid(question, selection) {

@@ -4,8 +4,8 @@
 
 use std::{ops::Range, sync::Arc};
 
+use tidemap_grid::spec::Retention;
 use tidemap_map::{
-    grid::spec::Retention,
     history::{HistoryPiece, Reading, Subject},
     spec::MapSpec,
     view::MapView,

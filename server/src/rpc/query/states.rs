@@ -6,9 +6,9 @@
 
 use std::{ops::Range, sync::Arc};
 
+use tidemap_grid::index::CellIndex;
 use tidemap_map::{
     event::{StateKind, StateShape},
-    grid::index::CellIndex,
     predict::PreparedTimes,
     view::MapView,
 };

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
+use tidemap_grid::{
+    index::TileIndex,
+    mask::{Mask, TileMasks},
+    spec::{GridSpec, Retention},
+};
 use tidemap_map::{
     event::{SequenceSpan, UpdateCause},
-    grid::{
-        index::TileIndex,
-        mask::{Mask, TileMasks},
-        spec::{GridSpec, Retention},
-    },
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };

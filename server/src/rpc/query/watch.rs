@@ -16,12 +16,12 @@ use std::{
     time::Duration,
 };
 
+use tidemap_grid::{
+    follower::CellFollower,
+    index::{CellBox, CellIndex},
+};
 use tidemap_map::{
     anomaly::{Anomaly, Confidence},
-    grid::{
-        follower::CellFollower,
-        index::{CellBox, CellIndex},
-    },
     history::Reading,
     ids::StateId,
     name::StateName,

@@ -5,7 +5,7 @@
 
 use std::sync::{Arc, Weak};
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::TileId,
     live_tile::LiveTile,
     snapshot::GridSnapshot,
@@ -190,11 +190,7 @@ impl TileReader<'_> {
 }
 
 /// The next day with its tiles.
-fn read_day(
-    reader: &mut RecordReader,
-    limit: u32,
-    buffer: &mut Vec<u8>,
-) -> Result<tidemap_map::grid::day::GridDay, String> {
+fn read_day(reader: &mut RecordReader, limit: u32, buffer: &mut Vec<u8>) -> Result<tidemap_grid::day::GridDay, String> {
     let head: v2::Day = reader.long_message(RecordKind::Day, buffer)?;
     let mut kept = day::decode(&head, limit, |_| true)?;
     let mut next = 0;

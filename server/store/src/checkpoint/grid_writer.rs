@@ -10,7 +10,7 @@ use std::{
 };
 
 use prost::Message as _;
-use tidemap_map::grid::{
+use tidemap_grid::{
     snapshot::GridSnapshot,
     tile::{ModelSlot, SumsSlot, TileModel, TileSums, TileUnavailable},
 };

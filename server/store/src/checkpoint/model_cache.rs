@@ -7,7 +7,7 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_map::grid::{index::TileId, tile::TileModel};
+use tidemap_grid::{index::TileId, tile::TileModel};
 
 /// A few models, up to a limit in bytes.
 pub(crate) struct ModelCache {
@@ -52,7 +52,7 @@ impl ModelCache {
 
 #[cfg(test)]
 mod tests {
-    use tidemap_map::grid::{mask::Mask, tile::Group};
+    use tidemap_grid::{mask::Mask, tile::Group};
 
     use super::*;
 

@@ -11,7 +11,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError, Weak},
 };
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::TileId,
     tile::{TileModel, TileSource, TileSums, TileUnavailable},
 };

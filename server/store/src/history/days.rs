@@ -4,7 +4,8 @@
 
 use std::vec::IntoIter;
 
-use tidemap_map::{grid::index::TileId, grid::scan::CellRef, history::HistoryDay};
+use tidemap_grid::{index::TileId, scan::CellRef};
+use tidemap_map::history::HistoryDay;
 use tidemap_migrations::v2::{file::RecordKind, grid as v2, history::Entry};
 
 use super::{

@@ -5,7 +5,8 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_map::{grid::spec::Retention, spec::MapSpec};
+use tidemap_grid::spec::Retention;
+use tidemap_map::spec::MapSpec;
 use tidemap_migrations::v3::lists::{FileList, HISTORY_FILE, ListedFile};
 
 use super::{History, Part};

@@ -4,10 +4,8 @@
 
 use std::path::Path;
 
-use tidemap_map::{
-    grid::index::TileId,
-    history::{HistoryDay, HistoryPiece, origins::Origins},
-};
+use tidemap_grid::index::TileId;
+use tidemap_map::history::{HistoryDay, HistoryPiece, origins::Origins};
 use tidemap_migrations::{
     v1::file::{FileHeader, Trailer},
     v2::{

@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::TileId,
     tile::{TileModel, TileSource, TileSums, TileUnavailable},
 };

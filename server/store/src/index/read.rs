@@ -6,12 +6,12 @@
 use std::{ops::Range, sync::Arc, thread};
 
 use prost::Message as _;
+use tidemap_grid::{
+    index::TileId,
+    snapshot::GridSnapshot,
+    tile::{ColdTile, ModelSlot, SumsSlot, TileSource},
+};
 use tidemap_map::{
-    grid::{
-        index::TileId,
-        snapshot::GridSnapshot,
-        tile::{ColdTile, ModelSlot, SumsSlot, TileSource},
-    },
     site::Site,
     snapshot::{MapSnapshot, StateSnapshot},
     spec::MapSpec,

@@ -3,8 +3,8 @@
 //! Invariant: equal content gives equal rows, so an unchanged state or tile is not written again.
 
 use prost::Message;
+use tidemap_grid::{live_tile::LiveTile, tile::TileModel};
 use tidemap_map::{
-    grid::{live_tile::LiveTile, tile::TileModel},
     site::Site,
     snapshot::{ProducerMark, StateSnapshot},
 };

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::grid::observed_times::ObservedTimes;
+use tidemap_grid::observed_times::ObservedTimes;
 use tidemap_migrations::v2::grid as v2;
 use tidemap_model::{GapSample, OrderWatch, OrderWatchParts};
 

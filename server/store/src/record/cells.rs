@@ -2,7 +2,7 @@
 //!
 //! Invariant: a cell that is read lies within the tile, and lists ascend.
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::TILE_CELLS,
     mask::{Mask, TileMasks},
 };

@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     day::{Bit, DayTile, Flip, GridDay, PresenceRun, ScanTime},
     index::{TILE_CELLS, TileId},
     mask::{Mask, TileMasks},

@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use tidemap_map::grid::observation_runs::{CellRuns, DayRuns, ObservationRuns};
+use tidemap_grid::observation_runs::{CellRuns, DayRuns, ObservationRuns};
 use tidemap_migrations::v2::grid as v2;
 
 use super::{

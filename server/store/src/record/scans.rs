@@ -6,12 +6,12 @@
 
 use std::{borrow::Cow, sync::Arc};
 
+use tidemap_grid::{
+    index::{TILE_CELLS, TileId, TileIndex},
+    scan::{CellRef, LoggedScan, Scans},
+};
 use tidemap_map::{
     event::{Envelope, SequenceSpan},
-    grid::{
-        index::{TILE_CELLS, TileId, TileIndex},
-        scan::{CellRef, LoggedScan, Scans},
-    },
     ids::ProducerId,
 };
 use tidemap_migrations::v2::event as v2;

@@ -3,7 +3,7 @@
 //! Invariant: nothing is written if all scans are of the map's own sensor. Numbers fit into a byte; whether a map has
 //! such a sensor is checked elsewhere.
 
-use tidemap_map::grid::sensors::{ProducerSensor, SensorId};
+use tidemap_grid::sensors::{ProducerSensor, SensorId};
 use tidemap_migrations::v2::map as v2;
 
 use super::Invalid;

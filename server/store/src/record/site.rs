@@ -2,8 +2,8 @@
 //!
 //! Invariant: decoding gives the encoded value, bit by bit.
 
+use tidemap_grid::index::CellIndex;
 use tidemap_map::{
-    grid::index::CellIndex,
     ids::StateId,
     name::StateName,
     reachability::{Attempts, Reachability, ReachabilityCell},

@@ -2,14 +2,11 @@
 //!
 //! Invariant: `decode(encode(spec)) == spec`. A map of format 1 keeps its observations forever and has no grid.
 
-use tidemap_map::{
-    grid::{
-        index::{CellBox, CellIndex},
-        spec::{GridSpec, Retention, SensorNoise},
-    },
-    name::MapName,
-    spec::MapSpec,
+use tidemap_grid::{
+    index::{CellBox, CellIndex},
+    spec::{GridSpec, Retention, SensorNoise},
 };
+use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_migrations::v2::map as v2;
 use tidemap_model::{EnabledModels, FitKind, OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 

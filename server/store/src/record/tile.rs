@@ -3,7 +3,7 @@
 //! Invariant: a tile that is written is in no run of equal scans; counts that are read can be added to without an
 //! overflow.
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::TileIndex,
     live_tile::{Away, LiveTile},
     sensors::SensorId,

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use prost::Message as _;
-use tidemap_map::grid::{
+use tidemap_grid::{
     fade::GroupFade,
     mask::Mask,
     observation_runs::ObservationRuns,

@@ -3,7 +3,7 @@
 //! A moving robot sees a few new tiles and loses a few; a standing robot sees the same tiles.
 //! Invariant: a set ascends and holds no tile twice; a set that is read holds only tiles below the limit given.
 
-use tidemap_map::grid::index::TileId;
+use tidemap_grid::index::TileId;
 
 use super::{
     Invalid,

@@ -6,10 +6,8 @@ use std::{
 };
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
-use tidemap_map::{
-    event::Event, grid::snapshot::GridSnapshot, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot,
-    spec::MapSpec,
-};
+use tidemap_grid::snapshot::GridSnapshot;
+use tidemap_map::{event::Event, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
 
 use super::{DIRECTORY, disk::SimulatedDisk, make_directory};
 use crate::{

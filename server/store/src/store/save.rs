@@ -9,7 +9,8 @@ use std::{
     sync::{Arc, PoisonError},
 };
 
-use tidemap_map::{grid::tile::TileSource, snapshot::MapSnapshot};
+use tidemap_grid::tile::TileSource;
+use tidemap_map::snapshot::MapSnapshot;
 
 use super::{MapEntry, OpenStore, Store, catalogue};
 use crate::{

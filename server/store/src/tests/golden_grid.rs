@@ -7,20 +7,19 @@ use std::{
     sync::Arc,
 };
 
+use tidemap_grid::{
+    day::{GridDay, ScanTime},
+    index::{CellBox, CellIndex, TileId, TileIndex},
+    live_tile::{Away, LiveTile},
+    mask::{Mask, TileMasks},
+    scan::{CellRef, LoggedScan, Scans},
+    sensors::SensorId,
+    snapshot::{FutureScan, GridSnapshot},
+    spec::{GridSpec, Retention, SensorNoise},
+    tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
+};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
-    grid::{
-        day::{GridDay, ScanTime},
-        index::{CellBox, CellIndex, TileId, TileIndex},
-        live_tile::{Away, LiveTile},
-        mask::{Mask, TileMasks},
-        scan::{CellRef, LoggedScan, Scans},
-        sensors::SensorId,
-        snapshot::FutureScan,
-        snapshot::GridSnapshot,
-        spec::{GridSpec, Retention, SensorNoise},
-        tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
-    },
     history::{HistoryDay, HistoryPiece, OutlierComponent, OutlierModel},
     ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey},

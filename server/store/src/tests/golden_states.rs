@@ -7,9 +7,9 @@ use std::{
     sync::Arc,
 };
 
+use tidemap_grid::spec::Retention;
 use tidemap_map::{
     event::{Event, StateKind, UpdateCause, UpdateStart},
-    grid::spec::Retention,
     name::{MapName, StateName},
     snapshot::{MapSnapshot, StateSnapshot},
     spec::MapSpec,

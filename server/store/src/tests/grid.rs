@@ -3,16 +3,13 @@
 use std::{collections::HashSet, fs, path::Path, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
-use tidemap_map::{
-    grid::{
-        index::TileId,
-        mask::Mask,
-        snapshot::GridSnapshot,
-        tile::{CellModel, ColdTile, Group, ModelSlot, SumsSlot, TileModel, TileSource, TileSums, TileUnavailable},
-    },
-    snapshot::MapSnapshot,
-    spec::MapSpec,
+use tidemap_grid::{
+    index::TileId,
+    mask::Mask,
+    snapshot::GridSnapshot,
+    tile::{CellModel, ColdTile, Group, ModelSlot, SumsSlot, TileModel, TileSource, TileSums, TileUnavailable},
 };
+use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_model::{OrderErrors, Periodicities, PhasorSum, SpectralModel};
 
 use super::{
@@ -327,7 +324,7 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
         }),
         ("a model without sums", |grid, _| grid.sums[0] = SumsSlot::default()),
         ("a day out of order", |grid, _| {
-            grid.days = vec![tidemap_map::grid::day::GridDay::new(tidemap_model::LocalDay(5)); 2];
+            grid.days = vec![tidemap_grid::day::GridDay::new(tidemap_model::LocalDay(5)); 2];
         }),
     ];
     for (what, change) in wrong {

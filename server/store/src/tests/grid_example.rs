@@ -3,24 +3,23 @@
 use std::sync::Arc;
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_grid::{
+    day::{GridDay, ScanTime},
+    fade::GroupFade,
+    index::{TileId, TileIndex},
+    live_tile::{Away, LiveTile},
+    mask::{Mask, TileMasks},
+    observation_runs::{CellRuns, DayRuns, ObservationRuns},
+    observed_times::ObservedTimes,
+    scan::{CellRef, LoggedScan, Scans},
+    sensor_sums::{SensorSums, SensorWeights, WeightedSums},
+    sensors::{ProducerSensor, SensorId, Weights},
+    snapshot::{FutureScan, GridSnapshot},
+    spec::{GridSpec, Retention, SensorNoise},
+    tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
+};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan},
-    grid::{
-        day::{GridDay, ScanTime},
-        fade::GroupFade,
-        index::{TileId, TileIndex},
-        live_tile::{Away, LiveTile},
-        mask::{Mask, TileMasks},
-        observation_runs::{CellRuns, DayRuns, ObservationRuns},
-        observed_times::ObservedTimes,
-        scan::{CellRef, LoggedScan, Scans},
-        sensor_sums::{SensorSums, SensorWeights, WeightedSums},
-        sensors::{ProducerSensor, SensorId, Weights},
-        snapshot::FutureScan,
-        snapshot::GridSnapshot,
-        spec::{GridSpec, Retention, SensorNoise},
-        tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
-    },
     history::{
         HistoryDay, HistoryPiece, OutlierComponent, OutlierModel,
         origins::{OriginRun, Origins},

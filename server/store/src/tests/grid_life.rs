@@ -3,12 +3,12 @@
 use std::{collections::VecDeque, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_grid::{
+    index::{TileId, TileIndex},
+    scan::{CellRef, LoggedScan, Scans},
+};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
-    grid::{
-        index::{TileId, TileIndex},
-        scan::{CellRef, LoggedScan, Scans},
-    },
     ids::ProducerId,
     live_map::LiveMap,
     name::ProducerKey,

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use prost::Message;
 use rand::{SeedableRng as _, rngs::SmallRng, seq::SliceRandom as _};
-use tidemap_map::grid::{
+use tidemap_grid::{
     day::{Bit, DayTile, Flip},
     index::TileIndex,
     mask::{Mask, TileMasks},

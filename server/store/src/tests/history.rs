@@ -3,8 +3,8 @@
 use std::{fs, path::Path, path::PathBuf, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_grid::{day::GridDay, index::TileId, spec::Retention};
 use tidemap_map::{
-    grid::{day::GridDay, index::TileId, spec::Retention},
     history::{HistoryDay, HistoryPiece},
     ids::StateId,
     refit::ReadingsRequest,
@@ -161,10 +161,10 @@ fn many_states_and_tiles_are_found_through_the_table() {
     for number in 0..3 {
         let mut day = GridDay::new(tidemap_model::LocalDay(number));
         let seen: Arc<[TileId]> = (0..5000).map(|tile| TileId(tile * 2)).collect();
-        let time = tidemap_map::grid::day::ScanTime {
+        let time = tidemap_grid::day::ScanTime {
             utc_nanos: i64::from(number),
             offset_secs: 0,
-            sensor: tidemap_map::grid::sensors::SensorId::OWN,
+            sensor: tidemap_grid::sensors::SensorId::OWN,
         };
         let scan = day.push(time, &seen);
         for &tile in seen.iter() {

@@ -4,13 +4,12 @@ use std::sync::Arc;
 
 use proptest::{collection::vec, option, prelude::*};
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_grid::{index::CellIndex, sensors::ProducerSensor};
 use tidemap_map::{
     event::{
         Dimensions, Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, StateShape,
         UpdateCause, UpdateStart,
     },
-    grid::index::CellIndex,
-    grid::sensors::ProducerSensor,
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::{EdgeName, MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},

@@ -5,12 +5,12 @@ use std::sync::Arc;
 use proptest::{collection::vec, prelude::*};
 use prost::Message as _;
 use rand::{SeedableRng as _, rngs::SmallRng};
+use tidemap_grid::{
+    index::TileId,
+    scan::{CellRef, LoggedScan, Scans},
+};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan},
-    grid::{
-        index::TileId,
-        scan::{CellRef, LoggedScan, Scans},
-    },
     ids::ProducerId,
 };
 use tidemap_migrations::v2::{self, log::FrameKind};

@@ -10,14 +10,14 @@ use std::{
     sync::{Arc, atomic::AtomicU64},
 };
 
+use tidemap_grid::{
+    index::{CellIndex, TILE_CELLS, TileIndex},
+    log_head::{LogHead, StreamScan, StreamTiles},
+    mask::{Mask, TileMasks},
+    scan::Scans,
+};
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause},
-    grid::{
-        index::{CellIndex, TILE_CELLS, TileIndex},
-        log_head::{LogHead, StreamScan, StreamTiles},
-        mask::{Mask, TileMasks},
-        scan::Scans,
-    },
     ids::{NewProducer, ProducerId},
     live_map::LiveMap,
     name::ProducerKey,

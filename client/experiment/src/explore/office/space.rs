@@ -4,14 +4,11 @@
 
 use std::{f64::consts::TAU, sync::Arc};
 
-use tidemap_map::{
-    grid::{
-        index::{CellBox, CellIndex},
-        spec::{GridSpec, Retention},
-    },
-    name::MapName,
-    spec::MapSpec,
+use tidemap_grid::{
+    index::{CellBox, CellIndex},
+    spec::{GridSpec, Retention},
 };
+use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_model::{Periodicities, Zone};
 use tidemap_plan::{
     predicted::{CELLS_MAX, Lattice, PredictedGrid},

@@ -5,7 +5,7 @@
 
 use std::sync::{Condvar, LazyLock, Mutex, MutexGuard, PoisonError};
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     raycast::{Rays, Readings},
     spec::GridSpec,
 };

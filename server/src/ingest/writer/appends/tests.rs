@@ -1,8 +1,8 @@
 //! Failures of appends, and the memory of those in flight.
 
+use tidemap_grid::{index::TileIndex, scan::Scans};
 use tidemap_map::{
     event::{Envelope, SequenceSpan, UpdateCause, UpdateStart},
-    grid::{index::TileIndex, scan::Scans},
     ids::ProducerId,
     name::MapName,
 };

@@ -1,6 +1,6 @@
 //! Scans from encoded messages to the map: applied, refused, rolled back, repeated and read again.
 
-use tidemap_map::grid::{
+use tidemap_grid::{
     index::{CellIndex, TileIndex},
     mask::{Mask, TileMasks},
 };

@@ -1,6 +1,6 @@
 //! Cells by name, and whole grids.
 
-use tidemap_map::grid::predict::{GridQuestion, TileCells};
+use tidemap_grid::predict::{GridQuestion, TileCells};
 
 use super::*;
 

@@ -2,10 +2,10 @@
 
 use std::sync::atomic::AtomicU64;
 
+use tidemap_grid::spec::Retention;
 use tidemap_map::{
     erasure::{NotErasable, Selection},
     event::{Envelope, NewState, Observations, OffsetRun, SequenceSpan, UpdateCause},
-    grid::spec::Retention,
     ids::ProducerId,
     live_map::LiveMap,
     name::{ProducerKey, StateName},

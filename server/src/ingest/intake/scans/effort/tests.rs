@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use tidemap_map::grid::index::{CellBox, CellIndex};
+use tidemap_grid::index::{CellBox, CellIndex};
 use tidemap_proto::v1;
 
 use super::*;

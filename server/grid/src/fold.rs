@@ -1,0 +1,184 @@
+//! Sums of phasors over the scans at which a bit is set, chunk by chunk of scans.
+//!
+//! Where some scans are of another sensor than the map's own, sums of phasors weighted by α and β stand beside the
+//! plain ones (see [`crate::sensors`]).
+//!
+//! Invariant: running sums continue from chunk to chunk, so that a run of equal readings costs two rows of them,
+//! however many chunks it spans.
+
+use std::sync::Arc;
+
+use tidemap_model::{Periodicities, PhasorSum, PhasorTable, RunningSums};
+
+use crate::sensors::{SensorId, Sensors, Weights};
+
+/// Maximum number of scans of one map day whose phasors are in memory at a time.
+pub(super) const CHUNK_SCANS_MAX: usize = 256;
+
+/// Phasors of one chunk of a pattern's scans.
+pub(super) struct Chunk<'a> {
+    /// Number of the first scan.
+    pub(super) first: usize,
+    pub(super) phasors: &'a PhasorTable,
+    /// Running sums: row i is that of the scans before scan `first` + i.
+    pub(super) rows: &'a RunningSums,
+    /// The same, weighted; `None` where all scans are of the map's own sensor.
+    pub(super) weighted: Option<&'a WeightedRows>,
+    /// The values of a free and an occupied reading of each scan; `None` if all are of the map's own sensor.
+    pub(super) levels: Option<(&'a [f64], &'a [f64])>,
+    pub(super) utc_nanos: &'a [i64],
+    pub(super) is_last: bool,
+}
+
+/// A position in the toggles of a bit.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Cursor {
+    /// The next toggle.
+    pub(super) at: usize,
+    /// Whether the bit is set so far.
+    pub(super) is_on: bool,
+}
+
+/// Adds the phasors of the chunk's scans at which a bit is set. `rows` are some of the running sums of the chunk.
+pub(super) fn fold_toggles(
+    toggles: &[u32],
+    cursor: &mut Cursor,
+    sum: &mut PhasorSum,
+    rows: &RunningSums,
+    chunk: &Chunk<'_>,
+) {
+    let end = chunk.first + chunk.utc_nanos.len();
+    while let Some(&toggle) = toggles.get(cursor.at).filter(|&&toggle| (toggle as usize) < end) {
+        let row = rows.row(toggle as usize - chunk.first);
+        if cursor.is_on {
+            sum.add_row(row);
+            *cursor = Cursor { at: cursor.at + 1, is_on: false };
+            continue;
+        }
+        match toggles.get(cursor.at + 1).filter(|&&next| (next as usize) < end) {
+            Some(&next) => {
+                sum.add_difference(rows.row(next as usize - chunk.first), row);
+                cursor.at += 2;
+            }
+            None => {
+                sum.subtract_row(row);
+                *cursor = Cursor { at: cursor.at + 1, is_on: true };
+            }
+        }
+    }
+    if chunk.is_last && cursor.is_on {
+        sum.add_row(rows.row(chunk.utc_nanos.len()));
+        cursor.is_on = false;
+    }
+}
+
+/// Writes the value at each scan of a chunk that starts with scan `first`: that of a clear or a set bit.
+pub(super) fn fill(values: &mut [f64], toggles: &[u32], cursor: Cursor, first: usize, (clear, set): (&[f64], &[f64])) {
+    let (length, mut from, mut is_on) = (values.len(), 0, cursor.is_on);
+    let mut write = |from: usize, to: usize, is_on: bool| {
+        let levels = if is_on { set } else { clear };
+        values[from..to].copy_from_slice(&levels[from..to]);
+        to == length
+    };
+    for &toggle in toggles.get(cursor.at..).unwrap_or_default() {
+        let to = (toggle as usize).saturating_sub(first).min(length);
+        if write(from, to, is_on) {
+            return;
+        }
+        (from, is_on) = (to, !is_on);
+    }
+    write(from, length, is_on);
+}
+
+/// Number of scans at which a bit is set.
+pub(super) fn run_length(toggles: &[u32], scans: usize) -> u64 {
+    let end = u32::try_from(scans).unwrap_or(u32::MAX);
+    toggles.chunks(2).map(|run| u64::from(run.get(1).unwrap_or(&end).saturating_sub(run[0]))).sum()
+}
+
+/// The weights of scans.
+#[derive(Debug)]
+pub(super) struct WeightedScans {
+    /// The sensor of each scan.
+    pub(super) ids: Arc<Vec<SensorId>>,
+    alpha: Vec<f64>,
+    beta: Vec<f64>,
+    /// The values of a free and an occupied reading of each scan.
+    free: Vec<f64>,
+    occupied: Vec<f64>,
+    /// Σα and Σβ over the scans before each, and over all.
+    before: Vec<Weights>,
+}
+
+impl WeightedScans {
+    pub(super) fn new(ids: Arc<Vec<SensorId>>, sensors: &Sensors) -> WeightedScans {
+        let weights: Vec<Weights> = ids.iter().map(|&id| sensors.weights(id)).collect();
+        let mut before = Vec::with_capacity(ids.len() + 1);
+        let mut sum = Weights::default();
+        before.push(sum);
+        for &weights in &weights {
+            sum += weights;
+            before.push(sum);
+        }
+        WeightedScans {
+            alpha: weights.iter().map(|weights| weights.alpha).collect(),
+            beta: weights.iter().map(|weights| weights.beta).collect(),
+            free: ids.iter().map(|&id| sensors.levels(id).0).collect(),
+            occupied: ids.iter().map(|&id| sensors.levels(id).1).collect(),
+            before,
+            ids,
+        }
+    }
+
+    /// The values of free and occupied readings of a range of scans.
+    pub(super) fn levels(&self, first: usize, count: usize) -> (&[f64], &[f64]) {
+        let of = |levels: &'_ [f64]| levels.len().min(first)..levels.len().min(first + count);
+        (&self.free[of(&self.free)], &self.occupied[of(&self.occupied)])
+    }
+
+    /// Σα and Σβ over the scans at which a bit with these toggles is set.
+    pub(super) fn sum(&self, toggles: &[u32]) -> Weights {
+        let mut sum = Weights::default();
+        for run in self.runs(toggles) {
+            let at = |scan: usize| self.before.get(scan).copied().unwrap_or_default();
+            let (from, to) = (at(run.start), at(run.end));
+            sum += Weights { alpha: to.alpha - from.alpha, beta: to.beta - from.beta };
+        }
+        sum
+    }
+
+    /// Whether a bit with these toggles is set at a scan of another sensor than the map's own.
+    pub(super) fn has_others(&self, toggles: &[u32]) -> bool {
+        self.runs(toggles).any(|run| self.ids.get(run).unwrap_or_default().iter().any(|id| *id != SensorId::OWN))
+    }
+
+    /// The scans at which a bit with these toggles is set.
+    fn runs(&self, toggles: &[u32]) -> impl Iterator<Item = std::ops::Range<usize>> {
+        let end = self.ids.len();
+        toggles.chunks(2).map(move |run| {
+            let from = run.first().map_or(end, |&from| end.min(from as usize));
+            from..run.get(1).map_or(end, |&to| end.min(to as usize)).max(from)
+        })
+    }
+}
+
+/// Running sums of weighted phasors.
+#[derive(Debug)]
+pub(super) struct WeightedRows {
+    /// Of phasors times α.
+    pub(super) alpha: RunningSums,
+    /// Of phasors times β.
+    pub(super) beta: RunningSums,
+}
+
+impl WeightedRows {
+    pub(super) fn new(periodicities: &Periodicities) -> WeightedRows {
+        WeightedRows { alpha: RunningSums::new(periodicities), beta: RunningSums::new(periodicities) }
+    }
+
+    /// Moves on to the next chunk of the scans, which begins with scan `first`.
+    pub(super) fn extend_chunk(&mut self, phasors: &PhasorTable, scans: &WeightedScans, first: usize) {
+        self.alpha.extend_weighted(phasors, scans.alpha.get(first..).unwrap_or_default());
+        self.beta.extend_weighted(phasors, scans.beta.get(first..).unwrap_or_default());
+    }
+}

@@ -1,0 +1,268 @@
+//! A tile as the newest scans show it: the last value of each cell, and how long cells keep theirs.
+//!
+//! Persistence (T-RO 2017, eq. 12) needs pairs of successive observations, changes per time between them, and the
+//! newest observation. These are kept per tile for the cells of the newest scan, and per cell only for the others and
+//! for those that have changed.
+//!
+//! Where sensors with different levels observe the same cells, a cell can change its value although its reading is the
+//! same. Rates of change are in units of the map's own sensor (see [`crate::sensors`]).
+//!
+//! Invariant: `known` = `current` and the cells of `away`; lists ascend by cell. An observation of a cell counts
+//! exactly if it is newer than all earlier ones of that cell.
+
+use tidemap_model::{Persistence, PersistenceParts};
+
+use crate::{
+    day::ScanTime,
+    index::TileIndex,
+    mask::{Mask, TileMasks},
+    sensors::{SensorId, Sensors},
+};
+
+/// A cell that the newest scan did not observe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Away {
+    /// Its place in the tile.
+    pub cell: u16,
+    /// The sensor that last observed it.
+    pub sensor: SensorId,
+    /// When it was last observed, nanoseconds UTC.
+    pub last_nanos: i64,
+    /// Pairs of successive observations so far.
+    pub pairs: u64,
+}
+
+/// A tile as the newest scans show it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LiveTile {
+    /// Where it is.
+    pub index: TileIndex,
+    /// The sensor of the newest scan.
+    pub sensor: SensorId,
+    /// What the last scan in the order of the log showed.
+    pub arrival: TileMasks,
+    /// Cells that were ever observed.
+    pub known: Mask,
+    /// Cells whose newest reading is occupied.
+    pub occupied: Mask,
+    /// Cells that the newest scan observed.
+    pub current: Mask,
+    /// Time of the newest scan, nanoseconds UTC.
+    pub newest_nanos: i64,
+    /// Number of scans that were each newer than all before.
+    pub scans: u64,
+    /// Known cells that the newest scan did not observe.
+    pub away: Vec<Away>,
+    /// Current cells whose pairs of successive observations are not `scans` - 1 but `scans` - this.
+    pub offsets: Vec<(u16, i64)>,
+    /// Sum over changes of value of their size, in units of the map's own sensor, / seconds between the two readings;
+    /// of cells that have changed.
+    pub change_rates: Vec<(u16, f64)>,
+    /// If the tile is part of the map's run: the count of the run up to which `scans` and `newest_nanos` are current.
+    pub(crate) joined: Option<u64>,
+}
+
+/// Consecutive scans, each newer than the one before, that saw the same tiles with the same sensor. Unchanged tiles are
+/// not touched for them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ScanRun {
+    pub(crate) count: u64,
+    pub(crate) newest_nanos: i64,
+}
+
+impl LiveTile {
+    /// A tile that no scan has seen.
+    pub fn new(index: TileIndex) -> LiveTile {
+        LiveTile {
+            index,
+            sensor: SensorId::OWN,
+            arrival: TileMasks::default(),
+            known: Mask::EMPTY,
+            occupied: Mask::EMPTY,
+            current: Mask::EMPTY,
+            newest_nanos: 0,
+            scans: 0,
+            away: Vec::new(),
+            offsets: Vec::new(),
+            change_rates: Vec::new(),
+            joined: None,
+        }
+    }
+
+    /// Applies the scans of the run so far.
+    pub(crate) fn settle(&mut self, run: ScanRun) {
+        if let Some(joined) = self.joined.as_mut().filter(|joined| **joined < run.count) {
+            self.scans += run.count - *joined;
+            self.newest_nanos = run.newest_nanos;
+            *joined = run.count;
+        }
+    }
+
+    /// Newest time and number of scans, with the run's scans.
+    pub(crate) fn settled(&self, run: ScanRun) -> (i64, u64) {
+        match self.joined {
+            Some(joined) if joined < run.count => (run.newest_nanos, self.scans + (run.count - joined)),
+            _ => (self.newest_nanos, self.scans),
+        }
+    }
+
+    /// Whether a scan of this time counts.
+    pub(crate) fn is_newer(&self, utc_nanos: i64) -> bool {
+        self.scans == 0 || utc_nanos > self.newest_nanos
+    }
+
+    /// Applies a scan that is newer than all before; the tile is settled.
+    pub(crate) fn observe(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
+        let (observed, occupied) = (masks.observed(), masks.occupied());
+        let utc_nanos = time.utc_nanos;
+        // With another sensor, the value of every cell may change.
+        let same = self.current & observed;
+        let may_change = if time.sensor == self.sensor { (self.occupied ^ occupied) & same } else { same };
+        for cell in may_change.cells() {
+            let size = self.change(cell, self.sensor, time.sensor, occupied.contains(cell), sensors);
+            self.note_change(cell, size, self.newest_nanos, utc_nanos);
+        }
+        if observed != self.current {
+            self.leave(self.current.without(observed));
+            self.enter(observed.without(self.current), occupied, time, sensors);
+            self.known |= observed;
+            self.current = observed;
+        }
+        self.scans += 1;
+        self.occupied = self.occupied.without(observed) | occupied;
+        self.newest_nanos = utc_nanos;
+        self.sensor = time.sensor;
+    }
+
+    /// By how much the value of a known cell changes with a reading, in units of the map's own sensor.
+    fn change(&self, cell: u16, from: SensorId, to: SensorId, is_occupied: bool, sensors: &Sensors) -> f64 {
+        let before = sensors.weights(from).units(self.occupied.contains(cell));
+        (sensors.weights(to).units(is_occupied) - before).abs()
+    }
+
+    /// Applies a scan that is not newer than all before: it counts for cells whose own observations are older.
+    pub(crate) fn observe_late(&mut self, time: ScanTime, masks: TileMasks, sensors: &Sensors) {
+        let ScanTime { utc_nanos, sensor, .. } = time;
+        for cell in masks.observed().without(self.current).cells() {
+            let is_occupied = masks.occupied().contains(cell);
+            match self.away.binary_search_by_key(&cell, |away| away.cell) {
+                Ok(at) => {
+                    let Away { last_nanos, pairs, sensor: before, .. } = self.away[at];
+                    if utc_nanos <= last_nanos {
+                        continue;
+                    }
+                    self.away[at] = Away { cell, sensor, last_nanos: utc_nanos, pairs: pairs + 1 };
+                    let size = self.change(cell, before, sensor, is_occupied, sensors);
+                    self.note_change(cell, size, last_nanos, utc_nanos);
+                    if self.occupied.contains(cell) != is_occupied {
+                        self.occupied.flip(cell);
+                    }
+                }
+                Err(at) => {
+                    self.away.insert(at, Away { cell, sensor, last_nanos: utc_nanos, pairs: 0 });
+                    self.known.insert(cell);
+                    if is_occupied {
+                        self.occupied.insert(cell);
+                    }
+                }
+            }
+        }
+    }
+
+    fn note_change(&mut self, cell: u16, size: f64, from_nanos: i64, to_nanos: i64) {
+        if size == 0.0 {
+            return;
+        }
+        let rate = size * 1e9 / to_nanos.abs_diff(from_nanos).max(1) as f64;
+        match self.change_rates.binary_search_by_key(&cell, |(cell, _)| *cell) {
+            Ok(at) => self.change_rates[at].1 += rate,
+            Err(at) => self.change_rates.insert(at, (cell, rate)),
+        }
+    }
+
+    fn leave(&mut self, cells: Mask) {
+        for cell in cells.cells() {
+            let pairs = self.pairs_of_current(cell, self.scans);
+            if let Ok(at) = self.offsets.binary_search_by_key(&cell, |(cell, _)| *cell) {
+                self.offsets.remove(at);
+            }
+            if let Err(at) = self.away.binary_search_by_key(&cell, |away| away.cell) {
+                self.away.insert(at, Away { cell, sensor: self.sensor, last_nanos: self.newest_nanos, pairs });
+            }
+        }
+    }
+
+    fn enter(&mut self, cells: Mask, occupied: Mask, time: ScanTime, sensors: &Sensors) {
+        let scans = i64::try_from(self.scans + 1).unwrap_or(i64::MAX);
+        for cell in cells.cells() {
+            let mut pairs = 0;
+            if let Ok(at) = self.away.binary_search_by_key(&cell, |away| away.cell) {
+                let away = self.away.remove(at);
+                pairs = away.pairs + 1;
+                let size = self.change(cell, away.sensor, time.sensor, occupied.contains(cell), sensors);
+                self.note_change(cell, size, away.last_nanos, time.utc_nanos);
+            }
+            let offset = scans - i64::try_from(pairs).unwrap_or(i64::MAX);
+            if offset != 1
+                && let Err(at) = self.offsets.binary_search_by_key(&cell, |(cell, _)| *cell)
+            {
+                self.offsets.insert(at, (cell, offset));
+            }
+        }
+    }
+
+    fn pairs_of_current(&self, cell: u16, scans: u64) -> u64 {
+        let found = self.offsets.binary_search_by_key(&cell, |(cell, _)| *cell);
+        let offset = found.ok().map_or(1, |at| self.offsets[at].1);
+        u64::try_from(i64::try_from(scans).unwrap_or(i64::MAX) - offset).unwrap_or(0)
+    }
+
+    /// The sensor that last observed a known cell.
+    fn reader(&self, cell: u16, sensors: &Sensors) -> SensorId {
+        if sensors.others() == 0 {
+            return SensorId::OWN;
+        }
+        if self.current.contains(cell) {
+            return self.sensor;
+        }
+        let found = self.away.binary_search_by_key(&cell, |away| away.cell);
+        found.map_or(SensorId::OWN, |at| self.away[at].sensor)
+    }
+
+    /// Whether some cell was last observed by another sensor than the map's own.
+    pub(crate) fn has_other_readers(&self, sensors: &Sensors) -> bool {
+        let is_other = |sensor: SensorId| sensor != SensorId::OWN;
+        sensors.others() > 0 && (is_other(self.sensor) || self.away.iter().any(|away| is_other(away.sensor)))
+    }
+
+    /// The value of the newest reading of a known cell.
+    pub(crate) fn value(&self, cell: u16, sensors: &Sensors) -> f64 {
+        sensors.value(self.reader(cell, sensors), self.occupied.contains(cell))
+    }
+
+    /// Persistence of a cell, with the run's scans. Before the first observation it is that of an unknown state.
+    pub(crate) fn persistence(&self, cell: u16, run: ScanRun, sensors: &Sensors) -> Persistence {
+        if !self.known.contains(cell) {
+            return Persistence::default();
+        }
+        let (newest_nanos, scans) = self.settled(run);
+        let (last_nanos, pairs) = if self.current.contains(cell) {
+            (newest_nanos, self.pairs_of_current(cell, scans))
+        } else {
+            let found = self.away.binary_search_by_key(&cell, |away| away.cell);
+            found.ok().map_or((newest_nanos, 0), |at| (self.away[at].last_nanos, self.away[at].pairs))
+        };
+        let found = self.change_rates.binary_search_by_key(&cell, |(cell, _)| *cell);
+        let (free, occupied) = sensors.levels(SensorId::OWN);
+        let change_rate_sum = found.ok().map_or(0.0, |at| self.change_rates[at].1) * (occupied - free);
+        let value = self.value(cell, sensors);
+        let parts = PersistenceParts { pairs, change_rate_sum, last: Some((last_nanos, value)) };
+        // Its parts are in their ranges by construction.
+        Persistence::from_parts(parts).unwrap_or_default()
+    }
+
+    /// Memory in bytes, about.
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + self.away.len() * 24 + (self.offsets.len() + self.change_rates.len()) * 16
+    }
+}

@@ -1,0 +1,148 @@
+//! Ray casting: what the readings of a range sensor say about the cells of a grid.
+//!
+//! Cells along a ray are free, the cell of its end is occupied, cells beyond stay as they are. Where rays of one scan
+//! disagree on a cell, occupied wins.
+//!
+//! Invariant: rays are traversed exactly (Amanatides and Woo 1987), cell by cell, by a number of steps that is known
+//! before the first. The cost of a scan is bounded by its [`CastLimits`]; [`CastError`] reports an excess.
+
+use nalgebra::{Isometry3, Vector3};
+
+use crate::{
+    index::TileIndex,
+    mask::{Mask, TileMasks},
+    spec::GridSpec,
+};
+
+mod clip;
+#[cfg(test)]
+mod tests;
+mod walk;
+
+use walk::Walk;
+
+/// Readings in the sensor's frame.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Rays {
+    /// End points of rays: x, y, z of each, in metres. A point that is not finite is ignored.
+    Points(Vec<f32>),
+    /// Ranges in the sensor's x-y plane.
+    Planar {
+        /// Angle of the first ray from the x axis, radians.
+        angle_min_rad: f64,
+        /// Angle from one ray to the next, radians.
+        angle_increment_rad: f64,
+        /// Metres. Infinity: free up to the maximum range. NaN: no reading.
+        ranges_m: Vec<f32>,
+    },
+}
+
+/// One scan of a range sensor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Readings {
+    /// The transform map_from_sensor, in metres; finite.
+    pub pose: Isometry3<f64>,
+    /// Nearer readings are ignored; at least 0.
+    pub min_range_m: f32,
+    /// Farther readings only free the cells up to this range. `None`: no limit.
+    pub max_range_m: Option<f32>,
+    /// The rays.
+    pub rays: Rays,
+}
+
+/// Limits of a cast.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CastLimits {
+    /// Cells of one ray, within the grid's extent.
+    pub ray_cells: u64,
+    /// Cells of all rays; a cell that several rays pass counts for each.
+    pub cells: u64,
+    /// Tiles that the rays pass.
+    pub tiles: usize,
+}
+
+/// Why a scan exceeds the limits of a cast.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CastError {
+    /// A ray is too long.
+    #[error("ray {ray} passes {cells} cells, and one ray may pass {max}: send a max_range_m")]
+    RayTooLong {
+        /// Which, from 0.
+        ray: usize,
+        /// How many cells it passes.
+        cells: u64,
+        /// The maximum.
+        max: u64,
+    },
+    /// The rays are too long all together.
+    #[error("the rays pass more than the {max} cells that those of one scan may: send fewer points or a max_range_m")]
+    TooManyCells {
+        /// The maximum.
+        max: u64,
+    },
+    /// The rays pass too many tiles.
+    #[error("the rays pass more than the {max} tiles that one scan may show: send a max_range_m")]
+    TooManyTiles {
+        /// The maximum.
+        max: usize,
+    },
+}
+
+/// Casts readings into the grid. Returns the tiles that they pass, ascending, with their masks; nothing if no reading
+/// is valid or all lie outside the extent. A flat grid ignores heights.
+///
+/// # Errors
+/// [`CastError`] where a limit is passed.
+pub fn cast(
+    spec: &GridSpec,
+    readings: &Readings,
+    limits: CastLimits,
+) -> Result<Vec<(TileIndex, TileMasks)>, CastError> {
+    let mut walk = Walk::new(spec, readings.pose.translation.vector.into(), limits);
+    let rotation = readings.pose.rotation.to_rotation_matrix();
+    let turn = |point: [f64; 3]| <[f64; 3]>::from(rotation * Vector3::from(point));
+    let min = f64::from(readings.min_range_m);
+    let max = readings.max_range_m.map_or(f64::INFINITY, f64::from);
+    match &readings.rays {
+        Rays::Points(xyz) => {
+            for (ray, point) in xyz.as_chunks::<3>().0.iter().enumerate() {
+                let point = point.map(f64::from);
+                let range = point.iter().map(|along| along * along).sum::<f64>().sqrt();
+                // Not finite or too near.
+                if !(range >= min && range < f64::INFINITY) {
+                    continue;
+                }
+                let is_hit = range <= max;
+                let point = if is_hit { point } else { point.map(|along| along * (max / range)) };
+                walk.ray(ray, turn(point), is_hit)?;
+            }
+        }
+        Rays::Planar { angle_min_rad, angle_increment_rad, ranges_m } => {
+            for (ray, &range) in ranges_m.iter().enumerate() {
+                let range = f64::from(range);
+                if range.is_nan() || range < min {
+                    continue;
+                }
+                let is_hit = range <= max && range < f64::INFINITY;
+                let range = range.min(max);
+                let (sin, cos) = (angle_min_rad + ray as f64 * angle_increment_rad).sin_cos();
+                walk.ray(ray, turn([range * cos, range * sin, 0.0]), is_hit)?;
+            }
+        }
+    }
+    Ok(walk.into_tiles())
+}
+
+/// The cells of one tile that rays have passed so far.
+#[derive(Clone, Copy, Debug)]
+struct Tile {
+    index: TileIndex,
+    free: Mask,
+    occupied: Mask,
+}
+
+impl Tile {
+    fn masks(&self) -> TileMasks {
+        TileMasks::clipped(self.free | self.occupied, self.occupied)
+    }
+}

@@ -1,0 +1,59 @@
+//! Scans as the log holds them: differences from what their tiles showed before.
+//!
+//! Invariant: cells are numbered tile·512 + place. A flip says that a tile's bit differs from the last scan *in the
+//! order of the log* that saw the tile, whichever producer made it; a tile never seen before has no bit set.
+
+use std::sync::Arc;
+
+use crate::index::{TILE_CELLS, TileId, TileIndex};
+
+/// A cell of a map: tile and place there as one number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct CellRef(pub u32);
+
+impl CellRef {
+    /// Tiles that can be numbered.
+    pub const TILES_MAX: u32 = u32::MAX / TILE_CELLS as u32;
+
+    /// The cell at place `cell` of a tile.
+    #[inline]
+    pub fn new(tile: TileId, cell: u16) -> CellRef {
+        CellRef(tile.0.wrapping_mul(TILE_CELLS as u32) + u32::from(cell))
+    }
+
+    /// Its tile.
+    #[inline]
+    pub fn tile(self) -> TileId {
+        TileId(self.0 / TILE_CELLS as u32)
+    }
+
+    /// Its place in the tile.
+    #[inline]
+    pub fn cell(self) -> u16 {
+        (self.0 % TILE_CELLS as u32) as u16
+    }
+}
+
+/// One scan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LoggedScan {
+    /// When it was made, nanoseconds UTC, at least 0.
+    pub utc_nanos: i64,
+    /// Seconds to add to UTC for local civil time.
+    pub offset_secs: i32,
+    /// The tiles that were seen, ascending, without duplicates; `None`: the same as in the previous scan in the log.
+    pub seen: Option<Arc<[TileId]>>,
+    /// Cells of seen tiles whose observed bit differs from the last scan of their tile; ascending.
+    pub observed_flips: Vec<CellRef>,
+    /// Cells of seen tiles whose occupied bit differs; ascending. A cell that is not observed has no occupied bit.
+    pub occupied_flips: Vec<CellRef>,
+}
+
+/// Scans that became durable together.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scans {
+    /// Tiles that appear for the first time; their ids continue those of the map.
+    pub new_tiles: Vec<TileIndex>,
+    /// The accepted scans.
+    pub scans: Vec<LoggedScan>,
+}

@@ -1,0 +1,276 @@
+//! What is known of each cell, the naive way: every single observation, and a model of a single state per cell.
+//!
+//! Invariant: nothing here knows of runs, groups or shared sums.
+
+use std::collections::BTreeMap;
+
+use tidemap_grid::{
+    index::{CellIndex, TileIndex},
+    tile::CellModel,
+    view::CellDescription,
+};
+use tidemap_model::{
+    AccumulatorParts, EnabledModels, MemoryBasis, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Persistence,
+    Sample, SpectralModel, StateModel, UpdateRules,
+    selector::{ModelKind, ModelSelector},
+};
+
+/// A reading: what it counts as, and what it was.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Read {
+    pub(crate) sample: Sample,
+    pub(crate) is_occupied: bool,
+}
+
+/// One cell.
+#[derive(Clone, Debug)]
+pub(crate) struct CellOracle {
+    pending: Vec<Read>,
+    future: Vec<Read>,
+    taken: Vec<Read>,
+    pub(crate) folded: Vec<Read>,
+    pub(crate) model: StateModel,
+    pub(crate) persistence: Persistence,
+    /// Whether two components were as strong as each other, so that another choice is as good.
+    tied: bool,
+}
+
+/// γ of all periodicities.
+pub(crate) fn gammas(parts: &AccumulatorParts) -> Vec<(f64, f64)> {
+    let n = if parts.observations == 0 { 1.0 } else { parts.weight };
+    let mean = parts.sum / n;
+    parts.spectrum.iter().map(|[a, b, c, d]| ((a - mean * c) / n, (b - mean * d) / n)).collect()
+}
+
+impl CellOracle {
+    fn new(periodicities: &Periodicities) -> CellOracle {
+        CellOracle {
+            pending: Vec::new(),
+            future: Vec::new(),
+            taken: Vec::new(),
+            folded: Vec::new(),
+            model: StateModel::new(periodicities),
+            persistence: Persistence::default(),
+            tied: false,
+        }
+    }
+
+    fn take_before(&mut self, cut_nanos: i64) {
+        let is_due = |read: &mut Read| read.sample.utc_nanos < cut_nanos;
+        let mut due: Vec<Read> = self.future.extract_if(.., is_due).collect();
+        self.pending.extend(&due);
+        due.sort_by_key(|read| read.sample.utc_nanos);
+        for Read { sample, .. } in due {
+            self.persistence.observe(sample.utc_nanos, sample.value);
+        }
+        self.taken = self.pending.extract_if(.., is_due).collect();
+    }
+
+    fn learn(&mut self, periodicities: &Periodicities, criterion: OrderCriterion, half_life_days: Option<f64>) {
+        let mut taken = std::mem::take(&mut self.taken);
+        taken.sort_by_key(|read| read.sample.utc_nanos);
+        // Day by day, so that ties of each day's model are found.
+        for of_day in taken.chunk_by(|one, next| one.sample.local_day() == next.sample.local_day()) {
+            self.tied |= self.has_tie(periodicities);
+            let rules = UpdateRules { models: EnabledModels::SPECTRAL, ..UpdateRules::from(criterion) };
+            self.model.update(periodicities, rules, of_day.iter().map(|read| read.sample).collect());
+            self.folded.extend(of_day);
+            if let Some(half_life_days) = half_life_days {
+                self.fade(periodicities, half_life_days);
+            }
+            if !self.has_changed() {
+                self.be_constant(periodicities);
+            }
+        }
+    }
+
+    /// The sums over every single reading, each with its weight by its age.
+    fn fade(&mut self, periodicities: &Periodicities, half_life_days: f64) {
+        let samples = || self.folded.iter().map(|read| read.sample);
+        let newest = samples().map(|sample| sample.local_day().0).max().unwrap_or(0);
+        let mut parts = AccumulatorParts {
+            observations: self.folded.len() as u64,
+            first_nanos: samples().map(|sample| sample.utc_nanos).min().unwrap_or(0),
+            last_nanos: samples().map(|sample| sample.utc_nanos).max().unwrap_or(0),
+            spectrum: vec![[0.0; 4]; periodicities.len()],
+            ..AccumulatorParts::default()
+        };
+        for sample in samples() {
+            let weight = 0.5_f64.powf(f64::from(newest - sample.local_day().0) / half_life_days);
+            parts.weight += weight;
+            parts.sum += weight * sample.value;
+            parts.sum_squares += weight * sample.value.powi(2);
+            for (k, sums) in parts.spectrum.iter_mut().enumerate() {
+                let cycles = sample.civil_nanos() as f64 / 1e9 / periodicities.period_secs(k);
+                let (sin, cos) = (std::f64::consts::TAU * cycles.fract()).sin_cos();
+                let added = [sample.value * cos, -sample.value * sin, cos, -sin];
+                sums.iter_mut().zip(added).for_each(|(sum, added)| *sum += weight * added);
+            }
+        }
+        parts.weight = parts.weight.min(parts.observations as f64);
+        let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("valid");
+        let gaps = self.model.alternatives().map(|known| known.gaps().clone()).unwrap_or_default();
+        let spectral = SpectralModel::fit_with_gaps(&accumulator, periodicities, &gaps);
+        let (order, errors) = (self.model.best_order(), *self.model.errors());
+        self.replace(StateModel::from_parts(accumulator, spectral, order, errors).expect("valid"));
+    }
+
+    /// Takes other sums and components; what is known of the times of readings stays.
+    fn replace(&mut self, model: StateModel) {
+        let known = self.model.alternatives().cloned();
+        self.model = known.into_iter().fold(model, StateModel::with_alternatives);
+    }
+
+    /// A cell that never changed has the mean of its readings and nothing to be scored, whatever they count as.
+    fn be_constant(&mut self, periodicities: &Periodicities) {
+        let parts = self.model.accumulator().to_summed_parts(periodicities);
+        let mean = parts.sum / parts.weight;
+        let spectral = SpectralModel::from_parts(mean, parts.observations, Vec::new()).expect("valid");
+        let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("its own");
+        self.replace(StateModel::from_parts(accumulator, spectral, 0, OrderErrors::default()).expect("valid"));
+        self.tied = false;
+    }
+
+    /// Whether a component might as well have been another.
+    fn has_tie(&self, periodicities: &Periodicities) -> bool {
+        let kept = self.model.spectral().components();
+        let mut all: Vec<f64> = gammas(&self.model.accumulator().to_summed_parts(periodicities))
+            .iter()
+            .map(|(re, im)| re.hypot(*im))
+            .collect();
+        all.sort_by(|a, b| b.total_cmp(a));
+        let weakest = kept.last().map_or(0.0, |component| component.amplitude() / 2.0);
+        // Those that are not eligible may tie without harm: this is too careful, and rarely so.
+        all.windows(2).any(|pair| pair[0] >= weakest && pair[0] > 1e-9 && pair[0] - pair[1] < 1e-9)
+    }
+
+    /// Whether it was ever read as both free and occupied.
+    pub(crate) fn has_changed(&self) -> bool {
+        self.folded.windows(2).any(|pair| pair[0].is_occupied != pair[1].is_occupied)
+    }
+
+    pub(crate) fn probability(
+        &self,
+        selector: ModelSelector,
+        civil_nanos: i64,
+        utc_nanos: i64,
+        omega: &Periodicities,
+    ) -> f64 {
+        let spectral = self.model.spectral();
+        let p = match selector.kind {
+            ModelKind::Latest => self.persistence.last().map_or(0.5, |(_, value)| value),
+            ModelKind::Mean => spectral.mean(),
+            _ => spectral.predict(omega, selector.order.unwrap_or(self.model.best_order()), civil_nanos),
+        };
+        match (selector.persistence, selector.memory) {
+            (true, _) => self.persistence.blend(p, utc_nanos),
+            (false, true) => {
+                let basis = MemoryBasis { usual_change: 1.0, mean: spectral.mean(), first_nanos: None };
+                self.persistence.remember(basis, p, utc_nanos)
+            }
+            (false, false) => p,
+        }
+    }
+
+    /// Compares what a view says of the cell.
+    pub(crate) fn compare(&self, found: &CellDescription, at: &str) {
+        let (ours, theirs) = (self.persistence.to_parts(), found.persistence.to_parts());
+        assert_eq!((ours.pairs, ours.last), (theirs.pairs, theirs.last), "{at}: persistence");
+        near(ours.change_rate_sum, theirs.change_rate_sum, 1e-9 * (1.0 + ours.change_rate_sum), at, "change rates");
+        assert_eq!(found.observations, ours.pairs + 1, "{at}: observations");
+        assert_eq!(found.folded, self.folded.len() as u64, "{at}: folded");
+        assert_eq!(found.first_nanos, self.folded.iter().map(|read| read.sample.utc_nanos).min(), "{at}: first");
+        near(found.spectral.mean(), self.model.spectral().mean(), 1e-9, at, "mean");
+        assert_eq!(found.spectral.observations(), self.folded.len() as u64, "{at}: observations of the model");
+        assert_eq!(found.changed, self.has_changed(), "{at}: changed");
+        assert_eq!(found.errors.is_some(), found.changed, "{at}: errors");
+    }
+
+    /// Compares a changed cell's components, orders and errors. What is as good as the oracle's choice becomes the
+    /// oracle's.
+    pub(crate) fn compare_model(&mut self, found: &CellModel, periodicities: &Periodicities, at: &str) {
+        let parts = self.model.accumulator().to_summed_parts(periodicities);
+        let gammas = gammas(&parts);
+        let kept = found.spectral.components();
+        for component in kept {
+            let (re, im) = gammas[component.periodicity as usize];
+            near(component.gamma_re, re, 1e-9, at, "real part of γ");
+            near(component.gamma_im, im, 1e-9, at, "imaginary part of γ");
+        }
+        let weakest = if kept.len() < ORDER_MAX { 0.0 } else { kept.last().map_or(0.0, |c| c.amplitude() / 2.0) };
+        for component in self.model.spectral().components() {
+            let missing = kept.iter().all(|other| other.periodicity != component.periodicity);
+            assert!(!missing || component.amplitude() / 2.0 <= weakest + 1e-9, "{at}: {component:?} is missing");
+        }
+        assert!(kept.is_sorted_by(|one, next| one.amplitude() >= next.amplitude() - 1e-9), "{at}: not in order");
+        let (ours, theirs) = (self.model.errors().sums(), found.errors.sums());
+        if self.tied {
+            near(ours[0], theirs[0], 1e-9 * (1.0 + ours[0]), at, "error of order 0");
+        } else {
+            for order in 0..=ORDER_MAX {
+                let (a, b) = (ours[order], theirs[order]);
+                assert!((a - b).abs() < 1e-8 * (1.0 + a), "{at}: error of order {order} is {a}, or {b}");
+            }
+            let lowest = ours.iter().copied().fold(f64::INFINITY, f64::min);
+            let (a, b) = (found.errors.best(), self.model.errors().best());
+            let is_tie = |order: usize| (ours[order] - lowest * 1.001).abs() < 1e-7;
+            assert!(a == b || is_tie(a.min(b)) || lowest < 1e-7, "{at}: best order {a}, expected {b} by {ours:?}");
+            // Which components are supported is compared for single cells, whose readings count as 0 and 1.
+            assert!(usize::from(found.order) <= a, "{at}: order {} of {a}", found.order);
+        }
+        let spectral = SpectralModel::from_parts(parts.sum / parts.weight, parts.observations, kept.to_vec());
+        let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("its own");
+        let order = usize::from(found.order);
+        let model = StateModel::from_parts(accumulator, spectral.expect("valid"), order, found.errors);
+        self.replace(model.expect("a valid order"));
+        self.tied = false;
+    }
+}
+
+pub(crate) fn near(a: f64, b: f64, tolerance: f64, at: &str, what: &str) {
+    assert!((a - b).abs() <= tolerance, "{at}: {what} is {a}, or {b}");
+}
+
+/// All cells.
+#[derive(Clone, Debug)]
+pub(crate) struct Oracle {
+    periodicities: Periodicities,
+    criterion: OrderCriterion,
+    half_life_days: Option<f64>,
+    pub(crate) cells: BTreeMap<(TileIndex, u16), CellOracle>,
+    pub(crate) cell_observations: u64,
+}
+
+impl Oracle {
+    pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion, half_life_days: Option<f64>) -> Oracle {
+        let (periodicities, cells) = (periodicities.clone(), BTreeMap::new());
+        Oracle { periodicities, criterion, half_life_days, cells, cell_observations: 0 }
+    }
+
+    pub(crate) fn observe(&mut self, tile: TileIndex, cell: u16, read: Read, is_ahead: bool) {
+        self.cell_observations += 1;
+        let periodicities = &self.periodicities;
+        let cell = self.cells.entry((tile, cell)).or_insert_with(|| CellOracle::new(periodicities));
+        if is_ahead {
+            cell.future.push(read);
+        } else {
+            cell.persistence.observe(read.sample.utc_nanos, read.sample.value);
+            cell.pending.push(read);
+        }
+    }
+
+    pub(crate) fn start_update(&mut self, cut_nanos: i64) {
+        self.cells.values_mut().for_each(|cell| cell.take_before(cut_nanos));
+    }
+
+    pub(crate) fn finish_update(&mut self) {
+        let learn = |cell: &mut CellOracle| cell.learn(&self.periodicities, self.criterion, self.half_life_days);
+        self.cells.values_mut().for_each(learn);
+    }
+
+    /// A cell of which an observation has counted.
+    pub(crate) fn known(&self, cell: CellIndex) -> Option<&CellOracle> {
+        let (tile, place) = cell.tile();
+        self.cells.get(&(tile, place)).filter(|cell| cell.persistence.last().is_some())
+    }
+}
