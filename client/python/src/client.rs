@@ -10,13 +10,13 @@ use tidemap_client::{
     Client,
     connection::Credentials,
     observe::{Producer, ProducerOptions},
-    queries::{GridOutput, GridQuery, ModelSelector},
+    queries::{GridOutput, GridQuery},
 };
 
 use crate::{
     failure, grids,
     observe::{Columns, Outcome, SentCounts, kind_named, send},
-    rpc::{self, Replies},
+    rpc::{self, Replies, model_named},
     waiting::{runtime, wait},
 };
 
@@ -47,10 +47,6 @@ fn report(py: Python<'_>, all: usize, outcome: Outcome) -> PyResult<Bound<'_, Py
     report.set_item("refused", counts.refused)?;
     report.set_item("refusals", counts.refusals)?;
     Ok(report)
-}
-
-pub(crate) fn model_named(py: Python<'_>, name: &str) -> PyResult<ModelSelector> {
-    name.parse().map_err(|error| failure::invalid(py, &format!("model {name:?}: {error}")))
 }
 
 #[pymethods]

@@ -5,7 +5,10 @@
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::{prelude::*, types::PyDict};
 use tidemap_experiment::{ComparableKind, ParameterSet};
-use tidemap_model::{Sample, StateKind, Zone, models::{Moment, TemporalModel}};
+use tidemap_model::{
+    Sample, StateKind, Zone,
+    models::{Moment, TemporalModel},
+};
 
 use crate::failure;
 
@@ -62,11 +65,12 @@ impl NativeModel {
                 }
             }
         }
-        let set = ParameterSet::new(comparable, &given)
-            .map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
-        let state_kind = StateKind::ALL.into_iter().find(|kind| kind.name() == state_kind).ok_or_else(|| {
-            failure::invalid(py, &format!("kind {state_kind:?}: probability, continuous or count"))
-        })?;
+        let set =
+            ParameterSet::new(comparable, &given).map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
+        let state_kind = StateKind::ALL
+            .into_iter()
+            .find(|kind| kind.name() == state_kind)
+            .ok_or_else(|| failure::invalid(py, &format!("kind {state_kind:?}: probability, continuous or count")))?;
         let zone = zone_named(py, time_zone)?;
         let (times, values) = (times_nanos.as_array().to_vec(), values.as_array().to_vec());
         if times.len() != values.len() {

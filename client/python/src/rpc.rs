@@ -10,12 +10,12 @@ use prost_reflect::{
     DescriptorPool, DeserializeOptions, DynamicMessage, MessageDescriptor, MethodDescriptor, SerializeOptions,
 };
 use pyo3::prelude::*;
-use tidemap_client::Client;
+use tidemap_client::{Client, queries::ModelSelector};
 use tidemap_proto::bytes_codec::BytesCodec;
 use tokio::sync::Mutex;
 use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
 
-use crate::{client::model_named, failure, waiting::wait};
+use crate::{failure, waiting::wait};
 
 /// Maximum size of one reply, as of the client library.
 const REPLY_BYTES: usize = 64 << 20;
@@ -51,6 +51,11 @@ fn text(message: &DynamicMessage) -> Result<String, Status> {
     String::from_utf8(text).map_err(|error| Status::internal(error.to_string()))
 }
 
+/// A model, named as on the command line.
+pub(crate) fn model_named(py: Python<'_>, name: &str) -> PyResult<ModelSelector> {
+    name.parse().map_err(|error| failure::invalid(py, &format!("model {name:?}: {error}")))
+}
+
 /// A model, named as on the command line, as the JSON of a ModelSelector.
 #[pyfunction]
 pub(crate) fn model_request(py: Python<'_>, name: &str) -> PyResult<String> {
@@ -62,11 +67,7 @@ pub(crate) fn model_request(py: Python<'_>, name: &str) -> PyResult<String> {
 }
 
 /// Calls a method.
-pub(crate) async fn call(
-    client: Client,
-    method: MethodDescriptor,
-    request: Bytes,
-) -> Result<Streaming<Bytes>, Status> {
+pub(crate) async fn call(client: Client, method: MethodDescriptor, request: Bytes) -> Result<Streaming<Bytes>, Status> {
     let path = format!("/{}/{}", method.parent_service().full_name(), method.name());
     let path = PathAndQuery::try_from(path).map_err(|error| Status::internal(error.to_string()))?;
     let mut grpc = Grpc::new(client.requests()).max_decoding_message_size(REPLY_BYTES);
