@@ -3,7 +3,7 @@
 //! Invariant: a scan of tiles is kept as its difference to the previous scan of tiles of the producer; each of its
 //! slots is among the first [`KeptScan::tiles`] of the table of the producer.
 
-use tidemap_map::grid::index::TileIndex;
+use tidemap_grid::index::TileIndex;
 use tidemap_proto::{
     convert::scans::{EncodedScan, TileError, TilePicture, TileTable, content_digest},
     v1::{self, scan::Content},
