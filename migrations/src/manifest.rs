@@ -30,7 +30,7 @@ const SIZE_MAX: u64 = 4096;
 /// The manifest of a data directory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Manifest {
-    /// Its disk format.
+    /// Disk format of the data directory, from 1.
     pub format: u32,
     /// The identity of the store: 32 lower-case hexadecimal digits.
     pub store_id: String,

@@ -1,8 +1,8 @@
-//! Models of a state that were fitted to its readings, apart from the calibrated one.
+//! Models of a state that were trained on its readings, apart from the calibrated one.
 //!
 //! Invariant: a list of numbers has the length that the model requires; the reader checks that.
 
-/// The models of a state as of their last fits; absent before the first fit.
+/// The models of a state as they were last trained; absent before they were first trained.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Fits {
     /// The periodic mixture of Gaussians.
@@ -19,10 +19,10 @@ pub struct Fits {
     pub poisson: Option<Poisson>,
 }
 
-/// When a model was fitted, and its errors since.
+/// When a model was trained, and its errors since.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Fit {
-    /// The last local day that it was fitted to, in days since 1970-01-01.
+    /// The last local day that it was trained on, in days since 1970-01-01.
     #[prost(sint32, tag = "1")]
     pub day: i32,
     /// Faded sum of errors; absent before the first day that it was scored on.
@@ -33,10 +33,10 @@ pub struct Fit {
 /// A periodic mixture of Gaussians.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Pergam {
-    /// When it was fitted.
+    /// When it was trained.
     #[prost(message, optional, tag = "1")]
     pub fit: Option<Fit>,
-    /// Its period.
+    /// Period of the mixture, in nanoseconds.
     #[prost(sint64, tag = "2")]
     pub period_nanos: i64,
     /// Weight, mean and standard deviation of each Gaussian, the latter two in seconds.
@@ -47,7 +47,7 @@ pub struct Pergam {
 /// The rate of counts, a mean with periodic components.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Poisson {
-    /// When it was fitted.
+    /// When it was trained.
     #[prost(message, optional, tag = "1")]
     pub fit: Option<Fit>,
     /// Length of a bin.
@@ -67,7 +67,7 @@ pub struct Poisson {
 /// A warped hypertime.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Hypertime {
-    /// When it was fitted.
+    /// When it was trained.
     #[prost(message, optional, tag = "1")]
     pub fit: Option<Fit>,
     /// Its periods, as divisors of their cycles.
@@ -99,7 +99,7 @@ pub struct Cluster {
     /// Its share of the readings.
     #[prost(fixed64, tag = "1")]
     pub weight_bits: u64,
-    /// Its centre.
+    /// Mean of the cluster, one number per coordinate, as bits of f64.
     #[prost(fixed64, repeated, tag = "2")]
     pub centre_bits: Vec<u64>,
     /// Rows of the lower triangular factor of its covariance.

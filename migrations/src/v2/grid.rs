@@ -148,7 +148,7 @@ pub struct Cell {
     pub occupied: u64,
     #[prost(fixed64, tag = "3")]
     pub mean_bits: u64,
-    /// Number of observations it was fitted to.
+    /// Number of observations it was trained on.
     #[prost(uint64, tag = "4")]
     pub observations: u64,
     /// Components, strongest first: index of the periodicity u32, real and imaginary part as doubles.

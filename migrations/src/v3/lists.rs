@@ -82,7 +82,7 @@ pub struct ErasureCount {
 
 /// A list that is stored as text.
 pub trait TextList: Sized {
-    /// Its first line.
+    /// The first line of the file, which names the list and its version.
     const FIRST_LINE: &'static str;
     /// The lines between the first and the checksum.
     fn lines(&self) -> Vec<String>;

@@ -52,7 +52,7 @@ pub(crate) struct MapHandle {
     pub id: MapId,
     /// Number of this handle; each has another.
     pub number: u64,
-    /// Its fixed properties.
+    /// The fixed properties of the map.
     pub spec: Arc<MapSpec>,
     view: Arc<ArcSwap<MapView>>,
     commands: mpsc::Sender<Command>,

@@ -1,8 +1,8 @@
-//! The training data of named states for an update that fits models: from history files, and from history that no save
-//! has stored yet.
+//! The training data of named states for an update that trains models: from history files, and from history that no
+//! save has stored yet.
 //!
 //! Invariant: each reading comes once, and in the same order whether it is in a file or not, so that an update that is
-//! repeated after a crash fits the same models.
+//! repeated after a crash trains the same models.
 
 use std::sync::{Arc, OnceLock};
 

@@ -94,7 +94,7 @@ pub(crate) struct Context {
 pub(crate) struct RestoredMap {
     /// The map.
     pub map: LiveMap,
-    /// Its log.
+    /// The log to which the writer appends.
     pub log: MapLog,
     /// The unsaved result of updates that were repeated during the start.
     pub unsaved: Option<MapSnapshot>,

@@ -42,8 +42,8 @@ mod tests {
         let acks: Vec<_> = acks(7, 9000, (8..8 + count).map(refused).collect()).collect();
         let shape: Vec<_> = acks.iter().map(|ack| (ack.durable_sequence, ack.refused.len())).collect();
         assert_eq!(shape, expected);
-        let told = acks.iter().flat_map(|ack| &ack.refused).map(|refusal| refusal.sequence);
-        assert!(told.eq(8..8 + count));
+        let refused = acks.iter().flat_map(|ack| &ack.refused).map(|refusal| refusal.sequence);
+        assert!(refused.eq(8..8 + count));
     }
 
     #[test]

@@ -276,8 +276,8 @@ mod tests {
         let set = <prost_types::FileDescriptorSet as prost::Message>::decode(DESCRIPTORS).expect("the descriptors");
         let services = set.file.iter().flat_map(|file| &file.service);
         let methods = services.flat_map(|service| service.method.iter().map(move |method| (service.name(), method)));
-        let of = methods.filter(|(_, method)| is_of(method));
-        of.map(|(service, method)| format!("/tidemap.v1.{service}/{}", method.name())).collect()
+        let matching = methods.filter(|(_, method)| is_of(method));
+        matching.map(|(service, method)| format!("/tidemap.v1.{service}/{}", method.name())).collect()
     }
 
     #[test]

@@ -213,7 +213,7 @@ impl Permits {
         Self { permits: Arc::new(Semaphore::new(max)), max, patience: PERMIT_WITHIN, load: Arc::default() }
     }
 
-    /// The same for requests that begin to compute within a time, as far as that can be foreseen, or are refused.
+    /// These permits for requests that begin to compute within a time, as far as that can be foreseen, or are refused.
     pub(super) fn beginning_within(self, patience: Duration) -> Self {
         Self { patience, ..self }
     }

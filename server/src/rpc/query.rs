@@ -63,9 +63,9 @@ pub(crate) struct QueryLimits {
     pub predictions: u64,
     /// Observations of one message.
     pub batch: usize,
-    /// Fitted models in the cache.
+    /// Trained models in the cache.
     pub fitted_models: usize,
-    /// Readings that a model is fitted to.
+    /// Readings that a model is trained on.
     pub fit_readings: u64,
     /// Watches at once.
     pub watches: usize,

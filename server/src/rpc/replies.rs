@@ -36,7 +36,8 @@ pub(super) struct ReplySink<T> {
 }
 
 impl<T> ReplySink<T> {
-    /// The same, for work that holds permits until it drops the sink. They are free while a reader is waited for.
+    /// This sink for work that holds permits until it drops the sink. The permits are free while the work waits for the
+    /// reader.
     pub(super) fn holding(self, permits: Vec<Permit>) -> Self {
         Self { permits: Some(Arc::new(Mutex::new(permits))), ..self }
     }
@@ -46,8 +47,8 @@ impl<T> ReplySink<T> {
         self.send_freeing(reply, || ())
     }
 
-    /// The same, for work that holds much memory, which it can do again: `free` is called before a longer wait, for the
-    /// reader or for a permit, and perhaps more than once.
+    /// Sends a reply as [`ReplySink::send`], for work that holds much memory and can make it again: `free` is called
+    /// before a longer wait, for the reader or for a permit, and perhaps more than once.
     pub(super) fn send_freeing(&self, reply: T, mut free: impl FnMut()) -> bool {
         match self.ready.try_send(Ok(reply)) {
             Ok(()) => {

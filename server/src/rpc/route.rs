@@ -55,7 +55,7 @@ pub(crate) struct Routes {
 }
 
 impl Routes {
-    /// Plans within this limit; models are fitted by the fitter of `queries`.
+    /// Plans within this limit; models are trained by the fitter of `queries`.
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
         Self { catalog, predictions, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
     }
@@ -125,10 +125,10 @@ impl TopologyService for Routes {
     async fn list_failures(&self, request: Request<v1::ListFailuresRequest>) -> RpcReply<v1::ListFailuresResponse> {
         let v1::ListFailuresRequest { map, limit, edge } = request.into_inner();
         let view = find_map(&self.catalog, &map).await?.view();
-        let most = if limit == 0 { usize::MAX } else { usize::try_from(limit).unwrap_or(usize::MAX) };
+        let max_count = if limit == 0 { usize::MAX } else { usize::try_from(limit).unwrap_or(usize::MAX) };
         let asked = view.site().failures().newest_first();
         let asked = asked.filter(|failure| edge.as_ref().is_none_or(|edge| is_of(failure, edge)));
-        let failures = asked.take(most).map(failure_to_wire).collect();
+        let failures = asked.take(max_count).map(failure_to_wire).collect();
         Ok(Response::new(v1::ListFailuresResponse { failures }))
     }
 }

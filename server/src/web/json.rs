@@ -100,8 +100,8 @@ fn method(gateway: &Gateway, service: &str, method: &str) -> Option<MethodDescri
 }
 
 fn is_json(headers: &HeaderMap) -> bool {
-    let of = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
-    of.split(';').next().is_some_and(|media| media.trim().eq_ignore_ascii_case("application/json"))
+    let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
+    media_type.split(';').next().is_some_and(|media| media.trim().eq_ignore_ascii_case("application/json"))
 }
 
 /// A request as it is on the wire.

@@ -57,7 +57,7 @@ impl Failure {
 
 /// A parameter of an address, as the description of the interface shows it.
 pub(super) struct Parameter {
-    /// Its name.
+    /// Name of the parameter, as in the query of an address.
     pub name: &'static str,
     /// What it means, and its default.
     pub description: &'static str,

@@ -78,8 +78,8 @@ fn field(field: &FieldDescriptor) -> Value {
         (Cardinality::Repeated, Kind::Message(entry)) if field.is_map() => {
             json!({ "type": "object", "additionalProperties": kind(&entry.map_entry_value_field().kind()) })
         }
-        (Cardinality::Repeated, of) => json!({ "type": "array", "items": kind(&of) }),
-        (_, of) => kind(&of),
+        (Cardinality::Repeated, element) => json!({ "type": "array", "items": kind(&element) }),
+        (_, element) => kind(&element),
     };
     match field.containing_oneof() {
         Some(choice) if !choice.is_synthetic() => {
@@ -91,7 +91,8 @@ fn field(field: &FieldDescriptor) -> Value {
 }
 
 fn message(message: &MessageDescriptor) -> Value {
-    let properties: Map<String, Value> = message.fields().map(|of| (of.json_name().to_owned(), field(&of))).collect();
+    let properties: Map<String, Value> =
+        message.fields().map(|member| (member.json_name().to_owned(), field(&member))).collect();
     let schema = json!({ "type": "object", "properties": properties, "additionalProperties": false });
     described(schema, comment(&message.parent_file(), message.path()))
 }
@@ -208,11 +209,11 @@ pub(super) fn document(pool: &DescriptorPool) -> Bytes {
     });
     let mut schemas = Map::from_iter([("Error".to_owned(), error)]);
     let own = |name: &str| name.starts_with("tidemap.v1.");
-    for of in pool.all_messages().filter(|of| own(of.full_name()) && !of.is_map_entry()) {
-        schemas.insert(name_of(of.full_name()).to_owned(), message(&of));
+    for known in pool.all_messages().filter(|known| own(known.full_name()) && !known.is_map_entry()) {
+        schemas.insert(name_of(known.full_name()).to_owned(), message(&known));
     }
-    for of in pool.all_enums().filter(|of| own(of.full_name())) {
-        schemas.insert(name_of(of.full_name()).to_owned(), enumeration(&of));
+    for known in pool.all_enums().filter(|known| own(known.full_name())) {
+        schemas.insert(name_of(known.full_name()).to_owned(), enumeration(&known));
     }
     let document = json!({
         "openapi": "3.1.0",

@@ -113,13 +113,13 @@ impl StateAllocator<'_> {
             });
         }
         let new = known.iter().filter(|known| known.is_none()).count();
-        let most = self.max.saturating_sub(self.map.states() + self.in_flight.len());
+        let room = self.max.saturating_sub(self.map.states() + self.in_flight.len());
         let mut states = Vec::with_capacity(wanted.len());
         for (known, (name, kind)) in known.into_iter().zip(wanted) {
             states.push(match known {
                 Some(state) => state,
                 None => {
-                    let added = if new <= most { self.add(name, StateShape::Scalar(*kind)) } else { None };
+                    let added = if new <= room { self.add(name, StateShape::Scalar(*kind)) } else { None };
                     let added = added.ok_or_else(|| self.is_full(name))?;
                     let state = added.id;
                     new_states.push(added);

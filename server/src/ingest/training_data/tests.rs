@@ -1,4 +1,4 @@
-//! The same readings, from files or from memory.
+//! Readings are the same, whether they come from files or from memory.
 
 use std::path::Path;
 

@@ -56,12 +56,12 @@ impl Backlog {
 
     /// Whether any handover of the stream waits.
     pub(super) fn has(&self, session: SessionId) -> bool {
-        self.handovers.iter().any(|(of, _)| *of == session)
+        self.handovers.iter().any(|(sender, _)| *sender == session)
     }
 
     /// Whether the end of the stream waits behind other handovers.
     pub(super) fn has_end(&self, session: SessionId) -> bool {
-        self.handovers.iter().any(|(of, handover)| *of == session && matches!(handover, StreamData::End { .. }))
+        self.handovers.iter().any(|(sender, handover)| *sender == session && matches!(handover, StreamData::End { .. }))
     }
 
     pub(super) fn wait_hello(&mut self, hello: Hello) {

@@ -132,17 +132,17 @@ impl Context {
                 work.with_readings(Arc::new(training_data))
             }
             Err(error) => {
-                warn!(%map, %error, "history cannot be read: no model is refitted");
+                warn!(%map, %error, "history cannot be read: no model is trained again");
                 work
             }
         };
         let result = self.update_pool.install(|| work.run(progress))?;
         let refits = result.refits();
         if let Some(reason) = &refits.failure {
-            warn!(%map, states = refits.failed, reason, "models are not refitted, because history cannot be read");
+            warn!(%map, states = refits.failed, reason, "models are not trained again, because history cannot be read");
         }
         if refits.waiting > 0 {
-            info!(%map, fitted = refits.fitted, waiting = refits.waiting, "models wait for a refit at a later update");
+            info!(%map, trained = refits.fitted, waiting = refits.waiting, "models wait to be trained at a later update");
         }
         Ok(result)
     }

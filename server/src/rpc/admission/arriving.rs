@@ -117,7 +117,7 @@ impl ArrivingBody {
 /// What comes of a request.
 enum Arrived {
     Frame(Frame<Bytes>),
-    /// Its connection broke.
+    /// The connection broke.
     Broken(Status),
     /// It is too slow or too large.
     Refused(RpcError),

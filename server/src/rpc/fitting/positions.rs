@@ -1,4 +1,4 @@
-//! Models of positions, and of states by place, fitted like those of states.
+//! Models of positions, and of states by place, trained like those of states.
 //!
 //! Invariant: all axes are gathered from one view, so that each position is complete.
 
@@ -14,7 +14,7 @@ use crate::{
 };
 
 impl ModelFitter {
-    /// The model of a vector with these axes, from the cache or fitted now.
+    /// The model of a vector with these axes, from the cache or trained now.
     ///
     /// # Errors
     /// [`RpcError::ModelUnavailable`] if there can be no such model; others if the readings cannot be read.

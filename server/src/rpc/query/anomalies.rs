@@ -36,7 +36,7 @@ use crate::{
 /// Observations that are judged at once, and of one reply: their phasors take some 10 MB at 168 periodicities.
 const READINGS_PER_REPLY: usize = 4096;
 
-/// The model that observations are judged by: one that was fitted to the readings, or the view's.
+/// The model that observations are judged by: one that was trained on the readings, or the view's.
 struct Judge {
     subject: StateOrCell,
     fitted: Option<Arc<CachedModel>>,
@@ -84,7 +84,7 @@ pub(super) async fn find_anomalies(
     let selector = judge_from_wire("model", model)?;
     let view = handle.view();
     let subject = find_all(&view, |_| "state".to_owned(), vec![name]).await?.pop().ok_or(RpcError::Stopping)?;
-    // Before the permits to look up are taken: a fit has its own permits, and may take long.
+    // Before the permits to look up are taken: training has its own permits, and may take long.
     let fitted = if selector.kind.needs_readings() {
         let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), subject.clone());
         Some(queries.fitting.fitted(&learned, selector.kind).await?)

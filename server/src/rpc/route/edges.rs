@@ -33,7 +33,7 @@ pub(super) struct Edges {
 
 impl Edges {
     /// # Errors
-    /// The model cannot be fitted.
+    /// The model cannot be trained.
     pub(super) async fn new(
         routes: &Routes,
         handle: &Arc<MapHandle>,
@@ -41,8 +41,8 @@ impl Edges {
         selector: ModelSelector,
         speed_m_per_s: f64,
     ) -> Result<Edges, RpcError> {
-        let of = Arc::clone(view);
-        let edges = routes.run_blocking(move || EdgeForecasts::new(of, speed_m_per_s, selector)).await?;
+        let forecast_view = Arc::clone(view);
+        let edges = routes.run_blocking(move || EdgeForecasts::new(forecast_view, speed_m_per_s, selector)).await?;
         let states: Vec<StateId> = edges.success_states().collect();
         let places = states.iter().enumerate().map(|(place, &id)| (id, place)).collect();
         let alone = selector.unblended();

@@ -57,8 +57,8 @@ fn content(store: &Store, spec: &MapSpec) -> Content {
     let snapshot = opened.snapshot.expect("saved");
     let events = opened.replay.map(|entry| entry.expect("whole")).collect();
     let history = store.history(MAP).expect("known");
-    let of = |id: u32| (StateId(id), history.state(StateId(id), i64::MIN, i64::MAX).expect("readable"));
-    Content { snapshot, events, history: (0..6).map(of).collect() }
+    let state_history = |id: u32| (StateId(id), history.state(StateId(id), i64::MIN, i64::MAX).expect("readable"));
+    Content { snapshot, events, history: (0..6).map(state_history).collect() }
 }
 
 /// A disk with a map, and the map without the states.
@@ -78,11 +78,13 @@ fn filled(spec: &MapSpec) -> (SimulatedDisk, Content, Content) {
             if spec.grid.is_none() {
                 piece.days.clear();
             }
-            let of = |position| match &spec.grid {
+            let snapshot_at = |position| match &spec.grid {
                 Some(_) => grid_example::snapshot(spec, position, 3),
                 None => example::snapshot(spec, position, 3),
             };
-            store.save(MAP, &MapSnapshot { history: vec![Arc::new(piece.clone())], ..of(position) }).expect("saves");
+            store
+                .save(MAP, &MapSnapshot { history: vec![Arc::new(piece.clone())], ..snapshot_at(position) })
+                .expect("saves");
             pieces.push(piece);
         }
     }

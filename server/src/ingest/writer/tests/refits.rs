@@ -1,4 +1,4 @@
-//! Models of every kind: fitted at the nightly update, and the same when the update is repeated.
+//! Models of every kind: trained at the nightly update, and the same when the update is repeated.
 
 use std::{fs, path::PathBuf};
 
@@ -147,7 +147,7 @@ async fn an_update_that_makes_room_fits_nothing() {
     assert_eq!(learned.accumulator().observations(), 9 * 48);
     let calibrated = FitKind::Calibrated;
     assert!(learned.is_fit_due(calibrated) && learned.alternatives().expect("learned").fit(calibrated).is_none());
-    // The next update, of another cause, fits them.
+    // The next update, of another cause, trains them.
     robot.observe(&handle, NOON - (DAYS - 9) * DAY).await;
     update(&bench, &handle, 10).await;
     let learned = model(&handle);

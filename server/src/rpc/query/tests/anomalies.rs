@@ -197,8 +197,8 @@ async fn a_watcher_hears_of_what_is_not_expected_as_soon_as_it_is_durable() {
     let mut other = bench.robot("other").await;
     other.observe(&bench, &[(LATER, 0.0)]).await;
     bench.update().await;
-    let told = all.next().await.expect("a reply").expect("well");
-    assert_eq!(rows(told), [("door".to_owned(), LATER, 0.0, 1.0)]);
+    let reply = all.next().await.expect("a reply").expect("well");
+    assert_eq!(rows(reply), [("door".to_owned(), LATER, 0.0, 1.0)]);
     bench.queries.catalog.stop().await;
     let end = all.next().await.expect("a status").expect_err("an end");
     assert_eq!(end.code(), Code::Unavailable, "{end:?}");
@@ -242,17 +242,17 @@ async fn a_watcher_hears_of_cells_what_is_found_later() {
         ("cell/1/0/0", at(1), 0.0, 1.0),
         ("cell/1/0/0", at(4), 0.0, 1.0),
     ];
-    let mut told = Vec::new();
-    while told.len() < expected.len() {
+    let mut reported = Vec::new();
+    while reported.len() < expected.len() {
         let reply = watching.next().await.expect("a reply").expect("well");
         assert_eq!(reply.missed_observations, 0);
-        told.extend(rows(reply));
+        reported.extend(rows(reply));
     }
-    assert_eq!(told, expected.map(|(cell, time, value, p)| (cell.to_owned(), time, value, p)));
+    assert_eq!(reported, expected.map(|(cell, time, value, p)| (cell.to_owned(), time, value, p)));
     for cell in ["cell/0/0/0", "cell/1/0/0", "cell/2/0/0", "cell/3/0/0"] {
         let later =
             bench.find(v1::FindAnomaliesRequest { model: wire(ModelKind::Mean), ..about(cell, (LATER, LATER + HOUR)) });
-        let of_cell = told.iter().filter(|row| row.0 == cell).map(|&(_, time, value, p)| (time, value, p));
+        let of_cell = reported.iter().filter(|row| row.0 == cell).map(|&(_, time, value, p)| (time, value, p));
         assert_eq!(later.await.expect("an answer"), of_cell.collect::<Rows>(), "{cell}");
     }
 }
@@ -265,19 +265,22 @@ async fn each_observation_is_judged_by_the_models_in_force_when_it_comes() {
         || v1::WatchAnomaliesRequest { confidence: Some(0.9), model: wire(ModelKind::Mean), ..Default::default() };
     let (mut prompt, mut late) =
         (bench.watch(request()).await.expect("accepted"), bench.watch(request()).await.expect("accepted"));
-    let mut told = Vec::new();
+    let mut predictions = Vec::new();
     for round in 0..3 {
         robot.observe(&bench, &[(LATER + round, 0.0)]).await;
         let in_force =
             bench.predict(&["door"], &[LATER], wire(ModelKind::Mean)).await.expect("an answer")[0].probabilities[0];
         let reply = prompt.next().await.expect("a reply").expect("well");
         assert_eq!(rows(reply), [("door".to_owned(), LATER + round, 0.0, in_force)]);
-        told.push(in_force);
+        predictions.push(in_force);
         bench.update().await;
     }
-    assert!(told[0] == 1.0 && told[1] < told[0] && told[2] < told[1], "each update has learned of one: {told:?}");
+    assert!(
+        predictions[0] == 1.0 && predictions[1] < predictions[0] && predictions[2] < predictions[1],
+        "each update has learned of one: {predictions:?}"
+    );
     // A slow reader gets the same.
-    for (round, in_force) in (0..3).zip(told) {
+    for (round, in_force) in (0..3).zip(predictions) {
         let reply = late.next().await.expect("a reply").expect("well");
         assert_eq!(rows(reply), [("door".to_owned(), LATER + round, 0.0, in_force)]);
     }
@@ -328,16 +331,16 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
     counter.settled().await;
     robot.observe(&bench, &[(LATER, 0.0)]).await;
     // Four is usual, with the variance of counts: 0 is less extreme than 40.
-    let told = rows(watched.next().await.expect("a reply").expect("well"));
-    assert_eq!(told.len(), 1, "{told:?}");
-    let (state, time, value, tail) = told[0].clone();
+    let counted = rows(watched.next().await.expect("a reply").expect("well"));
+    assert_eq!(counted.len(), 1, "{counted:?}");
+    let (state, time, value, tail) = counted[0].clone();
     assert_eq!((&*state, time, value), ("people", at + 1, 40.0));
     assert!((0.0..1e-9).contains(&tail), "{tail}");
     let mut both = Vec::new();
     while both.len() < 2 {
         both.extend(rows(all.next().await.expect("a reply").expect("well")));
     }
-    assert_eq!(both, [told[0].clone(), ("door".to_owned(), LATER, 0.0, 1.0)]);
+    assert_eq!(both, [counted[0].clone(), ("door".to_owned(), LATER, 0.0, 1.0)]);
     // The past gives the same, until an update has learned it.
     let found = bench.find(about("people", (0, i64::MAX))).await.expect("kept");
     assert_eq!(found, [(at + 1, 40.0, tail)]);
@@ -381,14 +384,14 @@ async fn one_who_does_not_read_holds_nobody_up_and_is_told_how_much_was_missed()
         // Acknowledged one by one, whether anybody reads or not.
         robot.observe(&bench, &[(LATER + i, 0.0), (LATER + i, 1.0)]).await;
     }
-    let (mut told, mut missed) = (Vec::new(), 0);
-    while missed + 2 * told.len() as u64 != 2 * count as u64 {
+    let (mut reported, mut missed) = (Vec::new(), 0);
+    while missed + 2 * reported.len() as u64 != 2 * count as u64 {
         let reply = slow.next().await.expect("a reply").expect("well");
         missed += reply.missed_observations;
-        told.extend(rows(reply).into_iter().map(|(_, time, ..)| time - LATER));
+        reported.extend(rows(reply).into_iter().map(|(_, time, ..)| time - LATER));
     }
-    assert!(missed > 0 && told.len() > 60 && told.is_sorted(), "{missed} missed, {told:?}");
-    assert!(told.starts_with(&[0, 1, 2]) && told.ends_with(&[count - 1]), "the oldest are lost: {told:?}");
+    assert!(missed > 0 && reported.len() > 60 && reported.is_sorted(), "{missed} missed, {reported:?}");
+    assert!(reported.starts_with(&[0, 1, 2]) && reported.ends_with(&[count - 1]), "the oldest are lost: {reported:?}");
     // It reads from now on.
     robot.observe(&bench, &[(LATER, 0.0)]).await;
     let reply = slow.next().await.expect("a reply").expect("well");

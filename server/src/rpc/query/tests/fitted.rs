@@ -1,4 +1,4 @@
-//! Models that are fitted on request: to which readings, shared by whom, and errors.
+//! Models that are trained on request: on which readings, shared by whom, and errors.
 
 use tidemap_model::{
     Sample,
@@ -39,7 +39,7 @@ impl Bench {
     }
 }
 
-/// The predictions of a model that was fitted to these readings alone.
+/// The predictions of a model that was trained on these readings alone.
 fn expected(bench: &Bench, readings: &[(i64, f64)], times: &[i64]) -> [Vec<f64>; 2] {
     let view = bench.handle.view();
     let mut make = view.sample_maker();
