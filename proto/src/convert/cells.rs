@@ -78,9 +78,9 @@ pub fn header_to_wire(
     v1::GridHeader {
         grid: Some(grid_to_wire(grid.spec())),
         region: (!selection.region.is_empty()).then(|| cell_box_to_wire(&selection.region)),
-        tiles: selection.told,
+        tiles: selection.tile_count,
         cells: selection.cells,
-        bytes: selection.told * (masks + TILE_OVERHEAD) + selection.values_at_most * size_of::<f32>() as u64,
+        bytes: selection.tile_count * (masks + TILE_OVERHEAD) + selection.values_at_most * size_of::<f32>() as u64,
         generation,
     }
 }

@@ -16,7 +16,8 @@ pub struct GroupFade {
     pub weight: f64,
     /// The latest day that was learned, on which a reading counts 1; also in the sums of changed cells.
     pub day: LocalDay,
-    /// The same of the group's own sums, which stop where the observation runs of its tile begin.
+    /// The latest day that was learned in the group's own sums, which stop where the observation runs of its tile
+    /// begin.
     pub sum_day: LocalDay,
 }
 

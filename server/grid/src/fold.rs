@@ -22,7 +22,7 @@ pub(super) struct Chunk<'a> {
     pub(super) phasors: &'a PhasorTable,
     /// Running sums: row i is that of the scans before scan `first` + i.
     pub(super) rows: &'a RunningSums,
-    /// The same, weighted; `None` where all scans are of the map's own sensor.
+    /// The running sums with the weights of readings; `None` where all scans are of the map's own sensor.
     pub(super) weighted: Option<&'a WeightedRows>,
     /// The values of a free and an occupied reading of each scan; `None` if all are of the map's own sensor.
     pub(super) levels: Option<(&'a [f64], &'a [f64])>,
@@ -132,8 +132,8 @@ impl WeightedScans {
 
     /// The values of free and occupied readings of a range of scans.
     pub(super) fn levels(&self, first: usize, count: usize) -> (&[f64], &[f64]) {
-        let of = |levels: &'_ [f64]| levels.len().min(first)..levels.len().min(first + count);
-        (&self.free[of(&self.free)], &self.occupied[of(&self.occupied)])
+        let range = |levels: &'_ [f64]| levels.len().min(first)..levels.len().min(first + count);
+        (&self.free[range(&self.free)], &self.occupied[range(&self.occupied)])
     }
 
     /// Σα and Σβ over the scans at which a bit with these toggles is set.

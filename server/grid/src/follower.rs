@@ -40,7 +40,7 @@ struct FollowedTile {
 /// A reading of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct CellReading {
-    /// Its tile.
+    /// The tile that holds the cell.
     pub tile: TileId,
     /// Where the tile is.
     pub index: TileIndex,

@@ -4,7 +4,7 @@
 //! its observations, kept per run of equal readings and never per observation (T-RO 2017, section VI).
 //!
 //! A scan passes `log_head.rs` (differences against the last scan of each tile in the log), the log, `live.rs` (last
-//! values per tile, and the exact scans of each local day), `update/` (score, choose orders, learn, refit) and
+//! values per tile, and the exact scans of each local day), `update/` (score, choose orders, learn, train again) and
 //! `view.rs` (what readers see).
 //!
 //! - **Cost follows change.** A scan costs its flips. Scans of the same tiles form runs ([`live_tile::ScanRun`]), so

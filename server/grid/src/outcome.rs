@@ -33,7 +33,7 @@ pub struct TileOutcome {
     pub squared_errors: [f64; ORDER_MAX + 1],
     /// Sum of squared errors, each predicted with the order in force for its cell on its day.
     pub squared_error_in_force: f64,
-    /// The same with the order that was chosen for its cell on that day.
+    /// Sum of squared errors, each predicted with the order that was chosen for its cell on that day.
     pub squared_error_chosen: f64,
 }
 

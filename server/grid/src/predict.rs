@@ -73,7 +73,7 @@ pub struct GridSelection {
     /// Cells of these tiles.
     pub cells: u64,
     /// Tiles of the answer: fewer than `tiles` where projected.
-    pub told: u64,
+    pub tile_count: u64,
     /// Maximum number of values in the answer.
     pub values_at_most: u64,
 }
@@ -159,7 +159,7 @@ impl GridView {
         }
         let layers = if self.spec.is_flat { 1 } else { TILE_EDGE as u64 };
         let cells = tiles.len() as u64 * layers * (TILE_EDGE * TILE_EDGE) as u64;
-        let (values_at_most, told) = if question.project {
+        let (values_at_most, tile_count) = if question.project {
             let columns = tiles.chunk_by(|(one, _), (next, _)| same_column(*one, *next)).count() as u64;
             (region.min.z, region.max.z) = if tiles.is_empty() { (0, 0) } else { (0, 1) };
             (columns * (TILE_EDGE * TILE_EDGE) as u64, columns)
@@ -167,7 +167,7 @@ impl GridView {
             let of_tile = |&(index, id): &(TileIndex, TileId)| self.values_of(index, id, question);
             (tiles.iter().map(of_tile).sum(), tiles.len() as u64)
         };
-        GridSelection { region, tiles, cells, told, values_at_most }
+        GridSelection { region, tiles, cells, tile_count, values_at_most }
     }
 
     /// The tiles that reach into a box, looked up or looked through, whichever is less work.
@@ -262,15 +262,16 @@ impl GridView {
                 };
                 let mut changed = changed.peekable();
                 values.extend(shape.known.cells().map(|cell| {
-                    let learned = changed.next_if(|(of, _)| of.cell == cell);
+                    let learned = changed.next_if(|(model, _)| model.cell == cell);
                     let fixed = || if shape.learned.contains(cell) { constant(cell) } else { 0.5 };
                     match learned {
-                        Some((of, probability)) => blend(cell, of.spectral.mean(), probability),
+                        Some((model, probability)) => blend(cell, model.spectral.mean(), probability),
                         None => blend(cell, f64::from(fixed()), fixed()),
                     }
                 }));
             } else if selector.is_blended() {
-                values.extend(changed.map(|(of, probability)| blend(of.cell, of.spectral.mean(), probability)));
+                values
+                    .extend(changed.map(|(model, probability)| blend(model.cell, model.spectral.mean(), probability)));
             } else {
                 values.extend(changed.map(|(_, probability)| probability));
             }

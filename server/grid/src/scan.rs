@@ -21,7 +21,7 @@ impl CellRef {
         CellRef(tile.0.wrapping_mul(TILE_CELLS as u32) + u32::from(cell))
     }
 
-    /// Its tile.
+    /// The tile that holds the cell.
     #[inline]
     pub fn tile(self) -> TileId {
         TileId(self.0 / TILE_CELLS as u32)

@@ -76,7 +76,7 @@ impl GroupSums {
         self.weighted.as_ref().map_or(&self.plain, |weighted| &weighted.beta)
     }
 
-    /// The same with the weight of every reading multiplied by a factor.
+    /// These sums with the weight of every reading multiplied by a factor.
     pub(crate) fn scaled(&self, factor: f64) -> GroupSums {
         if factor == 1.0 {
             return self.clone();
@@ -86,7 +86,7 @@ impl GroupSums {
             sum.scale(factor);
             Arc::new(sum)
         };
-        let weighted = |of: &WeightedSums| WeightedSums { alpha: scaled(&of.alpha), beta: scaled(&of.beta) };
+        let weighted = |sums: &WeightedSums| WeightedSums { alpha: scaled(&sums.alpha), beta: scaled(&sums.beta) };
         GroupSums {
             plain: scaled(&self.plain),
             weighted: self.weighted.as_ref().map(weighted),

@@ -1,4 +1,4 @@
-//! The update of a grid: each day's scans are scored, orders are chosen, sums are continued, models refitted.
+//! The update of a grid: each day's scans are scored, orders are chosen, sums are continued, models trained again.
 //!
 //! Tiles that were seen by the same scans of a day are processed together: they share the phasors of those scans and
 //! their running sums, in chunks that stay in cache. A cell then costs one row of sums per change of its value, and a

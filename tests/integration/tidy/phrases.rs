@@ -8,15 +8,7 @@ use super::{files, hold, read};
 const EMPTY_NAMES: [&str; 3] = ["told", "of", "most"];
 
 /// Folders and files whose names and comments still have to be mended.
-const NOT_YET: [&str; 7] = [
-    "migrations/",
-    "proto/src/convert/cells.rs",
-    "server/grid/",
-    "server/src/ingest",
-    "server/src/rpc/",
-    "server/src/web",
-    "server/store/",
-];
+const NOT_YET: &[&str] = &["migrations/", "server/src/ingest", "server/src/rpc/", "server/store/"];
 
 /// A line of a file, split into its code and the text of its comment.
 #[derive(Debug, Default, PartialEq)]

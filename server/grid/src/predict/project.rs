@@ -80,14 +80,14 @@ impl Columns {
     fn tell(&self, index: TileIndex, question: &GridQuestion) -> TileCells {
         let layer = |word: u64| Mask([word, 0, 0, 0, 0, 0, 0, 0]);
         let all_values = self.own != 0;
-        let told = layer(if all_values { self.known } else { self.changed });
+        let listed = layer(if all_values { self.known } else { self.changed });
         let value = |cell: u16| question.output.of(self.best[usize::from(cell & 63)]);
         TileCells {
             index,
             known: layer(self.known),
             changed: layer(self.changed),
             high: layer(self.high),
-            values: told.cells().map(value).collect(),
+            values: listed.cells().map(value).collect(),
             all_values,
         }
     }

@@ -144,8 +144,8 @@ fn naive(grid: &GridView, question: &GridQuestion) -> HashMap<CellIndex, (f32, b
     cells
 }
 
-/// The same as an answer tells it.
-fn told(grid: &GridView, question: &GridQuestion) -> HashMap<CellIndex, (f32, bool)> {
+/// What the answer says of each known cell: its value, and whether it has changed.
+fn answer_cells(grid: &GridView, question: &GridQuestion) -> HashMap<CellIndex, (f32, bool)> {
     let selection = grid.select(question);
     let levels = grid.levels();
     let mut cells = HashMap::new();
@@ -170,7 +170,7 @@ fn told(grid: &GridView, question: &GridQuestion) -> HashMap<CellIndex, (f32, bo
         }
         assert_eq!(own.next(), None);
     }
-    assert!(values <= selection.values_at_most && tiles == selection.told);
+    assert!(values <= selection.values_at_most && tiles == selection.tile_count);
     assert!(cells.keys().all(|cell| selection.region.contains(*cell)));
     cells
 }
@@ -189,11 +189,14 @@ fn check(grid: &GridView, question: &GridQuestion) {
         expected = columns.into_iter().map(|(cell, (_, value))| (cell, value)).collect();
     }
     expected.values_mut().for_each(|(value, _)| *value = question.output.of(*value));
-    let found = told(grid, question);
+    let found = answer_cells(grid, question);
     assert_eq!(found.len(), expected.len(), "{question:?}");
     for (cell, (value, changed)) in expected {
-        let (told, told_changed) = found[&cell];
-        assert!((told - value).abs() < 1e-6 && changed == told_changed, "{cell:?}: {told} for {value}, {question:?}");
+        let (answer, answer_changed) = found[&cell];
+        assert!(
+            (answer - value).abs() < 1e-6 && changed == answer_changed,
+            "{cell:?}: {answer} for {value}, {question:?}"
+        );
     }
 }
 

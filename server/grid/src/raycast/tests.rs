@@ -239,8 +239,8 @@ fn check_diagonal(spec: &GridSpec, readings: &Readings, from: [i32; 3], step: [i
             .filter(|(axis, _)| step[*axis] != 0)
             .map(|(axis, to)| steps(to, axis))
             .collect();
-        let (least, most) = (along.iter().min().expect("an axis"), along.iter().max().expect("an axis"));
-        assert!(*least >= 0 && most - least <= 1, "{x} {y} {z} is not on the way");
+        let (nearest, farthest) = (along.iter().min().expect("an axis"), along.iter().max().expect("an axis"));
+        assert!(*nearest >= 0 && farthest - nearest <= 1, "{x} {y} {z} is not on the way");
     }
 }
 

@@ -193,7 +193,7 @@ impl<'a> Walk<'a> {
         let mut index = self.tiles[tile].index;
         let along = [&mut index.x, &mut index.y, &mut index.z];
         let step = if is_up { 1 } else { -1 };
-        for (_, along) in along.into_iter().enumerate().filter(|(of, _)| *of == axis) {
+        for (_, along) in along.into_iter().enumerate().filter(|(crossed, _)| *crossed == axis) {
             *along += step;
         }
         let neighbour = self.tile(index)?;

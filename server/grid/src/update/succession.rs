@@ -12,7 +12,7 @@ use super::{
 /// The changes of a cell among newer readings.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub(super) struct Changes {
-    /// Their number.
+    /// Number of changes.
     pub(super) count: u32,
     /// Sum of 1 / time between the readings, per second, over the changes.
     pub(super) rate_sum: f64,

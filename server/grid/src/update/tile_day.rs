@@ -272,7 +272,7 @@ impl TileDay {
         }
     }
 
-    /// Chooses orders and refits the models.
+    /// Chooses orders and trains the models again.
     pub(super) fn refit(mut self, times: &Times, rules: &Rules) -> BusyTile {
         let mut outcome = TileOutcome::default();
         for (toggles, cells) in &self.observed {
