@@ -33,6 +33,11 @@ const NANOS_PER_SEC: i64 = 1_000_000_000;
 pub(crate) enum TargetError {
     #[error("{path:?} is not below {}, where backups of this daemon go: name a folder such as \"by-hand\"", .folder.display())]
     Outside { path: String, folder: PathBuf },
+    #[error(
+        "it must be the absolute path of a folder on the daemon's machine, or setting backup_dir must name the folder that \
+         it is below"
+    )]
+    Relative,
     #[error("the folder of backups {} cannot be used: {source}; see setting backup_dir of the daemon", .folder.display())]
     Folder { folder: PathBuf, source: std::io::Error },
 }

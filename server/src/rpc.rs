@@ -16,7 +16,6 @@ pub(crate) mod status;
 mod acks;
 mod fitting;
 mod lookup;
-mod page;
 mod peer;
 mod permits;
 mod readings;

@@ -270,6 +270,22 @@ fn libraries_stay_where_they_belong() {
     hold(&broken);
 }
 
+/// Folders whose code must not name something, because `proto/src/convert` does what it is for.
+const NOT_NAMED: [(&str, &str); 2] = [("server/src/rpc", "InvalidField::new"), ("server/src/ingest", "v1::")];
+
+#[test]
+fn fields_of_the_wire_are_checked_in_convert() {
+    let mut broken = Vec::new();
+    for (folder, what) in NOT_NAMED {
+        for path in sources("server").iter().filter(|path| path.starts_with(folder)) {
+            for (number, line) in code(&read(path)).lines().enumerate().filter(|(_, line)| line.contains(what)) {
+                broken.push(format!("{path}:{}: {}; proto/src/convert does that", number + 1, line.trim()));
+            }
+        }
+    }
+    hold(&broken);
+}
+
 #[test]
 fn files_are_named_opened_and_sized_well() {
     let mut broken = Vec::new();

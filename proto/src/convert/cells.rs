@@ -66,6 +66,14 @@ pub fn question_from_wire(wire: &v1::PredictGridRequest) -> Result<GridQuestion,
     })
 }
 
+/// The cell of a name; `None`: it is not the name of a cell.
+///
+/// # Errors
+/// A name that begins as that of a cell and is none.
+pub fn cell_from_wire(field: &str, name: &str) -> Result<Option<CellIndex>, InvalidField> {
+    CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error))
+}
+
 /// The header of a reply.
 #[must_use]
 pub fn header_to_wire(

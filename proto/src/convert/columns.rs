@@ -17,6 +17,50 @@ pub struct DecodedColumns {
     pub values: Vec<f64>,
 }
 
+/// Columns of observations as sent, still packed.
+#[derive(Clone, Debug)]
+pub struct PackedColumns(ObservationColumns);
+
+impl From<ObservationColumns> for PackedColumns {
+    fn from(columns: ObservationColumns) -> Self {
+        Self(columns)
+    }
+}
+
+impl PackedColumns {
+    /// Number of observations.
+    #[must_use]
+    pub fn observations(&self) -> usize {
+        self.0.time_deltas.len()
+    }
+
+    /// Whether any observation is a position.
+    #[must_use]
+    pub fn has_coordinates(&self) -> bool {
+        !self.0.coordinates.is_empty()
+    }
+
+    /// Takes the names that the message adds to the stream's table.
+    #[must_use]
+    pub fn take_names(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.0.new_states)
+    }
+
+    /// Takes the coordinates of the positions.
+    #[must_use]
+    pub fn take_coordinates(&mut self) -> Vec<f64> {
+        std::mem::take(&mut self.0.coordinates)
+    }
+
+    /// Unpacks the observations. The caller checks their number before.
+    ///
+    /// # Errors
+    /// The field with an invalid length or form.
+    pub fn unpack(self) -> Result<DecodedColumns, InvalidField> {
+        decode(self.0)
+    }
+}
+
 /// Unpacks columns.
 ///
 /// # Errors

@@ -2,17 +2,33 @@
 //!
 //! Invariant: a zero or absent field has its default; the planner checks the rest.
 
-use tidemap_model::LocalDay;
+use tidemap_model::{LocalDay, selector::ModelSelector};
 use tidemap_plan::{
-    day::{DayRow, SLOT_NANOS},
+    day::SLOT_NANOS,
     information::Certainty,
     strategy::{Budget, Strategy},
     tour::{Tour, TourEnd, TourQuestion},
     view::{SceneOptions, Sensor, Viewpoint},
 };
 
-use super::{InvalidField, site::point_to_wire, time::nanos_from_duration};
+use super::{
+    InvalidField,
+    query::{check_for_cells, selector_from_wire},
+    site::{point_from_wire, point_to_wire},
+    time::{instant_from_wire, nanos_from_duration},
+};
 use crate::v1;
+
+mod day;
+mod information;
+mod slot;
+
+pub use day::{DayQuestion, DayTargets, day_from_wire, day_to_wire};
+pub use information::{
+    InformationQuestion, InformationTargets, ViewsQuestion, VisitReport, information_from_wire, views_from_wire,
+    visit_from_wire,
+};
+pub use slot::{SlotAllowance, SlotChoice, SlotQuestion, slot_question_from_wire};
 
 /// The number, or the default if it is 0.
 fn or(value: f64, default: f64) -> f64 {
@@ -25,27 +41,6 @@ fn or(value: f64, default: f64) -> f64 {
 /// The certainty is not above 0.5 and below 1.
 pub fn certainty_from_wire(field: &str, certainty: Option<f64>) -> Result<Certainty, InvalidField> {
     certainty.map_or_else(|| Ok(Certainty::default()), Certainty::new).map_err(|error| InvalidField::new(field, error))
-}
-
-/// A time of a list, in nanoseconds UTC, not before 1970.
-///
-/// # Errors
-/// The time is before 1970.
-pub fn time_from_wire(field: impl Into<String>, nanos: i64) -> Result<i64, InvalidField> {
-    if nanos >= 0 { Ok(nanos) } else { Err(InvalidField::new(field, format!("{nanos} ns is before 1970"))) }
-}
-
-/// Checks a list of times: at least one, none before 1970.
-///
-/// # Errors
-/// The list is empty, or a time is before 1970.
-pub fn times_from_wire(field: &str, times_nanos: &[i64]) -> Result<(), InvalidField> {
-    if times_nanos.is_empty() {
-        return Err(InvalidField::new(field, "name at least one time"));
-    }
-    (0..)
-        .zip(times_nanos)
-        .try_for_each(|(i, &nanos): (usize, _)| time_from_wire(format!("{field}[{i}]"), nanos).map(drop))
 }
 
 /// A sensor.
@@ -93,11 +88,42 @@ pub fn scene_from_wire(certainty: Option<f64>, threshold: Option<f64>) -> Result
     }
 }
 
-/// The question of a tour with this start.
+/// A tour of a request.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TourRequest {
+    /// Where it starts: x, y in metres; `None`: at the charger of the map.
+    start_m: Option<[f64; 2]>,
+    question: TourQuestion,
+}
+
+impl TourRequest {
+    /// The question of the tour, which starts where it was asked for, or else at the charger; `None`: there is neither.
+    #[must_use]
+    pub fn starting_at(self, charger_m: Option<[f64; 2]>) -> Option<TourQuestion> {
+        let start_m = self.start_m.or(charger_m)?;
+        Some(TourQuestion { start_m, ..self.question })
+    }
+}
+
+/// The question of a request for a tour: when, by which model, and the tour.
 ///
 /// # Errors
 /// The invalid field; what depends on the grid is not checked.
-pub fn tour_from_wire(request: &v1::PlanTourRequest, start_m: [f64; 2]) -> Result<TourQuestion, InvalidField> {
+pub fn tour_question_from_wire(
+    request: &v1::PlanTourRequest,
+) -> Result<(i64, ModelSelector, TourRequest), InvalidField> {
+    let time_nanos = instant_from_wire("time", request.time)?;
+    let selector = selector_from_wire("model", request.model)?;
+    check_for_cells("model", selector)?;
+    Ok((time_nanos, selector, tour_from_wire(request)?))
+}
+
+/// The tour of a request.
+///
+/// # Errors
+/// The invalid field; what depends on the grid is not checked.
+pub fn tour_from_wire(request: &v1::PlanTourRequest) -> Result<TourRequest, InvalidField> {
+    let start_m = request.start.map(|start| point_from_wire("start", start)).transpose()?;
     let default = TourQuestion::default();
     let secs = |field: &str, span: Option<prost_types::Duration>| {
         let nanos = span.map(|span| nanos_from_duration(field, span)).transpose()?;
@@ -106,8 +132,7 @@ pub fn tour_from_wire(request: &v1::PlanTourRequest, start_m: [f64; 2]) -> Resul
     let mut travel = default.travel;
     travel.radius_m = request.robot_radius_m.unwrap_or(travel.radius_m);
     travel.z_max_m = or(request.robot_height_m, travel.z_max_m);
-    Ok(TourQuestion {
-        start_m,
+    let question = TourQuestion {
         goals: if request.count == 0 { default.goals } else { request.count as usize },
         spacing_m: or(request.spacing_m, default.spacing_m),
         sensor: sensor_from_wire(request.sensor),
@@ -118,7 +143,8 @@ pub fn tour_from_wire(request: &v1::PlanTourRequest, start_m: [f64; 2]) -> Resul
         observation_secs: secs("observing", request.observing)?.unwrap_or(default.observation_secs),
         budget_secs: secs("budget", request.budget)?,
         ..default
-    })
+    };
+    Ok(TourRequest { start_m, question })
 }
 
 /// A tour for the wire.
@@ -223,21 +249,6 @@ pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, Invali
     }
 }
 
-/// A day's plan for the wire. `names`: names of the locations, by index.
-#[must_use]
-pub fn day_to_wire(rows: &[DayRow], names: &[String]) -> v1::PlanDayResponse {
-    let slot = |row: &DayRow| v1::DaySlot {
-        start_nanos: row.start_nanos,
-        location: row.location.and_then(|index| names.get(index).cloned()).unwrap_or_default(),
-        information_bits: row.information_bits,
-    };
-    let explored = rows.iter().filter(|row| row.location.is_some()).count();
-    v1::PlanDayResponse {
-        slots: rows.iter().map(slot).collect(),
-        explored: u32::try_from(explored).unwrap_or(u32::MAX),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -246,8 +257,10 @@ mod tests {
     fn an_empty_question_has_the_defaults() {
         assert_eq!(sensor_from_wire(None), Sensor::default());
         assert_eq!(sensor_from_wire(Some(v1::Sensor::default())), Sensor::default());
-        let question = tour_from_wire(&v1::PlanTourRequest::default(), [1.0, 2.0]);
-        assert_eq!(question, Ok(TourQuestion { start_m: [1.0, 2.0], ..TourQuestion::default() }));
+        let tour = tour_from_wire(&v1::PlanTourRequest::default()).expect("right");
+        assert_eq!(tour.clone().starting_at(None), None);
+        let question = TourQuestion { start_m: [1.0, 2.0], ..TourQuestion::default() };
+        assert_eq!(tour.starting_at(Some([1.0, 2.0])), Some(question));
         assert_eq!(strategy_from_wire("strategy", 0), Ok(Strategy::MonteCarlo));
         assert_eq!(slot_from_wire(None), Ok(SLOT_NANOS));
     }
@@ -258,8 +271,6 @@ mod tests {
             assert_eq!(certainty_from_wire("certainty", Some(wrong)).expect_err("wrong").field, "certainty");
         }
         assert_eq!(scene_from_wire(None, Some(1.5)).expect_err("wrong").field, "threshold");
-        assert_eq!(times_from_wire("times_nanos", &[]).expect_err("wrong").field, "times_nanos");
-        assert_eq!(times_from_wire("times_nanos", &[1, -1]).expect_err("wrong").field, "times_nanos[1]");
         assert_eq!(strategy_from_wire("strategy", 99).expect_err("wrong").field, "strategy");
         let date = date_from_wire("date", "21.3.2016").expect_err("wrong");
         assert_eq!(date.field, "date");

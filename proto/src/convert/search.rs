@@ -3,11 +3,13 @@
 //! Invariant: an error names the field; what the planner itself checks is left to it.
 
 use tidemap_map::topology::Topology;
+use tidemap_model::selector::ModelSelector;
 use tidemap_plan::search::{Effort, SearchOptions, SearchPlan, Stop, StopReason};
 
 use super::{
     InvalidField,
-    time::{instant_from_wire, nanos_from_duration},
+    query::selector_from_wire,
+    time::{instant_from_wire, nanos_from_duration, time_from_wire},
     topology::node_name,
 };
 use crate::v1;
@@ -81,18 +83,83 @@ const JOINT_TIMES_MAX: i64 = 1_000_000;
 ///
 /// # Errors
 /// The threshold is not in [0, 1].
-pub fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> {
+fn threshold_from_wire(threshold: Option<f64>) -> Result<f64, InvalidField> {
     match threshold.unwrap_or(0.5) {
         threshold if (0.0..=1.0).contains(&threshold) => Ok(threshold),
         wrong => Err(InvalidField::new("threshold", format!("{wrong}: expected 0 to 1"))),
     }
 }
 
+/// The question when several states are 1 at once.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointQuestion {
+    /// Names of states and cells: 1 to [`JOINT_STATES_MAX`].
+    pub states: Vec<String>,
+    /// The times to look at, nanoseconds UTC; at least one.
+    pub times_nanos: Vec<i64>,
+    /// The product of the probabilities has to be above this.
+    pub threshold: f64,
+    /// The model.
+    pub selector: ModelSelector,
+}
+
+/// The question when several states are 1 at once.
+///
+/// # Errors
+/// The invalid field.
+pub fn joint_from_wire(request: v1::NextJointRequest) -> Result<JointQuestion, InvalidField> {
+    let selector = selector_from_wire("model", request.model)?;
+    let threshold = threshold_from_wire(request.threshold)?;
+    let times_nanos = joint_times_from_wire(&request)?;
+    let states = request.states;
+    if states.is_empty() || states.len() > JOINT_STATES_MAX {
+        let text = format!("{} states: expected 1 to {JOINT_STATES_MAX}", states.len());
+        return Err(InvalidField::new("states", text));
+    }
+    Ok(JointQuestion { states, times_nanos, threshold, selector })
+}
+
+/// The question where the target is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PresenceQuestion {
+    /// Nanoseconds UTC; at least one.
+    pub times_nanos: Vec<i64>,
+    /// The model.
+    pub selector: ModelSelector,
+    /// The kind of presence; empty: the default kind.
+    pub object: String,
+}
+
+/// The question where the target is.
+///
+/// # Errors
+/// The invalid field.
+pub fn presence_from_wire(request: v1::PredictPresenceRequest) -> Result<PresenceQuestion, InvalidField> {
+    let v1::PredictPresenceRequest { object, times_nanos, model, .. } = request;
+    let selector = selector_from_wire("model", model)?;
+    if times_nanos.is_empty() {
+        return Err(InvalidField::new("times_nanos", "name at least one time"));
+    }
+    times_nanos.iter().try_for_each(|&time| time_from_wire("times_nanos", time).map(drop))?;
+    Ok(PresenceQuestion { times_nanos, selector, object: object_from_wire(object)? })
+}
+
+/// The kind of presence that is asked for; empty: the default kind.
+///
+/// # Errors
+/// It contains '/', which separates it from the node in the names of states.
+pub fn object_from_wire(object: String) -> Result<String, InvalidField> {
+    if object.contains('/') {
+        return Err(InvalidField::new("object", format!("{object:?} contains '/'")));
+    }
+    Ok(object)
+}
+
 /// The times of a joint question, nanoseconds UTC; at least one.
 ///
 /// # Errors
 /// The invalid field.
-pub fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>, InvalidField> {
+fn joint_times_from_wire(request: &v1::NextJointRequest) -> Result<Vec<i64>, InvalidField> {
     let from = instant_from_wire("from_time", request.from_time)?;
     let span = |field: &'static str, span: Option<prost_types::Duration>, default: i64, least: i64| {
         let nanos = span.map_or(Ok(default), |span| nanos_from_duration(field, span))?;

@@ -24,6 +24,45 @@ pub fn point_from_wire(field: &str, point: v1::Point) -> Result<[f64; 2], Invali
     Ok([x_m, y_m])
 }
 
+/// The name of a location.
+///
+/// # Errors
+/// It is not a valid name.
+pub fn location_name_from_wire(field: &str, name: &str) -> Result<StateName, InvalidField> {
+    StateName::new(name).map_err(|error| InvalidField::new(field, error))
+}
+
+/// The names of locations, each named by its place in the field.
+///
+/// # Errors
+/// One is not a valid name.
+pub fn location_names_from_wire(field: &str, names: &[String]) -> Result<Vec<StateName>, InvalidField> {
+    let name = |(i, name): (usize, &String)| location_name_from_wire(&format!("{field}[{i}]"), name);
+    names.iter().enumerate().map(name).collect()
+}
+
+/// A location to set, with the names of its members.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LocationEdit {
+    /// Its name.
+    pub name: StateName,
+    /// Names of its states and cells.
+    pub members: Vec<String>,
+    /// Where it is: x, y in metres.
+    pub position_m: Option<[f64; 2]>,
+}
+
+/// The location of a request to set one.
+///
+/// # Errors
+/// The invalid field; whether its members exist is not checked.
+pub fn location_from_wire(location: Option<v1::Location>) -> Result<LocationEdit, InvalidField> {
+    let v1::Location { name, states, position } = location.unwrap_or_default();
+    let name = location_name_from_wire("location.name", &name)?;
+    let position_m = position.map(|at| point_from_wire("location.position", at)).transpose()?;
+    Ok(LocationEdit { name, members: states, position_m })
+}
+
 /// A point for the wire.
 #[must_use]
 pub fn point_to_wire([x_m, y_m]: [f64; 2]) -> v1::Point {

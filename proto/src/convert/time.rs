@@ -76,6 +76,27 @@ pub fn nanos_from_duration(field: &str, duration: Duration) -> Result<i64, Inval
     i64::try_from(nanos).map_err(|_| InvalidField::new(field, format!("{} s is more than 292 years", duration.seconds)))
 }
 
+/// A time of a list, in nanoseconds UTC, not before 1970.
+///
+/// # Errors
+/// The time is before 1970.
+pub fn time_from_wire(field: impl Into<String>, nanos: i64) -> Result<i64, InvalidField> {
+    if nanos >= 0 { Ok(nanos) } else { Err(InvalidField::new(field, format!("{nanos} ns is before 1970"))) }
+}
+
+/// Checks a list of times: at least one, none before 1970.
+///
+/// # Errors
+/// The list is empty, or a time is before 1970.
+pub fn times_from_wire(field: &str, times_nanos: &[i64]) -> Result<(), InvalidField> {
+    if times_nanos.is_empty() {
+        return Err(InvalidField::new(field, "name at least one time"));
+    }
+    (0..)
+        .zip(times_nanos)
+        .try_for_each(|(i, &nanos): (usize, _)| time_from_wire(format!("{field}[{i}]"), nanos).map(drop))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -86,6 +107,13 @@ mod tests {
             assert_eq!(nanos_from_timestamp("t", timestamp(nanos)), Ok(nanos));
             assert_eq!(nanos_from_duration("d", duration(nanos)), Ok(nanos));
         }
+    }
+
+    #[test]
+    fn a_list_of_times_has_one_and_none_before_1970() {
+        assert_eq!(times_from_wire("times_nanos", &[]).expect_err("wrong").field, "times_nanos");
+        assert_eq!(times_from_wire("times_nanos", &[1, -1]).expect_err("wrong").field, "times_nanos[1]");
+        assert_eq!(times_from_wire("times_nanos", &[1, 0]), Ok(()));
     }
 
     #[test]

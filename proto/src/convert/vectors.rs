@@ -3,7 +3,10 @@
 //! Invariant: decoding checks that the number of coordinates matches the names; whether an observation may have them is
 //! checked for each one later.
 
-use tidemap_map::event::{Dimensions, Position, StateShape};
+use tidemap_map::{
+    event::{Dimensions, Position, StateShape},
+    name::StateName,
+};
 
 use super::{
     InvalidField,
@@ -36,6 +39,21 @@ pub fn shape_from_wire(
         return Err(InvalidField::new(dimensions_field, text));
     }
     Ok(shape)
+}
+
+/// The name and the shape of a state to add.
+///
+/// # Errors
+/// The invalid field.
+pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<(StateName, StateShape), InvalidField> {
+    let v1::AddStateRequest { state, kind, dimensions, .. } = request;
+    let invalid = |error| InvalidField::new("state", error);
+    let name = StateName::observed(state).map_err(invalid)?;
+    let shape = shape_from_wire(("kind", *kind), ("dimensions", *dimensions))?.unwrap_or_default();
+    if let StateShape::Vector(_) | StateShape::Angle = shape {
+        name.check_vector().map_err(invalid)?;
+    }
+    Ok((name, shape))
 }
 
 /// A shape for the wire: its kind, and the number of its coordinates, 0 for values.

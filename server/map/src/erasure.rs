@@ -26,9 +26,11 @@ use crate::{
 
 mod relearn;
 mod selection;
+mod wish;
 
 pub use relearn::Relearning;
 pub use selection::{Decision, NotErasable, Selection, Survey};
+pub use wish::{Wish, WishedPart};
 
 /// Observations that are erased of states that remain.
 #[derive(Clone, Debug)]

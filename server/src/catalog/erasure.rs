@@ -6,18 +6,16 @@
 
 use std::{
     collections::BTreeSet,
-    fmt,
     sync::{Arc, atomic::Ordering},
 };
 
 use tidemap_map::{
-    erasure::Selection,
+    erasure::{Selection, Wish},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
     view::MapView,
 };
-use tidemap_model::time::format_rfc3339;
 use tidemap_store::Erased;
 use tokio::sync::oneshot;
 use tracing::{error, info};
@@ -45,53 +43,6 @@ pub(crate) fn states_of(view: &MapView, name: &str) -> Result<Vec<StateId>, Cata
     let (first, shape) = view.shape(name).ok_or_else(unknown)?;
     let count = u32::try_from(shape.states()).unwrap_or(1);
     Ok((first.0..first.0.saturating_add(count)).map(StateId).collect())
-}
-
-/// What is to be erased, by names.
-#[derive(Clone, Debug)]
-pub(crate) struct Wish {
-    /// The state; `None`: all, of which a part is to be erased.
-    pub state: Option<String>,
-    /// Which of the observations; `None`: all, with the state.
-    pub part: Option<WishedPart>,
-}
-
-/// Some of the observations.
-#[derive(Clone, Debug)]
-pub(crate) struct WishedPart {
-    /// The producer, and its label; without one, all labels.
-    pub producer: Option<(String, Option<String>)>,
-    /// First time, nanoseconds UTC.
-    pub from_nanos: i64,
-    /// Time before which they lie, nanoseconds UTC; `i64::MAX`: up to the last.
-    pub to_nanos: i64,
-    /// Whether the sequence of the producer is forgotten.
-    pub forgets: bool,
-}
-
-impl fmt::Display for Wish {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.state {
-            Some(state) => write!(f, "state {state:?}")?,
-            None => f.write_str("all states")?,
-        }
-        self.part.as_ref().map_or(Ok(()), |part| write!(f, ", {part}"))
-    }
-}
-
-impl fmt::Display for WishedPart {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.producer {
-            Some((producer, Some(label))) => write!(f, "producer {producer:?} with label {label:?}, ")?,
-            Some((producer, None)) => write!(f, "producer {producer:?}, ")?,
-            None => {}
-        }
-        write!(f, "from {}", format_rfc3339(self.from_nanos))?;
-        match self.to_nanos {
-            i64::MAX => f.write_str(" on"),
-            nanos => write!(f, " to {}", format_rfc3339(nanos)),
-        }
-    }
 }
 
 impl Catalog {

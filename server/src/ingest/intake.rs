@@ -5,6 +5,8 @@
 //! observation is refused by itself and uses up its number. If a name has no declared kind, the map's writer checks its
 //! values, because it knows the state.
 
+use std::ops::RangeInclusive;
+
 use tidemap_grid::spec::GridSpec;
 use tidemap_map::{
     event::{Dimensions, Position, SequenceSpan, StateKind, StateShape},
@@ -14,11 +16,12 @@ use tidemap_map::{
 };
 use tidemap_proto::convert::{
     InvalidField, OverLimit,
-    columns::{DecodedColumns, decode},
+    columns::DecodedColumns,
+    observe::ObservationMessage,
     scans::{ScanError, ScanLimits},
-    vectors::{new_shapes, positions},
+    sequences::check_end,
+    vectors::positions,
 };
-use tidemap_proto::v1;
 
 use super::protocol::{NewName, ObservationBatch, RefusedObservation};
 
@@ -27,7 +30,7 @@ mod early;
 mod known_content;
 mod scans;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod traversals;
 
 use known_content::KnownContent;
@@ -162,18 +165,15 @@ impl Intake {
     ///
     /// # Errors
     /// Errors that end the stream; nothing of the message was taken.
-    pub(crate) fn take(&mut self, message: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError> {
-        let first = message.first_sequence;
-        self.check_sequence(first)?;
+    pub(crate) fn take(&mut self, message: ObservationMessage) -> Result<Option<ObservationBatch>, IntakeError> {
+        let ObservationMessage { sequences, shapes, mut columns } = message;
+        self.check_sequences(&sequences)?;
+        let (first, last) = sequences.into_inner();
         self.check_no_open_scan("batch", "observations")?;
-        let mut columns =
-            message.observations.ok_or_else(|| InvalidField::new("observations", "missing: send at least 1"))?;
-        let shapes = new_shapes(&columns)?;
-        let names = std::mem::take(&mut columns.new_states);
-        self.check_limits(columns.time_deltas.len(), &names)?;
-        let coordinates = std::mem::take(&mut columns.coordinates);
-        let columns = decode(columns)?;
-        let last = last_sequence(first, columns.values.len())?;
+        let names = columns.take_names();
+        self.check_limits(columns.observations(), &names)?;
+        let coordinates = columns.take_coordinates();
+        let columns = columns.unpack()?;
         let new_names = self.extend_table(names, shapes);
         let positions = self.positions(&columns, &coordinates)?;
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
@@ -222,14 +222,12 @@ impl Intake {
         }
     }
 
-    fn check_sequence(&self, first: u64) -> Result<(), IntakeError> {
-        if first == 0 {
-            return Err(InvalidField::new("first_sequence", "0 is not a sequence number: the first is 1").into());
-        }
+    fn check_sequences(&self, sequences: &RangeInclusive<u64>) -> Result<(), IntakeError> {
+        let first = *sequences.start();
         if first > self.next_sequence {
             return Err(IntakeError::OutOfSequence { got: first, expected: self.next_sequence });
         }
-        Ok(())
+        Ok(check_end(sequences)?)
     }
 
     /// Between the parts of a scan no other data may come.
@@ -343,11 +341,6 @@ impl Intake {
         self.content_crc = crc32c::crc32c_append(self.content_crc, &self.rows);
         batch
     }
-}
-
-fn last_sequence(first: u64, count: usize) -> Result<u64, InvalidField> {
-    let last = first.checked_add((count as u64).saturating_sub(1)).filter(|last| *last < u64::MAX);
-    last.ok_or_else(|| InvalidField::new("first_sequence", format!("{first} is too large")))
 }
 
 fn shortened(detail: &str) -> String {

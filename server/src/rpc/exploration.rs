@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tidemap_map::site::SiteEdit;
 use tidemap_plan::{predicted::PredictOptions, view::ViewLimits};
 use tidemap_proto::{
-    convert::{InvalidField, site::point_from_wire, time::nanos_from_timestamp},
+    convert::exploration::{VisitReport, visit_from_wire},
     v1::{self, exploration_service_server::ExplorationService},
 };
 use tonic::{Request, Response};
@@ -28,6 +28,7 @@ use crate::catalog::Catalog;
 
 mod day;
 mod information;
+mod locations;
 mod presence;
 mod slot;
 mod tour;
@@ -83,16 +84,10 @@ impl Explorations {
 
     async fn visited(&self, request: v1::ReportVisitRequest) -> Result<v1::ReportVisitResponse, RpcError> {
         let handle = find_map(&self.catalog, &request.map).await?;
-        let at = request
-            .at
-            .ok_or_else(|| InvalidField::new("at", "missing: give the position that the robot was sent to"))?;
-        let at_m = point_from_wire("at", at)?;
+        let VisitReport { at_m, reached, utc_nanos } = visit_from_wire(&request)?;
         check_on_grid(&handle.view(), "at", at_m)?;
-        let utc_nanos = match request.time {
-            None => self.catalog.context().clock.now_nanos(),
-            Some(time) => nanos_from_timestamp("time", time)?,
-        };
-        edit_site(&handle, SiteEdit::Visit { at_m, reached: request.reached, utc_nanos }).await?;
+        let utc_nanos = utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
+        edit_site(&handle, SiteEdit::Visit { at_m, reached, utc_nanos }).await?;
         let rate = handle.view().site().reachability().rate(at_m[0], at_m[1]);
         Ok(v1::ReportVisitResponse { reachability: rate.rate, attempts: rate.attempts.into() })
     }

@@ -5,14 +5,23 @@
 use std::{sync::Arc, time::Duration};
 
 use tidemap_grid::{index::CellIndex, view::CellDescription};
-use tidemap_map::{ids::StateId, view::MapView};
-use tidemap_proto::convert::{InvalidField, OverLimit};
+use tidemap_map::{
+    event::StateKind,
+    ids::StateId,
+    name::StateName,
+    site::{InvalidEdit, Location},
+    view::MapView,
+};
+use tidemap_proto::convert::{OverLimit, cells::cell_from_wire};
 
-use super::status::RpcError;
+use super::status::{Misfit, Problem, RpcError};
 use crate::{
     access::Caller,
     catalog::{Catalog, CatalogError},
-    ingest::handle::{MapHandle, OpenProgress},
+    ingest::{
+        handle::{MapHandle, OpenProgress},
+        protocol::EditSiteError,
+    },
     state_or_cell::{KnownCell, StateOrCell},
     telemetry::traces::Span,
 };
@@ -99,11 +108,6 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
     })
 }
 
-/// The cell of a name; `None` if it is not a cell's.
-pub(super) fn cell_of(field: &str, name: &str) -> Result<Option<CellIndex>, RpcError> {
-    CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error).into())
-}
-
 /// The description of a cell.
 pub(super) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescription, RpcError> {
     let map = || view.spec().name.as_str().to_owned();
@@ -123,7 +127,7 @@ pub(super) async fn find_all(
     let view = Arc::clone(view);
     let any_cell = names.iter().any(|name| matches!(CellIndex::from_name(name), Some(Ok(_))));
     let find = move || {
-        let find = |(i, name): (usize, &String)| match cell_of(&field(i), name)? {
+        let find = |(i, name): (usize, &String)| match cell_from_wire(&field(i), name)? {
             Some(cell) => find_known_cell(&view, cell).map(|cell| StateOrCell::Cell(Arc::new(cell))),
             None => find_state(&view, name).map(StateOrCell::State),
         };
@@ -145,12 +149,13 @@ fn find_known_cell(view: &MapView, index: CellIndex) -> Result<KnownCell, RpcErr
 pub(super) fn check_limit(what: &'static str, got: u64, max: u64, setting: &'static str) -> Result<(), RpcError> {
     if got > max { Err(OverLimit { what, got: Some(got), max, setting }.into()) } else { Ok(()) }
 }
+
 /// Checks that a place of a map with a grid lies within its extent or, without one, within what was observed so far. A
 /// grid that has neither takes all places.
 ///
 /// # Errors
 /// The place lies outside.
-pub(super) fn check_on_grid(view: &MapView, field: &str, at_m: [f64; 2]) -> Result<(), InvalidField> {
+pub(super) fn check_on_grid(view: &MapView, field: &str, at_m: [f64; 2]) -> Result<(), Misfit> {
     let (Some(spec), Some(grid)) = (&view.spec().grid, view.grid()) else { return Ok(()) };
     let bounds = spec.extent.unwrap_or_else(|| grid.bounds());
     if bounds.count() == 0 {
@@ -161,9 +166,28 @@ pub(super) fn check_on_grid(view: &MapView, field: &str, at_m: [f64; 2]) -> Resu
         return Ok(());
     }
     let of = if spec.extent.is_some() { "the extent of the grid" } else { "what was observed of the grid" };
-    let text = format!(
-        "{},{} lies outside of {of}: x from {} to {} m, y from {} to {} m",
-        at_m[0], at_m[1], low[0], high[0], low[1], high[1]
-    );
-    Err(InvalidField::new(field, text))
+    let (low_m, high_m) = ([low[0], low[1]], [high[0], high[1]]);
+    Err(Problem::Outside { at_m, of, low_m, high_m }.of(field))
+}
+
+/// Checks that a state is a probability, as entropies and plans need. `field` names the field of the request.
+///
+/// # Errors
+/// The state has another kind.
+pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(), Misfit> {
+    let kind = view.kind(id);
+    if kind == StateKind::Probability {
+        return Ok(());
+    }
+    let state = view.info(id).map_or_else(String::new, |info| info.name.as_str().to_owned());
+    Err(Problem::NoProbability { state, kind }.of(field))
+}
+
+/// The states and cells of a location.
+///
+/// # Errors
+/// The map has no such location.
+pub(super) fn find_location<'a>(view: &'a MapView, name: &StateName) -> Result<&'a Location, RpcError> {
+    let unknown = || EditSiteError::Invalid(InvalidEdit::UnknownLocation(name.as_str().to_owned()));
+    view.site().locations().get(name).ok_or_else(|| RpcError::EditSite(unknown()))
 }

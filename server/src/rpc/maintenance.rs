@@ -7,12 +7,13 @@ use std::{
 };
 
 use tidemap_grid::outcome::GridOutcome;
-use tidemap_map::{event::UpdateCause, update::StateOutcome};
+use tidemap_map::{erasure::WishedPart, event::UpdateCause, update::StateOutcome};
 use tidemap_model::selector::ModelSelector;
 use tidemap_proto::{
     convert::{
-        InvalidField,
+        erasure::wish_from_wire,
         map::update_to_wire,
+        page::page_from_wire,
         query::selector_to_wire,
         time::{duration, nanos_from_timestamp, timestamp},
     },
@@ -23,18 +24,15 @@ use tokio::sync::{mpsc, oneshot};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::{RpcReply, page::page, status::RpcError};
+use super::{RpcReply, status::RpcError};
 use crate::{
     access::Caller,
-    backups,
-    catalog::{
-        Catalog, CatalogError,
-        erasure::{Wish, WishedPart, states_of},
-    },
+    backups::{self, TargetError},
+    catalog::{Catalog, CatalogError, erasure::states_of},
     connections::{Peer, Remote},
     ingest::protocol::{Command, KnownProducer},
     jobs::{JobCause, Phase, UpdateJob},
-    rpc::lookup::{cell_of, find_map, find_state},
+    rpc::lookup::{find_map, find_state},
     statistics,
 };
 
@@ -112,35 +110,6 @@ fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
     }
 }
 
-/// What a request wants to erase.
-fn wish(request: &v1::EraseRequest) -> Result<Wish, RpcError> {
-    let v1::EraseRequest { state, producer, label, from_time, to_time, forget_sequence: forgets, .. } = request;
-    let wrong = |field: &str, problem: &str| Err(RpcError::from(InvalidField::new(field, problem)));
-    let state = (!state.is_empty()).then(|| state.clone());
-    let has_interval = from_time.is_some() || to_time.is_some();
-    if producer.is_empty() && label.is_some() {
-        return wrong("label", "a label is one of a producer: name the producer, too");
-    }
-    if *forgets && (producer.is_empty() || label.is_none() || state.is_some() || has_interval) {
-        let problem = "a sequence is forgotten as a whole: name producer and label, and neither state nor interval";
-        return wrong("forget_sequence", problem);
-    }
-    if producer.is_empty() && !has_interval {
-        return match state {
-            Some(_) => Ok(Wish { state, part: None }),
-            None => wrong("state", "name what is to be erased: a state, a producer, an interval, or some of these"),
-        };
-    }
-    let nanos = |field: &str, time: &Option<_>| time.map(|time| nanos_from_timestamp(field, time)).transpose();
-    let from_nanos = nanos("from_time", from_time).map_err(RpcError::from)?.unwrap_or(i64::MIN);
-    let to_nanos = nanos("to_time", to_time).map_err(RpcError::from)?.unwrap_or(i64::MAX);
-    if from_nanos >= to_nanos {
-        return wrong("to_time", "it must be later than from_time: it is the end of the interval, and not part of it");
-    }
-    let producer = (!producer.is_empty()).then(|| (producer.clone(), label.clone()));
-    Ok(Wish { state, part: Some(WishedPart { producer, from_nanos, to_nanos, forgets: *forgets }) })
-}
-
 fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
     let outcome = &entry.outcome;
     let scored = (outcome.scored > 0).then_some(outcome.scored as f64);
@@ -170,9 +139,7 @@ impl Maintenance {
             return Err(RpcError::NoBackupFolder);
         }
         if !Path::new(path).is_absolute() {
-            let problem = "it must be the absolute path of a folder on the daemon's machine, or setting backup_dir \
-                           must name the folder that it is below";
-            return Err(InvalidField::new("path", problem).into());
+            return Err(TargetError::Relative.into());
         }
         Ok(())
     }
@@ -212,7 +179,8 @@ impl MaintenanceService for Maintenance {
         let request = request.into_inner();
         let (mut jobs, caller) = (self.catalog.context().jobs.list(), Caller::current());
         jobs.retain(|job| may_see(&caller, job));
-        let (range, next_page_token) = page(jobs.len(), request.page_size, 100, 1000, &request.page_token)?;
+        let page = page_from_wire(request.page_size, &request.page_token, 100, 1000).map_err(RpcError::from)?;
+        let (range, next_page_token) = page.within(jobs.len());
         let jobs = jobs[range].iter().map(|job| job_to_wire(&self.catalog, job)).collect();
         Ok(Response::new(v1::ListJobsResponse { jobs, next_page_token }))
     }
@@ -255,7 +223,8 @@ impl MaintenanceService for Maintenance {
         let report = job.report().ok_or(RpcError::NoReport(job.id))?;
         let cells = report.cells.as_ref().filter(|cells| cells.changed_cells > 0).map(cells_to_wire);
         let rows = usize::from(cells.is_some()) + report.states.len();
-        let (range, next_page_token) = page(rows, request.page_size, 1000, 10_000, &request.page_token)?;
+        let page = page_from_wire(request.page_size, &request.page_token, 1000, 10_000).map_err(RpcError::from)?;
+        let (range, next_page_token) = page.within(rows);
         let states = cells.into_iter().chain(report.states.iter().map(state_update_to_wire));
         let states = states.skip(range.start).take(range.len());
         Ok(Response::new(v1::GetUpdateReportResponse { states: states.collect(), next_page_token }))
@@ -269,7 +238,8 @@ impl MaintenanceService for Maintenance {
             return Err(RpcError::Stopping.into());
         }
         let known = known.await.map_err(|_| RpcError::Stopping)?;
-        let (range, next_page_token) = page(known.len(), request.page_size, 1000, 10_000, &request.page_token)?;
+        let page = page_from_wire(request.page_size, &request.page_token, 1000, 10_000).map_err(RpcError::from)?;
+        let (range, next_page_token) = page.within(known.len());
         let producer = |known: &KnownProducer| v1::ProducerInfo {
             producer: known.mark.key.producer().to_owned(),
             label: known.mark.key.label().to_owned(),
@@ -291,8 +261,7 @@ impl MaintenanceService for Maintenance {
         let store = Arc::clone(&self.catalog.context().store);
         let work = move || {
             let target = folder.map_or_else(|| Ok(PathBuf::from(&path)), |folder| backups::target(&folder, &path));
-            let target = target.map_err(|error| InvalidField::new("path", error))?;
-            backups::make(&store, &target).map_err(RpcError::from)
+            Ok::<_, RpcError>(backups::make(&store, &target?)?)
         };
         let copied = tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)?;
         let BackupReport { maps, copied_files, copied_bytes, kept_files } = copied?;
@@ -302,21 +271,16 @@ impl MaintenanceService for Maintenance {
     async fn erase(&self, request: Request<v1::EraseRequest>) -> RpcReply<v1::EraseResponse> {
         let request = request.into_inner();
         let handle = find_map(&self.catalog, &request.map).await?;
-        let wish = wish(&request)?;
+        let wish = wish_from_wire(&request).map_err(RpcError::from)?;
         if let Some(WishedPart { producer: Some((producer, label)), .. }) = &wish.part {
             self.catalog.producers_of(&handle, (producer, label.as_deref())).await.map_err(RpcError::from)?;
         }
-        let state = request.state;
-        if cell_of("state", &state)?.is_some() {
-            let problem = "cells of a grid cannot be erased one by one: name a state, or delete the map";
-            return Err(RpcError::from(InvalidField::new("state", problem)).into());
-        }
         // Found again when the erasure begins: another one may have been first.
-        if wish.state.is_some()
-            && let Err(error) = states_of(&handle.view(), &state)
+        if let Some(state) = &wish.state
+            && let Err(error) = states_of(&handle.view(), state)
         {
             return Err(match error {
-                CatalogError::NoState { .. } => find_state(&handle.view(), &state).err().unwrap_or(error.into()),
+                CatalogError::NoState { .. } => find_state(&handle.view(), state).err().unwrap_or(error.into()),
                 error => error.into(),
             }
             .into());

@@ -3,24 +3,22 @@
 use std::sync::Arc;
 
 use tidemap_map::{
-    event::StateShape,
     ids::StateId,
-    name::StateName,
     site::{Location, SiteEdit},
 };
 use tidemap_proto::{
     convert::{
-        InvalidField,
         map::{map_to_wire, spec_from_request, state_to_wire},
-        site::{location_to_wire, point_from_wire},
-        vectors::shape_from_wire,
+        page::page_from_wire,
+        site::{LocationEdit, location_from_wire, location_name_from_wire, location_to_wire, point_from_wire},
+        vectors::declared_state_from_wire,
     },
     v1::{self, map_service_server::MapService},
 };
 use tokio::sync::oneshot;
 use tonic::{Request, Response};
 
-use super::{RpcReply, page::page, status::RpcError};
+use super::{RpcReply, status::RpcError};
 use crate::{
     access::Caller,
     catalog::{Catalog, CatalogError},
@@ -45,10 +43,6 @@ pub(super) async fn edit_site(handle: &MapHandle, edit: SiteEdit) -> Result<(), 
     Ok(answer.unwrap_or(Err(EditSiteError::Closing))?)
 }
 
-fn location_name(field: &str, name: &str) -> Result<StateName, RpcError> {
-    StateName::new(name).map_err(|error| InvalidField::new(field, error).into())
-}
-
 #[tonic::async_trait]
 impl MapService for Maps {
     async fn create_map(&self, request: Request<v1::CreateMapRequest>) -> RpcReply<v1::CreateMapResponse> {
@@ -68,7 +62,8 @@ impl MapService for Maps {
         let request = request.into_inner();
         let (all, caller) = (self.catalog.all(), Caller::current());
         let maps: Vec<_> = all.iter().filter(|(name, _)| caller.covers(name.as_str())).map(|(_, map)| map).collect();
-        let (range, next_page_token) = page(maps.len(), request.page_size, 100, 1000, &request.page_token)?;
+        let page = page_from_wire(request.page_size, &request.page_token, 100, 1000).map_err(RpcError::from)?;
+        let (range, next_page_token) = page.within(maps.len());
         let mut shown = Vec::with_capacity(range.len());
         for handle in maps.into_iter().skip(range.start).take(range.len()) {
             // A map that turns out to be unavailable meanwhile is among those.
@@ -100,28 +95,23 @@ impl MapService for Maps {
     }
 
     async fn add_state(&self, request: Request<v1::AddStateRequest>) -> RpcReply<v1::AddStateResponse> {
-        let v1::AddStateRequest { map, state, kind, dimensions } = request.into_inner();
-        let handle = find_map(&self.catalog, &map).await?;
-        let invalid = |error| RpcError::from(InvalidField::new("state", error));
-        let name = StateName::observed(&state).map_err(invalid)?;
-        let shape = shape_from_wire(("kind", kind), ("dimensions", dimensions)).map_err(RpcError::from)?;
-        let shape = shape.unwrap_or_default();
-        if let StateShape::Vector(_) | StateShape::Angle = shape {
-            name.check_vector().map_err(invalid)?;
-        }
+        let request = request.into_inner();
+        let handle = find_map(&self.catalog, &request.map).await?;
+        let (name, shape) = declared_state_from_wire(&request).map_err(RpcError::from)?;
         let (reply, answer) = oneshot::channel();
         let add = AddState { name, shape, reply };
         let answer = if handle.send(Command::AddState(add)) { answer.await.ok() } else { None };
         answer.unwrap_or(Err(AddStateError::Closing)).map_err(RpcError::from)?;
         let view = handle.view();
-        let state = view.shape(&state).and_then(|(id, _)| state_to_wire(&view, id));
+        let state = view.shape(&request.state).and_then(|(id, _)| state_to_wire(&view, id));
         Ok(Response::new(v1::AddStateResponse { state }))
     }
 
     async fn list_states(&self, request: Request<v1::ListStatesRequest>) -> RpcReply<v1::ListStatesResponse> {
         let request = request.into_inner();
         let view = find_map(&self.catalog, &request.map).await?.view();
-        let (range, next_page_token) = page(view.len(), request.page_size, 1000, 10_000, &request.page_token)?;
+        let page = page_from_wire(request.page_size, &request.page_token, 1000, 10_000).map_err(RpcError::from)?;
+        let (range, next_page_token) = page.within(view.len());
         let ids = range.filter_map(|index| u32::try_from(index).ok()).map(StateId);
         let states = ids.filter_map(|id| state_to_wire(&view, id)).collect();
         Ok(Response::new(v1::ListStatesResponse { states, next_page_token }))
@@ -141,13 +131,9 @@ impl MapService for Maps {
     async fn set_location(&self, request: Request<v1::SetLocationRequest>) -> RpcReply<v1::SetLocationResponse> {
         let v1::SetLocationRequest { map, location } = request.into_inner();
         let handle = find_map(&self.catalog, &map).await?;
-        let v1::Location { name, states, position } = location.unwrap_or_default();
-        let name = location_name("location.name", &name)?;
-        let view = handle.view();
-        let position = position.map(|at| point_from_wire("location.position", at));
-        let mut location =
-            Location { position_m: position.transpose().map_err(RpcError::from)?, ..Location::default() };
-        for found in find_all(&view, |i| format!("location.states[{i}]"), states).await? {
+        let LocationEdit { name, members, position_m } = location_from_wire(location).map_err(RpcError::from)?;
+        let mut location = Location { position_m, ..Location::default() };
+        for found in find_all(&handle.view(), |i| format!("location.states[{i}]"), members).await? {
             match found {
                 StateOrCell::State(id) => location.states.push(id),
                 StateOrCell::Cell(cell) => location.cells.push(cell.index),
@@ -167,7 +153,7 @@ impl MapService for Maps {
     ) -> RpcReply<v1::DeleteLocationResponse> {
         let v1::DeleteLocationRequest { map, location } = request.into_inner();
         let handle = find_map(&self.catalog, &map).await?;
-        let name = location_name("location", &location)?;
+        let name = location_name_from_wire("location", &location).map_err(RpcError::from)?;
         edit_site(&handle, SiteEdit::RemoveLocation(name)).await?;
         Ok(Response::new(v1::DeleteLocationResponse {}))
     }
@@ -176,7 +162,8 @@ impl MapService for Maps {
         let request = request.into_inner();
         let view = find_map(&self.catalog, &request.map).await?.view();
         let all = view.site().locations();
-        let (range, next_page_token) = page(all.len(), request.page_size, 100, 1000, &request.page_token)?;
+        let page = page_from_wire(request.page_size, &request.page_token, 100, 1000).map_err(RpcError::from)?;
+        let (range, next_page_token) = page.within(all.len());
         let locations = all.iter().skip(range.start).take(range.len());
         let locations = locations.map(|(name, location)| location_to_wire(&view, name, location)).collect();
         Ok(Response::new(v1::ListLocationsResponse { locations, next_page_token }))

@@ -4,9 +4,8 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{event::StateKind, ids::StateId, predict::PreparedTimes, view::MapView};
+use tidemap_map::{ids::StateId, predict::PreparedTimes, view::MapView};
 use tidemap_model::{EarlyStop, StopSignal, models::Moment, selector::ModelSelector};
-use tidemap_proto::convert::InvalidField;
 
 use super::{
     fitting::{LearnedState, ModelFitter},
@@ -28,20 +27,6 @@ pub(super) struct PredictContext<'a> {
     pub permits: &'a Permits,
     /// Maximum number of predictions of one request.
     pub predictions: u64,
-}
-
-/// Checks that a state is a probability, as entropies and plans need. `field` names the field of the request.
-///
-/// # Errors
-/// The state has another kind.
-pub(super) fn check_kind(view: &MapView, id: StateId, field: &str) -> Result<(), RpcError> {
-    let kind = view.kind(id);
-    if kind == StateKind::Probability {
-        return Ok(());
-    }
-    let name = view.info(id).map_or("", |info| info.name.as_str());
-    let text = format!("state {name:?} is a {}: a probability is needed here", kind.name());
-    Err(InvalidField::new(field, text).into())
 }
 
 /// Probabilities that the states or cells are 1 at the times.

@@ -14,6 +14,7 @@ use tonic_types::{ErrorDetails, StatusExt as _};
 
 use crate::{
     access::{Role, keyring::Denial},
+    backups::TargetError,
     catalog::CatalogError,
     ingest::{
         ending::{Ending, is_fatal},
@@ -23,9 +24,11 @@ use crate::{
     model_cache::ModelUnavailable,
 };
 
+mod misfit;
 mod plan_error;
 mod route_error;
 
+pub(crate) use misfit::{Misfit, Problem};
 pub(crate) use plan_error::PlanError;
 pub(crate) use route_error::RouteError;
 
@@ -33,6 +36,7 @@ use route_error::refusal_of;
 
 const DOMAIN: &str = "tidemap";
 const NAMES_SHOWN: usize = 10;
+const NO_HELLO: &str = "no Hello within 10 seconds";
 /// Characters of a message that are kept of its beginning and of its end, which says what to do.
 const HEAD_CHARS: usize = 1200;
 const TAIL_CHARS: usize = 600;
@@ -42,6 +46,12 @@ const TAIL_CHARS: usize = 600;
 pub(crate) enum RpcError {
     #[error(transparent)]
     Field(#[from] InvalidField),
+    #[error(transparent)]
+    Misfit(#[from] Misfit),
+    #[error("hello: {NO_HELLO}")]
+    NoHello,
+    #[error("path: {0}")]
+    BackupTarget(#[from] TargetError),
     #[error(transparent)]
     Catalog(#[from] CatalogError),
     #[error("map {name:?} does not exist; {}", known_names(.known, "maps"))]
@@ -217,7 +227,11 @@ pub(crate) fn code_name(code: Code) -> &'static str {
 impl RpcError {
     pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
         match self {
-            Self::Field(_) | Self::Intake(IntakeError::Invalid(_)) => (Code::InvalidArgument, "INVALID_FIELD"),
+            Self::Field(_)
+            | Self::Misfit(_)
+            | Self::NoHello
+            | Self::BackupTarget(_)
+            | Self::Intake(IntakeError::Invalid(_)) => (Code::InvalidArgument, "INVALID_FIELD"),
             Self::Catalog(error) => match error {
                 CatalogError::Exists(_) => (Code::AlreadyExists, "MAP_EXISTS"),
                 CatalogError::Unknown(_) => (Code::NotFound, "UNKNOWN_MAP"),
@@ -351,6 +365,13 @@ impl From<RpcError> for Status {
         match &error {
             RpcError::Field(field) | RpcError::Intake(IntakeError::Invalid(field)) => {
                 details.add_bad_request_violation(shortened(field.field.clone()), shortened(field.description.clone()));
+            }
+            RpcError::Misfit(Misfit { field, problem }) => {
+                details.add_bad_request_violation(shortened(field.clone()), shortened(problem.to_string()));
+            }
+            RpcError::NoHello => _ = details.add_bad_request_violation("hello", NO_HELLO),
+            RpcError::BackupTarget(error) => {
+                details.add_bad_request_violation("path", shortened(error.to_string()));
             }
             RpcError::Hello(HelloError::Sensor(invalid @ InvalidSensor::Range(_))) => {
                 details.add_bad_request_violation("hello.sensor", invalid.to_string());

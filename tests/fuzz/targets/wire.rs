@@ -8,7 +8,7 @@ use tidemap_proto::{
     bounds,
     convert::{
         anomaly, cells, columns, exploration, map, query, route,
-        scans::{ScanDecoder, ScanLimits},
+        scans::{ScanDecoder, ScanLimits, scans_from_wire},
         search, site, topology, traversals, vectors,
     },
     v1,
@@ -32,7 +32,7 @@ fn observe(request: v1::ObserveRequest) {
         Some(Up::Scans(batch)) => {
             let limits = ScanLimits { batch_scans: 64, points: 10_000, tiles: 1_000 };
             let mut decoder = ScanDecoder::new(Some(&GridSpec::new(0.1)), limits);
-            if decoder.begin(batch).is_ok() {
+            if scans_from_wire(batch).is_ok_and(|message| decoder.begin(message).is_ok()) {
                 while let Ok(Some(_)) = decoder.next_scan() {}
             }
         }
@@ -54,7 +54,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
             drop(decode::<v1::LoadTopologyRequest>("LoadTopologyRequest", bytes).map(|r| topology::load_from_wire(&r)))
         }
         6 => drop(
-            decode::<v1::PlanTourRequest>("PlanTourRequest", bytes).map(|r| exploration::tour_from_wire(&r, [0.0; 2])),
+            decode::<v1::PlanTourRequest>("PlanTourRequest", bytes).map(|r| exploration::tour_from_wire(&r)),
         ),
         7 => drop(decode::<v1::PlanRouteRequest>("PlanRouteRequest", bytes).map(|r| route::route_from_wire(&r))),
         8 => drop(decode::<v1::PlanSearchRequest>("PlanSearchRequest", bytes).map(|r| search::search_from_wire(&r))),

@@ -8,7 +8,7 @@ use tidemap_grid::mask::Mask;
 use tidemap_proto::{
     convert::{
         grid::grid_from_wire,
-        scans::{ScanDecoder, ScanLimits as DaemonLimits, TileTable, join_part},
+        scans::{ScanDecoder, ScanLimits as DaemonLimits, TileTable, join_part, scans_from_wire},
     },
     v1,
 };
@@ -52,7 +52,8 @@ impl Daemon {
 
     fn receive(&mut self, batch: ScanBatch) {
         assert!(batch.first_sequence <= self.durable() + 1, "a gap before {}", batch.first_sequence);
-        self.decoder.begin(batch.clone()).expect("a message that makes sense");
+        let message = scans_from_wire(batch.clone()).expect("sequence numbers that make sense");
+        self.decoder.begin(message).expect("a message that makes sense");
         while let Some(scan) = self.decoder.next_scan().expect("a message that makes sense") {
             assert_eq!(scan.refusal, None);
             if scan.sequence > self.durable() {

@@ -13,6 +13,7 @@ use super::{
     DecodedScan, ScanContent, ScanError, ScanLimits, ScanRefusal,
     decoder_table::DecoderTable,
     digest::{points_digest, ranges_digest},
+    message::ScanMessage,
     parts::Parts,
     points,
     tile_scan::TileScans,
@@ -77,7 +78,8 @@ impl ScanDecoder {
     ///
     /// # Errors
     /// The error ends the stream.
-    pub fn begin(&mut self, message: v1::ScanBatch) -> Result<Vec<TileIndex>, ScanError> {
+    pub fn begin(&mut self, message: ScanMessage) -> Result<Vec<TileIndex>, ScanError> {
+        let message = message.batch;
         let count = message.scans.len();
         if count == 0 {
             return Err(InvalidField::new("scans.scans", "there is no scan: send at least 1").into());

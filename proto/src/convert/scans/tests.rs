@@ -62,8 +62,13 @@ fn flips(seen: &[u32], observed: &[u32], occupied: &[u32]) -> Content {
     })
 }
 
+/// The message as sent.
+fn sent_message(batch: v1::ScanBatch) -> ScanMessage {
+    scans_from_wire(batch).expect("possible sequence numbers")
+}
+
 fn all(decoder: &mut ScanDecoder, message: v1::ScanBatch) -> Result<Vec<DecodedScan>, ScanError> {
-    decoder.begin(message)?;
+    decoder.begin(scans_from_wire(message)?)?;
     let mut scans = Vec::new();
     while let Some(scan) = decoder.next_scan()? {
         scans.push(scan);

@@ -13,15 +13,12 @@ use tidemap_grid::{
     spec::GridSpec,
 };
 use tidemap_map::{event::SequenceSpan, ids::RefusalReason};
-use tidemap_proto::{
-    convert::{
-        InvalidField,
-        scans::{DecodedScan, ScanContent, ScanDecoder, ScanLimits, ScanRefusal, content_crc},
-    },
-    v1,
+use tidemap_proto::convert::{
+    InvalidField,
+    scans::{DecodedScan, ScanContent, ScanDecoder, ScanLimits, ScanMessage, ScanRefusal, SentRays, content_crc},
 };
 
-use super::{Intake, IntakeError, cast_table::CastTable, early, last_sequence, shortened};
+use super::{Intake, IntakeError, cast_table::CastTable, early, shortened};
 use crate::ingest::protocol::{CheckedScan, RefusedObservation, ScanBatch, ScanOrigin};
 
 mod effort;
@@ -85,6 +82,22 @@ impl ScanIntake {
         self.decoder.open_sequence()
     }
 
+    fn take_open_cells(&mut self) -> u64 {
+        std::mem::take(&mut self.open_cells)
+    }
+
+    /// The cells that the rays of a message pass, about.
+    fn cells_of(&self, message: &ScanMessage) -> u64 {
+        let Some(cells) = &self.ray_cells else { return 0 };
+        let (rays, is_open) = (message.rays(), self.open_sequence().is_some());
+        let last = rays.len().saturating_sub(1);
+        let of = |(number, rays): (usize, Option<SentRays<'_>>)| {
+            let is_part = (number == 0 && is_open) || (number == last && message.continues());
+            rays.map_or(0, |rays| if is_part { cells.of_part(rays) } else { cells.of_scan(rays) })
+        };
+        rays.enumerate().map(of).fold(0, u64::saturating_add)
+    }
+
     /// Ray-casts readings; the result is flips against the last ray-cast scan.
     fn cast(&mut self, utc_nanos: i64, readings: &Readings) -> Result<super::cast_table::CastScan, ScanRefusal> {
         let limits = CastLimits { ray_cells: RAY_CELLS_MAX, cells: CAST_CELLS_MAX, tiles: self.limits.tiles };
@@ -131,27 +144,17 @@ impl Intake {
     ///
     /// # Errors
     /// Errors that end the stream.
-    pub(crate) fn begin_scans(&mut self, message: v1::ScanBatch) -> Result<bool, IntakeError> {
-        let first = message.first_sequence;
-        self.check_sequence(first)?;
-        last_sequence(first, message.scans.len())?;
+    pub(crate) fn begin_scans(&mut self, message: ScanMessage) -> Result<bool, IntakeError> {
+        self.check_sequences(message.sequences())?;
+        let first = *message.sequences().start();
         if let Some(open) = self.scans.open_sequence()
             && open != first
         {
             let text = format!("{first}: scan {open} is unfinished, and its next part must have its number");
             return Err(InvalidField::new("scans.first_sequence", text).into());
         }
-        let mut all = std::mem::take(&mut self.scans.open_cells);
-        if let Some(cells) = &self.scans.ray_cells {
-            let is_open = self.scans.open_sequence().is_some();
-            let last = message.scans.len().saturating_sub(1);
-            for (number, content) in message.scans.iter().map(|scan| scan.content.as_ref()).enumerate() {
-                let is_part = (number == 0 && is_open) || (number == last && message.continues);
-                let of = |content| if is_part { cells.of_part(content) } else { cells.of_content(content) };
-                all = all.saturating_add(content.map_or(0, of));
-            }
-        }
-        self.scans.open_cells = if message.continues { all } else { 0 };
+        let all = self.scans.take_open_cells().saturating_add(self.scans.cells_of(&message));
+        self.scans.open_cells = if message.continues() { all } else { 0 };
         self.scans.is_much_work = all > CELLS_AT_ONCE;
         self.scans.new_tiles = self.scans.decoder.begin(message)?;
         if self.scans.spec.is_none() {

@@ -3,17 +3,14 @@
 //! Invariant: as for observations. Whether the map has an edge is checked by its writer, which knows the topology.
 
 use tidemap_map::{event::SequenceSpan, ids::RefusalReason};
-use tidemap_proto::{
-    convert::{
-        InvalidField, OverLimit,
-        traversals::{BATCH_TEXT_BYTES_MAX, append_content, text_bytes, traversal_from_wire},
-    },
-    v1,
+use tidemap_proto::convert::{
+    OverLimit,
+    traversals::{BATCH_TEXT_BYTES_MAX, SentTraversal, TraversalMessage},
 };
 
 use super::{
     super::protocol::{RefusedObservation, TraversalBatch},
-    Intake, IntakeError, early, last_sequence, shortened,
+    Intake, IntakeError, early, shortened,
 };
 
 /// Observations per traversal: its success, and its speed.
@@ -24,28 +21,22 @@ impl Intake {
     ///
     /// # Errors
     /// Errors that end the stream; nothing of the message was taken.
-    pub(crate) fn take_traversals(
-        &mut self,
-        message: &v1::TraversalBatch,
-    ) -> Result<Option<TraversalBatch>, IntakeError> {
-        let v1::TraversalBatch { first_sequence: first, traversals } = message;
-        self.check_sequence(*first)?;
+    pub(crate) fn take_traversals(&mut self, message: TraversalMessage) -> Result<Option<TraversalBatch>, IntakeError> {
+        let TraversalMessage { sequences, traversals } = message;
+        self.check_sequences(&sequences)?;
+        let (first, last) = sequences.into_inner();
         self.check_no_open_scan("traversals", "traversals")?;
-        if traversals.is_empty() {
-            return Err(InvalidField::new("traversals.traversals", "missing: send at least 1").into());
-        }
         // One always fits.
         let (got, max) = (traversals.len().saturating_mul(OBSERVATIONS_EACH), self.limits.batch.max(OBSERVATIONS_EACH));
         let what = "observations of one message, traversals counted as two each";
         OverLimit::check(what, got, max, "setting max_batch_observations")?;
-        let bytes = traversals.iter().map(text_bytes).sum();
+        let bytes = traversals.iter().map(SentTraversal::text_bytes).sum();
         let what = "bytes of the names and reasons of one message of traversals";
         OverLimit::check(what, bytes, BATCH_TEXT_BYTES_MAX, "the protocol")?;
-        let last = last_sequence(*first, traversals.len())?;
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
-        for (sequence, wire) in (*first..).zip(traversals.iter().take(skip)) {
+        for (sequence, sent) in (first..).zip(traversals.iter().take(skip)) {
             self.rows.clear();
-            append_content(wire, &mut self.rows);
+            sent.append_content(&mut self.rows);
             self.known.repeated(sequence, |crc| crc32c::crc32c_append(crc, &self.rows))?;
         }
         if last < self.next_sequence {
@@ -56,12 +47,12 @@ impl Intake {
             ..TraversalBatch::default()
         };
         self.rows.clear();
-        for (sequence, wire) in (self.next_sequence..).zip(&traversals[skip..]) {
-            append_content(wire, &mut self.rows);
-            let early = wire.start_nanos;
-            match traversal_from_wire(wire) {
-                Ok(_) if early < self.earliest_nanos => {
-                    let (reason, detail) = (RefusalReason::Time, shortened(&early::refusal(early)));
+        for (sequence, sent) in (self.next_sequence..).zip(&traversals[skip..]) {
+            sent.append_content(&mut self.rows);
+            let start_nanos = sent.start_nanos();
+            match sent.check() {
+                Ok(_) if start_nanos < self.earliest_nanos => {
+                    let (reason, detail) = (RefusalReason::Time, shortened(&early::refusal(start_nanos)));
                     batch.refused.push(RefusedObservation { sequence, reason, detail });
                 }
                 Ok(traversal) => batch.traversals.push((sequence, traversal)),

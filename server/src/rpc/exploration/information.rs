@@ -4,33 +4,24 @@
 
 use std::sync::Arc;
 
-use tidemap_map::{
-    name::StateName,
-    site::{InvalidEdit, Location},
-    view::MapView,
-};
+use tidemap_map::{name::StateName, view::MapView};
 use tidemap_model::StopSignal;
 use tidemap_plan::{
     information::{Certainty, entropy_of},
-    predicted::{PredictOptions, PredictedTimes},
+    predicted::{PredictError, PredictOptions, PredictedTimes},
 };
 use tidemap_proto::{
-    convert::{
-        InvalidField,
-        exploration::{certainty_from_wire, times_from_wire},
-        grid::cell_box_from_wire,
-        query::{check_for_cells, selector_from_wire},
-    },
+    convert::exploration::{InformationQuestion, InformationTargets, information_from_wire},
     v1,
 };
 
-use super::Explorations;
+use super::{Explorations, locations::find_members};
 use crate::{
-    ingest::protocol::EditSiteError,
     rpc::{
-        lookup::{check_limit, find_all, find_map},
+        lookup::{check_kind, check_limit, find_all, find_map},
+        permits::run_blocking,
         replies::{Replies, compute_replies, stream_replies},
-        series::{check_kind, predict_series},
+        series::predict_series,
         status::{PlanError, RpcError},
     },
     state_or_cell::StateOrCell,
@@ -38,37 +29,6 @@ use crate::{
 
 /// Maximum number of targets of one request.
 const TARGETS_MAX: usize = 10_000;
-
-/// The states and cells of locations, each as named in the field `locations`. `max`: how many all may have together.
-///
-/// # Errors
-/// An unknown location, a state that is no probability, or too many.
-pub(super) async fn members(
-    view: &Arc<MapView>,
-    names: &[String],
-    max: u64,
-) -> Result<Vec<Vec<StateOrCell>>, RpcError> {
-    let mut asked = Vec::with_capacity(names.len());
-    let mut total = 0;
-    for (i, name) in names.iter().enumerate() {
-        let field = format!("locations[{i}]");
-        let unknown = || RpcError::EditSite(EditSiteError::Invalid(InvalidEdit::UnknownLocation(name.to_owned())));
-        let known = StateName::new(name).map_err(|error| InvalidField::new(&field, error))?;
-        let location = view.site().locations().get(&known).ok_or_else(unknown)?;
-        location.states.iter().try_for_each(|&id| check_kind(view, id, &field))?;
-        total += (location.states.len() + location.cells.len()) as u64;
-        // Each cell will have its description in memory.
-        check_limit("predictions", total, max, "setting max_predictions")?;
-        asked.push(location);
-    }
-    let cells = asked.iter().flat_map(|location| &location.cells).map(|cell| cell.name()).collect();
-    let mut cells = find_all(view, |_| "locations".to_owned(), cells).await?.into_iter();
-    let of = |location: &Location| {
-        let states = location.states.iter().map(|&id| StateOrCell::State(id));
-        states.chain(cells.by_ref().take(location.cells.len())).collect()
-    };
-    Ok(asked.into_iter().map(of).collect())
-}
 
 fn reply(target: &str, rows: &[Vec<f64>], times: usize, certainty: Certainty) -> v1::GetInformationResponse {
     let at = |time: usize| rows.iter().map(move |row| row[time]);
@@ -108,58 +68,75 @@ pub(super) async fn get_information(
     request: v1::GetInformationRequest,
 ) -> Result<Replies<v1::GetInformationResponse>, RpcError> {
     let handle = find_map(&explorations.catalog, &request.map).await?;
-    let view = handle.view();
-    let v1::GetInformationRequest { times_nanos, states, locations, region, model, certainty, .. } = request;
-    times_from_wire("times_nanos", &times_nanos)?;
-    let selector = selector_from_wire("model", model)?;
-    let certainty = certainty_from_wire("certainty", certainty)?;
-    if states.is_empty() && locations.is_empty() && region.is_none() {
-        return Err(InvalidField::new("states", "name a state, a location or a region").into());
-    }
-    check_limit("targets", (states.len() + locations.len()) as u64, TARGETS_MAX as u64, "one request")?;
-    if let Some(region) = region {
-        check_for_cells("model", selector)?;
-        view.grid().ok_or(PlanError::from(tidemap_plan::predicted::PredictError::NoGrid))?;
-        if !states.is_empty() || !locations.is_empty() {
-            return Err(InvalidField::new("region", "ask for a region in a request of its own").into());
+    let InformationQuestion { times_nanos, selector, certainty, targets } = information_from_wire(request)?;
+    match targets {
+        InformationTargets::Region(region) => {
+            let options = PredictOptions { selector, region: Some(region), ..explorations.predict_options() };
+            send_region(explorations, handle.view(), times_nanos, options, certainty).await
         }
-        Explorations::check_grid_times(&times_nanos)?;
-        let options =
-            PredictOptions { selector, region: Some(cell_box_from_wire(&region)), ..explorations.predict_options() };
-        let most = explorations.limits.predictions;
-        let permit = explorations.permits.take().await?;
-        return Ok(compute_replies(vec![permit], move |sink| {
-            let is_left = || sink.is_closed();
-            let stop = StopSignal::new(&is_left);
-            sink.send(of_region(&view, &times_nanos, &options, (certainty, most), stop)?);
-            Ok(())
-        }));
+        InformationTargets::Named { states, locations } => {
+            let view = handle.view();
+            let targets = named_targets(&view, states, &locations, explorations.limits.predictions).await?;
+            let all = targets.iter().map(|(_, states)| states.len() as u64).sum::<u64>();
+            let (predictions, max) = (all * times_nanos.len() as u64, explorations.limits.predictions);
+            check_limit("predictions", predictions, max, "setting max_predictions")?;
+            let asked = explorations.clone();
+            Ok(stream_replies(move |sink| async move {
+                for (name, states) in targets {
+                    let of = (states, times_nanos.clone());
+                    let rows = tokio::select! {
+                        () = sink.closed() => return Ok(()),
+                        rows = predict_series(asked.predict_context(), &handle, &view, of, selector) => rows?,
+                    };
+                    let answer = reply(&name, &rows, times_nanos.len(), certainty);
+                    let to = sink.clone();
+                    if !run_blocking((), move || to.send(answer)).await? {
+                        break;
+                    }
+                }
+                Ok(())
+            }))
+        }
     }
-    let found = find_all(&view, |i| format!("states[{i}]"), states.clone()).await?;
-    let mut targets: Vec<(String, Vec<StateOrCell>)> = Vec::with_capacity(states.len() + locations.len());
+}
+
+/// The information of a region, in one reply.
+async fn send_region(
+    explorations: &Explorations,
+    view: Arc<MapView>,
+    times_nanos: Vec<i64>,
+    options: PredictOptions,
+    certainty: Certainty,
+) -> Result<Replies<v1::GetInformationResponse>, RpcError> {
+    view.grid().ok_or(PlanError::from(PredictError::NoGrid))?;
+    Explorations::check_grid_times(&times_nanos)?;
+    let max = explorations.limits.predictions;
+    let permit = explorations.permits.take().await?;
+    Ok(compute_replies(vec![permit], move |sink| {
+        let is_left = || sink.is_closed();
+        let stop = StopSignal::new(&is_left);
+        sink.send(of_region(&view, &times_nanos, &options, (certainty, max), stop)?);
+        Ok(())
+    }))
+}
+
+/// The targets in the order of states and locations: the name of each, with its states and cells.
+async fn named_targets(
+    view: &Arc<MapView>,
+    states: Vec<String>,
+    locations: &[StateName],
+    max: u64,
+) -> Result<Vec<(String, Vec<StateOrCell>)>, RpcError> {
+    check_limit("targets", (states.len() + locations.len()) as u64, TARGETS_MAX as u64, "one request")?;
+    let found = find_all(view, |i| format!("states[{i}]"), states.clone()).await?;
+    let mut targets = Vec::with_capacity(states.len() + locations.len());
     for (i, (name, state)) in states.into_iter().zip(found).enumerate() {
         if let StateOrCell::State(id) = state {
-            check_kind(&view, id, &format!("states[{i}]"))?;
+            check_kind(view, id, &format!("states[{i}]"))?;
         }
         targets.push((name, vec![state]));
     }
-    let of_locations = members(&view, &locations, explorations.limits.predictions).await?;
-    targets.extend(locations.into_iter().zip(of_locations));
-    let predictions = targets.iter().map(|(_, states)| states.len() as u64).sum::<u64>() * times_nanos.len() as u64;
-    check_limit("predictions", predictions, explorations.limits.predictions, "setting max_predictions")?;
-    let asked = explorations.clone();
-    Ok(stream_replies(move |sink| async move {
-        for (name, states) in targets {
-            let rows = tokio::select! {
-                () = sink.closed() => return Ok(()),
-                rows = predict_series(asked.predict_context(), &handle, &view, (states, times_nanos.clone()), selector) => rows?,
-            };
-            let answer = reply(&name, &rows, times_nanos.len(), certainty);
-            let to = sink.clone();
-            if !tokio::task::spawn_blocking(move || to.send(answer)).await.map_err(|_| RpcError::Stopping)? {
-                break;
-            }
-        }
-        Ok(())
-    }))
+    let of_locations = find_members(view, locations, max).await?;
+    targets.extend(locations.iter().map(|name| name.as_str().to_owned()).zip(of_locations));
+    Ok(targets)
 }

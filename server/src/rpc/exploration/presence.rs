@@ -8,14 +8,13 @@ use std::sync::Arc;
 use tidemap_map::view::MapView;
 use tidemap_model::StopSignal;
 use tidemap_plan::presence::{READINGS_MAX_NANOS, Sighting, presence_series};
-use tidemap_proto::convert::InvalidField;
 
-use super::Explorations;
+use super::{Explorations, locations::Locations};
 use crate::{
     ingest::handle::MapHandle,
     rpc::{
         permits::run_while_awaited,
-        status::{PlanError, RpcError},
+        status::{PlanError, Problem, RpcError},
     },
     state_or_cell::StateOrCell,
 };
@@ -29,17 +28,14 @@ pub(super) async fn predict_presence(
     explorations: &Explorations,
     handle: &Arc<MapHandle>,
     view: &Arc<MapView>,
-    (names, by_location): (&[String], &[Vec<StateOrCell>]),
+    locations: &Locations,
     (slot_nanos, times_nanos): (i64, Vec<i64>),
 ) -> Result<Vec<Vec<f64>>, RpcError> {
     let state_of = |(name, states): (&String, &Vec<StateOrCell>)| match states.as_slice() {
         [StateOrCell::State(id)] => Ok(*id),
-        _ => {
-            let text = format!("location {name:?} has {} states and cells: it needs one state", states.len());
-            Err(InvalidField::new("exactly_one", text))
-        }
+        _ => Err(Problem::NotOneState { location: name.clone(), members: states.len() }.of("exactly_one")),
     };
-    let states = names.iter().zip(by_location).map(state_of).collect::<Result<Vec<_>, _>>()?;
+    let states = locations.names.iter().zip(&locations.members).map(state_of).collect::<Result<Vec<_>, _>>()?;
     let first_nanos = times_nanos.first().copied().unwrap_or_default();
     let within_nanos = first_nanos.saturating_sub(READINGS_MAX_NANOS)..first_nanos.saturating_add(1);
     let readings = explorations.fitting.readings(handle, &states, within_nanos).await?;

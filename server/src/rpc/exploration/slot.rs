@@ -2,6 +2,8 @@
 //!
 //! Invariant: the location is one of the given ones, and the decision is based on one view.
 
+use std::sync::Arc;
+
 use tidemap_map::view::MapView;
 use tidemap_model::selector::{ModelKind, ModelSelector};
 use tidemap_plan::{
@@ -10,21 +12,21 @@ use tidemap_plan::{
     strategy::{self, Gains, Strategy},
 };
 use tidemap_proto::{
-    convert::{
-        InvalidField,
-        exploration::{allowance_from_wire, certainty_from_wire, slot_from_wire},
-        query::selector_from_wire,
-        time::instant_from_wire,
-    },
+    convert::exploration::{SlotAllowance, SlotChoice, SlotQuestion, slot_question_from_wire},
     v1,
 };
 
-use super::{Explorations, day::locations, presence::predict_presence};
+use super::{
+    Explorations,
+    locations::{Locations, find_locations},
+    presence::predict_presence,
+};
 use crate::{
+    ingest::handle::MapHandle,
     rpc::{
         lookup::find_map,
         series::predict_series,
-        status::{PlanError, RpcError},
+        status::{Misfit, PlanError, Problem, RpcError},
     },
     state_or_cell::StateOrCell,
 };
@@ -34,118 +36,128 @@ pub(super) async fn plan_slot(
     request: v1::PlanSlotRequest,
 ) -> Result<v1::PlanSlotResponse, RpcError> {
     let handle = find_map(&explorations.catalog, &request.map).await?;
+    let question = slot_question_from_wire(request)?;
     let view = handle.view();
-    let time_nanos = instant_from_wire("time", request.time)?;
-    let unknown = |_| InvalidField::new("strategy", format!("{} is not known", request.strategy));
-    let wanted = v1::SlotStrategy::try_from(request.strategy).map_err(unknown)?;
-    let is_novelty = wanted == v1::SlotStrategy::Novelty;
-    let selector = match request.model {
-        Some(model) => selector_from_wire("model", Some(model))?,
-        None => ModelSelector { persistence: !is_novelty, ..ModelSelector::default() },
+    let locations = find_locations(&view, &question.locations, explorations.limits.predictions).await?;
+    let planned = planned_place(&question.choice, &locations.names)?;
+    let visits = question.allowance.map(|allowance| VisitsLeft::of(&view, &question, allowance)).transpose()?;
+    let slot = Slot { explorations, handle: &handle, view: &view, question: &question, locations: &locations };
+    let forecast = slot.predict(visits.as_ref()).await?;
+    let now = forecast.at(0);
+    let gain = |_, place: usize| question.certainty.bits_of(now[place].iter().copied());
+    let gains = Gains::of(1, now.len(), gain).map_err(|error| PlanError::from(DayError::from(error)))?;
+    let (place, surprise_bits) = match question.choice {
+        SlotChoice::Novelty { .. } => slot.most_novel(&now, planned).await?,
+        SlotChoice::MonteCarlo => (strategy::choose(Strategy::MonteCarlo, 0, gains.slot(0), question.seed), 0.0),
+        SlotChoice::Information | SlotChoice::Error => match best_now(&question, &forecast, visits.as_ref()) {
+            Some(place) => (place, 0.0),
+            // The robot rests.
+            None => return Ok(v1::PlanSlotResponse::default()),
+        },
     };
-    if request.exactly_one && request.model.is_some() {
-        return Err(InvalidField::new("exactly_one", "it is a model itself: leave out model").into());
-    }
-    let certainty = certainty_from_wire("certainty", request.certainty)?;
-    let (names, by_location) = locations(&view, request.locations, explorations.limits.predictions).await?;
-    let planned = names.iter().position(|name| *name == request.planned);
-    if is_novelty && planned.is_none() {
-        let text = format!("{:?} is not one of the locations: name the one that is planned", request.planned);
-        return Err(InvalidField::new("planned", text).into());
-    }
-    if !is_novelty && !request.planned.is_empty() {
-        return Err(InvalidField::new("planned", "`planned` needs strategy NOVELTY: leave it empty").into());
-    }
-    let states: Vec<StateOrCell> = by_location.iter().flatten().cloned().collect();
-    let ask = |times, selector| {
-        predict_series(explorations.predict_context(), &handle, &view, (states.clone(), times), selector)
-    };
-    let slot_nanos = slot_from_wire(request.slot)?;
-    let allowed = match allowance_from_wire(request.allowance) {
-        None if request.spent > 0 || (request.slot.is_some() && !request.exactly_one) => {
-            let text = "spent and slot are used only with an allowance: give explore or ratio";
-            return Err(InvalidField::new("allowance", text).into());
-        }
-        None => None,
-        Some(_) if !matches!(wanted, v1::SlotStrategy::Online | v1::SlotStrategy::OnlineError) => {
-            let text = "only the strategies online and online-error go by an allowance";
-            return Err(InvalidField::new("allowance", text).into());
-        }
-        Some(budget) => {
-            let slots = day_slots(&view, time_nanos, slot_nanos)?;
-            let visits = budget.visits(slots.count()).map_err(|error| PlanError::from(DayError::from(error)))?;
-            Some((visits.saturating_sub(request.spent as usize), later(&slots, time_nanos)))
-        }
-    };
-    // The slot itself, then the later ones of the day.
-    let mut times = vec![time_nanos];
-    times.extend(allowed.iter().flat_map(|(_, later)| later));
-    let rows = if request.exactly_one {
-        day_slots(&view, time_nanos, slot_nanos)?;
-        let of = (names.as_slice(), by_location.as_slice());
-        predict_presence(explorations, &handle, &view, of, (slot_nanos, times)).await?
-    } else {
-        ask(times, selector).await?
-    };
-    let at = |time: usize| split(rows.iter().map(|row| row[time]), &by_location);
-    let informed = at(0);
-    let gain = |_, place: usize| certainty.bits_of(informed[place].iter().copied());
-    let gains = Gains::of(1, names.len(), gain).map_err(|error| PlanError::from(DayError::from(error)))?;
-    let now = gains.slot(0);
-    let mut surprise = 0.0;
-    let chosen = match wanted {
-        v1::SlotStrategy::Novelty => {
-            let chain = ModelSelector { kind: ModelKind::Persistence, ..ModelSelector::default() };
-            let expected = ask(vec![time_nanos], chain).await?;
-            let expected = split(expected.iter().flatten().copied(), &by_location);
-            let pairs = |place: usize| expected[place].iter().copied().zip(informed[place].iter().copied());
-            let worth = |place| (surprise_bits(pairs(place)), information_bits(informed[place].iter().copied()));
-            let chosen = strategy::novel((0..names.len()).map(worth)).or(planned);
-            surprise = chosen.map_or(0.0, |place| worth(place).0);
-            chosen
-        }
-        v1::SlotStrategy::MonteCarlo => Some(strategy::choose(Strategy::MonteCarlo, 0, now, request.seed)),
-        v1::SlotStrategy::Unspecified | v1::SlotStrategy::Online | v1::SlotStrategy::OnlineError => {
-            let values = |known: &[Vec<f64>]| -> Vec<f64> {
-                let value = |states: &Vec<f64>| match wanted {
-                    v1::SlotStrategy::OnlineError => error_gain(states.iter().copied()),
-                    _ => certainty.bits_of(states.iter().copied()),
-                };
-                known.iter().map(value).collect()
-            };
-            let best = strategy::best(&values(&informed), request.seed);
-            if let (Some((left, later)), Some((_, value))) = (&allowed, best) {
-                let best_of = |time: usize| values(&at(time)).into_iter().fold(0.0, f64::max);
-                let later: Vec<f64> = (1..=later.len()).map(best_of).collect();
-                if !strategy::is_worth_a_visit(value, &later, *left) {
-                    return Ok(v1::PlanSlotResponse::default());
-                }
-            }
-            best.map(|(place, _)| place)
-        }
-    };
-    let place = chosen.unwrap_or_default();
-    Ok(v1::PlanSlotResponse {
-        location: names.get(place).cloned().unwrap_or_default(),
-        information_bits: gains.at(0, place),
-        surprise_bits: surprise,
-    })
+    let location = locations.names.get(place).cloned().unwrap_or_default();
+    Ok(v1::PlanSlotResponse { location, information_bits: gains.at(0, place), surprise_bits })
 }
 
-/// The slots of the local day of a time.
-fn day_slots(view: &MapView, time_nanos: i64, slot_nanos: i64) -> Result<DaySlots, RpcError> {
-    let day = view.sample_maker()(time_nanos, 0.0).local_day();
-    Ok(DaySlots::of(&view.spec().zone, day, slot_nanos).map_err(PlanError::from)?)
+/// The place of the planned location, if the choice needs one.
+fn planned_place(choice: &SlotChoice, names: &[String]) -> Result<Option<usize>, Misfit> {
+    let SlotChoice::Novelty { planned } = choice else { return Ok(None) };
+    let place = names.iter().position(|name| name == planned);
+    place.map(Some).ok_or_else(|| Problem::NotPlanned { planned: planned.clone() }.of("planned"))
 }
 
-/// The middles of the slots that begin after a time, in nanoseconds UTC.
-fn later(slots: &DaySlots, time_nanos: i64) -> Vec<i64> {
-    let starts_later = |&slot: &usize| slots.start_nanos(slot) > time_nanos;
-    (0..slots.count()).filter(starts_later).map(|slot| slots.middle_nanos(slot)).collect()
+/// What a day still allows.
+struct VisitsLeft {
+    visits: usize,
+    /// The middles of the later slots of the day, nanoseconds UTC.
+    later_nanos: Vec<i64>,
 }
 
-/// The probabilities of each location's states, given one for each state, location by location.
-fn split(probabilities: impl Iterator<Item = f64>, by_location: &[Vec<StateOrCell>]) -> Vec<Vec<f64>> {
-    let mut rest = probabilities;
-    by_location.iter().map(|states| rest.by_ref().take(states.len()).collect()).collect()
+impl VisitsLeft {
+    fn of(view: &MapView, question: &SlotQuestion, allowance: SlotAllowance) -> Result<Self, RpcError> {
+        let slots = day_slots(view, question)?;
+        let visits = allowance.budget.visits(slots.count()).map_err(|error| PlanError::from(DayError::from(error)))?;
+        let starts_later = |&slot: &usize| slots.start_nanos(slot) > question.time_nanos;
+        let later_nanos = (0..slots.count()).filter(starts_later).map(|slot| slots.middle_nanos(slot)).collect();
+        Ok(Self { visits: visits.saturating_sub(allowance.spent), later_nanos })
+    }
+}
+
+/// The slots of the local day of a question.
+fn day_slots(view: &MapView, question: &SlotQuestion) -> Result<DaySlots, PlanError> {
+    let day = view.sample_maker()(question.time_nanos, 0.0).local_day();
+    Ok(DaySlots::of(&view.spec().zone, day, question.slot_nanos)?)
+}
+
+/// A question, and the locations of a view to choose from.
+struct Slot<'a> {
+    explorations: &'a Explorations,
+    handle: &'a Arc<MapHandle>,
+    view: &'a Arc<MapView>,
+    question: &'a SlotQuestion,
+    locations: &'a Locations,
+}
+
+impl Slot<'_> {
+    /// The forecast of the slot itself and, if visits are limited, of the later ones of the day.
+    async fn predict(&self, visits: Option<&VisitsLeft>) -> Result<SlotForecast<'_>, RpcError> {
+        let mut times = vec![self.question.time_nanos];
+        times.extend(visits.into_iter().flat_map(|visits| &visits.later_nanos));
+        if !self.question.exactly_one {
+            return self.series(times, self.question.selector).await;
+        }
+        day_slots(self.view, self.question)?;
+        let slot_nanos = self.question.slot_nanos;
+        let of = (slot_nanos, times);
+        let rows = predict_presence(self.explorations, self.handle, self.view, self.locations, of).await?;
+        Ok(SlotForecast { rows, members: &self.locations.members })
+    }
+
+    async fn series(&self, times: Vec<i64>, selector: ModelSelector) -> Result<SlotForecast<'_>, RpcError> {
+        let members = &self.locations.members;
+        let states: Vec<StateOrCell> = members.iter().flatten().cloned().collect();
+        let context = self.explorations.predict_context();
+        let rows = predict_series(context, self.handle, self.view, (states, times), selector).await?;
+        Ok(SlotForecast { rows, members })
+    }
+
+    /// The most surprising location, or the planned one if none is surprising enough, with its surprise in bits. `now`
+    /// has the probabilities of the states of each location.
+    async fn most_novel(&self, now: &[Vec<f64>], planned: Option<usize>) -> Result<(usize, f64), RpcError> {
+        let chain = ModelSelector { kind: ModelKind::Persistence, ..ModelSelector::default() };
+        let expected = self.series(vec![self.question.time_nanos], chain).await?.at(0);
+        let pairs = |place: usize| expected[place].iter().copied().zip(now[place].iter().copied());
+        let worth = |place| (surprise_bits(pairs(place)), information_bits(now[place].iter().copied()));
+        let place = strategy::novel((0..now.len()).map(worth)).or(planned).unwrap_or_default();
+        Ok((place, worth(place).0))
+    }
+}
+
+/// The probabilities of the states of locations at the times of a question.
+struct SlotForecast<'a> {
+    /// A row per state, location by location, with a probability per time.
+    rows: Vec<Vec<f64>>,
+    members: &'a [Vec<StateOrCell>],
+}
+
+impl SlotForecast<'_> {
+    /// The probabilities of each location's states at a time, by its index.
+    fn at(&self, time: usize) -> Vec<Vec<f64>> {
+        let mut rest = self.rows.iter().map(|row| row[time]);
+        self.members.iter().map(|states| rest.by_ref().take(states.len()).collect()).collect()
+    }
+}
+
+/// The location that is worth most now; `None` if enough later slots are worth more.
+fn best_now(question: &SlotQuestion, forecast: &SlotForecast<'_>, visits: Option<&VisitsLeft>) -> Option<usize> {
+    let value = |states: &Vec<f64>| match question.choice {
+        SlotChoice::Error => error_gain(states.iter().copied()),
+        _ => question.certainty.bits_of(states.iter().copied()),
+    };
+    let values = |time: usize| forecast.at(time).iter().map(value).collect::<Vec<f64>>();
+    let Some((place, worth)) = strategy::best(&values(0), question.seed) else { return Some(0) };
+    let Some(VisitsLeft { visits, later_nanos }) = visits else { return Some(place) };
+    let best_of = |time: usize| values(time).into_iter().fold(0.0, f64::max);
+    let later: Vec<f64> = (1..=later_nanos.len()).map(best_of).collect();
+    strategy::is_worth_a_visit(worth, &later, *visits).then_some(place)
 }

@@ -5,16 +5,11 @@
 use tidemap_map::view::MapView;
 use tidemap_model::StopSignal;
 use tidemap_plan::{
-    predicted::{PredictOptions, PredictedGrid},
+    predicted::{PredictError, PredictOptions, PredictedGrid},
     tour::{TourQuestion, plan_tour as plan},
 };
 use tidemap_proto::{
-    convert::{
-        exploration::{tour_from_wire, tour_to_wire},
-        query::{check_for_cells, selector_from_wire},
-        site::point_from_wire,
-        time::instant_from_wire,
-    },
+    convert::exploration::{TourRequest, tour_question_from_wire, tour_to_wire},
     v1,
 };
 
@@ -30,10 +25,8 @@ pub(super) async fn plan_tour(
     request: v1::PlanTourRequest,
 ) -> Result<v1::PlanTourResponse, RpcError> {
     let view = find_map(&explorations.catalog, &request.map).await?.view();
-    let time_nanos = instant_from_wire("time", request.time)?;
-    let selector = selector_from_wire("model", request.model)?;
-    check_for_cells("model", selector)?;
-    let question = tour_question(&view, &request)?;
+    let (time_nanos, selector, tour) = tour_question_from_wire(&request)?;
+    let question = starting_on(&view, tour)?;
     let options = PredictOptions { selector, ..explorations.predict_options() };
     let work = move |stop: StopSignal<'_>| {
         let grid = PredictedGrid::new(&view, time_nanos, &options, stop)?;
@@ -43,13 +36,11 @@ pub(super) async fn plan_tour(
     Ok(tour_to_wire(&tour))
 }
 
-/// The tour that is asked for, from the given start or the charger of the map.
+/// The question of a tour, from the given start or the charger of the map.
 ///
 /// # Errors
-/// The map has no grid, or there is no start, or a field is invalid.
-pub(super) fn tour_question(view: &MapView, request: &v1::PlanTourRequest) -> Result<TourQuestion, RpcError> {
-    view.grid().ok_or(PlanError::from(tidemap_plan::predicted::PredictError::NoGrid))?;
-    let start = request.start.map(|start| point_from_wire("start", start)).transpose()?;
-    let start = start.or(view.site().charger_m()).ok_or(PlanError::NoStart)?;
-    Ok(tour_from_wire(request, start)?)
+/// The map has no grid, or there is no start.
+pub(super) fn starting_on(view: &MapView, tour: TourRequest) -> Result<TourQuestion, PlanError> {
+    view.grid().ok_or(PredictError::NoGrid)?;
+    tour.starting_at(view.site().charger_m()).ok_or(PlanError::NoStart)
 }

@@ -14,15 +14,11 @@ use tidemap_map::{
     ids::StateId,
     view::MapView,
 };
-use tidemap_model::{
-    EarlyStop, Sample, StopSignal,
-    selector::{ModelKind, ModelSelector},
-};
+use tidemap_model::{EarlyStop, Sample, StopSignal};
 use tidemap_proto::{
     convert::{
-        InvalidField,
-        columns::decode,
-        query::{order_from_wire, selector_from_wire, selector_to_wire},
+        columns::DecodedColumns,
+        query::{evaluated_from_wire, evaluation_from_wire, header_of, selector_to_wire, unpack_evaluated},
     },
     v1,
 };
@@ -37,7 +33,7 @@ use crate::{
         fitting::LearnedState,
         lookup::{check_limit, find_all, find_map},
         permits::run_while_awaited,
-        status::RpcError,
+        status::{Misfit, Problem, RpcError},
     },
     state_or_cell::StateOrCell,
 };
@@ -51,90 +47,86 @@ pub(super) async fn evaluate_states(
     queries: &Queries,
     mut stream: Streaming<v1::EvaluateStatesRequest>,
 ) -> Result<v1::EvaluateStatesResponse, Status> {
-    let Some(v1::evaluate_states_request::Message::Header(header)) =
-        stream.message().await?.and_then(|request| request.message)
-    else {
-        let error = InvalidField::new("header", "the first message of the stream must be the header");
-        return Err(RpcError::from(error).into());
-    };
+    let header = header_of(stream.message().await?).map_err(RpcError::from)?;
     let handle = find_map(&queries.catalog, &header.map).await?;
+    let question = evaluation_from_wire(header).map_err(RpcError::from)?;
+    check_limit("models", question.models.len() as u64, 64, "one request")?;
     let view = handle.view();
-    let max_order = header.max_order.map(|order| order_from_wire("header.max_order", order)).transpose();
-    let max_order = max_order.map_err(RpcError::from)?.unwrap_or(tidemap_model::ORDER_MAX);
-    let mut models = Vec::with_capacity(header.models.len());
-    for (i, model) in header.models.into_iter().enumerate() {
-        let model = selector_from_wire(&format!("header.models[{i}]"), Some(model)).map_err(RpcError::from)?;
-        if !models.contains(&model) {
-            models.push(model);
-        }
-    }
-    if models.is_empty() {
-        models.push(ModelSelector { kind: ModelKind::Spectral, ..ModelSelector::default() });
-    }
-    check_limit("models", models.len() as u64, 64, "one request")?;
-    let mut evaluator = Evaluator::new(Arc::clone(&view), models, max_order);
+    let mut evaluator = Evaluator::new(Arc::clone(&view), question.models, question.max_order);
     let mut table: Vec<TableEntry> = Vec::new();
     let mut waiting = WaitingObservations::default();
     while let Some(request) = stream.message().await? {
-        let Some(v1::evaluate_states_request::Message::Observations(mut columns)) = request.message else {
-            let error = InvalidField::new("observations", "every message after the first must have them");
-            return Err(RpcError::from(error).into());
-        };
-        let names = std::mem::take(&mut columns.new_states);
-        check_limit("states", (table.len() + names.len()) as u64, STATES_MAX as u64, "one evaluation")?;
-        for name in names {
-            let states = table.len() + 1;
-            let sums = states.saturating_mul(evaluator.sums_per_state()) as u64;
-            check_limit("states times models and orders", sums, SUMS_MAX as u64, "one evaluation")?;
-            table.push(TableEntry::find(&view, name, &table).await?);
-        }
-        let max = queries.max_batch as u64;
-        let setting = "setting max_batch_observations";
-        check_limit("observations of one message", columns.time_deltas.len() as u64, max, setting)?;
-        if !columns.coordinates.is_empty() {
-            let text = "positions cannot be compared: compare each axis, NAME/x and so on";
-            return Err(RpcError::from(InvalidField::new("observations.coordinates", text)).into());
-        }
-        let columns = decode(columns).map_err(RpcError::from)?;
-        let mut make = view.sample_maker();
-        for i in 0..columns.values.len() {
-            let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
-            let Some(entry) = table.get(index as usize) else {
-                let text = format!("{index} is beyond the stream's table of {} names", table.len());
-                return Err(RpcError::from(InvalidField::new("observations.state_indices", text)).into());
-            };
-            if time < 0 {
-                let text = format!("{time} ns is before 1970");
-                return Err(RpcError::from(InvalidField::new("observations.times", text)).into());
-            }
-            let shape = entry.shape(&view);
-            let is_allowed = if entry.is_angle { shape.allows(value) } else { shape.kind().bounds().contains(&value) };
-            if !is_allowed {
-                let text = format!("value {value} is not {}", shape.expected());
-                return Err(RpcError::from(InvalidField::new("observations.values", text)).into());
-            }
-            evaluator.begin(&entry.state, entry.is_angle);
-            waiting.push(entry, make(time, value));
-        }
+        let mut packed = evaluated_from_wire(request).map_err(RpcError::from)?;
+        extend_table(&mut table, packed.take_names(), &view, &evaluator).await?;
+        let (got, max) = (packed.observations() as u64, queries.max_batch as u64);
+        check_limit("observations of one message", got, max, "setting max_batch_observations")?;
+        let columns = unpack_evaluated(packed, table.len()).map_err(RpcError::from)?;
+        take_observations(&columns, &table, &view, &mut evaluator, &mut waiting).map_err(RpcError::from)?;
         // Without models to fit nothing is gained by waiting.
         if waiting.count >= WAITING_MAX || evaluator.kinds_to_fit().next().is_none() {
             evaluator = compare(queries, &handle, &view, std::mem::take(&mut waiting), evaluator).await?;
         }
     }
     let evaluator = compare(queries, &handle, &view, waiting, evaluator).await?;
-    let evaluations = evaluator.rows().map(|(of, name, model, evaluation)| v1::Evaluation {
+    Ok(answer(&evaluator, &view))
+}
+
+/// Adds names to the table of a stream.
+async fn extend_table(
+    table: &mut Vec<TableEntry>,
+    names: Vec<String>,
+    view: &Arc<MapView>,
+    evaluator: &Evaluator,
+) -> Result<(), RpcError> {
+    check_limit("states", (table.len() + names.len()) as u64, STATES_MAX as u64, "one evaluation")?;
+    for name in names {
+        let states = table.len() + 1;
+        let sums = states.saturating_mul(evaluator.sums_per_state()) as u64;
+        check_limit("states times models and orders", sums, SUMS_MAX as u64, "one evaluation")?;
+        table.push(TableEntry::find(view, name, table).await?);
+    }
+    Ok(())
+}
+
+/// Adds the observations of a message to those that wait.
+fn take_observations(
+    columns: &DecodedColumns,
+    table: &[TableEntry],
+    view: &MapView,
+    evaluator: &mut Evaluator,
+    waiting: &mut WaitingObservations,
+) -> Result<(), Misfit> {
+    let mut make = view.sample_maker();
+    let rows = columns.state_indices.iter().zip(&columns.times_nanos).zip(&columns.values);
+    for ((&index, &time), &value) in rows {
+        // Every index is one of the table.
+        let Some(entry) = table.get(index as usize) else { continue };
+        let shape = entry.shape(view);
+        let is_allowed = if entry.is_angle { shape.allows(value) } else { shape.kind().bounds().contains(&value) };
+        if !is_allowed {
+            return Err(Problem::Value { value, shape }.of("observations.values"));
+        }
+        evaluator.begin(&entry.state, entry.is_angle);
+        waiting.push(entry, make(time, value));
+    }
+    Ok(())
+}
+
+/// The reply: a row per state and model, and the models that some states have not.
+fn answer(evaluator: &Evaluator, view: &MapView) -> v1::EvaluateStatesResponse {
+    let evaluations = evaluator.rows().map(|(state, name, model, evaluation)| v1::Evaluation {
         state: name.into_owned(),
         model: Some(selector_to_wire(model)),
         observations: evaluation.observations,
         mean_squared_error: evaluation.mse(),
-        error_rate: (of.kind(&view) == StateKind::Probability).then(|| evaluation.error_rate()),
+        error_rate: (state.kind(view) == StateKind::Probability).then(|| evaluation.error_rate()),
     });
     let unavailable = evaluator.unavailable().into_iter().map(|(model, reason, states)| v1::UnavailableModel {
         model: Some(selector_to_wire(model)),
         reason: reason.to_owned(),
         states: states.into_iter().map(Cow::into_owned).collect(),
     });
-    Ok(v1::EvaluateStatesResponse { evaluations: evaluations.collect(), unavailable: unavailable.collect() })
+    v1::EvaluateStatesResponse { evaluations: evaluations.collect(), unavailable: unavailable.collect() }
 }
 
 /// Observations that are not compared yet, by state in the order of first appearance.
@@ -240,8 +232,7 @@ impl TableEntry {
         let is_other =
             |other: &TableEntry| other.state.subject() == entry.state.subject() && other.is_angle != entry.is_angle;
         if others.iter().any(is_other) {
-            let text = format!("{name:?}: compare an angle or its cosine, not both in one evaluation");
-            return Err(InvalidField::new("observations.new_states", text).into());
+            return Err(Problem::AngleAndCosine { name }.of("observations.new_states").into());
         }
         Ok(entry)
     }

@@ -10,12 +10,11 @@ use tidemap_map::{
     ids::StateId,
     view::MapView,
 };
-use tidemap_model::{VALUE_MAX, models::Moment, selector::ModelKind};
+use tidemap_model::models::Moment;
 use tidemap_proto::{
     convert::{
-        InvalidField,
-        query::selector_from_wire,
-        time::{nanos_from_duration, timestamp},
+        query::{PositionRegion, PositionsQuestion, positions_from_wire},
+        time::timestamp,
     },
     v1::{self, predict_positions_response::Message},
 };
@@ -28,7 +27,7 @@ use crate::{
         lookup::{check_limit, find_map, find_state},
         permits::run_blocking,
         replies::{Replies, ReplySink, stream_replies},
-        status::RpcError,
+        status::{Misfit, Problem, RpcError},
     },
 };
 
@@ -44,8 +43,6 @@ const CELLS_FLAT: f64 = 64.0;
 const CELLS_DEEP: f64 = 24.0;
 /// Margin of the observations on each side, as a share of their longest side.
 const MARGIN: f64 = 0.1;
-/// The longest window to count positions in.
-const WINDOW_MAX_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
 /// A window is summed in steps of at most five minutes.
 const STEP_NANOS: i64 = 300 * 1_000_000_000;
 /// Longest side of a region whose observations are all at one place, metres.
@@ -88,63 +85,55 @@ impl Cells {
     }
 }
 
+/// Limits of the cells of a question.
+#[derive(Clone, Copy)]
+struct CellLimits {
+    times: u64,
+    /// Steps of the window of a time.
+    steps: u64,
+    max_predictions: u64,
+}
+
+impl CellLimits {
+    fn check(self, cells: &Cells) -> Result<(), RpcError> {
+        let all = cells.number().saturating_mul(self.times).saturating_mul(self.steps);
+        let what = "cells of all times, every five minutes of a window";
+        check_limit(what, all, self.max_predictions, "setting max_predictions")?;
+        check_limit("cells of one time", cells.number(), CELLS_MAX, "one request")
+    }
+}
+
 pub(super) async fn predict_positions(
     queries: &Queries,
     request: v1::PredictPositionsRequest,
 ) -> Result<Replies<v1::PredictPositionsResponse>, RpcError> {
     let handle = find_map(&queries.catalog, &request.map).await?;
+    let question = positions_from_wire(request)?;
     let view = handle.view();
-    let (first, dimensions) = find_vector(&view, &request.state)?;
-    check_times(&request.times_nanos)?;
-    let kind = model_of(request.model)?;
-    let edge_m = edge_of(request.resolution_m)?;
-    let window = window_of(&request)?;
-    let steps = window.map_or(1, steps_of);
-    let region = request.region.map(|region| region_of(region, dimensions)).transpose()?;
-    let (times, max) = (request.times_nanos.len() as u64, queries.max_predictions);
-    let check = move |cells: &Cells| {
-        let of_all = cells.number().saturating_mul(times).saturating_mul(steps);
-        check_limit("cells of all times, every five minutes of a window", of_all, max, "setting max_predictions")?;
-        check_limit("cells of one time", cells.number(), CELLS_MAX, "one request")
+    let (first, dimensions) = find_vector(&view, &question.state)?;
+    let limits = CellLimits {
+        times: question.times_nanos.len() as u64,
+        steps: question.window_nanos.map_or(1, steps_of),
+        max_predictions: queries.max_predictions,
     };
-    let cells = region.map(|(low, high)| Cells::of(&low, &high, edge_m));
-    cells.as_ref().map_or(Ok(()), check)?;
+    let cells = question.region.as_ref().map(|region| cells_of(region, dimensions, question.edge_m)).transpose()?;
+    cells.as_ref().map_or(Ok(()), |cells| limits.check(cells))?;
     let axes = (first.0..).take(dimensions.count()).map(StateId);
     let axes = axes.map(|id| LearnedState::new(Arc::clone(&handle), Arc::clone(&view), id.into())).collect();
-    let model = queries.fitting.position_model(axes, kind).await?;
+    let model = queries.fitting.position_model(axes, question.kind).await?;
     let (low, high) = model.bounds_m();
-    let cells = cells.unwrap_or_else(|| Cells::around(low, high, edge_m));
-    check(&cells)?;
-    let top = if request.top == 0 { usize::MAX } else { request.top as usize };
-    let starts = request.times_nanos.iter().copied();
-    let moments: Vec<Vec<Moment>> = match window {
-        None => view.moments(&request.times_nanos).into_iter().map(|moment| vec![moment]).collect(),
-        Some(window) => starts.map(|start| view.moments(&middles(start, window))).collect(),
-    };
-    let (moments, permits) = (moments, queries.large_permits.clone());
+    let cells = cells.unwrap_or_else(|| Cells::around(low, high, question.edge_m));
+    limits.check(&cells)?;
+    let (moments, permits) = (moments_of(&view, &question), queries.large_permits.clone());
     Ok(stream_replies(move |sink| async move {
         let sink = sink.holding(vec![permits.take().await?]);
         let predict = move || {
             if sink.send(header(&view, first, &model, &cells)) {
-                tell(&model, &cells, &moments, window, top, &sink);
+                send_cells(&model, &cells, &moments, question.window_nanos, question.top, &sink);
             }
         };
         run_blocking((), predict).await
     }))
-}
-
-/// Checks the times of a request.
-pub(super) fn check_times(times_nanos: &[i64]) -> Result<(), InvalidField> {
-    if times_nanos.is_empty() {
-        return Err(InvalidField::new("times_nanos", "name at least one time"));
-    }
-    match times_nanos.iter().position(|&nanos| nanos < 0) {
-        Some(index) => {
-            let text = format!("{} ns is before 1970", times_nanos[index]);
-            Err(InvalidField::new(format!("times_nanos[{index}]"), text))
-        }
-        None => Ok(()),
-    }
 }
 
 /// The first axis of a vector, and its number of axes.
@@ -152,74 +141,29 @@ pub(super) fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimens
     match view.shape(name) {
         Some((first, StateShape::Vector(dimensions))) => Ok((first, dimensions)),
         Some((_, shape @ (StateShape::Scalar(_) | StateShape::Angle))) => {
-            let text = format!("{name:?} is a {} state, and only a vector has positions", shape.name());
-            Err(InvalidField::new("state", text).into())
+            Err(Problem::NoVector { state: name.to_owned(), shape }.of("state").into())
         }
         // The error of an unknown name.
         None => find_state(view, name).map(|first| (first, Dimensions::Two)),
     }
 }
 
-pub(super) fn model_of(wire: Option<v1::ModelSelector>) -> Result<ModelKind, RpcError> {
-    let mut wire = wire.unwrap_or_default();
-    if wire.kind() == v1::ModelKind::Unspecified {
-        wire.kind = v1::ModelKind::HypertimeEm.into();
+/// The cells of a region of a vector's positions.
+fn cells_of(region: &PositionRegion, dimensions: Dimensions, edge_m: Option<f64>) -> Result<Cells, Misfit> {
+    let expected = dimensions.count();
+    for (field, corner) in [("region.low_m", &region.low_m), ("region.high_m", &region.high_m)] {
+        if corner.len() != expected {
+            return Err(Problem::Coordinates { found: corner.len(), expected }.of(field));
+        }
     }
-    let selector = selector_from_wire("model", Some(wire))?;
-    if PositionModel::options(selector.kind).is_none() {
-        let text = format!("positions have no model {}: use hypertime-em or hypertime-km", selector.kind);
-        return Err(InvalidField::new("model.kind", text).into());
-    }
-    if selector.memory {
-        return Err(InvalidField::new("model.memory", "models of positions have no memory").into());
-    }
-    if selector.persistence {
-        return Err(InvalidField::new("model.persistence", "models of positions have no persistence").into());
-    }
-    Ok(selector.kind)
+    Ok(Cells::of(&region.low_m, &region.high_m, edge_m))
 }
 
-/// The given edge of a cell.
-fn edge_of(resolution_m: f64) -> Result<Option<f64>, RpcError> {
-    match resolution_m {
-        0.0 => Ok(None),
-        edge if edge > 0.0 && edge <= VALUE_MAX => Ok(Some(edge)),
-        other => {
-            let text = format!(
-                "{other} m is not a valid cell size: use a number above 0 and up to 1e12, or 0 for the default"
-            );
-            Err(InvalidField::new("resolution_m", text).into())
-        }
-    }
-}
-
-fn region_of(region: v1::PositionBox, dimensions: Dimensions) -> Result<(Vec<f64>, Vec<f64>), RpcError> {
-    let v1::PositionBox { low_m, high_m } = region;
-    for (field, corner) in [("region.low_m", &low_m), ("region.high_m", &high_m)] {
-        if corner.len() != dimensions.count() {
-            let text = format!("{} coordinates: the state has {}", corner.len(), dimensions.count());
-            return Err(InvalidField::new(field, text).into());
-        }
-        if let Some(wrong) = corner.iter().find(|number| number.abs() > VALUE_MAX || number.is_nan()) {
-            return Err(InvalidField::new(field, format!("{wrong} m is not a number from -1e12 to 1e12")).into());
-        }
-    }
-    if let Some((low, high)) = low_m.iter().zip(&high_m).find(|(low, high)| low >= high) {
-        let text = format!("{high} m is not above the lower corner's {low} m");
-        return Err(InvalidField::new("region.high_m", text).into());
-    }
-    Ok((low_m, high_m))
-}
-
-/// The window to count positions in, nanoseconds.
-fn window_of(request: &v1::PredictPositionsRequest) -> Result<Option<i64>, RpcError> {
-    let window = request.count_window.map(|window| nanos_from_duration("count_window", window)).transpose()?;
-    match window {
-        Some(nanos) if !(1..=WINDOW_MAX_NANOS).contains(&nanos) => {
-            let text = format!("{} s: a window is above 0 s and at most 7 days", nanos as f64 / 1e9);
-            Err(InvalidField::new("count_window", text).into())
-        }
-        window => Ok(window),
+/// The moments of each time of a question: the time itself, or the middles of its window's steps.
+fn moments_of(view: &MapView, question: &PositionsQuestion) -> Vec<Vec<Moment>> {
+    match question.window_nanos {
+        None => view.moments(&question.times_nanos).into_iter().map(|moment| vec![moment]).collect(),
+        Some(window) => question.times_nanos.iter().map(|&start| view.moments(&middles(start, window))).collect(),
     }
 }
 
@@ -290,7 +234,7 @@ fn expected(
 }
 
 /// Computes and sends the cells of each time, until the client is gone.
-fn tell(
+fn send_cells(
     model: &PositionModel,
     cells: &Cells,
     moments: &[Vec<Moment>],

@@ -11,14 +11,17 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::StopSignal;
-use tidemap_proto::{convert::time::interval_from_wire, v1};
+use tidemap_proto::{
+    convert::{cells::cell_from_wire, time::interval_from_wire},
+    v1,
+};
 use tidemap_store::History;
 
 use super::Queries;
 use crate::{
     ingest::{handle::MapHandle, protocol::HistoryTail},
     rpc::{
-        lookup::{cell_of, check_limit, find_cell, find_map, find_state},
+        lookup::{check_limit, find_cell, find_map, find_state},
         permits::Permit,
         readings::{self, ReadingsQuery, gather, not_replaced, read},
         replies::{Replies, compute_replies},
@@ -106,7 +109,7 @@ pub(super) async fn past(
 }
 
 async fn find_subject(view: &Arc<MapView>, name: &str) -> Result<Subject, RpcError> {
-    let Some(cell) = cell_of("state", name)? else { return find_state(view, name).map(Subject::State) };
+    let Some(cell) = cell_from_wire("state", name)? else { return find_state(view, name).map(Subject::State) };
     let for_thread = Arc::clone(view);
     // Its tile may have to be read from the disk.
     let found = tokio::task::spawn_blocking(move || find_cell(&for_thread, cell).map(drop));

@@ -30,7 +30,7 @@ use crate::{
     clock::SystemClock,
     ingest::{
         handle::MapHandle,
-        intake::{Intake, IntakeLimits},
+        intake::{Intake, IntakeLimits, tests::TakeSent as _},
         protocol::{Command, Hello, ObservationBatch, SessionEvent, StreamData, Welcome},
         writer::Context,
     },
@@ -230,7 +230,7 @@ impl Robot {
         let times: Vec<i64> = scans.iter().map(|(time, _)| *time).collect();
         let encoded = scans.iter().map(|(_, shown)| self.encoder.encode(shown).expect("tiles")).collect();
         for message in split(batch(self.sent + 1, &times, encoded), 1 << 20) {
-            self.intake.begin_scans(message).expect("well formed");
+            self.intake.begin_sent_scans(message).expect("well formed");
             while let Some(batch) = self.intake.next_scans().expect("well formed") {
                 self.sent = batch.span.last;
                 let session = self.opened.session;

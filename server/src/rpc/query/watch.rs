@@ -24,16 +24,14 @@ use tidemap_map::{
     anomaly::{Anomaly, Confidence},
     history::Reading,
     ids::StateId,
-    name::StateName,
-    site::InvalidEdit,
     view::MapView,
 };
 use tidemap_model::selector::ModelSelector;
 use tidemap_proto::{
     convert::{
-        InvalidField, OverLimit,
-        anomaly::{confidence_from_wire, watching_judge_from_wire},
-        grid::cell_box_from_wire,
+        OverLimit,
+        anomaly::{WatchQuestion, watch_from_wire},
+        cells::cell_from_wire,
     },
     v1,
 };
@@ -46,10 +44,10 @@ use crate::{
     ingest::{
         anomaly_feed::{CellFeed, FeedMessage, FeedPiece, FeedReceiver, FeedScans},
         handle::MapHandle,
-        protocol::{Command, EditSiteError},
+        protocol::Command,
     },
     rpc::{
-        lookup::{cell_of, check_limit, find_map, find_state},
+        lookup::{check_limit, find_location, find_map, find_state},
         permits::{processors, run_blocking},
         replies::Replies,
         status::RpcError,
@@ -92,12 +90,11 @@ pub(super) async fn watch_anomalies(
     queries: &Queries,
     request: v1::WatchAnomaliesRequest,
 ) -> Result<Replies<v1::WatchAnomaliesResponse>, RpcError> {
-    let v1::WatchAnomaliesRequest { map, states, confidence, model, region, location } = request;
-    let handle = find_map(&queries.catalog, &map).await?;
-    let confidence = confidence_from_wire("confidence", confidence)?;
-    let selector = watching_judge_from_wire("model", model)?;
-    check_limit("states", states.len() as u64, STATES_MAX as u64, "one request")?;
-    let Selection { states, cells } = watched(&handle.view(), &states, region.as_ref(), &location)?;
+    let handle = find_map(&queries.catalog, &request.map).await?;
+    let question = watch_from_wire(request)?;
+    check_limit("states", question.states.len() as u64, STATES_MAX as u64, "one request")?;
+    let Selection { states, cells } = watched(&handle.view(), &question)?;
+    let WatchQuestion { confidence, selector, .. } = question;
     let place = queries.watches.place()?;
     let listening = if states.as_ref().is_none_or(|states| !states.is_empty()) {
         let (reply, listening) = oneshot::channel();
@@ -132,17 +129,13 @@ struct Selection {
     cells: BTreeSet<CellIndex>,
 }
 
-fn watched(
-    view: &MapView,
-    names: &[String],
-    region: Option<&v1::CellBox>,
-    location: &str,
-) -> Result<Selection, RpcError> {
+fn watched(view: &MapView, question: &WatchQuestion) -> Result<Selection, RpcError> {
+    let WatchQuestion { states: names, region, location, .. } = question;
     let (mut states, mut cells) = (HashSet::new(), BTreeSet::new());
     let map = || view.spec().name.as_str().to_owned();
     let grid = || view.grid().ok_or_else(|| RpcError::NoGrid { map: map() });
     for (i, name) in names.iter().enumerate() {
-        match cell_of(&format!("states[{i}]"), name)? {
+        match cell_from_wire(&format!("states[{i}]"), name)? {
             Some(cell) => {
                 let (index, place) = cell.tile();
                 let tile = grid()?.find(index).and_then(|tile| grid().ok()?.live(tile));
@@ -154,29 +147,21 @@ fn watched(
             None => _ = states.insert(find_state(view, name)?),
         }
     }
-    if !location.is_empty() {
-        let unknown = || RpcError::EditSite(EditSiteError::Invalid(InvalidEdit::UnknownLocation(location.to_owned())));
-        let name = StateName::new(location).map_err(|error| InvalidField::new("location", error))?;
-        let members = view.site().locations().get(&name).ok_or_else(unknown)?;
+    if let Some(name) = location {
+        let members = find_location(view, name)?;
         states.extend(&members.states);
         cells.extend(&members.cells);
     }
     if let Some(region) = region {
         grid()?;
-        let region = cell_box_from_wire(region);
         let count = u64::try_from(region.count()).unwrap_or(u64::MAX);
-        if count == 0 {
-            return Err(
-                InvalidField::new("region", "the region holds no cells: each maximum is above its minimum").into()
-            );
-        }
         check_limit("cells", count, STATES_MAX as u64, "one request")?;
-        let CellBox { min, max } = region;
+        let CellBox { min, max } = *region;
         let row = |y: i32, z: i32| (min.x..max.x).map(move |x| CellIndex { x, y, z });
         cells.extend((min.z..max.z).flat_map(|z| (min.y..max.y).flat_map(move |y| row(y, z))));
     }
     check_limit("states and cells", (states.len() + cells.len()) as u64, STATES_MAX as u64, "one request")?;
-    let is_all = names.is_empty() && region.is_none() && location.is_empty();
+    let is_all = names.is_empty() && region.is_none() && location.is_none();
     Ok(Selection { states: (!is_all).then_some(states), cells })
 }
 

@@ -10,10 +10,9 @@ use tidemap_map::{
     topology::{NodeId, Topology},
     view::MapView,
 };
-use tidemap_proto::convert::InvalidField;
 
 use super::Routes;
-use crate::rpc::status::{RouteError, RpcError};
+use crate::rpc::status::{Problem, RouteError, RpcError};
 
 /// Maximum number of nodes in a message.
 const NODES_SHOWN: usize = 10;
@@ -55,9 +54,8 @@ impl Places {
                 Some(id) => {
                     let kind = view.kind(id);
                     if kind != StateKind::Probability {
-                        let name = state_at(node.name.as_str(), object);
-                        let text = format!("state {name:?} is a {}: presence needs probabilities", kind.name());
-                        return Err(InvalidField::new("object", text).into());
+                        let state = state_at(node.name.as_str(), object);
+                        return Err(Problem::NoPresence { state, kind }.of("object").into());
                     }
                     places.nodes.push(node.id);
                     places.states.push(id);
@@ -76,16 +74,13 @@ impl Places {
     /// The places of `object`; empty for the default kind.
     ///
     /// # Errors
-    /// There are none, a state is not a probability, or `object` is invalid.
+    /// There are none, or a state is not a probability.
     pub(super) async fn asked(
         routes: &Routes,
         map: &str,
         view: &Arc<MapView>,
         object: &str,
     ) -> Result<Places, RpcError> {
-        if object.contains('/') {
-            return Err(InvalidField::new("object", format!("{object:?} contains '/'")).into());
-        }
         let topology = view.site().topology();
         if topology.nodes().len() == 0 {
             return Err(RouteError::NoNodes(map.to_owned()).into());

@@ -5,10 +5,7 @@
 use tidemap_plan::search::{anyone, next_above};
 use tidemap_proto::{
     convert::{
-        InvalidField,
-        exploration::time_from_wire,
-        query::selector_from_wire,
-        search::{JOINT_STATES_MAX, joint_times_from_wire, threshold_from_wire},
+        search::{JointQuestion, PresenceQuestion, joint_from_wire, presence_from_wire},
         time::timestamp,
     },
     v1,
@@ -17,9 +14,9 @@ use tidemap_proto::{
 use super::{Routes, places::Places};
 use crate::{
     rpc::{
-        lookup::{check_limit, find_all, find_map},
-        series::{check_kind, predict_series},
-        status::RpcError,
+        lookup::{check_kind, check_limit, find_all, find_map},
+        series::predict_series,
+        status::{RouteError, RpcError},
     },
     state_or_cell::StateOrCell,
 };
@@ -33,14 +30,9 @@ pub(super) async fn predict_presence(
 ) -> Result<v1::PredictPresenceResponse, RpcError> {
     let handle = find_map(&routes.catalog, &request.map).await?;
     let view = handle.view();
-    let selector = selector_from_wire("model", request.model)?;
-    if request.times_nanos.is_empty() {
-        return Err(InvalidField::new("times_nanos", "name at least one time").into());
-    }
-    let times: Vec<i64> =
-        request.times_nanos.iter().map(|&time| time_from_wire("times_nanos", time)).collect::<Result<_, _>>()?;
+    let PresenceQuestion { times_nanos: times, selector, object } = presence_from_wire(request)?;
     let Places { nodes, states, unobserved, unobserved_nodes } =
-        Places::asked(routes, &request.map, &view, &request.object).await?;
+        Places::asked(routes, handle.spec.name.as_str(), &view, &object).await?;
     let rows = predict_series(routes.predict_context(), &handle, &view, (states, times.clone()), selector).await?;
     let at = |(index, &time_nanos): (usize, &i64)| {
         let probabilities: Vec<f64> = rows.iter().map(|row| row[index].clamp(0.0, 1.0)).collect();
@@ -64,16 +56,10 @@ pub(super) async fn next_joint(
 ) -> Result<v1::NextJointResponse, RpcError> {
     let handle = find_map(&routes.catalog, &request.map).await?;
     let view = handle.view();
-    let selector = selector_from_wire("model", request.model)?;
-    let threshold = threshold_from_wire(request.threshold)?;
-    let times = joint_times_from_wire(&request)?;
-    if request.states.is_empty() || request.states.len() > JOINT_STATES_MAX {
-        let text = format!("{} states: expected 1 to {JOINT_STATES_MAX}", request.states.len());
-        return Err(InvalidField::new("states", text).into());
-    }
-    let predictions = times.len() as u64 * request.states.len() as u64;
+    let JointQuestion { states: names, times_nanos: times, threshold, selector } = joint_from_wire(request)?;
+    let predictions = times.len() as u64 * names.len() as u64;
     check_limit("predictions", predictions, routes.predictions, "setting max_predictions")?;
-    let states = find_all(&view, |i| format!("states[{i}]"), request.states).await?;
+    let states = find_all(&view, |i| format!("states[{i}]"), names).await?;
     for state in &states {
         if let StateOrCell::State(id) = state {
             check_kind(&view, *id, "states")?;
@@ -92,7 +78,7 @@ pub(super) async fn next_joint(
             }
         }
         let passed = next_above((0..block.len()).map(together), threshold);
-        if let Some(joint) = passed.map_err(|error| InvalidField::new("threshold", error))? {
+        if let Some(joint) = passed.map_err(RouteError::from)? {
             let (time, best_time) = (Some(timestamp(block[joint.index])), Some(timestamp(best.0)));
             return Ok(v1::NextJointResponse { time, probability: joint.probability, best_time });
         }

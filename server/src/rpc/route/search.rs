@@ -12,7 +12,7 @@ use tidemap_plan::search::{
 use tidemap_proto::{
     convert::{
         query::selector_from_wire,
-        search::{plan_to_wire, plan_within_from_wire, search_from_wire, speed_from_wire},
+        search::{object_from_wire, plan_to_wire, plan_within_from_wire, search_from_wire, speed_from_wire},
         time::instant_from_wire,
     },
     v1,
@@ -48,7 +48,8 @@ pub(super) async fn plan_search(
     let options = search_from_wire(&request)?;
     let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);
     let speed = speed_from_wire(request.speed_m_per_s)?;
-    let places = Places::asked(routes, &request.map, &view, &request.object).await?;
+    let object = object_from_wire(request.object)?;
+    let places = Places::asked(routes, &request.map, &view, &object).await?;
     let Places { nodes, states, unobserved, unobserved_nodes } = places;
     check_count(nodes.len(), options.effort, request.for_arrival).map_err(RouteError::from)?;
 

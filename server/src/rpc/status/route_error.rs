@@ -3,7 +3,11 @@
 //! Invariant: each error has one gRPC code and one reason.
 
 use tidemap_map::topology::{RoadsError, TopologyError};
-use tidemap_plan::{policy::PolicyError, route::PlanRouteError, search::SearchError};
+use tidemap_plan::{
+    policy::PolicyError,
+    route::PlanRouteError,
+    search::{PolicyError as JointError, SearchError},
+};
 use tidemap_proto::convert::route::POLICY_CELLS_MAX;
 use tonic::Code;
 
@@ -40,6 +44,8 @@ pub(crate) enum RouteError {
     TooManyEdges { found: usize, most: usize },
     #[error(transparent)]
     Roads(#[from] RoadsError),
+    #[error("threshold: {0}")]
+    Joint(#[from] JointError),
     #[error(transparent)]
     Search(#[from] SearchError),
 }
@@ -64,7 +70,7 @@ impl RouteError {
             | Self::TooManyEdges { .. }
             | Self::Search(SearchError::TooManyForExact { .. } | SearchError::TooMany { .. })
             | Self::Roads(RoadsError::TooManyPairs { .. }) => (Code::ResourceExhausted, "LIMIT"),
-            Self::Search(_) | Self::Roads(_) | Self::Plan(_) | Self::Policy(_) => {
+            Self::Joint(_) | Self::Search(_) | Self::Roads(_) | Self::Plan(_) | Self::Policy(_) => {
                 (Code::InvalidArgument, "INVALID_FIELD")
             }
         }

@@ -98,7 +98,7 @@ fn a_flat_grid_has_one_layer() {
     let full = v1::TileScan { masked: vec![0], occupied: vec![0; 64], ..v1::TileScan::default() };
     let scans = all(&mut decoder, message(2, &[], vec![Content::Tiles(full)])).expect("fine");
     assert_eq!(sent(&scans[0]).observed_flips.len(), 63);
-    let error = decoder.begin(message(3, &[0, 0, 1], vec![flips(&[], &[], &[])])).expect_err("z");
+    let error = decoder.begin(sent_message(message(3, &[0, 0, 1], vec![flips(&[], &[], &[])]))).expect_err("z");
     assert!(error.to_string().contains("scans.new_tiles[0]: tile 0, 0, 1"), "{error}");
 }
 
@@ -114,7 +114,7 @@ fn what_makes_the_table_ambiguous_ends_the_stream() {
         (vec![0, 1 << 20, 0], "1048576"),
         (vec![0; 3 * 1000], "1001 is more than the 1000 that setting max_scan_tiles"),
     ] {
-        let error = decoder.begin(message(2, &tiles, scan())).expect_err(word).to_string();
+        let error = decoder.begin(sent_message(message(2, &tiles, scan()))).expect_err(word).to_string();
         assert!(error.contains(word), "{error}");
     }
     let mut wrong = |change: fn(&mut v1::ScanBatch)| {

@@ -125,7 +125,7 @@ fn check(is_flat: bool, max_bytes: usize) {
             let bytes = piece.encode_to_vec();
             assert!(bytes.len() <= max_bytes, "{} bytes", bytes.len());
             let piece = v1::ScanBatch::decode(bytes.as_slice()).expect("a message");
-            picture.table.extend(decoder.begin(piece).expect("well formed"));
+            picture.table.extend(decoder.begin(sent_message(piece)).expect("well formed"));
             while let Some(scan) = decoder.next_scan().expect("well formed") {
                 decoded.push(scan);
             }

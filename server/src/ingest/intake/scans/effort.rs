@@ -9,7 +9,7 @@ use tidemap_grid::{
     raycast::{Rays, Readings},
     spec::GridSpec,
 };
-use tidemap_proto::v1::scan::Content;
+use tidemap_proto::convert::scans::{SentRays, SentReadings};
 
 use super::RAY_CELLS_MAX;
 
@@ -37,21 +37,16 @@ impl RayCells {
     }
 
     /// Of a part of a scan as sent. The limits may be in another part.
-    pub(super) fn of_part(&self, part: &Content) -> u64 {
-        match part {
-            Content::Cloud(cloud) => self.of(points(&cloud.xyz_m), f64::INFINITY),
-            Content::Ranges(scan) => self.of(numbers(&scan.ranges_m), f64::INFINITY),
-            Content::Tiles(_) => 0,
-        }
+    pub(super) fn of_part(&self, rays: SentRays<'_>) -> u64 {
+        self.of_scan(SentRays { max_range_m: None, ..rays })
     }
 
     /// Of a scan that is complete in one message.
-    pub(super) fn of_content(&self, content: &Content) -> u64 {
-        let bound = |max: f32| if max > 0.0 { f64::from(max) } else { f64::INFINITY };
-        match content {
-            Content::Cloud(cloud) => self.of(points(&cloud.xyz_m), bound(cloud.max_range_m)),
-            Content::Ranges(scan) => self.of(numbers(&scan.ranges_m), bound(scan.max_range_m)),
-            Content::Tiles(_) => 0,
+    pub(super) fn of_scan(&self, rays: SentRays<'_>) -> u64 {
+        let max = rays.max_range_m.map_or(f64::INFINITY, f64::from);
+        match rays.readings {
+            SentReadings::Points(xyz_m) => self.of(points(xyz_m), max),
+            SentReadings::Ranges(ranges_m) => self.of(numbers(ranges_m), max),
         }
     }
 

@@ -10,7 +10,7 @@ use tidemap_proto::{
 };
 
 use super::*;
-use crate::ingest::intake::{Intake, IntakeLimits};
+use crate::ingest::intake::{Intake, IntakeLimits, tests::TakeSent as _};
 
 const MINUTE: i64 = HOUR / 60;
 const LIMITS: IntakeLimits =
@@ -53,7 +53,7 @@ pub(super) async fn scanner(handle: &MapHandle, name: &str, nightly: bool) -> Sc
 impl Scanner {
     /// Hands a message over.
     fn send_message(&mut self, handle: &MapHandle, message: v1::ScanBatch) {
-        self.intake.begin_scans(message).expect("well formed");
+        self.intake.begin_sent_scans(message).expect("well formed");
         while let Some(batch) = self.intake.next_scans().expect("well formed") {
             let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
             let budget = [permit(), permit()];

@@ -3,7 +3,6 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use tidemap_grid::index::{CellBox, CellIndex};
-use tidemap_proto::v1;
 
 use super::*;
 
@@ -35,19 +34,17 @@ fn no_more_have_a_turn_than_may() {
 #[test]
 fn what_rays_pass_is_bounded_by_their_ranges_and_the_extent() {
     let cells = RayCells::new(&spec(None));
-    let cloud = |xyz_m: &[f32], max_range_m| {
-        Content::Cloud(v1::PointCloud { xyz_m: xyz_m.to_vec(), max_range_m, ..v1::PointCloud::default() })
-    };
-    let along = cells.of_content(&cloud(&[10.0, 10.0, 10.0], 0.0));
+    let cloud = |xyz_m: &'static [f32], max_range_m| SentRays { readings: SentReadings::Points(xyz_m), max_range_m };
+    let along = cells.of_scan(cloud(&[10.0, 10.0, 10.0], None));
     assert!((61..80).contains(&along), "{along}");
-    assert!(cells.of_content(&cloud(&[10.0, 10.0, 10.0], 1.0)) < 10);
+    assert!(cells.of_scan(cloud(&[10.0, 10.0, 10.0], Some(1.0))) < 10);
     // The limits of a part may be in another part.
-    assert_eq!(cells.of_part(&cloud(&[10.0, 10.0, 10.0], 1.0)), along);
-    assert_eq!(cells.of_content(&cloud(&[f32::NAN, 1.0, 1.0, f32::INFINITY, 0.0, 0.0], 0.0)), 0);
-    assert_eq!(cells.of_content(&cloud(&[f32::MAX; 6], 0.0)), 2 * RAY_CELLS_MAX);
-    let scan = v1::RangeScan { ranges_m: vec![f32::INFINITY, f32::NAN, -1.0], max_range_m: 5.0, ..Default::default() };
-    let ranges = cells.of_content(&Content::Ranges(scan));
+    assert_eq!(cells.of_part(cloud(&[10.0, 10.0, 10.0], Some(1.0))), along);
+    assert_eq!(cells.of_scan(cloud(&[f32::NAN, 1.0, 1.0, f32::INFINITY, 0.0, 0.0], None)), 0);
+    assert_eq!(cells.of_scan(cloud(&[f32::MAX; 6], None)), 2 * RAY_CELLS_MAX);
+    let readings = SentReadings::Ranges(&[f32::INFINITY, f32::NAN, -1.0]);
+    let ranges = cells.of_scan(SentRays { readings, max_range_m: Some(5.0) });
     assert!((17..30).contains(&ranges), "{ranges}");
     let extent = CellBox { min: CellIndex { x: 0, y: 0, z: 0 }, max: CellIndex { x: 9, y: 9, z: 9 } };
-    assert_eq!(RayCells::new(&spec(Some(extent))).of_content(&cloud(&[f32::MAX; 3], 0.0)), 28);
+    assert_eq!(RayCells::new(&spec(Some(extent))).of_scan(cloud(&[f32::MAX; 3], None)), 28);
 }

@@ -1,0 +1,182 @@
+//! Plans of a day: questions and replies.
+//!
+//! Invariant: what is checked here needs no map; how long the day is, and what the map has, is checked by who answers.
+
+use tidemap_map::name::StateName;
+use tidemap_model::{LocalDay, selector::ModelSelector};
+use tidemap_plan::{
+    day::DayRow,
+    information::Certainty,
+    strategy::{Budget, Strategy},
+    view::{SceneOptions, Sensor, Viewpoint},
+};
+
+use super::{
+    TourRequest, budget_from_wire, certainty_from_wire, date_from_wire, scene_from_wire, sensor_from_wire,
+    slot_from_wire, strategy_from_wire, tour_from_wire, viewpoint_from_wire,
+};
+use crate::{
+    convert::{
+        InvalidField,
+        query::{check_for_cells, selector_from_wire},
+        site::location_names_from_wire,
+    },
+    v1,
+};
+
+/// What the visits of a day go to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum DayTargets {
+    /// Locations, or all of the map if none are named.
+    Locations(Vec<StateName>),
+    /// Locations, or all of the map if none are named, of which exactly one holds the person or object.
+    ExactlyOne(Vec<StateName>),
+    /// Views from viewpoints.
+    Views {
+        /// At least one.
+        viewpoints: Vec<Viewpoint>,
+        /// The sensor that looks.
+        sensor: Sensor,
+        /// How views are computed from predictions.
+        scene: SceneOptions,
+    },
+    /// A whole tour in each slot.
+    Tour(TourRequest),
+}
+
+/// The question of a request for a day.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DayQuestion {
+    /// The local day.
+    pub day: LocalDay,
+    /// Length of a slot, nanoseconds.
+    pub slot_nanos: i64,
+    /// How many slots are used.
+    pub budget: Budget,
+    /// How they are selected.
+    pub strategy: Strategy,
+    /// The model; one that cells have, for views and tours.
+    pub selector: ModelSelector,
+    /// The certainty after an observation.
+    pub certainty: Certainty,
+    /// Weight of information against the task, 0 to 1; 1: there is no task.
+    pub exploration_weight: f64,
+    /// The state of the task at each target; empty without a task.
+    pub task_states: Vec<String>,
+    /// What the visits go to.
+    pub targets: DayTargets,
+    /// Seed of what is random.
+    pub seed: u64,
+}
+
+/// The question of a request for a day.
+///
+/// # Errors
+/// The invalid field.
+pub fn day_from_wire(request: v1::PlanDayRequest) -> Result<DayQuestion, InvalidField> {
+    let day = date_from_wire("date", &request.date)?;
+    let slot_nanos = slot_from_wire(request.slot)?;
+    let (budget, strategy) = (budget_from_wire(request.budget), strategy_from_wire("strategy", request.strategy)?);
+    let selector = selector_from_wire("model", request.model)?;
+    let certainty = certainty_from_wire("certainty", request.certainty)?;
+    let exploration_weight = request.exploration_weight.unwrap_or(1.0);
+    if !(0.0..=1.0).contains(&exploration_weight) {
+        let text = format!("{exploration_weight} is not between 0 and 1");
+        return Err(InvalidField::new("exploration_weight", text));
+    }
+    let (targets, task_states, seed) = (targets_from_wire(&request, selector)?, request.task_states, request.seed);
+    if exploration_weight >= 1.0 && !task_states.is_empty() {
+        let text = "they are used only with an exploration_weight below 1";
+        return Err(InvalidField::new("task_states", text));
+    }
+    Ok(DayQuestion {
+        day,
+        slot_nanos,
+        budget,
+        strategy,
+        selector,
+        certainty,
+        exploration_weight,
+        task_states,
+        targets,
+        seed,
+    })
+}
+
+fn targets_from_wire(request: &v1::PlanDayRequest, selector: ModelSelector) -> Result<DayTargets, InvalidField> {
+    let v1::PlanDayRequest { locations, viewpoints, tour, model, task_states, .. } = request;
+    let is_plain = model.is_none() && viewpoints.is_empty() && tour.is_none();
+    if request.exactly_one && !(is_plain && task_states.is_empty()) {
+        let text = "it is a model of locations: leave out model, viewpoints, tour and task_states";
+        return Err(InvalidField::new("exactly_one", text));
+    }
+    if let Some(tour) = tour {
+        if !(locations.is_empty() && viewpoints.is_empty()) {
+            return Err(InvalidField::new("tour", "ask for tours, locations or viewpoints, not for several"));
+        }
+        check_for_cells("model", selector)?;
+        let tour = v1::PlanTourRequest { certainty: request.certainty, ..tour.clone() };
+        return Ok(DayTargets::Tour(tour_from_wire(&tour)?));
+    }
+    if !viewpoints.is_empty() {
+        if !locations.is_empty() {
+            return Err(InvalidField::new("locations", "ask for locations or for viewpoints, not for both"));
+        }
+        check_for_cells("model", selector)?;
+        let viewpoints = viewpoints.iter().map(viewpoint_from_wire).collect();
+        let scene = scene_from_wire(request.certainty, None)?;
+        return Ok(DayTargets::Views { viewpoints, sensor: sensor_from_wire(request.sensor), scene });
+    }
+    let locations = location_names_from_wire("locations", locations)?;
+    Ok(if request.exactly_one { DayTargets::ExactlyOne(locations) } else { DayTargets::Locations(locations) })
+}
+
+/// A day's plan for the wire. `names`: names of the locations, by index.
+#[must_use]
+pub fn day_to_wire(rows: &[DayRow], names: &[String]) -> v1::PlanDayResponse {
+    let slot = |row: &DayRow| v1::DaySlot {
+        start_nanos: row.start_nanos,
+        location: row.location.and_then(|index| names.get(index).cloned()).unwrap_or_default(),
+        information_bits: row.information_bits,
+    };
+    let explored = rows.iter().filter(|row| row.location.is_some()).count();
+    v1::PlanDayResponse {
+        slots: rows.iter().map(slot).collect(),
+        explored: u32::try_from(explored).unwrap_or(u32::MAX),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked() -> v1::PlanDayRequest {
+        v1::PlanDayRequest { date: "2016-03-21".to_owned(), ..v1::PlanDayRequest::default() }
+    }
+
+    #[test]
+    fn a_plain_day_is_of_all_locations() {
+        let question = day_from_wire(asked()).expect("right");
+        assert_eq!(question.targets, DayTargets::Locations(Vec::new()));
+        assert_eq!((question.exploration_weight, question.strategy), (1.0, Strategy::MonteCarlo));
+        let one = day_from_wire(v1::PlanDayRequest { exactly_one: true, ..asked() }).expect("right");
+        assert_eq!(one.targets, DayTargets::ExactlyOne(Vec::new()));
+    }
+
+    #[test]
+    fn targets_that_exclude_each_other_are_named() {
+        let field = |request| day_from_wire(request).expect_err("wrong").field;
+        let locations = vec!["hall".to_owned()];
+        let viewpoints = vec![v1::Viewpoint::default()];
+        let tour = Some(v1::PlanTourRequest::default());
+        let both = v1::PlanDayRequest { locations: locations.clone(), viewpoints: viewpoints.clone(), ..asked() };
+        assert_eq!(field(both), "locations");
+        assert_eq!(field(v1::PlanDayRequest { locations, tour: tour.clone(), ..asked() }), "tour");
+        assert_eq!(field(v1::PlanDayRequest { exactly_one: true, viewpoints, ..asked() }), "exactly_one");
+        assert_eq!(field(v1::PlanDayRequest { exactly_one: true, tour, ..asked() }), "exactly_one");
+        let task_states = vec!["door".to_owned()];
+        assert_eq!(field(v1::PlanDayRequest { task_states, ..asked() }), "task_states");
+        assert_eq!(field(v1::PlanDayRequest { exploration_weight: Some(1.5), ..asked() }), "exploration_weight");
+        assert_eq!(field(v1::PlanDayRequest { date: String::new(), ..asked() }), "date");
+    }
+}

@@ -1,0 +1,166 @@
+//! Questions about information: of states, locations and regions, of views, and reports of visits.
+//!
+//! Invariant: what is checked here needs no map; whether the map has what is named is checked by who answers.
+
+use tidemap_grid::index::CellBox;
+use tidemap_map::name::StateName;
+use tidemap_model::selector::ModelSelector;
+use tidemap_plan::{
+    information::Certainty,
+    view::{SceneOptions, Sensor, Viewpoint},
+};
+
+use super::{certainty_from_wire, scene_from_wire, sensor_from_wire, viewpoint_from_wire};
+use crate::{
+    convert::{
+        InvalidField,
+        grid::cell_box_from_wire,
+        query::{check_for_cells, selector_from_wire},
+        site::{location_names_from_wire, point_from_wire},
+        time::{nanos_from_timestamp, times_from_wire},
+    },
+    v1,
+};
+
+/// What information is asked of.
+#[derive(Clone, Debug, PartialEq)]
+pub enum InformationTargets {
+    /// All observed cells of a region together.
+    Region(CellBox),
+    /// Each of these states, cells and locations.
+    Named {
+        /// Names of states and cells.
+        states: Vec<String>,
+        /// Names of locations.
+        locations: Vec<StateName>,
+    },
+}
+
+/// The question of a request for information.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InformationQuestion {
+    /// Nanoseconds UTC; at least one.
+    pub times_nanos: Vec<i64>,
+    /// The model; one that cells have, if a region is asked for.
+    pub selector: ModelSelector,
+    /// The certainty after an observation.
+    pub certainty: Certainty,
+    /// At least one.
+    pub targets: InformationTargets,
+}
+
+/// The question of a request for information.
+///
+/// # Errors
+/// The invalid field.
+pub fn information_from_wire(request: v1::GetInformationRequest) -> Result<InformationQuestion, InvalidField> {
+    let v1::GetInformationRequest { times_nanos, states, locations, region, model, certainty, .. } = request;
+    times_from_wire("times_nanos", &times_nanos)?;
+    let selector = selector_from_wire("model", model)?;
+    let certainty = certainty_from_wire("certainty", certainty)?;
+    let has_names = !(states.is_empty() && locations.is_empty());
+    let targets = match region {
+        None if !has_names => return Err(InvalidField::new("states", "name a state, a location or a region")),
+        None => {
+            let locations = location_names_from_wire("locations", &locations)?;
+            InformationTargets::Named { states, locations }
+        }
+        Some(_) if has_names => {
+            return Err(InvalidField::new("region", "ask for a region in a request of its own"));
+        }
+        Some(region) => {
+            check_for_cells("model", selector)?;
+            InformationTargets::Region(cell_box_from_wire(&region))
+        }
+    };
+    Ok(InformationQuestion { times_nanos, selector, certainty, targets })
+}
+
+/// The question of a request for views.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewsQuestion {
+    /// Nanoseconds UTC; at least one.
+    pub times_nanos: Vec<i64>,
+    /// A model that cells have.
+    pub selector: ModelSelector,
+    /// At least one.
+    pub viewpoints: Vec<Viewpoint>,
+    /// How views are computed from predictions.
+    pub scene: SceneOptions,
+    /// The sensor that looks.
+    pub sensor: Sensor,
+}
+
+/// The question of a request for views.
+///
+/// # Errors
+/// The invalid field.
+pub fn views_from_wire(request: v1::EvaluateViewsRequest) -> Result<ViewsQuestion, InvalidField> {
+    let v1::EvaluateViewsRequest { times_nanos, model, viewpoints, certainty, threshold, sensor, .. } = request;
+    times_from_wire("times_nanos", &times_nanos)?;
+    let selector = selector_from_wire("model", model)?;
+    check_for_cells("model", selector)?;
+    if viewpoints.is_empty() {
+        return Err(InvalidField::new("viewpoints", "name at least one"));
+    }
+    Ok(ViewsQuestion {
+        times_nanos,
+        selector,
+        viewpoints: viewpoints.iter().map(viewpoint_from_wire).collect(),
+        scene: scene_from_wire(certainty, threshold)?,
+        sensor: sensor_from_wire(sensor),
+    })
+}
+
+/// A report of where a robot was sent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VisitReport {
+    /// Where it was sent: x, y in metres.
+    pub at_m: [f64; 2],
+    /// Whether it arrived.
+    pub reached: bool,
+    /// When, nanoseconds UTC; `None`: now.
+    pub utc_nanos: Option<i64>,
+}
+
+/// The report of a visit.
+///
+/// # Errors
+/// The invalid field.
+pub fn visit_from_wire(request: &v1::ReportVisitRequest) -> Result<VisitReport, InvalidField> {
+    let missing = || InvalidField::new("at", "missing: give the position that the robot was sent to");
+    let at_m = point_from_wire("at", request.at.ok_or_else(missing)?)?;
+    let utc_nanos = request.time.map(|time| nanos_from_timestamp("time", time)).transpose()?;
+    Ok(VisitReport { at_m, reached: request.reached, utc_nanos })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked() -> v1::GetInformationRequest {
+        v1::GetInformationRequest { times_nanos: vec![5], ..v1::GetInformationRequest::default() }
+    }
+
+    #[test]
+    fn information_is_asked_of_names_or_of_a_region() {
+        let field = |request| information_from_wire(request).expect_err("wrong").field;
+        assert_eq!(field(asked()), "states");
+        let (states, region) = (vec!["door".to_owned()], Some(v1::CellBox::default()));
+        assert_eq!(field(v1::GetInformationRequest { states: states.clone(), region, ..asked() }), "region");
+        let model = Some(v1::ModelSelector { kind: v1::ModelKind::Poisson.into(), ..v1::ModelSelector::default() });
+        assert_eq!(field(v1::GetInformationRequest { region, model, ..asked() }), "model.kind");
+        let locations = vec!["hall".to_owned(), "a/b".to_owned()];
+        assert_eq!(field(v1::GetInformationRequest { locations, ..asked() }), "locations[1]");
+        let question = information_from_wire(v1::GetInformationRequest { states: states.clone(), ..asked() });
+        let targets = InformationTargets::Named { states, locations: Vec::new() };
+        assert_eq!(question.map(|question| question.targets), Ok(targets));
+    }
+
+    #[test]
+    fn a_view_needs_a_viewpoint_and_a_visit_a_position() {
+        let request = v1::EvaluateViewsRequest { times_nanos: vec![5], ..v1::EvaluateViewsRequest::default() };
+        assert_eq!(views_from_wire(request).expect_err("wrong").field, "viewpoints");
+        assert_eq!(visit_from_wire(&v1::ReportVisitRequest::default()).expect_err("wrong").field, "at");
+    }
+}

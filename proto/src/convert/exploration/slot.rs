@@ -1,0 +1,155 @@
+//! Plans of one slot: questions.
+//!
+//! Invariant: what is checked here needs no map; whether the planned location is one of the given ones is checked by
+//! who answers.
+
+use tidemap_map::name::StateName;
+use tidemap_model::selector::ModelSelector;
+use tidemap_plan::{information::Certainty, strategy::Budget};
+
+use super::{allowance_from_wire, certainty_from_wire, slot_from_wire};
+use crate::{
+    convert::{InvalidField, query::selector_from_wire, site::location_names_from_wire, time::instant_from_wire},
+    v1,
+};
+
+/// How the location of a slot is chosen.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SlotChoice {
+    /// The location with the most information.
+    Information,
+    /// The location whose models have the greatest expected error.
+    Error,
+    /// The planned location, unless another one is far more surprising.
+    Novelty {
+        /// Name of the planned location.
+        planned: String,
+    },
+    /// At random, in proportion to the information.
+    MonteCarlo,
+}
+
+/// The visits that a day allows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlotAllowance {
+    /// Visits of the whole day.
+    pub budget: Budget,
+    /// Visits already made.
+    pub spent: usize,
+}
+
+/// The question of a request for a slot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SlotQuestion {
+    /// Beginning of the slot, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// Length of the day's slots, nanoseconds.
+    pub slot_nanos: i64,
+    /// How the location is chosen.
+    pub choice: SlotChoice,
+    /// The model of states and cells.
+    pub selector: ModelSelector,
+    /// Whether exactly one location holds the person or object, which replaces the model.
+    pub exactly_one: bool,
+    /// The certainty after an observation.
+    pub certainty: Certainty,
+    /// Locations to choose from; empty: all of the map.
+    pub locations: Vec<StateName>,
+    /// `None`: every slot may be used.
+    pub allowance: Option<SlotAllowance>,
+    /// Seed of what is random.
+    pub seed: u64,
+}
+
+/// The question of a request for a slot.
+///
+/// # Errors
+/// The invalid field.
+pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuestion, InvalidField> {
+    let time_nanos = instant_from_wire("time", request.time)?;
+    let unknown = |_| InvalidField::new("strategy", format!("{} is not known", request.strategy));
+    let strategy = v1::SlotStrategy::try_from(request.strategy).map_err(unknown)?;
+    let is_novelty = strategy == v1::SlotStrategy::Novelty;
+    let selector = match request.model {
+        Some(model) => selector_from_wire("model", Some(model))?,
+        None => ModelSelector { persistence: !is_novelty, ..ModelSelector::default() },
+    };
+    if request.exactly_one && request.model.is_some() {
+        return Err(InvalidField::new("exactly_one", "it is a model itself: leave out model"));
+    }
+    let certainty = certainty_from_wire("certainty", request.certainty)?;
+    if !is_novelty && !request.planned.is_empty() {
+        return Err(InvalidField::new("planned", "`planned` needs strategy NOVELTY: leave it empty"));
+    }
+    let allowance = allowance_of(&request, strategy)?;
+    Ok(SlotQuestion {
+        time_nanos,
+        slot_nanos: slot_from_wire(request.slot)?,
+        choice: match strategy {
+            v1::SlotStrategy::Unspecified | v1::SlotStrategy::Online => SlotChoice::Information,
+            v1::SlotStrategy::OnlineError => SlotChoice::Error,
+            v1::SlotStrategy::MonteCarlo => SlotChoice::MonteCarlo,
+            v1::SlotStrategy::Novelty => SlotChoice::Novelty { planned: request.planned },
+        },
+        selector,
+        exactly_one: request.exactly_one,
+        certainty,
+        locations: location_names_from_wire("locations", &request.locations)?,
+        allowance,
+        seed: request.seed,
+    })
+}
+
+fn allowance_of(
+    request: &v1::PlanSlotRequest,
+    strategy: v1::SlotStrategy,
+) -> Result<Option<SlotAllowance>, InvalidField> {
+    match allowance_from_wire(request.allowance) {
+        None if request.spent > 0 || (request.slot.is_some() && !request.exactly_one) => {
+            let text = "spent and slot are used only with an allowance: give explore or ratio";
+            Err(InvalidField::new("allowance", text))
+        }
+        None => Ok(None),
+        Some(_) if !matches!(strategy, v1::SlotStrategy::Online | v1::SlotStrategy::OnlineError) => {
+            let text = "only the strategies online and online-error go by an allowance";
+            Err(InvalidField::new("allowance", text))
+        }
+        Some(budget) => Ok(Some(SlotAllowance { budget, spent: request.spent as usize })),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::convert::time::timestamp;
+
+    fn asked(strategy: v1::SlotStrategy) -> v1::PlanSlotRequest {
+        v1::PlanSlotRequest { time: Some(timestamp(5)), strategy: strategy.into(), ..v1::PlanSlotRequest::default() }
+    }
+
+    #[test]
+    fn a_plain_slot_goes_by_information_with_persistence() {
+        let question = slot_question_from_wire(asked(v1::SlotStrategy::Unspecified)).expect("right");
+        assert_eq!(question.choice, SlotChoice::Information);
+        assert!(question.selector.persistence && question.allowance.is_none() && question.locations.is_empty());
+        let novel = v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(v1::SlotStrategy::Novelty) };
+        let novel = slot_question_from_wire(novel).expect("right");
+        assert_eq!(novel.choice, SlotChoice::Novelty { planned: "hall".to_owned() });
+        assert!(!novel.selector.persistence);
+    }
+
+    #[test]
+    fn what_does_not_go_together_is_named() {
+        use v1::{SlotStrategy::*, plan_slot_request::Allowance};
+        let field = |request| slot_question_from_wire(request).expect_err("wrong").field;
+        let model = Some(v1::ModelSelector::default());
+        assert_eq!(field(v1::PlanSlotRequest { time: None, ..asked(Online) }), "time");
+        assert_eq!(field(v1::PlanSlotRequest { strategy: 99, ..asked(Online) }), "strategy");
+        assert_eq!(field(v1::PlanSlotRequest { exactly_one: true, model, ..asked(Online) }), "exactly_one");
+        assert_eq!(field(v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(Online) }), "planned");
+        assert_eq!(field(v1::PlanSlotRequest { spent: 1, ..asked(Online) }), "allowance");
+        let allowance = Some(Allowance::Explore(3));
+        assert_eq!(field(v1::PlanSlotRequest { allowance, ..asked(MonteCarlo) }), "allowance");
+        assert!(slot_question_from_wire(v1::PlanSlotRequest { allowance, ..asked(OnlineError) }).is_ok());
+    }
+}

@@ -1,0 +1,155 @@
+//! A stream of observations: its messages, and a report of single readings, which is a stream of one message.
+//!
+//! Invariant: what is decoded here keeps the order and the numbers of what was sent. Sizes that depend on the stream
+//! are checked by who takes the messages, before anything is unpacked.
+
+use std::ops::RangeInclusive;
+
+use tidemap_grid::sensors::ProducerSensor;
+use tidemap_map::{event::StateShape, name::ProducerKey};
+
+use super::{
+    InvalidField,
+    columns::PackedColumns,
+    scans::{ScanMessage, scans_from_wire},
+    sequences::sequences_from_wire,
+    traversals::{TraversalMessage, traversals_from_wire},
+    vectors::new_shapes,
+};
+use crate::v1::{self, observe_request::Message};
+
+mod readings;
+
+pub use readings::readings_to_columns;
+
+/// The beginning of a stream.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StreamStart {
+    /// Who sends.
+    pub key: ProducerKey,
+    /// 0: a new incarnation is requested.
+    pub incarnation: u64,
+    /// Whether the client answers probes.
+    pub answers_probes: bool,
+    /// Whether the stream announces data time.
+    pub is_nightly: bool,
+    /// The announced sensor, which the map's writer checks.
+    pub sensor: Option<ProducerSensor>,
+}
+
+/// The hello in the first message of a stream.
+///
+/// # Errors
+/// It is another message.
+pub fn hello_of(first: v1::ObserveRequest) -> Result<v1::Hello, InvalidField> {
+    match first.message {
+        Some(Message::Hello(hello)) => Ok(hello),
+        _ => Err(InvalidField::new("hello", "the first message of a stream must be a Hello")),
+    }
+}
+
+/// How a stream begins.
+///
+/// # Errors
+/// An invalid name of the producer, or label.
+pub fn hello_from_wire(hello: &v1::Hello) -> Result<StreamStart, InvalidField> {
+    // One after the other, to name the invalid field.
+    ProducerKey::new(&hello.producer, "").map_err(|error| InvalidField::new("hello.producer", error))?;
+    let key = ProducerKey::new(&hello.producer, &hello.label);
+    let sensor = |wire: &v1::ProducerSensor| ProducerSensor {
+        hit: wire.hit.unwrap_or(1.0),
+        false_alarm: wire.false_alarm.unwrap_or(0.0),
+    };
+    Ok(StreamStart {
+        key: key.map_err(|error| InvalidField::new("hello.label", error))?,
+        incarnation: hello.incarnation,
+        answers_probes: hello.answers_probes,
+        is_nightly: hello.nightly,
+        sensor: hello.sensor.as_ref().map(sensor),
+    })
+}
+
+/// A message of a stream after its hello.
+#[derive(Clone, Debug)]
+pub enum StreamMessage {
+    /// Observations.
+    Observations(ObservationMessage),
+    /// Scans.
+    Scans(ScanMessage),
+    /// Traversals.
+    Traversals(TraversalMessage),
+    /// The answer to a probe.
+    Alive,
+}
+
+/// A message of a stream after its hello.
+///
+/// # Errors
+/// It has none of these, or the invalid field of what it has.
+pub fn message_from_wire(request: v1::ObserveRequest) -> Result<StreamMessage, InvalidField> {
+    Ok(match request.message {
+        Some(Message::Batch(batch)) => StreamMessage::Observations(observations_from_wire(batch)?),
+        Some(Message::Scans(scans)) => StreamMessage::Scans(scans_from_wire(scans)?),
+        Some(Message::Traversals(batch)) => StreamMessage::Traversals(traversals_from_wire(batch)?),
+        Some(Message::Alive(v1::Alive {})) => StreamMessage::Alive,
+        Some(Message::Hello(_)) | None => {
+            let text = "after the Hello a message must be a batch, of observations, scans or traversals";
+            return Err(InvalidField::new("message", text));
+        }
+    })
+}
+
+/// The error of a message that could not be decoded.
+#[must_use]
+pub fn undecodable(problem: &str) -> InvalidField {
+    InvalidField::new("message", problem)
+}
+
+/// Observations of one message, still packed.
+#[derive(Clone, Debug)]
+pub struct ObservationMessage {
+    /// Their sequence numbers.
+    pub sequences: RangeInclusive<u64>,
+    /// The shapes that the message declares for its new names, one each; `None`: not declared.
+    pub shapes: Vec<Option<StateShape>>,
+    /// The observations and the new names.
+    pub columns: PackedColumns,
+}
+
+/// Observations of one message.
+///
+/// # Errors
+/// There are none, a shape that no name can have, or a first sequence number of 0.
+pub fn observations_from_wire(batch: v1::ObservationBatch) -> Result<ObservationMessage, InvalidField> {
+    let missing = || InvalidField::new("observations", "missing: send at least 1");
+    let columns = batch.observations.ok_or_else(missing)?;
+    let sequences = sequences_from_wire(batch.first_sequence, columns.time_deltas.len())?;
+    Ok(ObservationMessage { sequences, shapes: new_shapes(&columns)?, columns: columns.into() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hello_comes_first_and_only_once() {
+        let hello = v1::Hello { producer: "robot".to_owned(), ..v1::Hello::default() };
+        let request = |message| v1::ObserveRequest { message };
+        let first = hello_of(request(Some(Message::Hello(hello.clone())))).expect("a hello");
+        assert_eq!(hello_from_wire(&first).expect("right").key.producer(), "robot");
+        assert_eq!(hello_of(request(None)).expect_err("nothing").field, "hello");
+        let again = message_from_wire(request(Some(Message::Hello(hello))));
+        assert_eq!(again.expect_err("a second hello").field, "message");
+        assert!(matches!(message_from_wire(request(Some(Message::Alive(v1::Alive {})))), Ok(StreamMessage::Alive)));
+    }
+
+    #[test]
+    fn the_invalid_part_of_a_key_is_named() {
+        let field = |producer: &str, label: &str| {
+            let hello = v1::Hello { producer: producer.to_owned(), label: label.to_owned(), ..v1::Hello::default() };
+            hello_from_wire(&hello).expect_err("wrong").field
+        };
+        assert_eq!(field("", "a"), "hello.producer");
+        assert_eq!(field("robot", "a\nb"), "hello.label");
+    }
+}

@@ -1,0 +1,225 @@
+//! Predictions of positions, and of states by place: questions.
+//!
+//! Invariant: numbers are finite and within range. How many coordinates a place has is known from the map, and checked
+//! by who answers.
+
+use tidemap_model::{VALUE_MAX, selector::ModelKind};
+
+use super::selector_from_wire;
+use crate::{
+    convert::{
+        InvalidField,
+        time::{nanos_from_duration, times_from_wire},
+    },
+    v1,
+};
+
+/// The longest window to count positions in.
+const WINDOW_MAX_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+
+/// A box of positions.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PositionRegion {
+    /// The lower corner, metres.
+    pub low_m: Vec<f64>,
+    /// The upper corner, metres: each coordinate is above that of the lower corner.
+    pub high_m: Vec<f64>,
+}
+
+/// The question where something will be.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PositionsQuestion {
+    /// Name of the vector.
+    pub state: String,
+    /// Nanoseconds UTC; at least one.
+    pub times_nanos: Vec<i64>,
+    /// A model that positions have.
+    pub kind: ModelKind,
+    /// Edge of a cell, metres; `None`: the default.
+    pub edge_m: Option<f64>,
+    /// The window to count positions in, which begins at each time, nanoseconds; `None`: nothing is counted.
+    pub window_nanos: Option<i64>,
+    /// `None`: where the observations are.
+    pub region: Option<PositionRegion>,
+    /// Maximum number of cells of a time, the most probable ones.
+    pub top: usize,
+}
+
+/// The question where something will be.
+///
+/// # Errors
+/// The invalid field.
+pub fn positions_from_wire(request: v1::PredictPositionsRequest) -> Result<PositionsQuestion, InvalidField> {
+    let v1::PredictPositionsRequest { state, times_nanos, model, resolution_m, count_window, region, top, .. } =
+        request;
+    times_from_wire("times_nanos", &times_nanos)?;
+    Ok(PositionsQuestion {
+        state,
+        times_nanos,
+        kind: model_from_wire(model)?,
+        edge_m: edge_from_wire(resolution_m)?,
+        window_nanos: window_from_wire(count_window)?,
+        region: region.map(region_from_wire).transpose()?,
+        top: if top == 0 { usize::MAX } else { top as usize },
+    })
+}
+
+/// The question for a state by place and time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlacesQuestion {
+    /// Name of the state.
+    pub state: String,
+    /// Name of the vector whose positions are the places of its observations.
+    pub position_state: String,
+    /// Nanoseconds UTC; at least one.
+    pub times_nanos: Vec<i64>,
+    /// Coordinates of the places, one place after the other, metres.
+    pub places_m: Vec<f64>,
+    /// Values whose densities are asked for.
+    pub density_values: Vec<f64>,
+    /// The probability of the intervals, above 0 and below 1; `None`: no intervals are asked for.
+    pub interval_level: Option<f64>,
+    /// A model that positions have.
+    pub kind: ModelKind,
+}
+
+/// The question for a state by place and time.
+///
+/// # Errors
+/// The invalid field.
+pub fn places_from_wire(request: v1::PredictAtPlacesRequest) -> Result<PlacesQuestion, InvalidField> {
+    let v1::PredictAtPlacesRequest { state, position_state, times_nanos, places_m, density_values, model, .. } =
+        request;
+    let level = request.interval_level;
+    times_from_wire("times_nanos", &times_nanos)?;
+    check_numbers("places_m", &places_m)?;
+    check_numbers("density_values", &density_values)?;
+    if !(0.0..1.0).contains(&level) {
+        let text = format!("{level} is not a level: use 0 or more, and below 1");
+        return Err(InvalidField::new("interval_level", text));
+    }
+    let (interval_level, kind) = (Some(level).filter(|&level| level > 0.0), model_from_wire(model)?);
+    Ok(PlacesQuestion { state, position_state, times_nanos, places_m, density_values, interval_level, kind })
+}
+
+/// A model of positions.
+fn model_from_wire(wire: Option<v1::ModelSelector>) -> Result<ModelKind, InvalidField> {
+    let mut wire = wire.unwrap_or_default();
+    if wire.kind() == v1::ModelKind::Unspecified {
+        wire.kind = v1::ModelKind::HypertimeEm.into();
+    }
+    let selector = selector_from_wire("model", Some(wire))?;
+    if !matches!(selector.kind, ModelKind::HypertimeEm { .. } | ModelKind::HypertimeKm { .. }) {
+        let text = format!("positions have no model {}: use hypertime-em or hypertime-km", selector.kind);
+        return Err(InvalidField::new("model.kind", text));
+    }
+    if selector.memory {
+        return Err(InvalidField::new("model.memory", "models of positions have no memory"));
+    }
+    if selector.persistence {
+        return Err(InvalidField::new("model.persistence", "models of positions have no persistence"));
+    }
+    Ok(selector.kind)
+}
+
+/// The edge of a cell.
+fn edge_from_wire(resolution_m: f64) -> Result<Option<f64>, InvalidField> {
+    match resolution_m {
+        0.0 => Ok(None),
+        edge if edge > 0.0 && edge <= VALUE_MAX => Ok(Some(edge)),
+        other => {
+            let text = format!(
+                "{other} m is not a valid cell size: use a number above 0 and up to 1e12, or 0 for the default"
+            );
+            Err(InvalidField::new("resolution_m", text))
+        }
+    }
+}
+
+fn region_from_wire(region: v1::PositionBox) -> Result<PositionRegion, InvalidField> {
+    let v1::PositionBox { low_m, high_m } = region;
+    for (field, corner) in [("region.low_m", &low_m), ("region.high_m", &high_m)] {
+        if let Some(wrong) = corner.iter().find(|number| number.abs() > VALUE_MAX || number.is_nan()) {
+            return Err(InvalidField::new(field, format!("{wrong} m is not a number from -1e12 to 1e12")));
+        }
+    }
+    if let Some((low, high)) = low_m.iter().zip(&high_m).find(|(low, high)| low >= high) {
+        let text = format!("{high} m is not above the lower corner's {low} m");
+        return Err(InvalidField::new("region.high_m", text));
+    }
+    Ok(PositionRegion { low_m, high_m })
+}
+
+/// The window to count positions in, nanoseconds.
+fn window_from_wire(window: Option<prost_types::Duration>) -> Result<Option<i64>, InvalidField> {
+    match window.map(|window| nanos_from_duration("count_window", window)).transpose()? {
+        Some(nanos) if !(1..=WINDOW_MAX_NANOS).contains(&nanos) => {
+            let text = format!("{} s: a window is above 0 s and at most 7 days", nanos as f64 / 1e9);
+            Err(InvalidField::new("count_window", text))
+        }
+        window => Ok(window),
+    }
+}
+
+fn check_numbers(field: &str, numbers: &[f64]) -> Result<(), InvalidField> {
+    let wrong = numbers.iter().position(|number| number.is_nan() || number.abs() > VALUE_MAX);
+    wrong.map_or(Ok(()), |i| {
+        let text = format!("{} is not a number from -1e12 to 1e12", numbers[i]);
+        Err(InvalidField::new(format!("{field}[{i}]"), text))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::convert::time::duration;
+
+    fn asked() -> v1::PredictPositionsRequest {
+        v1::PredictPositionsRequest { times_nanos: vec![5], ..v1::PredictPositionsRequest::default() }
+    }
+
+    #[test]
+    fn a_plain_question_has_the_defaults() {
+        let question = positions_from_wire(asked()).expect("right");
+        assert_eq!(question.kind, ModelKind::HypertimeEm { clusters: 3 });
+        assert_eq!(
+            (question.edge_m, question.window_nanos, question.region, question.top),
+            (None, None, None, usize::MAX)
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let field = |request| positions_from_wire(request).expect_err("wrong").field;
+        let model = |kind: v1::ModelKind, persistence, memory| {
+            Some(v1::ModelSelector { kind: kind.into(), persistence, memory, ..v1::ModelSelector::default() })
+        };
+        let spectral = model(v1::ModelKind::Spectral, false, false);
+        assert_eq!(field(v1::PredictPositionsRequest { model: spectral, ..asked() }), "model.kind");
+        let persistent = model(v1::ModelKind::Unspecified, true, false);
+        assert_eq!(field(v1::PredictPositionsRequest { model: persistent, ..asked() }), "model.persistence");
+        let remembering = model(v1::ModelKind::HypertimeKm, false, true);
+        assert_eq!(field(v1::PredictPositionsRequest { model: remembering, ..asked() }), "model.memory");
+        for resolution_m in [-1.0, f64::NAN, f64::INFINITY, 1e13] {
+            assert_eq!(field(v1::PredictPositionsRequest { resolution_m, ..asked() }), "resolution_m");
+        }
+        let count_window = Some(duration(WINDOW_MAX_NANOS + 1));
+        assert_eq!(field(v1::PredictPositionsRequest { count_window, ..asked() }), "count_window");
+        let region = |low: f64, high: f64| Some(v1::PositionBox { low_m: vec![low; 2], high_m: vec![high; 2] });
+        assert_eq!(field(v1::PredictPositionsRequest { region: region(1.0, 1.0), ..asked() }), "region.high_m");
+        assert_eq!(field(v1::PredictPositionsRequest { region: region(f64::NAN, 1.0), ..asked() }), "region.low_m");
+        let endless = region(0.0, f64::INFINITY);
+        assert_eq!(field(v1::PredictPositionsRequest { region: endless, ..asked() }), "region.high_m");
+    }
+
+    #[test]
+    fn numbers_of_places_are_checked_one_by_one() {
+        let asked = || v1::PredictAtPlacesRequest { times_nanos: vec![5], ..v1::PredictAtPlacesRequest::default() };
+        let field = |request| places_from_wire(request).expect_err("wrong").field;
+        let places_m = vec![1.0, 2e12];
+        assert_eq!(field(v1::PredictAtPlacesRequest { places_m, ..asked() }), "places_m[1]");
+        let density_values = vec![f64::NAN];
+        assert_eq!(field(v1::PredictAtPlacesRequest { density_values, ..asked() }), "density_values[0]");
+        assert_eq!(field(v1::PredictAtPlacesRequest { interval_level: 1.0, ..asked() }), "interval_level");
+    }
+}

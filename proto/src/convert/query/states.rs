@@ -1,0 +1,135 @@
+//! Predictions of states at times: questions and replies.
+//!
+//! Invariant: a question has at least one name and one time; whether the map has the names is not checked.
+
+use tidemap_map::event::StateKind;
+use tidemap_model::{Persistence, entropy_bits, models::Interval, selector::ModelSelector};
+
+use super::{selector_from_wire, selector_to_wire};
+use crate::{
+    convert::{
+        InvalidField,
+        time::{times_from_wire, timestamp},
+    },
+    v1,
+};
+
+/// The question of a request for predictions of states.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StatesQuestion {
+    /// Names of states, cells, vectors and angles; at least one.
+    pub names: Vec<String>,
+    /// Nanoseconds UTC; at least one.
+    pub times_nanos: Vec<i64>,
+    /// The model.
+    pub selector: ModelSelector,
+    /// The probability of the intervals, above 0 and below 1; `None`: no intervals are asked for.
+    pub interval_level: Option<f64>,
+}
+
+/// The question of a request for predictions of states.
+///
+/// # Errors
+/// The invalid field.
+pub fn states_from_wire(request: v1::PredictStatesRequest) -> Result<StatesQuestion, InvalidField> {
+    let v1::PredictStatesRequest { states: names, times_nanos, model, interval_level: level, .. } = request;
+    let selector = selector_from_wire("model", model)?;
+    if names.is_empty() {
+        return Err(InvalidField::new("states", "name at least one state"));
+    }
+    times_from_wire("times_nanos", &times_nanos)?;
+    if !(0.0..1.0).contains(&level) {
+        let text = format!("{level} is not a probability: 0 (no intervals) or more, and below 1");
+        return Err(InvalidField::new("interval_level", text));
+    }
+    let interval_level = Some(level).filter(|&level| level > 0.0);
+    Ok(StatesQuestion { names, times_nanos, selector, interval_level })
+}
+
+/// What is known of a state besides its predictions.
+#[derive(Clone, Debug)]
+pub struct StateFacts {
+    /// The kind of its values.
+    pub kind: StateKind,
+    /// The order of its model.
+    pub order: usize,
+    /// All its observations.
+    pub observations: u64,
+    /// Those that no update has learned.
+    pub pending: u64,
+    /// The model that answers; `None`: nothing was learned, and the prior predicts.
+    pub answered_by: Option<ModelSelector>,
+    /// Its last value, and how long it lasts.
+    pub persistence: Persistence,
+}
+
+/// Predictions of one state, or of one axis of a vector, at successive times of a question.
+#[derive(Clone, Debug)]
+pub struct StateForecast {
+    /// One per time.
+    pub values: Vec<f64>,
+    /// One per time; empty if none were asked for.
+    pub intervals: Vec<Interval>,
+    /// The state.
+    pub facts: StateFacts,
+}
+
+/// Predictions of the name at `state_index` of a question, from the time at `first_time_index` on, for the wire.
+/// `axis`: 1 for x and so on; 0 for what is no vector.
+#[must_use]
+pub fn forecast_to_wire(
+    state_index: usize,
+    axis: u32,
+    first_time_index: usize,
+    StateForecast { values, intervals, facts }: StateForecast,
+) -> v1::PredictStatesResponse {
+    let StateFacts { kind, order, observations, pending, answered_by, persistence } = facts;
+    v1::PredictStatesResponse {
+        state_index: u32::try_from(state_index).unwrap_or(u32::MAX),
+        first_time_index: u32::try_from(first_time_index).unwrap_or(u32::MAX),
+        entropies_bits: match kind {
+            StateKind::Probability => values.iter().map(|&probability| entropy_bits(probability)).collect(),
+            StateKind::Continuous | StateKind::Count => Vec::new(),
+        },
+        probabilities: values,
+        lower: intervals.iter().map(|interval| interval.lower).collect(),
+        upper: intervals.iter().map(|interval| interval.upper).collect(),
+        order: u32::try_from(order).unwrap_or(u32::MAX),
+        observations,
+        last_time: persistence.last().map(|(nanos, _)| timestamp(nanos)),
+        axis,
+        pending,
+        answered_by: answered_by.map(selector_to_wire),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked() -> v1::PredictStatesRequest {
+        v1::PredictStatesRequest {
+            states: vec!["door".to_owned()],
+            times_nanos: vec![5],
+            ..v1::PredictStatesRequest::default()
+        }
+    }
+
+    #[test]
+    fn a_level_of_zero_asks_for_no_intervals() {
+        let level = |interval_level| states_from_wire(v1::PredictStatesRequest { interval_level, ..asked() });
+        assert_eq!(level(0.0).expect("right").interval_level, None);
+        assert_eq!(level(0.9).expect("right").interval_level, Some(0.9));
+        for wrong in [1.0, -0.1, f64::NAN] {
+            assert_eq!(level(wrong).expect_err("wrong").field, "interval_level");
+        }
+    }
+
+    #[test]
+    fn names_and_times_are_needed() {
+        let field = |request| states_from_wire(request).expect_err("wrong").field;
+        assert_eq!(field(v1::PredictStatesRequest { states: Vec::new(), ..asked() }), "states");
+        assert_eq!(field(v1::PredictStatesRequest { times_nanos: Vec::new(), ..asked() }), "times_nanos");
+        assert_eq!(field(v1::PredictStatesRequest { times_nanos: vec![5, -1], ..asked() }), "times_nanos[1]");
+    }
+}

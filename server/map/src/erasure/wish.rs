@@ -1,0 +1,54 @@
+//! What somebody wants to erase, by names.
+//!
+//! Invariant: a wish names at least a state or a part.
+
+use std::fmt;
+
+use tidemap_model::time::format_rfc3339;
+
+/// What is to be erased, by names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wish {
+    /// The state; `None`: all, of which a part is to be erased.
+    pub state: Option<String>,
+    /// Which of the observations; `None`: all, with the state.
+    pub part: Option<WishedPart>,
+}
+
+/// Some of the observations.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WishedPart {
+    /// The producer, and its label; without one, all labels.
+    pub producer: Option<(String, Option<String>)>,
+    /// First time, nanoseconds UTC.
+    pub from_nanos: i64,
+    /// Time before which they lie, nanoseconds UTC; `i64::MAX`: up to the last.
+    pub to_nanos: i64,
+    /// Whether the sequence of the producer is forgotten.
+    pub forgets: bool,
+}
+
+impl fmt::Display for Wish {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.state {
+            Some(state) => write!(f, "state {state:?}")?,
+            None => f.write_str("all states")?,
+        }
+        self.part.as_ref().map_or(Ok(()), |part| write!(f, ", {part}"))
+    }
+}
+
+impl fmt::Display for WishedPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.producer {
+            Some((producer, Some(label))) => write!(f, "producer {producer:?} with label {label:?}, ")?,
+            Some((producer, None)) => write!(f, "producer {producer:?}, ")?,
+            None => {}
+        }
+        write!(f, "from {}", format_rfc3339(self.from_nanos))?;
+        match self.to_nanos {
+            i64::MAX => f.write_str(" on"),
+            nanos => write!(f, " to {}", format_rfc3339(nanos)),
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! Locations to explore, with their states and cells.
+//!
+//! Invariant: every state of a location is a probability, and every location has a name.
+
+use std::sync::Arc;
+
+use tidemap_map::{
+    event::StateKind,
+    name::StateName,
+    site::Location,
+    view::{MapView, StateInfo},
+};
+
+use crate::{
+    rpc::{
+        lookup::{check_kind, check_limit, find_all, find_location, find_state},
+        status::{Problem, RpcError},
+    },
+    state_or_cell::StateOrCell,
+};
+
+/// Maximum number of locations of one request.
+const LOCATIONS_MAX: usize = 10_000;
+
+/// Locations by name, with their states and cells; at least one.
+pub(super) struct Locations {
+    pub names: Vec<String>,
+    pub members: Vec<Vec<StateOrCell>>,
+}
+
+/// The locations to choose from, with at most `max` states and cells. If none are named, they are those of the map; if
+/// it has none, every probability is a location.
+///
+/// # Errors
+/// An unknown location, a state that is no probability, too many, or nothing to explore.
+pub(super) async fn find_locations(view: &Arc<MapView>, asked: &[StateName], max: u64) -> Result<Locations, RpcError> {
+    let known: Vec<StateName>;
+    let asked = if asked.is_empty() {
+        known = view.site().locations().keys().cloned().collect();
+        &known
+    } else {
+        asked
+    };
+    check_limit("locations", asked.len() as u64, LOCATIONS_MAX as u64, "one request")?;
+    if !asked.is_empty() {
+        let members = find_members(view, asked, max).await?;
+        return Ok(Locations { names: asked.iter().map(|name| name.as_str().to_owned()).collect(), members });
+    }
+    let is_probability = |info: &&StateInfo| info.kind == StateKind::Probability;
+    let names: Vec<String> = view.infos().filter(is_probability).map(|info| info.name.as_str().to_owned()).collect();
+    check_limit("states", names.len() as u64, LOCATIONS_MAX as u64, "one request without locations")?;
+    if names.is_empty() {
+        return Err(Problem::NothingToExplore.of("locations").into());
+    }
+    let members = names.iter().map(|name| find_state(view, name).map(|id| vec![id.into()]));
+    let members = members.collect::<Result<_, _>>()?;
+    Ok(Locations { names, members })
+}
+
+/// The states and cells of locations, each as named in the field `locations`. `max`: how many all may have together.
+///
+/// # Errors
+/// An unknown location, a state that is no probability, or too many.
+pub(super) async fn find_members(
+    view: &Arc<MapView>,
+    names: &[StateName],
+    max: u64,
+) -> Result<Vec<Vec<StateOrCell>>, RpcError> {
+    let mut asked = Vec::with_capacity(names.len());
+    let mut total = 0;
+    for (i, name) in names.iter().enumerate() {
+        let location = find_location(view, name)?;
+        let field = format!("locations[{i}]");
+        location.states.iter().try_for_each(|&id| check_kind(view, id, &field))?;
+        total += (location.states.len() + location.cells.len()) as u64;
+        // Each cell will have its description in memory.
+        check_limit("predictions", total, max, "setting max_predictions")?;
+        asked.push(location);
+    }
+    let cells = asked.iter().flat_map(|location| &location.cells).map(|cell| cell.name()).collect();
+    let mut cells = find_all(view, |_| "locations".to_owned(), cells).await?.into_iter();
+    let of = |location: &Location| {
+        let states = location.states.iter().map(|&id| StateOrCell::State(id));
+        states.chain(cells.by_ref().take(location.cells.len())).collect()
+    };
+    Ok(asked.into_iter().map(of).collect())
+}

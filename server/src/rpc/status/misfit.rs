@@ -1,0 +1,63 @@
+//! Why the content of a map does not fit a field of a request. What needs no map to be seen is checked where the wire is
+//! converted.
+//!
+//! Invariant: each error names its field, the value, and what would fit.
+
+use std::fmt;
+
+use tidemap_map::event::{StateKind, StateShape};
+
+/// A field of a request that does not fit the map.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Misfit {
+    /// Path of the field within the request.
+    pub field: String,
+    pub problem: Problem,
+}
+
+/// What does not fit.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(crate) enum Problem {
+    #[error("state {state:?} is a {}: a probability is needed here", .kind.name())]
+    NoProbability { state: String, kind: StateKind },
+    #[error("state {state:?} is a {}: presence needs probabilities", .kind.name())]
+    NoPresence { state: String, kind: StateKind },
+    #[error("{state:?} is a {} state, and only a vector has positions", .shape.name())]
+    NoVector { state: String, shape: StateShape },
+    #[error("{found} coordinates: the state has {expected}")]
+    Coordinates { found: usize, expected: usize },
+    #[error("{found} numbers: each place has {each}")]
+    Places { found: usize, each: usize },
+    #[error(
+        "{},{} lies outside of {of}: x from {} to {} m, y from {} to {} m",
+        at_m[0], at_m[1], low_m[0], high_m[0], low_m[1], high_m[1]
+    )]
+    Outside { at_m: [f64; 2], of: &'static str, low_m: [f64; 2], high_m: [f64; 2] },
+    #[error("the map has neither locations nor states to explore")]
+    NothingToExplore,
+    #[error("location {location:?} has {members} states and cells: it needs one state")]
+    NotOneState { location: String, members: usize },
+    #[error("{planned:?} is not one of the locations: name the one that is planned")]
+    NotPlanned { planned: String },
+    #[error("{states} states for {locations} locations: name one per location")]
+    TaskStates { states: usize, locations: usize },
+    #[error("value {value} is not {}", .shape.expected())]
+    Value { value: f64, shape: StateShape },
+    #[error("{name:?}: compare an angle or its cosine, not both in one evaluation")]
+    AngleAndCosine { name: String },
+}
+
+impl Problem {
+    /// The error of a field that has the problem.
+    pub(crate) fn of(self, field: impl Into<String>) -> Misfit {
+        Misfit { field: field.into(), problem: self }
+    }
+}
+
+impl fmt::Display for Misfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.field, self.problem)
+    }
+}
+
+impl std::error::Error for Misfit {}
