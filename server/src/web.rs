@@ -24,6 +24,7 @@ use crate::{connections::Remote, rpc::serve::GuardedServices};
 #[cfg(test)]
 mod api_page;
 mod assets;
+mod calls;
 mod json;
 mod links;
 mod openapi;

@@ -4,9 +4,10 @@
 
 use prost::Message as _;
 use tidemap_grid::{
-    index::{CellIndex, TILE_CELLS},
+    index::{CellBox, CellIndex, TILE_CELLS, TileIndex},
     mask::Mask,
     predict::{CellOutput, GridQuestion, GridSelection, TileCells},
+    spec::GridSpec,
     view::{CellDescription, GridView},
 };
 use tidemap_map::view::MapView;
@@ -14,8 +15,8 @@ use tidemap_model::ORDER_MAX;
 
 use super::{
     InvalidField,
-    grid::{cell_box_from_wire, cell_box_to_wire, grid_to_wire},
-    query::{check_for_cells, components_to_wire, date_or_empty, selector_from_wire},
+    grid::{cell_box_from_wire, cell_box_to_wire, grid_from_wire, grid_to_wire},
+    query::{check_for_cells, components_to_wire, date_or_empty, selector_from_wire, selector_to_wire},
     time::{instant_from_wire, timestamp},
 };
 use crate::v1;
@@ -74,7 +75,72 @@ pub fn cell_from_wire(field: &str, name: &str) -> Result<Option<CellIndex>, Inva
     CellIndex::from_name(name).transpose().map_err(|error| InvalidField::new(field, error))
 }
 
+/// A request for a prediction of the grid of a map. `estimate_only`: only the header is asked for.
+#[must_use]
+pub fn question_to_wire(map: &str, question: &GridQuestion, estimate_only: bool) -> v1::PredictGridRequest {
+    let GridQuestion { utc_nanos, selector, region, project, output } = *question;
+    let (output, threshold) = match output {
+        CellOutput::Probability => (v1::GridOutput::Probability, 0.0),
+        CellOutput::Entropy => (v1::GridOutput::Entropy, 0.0),
+        CellOutput::Threshold(threshold) => (v1::GridOutput::Threshold, f64::from(threshold)),
+    };
+    v1::PredictGridRequest {
+        map: map.to_owned(),
+        time: Some(timestamp(utc_nanos)),
+        model: Some(selector_to_wire(selector)),
+        region: region.as_ref().map(cell_box_to_wire),
+        project,
+        output: output.into(),
+        threshold,
+        estimate_only,
+    }
+}
+
+/// The header of a reply, as received.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReceivedHeader {
+    /// The grid.
+    pub spec: GridSpec,
+    /// The cells that are answered for; `None`: nothing was observed.
+    pub region: Option<CellBox>,
+    /// Number of tiles of the answer.
+    pub tiles: u64,
+    /// The generation that answers.
+    pub generation: u64,
+}
+
 /// The header of a reply.
+///
+/// # Errors
+/// The invalid field of the grid.
+pub fn header_from_wire(header: v1::GridHeader) -> Result<ReceivedHeader, InvalidField> {
+    let v1::GridHeader { grid, region, tiles, generation, .. } = header;
+    let spec = grid_from_wire(grid.unwrap_or_default())?;
+    Ok(ReceivedHeader { spec, region: region.as_ref().map(cell_box_from_wire), tiles, generation })
+}
+
+/// The known cells of the lowest layer of a tile, with their values.
+pub fn layer_from_wire(tile: &v1::PredictedTile) -> impl Iterator<Item = (CellIndex, f32)> + '_ {
+    let has = |mask: &[u8], row: usize, column: u16| mask.get(row).is_some_and(|bits| bits >> column & 1 == 1);
+    let origin = TileIndex { x: tile.x, y: tile.y, z: tile.z };
+    let mut values = tile.values.iter().copied();
+    let places = (0..8_u16).flat_map(|row| (0..8_u16).map(move |column| (row, column)));
+    // Where an invalid tile lies is not known.
+    let places = places.filter(move |&(row, column)| origin.is_valid() && has(&tile.known, usize::from(row), column));
+    places.map(move |(row, column)| {
+        let (mask_row, cell) = (usize::from(row), origin.cell(8 * row + column));
+        let value = if tile.all_values || has(&tile.changed, mask_row, column) {
+            values.next().unwrap_or_default()
+        } else if has(&tile.high, mask_row, column) {
+            tile.static_high
+        } else {
+            tile.static_low
+        };
+        (cell, value)
+    })
+}
+
+/// The header of a reply, for the wire.
 #[must_use]
 pub fn header_to_wire(
     grid: &GridView,
@@ -170,8 +236,6 @@ pub fn cell_alarm_to_wire(cell: CellIndex, description: &CellDescription) -> v1:
 
 #[cfg(test)]
 mod tests {
-    use tidemap_grid::index::TileIndex;
-
     use super::*;
 
     fn request() -> v1::PredictGridRequest {
@@ -205,6 +269,37 @@ mod tests {
         }
         assert_eq!(threshold(v1::GridOutput::Entropy, 0.5), Err("threshold".to_owned()));
         assert_eq!(threshold(v1::GridOutput::Probability, f64::NAN), Err("threshold".to_owned()));
+    }
+
+    #[test]
+    fn questions_come_back() {
+        let region = Some(CellBox { min: CellIndex { x: -1, y: 0, z: 0 }, max: CellIndex { x: 5, y: 6, z: 1 } });
+        for output in [CellOutput::Probability, CellOutput::Entropy, CellOutput::Threshold(0.75)] {
+            let question = GridQuestion { utc_nanos: 5, region, project: true, output, ..GridQuestion::default() };
+            let wire = question_to_wire("office", &question, true);
+            assert!(wire.map == "office" && wire.estimate_only);
+            assert_eq!(question_from_wire(&wire), Ok(question));
+        }
+    }
+
+    #[test]
+    fn the_cells_of_a_layer_have_their_own_values() {
+        let wire = v1::PredictedTile {
+            x: 1,
+            y: -1,
+            known: vec![3, 1, 0, 0, 0, 0, 0, 0],
+            changed: vec![0, 1, 0, 0, 0, 0, 0, 0],
+            high: vec![2, 0, 0, 0, 0, 0, 0, 0],
+            static_high: 1.0,
+            static_low: 0.125,
+            values: vec![0.25],
+            ..v1::PredictedTile::default()
+        };
+        let cell = |x, y| CellIndex { x, y, z: 0 };
+        let layer: Vec<_> = layer_from_wire(&wire).collect();
+        assert_eq!(layer, [(cell(8, -8), 0.125), (cell(9, -8), 1.0), (cell(8, -7), 0.25)]);
+        let all = v1::PredictedTile { all_values: true, values: vec![0.5, 0.75, 1.0], ..wire };
+        assert_eq!(layer_from_wire(&all).map(|(_, value)| value).collect::<Vec<_>>(), [0.5, 0.75, 1.0]);
     }
 
     #[test]

@@ -3,7 +3,10 @@
 //! Invariant: times become seconds after the reference time of the question; an error names the field, and the planner
 //! checks the rest.
 
-use tidemap_map::topology::{EdgeId, NodeId, Topology};
+use tidemap_map::{
+    name::EdgeName,
+    topology::{EdgeId, NodeId, Topology},
+};
 use tidemap_plan::{
     policy::{PolicyAction, PolicyObjective, PolicyOptions, PolicyTable},
     route::{Certainty, DEPARTURES_MAX, Objective, Route, RouteOptions, RoutePlan, RouteStep, When},
@@ -12,7 +15,7 @@ use tidemap_plan::{
 use super::{
     InvalidField,
     time::{duration, instant_from_wire, nanos_from_duration, nanos_from_timestamp, timestamp},
-    topology::{edge_to_wire, node_name},
+    topology::{edge_name_from_wire, edge_to_wire, node_name},
 };
 use crate::v1;
 
@@ -172,6 +175,34 @@ pub fn routes_to_wire(
         routes: planned.routes.iter().map(route).collect(),
         certainty: route_certainty_to_wire(planned.certainty).into(),
     }
+}
+
+/// What is predicted of an edge, as received.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EdgePrediction {
+    /// The edge.
+    pub edge: EdgeName,
+    /// Probability that the robot arrives.
+    pub success: f64,
+    /// Interval of the success.
+    pub success_interval: [f64; 2],
+    /// Expected duration, seconds.
+    pub duration_secs: f64,
+    /// Number of reports.
+    pub reports: u64,
+}
+
+/// What is predicted of edges.
+///
+/// # Errors
+/// An edge without a valid name.
+pub fn predictions_from_wire(reply: v1::PredictEdgesResponse) -> Result<Vec<EdgePrediction>, InvalidField> {
+    let prediction = |(i, wire): (usize, v1::PredictedEdge)| {
+        let v1::PredictedEdge { edge, success, success_lower, success_upper, duration_secs, reports } = wire;
+        let edge = edge_name_from_wire(&format!("edges[{i}].edge"), edge.as_ref())?;
+        Ok(EdgePrediction { edge, success, success_interval: [success_lower, success_upper], duration_secs, reports })
+    };
+    reply.edges.into_iter().enumerate().map(prediction).collect()
 }
 
 fn ends(topology: &Topology, edge: EdgeId) -> Option<v1::EdgeEnds> {

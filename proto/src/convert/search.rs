@@ -144,6 +144,12 @@ pub fn presence_from_wire(request: v1::PredictPresenceRequest) -> Result<Presenc
     Ok(PresenceQuestion { times_nanos, selector, object: object_from_wire(object)? })
 }
 
+/// The probability that the target is there at the first time of a reply, by the name of the node.
+pub fn presence_of_nodes(reply: v1::PredictPresenceResponse) -> impl Iterator<Item = (String, f64)> {
+    let probabilities = reply.times.into_iter().next().unwrap_or_default().probabilities;
+    reply.nodes.into_iter().zip(probabilities)
+}
+
 /// The kind of presence that is asked for; empty: the default kind.
 ///
 /// # Errors

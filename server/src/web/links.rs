@@ -12,7 +12,11 @@ use axum::{
 use tidemap_model::time::{InvalidTime, parse_time};
 use tonic::Status;
 
-use super::{Gateway, json};
+use super::{
+    Gateway,
+    calls::{Caller, Calls},
+    json,
+};
 use crate::clock::{Clock as _, SystemClock};
 
 mod palette;
@@ -65,37 +69,23 @@ pub(super) struct Parameter {
     pub example: &'static str,
 }
 
-/// Who asks: requests to the RPCs carry the caller's token, and count for the caller's connection.
-struct Caller {
-    token: Option<HeaderValue>,
-    remote: Option<crate::connections::Remote>,
+/// Who asks for a link, and what the asker has already.
+struct Visitor {
+    caller: Caller,
     known_tag: Option<HeaderValue>,
 }
 
-impl Caller {
+impl Visitor {
     fn of(request: &Request) -> Self {
-        let header = |name| request.headers().get(name).cloned();
-        Self {
-            token: header(header::AUTHORIZATION),
-            remote: request.extensions().get().cloned(),
-            known_tag: header(header::IF_NONE_MATCH),
-        }
+        Self { caller: Caller::of(request), known_tag: request.headers().get(header::IF_NONE_MATCH).cloned() }
     }
 
-    fn request<T>(&self, message: T) -> tonic::Request<T> {
-        let mut request = tonic::Request::new(message);
-        if let Some(token) = &self.token
-            && let Ok(token) = tonic::metadata::MetadataValue::try_from(token.as_bytes())
-        {
-            request.metadata_mut().insert("authorization", token);
-        }
-        if let Some(remote) = &self.remote {
-            request.extensions_mut().insert(remote.clone());
-        }
-        request
+    /// The RPCs about a map.
+    fn calls<'a>(&'a self, gateway: &'a Gateway, map: &'a str) -> Calls<'a> {
+        Calls { services: &gateway.services, caller: &self.caller, map }
     }
 
-    /// The content, or that the caller has it already.
+    /// The content, or that the asker has it already.
     fn answer(&self, content_type: &'static str, content: Vec<u8>, facts: HeaderMap) -> Response {
         let digest = ring::digest::digest(&ring::digest::SHA256, &content);
         let hex: String = digest.as_ref().iter().take(12).map(|byte| format!("{byte:02x}")).collect();

@@ -8,15 +8,17 @@ use axum::{
     http::{HeaderMap, HeaderValue},
     response::Response,
 };
-use tidemap_picture::{Canvas, Legend, LegendRow, SCALE_MAX, fitting_scale};
-use tidemap_proto::{
-    convert::time::timestamp,
-    v1::{self, predict_grid_response::Message, query_service_client::QueryServiceClient},
+use tidemap_grid::{
+    index::{CellBox, CellIndex},
+    predict::GridQuestion,
+    spec::GridSpec,
 };
+use tidemap_model::selector::{ModelKind, ModelSelector};
+use tidemap_picture::{Canvas, Legend, LegendRow, SCALE_MAX, fitting_scale};
 
 use super::{
-    super::Gateway,
-    Caller, Failure, Parameter, in_turn,
+    super::{Gateway, calls::Calls},
+    Failure, Parameter, Visitor, in_turn,
     palette::{FULL, Layer, UNKNOWN, entry},
     parameters::Given,
     time,
@@ -26,14 +28,10 @@ use super::{
 const SIDE_MAX: i64 = 8192;
 /// Maximum number of pixels.
 const PIXELS_MAX: i64 = 1 << 24;
-/// Maximum size of one reply of the RPC.
-const REPLY_BYTES: usize = 8 << 20;
 /// Cells that were not observed, in a picture with a legend.
 const BLANK: [u8; 3] = [255; 3];
 /// Heights that matter to a robot, metres; the floor and the ceiling are always occupied.
 const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
-/// Cells along the side of a tile.
-const TILE: i64 = 8;
 
 /// The parameters of the address.
 pub(in super::super) const PARAMETERS: &[Parameter] = &[
@@ -74,40 +72,27 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
 
 /// Cells of columns with their values, rows from south to north.
 struct PixelColumns {
-    region: v1::CellBox,
+    region: CellBox,
     cells: Vec<u8>,
 }
 
 impl PixelColumns {
-    fn empty(region: v1::CellBox) -> Self {
+    fn empty(region: CellBox) -> Self {
         let [width, height] = sides(&region);
         Self { region, cells: vec![UNKNOWN; usize::try_from(width * height).unwrap_or(0)] }
     }
 
-    fn paint(&mut self, tile: &v1::PredictedTile) {
+    /// Paints a cell, if it lies within the region.
+    fn paint(&mut self, at: CellIndex, value: f32) {
         let [width, height] = sides(&self.region);
-        let (low, high) = (entry(tile.static_low), entry(tile.static_high));
-        let has = |mask: &[u8], row: usize, column: u32| mask.get(row).is_some_and(|bits| bits >> column & 1 == 1);
-        let mut values = tile.values.iter();
-        for row in 0..8_usize {
-            let y = i64::from(tile.y) * TILE + row as i64 - i64::from(self.region.min_y);
-            for column in (0..8).filter(|&column| has(&tile.known, row, column)) {
-                let value = if tile.all_values || has(&tile.changed, row, column) {
-                    values.next().copied().map_or(0, entry)
-                } else if has(&tile.high, row, column) {
-                    high
-                } else {
-                    low
-                };
-                let x = i64::from(tile.x) * TILE + i64::from(column) - i64::from(self.region.min_x);
-                if (0..width).contains(&x)
-                    && (0..height).contains(&y)
-                    && let Ok(index) = usize::try_from(y * width + x)
-                    && let Some(cell) = self.cells.get_mut(index)
-                {
-                    *cell = value;
-                }
-            }
+        let x = i64::from(at.x) - i64::from(self.region.min.x);
+        let y = i64::from(at.y) - i64::from(self.region.min.y);
+        if (0..width).contains(&x)
+            && (0..height).contains(&y)
+            && let Ok(index) = usize::try_from(y * width + x)
+            && let Some(cell) = self.cells.get_mut(index)
+        {
+            *cell = entry(value);
         }
     }
 
@@ -158,9 +143,9 @@ impl PixelColumns {
 }
 
 /// Number of columns along x and y.
-fn sides(region: &v1::CellBox) -> [i64; 2] {
+fn sides(CellBox { min, max }: &CellBox) -> [i64; 2] {
     let side = |min: i32, max: i32| (i64::from(max) - i64::from(min)).max(0);
-    [side(region.min_x, region.max_x), side(region.min_y, region.max_y)]
+    [side(min.x, max.x), side(min.y, max.y)]
 }
 
 /// Where cells lie along an axis.
@@ -252,22 +237,20 @@ impl Wanted {
         Ok(Self { map, at, than, layer, scale, has_legend, ranges })
     }
 
-    fn question(&self, at: i64, region: Option<v1::CellBox>) -> v1::PredictGridRequest {
-        let latest = v1::ModelSelector { kind: v1::ModelKind::Latest.into(), ..v1::ModelSelector::default() };
-        v1::PredictGridRequest {
-            map: self.map.clone(),
-            time: Some(timestamp(at)),
-            model: (self.layer == Layer::Seen).then_some(latest),
-            estimate_only: region.is_none(),
+    fn question(&self, at: i64, region: Option<CellBox>) -> GridQuestion {
+        let kind = if self.layer == Layer::Seen { ModelKind::Latest } else { ModelKind::Auto };
+        GridQuestion {
+            utc_nanos: at,
+            selector: ModelSelector { kind, ..ModelSelector::default() },
             // The bounds of the grid are wanted with all its heights.
             project: region.is_some(),
             region,
-            ..v1::PredictGridRequest::default()
+            ..GridQuestion::default()
         }
     }
 
     /// Pixels along the side of a cell of a region.
-    fn scale_of(&self, region: &v1::CellBox) -> u32 {
+    fn scale_of(&self, region: &CellBox) -> u32 {
         self.scale.unwrap_or_else(|| {
             let [width, height] = sides(region).map(|side| u32::try_from(side).unwrap_or(u32::MAX));
             fitting_scale(width, height)
@@ -286,18 +269,21 @@ impl Wanted {
     }
 
     /// The part of a grid with these bounds.
-    fn region(&self, grid: &v1::Grid, bounds: &v1::CellBox) -> Result<v1::CellBox, Failure> {
-        let axis =
-            |name, origin_m, min, max| Axis { name, origin_m, resolution_m: grid.resolution_m, cells: (min, max) };
-        let x = axis("x", grid.origin_x_m, bounds.min_x, bounds.max_x).within(self.ranges[0])?;
-        let y = axis("y", grid.origin_y_m, bounds.min_y, bounds.max_y).within(self.ranges[1])?;
-        let heights = axis("z", grid.origin_z_m, bounds.min_z, bounds.max_z);
-        let z = match self.ranges[2] {
-            Some(_) => heights.within(self.ranges[2])?,
-            None if grid.flat => heights.cells,
-            None => heights.usual(),
+    fn region(&self, spec: &GridSpec, bounds: &CellBox) -> Result<CellBox, Failure> {
+        let CellBox { min, max } = bounds;
+        let axis = |name, along: usize, cells| {
+            let axis = Axis { name, origin_m: spec.origin_m[along], resolution_m: spec.resolution_m, cells };
+            (axis, self.ranges[along])
         };
-        let region = v1::CellBox { min_x: x.0, max_x: x.1, min_y: y.0, max_y: y.1, min_z: z.0, max_z: z.1 };
+        let within = |(axis, range): (Axis, Option<(f64, f64)>)| axis.within(range);
+        let x = within(axis("x", 0, (min.x, max.x)))?;
+        let y = within(axis("y", 1, (min.y, max.y)))?;
+        let z = match axis("z", 2, (min.z, max.z)) {
+            (heights, Some(range)) => heights.within(Some(range))?,
+            (heights, None) if spec.is_flat => heights.cells,
+            (heights, None) => heights.usual(),
+        };
+        let region = CellBox { min: CellIndex { x: x.0, y: y.0, z: z.0 }, max: CellIndex { x: x.1, y: y.1, z: z.1 } };
         let [width, height] = sides(&region).map(|side| side * i64::from(self.scale_of(&region)));
         if width > SIDE_MAX || height > SIDE_MAX || width * height > PIXELS_MAX {
             return Err(Failure::TooLarge(format!(
@@ -309,65 +295,38 @@ impl Wanted {
     }
 }
 
-/// Asks for a grid. Without a region only its header comes.
-async fn ask(
-    gateway: &Gateway,
-    caller: &Caller,
-    question: v1::PredictGridRequest,
-    mut take: impl FnMut(&v1::PredictedTile),
-) -> Result<v1::GridHeader, Failure> {
-    let mut client = QueryServiceClient::new(gateway.services.clone()).max_decoding_message_size(REPLY_BYTES);
-    let mut replies = client.predict_grid(caller.request(question)).await?.into_inner();
-    let mut header = v1::GridHeader::default();
-    while let Some(reply) = replies.message().await? {
-        match reply.message {
-            Some(Message::Header(first)) => header = first,
-            Some(Message::Page(page)) => page.tiles.iter().for_each(&mut take),
-            None => {}
-        }
-    }
-    Ok(header)
-}
-
-/// The columns of a region at a time.
-async fn columns(
-    gateway: &Gateway,
-    caller: &Caller,
-    wanted: &Wanted,
-    at: i64,
-    region: v1::CellBox,
-) -> Result<(PixelColumns, u64), Failure> {
+/// The columns of a region at a time, and the generation that answered.
+async fn columns(calls: &Calls<'_>, wanted: &Wanted, at: i64, region: CellBox) -> Result<(PixelColumns, u64), Failure> {
     let mut columns = PixelColumns::empty(region);
-    let header = ask(gateway, caller, wanted.question(at, Some(region)), |tile| columns.paint(tile)).await?;
+    let question = wanted.question(at, Some(region));
+    let header = calls.predict_grid(&question, false, |cell, value| columns.paint(cell, value)).await?;
     Ok((columns, header.generation))
 }
 
 async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Response, Failure> {
-    let caller = Caller::of(&request);
+    let visitor = Visitor::of(&request);
     let wanted = Wanted::of(map, &Given::of(request.uri().query(), PARAMETERS)?)?;
-    let header = ask(gateway, &caller, wanted.question(wanted.at, None), |_| ()).await?;
-    let grid = header.grid.unwrap_or_default();
+    let calls = visitor.calls(gateway, &wanted.map);
+    let header = calls.predict_grid(&wanted.question(wanted.at, None), true, |_, _| ()).await?;
+    let spec = header.spec;
     let Some(bounds) = header.region.filter(|_| header.tiles > 0) else {
         return Err(Failure::Invalid(format!("the grid of map {} has no scans yet: send some", wanted.map)));
     };
-    let region = wanted.region(&grid, &bounds)?;
-    let (mut now, generation) = columns(gateway, &caller, &wanted, wanted.at, region).await?;
+    let region = wanted.region(&spec, &bounds)?;
+    let (mut now, generation) = columns(&calls, &wanted, wanted.at, region).await?;
     if let Some(than) = wanted.than {
-        let (before, _) = columns(gateway, &caller, &wanted, than, region).await?;
+        let (before, _) = columns(&calls, &wanted, than, region).await?;
         now.minus(&before);
     }
     let scale = wanted.scale_of(&region);
-    let metres_per_pixel = grid.resolution_m / f64::from(scale);
+    let metres_per_pixel = spec.resolution_m / f64::from(scale);
     let mut facts = HeaderMap::new();
-    let corner = |origin: f64, cell: i32| origin + f64::from(cell) * grid.resolution_m;
+    let corner = |along: usize, cell: i32| spec.origin_m[along] + f64::from(cell) * spec.resolution_m;
     for (name, value) in [
         ("tidemap-time", tidemap_model::time::format_rfc3339(wanted.at)),
         ("tidemap-generation", generation.to_string()),
         ("tidemap-metres-per-pixel", metres_per_pixel.to_string()),
-        (
-            "tidemap-lower-left-m",
-            format!("{} {}", corner(grid.origin_x_m, region.min_x), corner(grid.origin_y_m, region.min_y)),
-        ),
+        ("tidemap-lower-left-m", format!("{} {}", corner(0, region.min.x), corner(1, region.min.y))),
     ] {
         if let Ok(value) = HeaderValue::from_str(&value) {
             facts.insert(name, value);
@@ -379,7 +338,7 @@ async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Resp
         None => now.png(wanted.layer, scale),
     })
     .await?;
-    Ok(caller.answer("image/png", file, facts))
+    Ok(visitor.answer("image/png", file, facts))
 }
 
 /// Answers with the picture.
@@ -395,36 +354,28 @@ pub(in super::super) async fn grid_png(
 mod tests {
     use super::*;
 
-    const REGION: v1::CellBox = v1::CellBox { min_x: 7, max_x: 10, min_y: 0, max_y: 2, min_z: 0, max_z: 1 };
+    const REGION: CellBox = CellBox { min: CellIndex { x: 7, y: 0, z: 0 }, max: CellIndex { x: 10, y: 2, z: 1 } };
 
-    /// A projected tile at (1, 0): the cells (8, 0) free, (9, 0) occupied, (8, 1) at a quarter.
-    fn tile(value: f32) -> v1::PredictedTile {
-        v1::PredictedTile {
-            x: 1,
-            known: vec![3, 1, 0, 0, 0, 0, 0, 0],
-            changed: vec![0, 1, 0, 0, 0, 0, 0, 0],
-            high: vec![2, 0, 0, 0, 0, 0, 0, 0],
-            static_high: 1.0,
-            values: vec![value],
-            ..v1::PredictedTile::default()
+    /// The cells (8, 0) free, (9, 0) occupied, (8, 1) with a value, and one that lies outside.
+    fn painted(value: f32) -> PixelColumns {
+        let mut columns = PixelColumns::empty(REGION);
+        for (x, y, value) in [(8, 0, 0.0), (9, 0, 1.0), (8, 1, value), (11, 1, 1.0)] {
+            columns.paint(CellIndex { x, y, z: 0 }, value);
         }
+        columns
     }
 
     #[test]
     fn tiles_are_painted_where_they_lie() {
-        let mut columns = PixelColumns::empty(REGION);
-        columns.paint(&tile(0.25));
+        let mut columns = painted(0.25);
         assert_eq!(columns.cells, [UNKNOWN, 0, FULL, UNKNOWN, 64, UNKNOWN]);
-        let mut before = PixelColumns::empty(REGION);
-        before.paint(&tile(1.0));
-        columns.minus(&before);
+        columns.minus(&painted(1.0));
         assert_eq!(columns.cells, [UNKNOWN, 127, 127, UNKNOWN, 32, UNKNOWN]);
     }
 
     #[test]
     fn a_file_is_read_back_pixel_by_pixel() -> Result<(), Box<dyn std::error::Error>> {
-        let mut columns = PixelColumns::empty(REGION);
-        columns.paint(&tile(0.25));
+        let columns = painted(0.25);
         let Ok(file) = columns.png(Layer::Probability, 2) else { return Err("no file".into()) };
         let mut reader = png::Decoder::new(std::io::Cursor::new(&file)).read_info()?;
         let mut pixels = vec![0; reader.output_buffer_size().ok_or("too large")?];

@@ -1,0 +1,147 @@
+//! The RPCs that links ask, as any client does: with the caller's token, and by the same guard and bounds.
+//!
+//! Invariant: types of the wire go no further than here.
+
+use std::collections::HashMap;
+
+use axum::{
+    extract::Request,
+    http::{HeaderValue, header},
+};
+use tidemap_grid::{index::CellIndex, predict::GridQuestion};
+use tidemap_map::topology::Topology;
+use tidemap_proto::{
+    convert::{
+        cells::{ReceivedHeader, header_from_wire, layer_from_wire, question_to_wire},
+        route::{EdgePrediction, predictions_from_wire},
+        search::presence_of_nodes,
+        time::timestamp,
+        topology::topology_from_wire,
+    },
+    v1::{
+        self, predict_grid_response::Message, query_service_client::QueryServiceClient,
+        route_service_client::RouteServiceClient, search_service_client::SearchServiceClient,
+        topology_service_client::TopologyServiceClient,
+    },
+};
+use tonic::{Code, Status};
+
+use crate::{connections::Remote, rpc::serve::GuardedServices};
+
+/// Maximum size of one reply of an RPC.
+pub(super) const REPLY_BYTES: usize = 8 << 20;
+
+/// Who asks: requests to the RPCs carry the caller's token, and count for the caller's connection.
+pub(super) struct Caller {
+    token: Option<HeaderValue>,
+    remote: Option<Remote>,
+}
+
+impl Caller {
+    /// The caller of a request.
+    pub(super) fn of(request: &Request) -> Self {
+        let token = request.headers().get(header::AUTHORIZATION).cloned();
+        Self { token, remote: request.extensions().get().cloned() }
+    }
+
+    fn request<T>(&self, message: T) -> tonic::Request<T> {
+        let mut request = tonic::Request::new(message);
+        if let Some(token) = &self.token
+            && let Ok(token) = tonic::metadata::MetadataValue::try_from(token.as_bytes())
+        {
+            request.metadata_mut().insert("authorization", token);
+        }
+        if let Some(remote) = &self.remote {
+            request.extensions_mut().insert(remote.clone());
+        }
+        request
+    }
+}
+
+/// The services, asked for a caller about a map.
+pub(super) struct Calls<'a> {
+    pub services: &'a GuardedServices,
+    pub caller: &'a Caller,
+    pub map: &'a str,
+}
+
+/// What does not make sense in a reply of this daemon is a defect of it.
+fn senseless(error: impl std::fmt::Display) -> Status {
+    Status::internal(error.to_string())
+}
+
+impl Calls<'_> {
+    /// The header of a grid's prediction, and its cells if not only an estimate is asked for: those of the lowest layer
+    /// of each tile, with their values.
+    ///
+    /// # Errors
+    /// The RPC refused or failed.
+    pub(super) async fn predict_grid(
+        &self,
+        question: &GridQuestion,
+        estimate_only: bool,
+        mut take: impl FnMut(CellIndex, f32),
+    ) -> Result<ReceivedHeader, Status> {
+        let mut client = QueryServiceClient::new(self.services.clone()).max_decoding_message_size(REPLY_BYTES);
+        let question = question_to_wire(self.map, question, estimate_only);
+        let mut replies = client.predict_grid(self.caller.request(question)).await?.into_inner();
+        let mut header = None;
+        while let Some(reply) = replies.message().await? {
+            match reply.message {
+                Some(Message::Header(first)) => header = Some(header_from_wire(first).map_err(senseless)?),
+                Some(Message::Page(page)) => {
+                    page.tiles.iter().flat_map(layer_from_wire).for_each(|(cell, value)| take(cell, value));
+                }
+                None => {}
+            }
+        }
+        header.ok_or_else(|| senseless("a grid without a header"))
+    }
+
+    /// The nodes and edges.
+    ///
+    /// # Errors
+    /// The RPC refused or failed.
+    pub(super) async fn topology(&self) -> Result<Topology, Status> {
+        let mut client = TopologyServiceClient::new(self.services.clone()).max_decoding_message_size(REPLY_BYTES);
+        let question = v1::GetTopologyRequest { map: self.map.to_owned() };
+        let reply = client.get_topology(self.caller.request(question)).await?.into_inner();
+        topology_from_wire(&reply).map_err(senseless)
+    }
+
+    /// What is predicted of the edges for a robot that enters them at a time, nanoseconds UTC.
+    ///
+    /// # Errors
+    /// The RPC refused or failed.
+    pub(super) async fn edges(&self, at_nanos: i64) -> Result<Vec<EdgePrediction>, Status> {
+        let mut client = RouteServiceClient::new(self.services.clone()).max_decoding_message_size(REPLY_BYTES);
+        let question = v1::PredictEdgesRequest {
+            map: self.map.to_owned(),
+            time: Some(timestamp(at_nanos)),
+            ..v1::PredictEdgesRequest::default()
+        };
+        let reply = client.predict_edges(self.caller.request(question)).await?.into_inner();
+        predictions_from_wire(reply).map_err(senseless)
+    }
+
+    /// The probability that an object is there, by the name of the node; empty for the default kind if nobody was looked
+    /// for.
+    ///
+    /// # Errors
+    /// The RPC refused or failed.
+    pub(super) async fn presence(&self, object: &str, at_nanos: i64) -> Result<HashMap<String, f64>, Status> {
+        let mut client = SearchServiceClient::new(self.services.clone()).max_decoding_message_size(REPLY_BYTES);
+        let question = v1::PredictPresenceRequest {
+            map: self.map.to_owned(),
+            object: object.to_owned(),
+            times_nanos: vec![at_nanos],
+            ..v1::PredictPresenceRequest::default()
+        };
+        match client.predict_presence(self.caller.request(question)).await {
+            Ok(reply) => Ok(presence_of_nodes(reply.into_inner()).collect()),
+            // Nobody was looked for, or the states of nodes are not about presence.
+            Err(status) if object.is_empty() && status.code() == Code::FailedPrecondition => Ok(HashMap::new()),
+            Err(status) => Err(status),
+        }
+    }
+}
