@@ -1,0 +1,169 @@
+//! Opens the data folder and the maps in it.
+//!
+//! Invariant: what was found in the folder is in the log before a map is served.
+
+use std::{os::unix::fs::PermissionsExt as _, path::Path, sync::Arc};
+
+use tidemap_map::live_map::PendingLimits;
+use tidemap_model::time::format_rfc3339;
+use tidemap_store::{CommitStep, OpenError, Store, StoreOptions, disk::Disk};
+use tokio::sync::mpsc;
+use tracing::{error, warn};
+
+use super::DaemonError;
+use crate::{
+    catalog::{Catalog, RESTORED_FIRST_BYTES, UnopenedMap},
+    clock::SystemClock,
+    config::Settings,
+    ingest::writer::Context,
+    jobs::Jobs,
+    telemetry::{self, traces::Span},
+};
+
+/// Opens the store of the settings, on a blocking thread.
+///
+/// # Errors
+/// Another daemon has it, or it cannot be used.
+pub(super) async fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Arc<Store>, DaemonError> {
+    let for_store = settings.clone();
+    let open = move || open_now(&for_store, disk);
+    let store = tokio::task::spawn_blocking(open).await.map_err(anyhow::Error::from)??;
+    close_to_others(&settings.data_dir);
+    telemetry::tell_build(store.store_id());
+    tell_state(&store, &settings.data_dir);
+    Ok(Arc::new(store))
+}
+
+fn open_now(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonError> {
+    let options = StoreOptions {
+        segment_bytes: settings.segment_bytes,
+        index_cache_bytes: settings.index_cache_bytes,
+        checkpoints_kept: settings.checkpoints_kept,
+        tile_cache_bytes: settings.tile_cache_bytes,
+        spectrum_cache_bytes: settings.spectrum_cache_bytes,
+        new_store_id: random_id()?,
+        expected_store_id: Some(settings.expect_store_id.clone()).filter(|id| !id.is_empty()),
+    };
+    Store::open_on(disk, &settings.data_dir, options).map_err(|error| match error {
+        OpenError::Locked { .. } => DaemonError::Locked(error.to_string()),
+        _ => DaemonError::Data(error.to_string()),
+    })
+}
+
+/// Opens the maps; gives those that are served from the index, and have to be restored. `fatal` hears of a storage that
+/// fails.
+///
+/// # Errors
+/// A map cannot be opened, and cannot be set aside.
+pub(super) async fn open_catalog(
+    settings: &Settings,
+    store: Arc<Store>,
+    fatal: mpsc::UnboundedSender<String>,
+) -> Result<(Arc<Catalog>, Vec<UnopenedMap>), DaemonError> {
+    let update_pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(settings.update_threads())
+        .thread_name(|index| format!("learn-{index}"))
+        .build()
+        .map_err(anyhow::Error::from)?;
+    let context = Context {
+        store,
+        jobs: Arc::new(Jobs::default()),
+        clock: Arc::new(SystemClock),
+        update_pool: Arc::new(update_pool),
+        fatal,
+        max_states: settings.max_states_per_map,
+        max_producers: settings.max_producers_per_map,
+        max_pending: PendingLimits {
+            observations: settings.max_pending_observations,
+            changes: settings.max_pending_changes,
+        },
+        update_at_midnight: settings.update_at_midnight,
+        max_tiles: settings.max_tiles_per_map,
+        tile_cache_bytes: settings.tile_cache_bytes,
+    };
+    let max_maps = settings.max_maps;
+    let open = move || Catalog::open(context, max_maps, RESTORED_FIRST_BYTES);
+    let (catalog, rest) = tokio::task::spawn_blocking(open).await.map_err(anyhow::Error::from)??;
+    let catalog = Arc::new(catalog);
+    follow_commits(&catalog);
+    Ok((catalog, rest))
+}
+
+/// Takes the permissions of other users on the data folder away, which an earlier version or a copy may have given.
+fn close_to_others(folder: &Path) {
+    let mode = match std::fs::metadata(folder) {
+        Ok(metadata) => metadata.permissions().mode() & 0o777,
+        Err(error) => return warn!(%error, "the permissions of the data folder cannot be read"),
+    };
+    if mode & 0o077 == 0 {
+        return;
+    }
+    match std::fs::set_permissions(folder, std::fs::Permissions::from_mode(0o700)) {
+        Ok(()) => warn!("the data folder was open to others with permissions {mode:o}; now they are 700"),
+        Err(error) => {
+            warn!(%error, "the data folder is open to others with permissions {mode:o}, which cannot be changed");
+        }
+    }
+}
+
+/// 16 bytes of the system's randomness as hex: the identity of a new data folder.
+pub(crate) fn random_id() -> anyhow::Result<String> {
+    let mut bytes = [0u8; 16];
+    let random =
+        std::fs::File::open("/dev/urandom").and_then(|mut file| std::io::Read::read_exact(&mut file, &mut bytes));
+    anyhow::Context::context(random, "/dev/urandom")?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// Writes to the log which folder was opened, and what was found in it.
+fn tell_state(store: &Store, folder: &Path) {
+    let (id, folder) = (store.store_id(), folder.display());
+    if store.is_new() {
+        warn!(
+            "{folder} is a new data folder, with the store id {id}. If it should have held data: is its disk mounted? To \
+             refuse any other folder from now on, put this line into the config file: expect_store_id = \"{id}\""
+        );
+    }
+    for report in store.reports() {
+        warn!("{report}");
+    }
+    for trouble in store.trouble() {
+        error!("{trouble}");
+    }
+    match store.losses() {
+        Ok(losses) => losses.iter().for_each(|loss| {
+            let accepted = format_rfc3339(loss.accepted_nanos);
+            warn!(file = loss.file, accepted, "accepted as lost: {}", loss.problem);
+        }),
+        Err(error) => error!(%error, "the record of accepted losses cannot be read"),
+    }
+}
+
+/// Makes a span of each group commit.
+fn follow_commits(catalog: &Arc<Catalog>) {
+    // Weak, because the catalog holds the store.
+    let maps = Arc::downgrade(catalog);
+    catalog.context().store.follow_commits(Box::new(move |map, records, bytes| {
+        let span = Span::root("commit");
+        if span.is_recorded()
+            && let Some(maps) = maps.upgrade()
+            && let Some(handle) = maps.all().values().find(|handle| handle.id == map)
+        {
+            span.text("tidemap.map", &handle.spec.name);
+        }
+        span.number("tidemap.records", records as u64);
+        span.number("tidemap.bytes", bytes);
+        let mut part = span.child("write");
+        Box::new(move |step| {
+            part.end();
+            match step {
+                CommitStep::Written => part = span.child("fdatasync"),
+                CommitStep::Durable => span.end(),
+                CommitStep::Failed => {
+                    span.fail("not durable: the log says why");
+                    span.end();
+                }
+            }
+        })
+    }));
+}

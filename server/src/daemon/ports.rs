@@ -1,0 +1,258 @@
+//! The ports: who may connect, and what is served to whom.
+//!
+//! Invariant: both ports are bound before anything is served, and stop when they are told.
+
+use std::{net::SocketAddr, sync::Arc, time::Duration};
+
+use rustix::process::{Resource, getrlimit, setrlimit};
+use tokio::{
+    net::TcpListener,
+    sync::{mpsc, watch},
+    task::JoinHandle,
+};
+use tracing::{info, warn};
+
+use super::DaemonError;
+use crate::{
+    access::keyring::Keyring,
+    catalog::Catalog,
+    config::Settings,
+    connections::{
+        ConnectionLimits, Connections, Port,
+        accept::{Accepted, Acceptor, HttpListener, Listener},
+        request_scan::Protocol,
+        socket::listen_unix,
+        tls::{Tls, TlsFiles},
+    },
+    http,
+    reload::FileWatch,
+    rpc::{self, guard::Access, serve::Services},
+    storage_watch,
+    web::{self, KnownHosts},
+};
+
+/// Time for connections to close after their streams got a goodbye.
+const STOP_WITHIN: Duration = Duration::from_secs(5);
+/// A connection of the gRPC port without a request for this long may make room for another.
+const GRPC_IDLE_AFTER: Duration = Duration::from_secs(60);
+/// Limits of the HTTP port. Browsers and scripts connect again where they find an idle connection closed.
+const HTTP_CONNECTIONS: ConnectionLimits =
+    ConnectionLimits { total: 256, per_client: 128, idle_after: Duration::from_secs(1) };
+/// Limits of its reserve, for those who ask whether the daemon lives.
+const PROBE_CONNECTIONS: ConnectionLimits = ConnectionLimits { total: 32, per_client: 4, idle_after: Duration::ZERO };
+/// Connections that wait until they are accepted: a whole fleet may come back at once. The system may allow fewer.
+const BACKLOG: i32 = 4096;
+/// Descriptors that connections leave to files.
+const FILE_DESCRIPTORS: usize = 512;
+
+/// The protection of the ports: TLS, and tokens.
+pub(super) struct Protection {
+    /// The files of TLS, followed from before they are read.
+    followed: FileWatch,
+    grpc_tls: Option<Tls>,
+    http_tls: Option<Tls>,
+    /// How callers are checked.
+    pub access: Access,
+}
+
+impl Protection {
+    /// Loads what the settings name. The file of tokens is followed from now on.
+    ///
+    /// # Errors
+    /// A file cannot be used.
+    pub(super) fn load(settings: &Settings) -> Result<Self, DaemonError> {
+        let (followed, grpc_tls, http_tls) = load_tls(settings)?;
+        Ok(Self { followed, grpc_tls, http_tls, access: load_access(settings)? })
+    }
+}
+
+/// The files of TLS, followed from before they are read, and the TLS of both ports, if it is configured.
+fn load_tls(settings: &Settings) -> Result<(FileWatch, Option<Tls>, Option<Tls>), DaemonError> {
+    let files = settings.tls_files();
+    let followed = FileWatch::new("certificates", files.as_ref().map_or_else(Vec::new, TlsFiles::paths));
+    let load = |protocol| {
+        let tls = files.clone().map(|files| Tls::new(files, protocol)).transpose();
+        tls.map_err(|error| DaemonError::Settings(error.to_string()))
+    };
+    Ok((followed, load(Protocol::Http2)?, load(Protocol::Http1)?))
+}
+
+/// How callers are checked. The file of tokens is followed from now on.
+fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
+    let path = &settings.tokens_file;
+    if path.as_os_str().is_empty() {
+        return Ok(Access::Anybody);
+    }
+    let followed = FileWatch::new("tokens", vec![path.clone()]);
+    let keyring = Keyring::open(path.clone()).map_err(|error| DaemonError::Settings(error.to_string()))?;
+    let followed_by = keyring.clone();
+    tokio::spawn(followed.follow(move || followed_by.reload()));
+    Ok(Access::Tokens(keyring))
+}
+
+/// What the HTTP port serves of maps. Where tokens are asked for, they decide; without, the port is for reading, and
+/// browsers must reach it by a name that the operator knows.
+fn web(services: &Services, access: &Access, settings: &Settings) -> anyhow::Result<axum::Router> {
+    let hosts = known_hosts(access, settings);
+    let access = match access {
+        Access::Tokens(_) => access.clone(),
+        Access::Anybody if settings.http_write => Access::Anybody,
+        Access::Anybody | Access::Readers => Access::Readers,
+    };
+    web::router(&services.guarded(access), hosts)
+}
+
+/// The names by which browsers may reach the HTTP port; any, where tokens are asked for.
+pub(super) fn known_hosts(access: &Access, settings: &Settings) -> KnownHosts {
+    match access {
+        Access::Tokens(_) => KnownHosts::any(),
+        Access::Anybody | Access::Readers => KnownHosts::listed(&settings.http_hosts),
+    }
+}
+
+/// What is served on the ports.
+pub(super) struct Ports {
+    grpc: JoinHandle<anyhow::Result<()>>,
+    http: JoinHandle<anyhow::Result<()>>,
+    /// Where they listen.
+    pub grpc_address: SocketAddr,
+    pub http_address: SocketAddr,
+    /// Becomes true when they have to stop.
+    // A channel and not a notification: a port that starts to wait late still sees the stop.
+    stop: watch::Sender<bool>,
+}
+
+/// What the ports serve.
+pub(super) struct Served<'a> {
+    pub settings: &'a Settings,
+    pub catalog: &'a Arc<Catalog>,
+    pub metrics: http::Metrics,
+    /// Becomes true when the daemon stops.
+    pub stopping: watch::Receiver<bool>,
+    /// Hears of a storage that fails.
+    pub fatal: mpsc::UnboundedSender<String>,
+}
+
+impl Ports {
+    /// Binds both ports and serves them.
+    ///
+    /// # Errors
+    /// A port or the socket is taken.
+    pub(super) async fn serve(served: Served<'_>, protection: Protection) -> Result<Self, DaemonError> {
+        let Served { settings, catalog, metrics, stopping, fatal } = served;
+        let Protection { followed, grpc_tls, http_tls, access } = protection;
+        let [grpc, http] = listen_on_ports(settings).await?;
+        let addresses = [&grpc, &http].map(TcpListener::local_addr);
+        let [grpc_address, http_address] = addresses.map(|address| address.map_err(anyhow::Error::from));
+        let (grpc_address, http_address) = (grpc_address?, http_address?);
+        let (stop, ports_stopping) = watch::channel(false);
+        let services = rpc::serve::services(Arc::clone(catalog), settings, stopping.clone()).await;
+        services.health().tell(http::readiness(catalog, false).0).await;
+        let watched = Arc::downgrade(catalog);
+        tokio::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
+        let web = web(&services, &access, settings)?;
+        let connections = accept_grpc(settings, grpc, grpc_tls.clone())?;
+        let is_local = grpc_address.ip().is_loopback();
+        let grpc = rpc::serve::serve(connections, access.clone(), services, is_local, ports_stopping.clone());
+        let is_local = http_address.ip().is_loopback();
+        let listeners = accept_http(http, http_address, http_tls.clone().filter(|_| !is_local));
+        let access = if is_local { Access::Anybody } else { access };
+        let http = http::serve(listeners, Arc::clone(catalog), metrics, access, web, stopping, ports_stopping);
+        let (grpc, http) = (tokio::spawn(grpc), tokio::spawn(http));
+        let tls: Vec<Tls> = grpc_tls.into_iter().chain(http_tls).collect();
+        if !tls.is_empty() {
+            tokio::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));
+        }
+        Ok(Self { grpc, http, grpc_address, http_address, stop })
+    }
+
+    /// Waits until a port closes, which none does before it is told.
+    pub(super) async fn closed(&mut self) -> DaemonError {
+        let (name, ended) = tokio::select! {
+            ended = &mut self.grpc => ("gRPC", ended),
+            ended = &mut self.http => ("HTTP", ended),
+        };
+        DaemonError::Other(anyhow::anyhow!("the {name} port closed: {ended:?}"))
+    }
+
+    /// Stops the ports. Whatever the daemon ends of: who has an open stream is told before the process is gone.
+    pub(super) async fn stop(self) {
+        self.stop.send_replace(true);
+        let closed = async {
+            for task in [self.grpc, self.http] {
+                // What has ended must not be asked again.
+                if !task.is_finished() {
+                    let _ = task.await;
+                }
+            }
+        };
+        // A client that keeps its connection open does not keep the daemon running.
+        if tokio::time::timeout(STOP_WITHIN, closed).await.is_err() {
+            info!("open connections are closed");
+        }
+    }
+}
+
+/// The connections of the gRPC port and of its socket.
+fn accept_grpc(
+    settings: &Settings,
+    port: TcpListener,
+    tls: Option<Tls>,
+) -> Result<mpsc::Receiver<std::io::Result<Accepted>>, DaemonError> {
+    let connections = Connections::new(Port::Grpc, connection_limits(settings));
+    let (acceptor, accepted) = Acceptor::new(connections, Protocol::Http2);
+    acceptor.listen(Listener::Tcp(port, tls));
+    if !settings.socket.as_os_str().is_empty() {
+        let socket = listen_unix(&settings.socket, settings.socket_mode);
+        let address = || settings.socket.display().to_string();
+        let socket = socket.map_err(|source| DaemonError::Listen { address: address(), option: "socket", source })?;
+        acceptor.listen(Listener::Unix(socket));
+    }
+    Ok(accepted)
+}
+
+/// The connections of the HTTP port, and those of its reserve.
+fn accept_http(port: TcpListener, address: SocketAddr, tls: Option<Tls>) -> [HttpListener; 2] {
+    let (acceptor, accepted) = Acceptor::new(Connections::new(Port::Http, HTTP_CONNECTIONS), Protocol::Http1);
+    let (acceptor, in_reserve) = acceptor.with_reserve(Connections::new(Port::Probes, PROBE_CONNECTIONS));
+    acceptor.listen(Listener::Tcp(port, tls));
+    [accepted, in_reserve].map(|accepted| HttpListener { address, accepted })
+}
+
+/// The limits of the gRPC port. The process may open as many descriptors as its hard limit allows; if that is too few
+/// for all connections, there are fewer.
+fn connection_limits(settings: &Settings) -> ConnectionLimits {
+    let mut limit = getrlimit(Resource::Nofile);
+    let wanted = (settings.max_connections + FILE_DESCRIPTORS) as u64;
+    if limit.current.is_some_and(|current| current < wanted) {
+        limit.current = Some(limit.maximum.map_or(wanted, |maximum| maximum.min(wanted)));
+        if let Err(error) = setrlimit(Resource::Nofile, limit) {
+            warn!(%error, "the limit of descriptors cannot be raised");
+        }
+    }
+    let descriptors = getrlimit(Resource::Nofile).current.map_or(usize::MAX, |current| current as usize);
+    // With very few descriptors, half of them are for files.
+    let room = descriptors.saturating_sub(FILE_DESCRIPTORS).max(descriptors / 2);
+    let total = settings.max_connections.min(room);
+    if total < settings.max_connections {
+        let max = settings.max_connections;
+        warn!(total, max, "the limit of descriptors allows fewer connections than max_connections");
+    }
+    ConnectionLimits { total, per_client: settings.max_connections_per_client, idle_after: GRPC_IDLE_AFTER }
+}
+
+/// Binds the ports.
+///
+/// # Errors
+/// One is taken.
+pub(super) async fn listen_on_ports(settings: &Settings) -> Result<[TcpListener; 2], DaemonError> {
+    let listen = async |address: &str, option| {
+        let listener = TcpListener::bind(address).await.and_then(|listener| {
+            // A second call changes the number of connections that may wait.
+            rustix::net::listen(&listener, BACKLOG)?;
+            Ok(listener)
+        });
+        listener.map_err(|source| DaemonError::Listen { address: address.to_owned(), option, source })
+    };
+    Ok([listen(&settings.listen, "--listen").await?, listen(&settings.http_listen, "--http-listen").await?])
+}
