@@ -3,7 +3,7 @@
 use std::{path::Path, time::Duration};
 
 use tidemap_map::{
-    event::{NewState, StateKind, UpdateCause, UpdateStart},
+    event::{Event, NewState, StateKind, UpdateCause, UpdateStart},
     ids::StateId,
     name::StateName,
 };

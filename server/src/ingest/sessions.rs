@@ -10,26 +10,27 @@ use tidemap_grid::{
     sensors::ProducerSensor,
 };
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, SequenceSpan, StateKind, StateShape},
-    ids::{NewProducer, ProducerId, RefusalReason, StateId},
+    event::{Envelope, Event, NewState, SequenceSpan, StateKind},
+    ids::{NewProducer, ProducerId, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
 };
-use tidemap_model::{OffsetCache, Sample, cos_sin, time::FUTURE_MAX_NANOS};
+use tidemap_model::OffsetCache;
 use tokio::sync::mpsc;
 
 use super::{
     ending::Ending,
     probe::Probe,
-    protocol::{Hello, HelloError, ObservationBatch, RefusedObservation, SessionEvent, SessionId, Welcome},
+    protocol::{Hello, HelloError, RefusedObservation, SessionEvent, SessionId, Welcome},
 };
 
+mod observations;
 mod scans;
 mod sensors;
 mod states;
 mod traversals;
 
-use states::{StateAllocator, StreamState};
+use states::StreamState;
 
 /// An event of a stream, to be appended to the log.
 #[derive(Debug)]
@@ -223,79 +224,6 @@ impl Sessions {
         Ok(Some(Welcome { session: id, incarnation, durable_sequence, content_crc, content_marks }))
     }
 
-    /// Converts a batch to an event; adds refusals if the map has no room for more states. `None`: the stream is
-    /// closed, or there is nothing to log.
-    pub(super) fn observation_event(
-        &mut self,
-        id: SessionId,
-        batch: ObservationBatch,
-        map: &LiveMap,
-        now: i64,
-    ) -> Option<StreamEvent> {
-        let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
-        session
-            .table
-            .extend(batch.new_names.into_iter().map(|name| name.map_or(StreamState::Invalid, StreamState::Unused)));
-        if batch.span.is_empty() {
-            return None;
-        }
-        let mut refused = batch.refused;
-        let mut refuse = |i: usize, reason: RefusalReason, detail: String| {
-            let offset = batch.kept.get(i).map_or(i as u64, |&kept| u64::from(kept));
-            refused.push(RefusedObservation { sequence: batch.span.first + offset, reason, detail });
-        };
-        let plausible = now.saturating_add(FUTURE_MAX_NANOS);
-        let may_wait = map.future() < self.limits.ahead;
-        let mut positions = batch.positions.iter().peekable();
-        let count = batch.table_indices.len();
-        let mut observations = Observations {
-            states: Vec::with_capacity(count),
-            times_nanos: Vec::with_capacity(count),
-            values: Vec::with_capacity(count),
-            ..Observations::default()
-        };
-        for i in 0..count {
-            let time = batch.times_nanos[i];
-            let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
-            if time > plausible && !may_wait {
-                refuse(i, RefusalReason::Time, too_far_ahead(time, self.limits.ahead));
-                continue;
-            }
-            let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
-            let mut allocator = StateAllocator {
-                map,
-                in_flight: &mut self.states_in_flight,
-                renames: &self.renames_in_flight,
-                max: self.limits.states,
-            };
-            let (state, shape) =
-                match slot.state_for(batch.values[i], position.is_some(), &mut allocator, &mut observations.new_states)
-                {
-                    Ok(state) => state,
-                    Err(Some((reason, text))) => {
-                        refuse(i, reason, text);
-                        continue;
-                    }
-                    Err(None) => continue,
-                };
-            let offset_secs = self.offsets.offset_secs(time);
-            let angle;
-            let numbers = match (&position, shape) {
-                (Some(position), _) => position.coordinates(),
-                (None, StateShape::Angle) => {
-                    angle = cos_sin(batch.values[i]);
-                    &angle[..]
-                }
-                (None, _) => &batch.values[i..=i],
-            };
-            for (&value, state) in numbers.iter().zip(state.0..) {
-                observations.push(StateId(state), Sample { utc_nanos: time, offset_secs, value });
-            }
-        }
-        let envelope = session.envelope(map, &mut self.producers_in_flight, now, batch.span, &mut refused);
-        Some(StreamEvent { event: Event::Observations(envelope, observations), refused, tiles_ahead: 0 })
-    }
-
     /// An event of the stream was applied to the map. `tiles_ahead`: its tiles that wait for their time.
     pub(super) fn applied(&mut self, id: SessionId, event: &Event, tiles_ahead: u64) {
         self.tiles_ahead = self.tiles_ahead.saturating_sub(tiles_ahead);
@@ -402,12 +330,4 @@ impl Sessions {
     pub(super) fn data_times(&self) -> impl Iterator<Item = (&ProducerKey, i64)> {
         self.sessions.values().filter_map(|session| session.data_time.map(|reached| (&session.key, reached)))
     }
-}
-
-/// The refusal of an observation whose time is in the future, when no more may wait.
-fn too_far_ahead(time_nanos: i64, most: u64) -> String {
-    format!(
-        "time {time_nanos} ns is more than 5 minutes ahead of the server's clock, and {most} observations wait for their \
-         time already, which is the maximum"
-    )
 }

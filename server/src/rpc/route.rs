@@ -1,37 +1,21 @@
 //! `TopologyService`, `RouteService` and `SearchService`: the topological map, and plans over it.
 //!
-//! An edit of the topology is one event of the log; the writer takes one at a time, so that a load is checked against
-//! the topology that it replaces, and is taken whole. Searches take the nodes whose state was observed as goals, with
-//! probabilities by any model ([`super::series`]).
+//! Searches take the nodes whose state was observed as goals, with probabilities by any model ([`super::series`]).
 //!
-//! Invariant: an edit is durable and published when it is answered. A plan is made from one view, off the async
-//! threads, with its own permits, and ends at its deadline or when its client is gone.
+//! Invariant: a plan is made from one view, off the async threads, with its own permits, and ends at its deadline or
+//! when its client is gone.
 
 use std::{sync::Arc, time::Duration};
 
-use tidemap_map::{
-    site::SiteEdit,
-    topology::{Topology, TopologyEdit},
-    view::MapView,
-};
+use tidemap_map::{topology::Topology, view::MapView};
 use tidemap_model::StopSignal;
-use tidemap_proto::{
-    convert::{
-        topology::{edit_from_wire, load_from_wire, topology_to_wire},
-        traversals::{failure_to_wire, is_of},
-    },
-    v1::{
-        self, route_service_server::RouteService, search_service_server::SearchService,
-        topology_service_server::TopologyService,
-    },
-};
+use tidemap_proto::v1::{self, route_service_server::RouteService, search_service_server::SearchService};
 use tonic::{Request, Response};
 
 use super::{
     RpcReply,
     fitting::ModelFitter,
     lookup::find_map,
-    map::edit_site,
     permits::{Permits, processors, run_blocking, run_while_awaited},
     query::Queries,
     series::PredictContext,
@@ -44,6 +28,7 @@ mod places;
 mod plan;
 mod presence;
 mod search;
+mod topology;
 
 #[derive(Debug)]
 pub(crate) struct Routes {
@@ -85,51 +70,6 @@ impl Routes {
         work: impl FnOnce(StopSignal<'_>) -> T + Send + 'static,
     ) -> Result<T, RpcError> {
         run_while_awaited(self.permits.take().await?, within, work).await
-    }
-
-    /// Edits a map's topology. Gives the numbers of nodes and edges after that.
-    async fn edit(&self, map: &str, edit: TopologyEdit) -> Result<(u32, u32), RpcError> {
-        let handle = find_map(&self.catalog, map).await?;
-        edit_site(&handle, SiteEdit::Topology(edit)).await?;
-        let view = handle.view();
-        let topology = view.site().topology();
-        let count = |length: usize| u32::try_from(length).unwrap_or(u32::MAX);
-        Ok((count(topology.nodes().len()), count(topology.edges().len())))
-    }
-}
-
-#[tonic::async_trait]
-impl TopologyService for Routes {
-    async fn load_topology(&self, request: Request<v1::LoadTopologyRequest>) -> RpcReply<v1::LoadTopologyResponse> {
-        let request = request.into_inner();
-        let map = request.map.clone();
-        find_map(&self.catalog, &map).await?;
-        let edit = self.run_blocking(move || load_from_wire(&request)).await?.map_err(RpcError::from)?;
-        let (nodes, edges) = self.edit(&map, edit).await?;
-        Ok(Response::new(v1::LoadTopologyResponse { nodes, edges }))
-    }
-
-    async fn edit_topology(&self, request: Request<v1::EditTopologyRequest>) -> RpcReply<v1::EditTopologyResponse> {
-        let v1::EditTopologyRequest { map, edit } = request.into_inner();
-        find_map(&self.catalog, &map).await?;
-        let edit = edit_from_wire(edit.as_ref()).map_err(RpcError::from)?;
-        let (nodes, edges) = self.edit(&map, edit).await?;
-        Ok(Response::new(v1::EditTopologyResponse { nodes, edges }))
-    }
-
-    async fn get_topology(&self, request: Request<v1::GetTopologyRequest>) -> RpcReply<v1::GetTopologyResponse> {
-        let view = find_map(&self.catalog, &request.get_ref().map).await?.view();
-        Ok(Response::new(self.run_blocking(move || topology_to_wire(view.site().topology())).await?))
-    }
-
-    async fn list_failures(&self, request: Request<v1::ListFailuresRequest>) -> RpcReply<v1::ListFailuresResponse> {
-        let v1::ListFailuresRequest { map, limit, edge } = request.into_inner();
-        let view = find_map(&self.catalog, &map).await?.view();
-        let max_count = if limit == 0 { usize::MAX } else { usize::try_from(limit).unwrap_or(usize::MAX) };
-        let asked = view.site().failures().newest_first();
-        let asked = asked.filter(|failure| edge.as_ref().is_none_or(|edge| is_of(failure, edge)));
-        let failures = asked.take(max_count).map(failure_to_wire).collect();
-        Ok(Response::new(v1::ListFailuresResponse { failures }))
     }
 }
 

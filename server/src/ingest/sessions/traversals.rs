@@ -20,8 +20,8 @@ use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
 use super::{
     super::protocol::{RefusedObservation, SessionId, TraversalBatch},
     Sessions, StreamEvent,
+    observations::too_far_ahead,
     states::{Refusal, StateAllocator},
-    too_far_ahead,
 };
 
 impl Sessions {

@@ -1,0 +1,125 @@
+//! Restoring a map from its newest checkpoint and the log after it.
+//!
+//! Invariant: what a map was when it was stopped is what it is again, whatever update the log has cut off.
+
+use std::sync::Arc;
+
+use tidemap_map::{event::Event, live_map::LiveMap, snapshot::MapSnapshot, spec::MapSpec, update::UpdateWork};
+use tidemap_store::MapId;
+use tracing::{info, warn};
+
+use super::CatalogError;
+use crate::ingest::{
+    handle::MapHandle,
+    writer::{Context, RestoredMap, start},
+};
+
+/// At the start, the updates in the log behind the checkpoint are repeated. Their history is saved each time it takes
+/// this much memory.
+const HISTORY_BYTES: usize = 64 << 20;
+
+/// The progress of a replay is reported after this many records.
+const RECORDS_PER_REPORT: u64 = 256;
+
+/// Restores a map and starts its writer.
+pub(super) fn open_map(context: &Context, id: MapId, spec: &Arc<MapSpec>) -> Result<Arc<MapHandle>, CatalogError> {
+    let restored = restore_map(context, id, spec, &|_, _| true)?;
+    Ok(start(context.clone(), id, restored)?)
+}
+
+/// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off:
+/// the writer repeats it while the map is served from the generation before. `tell` hears now and then how many records
+/// of how many are replayed, and whether to continue.
+pub(super) fn restore_map(
+    context: &Context,
+    id: MapId,
+    spec: &Arc<MapSpec>,
+    tell: &dyn Fn(u64, u64) -> bool,
+) -> Result<RestoredMap, CatalogError> {
+    let opened = context.store.open_map(id, spec)?;
+    for report in &opened.reports {
+        warn!(map = %spec.name, "{report}");
+    }
+    let from = opened.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
+    let total = (opened.log.end() + 1).saturating_sub(from);
+    let (mut map, known) = match opened.snapshot {
+        Some(snapshot) => {
+            let known = snapshot.position;
+            (LiveMap::restore(Arc::clone(spec), snapshot), known)
+        }
+        None => (LiveMap::new(Arc::clone(spec)), 0),
+    };
+    let mut replayed = 0u64;
+    let mut repeated = UpdateReplay { context, id, spec, unsaved: None, save_above: HISTORY_BYTES };
+    // The last update that the log has begun. It may take long, so that it is run here only if another event shows that
+    // it ended.
+    let mut begun: Option<UpdateWork> = None;
+    for entry in opened.replay {
+        let (position, event) = entry?;
+        if replayed.is_multiple_of(RECORDS_PER_REPORT) && !tell(replayed, total) {
+            return Err(CatalogError::Stopping);
+        }
+        replayed += 1;
+        if position <= known {
+            map.recover_pending(position, &event)
+        } else {
+            // It ended before the next one began.
+            if matches!(event, Event::UpdateStart(_))
+                && let Some(work) = begun.take()
+            {
+                repeated.run(&mut map, work)?;
+            }
+            map.apply(position, &event).map(|work| begun = work.or(begun.take()))
+        }
+        .map_err(|error| CatalogError::Inconsistent { map: spec.name.clone(), reason: error.to_string() })?;
+    }
+    let unsaved = repeated.unsaved;
+    info!(
+        map = %spec.name, source = opened.source.name(), replayed, states = map.states(), pending = map.pending(),
+        "map opened"
+    );
+    Ok(RestoredMap { map, log: opened.log, unsaved, begun })
+}
+
+/// Repeats updates at the start because others followed them, and holds what is not saved of them.
+struct UpdateReplay<'a> {
+    context: &'a Context,
+    id: MapId,
+    spec: &'a MapSpec,
+    unsaved: Option<MapSnapshot>,
+    save_above: usize,
+}
+
+impl UpdateReplay<'_> {
+    fn run(&mut self, map: &mut LiveMap, work: UpdateWork) -> Result<(), CatalogError> {
+        let done = std::sync::atomic::AtomicU64::new(0);
+        let kept = self.unsaved.as_ref().map_or(Vec::new(), |snapshot| snapshot.history.clone());
+        let result = self.context.run_update(self.id, &self.spec.name, work, kept, &done);
+        let result = result.map_err(|source| CatalogError::Sums { map: self.spec.name.clone(), source })?;
+        let mut snapshot = map.finish_update(result);
+        // Only the history of the older snapshots is not in this one.
+        let mut history = self.unsaved.take().map_or(Vec::new(), |older| older.history);
+        history.append(&mut snapshot.history);
+        snapshot.history = history;
+        let bytes = snapshot.history.iter().map(|piece| piece.bytes()).sum::<usize>();
+        if bytes <= self.save_above {
+            self.unsaved = Some(snapshot);
+            return Ok(());
+        }
+        self.unsaved = save_or_keep(self.context, self.id, snapshot);
+        // A snapshot that was not saved is tried again when there is as much history again.
+        self.save_above = HISTORY_BYTES + if self.unsaved.is_some() { bytes } else { 0 };
+        Ok(())
+    }
+}
+
+/// Saves a snapshot; gives it back if that fails, because the log has everything in it.
+fn save_or_keep(context: &Context, id: MapId, snapshot: MapSnapshot) -> Option<MapSnapshot> {
+    match context.store.save(id, &snapshot) {
+        Ok(_) => None,
+        Err(error) => {
+            warn!(id = id.0, %error, "checkpoint not saved: the log has everything, and the save is retried");
+            Some(snapshot)
+        }
+    }
+}

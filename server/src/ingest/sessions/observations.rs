@@ -1,0 +1,100 @@
+//! Converts batches of observations to events.
+//!
+//! Invariant: each number of an event is of a state of the map, or of one that the event adds; a position and an angle
+//! are taken with all of their numbers.
+
+use tidemap_map::{
+    event::{Event, Observations, StateShape},
+    ids::{RefusalReason, StateId},
+    live_map::LiveMap,
+};
+use tidemap_model::{Sample, cos_sin, time::FUTURE_MAX_NANOS};
+
+use super::{
+    super::protocol::{ObservationBatch, RefusedObservation, SessionId},
+    Sessions, StreamEvent,
+    states::{StateAllocator, StreamState},
+};
+
+impl Sessions {
+    /// Converts a batch to an event; adds refusals if the map has no room for more states. `None`: the stream is
+    /// closed, or there is nothing to log.
+    pub(in crate::ingest) fn observation_event(
+        &mut self,
+        id: SessionId,
+        batch: ObservationBatch,
+        map: &LiveMap,
+        now: i64,
+    ) -> Option<StreamEvent> {
+        let session = self.sessions.get_mut(&id).filter(|session| session.open)?;
+        session
+            .table
+            .extend(batch.new_names.into_iter().map(|name| name.map_or(StreamState::Invalid, StreamState::Unused)));
+        if batch.span.is_empty() {
+            return None;
+        }
+        let mut refused = batch.refused;
+        let mut refuse = |i: usize, reason: RefusalReason, detail: String| {
+            let offset = batch.kept.get(i).map_or(i as u64, |&kept| u64::from(kept));
+            refused.push(RefusedObservation { sequence: batch.span.first + offset, reason, detail });
+        };
+        let plausible = now.saturating_add(FUTURE_MAX_NANOS);
+        let may_wait = map.future() < self.limits.ahead;
+        let mut positions = batch.positions.iter().peekable();
+        let count = batch.table_indices.len();
+        let mut observations = Observations {
+            states: Vec::with_capacity(count),
+            times_nanos: Vec::with_capacity(count),
+            values: Vec::with_capacity(count),
+            ..Observations::default()
+        };
+        for i in 0..count {
+            let time = batch.times_nanos[i];
+            let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
+            if time > plausible && !may_wait {
+                refuse(i, RefusalReason::Time, too_far_ahead(time, self.limits.ahead));
+                continue;
+            }
+            let Some(slot) = session.table.get_mut(batch.table_indices[i] as usize) else { continue };
+            let mut allocator = StateAllocator {
+                map,
+                in_flight: &mut self.states_in_flight,
+                renames: &self.renames_in_flight,
+                max: self.limits.states,
+            };
+            let (state, shape) =
+                match slot.state_for(batch.values[i], position.is_some(), &mut allocator, &mut observations.new_states)
+                {
+                    Ok(state) => state,
+                    Err(Some((reason, text))) => {
+                        refuse(i, reason, text);
+                        continue;
+                    }
+                    Err(None) => continue,
+                };
+            let offset_secs = self.offsets.offset_secs(time);
+            let angle;
+            let numbers = match (&position, shape) {
+                (Some(position), _) => position.coordinates(),
+                (None, StateShape::Angle) => {
+                    angle = cos_sin(batch.values[i]);
+                    &angle[..]
+                }
+                (None, _) => &batch.values[i..=i],
+            };
+            for (&value, state) in numbers.iter().zip(state.0..) {
+                observations.push(StateId(state), Sample { utc_nanos: time, offset_secs, value });
+            }
+        }
+        let envelope = session.envelope(map, &mut self.producers_in_flight, now, batch.span, &mut refused);
+        Some(StreamEvent { event: Event::Observations(envelope, observations), refused, tiles_ahead: 0 })
+    }
+}
+
+/// The refusal of an observation whose time is in the future, when no more may wait.
+pub(super) fn too_far_ahead(time_nanos: i64, most: u64) -> String {
+    format!(
+        "time {time_nanos} ns is more than 5 minutes ahead of the server's clock, and {most} observations wait for their \
+         time already, which is the maximum"
+    )
+}
