@@ -28,7 +28,7 @@ pub use information::{
     InformationQuestion, InformationTargets, ViewsQuestion, VisitReport, information_from_wire, views_from_wire,
     visit_from_wire,
 };
-pub use slot::{SlotAllowance, SlotChoice, SlotQuestion, slot_question_from_wire};
+pub use slot::{LocationChoice, SlotAllowance, SlotQuestion, slot_question_from_wire};
 
 /// The number, or the default if it is 0.
 fn or(value: f64, default: f64) -> f64 {

@@ -108,7 +108,7 @@ pub fn undecodable(problem: &str) -> InvalidField {
 /// Observations of one message, still packed.
 #[derive(Clone, Debug)]
 pub struct ObservationMessage {
-    /// Their sequence numbers.
+    /// Sequence numbers of the observations.
     pub sequences: RangeInclusive<u64>,
     /// The shapes that the message declares for its new names, one each; `None`: not declared.
     pub shapes: Vec<Option<StateShape>>,

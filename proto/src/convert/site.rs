@@ -44,7 +44,7 @@ pub fn location_names_from_wire(field: &str, names: &[String]) -> Result<Vec<Sta
 /// A location to set, with the names of its members.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocationEdit {
-    /// Its name.
+    /// Name of the location.
     pub name: StateName,
     /// Names of its states and cells.
     pub members: Vec<String>,

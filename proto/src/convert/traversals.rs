@@ -92,7 +92,7 @@ impl TraversalReport {
 /// Traversals of one message.
 #[derive(Clone, Debug)]
 pub struct TraversalMessage {
-    /// Their sequence numbers.
+    /// Sequence numbers of the traversals.
     pub sequences: RangeInclusive<u64>,
     /// The traversals as sent; at least one.
     pub traversals: Vec<SentTraversal>,

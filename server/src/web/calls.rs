@@ -124,8 +124,8 @@ impl Calls<'_> {
         predictions_from_wire(reply).map_err(senseless)
     }
 
-    /// The probability that an object is there, by the name of the node; empty for the default kind if nobody was looked
-    /// for.
+    /// The probability that an object is there, by the name of the node; empty for the default kind if nobody was
+    /// looked for.
     ///
     /// # Errors
     /// The RPC refused or failed.

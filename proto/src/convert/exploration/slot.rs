@@ -15,7 +15,7 @@ use crate::{
 
 /// How the location of a slot is chosen.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum SlotChoice {
+pub enum LocationChoice {
     /// The location with the most information.
     Information,
     /// The location whose models have the greatest expected error.
@@ -46,7 +46,7 @@ pub struct SlotQuestion {
     /// Length of the day's slots, nanoseconds.
     pub slot_nanos: i64,
     /// How the location is chosen.
-    pub choice: SlotChoice,
+    pub choice: LocationChoice,
     /// The model of states and cells.
     pub selector: ModelSelector,
     /// Whether exactly one location holds the person or object, which replaces the model.
@@ -86,10 +86,10 @@ pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuest
         time_nanos,
         slot_nanos: slot_from_wire(request.slot)?,
         choice: match strategy {
-            v1::SlotStrategy::Unspecified | v1::SlotStrategy::Online => SlotChoice::Information,
-            v1::SlotStrategy::OnlineError => SlotChoice::Error,
-            v1::SlotStrategy::MonteCarlo => SlotChoice::MonteCarlo,
-            v1::SlotStrategy::Novelty => SlotChoice::Novelty { planned: request.planned },
+            v1::SlotStrategy::Unspecified | v1::SlotStrategy::Online => LocationChoice::Information,
+            v1::SlotStrategy::OnlineError => LocationChoice::Error,
+            v1::SlotStrategy::MonteCarlo => LocationChoice::MonteCarlo,
+            v1::SlotStrategy::Novelty => LocationChoice::Novelty { planned: request.planned },
         },
         selector,
         exactly_one: request.exactly_one,
@@ -130,11 +130,11 @@ mod tests {
     #[test]
     fn a_plain_slot_goes_by_information_with_persistence() {
         let question = slot_question_from_wire(asked(v1::SlotStrategy::Unspecified)).expect("right");
-        assert_eq!(question.choice, SlotChoice::Information);
+        assert_eq!(question.choice, LocationChoice::Information);
         assert!(question.selector.persistence && question.allowance.is_none() && question.locations.is_empty());
         let novel = v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(v1::SlotStrategy::Novelty) };
         let novel = slot_question_from_wire(novel).expect("right");
-        assert_eq!(novel.choice, SlotChoice::Novelty { planned: "hall".to_owned() });
+        assert_eq!(novel.choice, LocationChoice::Novelty { planned: "hall".to_owned() });
         assert!(!novel.selector.persistence);
     }
 

@@ -45,12 +45,12 @@ fn of_region(
     view: &MapView,
     times_nanos: &[i64],
     options: &PredictOptions,
-    (certainty, most): (Certainty, u64),
+    (certainty, max_predictions): (Certainty, u64),
     stop: StopSignal<'_>,
 ) -> Result<v1::GetInformationResponse, RpcError> {
     let grid = PredictedTimes::new(view, times_nanos, options, stop).map_err(PlanError::from)?;
     let cells = grid.lattice().size().iter().map(|&along| along as u64).product::<u64>();
-    check_limit("cells x times", cells * times_nanos.len() as u64, most, "setting max_predictions")?;
+    check_limit("cells x times", cells * times_nanos.len() as u64, max_predictions, "setting max_predictions")?;
     let mut reply = v1::GetInformationResponse { target: "region".to_owned(), ..Default::default() };
     for time in 0..grid.times() {
         stop.check()?;

@@ -12,7 +12,7 @@ use tidemap_plan::{
     strategy::{self, Gains, Strategy},
 };
 use tidemap_proto::{
-    convert::exploration::{SlotAllowance, SlotChoice, SlotQuestion, slot_question_from_wire},
+    convert::exploration::{LocationChoice, SlotAllowance, SlotQuestion, slot_question_from_wire},
     v1,
 };
 
@@ -47,9 +47,9 @@ pub(super) async fn plan_slot(
     let gain = |_, place: usize| question.certainty.bits_of(now[place].iter().copied());
     let gains = Gains::of(1, now.len(), gain).map_err(|error| PlanError::from(DayError::from(error)))?;
     let (place, surprise_bits) = match question.choice {
-        SlotChoice::Novelty { .. } => slot.most_novel(&now, planned).await?,
-        SlotChoice::MonteCarlo => (strategy::choose(Strategy::MonteCarlo, 0, gains.slot(0), question.seed), 0.0),
-        SlotChoice::Information | SlotChoice::Error => match best_now(&question, &forecast, visits.as_ref()) {
+        LocationChoice::Novelty { .. } => slot.most_novel(&now, planned).await?,
+        LocationChoice::MonteCarlo => (strategy::choose(Strategy::MonteCarlo, 0, gains.slot(0), question.seed), 0.0),
+        LocationChoice::Information | LocationChoice::Error => match best_now(&question, &forecast, visits.as_ref()) {
             Some(place) => (place, 0.0),
             // The robot rests.
             None => return Ok(v1::PlanSlotResponse::default()),
@@ -60,8 +60,8 @@ pub(super) async fn plan_slot(
 }
 
 /// The place of the planned location, if the choice needs one.
-fn planned_place(choice: &SlotChoice, names: &[String]) -> Result<Option<usize>, Misfit> {
-    let SlotChoice::Novelty { planned } = choice else { return Ok(None) };
+fn planned_place(choice: &LocationChoice, names: &[String]) -> Result<Option<usize>, Misfit> {
+    let LocationChoice::Novelty { planned } = choice else { return Ok(None) };
     let place = names.iter().position(|name| name == planned);
     place.map(Some).ok_or_else(|| Problem::NotPlanned { planned: planned.clone() }.of("planned"))
 }
@@ -151,7 +151,7 @@ impl SlotForecast<'_> {
 /// The location that is worth most now; `None` if enough later slots are worth more.
 fn best_now(question: &SlotQuestion, forecast: &SlotForecast<'_>, visits: Option<&VisitsLeft>) -> Option<usize> {
     let value = |states: &Vec<f64>| match question.choice {
-        SlotChoice::Error => error_gain(states.iter().copied()),
+        LocationChoice::Error => error_gain(states.iter().copied()),
         _ => question.certainty.bits_of(states.iter().copied()),
     };
     let values = |time: usize| forecast.at(time).iter().map(value).collect::<Vec<f64>>();
