@@ -194,7 +194,7 @@ pub struct KnownProducer {
     pub durable_sequence: u64,
     /// Whether a stream of it is open.
     pub is_connected: bool,
-    /// When the daemon received the newest of its observations, nanoseconds UTC; `None`: not known.
+    /// When the daemon received the newest of its observations, nanoseconds UTC; `None` where a daemon does not say.
     pub received_nanos: Option<i64>,
 }
 

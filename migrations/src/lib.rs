@@ -7,12 +7,6 @@
 pub mod manifest;
 pub mod plan;
 pub mod v1;
-pub mod v2;
-pub mod v3;
-pub mod v4;
-
-#[cfg(test)]
-mod tests;
 
 /// The disk format that this version reads and writes.
-pub const FORMAT: u32 = v4::FORMAT;
+pub const FORMAT: u32 = v1::FORMAT;

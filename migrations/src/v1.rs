@@ -3,13 +3,27 @@
 //! | file in the data directory | layout |
 //! | --- | --- |
 //! | `MANIFEST` | text, [`manifest`](crate::manifest) |
-//! | `maps/00000001/MAP` | [`file::FileHeader`], one record [`MapSpec`](crate::v2::map::MapSpec) |
-//! | `maps/00000001/log/00000000000000000001.log` | [`log::SegmentHeader`], frames of [`event`] messages |
-//! | `maps/00000001/checkpoints/00000000000000000007.tmc` | [`file::FileHeader`], records of [`map`] messages |
-//! | `index/` | a sled 0.34 database, [`index`] |
+//! | `MAPS` | the maps, and the next unused number of a map: [`lists::MapList`] |
+//! | `LOSSES` | what was lost, and accepted as lost; only if there is any: [`lists::LossList`] |
+//! | `index/` | a sled 0.34 database, [`index`]; always rebuilt from checkpoints where it is not whole |
 //!
-//! What format 2 extends stands there alone ([`v2`](crate::v2)): a message without the further fields, a frame or a
-//! record of the first kinds is one of format 1. `tests/format_1.rs` keeps the old definitions to compare with.
+//! | file below the folder of a map, `maps/00000001` | layout |
+//! | --- | --- |
+//! | `MAP` | [`file::FileHeader`], one record [`map::MapSpec`] |
+//! | `CHECKPOINTS` | the checkpoints, and where the log begins: [`lists::CheckpointList`] |
+//! | `HISTORY` | the history files: [`lists::FileList`] |
+//! | `ERASE` | what is to be erased; only until it is done: [`lists::ErasureOrder`] |
+//! | `ERASURES` | how often something was erased; only after the first time: [`lists::ErasureCount`] |
+//! | `log/00000000000000000001.log` | [`log::SegmentHeader`], frames of [`event`] and [`site`] messages |
+//! | `log/NEWEST` | the newest segment: [`lists::NewestSegment`] |
+//! | `checkpoints/00000000000000000007.tmc` | [`mod@file`]: [`map::Snapshot`], producers, [`map::State`]s, an |
+//! | | optional [`site::Site`] and, for a map with a grid, [`grid`] records |
+//! | `history/00000000000000000007.states.tmh` | [`mod@file`] with [`history`] records |
+//! | `history/00000000000000000007.grid.tmh` | [`mod@file`] with [`history`] records |
+//!
+//! Every list of what must exist is there from the creation of what it lists, so that a list that is missing is a loss.
+//! Segments chain to each other, and a checkpoint names the record that it needs, so the newest segment is enough. A
+//! deleted map leaves no folder: `MAPS` keeps its number from being used again.
 //!
 //! Fixed layouts are little-endian. Variable ones are protocol buffer messages. Numbers with a fraction are kept as
 //! the bits of an IEEE 754 double in a `fixed64`, because protocol buffers drop the sign of a zero. Every byte is
@@ -21,9 +35,15 @@
 
 pub mod event;
 pub mod file;
+pub mod fits;
+pub mod grid;
+pub mod history;
 pub mod index;
+pub mod lists;
 pub mod log;
 pub mod map;
+pub mod site;
+pub mod topology;
 
 /// The number of this format.
 pub const FORMAT: u32 = 1;

@@ -91,10 +91,9 @@ impl SilentProducers {
             let Ok(known) = answer else { continue };
             of_map.heard.clear();
             for mark in known.into_iter().map(|known| known.mark) {
-                if let Some(at) = mark.received_nanos {
-                    let heard = of_map.heard.entry(mark.key.producer().to_owned()).or_insert(at);
-                    *heard = at.max(*heard);
-                }
+                let at = mark.received_nanos;
+                let heard = of_map.heard.entry(mark.key.producer().to_owned()).or_insert(at);
+                *heard = at.max(*heard);
             }
         }
         let mut heard = Vec::new();

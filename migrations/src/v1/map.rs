@@ -71,3 +71,363 @@ pub struct Component {
     #[prost(fixed64, tag = "3")]
     pub im_bits: u64,
 }
+
+/// The fixed properties of a map.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct MapSpec {
+    #[prost(string, tag = "1")]
+    pub name: String,
+    /// IANA name of its time zone.
+    #[prost(string, tag = "2")]
+    pub zone: String,
+    /// Base period of the harmonics; 0 if the periodicities are a list.
+    #[prost(sint64, tag = "3")]
+    pub harmonics_base_nanos: i64,
+    /// Number of harmonics; 0 if the periodicities are a list.
+    #[prost(uint32, tag = "4")]
+    pub harmonics_count: u32,
+    /// Periods, if the periodicities are a list.
+    #[prost(sint64, repeated, tag = "5")]
+    pub period_nanos: Vec<i64>,
+    /// 1 squared error, 2 zero-one.
+    #[prost(uint32, tag = "6")]
+    pub criterion: u32,
+    /// When it was created.
+    #[prost(sint64, tag = "7")]
+    pub created_nanos: i64,
+    /// How long exact observations of named states are kept.
+    #[prost(message, optional, tag = "8")]
+    pub retention: Option<Retention>,
+    /// The grid; absent: there is none.
+    #[prost(message, optional, tag = "9")]
+    pub grid: Option<GridSpec>,
+    /// The age difference after which an observation has half the weight; 0: all have the same weight.
+    #[prost(sint64, tag = "10")]
+    pub half_life_nanos: i64,
+    /// The prediction of an untrained state.
+    #[prost(fixed64, tag = "11")]
+    pub prior_bits: u64,
+    /// The models that the nightly update chooses among besides the spectral one, one bit each: 1 histograms, 2 the
+    /// calibrated model, 4 the periodic mixture of Gaussians, 8 warped hypertime by expectation-maximisation, 16 by
+    /// k-means, 32 the rate of counts.
+    #[prost(uint32, tag = "12")]
+    pub models: u32,
+    /// Whether observations before 1990 are refused.
+    #[prost(bool, tag = "13")]
+    pub has_real_clock: bool,
+}
+
+/// The header of a snapshot.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Snapshot {
+    /// Log position of the update's start.
+    #[prost(uint64, tag = "1")]
+    pub position: u64,
+    /// Log position from which pending observations are read again.
+    #[prost(uint64, tag = "2")]
+    pub replay_from: u64,
+    /// Number of the generation.
+    #[prost(uint64, tag = "3")]
+    pub generation: u64,
+    /// Cut of the last update.
+    #[prost(sint64, tag = "4")]
+    pub cut_nanos: i64,
+    /// Greatest time of any observation.
+    #[prost(sint64, tag = "5")]
+    pub newest_nanos: i64,
+    /// Number of producers.
+    #[prost(uint32, tag = "6")]
+    pub producers: u32,
+    /// Number of states.
+    #[prost(uint32, tag = "7")]
+    pub states: u32,
+    /// Whether a site follows.
+    #[prost(bool, tag = "8")]
+    pub has_site: bool,
+}
+
+/// The sensor of a producer, if it differs from the map's own.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Sensor {
+    /// P(reads occupied | is occupied).
+    #[prost(fixed64, tag = "1")]
+    pub hit_bits: u64,
+    /// P(reads occupied | is free).
+    #[prost(fixed64, tag = "2")]
+    pub false_alarm_bits: u64,
+}
+
+/// A new producer.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct NewProducer {
+    #[prost(string, tag = "1")]
+    pub producer: String,
+    /// One of its labels.
+    #[prost(string, tag = "2")]
+    pub label: String,
+    /// The sensor of all its scans; absent: the map's own.
+    #[prost(message, optional, tag = "3")]
+    pub sensor: Option<Sensor>,
+}
+
+/// How far a producer's sequence is durable.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Producer {
+    #[prost(uint32, tag = "1")]
+    pub id: u32,
+    /// Its key.
+    #[prost(message, optional, tag = "2")]
+    pub key: Option<ProducerKey>,
+    /// Highest incarnation seen.
+    #[prost(uint64, tag = "3")]
+    pub incarnation: u64,
+    /// Everything up to here is durable or refused.
+    #[prost(uint64, tag = "4")]
+    pub durable_sequence: u64,
+    /// Running CRC-32C of its observations.
+    #[prost(fixed32, tag = "5")]
+    pub content_crc: u32,
+    /// The sensor of all its scans; absent: the map's own.
+    #[prost(message, optional, tag = "6")]
+    pub sensor: Option<Sensor>,
+    /// Sequence numbers before `durable_sequence` at which the running CRC is known, ascending.
+    #[prost(uint64, repeated, tag = "7")]
+    pub recent_sequences: Vec<u64>,
+    /// The running CRC at each.
+    #[prost(fixed32, repeated, tag = "8")]
+    pub recent_crcs: Vec<u32>,
+    /// When the newest of its observations was received, nanoseconds UTC.
+    #[prost(sfixed64, tag = "9")]
+    pub received_nanos: i64,
+    /// Whether it has sent scans.
+    #[prost(bool, tag = "10")]
+    pub has_scans: bool,
+}
+
+/// How long exact observations are kept.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Retention {
+    /// 0 not at all, 1 for a duration, 2 for ever.
+    #[prost(uint32, tag = "1")]
+    pub kind: u32,
+    /// The duration; 0 for the other kinds.
+    #[prost(sint64, tag = "2")]
+    pub nanos: i64,
+}
+
+/// The fixed properties of a grid.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct GridSpec {
+    /// Frame id.
+    #[prost(string, tag = "1")]
+    pub frame_id: String,
+    /// Whether it has the one layer z = 0 alone.
+    #[prost(bool, tag = "2")]
+    pub is_flat: bool,
+    /// Edge of a cell in metres.
+    #[prost(fixed64, tag = "3")]
+    pub resolution_bits: u64,
+    /// Lower corner of cell (0, 0, 0) in metres: three.
+    #[prost(fixed64, repeated, tag = "4")]
+    pub origin_bits: Vec<u64>,
+    /// The cells that there may be; absent: it grows.
+    #[prost(message, optional, tag = "5")]
+    pub extent: Option<CellBox>,
+    /// P(reads occupied | is occupied).
+    #[prost(fixed64, tag = "6")]
+    pub hit_bits: u64,
+    /// P(reads occupied | is free).
+    #[prost(fixed64, tag = "7")]
+    pub false_alarm_bits: u64,
+    /// P(is occupied).
+    #[prost(fixed64, tag = "8")]
+    pub prior_bits: u64,
+    /// How long exact readings are kept.
+    #[prost(message, optional, tag = "9")]
+    pub retention: Option<Retention>,
+    /// Half-life of readings; 0: all count alike.
+    #[prost(int64, tag = "10")]
+    pub half_life_nanos: i64,
+}
+
+/// A box of cells.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct CellBox {
+    /// Lowest cell: x, y, z.
+    #[prost(sint32, repeated, tag = "1")]
+    pub min: Vec<i32>,
+    /// Beyond the highest cell: x, y, z.
+    #[prost(sint32, repeated, tag = "2")]
+    pub max: Vec<i32>,
+}
+
+/// One state.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct State {
+    #[prost(uint32, tag = "1")]
+    pub id: u32,
+    #[prost(string, tag = "2")]
+    pub name: String,
+    /// Its kind: 0 probability, 1 continuous, 2 count.
+    #[prost(uint32, tag = "3")]
+    pub kind: u32,
+    /// Observations acknowledged.
+    #[prost(uint64, tag = "4")]
+    pub observations: u64,
+    /// Persistence: pairs of successive observations.
+    #[prost(uint64, tag = "5")]
+    pub pairs: u64,
+    /// Persistence: summed rate of change.
+    #[prost(fixed64, tag = "6")]
+    pub change_rate_sum_bits: u64,
+    /// The newest observation, where there is one.
+    #[prost(message, optional, tag = "7")]
+    pub last: Option<LastObservation>,
+    /// The accumulator without its spectrum.
+    #[prost(message, optional, tag = "8")]
+    pub accumulator: Option<Accumulator>,
+    /// Per periodicity four doubles of eight bytes.
+    #[prost(bytes = "vec", tag = "9")]
+    pub spectrum: Vec<u8>,
+    /// The spectral model.
+    #[prost(message, optional, tag = "10")]
+    pub spectral: Option<Spectral>,
+    /// Number of components in force.
+    #[prost(uint32, tag = "11")]
+    pub order: u32,
+    /// Faded sums of errors, orders 0 to 15.
+    #[prost(fixed64, repeated, tag = "12")]
+    pub error_sums_bits: Vec<u64>,
+    /// Last local day recorded in the errors, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "13")]
+    pub errors_last_day: Option<i32>,
+    /// What is known apart from the spectrum; absent while the state is untrained.
+    #[prost(message, optional, tag = "14")]
+    pub alternatives: Option<Alternatives>,
+    /// All readings, where they are few; there is no spectrum then.
+    #[prost(message, optional, tag = "15")]
+    pub short: Option<ShortRecord>,
+}
+
+/// All readings of a state with few, from which its spectrum follows.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct ShortRecord {
+    /// Per reading local civil time in nanoseconds since 1970-01-01T00:00 local, 8 bytes, and value, a double of 8
+    /// bytes; little-endian.
+    #[prost(bytes = "vec", tag = "1")]
+    pub readings: Vec<u8>,
+    /// The number of readings of each batch in which they were folded in.
+    #[prost(uint32, repeated, tag = "2")]
+    pub batches: Vec<u32>,
+}
+
+/// What is known of a state apart from its spectrum.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Alternatives {
+    /// Per hour of the local week from Monday on: weight and sum of values. Then per hour of the day, first of
+    /// weekdays, then of weekends: weight, sum and sum of squares of the means of single days. 480 doubles,
+    /// little-endian.
+    #[prost(bytes = "vec", tag = "1")]
+    pub hours: Vec<u8>,
+    /// Faded sums of errors: of the spectral model, of the histograms of the day, of weekday and weekend, of the week;
+    /// of the spectral model alone where histograms are not tried.
+    #[prost(fixed64, repeated, tag = "2")]
+    pub error_sums_bits: Vec<u64>,
+    /// Last local day recorded in the errors, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "3")]
+    pub errors_last_day: Option<i32>,
+    /// Last local day folded in.
+    #[prost(sint32, optional, tag = "4")]
+    pub folded_day: Option<i32>,
+    /// The model in force: 0 the spectral model, 128 the calibrated one, 129 the periodic mixture of Gaussians, 130
+    /// warped hypertime by expectation-maximisation, 131 by k-means, 132 the rate of counts, else the number of
+    /// the histogram, from 1.
+    #[prost(uint32, tag = "5")]
+    pub choice: u32,
+    /// How much the observations of the accumulator count together; absent: their number.
+    #[prost(fixed64, optional, tag = "6")]
+    pub weight_bits: Option<u64>,
+    /// The change alarm.
+    #[prost(message, optional, tag = "7")]
+    pub alarm: Option<Alarm>,
+    /// Pairs of successive observations folded in.
+    #[prost(uint64, tag = "8")]
+    pub pairs: u64,
+    /// Their summed rate of change.
+    #[prost(fixed64, tag = "9")]
+    pub change_rate_sum_bits: u64,
+    /// The newest observation folded in.
+    #[prost(message, optional, tag = "10")]
+    pub last: Option<LastObservation>,
+    /// Components that noise would not show as well.
+    #[prost(uint32, tag = "11")]
+    pub supported: u32,
+    /// Local days folded in, those that came late not counted.
+    #[prost(uint32, tag = "12")]
+    pub days: u32,
+    /// The calibrated model; absent before its first fit.
+    #[prost(message, optional, tag = "13")]
+    pub calibrated: Option<Calibrated>,
+    /// The other models that were fitted to readings: a message [`super::fits::Fits`]; empty where there is none.
+    #[prost(bytes = "vec", tag = "14")]
+    pub fits: Vec<u8>,
+    /// The first local day of the present routine, in days since 1970-01-01; absent where the change alarm never rang.
+    #[prost(sint32, optional, tag = "15")]
+    pub since: Option<i32>,
+    /// What the choice of orders has gained: number of days, sum of gains, sum of squared gains; empty before
+    /// the first day.
+    #[prost(fixed64, repeated, tag = "16")]
+    pub gains_bits: Vec<u64>,
+    /// Number of times between readings that were sampled.
+    #[prost(uint64, tag = "17")]
+    pub gaps: u64,
+    /// Those that are kept: number and whole seconds of each in turn.
+    #[prost(uint64, repeated, tag = "18")]
+    pub kept_gaps: Vec<u64>,
+    /// Sum of |change of value| between readings.
+    #[prost(fixed64, tag = "19")]
+    pub changes_bits: u64,
+}
+
+/// The calibrated model of a state, as it was last fitted.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Calibrated {
+    /// The last local day that it was fitted to, in days since 1970-01-01.
+    #[prost(sint32, tag = "1")]
+    pub day: i32,
+    /// Faded sum of errors; absent before the first day that it was scored on.
+    #[prost(fixed64, optional, tag = "2")]
+    pub error_sum_bits: Option<u64>,
+    /// Readings that it was fitted to.
+    #[prost(uint64, tag = "3")]
+    pub observations: u64,
+    /// The lowest of them.
+    #[prost(fixed64, tag = "4")]
+    pub lowest_bits: u64,
+    /// The highest of them.
+    #[prost(fixed64, tag = "5")]
+    pub highest_bits: u64,
+    /// What to expect in each slot of ten minutes of the local week from Monday on: 1,008 doubles, little-endian.
+    #[prost(bytes = "vec", tag = "6")]
+    pub profile: Vec<u8>,
+}
+
+/// The change alarm of a state.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Alarm {
+    /// Of weekdays, then of weekends: days, mean and variance of the errors. Six doubles.
+    #[prost(fixed64, repeated, tag = "1")]
+    pub history_bits: Vec<u64>,
+    /// Faded mean number of observations of a day.
+    #[prost(fixed64, tag = "2")]
+    pub typical_observations_bits: u64,
+    /// The cumulative sum.
+    #[prost(fixed64, tag = "3")]
+    pub sum_bits: u64,
+    /// The last local day taken in.
+    #[prost(sint32, optional, tag = "4")]
+    pub last_day: Option<i32>,
+    /// The local day on which it rang, where it rings.
+    #[prost(sint32, optional, tag = "5")]
+    pub rang: Option<i32>,
+}

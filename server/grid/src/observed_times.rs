@@ -13,16 +13,9 @@ pub struct ObservedTimes {
     pub gaps: GapSample,
     /// Number of single local hours with an observation; with a half-life, each with the weight of its day.
     pub hours: f64,
-    /// Observations from before this was kept.
-    pub unrecorded: u64,
 }
 
 impl ObservedTimes {
-    /// Of so many observations at times that were not kept.
-    pub(crate) fn unrecorded(observations: u64) -> ObservedTimes {
-        ObservedTimes { unrecorded: observations, ..ObservedTimes::default() }
-    }
-
     /// The median gap, and that between regular observations, in nanoseconds; 0 where they are not known.
     pub(crate) fn gap_nanos(&self) -> (u64, u64) {
         (self.gaps.median_nanos(), self.gaps.regular_nanos().unwrap_or(0))

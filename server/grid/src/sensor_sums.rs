@@ -66,7 +66,7 @@ pub(crate) struct GroupSums {
     /// B_k.
     pub(crate) plain: Arc<PhasorSum>,
     pub(crate) weighted: Option<WeightedSums>,
-    /// When it was observed; `None` where that is not known, and of a part of the readings.
+    /// When it was observed; `None` for a part of its readings.
     pub(crate) times: Option<Arc<ObservedTimes>>,
 }
 

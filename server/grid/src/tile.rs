@@ -162,9 +162,9 @@ pub struct TileSums {
     pub cells: Vec<PhasorSum>,
     /// When cells without a complete sum were observed. Unless it is empty, no group has both changed cells and others.
     pub runs: ObservationRuns,
-    /// When each group was observed; empty where that is not known of any.
+    /// When each group was observed.
     pub times: Vec<Arc<ObservedTimes>>,
-    /// Support and change alarm of each changed cell; empty where they are not known of any.
+    /// Support and change alarm of each changed cell.
     pub watches: Vec<OrderWatch>,
     /// Weighted sums of the groups; `None` where all their readings are of the map's own sensor.
     pub sensors: Option<Box<SensorSums>>,

@@ -244,7 +244,7 @@ impl StateErasure {
         let is_selected = |failure: &EdgeFailure| part.is_some_and(|part| part.takes(producer, failure));
         event.failures.retain(|failure| !is_known && !self.is_of_erased(failure) && !is_selected(failure));
         let is_left = |state: StateId, sample: &Sample| {
-            part.is_none_or(|part| !part.selection.takes(state, Some(producer), sample.utc_nanos))
+            part.is_none_or(|part| !part.selection.takes(state, producer, sample.utc_nanos))
         };
         let kept = event.samples().filter(|(state, sample)| is_left(*state, sample));
         let kept: Vec<_> = kept.filter_map(|(state, sample)| Some((self.id(state)?, sample))).collect();
@@ -258,19 +258,18 @@ impl StateErasure {
     #[must_use]
     pub fn piece(&self, piece: &HistoryPiece) -> Option<HistoryPiece> {
         let mut kept = HistoryPiece { days: piece.days.clone(), ..HistoryPiece::new(piece.generation) };
-        for (at, (state, samples)) in piece.states.iter().enumerate() {
+        for ((state, samples), origins) in piece.states.iter().zip(&piece.origins) {
             let Some(id) = self.id(*state) else { continue };
-            let origins = piece.origins.get(at);
             let (samples, origins) = match &self.part {
                 Some(part) => {
                     let numbers = part.decision.numbers.get(state);
                     relearn::left(&part.selection, numbers, (*state, samples, origins))
                 }
-                None => (samples.clone(), origins.cloned()),
+                None => (samples.clone(), origins.clone()),
             };
             if !samples.is_empty() {
                 kept.states.push((id, samples));
-                kept.origins.extend(origins);
+                kept.origins.push(origins);
             }
         }
         kept.bounded()

@@ -88,14 +88,12 @@ pub struct ProducerMark {
     pub content_crc: u32,
     /// The sensor of all its scans; `None`: the map's own.
     pub sensor: Option<ProducerSensor>,
-    /// When the daemon received the newest of them, nanoseconds UTC; `None`: a checkpoint of an older version does not
-    /// tell.
-    pub received_nanos: Option<i64>,
+    /// When the daemon received the newest of them, nanoseconds UTC.
+    pub received_nanos: i64,
     /// The running CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
     pub recent: Vec<ContentMark>,
-    /// Whether any of them was a scan; `None`: it began with an older version, which did not tell. So it did not note
-    /// in the history who observed either.
-    pub has_scans: Option<bool>,
+    /// Whether any of them was a scan.
+    pub has_scans: bool,
 }
 
 impl ProducerMark {

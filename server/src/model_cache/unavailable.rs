@@ -14,11 +14,6 @@ pub(crate) enum ModelUnavailable {
         "it must be trained on observations, and the map no longer keeps those of this state: see --retention and --grid-retention"
     )]
     Forgotten,
-    #[error(
-        "it must be trained on all {total} observations that updates have learned, and the map, which is older than its \
-         history, keeps {kept} of them"
-    )]
-    Incomplete { total: u64, kept: u64 },
     #[error("it would be trained on {got} observations or more, and setting max_fit_readings allows {max}")]
     TooMany { got: u64, max: u64 },
     #[error("it is a model of {expected}, and the state is a {found}", found = .found.name())]

@@ -279,17 +279,15 @@ impl ModelFitter {
         tail.pending.clear();
         let before = tail.stored_before.min(generation + 1);
         let history = self.catalog.context().store.history(learned.handle.id)?.before(before);
-        let is_complete = history.is_complete();
         let wanted = ReadingsQuery { subject, within_nanos: i64::MIN..i64::MAX, enough };
         let learned = Arc::clone(learned);
-        let (max, total) = (self.max_readings, learned.observations());
+        let max = self.max_readings;
         let stop = Arc::clone(stop);
         let gather = move || {
             let is_set = || stop.is_set();
             let readings = gather(&history, &learned.handle.spec, tail, &wanted, StopSignal::new(&is_set))?;
             not_replaced(&learned.handle)?;
-            let is_forever = retention(&learned.handle.spec, subject) == Some(Retention::Forever);
-            match lacking((readings.len() as u64, total, max), is_forever && !is_complete) {
+            match lacking(readings.len() as u64, max) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),
                 None => Ok(learned.of.samples(&learned.view, readings).into()),
             }
@@ -298,12 +296,10 @@ impl ModelFitter {
     }
 }
 
-/// Why a model cannot be fitted to `kept` of `total` learned readings, if `max` are allowed. `lost_some`: some readings
-/// that should be kept never had a history.
-fn lacking((kept, total, max): (u64, u64, u64), lost_some: bool) -> Option<ModelUnavailable> {
+/// Why a model cannot be fitted to the `kept` ones of the learned readings, if `max` are allowed.
+fn lacking(kept: u64, max: u64) -> Option<ModelUnavailable> {
     match kept {
         _ if kept > max => Some(ModelUnavailable::TooMany { got: kept, max }),
-        _ if lost_some && kept < total => Some(ModelUnavailable::Incomplete { total, kept }),
         0 => Some(ModelUnavailable::Forgotten),
         _ => None,
     }
@@ -315,12 +311,8 @@ mod tests {
 
     #[test]
     fn a_model_is_fitted_to_everything_or_to_what_the_map_is_to_keep() {
-        assert_eq!(lacking((5, 5, 5), false), None);
-        assert_eq!(lacking((5, 5, 5), true), None, "of this state nothing was lost");
-        assert_eq!(lacking((4, 5, 5), false), None, "the rest is older than what is kept");
-        assert_eq!(lacking((4, 5, 5), true), Some(ModelUnavailable::Incomplete { total: 5, kept: 4 }));
-        assert_eq!(lacking((0, 5, 5), true), Some(ModelUnavailable::Incomplete { total: 5, kept: 0 }));
-        assert_eq!(lacking((0, 5, 5), false), Some(ModelUnavailable::Forgotten));
-        assert_eq!(lacking((6, 9, 5), false), Some(ModelUnavailable::TooMany { got: 6, max: 5 }));
+        assert_eq!(lacking(5, 5), None);
+        assert_eq!(lacking(0, 5), Some(ModelUnavailable::Forgotten));
+        assert_eq!(lacking(6, 5), Some(ModelUnavailable::TooMany { got: 6, max: 5 }));
     }
 }

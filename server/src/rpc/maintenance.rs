@@ -245,7 +245,7 @@ impl MaintenanceService for Maintenance {
             label: known.mark.key.label().to_owned(),
             durable_sequence: known.mark.durable_sequence,
             is_connected: known.is_connected,
-            received_time: known.mark.received_nanos.map(timestamp),
+            received_time: Some(timestamp(known.mark.received_nanos)),
         };
         let producers = known[range].iter().map(producer).collect();
         Ok(Response::new(v1::ListProducersResponse { producers, next_page_token }))

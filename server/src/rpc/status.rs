@@ -258,9 +258,9 @@ impl RpcError {
             Self::Tile(_) => (Code::Internal, "STORAGE_FAILED"),
             Self::NoHistory { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
             Self::ModelUnavailable { reason, .. } => match reason {
-                ModelUnavailable::NotKept { .. }
-                | ModelUnavailable::Forgotten
-                | ModelUnavailable::Incomplete { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
+                ModelUnavailable::NotKept { .. } | ModelUnavailable::Forgotten => {
+                    (Code::FailedPrecondition, "NO_HISTORY")
+                }
                 ModelUnavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 ModelUnavailable::OtherKind { .. }
                 | ModelUnavailable::CannotFit(_)

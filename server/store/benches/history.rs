@@ -6,8 +6,11 @@ use std::{sync::Arc, time::Instant};
 
 use tidemap_map::{
     event::{Event, UpdateCause},
-    history::HistoryPiece,
-    ids::StateId,
+    history::{
+        HistoryPiece,
+        origins::{OriginRun, Origins},
+    },
+    ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::MapName,
     refit::{REFIT_READINGS, ReadingsRequest},
@@ -28,10 +31,13 @@ fn piece(night: i64) -> Arc<HistoryPiece> {
         value: f64::from(u8::from((500 + i64::from(state % 90)..1_000).contains(&minute) && minute % 17 != 3)),
     };
     let of = |state: u32| (StateId(state), (0..1440).map(|minute| sample(state, minute)).collect());
+    let run = OriginRun { producer: ProducerId(0), first: night as u64 * 1440 + 1, count: 1440 };
+    let origins = Origins { runs: vec![run], ..Origins::default() };
     Arc::new(HistoryPiece {
         from_nanos: night * 1440 * MINUTE,
         to_nanos: (night + 1) * 1440 * MINUTE,
         states: (0..STATES).map(of).collect(),
+        origins: vec![origins; STATES as usize],
         ..HistoryPiece::new(night as u64 + 1)
     })
 }

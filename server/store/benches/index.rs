@@ -22,7 +22,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Component, OrderErrors, Periodicities, Persistence, PersistenceParts, PhasorSum, Sample, SpectralModel, StateModel,
+    Component, OrderErrors, OrderWatch, Periodicities, Persistence, PersistenceParts, PhasorSum, Sample, SpectralModel,
+    StateModel,
 };
 use tidemap_store::{IndexContents, Store, StoreOptions};
 
@@ -91,7 +92,8 @@ fn grid(spec: &MapSpec, seed: u64) -> GridSnapshot {
     let (mut models, mut sums) = (Vec::new(), Vec::new());
     for _ in 0..TILES {
         let cells = (0..CHANGING).map(|_| sum()).collect();
-        sums.push(TileSums { groups: vec![Arc::new(sum())], cells, ..TileSums::default() });
+        let (times, watches) = (vec![Arc::default()], vec![OrderWatch::default(); CHANGING as usize]);
+        sums.push(TileSums { groups: vec![Arc::new(sum())], cells, times, watches, ..TileSums::default() });
     }
     for _ in 0..TILES {
         let group = Group { cells: Mask([u64::MAX; 8]), observations: 17_200, first_nanos: 1, last_nanos: START_NANOS };

@@ -15,10 +15,12 @@ use std::{
 };
 
 use tidemap_migrations::{
-    FORMAT,
-    manifest::{self, Manifest, ManifestError},
-    v3::lists::{ERASURES_FILE, HISTORY_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment, TextList as _},
-    v4::lists::{CHECKPOINTS_FILE, LOSSES_FILE},
+    FORMAT, manifest,
+    manifest::{Manifest, ManifestError},
+    v1::lists::{
+        CHECKPOINTS_FILE, ERASURES_FILE, HISTORY_FILE, LOSSES_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment,
+        TextList as _,
+    },
 };
 
 use crate::{

@@ -15,9 +15,9 @@ use std::{
 use tidemap_map::spec::MapSpec;
 use tidemap_migrations::{
     FORMAT, manifest,
-    plan::has_list,
-    v3::lists::{FileList, HISTORY_FILE, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment, TextList},
-    v4::lists::{CheckpointList, Loss},
+    v1::lists::{
+        CheckpointList, FileList, HISTORY_FILE, Loss, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment, TextList,
+    },
 };
 
 use crate::{
@@ -26,7 +26,7 @@ use crate::{
     disk::{Disk, RealDisk},
     error::OpenError,
     index::{Index, RowsState, Unopened, is_present},
-    list_file::{self, Unlisted},
+    list_file,
     lock::Lock,
     log::{recovery, replay::Replay, segment_path, segment_position},
     losses,
@@ -133,7 +133,7 @@ pub fn check(directory: &Path, mode: Mode) -> Result<Checked, OpenError> {
     let maps = check.maps()?;
     let mut indexed = BTreeSet::new();
     for (map, known) in &maps {
-        if check.map(*map, &known.spec, known.history_complete) {
+        if check.map(*map, known) {
             indexed.insert(*map);
         }
     }
@@ -183,22 +183,17 @@ impl Check<'_> {
         }
     }
 
-    /// A list of what must exist; `None` where it is lost, with what is wrong with it, or where the format has none.
-    fn list<L: TextList>(&self, file: &Path) -> (Option<L>, Option<String>) {
-        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        match list_file::read(&*self.disk, file) {
-            Ok(list) => (Some(list), None),
-            Err(Unlisted::Absent) if !has_list(self.checked.format, name) => (None, None),
-            Err(unlisted) => (None, Some(unlisted.problem())),
-        }
+    /// A list of what must exist, or what is wrong with it where it is lost.
+    fn list<L: TextList>(&self, file: &Path) -> Result<L, String> {
+        list_file::read(&*self.disk, file).map_err(|unlisted| unlisted.problem())
     }
 
     /// The maps that can be read; finds what is wrong with the others.
-    fn maps(&mut self) -> Result<Vec<(MapId, catalogue::Catalogued)>, OpenError> {
+    fn maps(&mut self) -> Result<Vec<(MapId, MapSpec)>, OpenError> {
         let found = catalogue::look(&*self.disk, self.directory)?;
         let (disk, directory) = (Arc::clone(&self.disk), self.directory);
         let file = directory.join(MAPS_FILE);
-        if let (_, Some(problem)) = self.list::<MapList>(&file) {
+        if let Err(problem) = self.list::<MapList>(&file) {
             self.find_lost(&file, &problem, || list_file::replace(&*disk, &file, &found.list()).is_ok());
         }
         for map in found.set_aside.values() {
@@ -224,9 +219,9 @@ impl Check<'_> {
     }
 
     /// Whether the index should have rows of the map.
-    fn map(&mut self, map: MapId, spec: &MapSpec, history_complete: bool) -> bool {
+    fn map(&mut self, map: MapId, spec: &MapSpec) -> bool {
         self.history(map, spec);
-        let newest = self.checkpoints(map, spec, history_complete);
+        let newest = self.checkpoints(map, spec);
         self.log(map, newest);
         newest.is_some()
     }
@@ -235,16 +230,16 @@ impl Check<'_> {
         let folder = catalogue::history_folder(self.directory, map);
         let history = History::at(Arc::clone(&self.disk), folder.clone(), map);
         let list_path = folder.with_file_name(HISTORY_FILE);
-        let (listed, lost) = self.list::<FileList>(&list_path);
-        let listed = listed.unwrap_or_default().files;
-        if let Some(problem) = lost {
+        let listed = self.list::<FileList>(&list_path);
+        if let Err(problem) = &listed {
             let make = || history.make_list().is_ok();
             if lists::is_history_whole(&self.disk, self.directory, map, spec) {
                 self.find_spare(&list_path, problem, BY_REPAIR, make);
             } else {
-                self.find_lost(&list_path, &problem, make);
+                self.find_lost(&list_path, problem, make);
             }
         }
+        let listed = listed.unwrap_or_default().files;
         let present = self.disk.list(&folder).unwrap_or_default();
         for file in &listed {
             let path = folder.join(&file.name);
@@ -277,7 +272,7 @@ impl Check<'_> {
     }
 
     /// Reads all checkpoints; gives the position, the first needed record and the generation of the newest good one.
-    fn checkpoints(&mut self, map: MapId, spec: &MapSpec, history_complete: bool) -> Option<(u64, u64)> {
+    fn checkpoints(&mut self, map: MapId, spec: &MapSpec) -> Option<(u64, u64)> {
         let (disk, directory) = (Arc::clone(&self.disk), self.directory);
         let folder = catalogue::checkpoints_folder(directory, map);
         let checkpoints = Checkpoints { disk: &*disk, folder: folder.clone(), map };
@@ -303,11 +298,13 @@ impl Check<'_> {
         let is_whole = newest.map_or(1, |(_, replay_from)| replay_from) >= present.first_record;
         let make = || lists::make_checkpoints(&*disk, directory, map).is_ok();
         let list_path = checkpoints.list_path();
-        let (listed, lost) = self.list::<CheckpointList>(&list_path);
-        if let Some(problem) = lost {
-            self.find_spare(&list_path, problem, BY_REPAIR, make);
-        }
-        let Some(listed) = listed else { return newest };
+        let listed = match self.list::<CheckpointList>(&list_path) {
+            Ok(listed) => listed,
+            Err(problem) => {
+                self.find_spare(&list_path, problem, BY_REPAIR, make);
+                return newest;
+            }
+        };
         for position in listed.checkpoints {
             let path = checkpoints.path(position);
             match present.checkpoints.contains(&position) {
@@ -319,8 +316,6 @@ impl Check<'_> {
         if listed.first_record < present.first_record {
             let path = segment_path(&log, listed.first_record);
             match is_whole {
-                // The history of a map of format 1 is in its log.
-                true if !history_complete => self.find_lost(&path, "it is missing", make),
                 true => self.find_spare(&path, "it is missing", BY_REPAIR, make),
                 false => self.find(&path, "it is missing", FROM_BACKUP),
             }
@@ -339,8 +334,8 @@ impl Check<'_> {
         let list = folder.join(NEWEST_FILE);
         let go_on = || lists::make_newest(&*disk, directory, map).is_ok();
         match self.list::<NewestSegment>(&list) {
-            (_, Some(problem)) => self.find_lost(&list, &problem, go_on),
-            (Some(NewestSegment { first_position }), None) => {
+            Err(problem) => self.find_lost(&list, &problem, go_on),
+            Ok(NewestSegment { first_position }) => {
                 let newest = segment_path(&folder, first_position);
                 if disk.length(&newest).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
                     self.find_lost(&newest, "it is missing, the newest segment of the log", go_on);
@@ -349,10 +344,9 @@ impl Check<'_> {
                     }
                 }
             }
-            (None, None) => {}
         }
         // What is wrong with the list has been found.
-        let is_listed = self.list::<NewestSegment>(&list).0.is_some();
+        let is_listed = self.list::<NewestSegment>(&list).is_ok();
         let expected = recovery::Expectation { map: map.0, replay_from, known: position, is_listed };
         let read = match recovery::read(&*self.disk, &folder, &expected) {
             Ok(read) => read,
@@ -374,7 +368,7 @@ impl Check<'_> {
     /// Checks the rows of the maps, and that those are there which should be.
     fn index(
         &mut self,
-        maps: &[(MapId, catalogue::Catalogued)],
+        maps: &[(MapId, MapSpec)],
         indexed: &BTreeSet<MapId>,
         must_exist: bool,
     ) -> Result<(), OpenError> {

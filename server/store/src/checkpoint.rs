@@ -11,9 +11,9 @@ use std::{
 
 use prost::Message as _;
 use tidemap_map::{site::Site, snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::{
-    v1::file::{CHECKPOINT_MAGIC, FileHeader, Trailer},
-    v2::{file::RecordKind, map as v2, site as v2_site},
+use tidemap_migrations::v1::{
+    file::{CHECKPOINT_MAGIC, FileHeader, RecordKind, Trailer},
+    map as v1, site as v1_site,
 };
 use tidemap_model::PhasorSum;
 
@@ -169,7 +169,7 @@ impl Checkpoints<'_> {
         let same = |is_same: bool| if is_same { Ok(()) } else { Err("the content differs".to_owned()) };
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
         same(reader.header.position == snapshot.position)?;
-        same(reader.record::<v2::Snapshot>(RecordKind::Snapshot)? == record::encode(snapshot))?;
+        same(reader.record::<v1::Snapshot>(RecordKind::Snapshot)? == record::encode(snapshot))?;
         for (id, producer) in snapshot.producers.iter().enumerate() {
             same(record::decode_producer(id, &reader.record(RecordKind::Producer)?)? == *producer)?;
         }
@@ -207,7 +207,7 @@ impl Checkpoints<'_> {
 
     fn read(&self, spec: &MapSpec, path: &Path, position: u64, memory: Memory) -> Result<MapSnapshot, String> {
         let mut reader = RecordReader::open(self.disk, path, CHECKPOINT_MAGIC, self.map.0)?;
-        let message: v2::Snapshot = reader.record(RecordKind::Snapshot)?;
+        let message: v1::Snapshot = reader.record(RecordKind::Snapshot)?;
         if message.position != position || reader.header.position != position {
             return Err("its position differs from its name".to_owned());
         }
@@ -255,7 +255,7 @@ impl Checkpoints<'_> {
         }
         let replay_from = |&position: &u64| {
             let mut reader = RecordReader::open(self.disk, &self.path(position), CHECKPOINT_MAGIC, self.map.0).ok()?;
-            Some(reader.record::<v2::Snapshot>(RecordKind::Snapshot).ok()?.replay_from)
+            Some(reader.record::<v1::Snapshot>(RecordKind::Snapshot).ok()?.replay_from)
         };
         Ok(positions.iter().map(replay_from).collect::<Option<Vec<u64>>>().and_then(|all| all.into_iter().min()))
     }
@@ -264,7 +264,7 @@ impl Checkpoints<'_> {
     pub(crate) fn newest_generation(&self) -> Option<u64> {
         self.positions().ok()?.into_iter().rev().find_map(|position| {
             let mut reader = RecordReader::open(self.disk, &self.path(position), CHECKPOINT_MAGIC, self.map.0).ok()?;
-            Some(reader.record::<v2::Snapshot>(RecordKind::Snapshot).ok()?.generation)
+            Some(reader.record::<v1::Snapshot>(RecordKind::Snapshot).ok()?.generation)
         })
     }
 
@@ -313,10 +313,10 @@ impl Checkpoints<'_> {
         Ok(Report::CheckpointSetAside { file, reason })
     }
 
-    /// Removes files of an interrupted save, and journals of killed updates that earlier builds wrote.
+    /// Removes files of an interrupted save.
     pub(crate) fn remove_leftovers(&self, reports: &mut Vec<Report>) -> Result<(), OpenError> {
         for name in self.disk.list(&self.folder).map_err(open_io(&self.folder))? {
-            if name.ends_with(NEW_SUFFIX) || is_update_file(&name) {
+            if name.ends_with(NEW_SUFFIX) {
                 let file = self.folder.join(name);
                 self.disk.remove(&file).map_err(open_io(&file))?;
                 reports.push(Report::LeftoverRemoved { file });
@@ -326,18 +326,12 @@ impl Checkpoints<'_> {
     }
 }
 
-/// Whether a file is an update journal of an earlier build.
-fn is_update_file(name: &str) -> bool {
-    let digits = name.strip_prefix("update-").and_then(|rest| rest.strip_suffix(".tmu"));
-    digits.is_some_and(|digits| digits.len() == 20 && digits.bytes().all(|byte| byte.is_ascii_digit()))
-}
-
 /// The site of a checkpoint whose states have been read.
-fn read_site(reader: &mut RecordReader, snapshot: &v2::Snapshot) -> Result<Site, String> {
+fn read_site(reader: &mut RecordReader, snapshot: &v1::Snapshot) -> Result<Site, String> {
     if !snapshot.has_site {
         return Ok(Site::default());
     }
-    let message: v2_site::Site = reader.long_message(RecordKind::Site, &mut Vec::new())?;
+    let message: v1_site::Site = reader.long_message(RecordKind::Site, &mut Vec::new())?;
     site::decode(&message, snapshot.states as usize)
 }
 

@@ -24,9 +24,8 @@ use std::{
 };
 
 use tidemap_map::{erasure::StateErasure, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::{
-    v3::lists::{ERASE_FILE, ERASURES_FILE, ErasureCount, ErasureOrder, FileList, HISTORY_FILE},
-    v4::lists::CheckpointList,
+use tidemap_migrations::v1::lists::{
+    CheckpointList, ERASE_FILE, ERASURES_FILE, ErasureCount, ErasureOrder, FileList, HISTORY_FILE,
 };
 
 use crate::{
@@ -41,7 +40,6 @@ use crate::{
         frame::EncodedEvent,
         recovery::{self, Expectation},
         replay::Replay,
-        segment_position,
         writer::{LogWriter, create_log},
     },
     store::catalogue,
@@ -65,8 +63,6 @@ pub(crate) struct Rewrite<'a> {
     pub(crate) options: &'a StoreOptions,
     pub(crate) map: MapId,
     pub(crate) spec: &'a MapSpec,
-    /// Whether history files replace the beginning of the log.
-    pub(crate) history_complete: bool,
 }
 
 pub(crate) fn beside(directory: &Path, map: MapId, suffix: &str) -> PathBuf {
@@ -195,13 +191,13 @@ impl Rewrite<'_> {
         known: u64,
         replay_from: u64,
     ) -> Result<(), EraseError> {
-        let (first, replay) = self.events(known, replay_from)?;
+        let replay = self.events(known, replay_from)?;
         let checkpoints = Checkpoints { disk: &**self.disk, folder: new.join("checkpoints"), map: self.map };
-        checkpoints.begin_log(first)?;
+        checkpoints.begin_log(replay_from)?;
         let new_folder = new.join("log");
-        let cursor = create_log(&**self.disk, &new_folder, self.map.0, first).map_err(store_io(&new_folder))?;
+        let cursor = create_log(&**self.disk, &new_folder, self.map.0, replay_from).map_err(store_io(&new_folder))?;
         let segment_bytes = self.options.segment_bytes;
-        let writer = LogWriter::open(self.disk, new_folder.clone(), self.map.0, first, cursor, segment_bytes);
+        let writer = LogWriter::open(self.disk, new_folder.clone(), self.map.0, replay_from, cursor, segment_bytes);
         let mut writer = writer.map_err(store_io(&new_folder))?;
         let mut events = Vec::new();
         for entry in replay {
@@ -219,17 +215,13 @@ impl Rewrite<'_> {
         Ok(self.disk.sync_folder(&new_folder).map_err(store_io(new_folder))?)
     }
 
-    /// The events of the log that are still needed, and the position of the first.
-    fn events(&self, known: u64, replay_from: u64) -> Result<(u64, Replay), EraseError> {
+    /// The events of the log that are still needed, from the record `replay_from` on.
+    fn events(&self, known: u64, replay_from: u64) -> Result<Replay, EraseError> {
         let folder = catalogue::log_folder(self.directory, self.map);
-        let names = self.disk.list(&folder).map_err(store_io(&folder))?;
-        // A map of format 1 has its history in its log.
-        let first = names.iter().find_map(|name| segment_position(name)).filter(|_| !self.history_complete);
-        let first = first.unwrap_or(replay_from).min(replay_from);
-        let expected = Expectation { map: self.map.0, replay_from: first, known, is_listed: true };
+        let expected = Expectation { map: self.map.0, replay_from, known, is_listed: true };
         let read = recovery::read(&**self.disk, &folder, &expected)?;
         let end = read.cursor.position - 1;
-        Ok((first, Replay::new(Arc::clone(self.disk), folder, read.segments, first, end)))
+        Ok(Replay::new(Arc::clone(self.disk), folder, read.segments, replay_from, end))
     }
 
     fn history(&self) -> History {
@@ -315,7 +307,7 @@ pub(crate) fn repeat(
     options: &StoreOptions,
     index: &mut Index,
     map: MapId,
-    (spec, history_complete): (&MapSpec, bool),
+    spec: &MapSpec,
     reports: &mut Vec<Report>,
 ) -> Result<(), EraseError> {
     let file = catalogue::map_folder(directory, map).join(ERASE_FILE);
@@ -327,7 +319,7 @@ pub(crate) fn repeat(
         }
         Err(Unlisted::Io(error)) => return Err(open_io(file)(error).into()),
     };
-    let rewrite = Rewrite { disk, directory, options, map, spec, history_complete };
+    let rewrite = Rewrite { disk, directory, options, map, spec };
     rewrite.run(rewrite.prepare(&order)?)?;
     swap(&**disk, directory, map)?;
     reports.push(Report::ErasureCompleted { map });

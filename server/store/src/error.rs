@@ -164,21 +164,8 @@ pub enum AppendError {
     Closed,
 }
 
-/// A producer that has sent scans, or may have.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Scanner {
-    /// Its key.
-    pub key: ProducerKey,
-    /// Whether it has, or may have because an older version wrote the map.
-    pub is_certain: bool,
-}
-
-impl Scanner {
-    pub(crate) fn scans_text(&self) -> String {
-        let (producer, label) = (self.key.producer(), self.key.label());
-        let has = if self.is_certain { "has sent" } else { "may have sent to an older version" };
-        format!("producer {producer:?} with label {label:?} {has}")
-    }
+fn has_sent(key: &ProducerKey) -> String {
+    format!("producer {:?} with label {:?} has sent", key.producer(), key.label())
 }
 
 /// Why something is not erased.
@@ -192,11 +179,11 @@ pub enum EraseError {
     #[error(
         "{} scans of the grid, which cannot be taken out of it. Name a state: its observations can be erased. To erase \
          the grid, delete the map",
-        producer.as_ref().map_or_else(|| "the map has".to_owned(), |key| key.scans_text())
+        producer.as_ref().map_or_else(|| "the map has".to_owned(), has_sent)
     )]
     HasScans {
-        /// Who has sent them, or may have.
-        producer: Option<Scanner>,
+        /// Who has sent them; `None`: some producer of the map.
+        producer: Option<ProducerKey>,
     },
     /// The map cannot be read.
     #[error(transparent)]
@@ -225,8 +212,6 @@ pub enum Report {
     CheckpointSetAside { file: PathBuf, reason: String },
     /// The index cannot be read; its folder was renamed and an empty one created.
     IndexSetAside { folder: PathBuf, reason: String },
-    /// An earlier version wrote the index, and it was dropped; it is written again from the checkpoints.
-    IndexDropped,
     /// A list of the files that must exist was damaged or missing. Other files prove that all are there, and it was
     /// made again.
     ListMade { file: PathBuf, reason: String },
@@ -255,9 +240,6 @@ impl fmt::Display for Report {
             }
             Report::IndexSetAside { folder, reason } => {
                 write!(f, "set the damaged index aside as {}: {reason}", shown(folder))
-            }
-            Report::IndexDropped => {
-                write!(f, "dropped the index, which an earlier version wrote; it is written again from the checkpoints")
             }
             Report::ListMade { file, reason } => {
                 write!(f, "made {} again of the files that exist, which prove to be all: {reason}", shown(file))

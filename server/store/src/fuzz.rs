@@ -13,21 +13,13 @@ use std::{
 use prost::Message as _;
 use tidemap_grid::spec::GridSpec;
 use tidemap_map::{ids::StateId, name::MapName, refit::ReadingsRequest, spec::MapSpec};
-use tidemap_migrations::{
-    v1::{
-        file::{CHECKPOINT_MAGIC, FileHeader},
-        log::{FIRST_CHAIN, SegmentHeader, guard},
-    },
-    v2::{
-        file::{HISTORY_MAGIC, RecordKind},
-        grid as v2_grid,
-        log::{FrameHeader, FrameKind},
-        map as v2,
-        published::StateRow,
-        site as v2_site,
-    },
-    v3::lists::{ErasureCount, ErasureOrder, FileList, MapList, NewestSegment, TextList},
-    v4::lists::{CheckpointList, LossList},
+use tidemap_migrations::v1::{
+    file::{CHECKPOINT_MAGIC, FileHeader, HISTORY_MAGIC, RecordKind},
+    grid as v1_grid,
+    index::StateRow,
+    lists::{CheckpointList, ErasureCount, ErasureOrder, FileList, LossList, MapList, NewestSegment, TextList},
+    log::{FIRST_CHAIN, FrameHeader, FrameKind, SegmentHeader, guard},
+    map as v1, site as v1_site,
 };
 use tidemap_model::Periodicities;
 
@@ -227,7 +219,6 @@ pub fn history(bytes: &[u8]) {
     let history = History::at(Arc::new(disk), PathBuf::from("/h"), MapId(MAP));
     // Nothing is listed, so that nothing is missing.
     let _ = list_file::replace(&*history.disk, &history.list_path(), &FileList::default());
-    let _ = history.first_of_states();
     let _ = history.state(StateId(0), i64::MIN, i64::MAX);
     if let Ok(files) = history.state_files() {
         let _ = files.readings(&[ReadingsRequest { state: StateId(1), from_nanos: 0 }]);
@@ -286,11 +277,11 @@ pub fn row(bytes: &[u8]) {
     let periodicities = &map.periodicities;
     match first & 7 {
         0 => drop(StateRow::decode(rest).map(|row| published::decode(0, row, periodicities))),
-        1 => drop(v2::Producer::decode(rest).map(|message| snapshot::decode_producer(0, &message))),
-        2 => drop(v2_site::Site::decode(rest).map(|message| site::decode(&message, 3))),
-        3 => drop(v2_grid::Tile::decode(rest).map(|message| tile::decode(&message))),
-        4 => drop(v2_grid::TileModel::decode(rest).map(|message| tile_model::decode(&message, periodicities))),
-        _ => drop(v2::MapSpec::decode(rest).map(spec::decode)),
+        1 => drop(v1::Producer::decode(rest).map(|message| snapshot::decode_producer(0, &message))),
+        2 => drop(v1_site::Site::decode(rest).map(|message| site::decode(&message, 3))),
+        3 => drop(v1_grid::Tile::decode(rest).map(|message| tile::decode(&message))),
+        4 => drop(v1_grid::TileModel::decode(rest).map(|message| tile_model::decode(&message, periodicities))),
+        _ => drop(v1::MapSpec::decode(rest).map(spec::decode)),
     }
 }
 

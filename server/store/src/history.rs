@@ -12,7 +12,7 @@ use std::{
 
 use tidemap_grid::{index::TileId, spec::Retention};
 use tidemap_map::{history::HistoryPiece, ids::StateId, spec::MapSpec};
-use tidemap_migrations::v3::lists::ListedFile;
+use tidemap_migrations::v1::lists::ListedFile;
 use tidemap_model::{Sample, StopSignal};
 
 use crate::{
@@ -91,8 +91,6 @@ pub struct History {
     pub(crate) before: u64,
     /// Reading stops at the first file after this many observations of a state.
     pub(crate) enough: usize,
-    /// Whether there is a file for every update that learned anything.
-    pub(crate) is_complete: bool,
 }
 
 impl fmt::Debug for History {
@@ -104,7 +102,7 @@ impl fmt::Debug for History {
 impl History {
     /// The history in a folder.
     pub(crate) fn at(disk: Arc<dyn Disk>, folder: PathBuf, map: MapId) -> History {
-        History { disk, folder, map, before: u64::MAX, enough: usize::MAX, is_complete: true }
+        History { disk, folder, map, before: u64::MAX, enough: usize::MAX }
     }
 
     fn path(&self, generation: u64, part: Part) -> PathBuf {
@@ -152,25 +150,6 @@ impl History {
     /// early: the caller gets more than `enough`, but not all.
     pub fn at_most(self, observations: usize) -> History {
         History { enough: observations, ..self }
-    }
-
-    /// Whether the history begins with the map's first update, apart from what retention has deleted. `false` for a map
-    /// that was created under format 1: its updates before the migration wrote no files.
-    pub fn is_complete(&self) -> bool {
-        self.is_complete
-    }
-
-    /// The first generation that has a file of named states, and the greatest time of its observations.
-    ///
-    /// # Errors
-    /// [`HistoryError`] names the file that cannot be read.
-    pub fn first_of_states(&self) -> Result<Option<(u64, i64)>, HistoryError> {
-        for generation in self.generations(Part::States)? {
-            if let Some(file) = self.open_if_there(generation, Part::States, i64::MIN, i64::MAX)? {
-                return Ok(Some((generation, file.to_nanos())));
-            }
-        }
-        Ok(None)
     }
 
     /// The observations of a state at times from `from_nanos` up to but not including `to_nanos`, ascending by time; of
@@ -310,11 +289,7 @@ impl History {
         for id in ids {
             let (samples, origins) = table.state(id)?;
             piece.states.push((id, samples));
-            piece.origins.extend(origins);
-        }
-        // All of a file are known, or none.
-        if piece.origins.len() != piece.states.len() {
-            piece.origins.clear();
+            piece.origins.push(origins);
         }
         Ok(piece)
     }
@@ -339,11 +314,8 @@ impl History {
                 let (samples, origins) = table.state(id)?;
                 if !samples.is_empty() {
                     piece.states.push((id, samples));
-                    piece.origins.extend(origins);
+                    piece.origins.push(origins);
                 }
-            }
-            if piece.origins.len() != piece.states.len() {
-                piece.origins.clear();
             }
             take(&piece, to_nanos);
         }
@@ -381,7 +353,7 @@ impl History {
         Ok(self.add_to_list(written)?)
     }
 
-    /// Maps of format 1 have no such folder.
+    /// A map has no such folder before its first file.
     fn create_folder(&self) -> io::Result<()> {
         match self.disk.create_folder(&self.folder) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(error),

@@ -14,10 +14,7 @@ use std::{
 
 use tidemap_grid::tile::TileModel;
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::{
-    v1::index::OLD_TREES,
-    v2::published::{GENERATIONS, Total},
-};
+use tidemap_migrations::v1::index::{GENERATIONS, Total};
 
 mod cells;
 mod folder;
@@ -127,15 +124,6 @@ pub(crate) struct Index {
     written: BTreeMap<u32, KnownRows>,
 }
 
-/// What was repaired while the index was opened.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) enum OpenRepair {
-    /// It could not be opened, was renamed to this, and an empty one was created.
-    SetAside(PathBuf, Damage),
-    /// It was one of an earlier build and was dropped.
-    Dropped,
-}
-
 impl Trees {
     fn open(folder: &Path, cache_bytes: u64) -> Result<Trees, Unopened> {
         panics::catch(|| {
@@ -158,11 +146,6 @@ impl Trees {
 
     fn of(&self, kind: Kind) -> &sled::Tree {
         &self.rows[kind as usize]
-    }
-
-    /// Whether an earlier build has written it.
-    fn is_old(&self) -> bool {
-        self.db.tree_names().iter().any(|name| OLD_TREES.iter().any(|old| old.as_bytes() == &name[..]))
     }
 
     /// Makes everything durable: sled's flush does not fsync.
@@ -191,22 +174,15 @@ fn is_in_use(error: &sled::Error) -> bool {
 }
 
 impl Index {
-    /// Opens the index. One that cannot be opened is renamed and an empty one created, one of an earlier build is
-    /// replaced by an empty one; the second value reports that.
+    /// Opens the index. One that cannot be opened is renamed and an empty one created; the second value is its new
+    /// path, and why.
     ///
     /// # Errors
     /// [`IndexInUse`]; nothing is changed.
-    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> Result<(Index, Option<OpenRepair>), IndexInUse> {
+    pub(crate) fn open(folder: PathBuf, cache_bytes: u64) -> Result<(Index, Option<(PathBuf, Damage)>), IndexInUse> {
         let mut index = Index { folder, cache_bytes, trees: None, written: BTreeMap::new() };
         let opened = rewrite::remove_leftovers(&index.folder).map_err(|error| Unopened::Damaged(error.to_string()));
         Ok(match opened.and_then(|()| Trees::open(&index.folder, cache_bytes)) {
-            Ok(trees) if trees.is_old() => {
-                index.trees = Some(trees);
-                let dropped = index
-                    .drop_all()
-                    .map_or_else(|damage| OpenRepair::SetAside(index.folder.clone(), damage), |()| OpenRepair::Dropped);
-                (index, Some(dropped))
-            }
             Ok(trees) => {
                 index.trees = Some(trees);
                 (index, None)
@@ -215,7 +191,7 @@ impl Index {
             Err(Unopened::Damaged(damage)) => {
                 let aside = index.replace();
                 let aside = aside.unwrap_or_else(|_| index.folder.clone());
-                (index, Some(OpenRepair::SetAside(aside, damage)))
+                (index, Some((aside, damage)))
             }
         })
     }

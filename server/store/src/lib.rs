@@ -37,14 +37,14 @@ pub use backup::{BackupError, BackupReport, is_backup_of, link_backup, restore};
 pub use check::{Checked, Finding, Mode, Outcome, check};
 pub use committer::{CommitFollower, CommitStep, GroupFollower, SyncStats};
 pub use erasure::Erased;
-pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, Scanner, StoreError};
+pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, StoreError};
 pub use history::{GridDays, History, HistorySizes, StateFiles};
 pub use log::{Done, replay::Replay};
 pub use map_log::MapLog;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use scrub::Pace;
 pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store, StoreOptions};
-pub use tidemap_migrations::{manifest::is_store_id, v4::lists::Loss};
+pub use tidemap_migrations::{manifest::is_store_id, v1::lists::Loss};
 pub use trouble::Trouble;
 
 /// Number of a map within its store, from 1, never reused; also the name of its folder.

@@ -9,9 +9,9 @@ use std::{
 };
 
 use prost::Message;
-use tidemap_migrations::{
-    v1::file::{FILE_HEADER_LENGTH, FileHeader, RECORD_HEADER_LENGTH, RECORD_MAX, TRAILER_LENGTH, Trailer},
-    v2::file::{PIECE_MAX, RecordHeader, RecordKind},
+use tidemap_migrations::v1::file::{
+    FILE_HEADER_LENGTH, FileHeader, PIECE_MAX, RECORD_HEADER_LENGTH, RECORD_MAX, RecordHeader, RecordKind,
+    TRAILER_LENGTH, Trailer,
 };
 
 use crate::disk::{Disk, DiskFile};

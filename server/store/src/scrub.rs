@@ -9,10 +9,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_migrations::{
-    v1::log::{FRAME_HEADER_LENGTH, SEGMENT_HEADER_LENGTH, SegmentHeader},
-    v2::log::FrameHeader,
-    v3::lists::{MAPS_FILE, MapList, NEWEST_FILE, NewestSegment},
+use tidemap_migrations::v1::{
+    lists::{MAPS_FILE, MapList, NEWEST_FILE, NewestSegment},
+    log::{FRAME_HEADER_LENGTH, FrameHeader, SEGMENT_HEADER_LENGTH, SegmentHeader},
 };
 
 use crate::{

@@ -2,9 +2,7 @@
 //!
 //! Each run follows from its seed alone.
 
-use std::{path::Path, sync::Arc};
-
-use tidemap_migrations::FORMAT;
+use std::path::Path;
 
 use crate::{disk::Disk, store::lists};
 
@@ -23,6 +21,5 @@ fn make_directory(disk: &disk::SimulatedDisk) {
         disk.create_folder(Path::new(folder)).expect("created");
         disk.sync_folder(Path::new(folder).parent().expect("has one")).expect("synced");
     }
-    let disk: Arc<dyn Disk> = Arc::new(disk.clone());
-    lists::make_new(&disk, Path::new(DIRECTORY), 0, FORMAT).expect("a new store gets its list of maps");
+    lists::make_first(disk, Path::new(DIRECTORY)).expect("a new store gets its list of maps");
 }

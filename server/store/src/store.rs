@@ -11,7 +11,7 @@ use std::{
 };
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec, update::SpectrumRoom};
-use tidemap_migrations::{v3::lists::MAPS_FILE, v4::lists::Loss};
+use tidemap_migrations::v1::lists::{Loss, MAPS_FILE};
 
 use crate::{
     MapId,
@@ -113,21 +113,19 @@ struct Maps {
 #[derive(Clone)]
 pub(crate) struct MapEntry {
     spec: Arc<MapSpec>,
-    /// Whether history files replace the beginning of the log.
-    history_complete: bool,
     pub(crate) log: Option<Arc<Log>>,
     /// Held while the map is opened, saved, copied or deleted.
     pub(crate) busy: Arc<Mutex<()>>,
 }
 
 impl MapEntry {
-    fn new(spec: MapSpec, history_complete: bool) -> MapEntry {
-        MapEntry { spec: Arc::new(spec), history_complete, log: None, busy: Arc::default() }
+    fn new(spec: MapSpec) -> MapEntry {
+        MapEntry { spec: Arc::new(spec), log: None, busy: Arc::default() }
     }
 
-    /// Its properties, and whether history files replace the beginning of the log.
-    pub(crate) fn spec(&self) -> (&MapSpec, bool) {
-        (&self.spec, self.history_complete)
+    /// Its properties.
+    pub(crate) fn spec(&self) -> &MapSpec {
+        &self.spec
     }
 }
 
@@ -368,7 +366,7 @@ impl Store {
         // A map whose folder was moved away by hand may have had this number and left records in the index.
         self.inner.index().purge(map.0);
         catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec)?;
-        maps.entries.insert(map, MapEntry::new(spec.clone(), true));
+        maps.entries.insert(map, MapEntry::new(spec.clone()));
         Ok(map)
     }
 
@@ -426,9 +424,8 @@ impl Store {
     /// # Errors
     /// [`HistoryError::UnknownMap`].
     pub fn history(&self, map: MapId) -> Result<History, HistoryError> {
-        let is_complete = self.inner.maps().entries.get(&map).map(|entry| entry.history_complete);
-        let is_complete = is_complete.ok_or(HistoryError::UnknownMap(map))?;
-        Ok(History { is_complete, ..self.inner.history(map) })
+        self.inner.entry(map).ok_or(HistoryError::UnknownMap(map))?;
+        Ok(self.inner.history(map))
     }
 
     /// Memory for the sums of a map's states while an update runs, and the place for others.

@@ -254,14 +254,14 @@ async fn an_empty_folder_in_the_place_of_the_expected_one_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_folder_of_an_earlier_build_is_sound_for_a_check_and_can_be_restored() {
+async fn a_recorded_folder_is_sound_for_a_check_and_can_be_restored() {
     let work = tempdir().expect("a folder");
-    let [old, restored] = ["old", "restored"].map(|name| work.path().join(name));
-    let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("integration/lifecycle/data_of_0_1");
-    disk::copy_folder(&here, &old);
-    let (status, text) = check(&old, &[]);
-    assert!(status == Some(0) && text.contains("the next start migrates it"), "{text}");
-    let words = ["backup".as_ref(), "restore".as_ref(), old.as_os_str(), restored.as_os_str()];
+    let [recorded, restored] = ["recorded", "restored"].map(|name| work.path().join(name));
+    let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("integration/lifecycle/data_of_format_1");
+    disk::copy_folder(&here, &recorded);
+    let (status, text) = check(&recorded, &[]);
+    assert!(status == Some(0) && !text.contains("disk format"), "{text}");
+    let words = ["backup".as_ref(), "restore".as_ref(), recorded.as_os_str(), restored.as_os_str()];
     let exit = Launch::bare().args(words).spawn().exit();
     assert_eq!(exit.code(), Some(0), "{exit}");
     let daemon = Launch::on(&restored).setting("update_at_midnight", false).start();

@@ -2,8 +2,6 @@
 //!
 //! Invariant: scores use the models as they were before the day; sums and models change at its end.
 
-use std::sync::Arc;
-
 use tidemap_model::{
     CellSums, DayScores, LearnedReadings, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, OrderWatch, PhasorSum,
     ScoreSums, SpectralModel,
@@ -17,7 +15,6 @@ use super::{
         index::{TILE_CELLS, TileId},
         mask::Mask,
         observation_runs::ObservationRuns,
-        observed_times::ObservedTimes,
         outcome::TileOutcome,
         sensor_sums::{GroupSums, SensorWeights},
         sensors::Weights,
@@ -207,10 +204,8 @@ impl TileDay {
                 weights.push(weight);
             }
             let known = before.as_ref().map(|(group, _)| *group);
-            let observed = before.as_ref().map(|(group, sums)| {
-                let unrecorded = || Arc::new(ObservedTimes::unrecorded(group.observations));
-                (sums.times.clone().unwrap_or_else(unrecorded), Some(group.last_nanos))
-            });
+            let observed =
+                before.as_ref().and_then(|(group, sums)| Some((sums.times.clone()?, Some(group.last_nanos))));
             let (known_times, last_nanos) = observed.unwrap_or_else(|| (gains.no_times(), None));
             let of_group = match toggles {
                 Some(toggles) => gains.observe(known_times, gain, (times, toggles), last_nanos, factors),
@@ -347,7 +342,6 @@ impl TileDay {
             );
             let readings = LearnedReadings {
                 pairs: group_times.gaps.count(),
-                unrecorded: group_times.unrecorded,
                 span_secs: span_nanos as f64 / 1e9,
                 observed_hours: group_times.hours,
                 mean: units / weight,
@@ -468,7 +462,7 @@ fn changing(model: &TileModel, toggles: &DayToggles) -> Mask {
 fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
     let TileData { model, sums } = working;
     let changing = changing(model, toggles);
-    sums.watches.resize_with(model.cells.len(), OrderWatch::unrecorded);
+    debug_assert_eq!(sums.watches.len(), model.cells.len(), "each changed cell has its watch");
     for cell in changing.cells() {
         let before = model.groups.iter().position(|group| group.cells.contains(cell));
         let before = before.and_then(|at| Some((at, *model.groups.get(at)?, sums.group(at)?)));

@@ -19,7 +19,7 @@ use crate::{
     directory::{Directory, StateInfo},
     event::{UpdateCause, UpdateStart},
     history::{HistoryPiece, origins::Origins},
-    ids::{ProducerId, StateId},
+    ids::StateId,
     prior_models::PriorModels,
     refit::{ReadingsRequest, StateReadings},
     site::Site,
@@ -32,18 +32,14 @@ use crate::{
 pub(super) fn left(
     selection: &Selection,
     erased: Option<&Vec<u64>>,
-    (state, samples, origins): (StateId, &[Sample], Option<&Origins>),
-) -> (Vec<Sample>, Option<Origins>) {
+    (state, samples, origins): (StateId, &[Sample], &Origins),
+) -> (Vec<Sample>, Origins) {
     let erased = erased.map_or(&[][..], Vec::as_slice);
-    let Some(origins) = origins else {
-        let kept = samples.iter().filter(|sample| !selection.takes(state, None, sample.utc_nanos));
-        return (kept.copied().collect(), None);
-    };
     let first_ahead = samples.len().saturating_sub(origins.ahead as usize);
     let (runs, arrived) = (Vec::new(), renumbered(origins.arrived, erased));
     let mut kept = (Vec::new(), Origins { runs, ahead: 0, arrived, ..*origins });
     for (at, (sample, (producer, number))) in samples.iter().zip(origins.each()).enumerate() {
-        if selection.takes(state, Some(producer), sample.utc_nanos) {
+        if selection.takes(state, producer, sample.utc_nanos) {
             continue;
         }
         kept.0.push(*sample);
@@ -53,7 +49,7 @@ pub(super) fn left(
     if kept.1.ahead == 0 {
         kept.1.arrived = 0;
     }
-    (kept.0, Some(kept.1))
+    kept
 }
 
 /// What earlier updates of the new history have learned.
@@ -79,7 +75,7 @@ struct Lesson {
     /// The latest time of what all states have learned up to it.
     newest_nanos: i64,
     samples: Vec<(StateId, Vec<Sample>)>,
-    origins: Vec<Option<Origins>>,
+    origins: Vec<Origins>,
 }
 
 /// Some states that are learned anew.
@@ -112,9 +108,9 @@ impl<'a> Relearning<'a> {
         self.newest_nanos = self.newest_nanos.max(to_nanos);
         let (generation, newest_nanos) = (piece.generation, self.newest_nanos);
         let mut lesson = Lesson { generation, newest_nanos, samples: Vec::new(), origins: Vec::new() };
-        for (at, (state, samples)) in piece.states.iter().enumerate() {
+        for ((state, samples), origins) in piece.states.iter().zip(&piece.origins) {
             let Ok(index) = self.states.binary_search_by_key(state, |(state, _)| *state) else { continue };
-            let of_state = (*state, samples.as_slice(), piece.origins.get(at));
+            let of_state = (*state, samples.as_slice(), origins);
             let (samples, origins) = left(self.selection, self.decision.numbers.get(state), of_state);
             if !samples.is_empty() {
                 lesson.samples.push((StateId(u32::try_from(index).unwrap_or(u32::MAX)), samples));
@@ -145,26 +141,17 @@ impl<'a> Relearning<'a> {
         }
         let mut models = Arc::new(models);
         let mut earlier = Earlier::default();
-        let mut counted: Vec<u64> = vec![0; states.len()];
         for lesson in lessons {
             let (mut is_early, mut is_crowded) = (false, false);
             for ((index, samples), origins) in lesson.samples.iter().zip(&lesson.origins) {
-                let (Some(arrivals), Some(counted)) =
-                    (arrivals.get_mut(index.0 as usize), counted.get_mut(index.0 as usize))
-                else {
-                    continue;
-                };
-                (is_early, is_crowded) = origins.as_ref().map_or((false, false), |o| (o.is_early, o.is_crowded));
-                let first_ahead = samples.len() - origins.as_ref().map_or(0, |origins| origins.ahead as usize);
-                let mut numbers = origins.as_ref().map(Origins::each);
-                for (at, sample) in samples.iter().enumerate() {
-                    let number = numbers.as_mut().and_then(Iterator::next);
-                    let number = number.map_or(*counted + 1, |(_, number): (ProducerId, u64)| number);
-                    *counted = (*counted).max(number);
-                    match origins.as_ref().filter(|_| at >= first_ahead) {
-                        Some(origins) => arrivals.push(Step::waited(origins.arrived, lesson.generation, *sample)),
-                        None => arrivals.push(Step::arrived(number, *sample)),
-                    }
+                let Some(arrivals) = arrivals.get_mut(index.0 as usize) else { continue };
+                (is_early, is_crowded) = (origins.is_early, origins.is_crowded);
+                let first_ahead = samples.len().saturating_sub(origins.ahead as usize);
+                for (at, (sample, (_, number))) in samples.iter().zip(origins.each()).enumerate() {
+                    arrivals.push(match at < first_ahead {
+                        true => Step::arrived(number, *sample),
+                        false => Step::waited(origins.arrived, lesson.generation, *sample),
+                    });
                 }
             }
             let cause = if is_early { UpdateCause::PendingLimit } else { UpdateCause::Midnight };

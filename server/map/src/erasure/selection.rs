@@ -59,11 +59,10 @@ impl Selection {
         self.producers.as_ref().is_none_or(|producers| producers.contains(&producer))
     }
 
-    /// Whether an observation is selected. An unknown producer counts as one of them if it does not matter.
+    /// Whether an observation is selected.
     #[must_use]
-    pub fn takes(&self, state: StateId, producer: Option<ProducerId>, nanos: i64) -> bool {
-        let is_by = || producer.map_or(self.producers.is_none(), |producer| self.has_producer(producer));
-        self.has_state(state) && self.has_time(nanos) && is_by()
+    pub fn takes(&self, state: StateId, producer: ProducerId, nanos: i64) -> bool {
+        self.has_state(state) && self.has_time(nanos) && self.has_producer(producer)
     }
 }
 
@@ -73,19 +72,6 @@ pub enum NotErasable {
     /// Nothing is selected.
     #[error("the map has no such observation")]
     Nothing,
-    /// The history does not tell who observed.
-    #[error(
-        "an older version wrote a part of the history of state {:?}, which does not tell who observed; it does for all \
-         observations from {} on. Erase only from then on, or name no producer: an interval alone is erased whoever \
-         observed",
-        state.as_str(), format_rfc3339(*known_from_nanos)
-    )]
-    ProducerUnknown {
-        /// The state.
-        state: StateName,
-        /// The producers of all its observations from this time on are known.
-        known_from_nanos: i64,
-    },
     /// The history does not have all observations of a state, so that it cannot be learned anew.
     #[error(
         "state {:?} cannot be learned anew without them, because {}. Erase the state as a whole, or only observations \
@@ -122,10 +108,6 @@ struct OfState {
     later: (u64, u64),
     /// The earliest time in the history.
     kept_from_nanos: Option<i64>,
-    /// The latest time with an unknown producer; whether one of them may be selected.
-    unknown: Option<(i64, bool)>,
-    /// The number of the last observation in the history; of older versions their count.
-    last_number: u64,
     /// Numbers of the selected observations that the history has, ascending or not.
     numbers: Vec<u64>,
     /// Observations in the log up to the snapshot's position.
@@ -141,8 +123,6 @@ type KnownState = (StateName, u64, Option<(i64, i64)>);
 #[derive(Clone, Debug)]
 pub struct Survey {
     selection: Selection,
-    /// Whether some of the producers began with an older version, which did not note who observed.
-    has_old_producers: bool,
     position: u64,
     generation: u64,
     cut_nanos: i64,
@@ -182,14 +162,8 @@ impl Survey {
     pub fn new(selection: Selection, snapshot: Option<&MapSnapshot>) -> Self {
         let states = snapshot.into_iter().flat_map(|snapshot| &snapshot.states);
         let failures = snapshot.into_iter().flat_map(|snapshot| snapshot.site.failures().oldest_first());
-        let is_old = |producer: &ProducerId| {
-            let mark = snapshot.and_then(|snapshot| snapshot.producers.get(producer.0 as usize));
-            mark.is_some_and(|mark| mark.has_scans.is_none())
-        };
-        let has_old_producers = selection.producers.iter().flatten().any(is_old);
         Self {
             selection,
-            has_old_producers,
             position: snapshot.map_or(0, |snapshot| snapshot.position),
             generation: snapshot.map_or(0, |snapshot| snapshot.generation),
             cut_nanos: snapshot.map_or(0, |snapshot| snapshot.cut_nanos),
@@ -211,24 +185,16 @@ impl Survey {
         if piece.generation > self.generation {
             return;
         }
-        for (at, (state, samples)) in piece.states.iter().enumerate() {
+        for ((state, samples), origins) in piece.states.iter().zip(&piece.origins) {
             if !self.selection.has_state(*state) {
                 continue;
             }
             let of_state = self.states.entry(*state).or_default();
-            let mut origins = piece.origins.get(at).map(|origins| origins.each());
-            for sample in samples {
+            for (sample, (producer, number)) in samples.iter().zip(origins.each()) {
                 let nanos = sample.utc_nanos;
-                let origin = origins.as_mut().and_then(Iterator::next);
-                let number = origin.map_or(of_state.last_number + 1, |(_, number)| number);
-                of_state.last_number = of_state.last_number.max(number);
                 of_state.kept_from_nanos = Some(of_state.kept_from_nanos.map_or(nanos, |from| from.min(nanos)));
                 of_state.learned.0 += 1;
-                if origin.is_none() && self.has_old_producers {
-                    let (latest, is_asked) = of_state.unknown.unwrap_or((nanos, false));
-                    of_state.unknown = Some((latest.max(nanos), is_asked || self.selection.has_time(nanos)));
-                }
-                if self.selection.takes(*state, origin.map(|(producer, _)| producer), nanos) {
+                if self.selection.takes(*state, producer, nanos) {
                     of_state.learned.1 += 1;
                     of_state.numbers.push(number);
                     if let Some((name, ..)) = self.known.get(state.0 as usize)
@@ -258,7 +224,7 @@ impl Survey {
     }
 
     fn observation(&mut self, position: u64, envelope: &Envelope, state: StateId, sample: Sample) {
-        let is_taken = self.selection.takes(state, Some(envelope.producer), sample.utc_nanos);
+        let is_taken = self.selection.takes(state, envelope.producer, sample.utc_nanos);
         let of_state = self.states.entry(state).or_default();
         if position > self.position {
             of_state.later.0 += 1;
@@ -294,12 +260,6 @@ impl Survey {
             let none = OfState::default();
             let of_state = self.states.get(&state).unwrap_or(&none);
             let Some((name, observations, learned)) = self.known.get(state.0 as usize) else { continue };
-            if let Some((latest, true)) = of_state.unknown {
-                return Err(NotErasable::ProducerUnknown {
-                    state: name.clone(),
-                    known_from_nanos: latest.saturating_add(1),
-                });
-            }
             let is_complete = *observations == of_state.learned.0 + of_state.pending.0;
             let hits = of_state.learned.1 + of_state.pending.1;
             let may_miss = learned

@@ -53,9 +53,9 @@ impl LiveMap {
                 durable_sequence: 0,
                 content_crc: 0,
                 sensor,
-                received_nanos: None,
+                received_nanos: event.received_nanos,
                 recent: Vec::new(),
-                has_scans: Some(false),
+                has_scans: false,
             });
         }
         let mark =
@@ -73,7 +73,7 @@ impl LiveMap {
         mark.incarnation = mark.incarnation.max(event.incarnation);
         mark.durable_sequence = span.last;
         mark.content_crc = span.content_crc;
-        mark.received_nanos = Some(event.received_nanos);
+        mark.received_nanos = event.received_nanos;
         Ok(())
     }
 
@@ -106,9 +106,8 @@ impl LiveMap {
     pub(super) fn take_in_scans(&mut self, envelope: &Envelope, event: &Scans) -> Result<(), String> {
         self.grid.as_ref().ok_or("the map has no grid")?.check(event).map_err(|error| error.to_string())?;
         self.advance(envelope)?;
-        if let Some(has_scans) = self.producers.get_mut(envelope.producer.0 as usize).and_then(|m| m.has_scans.as_mut())
-        {
-            *has_scans = true;
+        if let Some(mark) = self.producers.get_mut(envelope.producer.0 as usize) {
+            mark.has_scans = true;
         }
         if let Some(grid) = &mut self.grid {
             let sensor = self.producers.get(envelope.producer.0 as usize).and_then(|mark| mark.sensor);

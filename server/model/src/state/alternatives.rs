@@ -143,8 +143,8 @@ pub struct Alternatives {
     succession: Persistence,
     /// The times between the learned readings.
     gaps: Gaps,
-    /// Sum of |change of value| between them; `None` where some came before it was kept.
-    changes: Option<f64>,
+    /// Sum of |change of value| between them.
+    changes: f64,
     /// Number of components that noise would not show.
     supported: u8,
     /// What the choice of orders has gained, day by day.
@@ -215,7 +215,7 @@ impl Alternatives {
     /// Untrained alternatives with these models enabled.
     pub(super) fn new(models: EnabledModels) -> Alternatives {
         let parts = Errors { histograms: models.histograms.then(Default::default), ..Errors::default() };
-        Alternatives { parts, changes: Some(0.0), ..Alternatives::default() }
+        Alternatives { parts, ..Alternatives::default() }
     }
 
     /// Faded sums of errors of all that is tried: of the spectral model with its best order, of each of [`HISTOGRAMS`],
@@ -427,7 +427,7 @@ impl Alternatives {
                 && sample.utc_nanos > last_nanos
             {
                 self.gaps.observe(sample.utc_nanos.abs_diff(last_nanos));
-                self.changes = self.changes.map(|changes| changes + (sample.value - last_value).abs());
+                self.changes += (sample.value - last_value).abs();
             }
             self.succession.observe(sample.utc_nanos, sample.value);
         }
@@ -446,7 +446,7 @@ impl Alternatives {
             span_secs: folded.span_nanos() as f64 / 1e9,
             mean: folded.mean(),
             observed_hours: Some(self.hours.observed_hours()),
-            changes: self.changes,
+            changes: Some(self.changes),
         };
         // Forgotten data supports nothing.
         let remembered = folded.weight() / (folded.observations() as f64).max(1.0);

@@ -22,7 +22,7 @@ pub struct OrderWatch {
     gains: OrderGains,
     alarm: ChangeAlarm,
     change_rate_sum: f64,
-    changes: Option<u32>,
+    changes: u32,
     last: Option<bool>,
     supported: u8,
 }
@@ -37,8 +37,8 @@ pub struct OrderWatchParts {
     /// Sum over pairs of successive learned readings of |change| / time between, per second; the two values are 0 and
     /// 1.
     pub change_rate_sum: f64,
-    /// Number of these changes; `None` where some came before they were counted.
-    pub changes: Option<u32>,
+    /// Number of these changes.
+    pub changes: u32,
     /// Whether the newest learned reading is the higher value; `None` before the first.
     pub last: Option<bool>,
     /// Number of supported components.
@@ -65,8 +65,6 @@ pub struct DayScores<'a> {
 pub struct LearnedReadings {
     /// Number of learned readings, each newer than the one before, less one.
     pub pairs: u64,
-    /// Learned readings from before a record of their changes was kept; they are taken to be like the others.
-    pub unrecorded: u64,
     /// Time from the first to the last, in seconds.
     pub span_secs: f64,
     /// Number of single hours with a reading; fractional with forgetting.
@@ -82,12 +80,7 @@ pub struct LearnedReadings {
 impl OrderWatch {
     /// Of a state that has had one value so far; `None`: no value.
     pub fn of_constant(value: Option<bool>) -> OrderWatch {
-        OrderWatch { last: value, changes: Some(0), ..OrderWatch::default() }
-    }
-
-    /// Of a state with readings of which no record was kept: all its components count until one is.
-    pub fn unrecorded() -> OrderWatch {
-        OrderWatch { supported: ORDER_MAX as u8, ..OrderWatch::default() }
+        OrderWatch { last: value, ..OrderWatch::default() }
     }
 
     /// Records the errors of a day with the order that was best before it, and watches them for a change of routine.
@@ -119,7 +112,7 @@ impl OrderWatch {
     /// Adds the changes among some newer readings: their number, the sum of 1 / time between the readings, per second,
     /// over them, and the value after them.
     pub fn learn(&mut self, changes: u32, change_rate_sum: f64, last: Option<bool>) {
-        self.changes = self.changes.map(|before| before.saturating_add(changes));
+        self.changes = self.changes.saturating_add(changes);
         self.change_rate_sum += change_rate_sum;
         self.last = last.or(self.last);
     }
@@ -131,28 +124,15 @@ impl OrderWatch {
 
     /// Determines which components of a newly trained model are supported.
     pub fn support(&mut self, model: &SpectralModel, periodicities: &Periodicities, readings: LearnedReadings) {
-        let LearnedReadings { pairs, unrecorded, span_secs, mut observed_hours, mean, difference, remembered } =
-            readings;
-        let mut sums = DependenceSums {
+        let LearnedReadings { pairs, span_secs, observed_hours, mean, difference, remembered } = readings;
+        let sums = DependenceSums {
             pairs,
             change_rate_sum: self.change_rate_sum,
             span_secs,
             mean,
             observed_hours: Some(observed_hours),
-            changes: self.changes.map(f64::from),
+            changes: Some(f64::from(self.changes)),
         };
-        if unrecorded > 0 {
-            if unrecorded >= pairs {
-                self.supported = ORDER_MAX as u8;
-                return;
-            }
-            let more = 1.0 + unrecorded as f64 / pairs as f64;
-            observed_hours *= more;
-            sums.pairs = pairs.saturating_add(unrecorded);
-            sums.change_rate_sum *= more;
-            sums.changes = sums.changes.map(|changes| changes * more);
-            sums.observed_hours = Some(observed_hours);
-        }
         let square = difference * difference;
         let half_square = |change: f64| square * half_square_of_probabilities(change);
         let variance = square * mean * (1.0 - mean);

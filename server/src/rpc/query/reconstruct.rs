@@ -6,7 +6,7 @@ use std::{ops::Range, sync::Arc};
 
 use tidemap_grid::spec::Retention;
 use tidemap_map::{
-    history::{HistoryPiece, Reading, Subject},
+    history::{Reading, Subject},
     spec::MapSpec,
     view::MapView,
 };
@@ -15,11 +15,10 @@ use tidemap_proto::{
     convert::{cells::cell_from_wire, time::interval_from_wire},
     v1,
 };
-use tidemap_store::History;
 
 use super::Queries;
 use crate::{
-    ingest::{handle::MapHandle, protocol::HistoryTail},
+    ingest::handle::MapHandle,
     rpc::{
         lookup::{check_limit, find_cell, find_map, find_state},
         permits::Permit,
@@ -71,7 +70,7 @@ pub(super) async fn past(
     asked: PastQuery,
 ) -> Result<(Vec<Permit>, impl FnOnce(StopSignal<'_>) -> Result<Vec<Reading>, RpcError> + Send + use<>), RpcError> {
     let PastQuery { name, within_nanos } = asked;
-    let (from_nanos, to_nanos) = (within_nanos.start, within_nanos.end);
+    let to_nanos = within_nanos.end;
     let past_permit = queries.past_permits.take().await?;
     let subject = find_subject(&view, &name).await?;
     let spec = Arc::clone(&handle.spec);
@@ -86,14 +85,6 @@ pub(super) async fn past(
     let gather = move |stop: StopSignal<'_>| {
         let newest_nanos = tail.newest_nanos;
         let map = || spec.name.as_str().to_owned();
-        if let Subject::State(_) = subject
-            && !history.is_complete()
-        {
-            let kept_from_nanos = kept_from(first_of_states(&history, &tail)?, view.cut_nanos());
-            if let Some(kept_from_nanos) = kept_from_nanos.filter(|&kept| from_nanos < kept) {
-                return Err(RpcError::BeyondHistory { map: map(), name, kept_from_nanos });
-            }
-        }
         let found = gather(&history, &spec, tail, &wanted, stop)?;
         not_replaced(&handle)?;
         check_limit("observations of the interval", found.len() as u64, max, "setting max_predictions")?;
@@ -128,37 +119,4 @@ fn retention(spec: &MapSpec, subject: Subject) -> Result<Retention, RpcError> {
     };
     let no_history = || RpcError::NoHistory { map: spec.name.as_str().to_owned(), what, option };
     readings::retention(spec, subject).ok_or_else(no_history)
-}
-
-/// The first update that stored its observations of named states, and their greatest time.
-fn first_of_states(history: &History, tail: &HistoryTail) -> Result<Option<(u64, i64)>, RpcError> {
-    let of_piece = |piece: &Arc<HistoryPiece>| {
-        let samples = piece.states.iter().flat_map(|(_, samples)| samples);
-        Some((piece.generation, samples.map(|sample| sample.utc_nanos).max()?))
-    };
-    let unsaved = || tail.unsaved.iter().filter_map(of_piece).min();
-    Ok(history.first_of_states()?.or_else(unsaved))
-}
-
-/// The time from which everything is kept, if the first updates of the map stored no history; `None` if all did. What
-/// those updates learned is older than the observations of the first update with history, or than the last cut.
-fn kept_from(first: Option<(u64, i64)>, cut_nanos: Option<i64>) -> Option<i64> {
-    match first {
-        Some((0 | 1, _)) => None,
-        Some((_, last_nanos)) => Some(last_nanos.saturating_add(1)),
-        None => cut_nanos,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn updates_that_left_nothing_are_known_by_what_came_after() {
-        assert_eq!(kept_from(None, None), None);
-        assert_eq!(kept_from(Some((1, 50)), Some(90)), None);
-        assert_eq!(kept_from(Some((3, 50)), Some(90)), Some(51));
-        assert_eq!(kept_from(None, Some(90)), Some(90));
-    }
 }

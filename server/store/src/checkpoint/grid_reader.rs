@@ -11,7 +11,7 @@ use tidemap_grid::{
     snapshot::GridSnapshot,
     tile::{ColdTile, ModelSlot, SumsSlot, TileSource},
 };
-use tidemap_migrations::v2::{file::RecordKind, grid as v2};
+use tidemap_migrations::v1::{file::RecordKind, grid as v1};
 use tidemap_model::{Periodicities, PhasorSum};
 
 use super::tiles::{CheckpointTiles, Places, TilePlace};
@@ -81,7 +81,7 @@ struct TileReader<'reader> {
 /// Reads a grid.
 pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, keep: Keep) -> Result<ReadGrid, String> {
     let mut buffer = Vec::new();
-    let head: v2::Grid = reader.long_message(RecordKind::Grid, &mut buffer)?;
+    let head: v1::Grid = reader.long_message(RecordKind::Grid, &mut buffer)?;
     if head.models > head.tiles {
         return Err("there are more models than tiles".to_owned());
     }
@@ -135,7 +135,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
         }
     }
     for _ in 0..head.ahead {
-        let message: v2::AheadScan = reader.long_message(RecordKind::AheadScan, &mut buffer)?;
+        let message: v1::AheadScan = reader.long_message(RecordKind::AheadScan, &mut buffer)?;
         let scan = day::decode_ahead(&message, head.tiles)?;
         if keeps {
             grid.future.push(scan);
@@ -158,7 +158,7 @@ impl TileReader<'_> {
                 self.shared.push(Arc::new(sum));
             }
         }
-        let message: v2::Tile = self.reader.long_message(RecordKind::Tile, &mut self.buffer)?;
+        let message: v1::Tile = self.reader.long_message(RecordKind::Tile, &mut self.buffer)?;
         let live = tile::decode(&message)?;
         if !message.has_model {
             self.places.tiles.push(TilePlace::default());
@@ -168,7 +168,7 @@ impl TileReader<'_> {
             return Err("a tile has a model where there should be none".to_owned());
         }
         let model_place = self.reader.offset();
-        let model: v2::TileModel = self.reader.long_message(RecordKind::TileModel, &mut self.buffer)?;
+        let model: v1::TileModel = self.reader.long_message(RecordKind::TileModel, &mut self.buffer)?;
         let model = tile_model::decode(&model, self.periodicities)?;
         self.places.tiles.push(TilePlace { model: model_place, sums: self.reader.offset() });
         self.reader.long(RecordKind::TileSums, &mut self.buffer)?;
@@ -191,11 +191,11 @@ impl TileReader<'_> {
 
 /// The next day with its tiles.
 fn read_day(reader: &mut RecordReader, limit: u32, buffer: &mut Vec<u8>) -> Result<tidemap_grid::day::GridDay, String> {
-    let head: v2::Day = reader.long_message(RecordKind::Day, buffer)?;
+    let head: v1::Day = reader.long_message(RecordKind::Day, buffer)?;
     let mut kept = day::decode(&head, limit, |_| true)?;
     let mut next = 0;
     for _ in 0..head.tiles {
-        let message: v2::DayTile = reader.long_message(RecordKind::DayTile, buffer)?;
+        let message: v1::DayTile = reader.long_message(RecordKind::DayTile, buffer)?;
         if !(next..head.tiles_end).contains(&message.tile) {
             return Err("the tiles of a day are out of order".to_owned());
         }

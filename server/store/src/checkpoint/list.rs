@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_migrations::v4::lists::{CHECKPOINTS_FILE, CheckpointList};
+use tidemap_migrations::v1::lists::{CHECKPOINTS_FILE, CheckpointList};
 
 use super::Checkpoints;
 use crate::{

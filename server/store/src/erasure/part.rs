@@ -11,10 +11,10 @@ use tidemap_map::{
     name::{NAME_CHARS_MAX, ProducerKey},
     snapshot::{MapSnapshot, StateSnapshot},
 };
-use tidemap_migrations::v3::lists::ErasedPart;
+use tidemap_migrations::v1::lists::ErasedPart;
 
 use super::{Erased, Rewrite};
-use crate::error::{EraseError, OpenError, Scanner};
+use crate::error::{EraseError, OpenError};
 
 /// About the maximum number of observations that are in memory at once while states are learned anew: 100 MB.
 const RELEARNED_OBSERVATIONS: u64 = 4_000_000;
@@ -25,7 +25,7 @@ const RELEARNED_STATES: usize = 2_000;
 #[derive(Debug, Default)]
 struct Producers {
     /// Their keys, by their ids, and whether they have sent scans.
-    known: BTreeMap<ProducerId, (ProducerKey, Option<bool>)>,
+    known: BTreeMap<ProducerId, (ProducerKey, bool)>,
     /// Whether the grid has any scans.
     has_scans: bool,
 }
@@ -41,12 +41,12 @@ impl Producers {
     fn event(&mut self, event: &Event) {
         let Some(envelope) = event.envelope() else { return };
         if let Some(new) = &envelope.new_producer {
-            self.known.entry(envelope.producer).or_insert_with(|| (new.key.clone(), Some(false)));
+            self.known.entry(envelope.producer).or_insert_with(|| (new.key.clone(), false));
         }
         if let Event::Scans(..) = event
             && let Some((_, has_scans)) = self.known.get_mut(&envelope.producer)
         {
-            (*has_scans, self.has_scans) = (Some(true), true);
+            (*has_scans, self.has_scans) = (true, true);
         }
     }
 
@@ -56,12 +56,8 @@ impl Producers {
             return Ok(());
         }
         let Some(selected) = &selection.producers else { return Err(EraseError::HasScans { producer: None }) };
-        let scanner = selected.iter().filter_map(|id| self.known.get(id)).find(|(_, has)| *has != Some(false));
-        match scanner {
-            Some((key, has)) => {
-                let producer = Some(Scanner { key: key.clone(), is_certain: has.is_some() });
-                Err(EraseError::HasScans { producer })
-            }
+        match selected.iter().filter_map(|id| self.known.get(id)).find(|(_, has_scans)| *has_scans) {
+            Some((key, _)) => Err(EraseError::HasScans { producer: Some(key.clone()) }),
             None => Ok(()),
         }
     }
@@ -105,8 +101,7 @@ impl Rewrite<'_> {
         let generation = snapshot.map_or(0, |snapshot| snapshot.generation);
         self.history().each_generation(generation, None, |piece, _| survey.history(piece))?;
         let (position, replay_from) = snapshot.map_or((0, 1), |snapshot| (snapshot.position, snapshot.replay_from));
-        let (_, events) = self.events(position, replay_from.max(1))?;
-        for entry in events {
+        for entry in self.events(position, replay_from.max(1))? {
             let (at, event) = entry?;
             if at >= replay_from {
                 survey.event(at, &event);

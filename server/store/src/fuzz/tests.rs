@@ -3,12 +3,9 @@
 use std::{fs, path::Path};
 
 use rand::{SeedableRng as _, rngs::SmallRng};
-use tidemap_migrations::{
-    v1::{
-        file::{FILE_HEADER_LENGTH, RECORD_HEADER_LENGTH, TRAILER_LENGTH},
-        log::{FRAME_HEADER_LENGTH, SEGMENT_HEADER_LENGTH, unguard},
-    },
-    v2::{file::RecordHeader, log::FrameHeader},
+use tidemap_migrations::v1::{
+    file::{FILE_HEADER_LENGTH, RECORD_HEADER_LENGTH, RecordHeader, TRAILER_LENGTH},
+    log::{FRAME_HEADER_LENGTH, FrameHeader, SEGMENT_HEADER_LENGTH, unguard},
 };
 
 use super::*;
@@ -78,7 +75,7 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
         for model in snapshot.grid.iter().flat_map(|grid| &grid.models) {
             add("row", 12, &tile_model::encode(&model.get().expect("in memory")).encode_to_vec());
         }
-        add("row", 5, &spec::encode(&spec, true).encode_to_vec());
+        add("row", 5, &spec::encode(&spec).encode_to_vec());
     }
     let work = tempfile::tempdir().expect("a folder");
     for end in [4, 23] {

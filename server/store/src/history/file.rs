@@ -7,12 +7,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_migrations::{
-    v1::file::{FILE_HEADER_LENGTH, FileHeader, RECORD_HEADER_LENGTH, TRAILER_LENGTH, Trailer},
-    v2::{
-        file::{HISTORY_MAGIC, RecordKind},
-        history::{END_LENGTH, End},
-    },
+use tidemap_migrations::v1::{
+    file::{FILE_HEADER_LENGTH, FileHeader, HISTORY_MAGIC, RECORD_HEADER_LENGTH, RecordKind, TRAILER_LENGTH, Trailer},
+    history::{END_LENGTH, End},
 };
 
 use crate::{

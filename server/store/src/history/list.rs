@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use tidemap_grid::spec::Retention;
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::v3::lists::{FileList, HISTORY_FILE, ListedFile};
+use tidemap_migrations::v1::lists::{FileList, HISTORY_FILE, ListedFile};
 
 use super::{History, Part};
 use crate::{
@@ -105,7 +105,6 @@ impl History {
             Retention::None => true,
             // What is too old may have been deleted.
             Retention::Duration(_) => newest == 0,
-            // A map of format 1 has no files of its first generations.
             Retention::Forever => (1..=newest).all(|generation| {
                 names.contains(&part.name(generation))
                     && self.entry(&self.path(generation, part), part.name(generation), generation).is_ok()

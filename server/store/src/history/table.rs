@@ -3,12 +3,9 @@
 //! Invariant: one record of the table is in memory at a time.
 
 use tidemap_map::{history::origins::Origins, ids::StateId};
-use tidemap_migrations::{
-    v1::file::RECORD_HEADER_LENGTH,
-    v2::{
-        file::RecordKind,
-        history::{ENTRIES_MAX, ENTRY_LENGTH, Entry, StateSamples},
-    },
+use tidemap_migrations::v1::{
+    file::{RECORD_HEADER_LENGTH, RecordKind},
+    history::{ENTRIES_MAX, ENTRY_LENGTH, Entry, StateSamples},
 };
 
 use tidemap_model::Sample;
@@ -104,23 +101,21 @@ impl<'file> Table<'file> {
         Ok(())
     }
 
-    /// The observations of a state, in order of arrival, with their origins if these are known.
-    pub(super) fn state(&mut self, id: StateId) -> Result<(Vec<Sample>, Option<Origins>), HistoryError> {
+    /// The observations of a state, in order of arrival, with their origins.
+    pub(super) fn state(&mut self, id: StateId) -> Result<(Vec<Sample>, Origins), HistoryError> {
         let file = self.file;
         let mut samples = Vec::new();
         let mut origins: Option<Origins> = None;
         self.records(id, |message| {
             samples.extend(decode_samples(message).map_err(|reason| file.damaged(reason))?);
             let later = decode_origins(message).map_err(|reason| file.damaged(reason))?;
-            match (&mut origins, later) {
-                (Some(known), Some(later)) => known.extend(&later),
-                (_, later) => origins = later,
+            match &mut origins {
+                Some(origins) => origins.extend(&later),
+                None => origins = Some(later),
             }
             Ok(())
         })?;
-        // Of a part only: of none.
-        let origins = origins.filter(|origins| origins.each().count() == samples.len());
-        Ok((samples, origins))
+        Ok((samples, origins.unwrap_or_default()))
     }
 
     /// Passes the observations of a state to `take`, in order of arrival.

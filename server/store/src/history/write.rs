@@ -6,13 +6,10 @@ use std::path::Path;
 
 use tidemap_grid::index::TileId;
 use tidemap_map::history::{HistoryDay, HistoryPiece, origins::Origins};
-use tidemap_migrations::{
-    v1::file::{FileHeader, Trailer},
-    v2::{
-        file::{HISTORY_MAGIC, RecordKind},
-        grid as v2,
-        history::{ENTRIES_MAX, ENTRY_LENGTH, End, Entry},
-    },
+use tidemap_migrations::v1::{
+    file::{FileHeader, HISTORY_MAGIC, RecordKind, Trailer},
+    grid as v1,
+    history::{ENTRIES_MAX, ENTRY_LENGTH, End, Entry},
 };
 
 use super::Part;
@@ -26,6 +23,8 @@ use crate::{
     },
     record_file::RecordWriter,
 };
+
+const NO_ORIGINS: Invalid = "it does not say who observed a state";
 
 enum WriteError {
     Io(std::io::Error),
@@ -126,13 +125,14 @@ impl Out {
         let mut states: Vec<_> = piece.states.iter().enumerate().collect();
         states.sort_by_key(|(_, (id, _))| *id);
         for (at, (id, samples)) in states {
+            let origins = piece.origins.get(at).ok_or(NO_ORIGINS)?;
             self.begin(u64::from(id.0))?;
             for (number, chunk) in samples.chunks(SAMPLES_MAX).enumerate() {
                 let part = |all: &Origins| match samples.len() == chunk.len() {
                     true => all.clone(),
                     false => all.part(number * SAMPLES_MAX, chunk.len()),
                 };
-                let message = encode_samples(*id, chunk, piece.origins.get(at).map(part).as_ref())?;
+                let message = encode_samples(*id, chunk, &part(origins))?;
                 self.put(RecordKind::StateSamples, &message)?;
             }
         }
@@ -154,7 +154,7 @@ impl Out {
         for tile in tiles {
             self.begin(tile_key(number, tile))?;
             let of_day = scans.tile(TileId(tile));
-            let message = v2::DayTile {
+            let message = v1::DayTile {
                 tile,
                 scans: of_day.map(day::encode_tile).transpose()?,
                 models: encode_models(models(tile).unwrap_or_default())?,

@@ -13,9 +13,9 @@ use tidemap_grid::{
     index::TileId,
     tile::{TileModel, TileSource, TileSums, TileUnavailable},
 };
-use tidemap_migrations::{
-    v1::index::{item_key, map_key},
-    v2::grid as v2,
+use tidemap_migrations::v1::{
+    grid as v1,
+    index::{item_key, map_key},
 };
 use tidemap_model::Periodicities;
 
@@ -65,7 +65,7 @@ impl IndexedCells {
                 return Err("a newer generation has replaced it".to_owned());
             }
             let Some(item) = item else { return Ok(TileModel::default()) };
-            tile_model::decode(&item.message::<v2::TileModel>(Kind::Cells)?, &self.periodicities)
+            tile_model::decode(&item.message::<v1::TileModel>(Kind::Cells)?, &self.periodicities)
         })?
     }
 }

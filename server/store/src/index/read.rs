@@ -16,13 +16,10 @@ use tidemap_map::{
     snapshot::{MapSnapshot, StateSnapshot},
     spec::MapSpec,
 };
-use tidemap_migrations::{
-    v1::index::{decode_value, item_key, map_key},
-    v2::{
-        grid as v2_grid, map as v2,
-        published::{GENERATIONS, Mark, StateRow},
-        site as v2_site,
-    },
+use tidemap_migrations::v1::{
+    grid as v1_grid,
+    index::{GENERATIONS, Mark, StateRow, decode_value, item_key, map_key},
+    map as v1, site as v1_site,
 };
 
 use tidemap_model::Periodicities;
@@ -120,14 +117,14 @@ pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<Map
     let header = mark.snapshot.ok_or("a mark has no generation")?;
     let mut producers = Vec::new();
     each(trees, map, &mark, Kind::Producers, |item| {
-        let message: v2::Producer = item.message(Kind::Producers)?;
+        let message: v1::Producer = item.message(Kind::Producers)?;
         producers.push(record::decode_producer(producers.len(), &message)?);
         Ok(())
     })?;
     let states = read_states(trees, map, &mark, &spec.periodicities)?;
     let mut site = Site::default();
     each(trees, map, &mark, Kind::Sites, |item| {
-        let message: v2_site::Site = item.message(Kind::Sites)?;
+        let message: v1_site::Site = item.message(Kind::Sites)?;
         site = record_site::decode(&message, states.len())?;
         Ok(())
     })?;
@@ -195,7 +192,7 @@ fn read_grid(trees: &Trees, map: u32, spec: &MapSpec, mark: &Mark, raw: sled::IV
     let of_grid = mark.grid.unwrap_or_default();
     let mut tiles = Vec::new();
     each(trees, map, mark, Kind::Tiles, |item| {
-        let message: v2_grid::Tile = item.message(Kind::Tiles)?;
+        let message: v1_grid::Tile = item.message(Kind::Tiles)?;
         tiles.push(Arc::new(tile::decode(&message)?));
         Ok(())
     })?;

@@ -9,10 +9,7 @@ use std::{
 };
 
 use prost::Message as _;
-use tidemap_migrations::{
-    v1::index::decode_value,
-    v2::published::{GENERATIONS, Mark},
-};
+use tidemap_migrations::v1::index::{GENERATIONS, Mark, decode_value};
 
 use super::{Damage, Trees, folder, rows::Kind, save::RowBatch};
 
@@ -79,7 +76,7 @@ pub(super) fn rewrite(old: Trees, folder: &Path, cache_bytes: u64) -> Result<Tre
 #[cfg(test)]
 mod tests {
     use crate::{
-        index::{Index, OpenRepair, RowsState},
+        index::{Index, RowsState},
         tests::grid_example::{snapshot, spec},
     };
 
@@ -105,18 +102,5 @@ mod tests {
         assert_eq!(repair, None);
         assert_eq!(index.check(1), Ok(RowsState::Whole { position: 10, generation: 2 }));
         assert_eq!(std::fs::read_dir(directory.path()).expect("readable").count(), 1);
-    }
-
-    #[test]
-    fn the_index_of_an_earlier_build_is_dropped() {
-        let directory = tempfile::tempdir().expect("temporary directory");
-        let folder = directory.path().join("index");
-        let old = sled::open(&folder).expect("opens");
-        old.open_tree("states").expect("opens").insert("1", "a state with its sums").expect("inserts");
-        drop(old);
-        let (mut index, repair) = Index::open(folder.clone(), 1 << 20).expect("not in use");
-        assert_eq!((repair, index.is_available()), (Some(OpenRepair::Dropped), true));
-        index.close();
-        assert_eq!(Index::open(folder, 1 << 20).expect("not in use").1, None);
     }
 }

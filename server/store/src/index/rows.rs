@@ -8,9 +8,8 @@ use tidemap_map::{
     site::Site,
     snapshot::{ProducerMark, StateSnapshot},
 };
-use tidemap_migrations::{
-    v1::index::{decode_value, encode_value, fingerprint, part_key},
-    v2::published::{CELLS, PART_LENGTH, PRODUCERS, SITES, STATES, TILES, Total},
+use tidemap_migrations::v1::index::{
+    CELLS, PART_LENGTH, PRODUCERS, SITES, STATES, TILES, Total, decode_value, encode_value, fingerprint, part_key,
 };
 
 use super::Damage;

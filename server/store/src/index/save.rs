@@ -7,10 +7,7 @@ use std::sync::Arc;
 use prost::Message as _;
 use tidemap_grid::tile::ModelSlot;
 use tidemap_map::snapshot::MapSnapshot;
-use tidemap_migrations::{
-    v1::index::{encode_value, map_key, part_key},
-    v2::published::{GENERATIONS, GridMark, Mark},
-};
+use tidemap_migrations::v1::index::{GENERATIONS, GridMark, Mark, encode_value, map_key, part_key};
 
 use super::{
     Damage, KnownRows, Trees,

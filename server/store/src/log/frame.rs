@@ -3,10 +3,7 @@
 //! Invariant: a frame is used only if its header, its body, its position and its chain are valid.
 
 use tidemap_map::event::Event;
-use tidemap_migrations::{
-    v1::log::{FRAME_HEADER_LENGTH, PAYLOAD_MAX, guard, unguard},
-    v2::log::{FrameHeader, FrameKind},
-};
+use tidemap_migrations::v1::log::{FRAME_HEADER_LENGTH, FrameHeader, FrameKind, PAYLOAD_MAX, guard, unguard};
 
 use crate::record::{self, Invalid};
 

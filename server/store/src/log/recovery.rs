@@ -5,9 +5,9 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_migrations::{
-    v1::log::{SEGMENT_HEADER_LENGTH, SegmentHeader},
-    v3::lists::{NEWEST_FILE, NewestSegment},
+use tidemap_migrations::v1::{
+    lists::{NEWEST_FILE, NewestSegment},
+    log::{SEGMENT_HEADER_LENGTH, SegmentHeader},
 };
 
 use crate::{
@@ -38,7 +38,7 @@ pub(crate) struct Expectation {
     pub(crate) replay_from: u64,
     /// The last record that a checkpoint or the index knows; the log cannot end before it.
     pub(crate) known: u64,
-    /// Whether the newest segment must be listed; older formats have no such list.
+    /// Whether the newest segment must be listed. A check goes on without a list that it has found to be lost.
     pub(crate) is_listed: bool,
 }
 

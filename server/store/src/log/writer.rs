@@ -8,9 +8,9 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_migrations::{
-    v1::log::{FIRST_CHAIN, SEGMENT_HEADER_LENGTH, SegmentHeader},
-    v3::lists::{NEWEST_FILE, NewestSegment},
+use tidemap_migrations::v1::{
+    lists::{NEWEST_FILE, NewestSegment},
+    log::{FIRST_CHAIN, SEGMENT_HEADER_LENGTH, SegmentHeader},
 };
 
 use crate::{

@@ -2,7 +2,7 @@
 //!
 //! Invariant: every number is read back bit by bit; a value that is read has passed the constructors of the model.
 
-use tidemap_migrations::{v1::map as v1, v2::map as v2};
+use tidemap_migrations::v1::map as v1;
 use tidemap_model::{
     Alternatives, AlternativesParts, FitParts, FittedModelParts, GapsParts, LocalDay, Periodicities, PersistenceParts,
     StateKind,
@@ -20,12 +20,12 @@ const DAYS: usize = 48 * 3;
 const SLOTS: usize = 1008;
 
 /// `weight`: total weight of the observations, if it differs from their number.
-pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Alternatives {
+pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v1::Alternatives {
     let parts = alternatives.to_parts();
     let mut hours = Vec::with_capacity((WEEK + DAYS) * 8);
     doubles::push(&mut hours, parts.hours.cells.as_flattened());
     doubles::push(&mut hours, parts.hours.days.as_flattened());
-    v2::Alternatives {
+    v1::Alternatives {
         hours,
         error_sums_bits: parts.error_sums.iter().map(|sum| sum.to_bits()).collect(),
         errors_last_day: parts.last_day.map(|day| day.0),
@@ -43,14 +43,14 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v2::Al
         since: parts.since.map(|day| day.0),
         gains_bits: encode_gains(parts.gains),
         gaps: parts.gaps.count,
-        changes_bits: parts.changes.map(f64::to_bits),
+        changes_bits: parts.changes.to_bits(),
         kept_gaps: parts.gaps.kept.iter().flat_map(|&(number, secs)| [number, u64::from(secs)]).collect(),
     }
 }
 
-pub(super) fn encode_alarm(alarm: ChangeAlarmParts) -> v2::Alarm {
+pub(super) fn encode_alarm(alarm: ChangeAlarmParts) -> v1::Alarm {
     let history = alarm.kinds.iter().flat_map(|kind| [kind.days, kind.mean, kind.variance]);
-    v2::Alarm {
+    v1::Alarm {
         history_bits: history.map(f64::to_bits).collect(),
         typical_observations_bits: alarm.typical_observations.to_bits(),
         sum_bits: alarm.sum.to_bits(),
@@ -59,7 +59,7 @@ pub(super) fn encode_alarm(alarm: ChangeAlarmParts) -> v2::Alarm {
     }
 }
 
-pub(super) fn decode_alarm(message: Option<&v2::Alarm>) -> Result<ChangeAlarmParts, Invalid> {
+pub(super) fn decode_alarm(message: Option<&v1::Alarm>) -> Result<ChangeAlarmParts, Invalid> {
     const ALARM: Invalid = "a change alarm is not valid";
     let alarm = message.ok_or(ALARM)?;
     let history: Vec<f64> = alarm.history_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
@@ -74,7 +74,7 @@ pub(super) fn decode_alarm(message: Option<&v2::Alarm>) -> Result<ChangeAlarmPar
     })
 }
 
-/// Gains; nothing where none were recorded.
+/// Gains; nothing before the first day.
 pub(super) fn encode_gains(gains: OrderGainsParts) -> Vec<u64> {
     if gains == OrderGainsParts::default() {
         return Vec::new();
@@ -94,7 +94,7 @@ pub(super) fn decode_gains(bits: &[u64]) -> Result<OrderGainsParts, Invalid> {
     }
 }
 
-fn decode_gaps(message: &v2::Alternatives) -> Result<GapsParts, Invalid> {
+fn decode_gaps(message: &v1::Alternatives) -> Result<GapsParts, Invalid> {
     const GAPS: Invalid = "the times between the readings of a state are not valid";
     let (kept, rest) = message.kept_gaps.as_chunks::<2>();
     if !rest.is_empty() {
@@ -104,11 +104,11 @@ fn decode_gaps(message: &v2::Alternatives) -> Result<GapsParts, Invalid> {
     Ok(GapsParts { count: message.gaps, kept: kept.iter().map(gap).collect::<Result<_, Invalid>>()? })
 }
 
-fn encode_calibrated(fit: &FitParts) -> Option<v2::Calibrated> {
+fn encode_calibrated(fit: &FitParts) -> Option<v1::Calibrated> {
     let FittedModelParts::Calibrated(model) = &fit.model else { return None };
     let mut profile = Vec::with_capacity(SLOTS * 8);
     doubles::push(&mut profile, &model.profile);
-    Some(v2::Calibrated {
+    Some(v1::Calibrated {
         day: fit.day.0,
         error_sum_bits: fit.error_sum.map(f64::to_bits),
         observations: model.observations,
@@ -120,7 +120,7 @@ fn encode_calibrated(fit: &FitParts) -> Option<v2::Calibrated> {
 
 pub(crate) fn decode(
     of: StateKind,
-    message: &v2::Alternatives,
+    message: &v1::Alternatives,
     periodicities: &Periodicities,
 ) -> Result<Alternatives, String> {
     if message.hours.len() != (WEEK + DAYS) * 8 {
@@ -143,7 +143,7 @@ pub(crate) fn decode(
             last: message.last.as_ref().map(|last| (last.nanos, f64::from_bits(last.value_bits))),
         },
         gaps: decode_gaps(message)?,
-        changes: message.changes_bits.map(f64::from_bits),
+        changes: f64::from_bits(message.changes_bits),
         gains: decode_gains(&message.gains_bits)?,
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,
@@ -153,7 +153,7 @@ pub(crate) fn decode(
     Alternatives::from_parts_of(of, parts).map_err(|error| error.to_string())
 }
 
-fn decode_calibrated(message: &v2::Calibrated) -> Result<FitParts, Invalid> {
+fn decode_calibrated(message: &v1::Calibrated) -> Result<FitParts, Invalid> {
     if message.profile.len() != SLOTS * 8 {
         return Err("the calibrated profile of a state does not have its length");
     }

@@ -11,10 +11,7 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     name::StateName,
 };
-use tidemap_migrations::{
-    v1::event as v1,
-    v2::{self, log::FrameKind},
-};
+use tidemap_migrations::v1::{event as v1, log::FrameKind, site as v1_site};
 
 use super::{
     Invalid, columns,
@@ -49,12 +46,12 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
     const GARBLED: Invalid = "the payload is not a message";
     match kind {
         FrameKind::Observations => {
-            let message = v2::event::Observations::decode(payload).map_err(|_| GARBLED)?;
+            let message = v1::Observations::decode(payload).map_err(|_| GARBLED)?;
             let (envelope, observations) = decode_observations(&message)?;
             Ok(Event::Observations(envelope, observations))
         }
         FrameKind::Scans => {
-            let message = v2::event::Scans::decode(payload).map_err(|_| GARBLED)?;
+            let message = v1::Scans::decode(payload).map_err(|_| GARBLED)?;
             let (envelope, scans) = scans::decode(&message)?;
             Ok(Event::Scans(envelope, scans))
         }
@@ -67,7 +64,7 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
             decode_new_state(&message).map(Event::AddState)
         }
         FrameKind::EditSite => {
-            let message = v2::site::SiteEdit::decode(payload).map_err(|_| GARBLED)?;
+            let message = v1_site::SiteEdit::decode(payload).map_err(|_| GARBLED)?;
             site::decode_edit(&message).map(Event::EditSite)
         }
     }
@@ -107,7 +104,7 @@ fn check_counts(accepted: usize, columns: [usize; 3], offsets: impl Iterator<Ite
     Ok(())
 }
 
-fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v2::event::Observations, Invalid> {
+fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v1::Observations, Invalid> {
     let lengths = [event.states.len(), event.times_nanos.len(), event.values.len()];
     check_counts(event.states.len(), lengths, event.offsets.iter().map(|run| run.count))?;
     if envelope.span.is_empty() {
@@ -116,7 +113,7 @@ fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v2::
     let (refused_sequences, refused_reasons) = encode_refused(&envelope.refused)?;
     let times = columns::encode_times(&event.times_nanos)?;
     let (value_encoding, values) = columns::encode_values(&event.values)?;
-    Ok(v2::event::Observations {
+    Ok(v1::Observations {
         producer: envelope.producer.0,
         new_producer: envelope.new_producer.as_ref().map(encode_new_producer),
         incarnation: envelope.incarnation,
@@ -141,7 +138,7 @@ fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v2::
     })
 }
 
-fn decode_observations(message: &v2::event::Observations) -> Result<(Envelope, Observations), Invalid> {
+fn decode_observations(message: &v1::Observations) -> Result<(Envelope, Observations), Invalid> {
     let count = message.count as usize;
     check_counts(count, [count; 3], message.offset_counts.iter().copied())?;
     if message.offset_counts.len() != message.offset_secs.len() {

@@ -3,7 +3,7 @@
 //! Invariant: every number is read back bit by bit. The constructors of the models check the numbers.
 
 use prost::Message as _;
-use tidemap_migrations::v2::fits as v2;
+use tidemap_migrations::v1::fits as v1;
 use tidemap_model::{
     Component, FitParts, FittedModelParts, LocalDay, Periodicities,
     models::{
@@ -15,13 +15,12 @@ use tidemap_model::{
 use super::Invalid;
 
 const INVALID: Invalid = "the fitted models of a state are not valid";
-const WEEK_NANOS: i64 = 7 * 86_400_000_000_000;
 
 /// Empty if there is none.
 pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
-    let mut message = v2::Fits::default();
+    let mut message = v1::Fits::default();
     for parts in fits {
-        let fit = Some(v2::Fit { day: parts.day.0, error_sum_bits: parts.error_sum.map(f64::to_bits) });
+        let fit = Some(v1::Fit { day: parts.day.0, error_sum_bits: parts.error_sum.map(f64::to_bits) });
         match &parts.model {
             FittedModelParts::Calibrated(_) => {}
             FittedModelParts::Poisson(model) => message.poisson = Some(encode_poisson(fit, model)),
@@ -40,7 +39,7 @@ pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
 
 /// The models of a state of a map with these periodicities.
 pub(crate) fn decode(bytes: &[u8], periodicities: &Periodicities) -> Result<Vec<FitParts>, Invalid> {
-    let message = v2::Fits::decode(bytes).map_err(|_| INVALID)?;
+    let message = v1::Fits::decode(bytes).map_err(|_| INVALID)?;
     let pergam = message.pergam.as_ref().map(decode_pergam);
     let em = message.hypertime_em.as_ref().map(|model| decode_hypertime(HypertimeMethod::Em, model));
     let km = message.hypertime_km.as_ref().map(|model| decode_hypertime(HypertimeMethod::Km, model));
@@ -56,18 +55,18 @@ fn doubles(bits: &[u64]) -> Vec<f64> {
     bits.iter().map(|&bits| f64::from_bits(bits)).collect()
 }
 
-fn with_fit(model: FittedModelParts, fit: Option<&v2::Fit>) -> Result<FitParts, Invalid> {
+fn with_fit(model: FittedModelParts, fit: Option<&v1::Fit>) -> Result<FitParts, Invalid> {
     let fit = fit.ok_or(INVALID)?;
     Ok(FitParts { model, day: LocalDay(fit.day), error_sum: fit.error_sum_bits.map(f64::from_bits) })
 }
 
-fn encode_pergam(fit: Option<v2::Fit>, model: &PergamParts) -> v2::Pergam {
+fn encode_pergam(fit: Option<v1::Fit>, model: &PergamParts) -> v1::Pergam {
     let numbers = |gaussian: &PergamGaussian| [gaussian.weight, gaussian.mean_secs, gaussian.deviation_secs];
     let gaussians: Vec<f64> = model.gaussians.iter().flat_map(numbers).collect();
-    v2::Pergam { fit, period_nanos: model.period_nanos, gaussians_bits: bits(&gaussians) }
+    v1::Pergam { fit, period_nanos: model.period_nanos, gaussians_bits: bits(&gaussians) }
 }
 
-fn decode_pergam(message: &v2::Pergam) -> Result<FitParts, Invalid> {
+fn decode_pergam(message: &v1::Pergam) -> Result<FitParts, Invalid> {
     let numbers = doubles(&message.gaussians_bits);
     let (gaussians, []) = numbers.as_chunks::<3>() else { return Err(INVALID) };
     let gaussian =
@@ -77,10 +76,10 @@ fn decode_pergam(message: &v2::Pergam) -> Result<FitParts, Invalid> {
     with_fit(FittedModelParts::Pergam(model), message.fit.as_ref())
 }
 
-fn encode_poisson(fit: Option<v2::Fit>, model: &CountRateParts) -> v2::Poisson {
+fn encode_poisson(fit: Option<v1::Fit>, model: &CountRateParts) -> v1::Poisson {
     let CountRateParts { bins, readings_per_bin, .. } = model;
     let gammas: Vec<f64> = bins.components.iter().flat_map(|one| [one.gamma_re, one.gamma_im]).collect();
-    v2::Poisson {
+    v1::Poisson {
         fit,
         bin_nanos: bins.bin_nanos,
         rate_bits: bits(&[bins.mean, bins.floor, *readings_per_bin]),
@@ -89,7 +88,7 @@ fn encode_poisson(fit: Option<v2::Fit>, model: &CountRateParts) -> v2::Poisson {
     }
 }
 
-fn decode_poisson(message: &v2::Poisson, periodicities: &Periodicities) -> Result<FitParts, Invalid> {
+fn decode_poisson(message: &v1::Poisson, periodicities: &Periodicities) -> Result<FitParts, Invalid> {
     let &[mean, floor, readings_per_bin] = doubles(&message.rate_bits).as_slice() else { return Err(INVALID) };
     let gammas = doubles(&message.gammas_bits);
     let (gammas, []) = gammas.as_chunks::<2>() else { return Err(INVALID) };
@@ -104,43 +103,43 @@ fn decode_poisson(message: &v2::Poisson, periodicities: &Periodicities) -> Resul
     with_fit(FittedModelParts::Poisson(model), message.fit.as_ref())
 }
 
-fn encode_hypertime(fit: Option<v2::Fit>, model: &HypertimeParts) -> (HypertimeMethod, v2::Hypertime) {
+fn encode_hypertime(fit: Option<v1::Fit>, model: &HypertimeParts) -> (HypertimeMethod, v1::Hypertime) {
     let clusters = |clusters: &[HypertimeCluster]| clusters.iter().map(encode_cluster).collect();
     match model {
         HypertimeParts::Probability(odds) => {
-            let message = v2::Hypertime {
+            let message = v1::Hypertime {
                 fit,
-                week_divisors: divisors(&odds.periods),
+                divisors: divisors(&odds.periods),
                 cycle_nanos: cycles(&odds.periods),
                 odds_bits: bits(&[odds.mean, odds.background, odds.log_ones, odds.log_zeros]),
                 axis_bits: Vec::new(),
                 clusters: clusters(&odds.ones),
                 zeros: clusters(&odds.zeros),
-                gain_bits: Some(odds.gain.to_bits()).filter(|&bits| bits != 1.0_f64.to_bits()),
+                gain_bits: odds.gain.to_bits(),
             };
             (odds.method, message)
         }
         HypertimeParts::Continuous(field) => {
             // A model of the value only, without a location.
             let axes = field.value.iter().flat_map(|axis| [axis.centre, axis.scale, axis.low, axis.high]);
-            let message = v2::Hypertime {
+            let message = v1::Hypertime {
                 fit,
-                week_divisors: divisors(&field.periods),
+                divisors: divisors(&field.periods),
                 cycle_nanos: cycles(&field.periods),
                 odds_bits: Vec::new(),
                 axis_bits: bits(&axes.collect::<Vec<f64>>()),
                 clusters: clusters(&field.clusters),
                 zeros: Vec::new(),
-                gain_bits: None,
+                gain_bits: 0,
             };
             (field.method, message)
         }
     }
 }
 
-fn decode_hypertime(method: HypertimeMethod, message: &v2::Hypertime) -> Result<FitParts, Invalid> {
-    let clusters = |clusters: &[v2::Cluster]| clusters.iter().map(decode_cluster).collect();
-    let periods = periods(&message.week_divisors, &message.cycle_nanos)?;
+fn decode_hypertime(method: HypertimeMethod, message: &v1::Hypertime) -> Result<FitParts, Invalid> {
+    let clusters = |clusters: &[v1::Cluster]| clusters.iter().map(decode_cluster).collect();
+    let periods = periods(&message.divisors, &message.cycle_nanos)?;
     let model = match (doubles(&message.odds_bits).as_slice(), doubles(&message.axis_bits).as_slice()) {
         (&[mean, background, log_ones, log_zeros], []) => HypertimeParts::Probability(HypertimeOddsParts {
             method,
@@ -149,7 +148,7 @@ fn decode_hypertime(method: HypertimeMethod, message: &v2::Hypertime) -> Result<
             background,
             log_ones,
             log_zeros,
-            gain: message.gain_bits.map_or(1.0, f64::from_bits),
+            gain: f64::from_bits(message.gain_bits),
             ones: clusters(&message.clusters),
             zeros: clusters(&message.zeros),
         }),
@@ -169,22 +168,20 @@ fn divisors(periods: &[HypertimePeriod]) -> Vec<u32> {
     periods.iter().map(|period| period.divisor).collect()
 }
 
-/// The cycle of each period; nothing where all are weeks.
 fn cycles(periods: &[HypertimePeriod]) -> Vec<i64> {
-    let cycles = periods.iter().map(|period| period.cycle_nanos);
-    if cycles.clone().all(|cycle| cycle == WEEK_NANOS) { Vec::new() } else { cycles.collect() }
+    periods.iter().map(|period| period.cycle_nanos).collect()
 }
 
 fn periods(divisors: &[u32], cycles: &[i64]) -> Result<Vec<HypertimePeriod>, Invalid> {
-    if !cycles.is_empty() && cycles.len() != divisors.len() {
+    if cycles.len() != divisors.len() {
         return Err(INVALID);
     }
-    let cycles = cycles.iter().copied().chain(std::iter::repeat(WEEK_NANOS));
-    Ok(divisors.iter().zip(cycles).map(|(&divisor, cycle_nanos)| HypertimePeriod { cycle_nanos, divisor }).collect())
+    let period = |(&divisor, &cycle_nanos): (&u32, &i64)| HypertimePeriod { cycle_nanos, divisor };
+    Ok(divisors.iter().zip(cycles).map(period).collect())
 }
 
-fn encode_cluster(cluster: &HypertimeCluster) -> v2::Cluster {
-    v2::Cluster {
+fn encode_cluster(cluster: &HypertimeCluster) -> v1::Cluster {
+    v1::Cluster {
         weight_bits: cluster.weight.to_bits(),
         centre_bits: bits(&cluster.centre),
         factor_bits: bits(&cluster.factor),
@@ -193,7 +190,7 @@ fn encode_cluster(cluster: &HypertimeCluster) -> v2::Cluster {
     }
 }
 
-fn decode_cluster(message: &v2::Cluster) -> HypertimeCluster {
+fn decode_cluster(message: &v1::Cluster) -> HypertimeCluster {
     HypertimeCluster {
         weight: f64::from_bits(message.weight_bits),
         centre: doubles(&message.centre_bits),
@@ -225,7 +222,7 @@ mod tests {
         assert!(!model.bins.components.is_empty());
         let fits = [FitParts { model: FittedModelParts::Poisson(model), day: LocalDay(9), error_sum: Some(0.1) }];
         assert_eq!(decode(&encode(&fits), &periodicities), Ok(fits.to_vec()));
-        let mut message = v2::Fits::decode(encode(&fits).as_slice()).expect("a message");
+        let mut message = v1::Fits::decode(encode(&fits).as_slice()).expect("a message");
         message.poisson.as_mut().expect("it is there").gammas_bits.pop();
         assert_eq!(decode(&message.encode_to_vec(), &periodicities), Err(INVALID));
     }
@@ -248,35 +245,33 @@ mod tests {
         }
     }
 
-    fn stored(fit: &FitParts) -> v2::Hypertime {
-        let message = v2::Fits::decode(encode(std::slice::from_ref(fit)).as_slice()).expect("a record");
+    fn stored(fit: &FitParts) -> v1::Hypertime {
+        let message = v1::Fits::decode(encode(std::slice::from_ref(fit)).as_slice()).expect("a record");
         message.hypertime_em.expect("the model")
     }
 
-    fn read(model: v2::Hypertime) -> Result<Vec<FitParts>, Invalid> {
-        let message = v2::Fits { hypertime_em: Some(model), ..v2::Fits::default() };
+    fn read(model: v1::Hypertime) -> Result<Vec<FitParts>, Invalid> {
+        let message = v1::Fits { hypertime_em: Some(model), ..v1::Fits::default() };
         decode(&message.encode_to_vec(), &Periodicities::default())
     }
 
+    const WEEK_NANOS: i64 = 7 * 86_400_000_000_000;
     const DAY: HypertimePeriod = HypertimePeriod { cycle_nanos: WEEK_NANOS, divisor: 7 };
     const YEAR: HypertimePeriod = HypertimePeriod { cycle_nanos: 31_556_952_000_000_000, divisor: 1 };
 
     #[test]
-    fn the_gain_is_read_back_and_is_one_where_a_record_has_none() {
+    fn the_gain_is_read_back() {
         for gain in [0.75, 1.0, 1.25] {
             assert_eq!(read(stored(&hypertime(gain, &[DAY]))), Ok(vec![hypertime(gain, &[DAY])]));
         }
-        let without = v2::Hypertime { gain_bits: None, ..stored(&hypertime(0.75, &[DAY])) };
-        assert_eq!(read(without), Ok(vec![hypertime(1.0, &[DAY])]));
     }
 
     #[test]
-    fn periods_are_read_back_and_are_those_of_a_week_where_a_record_has_no_cycles() {
+    fn periods_are_read_back_and_each_must_have_its_cycle() {
         for periods in [&[DAY][..], &[DAY, YEAR], &[]] {
             assert_eq!(read(stored(&hypertime(1.5, periods))), Ok(vec![hypertime(1.5, periods)]));
         }
-        assert!(stored(&hypertime(1.5, &[DAY])).cycle_nanos.is_empty());
         let both = stored(&hypertime(1.5, &[DAY, YEAR]));
-        assert_eq!(read(v2::Hypertime { cycle_nanos: vec![WEEK_NANOS], ..both }), Err(INVALID));
+        assert_eq!(read(v1::Hypertime { cycle_nanos: vec![WEEK_NANOS], ..both }), Err(INVALID));
     }
 }

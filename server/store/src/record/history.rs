@@ -9,7 +9,7 @@ use tidemap_map::{
     },
     ids::{ProducerId, StateId},
 };
-use tidemap_migrations::v2::history as v2;
+use tidemap_migrations::v1::history as v1;
 use tidemap_model::Sample;
 
 use super::{Invalid, cells::place, columns, offsets};
@@ -17,18 +17,17 @@ use super::{Invalid, cells::place, columns, offsets};
 /// Limit of observations in one record. Constant columns take no space, so the payload's length does not limit it.
 pub(crate) const SAMPLES_MAX: usize = 1 << 20;
 
-/// One record. `origins`: those of `samples`, if they are known.
+/// One record. `origins`: those of `samples`.
 pub(crate) fn encode_samples(
     state: StateId,
     samples: &[Sample],
-    origins: Option<&Origins>,
-) -> Result<v2::StateSamples, Invalid> {
-    let known = origins.cloned().unwrap_or_default();
-    if origins.is_some() && known.each().count() != samples.len() {
+    origins: &Origins,
+) -> Result<v1::StateSamples, Invalid> {
+    if origins.each().count() != samples.len() {
         return Err("the origins are not as many as the observations");
     }
     let mut next = 0_u64;
-    let steps = known.runs.iter().map(|run| {
+    let steps = origins.runs.iter().map(|run| {
         let step = run.first.wrapping_sub(next).cast_signed();
         next = run.first.wrapping_add(u64::from(run.count));
         step
@@ -38,7 +37,7 @@ pub(crate) fn encode_samples(
     let times = columns::encode_times(&nanos)?;
     let (value_encoding, values) = columns::encode_values(&values)?;
     let (offset_counts, offset_secs) = offsets::encode(samples.iter().map(|sample| sample.offset_secs));
-    Ok(v2::StateSamples {
+    Ok(v1::StateSamples {
         state: state.0,
         count: u32::try_from(samples.len()).map_err(|_| "there are more observations than one record may hold")?,
         first_time_nanos: times.first_nanos,
@@ -48,22 +47,19 @@ pub(crate) fn encode_samples(
         values,
         offset_counts,
         offset_secs,
-        run_counts: known.runs.iter().map(|run| run.count).collect(),
-        run_producers: known.runs.iter().map(|run| run.producer.0).collect(),
+        run_counts: origins.runs.iter().map(|run| run.count).collect(),
+        run_producers: origins.runs.iter().map(|run| run.producer.0).collect(),
         run_steps: steps.collect(),
-        ahead: known.ahead,
-        arrived: known.arrived,
-        is_early: known.is_early,
-        is_crowded: known.is_crowded,
+        ahead: origins.ahead,
+        arrived: origins.arrived,
+        is_early: origins.is_early,
+        is_crowded: origins.is_crowded,
     })
 }
 
-/// The origins of the observations of a record; `None`: not known.
-pub(crate) fn decode_origins(message: &v2::StateSamples) -> Result<Option<Origins>, Invalid> {
-    let v2::StateSamples { count, run_counts, run_producers, run_steps, ahead, .. } = message;
-    if run_counts.is_empty() && run_producers.is_empty() && run_steps.is_empty() {
-        return Ok(None);
-    }
+/// The origins of the observations of a record.
+pub(crate) fn decode_origins(message: &v1::StateSamples) -> Result<Origins, Invalid> {
+    let v1::StateSamples { count, run_counts, run_producers, run_steps, ahead, .. } = message;
     let total = run_counts.iter().map(|&count| u64::from(count)).sum::<u64>();
     let is_sound = run_producers.len() == run_counts.len() && run_steps.len() == run_counts.len();
     if !is_sound || total != u64::from(*count) || ahead > count {
@@ -77,10 +73,10 @@ pub(crate) fn decode_origins(message: &v2::StateSamples) -> Result<Option<Origin
     });
     let runs = runs.collect();
     let (arrived, is_early, is_crowded) = (message.arrived, message.is_early, message.is_crowded);
-    Ok(Some(Origins { runs, ahead: *ahead, arrived, is_early, is_crowded }))
+    Ok(Origins { runs, ahead: *ahead, arrived, is_early, is_crowded })
 }
 
-pub(crate) fn decode_samples(message: &v2::StateSamples) -> Result<Vec<Sample>, Invalid> {
+pub(crate) fn decode_samples(message: &v1::StateSamples) -> Result<Vec<Sample>, Invalid> {
     let count = message.count as usize;
     if count > SAMPLES_MAX {
         return Err("there are more observations than one record may hold");

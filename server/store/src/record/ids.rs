@@ -7,7 +7,7 @@ use tidemap_map::{
     ids::{NewProducer, RefusalReason},
     name::{ProducerKey, StateName},
 };
-use tidemap_migrations::{v1::map::ProducerKey as V1ProducerKey, v2::map as v2_map};
+use tidemap_migrations::v1::map as v1;
 
 use super::{Invalid, sensors};
 
@@ -36,22 +36,22 @@ pub(super) fn decode_refused(sequences: &[u64], reasons: &[u32]) -> Result<Vec<(
     Ok(refused)
 }
 
-pub(super) fn encode_producer_key(key: &ProducerKey) -> V1ProducerKey {
-    V1ProducerKey { producer: key.producer().to_owned(), label: key.label().to_owned() }
+pub(super) fn encode_producer_key(key: &ProducerKey) -> v1::ProducerKey {
+    v1::ProducerKey { producer: key.producer().to_owned(), label: key.label().to_owned() }
 }
 
-pub(super) fn decode_producer_key(key: &V1ProducerKey) -> Result<ProducerKey, Invalid> {
+pub(super) fn decode_producer_key(key: &v1::ProducerKey) -> Result<ProducerKey, Invalid> {
     ProducerKey::new(&key.producer, &key.label).map_err(|_| "the name of a producer is not valid")
 }
 
-pub(super) fn encode_new_producer(new: &NewProducer) -> v2_map::NewProducer {
-    let V1ProducerKey { producer, label } = encode_producer_key(&new.key);
-    v2_map::NewProducer { producer, label, sensor: sensors::encode(new.sensor) }
+pub(super) fn encode_new_producer(new: &NewProducer) -> v1::NewProducer {
+    let v1::ProducerKey { producer, label } = encode_producer_key(&new.key);
+    v1::NewProducer { producer, label, sensor: sensors::encode(new.sensor) }
 }
 
-pub(super) fn decode_new_producer(new: &v2_map::NewProducer) -> Result<NewProducer, Invalid> {
-    let v2_map::NewProducer { producer, label, sensor } = new;
-    let key = V1ProducerKey { producer: producer.clone(), label: label.clone() };
+pub(super) fn decode_new_producer(new: &v1::NewProducer) -> Result<NewProducer, Invalid> {
+    let v1::NewProducer { producer, label, sensor } = new;
+    let key = v1::ProducerKey { producer: producer.clone(), label: label.clone() };
     Ok(NewProducer { key: decode_producer_key(&key)?, sensor: sensors::decode(sensor.as_ref())? })
 }
 

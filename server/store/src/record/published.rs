@@ -3,7 +3,7 @@
 //! Invariant: every number is read back bit by bit.
 
 use tidemap_map::snapshot::StateSnapshot;
-use tidemap_migrations::v2::published::StateRow;
+use tidemap_migrations::v1::index::StateRow;
 use tidemap_model::Periodicities;
 
 use super::{

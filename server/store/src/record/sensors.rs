@@ -4,18 +4,18 @@
 //! such a sensor is checked elsewhere.
 
 use tidemap_grid::sensors::{ProducerSensor, SensorId};
-use tidemap_migrations::v2::map as v2;
+use tidemap_migrations::v1::map as v1;
 
 use super::Invalid;
 
 const NUMBER: Invalid = "the number of a sensor is too large";
 
-pub(super) fn encode(sensor: Option<ProducerSensor>) -> Option<v2::Sensor> {
-    sensor.map(|sensor| v2::Sensor { hit_bits: sensor.hit.to_bits(), false_alarm_bits: sensor.false_alarm.to_bits() })
+pub(super) fn encode(sensor: Option<ProducerSensor>) -> Option<v1::Sensor> {
+    sensor.map(|sensor| v1::Sensor { hit_bits: sensor.hit.to_bits(), false_alarm_bits: sensor.false_alarm.to_bits() })
 }
 
 /// Decodes a sensor; the map checks whether it has such a sensor.
-pub(super) fn decode(message: Option<&v2::Sensor>) -> Result<Option<ProducerSensor>, Invalid> {
+pub(super) fn decode(message: Option<&v1::Sensor>) -> Result<Option<ProducerSensor>, Invalid> {
     let Some(message) = message else { return Ok(None) };
     let (hit, false_alarm) = (f64::from_bits(message.hit_bits), f64::from_bits(message.false_alarm_bits));
     // NaN fails both comparisons.

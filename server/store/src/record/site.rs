@@ -10,41 +10,41 @@ use tidemap_map::{
     site::{Location, Site, SiteEdit},
     traversal::Failures,
 };
-use tidemap_migrations::v2::site as v2;
+use tidemap_migrations::v1::site as v1;
 
 use super::{Invalid, ids::decode_state_name, topology, traversal};
 
-fn encode_place(at: [f64; 2]) -> v2::Place {
+fn encode_place(at: [f64; 2]) -> v1::Place {
     let [x_bits, y_bits] = at.map(f64::to_bits);
-    v2::Place { x_bits, y_bits }
+    v1::Place { x_bits, y_bits }
 }
 
-fn decode_place(place: &v2::Place) -> [f64; 2] {
+fn decode_place(place: &v1::Place) -> [f64; 2] {
     [place.x_bits, place.y_bits].map(f64::from_bits)
 }
 
-fn encode_location(name: &StateName, location: &Location) -> v2::Location {
-    v2::Location {
+fn encode_location(name: &StateName, location: &Location) -> v1::Location {
+    v1::Location {
         name: name.as_str().to_owned(),
         states: location.states.iter().map(|state| state.0).collect(),
         place: location.position_m.map(encode_place),
-        cells: location.cells.iter().map(|&CellIndex { x, y, z }| v2::SiteCell { x, y, z }).collect(),
+        cells: location.cells.iter().map(|&CellIndex { x, y, z }| v1::SiteCell { x, y, z }).collect(),
     }
 }
 
-fn decode_location(message: &v2::Location) -> Result<(StateName, Location), Invalid> {
+fn decode_location(message: &v1::Location) -> Result<(StateName, Location), Invalid> {
     let states = message.states.iter().map(|&id| StateId(id)).collect();
     let position_m = message.place.as_ref().map(decode_place);
-    let cells = message.cells.iter().map(|&v2::SiteCell { x, y, z }| CellIndex { x, y, z }).collect();
+    let cells = message.cells.iter().map(|&v1::SiteCell { x, y, z }| CellIndex { x, y, z }).collect();
     Ok((decode_state_name(&message.name)?, Location { states, cells, position_m }))
 }
 
-fn encode_attempts((cell, attempts): (ReachabilityCell, Attempts)) -> v2::Attempts {
+fn encode_attempts((cell, attempts): (ReachabilityCell, Attempts)) -> v1::Attempts {
     let Attempts { count, reached, last_nanos } = attempts;
-    v2::Attempts { x: cell.x, y: cell.y, count: count.into(), reached: reached.into(), last_nanos }
+    v1::Attempts { x: cell.x, y: cell.y, count: count.into(), reached: reached.into(), last_nanos }
 }
 
-fn decode_attempts(message: &v2::Attempts) -> Result<(ReachabilityCell, Attempts), Invalid> {
+fn decode_attempts(message: &v1::Attempts) -> Result<(ReachabilityCell, Attempts), Invalid> {
     const MANY: Invalid = "a place has more attempts than count";
     let count = u8::try_from(message.count).map_err(|_| MANY)?;
     let reached = u8::try_from(message.reached).map_err(|_| MANY)?;
@@ -53,8 +53,8 @@ fn decode_attempts(message: &v2::Attempts) -> Result<(ReachabilityCell, Attempts
 }
 
 /// A site; `None` for an empty one.
-pub(crate) fn encode(site: &Site) -> Option<v2::Site> {
-    (!site.is_empty()).then(|| v2::Site {
+pub(crate) fn encode(site: &Site) -> Option<v1::Site> {
+    (!site.is_empty()).then(|| v1::Site {
         charger: site.charger_m().map(encode_place),
         locations: site.locations().iter().map(|(name, location)| encode_location(name, location)).collect(),
         attempts: site.reachability().parts().map(encode_attempts).collect(),
@@ -64,7 +64,7 @@ pub(crate) fn encode(site: &Site) -> Option<v2::Site> {
 }
 
 /// The site of a map with `states` states.
-pub(crate) fn decode(message: &v2::Site, states: usize) -> Result<Site, String> {
+pub(crate) fn decode(message: &v1::Site, states: usize) -> Result<Site, String> {
     let mut site = Site::default();
     let mut apply = |edit| site.apply(&edit, states).map_err(|error| error.to_string());
     if let Some(place) = &message.charger {
@@ -87,33 +87,33 @@ pub(crate) fn decode(message: &v2::Site, states: usize) -> Result<Site, String> 
     })
 }
 
-pub(super) fn encode_edit(edit: &SiteEdit) -> v2::SiteEdit {
+pub(super) fn encode_edit(edit: &SiteEdit) -> v1::SiteEdit {
     let change = match edit {
-        SiteEdit::Charger(Some(at)) => v2::Change::Charger(encode_place(*at)),
-        SiteEdit::Charger(None) => v2::Change::NoCharger(true),
-        SiteEdit::SetLocation(name, location) => v2::Change::SetLocation(encode_location(name, location)),
-        SiteEdit::RemoveLocation(name) => v2::Change::RemoveLocation(name.as_str().to_owned()),
+        SiteEdit::Charger(Some(at)) => v1::Change::Charger(encode_place(*at)),
+        SiteEdit::Charger(None) => v1::Change::NoCharger(true),
+        SiteEdit::SetLocation(name, location) => v1::Change::SetLocation(encode_location(name, location)),
+        SiteEdit::RemoveLocation(name) => v1::Change::RemoveLocation(name.as_str().to_owned()),
         SiteEdit::Visit { at_m, reached, utc_nanos } => {
-            v2::Change::Visit(v2::Visit { place: Some(encode_place(*at_m)), reached: *reached, utc_nanos: *utc_nanos })
+            v1::Change::Visit(v1::Visit { place: Some(encode_place(*at_m)), reached: *reached, utc_nanos: *utc_nanos })
         }
-        SiteEdit::Topology(edit) => v2::Change::Topology(topology::encode_edit(edit)),
+        SiteEdit::Topology(edit) => v1::Change::Topology(topology::encode_edit(edit)),
     };
-    v2::SiteEdit { change: Some(change) }
+    v1::SiteEdit { change: Some(change) }
 }
 
-pub(super) fn decode_edit(message: &v2::SiteEdit) -> Result<SiteEdit, Invalid> {
+pub(super) fn decode_edit(message: &v1::SiteEdit) -> Result<SiteEdit, Invalid> {
     Ok(match message.change.as_ref().ok_or("an edit of the site changes nothing")? {
-        v2::Change::Charger(place) => SiteEdit::Charger(Some(decode_place(place))),
-        v2::Change::NoCharger(_) => SiteEdit::Charger(None),
-        v2::Change::SetLocation(location) => {
+        v1::Change::Charger(place) => SiteEdit::Charger(Some(decode_place(place))),
+        v1::Change::NoCharger(_) => SiteEdit::Charger(None),
+        v1::Change::SetLocation(location) => {
             let (name, location) = decode_location(location)?;
             SiteEdit::SetLocation(name, location)
         }
-        v2::Change::RemoveLocation(name) => SiteEdit::RemoveLocation(decode_state_name(name)?),
-        v2::Change::Visit(v2::Visit { place, reached, utc_nanos }) => {
+        v1::Change::RemoveLocation(name) => SiteEdit::RemoveLocation(decode_state_name(name)?),
+        v1::Change::Visit(v1::Visit { place, reached, utc_nanos }) => {
             let place = place.as_ref().ok_or("a visit has no place")?;
             SiteEdit::Visit { at_m: decode_place(place), reached: *reached, utc_nanos: *utc_nanos }
         }
-        v2::Change::Topology(edit) => SiteEdit::Topology(topology::decode_edit(edit)?),
+        v1::Change::Topology(edit) => SiteEdit::Topology(topology::decode_edit(edit)?),
     })
 }

@@ -8,7 +8,7 @@ use tidemap_map::{
     site::Site,
     snapshot::{ContentMark, MapSnapshot, ProducerMark, StateSnapshot},
 };
-use tidemap_migrations::{v1::map as v1, v2::map as v2};
+use tidemap_migrations::v1::map as v1;
 use tidemap_model::{
     Accumulator, AccumulatorParts, Component, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
     PersistenceParts, ShortRecord, SpectralModel, StateKind, StateModel,
@@ -21,8 +21,8 @@ use super::{
 };
 
 /// The counters of a snapshot. The counts must fit; [`check`] makes sure of that.
-pub(crate) fn encode(snapshot: &MapSnapshot) -> v2::Snapshot {
-    v2::Snapshot {
+pub(crate) fn encode(snapshot: &MapSnapshot) -> v1::Snapshot {
+    v1::Snapshot {
         position: snapshot.position,
         replay_from: snapshot.replay_from,
         generation: snapshot.generation,
@@ -74,14 +74,14 @@ fn check_axes(states: &[StateSnapshot]) -> Result<(), Invalid> {
 }
 
 /// Positions must let the replay start at a position that the log has.
-pub(crate) fn check_positions(message: &v2::Snapshot) -> Result<(), Invalid> {
+pub(crate) fn check_positions(message: &v1::Snapshot) -> Result<(), Invalid> {
     let is_sound = message.replay_from <= message.position.saturating_add(1);
     if is_sound { Ok(()) } else { Err("replay_from is beyond position + 1") }
 }
 
 /// A snapshot from its counters, its producers, its states and its site.
 pub(crate) fn decode(
-    message: &v2::Snapshot,
+    message: &v1::Snapshot,
     producers: Vec<ProducerMark>,
     states: Vec<StateSnapshot>,
     site: Site,
@@ -108,8 +108,8 @@ pub(crate) fn decode(
     })
 }
 
-pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v2::Producer {
-    v2::Producer {
+pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v1::Producer {
+    v1::Producer {
         id,
         key: Some(encode_producer_key(&mark.key)),
         incarnation: mark.incarnation,
@@ -124,7 +124,7 @@ pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v2::Producer {
 }
 
 /// The producer that must have number `id`.
-pub(crate) fn decode_producer(id: usize, message: &v2::Producer) -> Result<ProducerMark, Invalid> {
+pub(crate) fn decode_producer(id: usize, message: &v1::Producer) -> Result<ProducerMark, Invalid> {
     if message.id as usize != id {
         return Err("a producer is missing or out of order");
     }
@@ -152,7 +152,7 @@ pub(crate) fn decode_producer(id: usize, message: &v2::Producer) -> Result<Produ
 }
 
 /// A state with its sums.
-pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: AccumulatorParts) -> v2::State {
+pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: AccumulatorParts) -> v1::State {
     let persistence = state.persistence.to_parts();
     let spectral = state.model.spectral();
     let errors = state.model.errors().to_parts();
@@ -164,7 +164,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
     // If all observations have weight 1, their weight is their number.
     let weight = Some(accumulator.weight).filter(|&weight| weight != accumulator.observations as f64);
     let known = state.model.alternatives().map(|known| alternatives::encode(known, weight));
-    v2::State {
+    v1::State {
         id,
         name: state.name.as_str().to_owned(),
         kind: encode_kind(state.kind),
@@ -192,7 +192,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
         error_sums_bits: errors.sums.iter().map(|sum| sum.to_bits()).collect(),
         errors_last_day: errors.last_day.map(|day| day.0),
         alternatives: known,
-        short: accumulator.short.map(|short| v2::ShortRecord {
+        short: accumulator.short.map(|short| v1::ShortRecord {
             readings: short
                 .readings
                 .iter()
@@ -204,7 +204,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
     }
 }
 
-fn decode_short(message: &v2::ShortRecord) -> Result<ShortRecord, String> {
+fn decode_short(message: &v1::ShortRecord) -> Result<ShortRecord, String> {
     let (readings, rest) = message.readings.as_chunks::<16>();
     if !rest.is_empty() {
         return Err("the readings of a state do not have their length".to_owned());
@@ -228,7 +228,7 @@ pub(crate) enum SpectrumIn {
 /// The state that must have number `id`.
 pub(crate) fn decode_state(
     id: usize,
-    message: &v2::State,
+    message: &v1::State,
     periodicities: &Periodicities,
     spectrum: SpectrumIn,
 ) -> Result<StateSnapshot, String> {
@@ -252,7 +252,7 @@ pub(crate) fn decode_state(
 
 fn decode_model(
     kind: StateKind,
-    message: &v2::State,
+    message: &v1::State,
     periodicities: &Periodicities,
     spectrum_in: SpectrumIn,
 ) -> Result<StateModel, String> {

@@ -1,20 +1,17 @@
 //! A map's fixed properties as a record, and back.
 //!
-//! Invariant: `decode(encode(spec)) == spec`. A map of format 1 keeps its observations forever and has no grid.
+//! Invariant: `decode(encode(spec)) == spec`.
 
 use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
 };
 use tidemap_map::{name::MapName, spec::MapSpec};
-use tidemap_migrations::v2::map as v2;
+use tidemap_migrations::v1::map as v1;
 use tidemap_model::{EnabledModels, FitKind, OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
-/// The prior of a map that sets none.
-const PRIOR: f64 = 0.5;
-
-/// The record of a map, and whether its history files replace the beginning of its log.
-pub(crate) fn encode(spec: &MapSpec, history_complete: bool) -> v2::MapSpec {
+/// The record of a map.
+pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
     let (harmonics_base_nanos, harmonics_count, period_nanos) = match spec.periodicities.definition() {
         PeriodicityDefinition::Harmonics { base_nanos, count } => (*base_nanos, *count, Vec::new()),
         PeriodicityDefinition::List { period_nanos } => (0, 0, period_nanos.clone()),
@@ -23,7 +20,7 @@ pub(crate) fn encode(spec: &MapSpec, history_complete: bool) -> v2::MapSpec {
         OrderCriterion::SquaredError => 1,
         OrderCriterion::ZeroOne => 2,
     };
-    v2::MapSpec {
+    v1::MapSpec {
         name: spec.name.as_str().to_owned(),
         zone: spec.zone.name().to_owned(),
         harmonics_base_nanos,
@@ -33,15 +30,14 @@ pub(crate) fn encode(spec: &MapSpec, history_complete: bool) -> v2::MapSpec {
         created_nanos: spec.created_nanos,
         retention: Some(encode_retention(spec.retention)),
         grid: spec.grid.as_ref().map(encode_grid),
-        history_complete,
         half_life_nanos: spec.half_life_nanos.unwrap_or(0),
-        prior_bits: Some(spec.prior.to_bits()).filter(|&bits| bits != PRIOR.to_bits()),
-        models: Some(spec.models).filter(|&models| models != EnabledModels::default()).map(encode_models),
+        prior_bits: spec.prior.to_bits(),
+        models: encode_models(spec.models),
         has_real_clock: spec.has_real_clock,
     }
 }
 
-pub(crate) fn decode(message: v2::MapSpec) -> Result<MapSpec, String> {
+pub(crate) fn decode(message: v1::MapSpec) -> Result<MapSpec, String> {
     let periodicities = if message.harmonics_count > 0 {
         Periodicities::harmonics(message.harmonics_base_nanos, message.harmonics_count)
     } else {
@@ -49,7 +45,7 @@ pub(crate) fn decode(message: v2::MapSpec) -> Result<MapSpec, String> {
     };
     Ok(MapSpec {
         name: MapName::new(&message.name).map_err(|error| error.to_string())?,
-        // The zone is in this version's database, unless another version with a newer database wrote it.
+        // The zone is in this version's database, unless a version with a newer database wrote it.
         zone: Zone::named(&message.zone).map_err(|error| error.to_string())?,
         periodicities: periodicities.map_err(|error| error.to_string())?,
         criterion: match message.criterion {
@@ -59,12 +55,12 @@ pub(crate) fn decode(message: v2::MapSpec) -> Result<MapSpec, String> {
         },
         created_nanos: message.created_nanos,
         half_life_nanos: Some(message.half_life_nanos).filter(|&nanos| nanos != 0),
-        prior: match message.prior_bits.map_or(PRIOR, f64::from_bits) {
+        prior: match f64::from_bits(message.prior_bits) {
             prior if (0.0..=1.0).contains(&prior) => prior,
             other => return Err(format!("prior {other} is not between 0 and 1")),
         },
-        retention: message.retention.map_or(Ok(Retention::Forever), decode_retention)?,
-        models: message.models.map_or(Ok(EnabledModels::default()), decode_models)?,
+        retention: decode_retention(message.retention.ok_or("it has no retention")?)?,
+        models: decode_models(message.models)?,
         has_real_clock: message.has_real_clock,
         grid: message.grid.map(decode_grid).transpose()?,
     })
@@ -94,15 +90,15 @@ fn decode_models(bits: u32) -> Result<EnabledModels, String> {
     if encode_models(models) == bits { Ok(models) } else { Err(format!("models {bits} are not all known")) }
 }
 
-fn encode_retention(retention: Retention) -> v2::Retention {
+fn encode_retention(retention: Retention) -> v1::Retention {
     match retention {
-        Retention::None => v2::Retention { kind: 0, nanos: 0 },
-        Retention::Duration(nanos) => v2::Retention { kind: 1, nanos },
-        Retention::Forever => v2::Retention { kind: 2, nanos: 0 },
+        Retention::None => v1::Retention { kind: 0, nanos: 0 },
+        Retention::Duration(nanos) => v1::Retention { kind: 1, nanos },
+        Retention::Forever => v1::Retention { kind: 2, nanos: 0 },
     }
 }
 
-fn decode_retention(message: v2::Retention) -> Result<Retention, String> {
+fn decode_retention(message: v1::Retention) -> Result<Retention, String> {
     match message.kind {
         0 => Ok(Retention::None),
         1 => Ok(Retention::Duration(message.nanos)),
@@ -111,14 +107,14 @@ fn decode_retention(message: v2::Retention) -> Result<Retention, String> {
     }
 }
 
-fn encode_grid(grid: &GridSpec) -> v2::GridSpec {
+fn encode_grid(grid: &GridSpec) -> v1::GridSpec {
     let corner = |cell: CellIndex| vec![cell.x, cell.y, cell.z];
-    v2::GridSpec {
+    v1::GridSpec {
         frame_id: grid.frame_id.clone(),
         is_flat: grid.is_flat,
         resolution_bits: grid.resolution_m.to_bits(),
         origin_bits: grid.origin_m.iter().map(|origin| origin.to_bits()).collect(),
-        extent: grid.extent.map(|extent| v2::CellBox { min: corner(extent.min), max: corner(extent.max) }),
+        extent: grid.extent.map(|extent| v1::CellBox { min: corner(extent.min), max: corner(extent.max) }),
         hit_bits: grid.sensor.hit.to_bits(),
         false_alarm_bits: grid.sensor.false_alarm.to_bits(),
         prior_bits: grid.sensor.prior.to_bits(),
@@ -127,7 +123,7 @@ fn encode_grid(grid: &GridSpec) -> v2::GridSpec {
     }
 }
 
-fn decode_grid(message: v2::GridSpec) -> Result<GridSpec, String> {
+fn decode_grid(message: v1::GridSpec) -> Result<GridSpec, String> {
     let origin: Vec<f64> = message.origin_bits.iter().map(|&bits| f64::from_bits(bits)).collect();
     let grid = GridSpec {
         frame_id: message.frame_id,
@@ -147,7 +143,7 @@ fn decode_grid(message: v2::GridSpec) -> Result<GridSpec, String> {
     Ok(grid)
 }
 
-fn decode_box(message: &v2::CellBox) -> Result<CellBox, String> {
+fn decode_box(message: &v1::CellBox) -> Result<CellBox, String> {
     let corner = |cell: &[i32]| match *cell {
         [x, y, z] => Ok(CellIndex { x, y, z }),
         _ => Err("a corner of the grid is not three numbers".to_owned()),

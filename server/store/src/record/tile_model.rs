@@ -15,7 +15,7 @@ use tidemap_grid::{
     sensors::Weights,
     tile::{CellModel, Group, TileModel, TileSums},
 };
-use tidemap_migrations::v2::grid as v2;
+use tidemap_migrations::v1::grid as v1;
 use tidemap_model::{
     Component, InvalidParts, LocalDay, ORDER_MAX, OrderErrors, OrderErrorsParts, OrderWatch, Periodicities, PhasorSum,
     SpectralModel,
@@ -29,16 +29,17 @@ use super::{
 
 /// Bytes of a component.
 const COMPONENT: usize = 20;
+const SIGHTINGS: Invalid = "the observation times of a tile differ in number from its groups or cells";
 /// Stands for the number of a shared sum that does not exist.
 const NO_SUM: u32 = u32::MAX;
 /// Flag in the number of changed cells: weighted sums follow.
 const HAS_WEIGHTED: u32 = 1 << 31;
 
-pub(crate) fn encode(model: &TileModel) -> v2::TileModel {
+pub(crate) fn encode(model: &TileModel) -> v1::TileModel {
     let group = |(index, group): (usize, &Group)| {
         let weights = model.sensors.as_ref().map(|_| model.weights(index));
         let fade = model.sensors.as_ref().and_then(|sensors| sensors.fades.get(index));
-        v2::Group {
+        v1::Group {
             cells: encode_mask(group.cells),
             observations: group.observations,
             first_nanos: group.first_nanos,
@@ -51,14 +52,14 @@ pub(crate) fn encode(model: &TileModel) -> v2::TileModel {
         }
     };
     let weight = |cell: usize| model.sensors.as_ref().map(|_| model.occupied_weight(cell).to_bits());
-    v2::TileModel {
+    v1::TileModel {
         groups: model.groups.iter().enumerate().map(group).collect(),
         always_occupied: encode_mask(model.always_occupied),
         cells: model.cells.iter().enumerate().map(|(at, cell)| encode_cell(cell, weight(at))).collect(),
     }
 }
 
-fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v2::Cell {
+fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v1::Cell {
     let errors = cell.errors.to_parts();
     let mut components = Vec::with_capacity(cell.spectral.components().len() * COMPONENT);
     for component in cell.spectral.components() {
@@ -68,7 +69,7 @@ fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v2::Cell 
     }
     let mut error_sums = Vec::new();
     doubles::push(&mut error_sums, &errors.sums);
-    v2::Cell {
+    v1::Cell {
         cell: u32::from(cell.cell),
         occupied: cell.occupied,
         mean_bits: cell.spectral.mean().to_bits(),
@@ -82,7 +83,7 @@ fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v2::Cell 
     }
 }
 
-pub(crate) fn decode(message: &v2::TileModel, periodicities: &Periodicities) -> Result<TileModel, String> {
+pub(crate) fn decode(message: &v1::TileModel, periodicities: &Periodicities) -> Result<TileModel, String> {
     let mut observed = Mask::EMPTY;
     let mut groups = Vec::with_capacity(message.groups.len());
     for group in &message.groups {
@@ -91,7 +92,7 @@ pub(crate) fn decode(message: &v2::TileModel, periodicities: &Periodicities) -> 
             return Err("a cell is in two observation groups".to_owned());
         }
         observed |= cells;
-        let v2::Group { observations, first_nanos, last_nanos, .. } = *group;
+        let v1::Group { observations, first_nanos, last_nanos, .. } = *group;
         groups.push(Group { cells, observations, first_nanos, last_nanos });
     }
     let cells = message.cells.iter().map(|cell| decode_cell(cell, periodicities));
@@ -104,7 +105,7 @@ pub(crate) fn decode(message: &v2::TileModel, periodicities: &Periodicities) -> 
 }
 
 /// Weights of readings; empty if all are of the map's own sensor.
-fn decode_weights(message: &v2::TileModel) -> Result<Option<SensorWeights>, Invalid> {
+fn decode_weights(message: &v1::TileModel) -> Result<Option<SensorWeights>, Invalid> {
     const PARTLY: Invalid = "the weights of readings are missing for some groups or cells of a tile, or are not finite";
     let parts = || {
         let groups = message.groups.iter().flat_map(|group| [group.alpha_bits, group.beta_bits]);
@@ -114,7 +115,7 @@ fn decode_weights(message: &v2::TileModel) -> Result<Option<SensorWeights>, Inva
         return Ok(None);
     }
     let number = |bits: Option<u64>| bits.map(f64::from_bits).filter(|number| number.is_finite()).ok_or(PARTLY);
-    let group = |group: &v2::Group| Ok(Weights { alpha: number(group.alpha_bits)?, beta: number(group.beta_bits)? });
+    let group = |group: &v1::Group| Ok(Weights { alpha: number(group.alpha_bits)?, beta: number(group.beta_bits)? });
     Ok(Some(SensorWeights {
         groups: message.groups.iter().map(group).collect::<Result<_, Invalid>>()?,
         occupied: message.cells.iter().map(|cell| number(cell.occupied_weight_bits)).collect::<Result<_, _>>()?,
@@ -123,11 +124,11 @@ fn decode_weights(message: &v2::TileModel) -> Result<Option<SensorWeights>, Inva
 }
 
 /// How far the groups have faded; empty without a half-life.
-fn decode_fades(message: &v2::TileModel) -> Result<Vec<GroupFade>, Invalid> {
+fn decode_fades(message: &v1::TileModel) -> Result<Vec<GroupFade>, Invalid> {
     if message.groups.iter().all(|group| (group.weight_bits, group.day, group.sum_day) == (None, None, None)) {
         return Ok(Vec::new());
     }
-    let fade = |group: &v2::Group| {
+    let fade = |group: &v1::Group| {
         let weight = group.weight_bits.map(f64::from_bits).filter(|weight| (0.0..=f64::MAX).contains(weight))?;
         Some(GroupFade { weight, day: LocalDay(group.day?), sum_day: LocalDay(group.sum_day?) })
     };
@@ -135,7 +136,7 @@ fn decode_fades(message: &v2::TileModel) -> Result<Vec<GroupFade>, Invalid> {
     fades.ok_or("the fading is missing for some groups of a tile, or a weight is not a number from 0 up")
 }
 
-fn decode_cell(message: &v2::Cell, periodicities: &Periodicities) -> Result<CellModel, String> {
+fn decode_cell(message: &v1::Cell, periodicities: &Periodicities) -> Result<CellModel, String> {
     let invalid = |error: InvalidParts| error.to_string();
     let (components, rest) = message.components.as_chunks::<COMPONENT>();
     let components: Vec<Component> = components.iter().map(decode_component).collect();
@@ -172,22 +173,23 @@ pub(crate) fn encode_sums(shared: &[u32], sums: &TileSums, out: &mut Vec<u8>) ->
     if shared.len() < sums.groups.len() {
         return Err("a shared sum has no number");
     }
+    if (sums.times.len(), sums.watches.len()) != (sums.groups.len(), sums.cells.len()) {
+        return Err(SIGHTINGS);
+    }
     let has_weighted = sums.sensors.as_ref().map(|sensors| sensors.groups.iter().map(Option::is_some));
     push_head(out, shared, sums.groups.len(), sums.cells.len(), has_weighted);
     for cell in &sums.cells {
         doubles::push(out, cell.as_slice());
     }
-    let sightings = v2::Sightings {
+    let sightings = v1::Sightings {
         days: observation_runs::encode(&sums.runs)?,
         times: sums.times.iter().map(|times| cell_watch::encode_times(times)).collect(),
         watches: sums.watches.iter().map(cell_watch::encode_watch).collect(),
     };
     let message = sightings.encode_to_vec();
-    if !message.is_empty() {
-        let length = u32::try_from(message.len()).map_err(|_| "the runs of a tile are too many")?;
-        out.extend(length.to_le_bytes());
-        out.extend(message);
-    }
+    let length = u32::try_from(message.len()).map_err(|_| "the runs of a tile are too many")?;
+    out.extend(length.to_le_bytes());
+    out.extend(message);
     Ok(())
 }
 
@@ -224,12 +226,11 @@ pub(crate) struct EncodedSums<'bytes> {
     cells: &'bytes [u8],
     /// When its cells were observed.
     sightings: Sightings,
-    /// The same as bytes; empty if nothing is known.
+    /// The same as bytes, after their length.
     sightings_bytes: &'bytes [u8],
 }
 
 /// When the cells of a tile were observed, and what follows for the changed ones.
-#[derive(Default)]
 struct Sightings {
     runs: ObservationRuns,
     times: Vec<Arc<ObservedTimes>>,
@@ -239,9 +240,9 @@ struct Sightings {
 impl Sightings {
     /// Of a tile with so many groups and changed cells.
     fn decode(bytes: &[u8], groups: usize, cells: usize) -> Result<Sightings, Invalid> {
-        let message = v2::Sightings::decode(bytes).map_err(|_| "the runs of a tile are not a message")?;
-        if ![0, groups].contains(&message.times.len()) || ![0, cells].contains(&message.watches.len()) {
-            return Err("the observation times of a tile differ in number from its groups or cells");
+        let message = v1::Sightings::decode(bytes).map_err(|_| "the runs of a tile are not a message")?;
+        if (message.times.len(), message.watches.len()) != (groups, cells) {
+            return Err(SIGHTINGS);
         }
         Ok(Sightings {
             runs: observation_runs::decode(&message.days)?,
@@ -270,7 +271,6 @@ impl EncodedSums<'_> {
         let (cells, sightings_bytes) = rest.split_at(fits(changed.checked_mul(16 * periodicities.len()), rest)?);
         let sightings = match sightings_bytes.split_first_chunk::<4>() {
             Some((&length, message)) if number(length) == message.len() => Sightings::decode(message, groups, changed)?,
-            None if sightings_bytes.is_empty() => Sightings::default(),
             _ => return Err(LENGTH),
         };
         if !doubles::are_finite(cells) {

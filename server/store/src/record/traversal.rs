@@ -6,13 +6,13 @@ use tidemap_map::{
     name::EdgeName,
     traversal::{EdgeFailure, kept_reason},
 };
-use tidemap_migrations::v2::site as v2;
+use tidemap_migrations::v1::site as v1;
 
 use super::Invalid;
 
-pub(super) fn encode_failure(failure: &EdgeFailure) -> v2::EdgeFailure {
+pub(super) fn encode_failure(failure: &EdgeFailure) -> v1::EdgeFailure {
     let EdgeFailure { edge: EdgeName { from, to, action }, start_nanos, end_nanos, reason } = failure;
-    v2::EdgeFailure {
+    v1::EdgeFailure {
         from: from.as_str().to_owned(),
         to: to.as_str().to_owned(),
         action: action.as_ref().map_or_else(String::new, |action| action.as_str().to_owned()),
@@ -22,8 +22,8 @@ pub(super) fn encode_failure(failure: &EdgeFailure) -> v2::EdgeFailure {
     }
 }
 
-pub(super) fn decode_failure(message: &v2::EdgeFailure) -> Result<EdgeFailure, Invalid> {
-    let v2::EdgeFailure { from, to, action, start_nanos, end_nanos, reason } = message;
+pub(super) fn decode_failure(message: &v1::EdgeFailure) -> Result<EdgeFailure, Invalid> {
+    let v1::EdgeFailure { from, to, action, start_nanos, end_nanos, reason } = message;
     let edge = EdgeName::new(from, to, action).map_err(|_| "the name of an edge is not valid")?;
     if kept_reason(reason) != *reason {
         return Err("the reason of a failure is too long or does not print");

@@ -10,11 +10,10 @@ use std::{
 };
 
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::{
-    v1::file::{FileHeader, MAP_MAGIC},
-    v2::{file::RecordKind, map as v2},
-    v3::lists::{FileList, HISTORY_FILE, MAPS_FILE, MapList},
-    v4::lists::{CHECKPOINTS_FILE, CheckpointList},
+use tidemap_migrations::v1::{
+    file::{FileHeader, MAP_MAGIC, RecordKind},
+    lists::{CHECKPOINTS_FILE, CheckpointList, FileList, HISTORY_FILE, MAPS_FILE, MapList},
+    map as v1,
 };
 
 use crate::{
@@ -30,14 +29,6 @@ use crate::{
 const NEW_SUFFIX: &str = ".new";
 const DELETED_SUFFIX: &str = ".deleted";
 
-/// The content of a map's MAP file.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Catalogued {
-    pub(crate) spec: MapSpec,
-    /// Whether history files replace the beginning of the log.
-    pub(crate) history_complete: bool,
-}
-
 /// A map that cannot be used. Its files are left as they are.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SetAside {
@@ -51,7 +42,8 @@ pub struct SetAside {
 
 /// The maps of a store.
 pub(crate) struct Catalogue {
-    pub(crate) maps: BTreeMap<MapId, Catalogued>,
+    /// Maps by number, as their MAP files say.
+    pub(crate) maps: BTreeMap<MapId, MapSpec>,
     /// Maps whose folder is missing or whose MAP file is damaged.
     pub(crate) set_aside: BTreeMap<MapId, SetAside>,
     /// Whether `MAPS` says something else.
@@ -176,14 +168,14 @@ impl Catalogue {
     /// Sets a map aside that turns out to be damaged.
     pub(crate) fn set_aside(&mut self, map: MapId, reason: String) {
         if let Some(known) = self.maps.remove(&map) {
-            let name = Some(known.spec.name.as_str().to_owned());
+            let name = Some(known.name.as_str().to_owned());
             self.set_aside.insert(map, SetAside { id: map, name, reason });
         }
     }
 
     /// What `MAPS` should say.
     pub(crate) fn list(&self) -> MapList {
-        let maps = self.maps.iter().map(|(map, known)| (map.0, known.spec.name.as_str().to_owned()));
+        let maps = self.maps.iter().map(|(map, known)| (map.0, known.name.as_str().to_owned()));
         let set_aside = self.set_aside.values().map(|map| (map.id.0, map.name.clone().unwrap_or_default()));
         let mut maps: Vec<_> = maps.chain(set_aside).collect();
         maps.sort();
@@ -217,17 +209,16 @@ pub(crate) fn list(disk: &dyn Disk, directory: &Path) -> Result<Vec<(MapId, MapS
     for map in disk.list(&folder).map_err(open_io(&folder))?.iter().filter_map(|name| map_number(name)) {
         let file = map_folder(directory, map).join("MAP");
         let found = read_spec(disk, &file, map).map_err(|reason| OpenError::Damaged { file, reason })?;
-        maps.push((map, found.spec));
+        maps.push((map, found));
     }
     Ok(maps)
 }
 
-fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<Catalogued, String> {
+fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<MapSpec, String> {
     let mut reader = RecordReader::open(disk, file, MAP_MAGIC, map.0)?;
-    let message: v2::MapSpec = reader.record(RecordKind::Spec)?;
+    let message: v1::MapSpec = reader.record(RecordKind::Spec)?;
     reader.finish()?;
-    let history_complete = message.history_complete;
-    Ok(Catalogued { spec: record::spec::decode(message)?, history_complete })
+    record::spec::decode(message)
 }
 
 /// Creates a map's folder: durable when this returns, and complete or absent at every moment before.
@@ -239,7 +230,7 @@ pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         disk.create_folder(&new_folder)?;
         let header = FileHeader { magic: MAP_MAGIC, map: map.0, position: 0 };
         let mut writer = RecordWriter::create(disk, &file, &header)?;
-        writer.record(RecordKind::Spec, &record::spec::encode(spec, true))?;
+        writer.record(RecordKind::Spec, &record::spec::encode(spec))?;
         writer.finish()?;
         create_log(disk, &new_folder.join("log"), map.0, 1)?;
         disk.create_folder(&new_folder.join("checkpoints"))?;
@@ -248,7 +239,7 @@ pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         list_file::replace(disk, &new_folder.join(HISTORY_FILE), &FileList::default())
     };
     let written = write().map_err(store_io(&new_folder)).and_then(|()| match read_spec(disk, &file, map) {
-        Ok(read) if read.spec == *spec && read.history_complete => Ok(()),
+        Ok(read) if read == *spec => Ok(()),
         Ok(_) => Err(StoreError::NotReadBack { file: file.clone(), reason: "the content differs".to_owned() }),
         Err(reason) => Err(StoreError::NotReadBack { file: file.clone(), reason }),
     });

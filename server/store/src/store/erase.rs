@@ -6,7 +6,7 @@
 use std::{io, path::Path, sync::PoisonError};
 
 use tidemap_map::{erasure::Selection, ids::StateId};
-use tidemap_migrations::v3::lists::{ERASE_FILE, ErasedPart, ErasureOrder};
+use tidemap_migrations::v1::lists::{ERASE_FILE, ErasedPart, ErasureOrder};
 
 use super::{Store, catalogue};
 use crate::{
@@ -55,8 +55,7 @@ impl Store {
         let entry = inner.close_log(map).ok_or_else(unknown)?;
         let (disk, directory) = (&inner.disk, &inner.directory);
         let file = catalogue::map_folder(directory, map).join(ERASE_FILE);
-        let (spec, history_complete) = entry.spec();
-        let rewrite = Rewrite { disk, directory, options: inner.options(), map, spec, history_complete };
+        let rewrite = Rewrite { disk, directory, options: inner.options(), map, spec: entry.spec() };
         let prepared = rewrite.prepare(order)?;
         let erased = prepared.erased;
         let rewritten = list_file::replace(&**disk, &file, order)

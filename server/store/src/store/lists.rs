@@ -1,5 +1,5 @@
-//! The lists of what must exist, when a store is opened: an older format gets those that it lacks, and a list that is
-//! lost is made again only where other files prove that all is there.
+//! The lists of what must exist, when a store is opened: a list that is lost is made again only where other files prove
+//! that all is there.
 //!
 //! Invariant: nothing that may be lost is hidden. A list that is lost and not proven stays as it is, and what it covers
 //! is refused.
@@ -12,11 +12,7 @@ use std::{
 };
 
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::{
-    plan::has_list,
-    v3::lists::{FileList, HISTORY_FILE, MAPS_FILE, NEWEST_FILE, NewestSegment},
-    v4::lists::CHECKPOINTS_FILE,
-};
+use tidemap_migrations::v1::lists::{FileList, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment};
 
 use super::catalogue::{self, Catalogue};
 use crate::{
@@ -29,31 +25,16 @@ use crate::{
     log::segment_position,
 };
 
-/// Makes the lists that a format has and an older one has not. Safe to run again: a list that is there stays.
-pub(crate) fn make_new(disk: &Arc<dyn Disk>, directory: &Path, from: u32, to: u32) -> Result<(), OpenError> {
-    let is_new = |file: &str| !has_list(from, file) && has_list(to, file);
-    let is_made = |path: &Path| disk.length(path).is_ok();
+/// Makes the list of maps of a new data directory. Safe to run again: a list that is there stays.
+pub(crate) fn make_first(disk: &dyn Disk, directory: &Path) -> Result<(), OpenError> {
     if !disk.list(directory).map_err(open_io(directory))?.iter().any(|name| name == "maps") {
         disk.create_folder(&catalogue::maps_folder(directory)).map_err(open_io(directory))?;
     }
-    let catalogue = catalogue::look(&**disk, directory)?;
-    for &map in catalogue.maps.keys() {
-        let folder = catalogue::map_folder(directory, map);
-        if is_new(HISTORY_FILE) && !is_made(&folder.join(HISTORY_FILE)) {
-            history(disk, directory, map).make_list()?;
-        }
-        if is_new(NEWEST_FILE) && !is_made(&folder.join("log").join(NEWEST_FILE)) {
-            make_newest(&**disk, directory, map).map_err(open_io(&folder))?;
-        }
-        if is_new(CHECKPOINTS_FILE) && !is_made(&folder.join(CHECKPOINTS_FILE)) {
-            make_checkpoints(&**disk, directory, map).map_err(open_io(&folder))?;
-        }
-    }
     let file = directory.join(MAPS_FILE);
-    if is_new(MAPS_FILE) && !is_made(&file) {
-        list_file::replace(&**disk, &file, &catalogue.list()).map_err(open_io(file))?;
+    if disk.length(&file).is_ok() {
+        return Ok(());
     }
-    Ok(())
+    list_file::replace(disk, &file, &MapList { next: 1, maps: Vec::new() }).map_err(open_io(file))
 }
 
 /// Lists the newest segment that exists.
@@ -96,7 +77,7 @@ pub(super) fn lost(
     if let Some(problem) = &catalogue.lost_list {
         lost.insert(PathBuf::from(MAPS_FILE), problem.clone());
     }
-    let maps: Vec<_> = catalogue.maps.iter().map(|(&map, known)| (map, known.spec.clone())).collect();
+    let maps: Vec<_> = catalogue.maps.iter().map(|(&map, known)| (map, known.clone())).collect();
     for (map, spec) in maps {
         let history = history(disk, directory, map);
         let file = history.list_path();

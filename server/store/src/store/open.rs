@@ -13,21 +13,17 @@ use std::{
 use tidemap_migrations::{
     FORMAT,
     manifest::{self, Manifest, ManifestError},
-    plan::{Plan, STEPS, plan},
-    v3::lists::MAPS_FILE,
+    plan::{self, MigrateError, STEPS},
+    v1::lists::MAPS_FILE,
 };
 
-use super::{
-    Lock, MapEntry, Maps, OpenStore, Store, StoreOptions,
-    catalogue::{self, Catalogued},
-    lists,
-};
+use super::{Lock, MapEntry, Maps, OpenStore, Store, StoreOptions, catalogue, lists};
 use crate::{
     committer::Committer,
     disk::{Disk, RealDisk},
     erasure,
     error::{OpenError, Report, open_io},
-    index::{Index, IndexInUse, OpenRepair, is_present},
+    index::{Index, IndexInUse, is_present},
     list_file,
 };
 
@@ -80,10 +76,10 @@ impl Store {
         let lock = Lock::take(directory)?;
         // Checked again: another process may have created or migrated it meanwhile.
         let manifest = match manifest::read(directory, FORMAT)? {
-            Some(manifest) => migrate(&disk, directory, manifest)?,
+            Some(manifest) => plan::migrate(directory, manifest, FORMAT, STEPS).map_err(not_migrated(directory))?,
             None => {
                 // First, so that a data directory has its list of maps from its creation on.
-                lists::make_new(&disk, directory, 0, FORMAT)?;
+                lists::make_first(&*disk, directory)?;
                 let manifest = Manifest { format: FORMAT, store_id: options.new_store_id.clone() };
                 manifest::write(directory, &manifest)?;
                 manifest
@@ -99,12 +95,10 @@ impl Store {
         let opened = Index::open(directory.join("index"), options.index_cache_bytes);
         // Whoever has it uses the folder, whatever became of the lock.
         let in_use = |IndexInUse| OpenError::Locked { directory: directory.to_owned(), pid: None };
-        let (index, repair) = opened.map_err(in_use)?;
+        let (index, set_aside) = opened.map_err(in_use)?;
         let mut reports = Vec::new();
-        match repair {
-            Some(OpenRepair::SetAside(folder, reason)) => reports.push(Report::IndexSetAside { folder, reason }),
-            Some(OpenRepair::Dropped) => reports.push(Report::IndexDropped),
-            None => {}
+        if let Some((folder, reason)) = set_aside {
+            reports.push(Report::IndexSetAside { folder, reason });
         }
         if !index.is_available() {
             reports.push(Report::IndexUnavailable { reason: "it cannot be created".to_owned() });
@@ -133,7 +127,6 @@ impl Store {
         let mut catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
         committer.watch.lost(lists::lost(&disk, &directory, &mut catalogue, &mut reports)?);
         let unfinished = catalogue.maps.iter().filter_map(|(&map, known)| {
-            let known = (&known.spec, known.history_complete);
             let repeated = erasure::repeat(&disk, &directory, &options, &mut index, map, known, &mut reports);
             repeated.err().map(|error| (map, error))
         });
@@ -145,14 +138,13 @@ impl Store {
             list_file::replace(&*disk, &file, &catalogue.list()).map_err(open_io(file))?;
         }
         for &map in &catalogue.deleted {
-            // Leftovers of an interrupted deletion, and the empty folders that earlier versions left.
+            // Leftovers of an interrupted deletion.
             index.purge(map.0);
             if let Err(error) = catalogue::remove_deleted(&*disk, &directory, map) {
                 tracing::warn!(map = map.0, %error, "a deleted map still takes space; tried again at the next start");
             }
         }
-        let entry = |Catalogued { spec, history_complete }| MapEntry::new(spec, history_complete);
-        let entries = catalogue.maps.into_iter().map(|(map, known)| (map, entry(known))).collect();
+        let entries = catalogue.maps.into_iter().map(|(map, spec)| (map, MapEntry::new(spec))).collect();
         let inner = OpenStore {
             directory,
             disk,
@@ -189,21 +181,11 @@ fn create_directory(directory: &Path) -> io::Result<()> {
     File::open(parent.unwrap_or(&PathBuf::from(".")))?.sync_all()
 }
 
-fn migrate(disk: &Arc<dyn Disk>, directory: &Path, mut manifest: Manifest) -> Result<Manifest, OpenError> {
-    match plan(manifest.format, FORMAT, STEPS) {
-        Plan::Current => {}
-        Plan::Migrate(steps) => {
-            for step in steps {
-                (step.run)(directory).map_err(open_io(directory))?;
-                lists::make_new(disk, directory, step.from, step.from + 1)?;
-                manifest.format = step.from + 1;
-                manifest::write(directory, &manifest)?;
-            }
-        }
-        Plan::TooNew { found, supported } => {
-            return Err(ManifestError::TooNew { file: directory.join(manifest::FILE_NAME), found, supported }.into());
-        }
-        Plan::NoWay { from } => return Err(OpenError::NoMigration { directory: directory.to_owned(), from }),
+fn not_migrated(directory: &Path) -> impl FnOnce(MigrateError) -> OpenError {
+    let directory = directory.to_owned();
+    move |error| match error {
+        MigrateError::Manifest(error) => error.into(),
+        MigrateError::NoWay { from } => OpenError::NoMigration { directory, from },
+        MigrateError::Step { source, .. } => OpenError::Io { file: directory, source },
     }
-    Ok(manifest)
 }

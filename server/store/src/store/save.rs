@@ -69,9 +69,7 @@ impl OpenStore {
         if let Err(error) = self.history(map).forget(&entry.spec, snapshot.newest_nanos) {
             tracing::warn!(map = map.0, %error, "old history is not deleted; tried again at the next save");
         }
-        // A map of format 1 has its history in its log.
-        if entry.history_complete
-            && let Some(log) = &entry.log
+        if let Some(log) = &entry.log
             && let Err(error) = self.delete_segments(map, log)
         {
             tracing::warn!(map = map.0, %error, "old segments are not deleted; tried again at the next save");

@@ -5,10 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_migrations::{
-    v1::index::{encode_value, map_key, part_key},
-    v2::published::{GENERATIONS, Mark, PRODUCERS, STATES},
-};
+use tidemap_migrations::v1::index::{GENERATIONS, Mark, PRODUCERS, STATES, encode_value, map_key, part_key};
 
 use super::example::{Example, fill, options, snapshot};
 use crate::{MapId, OpenedMap, Report, Source, Store};
@@ -108,20 +105,6 @@ fn an_interrupted_save_leaves_the_map_as_it_was() {
     let opened = example.check(directory.path()).expect("opens");
     assert_eq!(opened.reports, [Report::LeftoverRemoved { file: left.clone() }]);
     assert!(!left.exists());
-}
-
-#[test]
-fn what_an_earlier_build_noted_of_a_killed_update_is_removed() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    let example = example(directory.path());
-    let checkpoints = directory.path().join("maps/00000001/checkpoints");
-    let (noted, other) = (checkpoints.join("update-00000000000000000004.tmu"), checkpoints.join("update-7.tmu"));
-    fs::write(&noted, "notes").expect("writable");
-    fs::write(&other, "of somebody else").expect("writable");
-    let opened = example.check(directory.path()).expect("opens");
-    assert_eq!(opened.reports, [Report::LeftoverRemoved { file: noted.clone() }]);
-    assert!(!noted.exists() && other.exists());
-    assert_eq!(opened.snapshot.as_ref(), example.snapshots.last());
 }
 
 #[test]

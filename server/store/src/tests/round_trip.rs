@@ -18,7 +18,7 @@ use tidemap_map::{
     topology::{EdgeEnds, Extent, NewEdge, NewNode, NodePose, TopologyEdit},
     traversal::{EdgeFailure, kept_reason},
 };
-use tidemap_migrations::v2::log::FrameKind;
+use tidemap_migrations::v1::log::FrameKind;
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Persistence, Sample, StateModel, Zone};
 
 use super::example::{snapshot, spec, state};
@@ -217,7 +217,7 @@ fn a_topological_map_comes_back_with_its_numbers() {
     assert_eq!(record::site::decode(&message, 0).expect("readable"), site);
     let mut broken = message.clone();
     let topology = broken.topology.as_mut().expect("a map");
-    topology.nodes = vec![tidemap_migrations::v2::topology::Node { id: 9, name: "x".to_owned(), ..Default::default() }];
+    topology.nodes = vec![tidemap_migrations::v1::topology::Node { id: 9, name: "x".to_owned(), ..Default::default() }];
     assert!(record::site::decode(&broken, 0).is_err(), "a number that was never given out");
 }
 
@@ -321,7 +321,7 @@ proptest! {
         let state = StateSnapshot { kind, persistence, model: Arc::new(model), ..of_unit };
         let message = record::snapshot::encode_state(7, &state, state.model.accumulator().to_parts());
         prop_assert_eq!(record::snapshot::decode_state(7, &message, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint), Ok(state));
-        let as_probability = tidemap_migrations::v2::map::State { kind: 0, ..message };
+        let as_probability = tidemap_migrations::v1::map::State { kind: 0, ..message };
         prop_assert!(last <= 1.0 || record::snapshot::decode_state(7, &as_probability, &spec.periodicities, record::snapshot::SpectrumIn::Checkpoint).is_err());
     }
 
@@ -342,16 +342,15 @@ proptest! {
                 EnabledModels::SPECTRAL.with_histograms(histograms),
                 EnabledModels::with_fit,
             ), ..MapSpec::new(MapName::new("a-b_0").expect("valid")) };
-        prop_assert_eq!(record::spec::decode(record::spec::encode(&spec, is_list)), Ok(spec));
+        prop_assert_eq!(record::spec::decode(record::spec::encode(&spec)), Ok(spec));
     }
 }
 
 #[test]
 fn a_model_that_is_not_known_is_refused() {
-    let message = record::spec::encode(&super::example::spec("office"), true);
-    assert_eq!(message.models, None, "what was there before models were named");
+    let message = record::spec::encode(&super::example::spec("office"));
     for models in [64, 3 | 64, u32::MAX] {
-        let message = tidemap_migrations::v2::map::MapSpec { models: Some(models), ..message.clone() };
+        let message = tidemap_migrations::v1::map::MapSpec { models, ..message.clone() };
         assert_eq!(record::spec::decode(message), Err(format!("models {models} are not all known")));
     }
 }

@@ -2,13 +2,8 @@
 
 use std::{fs, path::Path};
 
-use super::{
-    example::{Example, append, event, fill, options, segment, snapshot, spec},
-    golden::format_1,
-};
-use crate::{MapId, OpenError, Report, Source, Store, StoreOptions};
-
-const MAP: MapId = MapId(1);
+use super::example::{Example, append, event, fill, options, segment, snapshot, spec};
+use crate::{OpenError, Report, Source, Store, StoreOptions};
 
 /// First positions of the segments.
 fn segments(directory: &Path) -> Vec<u64> {
@@ -112,21 +107,4 @@ fn without_its_beginning_a_log_is_not_opened_when_all_checkpoints_are_damaged() 
         fs::remove_file(file).expect("removable");
     }
     assert!(matches!(example.check(directory.path()), Err(OpenError::CorruptLog { position: 1, .. })));
-}
-
-#[test]
-fn a_map_of_format_1_keeps_its_log_whole() {
-    let directory = tempfile::tempdir().expect("temporary directory");
-    let spec = format_1(directory.path());
-    let store = Store::open(directory.path(), StoreOptions { segment_bytes: 100, ..options() }).expect("opens");
-    let opened = store.open_map(MAP, &spec).expect("opens");
-    let end = opened.log.end();
-    for position in end + 1..end + 30 {
-        append(&opened.log, &event(position)).expect("appends");
-    }
-    for position in [end + 20, end + 25, end + 29] {
-        store.save(MAP, &snapshot(&spec, position, 2)).expect("saves");
-    }
-    let left = segments(directory.path());
-    assert!(left[0] == 1 && left.len() > 5, "{left:?}");
 }

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use tidemap_migrations::{v1::log::SEGMENT_HEADER_LENGTH, v2::log::FrameHeader};
+use tidemap_migrations::v1::log::{FrameHeader, SEGMENT_HEADER_LENGTH};
 
 use super::example::{Example, content, copy, fill, segment};
 use crate::{OpenError, Report};

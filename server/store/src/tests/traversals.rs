@@ -18,7 +18,7 @@ fn failed_traversals_come_back_in_their_order() {
     let message = record::site::encode(&site).expect("something was told");
     assert_eq!(record::site::decode(&message, 0).expect("readable"), site);
     for spoil in
-        [(|failure| failure.from = "a/b".to_owned()) as fn(&mut tidemap_migrations::v2::site::EdgeFailure), |failure| {
+        [(|failure| failure.from = "a/b".to_owned()) as fn(&mut tidemap_migrations::v1::site::EdgeFailure), |failure| {
             failure.reason = "x".repeat(201);
         }]
     {

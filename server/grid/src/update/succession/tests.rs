@@ -59,7 +59,7 @@ proptest! {
 
         let last_nanos = last.map(|(nanos, _)| nanos);
         let found = times.observe(ObservedTimes::default(), &observed, last_nanos, DayFactors::EQUAL);
-        prop_assert_eq!(found, ObservedTimes { gaps, hours: hours.len() as f64, unrecorded: 0 });
+        prop_assert_eq!(found, ObservedTimes { gaps, hours: hours.len() as f64 });
         let changes = times.changes(&observed, &occupied, last_nanos, last.map(|(_, value)| value));
         prop_assert_eq!(changes.rate_sum.to_bits(), naive.to_parts().change_rate_sum.to_bits());
         prop_assert_eq!(changes.last, naive.last().map(|(_, value)| value > 0.5));

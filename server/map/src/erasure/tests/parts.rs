@@ -315,18 +315,7 @@ fn what_the_history_does_not_tell_is_refused() {
         from_nanos,
         to_nanos: i64::MAX,
     };
-    // The first update was written by an older version.
-    let mut old = pieces.clone();
-    Arc::make_mut(&mut old[0]).origins = Vec::new();
-    let known_from_nanos = 18 * HOUR + 1;
-    let mut with_old = published.last().expect("an update").clone();
-    with_old.producers[0].has_scans = None;
-    let refused = decided(&selection(Some(0), 0), Some(&with_old), &old, &events);
-    // One that began later observed nothing of that.
-    assert!(decided(&selection(Some(1), 0), Some(&with_old), &old, &events).is_ok());
-    assert_eq!(refused, Err(NotErasable::ProducerUnknown { state: named("s0"), known_from_nanos }));
-    assert!(decided(&selection(Some(0), DAY), Some(&with_old), &old, &events).is_ok());
-    assert!(decided(&selection(None, 0), Some(&with_old), &old, &events).is_ok());
+    assert!(decided(&selection(Some(0), 0), snapshot, &pieces, &events).is_ok());
     // Its file was deleted.
     let pending_from_nanos = 3 * DAY;
     let refused = decided(&selection(None, DAY), snapshot, &pieces[1..], &events);

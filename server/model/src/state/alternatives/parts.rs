@@ -34,8 +34,8 @@ pub struct AlternativesParts {
     pub succession: PersistenceParts,
     /// The times between the learned readings.
     pub gaps: GapsParts,
-    /// Sum of |change of value| between the learned readings; `None` where some came before it was kept.
-    pub changes: Option<f64>,
+    /// Sum of |change of value| between the learned readings.
+    pub changes: f64,
     /// Number of components of the spectral model that noise would not show.
     pub supported: u8,
     /// What the choice of orders has gained.
@@ -108,7 +108,7 @@ impl Alternatives {
         for &sum in parts.error_sums.iter().chain(parts.fits.iter().filter_map(|fit| fit.error_sum.as_ref())) {
             InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
         }
-        InvalidParts::check("sum of changes", parts.changes.unwrap_or(0.0), 0.0..=f64::MAX)?;
+        InvalidParts::check("sum of changes", parts.changes, 0.0..=f64::MAX)?;
         let mut fits = [const { None }; FitKind::ALL.len()];
         for fit in parts.fits {
             let model = FittedModel::from_parts_of(kind, fit.model)?;

@@ -19,28 +19,25 @@ fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
 }
 
 #[test]
-fn readings_without_a_record_count_until_there_is_one() {
+fn components_beyond_what_noise_shows_are_supported() {
     let week = Periodicities::default();
     let strong = crate::Component { periodicity: 6, gamma_re: 0.2, gamma_im: 0.0 };
     let model = SpectralModel::from_parts(0.5, 1000, vec![strong]).unwrap();
-    let readings = |pairs, unrecorded| LearnedReadings {
-        pairs,
-        unrecorded,
+    let readings = LearnedReadings {
+        pairs: 1000,
         span_secs: 3e6,
         observed_hours: 800.0,
         mean: 0.5,
         difference: 1.0,
         remembered: 1.0,
     };
-    let mut watch = OrderWatch::unrecorded();
+    let mut watch = OrderWatch::of_constant(None);
     // Half of the pairs change: as noise does.
     watch.learn(500, 500.0 / 3000.0, Some(true));
-    watch.support(&model, &week, readings(1000, 1000));
-    assert_eq!(watch.supported_order(), ORDER_MAX);
-    watch.support(&model, &week, readings(1000, 999));
+    watch.support(&model, &week, readings);
     assert_eq!(watch.supported_order(), 1);
     let mut noise = watch;
     let weak = crate::Component { gamma_re: 0.01, ..strong };
-    noise.support(&SpectralModel::from_parts(0.5, 1000, vec![weak]).unwrap(), &week, readings(1000, 0));
+    noise.support(&SpectralModel::from_parts(0.5, 1000, vec![weak]).unwrap(), &week, readings);
     assert_eq!(noise.supported_order(), 0);
 }

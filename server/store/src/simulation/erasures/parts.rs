@@ -35,7 +35,7 @@ fn observed(half_day: i64, without: &Selection) -> Event {
     let all = (0..12).flat_map(|hour| (0..STATES).map(move |state| (StateId(state), half_day * 12 + hour)));
     // A few belong to the next day, and are learned with it.
     let rows = all.map(|(state, hour)| (state, hour * HOUR + HOUR / 2 * i64::from(state.0) * (half_day % 3)));
-    let left: Vec<_> = rows.filter(|(state, nanos)| !without.takes(*state, Some(producer), *nanos)).collect();
+    let left: Vec<_> = rows.filter(|(state, nanos)| !without.takes(*state, producer, *nanos)).collect();
     let number = half_day / 2;
     let key = ProducerKey::new(&format!("robot-{}", producer.0), "").expect("valid");
     let count = u32::try_from(left.len()).expect("few");

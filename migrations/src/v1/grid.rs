@@ -1,0 +1,355 @@
+//! A grid after an update, in a checkpoint.
+//!
+//! A set of cells of a tile is 64 bytes, the first cell in the lowest bit of the first; an empty set has no bytes. A
+//! list of cells holds how many places lie between each and the one before, as varints. Sets of tiles are those of
+//! [`super::event`].
+//!
+//! Invariant: a double is kept as its bits, little-endian, so that every bit is preserved.
+
+use super::map::Alarm;
+
+/// The header of a grid.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Grid {
+    /// Number of tiles.
+    #[prost(uint32, tag = "1")]
+    pub tiles: u32,
+    /// Number of tiles, from the first, that have a model and sums.
+    #[prost(uint32, tag = "2")]
+    pub models: u32,
+    /// Number of days.
+    #[prost(uint32, tag = "3")]
+    pub days: u32,
+    /// Number of scans whose time is in the future.
+    #[prost(uint32, tag = "4")]
+    pub ahead: u32,
+    /// Scans acknowledged.
+    #[prost(uint64, tag = "5")]
+    pub scans: u64,
+    /// Observations of single cells in them.
+    #[prost(uint64, tag = "6")]
+    pub cell_observations: u64,
+    /// The tiles of the last scan in the log: a set.
+    #[prost(bytes = "vec", tag = "7")]
+    pub last_seen: Vec<u8>,
+    /// When the first of the scans in `days` and `ahead` was received, or earlier; absent if there are none.
+    #[prost(sint64, optional, tag = "8")]
+    pub received_nanos: Option<i64>,
+}
+
+/// The current state of a tile, after the newest scans.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Tile {
+    /// Index along x.
+    #[prost(sint32, tag = "1")]
+    pub x: i32,
+    /// Index along y.
+    #[prost(sint32, tag = "2")]
+    pub y: i32,
+    /// Index along z.
+    #[prost(sint32, tag = "3")]
+    pub z: i32,
+    /// Cells observed by its last scan in the log.
+    #[prost(bytes = "vec", tag = "4")]
+    pub arrival_observed: Vec<u8>,
+    /// Cells occupied in its last scan in the log.
+    #[prost(bytes = "vec", tag = "5")]
+    pub arrival_occupied: Vec<u8>,
+    /// Cells that were ever observed.
+    #[prost(bytes = "vec", tag = "6")]
+    pub known: Vec<u8>,
+    /// Cells whose newest reading is occupied.
+    #[prost(bytes = "vec", tag = "7")]
+    pub occupied: Vec<u8>,
+    /// Cells observed by the newest scan.
+    #[prost(bytes = "vec", tag = "8")]
+    pub current: Vec<u8>,
+    /// Time of the newest scan.
+    #[prost(sint64, tag = "9")]
+    pub newest_nanos: i64,
+    /// Number of scans that were newer than all scans before.
+    #[prost(uint64, tag = "10")]
+    pub scans: u64,
+    /// Known cells that the newest scan did not observe: a list of cells, each with the time of its last observation
+    /// before `newest_nanos`, as a zigzag varint, and its pairs of successive observations, as a varint.
+    #[prost(bytes = "vec", tag = "11")]
+    pub away: Vec<u8>,
+    /// Offsets of pairs from scans: a list of cells, each with a zigzag varint.
+    #[prost(bytes = "vec", tag = "12")]
+    pub offsets: Vec<u8>,
+    /// Sums of rates of change: a list of cells, each with a double.
+    #[prost(bytes = "vec", tag = "13")]
+    pub change_rates: Vec<u8>,
+    /// Whether a model and sums follow; otherwise both are empty.
+    #[prost(bool, tag = "14")]
+    pub has_model: bool,
+    /// Number of the sensor of the newest scan: 0 the map's own, the others in the order in which their first producers
+    /// appear in the log.
+    #[prost(uint32, tag = "15")]
+    pub sensor: u32,
+    /// The sensor that last observed each cell of `away`, a byte each, in their order; empty: all the map's own.
+    #[prost(bytes = "vec", tag = "16")]
+    pub away_sensors: Vec<u8>,
+}
+
+/// The learned model of a tile.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct TileModel {
+    /// Observation groups.
+    #[prost(message, repeated, tag = "1")]
+    pub groups: Vec<Group>,
+    /// Cells whose readings were all occupied.
+    #[prost(bytes = "vec", tag = "2")]
+    pub always_occupied: Vec<u8>,
+    /// Cells that have changed.
+    #[prost(message, repeated, tag = "3")]
+    pub cells: Vec<Cell>,
+}
+
+/// A group of cells that were observed at the same times.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Group {
+    #[prost(bytes = "vec", tag = "1")]
+    pub cells: Vec<u8>,
+    /// Observations of each.
+    #[prost(uint64, tag = "2")]
+    pub observations: u64,
+    /// Time of the first.
+    #[prost(sint64, tag = "3")]
+    pub first_nanos: i64,
+    /// Time of the last.
+    #[prost(sint64, tag = "4")]
+    pub last_nanos: i64,
+    /// Sum of α over the observations. Present in all groups of a tile or in none: then all are of the map's own
+    /// sensor.
+    #[prost(fixed64, optional, tag = "5")]
+    pub alpha_bits: Option<u64>,
+    /// Sum of β over the observations; as `alpha_bits`.
+    #[prost(fixed64, optional, tag = "6")]
+    pub beta_bits: Option<u64>,
+    /// With a half-life: total weight of the observations. Present in all groups of a tile or in none.
+    #[prost(fixed64, optional, tag = "7")]
+    pub weight_bits: Option<u64>,
+    /// With a half-life: the latest local day that was learned, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "8")]
+    pub day: Option<i32>,
+    /// With a half-life: the latest local day in the sums of the group.
+    #[prost(sint32, optional, tag = "9")]
+    pub sum_day: Option<i32>,
+}
+
+/// The model of a cell.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Cell {
+    #[prost(uint32, tag = "1")]
+    pub cell: u32,
+    /// Number of readings as occupied.
+    #[prost(uint64, tag = "2")]
+    pub occupied: u64,
+    #[prost(fixed64, tag = "3")]
+    pub mean_bits: u64,
+    /// Number of observations it was trained on.
+    #[prost(uint64, tag = "4")]
+    pub observations: u64,
+    /// Components, strongest first: index of the periodicity u32, real and imaginary part as doubles.
+    #[prost(bytes = "vec", tag = "5")]
+    pub components: Vec<u8>,
+    /// Number of components in force.
+    #[prost(uint32, tag = "6")]
+    pub order: u32,
+    /// Faded sums of errors, orders 0 to 15, as doubles.
+    #[prost(bytes = "vec", tag = "7")]
+    pub error_sums: Vec<u8>,
+    /// Last local day recorded in the errors, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "8")]
+    pub errors_last_day: Option<i32>,
+    /// Sum of β over the readings as occupied. Present if the groups have theirs.
+    #[prost(fixed64, optional, tag = "9")]
+    pub occupied_weight_bits: Option<u64>,
+    /// The local day on which its change alarm rang, where it rings.
+    #[prost(sint32, optional, tag = "10")]
+    pub rang: Option<i32>,
+}
+
+/// Observation times of cells of a tile. Follows the sums of a tile in the same record.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Sightings {
+    /// Days of cells that have no sums for them, in the order in which they were learned.
+    #[prost(message, repeated, tag = "1")]
+    pub days: Vec<SeenDay>,
+    /// Times between the observations of each group.
+    #[prost(message, repeated, tag = "2")]
+    pub times: Vec<GroupTimes>,
+    /// Support and change alarm of each changed cell.
+    #[prost(message, repeated, tag = "3")]
+    pub watches: Vec<CellWatch>,
+}
+
+/// The times between the observations of a group.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct GroupTimes {
+    /// Number of gaps.
+    #[prost(uint64, tag = "1")]
+    pub gaps: u64,
+    /// A sample of them in whole seconds.
+    #[prost(uint32, repeated, tag = "2")]
+    pub kept_secs: Vec<u32>,
+    /// Number of single hours with an observation.
+    #[prost(fixed64, tag = "3")]
+    pub hours_bits: u64,
+}
+
+/// Which components of a cell are supported, and its change alarm.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct CellWatch {
+    /// Daily gains of the orders: days, sum and sum of squares. Empty: none.
+    #[prost(fixed64, repeated, tag = "1")]
+    pub gains_bits: Vec<u64>,
+    #[prost(message, optional, tag = "2")]
+    pub alarm: Option<Alarm>,
+    /// Sum of 1 / time between readings over the changes, per second.
+    #[prost(fixed64, tag = "3")]
+    pub change_rate_sum_bits: u64,
+    /// Whether the newest learned reading is occupied.
+    #[prost(bool, optional, tag = "4")]
+    pub last: Option<bool>,
+    /// Number of supported components.
+    #[prost(uint32, tag = "5")]
+    pub supported: u32,
+    /// Number of changes between readings.
+    #[prost(uint32, tag = "6")]
+    pub changes: u32,
+}
+
+/// When cells of a tile were observed on one day.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct SeenDay {
+    /// Number of scans that saw the tile, at least 1.
+    #[prost(uint32, tag = "1")]
+    pub scans: u32,
+    /// Local civil time of the first, in nanoseconds since 1970 local.
+    #[prost(sint64, tag = "2")]
+    pub first_civil_nanos: i64,
+    /// Unit of the differences of times.
+    #[prost(uint64, tag = "3")]
+    pub time_unit_nanos: u64,
+    /// Column of differences of times, zigzag, modulo 2^64: `scans` - 1 of them, or one if all are equal.
+    #[prost(bytes = "vec", tag = "4")]
+    pub times: Vec<u8>,
+    /// Cells that were observed by the same scans, list by list: number of cells, the places that lie between each and
+    /// the one before, number of toggles, the scans that lie between each and the one before; all as varints.
+    #[prost(bytes = "vec", tag = "5")]
+    pub lists: Vec<u8>,
+    /// Lengths of the runs of scans of one sensor; empty if all are of the map's own.
+    #[prost(uint32, repeated, tag = "6")]
+    pub sensor_counts: Vec<u32>,
+    /// Sensor of each run.
+    #[prost(uint32, repeated, tag = "7")]
+    pub sensors: Vec<u32>,
+}
+
+/// Scans of one local day. Its tiles follow.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Day {
+    /// The local date, in days since 1970-01-01.
+    #[prost(sint32, tag = "1")]
+    pub day: i32,
+    /// Number of scans.
+    #[prost(uint32, tag = "2")]
+    pub scans: u32,
+    /// Time of the first scan.
+    #[prost(int64, tag = "3")]
+    pub first_time_nanos: i64,
+    /// Unit of the differences of times.
+    #[prost(uint64, tag = "4")]
+    pub time_unit_nanos: u64,
+    /// Column of differences of times: `scans` - 1 of them.
+    #[prost(bytes = "vec", tag = "5")]
+    pub times: Vec<u8>,
+    /// Lengths of the runs of equal UTC offsets.
+    #[prost(uint32, repeated, tag = "6")]
+    pub offset_counts: Vec<u32>,
+    /// Offset of each run.
+    #[prost(sint32, repeated, tag = "7")]
+    pub offset_secs: Vec<i32>,
+    /// Runs of scans that saw the same tiles: the run's length as a varint, and the set of tiles.
+    #[prost(bytes = "vec", tag = "8")]
+    pub presence: Vec<u8>,
+    /// Number of records of tiles that follow.
+    #[prost(uint32, tag = "9")]
+    pub tiles: u32,
+    /// One more than the greatest number of a tile in the runs.
+    #[prost(uint32, tag = "10")]
+    pub tiles_end: u32,
+    /// Lengths of the runs of scans of one sensor; empty if all are of the map's own.
+    #[prost(uint32, repeated, tag = "11")]
+    pub sensor_counts: Vec<u32>,
+    /// Sensor of each run.
+    #[prost(uint32, repeated, tag = "12")]
+    pub sensors: Vec<u32>,
+}
+
+/// One tile on one day.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct DayTile {
+    #[prost(uint32, tag = "1")]
+    pub tile: u32,
+    /// The observations; absent if only models are known.
+    #[prost(message, optional, tag = "2")]
+    pub scans: Option<DayTileScans>,
+    /// Small models of cells, ascending: place u16, mean as a float, number of components u8, per component the index
+    /// of the periodicity u16, real and imaginary part as floats. In history files only.
+    #[prost(bytes = "vec", tag = "3")]
+    pub models: Vec<u8>,
+}
+
+/// The observations of a tile by the scans of one day.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct DayTileScans {
+    /// Cells observed by the first scan.
+    #[prost(bytes = "vec", tag = "1")]
+    pub first_observed: Vec<u8>,
+    /// Cells occupied in the first scan.
+    #[prost(bytes = "vec", tag = "2")]
+    pub first_occupied: Vec<u8>,
+    /// Flips by bit, each ascending by scan: how many bits lie between this one and the one before (bit = 2·place, plus
+    /// one for the occupied bit), number of flips less 1, and how many scans lie between each and the one before; all
+    /// as varints. Of one scan, flips of observed bits come before those of occupied bits, each by place.
+    #[prost(bytes = "vec", tag = "3")]
+    pub flips: Vec<u8>,
+    /// Used instead of `flips` if the flips of one scan have another order: all flips in that order. Per flip the
+    /// number of scans since the flip before and the bit as above, as varints.
+    #[prost(bytes = "vec", tag = "4")]
+    pub flips_in_order: Vec<u8>,
+    /// The masks of the last scan, if they are not those of the first with all flips.
+    #[prost(message, optional, tag = "5")]
+    pub last: Option<Masks>,
+}
+
+/// The observation of a tile by a scan.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Masks {
+    /// Cells observed.
+    #[prost(bytes = "vec", tag = "1")]
+    pub observed: Vec<u8>,
+    /// Cells occupied.
+    #[prost(bytes = "vec", tag = "2")]
+    pub occupied: Vec<u8>,
+}
+
+/// A scan that waits because its time is too far in the future.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct AheadScan {
+    #[prost(sint64, tag = "1")]
+    pub utc_nanos: i64,
+    #[prost(sint32, tag = "2")]
+    pub offset_secs: i32,
+    /// The numbers of its tiles, in their order.
+    #[prost(uint32, repeated, tag = "3")]
+    pub tiles: Vec<u32>,
+    /// Per tile the cells observed and the cells occupied, 64 bytes each.
+    #[prost(bytes = "vec", tag = "4")]
+    pub masks: Vec<u8>,
+    #[prost(uint32, tag = "5")]
+    pub sensor: u32,
+}
