@@ -53,16 +53,13 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
         5 => {
             drop(decode::<v1::LoadTopologyRequest>("LoadTopologyRequest", bytes).map(|r| topology::load_from_wire(&r)))
         }
-        6 => drop(
-            decode::<v1::PlanTourRequest>("PlanTourRequest", bytes).map(|r| exploration::tour_from_wire(&r)),
-        ),
+        6 => drop(decode::<v1::PlanTourRequest>("PlanTourRequest", bytes).map(|r| exploration::tour_from_wire(&r))),
         7 => drop(decode::<v1::PlanRouteRequest>("PlanRouteRequest", bytes).map(|r| route::route_from_wire(&r))),
         8 => drop(decode::<v1::PlanSearchRequest>("PlanSearchRequest", bytes).map(|r| search::search_from_wire(&r))),
         9 => drop(decode::<v1::PredictGridRequest>("PredictGridRequest", bytes).map(|r| cells::question_from_wire(&r))),
         10 => drop(decode::<v1::PredictStatesRequest>("PredictStatesRequest", bytes).map(|r| {
-            let _ = exploration::times_from_wire("times_nanos", &r.times_nanos);
-            let _ = query::selector_from_wire("model", r.model);
-            anomaly::judge_from_wire("model", r.model)
+            let _ = anomaly::judge_from_wire("model", r.model);
+            query::states_from_wire(r)
         })),
         _ => drop(decode::<v1::Point>("Point", bytes).map(|point| site::point_from_wire("point", point))),
     }
