@@ -62,6 +62,11 @@ test:
 		cargo test $(TESTED); \
 	fi
 	@$(ENV); cargo test --workspace --doc --locked
+	@$(ENV); if [ -e client/web/node_modules/vite ]; then \
+		cd client/web && npm run -s test; \
+	else \
+		echo "SKIPPED: the tests of client/web/src; client/web/node_modules is not installed: npm ci" >&2; \
+	fi
 
 ## python: the Python wheel with the daemon in it, in target/wheels, and its tests
 python: build

@@ -49,11 +49,26 @@ export function offsetAt(ms: number, zone: string): number {
     return Date.UTC(at.year, at.month - 1, at.day, at.hour, at.minute, at.second) - Math.floor(ms / 1000) * 1000;
 }
 
-/** The instant of a civil time; days and months may overflow. A time that is skipped gives the one after the gap. */
+/** The reading of a clock of the zone, as if the zone were UTC, milliseconds. */
+export function wallTime(ms: number, zone: string): number {
+    return ms + offsetAt(ms, zone);
+}
+
+/**
+ * The instant of a reading of the clock. Of a time that comes twice it is the first; a time that is skipped gives the
+ * one after the gap.
+ */
+export function fromWall(wall: number, zone: string): number {
+    // An offset changes at most once in two days: one of these is that of the instant.
+    const before = offsetAt(wall - DAY, zone);
+    const after = offsetAt(wall + DAY, zone);
+    if (offsetAt(wall - before, zone) !== before && offsetAt(wall - after, zone) === after) return wall - after;
+    return wall - before;
+}
+
+/** The instant of a civil time, as `fromWall`; days and months may overflow. */
 export function instant(year: number, month: number, day: number, hour: number, minute: number, zone: string): number {
-    const wall = Date.UTC(year, month - 1, day, hour, minute);
-    const first = wall - offsetAt(wall, zone);
-    return wall - offsetAt(first, zone);
+    return fromWall(Date.UTC(year, month - 1, day, hour, minute), zone);
 }
 
 /** The midnight that begins the local day of an instant. */
@@ -71,8 +86,7 @@ export function monday(ms: number, zone: string): number {
 
 /** The instant so many local days later, at the same time of the day. */
 export function addDays(ms: number, days: number, zone: string): number {
-    const at = civil(ms, zone);
-    return instant(at.year, at.month, at.day + days, at.hour, at.minute, zone) + (ms % MINUTE);
+    return fromWall(wallTime(ms, zone) + days * DAY, zone);
 }
 
 /** As `Tue 4 Mar 2025, 10:00`. */
@@ -105,7 +119,7 @@ export function rfc3339(ms: number, zone: string): string {
 
 /** The text of a field for a local date and time. */
 export function fieldText(ms: number, zone: string): string {
-    return new Date(ms + offsetAt(ms, zone)).toISOString().slice(0, 16);
+    return new Date(wallTime(ms, zone)).toISOString().slice(0, 16);
 }
 
 /** Reads such a field; NaN if it is empty. */

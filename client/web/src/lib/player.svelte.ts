@@ -8,8 +8,8 @@ import { SPANS, type SpanName } from './spans';
 
 /** Number of frames to fetch ahead. */
 const AHEAD = 8;
-/** Without a grid there is nothing to wait for; without frames for so long, the player waits. */
-const TOLD_EVERY_MS = 100;
+/** The least time between two calls of `onmove` while it plays. */
+const MOVE_EVERY_MS = 100;
 
 export class Player {
     isPlaying = $state(false);
@@ -32,7 +32,10 @@ export class Player {
         // The frames around the time that is shown.
         let [from, to] = [at, frameMs === DAY ? step(at, 1) : (Math.floor(at / frameMs) + 1) * frameMs];
         let before: number | undefined;
-        let told = 0;
+        let movedAt = 0;
+        // Without a grid there is nothing to wait for.
+        const isShown = (earlier: number, later: number, share: number) =>
+            !this.#feed.hasGrid || this.#feed.showBetween(earlier, later, share);
         const tick = (now: number) => {
             if (!this.isPlaying) return;
             this.#request = requestAnimationFrame(tick);
@@ -41,15 +44,13 @@ export class Player {
             const next = this.ms + (passed / 1000) * pace;
             if (next >= to) {
                 const [reached, later] = [to, step(to, 1)];
-                if (this.#feed.showBetween(reached, later, 0)) [from, to, this.ms] = [reached, later, Math.min(next, later)];
-            } else if (this.#feed.showBetween(from, to, (next - from) / (to - from))) {
-                this.ms = next;
-            } else if (!this.#feed.hasGrid) {
+                if (isShown(reached, later, 0)) [from, to, this.ms] = [reached, later, Math.min(next, later)];
+            } else if (isShown(from, to, (next - from) / (to - from))) {
                 this.ms = next;
             }
             this.#feed.prefetch([from, ...Array.from({ length: AHEAD }, (_, index) => step(to, index))]);
-            if (now - told > TOLD_EVERY_MS) {
-                told = now;
+            if (now - movedAt > MOVE_EVERY_MS) {
+                movedAt = now;
                 this.#onmove(this.ms);
             }
         };

@@ -1,6 +1,6 @@
 // The spans of the time slider: a day, a week and a year, each from a local midnight on.
 
-import { addDays, DAY, HOUR, instant, midnight, MINUTE, monday, civil } from './civil';
+import { addDays, civil, DAY, fromWall, HOUR, instant, midnight, MINUTE, monday, wallTime } from './civil';
 
 export type SpanName = 'day' | 'week' | 'year';
 
@@ -33,23 +33,18 @@ export const SPANS: Record<SpanName, Span> = {
             // At the same time of the day throughout the year.
             return instant(at.year, 1, 1, at.hour, at.minute, zone);
         },
-        end: (start, zone) => addDays(start, 365, zone),
+        end: (start, zone) => jump('year', start, 1, zone),
     },
 };
 
-/** The time of a position of the slider: so many milliseconds of civil time after its start. */
+/** The time of a position of the slider: so many milliseconds after its start, of the clock except within a day. */
 export function positionTime(span: SpanName, start: number, elapsed: number, zone: string): number {
-    if (span === 'day') return start + elapsed;
-    const days = Math.floor(elapsed / DAY);
-    return addDays(start, days, zone) + (elapsed - days * DAY);
+    return span === 'day' ? start + elapsed : fromWall(wallTime(start, zone) + elapsed, zone);
 }
 
-/** The position of a time, milliseconds of civil time after the start. */
+/** The position of a time, the contrary of `positionTime`. */
 export function position(span: SpanName, start: number, ms: number, zone: string): number {
-    if (span === 'day') return ms - start;
-    const [from, to] = [civil(start, zone), civil(ms, zone)];
-    const days = Math.round((Date.UTC(to.year, to.month - 1, to.day) - Date.UTC(from.year, from.month - 1, from.day)) / DAY);
-    return days * DAY + (ms - addDays(start, days, zone));
+    return span === 'day' ? ms - start : wallTime(ms, zone) - wallTime(start, zone);
 }
 
 /** Moves a time by whole days, weeks or years. */

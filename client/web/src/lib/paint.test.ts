@@ -1,0 +1,142 @@
+// What is drawn on canvases, by the calls that a canvas receives.
+
+import assert from 'node:assert/strict';
+import { beforeEach, suite, test } from 'node:test';
+
+import { PALETTES, viridis } from './colours';
+import { paintFrame, paintPlan } from './paint';
+import type { Plan } from './plan';
+
+interface Call {
+    name: string;
+    values: unknown[];
+    /** The properties of the brush at that moment. */
+    brush: Record<string, unknown>;
+}
+
+/** A canvas that keeps what is drawn on it. */
+class Canvas {
+    width = 200;
+    height = 100;
+    calls: Call[] = [];
+    #brush = new Proxy({} as Record<string, unknown>, {
+        get: (brush, name: string) => brush[name] ?? ((...values: unknown[]) => void this.calls.push({ name, values, brush: { ...brush } })),
+    });
+
+    getContext(): unknown {
+        return this.#brush;
+    }
+
+    named(name: string): Call[] {
+        return this.calls.filter((call) => call.name === name);
+    }
+}
+
+let canvas: Canvas;
+const sheets: Canvas[] = [];
+const drawn = () => canvas as unknown as HTMLCanvasElement;
+
+Object.assign(globalThis, {
+    document: { createElement: () => sheets[sheets.push(new Canvas()) - 1] },
+    ImageData: class {
+        data: Uint8ClampedArray;
+        constructor(readonly width: number, readonly height: number) {
+            this.data = new Uint8ClampedArray(width * height * 4);
+        }
+    },
+});
+
+beforeEach(() => {
+    canvas = new Canvas();
+});
+
+suite('a frame', () => {
+    const palette = PALETTES.probability;
+    const frame = { minX: 2, minY: -1, maxX: 4, maxY: 2, cells: Uint8Array.of(0, 10, 20, 30, 254, 255) };
+    const place = { originX: 1, originY: 2, resolution: 0.5 };
+
+    test('has its north at the top, in the colours of the palette', () => {
+        paintFrame(drawn(), frame, palette, place, { x: 0, y: 0, scale: 10 }, 1);
+        const image = sheets.at(-1)?.named('putImageData').at(-1)?.values[0] as ImageData;
+        assert.deepEqual([image.width, image.height], [2, 3]);
+        const pixels = [...new Uint32Array(image.data.buffer)];
+        assert.deepEqual(pixels, [254, 255, 20, 30, 0, 10].map((index) => palette[index]));
+    });
+
+    test('lies where its cells are, seen by the camera', () => {
+        paintFrame(drawn(), frame, palette, place, { x: 1, y: 2, scale: 10 }, 2);
+        // 20 pixels a metre; the corner at (2, 3) m is 1 m right and 1 m above the middle of the canvas.
+        assert.deepEqual(canvas.named('drawImage')[0]?.values.slice(1), [120, 30, 20, 30]);
+    });
+
+    test('is smooth only where cells are smaller than pixels', () => {
+        for (const [scale, isSmooth] of [[1.9, true], [2, false]] as const) {
+            paintFrame(drawn(), frame, palette, place, { x: 0, y: 0, scale }, 1);
+            assert.equal(canvas.named('drawImage').at(-1)?.brush.imageSmoothingEnabled, isSmooth);
+        }
+    });
+
+    test('that is not there leaves an empty canvas', () => {
+        paintFrame(drawn(), undefined, palette, place, { x: 0, y: 0, scale: 10 }, 1);
+        assert.deepEqual(canvas.calls.map(({ name }) => name), ['setTransform', 'clearRect']);
+    });
+});
+
+suite('a plan', () => {
+    const style = { text: 'text', ground: 'ground', accent: 'accent' };
+    const nodes = [{ name: 'hall', x: 0, y: 0 }, { name: 'lab', x: 3, y: 2, presence: 0.5 }];
+    const empty: Plan = { nodes: [], edges: [], paths: [] };
+
+    function paint(plan: Partial<Plan>, chosen: string[] = [], scale = 10, marked?: { x: number; y: number; size: number }): void {
+        paintPlan(drawn(), { ...empty, ...plan }, marked, chosen, { x: 0, y: 0, scale }, 1, style);
+    }
+
+    test('has nodes at their place, y upwards, in the colour of presence', () => {
+        paint({ nodes });
+        const discs = canvas.named('arc').map(({ values }) => values.slice(0, 3));
+        assert.deepEqual(discs, [[100, 50, 9], [100, 50, 6.5], [130, 30, 9], [130, 30, 6.5]]);
+        assert.deepEqual(canvas.named('fill').map(({ brush }) => brush.fillStyle), ['ground', 'ground', 'ground', viridis(0.5)]);
+        assert.deepEqual(canvas.named('fillText').map(({ values }) => values), [['hall', 100, 70], ['lab', 130, 50]]);
+    });
+
+    test('has larger nodes where they are chosen', () => {
+        paint({ nodes }, ['lab']);
+        assert.deepEqual(canvas.named('arc').map(({ values }) => values[2]), [9, 6.5, 12, 9]);
+    });
+
+    test('has no names where many nodes are small', () => {
+        const many = Array.from({ length: 40 }, (_, index) => ({ name: `${index}`, x: index, y: 0 }));
+        paint({ nodes: many }, [], 9);
+        assert.equal(canvas.named('fillText').length, 0);
+        paint({ nodes: many }, [], 9.1);
+        assert.equal(canvas.named('fillText').length, 40);
+    });
+
+    test('has edges in the colour of their share, dashed where nobody has reported', () => {
+        const edge = { from: 'hall', to: 'lab', title: '' };
+        paint({ nodes, edges: [{ ...edge, share: 0.25, reports: 3 }, { ...edge, reports: 0 }] });
+        const lines = canvas.named('stroke').filter(({ brush }) => brush.lineWidth === 3.5).map(({ brush }) => brush.strokeStyle);
+        assert.deepEqual(lines, [viridis(0.25), 'text']);
+        assert.deepEqual(canvas.named('setLineDash').map(({ values }) => (values[0] as number[]).length), [0, 0, 0, 2, 0]);
+        assert.deepEqual([canvas.named('moveTo')[0]?.values, canvas.named('lineTo')[0]?.values], [[100, 50], [130, 30]]);
+    });
+
+    test('leaves out edges of nodes that are not there', () => {
+        paint({ nodes, edges: [{ from: 'hall', to: 'attic', reports: 1, title: '' }] });
+        assert.equal(canvas.named('lineTo').length, 0);
+    });
+
+    test('has ways as lines with an arrow each, and the numbers of a tour', () => {
+        paint({ paths: [{ kind: 'tour', points: [{ x: 0, y: 0, label: '1' }, { x: 1, y: 0 }, { x: 1, y: 1, label: '2' }] }] });
+        // A line and two strokes of an arrow for each step.
+        assert.deepEqual(canvas.named('lineTo').length, 2 * 3);
+        assert.deepEqual(canvas.named('fillText').map(({ values }) => values[0]), ['1', '2']);
+    });
+
+    test('marks a cell by a square that can be seen from afar', () => {
+        paint({}, [], 10, { x: 1, y: 1, size: 2 });
+        assert.deepEqual(canvas.named('strokeRect')[0]?.values, [100, 30, 20, 20]);
+        paint({}, [], 1, { x: 0, y: 0, size: 2 });
+        assert.deepEqual(canvas.named('strokeRect').at(-1)?.values, [97, 47, 6, 6]);
+    });
+});

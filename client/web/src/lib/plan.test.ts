@@ -1,0 +1,37 @@
+// Places of a plan that have no position.
+
+import assert from 'node:assert/strict';
+import { test } from 'node:test';
+
+import { placeNodes } from './plan';
+
+const near = (found: number, expected: number) => assert.ok(Math.abs(found - expected) < 1e-9, `${found}, not ${expected}`);
+
+test('nodes with a position stay there, in their order', () => {
+    assert.deepEqual(placeNodes([{ name: 'b', pose: { xM: 3, yM: -1 } }, { name: 'a', pose: { xM: 0, yM: 2 } }]), [
+        { name: 'b', x: 3, y: -1 }, { name: 'a', x: 0, y: 2 },
+    ]);
+    assert.deepEqual(placeNodes([]), []);
+});
+
+test('nodes without one lie evenly on a circle that holds all others', () => {
+    const posed = [[10, 10], [16, 18], [12, 11]].map(([xM = 0, yM = 0], index) => ({ name: `at${index}`, pose: { xM, yM } }));
+    const loose = ['one', 'two', 'three', 'four'].map((name) => ({ name }));
+    const placed = placeNodes([...posed, ...loose]).slice(posed.length);
+    for (const node of placed) {
+        near(Math.hypot(node.x - 13, node.y - 14), 8);
+        for (const { pose } of posed) assert.ok(Math.hypot(pose.xM - 13, pose.yM - 14) < 8 - 1);
+    }
+    const [one, two, three] = placed;
+    assert.ok(one && two && three);
+    near(one.y, 22);
+    near(two.x, 21);
+    near(three.y, 6);
+});
+
+test('a map without any position is a circle around its origin', () => {
+    const placed = placeNodes(Array.from({ length: 20 }, (_, index) => ({ name: `${index}` })));
+    for (const node of placed) near(Math.hypot(node.x, node.y), 20);
+    assert.equal(new Set(placed.map((node) => `${node.x.toFixed(3)} ${node.y.toFixed(3)}`)).size, 20);
+    assert.equal(placeNodes([{ name: 'only' }])[0]?.y, 6);
+});

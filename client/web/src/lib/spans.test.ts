@@ -1,0 +1,96 @@
+// The time slider: its spans, its positions, and its jumps over days on which clocks are changed.
+
+import assert from 'node:assert/strict';
+import { suite, test } from 'node:test';
+
+import { civil, DAY, HOUR, MINUTE } from './civil';
+import { jump, position, positionTime, SPANS, type SpanName } from './spans';
+
+const ZONE = 'Europe/Berlin';
+const at = (text: string) => Date.parse(text);
+const iso = (ms: number) => new Date(ms).toISOString().replace('.000Z', 'Z');
+
+/** Start and end of the span around a time. */
+function ends(span: SpanName, text: string): [string, string] {
+    const start = SPANS[span].start(at(text), ZONE);
+    return [iso(start), iso(SPANS[span].end(start, ZONE))];
+}
+
+suite('spans', () => {
+    test('are whole local days and weeks', () => {
+        assert.deepEqual(ends('day', '2025-03-30T12:00Z'), ['2025-03-29T23:00:00Z', '2025-03-30T22:00:00Z']);
+        assert.deepEqual(ends('week', '2025-03-30T12:00Z'), ['2025-03-23T23:00:00Z', '2025-03-30T22:00:00Z']);
+        assert.deepEqual(ends('week', '2025-03-30T22:00Z'), ['2025-03-30T22:00:00Z', '2025-04-06T22:00:00Z']);
+    });
+
+    test('are whole years at the time of the day, also leap years', () => {
+        assert.deepEqual(ends('year', '2025-07-01T10:30Z'), ['2025-01-01T11:30:00Z', '2026-01-01T11:30:00Z']);
+        assert.deepEqual(ends('year', '2024-07-01T10:30Z'), ['2024-01-01T11:30:00Z', '2025-01-01T11:30:00Z']);
+        const start = SPANS.year.start(at('2024-07-01T10:30Z'), ZONE);
+        assert.equal(position('year', start, SPANS.year.end(start, ZONE), ZONE), 366 * DAY);
+    });
+
+    test('hold every time from their start to their end', () => {
+        for (const span of Object.keys(SPANS) as SpanName[]) {
+            for (const text of ['2025-01-01T00:30Z', '2025-03-30T01:00Z', '2025-10-26T00:30Z', '2024-02-29T12:00Z', '2024-12-31T12:00Z']) {
+                const start = SPANS[span].start(at(text), ZONE);
+                assert.ok(start <= at(text) && at(text) < SPANS[span].end(start, ZONE), `${span} ${text}`);
+            }
+        }
+    });
+});
+
+suite('positions', () => {
+    const week = SPANS.week.start(at('2025-03-30T12:00Z'), ZONE);
+
+    test('of a week and a year are those of the clock, also after a change', () => {
+        assert.equal(iso(positionTime('week', week, 6 * DAY + 12 * HOUR, ZONE)), '2025-03-30T10:00:00Z');
+        assert.equal(position('week', week, at('2025-03-30T10:00Z'), ZONE), 6 * DAY + 12 * HOUR);
+        const autumn = SPANS.week.start(at('2025-10-26T12:00Z'), ZONE);
+        assert.equal(iso(positionTime('week', autumn, 6 * DAY + 23 * HOUR, ZONE)), '2025-10-26T22:00:00Z');
+        const year = SPANS.year.start(at('2025-07-01T10:30Z'), ZONE);
+        assert.equal(iso(positionTime('year', year, 181 * DAY, ZONE)), '2025-07-01T10:30:00Z');
+        assert.equal(position('year', year, at('2025-07-01T10:30Z'), ZONE), 181 * DAY);
+    });
+
+    test('of a day are the time that has passed, so that no time of it is missed', () => {
+        const day = SPANS.day.start(at('2025-10-26T12:00Z'), ZONE);
+        assert.equal(SPANS.day.end(day, ZONE) - day, 25 * HOUR);
+        for (let elapsed = 0; elapsed < 25 * HOUR; elapsed += SPANS.day.stepMs) {
+            const ms = positionTime('day', day, elapsed, ZONE);
+            assert.equal(ms, day + elapsed);
+            assert.equal(position('day', day, ms, ZONE), elapsed);
+        }
+    });
+
+    test('never leave the span, and are found again', () => {
+        for (const text of ['2025-03-30T12:00Z', '2025-10-26T12:00Z', '2025-06-10T12:00Z']) {
+            const start = SPANS.week.start(at(text), ZONE);
+            const end = SPANS.week.end(start, ZONE);
+            for (let elapsed = 0; elapsed < 7 * DAY; elapsed += SPANS.week.stepMs) {
+                const ms = positionTime('week', start, elapsed, ZONE);
+                assert.ok(ms >= start && ms < end, iso(ms));
+                const isSkipped = civil(ms, ZONE).hour !== Math.floor((elapsed % DAY) / HOUR);
+                assert.equal(position('week', start, ms, ZONE), isSkipped ? elapsed + HOUR : elapsed, iso(ms));
+            }
+        }
+    });
+});
+
+suite('jumps', () => {
+    test('of days and weeks keep the time of the day', () => {
+        assert.equal(iso(jump('day', at('2025-03-29T11:00Z'), 1, ZONE)), '2025-03-30T10:00:00Z');
+        assert.equal(iso(jump('day', at('2025-03-30T10:00Z'), -1, ZONE)), '2025-03-29T11:00:00Z');
+        assert.equal(iso(jump('week', at('2025-10-20T10:00Z'), 1, ZONE)), '2025-10-27T11:00:00Z');
+    });
+
+    test('of years keep the date, and go to 1 March where there is no 29 February', () => {
+        assert.equal(iso(jump('year', at('2024-07-01T10:00Z'), 1, ZONE)), '2025-07-01T10:00:00Z');
+        assert.equal(iso(jump('year', at('2024-02-29T11:00Z'), 1, ZONE)), '2025-03-01T11:00:00Z');
+    });
+});
+
+test('frames of a span lie on steps of its slider', () => {
+    for (const { frameMs, stepMs } of Object.values(SPANS)) assert.equal(frameMs % stepMs, 0);
+    assert.equal(SPANS.day.stepMs, 5 * MINUTE);
+});
