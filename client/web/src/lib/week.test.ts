@@ -150,10 +150,10 @@ suite('a strip', () => {
 
     test('puts the hour that comes twice into the last of its day', async () => {
         const day = Date.parse('2025-10-25T22:00Z');
-        observe([[day + 24.5 * HOUR, 1], [day + 25 * HOUR, 0.5]]);
+        observe([[day + 24.5 * HOUR, 1], [day + 25 * HOUR, 0.5], [day + 2.5 * HOUR, 0]]);
         const { observed: means, days } = await loadStrip('home', 'door', day + 40 * HOUR, ZONE);
         const row = days.indexOf(day);
-        assert.deepEqual([row, means[row * 24 + 23], means[row * 24 + 24]], [STRIP_DAYS - 2, 1, 0.5]);
+        assert.deepEqual([row, means[row * 24 + 2], means[row * 24 + 23], means[row * 24 + 24]], [STRIP_DAYS - 2, 0, 1, 0.5]);
     });
 
     test('has the scale of probabilities, or that of its values', async () => {
