@@ -30,6 +30,7 @@ pub mod erasure;
 pub mod exploration;
 pub mod grid;
 pub mod map;
+mod model_kind;
 pub mod observe;
 pub mod page;
 pub mod query;

@@ -9,7 +9,6 @@ use tidemap_map::{
     snapshot::{MapSnapshot, StateSnapshot},
     spec::MapSpec,
 };
-use tidemap_model::ModelChoice;
 use tidemap_store::{IndexContents, IndexedRows};
 
 const CACHE_BYTES: u64 = 64 << 20;
@@ -107,11 +106,6 @@ fn print_rows(published: &MapSnapshot, spec: &MapSpec, out: &mut impl Write) -> 
 
 fn print_state(state: &StateSnapshot, out: &mut impl Write) -> std::io::Result<()> {
     let model = &state.model;
-    let choice = match model.choice() {
-        ModelChoice::Spectral => "spectral".to_owned(),
-        ModelChoice::Histogram(_) => "histogram".to_owned(),
-        ModelChoice::Fitted(kind) => format!("{kind:?}").to_lowercase(),
-    };
     let last = state.persistence.last().map_or_else(|| "-".to_owned(), |(_, value)| value.to_string());
     writeln!(
         out,
@@ -119,7 +113,7 @@ fn print_state(state: &StateSnapshot, out: &mut impl Write) -> std::io::Result<(
         state.name.as_str(),
         state.kind.name(),
         model.spectral().mean(),
-        choice,
+        model.choice().name(),
         model.order(),
         model.spectral().components().len(),
         model.accumulator().observations(),

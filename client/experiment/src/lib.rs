@@ -11,7 +11,7 @@
 //! - `paired.rs`: models in pairs: studentised bootstrap over days within test sets, fixed seed, corrected by Holm;
 //! - `report.rs`: results.csv, pairs.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
 //!
-//! A `ParameterSet` is a model kind with all its parameters. Models are trained state by
+//! `ComparedSettings` are a model kind with all its parameters. Models are trained state by
 //! state, with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested
 //! with fewer than five days more than test sets.
 //!
@@ -45,7 +45,7 @@ pub use report::{summary, write};
 
 use data::{Data, DataError, DataPortions};
 pub use paired::{Difference, PairedModels};
-pub use parameter_set::{ComparableKind, FittedModel, ParameterSet, WrongParameter};
+pub use parameter_set::{ComparableKind, ComparedModel, ComparedSettings};
 use protocol::Predictions;
 use score::{DayErrors, TestScore};
 use tuning::{Fold, Trial};
@@ -72,7 +72,7 @@ pub enum ExperimentError {
 }
 
 impl ExperimentError {
-    fn fit(label: &str, set: &ParameterSet, state: &str, refused: CannotFit) -> Self {
+    fn fit(label: &str, set: &ComparedSettings, state: &str, refused: CannotFit) -> Self {
         let model = match set.shown() {
             "" => label.to_owned(),
             shown => format!("{label} ({shown})"),
@@ -167,7 +167,7 @@ fn run_in_portions(
         Ok::<Evaluation, ExperimentError>(errors[place * folds.len() + fold])
     };
     let trials = tuning::tune(sets.clone(), folds.len(), trial, Evaluation::mse)?;
-    let models: Vec<(&str, &ParameterSet)> = models
+    let models: Vec<(&str, &ComparedSettings)> = models
         .iter()
         .enumerate()
         .map(|(index, model)| (model.label.as_str(), &model.sets[tuning::chosen(&trials, index)]))

@@ -11,7 +11,7 @@ use tidemap_model::{Evaluation, LocalDay, Sample, StateKind};
 use super::{
     ExperimentError,
     data::{Data, DataPortions},
-    parameter_set::ParameterSet,
+    parameter_set::ComparedSettings,
     protocol::Retrain,
 };
 
@@ -57,7 +57,7 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 /// Trains each model and predicts all test sets, portion by portion.
 pub(crate) fn score(
     portions: &DataPortions<'_>,
-    models: &[(&str, &ParameterSet)],
+    models: &[(&str, &ComparedSettings)],
     retrain: Retrain,
     kind: StateKind,
     step: &(impl Fn() + Sync),
@@ -88,19 +88,19 @@ pub(crate) fn score(
 fn predict(
     data: &Data,
     state: usize,
-    set: &ParameterSet,
+    set: &ComparedSettings,
     retrain: Retrain,
     kind: StateKind,
 ) -> Result<Vec<Vec<f64>>, tidemap_model::models::CannotFit> {
     let mut known: Vec<Sample> = data.train[state].clone();
-    let mut model = set.fit(&known, kind)?;
+    let mut model = set.train(&known, kind)?;
     let mut predictions = Vec::with_capacity(data.tests.len());
     for (index, test) in data.tests.iter().enumerate() {
         let samples = &test.samples[state];
         predictions.push(samples.iter().map(|sample| model.predict(sample.moment())).collect());
         if retrain == Retrain::Each && index + 1 < data.tests.len() && !samples.is_empty() {
             known.extend_from_slice(samples);
-            model = set.fit(&known, kind)?;
+            model = set.train(&known, kind)?;
         }
     }
     Ok(predictions)

@@ -14,7 +14,7 @@ use tidemap_model::{
 use super::{
     ExperimentError,
     data::{Data, DataPortions},
-    parameter_set::ParameterSet,
+    parameter_set::ComparedSettings,
     protocol::{ModelEntry, Tuning},
 };
 
@@ -125,7 +125,7 @@ fn split(samples: &[Sample], fold: Fold) -> (&[Sample], &[Sample]) {
 pub(crate) fn add_fold_errors(
     errors: &mut Evaluation,
     data: &Data,
-    (label, set): (&str, &ParameterSet),
+    (label, set): (&str, &ComparedSettings),
     fold: Fold,
     kind: StateKind,
 ) -> Result<(), ExperimentError> {
@@ -134,7 +134,7 @@ pub(crate) fn add_fold_errors(
         if train.is_empty() || test.is_empty() {
             continue;
         }
-        let model = set.fit(train, kind).map_err(|refused| ExperimentError::fit(label, set, state, refused))?;
+        let model = set.train(train, kind).map_err(|refused| ExperimentError::fit(label, set, state, refused))?;
         for sample in test {
             errors.add(model.predict(sample.moment()), sample.value);
         }

@@ -4,10 +4,10 @@
 
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::{prelude::*, types::PyDict};
-use tidemap_experiment::{ComparableKind, ParameterSet};
 use tidemap_model::{
-    Sample, StateKind, Zone,
-    models::{Moment, TemporalModel},
+    Sample, StateKind, TrainedModel, Zone,
+    catalogue::{ModelKind, ParameterSet},
+    models::{Moment, TemporalModel as _},
 };
 
 use crate::failure;
@@ -15,14 +15,18 @@ use crate::failure;
 /// A model that was trained on readings.
 #[pyclass(frozen)]
 pub(crate) struct NativeModel {
-    model: Box<dyn TemporalModel + Send + Sync>,
+    model: TrainedModel,
     zone: Zone,
 }
 
-fn kind_of(py: Python<'_>, name: &str) -> PyResult<(ComparableKind, &'static [&'static str])> {
-    let found = ComparableKind::ALL.into_iter().find(|(_, known, _)| *known == name);
-    found.map(|(kind, _, parameters)| (kind, parameters)).ok_or_else(|| {
-        let names: Vec<&str> = ComparableKind::ALL.iter().map(|(_, name, _)| *name).collect();
+/// The kinds that can be trained: all but `auto`.
+fn kinds() -> impl Iterator<Item = ModelKind> {
+    ModelKind::ALL.into_iter().filter(|kind| *kind != ModelKind::Auto)
+}
+
+fn kind_of(py: Python<'_>, name: &str) -> PyResult<ModelKind> {
+    kinds().find(|kind| kind.name() == name).ok_or_else(|| {
+        let names: Vec<&str> = kinds().map(ModelKind::name).collect();
         failure::invalid(py, &format!("model {name:?}: one of {}", names.join(", ")))
     })
 }
@@ -35,8 +39,8 @@ fn zone_named(py: Python<'_>, name: &str) -> PyResult<Zone> {
 #[pyfunction]
 pub(crate) fn model_parameters(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let found = PyDict::new(py);
-    for (_, name, parameters) in ComparableKind::ALL {
-        found.set_item(name, parameters.to_vec())?;
+    for kind in kinds() {
+        found.set_item(kind.name(), kind.info().parameters.to_vec())?;
     }
     Ok(found)
 }
@@ -54,7 +58,8 @@ impl NativeModel {
         state_kind: &str,
         time_zone: &str,
     ) -> PyResult<Self> {
-        let (comparable, known) = kind_of(py, kind)?;
+        let model_kind = kind_of(py, kind)?;
+        let known = model_kind.info().parameters;
         let mut given: Vec<(&'static str, &str)> = Vec::new();
         for (name, text) in &parameters {
             match known.iter().find(|known| *known == name) {
@@ -65,12 +70,11 @@ impl NativeModel {
                 }
             }
         }
-        let set =
-            ParameterSet::new(comparable, &given).map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
-        let state_kind = StateKind::ALL
-            .into_iter()
-            .find(|kind| kind.name() == state_kind)
-            .ok_or_else(|| failure::invalid(py, &format!("kind {state_kind:?}: probability, continuous or count")))?;
+        let set = ParameterSet::new(model_kind, &given)
+            .map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
+        let state_kind = StateKind::ALL.into_iter().find(|kind| kind.name() == state_kind).ok_or_else(|| {
+            failure::invalid(py, &format!("kind {state_kind:?}: probability, continuous or count"))
+        })?;
         let zone = zone_named(py, time_zone)?;
         let (times, values) = (times_nanos.as_array().to_vec(), values.as_array().to_vec());
         if times.len() != values.len() {
@@ -83,16 +87,16 @@ impl NativeModel {
         if let Some(row) = times.windows(2).position(|pair| pair[1] < pair[0]) {
             return Err(failure::invalid(py, &format!("times must ascend; row {} is earlier than row {row}", row + 1)));
         }
-        let fitted = py.detach(|| {
+        let trained = py.detach(|| {
             let sample = |(&utc_nanos, &value): (&i64, &f64)| Sample {
                 utc_nanos,
                 offset_secs: zone.offset_secs(utc_nanos),
                 value,
             };
             let samples: Vec<Sample> = times.iter().zip(&values).map(sample).collect();
-            set.fit(&samples, state_kind)
+            set.train(&samples, state_kind)
         });
-        let model = fitted.map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
+        let model = trained.map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
         Ok(Self { model, zone })
     }
 

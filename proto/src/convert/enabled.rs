@@ -3,24 +3,13 @@
 //! Invariant: a refusal names the valid models; the spectral model is always included.
 
 use tidemap_grid::spec::Retention;
-use tidemap_model::{EnabledModels, FitKind};
+use tidemap_model::EnabledModels;
 
-use super::InvalidField;
+use super::{
+    InvalidField,
+    model_kind::{model_kind_from_wire, model_kind_to_wire},
+};
 use crate::v1::ModelKind;
-
-/// The valid models, in words.
-const CANDIDATES: &str = "spectral, histogram, calibrated, poisson, pergam, hypertime-em and hypertime-km";
-
-/// The kind on the wire of a model that is trained on observations.
-fn wire(kind: FitKind) -> ModelKind {
-    match kind {
-        FitKind::Calibrated => ModelKind::Calibrated,
-        FitKind::Pergam => ModelKind::Pergam,
-        FitKind::HypertimeEm => ModelKind::HypertimeEm,
-        FitKind::Poisson => ModelKind::Poisson,
-        FitKind::HypertimeKm => ModelKind::HypertimeKm,
-    }
-}
 
 /// The models of a request; if it names none, the default ones that the map can have.
 ///
@@ -30,29 +19,27 @@ pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> R
     let keeps = retention != Retention::None;
     if wanted.is_empty() {
         let usual = EnabledModels::default();
-        return Ok(if keeps { usual } else { usual.without_fits() });
+        return Ok(if keeps { usual } else { usual.without_trained() });
     }
     let mut models = EnabledModels::SPECTRAL;
     for &number in wanted {
-        let kind = ModelKind::try_from(number).ok();
-        let fit = FitKind::ALL.into_iter().find(|&fit| Some(wire(fit)) == kind);
-        match (kind, fit) {
-            (Some(ModelKind::Spectral), _) => {}
-            (Some(ModelKind::Histogram), _) => models.histograms = true,
-            (_, Some(fit)) if keeps => models = models.with_fit(fit),
-            (_, Some(fit)) => {
-                let text = format!(
-                    "{} is fitted to stored observations, of which this map keeps none: keep them, as with --retention \
-                     90d, or leave it out",
-                    fit.name()
-                );
-                return Err(InvalidField::new(field, text));
-            }
-            (kind, None) => {
-                let name = kind.map_or_else(|| number.to_string(), |kind| kind.as_str_name().to_owned());
-                return Err(InvalidField::new(field, format!("{name} is not chosen among: there are {CANDIDATES}")));
-            }
+        let wire = ModelKind::try_from(number).ok();
+        let kind = wire.and_then(model_kind_from_wire);
+        let with_kind = kind.and_then(|kind| Some((kind, models.with_named(kind.name())?)));
+        let Some((kind, with_kind)) = with_kind else {
+            let name = wire.map_or_else(|| number.to_string(), |kind| kind.as_str_name().to_owned());
+            let known = EnabledModels::all_names();
+            return Err(InvalidField::new(field, format!("{name} is not chosen among: there are {known}")));
+        };
+        if !keeps && with_kind.without_trained() != with_kind {
+            let text = format!(
+                "{} is fitted to stored observations, of which this map keeps none: keep them, as with --retention \
+                 90d, or leave it out",
+                kind.name()
+            );
+            return Err(InvalidField::new(field, text));
         }
+        models = with_kind;
     }
     Ok(models)
 }
@@ -60,9 +47,7 @@ pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> R
 /// Models for the wire.
 #[must_use]
 pub fn enabled_to_wire(models: EnabledModels) -> Vec<i32> {
-    let histogram = models.histograms.then_some(ModelKind::Histogram);
-    let fits = models.fits().map(wire);
-    [ModelKind::Spectral].into_iter().chain(histogram).chain(fits).map(i32::from).collect()
+    models.kinds().map(|kind| model_kind_to_wire(kind).into()).collect()
 }
 
 #[cfg(test)]
@@ -80,7 +65,7 @@ mod tests {
         assert_eq!(all.len(), 7);
         assert_eq!(enabled_from_wire("models", &all, Retention::Forever), Ok(EnabledModels::ALL));
         let one = enabled(&[ModelKind::HypertimeKm], Retention::Forever).expect("known");
-        assert_eq!(one, EnabledModels::SPECTRAL.with_fit(FitKind::HypertimeKm));
+        assert_eq!(one, EnabledModels::SPECTRAL.with(tidemap_model::catalogue::ModelKind::HYPERTIME_KM));
         assert_eq!(enabled_to_wire(one), [i32::from(ModelKind::Spectral), i32::from(ModelKind::HypertimeKm)]);
         assert_eq!(enabled(&[ModelKind::Spectral], Retention::None), Ok(EnabledModels::SPECTRAL));
     }
@@ -96,10 +81,10 @@ mod tests {
     fn what_cannot_be_is_refused_with_what_there_is() {
         for kind in [ModelKind::Unspecified, ModelKind::Auto, ModelKind::Uniform] {
             let error = enabled(&[ModelKind::Histogram, kind], Retention::Forever).expect_err("no candidate");
-            assert!(error.contains(kind.as_str_name()) && error.contains(CANDIDATES), "{error}");
+            assert!(error.contains(kind.as_str_name()) && error.contains(&EnabledModels::all_names()), "{error}");
         }
         let error = enabled_from_wire("models", &[99], Retention::Forever).expect_err("unknown").to_string();
-        assert!(error.contains("99") && error.contains(CANDIDATES), "{error}");
+        assert!(error.contains("99") && error.contains(&EnabledModels::all_names()), "{error}");
         let error = enabled(&[ModelKind::Pergam], Retention::None).expect_err("nothing kept");
         assert!(error.contains("pergam") && error.contains("--retention"), "{error}");
     }

@@ -4,12 +4,13 @@ use tidemap_map::{ids::StateId, view::MapView};
 use tidemap_model::{
     Component, LocalDay, ORDER_MAX, SpectralModel, StateModel,
     models::HistogramCycle,
-    selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIOD_NANOS, PERGAM_PERIODS},
+    selector::{ModelKind, ModelSelector},
 };
 
 use super::{
     InvalidField,
     map::kind_to_wire,
+    model_kind::{model_kind_from_wire, model_kind_to_wire},
     time::{duration, nanos_from_duration, timestamp},
 };
 use crate::v1;
@@ -29,46 +30,33 @@ pub use states::{StateFacts, StateForecast, StatesQuestion, forecast_to_wire, st
 pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Result<ModelSelector, InvalidField> {
     let wire = wire.unwrap_or_default();
     let wrong = |name: &str, text: String| InvalidField::new(format!("{field}.{name}"), text);
-    let parameter = |default: u32, max: u32, what: &str| match wire.parameter {
-        None => Ok(default),
-        Some(found) if (1..=max).contains(&found) => Ok(found),
-        Some(found) => Err(wrong("parameter", format!("{found} {what}: 1 to {max} are possible"))),
-    };
-    let kind = match v1::ModelKind::try_from(wire.kind) {
-        Ok(v1::ModelKind::Unspecified | v1::ModelKind::Auto) => ModelKind::Auto,
-        Ok(v1::ModelKind::Mean) => ModelKind::Mean,
-        Ok(v1::ModelKind::Latest) => ModelKind::Latest,
-        Ok(v1::ModelKind::Spectral) => ModelKind::Spectral,
-        Ok(v1::ModelKind::Persistence) => ModelKind::Persistence,
-        Ok(v1::ModelKind::Histogram) => {
-            let (cycle, default) = match v1::HistogramCycle::try_from(wire.cycle) {
-                Ok(v1::HistogramCycle::Unspecified | v1::HistogramCycle::Day) => (HistogramCycle::Day, 24),
-                Ok(v1::HistogramCycle::Week) => (HistogramCycle::Week, 168),
-                Ok(v1::HistogramCycle::WeekdayWeekend) => (HistogramCycle::WeekdayWeekend, 24),
-                Err(_) => return Err(wrong("cycle", format!("{} is not known", wire.cycle))),
-            };
-            let max = u32::try_from(cycle.max_bins()).unwrap_or(u32::MAX);
-            ModelKind::Histogram { cycle, bins: parameter(default, max, "bins")? }
-        }
-        Ok(v1::ModelKind::Pergam) => ModelKind::Pergam {
-            gaussians: parameter(3, GAUSSIANS_MAX, "Gaussians")?,
-            period_nanos: period_from_wire(field, wire.period)?,
-        },
-        Ok(v1::ModelKind::HypertimeEm) => ModelKind::HypertimeEm { clusters: parameter(3, CLUSTERS_MAX, "clusters")? },
-        Ok(v1::ModelKind::HypertimeKm) => ModelKind::HypertimeKm { clusters: parameter(3, CLUSTERS_MAX, "clusters")? },
-        Ok(v1::ModelKind::Poisson) => ModelKind::Poisson,
-        Ok(v1::ModelKind::Calibrated) => ModelKind::Calibrated,
-        Ok(v1::ModelKind::Uniform) => ModelKind::Uniform,
-        Err(_) => return Err(wrong("kind", format!("{} is not known", wire.kind))),
-    };
-    if let (Some(found), None) = (wire.parameter, parameter_of(kind)) {
-        return Err(wrong("parameter", format!("{found} was given, but this model has none")));
+    let wire_kind =
+        v1::ModelKind::try_from(wire.kind).map_err(|_| wrong("kind", format!("{} is not known", wire.kind)))?;
+    let mut kind = model_kind_from_wire(wire_kind).unwrap_or_default();
+    if kind.cycle().is_some() {
+        let cycle = cycle_from_wire(wire.cycle);
+        kind = kind.with_cycle(cycle.ok_or_else(|| wrong("cycle", format!("{} is not known", wire.cycle)))?);
     }
-    if wire.cycle != 0 && !matches!(kind, ModelKind::Histogram { .. }) {
+    match (wire.parameter, kind.count_limit()) {
+        (None, _) => {}
+        (Some(found), Some(limit)) if (1..=limit.max).contains(&found) => kind = kind.with_count(found),
+        (Some(found), Some(limit)) => {
+            let text = format!("{found} {}: 1 to {} are possible", limit.noun, limit.max);
+            return Err(wrong("parameter", text));
+        }
+        (Some(found), None) => {
+            return Err(wrong("parameter", format!("{found} was given, but this model has none")));
+        }
+    }
+    if wire.cycle != 0 && kind.cycle().is_none() {
         return Err(wrong("cycle", "only a histogram has one".to_owned()));
     }
-    if let (Some(period), false) = (wire.period, matches!(kind, ModelKind::Pergam { .. })) {
-        return Err(wrong("period", format!("{} s was given, but only pergam has one", period.seconds)));
+    match wire.period {
+        None => {}
+        Some(period) if kind.period_nanos().is_some() => kind = kind.with_period(period_from_wire(field, period)?),
+        Some(period) => {
+            return Err(wrong("period", format!("{} s was given, but only pergam has one", period.seconds)));
+        }
     }
     let order = match wire.order {
         None => None,
@@ -100,25 +88,29 @@ pub fn check_for_cells(field: &str, selector: ModelSelector) -> Result<(), Inval
     Err(InvalidField::new(format!("{field}.kind"), text))
 }
 
-/// The period of a periodic mixture.
-fn period_from_wire(field: &str, period: Option<prost_types::Duration>) -> Result<i64, InvalidField> {
+/// The period of a model.
+fn period_from_wire(field: &str, period: prost_types::Duration) -> Result<i64, InvalidField> {
     let field = format!("{field}.period");
-    let Some(period) = period else { return Ok(PERGAM_PERIOD_NANOS) };
     let nanos = nanos_from_duration(&field, period)?;
-    if PERGAM_PERIODS.contains(&nanos) {
+    if ModelKind::PERIODS_NANOS.contains(&nanos) {
         return Ok(nanos);
     }
     Err(InvalidField::new(field, format!("{} s: 1 minute to 366 days are possible", nanos as f64 / 1e9)))
 }
 
-/// The parameter of a kind that has one.
-fn parameter_of(kind: ModelKind) -> Option<u32> {
-    match kind {
-        ModelKind::Histogram { bins: parameter, .. }
-        | ModelKind::Pergam { gaussians: parameter, .. }
-        | ModelKind::HypertimeEm { clusters: parameter }
-        | ModelKind::HypertimeKm { clusters: parameter } => Some(parameter),
-        _ => None,
+fn cycle_from_wire(number: i32) -> Option<HistogramCycle> {
+    Some(match v1::HistogramCycle::try_from(number).ok()? {
+        v1::HistogramCycle::Unspecified | v1::HistogramCycle::Day => HistogramCycle::Day,
+        v1::HistogramCycle::Week => HistogramCycle::Week,
+        v1::HistogramCycle::WeekdayWeekend => HistogramCycle::WeekdayWeekend,
+    })
+}
+
+fn cycle_to_wire(cycle: HistogramCycle) -> v1::HistogramCycle {
+    match cycle {
+        HistogramCycle::Day => v1::HistogramCycle::Day,
+        HistogramCycle::Week => v1::HistogramCycle::Week,
+        HistogramCycle::WeekdayWeekend => v1::HistogramCycle::WeekdayWeekend,
     }
 }
 
@@ -136,38 +128,15 @@ pub fn order_from_wire(field: &str, order: u32) -> Result<usize, InvalidField> {
 /// A model for the wire.
 #[must_use]
 pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
-    let kind = match selector.kind {
-        ModelKind::Auto => v1::ModelKind::Auto,
-        ModelKind::Mean => v1::ModelKind::Mean,
-        ModelKind::Latest => v1::ModelKind::Latest,
-        ModelKind::Spectral => v1::ModelKind::Spectral,
-        ModelKind::Persistence => v1::ModelKind::Persistence,
-        ModelKind::Histogram { .. } => v1::ModelKind::Histogram,
-        ModelKind::Pergam { .. } => v1::ModelKind::Pergam,
-        ModelKind::HypertimeEm { .. } => v1::ModelKind::HypertimeEm,
-        ModelKind::HypertimeKm { .. } => v1::ModelKind::HypertimeKm,
-        ModelKind::Poisson => v1::ModelKind::Poisson,
-        ModelKind::Calibrated => v1::ModelKind::Calibrated,
-        ModelKind::Uniform => v1::ModelKind::Uniform,
-    };
-    let cycle = match selector.kind {
-        ModelKind::Histogram { cycle: HistogramCycle::Day, .. } => v1::HistogramCycle::Day,
-        ModelKind::Histogram { cycle: HistogramCycle::Week, .. } => v1::HistogramCycle::Week,
-        ModelKind::Histogram { cycle: HistogramCycle::WeekdayWeekend, .. } => v1::HistogramCycle::WeekdayWeekend,
-        _ => v1::HistogramCycle::Unspecified,
-    };
-    let period = match selector.kind {
-        ModelKind::Pergam { period_nanos, .. } if period_nanos != PERGAM_PERIOD_NANOS => Some(duration(period_nanos)),
-        _ => None,
-    };
+    let kind = selector.kind;
     v1::ModelSelector {
-        kind: kind.into(),
+        kind: model_kind_to_wire(kind).into(),
         order: selector.order.map(|order| u32::try_from(order).unwrap_or(u32::MAX)),
         persistence: selector.persistence,
         memory: selector.memory && !selector.persistence,
-        parameter: parameter_of(selector.kind),
-        cycle: cycle.into(),
-        period,
+        parameter: kind.count(),
+        cycle: kind.cycle().map_or(v1::HistogramCycle::Unspecified, cycle_to_wire).into(),
+        period: kind.period_nanos().filter(|&nanos| nanos != ModelKind::PERIOD_NANOS).map(duration),
     }
 }
 

@@ -9,7 +9,7 @@ use tidemap_map::ids::RefusalReason;
 use tidemap_model::{
     ORDER_MAX, OrderCriterion, Periodicities,
     models::HistogramCycle,
-    selector::{CLUSTERS_MAX, GAUSSIANS_MAX, ModelKind, ModelSelector, PERGAM_PERIODS},
+    selector::{ModelKind, ModelSelector},
     time::HALF_LIFE_MIN_NANOS,
 };
 use tidemap_plan::{
@@ -19,23 +19,29 @@ use tidemap_plan::{
     view::{Sensor, Viewpoint},
 };
 
-use super::{exploration::*, grid::*, map::*, query::*, route::*, search::*, time::*};
+use super::{exploration::*, grid::*, map::*, model_kind::*, query::*, route::*, search::*, time::*};
 use crate::v1;
 
 fn kinds() -> impl Strategy<Value = ModelKind> {
-    use HistogramCycle::{Day, Week, WeekdayWeekend};
-    let histogram = prop::sample::select(vec![Day, Week, WeekdayWeekend]).prop_flat_map(|cycle| {
-        let max = u32::try_from(cycle.max_bins()).expect("few");
-        (1..=max).prop_map(move |bins| ModelKind::Histogram { cycle, bins })
-    });
-    prop_oneof![
-        prop::sample::select(ModelKind::ALL.to_vec()),
-        histogram,
-        (1..=GAUSSIANS_MAX, PERGAM_PERIODS)
-            .prop_map(|(gaussians, period_nanos)| ModelKind::Pergam { gaussians, period_nanos }),
-        (1..=CLUSTERS_MAX).prop_map(|clusters| ModelKind::HypertimeEm { clusters }),
-        (1..=CLUSTERS_MAX).prop_map(|clusters| ModelKind::HypertimeKm { clusters }),
-    ]
+    let kind = prop::sample::select(ModelKind::ALL.to_vec());
+    let cycle = prop::sample::select(HistogramCycle::ALL.to_vec());
+    (kind, cycle, any::<u32>(), ModelKind::PERIODS_NANOS).prop_map(|(kind, cycle, number, period_nanos)| {
+        let kind = kind.with_cycle(cycle).with_period(period_nanos);
+        kind.count_limit().map_or(kind, |limit| kind.with_count(1 + number % limit.max))
+    })
+}
+
+#[test]
+fn every_kind_of_models_has_its_name_on_the_wire() {
+    for kind in ModelKind::ALL {
+        let wire = model_kind_to_wire(kind);
+        assert_ne!(wire, v1::ModelKind::Unspecified, "{kind}");
+        assert_eq!(model_kind_from_wire(wire), Some(kind));
+    }
+    let on_wire = (0..99).filter_map(|number| v1::ModelKind::try_from(number).ok());
+    let known = on_wire.filter(|wire| model_kind_from_wire(*wire).is_some()).count();
+    assert_eq!(known, ModelKind::ALL.len());
+    assert_eq!(model_kind_from_wire(v1::ModelKind::Unspecified), None);
 }
 
 fn retentions() -> impl Strategy<Value = Retention> {

@@ -15,10 +15,10 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
-    refit::{REFIT_NANOS, ReadingsRequest, StateReadings},
+    refit::{ReadingsRequest, StateReadings},
     spec::MapSpec,
 };
-use tidemap_model::Sample;
+use tidemap_model::{Sample, catalogue::NIGHTLY_WINDOW_NANOS};
 
 const STATES: u32 = 10_000;
 const MINUTE: i64 = 60_000_000_000;
@@ -113,7 +113,7 @@ fn main() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let mut map = LiveMap::new(Arc::new(spec));
     // After twelve weeks, of which this map has seen the last.
-    let first = REFIT_NANOS / DAY;
+    let first = NIGHTLY_WINDOW_NANOS / DAY;
     for day in first..first + BEFORE {
         observe(&mut map, day, 60);
         update(&mut map, &pool, day, None);
@@ -122,7 +122,7 @@ fn main() {
     observe(&mut map, night, 1);
     let without = update(&mut map, &pool, night, None);
     observe(&mut map, night + 1, 1);
-    let weeks = samples(7, (night + 1) * 1440 - REFIT_NANOS / MINUTE..(night + 1) * 1440);
+    let weeks = samples(7, (night + 1) * 1440 - NIGHTLY_WINDOW_NANOS / MINUTE..(night + 1) * 1440);
     let with = update(&mut map, &pool, night + 1, Some(Arc::new(Weeks(weeks))));
     println!("{STATES} states, a day of minutes each: {without:.1} s without fits, {with:.1} s with");
 }

@@ -102,7 +102,7 @@ pub enum CannotJudge {
 /// [`CannotJudge`], with what to use instead.
 pub fn can_judge(model: ModelSelector) -> Result<(), CannotJudge> {
     match model.kind {
-        ModelKind::Latest | ModelKind::Persistence => Err(CannotJudge::Newest(model.kind)),
+        kind if kind.takes_newest() => Err(CannotJudge::Newest(model.kind)),
         _ if model.persistence => Err(CannotJudge::Persistence),
         _ if model.memory => Err(CannotJudge::Memory),
         _ => Ok(()),

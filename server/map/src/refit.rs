@@ -15,7 +15,8 @@ use std::{collections::BTreeMap, fmt, sync::Arc};
 use rayon::prelude::*;
 use tidemap_grid::spec::Retention;
 use tidemap_model::{
-    FitKind, FittedModel, LocalDay, OffsetCache, Sample, StateModel,
+    LocalDay, OffsetCache, Sample, StateModel, TrainedModel,
+    catalogue::{ModelKind, NIGHTLY_WINDOW_NANOS, TrainingCost},
     models::{CannotFit, Readings},
 };
 
@@ -27,23 +28,20 @@ mod tests;
 /// Maximum number of models of a kind that one update trains: as many as take a few minutes, so that a night with very
 /// many states ends. The longest-waiting go first; the others wait for the next update that learns new data of theirs.
 #[must_use]
-pub(crate) const fn refits_max(kind: FitKind) -> usize {
-    match kind {
-        FitKind::Calibrated | FitKind::Poisson => REFITS_MAX,
-        FitKind::Pergam => 1_000,
-        FitKind::HypertimeEm | FitKind::HypertimeKm => 100,
+pub(crate) fn refits_max(kind: ModelKind) -> usize {
+    match kind.cost() {
+        Some(TrainingCost::Low) => REFITS_MAX,
+        Some(TrainingCost::Medium) => 1_000,
+        Some(TrainingCost::High) => 100,
+        None => 0,
     }
 }
 
-/// Maximum number of calibrated models, and of models of counts, that an update trains; they are the cheapest.
+/// Maximum number of models of a kind with low cost that an update trains.
 pub(crate) const REFITS_MAX: usize = 2_000;
 
 const SEC_NANOS: i64 = 1_000_000_000;
 const DAY_NANOS: i64 = 86_400 * SEC_NANOS;
-
-/// A model is trained on readings at most this old against the state's newest: twelve weeks. Older days would hardly
-/// count in a calibrated model, and the training takes no longer after a year than after these weeks.
-pub const REFIT_NANOS: i64 = 84 * DAY_NANOS;
 
 /// About the maximum number of readings that a model is trained on: a state with more frequent readings is trained on
 /// fewer days. The states whose readings add up to this are in memory at once, with those of the next batch: 200 MB.
@@ -85,7 +83,7 @@ pub struct Refits {
 #[derive(Clone, Copy, Debug)]
 struct Limits {
     /// Models of a kind.
-    refits: fn(FitKind) -> usize,
+    refits: fn(ModelKind) -> usize,
     /// Readings of one state, and of those whose models are trained at the same time.
     readings: u64,
 }
@@ -97,7 +95,7 @@ struct Due<'a> {
     wanted: ReadingsRequest,
     state_kind: StateKind,
     /// The models to train.
-    kinds: Vec<FitKind>,
+    kinds: Vec<ModelKind>,
     /// What this update has learned.
     own: &'a [Sample],
     /// The last learned day.
@@ -132,8 +130,8 @@ fn refit_within(
         Retention::Duration(nanos) => newest_nanos.saturating_sub(nanos),
         Retention::Forever => i64::MIN,
     };
-    let (mut kinds, mut waiting) = (BTreeMap::<StateId, Vec<FitKind>>::new(), 0);
-    for kind in spec.models.fits() {
+    let (mut kinds, mut waiting) = (BTreeMap::<StateId, Vec<ModelKind>>::new(), 0);
+    for kind in spec.models.trained() {
         let mut of_kind: Vec<(Option<LocalDay>, StateId)> =
             own.iter().filter_map(|(id, _)| Some((fitted_on(models.get(id.0 as usize)?, kind)?, *id))).collect();
         // Models that were never trained go first.
@@ -168,7 +166,7 @@ fn refit_within(
                     let mut refitted = StateModel::clone(model);
                     // Without readings the state keeps what it has.
                     for fitted in fitted.into_iter().flatten() {
-                        refitted = refitted.refitted(fitted, due.day);
+                        refitted = refitted.with_trained(fitted, due.day);
                         refits.fitted += 1;
                     }
                     *model = Arc::new(refitted);
@@ -209,15 +207,15 @@ impl<'a> Iterator for Batches<'a> {
 }
 
 /// How long a model of a state has waited: the day on which it was last trained, if any. `None` if it is not due.
-fn fitted_on(model: &StateModel, kind: FitKind) -> Option<Option<LocalDay>> {
-    let known = model.alternatives().filter(|_| model.is_fit_due(kind))?;
-    Some(known.fit(kind).map(|(_, day)| day))
+fn fitted_on(model: &StateModel, kind: ModelKind) -> Option<Option<LocalDay>> {
+    let known = model.alternatives().filter(|_| model.is_training_due(kind))?;
+    Some(known.trained(kind).map(|(_, day)| day))
 }
 
 /// The training data of models of these kinds. `wanted`: the readings that the map keeps.
 fn due<'a>(
     wanted: ReadingsRequest,
-    kinds: Vec<FitKind>,
+    kinds: Vec<ModelKind>,
     model: &StateModel,
     own: &'a [Sample],
     offsets: &mut OffsetCache,
@@ -226,12 +224,12 @@ fn due<'a>(
     let (known, folded) = (model.alternatives()?, model.accumulator());
     let (newest, day) = (folded.last_nanos()?, known.learned_day()?);
     let span_nanos = newest.abs_diff(folded.first_nanos()?).max(1) as f64;
-    let window_nanos = span_nanos.min(REFIT_NANOS as f64);
+    let window_nanos = span_nanos.min(NIGHTLY_WINDOW_NANOS as f64);
     // Assumes a constant rate of readings.
     let expected = folded.observations() as f64 * (window_nanos / span_nanos);
     let share = (readings_max as f64 / expected.max(1.0)).min(1.0);
     let mut from_nanos = newest.saturating_sub((window_nanos * share) as i64).max(wanted.from_nanos);
-    if let Some(since) = known.fit_since() {
+    if let Some(since) = known.training_since() {
         let civil_nanos = i64::from(since.0).saturating_mul(DAY_NANOS);
         // Off by an hour if clocks changed between midnight UTC and local midnight, which does not matter over weeks.
         from_nanos =
@@ -252,12 +250,12 @@ fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
 }
 
 /// Trains each due model of a state.
-fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<FittedModel, CannotFit>> {
+fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<TrainedModel, CannotFit>> {
     let mut samples = earlier;
     samples.extend(due.own.iter().filter(|sample| sample.utc_nanos >= due.wanted.from_nanos));
     // Stable: of equal times those of earlier updates come first.
     samples.sort_by_key(|sample| sample.utc_nanos);
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
     let readings = Readings { half_life_secs, ..Readings::new(&samples) };
-    due.kinds.par_iter().map(|&kind| FittedModel::fit(kind, due.state_kind, readings, &spec.periodicities)).collect()
+    due.kinds.par_iter().map(|&kind| kind.train(readings, due.state_kind, &spec.periodicities)).collect()
 }

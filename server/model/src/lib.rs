@@ -33,6 +33,7 @@
 
 mod accumulator;
 mod angle;
+pub mod catalogue;
 mod civil;
 mod entropy;
 mod evaluate;
@@ -56,6 +57,7 @@ pub mod time;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
 pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
+pub use catalogue::{EnabledModels, FittedModelParts, TrainedModel};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
@@ -70,9 +72,8 @@ pub use position::{Dimensions, Position};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
 pub use state::{
-    ActiveModel, Alternatives, AlternativesParts, Combination, DayScores, EnabledModels, FitKind, FitParts,
-    FittedModel, FittedModelParts, HISTOGRAMS, LearnedReadings, ModelChoice, OrderWatch, OrderWatchParts, StateModel,
-    UpdateOutcome, UpdateRules,
+    ActiveModel, Alternatives, AlternativesParts, Combination, DayScores, FitParts, LearnedReadings, OrderWatch,
+    OrderWatchParts, StateModel, UpdateOutcome, UpdateRules,
 };
 pub use stop_signal::{EarlyStop, StopSignal};
 

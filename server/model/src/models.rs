@@ -8,6 +8,7 @@
 
 mod alarm;
 mod calibrated;
+mod fixed_order;
 mod histogram;
 mod hypertime;
 mod interval;
@@ -25,6 +26,7 @@ mod fit_stop_tests;
 
 pub use alarm::{ChangeAlarm, ChangeAlarmParts, DayErrors};
 pub use calibrated::{Calibrated, CalibratedOptions, CalibratedParts};
+pub use fixed_order::FixedOrder;
 pub(crate) use histogram::hour_runs;
 pub use histogram::{
     HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramParts, HistogramSettings, HourSpread, HourTable,

@@ -4,9 +4,10 @@
 //! the day before, then the model learns the day (T-RO section IV.B). So scores are of predictions, never of training
 //! data. Invariant: the result of an update does not depend on how it was batched, as long as no local day is split and
 //! batches come in order of time; data older than the last learned observation is never scored. Models that are trained
-//! on readings between updates ([`StateModel::refitted`]) take part from the next day on.
+//! on readings between updates ([`StateModel::with_trained`]) take part from the next day on.
 
 use crate::SpectralModel;
+use crate::catalogue::{ModelKind, TrainedModel};
 use crate::evaluate::score_samples;
 use crate::models::{OrderGains, TemporalModel as _};
 use crate::{
@@ -15,7 +16,6 @@ use crate::{
 
 mod alternatives;
 mod day_by_day;
-mod fits;
 #[cfg(test)]
 mod kind_tests;
 mod order_watch;
@@ -23,10 +23,7 @@ mod order_watch;
 mod tests;
 
 use alternatives::SpectralAtOrder;
-pub use alternatives::{
-    ActiveModel, Alternatives, AlternativesParts, Combination, FitParts, HISTOGRAMS, ModelChoice, UpdateRules,
-};
-pub use fits::{EnabledModels, FitKind, FittedModel, FittedModelParts};
+pub use alternatives::{ActiveModel, Alternatives, AlternativesParts, Combination, FitParts, UpdateRules};
 pub use order_watch::{DayScores, LearnedReadings, OrderWatch, OrderWatchParts};
 
 /// The long-term model of one state.
@@ -118,8 +115,8 @@ impl StateModel {
     }
 
     /// The model that has predicted best so far; it has the highest weight if several answer together.
-    pub fn choice(&self) -> ModelChoice {
-        self.alternatives.as_ref().map_or(ModelChoice::Spectral, |alternatives| alternatives.choice())
+    pub fn choice(&self) -> ModelKind {
+        self.alternatives.as_ref().map_or(ModelKind::Spectral, |alternatives| alternatives.choice())
     }
 
     /// What answers: the models that have predicted best so far; `None` if it is the spectral model alone.
@@ -129,21 +126,24 @@ impl StateModel {
         self.alternatives.as_ref()?.chosen(SpectralAtOrder { model, order, kind, periodicities })
     }
 
-    /// Whether the model of this kind is due to be trained: after seven observed local days, seven local days after it
+    /// Whether the model of this kind is due for training: after seven observed local days, seven local days after it
     /// was last trained, and after a change alarm; a cheap one also from the third observed day to the seventh. Never
-    /// for a kind that such states do not support.
-    pub fn is_fit_due(&self, kind: FitKind) -> bool {
-        kind.is_for(self.kind()) && self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_fit_due(kind))
+    /// for a kind that such states do not support, or that updates do not train.
+    pub fn is_training_due(&self, kind: ModelKind) -> bool {
+        kind.supports(self.kind())
+            && self.alternatives.as_ref().is_some_and(|alternatives| alternatives.is_training_due(kind))
     }
 
-    /// This state with a newly trained model in place of the last one of its kind. The model was trained on the state's
-    /// readings up to a local day, that day included. It is scored on the days learned from now on, and may then come
-    /// into force. An untrained state takes no trained model, nor does a state take a kind that it does not support.
+    /// This state with a model that was trained on its readings up to a local day, that day included, in place of the
+    /// last one of its kind. It is scored on the days learned from now on, and may then come into force. An untrained
+    /// state takes no model, nor does a state take a kind that it does not support or that updates do not train.
     #[must_use]
-    pub fn refitted(mut self, model: impl Into<FittedModel>, day: LocalDay) -> StateModel {
-        let (model, state_kind) = (model.into(), self.kind());
-        if let Some(alternatives) = self.alternatives.as_mut().filter(|_| model.kind().is_for(state_kind)) {
-            alternatives.refit(model, day);
+    pub fn with_trained(mut self, model: impl Into<TrainedModel>, day: LocalDay) -> StateModel {
+        let model = model.into();
+        let state_kind = self.kind();
+        let kind = model.kind_at_night().filter(|kind| kind.supports(state_kind));
+        if let (Some(alternatives), Some(kind)) = (self.alternatives.as_mut(), kind) {
+            alternatives.set_trained(kind, model, day);
         }
         self
     }

@@ -7,11 +7,9 @@
 
 use std::path::{Path, PathBuf};
 
+use tidemap_model::catalogue::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT};
 use tidemap_model::models::{Moment, Readings, TemporalModel};
-use tidemap_model::{
-    FitKind, FittedModel, HISTOGRAMS, ORDER_MAX, OrderCriterion, Periodicities, Sample, StateKind, StateModel,
-    UpdateRules, Zone,
-};
+use tidemap_model::{ORDER_MAX, OrderCriterion, Periodicities, Sample, StateKind, StateModel, UpdateRules, Zone};
 
 const DAY_SECS: i64 = 86_400;
 
@@ -47,10 +45,10 @@ fn learn_nightly(kind: StateKind, samples: &[Sample]) -> StateModel {
     for day in samples.chunk_by(|one, next| one.local_day() == next.local_day()) {
         state.update(&week, OrderCriterion::SquaredError, day.to_vec());
         seen += day.len();
-        for fit in UpdateRules::default().models.fits() {
-            if state.is_fit_due(fit) {
-                let model = FittedModel::fit(fit, kind, Readings::new(&samples[..seen]), &week).unwrap();
-                state = state.refitted(model, day[0].local_day());
+        for fit in UpdateRules::default().models.trained() {
+            if state.is_training_due(fit) {
+                let model = fit.train(Readings::new(&samples[..seen]), kind, &week).unwrap();
+                state = state.with_trained(model, day[0].local_day());
             }
         }
     }
@@ -75,8 +73,11 @@ fn mse(model: &dyn TemporalModel, samples: &[Sample]) -> f64 {
 fn errors(state: &StateModel, test: &[Sample]) -> (f64, Vec<f64>) {
     let (week, known) = (Periodicities::default(), state.alternatives().unwrap());
     let spectral = mse(&Spectral(state, &week, state.order()), test);
-    let histograms = HISTOGRAMS.map(|(cycle, bins)| mse(&known.hours().histogram(cycle, bins).unwrap(), test));
-    let fits = FitKind::ALL.into_iter().filter_map(|kind| Some(mse(known.fit(kind)?.0, test)));
+    let histograms = HISTOGRAMS.map(|kind| {
+        let (cycle, bins) = kind.histogram().unwrap();
+        mse(&known.hours().histogram(cycle, bins).unwrap(), test)
+    });
+    let fits = TRAINED_AT_NIGHT.into_iter().filter_map(|kind| Some(mse(known.trained(kind)?.0, test)));
     let members = [spectral].into_iter().chain(histograms).chain(fits).collect();
     (state.chosen(&week).map_or(spectral, |chosen| mse(&chosen, test)), members)
 }
@@ -161,7 +162,7 @@ fn short_records_of_counts_choose_among_all_and_the_rate_is_one_of_them() {
             let found: Vec<(f64, Vec<f64>)> = (0..4)
                 .map(|seed| {
                     let state = learn_at_once(StateKind::Count, &counts(truth, seed, 0..days, step));
-                    assert!(state.alternatives().unwrap().fit(FitKind::Poisson).is_some());
+                    assert!(state.alternatives().unwrap().trained(ModelKind::Poisson).is_some());
                     errors(&state, &counts(truth, seed, days..days + 7, step))
                 })
                 .collect();

@@ -5,9 +5,10 @@
 
 use std::path::{Path, PathBuf};
 
+use tidemap_model::catalogue::ModelKind;
 use tidemap_model::{
-    Accumulator, FitKind, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Sample, SpectralModel,
-    StateModel, Zone, evaluate,
+    Accumulator, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Sample, SpectralModel, StateModel,
+    Zone, evaluate,
     models::{Calibrated, CalibratedOptions, Readings},
 };
 
@@ -125,9 +126,9 @@ fn next_day_in_force(samples: &[Sample], refits: bool) -> (f64, f64, StateModel)
         let order = state.order();
         let outcome = state.update(&week, OrderCriterion::SquaredError, day.to_vec());
         seen += day.len();
-        if refits && state.is_fit_due(FitKind::Calibrated) {
+        if refits && state.is_training_due(ModelKind::Calibrated) {
             let fit = Calibrated::fit(Readings::new(&samples[..seen]), CalibratedOptions::default()).unwrap();
-            state = state.refitted(fit, day[0].local_day());
+            state = state.with_trained(fit, day[0].local_day());
         }
         if index >= 14 {
             of_order += outcome.squared_errors[order];

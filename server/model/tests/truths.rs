@@ -6,11 +6,9 @@
 
 #![allow(clippy::unwrap_used)]
 
+use tidemap_model::catalogue::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT};
 use tidemap_model::models::{Readings, TemporalModel};
-use tidemap_model::{
-    EnabledModels, FitKind, FittedModel, HISTOGRAMS, LocalDay, ModelChoice, ORDER_MAX, Periodicities, Sample,
-    StateKind, StateModel, UpdateRules,
-};
+use tidemap_model::{EnabledModels, LocalDay, ORDER_MAX, Periodicities, Sample, StateKind, StateModel, UpdateRules};
 
 /// A reading every ten minutes.
 const SLOT_NANOS: i64 = 600_000_000_000;
@@ -42,13 +40,13 @@ enum Candidate {
     /// The order that was in force.
     Spectral,
     Histogram(usize),
-    Fitted(FitKind),
+    Fitted(ModelKind),
 }
 
 /// Mean squared errors of a day, each of predictions made before it.
 #[derive(Clone, Debug)]
 struct Day {
-    choice: ModelChoice,
+    choice: ModelKind,
     order: usize,
     in_force: f64,
     candidates: Vec<(Candidate, f64)>,
@@ -85,12 +83,12 @@ fn run(kind: StateKind, days: i64, value: impl Fn(i64, i64) -> f64) -> Run {
         seen.extend(today);
         seen.drain(..seen.len().saturating_sub((FIT_DAYS * SLOTS) as usize));
         // As in the daemon: after a change, the old routine is not used.
-        let since = run.state.alternatives().and_then(|known| known.fit_since());
+        let since = run.state.alternatives().and_then(|known| known.training_since());
         seen.retain(|sample: &Sample| since.is_none_or(|since| sample.local_day() >= since));
-        for fit in FitKind::ALL {
-            if run.state.is_fit_due(fit) {
-                let model = FittedModel::fit(fit, kind, Readings::new(&seen), &periodicities).unwrap();
-                run.state = run.state.refitted(model, LocalDay(day as i32));
+        for fit in TRAINED_AT_NIGHT {
+            if run.state.is_training_due(fit) {
+                let model = fit.train(Readings::new(&seen), kind, &periodicities).unwrap();
+                run.state = run.state.with_trained(model, LocalDay(day as i32));
             }
         }
     }
@@ -102,12 +100,13 @@ fn report(before: &StateModel, orders: &[f64; ORDER_MAX + 1], in_force: f64, tod
     let mut candidates =
         vec![(Candidate::Mean, orders[0] / count), (Candidate::Spectral, orders[before.order()] / count)];
     if let Some(known) = before.alternatives() {
-        for (number, (cycle, bins)) in HISTOGRAMS.into_iter().enumerate() {
+        for (number, kind) in HISTOGRAMS.into_iter().enumerate() {
+            let (cycle, bins) = kind.histogram().unwrap();
             let histogram = known.hours().histogram(cycle, bins).unwrap();
             candidates.push((Candidate::Histogram(number), mse(&histogram, today)));
         }
-        for kind in FitKind::ALL {
-            if let Some((model, _)) = known.fit(kind) {
+        for kind in TRAINED_AT_NIGHT {
+            if let Some((model, _)) = known.trained(kind) {
                 candidates.push((Candidate::Fitted(kind), mse(model, today)));
             }
         }
@@ -157,7 +156,7 @@ impl Run {
     /// From the first week on the mean was in force, on all days.
     fn assert_mean(&self) {
         for (number, day) in self.days.iter().enumerate().skip(7) {
-            assert_eq!((day.choice, day.order), (ModelChoice::Spectral, 0), "day {number}");
+            assert_eq!((day.choice, day.order), (ModelKind::Spectral, 0), "day {number}");
         }
     }
 }
@@ -166,7 +165,7 @@ fn flag(value: bool) -> f64 {
     f64::from(u8::from(value))
 }
 
-const PERGAM: Candidate = Candidate::Fitted(FitKind::Pergam);
+const PERGAM: Candidate = Candidate::Fitted(ModelKind::PERGAM);
 
 #[test]
 fn one_short_daily_event() {
@@ -275,9 +274,9 @@ fn how_long_a_fit_and_a_day_take() {
     };
     for state_kind in [StateKind::Probability, StateKind::Continuous] {
         let (seen, next) = (minutes(0..FIT_DAYS, state_kind), minutes(FIT_DAYS..FIT_DAYS + 1, state_kind));
-        for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(state_kind)) {
+        for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(state_kind)) {
             let started = std::time::Instant::now();
-            let model = FittedModel::fit(kind, state_kind, Readings::new(&seen), &Periodicities::default()).unwrap();
+            let model = kind.train(Readings::new(&seen), state_kind, &Periodicities::default()).unwrap();
             let fitted = started.elapsed();
             let started = std::time::Instant::now();
             let error = mse(&model, &next);

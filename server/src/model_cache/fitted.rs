@@ -5,91 +5,46 @@
 
 use tidemap_map::{event::StateKind, spec::MapSpec, view::MapView};
 use tidemap_model::{
-    ORDER_MAX, Sample, StopSignal,
-    models::{
-        Calibrated, CalibratedOptions, CannotFit, CountRate, Histogram, HistogramSettings, Hypertime, HypertimeMethod,
-        HypertimeOptions, MarkovChain, Moment, Pergam, PergamOptions, Readings, TemporalModel, UniformSpectral,
-    },
+    Sample, StopSignal, TrainedModel,
+    catalogue::QueryInputs,
+    models::{CannotFit, Moment, Readings, TemporalModel},
     selector::{ModelKind, ModelSelector},
 };
 
 use crate::state_or_cell::StateOrCell;
-
-/// Seed of the random starts of the training: the same readings give the same model.
-const SEED: u64 = 0;
 
 /// A model that was trained on the readings of a state.
 #[derive(Clone, Debug)]
 pub(crate) enum CachedModel {
     /// There are no readings: the prediction of an untrained state.
     Unlearned,
-    /// Persistence alone.
-    MarkovChain(MarkovChain),
-    /// The mean of each interval of a cycle.
-    Histogram(Histogram),
-    /// Periodic mixture of Gaussians.
-    Pergam(Pergam),
-    /// Warped hypertime.
-    Hypertime(Box<Hypertime>),
-    /// Rate of counts.
-    Poisson(Box<CountRate>),
-    /// Rhythms of day and week.
-    Calibrated(Calibrated),
-    /// The spectrum of regular readings and its outliers, at the highest order, which answers for all lower ones.
-    Uniform(Box<UniformSpectral>),
+    /// The model; one with orders was trained at the highest, which answers for all lower ones.
+    Trained(TrainedModel),
 }
 
 impl CachedModel {
-    /// Trains a model on the readings of a state of kind `state_kind`, ascending by time. Models that need no readings
-    /// ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
+    /// Trains a model on the readings of a state, ascending by time, whose values are of a kind. Models that need no
+    /// readings ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
     ///
     /// # Errors
-    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or the training
-    /// is told to stop.
-    pub(crate) fn fit(
+    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or it is told to stop.
+    pub(crate) fn train(
         kind: ModelKind,
         state_kind: StateKind,
         samples: &[Sample],
         spec: &MapSpec,
         stop: StopSignal<'_>,
     ) -> Result<Self, CannotFit> {
-        if samples.is_empty() {
+        if samples.is_empty() || !kind.needs_readings() {
             return Ok(Self::Unlearned);
         }
         let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
         let readings = Readings { samples, half_life_secs, stop };
-        let hypertime = |method, clusters: u32| {
-            let options = HypertimeOptions { method, clusters: clusters as usize, seed: SEED };
-            let model = match state_kind {
-                StateKind::Probability => Hypertime::fit(readings, &spec.periodicities, &options),
-                StateKind::Continuous | StateKind::Count => {
-                    Hypertime::fit_continuous(readings, &spec.periodicities, &options)
-                }
-            };
-            model.map(|model| Self::Hypertime(Box::new(model)))
-        };
-        match kind {
-            ModelKind::Auto | ModelKind::Mean | ModelKind::Latest | ModelKind::Spectral => Ok(Self::Unlearned),
-            ModelKind::Persistence => MarkovChain::fit(readings).map(Self::MarkovChain),
-            ModelKind::Histogram { cycle, bins } => {
-                Histogram::fit(readings, &HistogramSettings::new(cycle, bins as usize)).map(Self::Histogram)
-            }
-            ModelKind::Pergam { gaussians, period_nanos } => {
-                let options = PergamOptions { gaussians: gaussians as usize, period_nanos, seed: SEED };
-                Pergam::fit(readings, &options).map(Self::Pergam)
-            }
-            ModelKind::HypertimeEm { clusters } => hypertime(HypertimeMethod::Em, clusters),
-            ModelKind::HypertimeKm { clusters } => hypertime(HypertimeMethod::Km, clusters),
-            ModelKind::Poisson => {
-                CountRate::fit(readings, &spec.periodicities).map(|model| Self::Poisson(Box::new(model)))
-            }
-            ModelKind::Calibrated => Calibrated::fit(readings, CalibratedOptions::default()).map(Self::Calibrated),
-            ModelKind::Uniform => UniformSpectral::fit(readings, ORDER_MAX).map(|model| Self::Uniform(Box::new(model))),
-        }
+        kind.train(readings, state_kind, &spec.periodicities).map(Self::Trained)
     }
 
     /// Probability that the state is 1, or the forecast, at each of the moments, written to `out`, which has their
-    /// length. A model that stores its outliers ([`CachedModel::Uniform`]) answers 0 or 1 there, as observed.
+    /// length. A model that stores its outliers answers 0 or 1 there, as observed.
     pub(crate) fn predict_into(
         &self,
         view: &MapView,
@@ -119,49 +74,31 @@ impl CachedModel {
         target: &StateOrCell,
         moments: &[Moment],
         selector: ModelSelector,
-        with_recall: bool,
+        with_outliers: bool,
         out: &mut [f64],
     ) {
-        let (latest, uniform);
         let model: &dyn TemporalModel = match self {
             Self::Unlearned => &Constant(target.mean(view)),
-            Self::MarkovChain(chain) => {
-                // Starts from the newest value, which changes as soon as it is acknowledged; the rates do not change.
-                latest = from_newest(*chain, view, target);
-                &latest
-            }
-            Self::Histogram(model) => model,
-            Self::Pergam(model) => model,
-            Self::Hypertime(model) => &**model,
-            Self::Poisson(model) => &**model,
-            Self::Calibrated(model) => model,
-            Self::Uniform(model) => {
-                uniform = Uniform { model, order: target.order(view, selector), with_recall };
-                &uniform
+            Self::Trained(model) => {
+                // The newest value changes as soon as it is acknowledged.
+                let newest = target.persistence(view).last();
+                let inputs = QueryInputs { newest, order: target.order(view, selector), with_outliers };
+                &Answering { model, inputs }
             }
         };
         target.predict_fitted_into(view, moments, model, selector, out);
     }
 }
 
-fn from_newest(mut chain: MarkovChain, view: &MapView, target: &StateOrCell) -> MarkovChain {
-    if let Some((nanos, value)) = target.persistence(view).last() {
-        chain.observe(nanos, value);
-    }
-    chain
+/// A model with what it takes from a query.
+struct Answering<'a> {
+    model: &'a TrainedModel,
+    inputs: QueryInputs,
 }
 
-/// A uniform model at one order, with its outliers or without.
-struct Uniform<'a> {
-    model: &'a UniformSpectral,
-    order: usize,
-    with_recall: bool,
-}
-
-impl TemporalModel for Uniform<'_> {
+impl TemporalModel for Answering<'_> {
     fn predict(&self, at: Moment) -> f64 {
-        let recalled = if self.with_recall { self.model.outlier_at(self.order, at) } else { None };
-        recalled.map_or_else(|| self.model.predict_at_order(self.order, at), |state| f64::from(u8::from(state)))
+        self.model.predict_with(at, self.inputs)
     }
 }
 

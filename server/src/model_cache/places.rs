@@ -74,7 +74,6 @@ mod tests {
     use tidemap_model::selector::ModelKind;
 
     use super::*;
-    use crate::model_cache::PositionModel;
 
     fn sample(minutes: i64, value: f64) -> Sample {
         Sample { utc_nanos: minutes * 60_000_000_000, offset_secs: 0, value }
@@ -82,7 +81,7 @@ mod tests {
 
     #[test]
     fn only_readings_with_a_position_of_the_same_time_count() {
-        let options = PositionModel::options(ModelKind::HypertimeEm { clusters: 2 }).expect("options");
+        let options = ModelKind::HYPERTIME_EM.with_count(2).hypertime_options().expect("options");
         let values: Vec<Sample> = (0..400).map(|i| sample(30 * i, f64::from(u8::from(i % 4 == 0)))).collect();
         let axis = |scale: f64| -> Vec<Sample> {
             (0..200).map(|i| sample(60 * i, scale * f64::from(u8::from(i % 2 == 0)))).collect()

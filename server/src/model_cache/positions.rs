@@ -6,14 +6,11 @@ use tidemap_map::{event::Dimensions, spec::MapSpec};
 use tidemap_model::{
     Sample, StopSignal,
     models::{
-        COUNT_BIN_NANOS, CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeMethod,
-        HypertimeOptions, Moment, PoissonSpectral, Readings, TemporalModel as _,
+        COUNT_BIN_NANOS, CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeOptions, Moment,
+        PoissonSpectral, Readings, TemporalModel as _,
     },
-    selector::ModelKind,
 };
 
-/// Seed of the random starts of the training: the same positions give the same model.
-const SEED: u64 = 0;
 /// Positions are counted in this many intervals at most; longer records have longer intervals.
 const COUNTED_MAX: i64 = 100_000;
 
@@ -29,16 +26,6 @@ pub(crate) struct PositionModel {
 }
 
 impl PositionModel {
-    /// The options of a model kind that supports positions; `None` for other kinds.
-    pub(crate) fn options(kind: ModelKind) -> Option<HypertimeOptions> {
-        let (method, clusters) = match kind {
-            ModelKind::HypertimeEm { clusters } => (HypertimeMethod::Em, clusters),
-            ModelKind::HypertimeKm { clusters } => (HypertimeMethod::Km, clusters),
-            _ => return None,
-        };
-        Some(HypertimeOptions { method, clusters: clusters as usize, seed: SEED })
-    }
-
     /// Trains a model on the readings of all axes of a vector, each ascending by time.
     ///
     /// # Errors

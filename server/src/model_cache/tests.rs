@@ -6,27 +6,26 @@ use std::{
 };
 
 use tidemap_model::{
-    Sample,
+    Sample, TrainedModel,
     models::{MarkovChain, Readings},
-    selector::PERGAM_PERIOD_NANOS,
 };
 use tokio::sync::Notify;
 
 use super::*;
 
 fn key(state: u32) -> ModelKey {
-    let kind = ModelKind::Pergam { gaussians: 3, period_nanos: PERGAM_PERIOD_NANOS };
+    let kind = ModelKind::PERGAM;
     ModelKey { map: MapId(1), handle: 1, generation: 1, subject: Subject::State(StateId(state)), kind, place: None }
 }
 
 /// A model that is identified by its newest value.
 fn model(value: f64) -> CachedModel {
     let samples = [Sample { utc_nanos: 5, offset_secs: 0, value }];
-    CachedModel::MarkovChain(MarkovChain::fit(Readings::new(&samples)).expect("a reading"))
+    CachedModel::Trained(TrainedModel::Persistence(MarkovChain::fit(Readings::new(&samples)).expect("a reading")))
 }
 
 fn value(fitted: &CachedModel) -> f64 {
-    let CachedModel::MarkovChain(chain) = fitted else { panic!("{fitted:?}") };
+    let CachedModel::Trained(TrainedModel::Persistence(chain)) = fitted else { panic!("{fitted:?}") };
     chain.to_parts().last_value
 }
 
@@ -94,8 +93,8 @@ async fn whatever_differs_is_another_model() {
         ModelKey { map: MapId(2), ..key(1) },
         ModelKey { handle: 2, ..key(1) },
         ModelKey { generation: 2, ..key(1) },
-        ModelKey { kind: ModelKind::Pergam { gaussians: 4, period_nanos: PERGAM_PERIOD_NANOS }, ..key(1) },
-        ModelKey { kind: ModelKind::Pergam { gaussians: 3, period_nanos: 7 * PERGAM_PERIOD_NANOS }, ..key(1) },
+        ModelKey { kind: ModelKind::PERGAM.with_count(4), ..key(1) },
+        ModelKey { kind: ModelKind::PERGAM.with_period(7 * ModelKind::PERIOD_NANOS), ..key(1) },
         ModelKey { kind: ModelKind::Uniform, ..key(1) },
         ModelKey { place: Some(StateId(7)), ..key(1) },
         ModelKey { kind: ModelKind::HypertimeEm { clusters: 3 }, ..key(1) },

@@ -28,12 +28,11 @@ use std::{ops::Range, sync::Arc};
 
 use tidemap_grid::spec::Retention;
 use tidemap_map::{
-    event::StateKind,
     history::{Reading, Subject},
     ids::StateId,
     view::MapView,
 };
-use tidemap_model::{Sample, StopSignal, selector::ModelKind};
+use tidemap_model::{Sample, StopSignal, catalogue::TrainingCost, selector::ModelKind};
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
@@ -223,16 +222,8 @@ impl ModelFitter {
             learned.unavailable(kind, ModelUnavailable::NotKept { option })
         })?;
         let found = learned.of.kind(&learned.view);
-        let expected = match kind {
-            ModelKind::Poisson if found != StateKind::Count => Some("counts"),
-            ModelKind::Persistence | ModelKind::Pergam { .. } | ModelKind::Uniform
-                if found != StateKind::Probability =>
-            {
-                Some("probabilities")
-            }
-            _ => None,
-        };
-        if let Some(expected) = expected {
+        if !kind.supports(found) {
+            let expected = kind.info().states.values();
             return Err(learned.unavailable(kind, ModelUnavailable::OtherKind { expected, found }));
         }
         // With a shorter retention fewer observations may be left.
@@ -249,14 +240,14 @@ impl ModelFitter {
         kind: ModelKind,
         stop: Arc<FitStop>,
     ) -> Result<CachedModel, RpcError> {
-        let is_slow = matches!(kind, ModelKind::HypertimeEm { .. } | ModelKind::HypertimeKm { .. });
+        let is_slow = kind.cost() == Some(TrainingCost::High);
         let permit = if is_slow { self.slow_permits.take().await? } else { self.permits.take().await? };
         let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind, &stop)).await?;
         let (samples, handle) = (Arc::clone(samples), Arc::clone(&learned.handle));
         let of = learned.of.kind(&learned.view);
         let fit = move || {
             let is_set = || stop.is_set();
-            CachedModel::fit(kind, of, &samples, &handle.spec, StopSignal::new(&is_set))
+            CachedModel::train(kind, of, &samples, &handle.spec, StopSignal::new(&is_set))
         };
         let fitted = run_blocking(permit, fit).await?;
         fitted.map_err(|error| learned.unavailable(kind, error))

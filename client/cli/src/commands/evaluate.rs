@@ -32,12 +32,13 @@ pub(crate) struct EvaluateArgs {
     /// Maximum order of the spectral model, 0 to 15 [default: 15]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     max_order: Option<u32>,
-    /// Models, each optionally with +persistence or +memory: auto, mean, latest, persistence, histogram[:BINS],
-    /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
-    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated; or all, for every kind without
-    /// a suffix
-    #[arg(long, value_name = "KIND,…", value_delimiter = ',', default_value = "spectral")]
+    #[arg(long, value_name = "KIND,…", value_delimiter = ',', default_value = "spectral", help = models_help())]
     models: Vec<ModelArg>,
+}
+
+fn models_help() -> String {
+    let forms = ModelKind::forms();
+    format!("Models, each optionally with +persistence or +memory: {forms}; or all, for every kind without a suffix")
 }
 
 /// A model, or all models.

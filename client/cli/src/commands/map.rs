@@ -100,10 +100,7 @@ pub(crate) struct CreateArgs {
     /// Prediction of a named state with no learned data, 0 to 1 [default: 0.5]
     #[arg(long, value_name = "P")]
     prior: Option<f64>,
-    /// Models among which the nightly update chooses for each named state: spectral, histogram, calibrated, poisson,
-    /// pergam, hypertime-em, hypertime-km, or all; spectral is always included [default:
-    /// spectral,histogram,calibrated,poisson]
-    #[arg(long, value_name = "MODEL,…", value_parser = enabled_models)]
+    #[arg(long, value_name = "MODEL,…", value_parser = enabled_models, help = models_help())]
     models: Option<EnabledModels>,
     /// The clocks of the robots: of a map with real clocks, observations before 1990 are refused, which come from a
     /// clock that is not set or are in another unit; a simulation may begin at 0
@@ -117,6 +114,14 @@ enum ClockArg {
     Real,
     /// Time of a simulation
     Simulated,
+}
+
+fn models_help() -> String {
+    let (all, usual) = (EnabledModels::all_names(), EnabledModels::default().names().collect::<Vec<_>>().join(","));
+    format!(
+        "Models among which the nightly update chooses for each named state: {all}, or all; spectral is always \
+         included [default: {usual}]"
+    )
 }
 
 /// The value of `--models`: names with commas between.

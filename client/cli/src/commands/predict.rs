@@ -5,7 +5,7 @@
 use std::{borrow::Cow, path::PathBuf, process::ExitCode};
 
 use clap::{ArgGroup, Args};
-use tidemap_client::queries::{ModelSelector, ORDER_MAX, PredictionRun};
+use tidemap_client::queries::{ModelKind, ModelSelector, ORDER_MAX, PredictionRun};
 use tidemap_model::Dimensions;
 
 use super::{Session, UsageError, files::DrawingArg, times, usage};
@@ -43,10 +43,7 @@ pub(crate) struct PredictArgs {
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
-    /// Model, optionally with +persistence or +memory: auto, mean, latest, persistence, histogram[:BINS],
-    /// histogram:week[:BINS], histogram:weekend[:BINS], spectral, uniform, pergam[:GAUSSIANS[:PERIOD]],
-    /// hypertime-em[:CLUSTERS], hypertime-km[:CLUSTERS], poisson, calibrated
-    #[arg(long, value_name = "KIND", default_value = "auto")]
+    #[arg(long, value_name = "KIND", default_value = "auto", help = model_help())]
     model: ModelSelector,
     /// Confidence of the interval from lower to upper for the mean over the hour around the time: 0 (no interval) or
     /// more, and below 1
@@ -61,6 +58,10 @@ pub(crate) struct PredictArgs {
     density: Vec<f64>,
     #[command(flatten)]
     drawing: DrawingArg,
+}
+
+fn model_help() -> String {
+    format!("Model, optionally with +persistence or +memory: {}", ModelKind::forms())
 }
 
 const COLUMNS: [&str; 11] = [

@@ -4,20 +4,20 @@
 
 use tidemap_model::{
     Sample,
+    catalogue::ModelKind,
     models::{CannotFit, MarkovChain, Moment, Presence, PresenceOptions, Readings, TemporalModel},
 };
 
 mod learner;
 
-use learner::Learner;
-pub(super) use learner::LearnerKind;
+use learner::{Learner, SHORT_TERM, kinds};
 
 /// A model of the places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BeliefModel {
     /// Every place separately, by a model of one state.
     #[allow(missing_docs, reason = "see the types")]
-    Each { kind: LearnerKind, blend: Blend },
+    Each { kind: ModelKind, blend: Blend },
     /// All places together: the person is at exactly one of them.
     Presence,
 }
@@ -38,9 +38,9 @@ pub enum Blend {
 impl BeliefModel {
     /// All models, in the order of the documentation.
     pub fn all() -> impl Iterator<Item = BeliefModel> {
-        let plain = LearnerKind::ALL.into_iter().map(|kind| BeliefModel::Each { kind, blend: Blend::None });
+        let plain = kinds().map(|kind| BeliefModel::Each { kind, blend: Blend::None });
         let blended = [Blend::Persistence, Blend::Memory].into_iter().flat_map(|blend| {
-            let kinds = LearnerKind::ALL.into_iter().filter(|&kind| kind != LearnerKind::Persistence);
+            let kinds = kinds().filter(|&kind| kind != SHORT_TERM);
             kinds.map(move |kind| BeliefModel::Each { kind, blend })
         });
         plain.chain(blended).chain([BeliefModel::Presence])
@@ -100,7 +100,7 @@ impl Belief {
     pub(super) fn new(model: BeliefModel, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotFit> {
         let (kind, blend) = match model {
             BeliefModel::Each { kind, blend } => (kind, blend),
-            BeliefModel::Presence => (LearnerKind::Mean, Blend::None),
+            BeliefModel::Presence => (ModelKind::Mean, Blend::None),
         };
         let presence = match model {
             BeliefModel::Presence => Some(Presence::new(PresenceOptions::new(places, slots.per_day))?),
@@ -113,7 +113,7 @@ impl Belief {
             chain: None,
             today: vec![0.5; slots.per_day],
         };
-        let remembers = remembers || kind == LearnerKind::Persistence || blend == Blend::Memory;
+        let remembers = remembers || kind == SHORT_TERM || blend == Blend::Memory;
         let places = (0..places).map(|_| place()).collect();
         Ok(Belief { slots, now: None, places, presence, blend, remembers })
     }
@@ -168,7 +168,7 @@ impl Belief {
     fn each(&self, place: &PlaceBelief, slot: usize) -> f64 {
         let at = self.slots.middle(slot);
         let p = match (&place.chain, place.learner.kind()) {
-            (Some(chain), LearnerKind::Persistence) => chain.predict(at),
+            (Some(chain), SHORT_TERM) => chain.predict(at),
             _ => place.today.get(slot % self.slots.per_day).copied().unwrap_or(0.5),
         };
         match (self.blend, &place.chain, place.readings.last()) {

@@ -3,10 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{
-    belief::{Blend, LearnerKind},
-    *,
-};
+use tidemap_model::catalogue::ModelKind;
+
+use super::{belief::Blend, *};
 use crate::explore::protocol::parse;
 
 const PROTOCOL: &str = "name: flat
@@ -53,7 +52,7 @@ fn a_protocol_is_read_and_has_defaults() {
     assert_eq!((read.world, read.out), (PathBuf::from("lab/flat.txt"), PathBuf::from("lab/results")));
     assert_eq!((read.slot_minutes, read.seeds, read.weeks), (30, 3, Some((2, 3))));
     assert_eq!(read.strategies, [VisitStrategy::RoundRobin, VisitStrategy::OnlineError]);
-    assert_eq!(read.models[1], BeliefModel::Each { kind: LearnerKind::Spectral, blend: Blend::Persistence });
+    assert_eq!(read.models[1], BeliefModel::Each { kind: ModelKind::Spectral, blend: Blend::Persistence });
     let least = protocol("world: w\nstrategies: greedy\nmodels: presence\nout: o\n");
     assert_eq!((least.name.as_str(), least.slot_minutes, least.seeds, least.weeks), ("stem", 10, 5, None));
     assert!((least.exploration - 0.5).abs() < 1e-12);

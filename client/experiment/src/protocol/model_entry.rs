@@ -3,10 +3,13 @@
 //! Invariant: an entry has at least one parameter set, and several only if the protocol tunes. Sets are in the order of
 //! the lists; the last parameter changes fastest.
 
-use tidemap_model::StateKind;
+use tidemap_model::{
+    StateKind,
+    catalogue::{ModelKind, SupportedStates, WrongParameter},
+};
 
 use super::{
-    super::parameter_set::{ComparableKind, ParameterSet, WrongParameter},
+    super::parameter_set::{ComparableKind, ComparedSettings},
     error::ProtocolError,
     raw::{RawModel, Word, Words},
 };
@@ -22,7 +25,7 @@ pub struct ModelEntry {
     /// Its name in results: that of its kind, unless the protocol sets another.
     pub label: String,
     /// Its parameter sets; tuning chooses one.
-    pub sets: Vec<ParameterSet>,
+    pub sets: Vec<ComparedSettings>,
 }
 
 /// Reads the models.
@@ -51,12 +54,13 @@ pub(crate) fn read(
 
 fn entry(model: &RawModel, values: StateKind, tunes: bool) -> Result<ModelEntry, ProtocolError> {
     let written = &model.kind;
-    let known = ComparableKind::ALL.into_iter().find(|(_, name, _)| *name == written.text);
-    let (kind, _, names) = known.ok_or_else(|| {
-        let names = ComparableKind::ALL.map(|(_, name, _)| name);
+    let kind = ComparableKind::all().find(|kind| kind.name() == written.text).ok_or_else(|| {
+        let names: Vec<_> = ComparableKind::all().map(ComparableKind::name).collect();
         ProtocolError::value("model", written, &format!("one of: {}", names.join(", ")))
     })?;
-    if kind == ComparableKind::Poisson && values != StateKind::Count {
+    let names = kind.parameters();
+    let is_of_counts = |kind: ModelKind| kind.info().states == SupportedStates::Counts;
+    if matches!(kind, ComparableKind::One(kind) if is_of_counts(kind)) && values != StateKind::Count {
         let wrong = "it is a model of counts: write kind: count, or leave it out";
         return Err(ProtocolError::model(written.line, written, wrong));
     }
@@ -67,7 +71,7 @@ fn entry(model: &RawModel, values: StateKind, tunes: bool) -> Result<ModelEntry,
             label = name(values)?;
             continue;
         }
-        let name = parameter_named(names, written, parameter)?;
+        let name = parameter_named(&names, written, parameter)?;
         if values.words.is_empty() {
             let wrong = format!("{name} is an empty list: write a value, or several to choose from");
             return Err(ProtocolError::model(values.line, written, wrong));
@@ -96,11 +100,7 @@ fn name(values: &Words) -> Result<String, ProtocolError> {
     }
 }
 
-fn parameter_named(
-    names: &'static [&'static str],
-    model: &Word,
-    parameter: &Word,
-) -> Result<&'static str, ProtocolError> {
+fn parameter_named(names: &[&'static str], model: &Word, parameter: &Word) -> Result<&'static str, ProtocolError> {
     names.iter().find(|name| **name == parameter.text).copied().ok_or_else(|| {
         let has = match names {
             [] => format!("it has none but {NAME}"),
@@ -131,9 +131,9 @@ fn parameter_set(
     kind: ComparableKind,
     model: &Word,
     chosen: &[(&'static str, &Word)],
-) -> Result<ParameterSet, ProtocolError> {
+) -> Result<ComparedSettings, ProtocolError> {
     let parameters: Vec<(&'static str, &str)> = chosen.iter().map(|&(name, word)| (name, word.text.as_str())).collect();
-    ParameterSet::new(kind, &parameters).map_err(|wrong| match wrong {
+    ComparedSettings::new(kind, &parameters).map_err(|wrong| match wrong {
         WrongParameter::Value { name, right } => match chosen.iter().find(|(given, _)| *given == name) {
             Some((_, word)) => ProtocolError::value(&format!("{name} of {}", model.text), word, &right),
             None => ProtocolError::model(model.line, model, format!("{name} has to be {right}")),

@@ -9,7 +9,7 @@ use tidemap_model::StateKind;
 use tidemap_plan::search::{Goal, SearchError, SearchOptions, search};
 
 use super::{RecordedWorld, ReplayError};
-use crate::{parameter_set::FittedModel, protocol::ModelEntry};
+use crate::{parameter_set::ComparedModel, protocol::ModelEntry};
 
 /// Consecutive minutes that one job searches.
 const JOB_MINUTES: usize = 1440;
@@ -68,7 +68,7 @@ pub(super) fn log_loss(
     for minute in minutes.clone() {
         let Some(room) = world.room(minute) else { continue };
         let moment = world.moment(minute);
-        let predicted = |model: &FittedModel| model.predict(moment).clamp(SHARE_MIN, 1.0);
+        let predicted = |model: &ComparedModel| model.predict(moment).clamp(SHARE_MIN, 1.0);
         let total: f64 = models.iter().map(predicted).sum();
         sum -= (predicted(&models[room]) / total).ln();
         count += 1.0;
@@ -82,12 +82,12 @@ fn fitted(
     entry: &ModelEntry,
     set: usize,
     train_minutes: usize,
-) -> Result<Vec<FittedModel>, ReplayError> {
+) -> Result<Vec<ComparedModel>, ReplayError> {
     let set = &entry.sets[set];
     (0..world.names.len())
         .into_par_iter()
         .map(|node| {
-            set.fit(&world.samples(node, train_minutes), StateKind::Probability).map_err(|refused| {
+            set.train(&world.samples(node, train_minutes), StateKind::Probability).map_err(|refused| {
                 let model = format!("{} {}", entry.label, set.shown()).trim_end().to_owned();
                 ReplayError::Fit { model, place: world.names[node].clone(), refused }
             })

@@ -22,6 +22,18 @@ const CYCLES: Partial<Record<HistogramCycle, string>> = {
     [HistogramCycle.WEEKDAY_WEEKEND]: 'weekday and weekend',
 };
 
+/** The kinds that the page compares. */
+export const COMPARED = [
+    ModelKind.AUTO,
+    ModelKind.MEAN,
+    ModelKind.SPECTRAL,
+    ModelKind.HISTOGRAM,
+    ModelKind.CALIBRATED,
+    ModelKind.PERGAM,
+    ModelKind.HYPERTIME_EM,
+    ModelKind.POISSON,
+];
+
 /** The name of a kind. */
 export function kindName(kind: ModelKind): string {
     return NAMES[kind] ?? `model ${kind}`;

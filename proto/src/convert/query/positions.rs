@@ -109,7 +109,7 @@ fn model_from_wire(wire: Option<v1::ModelSelector>) -> Result<ModelKind, Invalid
         wire.kind = v1::ModelKind::HypertimeEm.into();
     }
     let selector = selector_from_wire("model", Some(wire))?;
-    if !matches!(selector.kind, ModelKind::HypertimeEm { .. } | ModelKind::HypertimeKm { .. }) {
+    if selector.kind.hypertime_options().is_none() {
         let text = format!("positions have no model {}: use hypertime-em or hypertime-km", selector.kind);
         return Err(InvalidField::new("model.kind", text));
     }

@@ -8,7 +8,7 @@
 //! Invariant: a state with few learned observations has no anomalies.
 
 use tidemap_model::{
-    FitKind, HISTOGRAMS, ModelChoice, StateKind, StateModel,
+    StateKind, StateModel,
     models::{Moment, value_tail},
     selector::{ModelKind, ModelSelector},
 };
@@ -83,15 +83,7 @@ fn share_of_mean(model: &StateModel, selector: ModelSelector) -> f64 {
         ModelKind::Mean => order(0),
         ModelKind::Spectral => order(selector.order_for(model)),
         ModelKind::Auto => selector.order.and_then(order),
-        ModelKind::Calibrated => scored(ModelChoice::Fitted(FitKind::Calibrated)),
-        ModelKind::Poisson => scored(ModelChoice::Fitted(FitKind::Poisson)),
-        ModelKind::HypertimeEm { clusters: 3 } => scored(ModelChoice::Fitted(FitKind::HypertimeEm)),
-        ModelKind::HypertimeKm { clusters: 3 } => scored(ModelChoice::Fitted(FitKind::HypertimeKm)),
-        ModelKind::Histogram { cycle, bins } => {
-            let number = HISTOGRAMS.iter().position(|&(known, count)| known == cycle && count == bins as usize);
-            number.and_then(|number| u8::try_from(number).ok()).map(ModelChoice::Histogram).and_then(scored)
-        }
-        _ => None,
+        kind => scored(kind),
     };
     match (own.or_else(|| scored(model.choice())), order(0)) {
         (Some(own), Some(of_mean)) if of_mean > 0.0 => own / of_mean,

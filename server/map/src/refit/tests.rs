@@ -4,6 +4,7 @@ use std::{collections::BTreeMap, sync::Mutex};
 
 use tidemap_model::{
     EnabledModels, Periodicities,
+    catalogue::TRAINED_AT_NIGHT,
     models::{Calibrated, CalibratedOptions},
 };
 
@@ -77,7 +78,7 @@ impl World {
     /// As if a model had been trained on a day.
     fn fitted_on(&mut self, state: usize, day: i32) {
         let fit = Calibrated::fit(Readings::new(&samples(9, 0..2)), CalibratedOptions::default()).expect("fits");
-        self.models[state] = Arc::new(StateModel::clone(&self.models[state]).refitted(fit, LocalDay(day)));
+        self.models[state] = Arc::new(StateModel::clone(&self.models[state]).with_trained(fit, LocalDay(day)));
     }
 
     fn refit(&mut self, limits: Limits) -> Refits {
@@ -86,8 +87,8 @@ impl World {
     }
 
     fn fit_of(&self, state: usize) -> Option<(&Calibrated, i32)> {
-        let (model, day) = self.models[state].alternatives()?.fit(FitKind::Calibrated)?;
-        let FittedModel::Calibrated(model) = model else { panic!("another model") };
+        let (model, day) = self.models[state].alternatives()?.trained(ModelKind::Calibrated)?;
+        let TrainedModel::Calibrated(model) = model else { panic!("another model") };
         Some((model, day.0))
     }
 
@@ -147,7 +148,7 @@ fn readings_that_cannot_be_had_cost_the_fits_of_their_batch_alone() {
     assert!(refits.failure.expect("a reason").contains("StateId(2) is damaged"));
     for state in [2, 3] {
         assert_eq!(world.models[state], before[state]);
-        assert!(world.models[state].is_fit_due(FitKind::Calibrated));
+        assert!(world.models[state].is_training_due(ModelKind::Calibrated));
     }
     assert_eq!(world.fit_of(4).map(|(_, day)| day), Some(19));
     // What is repaired is trained by the next update.
@@ -209,7 +210,7 @@ fn a_state_that_was_read_too_often_is_fitted_to_fewer_days() {
 #[test]
 fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_fitted() {
     let mut world = World::new(MapSpec { models: EnabledModels::ALL, ..spec(Retention::Forever) }, 3, 20);
-    let limits = Limits { refits: |kind| if kind == FitKind::Calibrated { 9 } else { 1 }, ..LIMITS };
+    let limits = Limits { refits: |kind| if kind == ModelKind::Calibrated { 9 } else { 1 }, ..LIMITS };
     assert_eq!(world.refit(limits), Refits { fitted: 3 + 3, waiting: 3 * 2, ..Refits::default() });
     assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 3, ..Refits::default() });
     assert_eq!(world.refit(limits), Refits { fitted: 3, ..Refits::default() });
@@ -217,13 +218,12 @@ fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_fitted() {
     // The readings of a state are asked for once, whatever is trained on them.
     assert_eq!(world.asked(), [vec![0, 1, 2], vec![1], vec![2]]);
     for (number, model) in world.models.iter().enumerate() {
-        for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(StateKind::Probability)) {
-            let (found, day) = model.alternatives().expect("learned").fit(kind).expect("fitted");
-            assert_eq!((found.kind(), day), (kind, LocalDay(19)));
+        for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
+            let (found, day) = model.alternatives().expect("learned").trained(kind).expect("trained");
+            assert_eq!((found.kind_at_night(), day), (Some(kind), LocalDay(19)));
             let all = samples(number as u32, 0..20);
             let expected =
-                FittedModel::fit(kind, StateKind::Probability, Readings::new(&all), &world.spec.periodicities)
-                    .expect("fits");
+                kind.train(Readings::new(&all), StateKind::Probability, &world.spec.periodicities).expect("trained");
             assert_eq!(found, &expected);
         }
     }
@@ -239,7 +239,7 @@ fn a_new_routine_is_fitted_without_the_old_one() {
     later.iter_mut().for_each(|sample| sample.value = 1.0 - sample.value);
     let mut model = StateModel::clone(&world.models[0]);
     model.update(&world.spec.periodicities, world.spec.update_rules(), later.clone());
-    let since = model.alternatives().expect("learned").fit_since().expect("it rang").0;
+    let since = model.alternatives().expect("learned").training_since().expect("it rang").0;
     assert!((58..66).contains(&since), "{since}");
     world.models[0] = Arc::new(model);
     world.own[0].1 = later.split_off(19 * 24);

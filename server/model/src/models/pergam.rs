@@ -5,6 +5,7 @@
 //! wrapped here, so that 23:59 is next to 0:01. It can represent several short events, but only one period, which must
 //! be known. Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in `[0,1]`.
 
+use super::mean::check_values;
 use super::{CannotFit, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
@@ -83,9 +84,7 @@ impl Pergam {
         check_range("gaussians", options.gaussians as f64, 1.0, PergamOptions::GAUSSIANS_MAX as f64, "1 to 20")?;
         let period_secs = options.period_nanos as f64 / 1e9;
         check_range("period_secs", period_secs, 1.0, PERIOD_MAX_NANOS as f64 / 1e9, "1 s to 100 years")?;
-        if readings.samples.is_empty() {
-            return Err(CannotFit::NoReadings);
-        }
+        check_values(readings, 0.0..=1.0, "0 to 1")?;
         let folded = PhaseMeans::new(readings, options.period_nanos);
         let level = folded.level();
         let found = fit_wrapped(folded.shares(), options.gaussians, options.seed, readings.stop);

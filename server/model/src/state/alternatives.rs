@@ -8,11 +8,11 @@
 
 use std::sync::Arc;
 
-use super::{EnabledModels, FitKind, FittedModel};
 use crate::{
     Accumulator, Gaps, LocalDay, ORDER_MAX, Periodicities, Persistence, Sample, SpectralModel, StateKind,
+    catalogue::{EnabledModels, HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel},
     models::{
-        ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HourTable, Moment, OrderGains, TemporalModel,
+        ChangeAlarm, DependenceSums, Histogram, HourTable, Moment, OrderGains, TemporalModel,
         half_square_of_probabilities, half_square_of_values, supported_order_of,
     },
     order::{OrderCriterion, kept},
@@ -33,9 +33,9 @@ pub(super) type SampleForecast<'a> = &'a dyn Fn(&Sample) -> f64;
 
 /// A model as it was last trained on readings.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct FitRecord {
+pub(super) struct TrainingRecord {
     /// Shared: it is a large part of a state, and most updates leave it as it is.
-    pub(super) model: Arc<FittedModel>,
+    pub(super) model: Arc<TrainedModel>,
     /// The last local day that it was trained on.
     pub(super) day: LocalDay,
     /// Faded sum of errors, of this model and those before it; `None` before the first day that it was scored on.
@@ -62,10 +62,6 @@ impl From<OrderCriterion> for UpdateRules {
     }
 }
 
-/// The histograms that are tried: cycle, and bins of the cycle.
-pub const HISTOGRAMS: [(HistogramCycle, usize); 3] =
-    [(HistogramCycle::Day, 24), (HistogramCycle::WeekdayWeekend, 24), (HistogramCycle::Week, 168)];
-
 /// Hysteresis: another model is chosen only if its error is lower than that of the model in force by this factor.
 const CLEARLY_LOWER: f64 = 0.95;
 
@@ -89,25 +85,13 @@ const REFIT_DAYS: u32 = 7;
 /// can already choose among them.
 const EARLY_FIT_DAYS: u32 = 3;
 
-/// The model that predicts a state best so far.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum ModelChoice {
-    /// The spectral model with the order in force; order 0 is the mean.
-    #[default]
-    Spectral,
-    /// The histogram of that number in [`HISTOGRAMS`].
-    Histogram(u8),
-    /// A model that was trained on readings, as it was last trained.
-    Fitted(FitKind),
-}
-
 /// What answers, if it is not the spectral model alone.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ActiveModel<'a> {
     /// A histogram of the training data.
     Histogram(Histogram),
     /// A model that was trained on readings.
-    Fitted(&'a FittedModel),
+    Trained(&'a TrainedModel),
     /// Several models together.
     Combination(Combination<'a>),
 }
@@ -118,7 +102,7 @@ impl ActiveModel<'_> {
     pub fn covers(&self, at: Moment) -> bool {
         match self {
             ActiveModel::Histogram(model) => model.has_readings_near(at),
-            ActiveModel::Fitted(_) | ActiveModel::Combination(_) => true,
+            ActiveModel::Trained(_) | ActiveModel::Combination(_) => true,
         }
     }
 }
@@ -127,7 +111,7 @@ impl TemporalModel for ActiveModel<'_> {
     fn predict(&self, at: Moment) -> f64 {
         match self {
             ActiveModel::Histogram(model) => model.predict(at),
-            ActiveModel::Fitted(model) => model.predict(at),
+            ActiveModel::Trained(model) => model.predict(at),
             ActiveModel::Combination(model) => model.predict(at),
         }
     }
@@ -153,11 +137,11 @@ pub struct Alternatives {
     days: u32,
     /// The first local day of the present routine, by the change alarm.
     since: Option<LocalDay>,
-    /// By [`FitKind`].
-    fits: [Option<FitRecord>; FitKind::ALL.len()],
+    /// By their places in [`TRAINED_AT_NIGHT`].
+    trained: [Option<TrainingRecord>; TRAINED_AT_NIGHT.len()],
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Errors {
     /// Faded sum of errors of the spectral model with its best order.
     spectral: f64,
@@ -165,7 +149,15 @@ struct Errors {
     histograms: Option<[f64; HISTOGRAMS.len()]>,
     last_day: Option<LocalDay>,
     learned_day: Option<LocalDay>,
-    choice: ModelChoice,
+    /// The model that has predicted best so far: [`ModelKind::Spectral`] at the order in force, where order 0 is the
+    /// mean, one of [`HISTOGRAMS`], or one of [`TRAINED_AT_NIGHT`].
+    choice: ModelKind,
+}
+
+impl Default for Errors {
+    fn default() -> Errors {
+        Errors { spectral: 0.0, histograms: None, last_day: None, learned_day: None, choice: ModelKind::Spectral }
+    }
 }
 
 /// The error of one model on what a day brought.
@@ -207,36 +199,39 @@ impl Alternatives {
         &self.hours
     }
 
-    /// The model in force.
-    pub fn choice(&self) -> ModelChoice {
+    /// The model in force: the spectral one, one of [`HISTOGRAMS`] or one of [`TRAINED_AT_NIGHT`].
+    pub fn choice(&self) -> ModelKind {
         self.parts.choice
     }
 
     /// Untrained alternatives with these models enabled.
     pub(super) fn new(models: EnabledModels) -> Alternatives {
-        let parts = Errors { histograms: models.histograms.then(Default::default), ..Errors::default() };
+        let parts = Errors { histograms: models.has_histograms().then(Default::default), ..Errors::default() };
         Alternatives { parts, ..Alternatives::default() }
     }
 
     /// Faded sums of errors of all that is tried: of the spectral model with its best order, of each of [`HISTOGRAMS`],
-    /// and of each model that is trained on readings once it was scored.
-    pub fn error_sums(&self) -> impl Iterator<Item = (ModelChoice, f64)> {
-        // There are fewer than 256.
-        let histograms = (0..).map(ModelChoice::Histogram).zip(self.parts.histograms.into_iter().flatten());
-        let fits = FitKind::ALL.into_iter().zip(&self.fits);
-        let fits = fits.filter_map(|(kind, fit)| Some((ModelChoice::Fitted(kind), fit.as_ref()?.error?)));
-        std::iter::once((ModelChoice::Spectral, self.parts.spectral)).chain(histograms).chain(fits)
+    /// and of each of [`TRAINED_AT_NIGHT`] once it was scored.
+    pub fn error_sums(&self) -> impl Iterator<Item = (ModelKind, f64)> {
+        let histograms = HISTOGRAMS.into_iter().zip(self.parts.histograms.into_iter().flatten());
+        let trained = TRAINED_AT_NIGHT.into_iter().zip(&self.trained);
+        let trained = trained.filter_map(|(kind, record)| Some((kind, record.as_ref()?.error?)));
+        std::iter::once((ModelKind::Spectral, self.parts.spectral)).chain(histograms).chain(trained)
     }
 
-    /// The model of the given kind and the last local day that it was trained on; `None` before it was first trained.
-    pub fn fit(&self, kind: FitKind) -> Option<(&FittedModel, LocalDay)> {
-        self.fits[kind.index()].as_ref().map(|fit| (&*fit.model, fit.day))
+    fn record(&self, kind: ModelKind) -> Option<&TrainingRecord> {
+        self.trained.get(kind.place_at_night()?)?.as_ref()
     }
 
-    /// Whether the model of the given kind is due to be trained again.
-    pub(super) fn is_fit_due(&self, kind: FitKind) -> bool {
-        let Some(folded) = self.parts.learned_day else { return false };
-        match &self.fits[kind.index()] {
+    /// The model of the given kind and the last local day that it was trained on; `None` before its first training.
+    pub fn trained(&self, kind: ModelKind) -> Option<(&TrainedModel, LocalDay)> {
+        self.record(kind).map(|record| (&*record.model, record.day))
+    }
+
+    /// Whether the model of the given kind is due for training; never for one that updates do not train.
+    pub(super) fn is_training_due(&self, kind: ModelKind) -> bool {
+        let Some(folded) = self.parts.learned_day.filter(|_| kind.place_at_night().is_some()) else { return false };
+        match self.record(kind) {
             None => self.days >= if kind.is_cheap() { EARLY_FIT_DAYS } else { REFIT_DAYS },
             Some(fit) => {
                 let age_days = i64::from(folded.0) - i64::from(fit.day.0);
@@ -247,21 +242,22 @@ impl Alternatives {
         }
     }
 
-    /// Takes a newly trained model, which is scored from the next day on; the errors of earlier models of its kind
-    /// stay.
-    pub(super) fn refit(&mut self, model: FittedModel, day: LocalDay) {
-        let fit = &mut self.fits[model.kind().index()];
-        let error = fit.as_ref().and_then(|fit| fit.error);
-        *fit = Some(FitRecord { model: Arc::new(model), day, error });
+    /// Takes a newly trained model of a kind, which is scored from the next day on; the errors of earlier ones of its
+    /// kind stay. A kind that updates do not train changes nothing.
+    pub(super) fn set_trained(&mut self, kind: ModelKind, model: TrainedModel, day: LocalDay) {
+        if let Some(record) = kind.place_at_night().and_then(|place| self.trained.get_mut(place)) {
+            let error = record.as_ref().and_then(|earlier| earlier.error);
+            *record = Some(TrainingRecord { model: Arc::new(model), day, error });
+        }
     }
 
     /// A copy without the trained models that do not answer.
     pub(super) fn published(&self) -> Alternatives {
         let weights = self.weights();
-        let answers = |kind| weights.iter().any(|(choice, _)| *choice == ModelChoice::Fitted(kind));
+        let answers = |kind| weights.iter().any(|(choice, _)| *choice == kind);
         let mut published = self.clone();
-        for (kind, fit) in FitKind::ALL.into_iter().zip(&mut published.fits) {
-            *fit = fit.take().filter(|_| answers(kind));
+        for (kind, record) in TRAINED_AT_NIGHT.into_iter().zip(&mut published.trained) {
+            *record = record.take().filter(|_| answers(kind));
         }
         // A model that does not answer may still decide that others do not.
         if published.weights() == weights { published } else { self.clone() }
@@ -269,17 +265,12 @@ impl Alternatives {
 
     /// Removes models that are not enabled.
     fn restrict(&mut self, models: EnabledModels) {
-        self.parts.histograms = self.parts.histograms.filter(|_| models.histograms);
-        for (kind, fit) in FitKind::ALL.into_iter().zip(&mut self.fits) {
-            *fit = fit.take().filter(|_| models.has_fit(kind));
+        self.parts.histograms = self.parts.histograms.filter(|_| models.has_histograms());
+        for (kind, record) in TRAINED_AT_NIGHT.into_iter().zip(&mut self.trained) {
+            *record = record.take().filter(|_| models.has(kind));
         }
-        let is_gone = match self.parts.choice {
-            ModelChoice::Spectral => false,
-            ModelChoice::Histogram(_) => !models.histograms,
-            ModelChoice::Fitted(kind) => !models.has_fit(kind),
-        };
-        if is_gone {
-            self.parts.choice = ModelChoice::Spectral;
+        if !models.has(self.parts.choice) {
+            self.parts.choice = ModelKind::Spectral;
         }
     }
 
@@ -304,9 +295,9 @@ impl Alternatives {
         self.gains.record(order, squared_errors, scored);
     }
 
-    /// The histogram of a number in [`HISTOGRAMS`]; `None` where nothing was read.
-    fn histogram(&self, number: u8) -> Option<Histogram> {
-        let &(cycle, bins) = HISTOGRAMS.get(usize::from(number))?;
+    /// A histogram of the learned readings; `None` where nothing was read, and for another kind of model.
+    fn histogram(&self, kind: ModelKind) -> Option<Histogram> {
+        let (cycle, bins) = kind.histogram()?;
         self.hours.histogram(cycle, bins)
     }
 
@@ -327,7 +318,7 @@ impl Alternatives {
     ) -> f64 {
         let criterion = rules.criterion;
         self.restrict(rules.models);
-        let of_day = if rules.models.histograms {
+        let of_day = if rules.models.has_histograms() {
             let Some(of_day) = self.score_histograms(criterion, newer, spectral_of) else {
                 return combined.unwrap_or(spectral_squared);
             };
@@ -335,13 +326,13 @@ impl Alternatives {
         } else {
             [DayError::default(); HISTOGRAMS.len()]
         };
-        let of_fit = |fit: &Option<FitRecord>| fit.as_ref().map(|fit| DayError::of(&*fit.model, criterion, newer));
-        let fitted = self.fits.each_ref().map(of_fit);
-        let in_force = match self.parts.choice {
-            ModelChoice::Spectral => None,
-            ModelChoice::Histogram(number) => of_day.get(usize::from(number)).copied(),
-            ModelChoice::Fitted(kind) => fitted[kind.index()],
+        let error = |record: &Option<TrainingRecord>| {
+            record.as_ref().map(|record| DayError::of(&*record.model, criterion, newer))
         };
+        let trained = self.trained.each_ref().map(error);
+        let choice = self.parts.choice;
+        let histogram = HISTOGRAMS.iter().zip(&of_day).find(|(kind, _)| **kind == choice).map(|(_, error)| *error);
+        let in_force = histogram.or_else(|| trained.get(choice.place_at_night()?).copied().flatten());
         let alone = in_force.map_or(spectral_squared, |error| error.squared);
         let squared_in_force = combined.unwrap_or(alone);
         self.watch(day, squared_in_force / newer.len().max(1) as f64 / unit, newer.len() as u64);
@@ -351,19 +342,19 @@ impl Alternatives {
         let before_spectral = spectral_sum - spectral_day;
         let faded = |sum: f64| kept.map(|kept| sum * kept);
         let sum_in_force = match self.parts.choice {
-            ModelChoice::Spectral => None,
+            ModelKind::Spectral => None,
             choice => self.error_sums().find(|(other, _)| *other == choice).map(|(_, sum)| sum),
         };
         let begins = sum_in_force.and_then(faded).unwrap_or(before_spectral);
-        if rules.models.histograms {
+        if rules.models.has_histograms() {
             let sums = self.parts.histograms.map_or([None; HISTOGRAMS.len()], |sums| sums.map(faded));
             let mut sums = sums.map(|sum| sum.unwrap_or(before_spectral));
             sums.iter_mut().zip(of_day).for_each(|(sum, error)| *sum += error.by_criterion);
             self.parts.histograms = Some(sums);
         }
-        for (fit, error) in self.fits.iter_mut().zip(fitted) {
-            if let (Some(fit), Some(error)) = (fit, error) {
-                fit.error = Some(fit.error.and_then(faded).unwrap_or(begins) + error.by_criterion);
+        for (record, error) in self.trained.iter_mut().zip(trained) {
+            if let (Some(record), Some(error)) = (record, error) {
+                record.error = Some(record.error.and_then(faded).unwrap_or(begins) + error.by_criterion);
             }
         }
         self.parts.spectral = spectral_sum;
@@ -387,21 +378,21 @@ impl Alternatives {
         self.parts.spectral *= KEPT_AT_CHANGE;
         self.gains.fade(KEPT_AT_CHANGE);
         self.parts.histograms.iter_mut().flatten().for_each(|sum| *sum *= KEPT_AT_CHANGE);
-        let sums = self.fits.iter_mut().flatten().filter_map(|fit| fit.error.as_mut());
+        let sums = self.trained.iter_mut().flatten().filter_map(|record| record.error.as_mut());
         sums.for_each(|sum| *sum *= KEPT_AT_CHANGE);
         KEPT_AT_CHANGE
     }
 
     /// The first local day whose readings are worth training on: since the change alarm last rang, once seven days have
     /// passed. `None`: all are.
-    pub fn fit_since(&self) -> Option<LocalDay> {
+    pub fn training_since(&self) -> Option<LocalDay> {
         let folded = i64::from(self.parts.learned_day?.0);
         self.since.filter(|since| folded - i64::from(since.0) + 1 >= i64::from(REFIT_DAYS))
     }
 
     /// Errors that differ by `rounding` or less are the same.
     fn choose(&mut self, rounding: f64) {
-        let sum_of = |wanted: ModelChoice| {
+        let sum_of = |wanted: ModelKind| {
             self.error_sums().find(|(choice, _)| *choice == wanted).map_or(f64::INFINITY, |(_, sum)| sum)
         };
         let mut best = self.parts.choice;

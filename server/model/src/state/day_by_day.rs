@@ -4,7 +4,7 @@
 //! chosen before the next day is learned. So cheap models are trained after each day here, on the days on which nightly
 //! updates would have trained them. Invariant: a model has seen only days before those that it is scored on.
 
-use super::{FittedModel, StateModel, UpdateRules};
+use super::{StateModel, UpdateRules};
 use crate::{LocalDay, Periodicities, Sample, models::Readings};
 
 /// With more days, models are trained at the end of the update and join on the day after.
@@ -28,19 +28,19 @@ impl StateModel {
         day: LocalDay,
         seen: &[Sample],
     ) {
-        let since = self.alternatives().and_then(|known| known.fit_since());
+        let since = self.alternatives().and_then(|known| known.training_since());
         let from = seen.partition_point(|sample| since.is_some_and(|since| sample.local_day() < since));
         let half_life_secs = rules.half_life_days.map(|days| days * 86_400.0);
         let readings = Readings { half_life_secs, ..Readings::new(&seen[from..]) };
-        for kind in rules.models.fits().filter(|kind| kind.is_cheap()) {
-            if !self.is_fit_due(kind) {
+        for kind in rules.models.trained().filter(|kind| kind.is_cheap()) {
+            if !self.is_training_due(kind) {
                 continue;
             }
             // If the training fails, the state keeps the model that it has.
-            if let Ok(model) = FittedModel::fit(kind, self.kind(), readings, periodicities)
+            if let Ok(model) = kind.train(readings, self.kind(), periodicities)
                 && let Some(known) = &mut self.alternatives
             {
-                known.refit(model, day);
+                known.set_trained(kind, model, day);
             }
         }
     }

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::{evaluate, models::Moment};
+use crate::{catalogue::TRAINED_AT_NIGHT, evaluate, models::Moment};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
@@ -144,7 +144,7 @@ fn a_routine_of_the_clock_and_the_kind_of_day_chooses_the_model_that_has_it() {
     let mut state = StateModel::new(&week());
     state.update(&week(), OrderCriterion::SquaredError, sharp(28));
     let errors: Vec<_> = state.alternatives().unwrap().error_sums().collect();
-    assert!(matches!(state.choice(), ModelChoice::Histogram(_)), "{errors:?}");
+    assert!(matches!(state.choice(), ModelKind::Histogram { .. }), "{errors:?}");
     assert!(matches!(
         state.chosen(&Periodicities::default()),
         Some(ActiveModel::Histogram(_) | ActiveModel::Combination(_))
@@ -179,7 +179,7 @@ fn noise_has_no_rhythm() {
         });
         let mut state = StateModel::new(&week());
         state.update(&week(), OrderCriterion::SquaredError, samples.collect());
-        assert_eq!((state.order(), state.choice()), (0, ModelChoice::Spectral), "seed {seed}");
+        assert_eq!((state.order(), state.choice()), (0, ModelKind::Spectral), "seed {seed}");
     }
 }
 
@@ -244,10 +244,10 @@ fn a_published_model_predicts_the_same() {
         let samples: Vec<Sample> = (week * 336..(week + 1) * 336).map(sample).collect();
         model.update(&periodicities, OrderCriterion::SquaredError, samples.clone());
         let day = samples.last().expect("readings").local_day();
-        for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(StateKind::Probability)) {
+        for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
             let readings = crate::models::Readings::new(&samples);
-            if let Ok(fit) = FittedModel::fit(kind, StateKind::Probability, readings, &periodicities) {
-                model = model.refitted(fit, day);
+            if let Ok(fit) = kind.train(readings, StateKind::Probability, &periodicities) {
+                model = model.with_trained(fit, day);
             }
         }
         let published = model.published();

@@ -50,7 +50,7 @@ impl ModelFitter {
         stop: Arc<FitStop>,
     ) -> Result<PositionModel, RpcError> {
         let first = axes.first().ok_or(RpcError::Stopping)?;
-        let options = PositionModel::options(kind).ok_or(RpcError::Stopping)?;
+        let options = kind.hypertime_options().ok_or(RpcError::Stopping)?;
         let permit = self.slow_permits.take().await?;
         let mut samples: Vec<Arc<[Sample]>> = Vec::with_capacity(axes.len());
         for axis in axes {
@@ -104,7 +104,7 @@ impl ModelFitter {
         kind: ModelKind,
         stop: Arc<FitStop>,
     ) -> Result<PlaceModel, RpcError> {
-        let options = PositionModel::options(kind).ok_or(RpcError::Stopping)?;
+        let options = kind.hypertime_options().ok_or(RpcError::Stopping)?;
         let permit = self.slow_permits.take().await?;
         let values = self.gather(learned, kind, &stop).await?;
         let mut samples: Vec<Arc<[Sample]>> = Vec::with_capacity(axes.len());

@@ -8,7 +8,7 @@ use tidemap_grid::{
 };
 use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_migrations::v1::map as v1;
-use tidemap_model::{EnabledModels, FitKind, OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
 /// The record of a map.
 pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
@@ -32,7 +32,7 @@ pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
         grid: spec.grid.as_ref().map(encode_grid),
         half_life_nanos: spec.half_life_nanos.unwrap_or(0),
         prior_bits: spec.prior.to_bits(),
-        models: encode_models(spec.models),
+        models: spec.models.to_bits(),
         has_real_clock: spec.has_real_clock,
     }
 }
@@ -66,28 +66,8 @@ pub(crate) fn decode(message: v1::MapSpec) -> Result<MapSpec, String> {
     })
 }
 
-const HISTOGRAMS: u32 = 1;
-
-fn bit(kind: FitKind) -> u32 {
-    match kind {
-        FitKind::Calibrated => 2,
-        FitKind::Pergam => 4,
-        FitKind::HypertimeEm => 8,
-        FitKind::HypertimeKm => 16,
-        FitKind::Poisson => 32,
-    }
-}
-
-fn encode_models(models: EnabledModels) -> u32 {
-    let histograms = if models.histograms { HISTOGRAMS } else { 0 };
-    models.fits().fold(histograms, |bits, kind| bits | bit(kind))
-}
-
 fn decode_models(bits: u32) -> Result<EnabledModels, String> {
-    let histograms = EnabledModels::SPECTRAL.with_histograms(bits & HISTOGRAMS != 0);
-    let fits = FitKind::ALL.into_iter().filter(|&kind| bits & bit(kind) != 0);
-    let models = fits.fold(histograms, EnabledModels::with_fit);
-    if encode_models(models) == bits { Ok(models) } else { Err(format!("models {bits} are not all known")) }
+    EnabledModels::from_bits(bits).ok_or_else(|| format!("models {bits} are not all known"))
 }
 
 fn encode_retention(retention: Retention) -> v1::Retention {

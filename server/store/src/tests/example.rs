@@ -16,8 +16,10 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    EnabledModels, FitKind, FittedModel, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
-    PersistenceParts, Sample, SpectralModel, StateModel, UpdateRules, Zone, models::Readings,
+    EnabledModels, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample,
+    SpectralModel, StateModel, TrainedModel, UpdateRules, Zone,
+    catalogue::{ModelKind, TRAINED_AT_NIGHT},
+    models::Readings,
 };
 
 use crate::{AppendError, MapId, MapLog, OpenError, OpenedMap, Source, Store, StoreOptions};
@@ -141,7 +143,7 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
 }
 
 /// Models of every kind, two of each. Fitted once, because it takes long.
-static FITS: LazyLock<Vec<FittedModel>> = LazyLock::new(|| {
+static FITS: LazyLock<Vec<TrainedModel>> = LazyLock::new(|| {
     let fits = [2, 3].map(|every| {
         let sample = |hour: i64| Sample {
             utc_nanos: hour * HOUR_NANOS,
@@ -150,8 +152,8 @@ static FITS: LazyLock<Vec<FittedModel>> = LazyLock::new(|| {
         };
         let samples: Vec<Sample> = (0..240).map(sample).collect();
         let (of, week) = (StateKind::Probability, Periodicities::default());
-        let fit = |kind| FittedModel::fit(kind, of, Readings::new(&samples), &week).expect("readings");
-        FitKind::ALL.into_iter().filter(|kind| kind.is_for(of)).map(fit).collect::<Vec<_>>()
+        let fit = |kind: ModelKind| kind.train(Readings::new(&samples), of, &week).expect("readings");
+        TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(of)).map(fit).collect::<Vec<_>>()
     });
     fits.into_iter().flatten().collect()
 });
@@ -173,7 +175,7 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
         let next: Vec<Sample> =
             samples.iter().map(|&sample| Sample { utc_nanos: sample.utc_nanos + 99 * HOUR_NANOS, ..sample }).collect();
         for fitted in FITS.iter().filter(|_| random.random_bool(0.7)) {
-            model = model.refitted(fitted.clone(), LocalDay(4));
+            model = model.with_trained(fitted.clone(), LocalDay(4));
         }
         // Some of them have been scored.
         model.update(&spec.periodicities, rules, if random.random_bool(0.5) { next } else { Vec::new() });

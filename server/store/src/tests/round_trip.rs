@@ -331,7 +331,7 @@ proptest! {
         count in 1..=100_u32,
         is_list: bool,
         histograms: bool,
-        fits in prop::collection::vec(prop::sample::select(&tidemap_model::FitKind::ALL[..]), 0..4),
+        fits in prop::collection::vec(prop::sample::select(&tidemap_model::catalogue::TRAINED_AT_NIGHT[..]), 0..4),
     ) {
         let periodicities = if is_list {
             Periodicities::list((1..=i64::from(count)).map(|k| base / k).collect())
@@ -340,7 +340,7 @@ proptest! {
         };
         let spec = MapSpec { zone: Zone::named(if is_list { "UTC" } else { "America/New_York" }).expect("known"), periodicities: periodicities.expect("valid"), criterion: if is_list { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError }, created_nanos: base, models: fits.into_iter().fold(
                 EnabledModels::SPECTRAL.with_histograms(histograms),
-                EnabledModels::with_fit,
+                EnabledModels::with,
             ), ..MapSpec::new(MapName::new("a-b_0").expect("valid")) };
         prop_assert_eq!(record::spec::decode(record::spec::encode(&spec)), Ok(spec));
     }

@@ -1,13 +1,11 @@
-//! Models of one state, trained every midnight to the readings of visits.
+//! Models of one state, trained every midnight on the readings of visits.
 //!
 //! Invariant: a state without readings has probability 0.5.
 
 use tidemap_model::{
-    OrderCriterion, Periodicities, Sample, StateModel,
-    models::{
-        Calibrated, CalibratedOptions, CannotFit, Histogram, HistogramCycle, HistogramSettings, Mean, Moment, Pergam,
-        PergamOptions, Readings, TemporalModel,
-    },
+    OrderCriterion, Periodicities, Sample, StateKind, StateModel, TrainedModel,
+    catalogue::{ModelKind, TrainingCost},
+    models::{CannotFit, Moment, Readings, TemporalModel},
 };
 
 /// Maximum number of components of the spectral model.
@@ -17,54 +15,26 @@ const PERIOD_BASE_NANOS: i64 = 28 * 86_400 * 1_000_000_000;
 const PERIOD_COUNT: u32 = 28 * 12;
 /// The lowest order is chosen whose error is within this factor of the lowest error, as in a map.
 const NEAR_TIE: f64 = 1.001;
-/// Number of bins in a day.
-const HISTOGRAM_BINS: usize = 24;
 
-/// A kind of model of one state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LearnerKind {
-    /// The mean of all readings: the long-term memory of RAS 2017.
-    Mean,
-    /// A Markov chain from the last reading on: the short-term memory of RAS 2017.
-    Persistence,
-    /// FreMEn, with the number of components up to eight that predicted best.
-    Spectral,
-    /// Three Gaussians over the day.
-    Pergam,
-    /// The mean of every hour of the day.
-    Histogram,
-    /// The calibrated profile of the week.
-    Calibrated,
-}
+/// The short-term memory of RAS 2017: a Markov chain from the last reading on, which needs no training at midnight.
+pub(super) const SHORT_TERM: ModelKind = ModelKind::Persistence;
 
-impl LearnerKind {
-    /// All kinds.
-    pub const ALL: [LearnerKind; 6] = [
-        LearnerKind::Mean,
-        LearnerKind::Persistence,
-        LearnerKind::Spectral,
-        LearnerKind::Pergam,
-        LearnerKind::Histogram,
-        LearnerKind::Calibrated,
-    ];
-
-    /// Its name in protocols.
-    pub fn name(self) -> &'static str {
-        match self {
-            LearnerKind::Mean => "mean",
-            LearnerKind::Persistence => "persistence",
-            LearnerKind::Spectral => "spectral",
-            LearnerKind::Pergam => "pergam",
-            LearnerKind::Histogram => "histogram",
-            LearnerKind::Calibrated => "calibrated",
-        }
-    }
+/// The kinds of models by which explorers learn the places, with their default parameters. [`ModelKind::Mean`] is the
+/// long-term memory of RAS 2017, [`SHORT_TERM`] its short-term memory. [`ModelKind::Spectral`] has the number of
+/// components up to eight that predicted best.
+pub(super) fn kinds() -> impl Iterator<Item = ModelKind> {
+    // Visits come at irregular times, which a uniform model refuses; the latest value is what the chain starts from.
+    let is_other = |kind: &ModelKind| matches!(kind, ModelKind::Auto | ModelKind::Latest | ModelKind::Uniform);
+    // Every place is trained every midnight.
+    let is_slow = |kind: &ModelKind| kind.cost() == Some(TrainingCost::High);
+    let supported = ModelKind::ALL.into_iter().filter(|kind| kind.supports(StateKind::Probability));
+    supported.filter(move |kind| !is_other(kind) && !is_slow(kind))
 }
 
 /// A model of one state with its training data.
 pub(super) struct Learner {
-    kind: LearnerKind,
-    fitted: Option<Box<dyn TemporalModel>>,
+    kind: ModelKind,
+    trained: Option<TrainedModel>,
     spectral: Option<Spectral>,
 }
 
@@ -77,12 +47,12 @@ struct Spectral {
 
 impl Learner {
     /// An untrained model.
-    pub(super) fn new(kind: LearnerKind) -> Learner {
-        Learner { kind, fitted: None, spectral: None }
+    pub(super) fn new(kind: ModelKind) -> Learner {
+        Learner { kind, trained: None, spectral: None }
     }
 
     /// The kind of the model.
-    pub(super) fn kind(&self) -> LearnerKind {
+    pub(super) fn kind(&self) -> ModelKind {
         self.kind
     }
 
@@ -91,20 +61,13 @@ impl Learner {
         if readings.is_empty() {
             return Ok(());
         }
-        let all = Readings::new(readings);
-        self.fitted = match self.kind {
-            LearnerKind::Mean => Some(Box::new(Mean::fit(all)?)),
-            LearnerKind::Pergam => Some(Box::new(Pergam::fit(all, &PergamOptions::default())?)),
-            LearnerKind::Histogram => {
-                let settings = HistogramSettings::new(HistogramCycle::Day, HISTOGRAM_BINS);
-                Some(Box::new(Histogram::fit(all, &settings)?))
-            }
-            LearnerKind::Calibrated => Some(Box::new(Calibrated::fit(all, CalibratedOptions::default())?)),
-            LearnerKind::Spectral => {
+        self.trained = match self.kind {
+            ModelKind::Spectral => {
                 self.learn_spectral(readings)?;
                 None
             }
-            LearnerKind::Persistence => None,
+            SHORT_TERM => None,
+            kind => Some(kind.train(Readings::new(readings), StateKind::Probability, &Periodicities::default())?),
         };
         Ok(())
     }
@@ -131,7 +94,7 @@ impl Learner {
 
     /// The predicted probability at a moment.
     pub(super) fn probability(&self, at: Moment) -> f64 {
-        match (&self.fitted, &self.spectral) {
+        match (&self.trained, &self.spectral) {
             (Some(model), _) => model.predict(at),
             (None, Some(spectral)) => {
                 let model = spectral.state.spectral();

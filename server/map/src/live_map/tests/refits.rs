@@ -1,8 +1,9 @@
 //! Models are trained at updates, and the same ones when updates are run again from the log.
 
 use tidemap_model::{
-    EnabledModels, FitKind, ModelChoice, Sample, StateKind,
-    selector::{ModelKind, ModelSelector},
+    EnabledModels, Sample, StateKind,
+    catalogue::{ModelKind, TRAINED_AT_NIGHT},
+    selector::ModelSelector,
 };
 
 use super::*;
@@ -89,8 +90,11 @@ fn updates_that_are_run_again_fit_the_same_models() {
     }
     assert_eq!(fitted, [2, 3, 4, 5, 6, 13, 20, 27, 34]);
     let expected = map.publish();
-    for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(StateKind::Probability)) {
-        assert!(expected.model(StateId(0)).alternatives().is_some_and(|known| known.fit(kind).is_some()), "{kind:?}");
+    for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
+        assert!(
+            expected.model(StateId(0)).alternatives().is_some_and(|known| known.trained(kind).is_some()),
+            "{kind:?}"
+        );
     }
     for (snapshot, pieces_before) in snapshots.into_iter().step_by(4) {
         let (position, from) = (snapshot.position, snapshot.replay_from);
@@ -125,7 +129,7 @@ fn auto_answers_by_the_models_that_predict_best_together() {
     let view = map.publish();
     let model = view.model(StateId(0));
     let errors: Vec<_> = model.alternatives().expect("learned").error_sums().collect();
-    assert_eq!(model.choice(), ModelChoice::Fitted(FitKind::Calibrated), "{errors:?}");
+    assert_eq!(model.choice(), ModelKind::Calibrated, "{errors:?}");
     let times: Vec<i64> = (0..7 * 24).map(|hour| (DAYS * 24 + hour) * HOUR + HOUR / 3).collect();
     let prepared = view.prepare(&times);
     let predicted = |selector: ModelSelector| {
@@ -133,7 +137,7 @@ fn auto_answers_by_the_models_that_predict_best_together() {
         view.predict_into(StateId(0), &prepared, selector, &mut out);
         out
     };
-    let (calibrated, _) = model.alternatives().and_then(|known| known.fit(FitKind::Calibrated)).expect("fitted");
+    let (calibrated, _) = model.alternatives().and_then(|known| known.trained(ModelKind::Calibrated)).expect("fitted");
     let auto = ModelSelector::default();
     let mut expected = vec![0.0; times.len()];
     view.predict_fitted_into(StateId(0), &view.moments(&times), calibrated, auto, &mut expected);

@@ -27,6 +27,24 @@ pub enum HistogramCycle {
 }
 
 impl HistogramCycle {
+    /// All cycles.
+    pub const ALL: [HistogramCycle; 3] = [HistogramCycle::Day, HistogramCycle::Week, HistogramCycle::WeekdayWeekend];
+
+    /// The name in the name of a model and in protocols.
+    pub fn name(self) -> &'static str {
+        match self {
+            HistogramCycle::Day => "day",
+            HistogramCycle::Week => "week",
+            HistogramCycle::WeekdayWeekend => "weekend",
+        }
+    }
+
+    /// The usual number of bins: hours.
+    pub fn usual_bins(self) -> u32 {
+        // At most 168.
+        self.hours() as u32
+    }
+
     /// The maximum number of bins, one a minute: 1440 for the day, 10,080 for the week, 1440 each for weekday and
     /// weekend.
     pub fn max_bins(self) -> usize {

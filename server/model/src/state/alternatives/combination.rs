@@ -5,9 +5,10 @@
 //! best answers alone. The model in force has its advantage of hysteresis here too. Invariant: weights are above 0 and
 //! sum to 1, and the model in force has the highest one.
 
-use super::{ActiveModel, Alternatives, CLEARLY_LOWER, ModelChoice};
+use super::{ActiveModel, Alternatives, CLEARLY_LOWER};
 use crate::{
     Periodicities, SpectralModel, StateKind,
+    catalogue::ModelKind,
     models::{Moment, TemporalModel},
 };
 
@@ -69,10 +70,10 @@ impl TemporalModel for Combination<'_> {
 
 impl Alternatives {
     /// The weights of the models that answer, in the order of [`Alternatives::error_sums`]; they sum to 1.
-    pub fn weights(&self) -> Vec<(ModelChoice, f64)> {
+    pub fn weights(&self) -> Vec<(ModelKind, f64)> {
         let in_force = self.parts.choice;
-        let handicap = |choice: ModelChoice| if choice == in_force { CLEARLY_LOWER } else { 1.0 };
-        let sums: Vec<(ModelChoice, f64)> =
+        let handicap = |choice: ModelKind| if choice == in_force { CLEARLY_LOWER } else { 1.0 };
+        let sums: Vec<(ModelKind, f64)> =
             self.error_sums().map(|(choice, sum)| (choice, sum * handicap(choice))).collect();
         let own = sums.iter().find(|(choice, _)| *choice == in_force).map_or(0.0, |(_, sum)| *sum);
         let least = sums.iter().map(|(_, sum)| *sum).fold(own, f64::min);
@@ -82,7 +83,7 @@ impl Alternatives {
         }
         let exponent = f64::from(self.days.max(DAYS_MIN));
         let weights = sums.into_iter().map(|(choice, sum)| (choice, (least / sum).powf(exponent)));
-        let mut weights: Vec<(ModelChoice, f64)> = weights.filter(|(_, weight)| *weight >= SHARE_MIN).collect();
+        let mut weights: Vec<(ModelKind, f64)> = weights.filter(|(_, weight)| *weight >= SHARE_MIN).collect();
         let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
         weights.iter_mut().for_each(|(_, weight)| *weight /= total);
         weights
@@ -96,16 +97,13 @@ impl Alternatives {
         }
         let weight = |wanted| weights.iter().find(|(choice, _)| *choice == wanted).map_or(0.0, |(_, weight)| *weight);
         let others = weights.iter().filter_map(|(choice, weight)| Some((self.member(*choice)?, *weight)));
-        let (others, spectral_weight) = (others.collect(), weight(ModelChoice::Spectral));
+        let (others, spectral_weight) = (others.collect(), weight(ModelKind::Spectral));
         Some(ActiveModel::Combination(Combination { spectral, spectral_weight, others }))
     }
 
     /// The model that a choice stands for; `None` for the spectral one.
-    fn member(&self, choice: ModelChoice) -> Option<ActiveModel<'_>> {
-        match choice {
-            ModelChoice::Spectral => None,
-            ModelChoice::Histogram(number) => self.histogram(number).map(ActiveModel::Histogram),
-            ModelChoice::Fitted(kind) => self.fit(kind).map(|(model, _)| ActiveModel::Fitted(model)),
-        }
+    fn member(&self, choice: ModelKind) -> Option<ActiveModel<'_>> {
+        let trained = || self.trained(choice).map(|(model, _)| ActiveModel::Trained(model));
+        self.histogram(choice).map(ActiveModel::Histogram).or_else(trained)
     }
 }

@@ -26,7 +26,10 @@ impl Alternatives {
         let mut errors = [DayError::default(); HISTOGRAMS.len()];
         for run in hour_runs(samples) {
             let hour_of_week = run.hour_of_week();
-            let predicted = HISTOGRAMS.map(|histogram| self.hours.answer(histogram, hour_of_week, mean));
+            let predicted = HISTOGRAMS.map(|kind| match kind.histogram() {
+                Some(histogram) => self.hours.answer(histogram, hour_of_week, mean),
+                None => (None, false),
+            });
             for sample in run.samples {
                 for (error, (predicted, has_own)) in errors.iter_mut().zip(predicted) {
                     let predicted = predicted.unwrap_or_else(|| spectral_of(sample));

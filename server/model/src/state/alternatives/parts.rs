@@ -4,15 +4,12 @@
 
 use std::sync::Arc;
 
-use super::{Alternatives, Errors, FitKind, FitRecord, FittedModel, HISTOGRAMS, ModelChoice};
+use super::{Alternatives, Errors, TrainingRecord};
 use crate::{
-    FittedModelParts, Gaps, GapsParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
+    Gaps, GapsParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
+    catalogue::{FittedModelParts, HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel},
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts, OrderGains, OrderGainsParts},
 };
-
-/// The number under which the first of [`FitKind::ALL`] is stored as the one in force, clear of those of histograms;
-/// the others follow.
-const FITTED: u8 = 128;
 
 /// What [`Alternatives`] consist of, for storage.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,8 +22,7 @@ pub struct AlternativesParts {
     pub last_day: Option<LocalDay>,
     /// The last learned local day.
     pub learned_day: Option<LocalDay>,
-    /// The model in force: 0 the spectral model, from 128 on that of [`FitKind::ALL`], else the number of the
-    /// histogram, from 1.
+    /// The model in force: see [`ModelKind::id`].
     pub choice: u8,
     /// The change alarm.
     pub alarm: ChangeAlarmParts,
@@ -67,11 +63,7 @@ impl Alternatives {
             error_sums: [self.parts.spectral].into_iter().chain(self.parts.histograms.into_iter().flatten()).collect(),
             last_day: self.parts.last_day,
             learned_day: self.parts.learned_day,
-            choice: match self.parts.choice {
-                ModelChoice::Spectral => 0,
-                ModelChoice::Histogram(number) => number + 1,
-                ModelChoice::Fitted(kind) => FITTED + kind.index() as u8,
-            },
+            choice: self.parts.choice.id().unwrap_or_default(),
             alarm: self.alarm.to_parts(),
             succession: self.succession.to_parts(),
             gaps: self.gaps.to_parts(),
@@ -80,7 +72,7 @@ impl Alternatives {
             gains: self.gains.to_parts(),
             days: self.days,
             since: self.since,
-            fits: self.fits.iter().flatten().map(FitRecord::to_parts).collect(),
+            fits: self.trained.iter().flatten().filter_map(TrainingRecord::to_parts).collect(),
         }
     }
 
@@ -109,24 +101,20 @@ impl Alternatives {
             InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
         }
         InvalidParts::check("sum of changes", parts.changes, 0.0..=f64::MAX)?;
-        let mut fits = [const { None }; FitKind::ALL.len()];
+        let mut trained = [const { None }; TRAINED_AT_NIGHT.len()];
         for fit in parts.fits {
-            let model = FittedModel::from_parts_of(kind, fit.model)?;
-            let place = &mut fits[model.kind().index()];
-            if place.is_some() {
+            let model = TrainedModel::from_parts_of(kind, fit.model)?;
+            let place = model.kind_at_night().and_then(ModelKind::place_at_night);
+            let Some(record) = place.and_then(|place| trained.get_mut(place)).filter(|record| record.is_none()) else {
                 return Err(InvalidParts::OutOfRange { field: "models of a kind", found: 2.0 });
-            }
-            *place = Some(FitRecord { model: Arc::new(model), day: fit.day, error: fit.error_sum });
+            };
+            *record = Some(TrainingRecord { model: Arc::new(model), day: fit.day, error: fit.error_sum });
         }
-        let fitted = |number: u8| {
-            let kind = *FitKind::ALL.get(usize::from(number.checked_sub(FITTED)?))?;
-            fits[kind.index()].as_ref().map(|_| ModelChoice::Fitted(kind))
+        let is_there = |kind: &ModelKind| match kind.place_at_night() {
+            Some(place) => trained.get(place).is_some_and(Option::is_some),
+            None => !HISTOGRAMS.contains(kind) || histograms.is_some(),
         };
-        let choice = match parts.choice {
-            0 => Some(ModelChoice::Spectral),
-            number if usize::from(number) <= HISTOGRAMS.len() => histograms.map(|_| ModelChoice::Histogram(number - 1)),
-            number => fitted(number),
-        };
+        let choice = ModelKind::from_id(parts.choice).filter(is_there);
         let unknown = InvalidParts::OutOfRange { field: "chosen model", found: f64::from(parts.choice) };
         Ok(Alternatives {
             hours: HourTable::from_parts(&parts.hours)?,
@@ -145,13 +133,13 @@ impl Alternatives {
             gains: OrderGains::from_parts(parts.gains)?,
             days: parts.days,
             since: parts.since,
-            fits,
+            trained,
         })
     }
 }
 
-impl FitRecord {
-    fn to_parts(&self) -> FitParts {
-        FitParts { model: self.model.to_parts(), day: self.day, error_sum: self.error }
+impl TrainingRecord {
+    fn to_parts(&self) -> Option<FitParts> {
+        Some(FitParts { model: self.model.to_parts()?, day: self.day, error_sum: self.error })
     }
 }

@@ -6,7 +6,7 @@ use crate::{
     models::{Calibrated, CalibratedOptions, Readings},
 };
 
-const CALIBRATED: ModelChoice = ModelChoice::Fitted(FitKind::Calibrated);
+const CALIBRATED: ModelKind = ModelKind::Calibrated;
 /// Of a day's errors, after another observed day.
 const KEPT_PER_DAY: f64 = 0.93;
 const SLOT_NANOS: i64 = 600_000_000_000;
@@ -46,7 +46,7 @@ fn learn(state: &mut StateModel, samples: Vec<Sample>) {
     state.update(&Periodicities::default(), OrderCriterion::SquaredError, samples);
 }
 
-fn sum_of(state: &StateModel, wanted: ModelChoice) -> Option<f64> {
+fn sum_of(state: &StateModel, wanted: ModelKind) -> Option<f64> {
     let mut sums = state.alternatives().unwrap().error_sums();
     sums.find(|(choice, _)| *choice == wanted).map(|(_, sum)| sum)
 }
@@ -62,14 +62,14 @@ fn squared_error(model: &impl TemporalModel, samples: &[Sample]) -> f64 {
 #[test]
 fn a_fit_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_one_from_the_third_day() {
     let mut state = StateModel::new(&Periodicities::default());
-    let due = |state: &StateModel| [FitKind::Calibrated, FitKind::Pergam].map(|kind| state.is_fit_due(kind));
+    let due = |state: &StateModel| [ModelKind::Calibrated, ModelKind::PERGAM].map(|kind| state.is_training_due(kind));
     assert_eq!(due(&state), [false, false]);
     // Every other day: only observed days count.
     for observed in 1..7 {
         learn(&mut state, samples(2 * observed..2 * observed + 1, office));
         assert_eq!(due(&state), [observed >= 3, false], "{observed} days");
         if observed >= 3 {
-            state = state.refitted(fit(&samples(0..2 * observed + 1, office)), LocalDay(2 * observed as i32));
+            state = state.with_trained(fit(&samples(0..2 * observed + 1, office)), LocalDay(2 * observed as i32));
             assert_eq!(due(&state), [false, false], "fitted after {observed} days");
         }
     }
@@ -78,13 +78,13 @@ fn a_fit_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_one_f
     assert_eq!(due(&state), [false, false]);
     learn(&mut state, samples(14..15, office));
     assert_eq!(due(&state), [true, true]);
-    state = state.refitted(fit(&samples(0..15, office)), LocalDay(14));
-    assert!(!state.is_fit_due(FitKind::Calibrated));
+    state = state.with_trained(fit(&samples(0..15, office)), LocalDay(14));
+    assert!(!state.is_training_due(ModelKind::Calibrated));
     // From here on the calendar counts.
     learn(&mut state, samples(20..21, office));
-    assert!(!state.is_fit_due(FitKind::Calibrated), "six days after");
+    assert!(!state.is_training_due(ModelKind::Calibrated), "six days after");
     learn(&mut state, samples(21..22, office));
-    assert!(state.is_fit_due(FitKind::Calibrated), "seven days after");
+    assert!(state.is_training_due(ModelKind::Calibrated), "seven days after");
 }
 
 #[test]
@@ -95,15 +95,15 @@ fn a_fit_is_due_when_the_alarm_has_rung_since() {
     for day in 42..56 {
         let rang = state.alternatives().unwrap().alarm().rang_on();
         if let Some(rang) = rang {
-            assert!(state.is_fit_due(FitKind::Calibrated), "it rang on {rang}, fitted on {fitted:?}");
+            assert!(state.is_training_due(ModelKind::Calibrated), "it rang on {rang}, fitted on {fitted:?}");
             assert_eq!(fitted, Some(i64::from(rang.0) - 1));
-            let again = state.clone().refitted(fit(&samples(0..day, office)), LocalDay(day as i32 - 1));
-            assert!(!again.is_fit_due(FitKind::Calibrated), "what it rang for is fitted");
+            let again = state.clone().with_trained(fit(&samples(0..day, office)), LocalDay(day as i32 - 1));
+            assert!(!again.is_training_due(ModelKind::Calibrated), "what it rang for is fitted");
             return;
         }
-        state = state.refitted(fit(&samples(0..42, office)), LocalDay(day as i32 - 1));
+        state = state.with_trained(fit(&samples(0..42, office)), LocalDay(day as i32 - 1));
         fitted = Some(day - 1);
-        assert!(!state.is_fit_due(FitKind::Calibrated));
+        assert!(!state.is_training_due(ModelKind::Calibrated));
         learn(&mut state, samples(day..day + 1, |day, slot| 1.0 - office(day, slot)));
     }
     panic!("the alarm has not rung");
@@ -114,9 +114,9 @@ fn a_day_is_scored_by_the_fit_before_it() {
     let mut state = StateModel::new(&Periodicities::default());
     learn(&mut state, samples(0..14, office));
     let first = fit(&samples(0..14, office));
-    state = state.refitted(first.clone(), LocalDay(13));
+    state = state.with_trained(first.clone(), LocalDay(13));
     assert_eq!(calibrated_error(&state), None, "nothing was scored");
-    assert!(matches!(state.choice(), ModelChoice::Histogram(_)));
+    assert!(matches!(state.choice(), ModelKind::Histogram { .. }));
     let before = sum_of(&state, state.choice()).unwrap();
     let day = samples(14..15, office);
     learn(&mut state, day.clone());
@@ -126,7 +126,7 @@ fn a_day_is_scored_by_the_fit_before_it() {
     assert!((after - expected).abs() < 1e-9, "{after}, expected {expected}");
     // Another fit, two days without observations, which do not count, and a day.
     let second = fit(&samples(0..15, office));
-    state = state.refitted(second.clone(), LocalDay(14));
+    state = state.with_trained(second.clone(), LocalDay(14));
     assert_eq!(calibrated_error(&state), Some(after), "a fit alone is no score");
     let day = samples(17..18, office);
     learn(&mut state, day.clone());
@@ -139,10 +139,10 @@ fn it_begins_with_the_sum_of_the_spectral_model_where_that_is_in_force() {
     let chance = |day: i64, slot: i64| f64::from(u8::from(noise(day * SLOTS + slot) < 0.3));
     let mut state = StateModel::new(&Periodicities::default());
     learn(&mut state, samples(0..14, chance));
-    assert_eq!(state.choice(), ModelChoice::Spectral);
-    let before = sum_of(&state, ModelChoice::Spectral).unwrap();
+    assert_eq!(state.choice(), ModelKind::Spectral);
+    let before = sum_of(&state, ModelKind::Spectral).unwrap();
     let model = fit(&samples(0..14, chance));
-    state = state.refitted(model.clone(), LocalDay(13));
+    state = state.with_trained(model.clone(), LocalDay(13));
     let day = samples(14..15, chance);
     learn(&mut state, day.clone());
     let expected = before * KEPT_PER_DAY + squared_error(&model, &day);
@@ -159,7 +159,7 @@ fn zero_one_counts_wrong_predictions_of_the_calibrated_model() {
     };
     update(&mut state, samples(0..14, office));
     let model = fit(&samples(0..14, office));
-    state = state.refitted(model.clone(), LocalDay(13));
+    state = state.with_trained(model.clone(), LocalDay(13));
     for day in 14..16 {
         let before = calibrated_error(&state);
         let day = samples(day..day + 1, office);
@@ -182,14 +182,14 @@ fn the_calibrated_model_is_chosen_where_it_predicts_best() {
         let today = samples(day..day + 1, office);
         let before = state.clone();
         let outcome = state.update(&Periodicities::default(), OrderCriterion::SquaredError, today.clone());
-        if let Some(ActiveModel::Fitted(model)) = before.chosen(&Periodicities::default()) {
+        if let Some(ActiveModel::Trained(model)) = before.chosen(&Periodicities::default()) {
             assert!((outcome.squared_error_in_force - squared_error(model, &today)).abs() < 1e-9);
             in_force[0] += outcome.squared_error_in_force;
             in_force[1] += outcome.squared_errors[before.order()];
         }
         seen.extend(today);
-        if state.is_fit_due(FitKind::Calibrated) {
-            state = state.refitted(fit(&seen), LocalDay(day as i32));
+        if state.is_training_due(ModelKind::Calibrated) {
+            state = state.with_trained(fit(&seen), LocalDay(day as i32));
         }
     }
     let errors: Vec<_> = state.alternatives().unwrap().error_sums().collect();
@@ -201,7 +201,7 @@ fn the_calibrated_model_is_chosen_where_it_predicts_best() {
 fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
     let mut state = StateModel::new(&Periodicities::default());
     learn(&mut state, samples(0..9, office));
-    let unscored = state.clone().refitted(fit(&samples(0..9, office)), LocalDay(8));
+    let unscored = state.clone().with_trained(fit(&samples(0..9, office)), LocalDay(8));
     let mut scored = unscored.clone();
     learn(&mut scored, samples(9..40, office));
     for state in [&state, &unscored, &scored] {

@@ -3,7 +3,10 @@
 use std::{fs, path::PathBuf};
 
 use tidemap_map::ids::StateId;
-use tidemap_model::{EnabledModels, FitKind, FittedModel, StateKind, StateModel};
+use tidemap_model::{
+    EnabledModels, StateKind, StateModel, TrainedModel,
+    catalogue::{ModelKind, TRAINED_AT_NIGHT},
+};
 
 use super::*;
 
@@ -87,10 +90,10 @@ async fn updates_that_are_run_again_fit_the_same_models() {
     let known = expected.alternatives().expect("learned");
     // First after seven days, then every seven.
     let newest = known.learned_day().expect("folded").0;
-    for kind in FitKind::ALL.into_iter().filter(|kind| kind.is_for(StateKind::Probability)) {
-        let (model, day) = known.fit(kind).expect("fitted");
-        assert_eq!((model.kind(), newest - day.0), (kind, 3));
-        if let FittedModel::Calibrated(model) = model {
+    for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
+        let (model, day) = known.trained(kind).expect("fitted");
+        assert_eq!((model.kind_at_night(), newest - day.0), (Some(kind), 3));
+        if let TrainedModel::Calibrated(model) = model {
             assert_eq!(model.observations(), 21 * 48);
         }
     }
@@ -127,9 +130,8 @@ async fn a_map_that_keeps_nothing_has_no_fitted_model() {
     let learned = learn(dir.path(), Retention::None).await;
     let known = learned.alternatives().expect("learned");
     assert!(
-        FitKind::ALL
-            .iter()
-            .all(|&kind| learned.is_fit_due(kind) == kind.is_for(StateKind::Probability) && known.fit(kind).is_none())
+        TRAINED_AT_NIGHT.iter().all(|&kind| learned.is_training_due(kind) == kind.supports(StateKind::Probability)
+            && known.trained(kind).is_none())
     );
 }
 
@@ -145,15 +147,17 @@ async fn an_update_that_makes_room_fits_nothing() {
     }
     let learned = model(&handle);
     assert_eq!(learned.accumulator().observations(), 9 * 48);
-    let calibrated = FitKind::Calibrated;
-    assert!(learned.is_fit_due(calibrated) && learned.alternatives().expect("learned").fit(calibrated).is_none());
+    let calibrated = ModelKind::Calibrated;
+    assert!(
+        learned.is_training_due(calibrated) && learned.alternatives().expect("learned").trained(calibrated).is_none()
+    );
     // The next update, of another cause, trains them.
     robot.observe(&handle, NOON - (DAYS - 9) * DAY).await;
     update(&bench, &handle, 10).await;
     let learned = model(&handle);
-    let (fitted, _) = learned.alternatives().expect("learned").fit(calibrated).expect("fitted");
-    assert!(matches!(fitted, FittedModel::Calibrated(model) if model.observations() == 9 * 48 + 1), "{fitted:?}");
-    assert!(!learned.is_fit_due(calibrated));
+    let (fitted, _) = learned.alternatives().expect("learned").trained(calibrated).expect("fitted");
+    assert!(matches!(fitted, TrainedModel::Calibrated(model) if model.observations() == 9 * 48 + 1), "{fitted:?}");
+    assert!(!learned.is_training_due(calibrated));
     bench.catalog.stop().await;
 }
 
@@ -169,10 +173,11 @@ async fn damaged_history_costs_the_fit_and_not_the_update() {
     observe(&handle, &mut robot, DAYS + 6).await;
     update(&bench, &handle, 1).await;
     let after = model(&handle);
-    assert!(after.is_fit_due(FitKind::Calibrated), "tried again");
+    assert!(after.is_training_due(ModelKind::Calibrated), "tried again");
     assert_eq!(after.accumulator().observations(), before.accumulator().observations() + 48);
-    let fitted =
-        |model: &StateModel| model.alternatives().and_then(|known| known.fit(FitKind::Calibrated)).map(|(_, day)| day);
+    let fitted = |model: &StateModel| {
+        model.alternatives().and_then(|known| known.trained(ModelKind::Calibrated)).map(|(_, day)| day)
+    };
     assert!(fitted(&before).is_some() && fitted(&after) == fitted(&before));
     bench.catalog.stop().await;
 }

@@ -34,7 +34,7 @@ proptest! {
         known.hours.add(&read);
         known.hours.scale(faded);
         let found = known.score_histograms(criterion, &scored, &|_| SPECTRAL);
-        let made: Option<Vec<_>> = (0..).take(HISTOGRAMS.len()).map(|number| known.histogram(number)).collect();
+        let made: Option<Vec<_>> = HISTOGRAMS.into_iter().map(|kind| known.histogram(kind)).collect();
         prop_assert_eq!(found.is_some(), made.is_some());
         let made = made.unwrap_or_default();
         let known_mean = known.hours.mean().unwrap_or_default();

@@ -1,0 +1,270 @@
+//! How each kind of model is trained on the readings of a state, predicts, and is stored.
+//!
+//! Invariant: the same readings, parameters and options give the same model; a stored model reads back as the same
+//! model, to the last bit.
+
+use super::ModelKind;
+use crate::{
+    InvalidParts, ORDER_MAX, Periodicities, StateKind,
+    models::{
+        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CalibratedParts, CannotFit, CountRate, CountRateParts,
+        FixedOrder, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramSettings, Hypertime, HypertimeMethod,
+        HypertimeOptions, HypertimeParts, Latest, MarkovChain, Mean, Moment, Pergam, PergamOptions, PergamParts,
+        Readings, TemporalModel, UniformSpectral,
+    },
+};
+
+/// What training takes besides the parameters in the name of a model. The daemon always uses the defaults.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrainingOptions {
+    /// Number of spectral components, at most [`ORDER_MAX`], which is the default.
+    pub order: usize,
+    /// Seed of random starts. Default 0.
+    pub seed: u64,
+    /// Of a histogram: [`HistogramSettings::smoothing_bins`]. Default 0.
+    pub smoothing_bins: f64,
+    /// Of a histogram: [`HistogramSettings::prior_readings`]. Default [`HISTOGRAM_PRIOR_READINGS`].
+    pub prior_readings: f64,
+    /// Length of an interval in which readings are counted, in nanoseconds. Default [`COUNT_BIN_NANOS`].
+    pub bin_nanos: i64,
+}
+
+impl Default for TrainingOptions {
+    fn default() -> TrainingOptions {
+        TrainingOptions {
+            order: ORDER_MAX,
+            seed: 0,
+            smoothing_bins: 0.0,
+            prior_readings: HISTOGRAM_PRIOR_READINGS,
+            bin_nanos: COUNT_BIN_NANOS,
+        }
+    }
+}
+
+/// A model that was trained on the readings of a state.
+#[derive(Clone, Debug, PartialEq)]
+#[expect(missing_docs, reason = "the kinds of ModelKind")]
+pub enum TrainedModel {
+    Mean(Mean),
+    Latest(Latest),
+    Persistence(MarkovChain),
+    Histogram(Histogram),
+    Spectral(Box<FixedOrder>),
+    Uniform(Box<UniformSpectral>),
+    Pergam(Pergam),
+    /// By either method.
+    Hypertime(Box<Hypertime>),
+    Poisson(Box<CountRate>),
+    Calibrated(Calibrated),
+}
+
+impl ModelKind {
+    /// Trains this model on the readings of a state whose values are of a kind; `periodicities` are those of its map.
+    ///
+    /// # Errors
+    /// As [`ModelKind::train_with`].
+    pub fn train(
+        self,
+        readings: Readings<'_>,
+        kind: StateKind,
+        periodicities: &Periodicities,
+    ) -> Result<TrainedModel, CannotFit> {
+        self.train_with(readings, kind, periodicities, TrainingOptions::default())
+    }
+
+    /// Trains this model with options of an experiment. [`ModelKind::Auto`] is trained as the spectral model: there is
+    /// no update that could choose.
+    ///
+    /// # Errors
+    /// [`CannotFit`] if there are no readings, a parameter or a value is outside its range, or it is told to stop.
+    pub fn train_with(
+        self,
+        readings: Readings<'_>,
+        kind: StateKind,
+        periodicities: &Periodicities,
+        options: TrainingOptions,
+    ) -> Result<TrainedModel, CannotFit> {
+        let TrainingOptions { order, seed, smoothing_bins, prior_readings, bin_nanos } = options;
+        let hypertime = |method, clusters: u32| {
+            let options = HypertimeOptions { method, clusters: clusters as usize, seed };
+            let model = match kind {
+                StateKind::Probability => Hypertime::fit(readings, periodicities, &options),
+                StateKind::Continuous | StateKind::Count => {
+                    Hypertime::fit_continuous(readings, periodicities, &options)
+                }
+            };
+            model.map(|model| TrainedModel::Hypertime(Box::new(model)))
+        };
+        Ok(match self {
+            Self::Mean => TrainedModel::Mean(Mean::fit(readings)?),
+            Self::Latest => TrainedModel::Latest(Latest::fit(readings)?),
+            Self::Persistence => TrainedModel::Persistence(MarkovChain::fit(readings)?),
+            Self::Histogram { cycle, bins } => {
+                let settings = HistogramSettings { cycle, bins: bins as usize, smoothing_bins, prior_readings };
+                TrainedModel::Histogram(Histogram::fit(readings, &settings)?)
+            }
+            Self::Auto | Self::Spectral => {
+                TrainedModel::Spectral(Box::new(FixedOrder::fit(readings, kind, periodicities, order)?))
+            }
+            Self::Uniform => TrainedModel::Uniform(Box::new(UniformSpectral::fit(readings, order)?)),
+            Self::Pergam { gaussians, period_nanos } => {
+                let options = PergamOptions { gaussians: gaussians as usize, period_nanos, seed };
+                TrainedModel::Pergam(Pergam::fit(readings, &options)?)
+            }
+            Self::HypertimeEm { clusters } => hypertime(HypertimeMethod::Em, clusters)?,
+            Self::HypertimeKm { clusters } => hypertime(HypertimeMethod::Km, clusters)?,
+            Self::Poisson => {
+                TrainedModel::Poisson(Box::new(CountRate::fit_in_bins(readings, periodicities, bin_nanos)?))
+            }
+            Self::Calibrated => TrainedModel::Calibrated(Calibrated::fit(readings, CalibratedOptions::default())?),
+        })
+    }
+
+    /// How warped hypertime of this kind is trained on values with a place; `None` for other kinds, which have no
+    /// distribution over places.
+    pub fn hypertime_options(self) -> Option<HypertimeOptions> {
+        let (method, clusters) = match self {
+            Self::HypertimeEm { clusters } => (HypertimeMethod::Em, clusters),
+            Self::HypertimeKm { clusters } => (HypertimeMethod::Km, clusters),
+            _ => return None,
+        };
+        Some(HypertimeOptions { method, clusters: clusters as usize, seed: TrainingOptions::default().seed })
+    }
+}
+
+impl TrainedModel {
+    fn model(&self) -> &dyn TemporalModel {
+        match self {
+            Self::Mean(model) => model,
+            Self::Latest(model) => model,
+            Self::Persistence(model) => model,
+            Self::Histogram(model) => model,
+            Self::Spectral(model) => &**model,
+            Self::Uniform(model) => &**model,
+            Self::Pergam(model) => model,
+            Self::Hypertime(model) => &**model,
+            Self::Poisson(model) => &**model,
+            Self::Calibrated(model) => model,
+        }
+    }
+}
+
+impl TemporalModel for TrainedModel {
+    fn predict(&self, at: Moment) -> f64 {
+        self.model().predict(at)
+    }
+}
+
+/// What a prediction takes from the query and from the newest values, and not from the training.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct QueryInputs {
+    /// The newest value and its time, nanoseconds UTC: the Markov chain starts from it.
+    pub newest: Option<(i64, f64)>,
+    /// Number of components of a uniform model.
+    pub order: usize,
+    /// Whether a uniform model answers with its stored outliers: 0 or 1 there, as observed.
+    pub with_outliers: bool,
+}
+
+impl TrainedModel {
+    /// The predicted value at a moment, given these inputs.
+    pub fn predict_with(&self, at: Moment, inputs: QueryInputs) -> f64 {
+        match self {
+            Self::Persistence(chain) => {
+                let mut chain = *chain;
+                if let Some((nanos, value)) = inputs.newest {
+                    chain.observe(nanos, value);
+                }
+                chain.predict(at)
+            }
+            Self::Uniform(model) => {
+                let outlier = if inputs.with_outliers { model.outlier_at(inputs.order, at) } else { None };
+                outlier.map_or_else(|| model.predict_at_order(inputs.order, at), |state| f64::from(u8::from(state)))
+            }
+            other => other.predict(at),
+        }
+    }
+}
+
+/// What a [`TrainedModel`] of the nightly update consists of, for storage.
+#[derive(Clone, Debug, PartialEq)]
+#[expect(missing_docs, reason = "the kinds of ModelKind")]
+pub enum FittedModelParts {
+    Calibrated(CalibratedParts),
+    Pergam(PergamParts),
+    Hypertime(HypertimeParts),
+    Poisson(CountRateParts),
+}
+
+impl TrainedModel {
+    /// The model of the nightly update that this is a training of; `None` if updates do not train such models.
+    pub fn kind_at_night(&self) -> Option<ModelKind> {
+        match self {
+            Self::Calibrated(_) => Some(ModelKind::Calibrated),
+            Self::Pergam(_) => Some(ModelKind::PERGAM),
+            Self::Hypertime(model) => Some(match model.method() {
+                HypertimeMethod::Em => ModelKind::HYPERTIME_EM,
+                HypertimeMethod::Km => ModelKind::HYPERTIME_KM,
+            }),
+            Self::Poisson(_) => Some(ModelKind::Poisson),
+            Self::Mean(_)
+            | Self::Latest(_)
+            | Self::Persistence(_)
+            | Self::Histogram(_)
+            | Self::Spectral(_)
+            | Self::Uniform(_) => None,
+        }
+    }
+
+    /// Its parts, for storage; `None` if updates do not train such models.
+    pub fn to_parts(&self) -> Option<FittedModelParts> {
+        match self {
+            Self::Calibrated(model) => Some(FittedModelParts::Calibrated(model.to_parts())),
+            Self::Pergam(model) => Some(FittedModelParts::Pergam(model.to_parts())),
+            Self::Hypertime(model) => Some(FittedModelParts::Hypertime(model.to_parts())),
+            Self::Poisson(model) => Some(FittedModelParts::Poisson(model.to_parts())),
+            _ => None,
+        }
+    }
+
+    /// The model of a state of the given kind from stored parts.
+    ///
+    /// # Errors
+    /// [`InvalidParts`] where a number is outside its range, or states of that kind do not support the model.
+    pub fn from_parts_of(state_kind: StateKind, parts: FittedModelParts) -> Result<TrainedModel, InvalidParts> {
+        let is_of_other_kind = match &parts {
+            FittedModelParts::Hypertime(parts) => {
+                matches!(parts, HypertimeParts::Probability(_)) != (state_kind == StateKind::Probability)
+            }
+            _ => false,
+        };
+        let model = match parts {
+            FittedModelParts::Calibrated(parts) => Self::Calibrated(Calibrated::from_parts(parts)?),
+            FittedModelParts::Pergam(parts) => Self::Pergam(Pergam::from_parts(&parts)?),
+            FittedModelParts::Hypertime(parts) => Self::Hypertime(Box::new(Hypertime::from_parts(&parts)?)),
+            FittedModelParts::Poisson(parts) => Self::Poisson(Box::new(CountRate::from_parts(parts)?)),
+        };
+        if is_of_other_kind || !model.kind_at_night().is_some_and(|kind| kind.supports(state_kind)) {
+            return Err(InvalidParts::OutOfRange { field: "model of another kind of states", found: f64::NAN });
+        }
+        Ok(model)
+    }
+}
+
+impl From<Calibrated> for TrainedModel {
+    fn from(model: Calibrated) -> TrainedModel {
+        Self::Calibrated(model)
+    }
+}
+
+impl From<Pergam> for TrainedModel {
+    fn from(model: Pergam) -> TrainedModel {
+        Self::Pergam(model)
+    }
+}
+
+impl From<Hypertime> for TrainedModel {
+    fn from(model: Hypertime) -> TrainedModel {
+        Self::Hypertime(Box::new(model))
+    }
+}

@@ -1,0 +1,43 @@
+//! The spectral model with a fixed order, trained on readings at once: FreMEn without the choice of an update.
+//!
+//! Invariant: a prediction lies in the bounds of the state's kind.
+
+use super::{CannotFit, Moment, Readings, TemporalModel};
+use crate::{Accumulator, Periodicities, SpectralModel, StateKind};
+
+/// The mean and the strongest components of the readings, of one order (T-RO 2017, section III).
+#[derive(Clone, Debug, PartialEq)]
+pub struct FixedOrder {
+    model: SpectralModel,
+    kind: StateKind,
+    order: usize,
+    periodicities: Periodicities,
+}
+
+impl FixedOrder {
+    /// The spectrum of readings of equal weight of a state of this kind. `order`: number of components, 0 to
+    /// [`crate::ORDER_MAX`].
+    ///
+    /// # Errors
+    /// [`CannotFit`] where there are no readings.
+    pub fn fit(
+        readings: Readings<'_>,
+        kind: StateKind,
+        periodicities: &Periodicities,
+        order: usize,
+    ) -> Result<FixedOrder, CannotFit> {
+        if readings.samples.is_empty() {
+            return Err(CannotFit::NoReadings);
+        }
+        let mut accumulator = Accumulator::of_kind(kind);
+        accumulator.add(periodicities, readings.samples);
+        let model = SpectralModel::fit(&accumulator, periodicities);
+        Ok(FixedOrder { model, kind, order, periodicities: periodicities.clone() })
+    }
+}
+
+impl TemporalModel for FixedOrder {
+    fn predict(&self, at: Moment) -> f64 {
+        self.model.predict_value(self.kind, &self.periodicities, self.order, at.civil_nanos())
+    }
+}
