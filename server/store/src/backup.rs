@@ -29,8 +29,9 @@ use crate::{
     disk::{Disk, RealDisk, read_all},
     erasure,
     error::{OpenError, is_disk_full, shown},
+    folders,
     log::{segment_path, segment_position},
-    store::{MapEntry, OpenStore, catalogue},
+    store::{MapEntry, OpenStore},
 };
 
 /// Bytes at the end of a file that are compared: its trailer and the records before it.
@@ -217,7 +218,7 @@ impl Store {
                 }
             }
         }
-        let maps = catalogue::maps_folder(target);
+        let maps = folders::maps_folder(target);
         fs::create_dir_all(&maps).map_err(io_error(&maps))?;
         sync_folder(&maps)?;
         sync_folder(target)?;
@@ -296,13 +297,13 @@ impl OpenStore {
     ) -> Result<(), BackupError> {
         // Nothing is saved or deleted meanwhile, so that checkpoints, history and segments fit together.
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
-        let (from, to) = (catalogue::map_folder(&self.directory, map), catalogue::map_folder(target, map));
+        let (from, to) = (folders::map_folder(&self.directory, map), folders::map_folder(target, map));
         let erasures = erasure::count(&*self.disk, &from).map_err(io_error(&from))?;
         if names(&to)?.iter().any(|name| name == "MAP") && erasure::count(&RealDisk, &to).ok() != Some(erasures) {
             // Its files have the names of other files now, and hold what was erased.
             fs::remove_dir_all(&to).map_err(io_error(&to))?;
         }
-        let folders = [catalogue::log_folder, catalogue::history_folder, catalogue::checkpoints_folder];
+        let folders = [folders::log_folder, folders::history_folder, folders::checkpoints_folder];
         let [log, history, checkpoints] = folders.map(|folder| (folder(&self.directory, map), folder(target, map)));
         fs::create_dir_all(&checkpoints.1).map_err(io_error(&checkpoints.1))?;
         self.backup_log(copies, entry, &log.0, &log.1)?;
@@ -362,10 +363,10 @@ pub fn restore(backup: &Path, directory: &Path, new_store_id: &str) -> Result<Ba
     let format = refuse_damage(backup)?;
     let disk = RealDisk;
     let mut copies = Copies { disk: &disk, goes_on: &|| true, report: BackupReport::default() };
-    let maps = catalogue::maps_folder(directory);
+    let maps = folders::maps_folder(directory);
     fs::create_dir_all(&maps).map_err(io_error(&maps))?;
-    for name in names(&catalogue::maps_folder(backup))? {
-        let (from, to) = (catalogue::maps_folder(backup).join(&name), maps.join(&name));
+    for name in names(&folders::maps_folder(backup))? {
+        let (from, to) = (folders::maps_folder(backup).join(&name), maps.join(&name));
         for folder in ["log", "history", "checkpoints"] {
             copies.copy_folder(&from.join(folder), &to.join(folder), |_| true)?;
         }

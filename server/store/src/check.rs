@@ -25,6 +25,7 @@ use crate::{
     checkpoint::{Checkpoints, Memory},
     disk::{Disk, RealDisk},
     error::OpenError,
+    folders,
     index::{Index, RowsState, Unopened, is_present},
     list_file,
     lock::Lock,
@@ -198,7 +199,7 @@ impl Check<'_> {
         }
         for map in found.set_aside.values() {
             let name = map.name.as_deref().unwrap_or("its name is not known");
-            let folder = catalogue::map_folder(directory, map.id);
+            let folder = folders::map_folder(directory, map.id);
             let problem = format!("map {name}: {}", map.reason);
             if self.disk.list(&folder).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
                 let forget = || {
@@ -227,7 +228,7 @@ impl Check<'_> {
     }
 
     fn history(&mut self, map: MapId, spec: &MapSpec) {
-        let folder = catalogue::history_folder(self.directory, map);
+        let folder = folders::history_folder(self.directory, map);
         let history = History::at(Arc::clone(&self.disk), folder.clone(), map);
         let list_path = folder.with_file_name(HISTORY_FILE);
         let listed = self.list::<FileList>(&list_path);
@@ -274,7 +275,7 @@ impl Check<'_> {
     /// Reads all checkpoints; gives the position, the first needed record and the generation of the newest good one.
     fn checkpoints(&mut self, map: MapId, spec: &MapSpec) -> Option<(u64, u64)> {
         let (disk, directory) = (Arc::clone(&self.disk), self.directory);
-        let folder = catalogue::checkpoints_folder(directory, map);
+        let folder = folders::checkpoints_folder(directory, map);
         let checkpoints = Checkpoints { disk: &*disk, folder: folder.clone(), map };
         let mut newest = None;
         match checkpoints.check_all(spec, MEMORY) {
@@ -292,7 +293,7 @@ impl Check<'_> {
                 }
             }
         }
-        let log = catalogue::log_folder(directory, map);
+        let log = folders::log_folder(directory, map);
         let Ok(present) = checkpoints.present(&log) else { return newest };
         // Where the map can be restored, nothing else that is listed holds more.
         let is_whole = newest.map_or(1, |(_, replay_from)| replay_from) >= present.first_record;
@@ -325,7 +326,7 @@ impl Check<'_> {
 
     fn log(&mut self, map: MapId, known: Option<(u64, u64)>) {
         let (disk, directory) = (Arc::clone(&self.disk), self.directory);
-        let folder = catalogue::log_folder(directory, map);
+        let folder = folders::log_folder(directory, map);
         let (position, replay_from) = known.unwrap_or((0, 1));
         let names = self.disk.list(&folder).unwrap_or_default();
         let first = names.iter().find_map(|name| segment_position(name)).unwrap_or(1);

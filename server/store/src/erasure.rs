@@ -29,10 +29,11 @@ use tidemap_migrations::v1::lists::{
 };
 
 use crate::{
-    MapId, Report, StoreOptions,
+    MapId,
     checkpoint::{Checkpoints, Memory},
     disk::Disk,
-    error::{AppendError, EraseError, OpenError, StoreError, open_io, store_io},
+    error::{AppendError, EraseError, OpenError, Report, StoreError, open_io, store_io},
+    folders,
     history::History,
     index::Index,
     list_file::{self, Unlisted},
@@ -42,7 +43,7 @@ use crate::{
         replay::Replay,
         writer::{LogWriter, create_log},
     },
-    store::catalogue,
+    options::StoreOptions,
 };
 
 mod part;
@@ -66,7 +67,7 @@ pub(crate) struct Rewrite<'a> {
 }
 
 pub(crate) fn beside(directory: &Path, map: MapId, suffix: &str) -> PathBuf {
-    catalogue::with_suffix(&catalogue::map_folder(directory, map), suffix)
+    folders::with_suffix(&folders::map_folder(directory, map), suffix)
 }
 
 /// Removes a folder that may not be there.
@@ -138,7 +139,7 @@ impl Rewrite<'_> {
     pub(crate) fn run(&self, prepared: Prepared) -> Result<(), EraseError> {
         let Prepared { snapshot, mut erasure, .. } = prepared;
         let new = beside(self.directory, self.map, ERASING_SUFFIX);
-        let old = catalogue::map_folder(self.directory, self.map);
+        let old = folders::map_folder(self.directory, self.map);
         let disk = &**self.disk;
         remove_folder(disk, &new).map_err(store_io(&new))?;
         disk.create_folder(&new).map_err(store_io(&new))?;
@@ -154,13 +155,13 @@ impl Rewrite<'_> {
         disk.sync_folder(&new).map_err(store_io(&new))?;
         let erased = beside(self.directory, self.map, ERASED_SUFFIX);
         disk.rename(&new, &erased).map_err(store_io(&erased))?;
-        let maps = catalogue::maps_folder(self.directory);
+        let maps = folders::maps_folder(self.directory);
         disk.sync_folder(&maps).map_err(store_io(maps))?;
         Ok(())
     }
 
     fn newest(&self) -> Result<Option<MapSnapshot>, OpenError> {
-        let folder = catalogue::checkpoints_folder(self.directory, self.map);
+        let folder = folders::checkpoints_folder(self.directory, self.map);
         let checkpoints = Checkpoints { disk: &**self.disk, folder: folder.clone(), map: self.map };
         let StoreOptions { tile_cache_bytes: tile_bytes, spectrum_cache_bytes: spectrum_bytes, .. } = *self.options;
         let (snapshot, _) =
@@ -217,7 +218,7 @@ impl Rewrite<'_> {
 
     /// The events of the log that are still needed, from the record `replay_from` on.
     fn events(&self, known: u64, replay_from: u64) -> Result<Replay, EraseError> {
-        let folder = catalogue::log_folder(self.directory, self.map);
+        let folder = folders::log_folder(self.directory, self.map);
         let expected = Expectation { map: self.map.0, replay_from, known, is_listed: true };
         let read = recovery::read(&**self.disk, &folder, &expected)?;
         let end = read.cursor.position - 1;
@@ -225,7 +226,7 @@ impl Rewrite<'_> {
     }
 
     fn history(&self) -> History {
-        let folder = catalogue::history_folder(self.directory, self.map);
+        let folder = folders::history_folder(self.directory, self.map);
         History::at(Arc::clone(self.disk), folder, self.map)
     }
 
@@ -240,10 +241,10 @@ impl Rewrite<'_> {
 /// Puts the new folder of a map in the place of the old one.
 pub(crate) fn swap(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
     let [folder, erased, replaced] = ["", ERASED_SUFFIX, REPLACED_SUFFIX].map(|suffix| match suffix {
-        "" => catalogue::map_folder(directory, map),
+        "" => folders::map_folder(directory, map),
         suffix => beside(directory, map, suffix),
     });
-    let maps = catalogue::maps_folder(directory);
+    let maps = folders::maps_folder(directory);
     let names = disk.list(&maps).map_err(store_io(&maps))?;
     let is_there = |path: &Path| path.file_name().is_some_and(|name| names.iter().any(|known| name == known.as_str()));
     if is_there(&folder) {
@@ -259,19 +260,19 @@ pub(crate) fn clean(disk: &dyn Disk, directory: &Path, index: &mut Index, map: M
     index.erase(map.0).map_err(|reason| EraseError::Index { reason })?;
     let replaced = beside(directory, map, REPLACED_SUFFIX);
     remove_folder(disk, &replaced).map_err(store_io(replaced))?;
-    let maps = catalogue::maps_folder(directory);
+    let maps = folders::maps_folder(directory);
     Ok(disk.sync_folder(&maps).map_err(store_io(maps))?)
 }
 
 /// Names in the folder of all maps with a suffix.
 pub(crate) fn with(disk: &dyn Disk, directory: &Path, suffix: &str) -> Result<Vec<MapId>, OpenError> {
-    let maps = catalogue::maps_folder(directory);
+    let maps = folders::maps_folder(directory);
     let names = disk.list(&maps).map_err(open_io(&maps))?;
-    Ok(names.iter().filter_map(|name| catalogue::map_number(name.strip_suffix(suffix)?)).collect())
+    Ok(names.iter().filter_map(|name| folders::map_number(name.strip_suffix(suffix)?)).collect())
 }
 
 fn opening(directory: &Path) -> impl FnOnce(StoreError) -> OpenError {
-    let maps = catalogue::maps_folder(directory);
+    let maps = folders::maps_folder(directory);
     move |error| match error {
         StoreError::Io { file, source } => OpenError::Io { file, source },
         other => OpenError::Io { file: maps, source: io::Error::other(other.to_string()) },
@@ -310,7 +311,7 @@ pub(crate) fn repeat(
     spec: &MapSpec,
     reports: &mut Vec<Report>,
 ) -> Result<(), EraseError> {
-    let file = catalogue::map_folder(directory, map).join(ERASE_FILE);
+    let file = folders::map_folder(directory, map).join(ERASE_FILE);
     let order = match list_file::read::<ErasureOrder>(&**disk, &file) {
         Ok(order) => order,
         Err(Unlisted::Absent) => return Ok(()),

@@ -13,6 +13,7 @@ mod committer;
 pub mod disk;
 mod erasure;
 mod error;
+mod folders;
 #[cfg(feature = "fuzz")]
 pub mod fuzz;
 mod history;
@@ -22,6 +23,7 @@ mod lock;
 mod log;
 mod losses;
 mod map_log;
+mod options;
 mod record;
 mod record_file;
 mod scrub;
@@ -41,9 +43,10 @@ pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, StoreE
 pub use history::{GridDays, History, HistorySizes, StateFiles};
 pub use log::{Done, replay::Replay};
 pub use map_log::MapLog;
+pub use options::StoreOptions;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use scrub::Pace;
-pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store, StoreOptions};
+pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store};
 pub use tidemap_migrations::{manifest::is_store_id, v1::lists::Loss};
 pub use trouble::Trouble;
 

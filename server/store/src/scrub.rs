@@ -17,10 +17,11 @@ use tidemap_migrations::v1::{
 use crate::{
     MapId, Store,
     error::{HistoryError, is_shortage},
+    folders,
     list_file::{self, Unlisted},
     log::{segment_path, segment_position},
     record_file::check_total_paced,
-    store::{MapEntry, OpenStore, catalogue},
+    store::{MapEntry, OpenStore},
 };
 
 /// Bytes that are read between two calls of the pace.
@@ -137,7 +138,7 @@ impl Round<'_> {
     }
 
     fn checkpoints(&mut self, map: MapId) -> Result<(), Ended> {
-        let folder = catalogue::checkpoints_folder(&self.store.directory, map);
+        let folder = folders::checkpoints_folder(&self.store.directory, map);
         let list = self.store.checkpoints(map).list_path();
         self.look(&list, |round| {
             let listed = round.store.checkpoints(map).listed();
@@ -177,7 +178,7 @@ impl Round<'_> {
         // A map that is being opened is read anyway.
         let Some(log) = &entry.log else { return Ok(()) };
         let end = log.end.load(std::sync::atomic::Ordering::Acquire);
-        let folder = catalogue::log_folder(&self.store.directory, map);
+        let folder = folders::log_folder(&self.store.directory, map);
         let segments = || -> Vec<u64> {
             let names = self.store.disk.list(&folder).unwrap_or_default();
             names.iter().filter_map(|name| segment_position(name)).collect()

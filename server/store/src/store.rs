@@ -19,12 +19,14 @@ use crate::{
     committer::{CommitFollower, Committer, SyncStats},
     disk::Disk,
     error::{AppendError, HistoryError, OpenError, Report, StoreError, store_io},
+    folders,
     history::History,
     index::Index,
     lock::Lock,
     log::{Log, replay::Replay, writer::LogWriter},
     losses,
     map_log::MapLog,
+    options::StoreOptions,
     trouble::Trouble,
 };
 
@@ -38,39 +40,6 @@ mod save;
 
 pub use catalogue::SetAside;
 pub use contents::{IndexContents, IndexedRows};
-
-/// Options of a store.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct StoreOptions {
-    /// Length of a log's segment after which a new one is created.
-    pub segment_bytes: u64,
-    /// Memory that sled may use for the index.
-    pub index_cache_bytes: u64,
-    /// Approximate memory for the models and sums of each map's tiles; further tiles are read from a checkpoint.
-    pub tile_cache_bytes: u64,
-    /// Memory for the sums of each map's states; further sums are read from a checkpoint.
-    pub spectrum_cache_bytes: u64,
-    /// How many checkpoints of a map are kept, at least 1.
-    pub checkpoints_kept: usize,
-    /// Identity of the store if it is created now: 16 random bytes as 32 lower-case hexadecimal digits.
-    pub new_store_id: String,
-    /// The identity that the store must have. No other store is opened then, and none is created.
-    pub expected_store_id: Option<String>,
-}
-
-impl Default for StoreOptions {
-    fn default() -> Self {
-        StoreOptions {
-            segment_bytes: 64 << 20,
-            index_cache_bytes: 64 << 20,
-            tile_cache_bytes: 1 << 30,
-            spectrum_cache_bytes: 64 << 20,
-            checkpoints_kept: 2,
-            new_store_id: String::new(),
-            expected_store_id: None,
-        }
-    }
-}
 
 /// An open data directory. Clones are handles of the same store; the last one closes it.
 #[derive(Clone)]
@@ -236,17 +205,17 @@ impl OpenStore {
     }
 
     pub(crate) fn history(&self, map: MapId) -> History {
-        let folder = catalogue::history_folder(&self.directory, map);
+        let folder = folders::history_folder(&self.directory, map);
         History::at(Arc::clone(&self.disk), folder, map)
     }
 
     pub(crate) fn checkpoints(&self, map: MapId) -> Checkpoints<'_> {
-        Checkpoints { disk: &*self.disk, folder: catalogue::checkpoints_folder(&self.directory, map), map }
+        Checkpoints { disk: &*self.disk, folder: folders::checkpoints_folder(&self.directory, map), map }
     }
 
     /// Deletes a map whose folder has the name of a deleted one.
     fn finish_deletion(&self, map: MapId) -> Result<(), StoreError> {
-        let maps = catalogue::maps_folder(&self.directory);
+        let maps = folders::maps_folder(&self.directory);
         self.disk.sync_folder(&maps).map_err(store_io(maps))?;
         // Held, because a creation changes the same list.
         let maps = self.maps();
@@ -413,9 +382,9 @@ impl Store {
             names.iter().map(|name| inner.disk.length(&folder.join(name))).sum()
         };
         Sizes {
-            log_bytes: bytes(&catalogue::log_folder(&inner.directory, map)).unwrap_or(0),
-            checkpoint_bytes: bytes(&catalogue::checkpoints_folder(&inner.directory, map)).unwrap_or(0),
-            history_bytes: bytes(&catalogue::history_folder(&inner.directory, map)).unwrap_or(0),
+            log_bytes: bytes(&folders::log_folder(&inner.directory, map)).unwrap_or(0),
+            checkpoint_bytes: bytes(&folders::checkpoints_folder(&inner.directory, map)).unwrap_or(0),
+            history_bytes: bytes(&folders::history_folder(&inner.directory, map)).unwrap_or(0),
         }
     }
 
@@ -431,7 +400,7 @@ impl Store {
     /// Memory for the sums of a map's states while an update runs, and the place for others.
     pub fn spectrum_room(&self, map: MapId) -> SpectrumRoom {
         let inner = &*self.inner;
-        let folder = catalogue::checkpoints_folder(&inner.directory, map);
+        let folder = folders::checkpoints_folder(&inner.directory, map);
         spectra::room(Arc::clone(&inner.disk), &folder, inner.options.spectrum_cache_bytes)
     }
 

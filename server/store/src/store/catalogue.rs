@@ -6,7 +6,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
 use tidemap_map::spec::MapSpec;
@@ -20,7 +20,7 @@ use crate::{
     MapId,
     disk::Disk,
     error::{OpenError, Report, StoreError, open_io, store_io},
-    list_file,
+    folders, list_file,
     log::writer::create_log,
     record,
     record_file::{RecordReader, RecordWriter},
@@ -56,40 +56,6 @@ pub(crate) struct Catalogue {
     pub(crate) next: u32,
 }
 
-/// Folder of all maps.
-pub(crate) fn maps_folder(directory: &Path) -> PathBuf {
-    directory.join("maps")
-}
-
-/// Folder of a map.
-pub(crate) fn map_folder(directory: &Path, map: MapId) -> PathBuf {
-    maps_folder(directory).join(format!("{:08}", map.0))
-}
-
-/// Folder of a map's log.
-pub(crate) fn log_folder(directory: &Path, map: MapId) -> PathBuf {
-    map_folder(directory, map).join("log")
-}
-
-/// Folder of a map's checkpoints.
-pub(crate) fn checkpoints_folder(directory: &Path, map: MapId) -> PathBuf {
-    map_folder(directory, map).join("checkpoints")
-}
-
-/// Folder of a map's history.
-pub(crate) fn history_folder(directory: &Path, map: MapId) -> PathBuf {
-    map_folder(directory, map).join("history")
-}
-
-pub(crate) fn with_suffix(folder: &Path, suffix: &str) -> PathBuf {
-    folder.with_extension(&suffix[1..])
-}
-
-pub(crate) fn map_number(name: &str) -> Option<MapId> {
-    let is_number = name.len() >= 8 && name.bytes().all(|byte| byte.is_ascii_digit());
-    if is_number { name.parse().ok().filter(|&number| number > 0).map(MapId) } else { None }
-}
-
 /// Lists the maps, and removes leftovers of interrupted creations.
 pub(crate) fn read(disk: &dyn Disk, directory: &Path, reports: &mut Vec<Report>) -> Result<Catalogue, OpenError> {
     let remove = |path: &Path| disk.remove_folder(path).map_err(open_io(path));
@@ -107,7 +73,7 @@ fn read_with(
     reports: &mut Vec<Report>,
     remove: &dyn Fn(&Path) -> Result<(), OpenError>,
 ) -> Result<Catalogue, OpenError> {
-    let folder = maps_folder(directory);
+    let folder = folders::maps_folder(directory);
     let file = directory.join(MAPS_FILE);
     let (list, lost_list) = match list_file::read::<MapList>(disk, &file) {
         Ok(list) => (Some(list), None),
@@ -125,15 +91,15 @@ fn read_with(
     };
     for name in disk.list(&folder).map_err(open_io(&folder))? {
         let path = folder.join(&name);
-        if let Some(map) = name.strip_suffix(NEW_SUFFIX).and_then(map_number) {
+        if let Some(map) = name.strip_suffix(NEW_SUFFIX).and_then(folders::map_number) {
             // The creation never succeeded, so its number is free.
             remove(&path)?;
             reports.push(Report::LeftoverRemoved { file: path });
             catalogue.next = catalogue.next.max(map.0);
-        } else if let Some(map) = name.strip_suffix(DELETED_SUFFIX).and_then(map_number) {
+        } else if let Some(map) = name.strip_suffix(DELETED_SUFFIX).and_then(folders::map_number) {
             catalogue.deleted.insert(map);
             catalogue.next = catalogue.next.max(map.0.saturating_add(1));
-        } else if let Some(map) = map_number(&name) {
+        } else if let Some(map) = folders::map_number(&name) {
             match read_spec(disk, &path.join("MAP"), map) {
                 Ok(spec) => {
                     if list.is_some() && name_of(map).is_none() {
@@ -204,10 +170,10 @@ pub(crate) fn change_list(
 
 /// Lists the maps, and changes nothing.
 pub(crate) fn list(disk: &dyn Disk, directory: &Path) -> Result<Vec<(MapId, MapSpec)>, OpenError> {
-    let folder = maps_folder(directory);
+    let folder = folders::maps_folder(directory);
     let mut maps = Vec::new();
-    for map in disk.list(&folder).map_err(open_io(&folder))?.iter().filter_map(|name| map_number(name)) {
-        let file = map_folder(directory, map).join("MAP");
+    for map in disk.list(&folder).map_err(open_io(&folder))?.iter().filter_map(|name| folders::map_number(name)) {
+        let file = folders::map_folder(directory, map).join("MAP");
         let found = read_spec(disk, &file, map).map_err(|reason| OpenError::Damaged { file, reason })?;
         maps.push((map, found));
     }
@@ -223,8 +189,8 @@ fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<MapSpec, String
 
 /// Creates a map's folder: durable when this returns, and complete or absent at every moment before.
 pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSpec) -> Result<(), StoreError> {
-    let folder = map_folder(directory, map);
-    let new_folder = with_suffix(&folder, NEW_SUFFIX);
+    let folder = folders::map_folder(directory, map);
+    let new_folder = folders::with_suffix(&folder, NEW_SUFFIX);
     let file = new_folder.join("MAP");
     let write = || {
         disk.create_folder(&new_folder)?;
@@ -249,7 +215,7 @@ pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         return Err(error);
     }
     disk.rename(&new_folder, &folder).map_err(store_io(&folder))?;
-    let maps = maps_folder(directory);
+    let maps = folders::maps_folder(directory);
     let listed = disk.sync_folder(&maps).map_err(store_io(maps)).and_then(|()| {
         change_list(disk, directory, |list| {
             list.maps.push((map.0, spec.name.as_str().to_owned()));
@@ -264,17 +230,17 @@ pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
 
 /// Gives a map's folder the name of a deleted one; durable once the folder of all maps is.
 pub(crate) fn mark_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
-    let folder = map_folder(directory, map);
-    disk.rename(&folder, &with_suffix(&folder, DELETED_SUFFIX)).map_err(store_io(&folder))
+    let folder = folders::map_folder(directory, map);
+    disk.rename(&folder, &folders::with_suffix(&folder, DELETED_SUFFIX)).map_err(store_io(&folder))
 }
 
 /// Removes the folder of a deleted map, which is no longer listed.
 pub(crate) fn remove_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
-    let folder = with_suffix(&map_folder(directory, map), DELETED_SUFFIX);
+    let folder = folders::with_suffix(&folders::map_folder(directory, map), DELETED_SUFFIX);
     match disk.remove_folder(&folder) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(store_io(folder)(error)),
         _ => {
-            let maps = maps_folder(directory);
+            let maps = folders::maps_folder(directory);
             disk.sync_folder(&maps).map_err(store_io(maps))
         }
     }

@@ -8,12 +8,12 @@ use std::{io, path::Path, sync::PoisonError};
 use tidemap_map::{erasure::Selection, ids::StateId};
 use tidemap_migrations::v1::lists::{ERASE_FILE, ErasedPart, ErasureOrder};
 
-use super::{Store, catalogue};
+use super::Store;
 use crate::{
     MapId,
     erasure::{ERASED_SUFFIX, ERASING_SUFFIX, Erased, Rewrite, beside, clean, remove_folder, swap, with},
     error::{EraseError, StoreError, store_io},
-    list_file,
+    folders, list_file,
 };
 
 const UNFINISHED: &str = "an erasure has begun and could not be completed. Check the disk and restart the daemon, which \
@@ -54,7 +54,7 @@ impl Store {
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
         let entry = inner.close_log(map).ok_or_else(unknown)?;
         let (disk, directory) = (&inner.disk, &inner.directory);
-        let file = catalogue::map_folder(directory, map).join(ERASE_FILE);
+        let file = folders::map_folder(directory, map).join(ERASE_FILE);
         let rewrite = Rewrite { disk, directory, options: inner.options(), map, spec: entry.spec() };
         let prepared = rewrite.prepare(order)?;
         let erased = prepared.erased;
@@ -78,7 +78,7 @@ impl Store {
         // The order first: while it is there, the next start repeats the erasure.
         let removed = match disk.remove(file) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-            _ => disk.sync_folder(&catalogue::map_folder(directory, map)),
+            _ => disk.sync_folder(&folders::map_folder(directory, map)),
         };
         let erasing = beside(directory, map, ERASING_SUFFIX);
         if let Err(error) = remove_folder(disk, &erasing) {

@@ -14,12 +14,13 @@ use std::{
 use tidemap_map::spec::MapSpec;
 use tidemap_migrations::v1::lists::{FileList, MAPS_FILE, MapList, NEWEST_FILE, NewestSegment};
 
-use super::catalogue::{self, Catalogue};
+use super::catalogue::Catalogue;
 use crate::{
     MapId,
     checkpoint::Checkpoints,
     disk::Disk,
     error::{OpenError, Report, open_io},
+    folders,
     history::History,
     list_file::{self, Unlisted},
     log::segment_position,
@@ -28,7 +29,7 @@ use crate::{
 /// Makes the list of maps of a new data directory. Safe to run again: a list that is there stays.
 pub(crate) fn make_first(disk: &dyn Disk, directory: &Path) -> Result<(), OpenError> {
     if !disk.list(directory).map_err(open_io(directory))?.iter().any(|name| name == "maps") {
-        disk.create_folder(&catalogue::maps_folder(directory)).map_err(open_io(directory))?;
+        disk.create_folder(&folders::maps_folder(directory)).map_err(open_io(directory))?;
     }
     let file = directory.join(MAPS_FILE);
     if disk.length(&file).is_ok() {
@@ -39,7 +40,7 @@ pub(crate) fn make_first(disk: &dyn Disk, directory: &Path) -> Result<(), OpenEr
 
 /// Lists the newest segment that exists.
 pub(crate) fn make_newest(disk: &dyn Disk, directory: &Path, map: MapId) -> io::Result<()> {
-    let folder = catalogue::log_folder(directory, map);
+    let folder = folders::log_folder(directory, map);
     let newest = disk.list(&folder)?.iter().rev().find_map(|name| segment_position(name));
     let first_position = newest.ok_or(io::ErrorKind::NotFound)?;
     list_file::replace(disk, &folder.join(NEWEST_FILE), &NewestSegment { first_position })
@@ -47,18 +48,18 @@ pub(crate) fn make_newest(disk: &dyn Disk, directory: &Path, map: MapId) -> io::
 
 /// Lists the checkpoints that exist, and the first segment.
 pub(crate) fn make_checkpoints(disk: &dyn Disk, directory: &Path, map: MapId) -> io::Result<()> {
-    let checkpoints = Checkpoints { disk, folder: catalogue::checkpoints_folder(directory, map), map };
-    let present = checkpoints.present(&catalogue::log_folder(directory, map))?;
+    let checkpoints = Checkpoints { disk, folder: folders::checkpoints_folder(directory, map), map };
+    let present = checkpoints.present(&folders::log_folder(directory, map))?;
     list_file::replace(disk, &checkpoints.list_path(), &present)
 }
 
 fn history(disk: &Arc<dyn Disk>, directory: &Path, map: MapId) -> History {
-    History::at(Arc::clone(disk), catalogue::history_folder(directory, map), map)
+    History::at(Arc::clone(disk), folders::history_folder(directory, map), map)
 }
 
 /// Whether the history files of a map prove to be all, without their list.
 pub(crate) fn is_history_whole(disk: &Arc<dyn Disk>, directory: &Path, map: MapId, spec: &MapSpec) -> bool {
-    let checkpoints = Checkpoints { disk: &**disk, folder: catalogue::checkpoints_folder(directory, map), map };
+    let checkpoints = Checkpoints { disk: &**disk, folder: folders::checkpoints_folder(directory, map), map };
     let newest = checkpoints.newest_generation();
     // Without a checkpoint nothing was saved, if none must exist.
     let is_known = newest.is_some() || checkpoints.listed().is_ok_and(|list| list.checkpoints.is_empty());

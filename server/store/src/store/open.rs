@@ -17,14 +17,16 @@ use tidemap_migrations::{
     v1::lists::MAPS_FILE,
 };
 
-use super::{Lock, MapEntry, Maps, OpenStore, Store, StoreOptions, catalogue, lists};
+use super::{Lock, MapEntry, Maps, OpenStore, Store, catalogue, lists};
 use crate::{
     committer::Committer,
     disk::{Disk, RealDisk},
     erasure,
     error::{OpenError, Report, open_io},
+    folders,
     index::{Index, IndexInUse, is_present},
     list_file,
+    options::StoreOptions,
 };
 
 /// The parts of a store.
@@ -85,7 +87,7 @@ impl Store {
                 manifest
             }
         };
-        let maps = catalogue::maps_folder(directory);
+        let maps = folders::maps_folder(directory);
         if !maps.exists() {
             fs::create_dir(&maps).map_err(open_io(&maps))?;
         }
@@ -121,7 +123,7 @@ impl Store {
         }
         // Names may be in the page cache only. From here on they are used,
         // so they must be durable first.
-        let maps_folder = catalogue::maps_folder(&directory);
+        let maps_folder = folders::maps_folder(&directory);
         disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
         erasure::complete(&*disk, &directory, &mut index, &mut reports)?;
         let mut catalogue = catalogue::read(&*disk, &directory, &mut reports)?;

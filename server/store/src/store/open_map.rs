@@ -9,11 +9,12 @@ use std::{
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
 
-use super::{MapEntry, OpenStore, OpenedMap, Source, Store, catalogue};
+use super::{MapEntry, OpenStore, OpenedMap, Source, Store};
 use crate::{
     MapId,
     checkpoint::{DamagedCheckpoint, Memory},
     error::{OpenError, Report, open_io},
+    folders,
     index::RowsState,
     list_file::{self, Unlisted},
     log::{
@@ -61,7 +62,7 @@ impl Store {
         }
         let newest = inner.newest_snapshot(map, spec)?;
         let replay_from = newest.snapshot.as_ref().map_or(1, |snapshot| snapshot.replay_from.max(1));
-        let folder = catalogue::log_folder(&inner.directory, map);
+        let folder = folders::log_folder(&inner.directory, map);
         inner.check_beginning(&folder, &newest)?;
         let expected = Expectation { map: map.0, replay_from, known: newest.known, is_listed: true };
         let recovered = recover(&*inner.disk, &folder, &expected)?;

@@ -12,10 +12,11 @@ use std::{
 use tidemap_grid::tile::TileSource;
 use tidemap_map::snapshot::MapSnapshot;
 
-use super::{MapEntry, OpenStore, Store, catalogue};
+use super::{MapEntry, OpenStore, Store};
 use crate::{
     MapId,
     error::StoreError,
+    folders,
     log::{Log, segment_path, segment_position, writer::LogWriter},
 };
 
@@ -82,7 +83,7 @@ impl OpenStore {
         let Some(replay_from) = self.checkpoints(map).replay_from(self.options.checkpoints_kept.max(1))? else {
             return Ok(());
         };
-        let folder = catalogue::log_folder(&self.directory, map);
+        let folder = folders::log_folder(&self.directory, map);
         // A newer segment may already have a name and still be lost in a power cut.
         let newest = log.writer.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or(0, LogWriter::segment);
         let deletable = self.deletable(&folder, replay_from.min(newest))?;
@@ -104,8 +105,7 @@ impl OpenStore {
         let checkpoints = self.checkpoints(map);
         let Ok(list) = checkpoints.listed() else { return };
         let within = |folder: &Path| folder.strip_prefix(&self.directory).unwrap_or(folder).to_owned();
-        let [folder, log] =
-            [&checkpoints.folder, &catalogue::log_folder(&self.directory, map)].map(|path| within(path));
+        let [folder, log] = [&checkpoints.folder, &folders::log_folder(&self.directory, map)].map(|path| within(path));
         let kept: Vec<_> = list.checkpoints.iter().map(|&position| within(&checkpoints.path(position))).collect();
         self.committer.watch.forget(|file| {
             let segment = file.file_name().and_then(|name| segment_position(name.to_str()?));

@@ -1,0 +1,41 @@
+//! The names of the folders of maps, within a data directory.
+//!
+//! Invariant: a number leads to one name, and that name back to the number.
+
+use std::path::{Path, PathBuf};
+
+use crate::MapId;
+
+/// Folder of all maps.
+pub(crate) fn maps_folder(directory: &Path) -> PathBuf {
+    directory.join("maps")
+}
+
+/// Folder of a map.
+pub(crate) fn map_folder(directory: &Path, map: MapId) -> PathBuf {
+    maps_folder(directory).join(format!("{:08}", map.0))
+}
+
+/// Folder of a map's log.
+pub(crate) fn log_folder(directory: &Path, map: MapId) -> PathBuf {
+    map_folder(directory, map).join("log")
+}
+
+/// Folder of a map's checkpoints.
+pub(crate) fn checkpoints_folder(directory: &Path, map: MapId) -> PathBuf {
+    map_folder(directory, map).join("checkpoints")
+}
+
+/// Folder of a map's history.
+pub(crate) fn history_folder(directory: &Path, map: MapId) -> PathBuf {
+    map_folder(directory, map).join("history")
+}
+
+pub(crate) fn with_suffix(folder: &Path, suffix: &str) -> PathBuf {
+    folder.with_extension(&suffix[1..])
+}
+
+pub(crate) fn map_number(name: &str) -> Option<MapId> {
+    let is_number = name.len() >= 8 && name.bytes().all(|byte| byte.is_ascii_digit());
+    if is_number { name.parse().ok().filter(|&number| number > 0).map(MapId) } else { None }
+}
