@@ -19,7 +19,6 @@ use std::{
 
 pub(crate) mod accept;
 pub(crate) mod guard;
-pub(crate) mod request_scan;
 pub(crate) mod socket;
 #[cfg(test)]
 mod tests;
@@ -113,6 +112,8 @@ struct Seat {
     opened: Instant,
     /// Requests that are worked on.
     requests: AtomicUsize,
+    /// A request has arrived, whether it is served or not.
+    has_request: AtomicBool,
     /// Milliseconds from `opened` to the end of its last request that was served, and one more; 0 if there was none.
     served_after_millis: AtomicU64,
     /// The connection has to make room for another.
@@ -128,6 +129,11 @@ impl Remote {
     /// Who is there.
     pub(crate) fn peer(&self) -> Peer {
         self.0.peer
+    }
+
+    /// Notes that the connection has made a request, whether it is served or not.
+    pub(crate) fn note_request(&self) {
+        self.0.has_request.store(true, Ordering::Release);
     }
 
     /// Keeps the connection busy until it is dropped. `is_served`: the request is of somebody who may ask, so that the
@@ -183,6 +189,10 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Seat {
+    fn has_request(&self) -> bool {
+        self.has_request.load(Ordering::Acquire)
+    }
+
     fn displace(&self) {
         self.is_displaced.store(true, Ordering::Release);
         if let Some(waker) = lock(&self.waker).take() {
@@ -270,6 +280,7 @@ impl Connections {
             peer,
             opened: now,
             requests: AtomicUsize::new(0),
+            has_request: AtomicBool::new(false),
             served_after_millis: AtomicU64::new(0),
             is_displaced: AtomicBool::new(false),
             waker: Mutex::new(None),

@@ -115,6 +115,7 @@ fn probes(catalog: Arc<Catalog>, stopping: watch::Receiver<bool>) -> Router {
 
 /// A connection that works on a request does not make room for another.
 async fn keep_busy(ConnectInfo(remote): ConnectInfo<Remote>, request: Request, next: Next) -> Response {
+    remote.note_request();
     // Whether the request is served, admission says.
     let busy = remote.busy(false);
     let held_by = |body: Body| {

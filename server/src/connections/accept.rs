@@ -12,7 +12,7 @@ use tokio::{
 };
 use tracing::{error, warn};
 
-use super::{Connections, Peer, Remote, guard::GuardedConnection, request_scan::Protocol, socket::Socket, tls::Tls};
+use super::{Connections, Peer, Remote, guard::GuardedConnection, socket::Socket, tls::Tls};
 use crate::telemetry::occasional::Occasional;
 
 /// A connection as a server gets it.
@@ -29,7 +29,6 @@ static REFUSALS: Occasional = Occasional::new();
 /// Accepts the connections of a port until the receiver is dropped.
 #[derive(Debug)]
 pub(crate) struct Acceptor {
-    protocol: Protocol,
     door: Door,
     /// Where connections go that are beyond the limits of the door.
     reserve: Option<Door>,
@@ -51,9 +50,9 @@ impl Door {
 
 impl Acceptor {
     /// An acceptor of a port, and the connections that it accepts.
-    pub(crate) fn new(connections: Connections, protocol: Protocol) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
+    pub(crate) fn new(connections: Connections) -> (Self, mpsc::Receiver<io::Result<Accepted>>) {
         let (door, receiver) = Door::new(connections);
-        (Self { protocol, door, reserve: None }, receiver)
+        (Self { door, reserve: None }, receiver)
     }
 
     /// This acceptor with a reserve, whose connections come from the second receiver.
@@ -64,7 +63,7 @@ impl Acceptor {
 
     /// Accepts the connections of a listener; a port may have several.
     pub(crate) fn listen(&self, listener: Listener) {
-        let (protocol, door, reserve) = (self.protocol, self.door.clone(), self.reserve.clone());
+        let (door, reserve) = (self.door.clone(), self.reserve.clone());
         tokio::spawn(async move {
             loop {
                 let next = tokio::select! {
@@ -88,7 +87,7 @@ impl Acceptor {
                 let in_reserve = || reserve.as_ref().and_then(|door| Some((door, door.connections.admit(peer)?)));
                 if let Some((door, slot)) = slot.or_else(in_reserve) {
                     // The server is gone only when the daemon stops.
-                    drop(door.accepted.send(Ok(GuardedConnection::new(socket, slot, protocol))).await);
+                    drop(door.accepted.send(Ok(GuardedConnection::new(socket, slot))).await);
                 }
             }
         });

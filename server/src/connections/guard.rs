@@ -17,10 +17,7 @@ use tokio::{
     time::{Instant, Sleep, sleep, sleep_until},
 };
 
-use super::{
-    ConnectionSlot, Port, REQUEST_WITHIN, Remote,
-    request_scan::{Protocol, RequestScan},
-};
+use super::{ConnectionSlot, Port, REQUEST_WITHIN, Remote};
 
 /// So many bytes are read and ignored meanwhile, a few at a time, because others wait.
 const LINGER_BYTES: usize = 64 << 10;
@@ -32,7 +29,6 @@ const LINGER: Duration = Duration::from_secs(1);
 pub(crate) struct GuardedConnection<S> {
     socket: S,
     slot: ConnectionSlot,
-    scan: RequestScan,
     /// The deadline of the first request; of the reserve for probes, that of the connection.
     deadline: Option<Pin<Box<Sleep>>>,
     /// Until when the end of the other side is waited for, and the bytes that were ignored.
@@ -40,9 +36,9 @@ pub(crate) struct GuardedConnection<S> {
 }
 
 impl<S> GuardedConnection<S> {
-    pub(super) fn new(socket: S, slot: ConnectionSlot, protocol: Protocol) -> Self {
+    pub(super) fn new(socket: S, slot: ConnectionSlot) -> Self {
         let deadline = Some(Box::pin(sleep_until(Instant::now() + REQUEST_WITHIN)));
-        Self { socket, slot, scan: RequestScan::new(protocol), deadline, linger: None }
+        Self { socket, slot, deadline, linger: None }
     }
 
     /// The other end.
@@ -52,16 +48,25 @@ impl<S> GuardedConnection<S> {
 
     /// A server that waits to write its greeting, as in a TLS handshake, does not read; the deadline holds then too.
     fn check_before_request(&mut self, context: &mut Context<'_>) -> io::Result<()> {
-        match self.deadline.is_some().then(|| self.must_end(context)).flatten() {
+        match self.has_deadline().then(|| self.must_end(context)).flatten() {
             Some(error) => Err(error),
             None => Ok(()),
         }
+    }
+
+    /// Whether the first request is still waited for; of the reserve for probes, always.
+    fn has_deadline(&mut self) -> bool {
+        if self.slot.port != Port::Probes && self.slot.seat.has_request() {
+            self.deadline = None;
+        }
+        self.deadline.is_some()
     }
 
     fn must_end(&mut self, context: &mut Context<'_>) -> Option<io::Error> {
         if self.slot.seat.is_displaced(context.waker()) {
             return Some(io::Error::new(io::ErrorKind::ConnectionAborted, "the connection made room for another"));
         }
+        self.has_deadline();
         let deadline = self.deadline.as_mut()?;
         deadline.as_mut().poll(context).is_ready().then(|| {
             metrics::counter!("tidemap_connections_silent", "port" => self.slot.port.name()).increment(1);
@@ -80,13 +85,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for GuardedConnection<S> {
         if let Some(error) = guarded.must_end(context) {
             return Poll::Ready(Err(error));
         }
-        let before = buffer.filled().len();
-        ready!(Pin::new(&mut guarded.socket).poll_read(context, buffer))?;
-        let is_limited = guarded.deadline.is_some() && guarded.slot.port != Port::Probes;
-        if is_limited && guarded.scan.sees_request(&buffer.filled()[before..]) {
-            guarded.deadline = None;
-        }
-        Poll::Ready(Ok(()))
+        Pin::new(&mut guarded.socket).poll_read(context, buffer)
     }
 }
 

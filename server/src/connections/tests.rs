@@ -1,9 +1,8 @@
-//! Who makes room, when the bounds of connections are reached.
+//! Who makes room, when the bounds of connections are reached, and how long a connection may make no request.
 
-use super::{
-    request_scan::{Protocol, RequestScan},
-    *,
-};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+
+use super::{guard::GuardedConnection, *};
 
 fn address(last: u8) -> Peer {
     Peer::Address(IpAddr::from([10, 0, 0, last]))
@@ -64,27 +63,28 @@ fn each_connection_of_the_reserve_makes_room_for_the_next() {
     assert!(is_displaced(&second) && !is_displaced(&third));
 }
 
-#[test]
-fn frames_of_requests_are_requests_and_pings_are_not() {
-    let frame = |kind: u8, stream: u8, payload: &[u8]| {
-        let length = u8::try_from(payload.len()).expect("short");
-        [&[0, 0, length, kind, 0, 0, 0, 0, stream][..], payload].concat()
-    };
-    let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".to_vec();
-    let (settings, ping, window) = (frame(4, 0, &[]), frame(6, 0, &[1; 8]), frame(8, 0, &[0, 0, 1, 0]));
-    let silent = [preface, settings, window, ping.clone()].concat();
-    let headers = frame(1, 1, b"method");
-    // In pieces of every size, because a network cuts where it likes.
-    for piece in 1..=silent.len() {
-        let mut scan = RequestScan::new(Protocol::Http2);
-        assert!(!silent.chunks(piece).any(|bytes| scan.sees_request(bytes)), "{piece}");
-        let found: Vec<bool> = headers.chunks(piece).map(|bytes| scan.sees_request(bytes)).collect();
-        assert_eq!(found.iter().filter(|found| **found).count(), 1, "{piece}");
-        assert!(!scan.sees_request(&ping));
-        assert!(!scan.sees_request(&frame(8, 1, &[0, 0, 1, 0])), "a window of a stream");
+/// A connection with some bytes to read, and after what time reading it first fails; `None`: never.
+async fn reading_fails_after(port: Port, makes_request: bool) -> Option<Duration> {
+    let slot = connections(port, 2, 2).admit(address(1)).expect("room");
+    let (socket, mut client) = tokio::io::duplex(64);
+    let mut guarded = GuardedConnection::new(socket, slot);
+    // Bytes are no request: the layers of the services say what is.
+    client.write_all(b"PRI * HTTP/2.0").await.expect("room");
+    guarded.read_exact(&mut [0; 14]).await.expect("what was sent");
+    if makes_request {
+        guarded.remote().note_request();
     }
-    assert!(!RequestScan::new(Protocol::Http2).sees_request(b"GET / HTTP/1.1\r\n\r\n"));
-    let mut lines = RequestScan::new(Protocol::Http1);
-    assert!(!lines.sees_request(b"GET / HTTP/1.1\r\nHost: a\r\n"));
-    assert!(lines.sees_request(b"\r\n"));
+    let start = tokio::time::Instant::now();
+    let read = tokio::time::timeout(4 * REQUEST_WITHIN, guarded.read_u8()).await;
+    read.is_ok_and(|read| read.is_err()).then(|| start.elapsed())
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_connection_without_a_request_ends_and_one_with_a_request_stays() {
+    for port in [Port::Grpc, Port::Http] {
+        let silent = reading_fails_after(port, false).await.expect("it made no request");
+        assert!(silent >= REQUEST_WITHIN && silent < 2 * REQUEST_WITHIN, "{silent:?}");
+        assert_eq!(reading_fails_after(port, true).await, None, "{port:?}");
+    }
+    assert!(reading_fails_after(Port::Probes, true).await.is_some(), "the reserve serves no connection for long");
 }

@@ -36,12 +36,21 @@ use tokio_rustls::{
 };
 use tracing::{error, info, warn};
 
-use super::{request_scan::Protocol, validity, validity::Validity};
+use super::{validity, validity::Validity};
 use crate::{
     clock::{Clock as _, SystemClock},
     secret_file::{is_open_to_all, is_private},
     telemetry::occasional::Occasional,
 };
+
+/// Which protocol a port speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Protocol {
+    /// HTTP/2 with prior knowledge, as gRPC.
+    Http2,
+    /// HTTP/1.
+    Http1,
+}
 
 static FAILURES: Occasional = Occasional::new();
 

@@ -20,9 +20,8 @@ use crate::{
     connections::{
         ConnectionLimits, Connections, Port,
         accept::{Accepted, Acceptor, HttpListener, Listener},
-        request_scan::Protocol,
         socket::listen_unix,
-        tls::{Tls, TlsFiles},
+        tls::{Protocol, Tls, TlsFiles},
     },
     http,
     reload::FileWatch,
@@ -200,7 +199,7 @@ fn accept_grpc(
     tls: Option<Tls>,
 ) -> Result<mpsc::Receiver<std::io::Result<Accepted>>, DaemonError> {
     let connections = Connections::new(Port::Grpc, connection_limits(settings));
-    let (acceptor, accepted) = Acceptor::new(connections, Protocol::Http2);
+    let (acceptor, accepted) = Acceptor::new(connections);
     acceptor.listen(Listener::Tcp(port, tls));
     if !settings.socket.as_os_str().is_empty() {
         let socket = listen_unix(&settings.socket, settings.socket_mode);
@@ -213,7 +212,7 @@ fn accept_grpc(
 
 /// The connections of the HTTP port, and those of its reserve.
 fn accept_http(port: TcpListener, address: SocketAddr, tls: Option<Tls>) -> [HttpListener; 2] {
-    let (acceptor, accepted) = Acceptor::new(Connections::new(Port::Http, HTTP_CONNECTIONS), Protocol::Http1);
+    let (acceptor, accepted) = Acceptor::new(Connections::new(Port::Http, HTTP_CONNECTIONS));
     let (acceptor, in_reserve) = acceptor.with_reserve(Connections::new(Port::Probes, PROBE_CONNECTIONS));
     acceptor.listen(Listener::Tcp(port, tls));
     [accepted, in_reserve].map(|accepted| HttpListener { address, accepted })

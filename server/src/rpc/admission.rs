@@ -116,7 +116,7 @@ impl<S> AdmittedService<S> {
         headers: &http::HeaderMap,
         extensions: &http::Extensions,
     ) -> Result<Admitted, RpcError> {
-        let remote = extensions.get::<Remote>();
+        let remote = extensions.get::<Remote>().inspect(|remote| remote.note_request());
         let peer = remote.map_or(Peer::Local, Remote::peer);
         let method = method_name(path);
         let caller = self.access.check(path, headers).inspect_err(|error| {
