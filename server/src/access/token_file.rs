@@ -15,6 +15,7 @@ use figment::{
     Figment,
     providers::{Format as _, Toml},
 };
+use ring::rand::{SecureRandom as _, SystemRandom};
 use serde::Deserialize;
 
 use super::{MapPattern, ProducerPattern, Role};
@@ -133,7 +134,7 @@ pub(super) fn generate(
     expires_secs: Option<i64>,
 ) -> io::Result<(Token, String)> {
     let mut random = [0; ID_BYTES + SECRET_BYTES];
-    File::open("/dev/urandom")?.read_exact(&mut random)?;
+    SystemRandom::new().fill(&mut random).map_err(|_| io::Error::other("the system gives no random numbers"))?;
     let id = hex(&random[..ID_BYTES]);
     let text = format!("{PREFIX}{id}_{}", hex(&random[ID_BYTES..]));
     Ok((Token { hash: hash(text.as_bytes()), id, roles, maps, producers, note, created_secs, expires_secs }, text))

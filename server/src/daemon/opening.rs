@@ -108,10 +108,8 @@ fn close_to_others(folder: &Path) {
 
 /// 16 bytes of the system's randomness as hex: the identity of a new data folder.
 pub(crate) fn random_id() -> anyhow::Result<String> {
-    let mut bytes = [0u8; 16];
-    let random =
-        std::fs::File::open("/dev/urandom").and_then(|mut file| std::io::Read::read_exact(&mut file, &mut bytes));
-    anyhow::Context::context(random, "/dev/urandom")?;
+    let random = ring::rand::generate::<[u8; 16]>(&ring::rand::SystemRandom::new());
+    let bytes = random.map_err(|_| anyhow::anyhow!("the system gives no random numbers"))?.expose();
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
