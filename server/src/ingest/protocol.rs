@@ -112,7 +112,7 @@ pub(crate) struct RefusedObservation {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct NewName {
     pub name: StateName,
-    /// Its declared shape.
+    /// The shape that the message declares for the state; `None`: not declared.
     pub shape: Option<StateShape>,
 }
 
@@ -284,7 +284,7 @@ pub(crate) enum StreamData {
 /// A producer of a map.
 #[derive(Clone, Debug)]
 pub(crate) struct KnownProducer {
-    /// Its number.
+    /// Number of the producer within the map.
     pub id: ProducerId,
     /// How far its sequence is durable.
     pub mark: ProducerMark,

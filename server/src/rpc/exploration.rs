@@ -59,7 +59,7 @@ pub(crate) struct Explorations {
 }
 
 impl Explorations {
-    /// Plans within these limits; models are fitted by the fitter of `queries`.
+    /// Plans within these limits; models are trained by the fitter of `queries`.
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
         // A plan keeps all processors busy; more at once only wait for each other.
         Self { catalog, limits, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }

@@ -1,7 +1,7 @@
 //! Fits models to the readings of a state or a cell, for the requests that ask for them.
 //!
 //! A request takes one view, and a permit before it computes. The view itself answers by the models `auto`, `mean`,
-//! `latest` and `spectral`, at once. All other models are fitted on request:
+//! `latest` and `spectral`, at once. All other models are trained on request:
 //!
 //! ```text
 //! the model cache ([`crate::model_cache`])   by map, generation, state, and model with its parameters
@@ -13,15 +13,15 @@
 //! the fit, on a blocking thread              the result is cached; the least recently used model goes
 //! ```
 //!
-//! - **Fitted to what updates have learned**, never to pending observations. The order of the readings, and so the
+//! - **Trained on what updates have learned**, never to pending observations. The order of the readings, and so the
 //!   model, is the same whether they are in files or not. Only persistence takes the newest value too, as `latest`
 //!   does.
-//! - **Fitted once.** Concurrent requests for a model share one fit. It goes on as long as one of them waits; when all
+//! - **Trained once.** Concurrent requests for a model share one fit. It goes on as long as one of them waits; when all
 //!   are dropped, it stops and gives its permit back.
-//! - **Unavailable is an answer.** A model that cannot be fitted (no history, too many readings, another kind of value)
-//!   is an error of `PredictStates`; in `EvaluateStates` its row is missing, and the reply has the reason.
+//! - **Unavailable is an answer.** A model that cannot be trained (no history, too many readings, another kind of
+//!   value) is an error of `PredictStates`; in `EvaluateStates` its row is missing, and the reply has the reason.
 //!
-//! Invariant: a model is fitted to exactly the observations that the view's updates have learned, so that a comparison
+//! Invariant: a model is trained on exactly the observations that the view's updates have learned, so that a comparison
 //! with pending observations is one with unseen data. A fit has its own permits: predictions do not wait for it.
 
 use std::{ops::Range, sync::Arc};
@@ -51,20 +51,20 @@ use crate::{
 
 mod positions;
 
-/// Fits models, or takes them from the cache.
+/// Trains models, or takes them from the cache.
 #[derive(Debug)]
 pub(super) struct ModelFitter {
     catalog: Arc<Catalog>,
     models: ModelCache,
-    /// The same for models of positions.
+    /// The cache of models of positions.
     positions: ModelCache<PositionModel>,
-    /// The same for models of states by place.
+    /// The cache of models of states by place.
     places: ModelCache<PlaceModel>,
-    /// Permits to gather readings and to fit, separate from those to predict.
+    /// Permits to gather readings and to train, separate from those to predict.
     permits: Permits,
-    /// Permits for models whose fit may take seconds, so that other fits do not wait for them.
+    /// Permits for models whose training may take seconds, so that others do not wait for them.
     slow_permits: Permits,
-    /// Permits to fit several models of a state: the holder keeps the readings from the first to the last fit.
+    /// Permits to train several models of a state: the holder keeps the readings from the first to the last model.
     comparing_permits: Permits,
     max_readings: u64,
 }
@@ -74,24 +74,24 @@ pub(super) struct ModelFitter {
 pub(super) struct LearnedState {
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
-    of: StateOrCell,
+    target: StateOrCell,
     samples: OnceCell<Arc<[Sample]>>,
 }
 
 impl LearnedState {
-    pub(super) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, of: StateOrCell) -> Arc<Self> {
-        Arc::new(Self { handle, view, of, samples: OnceCell::new() })
+    pub(super) fn new(handle: Arc<MapHandle>, view: Arc<MapView>, target: StateOrCell) -> Arc<Self> {
+        Arc::new(Self { handle, view, target, samples: OnceCell::new() })
     }
 
     fn observations(&self) -> u64 {
-        self.of.learned(&self.view)
+        self.target.learned(&self.view)
     }
 
     fn unavailable(&self, model: ModelKind, reason: impl Into<ModelUnavailable>) -> RpcError {
         RpcError::ModelUnavailable {
             model,
             map: self.handle.spec.name.as_str().to_owned(),
-            state: self.of.name(&self.view).into_owned(),
+            state: self.target.name(&self.view).into_owned(),
             reason: reason.into(),
         }
     }
@@ -140,7 +140,7 @@ impl ModelFitter {
         Ok(models)
     }
 
-    /// The model of a state, from the cache or fitted now.
+    /// The model of a state, from the cache or trained now.
     ///
     /// # Errors
     /// [`RpcError::ModelUnavailable`] if there can be no such model; others if the readings cannot be read.
@@ -151,7 +151,7 @@ impl ModelFitter {
     ) -> Result<Arc<CachedModel>, RpcError> {
         self.check(learned, kind)?;
         let (map, handle) = (learned.handle.id, learned.handle.number);
-        let (generation, subject) = (learned.view.generation(), learned.of.subject());
+        let (generation, subject) = (learned.view.generation(), learned.target.subject());
         let key = ModelKey { map, handle, generation, subject, kind, place: None };
         if let Some(fitted) = self.models.get(&key) {
             return Ok(fitted);
@@ -216,12 +216,13 @@ impl ModelFitter {
 
     /// Checks what is known without reading any observation.
     fn check(&self, learned: &LearnedState, kind: ModelKind) -> Result<(), RpcError> {
-        let retention = retention(&learned.handle.spec, learned.of.subject());
+        let retention = retention(&learned.handle.spec, learned.target.subject());
         let retention = retention.ok_or_else(|| {
-            let option = if matches!(learned.of, StateOrCell::Cell(_)) { "--grid-retention" } else { "--retention" };
+            let option =
+                if matches!(learned.target, StateOrCell::Cell(_)) { "--grid-retention" } else { "--retention" };
             learned.unavailable(kind, ModelUnavailable::NotKept { option })
         })?;
-        let found = learned.of.kind(&learned.view);
+        let found = learned.target.kind(&learned.view);
         if !kind.supports(found) {
             let expected = kind.info().states.values();
             return Err(learned.unavailable(kind, ModelUnavailable::OtherKind { expected, found }));
@@ -244,10 +245,10 @@ impl ModelFitter {
         let permit = if is_slow { self.slow_permits.take().await? } else { self.permits.take().await? };
         let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind, &stop)).await?;
         let (samples, handle) = (Arc::clone(samples), Arc::clone(&learned.handle));
-        let of = learned.of.kind(&learned.view);
+        let state_kind = learned.target.kind(&learned.view);
         let fit = move || {
             let is_set = || stop.is_set();
-            CachedModel::train(kind, of, &samples, &handle.spec, StopSignal::new(&is_set))
+            CachedModel::train(kind, state_kind, &samples, &handle.spec, StopSignal::new(&is_set))
         };
         let fitted = run_blocking(permit, fit).await?;
         fitted.map_err(|error| learned.unavailable(kind, error))
@@ -260,7 +261,7 @@ impl ModelFitter {
         kind: ModelKind,
         stop: &Arc<FitStop>,
     ) -> Result<Arc<[Sample]>, RpcError> {
-        let subject = learned.of.subject();
+        let subject = learned.target.subject();
         let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
         // Without pending observations, and without waiting for a running update.
         let mut tail = read(&learned.handle, &ReadingsQuery { subject, within_nanos: 0..0, enough }).await?;
@@ -280,14 +281,14 @@ impl ModelFitter {
             not_replaced(&learned.handle)?;
             match lacking(readings.len() as u64, max) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),
-                None => Ok(learned.of.samples(&learned.view, readings).into()),
+                None => Ok(learned.target.samples(&learned.view, readings).into()),
             }
         };
         tokio::task::spawn_blocking(gather).await.map_err(|_| RpcError::Stopping)?
     }
 }
 
-/// Why a model cannot be fitted to the `kept` ones of the learned readings, if `max` are allowed.
+/// Why a model cannot be trained on the `kept` ones of the learned readings, if `max` are allowed.
 fn lacking(kept: u64, max: u64) -> Option<ModelUnavailable> {
     match kept {
         _ if kept > max => Some(ModelUnavailable::TooMany { got: kept, max }),

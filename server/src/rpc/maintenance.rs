@@ -91,7 +91,7 @@ fn save_error(catalog: &Catalog, job: &UpdateJob, published: Option<(u64, i64)>)
 /// The row of all cells of the grid: the most frequent orders, and the errors with each cell's own order.
 fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
     // Ties: the lower order.
-    let most = |cells_by_order: &[u64]| {
+    let most_frequent_order = |cells_by_order: &[u64]| {
         let orders = cells_by_order.iter().enumerate().rev();
         let order = orders.max_by_key(|(_, cells)| **cells).map_or(0, |(order, _)| order);
         u32::try_from(order).unwrap_or(u32::MAX)
@@ -100,13 +100,15 @@ fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
     let scored = (cells.scored > 0).then_some(cells.scored as f64);
     v1::StateUpdate {
         state: "cell/*".to_owned(),
-        order_before: most(&grid.cells_by_order_before),
-        order: most(&grid.cells_by_order),
+        order_before: most_frequent_order(&grid.cells_by_order_before),
+        order: most_frequent_order(&grid.cells_by_order),
         mean_squared_error_before: scored.map(|scored| cells.squared_error_in_force / scored),
         mean_squared_error: scored.map(|scored| cells.squared_error_chosen / scored),
         observations: cells.observations,
         scored: cells.scored,
-        model: Some(selector_to_wire(ModelSelector::default().answering_with(most(&grid.cells_by_order) as usize))),
+        model: Some(selector_to_wire(
+            ModelSelector::default().answering_with(most_frequent_order(&grid.cells_by_order) as usize),
+        )),
     }
 }
 

@@ -17,7 +17,7 @@ use crate::{ingest::handle::MapHandle, model_cache::CachedModel, state_or_cell::
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
-/// Times at which a fitted model predicts between two looks at the stop signal: the slowest takes some 0.1 ms for one.
+/// Times at which a trained model predicts between two looks at the stop signal: the slowest takes some 0.1 ms for one.
 pub(super) const FITTED_TIMES: usize = 256;
 
 /// What a prediction for a plan needs.
@@ -32,7 +32,7 @@ pub(super) struct PredictContext<'a> {
 /// Probabilities that the states or cells are 1 at the times.
 ///
 /// # Errors
-/// Too many predictions, or a model cannot be fitted.
+/// Too many predictions, or a model cannot be trained.
 pub(super) async fn predict_series(
     context: PredictContext<'_>,
     handle: &Arc<MapHandle>,
@@ -85,13 +85,13 @@ pub(super) struct Predictor {
     view: Arc<MapView>,
     states: Vec<StateId>,
     selector: ModelSelector,
-    /// Fitted models, one per state; empty if none is needed.
+    /// Trained models, one per state; empty if none is needed.
     fitted: Vec<Arc<CachedModel>>,
 }
 
 impl Predictor {
     /// # Errors
-    /// A model cannot be fitted.
+    /// A model cannot be trained.
     pub(super) async fn new(
         context: PredictContext<'_>,
         handle: &Arc<MapHandle>,
@@ -117,7 +117,7 @@ impl Predictor {
         self.at_moments(index, &self.view.moments(&[time_nanos]), None)
     }
 
-    /// The same at the first of prepared times.
+    /// Probability that a state, by its index, is 1 at the first of prepared times.
     pub(super) fn at_prepared(&self, index: usize, times: &PreparedTimes) -> f64 {
         self.at_moments(index, times.moments(), Some(times))
     }

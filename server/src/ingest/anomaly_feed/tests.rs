@@ -126,8 +126,8 @@ fn models_of_two_generations_are_kept_however_far_one_lags() {
         map.finish_update(result);
     }
     let mut judged_by = Vec::new();
-    while let Ok(told) = listening.try_recv() {
-        let FeedMessage::Applied(piece) = &*told else { panic!("no end") };
+    while let Ok(message) = listening.try_recv() {
+        let FeedMessage::Applied(piece) = &*message else { panic!("no end") };
         judged_by.push(piece.models.upgrade().map(|models| models.generation()));
     }
     assert_eq!(judged_by, [None, None, Some(2), Some(3)]);

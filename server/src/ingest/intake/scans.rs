@@ -91,11 +91,11 @@ impl ScanIntake {
         let Some(cells) = &self.ray_cells else { return 0 };
         let (rays, is_open) = (message.rays(), self.open_sequence().is_some());
         let last = rays.len().saturating_sub(1);
-        let of = |(number, rays): (usize, Option<SentRays<'_>>)| {
+        let message_cells = |(number, rays): (usize, Option<SentRays<'_>>)| {
             let is_part = (number == 0 && is_open) || (number == last && message.continues());
             rays.map_or(0, |rays| if is_part { cells.of_part(rays) } else { cells.of_scan(rays) })
         };
-        rays.enumerate().map(of).fold(0, u64::saturating_add)
+        rays.enumerate().map(message_cells).fold(0, u64::saturating_add)
     }
 
     /// Ray-casts readings; the result is flips against the last ray-cast scan.

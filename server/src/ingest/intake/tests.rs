@@ -78,7 +78,7 @@ fn known_numbers_with_other_content_end_the_stream() {
         vec![mark(&before), mark(&after)]
     };
     let again = || Intake::new(4, after.span.content_crc, limits(9, 9), None).with_known_content(marks());
-    // The same content in any parts is fine, also with new observations behind it.
+    // Equal content is accepted in any parts, and with new observations behind it.
     for parts in [&[4][..], &[2, 2], &[1, 3], &[1, 1, 1, 1]] {
         let (mut stream, mut next) = (again(), 1);
         for &part in parts {

@@ -92,9 +92,9 @@ impl Sessions {
 }
 
 /// The refusal of an observation whose time is in the future, when no more may wait.
-pub(super) fn too_far_ahead(time_nanos: i64, most: u64) -> String {
+pub(super) fn too_far_ahead(time_nanos: i64, max: u64) -> String {
     format!(
-        "time {time_nanos} ns is more than 5 minutes ahead of the server's clock, and {most} observations wait for their \
+        "time {time_nanos} ns is more than 5 minutes ahead of the server's clock, and {max} observations wait for their \
          time already, which is the maximum"
     )
 }

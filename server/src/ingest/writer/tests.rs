@@ -306,7 +306,7 @@ fn send(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>) {
     send_values(handle, robot, times, values);
 }
 
-/// The same with these values.
+/// Sends observations of one state with these values, without waiting.
 fn send_values(handle: &MapHandle, robot: &mut Robot, times: Vec<i64>, values: Vec<f64>) {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
     let first = robot.sent == robot.opened.durable_sequence;

@@ -83,10 +83,10 @@ pub(super) async fn get_information(
             let asked = explorations.clone();
             Ok(stream_replies(move |sink| async move {
                 for (name, states) in targets {
-                    let of = (states, times_nanos.clone());
+                    let wanted = (states, times_nanos.clone());
                     let rows = tokio::select! {
                         () = sink.closed() => return Ok(()),
-                        rows = predict_series(asked.predict_context(), &handle, &view, of, selector) => rows?,
+                        rows = predict_series(asked.predict_context(), &handle, &view, wanted, selector) => rows?,
                     };
                     let answer = reply(&name, &rows, times_nanos.len(), certainty);
                     let to = sink.clone();

@@ -79,9 +79,9 @@ pub(super) async fn find_members(
     }
     let cells = asked.iter().flat_map(|location| &location.cells).map(|cell| cell.name()).collect();
     let mut cells = find_all(view, |_| "locations".to_owned(), cells).await?.into_iter();
-    let of = |location: &Location| {
+    let members = |location: &Location| {
         let states = location.states.iter().map(|&id| StateOrCell::State(id));
         states.chain(cells.by_ref().take(location.cells.len())).collect()
     };
-    Ok(asked.into_iter().map(of).collect())
+    Ok(asked.into_iter().map(members).collect())
 }

@@ -108,8 +108,8 @@ impl Slot<'_> {
         }
         day_slots(self.view, self.question)?;
         let slot_nanos = self.question.slot_nanos;
-        let of = (slot_nanos, times);
-        let rows = predict_presence(self.explorations, self.handle, self.view, self.locations, of).await?;
+        let slot_times = (slot_nanos, times);
+        let rows = predict_presence(self.explorations, self.handle, self.view, self.locations, slot_times).await?;
         Ok(SlotForecast { rows, members: &self.locations.members })
     }
 

@@ -28,7 +28,7 @@ impl ModelFitter {
         if first.observations() == 0 {
             return Err(first.unavailable(kind, ModelUnavailable::Unlearned));
         }
-        let (map, generation, subject) = (first.handle.id, first.view.generation(), first.of.subject());
+        let (map, generation, subject) = (first.handle.id, first.view.generation(), first.target.subject());
         let key = ModelKey { map, handle: first.handle.number, generation, subject, kind, place: None };
         if let Some(model) = self.positions.get(&key) {
             return Ok(model);
@@ -82,7 +82,7 @@ impl ModelFitter {
                 return Err(state.unavailable(kind, ModelUnavailable::Unlearned));
             }
         }
-        let (map, generation, subject) = (learned.handle.id, learned.view.generation(), learned.of.subject());
+        let (map, generation, subject) = (learned.handle.id, learned.view.generation(), learned.target.subject());
         let key = ModelKey { map, handle: learned.handle.number, generation, subject, kind, place: Some(place) };
         if let Some(model) = self.places.get(&key) {
             return Ok(model);

@@ -40,7 +40,8 @@ use crate::{
 
 /// Maximum number of error sums of one evaluation, one per state, model and order: 24 MB, which fits into a reply.
 const SUMS_MAX: usize = 1_000_000;
-/// Observations that wait to be compared, 12 MB: with fewer, models that the cache does not keep are fitted more often.
+/// Observations that wait to be compared, 12 MB: with fewer, models that the cache does not keep are trained more
+/// often.
 const WAITING_MAX: usize = 500_000;
 
 pub(super) async fn evaluate_states(

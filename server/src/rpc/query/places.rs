@@ -1,7 +1,7 @@
 //! `PredictAtPlaces`: a state by place and time.
 //!
-//! Invariant: the number of predictions and densities is checked before anything is fitted. Answers are in the order of
-//! the places, and of the times of each.
+//! Invariant: the number of predictions and densities is checked before anything is trained. Answers are in the order
+//! of the places, and of the times of each.
 
 use std::sync::Arc;
 
@@ -46,7 +46,7 @@ pub(super) async fn predict_at_places(
     check_limit("predictions, places times times", predictions, PREDICTIONS_MAX, "one request")?;
     let densities = predictions.saturating_mul(question.density_values.len() as u64);
     check_limit("densities", densities, DENSITIES_MAX, "one request")?;
-    let learned = |of| LearnedState::new(Arc::clone(&handle), Arc::clone(&view), of);
+    let learned = |target| LearnedState::new(Arc::clone(&handle), Arc::clone(&view), target);
     let axes = (first.0..).take(coordinates).map(|axis| learned(StateId(axis).into())).collect();
     let observations = state.learned(&view);
     let model = queries.fitting.place_model(learned(state), axes, first, question.kind).await?;

@@ -1,7 +1,7 @@
 //! `PredictPositions`: where something will be, as probabilities of the cells of a region.
 //!
 //! Invariant: the probabilities of the cells of a time and of everything outside sum up to 1. The number of cells is
-//! checked before anything is fitted or computed, except for a region that follows from the observations.
+//! checked before anything is trained or computed, except for a region that follows from the observations.
 
 use std::sync::Arc;
 

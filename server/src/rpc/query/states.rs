@@ -123,7 +123,7 @@ pub(super) async fn predict_states(
     }))
 }
 
-/// Predicts by models that are fitted to the readings of states and cells, one after the other. The permit is free
+/// Predicts by models that are trained on the readings of states and cells, one after the other. The permit is free
 /// during a fit.
 fn predict_fitted(
     queries: &Queries,
@@ -159,7 +159,7 @@ fn predict_fitted(
     })
 }
 
-/// Predicts one state by a fitted model, or an angle by those of its cosine and its sine. `false`: the client is gone.
+/// Predicts one state by a trained model, or an angle by those of its cosine and its sine. `false`: the client is gone.
 fn predict_one(
     view: &MapView,
     (axis, sources): (StateAxis, &[(StateOrCell, Arc<CachedModel>)]),

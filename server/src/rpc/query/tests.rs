@@ -94,7 +94,7 @@ impl Bench {
         Self { queries: Queries::new(catalog, limits), handle }
     }
 
-    /// The same after a restart.
+    /// The daemon after a restart, with the data of this one.
     async fn again(self, dir: &Path) -> Self {
         let Self { queries, handle } = self;
         queries.catalog.stop().await;

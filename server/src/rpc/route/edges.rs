@@ -70,12 +70,12 @@ impl Edges {
 }
 
 /// The forecasts for a planner, in seconds after a reference time in nanoseconds UTC.
-pub(super) struct Ahead<'a> {
+pub(super) struct ForecastsFrom<'a> {
     pub(super) edges: &'a Edges,
     pub(super) reference_nanos: i64,
 }
 
-impl Forecasts for Ahead<'_> {
+impl Forecasts for ForecastsFrom<'_> {
     fn at(&mut self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast> {
         Some(self.edges.forecast(edge, later(self.reference_nanos, at_secs)))
     }

@@ -38,16 +38,16 @@ pub(super) fn find_node(map: &str, topology: &Topology, name: &str) -> Result<No
 
 /// The nodes to search with their states, and those without observations.
 #[derive(Default)]
-pub(super) struct Places {
+pub(super) struct NodeStates {
     pub(super) nodes: Vec<NodeId>,
     pub(super) states: Vec<StateId>,
     pub(super) unobserved: Vec<String>,
     pub(super) unobserved_nodes: u32,
 }
 
-impl Places {
-    fn of(view: &MapView, topology: &Topology, object: &str) -> Result<Places, RpcError> {
-        let mut places = Places::default();
+impl NodeStates {
+    fn of(view: &MapView, topology: &Topology, object: &str) -> Result<NodeStates, RpcError> {
+        let mut places = NodeStates::default();
         for node in topology.nodes() {
             let state = view.find(&state_at(node.name.as_str(), object));
             match state.filter(|&id| view.live(id).observations > 0) {
@@ -80,14 +80,14 @@ impl Places {
         map: &str,
         view: &Arc<MapView>,
         object: &str,
-    ) -> Result<Places, RpcError> {
+    ) -> Result<NodeStates, RpcError> {
         let topology = view.site().topology();
         if topology.nodes().len() == 0 {
             return Err(RouteError::NoNodes(map.to_owned()).into());
         }
-        let (of, over, object) = (Arc::clone(view), Arc::clone(topology), object.to_owned());
+        let (shared_view, shared_topology, object) = (Arc::clone(view), Arc::clone(topology), object.to_owned());
         let example = topology.nodes().next().map_or_else(String::new, |node| state_at(node.name.as_str(), &object));
-        let places = routes.run_blocking(move || Places::of(&of, &over, &object)).await??;
+        let places = routes.run_blocking(move || NodeStates::of(&shared_view, &shared_topology, &object)).await??;
         if places.nodes.is_empty() {
             return Err(RouteError::NothingObserved { map: map.to_owned(), example }.into());
         }

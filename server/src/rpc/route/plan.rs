@@ -26,13 +26,13 @@ use tidemap_proto::{
 
 use super::{
     Routes,
-    edges::{Ahead, Edges},
+    edges::{Edges, ForecastsFrom},
     places::find_node,
 };
 use crate::rpc::status::{RouteError, RpcError};
 
 /// Maximum number of edges of a reply.
-const EDGES_TOLD_MAX: usize = 100_000;
+const REPORTED_EDGES_MAX: usize = 100_000;
 
 pub(super) async fn plan_route(
     routes: &Routes,
@@ -49,7 +49,7 @@ pub(super) async fn plan_route(
 
     let (over, ends) = (Arc::clone(&topology), (request.from, request.to));
     let work = move |stop: StopSignal<'_>| {
-        let mut ahead = Ahead { edges: &edges, reference_nanos: question.reference_nanos };
+        let mut ahead = ForecastsFrom { edges: &edges, reference_nanos: question.reference_nanos };
         let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, || stop.is_set());
         match planned {
             Ok(planned) => Ok(routes_to_wire(&planned, question.reference_nanos, &over, |edge| {
@@ -89,7 +89,7 @@ pub(super) async fn plan_policy(
     }
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
     let work = move |stop: StopSignal<'_>| {
-        let mut ahead = Ahead { edges: &edges, reference_nanos: time_nanos };
+        let mut ahead = ForecastsFrom { edges: &edges, reference_nanos: time_nanos };
         let table = solve_policy(&topology, to, &options, &mut ahead, || stop.is_set()).map_err(RouteError::from)?;
         Ok::<_, RouteError>(policy_to_wire(&table, time_nanos, &topology))
     };
@@ -106,8 +106,8 @@ pub(super) async fn predict_edges(
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let confidence = confidence_from_wire(request.confidence)?;
     let found = topology.edges().len();
-    if found > EDGES_TOLD_MAX {
-        return Err(RouteError::TooManyEdges { found, most: EDGES_TOLD_MAX }.into());
+    if found > REPORTED_EDGES_MAX {
+        return Err(RouteError::TooManyEdges { found, max: REPORTED_EDGES_MAX }.into());
     }
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
     let work = move |stop: StopSignal<'_>| {

@@ -11,7 +11,7 @@ use tidemap_proto::{
     v1,
 };
 
-use super::{Routes, places::Places};
+use super::{Routes, places::NodeStates};
 use crate::{
     rpc::{
         lookup::{check_kind, check_limit, find_all, find_map},
@@ -31,8 +31,8 @@ pub(super) async fn predict_presence(
     let handle = find_map(&routes.catalog, &request.map).await?;
     let view = handle.view();
     let PresenceQuestion { times_nanos: times, selector, object } = presence_from_wire(request)?;
-    let Places { nodes, states, unobserved, unobserved_nodes } =
-        Places::asked(routes, handle.spec.name.as_str(), &view, &object).await?;
+    let NodeStates { nodes, states, unobserved, unobserved_nodes } =
+        NodeStates::asked(routes, handle.spec.name.as_str(), &view, &object).await?;
     let rows = predict_series(routes.predict_context(), &handle, &view, (states, times.clone()), selector).await?;
     let at = |(index, &time_nanos): (usize, &i64)| {
         let probabilities: Vec<f64> = rows.iter().map(|row| row[index].clamp(0.0, 1.0)).collect();

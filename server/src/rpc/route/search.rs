@@ -21,7 +21,7 @@ use tidemap_proto::{
 use super::{
     Routes,
     edges::Edges,
-    places::{Places, find_node},
+    places::{NodeStates, find_node},
 };
 use crate::rpc::{
     series::{Predictor, predict_series},
@@ -49,8 +49,8 @@ pub(super) async fn plan_search(
     let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let object = object_from_wire(request.object)?;
-    let places = Places::asked(routes, &request.map, &view, &object).await?;
-    let Places { nodes, states, unobserved, unobserved_nodes } = places;
+    let places = NodeStates::asked(routes, &request.map, &view, &object).await?;
+    let NodeStates { nodes, states, unobserved, unobserved_nodes } = places;
     check_count(nodes.len(), options.effort, request.for_arrival).map_err(RouteError::from)?;
 
     let asked = (states.clone(), vec![time_nanos]);

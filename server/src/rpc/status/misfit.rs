@@ -29,10 +29,10 @@ pub(crate) enum Problem {
     #[error("{found} numbers: each place has {each}")]
     Places { found: usize, each: usize },
     #[error(
-        "{},{} lies outside of {of}: x from {} to {} m, y from {} to {} m",
+        "{},{} lies outside of {area}: x from {} to {} m, y from {} to {} m",
         at_m[0], at_m[1], low_m[0], high_m[0], low_m[1], high_m[1]
     )]
-    Outside { at_m: [f64; 2], of: &'static str, low_m: [f64; 2], high_m: [f64; 2] },
+    Outside { at_m: [f64; 2], area: &'static str, low_m: [f64; 2], high_m: [f64; 2] },
     #[error("the map has neither locations nor states to explore")]
     NothingToExplore,
     #[error("location {location:?} has {members} states and cells: it needs one state")]

@@ -40,8 +40,8 @@ pub(crate) enum RouteError {
     Policy(#[from] PolicyError),
     #[error("{nodes} nodes in {slots} slots: at most {POLICY_CELLS_MAX} of both together; use fewer, wider slots")]
     PolicyTooLarge { nodes: usize, slots: usize },
-    #[error("the map has {found} edges: at most {most} fit into one reply")]
-    TooManyEdges { found: usize, most: usize },
+    #[error("the map has {found} edges: at most {max} fit into one reply")]
+    TooManyEdges { found: usize, max: usize },
     #[error(transparent)]
     Roads(#[from] RoadsError),
     #[error("threshold: {0}")]

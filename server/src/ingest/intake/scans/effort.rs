@@ -20,7 +20,7 @@ mod tests;
 #[derive(Debug)]
 pub(super) struct RayCells {
     per_metre: f64,
-    most: f64,
+    max_cells: f64,
 }
 
 impl RayCells {
@@ -28,12 +28,13 @@ impl RayCells {
         // Along each axis a ray passes one border per cell length, and one more.
         let per_metre = 3f64.sqrt() / spec.resolution_m;
         let across = spec.allowed().size().iter().fold(1u64, |sum, size| sum.saturating_add(*size));
-        RayCells { per_metre, most: across.min(RAY_CELLS_MAX) as f64 }
+        RayCells { per_metre, max_cells: across.min(RAY_CELLS_MAX) as f64 }
     }
 
     fn of(&self, ranges: impl Iterator<Item = f64>, max_range_m: f64) -> u64 {
         // NaN is no reading, and negative ranges are ignored.
-        ranges.map(|range| (range.min(max_range_m).max(0.0) * self.per_metre + 4.0).min(self.most)).sum::<f64>() as u64
+        ranges.map(|range| (range.min(max_range_m).max(0.0) * self.per_metre + 4.0).min(self.max_cells)).sum::<f64>()
+            as u64
     }
 
     /// Of a part of a scan as sent. The limits may be in another part.

@@ -301,7 +301,7 @@ async fn updates_of_scans_are_saved_with_their_history_and_paged_out() {
             |i: i64| (day(from) + i * MINUTE, vec![(tile(0), masks(&[1, 2], if i % 2 == 0 { &[2] } else { &[] }))]);
         (0..40).map(at).collect()
     };
-    let told = {
+    let description = {
         let bench = bench_with(dir.path(), NOON, |context| context.tile_cache_bytes = 1);
         let handle = create_with(&bench, Some(grid())).await;
         let mut robot = scanner(&handle, "r", true).await;
@@ -325,7 +325,7 @@ async fn updates_of_scans_are_saved_with_their_history_and_paged_out() {
     };
     let bench = bench_with(dir.path(), NOON, |context| context.tile_cache_bytes = 1);
     let handle = bench.catalog.get("office").expect("there");
-    assert_eq!(describe(&handle), told);
+    assert_eq!(describe(&handle), description);
     let history = bench.catalog.context().store.history(handle.id).expect("known");
     let kept: u64 =
         history.grid_days(0, i64::MAX, None).map(|days| days.expect("readable").outliers.scans.len() as u64).sum();
@@ -348,14 +348,14 @@ async fn updates_of_scans_are_saved_with_their_history_and_paged_out() {
         let cell = view.grid().expect("a grid").describe(cell).expect("readable").expect("known");
         assert_eq!((cell.folded, cell.changed), (folded, true));
         if round == 1 {
-            let told = describe(&handle);
+            let description = describe(&handle);
             for _ in 0..600 {
                 if handle.tile_bytes() == 0 {
                     break;
                 }
                 tokio::time::sleep(Duration::from_millis(50)).await;
             }
-            assert_eq!((handle.tile_bytes(), describe(&handle)), (0, told));
+            assert_eq!((handle.tile_bytes(), describe(&handle)), (0, description));
             assert_eq!(scanner(&handle, "other", false).await.show(&handle, &scans(5)).await, []);
         }
     }

@@ -151,9 +151,9 @@ async fn a_large_grid_comes_in_pages_of_one_view() {
     assert_eq!((tiles.len() as u64, header.cells), (header.tiles, 800 * 512));
     let question = GridQuestion { utc_nanos: NOON + MINUTE, ..GridQuestion::default() };
     let selection = view.grid().expect("a grid").select(&question);
-    for (told, expected) in tiles.iter().zip(view.predict_grid(&question, &selection)) {
+    for (answered, expected) in tiles.iter().zip(view.predict_grid(&question, &selection)) {
         let expected: TileCells = expected.expect("in memory");
-        assert_eq!((told.x, told.y, told.z), (expected.index.x, expected.index.y, expected.index.z));
-        assert_eq!(told.values, expected.values);
+        assert_eq!((answered.x, answered.y, answered.z), (expected.index.x, expected.index.y, expected.index.z));
+        assert_eq!(answered.values, expected.values);
     }
 }

@@ -12,13 +12,13 @@ fn spec(extent: Option<CellBox>) -> GridSpec {
 
 #[test]
 fn no_more_have_a_turn_than_may() {
-    let (permits, inside, most) = (CastPermits::new(2), AtomicUsize::new(0), AtomicUsize::new(0));
+    let (permits, inside, highest) = (CastPermits::new(2), AtomicUsize::new(0), AtomicUsize::new(0));
     std::thread::scope(|scope| {
         for _ in 0..8 {
             scope.spawn(|| {
                 for _ in 0..50 {
                     let permit = permits.take();
-                    most.fetch_max(inside.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
+                    highest.fetch_max(inside.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
                     std::thread::yield_now();
                     inside.fetch_sub(1, Ordering::SeqCst);
                     drop(permit);
@@ -26,7 +26,7 @@ fn no_more_have_a_turn_than_may() {
             });
         }
     });
-    assert!(most.into_inner() <= 2);
+    assert!(highest.into_inner() <= 2);
     let queue = permits.queue();
     assert_eq!((queue.free, queue.next, queue.first), (2, 400, 400));
 }
