@@ -3,7 +3,13 @@
 use std::path::Path;
 
 use tidemap_map::{
-    event::UpdateCause, ids::StateId, live_map::LiveMap, name::MapName, snapshot::MapSnapshot, spec::MapSpec,
+    event::UpdateCause,
+    history::origins::{OriginRun, Origins},
+    ids::{ProducerId, StateId},
+    live_map::LiveMap,
+    name::MapName,
+    snapshot::MapSnapshot,
+    spec::MapSpec,
 };
 use tidemap_store::{MapId, Store, StoreOptions};
 
@@ -23,16 +29,22 @@ fn pieces() -> Vec<Arc<HistoryPiece>> {
         // Values identify the updates.
         let value = generation as f64 / 8.0;
         let always = vec![sample(hour, value), sample(hour, value + 0.01), sample(hour - 30, value + 0.02)];
+        let origins = |first: u64, count: u32| Origins {
+            runs: vec![OriginRun { producer: ProducerId(1), first, count }],
+            ..Origins::default()
+        };
         let mut states = vec![(StateId(1), always)];
+        let mut observers = vec![origins(3 * generation - 2, 3)];
         if generation.is_multiple_of(2) {
             states.push((StateId(4), vec![sample(hour + 1, value), sample(24, value)]));
+            observers.push(origins(generation - 1, 2));
         }
         let piece = HistoryPiece {
             from_nanos: (hour - 30).min(24) * HOUR,
             to_nanos: (hour + 1) * HOUR,
             ..HistoryPiece::new(generation)
         };
-        Arc::new(HistoryPiece { states, ..piece })
+        Arc::new(HistoryPiece { states, origins: observers, ..piece })
     };
     (1..=6).map(piece).collect()
 }
