@@ -5,7 +5,7 @@
 //! waits any more; no lock is held meanwhile. A failure is not kept.
 
 use std::{
-    collections::HashMap,
+    collections::{BTreeMap, HashMap},
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicUsize, Ordering},
@@ -111,8 +111,9 @@ pub(crate) struct ModelCache<T = CachedModel> {
 
 #[derive(Debug)]
 struct CacheEntries<T> {
-    /// Each with the number of its last use.
     slots: HashMap<ModelKey, (CacheSlot<T>, u64)>,
+    /// The keys of `slots` by their last use, oldest first.
+    by_use: BTreeMap<u64, ModelKey>,
     uses: u64,
 }
 
@@ -122,7 +123,7 @@ impl<T> ModelCache<T> {
         let max = max.clamp(1, Semaphore::MAX_PERMITS);
         Self {
             max,
-            entries: Mutex::new(CacheEntries { slots: HashMap::new(), uses: 0 }),
+            entries: Mutex::new(CacheEntries { slots: HashMap::new(), by_use: BTreeMap::new(), uses: 0 }),
             reserved: Arc::new(Semaphore::new(max)),
         }
     }
@@ -182,6 +183,8 @@ impl<T> CacheEntries<T> {
     fn used(&mut self, key: &ModelKey) -> Option<CacheSlot<T>> {
         let (slot, last_use) = self.slots.get_mut(key)?;
         self.uses += 1;
+        self.by_use.remove(last_use);
+        self.by_use.insert(self.uses, *key);
         *last_use = self.uses;
         Some(Arc::clone(slot))
     }
@@ -192,27 +195,32 @@ impl<T> CacheEntries<T> {
             return slot;
         }
         while self.slots.len() >= max {
-            // A scan of all, because a fit follows, which takes far longer.
-            let idle = self.slots.iter().filter(|(_, (slot, _))| !is_in_flight(slot));
-            let Some(key) = idle.min_by_key(|(_, (_, last_use))| *last_use).map(|(key, _)| *key) else { break };
-            self.slots.remove(&key);
+            let Some(&last_use) = self.by_use.iter().find(|(_, key)| !self.is_in_flight(key)).map(|(at, _)| at) else {
+                break;
+            };
+            if let Some(key) = self.by_use.remove(&last_use) {
+                self.slots.remove(&key);
+            }
         }
         self.uses += 1;
         let slot = CacheSlot::default();
         self.slots.insert(key, (Arc::clone(&slot), self.uses));
+        self.by_use.insert(self.uses, key);
         slot
+    }
+
+    /// Whether a request waits for the model: if its slot were removed, the next request would train it again.
+    fn is_in_flight(&self, key: &ModelKey) -> bool {
+        self.slots.get(key).is_some_and(|(slot, _)| !slot.model.initialized() && Arc::strong_count(slot) > 1)
     }
 
     /// Removes a slot that has no model.
     fn forget(&mut self, key: &ModelKey, slot: &CacheSlot<T>) {
         let is_empty = |(kept, _): &(CacheSlot<T>, u64)| Arc::ptr_eq(kept, slot) && !kept.model.initialized();
-        if self.slots.get(key).is_some_and(is_empty) {
-            self.slots.remove(key);
+        if self.slots.get(key).is_some_and(is_empty)
+            && let Some((_, last_use)) = self.slots.remove(key)
+        {
+            self.by_use.remove(&last_use);
         }
     }
-}
-
-/// Whether a request waits for the model: if its slot were removed, the next request would fit it again.
-fn is_in_flight<T>(slot: &CacheSlot<T>) -> bool {
-    !slot.model.initialized() && Arc::strong_count(slot) > 1
 }

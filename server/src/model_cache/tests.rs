@@ -83,7 +83,7 @@ async fn the_least_recently_used_model_goes() {
     let kept: Vec<u32> = (1..=6).filter(|&state| cache.get(&key(state)).is_some()).collect();
     assert_eq!(kept, [4, 5, 6]);
     let inner = cache.entries.lock().expect("no panic");
-    assert_eq!(inner.slots.len(), 3);
+    assert_eq!((inner.slots.len(), inner.by_use.len()), (3, 3));
 }
 
 #[tokio::test]
