@@ -28,9 +28,6 @@ use crate::{
 
 /// Makes the list of maps of a new data directory. Safe to run again: a list that is there stays.
 pub(crate) fn make_first(disk: &dyn Disk, directory: &Path) -> Result<(), OpenError> {
-    if !disk.list(directory).map_err(open_io(directory))?.iter().any(|name| name == "maps") {
-        disk.create_folder(&folders::maps_folder(directory)).map_err(open_io(directory))?;
-    }
     let file = directory.join(MAPS_FILE);
     if disk.length(&file).is_ok() {
         return Ok(());

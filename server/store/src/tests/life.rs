@@ -103,6 +103,19 @@ fn maps_without_a_manifest_are_not_taken_for_a_new_directory() {
 }
 
 #[test]
+fn a_first_start_that_ended_before_the_manifest_is_repeated() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    // The manifest cannot be written.
+    let obstacle = directory.path().join("MANIFEST.new");
+    fs::create_dir(&obstacle).expect("creatable");
+    let error = Store::open(directory.path(), options()).expect_err("no manifest");
+    assert!(matches!(error, OpenError::Manifest(ManifestError::Io { .. })), "{error}");
+    assert!(directory.path().join("MAPS").exists());
+    fs::remove_dir(&obstacle).expect("removable");
+    assert_eq!(Store::open(directory.path(), options()).expect("opens").store_id(), STORE_ID);
+}
+
+#[test]
 fn a_new_directory_needs_an_identity_and_is_created() {
     let directory = tempfile::tempdir().expect("temporary directory");
     let new = directory.path().join("a/b");
