@@ -1,4 +1,4 @@
-//! The RPCs that links ask, as any client does: with the caller's token, and by the same guard and bounds.
+//! Calls of RPCs that answer a link. They use the caller's token, and the same guard and bounds as calls of any client.
 //!
 //! Invariant: types of the wire go no further than here.
 
@@ -65,14 +65,22 @@ pub(super) struct Calls<'a> {
     pub map: &'a str,
 }
 
-/// What does not make sense in a reply of this daemon is a defect of it.
+/// The error of an invalid reply: the daemon itself sent it, so this is a defect of the daemon.
 fn senseless(error: impl std::fmt::Display) -> Status {
     Status::internal(error.to_string())
 }
 
+/// Converts a reply in a blocking thread, because it may be large.
+async fn converted<T: Send + 'static, E: std::fmt::Display + Send + 'static>(
+    convert: impl FnOnce() -> Result<T, E> + Send + 'static,
+) -> Result<T, Status> {
+    let done = tokio::task::spawn_blocking(convert).await.map_err(|_| Status::internal("the work was not done"))?;
+    done.map_err(senseless)
+}
+
 impl Calls<'_> {
-    /// The header of a grid's prediction, and its cells if not only an estimate is asked for: those of the lowest layer
-    /// of each tile, with their values.
+    /// Predicts a grid and returns the header. Unless `estimate_only`, `take` gets the cells of the lowest layer of
+    /// each tile, with their values.
     ///
     /// # Errors
     /// The RPC refused or failed.
@@ -106,7 +114,7 @@ impl Calls<'_> {
         let mut client = TopologyServiceClient::new(self.services.clone()).max_decoding_message_size(REPLY_BYTES);
         let question = v1::GetTopologyRequest { map: self.map.to_owned() };
         let reply = client.get_topology(self.caller.request(question)).await?.into_inner();
-        topology_from_wire(&reply).map_err(senseless)
+        converted(move || topology_from_wire(&reply)).await
     }
 
     /// What is predicted of the edges for a robot that enters them at a time, nanoseconds UTC.
@@ -121,7 +129,7 @@ impl Calls<'_> {
             ..v1::PredictEdgesRequest::default()
         };
         let reply = client.predict_edges(self.caller.request(question)).await?.into_inner();
-        predictions_from_wire(reply).map_err(senseless)
+        converted(move || predictions_from_wire(reply)).await
     }
 
     /// The probability that an object is there, by the name of the node; empty for the default kind if nobody was

@@ -37,7 +37,7 @@ pub(super) async fn predict_at_places(
     let view = handle.view();
     let found = find_all(&view, |_| "state".to_owned(), vec![question.state.clone()]).await?;
     let state = found.into_iter().next().ok_or(RpcError::Stopping)?;
-    let (first, dimensions) = find_vector(&view, &question.position_state)?;
+    let (first, dimensions) = find_vector(&view, "position_state", &question.position_state)?;
     let (coordinates, numbers) = (dimensions.count(), question.places_m.len());
     if numbers == 0 || !numbers.is_multiple_of(coordinates) {
         return Err(Problem::Places { found: numbers, each: coordinates }.of("places_m").into());

@@ -110,7 +110,7 @@ pub(super) async fn predict_positions(
     let handle = find_map(&queries.catalog, &request.map).await?;
     let question = positions_from_wire(request)?;
     let view = handle.view();
-    let (first, dimensions) = find_vector(&view, &question.state)?;
+    let (first, dimensions) = find_vector(&view, "state", &question.state)?;
     let limits = CellLimits {
         times: question.times_nanos.len() as u64,
         steps: question.window_nanos.map_or(1, steps_of),
@@ -136,12 +136,12 @@ pub(super) async fn predict_positions(
     }))
 }
 
-/// The first axis of a vector, and its number of axes.
-pub(super) fn find_vector(view: &MapView, name: &str) -> Result<(StateId, Dimensions), RpcError> {
+/// The first axis of a vector that a field names, and its number of axes.
+pub(super) fn find_vector(view: &MapView, field: &str, name: &str) -> Result<(StateId, Dimensions), RpcError> {
     match view.shape(name) {
         Some((first, StateShape::Vector(dimensions))) => Ok((first, dimensions)),
         Some((_, shape @ (StateShape::Scalar(_) | StateShape::Angle))) => {
-            Err(Problem::NoVector { state: name.to_owned(), shape }.of("state").into())
+            Err(Problem::NoVector { state: name.to_owned(), shape }.of(field).into())
         }
         // The error of an unknown name.
         None => find_state(view, name).map(|first| (first, Dimensions::Two)),
