@@ -2,7 +2,6 @@
 //!
 //! Invariant: what is named fits together; whether the map has it is checked by who erases.
 
-use tidemap_grid::index::CellIndex;
 use tidemap_map::erasure::{Wish, WishedPart};
 
 use super::{InvalidField, cells::cell_from_wire, time::nanos_from_timestamp};
@@ -24,7 +23,7 @@ pub fn wish_from_wire(request: &v1::EraseRequest) -> Result<Wish, InvalidField> 
         let problem = "a sequence is forgotten as a whole: name producer and label, and neither state nor interval";
         return wrong("forget_sequence", problem);
     }
-    if let Some(CellIndex { .. }) = cell_from_wire("state", state)? {
+    if cell_from_wire("state", state)?.is_some() {
         return wrong("state", "cells of a grid cannot be erased one by one: name a state, or delete the map");
     }
     if producer.is_empty() && !has_interval {

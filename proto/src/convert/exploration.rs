@@ -105,7 +105,7 @@ impl TourRequest {
     }
 }
 
-/// The question of a request for a tour: when, by which model, and the tour.
+/// The time (nanoseconds UTC), the model and the tour of a request.
 ///
 /// # Errors
 /// The invalid field; what depends on the grid is not checked.
@@ -122,7 +122,7 @@ pub fn tour_question_from_wire(
 ///
 /// # Errors
 /// The invalid field; what depends on the grid is not checked.
-pub fn tour_from_wire(request: &v1::PlanTourRequest) -> Result<TourRequest, InvalidField> {
+fn tour_from_wire(request: &v1::PlanTourRequest) -> Result<TourRequest, InvalidField> {
     let start_m = request.start.map(|start| point_from_wire("start", start)).transpose()?;
     let default = TourQuestion::default();
     let secs = |field: &str, span: Option<prost_types::Duration>| {

@@ -23,6 +23,15 @@ pub use evaluation::{EvaluationQuestion, evaluated_from_wire, evaluation_from_wi
 pub use positions::{PlacesQuestion, PositionRegion, PositionsQuestion, places_from_wire, positions_from_wire};
 pub use states::{StateFacts, StateForecast, StatesQuestion, forecast_to_wire, states_from_wire};
 
+/// The probability of intervals; `None` for 0: no intervals are asked for.
+fn interval_level_from_wire(level: f64) -> Result<Option<f64>, InvalidField> {
+    if (0.0..1.0).contains(&level) {
+        return Ok(Some(level).filter(|&level| level > 0.0));
+    }
+    let text = format!("{level} is not a probability: 0 (no intervals) or more, and below 1");
+    Err(InvalidField::new("interval_level", text))
+}
+
 /// A model of a request.
 ///
 /// # Errors

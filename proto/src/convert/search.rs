@@ -9,7 +9,7 @@ use tidemap_plan::search::{Effort, SearchOptions, SearchPlan, Stop, StopReason};
 use super::{
     InvalidField,
     query::selector_from_wire,
-    time::{instant_from_wire, nanos_from_duration, time_from_wire},
+    time::{instant_from_wire, nanos_from_duration, times_from_wire},
     topology::node_name,
 };
 use crate::v1;
@@ -137,10 +137,7 @@ pub struct PresenceQuestion {
 pub fn presence_from_wire(request: v1::PredictPresenceRequest) -> Result<PresenceQuestion, InvalidField> {
     let v1::PredictPresenceRequest { object, times_nanos, model, .. } = request;
     let selector = selector_from_wire("model", model)?;
-    if times_nanos.is_empty() {
-        return Err(InvalidField::new("times_nanos", "name at least one time"));
-    }
-    times_nanos.iter().try_for_each(|&time| time_from_wire("times_nanos", time).map(drop))?;
+    times_from_wire("times_nanos", &times_nanos)?;
     Ok(PresenceQuestion { times_nanos, selector, object: object_from_wire(object)? })
 }
 

@@ -80,7 +80,7 @@ pub fn nanos_from_duration(field: &str, duration: Duration) -> Result<i64, Inval
 ///
 /// # Errors
 /// The time is before 1970.
-pub fn time_from_wire(field: impl Into<String>, nanos: i64) -> Result<i64, InvalidField> {
+fn time_from_wire(field: impl Into<String>, nanos: i64) -> Result<i64, InvalidField> {
     if nanos >= 0 { Ok(nanos) } else { Err(InvalidField::new(field, format!("{nanos} ns is before 1970"))) }
 }
 

@@ -5,7 +5,7 @@
 
 use tidemap_model::{VALUE_MAX, selector::ModelKind};
 
-use super::selector_from_wire;
+use super::{interval_level_from_wire, selector_from_wire};
 use crate::{
     convert::{
         InvalidField,
@@ -94,11 +94,7 @@ pub fn places_from_wire(request: v1::PredictAtPlacesRequest) -> Result<PlacesQue
     times_from_wire("times_nanos", &times_nanos)?;
     check_numbers("places_m", &places_m)?;
     check_numbers("density_values", &density_values)?;
-    if !(0.0..1.0).contains(&level) {
-        let text = format!("{level} is not a level: use 0 or more, and below 1");
-        return Err(InvalidField::new("interval_level", text));
-    }
-    let (interval_level, kind) = (Some(level).filter(|&level| level > 0.0), model_from_wire(model)?);
+    let (interval_level, kind) = (interval_level_from_wire(level)?, model_from_wire(model)?);
     Ok(PlacesQuestion { state, position_state, times_nanos, places_m, density_values, interval_level, kind })
 }
 

@@ -5,7 +5,7 @@
 use tidemap_map::event::StateKind;
 use tidemap_model::{Persistence, entropy_bits, models::Interval, selector::ModelSelector};
 
-use super::{selector_from_wire, selector_to_wire};
+use super::{interval_level_from_wire, selector_from_wire, selector_to_wire};
 use crate::{
     convert::{
         InvalidField,
@@ -38,11 +38,7 @@ pub fn states_from_wire(request: v1::PredictStatesRequest) -> Result<StatesQuest
         return Err(InvalidField::new("states", "name at least one state"));
     }
     times_from_wire("times_nanos", &times_nanos)?;
-    if !(0.0..1.0).contains(&level) {
-        let text = format!("{level} is not a probability: 0 (no intervals) or more, and below 1");
-        return Err(InvalidField::new("interval_level", text));
-    }
-    let interval_level = Some(level).filter(|&level| level > 0.0);
+    let interval_level = interval_level_from_wire(level)?;
     Ok(StatesQuestion { names, times_nanos, selector, interval_level })
 }
 
