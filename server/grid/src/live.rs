@@ -24,6 +24,8 @@ use crate::{
 mod due;
 mod scans;
 
+pub use scans::InvalidScans;
+
 #[cfg(test)]
 mod tests;
 
@@ -52,7 +54,7 @@ pub struct GridBasis {
     scans: u64,
     cell_observations: u64,
     /// When the first of the scans that stay pending was received, or earlier; nanoseconds UTC. `None` until the map
-    /// says it.
+    /// sets it.
     pub received_nanos: Option<i64>,
 }
 

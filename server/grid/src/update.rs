@@ -16,6 +16,7 @@ use tidemap_model::ORDER_MAX;
 
 use crate::{
     day::GridDay,
+    fold::CHUNK_SCANS_MAX,
     generation::Generation,
     index::TileId,
     outcome::{CellsByOrder, GridOutcome, TileOutcome},
@@ -59,10 +60,11 @@ pub struct GridResult {
 }
 
 impl GridWork {
-    /// Works in pieces of other sizes; the result is the same.
+    /// Does the work in pieces of other sizes. Results do not depend on them, except for rounding.
     #[must_use]
     pub fn with_limits(mut self, limits: UpdateLimits) -> GridWork {
-        self.rules.limits = limits;
+        let chunk_scans = limits.chunk_scans.clamp(1, CHUNK_SCANS_MAX);
+        self.rules.limits = UpdateLimits { chunk_scans, ..limits };
         self
     }
 

@@ -1,6 +1,6 @@
 //! Scans that cannot follow those before.
 
-use super::{scans::InvalidScans, *};
+use super::*;
 use crate::{
     scan::{CellRef, LoggedScan, Scans},
     tests::empty,

@@ -13,7 +13,7 @@ use super::super::{
 /// Sizes of the pieces in which an update is done. Results do not depend on them, except for rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UpdateLimits {
-    /// Scans whose phasors are in memory at a time, 1 to [`CHUNK_SCANS_MAX`].
+    /// Scans whose phasors are in memory at a time, 1 to 256.
     pub chunk_scans: usize,
     /// Observation groups of a tile up to which each has its sum; with more, cells that never changed have runs.
     pub summed_groups_max: usize,
