@@ -1,4 +1,4 @@
-// What the page's source asks of a browser where it is loaded, for its tests in Node.
+// Stands in for a browser in the tests in Node: the parts that the page's source uses when it is loaded.
 
 const listeners = new Map();
 globalThis.window = {

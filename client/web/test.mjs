@@ -9,7 +9,7 @@ import { basename, join } from 'node:path';
 import { svelte } from '@sveltejs/vite-plugin-svelte';
 import { build } from 'vite';
 
-// A folder that Git and the checks of the source pass over, and from where the packages are found.
+// Git and the checks of the source ignore this folder, and modules in it find the packages.
 const FOLDER = 'node_modules/.tests';
 
 const tests = readdirSync('src', { recursive: true })
@@ -34,7 +34,7 @@ await build({
 const made = readdirSync(FOLDER)
     .filter((name) => name.endsWith('.test.mjs'))
     .map((name) => join(FOLDER, name));
-// What the source needs of a browser where it is loaded; see there.
+// `test-browser.mjs` stands in for the browser.
 const { status, stdout } = spawnSync(process.execPath, ['--import', './test-browser.mjs', '--test', '--test-reporter', 'spec', ...made], {
     encoding: 'utf8',
     timeout: 120_000,

@@ -55,8 +55,8 @@ export function wallTime(ms: number, zone: string): number {
 }
 
 /**
- * The instant of a reading of the clock. Of a time that comes twice it is the first; a time that is skipped gives the
- * one after the gap.
+ * The instant at which the clock shows a time. If it shows the time twice, this is the first instant; if it skips the
+ * time, this is as much later as the clock was moved.
  */
 export function fromWall(wall: number, zone: string): number {
     // An offset changes at most once in two days: one of these is that of the instant.

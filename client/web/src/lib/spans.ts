@@ -37,12 +37,15 @@ export const SPANS: Record<SpanName, Span> = {
     },
 };
 
-/** The time of a position of the slider: so many milliseconds after its start, of the clock except within a day. */
+/**
+ * The time of a position of the slider, in milliseconds after its start: of a day as they pass, of a week and a year as
+ * the clock shows them.
+ */
 export function positionTime(span: SpanName, start: number, elapsed: number, zone: string): number {
     return span === 'day' ? start + elapsed : fromWall(wallTime(start, zone) + elapsed, zone);
 }
 
-/** The position of a time, the contrary of `positionTime`. */
+/** The position of a time: the inverse of `positionTime`. */
 export function position(span: SpanName, start: number, ms: number, zone: string): number {
     return span === 'day' ? ms - start : wallTime(ms, zone) - wallTime(start, zone);
 }
