@@ -281,7 +281,7 @@ settings! {
         max_message_bytes: usize = 1 << 20, 4096, 16 << 20;
         /// Bytes that one stream has sent and that are not durable yet. A faster robot waits.
         max_stream_buffer_bytes: usize = 1 << 20, 4096, 1 << 30;
-        /// Bytes that all streams have sent and that are not durable yet: max_stream_buffer_bytes to 4 GiB.
+        /// Bytes that all streams have sent and that are not durable yet. From max_stream_buffer_bytes to 4294967296.
         max_buffer_bytes: usize = 64 << 20;
         /// Bytes of the tables of tiles and unfinished scans of all streams.
         max_stream_tables_bytes: usize = 256 << 20, 1 << 20, 1 << 36;
