@@ -15,8 +15,6 @@ use crate::manifest::{self, Manifest, ManifestError};
 pub struct Step {
     /// The format that the step starts from; it leads to the next one.
     pub from: u32,
-    /// Description for the log.
-    pub summary: &'static str,
     /// Runs the step in the data directory.
     pub run: fn(&Path) -> io::Result<()>,
 }
@@ -113,7 +111,7 @@ mod tests {
     use super::*;
 
     fn step(from: u32) -> Step {
-        Step { from, summary: "test", run: |_| Ok(()) }
+        Step { from, run: |_| Ok(()) }
     }
 
     #[test]
@@ -142,10 +140,9 @@ mod tests {
         assert_eq!(way.len(), STEPS.len());
     }
 
-    /// An invented step from format 1 to 2: each line of the file `DATA` gets a sign at its end.
+    /// An invented step from format 1 to 2: each line of the file `DATA` gets a `!` at its end.
     const INVENTED: Step = Step {
         from: 1,
-        summary: "an invented one",
         run: |directory| {
             let (file, copy) = (directory.join("DATA"), directory.join("DATA.new"));
             let text = fs::read_to_string(&file)?;
@@ -158,10 +155,9 @@ mod tests {
             fs::rename(copy, file)
         },
     };
-    /// An invented step from format 2 to 3, which fails after the first has been made.
+    /// An invented step from format 2 to 3, which fails while the file `SECOND_FAILS` is there.
     const SECOND: Step = Step {
         from: 2,
-        summary: "another one",
         run: |directory| match directory.join("SECOND_FAILS").exists() {
             true => Err(io::Error::other("the disk has failed")),
             false => fs::write(directory.join("MORE"), "more"),

@@ -130,7 +130,7 @@ impl StateOrCell {
     }
 
     /// Predicts it by a model that was trained on its readings. `out` is as long as the moments.
-    pub(crate) fn predict_fitted_into(
+    pub(crate) fn predict_trained_into(
         &self,
         view: &MapView,
         moments: &[Moment],
@@ -139,9 +139,9 @@ impl StateOrCell {
         out: &mut [f64],
     ) {
         match self {
-            Self::State(id) => view.predict_fitted_into(*id, moments, fitted, selector, out),
+            Self::State(id) => view.predict_trained_into(*id, moments, fitted, selector, out),
             Self::Cell(cell) => {
-                view.predict_fitted_cell_into(&cell.description, moments, fitted, selector, out);
+                view.predict_trained_cell_into(&cell.description, moments, fitted, selector, out);
             }
         }
     }

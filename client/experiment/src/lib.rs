@@ -11,8 +11,8 @@
 //! - `paired.rs`: models in pairs: studentised bootstrap over days within test sets, fixed seed, corrected by Holm;
 //! - `report.rs`: results.csv, pairs.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
 //!
-//! `ComparedSettings` are a model kind with all its parameters. Models are trained state by
-//! state, with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested
+//! [`ComparedSettings`] is a model kind with all its parameters: one parameter set. Models are trained state by state,
+//! with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested
 //! with fewer than five days more than test sets.
 //!
 //! Invariant: parameters are tuned on training data only, a test set is predicted from earlier data only, and the same
@@ -23,10 +23,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 use tidemap_model::{Evaluation, models::CannotFit};
 
+mod compared;
 mod data;
 pub mod explore;
 mod paired;
-mod parameter_set;
 mod picture;
 mod place_recording;
 mod protocol;
@@ -43,9 +43,9 @@ mod tests;
 pub use protocol::{Protocol, ProtocolError, read};
 pub use report::{summary, write};
 
+pub use compared::{ComparableKind, ComparedModel, ComparedSettings};
 use data::{Data, DataError, DataPortions};
 pub use paired::{Difference, PairedModels};
-pub use parameter_set::{ComparableKind, ComparedModel, ComparedSettings};
 use protocol::Predictions;
 use score::{DayErrors, TestScore};
 use tuning::{Fold, Trial};

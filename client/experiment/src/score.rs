@@ -10,8 +10,8 @@ use tidemap_model::{Evaluation, LocalDay, Sample, StateKind};
 
 use super::{
     ExperimentError,
+    compared::ComparedSettings,
     data::{Data, DataPortions},
-    parameter_set::ComparedSettings,
     protocol::Retrain,
 };
 

@@ -13,8 +13,8 @@ use tidemap_model::{
 
 use super::{
     ExperimentError,
+    compared::ComparedSettings,
     data::{Data, DataPortions},
-    parameter_set::ComparedSettings,
     protocol::{ModelEntry, Tuning},
 };
 

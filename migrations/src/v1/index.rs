@@ -51,7 +51,7 @@ pub struct StateRow {
 /// The rows of one tree.
 #[derive(Clone, Copy, PartialEq, Eq, prost::Message)]
 pub struct Total {
-    /// Their number.
+    /// Number of rows.
     #[prost(uint64, tag = "1")]
     pub records: u64,
     /// Bytes of their keys and values.

@@ -17,7 +17,7 @@ pub struct ProducerKey {
 pub struct LastObservation {
     #[prost(sint64, tag = "1")]
     pub nanos: i64,
-    /// Its value.
+    /// Value of the observation, as bits of f64.
     #[prost(fixed64, tag = "2")]
     pub value_bits: u64,
 }
@@ -25,7 +25,7 @@ pub struct LastObservation {
 /// Sums over a state's observations.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Accumulator {
-    /// Their number.
+    /// Number of observations.
     #[prost(uint64, tag = "1")]
     pub observations: u64,
     /// Sum of values.
@@ -50,7 +50,7 @@ pub struct Accumulator {
 pub struct Spectral {
     #[prost(fixed64, tag = "1")]
     pub mean_bits: u64,
-    /// Number of observations it was fitted to.
+    /// Number of observations it was trained on.
     #[prost(uint64, tag = "2")]
     pub observations: u64,
     /// Components, strongest first.
@@ -175,7 +175,7 @@ pub struct NewProducer {
 pub struct Producer {
     #[prost(uint32, tag = "1")]
     pub id: u32,
-    /// Its key.
+    /// Name of the producer and label of its sequence.
     #[prost(message, optional, tag = "2")]
     pub key: Option<ProducerKey>,
     /// Highest incarnation seen.
@@ -365,10 +365,10 @@ pub struct Alternatives {
     /// Local days folded in, those that came late not counted.
     #[prost(uint32, tag = "12")]
     pub days: u32,
-    /// The calibrated model; absent before its first fit.
+    /// The calibrated model; absent before it was first trained.
     #[prost(message, optional, tag = "13")]
     pub calibrated: Option<Calibrated>,
-    /// The other models that were fitted to readings: a message [`super::fits::Fits`]; empty where there is none.
+    /// The other models that were trained on readings: a message [`super::fits::Fits`]; empty where there is none.
     #[prost(bytes = "vec", tag = "14")]
     pub fits: Vec<u8>,
     /// The first local day of the present routine, in days since 1970-01-01; absent where the change alarm never rang.
@@ -389,16 +389,16 @@ pub struct Alternatives {
     pub changes_bits: u64,
 }
 
-/// The calibrated model of a state, as it was last fitted.
+/// The calibrated model of a state, as it was last trained.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Calibrated {
-    /// The last local day that it was fitted to, in days since 1970-01-01.
+    /// The last local day that it was trained on, in days since 1970-01-01.
     #[prost(sint32, tag = "1")]
     pub day: i32,
     /// Faded sum of errors; absent before the first day that it was scored on.
     #[prost(fixed64, optional, tag = "2")]
     pub error_sum_bits: Option<u64>,
-    /// Readings that it was fitted to.
+    /// Number of readings that it was trained on.
     #[prost(uint64, tag = "3")]
     pub observations: u64,
     /// The lowest of them.

@@ -33,7 +33,7 @@ pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> R
         };
         if !keeps && with_kind.without_trained() != with_kind {
             let text = format!(
-                "{} is fitted to stored observations, of which this map keeps none: keep them, as with --retention \
+                "{} is trained on stored observations, and this map keeps none: keep them, as with --retention \
                  90d, or leave it out",
                 kind.name()
             );

@@ -13,7 +13,7 @@ const MODEL_KIND: &str = "MODEL_KIND_";
 /// The kind of a model, with default parameters; `None` for [`v1::ModelKind::Unspecified`].
 pub(super) fn model_kind_from_wire(wire: v1::ModelKind) -> Option<ModelKind> {
     let name = wire.as_str_name().strip_prefix(MODEL_KIND)?.to_lowercase().replace('_', "-");
-    ModelKind::ALL.into_iter().find(|kind| kind.name() == name)
+    ModelKind::named(&name)
 }
 
 /// The kind of a model for the wire, without its parameters.

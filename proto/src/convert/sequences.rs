@@ -1,6 +1,7 @@
 //! Sequence numbers of messages.
 //!
-//! Invariant: the first is 1. That a next one is left is checked after the place of the message in its stream.
+//! Invariant: the first number of a message is 1 or more. Whether a number is left after the message ([`check_end`]) is
+//! checked later, after the place of the message in its stream.
 
 use std::ops::RangeInclusive;
 

@@ -104,7 +104,7 @@ fn update(map: &mut LiveMap, pool: &rayon::ThreadPool, day: i64, readings: Optio
     let secs = started.elapsed().as_secs_f64();
     let refits = result.refits().clone();
     map.finish_update(result);
-    println!("day {day}: {secs:.2} s, {} models fitted, {} wait", refits.fitted, refits.waiting);
+    println!("day {day}: {secs:.2} s, {} models trained, {} wait", refits.fitted, refits.waiting);
     secs
 }
 
@@ -124,5 +124,5 @@ fn main() {
     observe(&mut map, night + 1, 1);
     let weeks = samples(7, (night + 1) * 1440 - NIGHTLY_WINDOW_NANOS / MINUTE..(night + 1) * 1440);
     let with = update(&mut map, &pool, night + 1, Some(Arc::new(Weeks(weeks))));
-    println!("{STATES} states, a day of minutes each: {without:.1} s without fits, {with:.1} s with");
+    println!("{STATES} states, a day of minutes each: {without:.1} s without training, {with:.1} s with");
 }

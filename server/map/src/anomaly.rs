@@ -93,7 +93,7 @@ pub enum CannotJudge {
     Memory,
     /// The model is trained on request, and observations do not wait for that.
     #[error("{0} must be trained, and a watch does not wait for that: use auto, mean or spectral")]
-    NeedsFit(ModelKind),
+    NeedsTraining(ModelKind),
 }
 
 /// Whether a model can judge past observations.
@@ -115,7 +115,7 @@ pub fn can_judge(model: ModelSelector) -> Result<(), CannotJudge> {
 /// [`CannotJudge`], with what to use instead.
 pub fn can_watch(model: ModelSelector) -> Result<(), CannotJudge> {
     can_judge(model)?;
-    if model.kind.needs_readings() { Err(CannotJudge::NeedsFit(model.kind)) } else { Ok(()) }
+    if model.kind.needs_readings() { Err(CannotJudge::NeedsTraining(model.kind)) } else { Ok(()) }
 }
 
 impl MapView {

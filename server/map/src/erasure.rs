@@ -257,6 +257,7 @@ impl StateErasure {
     /// The history of an update without the states; `None` where nothing remains.
     #[must_use]
     pub fn piece(&self, piece: &HistoryPiece) -> Option<HistoryPiece> {
+        debug_assert_eq!(piece.states.len(), piece.origins.len(), "each state has its origins");
         let mut kept = HistoryPiece { days: piece.days.clone(), ..HistoryPiece::new(piece.generation) };
         for ((state, samples), origins) in piece.states.iter().zip(&piece.origins) {
             let Some(id) = self.id(*state) else { continue };

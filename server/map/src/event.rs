@@ -30,8 +30,8 @@ pub struct OffsetRun {
     pub offset_secs: i32,
 }
 
-/// What an event of a producer says beside its content: who sent it, which part of the producer's sequence it is, and
-/// what was refused of that.
+/// What every event of a producer has besides its content: who sent it, which part of the producer's sequence it
+/// covers, and what of that part was refused.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Envelope {
     /// The producer.
@@ -40,7 +40,7 @@ pub struct Envelope {
     pub new_producer: Option<NewProducer>,
     /// The producer's incarnation.
     pub incarnation: u64,
-    /// The part of the producer's sequence, with what was refused; not empty.
+    /// The part of the producer's sequence that the event covers, refused observations or scans included; not empty.
     pub span: SequenceSpan,
     /// When it was received, nanoseconds UTC of the server's clock.
     pub received_nanos: i64,

@@ -50,7 +50,7 @@ pub struct HistoryPiece {
     pub to_nanos: i64,
     /// Observations of named states, by state, in order of arrival.
     pub states: Vec<(StateId, Vec<Sample>)>,
-    /// Of each entry of `states`, who observed it.
+    /// Of each entry of `states`, who observed it; as many as `states`.
     pub origins: Vec<Origins>,
     /// Scans of the grid by day.
     pub days: Vec<HistoryDay>,

@@ -67,7 +67,7 @@ impl MapView {
 
     /// Predicts a state at each moment by a model that was trained on its readings: the probability of 1, or the
     /// expected value. `out` is as long as the moments.
-    pub fn predict_fitted_into(
+    pub fn predict_trained_into(
         &self,
         id: StateId,
         moments: &[Moment],
@@ -108,7 +108,7 @@ impl MapView {
             }
             Some(chosen) => {
                 let plain = ModelSelector { persistence: false, memory: false, ..selector };
-                self.predict_fitted_into(id, &times.moments, &chosen, plain, out);
+                self.predict_trained_into(id, &times.moments, &chosen, plain, out);
                 for (probability, &moment) in out.iter_mut().zip(&times.moments) {
                     if !chosen.covers(moment) {
                         let (kind, periodicities) = (model.kind(), &self.spec.periodicities);
@@ -149,7 +149,7 @@ impl MapView {
 
     /// Predicts the probability that a cell is occupied at each moment by a model that was trained on its readings.
     /// `out` is as long as the moments.
-    pub fn predict_fitted_cell_into(
+    pub fn predict_trained_cell_into(
         &self,
         cell: &CellDescription,
         moments: &[Moment],

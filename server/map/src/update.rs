@@ -224,7 +224,7 @@ impl UpdateWork {
         let refits = readings.map_or_else(Refits::default, |readings| {
             refit(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
         });
-        // After the refits, which may change the choice.
+        // After models were trained again, which may change the choice.
         let named = |(id, outcome): (StateId, UpdateOutcome)| {
             let model = &models[id.0 as usize];
             let chosen = ModelSelector::of_choice(model.choice(), model);

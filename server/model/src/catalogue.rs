@@ -1,11 +1,12 @@
-//! The catalogue of models: every kind with its parameters, and all that the house knows of it.
+//! The catalogue of models: every kind with its parameters, and what the rest of the code must know of it.
 //!
 //! The selector of a query, the choice of the nightly update, the cache of models that are trained on request,
 //! `evaluate`, experiments, the Python package, the wire and the command line all read this table. How a kind is
 //! trained on readings, predicts and is stored stands in [`trained`]; its formulae stand in a file of its own in
 //! `models/`.
 //!
-//! Invariant: a kind has one name, one set of defaults and one list of the states that support it, and they stand here.
+//! Invariant: a kind has one name and one list of the states that support it, and they stand here; so do its defaults,
+//! except the number of clusters in experiments (`parameters.rs`).
 //! A kind with parameters that differ is another model: two of them are never compared, scored or cached as one.
 
 use std::ops::RangeInclusive;
@@ -23,7 +24,7 @@ mod trained;
 pub use enabled::EnabledModels;
 pub(crate) use name::listed;
 pub use parameters::{ParameterSet, WrongParameter};
-pub use trained::{FittedModelParts, QueryInputs, TrainedModel, TrainingOptions};
+pub use trained::{QueryInputs, TrainedModel, TrainedModelParts, TrainingOptions};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
@@ -168,7 +169,7 @@ impl ModelKind {
         Self::Calibrated,
     ];
 
-    /// The table.
+    /// The row of this kind in the table of all kinds.
     pub fn info(self) -> ModelInfo {
         use SupportedStates::{All, Counts, Probabilities};
         const PUBLISHED: Training = Training::Published;
@@ -239,6 +240,11 @@ pub struct CountLimit {
 
 /// What the table says of a model, and its parameters.
 impl ModelKind {
+    /// The kind of a name, with its default parameters; `None` for any other name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
     /// The name without parameters.
     pub fn name(self) -> &'static str {
         self.info().name
@@ -252,7 +258,8 @@ impl ModelKind {
     /// Whether it has an order.
     #[inline]
     pub fn has_order(self) -> bool {
-        // As the table says; without it, because predictions of cells ask for each cell.
+        // The same as in the table, which is not read here: predictions of cells call this for every cell. A test
+        // compares both.
         matches!(self, Self::Auto | Self::Spectral | Self::Uniform)
     }
 

@@ -13,7 +13,7 @@ use jiff::tz::{AmbiguousOffset, Offset, TimeZone, TimeZoneDatabase};
 #[cfg(test)]
 mod tests;
 
-pub(crate) const NANOS_PER_SEC: i64 = 1_000_000_000;
+pub(crate) use crate::time::NANOS_PER_SEC;
 const SECS_PER_DAY: i64 = 86_400;
 const NANOS_PER_DAY: i64 = SECS_PER_DAY * NANOS_PER_SEC;
 

@@ -57,7 +57,7 @@ pub mod time;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
 pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
-pub use catalogue::{EnabledModels, FittedModelParts, TrainedModel};
+pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};

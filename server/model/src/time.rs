@@ -12,7 +12,7 @@ use decimal::{Decimal, InvalidDecimal};
 pub const NANOS_PER_SEC: i64 = 1_000_000_000;
 
 /// The shortest half-life: a tenth of a day.
-pub const HALF_LIFE_MIN_NANOS: i64 = 8_640 * 1_000_000_000;
+pub const HALF_LIFE_MIN_NANOS: i64 = 8_640 * NANOS_PER_SEC;
 
 /// How far ahead of the clock of receipt an observation's time counts as plausible, in nanoseconds. Observations beyond
 /// wait: they change nothing until an update whose cut has passed their time.

@@ -150,8 +150,8 @@ fn the_door_supports_three_components_and_more() {
         change_rate_sum: persistence.to_parts().change_rate_sum,
         span_secs: (train[train.len() - 1].utc_nanos - train[0].utc_nanos) as f64 / 1e9,
         mean: accumulator.mean(),
-        observed_hours: Some(hours.observed_hours()),
-        changes: Some(train.windows(2).map(|pair| (pair[1].value - pair[0].value).abs()).sum()),
+        observed_hours: hours.observed_hours(),
+        changes: train.windows(2).map(|pair| (pair[1].value - pair[0].value).abs()).sum(),
     };
     let effective = effective_observations(&sums);
     let model = SpectralModel::fit(&accumulator, &week);

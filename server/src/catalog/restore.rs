@@ -1,6 +1,6 @@
 //! Restoring a map from its newest checkpoint and the log after it.
 //!
-//! Invariant: what a map was when it was stopped is what it is again, whatever update the log has cut off.
+//! Invariant: a restored map is the map that was stopped, even if its last update was cut off.
 
 use std::sync::Arc;
 

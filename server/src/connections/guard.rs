@@ -48,26 +48,25 @@ impl<S> GuardedConnection<S> {
 
     /// A server that waits to write its greeting, as in a TLS handshake, does not read; the deadline holds then too.
     fn check_before_request(&mut self, context: &mut Context<'_>) -> io::Result<()> {
-        match self.has_deadline().then(|| self.must_end(context)).flatten() {
+        match self.request_deadline().is_some().then(|| self.must_end(context)).flatten() {
             Some(error) => Err(error),
             None => Ok(()),
         }
     }
 
-    /// Whether the first request is still waited for; of the reserve for probes, always.
-    fn has_deadline(&mut self) -> bool {
+    /// The deadline of the first request; `None` after that request. The reserve for probes always has one.
+    fn request_deadline(&mut self) -> Option<&mut Pin<Box<Sleep>>> {
         if self.slot.port != Port::Probes && self.slot.seat.has_request() {
             self.deadline = None;
         }
-        self.deadline.is_some()
+        self.deadline.as_mut()
     }
 
     fn must_end(&mut self, context: &mut Context<'_>) -> Option<io::Error> {
         if self.slot.seat.is_displaced(context.waker()) {
             return Some(io::Error::new(io::ErrorKind::ConnectionAborted, "the connection made room for another"));
         }
-        self.has_deadline();
-        let deadline = self.deadline.as_mut()?;
+        let deadline = self.request_deadline()?;
         deadline.as_mut().poll(context).is_ready().then(|| {
             metrics::counter!("tidemap_connections_silent", "port" => self.slot.port.name()).increment(1);
             io::Error::new(io::ErrorKind::TimedOut, "the connection made no request in time")

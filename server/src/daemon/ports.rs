@@ -113,8 +113,9 @@ pub(super) fn known_hosts(access: &Access, settings: &Settings) -> KnownHosts {
 pub(super) struct Ports {
     grpc: JoinHandle<anyhow::Result<()>>,
     http: JoinHandle<anyhow::Result<()>>,
-    /// Where they listen.
+    /// Where the gRPC port listens.
     pub grpc_address: SocketAddr,
+    /// Where the HTTP port listens.
     pub http_address: SocketAddr,
     /// Becomes true when they have to stop.
     // A channel and not a notification: a port that starts to wait late still sees the stop.
@@ -165,7 +166,7 @@ impl Ports {
         Ok(Self { grpc, http, grpc_address, http_address, stop })
     }
 
-    /// Waits until a port closes, which none does before it is told.
+    /// Waits until a port closes. A port that closes before [`Ports::stop`] has failed.
     pub(super) async fn closed(&mut self) -> DaemonError {
         let (name, ended) = tokio::select! {
             ended = &mut self.grpc => ("gRPC", ended),

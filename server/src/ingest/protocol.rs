@@ -184,7 +184,7 @@ impl Default for CheckedScan {
 /// Checked scans of one message, or some of them.
 #[derive(Debug, Default)]
 pub(crate) struct ScanBatch {
-    /// What is new of the message, or of the part of it; may be empty.
+    /// The new scans of the message, or of a part of it; may be empty.
     pub span: SequenceSpan,
     /// Tiles added to the client's table before the scans.
     pub new_tiles: Vec<TileIndex>,

@@ -86,7 +86,7 @@ impl CachedModel {
                 &Answering { model, inputs }
             }
         };
-        target.predict_fitted_into(view, moments, model, selector, out);
+        target.predict_trained_into(view, moments, model, selector, out);
     }
 }
 

@@ -1,28 +1,28 @@
-//! Fits models to the readings of a state or a cell, for the requests that ask for them.
+//! Trains models on the readings of a state or a cell, for the requests that ask for them.
 //!
 //! A request takes one view, and a permit before it computes. The view itself answers by the models `auto`, `mean`,
 //! `latest` and `spectral`, at once. All other models are trained on request:
 //!
 //! ```text
 //! the model cache ([`crate::model_cache`])   by map, generation, state, and model with its parameters
-//!   │ not cached: a permit to fit            separate from the permits to predict; slow models have their own
+//!   │ not cached: a permit to train          separate from the permits to predict; slow models have their own
 //!   ▼
 //! the readings ([`super::readings`])         history files, then history that no save has stored yet, of the
 //!   │                                        generations up to the view's
 //!   ▼
-//! the fit, on a blocking thread              the result is cached; the least recently used model goes
+//! training, on a blocking thread             the result is cached; the least recently used model goes
 //! ```
 //!
-//! - **Trained on what updates have learned**, never to pending observations. The order of the readings, and so the
+//! - **Trained on what updates have learned**, never on pending observations. The order of the readings, and so the
 //!   model, is the same whether they are in files or not. Only persistence takes the newest value too, as `latest`
 //!   does.
-//! - **Trained once.** Concurrent requests for a model share one fit. It goes on as long as one of them waits; when all
-//!   are dropped, it stops and gives its permit back.
+//! - **Trained once.** Concurrent requests for a model share one training. It goes on as long as one of them waits;
+//!   when all are dropped, it stops and gives its permit back.
 //! - **Unavailable is an answer.** A model that cannot be trained (no history, too many readings, another kind of
 //!   value) is an error of `PredictStates`; in `EvaluateStates` its row is missing, and the reply has the reason.
 //!
 //! Invariant: a model is trained on exactly the observations that the view's updates have learned, so that a comparison
-//! with pending observations is one with unseen data. A fit has its own permits: predictions do not wait for it.
+//! with pending observations is one with unseen data. Training has its own permits: predictions do not wait for it.
 
 use std::{ops::Range, sync::Arc};
 
@@ -288,7 +288,7 @@ impl ModelFitter {
     }
 }
 
-/// Why a model cannot be trained on the `kept` ones of the learned readings, if `max` are allowed.
+/// Why a model cannot be trained on `kept` readings, if at most `max` are allowed.
 fn lacking(kept: u64, max: u64) -> Option<ModelUnavailable> {
     match kept {
         _ if kept > max => Some(ModelUnavailable::TooMany { got: kept, max }),

@@ -1,4 +1,4 @@
-//! The reading of history for new fits: twelve weeks of minutes of many states, one history file per night.
+//! The reading of history to train models again: twelve weeks of minutes of many states, one history file per night.
 //!
 //! `cargo bench -p tidemap-store --bench history`. The files are in the page cache. Measured once.
 
@@ -30,13 +30,13 @@ fn piece(night: i64) -> Arc<HistoryPiece> {
         offset_secs: 3600,
         value: f64::from(u8::from((500 + i64::from(state % 90)..1_000).contains(&minute) && minute % 17 != 3)),
     };
-    let of = |state: u32| (StateId(state), (0..1440).map(|minute| sample(state, minute)).collect());
+    let samples_of = |state: u32| (StateId(state), (0..1440).map(|minute| sample(state, minute)).collect());
     let run = OriginRun { producer: ProducerId(0), first: night as u64 * 1440 + 1, count: 1440 };
     let origins = Origins { runs: vec![run], ..Origins::default() };
     Arc::new(HistoryPiece {
         from_nanos: night * 1440 * MINUTE,
         to_nanos: (night + 1) * 1440 * MINUTE,
-        states: (0..STATES).map(of).collect(),
+        states: (0..STATES).map(samples_of).collect(),
         origins: vec![origins; STATES as usize],
         ..HistoryPiece::new(night as u64 + 1)
     })

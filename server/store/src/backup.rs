@@ -74,7 +74,7 @@ pub struct BackupReport {
     pub maps: u64,
     /// Files that were copied.
     pub copied_files: u64,
-    /// Their bytes.
+    /// Bytes of these files.
     pub copied_bytes: u64,
     /// Files that the folder already had.
     pub kept_files: u64,

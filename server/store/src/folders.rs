@@ -31,10 +31,12 @@ pub(crate) fn history_folder(directory: &Path, map: MapId) -> PathBuf {
     map_folder(directory, map).join("history")
 }
 
+/// The path of a folder with another ending; `suffix` begins with a dot.
 pub(crate) fn with_suffix(folder: &Path, suffix: &str) -> PathBuf {
     folder.with_extension(&suffix[1..])
 }
 
+/// The map whose folder has this name; `None`: it is not the name of a map's folder.
 pub(crate) fn map_number(name: &str) -> Option<MapId> {
     let is_number = name.len() >= 8 && name.bytes().all(|byte| byte.is_ascii_digit());
     if is_number { name.parse().ok().filter(|&number| number > 0).map(MapId) } else { None }

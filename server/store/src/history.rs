@@ -141,13 +141,13 @@ impl History {
         HistoryError::Io { file: self.folder.clone(), source }
     }
 
-    /// The same without generation `before` and later ones, which the caller reads elsewhere.
+    /// This history without this generation and later ones, which the caller reads elsewhere.
     pub fn before(self, generation: u64) -> History {
         History { before: generation, ..self }
     }
 
-    /// The same for a caller that uses at most `enough` observations of a state. If there are more, reading stops
-    /// early: the caller gets more than `enough`, but not all.
+    /// This history for a caller that uses at most so many observations of a state. If there are more, reading stops
+    /// early: the caller gets more than it uses, but not all.
     pub fn at_most(self, observations: usize) -> History {
         History { enough: observations, ..self }
     }
@@ -161,7 +161,7 @@ impl History {
         self.state_until(id, from_nanos, to_nanos, StopSignal::NEVER)
     }
 
-    /// The same; not all of them if the signal is set.
+    /// The observations of a state as [`History::state`] gives them; not all of them if the signal is set.
     ///
     /// # Errors
     /// [`HistoryError`] names the file that cannot be read.

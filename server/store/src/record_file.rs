@@ -232,7 +232,8 @@ pub(crate) fn check_total(disk: &dyn Disk, path: &Path) -> Result<(u64, u32), St
     check_total_paced(disk, path, &mut |_| true)
 }
 
-/// The same. Before each part `pace` gets its length in bytes, and may wait; `false` ends the reading with an error.
+/// Does what [`check_total`] does. Before each part `pace` gets its length in bytes, and may wait; `false` ends the
+/// reading with an error.
 pub(crate) fn check_total_paced(
     disk: &dyn Disk,
     path: &Path,

@@ -92,7 +92,7 @@ impl MapEntry {
         MapEntry { spec: Arc::new(spec), log: None, busy: Arc::default() }
     }
 
-    /// Its properties.
+    /// The fixed properties of the map.
     pub(crate) fn spec(&self) -> &MapSpec {
         &self.spec
     }
@@ -123,7 +123,7 @@ impl Source {
 
 /// A map that is open for appending.
 pub struct OpenedMap {
-    /// Its log.
+    /// The log, to which events are appended.
     pub log: MapLog,
     /// The map as of its newest snapshot.
     pub snapshot: Option<MapSnapshot>,

@@ -1,5 +1,5 @@
-//! The other models, fitted on request, on the recording of a real door and on states without enough data
-//! to fit. The expected figures come from an independent implementation.
+//! The other models, trained on request, on the recording of a real door and on states without enough data
+//! to train them. The expected figures come from an independent implementation.
 
 use tidemap_tests::cli;
 
@@ -145,7 +145,7 @@ fn a_map_chooses_among_the_models_that_it_was_created_with() {
     refused(&["--models", "spectral,fremen"]).fails(2, &["fremen", "hypertime-km", "all"]);
     refused(&["--models", "all", "--retention", "none"]).fails(1, &["calibrated", "keeps none", "--retention"]);
 
-    // A week of ten minutes: models are fitted once, and scored by the next day.
+    // A week of ten minutes: models are trained once, and scored by the next day.
     observe(&door, "rich", &["a"]);
     let row = |i: i64| format!("{},a,{}\n", 1_451_865_600 + 600 * i, u8::from(i % 6 < 3));
     let later: String = (1000..1300).map(row).collect();

@@ -1,4 +1,4 @@
-//! Work stops when its client leaves, or when the deadline of its call passes: plans, and fits of models.
+//! Work stops when its client leaves, or when the deadline of its call passes: plans, and the training of models.
 //!
 //! Invariant: each request would compute for at least twice [`ENDS_WITHIN`], and the daemon computes nothing within
 //! this time after the client has left. How many requests compute is a metric, `tidemap_computing_requests`.
@@ -107,15 +107,15 @@ async fn work_stops_when_its_client_leaves() {
     let (mut one, mut other) = (asking(), asking());
     let same = predict.clone();
     let staying = tokio::spawn(async move { read(one.predict_states(same).await).await });
-    wait_until(&daemon, true, "the fit does not begin").await;
-    // A fit that another request waits for goes on.
+    wait_until(&daemon, true, "the training does not begin").await;
+    // Training that another request waits for goes on.
     let leaving = tokio::spawn(async move { read(other.predict_states(predict).await).await });
     tokio::time::sleep(Duration::from_millis(300)).await;
     leaving.abort();
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert!(computing(&daemon).await > 0, "one request still waits");
     staying.abort();
-    wait_until(&daemon, false, "a fit goes on without its clients").await;
+    wait_until(&daemon, false, "the training goes on without its clients").await;
 
     // A call whose deadline passes is as good as left.
     let mut client = exploring();

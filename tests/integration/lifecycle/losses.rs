@@ -64,7 +64,7 @@ async fn until_health(daemon: &Daemon, expected: ServingStatus) {
     panic!("the health service does not say {expected:?}: {}", get(daemon, "/readyz").1);
 }
 
-/// Whether a daemon on the folder tells a loss of this file everywhere, and what a check says.
+/// Starts a daemon on the folder. The daemon and a check must report the loss of this file everywhere.
 async fn daemon_that_reports(data: &Path, file: &str) -> Daemon {
     let (status, text) = check(data, &[]);
     assert_eq!(status, Some(1), "{text}");

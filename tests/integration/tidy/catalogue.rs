@@ -18,7 +18,10 @@ fn product() -> Vec<(String, String)> {
     let rust =
         CRATES.iter().filter(|(folder, ..)| !folder.starts_with("tests")).flat_map(|(folder, ..)| sources(folder));
     let rust = rust.chain(sources("client/python")).filter(|path| !path.starts_with("server/model/src/models/"));
-    let rust = rust.map(|path| (code(&read(&path)), path)).map(|(text, path)| (path, text));
+    let rust = rust.map(|path| {
+        let text = code(&read(&path));
+        (path, text)
+    });
     let page = files("client/web/src", ".ts").into_iter().chain(files("client/web/src", ".svelte"));
     let page = page.filter(|path| !path.starts_with("client/web/src/wire/"));
     let python = files("client/python/python", ".py");

@@ -268,22 +268,15 @@ fn imports_of_files_run_in_no_circle() {
     hold(&broken);
 }
 
-/// Rooms that still import each other. This list only gets shorter.
-const KNOWN_CIRCLES: &[(&str, &[&str])] = &[];
-
 #[test]
-fn rooms_of_a_folder_import_each_other_in_no_new_circle() {
-    let mut found = Vec::new();
+fn imports_of_rooms_run_in_no_circle() {
+    let mut broken = Vec::new();
     for (folder, files) in all() {
-        found.extend(files.circles_of_rooms().into_iter().map(|circle| (folder.to_owned(), circle)));
+        for circle in files.circles_of_rooms() {
+            broken.push(format!("{folder}: these rooms import each other in a circle: {}", circle.join(", ")));
+        }
     }
-    let mut known = KNOWN_CIRCLES
-        .iter()
-        .map(|(folder, rooms)| ((*folder).to_owned(), rooms.iter().map(|room| (*room).to_owned()).collect()))
-        .collect::<Vec<(String, Vec<String>)>>();
-    found.sort();
-    known.sort();
-    assert_eq!(found, known, "rooms that import each other in a circle; what is mended leaves the list of those known");
+    hold(&broken);
 }
 
 #[test]

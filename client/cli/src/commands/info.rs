@@ -61,11 +61,11 @@ pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<Exi
         let usual = Sensor::default();
         let range_m = group.first().and_then(|view| view.range_m).unwrap_or(usual.range_m);
         let sensor = Sensor { range_m, ..usual };
-        let looks = session.client.evaluate_views(&map, &viewpoints, at.clone(), sensor, model).await?;
-        for (view, look) in group.iter().zip(looks) {
+        let answers = session.client.evaluate_views(&map, &viewpoints, at.clone(), sensor, model).await?;
+        for (view, answer) in group.iter().zip(answers) {
             let [x, y, z] = view.at_m;
             let target = format!("{x},{y},{z}");
-            match look {
+            match answer {
                 View::Information(bits) => rows.extend(at.iter().zip(bits).map(|(&time, bits)| {
                     vec![Cell::Text(target.clone()), Cell::Empty, Cell::maybe(bits), Cell::Time(time)]
                 })),

@@ -9,7 +9,7 @@ use tidemap_model::{
 };
 
 use super::{
-    super::parameter_set::{ComparableKind, ComparedSettings},
+    super::compared::{ComparableKind, ComparedSettings},
     error::ProtocolError,
     raw::{RawModel, Word, Words},
 };

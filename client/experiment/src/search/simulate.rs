@@ -9,7 +9,7 @@ use tidemap_model::StateKind;
 use tidemap_plan::search::{Goal, SearchError, SearchOptions, search};
 
 use super::{RecordedWorld, ReplayError};
-use crate::{parameter_set::ComparedModel, protocol::ModelEntry};
+use crate::{compared::ComparedModel, protocol::ModelEntry};
 
 /// Consecutive minutes that one job searches.
 const JOB_MINUTES: usize = 1440;

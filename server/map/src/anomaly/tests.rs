@@ -56,7 +56,7 @@ fn models_that_answer_from_the_newest_value_judge_nothing() {
         assert_eq!(can_watch(select(kind)), Err(CannotJudge::Newest(kind)));
     }
     for kind in [ModelKind::Calibrated, ModelKind::PERGAM, ModelKind::Uniform] {
-        assert_eq!((can_judge(select(kind)), can_watch(select(kind))), (Ok(()), Err(CannotJudge::NeedsFit(kind))));
+        assert_eq!((can_judge(select(kind)), can_watch(select(kind))), (Ok(()), Err(CannotJudge::NeedsTraining(kind))));
     }
 }
 

@@ -20,9 +20,9 @@ pub struct Wish {
 pub struct WishedPart {
     /// The producer, and its label; without one, all labels.
     pub producer: Option<(String, Option<String>)>,
-    /// First time, nanoseconds UTC.
+    /// Observations from this time on, nanoseconds UTC.
     pub from_nanos: i64,
-    /// Time before which they lie, nanoseconds UTC; `i64::MAX`: up to the last.
+    /// Observations before this time, nanoseconds UTC; `i64::MAX`: without end.
     pub to_nanos: i64,
     /// Whether the sequence of the producer is forgotten.
     pub forgets: bool,

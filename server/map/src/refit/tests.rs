@@ -173,7 +173,7 @@ fn those_that_have_waited_longest_go_first() {
     }
     let days =
         |world: &World| (0..6).map(|state| world.fit_of(state).map(|(_, day)| day)).collect::<Vec<Option<i32>>>();
-    // Those that were never trained, then the oldest fit; the fresh one is not due.
+    // Those that were never trained, then the one trained longest ago; the one just trained is not due.
     let limits = Limits { refits: |_| 3, ..LIMITS };
     assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 2, ..Refits::default() });
     assert_eq!(days(&world), [Some(30), Some(39), Some(39), Some(25), Some(39), Some(39)]);

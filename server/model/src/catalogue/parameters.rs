@@ -32,7 +32,7 @@ pub enum WrongParameter {
 }
 
 const DURATION: &str = "a duration such as 10m, 1d or 7d";
-const PERIOD_BASE_NANOS: i64 = 7 * 86_400 * 1_000_000_000;
+const PERIOD_BASE_NANOS: i64 = 7 * 86_400 * crate::time::NANOS_PER_SEC;
 const PERIOD_COUNT: usize = 168;
 
 /// The value of a parameter; `right` says which values are possible.
@@ -65,8 +65,7 @@ fn order(name: &'static str, text: &str) -> Result<usize, WrongParameter> {
 }
 
 fn cycle(name: &'static str, text: &str) -> Result<HistogramCycle, WrongParameter> {
-    let cycle = |text: &str| HistogramCycle::ALL.into_iter().find(|cycle| cycle.name() == text);
-    read(name, text, "day, week or weekend", cycle)
+    read(name, text, "day, week or weekend", HistogramCycle::named)
 }
 
 fn harmonics(base_nanos: i64, count: usize) -> Result<Periodicities, WrongParameter> {
@@ -85,7 +84,8 @@ impl ParameterSet {
     /// # Errors
     /// [`WrongParameter`] if a value cannot be read or the model refuses it.
     pub fn new(kind: ModelKind, parameters: &[(&'static str, &str)]) -> Result<ParameterSet, WrongParameter> {
-        // Here the default is that of the model: hypertime may have more clusters than a request has by default.
+        // Without the parameter, hypertime of an experiment has up to ten clusters; a request and the nightly update
+        // have three.
         let mut kind = if kind.hypertime_options().is_some() {
             kind.with_count(HypertimeOptions::default().clusters as u32)
         } else {

@@ -60,6 +60,7 @@ pub enum TrainedModel {
 
 impl ModelKind {
     /// Trains this model on the readings of a state whose values are of a kind; `periodicities` are those of its map.
+    /// The caller checks that states of this kind support the model: [`ModelKind::supports`].
     ///
     /// # Errors
     /// As [`ModelKind::train_with`].
@@ -189,7 +190,7 @@ impl TrainedModel {
 /// What a [`TrainedModel`] of the nightly update consists of, for storage.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(missing_docs, reason = "the kinds of ModelKind")]
-pub enum FittedModelParts {
+pub enum TrainedModelParts {
     Calibrated(CalibratedParts),
     Pergam(PergamParts),
     Hypertime(HypertimeParts),
@@ -217,12 +218,12 @@ impl TrainedModel {
     }
 
     /// Its parts, for storage; `None` if updates do not train such models.
-    pub fn to_parts(&self) -> Option<FittedModelParts> {
+    pub fn to_parts(&self) -> Option<TrainedModelParts> {
         match self {
-            Self::Calibrated(model) => Some(FittedModelParts::Calibrated(model.to_parts())),
-            Self::Pergam(model) => Some(FittedModelParts::Pergam(model.to_parts())),
-            Self::Hypertime(model) => Some(FittedModelParts::Hypertime(model.to_parts())),
-            Self::Poisson(model) => Some(FittedModelParts::Poisson(model.to_parts())),
+            Self::Calibrated(model) => Some(TrainedModelParts::Calibrated(model.to_parts())),
+            Self::Pergam(model) => Some(TrainedModelParts::Pergam(model.to_parts())),
+            Self::Hypertime(model) => Some(TrainedModelParts::Hypertime(model.to_parts())),
+            Self::Poisson(model) => Some(TrainedModelParts::Poisson(model.to_parts())),
             _ => None,
         }
     }
@@ -231,18 +232,18 @@ impl TrainedModel {
     ///
     /// # Errors
     /// [`InvalidParts`] where a number is outside its range, or states of that kind do not support the model.
-    pub fn from_parts_of(state_kind: StateKind, parts: FittedModelParts) -> Result<TrainedModel, InvalidParts> {
+    pub fn from_parts_of(state_kind: StateKind, parts: TrainedModelParts) -> Result<TrainedModel, InvalidParts> {
         let is_of_other_kind = match &parts {
-            FittedModelParts::Hypertime(parts) => {
+            TrainedModelParts::Hypertime(parts) => {
                 matches!(parts, HypertimeParts::Probability(_)) != (state_kind == StateKind::Probability)
             }
             _ => false,
         };
         let model = match parts {
-            FittedModelParts::Calibrated(parts) => Self::Calibrated(Calibrated::from_parts(parts)?),
-            FittedModelParts::Pergam(parts) => Self::Pergam(Pergam::from_parts(&parts)?),
-            FittedModelParts::Hypertime(parts) => Self::Hypertime(Box::new(Hypertime::from_parts(&parts)?)),
-            FittedModelParts::Poisson(parts) => Self::Poisson(Box::new(CountRate::from_parts(parts)?)),
+            TrainedModelParts::Calibrated(parts) => Self::Calibrated(Calibrated::from_parts(parts)?),
+            TrainedModelParts::Pergam(parts) => Self::Pergam(Pergam::from_parts(&parts)?),
+            TrainedModelParts::Hypertime(parts) => Self::Hypertime(Box::new(Hypertime::from_parts(&parts)?)),
+            TrainedModelParts::Poisson(parts) => Self::Poisson(Box::new(CountRate::from_parts(parts)?)),
         };
         if is_of_other_kind || !model.kind_at_night().is_some_and(|kind| kind.supports(state_kind)) {
             return Err(InvalidParts::OutOfRange { field: "model of another kind of states", found: f64::NAN });
@@ -254,17 +255,5 @@ impl TrainedModel {
 impl From<Calibrated> for TrainedModel {
     fn from(model: Calibrated) -> TrainedModel {
         Self::Calibrated(model)
-    }
-}
-
-impl From<Pergam> for TrainedModel {
-    fn from(model: Pergam) -> TrainedModel {
-        Self::Pergam(model)
-    }
-}
-
-impl From<Hypertime> for TrainedModel {
-    fn from(model: Hypertime) -> TrainedModel {
-        Self::Hypertime(Box::new(model))
     }
 }

@@ -79,7 +79,7 @@ impl Pergam {
     /// 1,440th of the period; one that was never observed is interpolated between its observed neighbours.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings or an option is outside its range.
+    /// [`CannotFit`] where there are no readings, or an option or a value is outside its range.
     pub fn fit(readings: Readings<'_>, options: &PergamOptions) -> Result<Pergam, CannotFit> {
         check_range("gaussians", options.gaussians as f64, 1.0, PergamOptions::GAUSSIANS_MAX as f64, "1 to 20")?;
         let period_secs = options.period_nanos as f64 / 1e9;

@@ -32,12 +32,10 @@ pub struct DependenceSums {
     pub span_secs: f64,
     /// Mean value, in `[0,1]`: [`Accumulator::mean`](crate::Accumulator::mean).
     pub mean: f64,
-    /// Number of single hours with a reading: [`HourTable::observed_hours`](super::HourTable::observed_hours). `None`:
-    /// unknown; then readings count as spread over the span, and visits with many readings each are overrated.
-    pub observed_hours: Option<f64>,
-    /// Σ |change of value| over the pairs. `None`: unknown; then the dependence of readings at irregular times is
-    /// underrated.
-    pub changes: Option<f64>,
+    /// Number of single hours with a reading: [`HourTable::observed_hours`](super::HourTable::observed_hours).
+    pub observed_hours: f64,
+    /// Σ |change of value| over the pairs.
+    pub changes: f64,
 }
 
 /// The number of independent readings that the readings are equivalent to, from 1 to their number.
@@ -50,10 +48,10 @@ pub struct DependenceSums {
 /// time between readings, over 2μ(1-μ). Values between 0 and 1 vary less than that allows, which lowers the number and
 /// is conservative.
 ///
-/// If hours are known, the observed time counts instead of the span, with at least one reading an hour.
+/// If there are observed hours, the observed time counts instead of the span, with at least one reading an hour.
 ///
 /// Of readings at irregular times the mean rate of change times the mean gap is more than the mean change, because
-/// short gaps have high rates. So if the changes are known, their mean is a second bound: with independent gaps, 1 - ρ
+/// short gaps have high rates. So the mean of the changes is a second bound: with independent gaps, 1 - ρ
 /// of the formula is the mean of 1 - e^(-gap/τ), which is what changes count. At regular times both are the same.
 pub fn effective_observations(sums: &DependenceSums) -> f64 {
     let variance = sums.mean * (1.0 - sums.mean);
@@ -74,8 +72,8 @@ struct Spacing {
 fn spacings(sums: &DependenceSums) -> [Spacing; 3] {
     let pairs = sums.pairs.max(1) as f64;
     let spread = |secs: f64| Spacing { change: sums.change_rate_sum / pairs * (secs / pairs), secs: secs / pairs };
-    let counted = Spacing { change: sums.changes.unwrap_or(0.0) / pairs, secs: sums.span_secs / pairs };
-    [spread(sums.span_secs), spread(sums.observed_hours.unwrap_or(0.0) * 3600.0), counted]
+    let counted = Spacing { change: sums.changes / pairs, secs: sums.span_secs / pairs };
+    [spread(sums.span_secs), spread(sums.observed_hours * 3600.0), counted]
 }
 
 /// `forgotten`: 1 - ρ by each of the [`spacings`].
@@ -88,11 +86,12 @@ fn effective(sums: &DependenceSums, forgotten: [f64; 3]) -> f64 {
         let forgotten = forgotten.clamp(0.0, 1.0);
         (pairs + 1.0) * forgotten / (2.0 - forgotten)
     };
-    let number = match sums.observed_hours {
-        Some(hours) if hours > 0.0 => over(forgotten[0]).min(over(forgotten[1]).max(hours)),
-        _ => over(forgotten[0]),
+    let number = if sums.observed_hours > 0.0 {
+        over(forgotten[0]).min(over(forgotten[1]).max(sums.observed_hours))
+    } else {
+        over(forgotten[0])
     };
-    let number = if sums.changes.is_some() && !number.is_nan() { number.min(over(forgotten[2])) } else { number };
+    let number = if number.is_nan() { number } else { number.min(over(forgotten[2])) };
     let readings = sums.pairs as f64 + 1.0;
     // NaN, from invalid sums, supports nothing.
     if number.is_nan() { 1.0 } else { number.clamp(1.0, readings) }

@@ -60,11 +60,9 @@ impl FromStr for ModelSelector {
         };
         let mut parts = model.split(':').peekable();
         let name = parts.next().unwrap_or_default();
-        let kind = ModelKind::ALL.into_iter().find(|kind| kind.name() == name);
-        let mut kind = kind.ok_or_else(|| InvalidModel::Unknown(text.to_owned()))?;
-        let cycle = |part: &str| HistogramCycle::ALL.into_iter().find(|cycle| cycle.name() == part);
+        let mut kind = ModelKind::named(name).ok_or_else(|| InvalidModel::Unknown(text.to_owned()))?;
         if kind.cycle().is_some()
-            && let Some(cycle) = parts.peek().copied().and_then(cycle)
+            && let Some(cycle) = parts.peek().copied().and_then(HistogramCycle::named)
         {
             kind = kind.with_cycle(cycle);
             parts.next();

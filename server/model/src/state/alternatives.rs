@@ -436,8 +436,8 @@ impl Alternatives {
             change_rate_sum: succession.change_rate_sum,
             span_secs: folded.span_nanos() as f64 / 1e9,
             mean: folded.mean(),
-            observed_hours: Some(self.hours.observed_hours()),
-            changes: Some(self.changes),
+            observed_hours: self.hours.observed_hours(),
+            changes: self.changes,
         };
         // Forgotten data supports nothing.
         let remembered = folded.weight() / (folded.observations() as f64).max(1.0);

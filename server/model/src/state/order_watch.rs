@@ -130,8 +130,8 @@ impl OrderWatch {
             change_rate_sum: self.change_rate_sum,
             span_secs,
             mean,
-            observed_hours: Some(observed_hours),
-            changes: Some(f64::from(self.changes)),
+            observed_hours,
+            changes: f64::from(self.changes),
         };
         let square = difference * difference;
         let half_square = |change: f64| square * half_square_of_probabilities(change);

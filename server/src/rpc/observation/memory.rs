@@ -1,6 +1,6 @@
 //! The memory that a batch takes from when it is handed to the writer until it is durable and applied.
 //!
-//! Invariant: estimates, and never much too small: they bound what waits for a slow disk.
+//! Invariant: these are estimates, but never much too small, because they bound the memory that waits for a slow disk.
 
 use tidemap_map::traversal::{EdgeFailure, Traversal};
 

@@ -71,7 +71,7 @@ impl NodeStates {
         Ok(places)
     }
 
-    /// The places of `object`; empty for the default kind.
+    /// The nodes and states for the presence of `object`, which is empty for the default kind.
     ///
     /// # Errors
     /// There are none, or a state is not a probability.

@@ -1,5 +1,5 @@
-//! Why the content of a map does not fit a field of a request. What needs no map to be seen is checked where the wire
-//! is converted.
+//! Why the content of a map does not fit a field of a request. Errors that can be found without
+//! the map are found where the wire is converted.
 //!
 //! Invariant: each error names its field, the value, and what would fit.
 

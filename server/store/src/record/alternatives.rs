@@ -4,8 +4,8 @@
 
 use tidemap_migrations::v1::map as v1;
 use tidemap_model::{
-    Alternatives, AlternativesParts, FitParts, FittedModelParts, GapsParts, LocalDay, Periodicities, PersistenceParts,
-    StateKind,
+    Alternatives, AlternativesParts, FitParts, GapsParts, LocalDay, Periodicities, PersistenceParts, StateKind,
+    TrainedModelParts,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
@@ -105,7 +105,7 @@ fn decode_gaps(message: &v1::Alternatives) -> Result<GapsParts, Invalid> {
 }
 
 fn encode_calibrated(fit: &FitParts) -> Option<v1::Calibrated> {
-    let FittedModelParts::Calibrated(model) = &fit.model else { return None };
+    let TrainedModelParts::Calibrated(model) = &fit.model else { return None };
     let mut profile = Vec::with_capacity(SLOTS * 8);
     doubles::push(&mut profile, &model.profile);
     Some(v1::Calibrated {
@@ -119,7 +119,7 @@ fn encode_calibrated(fit: &FitParts) -> Option<v1::Calibrated> {
 }
 
 pub(crate) fn decode(
-    of: StateKind,
+    state_kind: StateKind,
     message: &v1::Alternatives,
     periodicities: &Periodicities,
 ) -> Result<Alternatives, String> {
@@ -150,7 +150,7 @@ pub(crate) fn decode(
         since: message.since.map(LocalDay),
         fits: calibrated.into_iter().chain(fits::decode(&message.fits, periodicities)?).collect(),
     };
-    Alternatives::from_parts_of(of, parts).map_err(|error| error.to_string())
+    Alternatives::from_parts_of(state_kind, parts).map_err(|error| error.to_string())
 }
 
 fn decode_calibrated(message: &v1::Calibrated) -> Result<FitParts, Invalid> {
@@ -160,7 +160,7 @@ fn decode_calibrated(message: &v1::Calibrated) -> Result<FitParts, Invalid> {
     let mut profile = Vec::with_capacity(SLOTS);
     doubles::take(&message.profile, &mut profile);
     Ok(FitParts {
-        model: FittedModelParts::Calibrated(CalibratedParts {
+        model: TrainedModelParts::Calibrated(CalibratedParts {
             observations: message.observations,
             lowest: f64::from_bits(message.lowest_bits),
             highest: f64::from_bits(message.highest_bits),

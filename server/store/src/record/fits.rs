@@ -1,11 +1,11 @@
-//! The models that were fitted to a state's readings, except the calibrated one, as bytes, and back.
+//! The models that were trained on a state's readings, except the calibrated one, as bytes, and back.
 //!
 //! Invariant: every number is read back bit by bit. The constructors of the models check the numbers.
 
 use prost::Message as _;
 use tidemap_migrations::v1::fits as v1;
 use tidemap_model::{
-    Component, FitParts, FittedModelParts, LocalDay, Periodicities,
+    Component, FitParts, LocalDay, Periodicities, TrainedModelParts,
     models::{
         CountRateParts, HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts,
         HypertimeParts, HypertimePeriod, PergamGaussian, PergamParts, PoissonSpectralParts,
@@ -14,7 +14,7 @@ use tidemap_model::{
 
 use super::Invalid;
 
-const INVALID: Invalid = "the fitted models of a state are not valid";
+const INVALID: Invalid = "the trained models of a state are not valid";
 
 /// Empty if there is none.
 pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
@@ -22,10 +22,10 @@ pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
     for parts in fits {
         let fit = Some(v1::Fit { day: parts.day.0, error_sum_bits: parts.error_sum.map(f64::to_bits) });
         match &parts.model {
-            FittedModelParts::Calibrated(_) => {}
-            FittedModelParts::Poisson(model) => message.poisson = Some(encode_poisson(fit, model)),
-            FittedModelParts::Pergam(model) => message.pergam = Some(encode_pergam(fit, model)),
-            FittedModelParts::Hypertime(model) => {
+            TrainedModelParts::Calibrated(_) => {}
+            TrainedModelParts::Poisson(model) => message.poisson = Some(encode_poisson(fit, model)),
+            TrainedModelParts::Pergam(model) => message.pergam = Some(encode_pergam(fit, model)),
+            TrainedModelParts::Hypertime(model) => {
                 let (method, model) = encode_hypertime(fit, model);
                 match method {
                     HypertimeMethod::Em => message.hypertime_em = Some(model),
@@ -55,7 +55,7 @@ fn doubles(bits: &[u64]) -> Vec<f64> {
     bits.iter().map(|&bits| f64::from_bits(bits)).collect()
 }
 
-fn with_fit(model: FittedModelParts, fit: Option<&v1::Fit>) -> Result<FitParts, Invalid> {
+fn with_fit(model: TrainedModelParts, fit: Option<&v1::Fit>) -> Result<FitParts, Invalid> {
     let fit = fit.ok_or(INVALID)?;
     Ok(FitParts { model, day: LocalDay(fit.day), error_sum: fit.error_sum_bits.map(f64::from_bits) })
 }
@@ -73,7 +73,7 @@ fn decode_pergam(message: &v1::Pergam) -> Result<FitParts, Invalid> {
         |&[weight, mean_secs, deviation_secs]: &[f64; 3]| PergamGaussian { weight, mean_secs, deviation_secs };
     let gaussians = gaussians.iter().map(gaussian).collect();
     let model = PergamParts { period_nanos: message.period_nanos, gaussians };
-    with_fit(FittedModelParts::Pergam(model), message.fit.as_ref())
+    with_fit(TrainedModelParts::Pergam(model), message.fit.as_ref())
 }
 
 fn encode_poisson(fit: Option<v1::Fit>, model: &CountRateParts) -> v1::Poisson {
@@ -100,7 +100,7 @@ fn decode_poisson(message: &v1::Poisson, periodicities: &Periodicities) -> Resul
     let components = message.periodicities.iter().zip(gammas).map(component).collect();
     let bins = PoissonSpectralParts { bin_nanos: message.bin_nanos, mean, floor, components };
     let model = CountRateParts { periodicities: periodicities.clone(), bins, readings_per_bin };
-    with_fit(FittedModelParts::Poisson(model), message.fit.as_ref())
+    with_fit(TrainedModelParts::Poisson(model), message.fit.as_ref())
 }
 
 fn encode_hypertime(fit: Option<v1::Fit>, model: &HypertimeParts) -> (HypertimeMethod, v1::Hypertime) {
@@ -161,7 +161,7 @@ fn decode_hypertime(method: HypertimeMethod, message: &v1::Hypertime) -> Result<
         }),
         _ => return Err(INVALID),
     };
-    with_fit(FittedModelParts::Hypertime(model), message.fit.as_ref())
+    with_fit(TrainedModelParts::Hypertime(model), message.fit.as_ref())
 }
 
 fn divisors(periods: &[HypertimePeriod]) -> Vec<u32> {
@@ -220,7 +220,7 @@ mod tests {
         let periodicities = Periodicities::default();
         let model = CountRate::fit(Readings::new(&samples), &periodicities).expect("counts").to_parts();
         assert!(!model.bins.components.is_empty());
-        let fits = [FitParts { model: FittedModelParts::Poisson(model), day: LocalDay(9), error_sum: Some(0.1) }];
+        let fits = [FitParts { model: TrainedModelParts::Poisson(model), day: LocalDay(9), error_sum: Some(0.1) }];
         assert_eq!(decode(&encode(&fits), &periodicities), Ok(fits.to_vec()));
         let mut message = v1::Fits::decode(encode(&fits).as_slice()).expect("a message");
         message.poisson.as_mut().expect("it is there").gammas_bits.pop();
@@ -229,7 +229,7 @@ mod tests {
 
     fn hypertime(gain: f64, periods: &[HypertimePeriod]) -> FitParts {
         FitParts {
-            model: FittedModelParts::Hypertime(HypertimeParts::Probability(HypertimeOddsParts {
+            model: TrainedModelParts::Hypertime(HypertimeParts::Probability(HypertimeOddsParts {
                 method: HypertimeMethod::Em,
                 periods: periods.to_vec(),
                 mean: 0.25,

@@ -226,7 +226,7 @@ pub(crate) struct EncodedSums<'bytes> {
     cells: &'bytes [u8],
     /// When its cells were observed.
     sightings: Sightings,
-    /// The same as bytes, after their length.
+    /// The message of `sightings` as bytes, with its length before it.
     sightings_bytes: &'bytes [u8],
 }
 
@@ -317,7 +317,7 @@ impl EncodedSums<'_> {
         Ok(TileSums { groups, cells, runs: runs.clone(), times: times.clone(), watches: watches.clone(), sensors })
     }
 
-    /// The same bytes with other numbers for the shared sums.
+    /// Writes these sums again, with other numbers for the shared sums.
     pub(crate) fn encode_again(&self, shared: &[u32], periodicities: &Periodicities, out: &mut Vec<u8>) {
         let has_weighted = self.weighted.as_ref().map(|weighted| weighted.iter().copied());
         push_head(out, shared, self.groups, self.cells(periodicities), has_weighted);

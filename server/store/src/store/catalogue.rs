@@ -32,7 +32,7 @@ const DELETED_SUFFIX: &str = ".deleted";
 /// A map that cannot be used. Its files are left as they are.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SetAside {
-    /// Its number.
+    /// The number of the map, from 1.
     pub id: MapId,
     /// Its name, where it is known.
     pub name: Option<String>,

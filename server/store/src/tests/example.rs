@@ -142,7 +142,7 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
     }
 }
 
-/// Models of every kind, two of each. Fitted once, because it takes long.
+/// Models of every kind, two of each. Trained once, because it takes long.
 static FITS: LazyLock<Vec<TrainedModel>> = LazyLock::new(|| {
     let fits = [2, 3].map(|every| {
         let sample = |hour: i64| Sample {
@@ -151,9 +151,9 @@ static FITS: LazyLock<Vec<TrainedModel>> = LazyLock::new(|| {
             value: f64::from(u8::from((8..17).contains(&(hour % 24)) && hour % every == 0)),
         };
         let samples: Vec<Sample> = (0..240).map(sample).collect();
-        let (of, week) = (StateKind::Probability, Periodicities::default());
-        let fit = |kind: ModelKind| kind.train(Readings::new(&samples), of, &week).expect("readings");
-        TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(of)).map(fit).collect::<Vec<_>>()
+        let (state_kind, week) = (StateKind::Probability, Periodicities::default());
+        let fit = |kind: ModelKind| kind.train(Readings::new(&samples), state_kind, &week).expect("readings");
+        TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(state_kind)).map(fit).collect::<Vec<_>>()
     });
     fits.into_iter().flatten().collect()
 });

@@ -112,7 +112,7 @@ fn failure() -> EdgeFailure {
     }
 }
 
-/// One of every kind. Applied in this order, something of most is left.
+/// One edit of every kind. After all of them the site holds something of almost every kind.
 fn edits() -> Vec<SiteEdit> {
     let pose = NodePose { x_m: 1.5, y_m: -2.0, yaw_rad: 0.75 };
     let node = |name: &str| NewNode { name: named(name), pose: Some(pose), dwell_secs: Some(12.5) };

@@ -2,7 +2,7 @@
 
 use tidemap_map::{event::StateKind, name::MapName, snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_model::{
-    Alternatives, Component, EnabledModels, FitParts, FittedModelParts, LocalDay,
+    Alternatives, Component, EnabledModels, FitParts, LocalDay, TrainedModelParts,
     models::{
         CountRateParts, HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts,
         HypertimeParts, HypertimePeriod, PergamGaussian, PergamParts, PoissonSpectralParts,
@@ -32,7 +32,7 @@ fn cluster(coordinates: usize, circles: usize, weight: f64) -> HypertimeCluster 
 }
 
 fn odds(method: HypertimeMethod) -> HypertimeParts {
-    let of = |weight| match method {
+    let weighted = |weight| match method {
         HypertimeMethod::Em => cluster(4, 0, weight),
         HypertimeMethod::Km => cluster(0, 2, weight),
     };
@@ -44,8 +44,8 @@ fn odds(method: HypertimeMethod) -> HypertimeParts {
         log_ones: 2.5,
         log_zeros: 3.25,
         gain: 1.25,
-        ones: vec![of(0.75), of(0.25)],
-        zeros: vec![of(1.0)],
+        ones: vec![weighted(0.75), weighted(0.25)],
+        zeros: vec![weighted(1.0)],
     })
 }
 
@@ -62,14 +62,14 @@ fn field(method: HypertimeMethod) -> HypertimeParts {
     })
 }
 
-/// The data of a state of that kind, with the models of `fits` and the calibrated one.
-fn known(of: StateKind, fits: Vec<(FittedModelParts, Option<f64>)>, choice: u8) -> Alternatives {
+/// What is known of a state of a kind, with the models of `fits` and the calibrated one.
+fn known(state_kind: StateKind, fits: Vec<(TrainedModelParts, Option<f64>)>, choice: u8) -> Alternatives {
     let mut parts = alternatives(Some(Some(2.75))).to_parts();
     let fit = |(model, error_sum)| FitParts { model, day: LocalDay(19_669), error_sum };
     parts.fits.extend(fits.into_iter().map(fit));
     parts.since = Some(LocalDay(19_600));
     parts.choice = choice;
-    Alternatives::from_parts_of(of, parts).expect("valid")
+    Alternatives::from_parts_of(state_kind, parts).expect("valid")
 }
 
 fn snapshot() -> MapSnapshot {
@@ -79,14 +79,14 @@ fn snapshot() -> MapSnapshot {
         gaussians: vec![gaussian(0.0625, 32_400.5), gaussian(0.25, 61_200.125)],
     };
     let all = vec![
-        (FittedModelParts::Pergam(pergam), Some(1.5)),
-        (FittedModelParts::Hypertime(odds(HypertimeMethod::Em)), Some(3.5)),
-        (FittedModelParts::Hypertime(odds(HypertimeMethod::Km)), None),
+        (TrainedModelParts::Pergam(pergam), Some(1.5)),
+        (TrainedModelParts::Hypertime(odds(HypertimeMethod::Em)), Some(3.5)),
+        (TrainedModelParts::Hypertime(odds(HypertimeMethod::Km)), None),
     ];
     let values = [HypertimeMethod::Em, HypertimeMethod::Km].map(|method| {
         let known = known(
             StateKind::Continuous,
-            vec![(FittedModelParts::Hypertime(field(method)), Some(0.5))],
+            vec![(TrainedModelParts::Hypertime(field(method)), Some(0.5))],
             if method == HypertimeMethod::Em { 130 } else { 131 },
         );
         golden_states::state_of(StateKind::Continuous, &format!("warmth {method:?}"), known)
@@ -101,11 +101,11 @@ fn snapshot() -> MapSnapshot {
         },
         readings_per_bin: 6.0,
     };
-    let counts = known(StateKind::Count, vec![(FittedModelParts::Poisson(rate), Some(1.25))], 132);
+    let counts = known(StateKind::Count, vec![(TrainedModelParts::Poisson(rate), Some(1.25))], 132);
     let mut states = vec![golden_states::state("door", known(StateKind::Probability, all, 129))];
     states.extend(values);
     states.push(golden_states::state_of(StateKind::Count, "people", counts));
-    // The erasure takes the newest of the last values that are left, and there is none.
+    // An erasure computes this time from the last values of the states that are left, and these have none.
     MapSnapshot { states, newest_nanos: 0, ..golden_states::snapshot() }
 }
 

@@ -10,9 +10,9 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, FitParts,
-    FittedModelParts, GapsParts, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts,
-    Sample, SpectralModel, StateModel, UpdateRules, Zone,
+    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, FitParts, GapsParts,
+    LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample, SpectralModel,
+    StateModel, TrainedModelParts, UpdateRules, Zone,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
@@ -60,7 +60,7 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
         days: 28,
         since: None,
         fits: Vec::from_iter(calibrated.map(|error_sum| FitParts {
-            model: FittedModelParts::Calibrated(CalibratedParts {
+            model: TrainedModelParts::Calibrated(CalibratedParts {
                 observations: 40_320,
                 lowest: 0.0,
                 highest: 1.0,

@@ -108,27 +108,27 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
     )
 }
 
-/// Sensors of a map: mostly only its own.
-fn sensors(random: &mut SmallRng) -> u8 {
+/// The highest number of a sensor of a map: mostly 0, its own.
+fn highest_sensor(random: &mut SmallRng) -> u8 {
     [0, 0, 3, 255][random.random_range(0..4)]
 }
 
-/// One of those.
-fn sensor(most: u8, random: &mut SmallRng) -> SensorId {
-    SensorId(if most == 0 { 0 } else { random.random_range(0..=most) })
+/// One of the sensors up to a number.
+fn sensor(highest: u8, random: &mut SmallRng) -> SensorId {
+    SensorId(if highest == 0 { 0 } else { random.random_range(0..=highest) })
 }
 
 pub(crate) fn live_tile(index: TileIndex, random: &mut SmallRng) -> LiveTile {
     let mut tile = LiveTile::new(index);
-    let most = sensors(random);
-    tile.sensor = sensor(most, random);
+    let highest = highest_sensor(random);
+    tile.sensor = sensor(highest, random);
     tile.arrival = masks(random);
     tile.current = mask(random);
     tile.newest_nanos = random.random_range(0..i64::MAX);
     tile.scans = random.random_range(0..1_000_000);
     for cell in mask(random).without(tile.current).cells() {
         let last_nanos = tile.newest_nanos.wrapping_sub(random.random_range(0..DAY_NANOS));
-        tile.away.push(Away { cell, sensor: sensor(most, random), last_nanos, pairs: random.random_range(0..1000) });
+        tile.away.push(Away { cell, sensor: sensor(highest, random), last_nanos, pairs: random.random_range(0..1000) });
         tile.known.insert(cell);
     }
     tile.known |= tile.current;
@@ -258,9 +258,9 @@ fn runs(random: &mut SmallRng) -> ObservationRuns {
         let others = Mask::FULL.without(some);
         let lists = [some, others].map(list).into();
         // A day with only the map's own sensor has none.
-        let most = sensors(random);
-        let ids = (0..scans).map(|scan| if scan == 0 { SensorId(most) } else { sensor(most, random) });
-        let sensors = (most > 0).then(|| Arc::new(ids.collect()));
+        let highest = highest_sensor(random);
+        let ids = (0..scans).map(|scan| if scan == 0 { SensorId(highest) } else { sensor(highest, random) });
+        let sensors = (highest > 0).then(|| Arc::new(ids.collect()));
         DayRuns { civil_nanos, sensors, lists }
     });
     ObservationRuns::from_days(days.collect()).expect("valid")
@@ -270,13 +270,13 @@ fn runs(random: &mut SmallRng) -> ObservationRuns {
 pub(crate) fn day(day: i32, tiles: u32, random: &mut SmallRng) -> GridDay {
     let mut kept = GridDay::new(LocalDay(day));
     let mut seen: Arc<[TileId]> = Arc::default();
-    let most = sensors(random);
+    let highest = highest_sensor(random);
     for scan in 0..random.random_range(1..60_i64) {
         if scan == 0 || random.random_bool(0.2) {
             seen = (0..tiles).map(TileId).filter(|_| random.random_bool(0.6)).collect();
         }
         let utc_nanos = i64::from(day) * DAY_NANOS + scan * 1_000_000_000;
-        let (offset_secs, sensor) = (if scan < 30 { 0 } else { 3600 }, sensor(most, random));
+        let (offset_secs, sensor) = (if scan < 30 { 0 } else { 3600 }, sensor(highest, random));
         let number = kept.push(ScanTime { utc_nanos, offset_secs, sensor }, &seen);
         for &tile in seen.iter() {
             if kept.tile(tile).is_none() || random.random_bool(0.3) {
@@ -323,8 +323,8 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
         grid.days.push(day(19_000 + number, tiles, random));
     }
     for _ in 0..random.random_range(0..3) {
-        let most = sensors(random);
-        let (utc_nanos, sensor) = (random.random_range(0..i64::MAX), sensor(most, random));
+        let highest = highest_sensor(random);
+        let (utc_nanos, sensor) = (random.random_range(0..i64::MAX), sensor(highest, random));
         let time = ScanTime { utc_nanos, offset_secs: -3600, sensor };
         let shown = (0..tiles).map(|tile| (TileId(tile), masks(random))).collect();
         grid.future.push(FutureScan { time, tiles: shown });

@@ -224,12 +224,12 @@ fn a_missing_checkpoint_or_first_segment_is_told_until_it_is_needed_no_longer() 
         let store = Store::open(data, options()).expect("opens");
         let reports = store.open_map(MAP, &example.spec).expect("opens").reports;
         assert!(reports.contains(&Report::SpareMissing { file }), "{what}: {reports:?}");
-        let told = |store: &Store| {
+        let is_reported = |store: &Store| {
             store.trouble().iter().any(|it| matches!(it, Trouble::Damaged { file, .. } if *file == name))
         };
-        assert!(told(&store), "{:?}", store.trouble());
+        assert!(is_reported(&store), "{:?}", store.trouble());
         store.scrub(&mut |_| true);
-        assert!(told(&store), "the background check finds it too: {:?}", store.trouble());
+        assert!(is_reported(&store), "the background check finds it too: {:?}", store.trouble());
         for position in [50, 60] {
             store.save(MAP, &snapshot(&example.spec, position, 3)).expect("saves");
         }

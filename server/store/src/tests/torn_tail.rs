@@ -162,7 +162,7 @@ fn records_of_another_map_or_place_are_damage() {
     let file = segment(directory.path());
     let good = fs::read(&file).expect("readable");
     let offsets = frames(&good);
-    // The same record once more, and a gap.
+    // A record that comes twice, and a gap.
     let doubled = [&good[..offsets[7]], &good[offsets[6]..offsets[7]]].concat();
     let missing = [&good[..offsets[3]], &good[offsets[4]..]].concat();
     for bad in [doubled, missing] {

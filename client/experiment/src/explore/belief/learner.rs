@@ -23,12 +23,13 @@ pub(super) const SHORT_TERM: ModelKind = ModelKind::Persistence;
 /// long-term memory of RAS 2017, [`SHORT_TERM`] its short-term memory. [`ModelKind::Spectral`] has the number of
 /// components up to eight that predicted best.
 pub(super) fn kinds() -> impl Iterator<Item = ModelKind> {
-    // Visits come at irregular times, which a uniform model refuses; the latest value is what the chain starts from.
-    let is_other = |kind: &ModelKind| matches!(kind, ModelKind::Auto | ModelKind::Latest | ModelKind::Uniform);
+    // Left out: auto, since no update chooses here; latest, from which the chain starts; and uniform, which refuses the
+    // irregular times of visits.
+    let is_unsuitable = |kind: &ModelKind| matches!(kind, ModelKind::Auto | ModelKind::Latest | ModelKind::Uniform);
     // Every place is trained every midnight.
     let is_slow = |kind: &ModelKind| kind.cost() == Some(TrainingCost::High);
     let supported = ModelKind::ALL.into_iter().filter(|kind| kind.supports(StateKind::Probability));
-    supported.filter(move |kind| !is_other(kind) && !is_slow(kind))
+    supported.filter(move |kind| !is_unsuitable(kind) && !is_slow(kind))
 }
 
 /// A model of one state with its training data.

@@ -140,11 +140,11 @@ fn auto_answers_by_the_models_that_predict_best_together() {
     let (calibrated, _) = model.alternatives().and_then(|known| known.trained(ModelKind::Calibrated)).expect("fitted");
     let auto = ModelSelector::default();
     let mut expected = vec![0.0; times.len()];
-    view.predict_fitted_into(StateId(0), &view.moments(&times), calibrated, auto, &mut expected);
+    view.predict_trained_into(StateId(0), &view.moments(&times), calibrated, auto, &mut expected);
     let periodicities = &view.spec().periodicities;
     let mut together = vec![0.0; times.len()];
     let chosen = model.chosen(periodicities).expect("not the spectral model alone");
-    view.predict_fitted_into(StateId(0), &view.moments(&times), &chosen, auto, &mut together);
+    view.predict_trained_into(StateId(0), &view.moments(&times), &chosen, auto, &mut together);
     for ((auto, together), calibrated) in predicted(auto).iter().zip(&together).zip(&expected) {
         assert!((auto - together).abs() <= 1e-12, "{auto}, {together}");
         // Its errors are by far the lowest.

@@ -30,6 +30,11 @@ impl HistogramCycle {
     /// All cycles.
     pub const ALL: [HistogramCycle; 3] = [HistogramCycle::Day, HistogramCycle::Week, HistogramCycle::WeekdayWeekend];
 
+    /// The cycle of a name; `None` for any other name.
+    pub fn named(name: &str) -> Option<HistogramCycle> {
+        HistogramCycle::ALL.into_iter().find(|cycle| cycle.name() == name)
+    }
+
     /// The name in the name of a model and in protocols.
     pub fn name(self) -> &'static str {
         match self {

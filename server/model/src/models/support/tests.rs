@@ -54,8 +54,8 @@ fn judged(samples: &[Sample]) -> Judged {
         change_rate_sum: persistence.to_parts().change_rate_sum,
         span_secs: accumulator.span_nanos() as f64 / 1e9,
         mean: accumulator.mean(),
-        observed_hours: Some(hours.observed_hours()),
-        changes: Some(changes),
+        observed_hours: hours.observed_hours(),
+        changes,
     };
     let effective = effective_observations(&sums);
     let model = SpectralModel::fit(&accumulator, &week);
@@ -146,14 +146,8 @@ fn the_effective_number_is_known_for_chains() {
 
 #[test]
 fn nothing_is_known_from_nothing() {
-    let none = DependenceSums {
-        pairs: 0,
-        change_rate_sum: 0.0,
-        span_secs: 0.0,
-        mean: 0.5,
-        observed_hours: None,
-        changes: None,
-    };
+    let none =
+        DependenceSums { pairs: 0, change_rate_sum: 0.0, span_secs: 0.0, mean: 0.5, observed_hours: 0.0, changes: 0.0 };
     assert!((effective_observations(&none) - 1.0).abs() < 1e-12);
     let constant = DependenceSums { pairs: 1000, span_secs: 1e6, mean: 1.0, ..none };
     assert!((effective_observations(&constant) - 1.0).abs() < 1e-12);
@@ -241,8 +235,8 @@ proptest! {
         change_rate_sum in prop::num::f64::POSITIVE,
         span_secs in prop::num::f64::POSITIVE,
         mean in 0.0..=1.0_f64,
-        observed_hours in prop::option::of(prop::num::f64::ANY),
-        changes in prop::option::of(prop::num::f64::ANY),
+        observed_hours in prop::num::f64::ANY,
+        changes in prop::num::f64::ANY,
         gammas in prop::collection::vec(-0.3..0.3_f64, 0..=ORDER_MAX),
     ) {
         let sums = DependenceSums { pairs, change_rate_sum, span_secs, mean, observed_hours, changes };
@@ -257,8 +251,8 @@ proptest! {
             let pairs = (pairs % 1_000_000).saturating_mul(factor);
             let rate = (change_rate_sum % 1e9) * factor as f64;
             let span_secs = (span_secs % 1e9) * factor as f64;
-            let changes = changes.map(|changes| (changes % 1e9).abs() * factor as f64);
-            let more = DependenceSums { pairs, change_rate_sum: rate, span_secs, observed_hours: None, changes, ..sums };
+            let changes = (changes % 1e9).abs() * factor as f64;
+            let more = DependenceSums { pairs, change_rate_sum: rate, span_secs, observed_hours: 0.0, changes, ..sums };
             let supported = supported_order(&model, &week, &more);
             prop_assert!(supported >= least && supported <= gammas.len());
             least = supported;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::{Alternatives, Errors, TrainingRecord};
 use crate::{
     Gaps, GapsParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
-    catalogue::{FittedModelParts, HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel},
+    catalogue::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel, TrainedModelParts},
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts, OrderGains, OrderGainsParts},
 };
 
@@ -48,7 +48,7 @@ pub struct AlternativesParts {
 #[derive(Clone, Debug, PartialEq)]
 pub struct FitParts {
     /// The model.
-    pub model: FittedModelParts,
+    pub model: TrainedModelParts,
     /// The last local day that it was trained on.
     pub day: LocalDay,
     /// Faded sum of errors, of this model and those before it; `None` before the first day that it was scored on.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    FittedModelParts, StateModel,
+    StateModel, TrainedModelParts,
     models::{Calibrated, CalibratedOptions, Readings},
 };
 
@@ -227,7 +227,7 @@ fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
     assert!(is_refused(|parts| parts.fits[0].error_sum = Some(f64::NAN)));
     assert!(is_refused(|parts| parts.fits[0].error_sum = Some(-1.0)));
     assert!(is_refused(|parts| match &mut parts.fits[0].model {
-        FittedModelParts::Calibrated(model) => _ = model.profile.pop(),
+        TrainedModelParts::Calibrated(model) => _ = model.profile.pop(),
         _ => panic!("another model"),
     }));
 }

@@ -1,4 +1,4 @@
-//! The same for some of the observations of a map that has learned them.
+//! Erasures of some of the observations of a map that has learned them, cut off at every step.
 
 use std::sync::atomic::AtomicU64;
 
@@ -71,8 +71,8 @@ fn observed(half_day: i64, without: &Selection) -> Event {
     )
 }
 
-/// A disk with a map that was told all of it but what is selected; the last days are in the log only.
-fn told(spec: &MapSpec, without: &Selection) -> SimulatedDisk {
+/// A disk with a map that got all events without the selected observations; the last days are in the log only.
+fn disk_without(spec: &MapSpec, without: &Selection) -> SimulatedDisk {
     let disk = SimulatedDisk::new(SmallRng::seed_from_u64(5));
     make_directory(&disk);
     let committer = Arc::default();
@@ -116,7 +116,7 @@ fn nothing() -> Selection {
     Selection { states: Some([StateId(99)].into()), producers: None, from_nanos: 0, to_nanos: i64::MAX }
 }
 
-fn of(states: Option<&[u32]>, producer: Option<u32>, hours: std::ops::Range<i64>) -> Selection {
+fn select(states: Option<&[u32]>, producer: Option<u32>, hours: std::ops::Range<i64>) -> Selection {
     Selection {
         states: states.map(|states| states.iter().copied().map(StateId).collect()),
         producers: producer.map(|producer| [ProducerId(producer)].into()),
@@ -128,18 +128,18 @@ fn of(states: Option<&[u32]>, producer: Option<u32>, hours: std::ops::Range<i64>
 #[test]
 fn what_is_left_on_the_disk_is_the_map_that_never_saw_it() {
     let spec = example::spec("home");
-    let all = told(&spec, &nothing());
+    let all = disk_without(&spec, &nothing());
     for selection in [
-        of(None, Some(1), 0..i64::MAX),
-        of(Some(&[1]), None, 30..75),
-        of(Some(&[0, 2]), Some(0), 100..120),
-        of(None, None, 8 * 24 + 13..9 * 24),
+        select(None, Some(1), 0..i64::MAX),
+        select(Some(&[1]), None, 30..75),
+        select(Some(&[0, 2]), Some(0), 100..120),
+        select(None, None, 8 * 24 + 13..9 * 24),
     ] {
         let disk = all.kill();
         let store = started(&disk, &Arc::default()).expect("starts");
         let erased = store.erase_part(MAP, &selection, false).expect("erases");
         assert!(erased.observations > 0 && erased.states > 0);
-        let never = told(&spec, &selection);
+        let never = disk_without(&spec, &selection);
         let never = started(&never, &Arc::default()).expect("starts");
         let (left, never) = (comparable(content(&store, &spec)), comparable(content(&never, &spec)));
         assert_eq!(left.history, never.history, "{selection:?}");
@@ -154,8 +154,8 @@ fn what_is_left_on_the_disk_is_the_map_that_never_saw_it() {
 #[test]
 fn an_erasure_of_a_part_that_is_cut_off_at_any_call_is_repeated_or_complete() {
     let spec = example::spec("home");
-    let selection = of(None, Some(1), 0..i64::MAX);
-    let (disk, erased) = (told(&spec, &nothing()), told(&spec, &nothing()));
+    let selection = select(None, Some(1), 0..i64::MAX);
+    let (disk, erased) = (disk_without(&spec, &nothing()), disk_without(&spec, &nothing()));
     let before = content(&started(&disk.kill(), &Arc::default()).expect("starts"), &spec);
     let store = started(&erased, &Arc::default()).expect("starts");
     store.erase_part(MAP, &selection, true).expect("erases");
@@ -167,9 +167,9 @@ fn an_erasure_of_a_part_that_is_cut_off_at_any_call_is_repeated_or_complete() {
 #[test]
 fn a_forgotten_sequence_leaves_its_key_free_and_its_states() {
     let spec = example::spec("home");
-    let disk = told(&spec, &nothing());
+    let disk = disk_without(&spec, &nothing());
     let store = started(&disk, &Arc::default()).expect("starts");
-    let erase = |producer| store.erase_part(MAP, &of(None, Some(producer), 0..i64::MAX), true).expect("erases");
+    let erase = |producer| store.erase_part(MAP, &select(None, Some(producer), 0..i64::MAX), true).expect("erases");
     assert!(erase(1).observations > 0);
     assert!(erase(0).observations > 0);
     // There is nothing more, and another key is free.
@@ -185,10 +185,10 @@ fn a_forgotten_sequence_leaves_its_key_free_and_its_states() {
 #[test]
 fn without_its_history_a_state_is_not_changed() {
     let spec = MapSpec { retention: Retention::Duration(48 * HOUR), ..example::spec("home") };
-    let disk = told(&spec, &nothing());
+    let disk = disk_without(&spec, &nothing());
     let before = content(&started(&disk.kill(), &Arc::default()).expect("starts"), &spec);
     let store = started(&disk, &Arc::default()).expect("starts");
-    let refused = store.erase_part(MAP, &of(None, Some(1), 0..i64::MAX), false);
+    let refused = store.erase_part(MAP, &select(None, Some(1), 0..i64::MAX), false);
     assert!(matches!(&refused, Err(EraseError::NotErasable(NotErasable::HistoryIncomplete { .. }))), "{refused:?}");
     assert!(content(&store, &spec) == before);
     assert!(disk.list(Path::new("/data/maps/00000001")).expect("listed").iter().all(|name| name != "ERASE"));
