@@ -258,8 +258,7 @@ impl ModelKind {
     /// Whether it has an order.
     #[inline]
     pub fn has_order(self) -> bool {
-        // The same as in the table, which is not read here: predictions of cells call this for every cell. A test
-        // compares both.
+        // Predictions of cells call this for every cell, so it does not read the table. A test compares both.
         matches!(self, Self::Auto | Self::Spectral | Self::Uniform)
     }
 

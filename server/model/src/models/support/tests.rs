@@ -152,7 +152,7 @@ fn nothing_is_known_from_nothing() {
     let constant = DependenceSums { pairs: 1000, span_secs: 1e6, mean: 1.0, ..none };
     assert!((effective_observations(&constant) - 1.0).abs() < 1e-12);
     let week = Periodicities::default();
-    let many = DependenceSums { pairs: 1000, change_rate_sum: 1e3, span_secs: 1e3, ..none };
+    let many = DependenceSums { pairs: 1000, change_rate_sum: 1e3, span_secs: 1e3, changes: 1e3, ..none };
     assert_eq!(supported_order(&SpectralModel::default(), &week, &many), 0);
     let strong = Component { periodicity: 6, gamma_re: 0.2, gamma_im: 0.0 };
     let model = SpectralModel::from_parts(0.5, 1000, vec![strong]).unwrap();
