@@ -75,7 +75,6 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
         alternatives: usize::try_from(request.alternatives).unwrap_or(usize::MAX),
         confidence: request.confidence.unwrap_or(default.confidence),
         horizon_secs,
-        ..default
     };
     Ok(RouteQuestion { reference_nanos, when, options })
 }

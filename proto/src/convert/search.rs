@@ -45,7 +45,7 @@ pub fn search_from_wire(request: &v1::PlanSearchRequest) -> Result<SearchOptions
         within_secs: within_nanos.map(|nanos| nanos as f64 / 1e9),
     };
     let floor = share("floor", request.floor, |x| x > 0.0 && x <= 1.0, "above 0, at most 1")?;
-    Ok(SearchOptions { effort, floor: floor.unwrap_or(default.floor), seed: request.seed, stop, ..default })
+    Ok(SearchOptions { effort, floor: floor.unwrap_or(default.floor), seed: request.seed, stop })
 }
 
 /// Time limit of planning, nanoseconds.

@@ -14,9 +14,7 @@ use std::time::{Duration, Instant};
 use testkit::{Map, Shape};
 use tidemap_map::topology::{Edge, NodeId, Topology};
 use tidemap_plan::policy::{PolicyObjective, PolicyOptions, solve_policy};
-use tidemap_plan::route::{
-    Bounds, EdgeBest, EdgeForecast, Forecasts, Objective, RouteOptions, RoutePlan, When, plan_routes,
-};
+use tidemap_plan::route::{EdgeBest, EdgeForecast, Forecasts, Objective, RouteOptions, RoutePlan, When, plan_routes};
 
 /// Forecasts by a daily and a half-daily rhythm of each edge; with its bounds, or without.
 struct Rhythms {
@@ -92,13 +90,8 @@ fn routes(topology: &Topology, nodes: usize) {
         ("success", options, &depart, false),
         ("time", RouteOptions { objective: Objective::Time, ..options }, &depart, false),
         ("blend", RouteOptions { objective: blend, ..options }, &depart, false),
-        ("success, bounds known", RouteOptions { bounds: Bounds::Known, ..options }, &depart, true),
-        (
-            "time, bounds known",
-            RouteOptions { objective: Objective::Time, bounds: Bounds::Known, ..options },
-            &depart,
-            true,
-        ),
+        ("success, bounds known", options, &depart, true),
+        ("time, bounds known", RouteOptions { objective: Objective::Time, ..options }, &depart, true),
         (
             "time, 3 alternatives",
             RouteOptions { objective: Objective::Time, alternatives: 3, ..options },

@@ -110,10 +110,9 @@ fn tours(c: &mut Criterion) {
         let question = TourQuestion { start_m: [10.0, 6.4], goals, spacing_m, ..TourQuestion::default() };
         let tour = plan_tour(&grid, &reachability, &question, StopSignal::NEVER).expect("valid");
         println!(
-            "{name}: {} goals of {} candidates, {} looks, {:.0} bits, {:.0} m",
+            "{name}: {} goals of {} candidates, {:.0} bits, {:.0} m",
             tour.steps.len(),
             tour.candidates,
-            tour.looks,
             tour.information_bits,
             tour.length_m
         );

@@ -13,7 +13,7 @@
 //!
 //! A robot does not wait between edges and visits no node twice. Arriving later may be better, because a door may open.
 //! So of two paths to a node one is dropped only if both arrive at the same time, within
-//! [`RouteOptions::resolution_secs`], and if everything that may follow the dearer one may also follow the cheaper one.
+//! [`SearchWork::resolution_secs`], and if everything that may follow the dearer one may also follow the cheaper one.
 //! [`Certainty`] says what was proven. Bounds of the caller prove optimality; sampled bounds do not. By default a few
 //! thousand labels are spent on a proof, which is enough for a flat; then bounds are sampled. After the topological
 //! navigation of N. Hawes et al., "The STRANDS Project", IEEE RAM 2017, whose actions also have predicted successes and
@@ -32,6 +32,7 @@ mod forecast;
 mod forecast_cache;
 mod labels;
 mod network;
+mod work;
 
 pub use chance::success_interval;
 pub use departure::plan_routes;
@@ -41,13 +42,12 @@ pub(crate) use forecast::{check_forecast, expected_secs};
 pub(crate) use network::Network;
 use tidemap_map::topology::{EdgeId, NOMINAL_MAX_SECS, NodeId};
 use tidemap_model::models::Interval;
+pub(crate) use work::SearchWork;
 
 /// Maximum number of alternatives beside the best route.
 pub(crate) const ALTERNATIVES_MAX: usize = 10;
 /// Maximum number of departures of one request.
 pub const DEPARTURES_MAX: usize = 1_000;
-/// Maximum number of samples of an edge for [`Bounds::Sampled`].
-pub const SAMPLES_MAX: u32 = 100;
 /// Largest time of a request, in seconds to either side of its reference time.
 pub(crate) const TIME_MAX_SECS: f64 = NOMINAL_MAX_SECS;
 
@@ -81,29 +81,15 @@ pub enum When {
         step_secs: f64,
     },
     /// As late as possible, so that the expected arrival of the best route of that departure is no later than
-    /// `by_secs`. Departures are tried backwards in steps of [`RouteOptions::arrival_step_secs`], then refined to 0.1 s
-    /// from the first that arrives in time; a later departure between two steps may be missed. No departure before
-    /// `earliest_secs`, or longer than the horizon before `by_secs`.
+    /// `by_secs`. Departures are tried backwards in steps of a minute, or wider so that there are at most
+    /// [`DEPARTURES_MAX`], then refined to 0.1 s from the first that arrives in time; a later departure between two
+    /// steps may be missed. No departure before `earliest_secs`, or longer than the horizon before `by_secs`.
     ArriveBy {
         /// The latest arrival.
         by_secs: f64,
         /// The earliest departure.
         earliest_secs: f64,
     },
-}
-
-/// Bounds on edges, by which a search prunes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Bounds {
-    /// [`Bounds::Known`] with few labels; if they do not suffice, [`Bounds::Sampled`] with four samples.
-    #[default]
-    Auto,
-    /// The bounds of [`Forecasts::best`]. An edge without one counts as certain to succeed, in no time. So no better
-    /// route is missed, but on a map of more than about 15 nodes the search then reaches its limit of labels.
-    Known,
-    /// The best of about this many forecasts, 1 to [`SAMPLES_MAX`], spread evenly over twice the time of a good route.
-    /// A route is missed only if an edge of it is better, or open, between the samples only; this cannot be excluded.
-    Sampled(u32),
 }
 
 /// The options of a route.
@@ -122,19 +108,6 @@ pub struct RouteOptions {
     pub confidence: f64,
     /// Maximum duration of a route without failures, in seconds, above 0, at most [`TIME_MAX_SECS`]; a day by default.
     pub horizon_secs: f64,
-    /// Forecasts are requested at whole multiples of this, in seconds, and paths to a node that arrive within it count
-    /// as arriving together. 0 to 3,600; 1 by default. With 0 both are exact.
-    pub resolution_secs: f64,
-    /// The bounds.
-    pub bounds: Bounds,
-    /// Maximum number of labels (partial routes) of one search, at least 1; 200,000 by default, 64 bytes each. With
-    /// sampled bounds a quarter of them is tried first; then edges are sampled again, closer to the time at which a
-    /// good route reaches them; if that does not suffice, paths count as arriving together within 16 times the
-    /// resolution, and the result is [`Certainty::CutOff`]. All alternatives together are one search.
-    pub labels_max: usize,
-    /// The step of departures for [`When::ArriveBy`], in seconds, above 0; 60 by default. The steps are wider if there
-    /// would be more than [`DEPARTURES_MAX`].
-    pub arrival_step_secs: f64,
 }
 
 impl Default for RouteOptions {
@@ -146,10 +119,6 @@ impl Default for RouteOptions {
             alternatives: 0,
             confidence: 0.9,
             horizon_secs: 86_400.0,
-            resolution_secs: 1.0,
-            bounds: Bounds::Auto,
-            labels_max: 200_000,
-            arrival_step_secs: 60.0,
         }
     }
 }
@@ -159,8 +128,7 @@ impl Default for RouteOptions {
 pub enum Certainty {
     /// Proven.
     Proven,
-    /// Proven, except for paths that arrive within one [`RouteOptions::resolution_secs`] and count as arriving
-    /// together.
+    /// Proven, except for paths that arrive within one second and count as arriving together.
     WithinResolution,
     /// Sampled bounds pruned something.
     Sampled,

@@ -38,6 +38,20 @@ pub const GOALS_MAX: usize = 5_000;
 /// Default minimum probability of a goal.
 pub(crate) const FLOOR: f64 = 1e-6;
 
+/// How long a search may be. Plans use [`SearchLimits::USUAL`]; tests reach smaller ones.
+#[derive(Clone, Copy, Debug)]
+struct SearchLimits {
+    /// Maximum number of states of an exact search, 40 bytes each.
+    states_max: usize,
+    /// Maximum number of perturbations of a heuristic search.
+    rounds_max: usize,
+}
+
+impl SearchLimits {
+    /// The limits of every plan.
+    const USUAL: SearchLimits = SearchLimits { states_max: 4_000_000, rounds_max: 10_000 };
+}
+
 /// A place to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Goal {
@@ -68,10 +82,6 @@ pub struct SearchOptions {
     /// Minimum probability of a goal, in `[0,1]`, above 0. Without it, the order of impossible goals would be
     /// arbitrary; with it they come last, the near ones first.
     pub floor: f64,
-    /// Maximum number of states of an exact search, 40 bytes each; 4 million by default.
-    pub states_max: usize,
-    /// Maximum number of perturbations of a heuristic search; 10,000 by default.
-    pub rounds_max: usize,
     /// Seed of the heuristic.
     pub seed: u64,
     /// The stop rule.
@@ -80,15 +90,7 @@ pub struct SearchOptions {
 
 impl Default for SearchOptions {
     fn default() -> SearchOptions {
-        let effort = Effort::Auto;
-        SearchOptions {
-            effort,
-            floor: FLOOR,
-            states_max: 4_000_000,
-            rounds_max: 10_000,
-            seed: 0,
-            stop: Stop::default(),
-        }
+        SearchOptions { effort: Effort::Auto, floor: FLOOR, seed: 0, stop: Stop::default() }
     }
 }
 

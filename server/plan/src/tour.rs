@@ -29,15 +29,15 @@ use budget::TourBudget;
 use choose::{GoalSelection, TourGoal};
 use order::Ways;
 use question::TourCandidate;
-pub use question::{GOALS_MAX, Suppression, TourEnd, TourError, TourQuestion};
+pub use question::{GOALS_MAX, START_TOLERANCE_M, TourEnd, TourError, TourQuestion};
 
 /// Why a tour has no goal.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
 pub enum NoTour {
     /// There is no free place at or near the start.
-    #[error("nothing within {tolerance_m} m of the start is free for the robot")]
-    StartBlocked { tolerance_m: f64 },
+    #[error("nothing within {START_TOLERANCE_M} m of the start is free for the robot")]
+    StartBlocked,
     /// No candidate is reachable with a free view.
     #[error("no place on the candidates' grid can be driven to and looked from")]
     NothingReachable,
@@ -58,8 +58,6 @@ pub struct TourStep {
     pub y_m: f64,
     /// Expected information of the view beyond that of the goals chosen before, bits.
     pub information_bits: f64,
-    /// Expected information if it were the only goal, bits.
-    pub alone_bits: f64,
     /// Probability of reaching it, in (0, 1].
     pub reachability: f64,
     /// When the robot arrives, seconds from its start.
@@ -82,15 +80,13 @@ pub struct Tour {
     pub duration_secs: f64,
     /// Number of reachable candidates with a free view.
     pub candidates: usize,
-    /// Number of evaluated views.
-    pub looks: usize,
     /// Why there is no goal, if there is none.
     pub no_tour: Option<NoTour>,
 }
 
 impl Tour {
-    fn none(reason: NoTour, candidates: usize, looks: usize) -> Tour {
-        Tour { no_tour: Some(reason), candidates, looks, ..Tour::default() }
+    fn none(reason: NoTour, candidates: usize) -> Tour {
+        Tour { no_tour: Some(reason), candidates, ..Tour::default() }
     }
 }
 
@@ -146,22 +142,20 @@ fn find_tour(
     let scene = Scene::until(grid, &question.scene, stop)?;
     stop.check()?;
     let [x_m, y_m] = question.start_m;
-    let tolerance_m = question.start_tolerance_m;
-    let Some((start, gap_m)) = travel.nearest(x_m, y_m, tolerance_m) else {
-        return Ok(Tour::none(NoTour::StartBlocked { tolerance_m }, 0, 0));
+    let Some((start, gap_m)) = travel.nearest(x_m, y_m, START_TOLERANCE_M) else {
+        return Ok(Tour::none(NoTour::StartBlocked, 0));
     };
     let from_start = travel.distances_until(start, stop);
     stop.check()?;
     let candidates = question.candidates(&scene, &travel, &from_start, grid, reachability);
     if candidates.is_empty() {
-        return Ok(Tour::none(NoTour::NothingReachable, 0, 0));
+        return Ok(Tour::none(NoTour::NothingReachable, 0));
     }
-    let mut choice = GoalSelection::new(&scene, fan, &candidates, question.suppression, stop);
+    let mut choice = GoalSelection::new(&scene, fan, &candidates, stop);
     let chosen = choice.choose(question.goals);
-    let looks = choice.looks();
     stop.check()?;
     if chosen.is_empty() {
-        return Ok(Tour::none(NoTour::NothingToLearn, candidates.len(), looks));
+        return Ok(Tour::none(NoTour::NothingToLearn, candidates.len()));
     }
     let goals: Vec<Column> = chosen.iter().map(|goal| candidates[goal.candidate].column).collect();
     let between: Vec<Distances> = goals.par_iter().map(|&goal| travel.distances_until(goal, stop)).collect();
@@ -182,11 +176,9 @@ fn find_tour(
     stop.check()?;
     if order.is_empty() {
         let (budget_secs, least_secs) = (budget.budget_secs, budget.least_secs());
-        return Ok(Tour::none(NoTour::Budget { budget_secs, least_secs }, candidates.len(), looks));
+        return Ok(Tour::none(NoTour::Budget { budget_secs, least_secs }, candidates.len()));
     }
-    let mut tour = tour_of(&scene, &candidates, &chosen, &order, &budget);
-    (tour.candidates, tour.looks) = (candidates.len(), looks);
-    Ok(tour)
+    Ok(tour_of(&scene, &candidates, &chosen, &order, &budget))
 }
 
 /// The tour through goals in an order.
@@ -197,17 +189,14 @@ fn tour_of(
     order: &[usize],
     budget: &TourBudget,
 ) -> Tour {
-    let mut tour = Tour::default();
+    let mut tour = Tour { candidates: candidates.len(), ..Tour::default() };
     let mut new_bits = vec![0.0; chosen.len()];
-    let mut alone_bits = vec![0.0; chosen.len()];
     let mut covered = vec![false; scene.lattice().held()];
     // In the order of choice, without those that do not fit.
     for (goal, chosen) in chosen.iter().enumerate().filter(|(goal, _)| order.contains(goal)) {
         for &place in &chosen.seen {
-            let bits = scene.bits_at(place as usize);
-            alone_bits[goal] += bits;
             if !std::mem::replace(&mut covered[place as usize], true) {
-                new_bits[goal] += bits;
+                new_bits[goal] += scene.bits_at(place as usize);
             }
         }
     }
@@ -218,7 +207,6 @@ fn tour_of(
             x_m,
             y_m,
             information_bits: new_bits[goal],
-            alone_bits: alone_bits[goal],
             reachability,
             arrival_secs: driven_m * budget.secs_m + step as f64 * budget.observation_secs,
         });

@@ -6,7 +6,7 @@ use tidemap_map::topology::{NodeId, Topology};
 use tidemap_model::models::Interval;
 
 use super::{
-    Bounds, Certainty, Forecasts, PlanRouteError, Route, RouteOptions, RoutePlan, When,
+    Certainty, Forecasts, PlanRouteError, Route, RouteOptions, RoutePlan, SearchWork, When,
     bounds::{Source, ToGo},
     cost::{Cost, Costing},
     error::check,
@@ -34,6 +34,19 @@ pub fn plan_routes(
     forecasts: &mut impl Forecasts,
     until: impl FnMut() -> bool,
 ) -> Result<RoutePlan, PlanRouteError> {
+    plan_routes_with(&SearchWork::USUAL, topology, (from, to), when, options, forecasts, until)
+}
+
+/// [`plan_routes`] with other work.
+pub(super) fn plan_routes_with(
+    work: &SearchWork,
+    topology: &Topology,
+    (from, to): (NodeId, NodeId),
+    when: When,
+    options: &RouteOptions,
+    forecasts: &mut impl Forecasts,
+    until: impl FnMut() -> bool,
+) -> Result<RoutePlan, PlanRouteError> {
     check(when, options)?;
     let network = Network::new(topology);
     let index = |node: NodeId| network.index_of(node).ok_or(PlanRouteError::UnknownNode(node.0));
@@ -46,7 +59,7 @@ pub fn plan_routes(
         };
         return Ok(RoutePlan::standing(departure_secs));
     }
-    Planner::new(&network, forecasts, until, start, goal, options).plan(when)
+    Planner::new(&network, forecasts, until, (start, goal), options, work).plan(when)
 }
 
 impl RoutePlan {
@@ -64,12 +77,8 @@ impl RoutePlan {
     }
 }
 
-/// Labels of the first attempt of [`Bounds::Auto`], for one departure.
-const AUTO_LABELS: usize = 5_000;
 /// If labels do not suffice, paths count as arriving together within this many times the resolution, or seconds.
 const COARSE: f64 = 16.0;
-/// Samples of its second attempt.
-const AUTO_SAMPLES: u32 = 4;
 
 /// A request, with its results so far.
 pub(super) struct Planner<'a, F, U> {
@@ -79,8 +88,9 @@ pub(super) struct Planner<'a, F, U> {
     start: usize,
     goal: usize,
     options: &'a RouteOptions,
-    /// The bounds in use after [`Bounds::Auto`].
-    bounds: Bounds,
+    work: &'a SearchWork,
+    /// The attempt at a proof has failed, or was not asked for: bounds are sampled.
+    samples_bounds: bool,
     /// Known bounds for all departures of the request.
     known: Option<ToGo>,
     /// Sampled bounds of the previous departure, and the span of their samples: a heuristic.
@@ -104,14 +114,13 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         network: &'a Network<'a>,
         forecasts: &'a mut F,
         until: U,
-        start: usize,
-        goal: usize,
+        (start, goal): (usize, usize),
         options: &'a RouteOptions,
+        work: &'a SearchWork,
     ) -> Self {
         let &RouteOptions { objective, recovery_secs, failure_cost_secs, .. } = options;
         let costing = Costing { objective, recovery_secs, failure_cost_secs };
-        let cache = ForecastCache::new(network, forecasts, costing, options.resolution_secs);
-        let (bounds, marks) = (options.bounds, Marks::default());
+        let cache = ForecastCache::new(network, forecasts, costing, work.resolution_secs);
         Planner {
             network,
             cache,
@@ -119,10 +128,11 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             start,
             goal,
             options,
-            bounds,
+            work,
+            samples_bounds: work.proof_labels == 0,
             known: None,
             guide: None,
-            marks,
+            marks: Marks::default(),
             is_sampled: false,
             is_late: false,
             labels: 0,
@@ -154,21 +164,21 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
 
     /// The best path of a departure that costs less than `limit`; known bounds cover `departures`, first to last.
     fn depart(&mut self, secs: f64, departures: (f64, f64), limit: Cost) -> Result<Option<Departure>, PlanRouteError> {
-        let options = self.options;
-        match self.bounds {
-            Bounds::Known => self.depart_known(secs, departures, limit, options.labels_max),
-            Bounds::Sampled(samples) => self.depart_sampled(secs, limit, samples),
-            Bounds::Auto => {
-                let marks = self.marks;
-                let found = self.depart_known(secs, departures, limit, AUTO_LABELS.min(options.labels_max))?;
-                if !self.marks.cut_off {
-                    return Ok(found);
-                }
-                self.marks = marks;
-                self.bounds = Bounds::Sampled(AUTO_SAMPLES);
-                self.depart_sampled(secs, limit, AUTO_SAMPLES)
+        if !self.samples_bounds {
+            let marks = self.marks;
+            let found = self.depart_known(secs, departures, limit, self.work.proof_labels.min(self.work.labels_max))?;
+            if !self.marks.cut_off || !self.may_sample() {
+                return Ok(found);
             }
+            self.marks = marks;
+            self.samples_bounds = true;
         }
+        self.depart_sampled(secs, limit)
+    }
+
+    /// Whether bounds are sampled if the labels for a proof do not suffice.
+    fn may_sample(&self) -> bool {
+        self.work.proof_labels < self.work.labels_max
     }
 
     fn depart_known(
@@ -193,7 +203,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         Ok(found.map(|found| Departure { secs, found, to_go: None }))
     }
 
-    fn depart_sampled(&mut self, secs: f64, limit: Cost, samples: u32) -> Result<Option<Departure>, PlanRouteError> {
+    fn depart_sampled(&mut self, secs: f64, limit: Cost) -> Result<Option<Departure>, PlanRouteError> {
         self.marks.latest_secs = secs;
         let (guide, span_before_secs) = match self.guide.take() {
             Some((to_go, span_secs)) => (to_go, Some(span_secs)),
@@ -209,11 +219,12 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         let worst = good.as_ref().map_or(limit, |good| good.cost);
         // Alternatives cost more than the best.
         let bounds_limit = if self.options.alternatives > 0 { Cost::INFINITE } else { worst };
+        let samples = self.work.samples;
         let (source, span) = (Source::Sampled(samples), (secs, secs + span_secs));
         let mut to_go = ToGo::find(self.network, &mut self.cache, self.goal, span, source, bounds_limit)?;
         self.is_sampled = true;
         self.guide = Some((to_go.clone(), span_secs));
-        let (labels_max, cut_off) = (self.options.labels_max, self.marks.cut_off);
+        let (labels_max, cut_off) = (self.work.labels_max, self.marks.cut_off);
         self.marks.cut_off = false;
         let few = labels_max.div_ceil(4);
         let mut found = self.search(secs, &to_go, few, |search, task| search.best(task, good, limit))?;
@@ -226,7 +237,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             found = self.search(secs, &to_go, labels_max, |search, task| search.best(task, found, limit))?;
         }
         if self.marks.cut_off {
-            let join_secs = COARSE * self.options.resolution_secs.max(1.0);
+            let join_secs = COARSE * self.work.resolution_secs.max(1.0);
             found = self.search(secs, &to_go, labels_max, |search, task| {
                 search.best(&Task { join_secs, ..*task }, found, limit)
             })?;

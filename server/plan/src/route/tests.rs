@@ -5,4 +5,4 @@ mod questions;
 mod streets;
 mod worlds;
 
-use super::*;
+use super::{departure::plan_routes_with, *};

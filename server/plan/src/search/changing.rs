@@ -8,7 +8,7 @@
 use tidemap_map::topology::{NodeId, Roads};
 
 use super::{
-    EXACT_GOALS_MAX, Effort, Goal, SearchError, SearchOptions,
+    EXACT_GOALS_MAX, Effort, Goal, SearchError, SearchLimits, SearchOptions,
     order::order,
     plan::SearchPlan,
     problem::SearchProblem,
@@ -25,7 +25,7 @@ const REPLANS: usize = 4;
 /// Minimises the expected time until the search ends: the remaining share starts as the sum of the probabilities at the
 /// start, falls at each arrival by the probability then, never below 0, and weights the times between arrivals. With
 /// constant probabilities this is eq. 2. The plan is never called optimal, and its lower bound is 0; its expected time
-/// is eq. 2 with the probabilities at the arrivals. `rounds_max` limits the number of evaluated walks.
+/// is eq. 2 with the probabilities at the arrivals. The number of evaluated walks is limited.
 ///
 /// # Errors
 /// [`SearchError`], also for invalid predictions.
@@ -52,7 +52,7 @@ pub fn search_changing(
     let mut replanned =
         SearchQuestion { goals: question.goals.clone(), unreachable: Vec::new(), start: question.start };
     for _ in 0..=REPLANS {
-        let mut ordered = order(roads, &replanned, options, exact, &mut until);
+        let mut ordered = order(roads, &replanned, options, SearchLimits::USUAL, exact, &mut until);
         // Places on the way are visited in passing.
         let plan = SearchPlan::of(roads, &replanned, &ordered, options.floor);
         ordered.nodes = plan.steps.iter().filter_map(|step| roads.index_of(step.node)).collect();
@@ -71,7 +71,7 @@ pub fn search_changing(
         }
     }
     let Some((cost, mut ordered)) = best else { return Err(SearchError::NoGoals) };
-    improve(&mut ordered, cost, options.rounds_max, |ordered| Ok(weigh(ordered)?.cost), until)?;
+    improve(&mut ordered, cost, SearchLimits::USUAL.rounds_max, |ordered| Ok(weigh(ordered)?.cost), until)?;
 
     let weighed = weigh(&ordered)?;
     for (node, probability) in &mut question.goals {

@@ -3,7 +3,7 @@
 use tidemap_map::topology::{NodeId, Roads};
 
 use super::{
-    EXACT_GOALS_MAX, Effort, Goal, SearchError, SearchOptions,
+    EXACT_GOALS_MAX, Effort, Goal, SearchError, SearchLimits, SearchOptions,
     exact::{self, SortedProblem},
     iterate::iterate,
     machine::Machine,
@@ -21,6 +21,18 @@ pub fn search(
     start: NodeId,
     goals: &[Goal],
     options: &SearchOptions,
+    until: impl FnMut() -> bool,
+) -> Result<SearchPlan, SearchError> {
+    search_with(SearchLimits::USUAL, roads, start, goals, options, until)
+}
+
+/// [`search`] with other limits.
+pub(super) fn search_with(
+    limits: SearchLimits,
+    roads: &Roads,
+    start: NodeId,
+    goals: &[Goal],
+    options: &SearchOptions,
     mut until: impl FnMut() -> bool,
 ) -> Result<SearchPlan, SearchError> {
     let question = SearchQuestion::new(roads, start, goals, options)?;
@@ -32,7 +44,7 @@ pub fn search(
         Effort::Exact => true,
         Effort::Heuristic => false,
     };
-    let ordered = order(roads, &question, options, exact, &mut until);
+    let ordered = order(roads, &question, options, limits, exact, &mut until);
     let mut plan = SearchPlan::of(roads, &question, &ordered, options.floor);
     options.stop.apply(&mut plan);
     Ok(plan)
@@ -43,6 +55,7 @@ pub(super) fn order(
     roads: &Roads,
     question: &SearchQuestion,
     options: &SearchOptions,
+    limits: SearchLimits,
     exact: bool,
     mut until: impl FnMut() -> bool,
 ) -> GoalOrder {
@@ -57,7 +70,7 @@ pub(super) fn order(
     let mut problem = SearchProblem::new(roads, start, &goals);
     let has_traps = problem.fill_missing();
 
-    let (count, rounds) = (problem.count, if exact { first_rounds(problem.count) } else { options.rounds_max });
+    let (count, rounds) = (problem.count, if exact { first_rounds(problem.count) } else { limits.rounds_max });
     let mut found = iterate(&problem, rounds, options.seed, &mut until);
     let mut known = problem.expected_secs(&found);
     let (mut lower_bound_secs, mut complete, mut states) = (known, count < 2, 0);
@@ -71,7 +84,7 @@ pub(super) fn order(
         let passing = passing.reordered(&machine.order);
         let sorted_machine = machine.sorted();
         let sorted = SortedProblem { problem: &sorted, passing: &passing, machine: &sorted_machine };
-        let mut proven = sorted.prove_quickly(known, options.states_max, &mut until);
+        let mut proven = sorted.prove_quickly(known, limits.states_max, &mut until);
         if !proven.complete {
             // A better known walk prunes more.
             let better = iterate(&problem, EXACT_ROUNDS * count, options.seed, &mut until);
@@ -79,7 +92,7 @@ pub(super) fn order(
             if cost < known {
                 (found, known) = (better, cost);
             }
-            proven = sorted.prove(known, &proven, options.states_max, &mut until);
+            proven = sorted.prove(known, &proven, limits.states_max, &mut until);
         }
         if let Some(better) = proven.order {
             found = better.into_iter().map(|goal| machine.order[goal]).collect();

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use tidemap_grid::index::CellIndex;
 use tidemap_model::StopSignal;
 
-use super::question::{Suppression, TourCandidate};
+use super::question::TourCandidate;
 use crate::{
     travel::Column,
     view::{Fan, GROUP_MAX, GroupScorer, Scene},
@@ -34,7 +34,7 @@ const KEPT_MAX: usize = 1 << 24;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct TourGoal {
     pub candidate: usize,
-    /// Its expected information when it was chosen, suppression included, bits.
+    /// Its expected information beyond that of the goals chosen before it, bits.
     pub bits: f64,
     /// Places of the visible cells with information.
     pub seen: Vec<u32>,
@@ -69,15 +69,12 @@ pub(super) struct GoalSelection<'a> {
     scene: &'a Scene,
     fan: &'a Fan,
     candidates: &'a [TourCandidate],
-    suppression: Suppression,
     /// If it is set, the choice ends early, and must not be used.
     stop: StopSignal<'a>,
     /// By place: cells that a chosen goal sees.
     covered: Vec<bool>,
-    /// The information of each candidate, or its upper bound, before factors.
+    /// The information of each candidate, or its upper bound.
     bits: Vec<f64>,
-    /// The suppression factor by distance.
-    factors: Vec<f64>,
     /// [`TourGoal::seen`] of evaluated candidates.
     seen: Vec<Option<Vec<u32>>>,
     kept: usize,
@@ -85,7 +82,6 @@ pub(super) struct GoalSelection<'a> {
     scorers: Mutex<Vec<GroupScorer>>,
     /// Number of candidates to evaluate next.
     batch: usize,
-    looks: usize,
 }
 
 impl<'a> GoalSelection<'a> {
@@ -93,7 +89,6 @@ impl<'a> GoalSelection<'a> {
         scene: &'a Scene,
         fan: &'a Fan,
         candidates: &'a [TourCandidate],
-        suppression: Suppression,
         stop: StopSignal<'a>,
     ) -> GoalSelection<'a> {
         let bits = bounds(scene, fan, candidates);
@@ -101,25 +96,17 @@ impl<'a> GoalSelection<'a> {
             scene,
             fan,
             candidates,
-            suppression,
             stop,
             covered: vec![false; scene.lattice().held()],
             bits,
-            factors: vec![1.0; candidates.len()],
             seen: vec![None; candidates.len()],
             kept: 0,
             entries: BinaryHeap::new(),
             scorers: Mutex::default(),
             batch: BATCH,
-            looks: 0,
         };
         choice.entries = (0..candidates.len()).map(|candidate| choice.entry(candidate, false)).collect();
         choice
-    }
-
-    /// Number of evaluated views so far.
-    pub(super) fn looks(&self) -> usize {
-        self.looks
     }
 
     /// The best `count` goals, in the order of choice; fewer if the others have no information.
@@ -129,11 +116,9 @@ impl<'a> GoalSelection<'a> {
             self.settle();
             let Some(best) = self.entries.pop().filter(|best| best.value > 0.0) else { break };
             let candidate = best.candidate;
-            let seen = self.seen[candidate].take().unwrap_or_else(|| {
-                self.looks += 1;
-                self.see(&[candidate]).pop().unwrap_or_default().1
-            });
-            chosen.push(TourGoal { candidate, bits: self.bits[candidate] * self.factors[candidate], seen });
+            let seen = self.seen[candidate].take();
+            let seen = seen.unwrap_or_else(|| self.see(&[candidate]).pop().unwrap_or_default().1);
+            chosen.push(TourGoal { candidate, bits: self.bits[candidate], seen });
             if let Some(goal) = chosen.last() {
                 self.suppress(goal);
             }
@@ -142,7 +127,7 @@ impl<'a> GoalSelection<'a> {
     }
 
     fn entry(&self, candidate: usize, is_exact: bool) -> GainBound {
-        let value = self.bits[candidate] * self.factors[candidate] * self.candidates[candidate].reachability;
+        let value = self.bits[candidate] * self.candidates[candidate].reachability;
         GainBound { value, is_exact, candidate }
     }
 
@@ -180,7 +165,6 @@ impl<'a> GoalSelection<'a> {
             if unseen.is_empty() {
                 continue;
             }
-            self.looks += unseen.len();
             self.batch = (2 * self.batch).min(BATCH_MAX * threads);
             let group = unseen.len().div_ceil(threads).min(GROUP_MAX);
             let new: Vec<Vec<(f64, Vec<u32>)>> = unseen.par_chunks(group).map(|group| self.see(group)).collect();
@@ -223,31 +207,19 @@ impl<'a> GoalSelection<'a> {
         views
     }
 
-    /// Lowers the values of the candidates around a goal.
+    /// Cells that a goal sees have no further information: the values of the candidates around it become bounds.
     fn suppress(&mut self, goal: &TourGoal) {
-        let TourCandidate { cell, at_m, .. } = self.candidates[goal.candidate];
+        for &place in &goal.seen {
+            self.covered[place as usize] = true;
+        }
+        let cell = self.candidates[goal.candidate].cell;
+        let [reach_x, reach_y, _] = self.fan.reach();
         let mut entries = std::mem::take(&mut self.entries).into_vec();
-        match self.suppression {
-            Suppression::Shared => {
-                for &place in &goal.seen {
-                    self.covered[place as usize] = true;
-                }
-                let [reach_x, reach_y, _] = self.fan.reach();
-                for entry in &mut entries {
-                    let other = self.candidates[entry.candidate].cell;
-                    let is_near = other.x.abs_diff(cell.x) as usize <= 2 * reach_x
-                        && other.y.abs_diff(cell.y) as usize <= 2 * reach_y;
-                    entry.is_exact &= !is_near;
-                }
-            }
-            Suppression::Distance { radius_m } => {
-                for entry in &mut entries {
-                    let other = self.candidates[entry.candidate].at_m;
-                    let away_m = (other[0] - at_m[0]).hypot(other[1] - at_m[1]);
-                    self.factors[entry.candidate] *= (away_m / radius_m).min(1.0);
-                    *entry = self.entry(entry.candidate, entry.is_exact);
-                }
-            }
+        for entry in &mut entries {
+            let other = self.candidates[entry.candidate].cell;
+            let is_near =
+                other.x.abs_diff(cell.x) as usize <= 2 * reach_x && other.y.abs_diff(cell.y) as usize <= 2 * reach_y;
+            entry.is_exact &= !is_near;
         }
         self.entries = entries.into();
     }

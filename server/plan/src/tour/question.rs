@@ -25,19 +25,11 @@ pub(super) struct TourCandidate {
 /// Maximum number of goals of a tour.
 pub const GOALS_MAX: usize = 100;
 
-/// How a chosen goal lowers the value of other candidates.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Suppression {
-    /// By shared cells: cells that a chosen goal sees have no further information. Exact.
-    #[default]
-    Shared,
-    /// By distance: times d / radius within that radius, for each chosen goal (RA-L, section III.E, "decreased
-    /// proportionally to their proximity").
-    Distance {
-        /// Metres, above 0; the sensor's range is a good choice.
-        radius_m: f64,
-    },
-}
+/// Maximum number of points of the candidates' grid, free or not.
+const CANDIDATES_MAX: usize = 100_000;
+
+/// Maximum distance from the start to the nearest free place for the robot's centre, metres: chargers stand at walls.
+pub const START_TOLERANCE_M: f64 = 0.5;
 
 /// Where a tour ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -54,15 +46,10 @@ pub enum TourEnd {
 pub struct TourQuestion {
     /// Where the robot starts, x and y in the map's frame, metres.
     pub start_m: [f64; 2],
-    /// Maximum distance from there to the nearest free place for the robot's centre, metres, at least 0: chargers stand
-    /// at walls. Default 0.5.
-    pub start_tolerance_m: f64,
     /// Number of goals, 1 to [`GOALS_MAX`]. Default 6 (RA-L, section III.E).
     pub goals: usize,
     /// Distance of neighbouring candidates along x and y, metres, at least one cell. Default 1.
     pub spacing_m: f64,
-    /// Maximum number of points of the candidates' grid, free or not. Default 100,000.
-    pub max_candidates: usize,
     /// The sensor at each goal.
     pub sensor: Sensor,
     /// The direction of its view, radians; without effect for an all-around sensor.
@@ -71,8 +58,6 @@ pub struct TourQuestion {
     pub scene: SceneOptions,
     /// The options of driving.
     pub travel: TravelOptions,
-    /// How a chosen goal lowers the value of other candidates.
-    pub suppression: Suppression,
     /// Where the tour ends.
     pub end: TourEnd,
     /// Speed of the robot, metres a second, above 0. Default 0.5.
@@ -87,15 +72,12 @@ impl Default for TourQuestion {
     fn default() -> TourQuestion {
         TourQuestion {
             start_m: [0.0; 2],
-            start_tolerance_m: 0.5,
             goals: 6,
             spacing_m: 1.0,
-            max_candidates: 100_000,
             sensor: Sensor::default(),
             yaw_rad: 0.0,
             scene: SceneOptions::default(),
             travel: TravelOptions::default(),
-            suppression: Suppression::default(),
             end: TourEnd::default(),
             speed_m_per_s: 0.5,
             observation_secs: 60.0,
@@ -116,10 +98,10 @@ pub enum TourError {
     Outside { x_m: f64, y_m: f64, z_m: f64 },
     /// The grid of candidates is too fine for its region.
     #[error(
-        "a spacing of {spacing_m} m gives {candidates:.0} candidates, at most {max} are allowed: use a wider \
+        "a spacing of {spacing_m} m gives {candidates:.0} candidates, at most {CANDIDATES_MAX} are allowed: use a wider \
          spacing or a smaller region"
     )]
-    TooManyCandidates { spacing_m: f64, candidates: f64, max: usize },
+    TooManyCandidates { spacing_m: f64, candidates: f64 },
     /// The sensor is invalid.
     #[error(transparent)]
     Sensor(#[from] InvalidSensor),
@@ -145,7 +127,6 @@ impl TourQuestion {
         };
         let is_length = |metres: f64| metres >= 0.0 && metres.is_finite();
         let right = "a finite number, at least 0";
-        number("start tolerance in metres", self.start_tolerance_m, is_length(self.start_tolerance_m), right)?;
         let goals = self.goals as f64;
         number("goals", goals, (1..=GOALS_MAX).contains(&self.goals), "between 1 and 100")?;
         let is_wide = self.spacing_m.is_finite() && self.spacing_m >= lattice.resolution_m();
@@ -157,10 +138,6 @@ impl TourQuestion {
         if let Some(budget) = self.budget_secs {
             number("seconds for the tour", budget, is_length(budget), right)?;
         }
-        if let Suppression::Distance { radius_m } = self.suppression {
-            let is_right = radius_m.is_finite() && radius_m > 0.0;
-            number("radius of suppression in metres", radius_m, is_right, "finite and above 0")?;
-        }
         self.sensor.check(lattice)?;
         let ([x_m, y_m], z_m) = (self.start_m, self.sensor.height_m);
         if lattice.cell_at([x_m, y_m, z_m]).is_none() {
@@ -168,9 +145,8 @@ impl TourQuestion {
         }
         let [columns, rows] = self.points(grid);
         let candidates = columns * rows;
-        if candidates > self.max_candidates as f64 {
-            let (spacing_m, max) = (self.spacing_m, self.max_candidates);
-            return Err(TourError::TooManyCandidates { spacing_m, candidates, max });
+        if candidates > CANDIDATES_MAX as f64 {
+            return Err(TourError::TooManyCandidates { spacing_m: self.spacing_m, candidates });
         }
         Ok(())
     }

@@ -30,7 +30,7 @@ use tidemap_model::{
 };
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedGrid},
-    tour::{Tour, TourQuestion, TourStep, plan_tour},
+    tour::{START_TOLERANCE_M, Tour, TourQuestion, TourStep, plan_tour},
     travel::TravelGrid,
     view::ViewScorer,
 };
@@ -179,7 +179,7 @@ impl Explorer {
         let truth = space.truth(start_nanos)?;
         let travel = TravelGrid::new(&truth.grid, &space.question.travel).map_err(OfficeError::setting)?;
         let [x_m, y_m] = space.question.start_m;
-        let Some((start, _)) = travel.nearest(x_m, y_m, space.question.start_tolerance_m) else { return Ok(findings) };
+        let Some((start, _)) = travel.nearest(x_m, y_m, START_TOLERANCE_M) else { return Ok(findings) };
         let paths = travel.distances(start);
         for (index, step) in steps.iter().enumerate() {
             // Two minutes for each goal (RA-L, section III.E).

@@ -4,9 +4,9 @@
 
 use tidemap_map::topology::Edge;
 
-use super::{AUTO_LABELS, AUTO_SAMPLES, Departure, Planner};
+use super::{Departure, Planner};
 use crate::route::{
-    Bounds, Certainty, Forecasts, PlanRouteError, Route, RoutePlan, RouteStep,
+    Certainty, Forecasts, PlanRouteError, Route, RoutePlan, RouteStep,
     alternatives::next_best,
     bounds::ToGo,
     chance::Chance,
@@ -54,15 +54,14 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         })
     }
 
-    /// The best path of a departure with its alternatives. With [`Bounds::Auto`], falls back to sampling if labels run
-    /// out.
+    /// The best path of a departure with its alternatives. Falls back to sampling if the labels for a proof run out.
     fn alternatives(&mut self, departure: Departure) -> Result<Vec<EdgePath>, PlanRouteError> {
         let Departure { secs, found, to_go } = departure;
         let to_go = to_go.or(self.known.take()).unwrap_or_else(|| ToGo::nothing(self.network));
         let (ends, span) = ((self.start, self.goal), (secs, secs + self.options.horizon_secs));
-        let (count, labels_max) = (self.options.alternatives, self.options.labels_max);
-        let is_try = self.bounds == Bounds::Auto && !self.marks.cut_off;
-        let max_labels = if is_try { AUTO_LABELS.min(labels_max) } else { labels_max };
+        let (count, labels_max) = (self.options.alternatives, self.work.labels_max);
+        let is_try = !self.samples_bounds && self.may_sample() && !self.marks.cut_off;
+        let max_labels = if is_try { self.work.proof_labels } else { labels_max };
         let marks = self.marks;
         let again = found.clone();
         let all = self.search(secs, &to_go, max_labels, |search, _| next_best(search, found, ends, span, count))?;
@@ -70,8 +69,8 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             return Ok(all);
         }
         self.marks = marks;
-        self.bounds = Bounds::Sampled(AUTO_SAMPLES);
-        let sampled = self.depart_sampled(secs, Cost::INFINITE, AUTO_SAMPLES)?;
+        self.samples_bounds = true;
+        let sampled = self.depart_sampled(secs, Cost::INFINITE)?;
         let to_go = sampled.and_then(|sampled| sampled.to_go).unwrap_or(to_go);
         self.search(secs, &to_go, labels_max, |search, _| next_best(search, again, ends, span, count))
     }

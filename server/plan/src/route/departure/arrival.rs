@@ -3,9 +3,7 @@
 //! Invariant: the found departure is in time, and all later ones that were tried are not.
 
 use super::{Departure, Planner};
-use crate::route::{
-    Bounds, DEPARTURES_MAX, Forecasts, Objective, PlanRouteError, bounds::Source, bounds::ToGo, cost::Cost,
-};
+use crate::route::{DEPARTURES_MAX, Forecasts, Objective, PlanRouteError, bounds::Source, bounds::ToGo, cost::Cost};
 
 /// The precision of a departure, in seconds.
 const STEP_MIN_SECS: f64 = 0.1;
@@ -19,7 +17,7 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
             self.is_late = true;
             return Ok(None);
         }
-        let step_secs = self.options.arrival_step_secs.max((by_secs - first_secs) / (DEPARTURES_MAX - 1) as f64);
+        let step_secs = self.work.arrival_step_secs.max((by_secs - first_secs) / (DEPARTURES_MAX - 1) as f64);
         let departures = (first_secs, by_secs);
         let mut later_secs = by_secs;
         let mut in_time = None;
@@ -56,13 +54,13 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
     fn least_secs(&mut self, (first_secs, by_secs): (f64, f64)) -> Result<f64, PlanRouteError> {
         let known = self.depart(by_secs, (first_secs, by_secs), Cost::INFINITE)?;
         self.is_late |= known.is_some();
-        let (source, span) = match (self.bounds, known) {
-            (Bounds::Sampled(samples), Some(departure)) => {
+        let (source, span) = match (self.samples_bounds, known) {
+            (true, Some(departure)) => {
                 let (steps, _) = self.walk(by_secs, &departure.found.edges)?;
                 let secs: f64 = steps.iter().map(|step| step.expected_secs).sum();
-                (Source::Sampled(samples), (by_secs - 2.0 * secs, by_secs))
+                (Source::Sampled(self.work.samples), (by_secs - 2.0 * secs, by_secs))
             }
-            (Bounds::Sampled(_), None) => return Ok(0.0),
+            (true, None) => return Ok(0.0),
             _ => (Source::Known, (first_secs, by_secs)),
         };
         let objective = std::mem::replace(&mut self.cache.costing.objective, Objective::Time);

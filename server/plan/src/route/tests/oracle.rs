@@ -76,6 +76,9 @@ fn near(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-9 * (1.0 + b.abs())
 }
 
+/// The exact search, as far as bounds of the forecasts prove it.
+const EXACT: SearchWork = SearchWork { resolution_secs: 0.0, proof_labels: usize::MAX, ..SearchWork::USUAL };
+
 fn question(seed: u64, random: &mut SmallRng) -> (World, NodeId, NodeId, RouteOptions) {
     let world = World::random(seed);
     let count = world.topology.nodes().len() as u32;
@@ -87,8 +90,6 @@ fn question(seed: u64, random: &mut SmallRng) -> (World, NodeId, NodeId, RouteOp
         recovery_secs: if random.random() { 0.0 } else { random.random_range(0.0..100.0) },
         alternatives: random.random_range(0..=ALTERNATIVES_MAX),
         horizon_secs: if random.random_bool(0.2) { random.random_range(20.0..200.0) } else { 1e5 },
-        resolution_secs: 0.0,
-        bounds: Bounds::Known,
         ..RouteOptions::default()
     };
     (world, from, to, options)
@@ -128,9 +129,17 @@ fn routes_are_the_best_of_all_simple_ways_in_order() {
         let departure_secs = random.random_range(-1e3..1e3);
         let ways = ways(&world, from, to, departure_secs, &options);
         let when = When::DepartAt(departure_secs);
-        let plain =
-            plan_routes(&world.topology, from, to, when, &options, &mut |edge: &_, at| world.at(edge, at), || false);
-        let knowing = plan_routes(&world.topology, from, to, when, &options, &mut Knowing(&world), || false);
+        let plain = plan_routes_with(
+            &EXACT,
+            &world.topology,
+            (from, to),
+            when,
+            &options,
+            &mut |edge: &_, at| world.at(edge, at),
+            || false,
+        );
+        let knowing =
+            plan_routes_with(&EXACT, &world.topology, (from, to), when, &options, &mut Knowing(&world), || false);
         for (routes, how) in [(plain, "plain"), (knowing, "knowing")] {
             match routes {
                 Ok(routes) => {
@@ -168,7 +177,8 @@ fn the_best_departure_of_a_window_is_the_first_of_the_best_ones() {
             }
         }
         let when = When::DepartWithin { from_secs, to_secs, step_secs };
-        let routes = plan_routes(&world.topology, from, to, when, &options, &mut Knowing(&world), || false);
+        let routes =
+            plan_routes_with(&EXACT, &world.topology, (from, to), when, &options, &mut Knowing(&world), || false);
         match (routes, best) {
             (Ok(routes), Some((secs, way))) => {
                 let route = &routes.routes[0];
@@ -190,7 +200,8 @@ fn a_departure_for_an_arrival_is_in_time_and_no_later_step_is() {
     for seed in 0..400 {
         let (world, from, to, options) = question(seed, &mut random);
         let step_secs = random.random_range(5.0..50.0);
-        let options = RouteOptions { alternatives: 0, arrival_step_secs: step_secs, ..options };
+        let options = RouteOptions { alternatives: 0, ..options };
+        let work = SearchWork { arrival_step_secs: step_secs, ..EXACT };
         let by_secs = random.random_range(500.0..1_000.0);
         let earliest_secs: f64 = random.random_range(0.0..by_secs);
         let first_secs = earliest_secs.max(by_secs - options.horizon_secs);
@@ -199,7 +210,8 @@ fn a_departure_for_an_arrival_is_in_time_and_no_later_step_is() {
         let steps = (1..1_000).map(|step| (by_secs - f64::from(step) * step_secs).max(first_secs));
         let naive = steps.clone().find(|&secs| is_in_time(secs));
         let when = When::ArriveBy { by_secs, earliest_secs };
-        let routes = plan_routes(&world.topology, from, to, when, &options, &mut Knowing(&world), || false);
+        let routes =
+            plan_routes_with(&work, &world.topology, (from, to), when, &options, &mut Knowing(&world), || false);
         match (routes, naive) {
             (Ok(routes), Some(naive)) => {
                 let route = &routes.routes[0];
@@ -225,12 +237,13 @@ fn sampled_bounds_and_a_resolution_change_little() {
         world.stretch_secs = 600.0;
         let options = RouteOptions { alternatives: 0, horizon_secs: 1e5, ..options };
         let Some(best) = ways(&world, from, to, 0.0, &options).into_iter().next() else { continue };
-        for (bounds, resolution_secs) in [(Bounds::Sampled(8), 0.0), (Bounds::Auto, 1.0), (Bounds::Known, 1.0)] {
-            let options = RouteOptions { bounds, resolution_secs, ..options };
+        let exactly_sampled = SearchWork { proof_labels: 0, samples: 8, ..EXACT };
+        for work in [exactly_sampled, SearchWork::USUAL, SearchWork { resolution_secs: 1.0, ..EXACT }] {
             let at = &mut |edge: &_, at| world.at(edge, at);
-            let routes = plan_routes(&world.topology, from, to, When::DepartAt(0.0), &options, at, || false).unwrap();
+            let (ends, when) = ((from, to), When::DepartAt(0.0));
+            let routes = plan_routes_with(&work, &world.topology, ends, when, &options, at, || false).unwrap();
             assert!(routes.certainty <= Certainty::Sampled, "seed {seed}");
-            assert_eq!(routes.certainty == Certainty::Sampled, matches!(bounds, Bounds::Sampled(_)), "seed {seed}");
+            assert_eq!(routes.certainty == Certainty::Sampled, work.proof_labels == 0, "seed {seed}");
             all += 1;
             same += usize::from(near(routes.routes[0].cost, best.cost));
         }

@@ -90,10 +90,11 @@ fn what_takes_too_long_is_told_from_what_cannot_be_reached() {
 
 #[test]
 fn a_search_that_ends_early_says_so() {
-    let options = RouteOptions { labels_max: 1, bounds: Bounds::Known, ..RouteOptions::default() };
-    let routes = ask(When::DepartAt(0.0), &options).unwrap();
+    let work = SearchWork { labels_max: 1, ..SearchWork::USUAL };
+    let (options, when) = (RouteOptions::default(), When::DepartAt(0.0));
+    let ends = (NodeId(0), NodeId(3));
+    let routes = plan_routes_with(&work, &street(4), ends, when, &options, &mut sure, || false).unwrap();
     assert_eq!((routes.certainty, routes.routes[0].steps.len()), (Certainty::CutOff, 3));
-    let when = When::DepartAt(0.0);
     let stopped = plan_routes(&street(4), NodeId(0), NodeId(3), when, &options, &mut sure, || true);
     assert_eq!(stopped, Err(PlanRouteError::CutOff { labels: 0 }));
 }
@@ -135,10 +136,6 @@ fn options_out_of_range_are_refused() {
         RouteOptions { confidence: 1.0, ..base },
         RouteOptions { confidence: 0.4, ..base },
         RouteOptions { horizon_secs: 0.0, ..base },
-        RouteOptions { resolution_secs: -1.0, ..base },
-        RouteOptions { bounds: Bounds::Sampled(0), ..base },
-        RouteOptions { labels_max: 0, ..base },
-        RouteOptions { arrival_step_secs: 0.0, ..base },
     ];
     for options in bad {
         let found = ask(When::DepartAt(0.0), &options);
@@ -180,11 +177,11 @@ fn a_dearer_way_is_kept_where_the_cheaper_one_has_passed_what_follows() {
         };
         Some(EdgeForecast { success, duration_secs, evidence: 5.0 })
     };
-    for bounds in [Bounds::Known, Bounds::Sampled(9), Bounds::Auto] {
-        let options = RouteOptions { bounds, ..RouteOptions::default() };
-        let when = When::DepartAt(0.0);
-        let routes = plan_routes(&topology, nodes[0], nodes[3], when, &options, &mut at, || false).unwrap();
+    for (proof_labels, samples) in [(usize::MAX, 4), (0, 9), (5_000, 4)] {
+        let work = SearchWork { proof_labels, samples, ..SearchWork::USUAL };
+        let (options, when, ends) = (RouteOptions::default(), When::DepartAt(0.0), (nodes[0], nodes[3]));
+        let routes = plan_routes_with(&work, &topology, ends, when, &options, &mut at, || false).unwrap();
         let way: Vec<u32> = routes.routes[0].steps.iter().map(|step| step.to.0).collect();
-        assert_eq!(way, [2, 1, 3], "{bounds:?}");
+        assert_eq!(way, [2, 1, 3], "{work:?}");
     }
 }

@@ -47,13 +47,13 @@ fn samples_find_what_bounds_prove() {
     for seed in 0..6 {
         let map = city(10, seed);
         for objective in [Objective::Time, Objective::Blend { weight: 0.3 }, Objective::Success] {
-            let options = RouteOptions { objective, alternatives: 2, labels_max: 1_000_000, ..RouteOptions::default() };
-            let ask = |bounds, knows_bounds| {
-                let options = RouteOptions { bounds, ..options };
+            let options = RouteOptions { objective, alternatives: 2, ..RouteOptions::default() };
+            let ask = |proof_labels, knows_bounds| {
+                let work = SearchWork { proof_labels, labels_max: 1_000_000, ..SearchWork::USUAL };
                 let (when, at) = (When::DepartAt(1_000.0 * seed as f64), &mut Rhythm { knows_bounds });
-                plan_routes(&map, NodeId(0), NodeId(99), when, &options, at, || false).unwrap()
+                plan_routes_with(&work, &map, (NodeId(0), NodeId(99)), when, &options, at, || false).unwrap()
             };
-            let (proven, sampled) = (ask(Bounds::Known, true), ask(Bounds::Sampled(4), false));
+            let (proven, sampled) = (ask(usize::MAX, true), ask(0, false));
             assert_eq!(proven.certainty, Certainty::WithinResolution, "seed {seed}, {objective:?}");
             assert_eq!(sampled.certainty, Certainty::Sampled, "seed {seed}, {objective:?}");
             for (a, b) in proven.routes.iter().zip(&sampled.routes) {
@@ -88,10 +88,11 @@ fn what_does_not_change_with_time_has_the_shortest_way() {
 #[test]
 fn with_few_labels_a_way_is_found_and_said_to_be_cut_off() {
     let map = city(20, 3);
-    let options = |labels_max| RouteOptions { labels_max, bounds: Bounds::Sampled(4), ..RouteOptions::default() };
     let ask = |labels_max| {
+        let work = SearchWork { labels_max, proof_labels: 0, ..SearchWork::USUAL };
+        let options = RouteOptions::default();
         let (when, at) = (When::DepartAt(0.0), &mut Rhythm { knows_bounds: false });
-        plan_routes(&map, NodeId(0), NodeId(399), when, &options(labels_max), at, || false).unwrap()
+        plan_routes_with(&work, &map, (NodeId(0), NodeId(399)), when, &options, at, || false).unwrap()
     };
     let (all, few) = (ask(1_000_000), ask(20));
     assert_eq!((all.certainty, few.certainty), (Certainty::Sampled, Certainty::CutOff));

@@ -6,6 +6,7 @@ use tidemap_map::{
 };
 
 use super::*;
+use crate::search::{SearchLimits, order::search_with};
 
 /// A hall with three rooms: `near` at 5 s, `far` at 20 s, and `closet` behind `far`.
 fn flat() -> (Topology, [NodeId; 4]) {
@@ -170,8 +171,9 @@ fn a_search_that_is_cut_short_tells_how_good_it_is_at_least() {
             assert!(cut.lower_bound_secs > 0.0 && cut.lower_bound_secs <= best.expected_secs * (1.0 + 1e-9));
             assert!(cut.expected_secs >= best.expected_secs * (1.0 - 1e-9));
         }
-        let few = SearchOptions { states_max: 50, ..SearchOptions::default() };
-        let few = search(&roads, map.start(), &goals, &few, || false).unwrap();
+        let limits = SearchLimits { states_max: 50, ..SearchLimits::USUAL };
+        let options = SearchOptions::default();
+        let few = search_with(limits, &roads, map.start(), &goals, &options, || false).unwrap();
         assert!(!few.optimal && few.lower_bound_secs <= best.expected_secs && few.states <= 100, "{}", few.states);
     }
 }
@@ -180,13 +182,16 @@ fn a_search_that_is_cut_short_tells_how_good_it_is_at_least() {
 fn a_large_map_is_searched_well_and_the_same_for_a_seed() {
     let map = Map::random(Shape::Complete, 120, false, 5);
     let (roads, goals) = (map.roads(), goals(&map));
-    let options = |rounds_max, seed| SearchOptions { rounds_max, seed, ..SearchOptions::default() };
-    let found = |options: SearchOptions| search(&roads, map.start(), &goals, &options, || false).unwrap();
-    let (none, some, again) = (found(options(0, 1)), found(options(2_000, 1)), found(options(2_000, 1)));
+    let found = |rounds_max, seed| {
+        let limits = SearchLimits { rounds_max, ..SearchLimits::USUAL };
+        let options = SearchOptions { seed, ..SearchOptions::default() };
+        search_with(limits, &roads, map.start(), &goals, &options, || false).unwrap()
+    };
+    let (none, some, again) = (found(0, 1), found(2_000, 1), found(2_000, 1));
     assert_eq!(some, again);
     assert!(some.expected_secs < 0.99 * none.expected_secs, "{} {}", some.expected_secs, none.expected_secs);
     assert!(!some.optimal && some.lower_bound_secs > 0.0 && some.lower_bound_secs < some.expected_secs);
-    let other = found(options(2_000, 2));
+    let other = found(2_000, 2);
     assert!((other.expected_secs / some.expected_secs - 1.0).abs() < 0.05);
 }
 
@@ -195,8 +200,9 @@ fn a_longer_search_is_never_worse_and_leaves_what_a_shorter_one_is_stuck_in() {
     let map = Map::random(Shape::Random, 100, false, 8);
     let (roads, goals) = (map.roads(), goals(&map));
     let found = |rounds_max, seed| {
-        let options = SearchOptions { rounds_max, seed, ..SearchOptions::default() };
-        search(&roads, map.start(), &goals, &options, || false).unwrap().expected_secs
+        let limits = SearchLimits { rounds_max, ..SearchLimits::USUAL };
+        let options = SearchOptions { seed, ..SearchOptions::default() };
+        search_with(limits, &roads, map.start(), &goals, &options, || false).unwrap().expected_secs
     };
     let better = (0..2).filter(|&seed| {
         let (short, long) = (found(2_000, seed), found(6_000, seed));
