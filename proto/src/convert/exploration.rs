@@ -227,7 +227,6 @@ pub fn budget_to_wire(budget: Budget) -> v1::plan_day_request::Budget {
 pub fn strategy_to_wire(strategy: Strategy) -> v1::Strategy {
     match strategy {
         Strategy::MonteCarlo => v1::Strategy::MonteCarlo,
-        Strategy::MonteCarloPrinted => v1::Strategy::MonteCarloPrinted,
         Strategy::Greedy => v1::Strategy::Greedy,
         Strategy::RoundRobin { .. } => v1::Strategy::RoundRobin,
         Strategy::Random => v1::Strategy::Random,
@@ -244,7 +243,6 @@ pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, Invali
         Ok(v1::Strategy::Greedy) => Ok(Strategy::Greedy),
         Ok(v1::Strategy::RoundRobin) => Ok(Strategy::RoundRobin { visited: 0 }),
         Ok(v1::Strategy::Random) => Ok(Strategy::Random),
-        Ok(v1::Strategy::MonteCarloPrinted) => Ok(Strategy::MonteCarloPrinted),
         Err(_) => Err(InvalidField::new(field, format!("{strategy} is not known"))),
     }
 }
@@ -271,7 +269,7 @@ mod tests {
             assert_eq!(certainty_from_wire("certainty", Some(wrong)).expect_err("wrong").field, "certainty");
         }
         assert_eq!(scene_from_wire(None, Some(1.5)).expect_err("wrong").field, "threshold");
-        assert_eq!(strategy_from_wire("strategy", 99).expect_err("wrong").field, "strategy");
+        assert_eq!(strategy_from_wire("strategy", 5).expect_err("wrong").field, "strategy");
         let date = date_from_wire("date", "21.3.2016").expect_err("wrong");
         assert_eq!(date.field, "date");
         assert!(date.description.contains("21.3.2016"), "{date}");

@@ -144,7 +144,7 @@ fn choices_come_back() {
         assert_eq!(stop_from_wire(stop_to_wire(stopped)), Some(stopped));
     }
     let round_robin = SlotStrategy::RoundRobin { visited: 0 };
-    let by_chance = [SlotStrategy::MonteCarlo, SlotStrategy::MonteCarloPrinted, SlotStrategy::Random];
+    let by_chance = [SlotStrategy::MonteCarlo, SlotStrategy::Random];
     for strategy in by_chance.into_iter().chain([SlotStrategy::Greedy, round_robin]) {
         assert_eq!(strategy_from_wire("strategy", strategy_to_wire(strategy).into()), Ok(strategy));
     }

@@ -44,13 +44,11 @@ pub enum Strategy {
     /// The slots whose best place has the highest gain; ties are broken at random.
     Greedy,
     /// Random slots and places, in proportion to gain plus [`IOTA_BITS`] (eq. 11). With a ratio as budget each slot is
-    /// drawn independently, against a weight of rest with which the expected share of visits is the ratio; with a
-    /// number of visits exactly this number of slots is drawn.
+    /// drawn independently, against a weight of rest with which the expected share of visits is the ratio (with the
+    /// weight of section 5.1 it would be less where the gains of slots differ); with a number of visits exactly this
+    /// number of slots is drawn.
     #[default]
     MonteCarlo,
-    /// As [`Strategy::MonteCarlo`], with the weight of rest that is printed: I'(1 - e)/(m·e) (RAS 2017, section 5.1).
-    /// Where the gains of slots differ, it explores less than the ratio.
-    MonteCarloPrinted,
 }
 
 /// The budget of exploration.

@@ -74,9 +74,6 @@ pub(crate) struct DayArgs {
 enum StrategyArg {
     /// At random, in proportion to the expected information
     MonteCarlo,
-    /// As monte-carlo, with the weight of rest that RAS 2017 prints: below --ratio, if slots differ in their
-    /// information
-    MonteCarloPrinted,
     /// The slots and locations with the most information
     Greedy,
     /// All locations in turn
@@ -142,7 +139,6 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
         budget,
         strategy: match args.strategy {
             StrategyArg::MonteCarlo => Strategy::MonteCarlo,
-            StrategyArg::MonteCarloPrinted => Strategy::MonteCarloPrinted,
             StrategyArg::Greedy => Strategy::Greedy,
             StrategyArg::RoundRobin => Strategy::RoundRobin { visited: 0 },
             StrategyArg::Random => Strategy::Random,

@@ -96,9 +96,4 @@ impl Gains {
     pub fn slot(&self, slot: usize) -> &[f64] {
         self.values.chunks(self.places).nth(slot).unwrap_or_default()
     }
-
-    /// The sum over all slots and places, I' of RAS 2017, section 5.1.
-    pub fn total(&self) -> f64 {
-        self.values.iter().sum()
-    }
 }

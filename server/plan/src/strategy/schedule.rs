@@ -42,13 +42,10 @@ pub fn schedule(
                 if ratio > 0.0 { places as f64 * (1.0 - ratio) / ratio } else { 0.0 }
             },
         ),
-        Strategy::MonteCarlo | Strategy::MonteCarloPrinted => {
+        Strategy::MonteCarlo => {
             let weight = |slot, place| gains.at(slot, place) + IOTA_BITS;
-            let rest = match strategy {
-                Strategy::MonteCarloPrinted => rest_as_printed,
-                _ => rest_that_keeps_the_ratio,
-            };
-            by_chance(&mut random, budget, visits, slots, weight, places, |ratio| rest(gains, ratio))
+            let rest = |ratio| rest_that_keeps_the_ratio(gains, ratio);
+            by_chance(&mut random, budget, visits, slots, weight, places, rest)
         }
         Strategy::Greedy => greedy(&mut random, gains, visits),
     })
@@ -73,19 +70,6 @@ fn rest_that_keeps_the_ratio(gains: &Gains, ratio: f64) -> f64 {
         if expected > wanted { least = middle } else { highest = middle }
     }
     least.sqrt() * highest.sqrt()
-}
-
-/// The weight of rest as RAS 2017, section 5.1, prints it, plus ι. `ratio` is above 0.
-fn rest_as_printed(gains: &Gains, ratio: f64) -> f64 {
-    let total = gains.total();
-    if ratio >= 1.0 {
-        0.0
-    } else if total > 0.0 {
-        total * (1.0 - ratio) / (gains.slots() as f64 * ratio) + IOTA_BITS
-    } else {
-        // If all gains are 0, ι alone would not keep the ratio.
-        gains.places() as f64 * IOTA_BITS * (1.0 - ratio) / ratio
-    }
 }
 
 /// Draws slots and places in proportion to weights. With a ratio each slot is drawn independently, against the weight
@@ -145,8 +129,8 @@ pub fn choose(strategy: Strategy, planned: usize, gains_now: &[f64], seed: u64) 
     match strategy {
         Strategy::RoundRobin { .. } | Strategy::Random => planned,
         Strategy::Greedy => draw::largest(&mut random, gains_now).map_or(planned, |(place, _)| place),
-        Strategy::MonteCarlo | Strategy::MonteCarloPrinted if gains_now.is_empty() => planned,
-        Strategy::MonteCarlo | Strategy::MonteCarloPrinted => {
+        Strategy::MonteCarlo if gains_now.is_empty() => planned,
+        Strategy::MonteCarlo => {
             draw::index(&mut random, gains_now.iter().map(|gain| gain.clamp(0.0, GAIN_MAX) + IOTA_BITS))
         }
     }
