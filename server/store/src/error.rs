@@ -8,7 +8,7 @@ use std::{
 };
 
 use tidemap_map::{erasure::NotErasable, name::ProducerKey};
-use tidemap_migrations::manifest::ManifestError;
+use tidemap_migrations::{manifest::ManifestError, plan::MigrateError};
 
 use crate::MapId;
 
@@ -42,9 +42,9 @@ pub enum OpenError {
         .directory.display()
     )]
     ManifestMissing { directory: PathBuf },
-    /// An older format for which no migration exists.
-    #[error("{} has disk format {from}, from which this version cannot migrate", .directory.display())]
-    NoMigration { directory: PathBuf, from: u32 },
+    /// It has an older format, and was not brought to the format of this version.
+    #[error("{}: {source}", .directory.display())]
+    NotMigrated { directory: PathBuf, source: MigrateError },
     /// The log of a map is damaged where it may hold acknowledged data.
     #[error(
         "{} is damaged at byte {offset}, record {position}: {reason}. Acknowledged observations may be lost, so it is \
@@ -269,7 +269,11 @@ impl OpenError {
     /// Whether the machine lacks something for now: memory or descriptors. The data may be sound.
     #[must_use]
     pub fn is_shortage(&self) -> bool {
-        matches!(self, OpenError::Io { source, .. } if is_shortage(source))
+        match self {
+            OpenError::Io { source, .. } => is_shortage(source),
+            OpenError::NotMigrated { source: MigrateError::Step { source, .. }, .. } => is_shortage(source),
+            _ => false,
+        }
     }
 }
 

@@ -187,7 +187,22 @@ fn not_migrated(directory: &Path) -> impl FnOnce(MigrateError) -> OpenError {
     let directory = directory.to_owned();
     move |error| match error {
         MigrateError::Manifest(error) => error.into(),
-        MigrateError::NoWay { from } => OpenError::NoMigration { directory, from },
-        MigrateError::Step { source, .. } => OpenError::Io { file: directory, source },
+        source => OpenError::NotMigrated { directory, source },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_that_fails_is_named_with_its_format_and_its_reason() {
+        let not_migrated = |error| not_migrated(Path::new("/data"))(error);
+        let error = not_migrated(MigrateError::Step { from: 7, source: io::Error::other("no such file") });
+        assert_eq!(error.to_string(), "/data: the step from disk format 7 has failed: no such file");
+        let crowded = io::Error::from_raw_os_error(rustix::io::Errno::MFILE.raw_os_error());
+        assert!(not_migrated(MigrateError::Step { from: 7, source: crowded }).is_shortage() && !error.is_shortage());
+        let error = not_migrated(MigrateError::NoWay { from: 7 }).to_string();
+        assert_eq!(error, "/data: it has disk format 7, from which this version cannot migrate");
     }
 }
