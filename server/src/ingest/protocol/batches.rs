@@ -1,0 +1,122 @@
+//! What a stream hands to its map's writer: checked observations, scans and traversals of a message.
+//!
+//! Invariant: what is refused still uses up its sequence number.
+
+use std::sync::Arc;
+
+use tidemap_grid::{index::TileIndex, log_head::StreamScan};
+use tidemap_map::{
+    event::{Position, SequenceSpan, StateShape},
+    ids::RefusalReason,
+    name::StateName,
+    traversal::Traversal,
+};
+
+/// A refused observation.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct RefusedObservation {
+    pub sequence: u64,
+    /// The reason for programs.
+    pub reason: RefusalReason,
+    /// The reason for people.
+    pub detail: String,
+}
+
+/// A name of a stream's table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct NewName {
+    pub name: StateName,
+    /// The shape that the message declares for the state; `None`: not declared.
+    pub shape: Option<StateShape>,
+}
+
+impl From<StateName> for NewName {
+    /// A name without a declared shape.
+    fn from(name: StateName) -> Self {
+        Self { name, shape: None }
+    }
+}
+
+/// Checked observations of one message, with their states as indices into the stream's table.
+#[derive(Debug, Default)]
+pub(crate) struct ObservationBatch {
+    /// What is new of the message; may be empty.
+    pub span: SequenceSpan,
+    /// Names added to the stream's table since the last batch; an invalid name keeps its index.
+    pub new_names: Vec<Option<NewName>>,
+    /// Per accepted observation: sequence number minus the first one of `span`. Empty if all were accepted.
+    pub kept: Vec<u32>,
+    /// Per accepted observation: index into the stream's table; its name is valid.
+    pub table_indices: Vec<u32>,
+    /// Per accepted observation: nanoseconds UTC.
+    pub times_nanos: Vec<i64>,
+    /// Per accepted observation: a value that the declared kind allows, or any kind if none is declared; 0 for a
+    /// position.
+    pub values: Vec<f64>,
+    /// The positions, ascending, each with the index of its observation among the accepted ones, and with the declared
+    /// number of coordinates.
+    pub positions: Vec<(u32, Position)>,
+    /// The refused observations.
+    pub refused: Vec<RefusedObservation>,
+}
+
+/// Which of a stream's two tables of tiles a scan refers to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum ScanOrigin {
+    /// The table that the client extends.
+    #[default]
+    Stream,
+    /// The table of the scans that the server has ray-cast.
+    Cast,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct CheckedScan {
+    pub sequence: u64,
+    /// Running CRC up to it.
+    pub content_crc: u32,
+    /// The table that its slots refer to.
+    pub origin: ScanOrigin,
+    /// Whether it is logged. Other scans are only remembered, because later ones refer to them.
+    pub is_taken: bool,
+    pub scan: StreamScan,
+    /// Tiles added to the table before this scan.
+    pub new_tiles: Vec<TileIndex>,
+    /// Whether the table restarts before that.
+    pub restarts: bool,
+}
+
+impl Default for CheckedScan {
+    fn default() -> Self {
+        let scan =
+            StreamScan { utc_nanos: 0, seen: Arc::from([]), observed_flips: Vec::new(), occupied_flips: Vec::new() };
+        let origin = ScanOrigin::default();
+        Self { sequence: 0, content_crc: 0, origin, is_taken: false, scan, new_tiles: Vec::new(), restarts: false }
+    }
+}
+
+/// Checked scans of one message, or some of them.
+#[derive(Debug, Default)]
+pub(crate) struct ScanBatch {
+    /// The new scans of the message, or of a part of it; may be empty.
+    pub span: SequenceSpan,
+    /// Tiles added to the client's table before the scans.
+    pub new_tiles: Vec<TileIndex>,
+    /// The scans, in order.
+    pub scans: Vec<CheckedScan>,
+    /// The refused scans among the new ones.
+    pub refused: Vec<RefusedObservation>,
+    /// Memory of the batch, about.
+    pub bytes: usize,
+}
+
+/// Checked traversals of one message.
+#[derive(Debug, Default)]
+pub(crate) struct TraversalBatch {
+    /// What is new of the message; not empty.
+    pub span: SequenceSpan,
+    /// The valid traversals with their sequence numbers. The map's writer checks whether the edges exist.
+    pub traversals: Vec<(u64, Traversal)>,
+    /// The refused traversals.
+    pub refused: Vec<RefusedObservation>,
+}

@@ -1,0 +1,50 @@
+//! The changes of a map that are asked for outside of streams: new states, and edits of the site.
+//!
+//! Invariant: the answer comes after the change is durable and published.
+
+use tidemap_map::{
+    event::StateShape,
+    name::StateName,
+    site::{InvalidEdit, SiteEdit},
+};
+use tidemap_store::AppendError;
+use tokio::sync::oneshot;
+
+/// A state to add.
+#[derive(Debug)]
+pub(crate) struct AddState {
+    pub name: StateName,
+    pub shape: StateShape,
+    /// The answer, after the state is durable and published.
+    pub reply: oneshot::Sender<Result<(), AddStateError>>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum AddStateError {
+    #[error("state {name:?} exists and is {found}, not {asked}: the kind of a state never changes", name = .name.as_str(), found = .found.with_article(), asked = .asked.with_article())]
+    OtherKind { name: StateName, found: StateShape, asked: StateShape },
+    #[error("the map has {max} states, as many as setting max_states_per_map allows")]
+    TooMany { max: usize },
+    #[error(transparent)]
+    Storage(#[from] AppendError),
+    #[error("the map is closing")]
+    Closing,
+}
+
+/// An edit of the site.
+#[derive(Debug)]
+pub(crate) struct EditSite {
+    pub edit: SiteEdit,
+    /// The answer, after the edit is durable and published.
+    pub reply: oneshot::Sender<Result<(), EditSiteError>>,
+}
+
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(crate) enum EditSiteError {
+    #[error(transparent)]
+    Invalid(#[from] InvalidEdit),
+    #[error(transparent)]
+    Storage(#[from] AppendError),
+    #[error("the map is closing")]
+    Closing,
+}

@@ -1,0 +1,110 @@
+//! The messages between a stream and its map's writer: the stream opens, hands over, is acknowledged and ends.
+//!
+//! Invariant: a batch holds its buffer budget until it is durable and applied, and the messages back to a stream are
+//! bounded by what it sent.
+
+use tidemap_grid::sensors::{InvalidSensor, ProducerSensor};
+use tidemap_map::{name::ProducerKey, snapshot::ContentMark};
+use tidemap_store::AppendError;
+use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
+
+use super::batches::{ObservationBatch, RefusedObservation, ScanBatch, TraversalBatch};
+use crate::ingest::{ending::Ending, probe::Probe};
+
+/// The number of a stream at its map's writer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(crate) struct SessionId(pub u64);
+
+/// A producer opens a stream.
+#[derive(Debug)]
+pub(crate) struct Hello {
+    pub key: ProducerKey,
+    /// 0: a new incarnation is requested.
+    pub incarnation: u64,
+    /// How to ask this stream's client whether it is still there, if it answers.
+    pub probe: Option<Probe>,
+    /// The stream of the key that did not answer; this one takes over.
+    pub takes_over: Option<SessionId>,
+    /// Whether the stream announces data time.
+    pub nightly: bool,
+    /// The announced sensor.
+    pub sensor: Option<ProducerSensor>,
+    /// The channel of messages back to the stream.
+    pub events: mpsc::UnboundedSender<SessionEvent>,
+    pub reply: oneshot::Sender<Result<Welcome, HelloError>>,
+}
+
+/// The answer to an accepted stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Welcome {
+    pub session: SessionId,
+    pub incarnation: u64,
+    /// Everything up to this sequence number is durable.
+    pub durable_sequence: u64,
+    /// Running CRC up to it.
+    pub content_crc: u32,
+    /// Running CRCs that are known, ascending, up to it.
+    pub content_marks: Vec<ContentMark>,
+}
+
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub(crate) enum HelloError {
+    #[error(
+        "producer {:?} already streams to this map with label {:?}: stop that stream first, or use another producer \
+         or label", key.producer(), key.label()
+    )]
+    AlreadyStreaming {
+        key: ProducerKey,
+        /// The stream, and how to ask its client.
+        open: Option<(SessionId, Probe)>,
+    },
+    #[error("incarnation {got} of producer {:?} is fenced: incarnation {current} was seen", key.producer())]
+    Fenced { key: ProducerKey, got: u64, current: u64 },
+    #[error("the map has {max} producer keys, as many as setting max_producers_per_map allows")]
+    TooManyProducers { max: usize },
+    #[error(transparent)]
+    Sensor(#[from] InvalidSensor),
+    #[error("the map has no grid: a sensor has nothing to observe there")]
+    SensorWithoutGrid,
+    #[error(
+        "producer {:?} has a sensor of {fixed} with label {:?} since its first observation, and announces {announced}: \
+         announce the same or none, or use another label", key.producer(), key.label()
+    )]
+    OtherSensor { key: ProducerKey, fixed: ProducerSensor, announced: ProducerSensor },
+    #[error(transparent)]
+    Storage(#[from] AppendError),
+    #[error("the map is closing")]
+    Closing,
+}
+
+/// A message from a writer to a stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum SessionEvent {
+    /// Everything up to the sequence number is durable.
+    Ack {
+        durable_sequence: u64,
+        /// Refused since the last acknowledgement.
+        refused: Vec<RefusedObservation>,
+    },
+    /// The stream ends.
+    End(Ending),
+}
+
+/// Room in the buffers of a stream and of all streams; dropping it gives it back.
+pub(crate) type BufferBudget = [OwnedSemaphorePermit; 2];
+
+/// What a stream hands to its map's writer, with its room in the buffers until it is durable and applied.
+#[derive(Debug)]
+pub(crate) enum StreamData {
+    /// Checked observations.
+    Observations(ObservationBatch, BufferBudget),
+    /// Checked scans.
+    Scans(ScanBatch, BufferBudget),
+    /// Checked traversals.
+    Traversals(TraversalBatch, BufferBudget),
+    /// The end of the stream.
+    End {
+        /// Whether the producer ended it on purpose.
+        clean: bool,
+    },
+}
