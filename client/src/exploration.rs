@@ -4,11 +4,16 @@
 
 pub use tidemap_plan::{
     strategy::{Budget, Strategy},
+    tour::{GOALS_MAX, Tour, TourQuestion, TourStep},
     view::{Sensor, Viewpoint},
 };
+pub use tidemap_proto::convert::exploration::SlotAllowance;
 use tidemap_proto::{
     convert::{
-        exploration::{allowance_to_wire, budget_to_wire, sensor_to_wire, strategy_to_wire, viewpoint_to_wire},
+        exploration::{
+            allowance_to_wire, budget_to_wire, planned_tour_from_wire, sensor_to_wire, strategy_to_wire,
+            viewpoint_to_wire,
+        },
         query::selector_to_wire,
         site::point_to_wire,
         time::{duration, timestamp},
@@ -19,7 +24,6 @@ use tidemap_proto::{
 use crate::{
     connection::{Client, Connection},
     error::Error,
-    maps::point_from_wire,
     queries::ModelSelector,
 };
 
@@ -85,36 +89,6 @@ pub struct TourQuery {
     pub budget_nanos: Option<i64>,
 }
 
-/// A goal of a tour.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TourStep {
-    /// Position, metres.
-    pub at_m: [f64; 2],
-    /// Information gain in addition to the goals selected before it, bits.
-    pub information_bits: f64,
-    /// Probability that the robot reaches it.
-    pub reachability: f64,
-    /// Arrival, seconds after the start.
-    pub arrival_secs: f64,
-}
-
-/// A tour.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Tour {
-    /// The goals in driving order.
-    pub steps: Vec<TourStep>,
-    /// Length of the path, including the return.
-    pub length_m: f64,
-    /// Duration.
-    pub duration_secs: f64,
-    /// Information gain if all goals are reached.
-    pub information_bits: f64,
-    /// Number of candidate places that the robot can reach.
-    pub candidates: u32,
-    /// Why there are no steps, if there are none.
-    pub reason: String,
-}
-
 /// A request for the plan of a day.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DayQuery {
@@ -176,17 +150,6 @@ pub enum SlotStrategy {
     OnlineError,
 }
 
-/// A daily allowance of visits; only with [`SlotStrategy::Online`] and [`SlotStrategy::OnlineError`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SlotAllowance {
-    /// Visits of a day.
-    pub budget: Budget,
-    /// Visits since the local midnight.
-    pub spent: u32,
-    /// Length of a slot, nanoseconds; a quarter of an hour by default.
-    pub slot_nanos: Option<i64>,
-}
-
 /// A request for the slot that begins now. `None`: the daemon's default.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SlotQuery {
@@ -204,10 +167,10 @@ pub struct SlotQuery {
     pub exactly_one: bool,
     /// Seed of the random choices.
     pub seed: u64,
-    /// Length of a slot, nanoseconds, with [`SlotQuery::exactly_one`]. If the allowance has a slot length, that one is
-    /// used.
+    /// Length of a slot, nanoseconds, with [`SlotQuery::exactly_one`] or an allowance; a quarter of an hour by default.
     pub slot_nanos: Option<i64>,
-    /// A daily allowance of visits; `None`: every slot is used.
+    /// A daily allowance of visits; `None`: every slot is used. Only with [`SlotStrategy::Online`] and
+    /// [`SlotStrategy::OnlineError`].
     pub allowance: Option<SlotAllowance>,
 }
 
@@ -319,7 +282,7 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the code is `FAILED_PRECONDITION` if the map has no grid, or neither a start nor a charger is set.
-    pub async fn plan_tour(&self, query: &TourQuery) -> Result<Tour, Error> {
+    pub async fn plan_tour(&self, query: &TourQuery) -> Result<Tour<String>, Error> {
         let request = v1::PlanTourRequest {
             map: query.map.clone(),
             time: Some(timestamp(query.time_nanos)),
@@ -337,20 +300,7 @@ impl Client {
             certainty: None,
         };
         let answer = self.exploration_service().plan_tour(request).await.map_err(|status| self.error(&status))?;
-        let tour = answer.into_inner();
-        let step = |step: v1::TourStep| {
-            let at = step.at.ok_or(Error::Protocol("a step of the tour is nowhere"))?;
-            let v1::TourStep { information_bits, reachability, arrival_secs, .. } = step;
-            Ok(TourStep { at_m: point_from_wire(at), information_bits, reachability, arrival_secs })
-        };
-        Ok(Tour {
-            steps: tour.steps.into_iter().map(step).collect::<Result<_, Error>>()?,
-            length_m: tour.length_m,
-            duration_secs: tour.duration_secs,
-            information_bits: tour.information_bits,
-            candidates: tour.candidates,
-            reason: tour.reason,
-        })
+        planned_tour_from_wire(answer.into_inner()).map_err(|_| Error::Protocol("a step of the tour is nowhere"))
     }
 
     /// Plans which slots of a local day to explore, and where.
@@ -409,8 +359,8 @@ impl Client {
             certainty: None,
             seed: query.seed,
             allowance: query.allowance.map(|allowance| allowance_to_wire(allowance.budget)),
-            spent: query.allowance.map_or(0, |allowance| allowance.spent),
-            slot: query.allowance.map_or(query.slot_nanos, |allowance| allowance.slot_nanos).map(duration),
+            spent: query.allowance.map_or(0, |allowance| u32::try_from(allowance.spent).unwrap_or(u32::MAX)),
+            slot: query.slot_nanos.map(duration),
             exactly_one: query.exactly_one,
         };
         let answer = self.exploration_service().plan_slot(request).await.map_err(|status| self.error(&status))?;

@@ -4,8 +4,9 @@
 
 mod site;
 
-pub use site::Location;
-pub(crate) use site::point_from_wire;
+use site::point_from_wire;
+pub use tidemap_map::name::StateName;
+pub use tidemap_proto::convert::site::NamedLocation;
 
 pub use tidemap_grid::{
     index::{CellBox, CellIndex},

@@ -13,7 +13,7 @@ mod reconstruct;
 
 pub use anomalies::{Anomalies, Anomaly, AnomalyWatch, Judgement, Watched, WatchedPlaces};
 pub use cell_alarms::{CellAlarm, CellAlarms};
-pub use evaluate::{Comparison, EvaluateOptions, Evaluation, Evaluator, Unavailable};
+pub use evaluate::{Comparison, EvaluateOptions, Evaluator, StateEvaluation, Unavailable};
 pub use grid::{
     CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,
 };
@@ -52,7 +52,7 @@ pub struct ModelDescription {
     /// Number of components that predictions use.
     pub order: u32,
     /// Strongest first; predictions use the first `order`.
-    pub components: Vec<Component>,
+    pub components: Vec<SpectralComponent>,
     /// Decayed sum of errors of each order, by which updates select the order.
     pub order_errors: Vec<f64>,
     /// Time constant of the persistence.
@@ -73,7 +73,7 @@ pub struct ModelDescription {
 
 /// One term amplitude · cos(2π t / period + phase), t in seconds of local civil time since 1970-01-01T00:00.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Component {
+pub struct SpectralComponent {
     /// Period.
     pub period_secs: f64,
     /// In the unit of the state.
@@ -100,7 +100,7 @@ impl Client {
         let request = v1::DescribeModelRequest { map: map.to_owned(), state: state.to_owned() };
         let response = self.query_service().describe_model(request).await.map_err(|status| self.error(&status))?;
         let model = response.into_inner();
-        let component = |component: v1::SpectralComponent| Component {
+        let component = |component: v1::SpectralComponent| SpectralComponent {
             period_secs: component.period_secs,
             amplitude: component.amplitude,
             phase_rad: component.phase_rad,

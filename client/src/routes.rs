@@ -19,19 +19,19 @@ use tidemap_proto::{
 mod path;
 mod presence;
 
-pub use path::{
-    Policy, PolicyAction, PolicyEntry, PolicyQuery, PredictedEdge, Route, RouteQuery, RouteStep, RouteTime,
-};
-pub use presence::{Joint, JointQuery, Presence, PresenceAt, PresenceQuery};
+pub use path::{NamedRoute, NamedRouteStep, Policy, PolicyQuery, RouteQuery, RouteTime};
+pub use presence::{Joint, JointQuery, PresenceAt, PresenceForecast, PresenceQuery};
 pub use tidemap_map::{
     name::{EdgeName, StateName},
     topology::{Edge, EdgeEnds, Extent, NewEdge, NewNode, Node, NodePose, Topology, TopologyEdit},
     traversal::EdgeFailure,
 };
 pub use tidemap_plan::{
+    policy::{PolicyAction, PolicyEntry},
     route::{Certainty, Objective},
-    search::{Effort, StopReason},
+    search::{Effort, SearchStep, StopReason},
 };
+pub use tidemap_proto::convert::route::EdgePrediction;
 
 use crate::{
     connection::{Client, Connection},
@@ -88,22 +88,11 @@ pub struct SearchQuery {
     pub as_travelled: bool,
 }
 
-/// A place to look at.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SearchStep {
-    /// Name of the node.
-    pub node: String,
-    /// Arrival, seconds after the start.
-    pub arrival_secs: f64,
-    /// Probability that the target is there.
-    pub probability: f64,
-}
-
 /// A planned search.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Search {
-    /// The places to look at, in this order.
-    pub steps: Vec<SearchStep>,
+    /// The places to look at, by the names of their nodes, in this order.
+    pub steps: Vec<SearchStep<String>>,
     /// All nodes of the walk with the arrival in seconds; the start first.
     pub walk: Vec<(String, f64)>,
     /// Expected time to find the target.

@@ -2,29 +2,19 @@
 //!
 //! Invariant: a change is durable when the call returns.
 
-use tidemap_proto::{convert::site::point_to_wire, v1};
+use tidemap_proto::{
+    convert::site::{NamedLocation, location_from_wire, named_location_to_wire, point_to_wire},
+    v1,
+};
 
 use crate::{connection::Client, error::Error};
 
-/// States that are observed together, from one place.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Location {
-    /// Name of the location, 1 to 128 characters.
-    pub name: String,
-    /// Names of its states.
-    pub states: Vec<String>,
-    /// Position from which the robot observes them, x and y in metres.
-    pub position_m: Option<[f64; 2]>,
-}
-
-pub(crate) fn point_from_wire(point: v1::Point) -> [f64; 2] {
+pub(super) fn point_from_wire(point: v1::Point) -> [f64; 2] {
     [point.x_m, point.y_m]
 }
 
-impl Location {
-    fn from_wire(wire: v1::Location) -> Self {
-        Self { name: wire.name, states: wire.states, position_m: wire.position.map(point_from_wire) }
-    }
+fn replied(location: Option<v1::Location>) -> Result<NamedLocation, Error> {
+    location_from_wire(location).map_err(|_| Error::Protocol("no valid location in the answer"))
 }
 
 impl Client {
@@ -42,12 +32,11 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map or state does not exist.
-    pub async fn set_location(&self, map: &str, location: Location) -> Result<Location, Error> {
-        let Location { name, states, position_m } = location;
-        let location = v1::Location { name, states, position: position_m.map(point_to_wire) };
-        let request = v1::SetLocationRequest { map: map.to_owned(), location: Some(location) };
+    pub async fn set_location(&self, map: &str, location: NamedLocation) -> Result<NamedLocation, Error> {
+        let location = Some(named_location_to_wire(location));
+        let request = v1::SetLocationRequest { map: map.to_owned(), location };
         let answer = self.map_service().set_location(request).await.map_err(|status| self.error(&status))?;
-        answer.into_inner().location.map(Location::from_wire).ok_or(Error::Protocol("no location in the answer"))
+        replied(answer.into_inner().location)
     }
 
     /// Deletes a location; its states stay.
@@ -64,13 +53,15 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
-    pub async fn locations(&self, map: &str) -> Result<Vec<Location>, Error> {
+    pub async fn locations(&self, map: &str) -> Result<Vec<NamedLocation>, Error> {
         let mut locations = Vec::new();
         let mut request = v1::ListLocationsRequest { map: map.to_owned(), page_size: 1000, ..Default::default() };
         loop {
             let answer = self.map_service().list_locations(request.clone()).await;
             let page = answer.map_err(|status| self.error(&status))?.into_inner();
-            locations.extend(page.locations.into_iter().map(Location::from_wire));
+            for location in page.locations {
+                locations.push(replied(Some(location))?);
+            }
             if page.next_page_token.is_empty() {
                 return Ok(locations);
             }

@@ -15,7 +15,7 @@ use tidemap_proto::{
 
 use super::{
     columns::{BatchLimits, Entry, StreamTable, fitting, pack},
-    scan_stream::{ScanLimits, ScanStream},
+    scan_stream::{ScanMessageLimits, ScanStream},
     shared::SharedState,
     window::Window,
 };
@@ -28,7 +28,7 @@ const REQUEST_BYTES_EXTRA: usize = 16;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageLimits {
     observations: BatchLimits,
-    scans: ScanLimits,
+    scans: ScanMessageLimits,
 }
 
 impl MessageLimits {
@@ -37,7 +37,7 @@ impl MessageLimits {
         let bytes = limit(welcome.max_message_bytes).saturating_sub(REQUEST_BYTES_EXTRA).max(1);
         Self {
             observations: BatchLimits { observations: limit(welcome.max_batch_observations), bytes },
-            scans: ScanLimits { scans: limit(welcome.max_batch_scans), bytes },
+            scans: ScanMessageLimits { scans: limit(welcome.max_batch_scans), bytes },
         }
     }
 }

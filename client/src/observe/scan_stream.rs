@@ -15,7 +15,7 @@ use super::window::KeptScan;
 
 /// Upper bounds of one message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ScanLimits {
+pub struct ScanMessageLimits {
     /// Maximum number of scans.
     pub scans: usize,
     /// Maximum number of bytes of the encoded message, at least 4096.
@@ -60,7 +60,7 @@ impl ScanStream {
         scans: impl Iterator<Item = &'a KeptScan>,
         tiles: &[TileIndex],
         first_sequence: u64,
-        limits: ScanLimits,
+        limits: ScanMessageLimits,
     ) -> (usize, Vec<ScanBatch>) {
         let mut bytes = MESSAGE_BYTES_EXTRA;
         let mut times = Vec::new();

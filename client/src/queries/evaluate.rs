@@ -46,7 +46,7 @@ pub struct EvaluateOptions {
 
 /// How well a model predicted a state.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Evaluation {
+pub struct StateEvaluation {
     /// Name of the state.
     pub state: String,
     /// The model, with its order or parameter filled in.
@@ -74,7 +74,7 @@ pub struct Unavailable {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Comparison {
     /// The evaluations, by state in the order of first appearance, then by model, then by order.
-    pub evaluations: Vec<Evaluation>,
+    pub evaluations: Vec<StateEvaluation>,
     /// The models that could not be compared.
     pub unavailable: Vec<Unavailable>,
 }
@@ -211,8 +211,8 @@ impl StatePortion {
     }
 }
 
-fn from_wire(evaluation: v1::Evaluation) -> Evaluation {
-    Evaluation {
+fn from_wire(evaluation: v1::Evaluation) -> StateEvaluation {
+    StateEvaluation {
         state: evaluation.state,
         model: selector_of(evaluation.model),
         observations: evaluation.observations,

@@ -5,14 +5,14 @@
 use tidemap_proto::{
     convert::{
         query::selector_to_wire,
-        route::{objective_to_wire, route_certainty_from_wire},
+        route::{EdgePrediction, objective_to_wire, predictions_from_wire, route_certainty_from_wire},
         time::{duration, instant, timestamp},
         topology::edge_name_from_wire,
     },
     v1::{self, plan_route_request},
 };
 
-use super::{Certainty, EdgeName, Objective};
+use super::{Certainty, EdgeName, Objective, PolicyAction, PolicyEntry};
 use crate::{connection::Client, error::Error, queries::ModelSelector};
 
 /// When to leave or arrive, nanoseconds UTC.
@@ -86,9 +86,9 @@ impl RouteQuery {
     }
 }
 
-/// An edge on a route.
+/// A step of a route: the name of its edge, and when the robot is there.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RouteStep {
+pub struct NamedRouteStep {
     /// Which.
     pub edge: EdgeName,
     /// When the robot reaches the edge if nothing fails.
@@ -105,11 +105,11 @@ pub struct RouteStep {
     pub pending_reports: u64,
 }
 
-/// A route from one node to another.
+/// A route from one node to another, by the names of its edges, in times UTC.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Route {
+pub struct NamedRoute {
     /// Its edges, in order.
-    pub steps: Vec<RouteStep>,
+    pub steps: Vec<NamedRouteStep>,
     /// Departure.
     pub departure_nanos: i64,
     /// Arrival if nothing fails.
@@ -147,30 +147,6 @@ pub struct PolicyQuery {
     pub speed_m_per_s: Option<f64>,
 }
 
-/// The action at a node in a slot.
-#[derive(Clone, Debug, PartialEq)]
-pub enum PolicyAction {
-    /// Take this edge.
-    Take(EdgeName),
-    /// Wait for one slot.
-    Wait,
-    /// No action helps any more.
-    Nothing,
-    /// The robot is at the node to reach.
-    Arrived,
-}
-
-/// The policy at a node in a slot.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PolicyEntry {
-    /// The action.
-    pub action: PolicyAction,
-    /// Expected time from the beginning of the slot; infinite if it is not certain that the node is ever reached.
-    pub expected_secs: f64,
-    /// Probability that the node is reached before the last slot ends.
-    pub reach: f64,
-}
-
 /// A policy: the action at each node in each slot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Policy {
@@ -179,31 +155,16 @@ pub struct Policy {
     /// Length of a slot.
     pub slot_nanos: i64,
     /// The name of each node, and its entries by slot.
-    pub nodes: Vec<(String, Vec<PolicyEntry>)>,
-}
-
-/// The forecast of an edge.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PredictedEdge {
-    /// Which.
-    pub edge: EdgeName,
-    /// Probability that the robot passes the edge.
-    pub success: f64,
-    /// Lower and upper end of the interval of `success`.
-    pub success_interval: [f64; 2],
-    /// Forecast duration.
-    pub duration_secs: f64,
-    /// Number of reports of the edge.
-    pub reports: u64,
+    pub nodes: Vec<(String, Vec<PolicyEntry<EdgeName>>)>,
 }
 
 fn edge_of(edge: Option<&v1::EdgeEnds>) -> Result<EdgeName, Error> {
     edge_name_from_wire("edge", edge).map_err(|_| Error::Protocol("no valid edge in the answer"))
 }
 
-fn route(route: v1::Route) -> Result<Route, Error> {
+fn route(route: v1::Route) -> Result<NamedRoute, Error> {
     let step = |step: v1::RouteStep| {
-        Ok(RouteStep {
+        Ok(NamedRouteStep {
             edge: edge_of(step.edge.as_ref())?,
             start_nanos: step.start_nanos,
             duration_secs: step.duration_secs,
@@ -213,7 +174,7 @@ fn route(route: v1::Route) -> Result<Route, Error> {
             pending_reports: step.pending_reports,
         })
     };
-    Ok(Route {
+    Ok(NamedRoute {
         departure_nanos: route.departure_nanos,
         arrival_nanos: route.arrival_nanos,
         expected_secs: route.expected_secs,
@@ -224,7 +185,7 @@ fn route(route: v1::Route) -> Result<Route, Error> {
     })
 }
 
-fn entries(node: v1::NodePolicy) -> Result<(String, Vec<PolicyEntry>), Error> {
+fn entries(node: v1::NodePolicy) -> Result<(String, Vec<PolicyEntry<EdgeName>>), Error> {
     let actions: Vec<v1::PolicyAction> = node.actions().collect();
     let entry = |(slot, action): (usize, v1::PolicyAction)| {
         let index = node.edge_indices.get(slot).map_or(0, |&index| index as usize);
@@ -246,7 +207,7 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map or node does not exist, `FAILED_PRECONDITION` if no route exists.
-    pub async fn plan_route(&self, query: RouteQuery) -> Result<(Vec<Route>, Certainty), Error> {
+    pub async fn plan_route(&self, query: RouteQuery) -> Result<(Vec<NamedRoute>, Certainty), Error> {
         let (objective, doubt) = objective_to_wire(query.objective);
         let when = match query.when {
             RouteTime::Depart(nanos) => plan_route_request::When::DepartTime(timestamp(nanos)),
@@ -316,7 +277,7 @@ impl Client {
         time_nanos: i64,
         model: ModelSelector,
         speed_m_per_s: Option<f64>,
-    ) -> Result<Vec<PredictedEdge>, Error> {
+    ) -> Result<Vec<EdgePrediction>, Error> {
         let request = v1::PredictEdgesRequest {
             map: map.to_owned(),
             time: Some(timestamp(time_nanos)),
@@ -326,15 +287,6 @@ impl Client {
         };
         let reply =
             self.route_service().predict_edges(request).await.map_err(|status| self.error(&status))?.into_inner();
-        let edge = |edge: v1::PredictedEdge| {
-            Ok(PredictedEdge {
-                edge: edge_of(edge.edge.as_ref())?,
-                success: edge.success,
-                success_interval: [edge.success_lower, edge.success_upper],
-                duration_secs: edge.duration_secs,
-                reports: edge.reports,
-            })
-        };
-        reply.edges.into_iter().map(edge).collect()
+        predictions_from_wire(reply).map_err(|_| Error::Protocol("no valid edge in the answer"))
     }
 }

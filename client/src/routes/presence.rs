@@ -1,4 +1,4 @@
-//! Presence of a target over time, and the next time at which several states are likely to be 1 together.
+//! PresenceForecast of a target over time, and the next time at which several states are likely to be 1 together.
 //!
 //! Invariant: probabilities and shares are in the order of the nodes.
 
@@ -28,7 +28,7 @@ pub struct PresenceQuery {
 
 /// The presence of a target.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Presence {
+pub struct PresenceForecast {
     /// Names of the nodes that were observed.
     pub nodes: Vec<String>,
     /// The presence, in the order of the requested times.
@@ -88,7 +88,7 @@ impl Client {
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist, `FAILED_PRECONDITION` if it has no nodes, or none
     /// was observed.
-    pub async fn predict_presence(&self, query: PresenceQuery) -> Result<Presence, Error> {
+    pub async fn predict_presence(&self, query: PresenceQuery) -> Result<PresenceForecast, Error> {
         let PresenceQuery { map, object, times_nanos, model } = query;
         let request = v1::PredictPresenceRequest { map, object, times_nanos, model: Some(selector_to_wire(model)) };
         let answer = self.search_service().predict_presence(request).await.map_err(|status| self.error(&status))?;
@@ -97,7 +97,7 @@ impl Client {
             let v1::PresenceAt { time_nanos, probabilities, shares, anybody } = at;
             PresenceAt { time_nanos, probabilities, shares, anybody }
         };
-        Ok(Presence {
+        Ok(PresenceForecast {
             nodes: reply.nodes,
             times: reply.times.into_iter().map(at).collect(),
             unobserved: reply.unobserved,

@@ -11,12 +11,12 @@ use super::{MAGIC, ScanFileHeader};
 use crate::observe::{
     ProducerError,
     scan::Scan,
-    scan_stream::{ScanLimits, ScanStream},
+    scan_stream::{ScanMessageLimits, ScanStream},
     window::Window,
 };
 
 /// Maximum number of scans and bytes of a batch.
-const LIMITS: ScanLimits = ScanLimits { scans: 256, bytes: 512 << 10 };
+const LIMITS: ScanMessageLimits = ScanMessageLimits { scans: 256, bytes: 512 << 10 };
 
 /// Writes a file of scans.
 #[derive(Debug)]

@@ -7,7 +7,7 @@ use tidemap_plan::{
     day::SLOT_NANOS,
     information::Certainty,
     strategy::{Budget, Strategy},
-    tour::{Tour, TourEnd, TourQuestion},
+    tour::{Tour, TourEnd, TourQuestion, TourStep},
     view::{SceneOptions, Sensor, Viewpoint},
 };
 
@@ -150,8 +150,8 @@ fn tour_from_wire(request: &v1::PlanTourRequest) -> Result<TourRequest, InvalidF
 /// A tour for the wire.
 #[must_use]
 pub fn tour_to_wire(tour: &Tour) -> v1::PlanTourResponse {
-    let step = |step: &tidemap_plan::tour::TourStep| v1::TourStep {
-        at: Some(point_to_wire([step.x_m, step.y_m])),
+    let step = |step: &TourStep| v1::TourStep {
+        at: Some(point_to_wire(step.at_m)),
         information_bits: step.information_bits,
         reachability: step.reachability,
         arrival_secs: step.arrival_secs,
@@ -165,6 +165,28 @@ pub fn tour_to_wire(tour: &Tour) -> v1::PlanTourResponse {
         candidates: u32::try_from(tour.candidates).unwrap_or(u32::MAX),
         reason: tour.no_tour.map_or_else(String::new, |reason| reason.to_string()),
     }
+}
+
+/// A tour of a reply; the reason of a tour without goals is in words.
+///
+/// # Errors
+/// A goal without a valid place.
+pub fn planned_tour_from_wire(reply: v1::PlanTourResponse) -> Result<Tour<String>, InvalidField> {
+    let step = |(i, step): (usize, v1::TourStep)| {
+        let v1::TourStep { at, information_bits, reachability, arrival_secs } = step;
+        let field = format!("steps[{i}].at");
+        let at_m = point_from_wire(&field, at.ok_or_else(|| InvalidField::new(&*field, "it is missing"))?)?;
+        Ok(TourStep { at_m, information_bits, reachability, arrival_secs })
+    };
+    Ok(Tour {
+        steps: reply.steps.into_iter().enumerate().map(step).collect::<Result<_, _>>()?,
+        information_bits: reply.information_bits,
+        expected_bits: reply.expected_bits,
+        length_m: reply.length_m,
+        duration_secs: reply.duration_secs,
+        candidates: reply.candidates as usize,
+        no_tour: Some(reply.reason).filter(|reason| !reason.is_empty()),
+    })
 }
 
 /// A local date.
@@ -249,6 +271,8 @@ pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, Invali
 
 #[cfg(test)]
 mod tests {
+    use tidemap_plan::tour::{GOALS_MAX, NoTour};
+
     use super::*;
 
     #[test]
@@ -261,6 +285,44 @@ mod tests {
         assert_eq!(tour.starting_at(Some([1.0, 2.0])), Some(question));
         assert_eq!(strategy_from_wire("strategy", 0), Ok(Strategy::MonteCarlo));
         assert_eq!(slot_from_wire(None), Ok(SLOT_NANOS));
+    }
+
+    #[test]
+    fn the_comments_of_a_tour_give_the_defaults_of_the_planner() {
+        let TourQuestion { goals, spacing_m, travel, speed_m_per_s, observation_secs, .. } = TourQuestion::default();
+        let comments = include_str!("../../tidemap/v1/exploration.proto");
+        for comment in [
+            format!("Maximum number of goals, 1 to {GOALS_MAX}. Default {goals}."),
+            format!("Distance between candidate places, metres. 0: the default, {spacing_m}."),
+            format!("Radius of the robot, metres. Default {}.", travel.radius_m),
+            format!("Height of the robot, metres: obstacles between {} m and this height", travel.z_min_m),
+            format!("block it. 0: the default, {}.", travel.z_max_m),
+            format!("Speed of the robot, metres per second. 0: the default, {speed_m_per_s}."),
+            format!("Observation time at each goal. Default {observation_secs} s."),
+        ] {
+            assert!(comments.contains(&comment), "{comment}");
+        }
+    }
+
+    #[test]
+    fn a_tour_comes_back_with_its_reason_in_words() {
+        let step = TourStep { at_m: [1.0, -2.5], information_bits: 3.0, reachability: 0.5, arrival_secs: 60.0 };
+        let tour = |no_tour| Tour {
+            steps: vec![step],
+            information_bits: 3.0,
+            expected_bits: 1.5,
+            length_m: 12.0,
+            duration_secs: 84.0,
+            candidates: 7,
+            no_tour,
+        };
+        let whole = planned_tour_from_wire(tour_to_wire(&tour(None))).expect("right");
+        assert_eq!((whole.steps, whole.no_tour), (vec![step], None));
+        assert_eq!((whole.expected_bits, whole.length_m, whole.candidates), (1.5, 12.0, 7));
+        let none = planned_tour_from_wire(tour_to_wire(&tour(Some(NoTour::NothingToLearn)))).expect("right");
+        assert_eq!(none.no_tour, Some(NoTour::NothingToLearn.to_string()));
+        let nowhere = v1::PlanTourResponse { steps: vec![v1::TourStep::default()], ..Default::default() };
+        assert_eq!(planned_tour_from_wire(nowhere).expect_err("wrong").field, "steps[0].at");
     }
 
     #[test]

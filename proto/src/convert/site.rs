@@ -41,9 +41,9 @@ pub fn location_names_from_wire(field: &str, names: &[String]) -> Result<Vec<Sta
     names.iter().enumerate().map(name).collect()
 }
 
-/// A location to set, with the names of its members.
+/// A location, with the names of its members.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LocationEdit {
+pub struct NamedLocation {
     /// Name of the location.
     pub name: StateName,
     /// Names of its states and cells.
@@ -52,21 +52,28 @@ pub struct LocationEdit {
     pub position_m: Option<[f64; 2]>,
 }
 
-/// The location of a request to set one.
+/// A location with the names of its members.
 ///
 /// # Errors
 /// The invalid field; whether its members exist is not checked.
-pub fn location_from_wire(location: Option<v1::Location>) -> Result<LocationEdit, InvalidField> {
+pub fn location_from_wire(location: Option<v1::Location>) -> Result<NamedLocation, InvalidField> {
     let v1::Location { name, states, position } = location.unwrap_or_default();
     let name = location_name_from_wire("location.name", &name)?;
     let position_m = position.map(|at| point_from_wire("location.position", at)).transpose()?;
-    Ok(LocationEdit { name, members: states, position_m })
+    Ok(NamedLocation { name, members: states, position_m })
 }
 
 /// A point for the wire.
 #[must_use]
 pub fn point_to_wire([x_m, y_m]: [f64; 2]) -> v1::Point {
     v1::Point { x_m, y_m }
+}
+
+/// A location with the names of its members, for the wire.
+#[must_use]
+pub fn named_location_to_wire(location: NamedLocation) -> v1::Location {
+    let NamedLocation { name, members, position_m } = location;
+    v1::Location { name: name.as_str().to_owned(), states: members, position: position_m.map(point_to_wire) }
 }
 
 /// A location for the wire.

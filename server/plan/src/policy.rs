@@ -56,11 +56,11 @@ impl Default for PolicyOptions {
     }
 }
 
-/// The action.
+/// The action at a node in a slot. The planner knows edges by their number and users by their name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PolicyAction {
+pub enum PolicyAction<E = EdgeId> {
     /// Take this edge.
-    Take(EdgeId),
+    Take(E),
     /// Stay until the next slot begins.
     Wait,
     /// None: this is the target.
@@ -71,9 +71,9 @@ pub enum PolicyAction {
 
 /// The policy at a node in a slot.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PolicyEntry {
+pub struct PolicyEntry<E = EdgeId> {
     /// The action.
-    pub action: PolicyAction,
+    pub action: PolicyAction<E>,
     /// With [`PolicyObjective::Time`]: expected seconds to the target, infinite if the target is not reached with
     /// certainty. With [`PolicyObjective::Reach`]: expected seconds until the target or the end of the last slot,
     /// whichever comes first.

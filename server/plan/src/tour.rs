@@ -52,10 +52,8 @@ pub enum NoTour {
 /// A goal of a tour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TourStep {
-    /// In the map's frame, metres.
-    pub x_m: f64,
-    /// In the map's frame, metres.
-    pub y_m: f64,
+    /// x and y in the map's frame, metres.
+    pub at_m: [f64; 2],
     /// Expected information of the view beyond that of the goals chosen before, bits.
     pub information_bits: f64,
     /// Probability of reaching it, in (0, 1].
@@ -64,9 +62,9 @@ pub struct TourStep {
     pub arrival_secs: f64,
 }
 
-/// A tour.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Tour {
+/// A tour. The planner says by a [`NoTour`] why it has no goal; a user is told in words.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tour<R = NoTour> {
     /// Goals in the order of the drive.
     pub steps: Vec<TourStep>,
     /// Sum of their information if all are reached, bits.
@@ -81,12 +79,20 @@ pub struct Tour {
     /// Number of reachable candidates with a free view.
     pub candidates: usize,
     /// Why there is no goal, if there is none.
-    pub no_tour: Option<NoTour>,
+    pub no_tour: Option<R>,
 }
 
 impl Tour {
-    fn none(reason: NoTour, candidates: usize) -> Tour {
-        Tour { no_tour: Some(reason), candidates, ..Tour::default() }
+    fn none(no_tour: Option<NoTour>, candidates: usize) -> Tour {
+        Tour {
+            steps: Vec::new(),
+            information_bits: 0.0,
+            expected_bits: 0.0,
+            length_m: 0.0,
+            duration_secs: 0.0,
+            candidates,
+            no_tour,
+        }
     }
 }
 
@@ -143,19 +149,19 @@ fn find_tour(
     stop.check()?;
     let [x_m, y_m] = question.start_m;
     let Some((start, gap_m)) = travel.nearest(x_m, y_m, START_TOLERANCE_M) else {
-        return Ok(Tour::none(NoTour::StartBlocked, 0));
+        return Ok(Tour::none(Some(NoTour::StartBlocked), 0));
     };
     let from_start = travel.distances_until(start, stop);
     stop.check()?;
     let candidates = question.candidates(&scene, &travel, &from_start, grid, reachability);
     if candidates.is_empty() {
-        return Ok(Tour::none(NoTour::NothingReachable, 0));
+        return Ok(Tour::none(Some(NoTour::NothingReachable), 0));
     }
     let mut choice = GoalSelection::new(&scene, fan, &candidates, stop);
     let chosen = choice.choose(question.goals);
     stop.check()?;
     if chosen.is_empty() {
-        return Ok(Tour::none(NoTour::NothingToLearn, candidates.len()));
+        return Ok(Tour::none(Some(NoTour::NothingToLearn), candidates.len()));
     }
     let goals: Vec<Column> = chosen.iter().map(|goal| candidates[goal.candidate].column).collect();
     let between: Vec<Distances> = goals.par_iter().map(|&goal| travel.distances_until(goal, stop)).collect();
@@ -176,7 +182,7 @@ fn find_tour(
     stop.check()?;
     if order.is_empty() {
         let (budget_secs, least_secs) = (budget.budget_secs, budget.least_secs());
-        return Ok(Tour::none(NoTour::Budget { budget_secs, least_secs }, candidates.len()));
+        return Ok(Tour::none(Some(NoTour::Budget { budget_secs, least_secs }), candidates.len()));
     }
     Ok(tour_of(&scene, &candidates, &chosen, &order, &budget))
 }
@@ -189,7 +195,7 @@ fn tour_of(
     order: &[usize],
     budget: &TourBudget,
 ) -> Tour {
-    let mut tour = Tour { candidates: candidates.len(), ..Tour::default() };
+    let mut tour = Tour::none(None, candidates.len());
     let mut new_bits = vec![0.0; chosen.len()];
     let mut covered = vec![false; scene.lattice().held()];
     // In the order of choice, without those that do not fit.
@@ -201,11 +207,10 @@ fn tour_of(
         }
     }
     for (step, &goal) in order.iter().enumerate() {
-        let TourCandidate { at_m: [x_m, y_m], reachability, .. } = candidates[chosen[goal].candidate];
+        let TourCandidate { at_m, reachability, .. } = candidates[chosen[goal].candidate];
         let driven_m = budget.ways.to_last(&order[..=step]);
         tour.steps.push(TourStep {
-            x_m,
-            y_m,
+            at_m,
             information_bits: new_bits[goal],
             reachability,
             arrival_secs: driven_m * budget.secs_m + step as f64 * budget.observation_secs,

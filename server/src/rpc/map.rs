@@ -10,7 +10,7 @@ use tidemap_proto::{
     convert::{
         map::{map_to_wire, spec_from_request, state_to_wire},
         page::page_from_wire,
-        site::{LocationEdit, location_from_wire, location_name_from_wire, location_to_wire, point_from_wire},
+        site::{NamedLocation, location_from_wire, location_name_from_wire, location_to_wire, point_from_wire},
         vectors::declared_state_from_wire,
     },
     v1::{self, map_service_server::MapService},
@@ -131,7 +131,7 @@ impl MapService for Maps {
     async fn set_location(&self, request: Request<v1::SetLocationRequest>) -> RpcReply<v1::SetLocationResponse> {
         let v1::SetLocationRequest { map, location } = request.into_inner();
         let handle = find_map(&self.catalog, &map).await?;
-        let LocationEdit { name, members, position_m } = location_from_wire(location).map_err(RpcError::from)?;
+        let NamedLocation { name, members, position_m } = location_from_wire(location).map_err(RpcError::from)?;
         let mut location = Location { position_m, ..Location::default() };
         for found in find_all(&handle.view(), |i| format!("location.states[{i}]"), members).await? {
             match found {

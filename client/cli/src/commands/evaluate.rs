@@ -7,7 +7,7 @@ use std::{path::PathBuf, process::ExitCode, str::FromStr};
 use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::queries::{
-    Comparison, EvaluateOptions, Evaluation, InvalidModel, ModelKind, ModelSelector, ORDER_MAX, Unavailable,
+    Comparison, EvaluateOptions, InvalidModel, ModelKind, ModelSelector, ORDER_MAX, StateEvaluation, Unavailable,
 };
 
 use super::{
@@ -112,7 +112,7 @@ pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result
     }
     let Comparison { evaluations, unavailable } = evaluator.finish().await?;
     bar.clear();
-    let row = |evaluation: Evaluation| {
+    let row = |evaluation: StateEvaluation| {
         vec![
             Cell::Text(evaluation.state),
             Cell::Text(evaluation.model.to_string()),

@@ -5,7 +5,7 @@
 use std::process::ExitCode;
 
 use clap::Subcommand;
-use tidemap_client::maps::Location;
+use tidemap_client::maps::{NamedLocation, StateName};
 
 use super::{Session, point::Point};
 use crate::progress::status_line;
@@ -45,7 +45,8 @@ const COLUMNS: [&str; 4] = ["location", "x", "y", "states"];
 pub(crate) async fn run(session: &Session, command: LocationCommand) -> anyhow::Result<ExitCode> {
     let locations = match command {
         LocationCommand::Set { map, location, states, position } => {
-            let location = Location { name: location, states, position_m: position.map(|Point(at)| at) };
+            let position_m = position.map(|Point(at)| at);
+            let location = NamedLocation { name: StateName::new(&location)?, members: states, position_m };
             vec![session.client.set_location(&map, location).await?]
         }
         LocationCommand::List { map } => session.client.locations(&map).await?,
@@ -55,9 +56,9 @@ pub(crate) async fn run(session: &Session, command: LocationCommand) -> anyhow::
             return Ok(ExitCode::SUCCESS);
         }
     };
-    let row = |Location { name, states, position_m }| {
+    let row = |NamedLocation { name, members, position_m }| {
         let [x, y] = position_m.map_or([None; 2], |at| at.map(Some));
-        vec![Cell::Text(name), Cell::maybe(x), Cell::maybe(y), Cell::texts(states)]
+        vec![name.as_str().into(), Cell::maybe(x), Cell::maybe(y), Cell::texts(members)]
     };
     session.print(&COLUMNS, locations.into_iter().map(row))
 }

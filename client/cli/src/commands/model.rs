@@ -11,7 +11,7 @@ use anyhow::Context as _;
 use clap::Subcommand;
 use tidemap_client::{
     maps::StateKind,
-    queries::{Component, ModelDescription, ModelSelector},
+    queries::{ModelDescription, ModelSelector, SpectralComponent},
 };
 
 use super::{Session, files::DrawingArg};
@@ -123,7 +123,7 @@ fn summary(model: &ModelDescription) -> [(&'static str, Cell); 10] {
     ]
 }
 
-fn component_cells(component: &Component, used: bool) -> [(&'static str, Cell); 4] {
+fn component_cells(component: &SpectralComponent, used: bool) -> [(&'static str, Cell); 4] {
     [
         ("period_secs", component.period_secs.into()),
         ("amplitude", component.amplitude.into()),
@@ -156,7 +156,7 @@ fn table(model: &ModelDescription) -> io::Result<()> {
         );
     }
     writeln!(io::stdout())?;
-    let row = |(index, component): (usize, &Component)| {
+    let row = |(index, component): (usize, &SpectralComponent)| {
         let cells = component_cells(component, used(model, index)).map(|(_, cell)| cell);
         [vec![Cell::Text(words(component.period_secs))], cells.to_vec()].concat()
     };

@@ -8,7 +8,7 @@ use std::{path::PathBuf, process::ExitCode};
 use clap::{ArgGroup, Args, ValueEnum};
 use tidemap_client::{
     queries::ModelSelector,
-    routes::{Certainty, EdgeName, Objective, PolicyAction, PolicyQuery, Route, RouteQuery, RouteTime, StateName},
+    routes::{Certainty, EdgeName, NamedRoute, Objective, PolicyAction, PolicyQuery, RouteQuery, RouteTime, StateName},
 };
 
 use super::{
@@ -208,7 +208,7 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
     Ok(ExitCode::SUCCESS)
 }
 
-fn summary(number: usize, route: &Route, routes: usize) -> String {
+fn summary(number: usize, route: &NamedRoute, routes: usize) -> String {
     let [lower, upper] = route.success_interval;
     let secs = (route.arrival_nanos - route.departure_nanos) as f64 / 1e9;
     let which = if routes > 1 { format!("route {number}: ") } else { String::new() };

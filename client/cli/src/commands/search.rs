@@ -104,7 +104,7 @@ pub(crate) async fn run(session: &Session, args: SearchArgs) -> anyhow::Result<E
         as_travelled: args.as_travelled,
     };
     let search = session.client.plan_search(query).await?;
-    let row = |(step, SearchStep { node, arrival_secs, probability }): (u64, &SearchStep)| {
+    let row = |(step, SearchStep { node, arrival_secs, probability }): (u64, &SearchStep<String>)| {
         let [arrival, probability, expected] = [*arrival_secs, *probability, search.expected_secs].map(Cell::from);
         vec![Cell::Count(step), node.as_str().into(), arrival, probability, expected]
     };

@@ -71,11 +71,10 @@ pub(crate) async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<Exi
     if budget.is_none() && args.spent > 0 {
         return Err(usage("--spent needs --explore or --ratio: the visits that a day has".to_owned()));
     }
-    let (spent, slot_nanos) = (args.spent, Some(args.slot));
-    let allowance = budget.map(|budget| SlotAllowance { budget, spent, slot_nanos });
+    let allowance = budget.map(|budget| SlotAllowance { budget, spent: args.spent as usize });
     let (map, at, locations, model, seed) = (args.map, args.at, args.locations, args.model, args.seed);
     let exactly_one = args.exactly_one;
-    let slot_nanos = slot_nanos.filter(|_| exactly_one);
+    let slot_nanos = (exactly_one || allowance.is_some()).then_some(args.slot);
     let query = SlotQuery { map, time_nanos: at, strategy, locations, model, exactly_one, seed, slot_nanos, allowance };
     let SlotChoice { location, information_bits, surprise_bits } = session.client.plan_slot(query).await?;
     session.print(

@@ -11,7 +11,7 @@ use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use tidemap_client::queries::ModelSelector;
 use tidemap_client::routes::{
-    Edge, EdgeEnds, EdgeFailure, EdgeName, Extent, NewEdge, NewNode, Node, NodePose, PredictedEdge, StateName,
+    Edge, EdgeEnds, EdgeFailure, EdgeName, EdgePrediction, Extent, NewEdge, NewNode, Node, NodePose, StateName,
     Topology, TopologyEdit, TopologySize,
 };
 
@@ -269,7 +269,7 @@ async fn predict(session: &Session, args: EdgeForecastArgs) -> anyhow::Result<Ex
     files::check_picture(picture.as_deref())?;
     let columns = ["from", "to", "action", "probability", "lower", "upper", "duration_secs", "reports"];
     let forecasts = session.client.predict_edges(&map, at, model, speed).await?;
-    let row = |PredictedEdge { edge, success, success_interval: [lower, upper], duration_secs, reports }| {
+    let row = |EdgePrediction { edge, success, success_interval: [lower, upper], duration_secs, reports }| {
         let [from, to, action] = edge_cells(&edge);
         let [success, lower, upper, duration] = [success, lower, upper, duration_secs].map(Cell::from);
         vec![from, to, action, success, lower, upper, duration, reports.into()]

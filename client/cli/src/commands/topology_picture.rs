@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use tidemap_client::{
     queries::ModelSelector,
-    routes::{EdgeName, NodePose, Presence, PresenceQuery},
+    routes::{EdgeName, NodePose, PresenceForecast, PresenceQuery},
 };
 use tonic::Code;
 
@@ -40,7 +40,7 @@ pub(crate) async fn draw(
     // Nobody was ever looked for: nodes are grey.
     let presence = match session.client.predict_presence(query).await {
         Ok(presence) => presence,
-        Err(error) if error.code() == Some(Code::FailedPrecondition) => Presence::default(),
+        Err(error) if error.code() == Some(Code::FailedPrecondition) => PresenceForecast::default(),
         Err(error) => return Err(error.into()),
     };
     let likely = presence.times.first().map(|at| at.probabilities.as_slice()).unwrap_or_default();

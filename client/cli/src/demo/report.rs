@@ -155,13 +155,13 @@ fn rhythms(model: &ModelDescription) -> String {
 mod tests {
     use tidemap_client::{
         maps::StateKind,
-        queries::{Component, ModelSelector},
+        queries::{ModelSelector, SpectralComponent},
     };
 
     use super::*;
 
     fn model(order: u32) -> ModelDescription {
-        let component = |period_secs: f64| Component { period_secs, amplitude: 0.25, phase_rad: 0.0 };
+        let component = |period_secs: f64| SpectralComponent { period_secs, amplitude: 0.25, phase_rad: 0.0 };
         ModelDescription {
             state: "kitchen".to_owned(),
             kind: StateKind::Probability,

@@ -8,7 +8,7 @@ use tidemap_grid::mask::Mask;
 use tidemap_proto::{
     convert::{
         grid::grid_from_wire,
-        scans::{ScanDecoder, ScanLimits as DaemonLimits, TileTable, join_part, scans_from_wire},
+        scans::{ScanDecoder, ScanLimits, TileTable, join_part, scans_from_wire},
     },
     v1,
 };
@@ -37,7 +37,7 @@ struct Daemon {
 fn decoder() -> ScanDecoder {
     let grid = v1::Grid { resolution_m: 0.1, ..v1::Grid::default() };
     let spec = grid_from_wire(grid).expect("a grid");
-    ScanDecoder::new(Some(&spec), DaemonLimits { batch_scans: 256, points: 1 << 20, tiles: 1 << 16 })
+    ScanDecoder::new(Some(&spec), ScanLimits { batch_scans: 256, points: 1 << 20, tiles: 1 << 16 })
 }
 
 impl Daemon {
@@ -129,7 +129,7 @@ fn picture(tiles: &[(i32, u64)]) -> Picture {
     picture
 }
 
-fn taken(window: &mut Window, stream: &mut Option<ScanStream>, limits: ScanLimits) -> Vec<ScanBatch> {
+fn taken(window: &mut Window, stream: &mut Option<ScanStream>, limits: ScanMessageLimits) -> Vec<ScanBatch> {
     let first_sequence = window.next_unsent();
     let mut waiting = window.scans_to_send(limits.scans, limits.bytes, u64::MAX).peekable();
     if waiting.peek().is_none() {
@@ -145,7 +145,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
     #[test]
     fn every_scan_arrives_once_and_whole(steps in steps(), scans in 1..5_usize, bytes in 4096..9000_usize) {
-        let limits = ScanLimits { scans, bytes };
+        let limits = ScanMessageLimits { scans, bytes };
         let mut window = Window::new(8, 0, 0);
         let mut daemon = Daemon::new();
         let (mut pushed, mut stream) = (Vec::new(), None);
@@ -192,7 +192,7 @@ fn a_large_cloud_is_split_and_comes_out_whole() -> Result<(), Box<dyn std::error
     let xyz_m: Vec<f32> = (0..6000_u16).map(f32::from).collect();
     let cloud = PointCloud { xyz_m: xyz_m.clone(), frame_id: "map".to_owned(), ..PointCloud::default() };
     window.push_scan(5, Given::Cloud(cloud))?;
-    let messages = taken(&mut window, &mut None, ScanLimits { scans: 256, bytes: 4096 });
+    let messages = taken(&mut window, &mut None, ScanMessageLimits { scans: 256, bytes: 4096 });
     assert!(messages.len() > 2, "{}", messages.len());
     let last = messages.len() - 1;
     let mut whole: Option<v1::Scan> = None;
@@ -217,7 +217,7 @@ fn the_bytes_of_scans_bound_the_window() -> Result<(), Box<dyn std::error::Error
     assert!(window.has_room());
     window.push_scan(5, Given::Cloud(cloud))?;
     assert!(!window.has_room() && window.push("door", 6, 1.0).is_none());
-    taken(&mut window, &mut None, ScanLimits { scans: 256, bytes: 1 << 20 });
+    taken(&mut window, &mut None, ScanMessageLimits { scans: 256, bytes: 1 << 20 });
     window.acknowledged(1)?;
     assert_eq!(window.push("door", 6, 1.0), Some(2));
     Ok(())

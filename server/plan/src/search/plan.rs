@@ -10,11 +10,11 @@ use super::{
     stop::{Stop, StopReason},
 };
 
-/// A visit.
+/// A visit of a node, which the planner knows by its number and users by its name.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SearchStep {
+pub struct SearchStep<N = NodeId> {
     /// The node.
-    pub node: NodeId,
+    pub node: N,
     /// When the robot is there, seconds after it leaves the start.
     pub arrival_secs: f64,
     /// Probability of finding the target there, as given.

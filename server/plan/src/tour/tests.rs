@@ -64,8 +64,8 @@ fn goals_lie_where_there_is_something_to_learn() {
     let plan = tour(&grid, &TourQuestion { goals: 2, ..question(&grid, 30, 5) });
     assert_eq!((plan.steps.len(), plan.no_tour), (2, None));
     let [left, right] = [at(&grid, 15, 0)[0] + 0.3, at(&grid, 45, 0)[0] - 0.3];
-    assert!(plan.steps.iter().any(|step| step.x_m < left));
-    assert!(plan.steps.iter().any(|step| step.x_m > right));
+    assert!(plan.steps.iter().any(|step| step.at_m[0] < left));
+    assert!(plan.steps.iter().any(|step| step.at_m[0] > right));
     for step in &plan.steps {
         assert_eq!(step.reachability, 0.5);
     }
@@ -82,7 +82,8 @@ fn arrivals_are_the_drive_and_the_looks_before() {
     let ask = TourQuestion { goals: 2, speed_m_per_s: 0.5, observation_secs: 10.0, ..question(&grid, 30, 5) };
     let plan = tour(&grid, &ask);
     let travel = TravelGrid::new(&grid, &ask.travel).unwrap();
-    let columns: Vec<Column> = plan.steps.iter().map(|step| travel.column_at(step.x_m, step.y_m).unwrap()).collect();
+    let columns: Vec<Column> =
+        plan.steps.iter().map(|step| travel.column_at(step.at_m[0], step.at_m[1]).unwrap()).collect();
     let from_start = travel.distances(travel.column_at(ask.start_m[0], ask.start_m[1]).unwrap());
     let between = travel.distances(columns[0]).to(columns[1]).unwrap();
     let [first, back] = [from_start.to(columns[0]).unwrap(), from_start.to(columns[1]).unwrap()];
@@ -102,7 +103,7 @@ fn goals_are_apart_where_views_overlap() {
     assert_eq!(plan.steps.len(), 5);
     for (number, one) in plan.steps.iter().enumerate() {
         for other in &plan.steps[..number] {
-            let apart = (one.x_m - other.x_m).hypot(one.y_m - other.y_m);
+            let apart = (one.at_m[0] - other.at_m[0]).hypot(one.at_m[1] - other.at_m[1]);
             assert!(apart >= 1.2, "{apart} m");
         }
     }
@@ -130,7 +131,7 @@ fn obstacles_are_in_the_way() {
     let grid = wall(true);
     let ask = TourQuestion { goals: 1, ..question(&grid, 26, 3) };
     let plan = tour(&grid, &ask);
-    assert!(plan.steps[0].x_m > at(&grid, 30, 0)[0]);
+    assert!(plan.steps[0].at_m[0] > at(&grid, 30, 0)[0]);
     assert!(plan.length_m > 2.0 * 3.5, "{} m", plan.length_m);
     let closed = wall(false);
     let plan = tour(&closed, &ask);
@@ -185,9 +186,9 @@ fn places_that_were_not_reached_are_worth_less() {
         }
     }
     let ask = TourQuestion { goals: 1, ..question(&grid, 30, 5) };
-    assert!(tour(&grid, &ask).steps[0].x_m > at(&grid, 30, 0)[0]);
+    assert!(tour(&grid, &ask).steps[0].at_m[0] > at(&grid, 30, 0)[0]);
     let plan = plan_tour(&grid, &known, &ask, StopSignal::NEVER).unwrap();
-    assert!(plan.steps[0].x_m < at(&grid, 30, 0)[0]);
+    assert!(plan.steps[0].at_m[0] < at(&grid, 30, 0)[0]);
     assert_eq!(plan.steps[0].reachability, 1.0);
 }
 

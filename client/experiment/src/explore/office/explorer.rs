@@ -182,14 +182,15 @@ impl Explorer {
         let Some((start, _)) = travel.nearest(x_m, y_m, START_TOLERANCE_M) else { return Ok(findings) };
         let paths = travel.distances(start);
         for (index, step) in steps.iter().enumerate() {
+            let [x_m, y_m] = step.at_m;
             // Two minutes for each goal (RA-L, section III.E).
             let at_nanos = start_nanos + (index as i64 + 1) * 120_000_000_000;
-            let is_reachable = travel.column_at(step.x_m, step.y_m).is_some_and(|column| paths.to(column).is_some());
-            let cell = space.lattice().cell_at([step.x_m, step.y_m, space.question.sensor.height_m]);
+            let is_reachable = travel.column_at(x_m, y_m).is_some_and(|column| paths.to(column).is_some());
+            let cell = space.lattice().cell_at([x_m, y_m, space.question.sensor.height_m]);
             let truth = space.truth(at_nanos)?;
             let goal = cell.filter(|&cell| is_reachable && !truth.scene.is_occupied(cell));
             // Goals lie within the grid, so that they can be reported.
-            let reported = self.reachability.report(step.x_m, step.y_m, goal.is_some(), at_nanos);
+            let reported = self.reachability.report(x_m, y_m, goal.is_some(), at_nanos);
             reported.map_err(OfficeError::setting)?;
             if let Some(goal) = goal {
                 self.observe(space, &truth, goal, at_nanos, &mut findings)?;
