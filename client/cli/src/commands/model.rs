@@ -15,7 +15,7 @@ use tidemap_client::{
 };
 
 use super::{Session, files::DrawingArg};
-use crate::output::stdout;
+use crate::output::{period, stdout};
 use tidemap_formats::{
     drawing::HeatMap,
     table::{Cell, Format, TimeStyle, object, write_rows},
@@ -99,7 +99,7 @@ fn amplitudes(model: &ModelDescription) -> String {
     for (index, component) in model.components.iter().enumerate() {
         let length = (component.amplitude / strongest * 40.0).round().max(1.0) as usize;
         let bar = if used(model, index) { "█" } else { "░" }.repeat(length);
-        text += &format!("  {:>8} │{bar} {:.3}\n", words(component.period_secs), component.amplitude);
+        text += &format!("  {:>8} │{bar} {:.3}\n", period(component.period_secs), component.amplitude);
     }
     text
 }
@@ -158,7 +158,7 @@ fn table(model: &ModelDescription) -> io::Result<()> {
     writeln!(io::stdout())?;
     let row = |(index, component): (usize, &SpectralComponent)| {
         let cells = component_cells(component, used(model, index)).map(|(_, cell)| cell);
-        [vec![Cell::Text(words(component.period_secs))], cells.to_vec()].concat()
+        [vec![Cell::Text(period(component.period_secs))], cells.to_vec()].concat()
     };
     let rows = model.components.iter().enumerate().map(row).collect();
     print(&["period", "period_secs", "amplitude", "phase_rad", "used"], rows)
@@ -199,35 +199,4 @@ fn json(model: &ModelDescription) -> io::Result<()> {
     let errors: Vec<String> = model.model_errors.iter().map(error).collect();
     let errors = ("model_errors", format!("[{}]", errors.join(",")));
     writeln!(io::stdout(), "{}", object([state].into_iter().chain(summary).chain([components, errors])))
-}
-
-/// A period for people: `7 d`, `24 h`, `45 min`.
-fn words(secs: f64) -> String {
-    let (value, unit) = match secs {
-        secs if secs > 36.0 * 3600.0 => (secs / 86_400.0, "d"),
-        secs if secs >= 3600.0 => (secs / 3600.0, "h"),
-        secs if secs >= 60.0 => (secs / 60.0, "min"),
-        secs => (secs, "s"),
-    };
-    let text = format!("{value:.2}");
-    format!("{} {unit}", text.trim_end_matches('0').trim_end_matches('.'))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn periods_are_readable() {
-        for (secs, text) in [
-            (604_800.0, "7 d"),
-            (302_400.0, "3.5 d"),
-            (86_400.0, "24 h"),
-            (43_200.0, "12 h"),
-            (60_480.0, "16.8 h"),
-            (90.0, "1.5 min"),
-        ] {
-            assert_eq!(words(secs), text);
-        }
-    }
 }

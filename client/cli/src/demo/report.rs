@@ -9,6 +9,8 @@ use std::{
 
 use tidemap_client::queries::{ModelDescription, ModelKind};
 
+use crate::output;
+
 use super::{
     MAP,
     forecast::{Forecast, errors},
@@ -142,7 +144,7 @@ fn rhythms(model: &ModelDescription) -> String {
     }
     let listed: Vec<String> = model.components[..used.min(COMPONENTS_LISTED)]
         .iter()
-        .map(|component| format!("{} ±{:.2}", words::period(component.period_secs), component.amplitude))
+        .map(|component| format!("{} ±{:.2}", output::period(component.period_secs), component.amplitude))
         .collect();
     let more = match used.saturating_sub(COMPONENTS_LISTED) {
         0 => String::new(),

@@ -2,24 +2,6 @@
 //!
 //! Invariant: pure functions.
 
-/// A period: "24 h", "7 d", "3.5 d", "45 min".
-pub(super) fn period(secs: f64) -> String {
-    const HOUR_SECS: f64 = 3600.0;
-    // Periods up to 36 hours are in hours, longer ones in days.
-    let (value, unit) = match secs {
-        secs if secs > 36.0 * HOUR_SECS => (secs / (24.0 * HOUR_SECS), "d"),
-        secs if secs >= HOUR_SECS => (secs / HOUR_SECS, "h"),
-        secs => (secs / 60.0, "min"),
-    };
-    format!("{} {unit}", decimal(value))
-}
-
-/// One digit after the decimal point, unless it is 0.
-fn decimal(value: f64) -> String {
-    let text = format!("{value:.1}");
-    text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
-}
-
 /// A number with commas between thousands.
 pub(super) fn count(number: u64) -> String {
     let digits = number.to_string();
@@ -50,21 +32,6 @@ pub(super) fn comparison(error: f64, mean_error: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn periods_are_readable() {
-        let hour = 3600.0;
-        for (secs, words) in [
-            (7.0 * 24.0 * hour, "7 d"),
-            (3.5 * 24.0 * hour, "3.5 d"),
-            (24.0 * hour, "24 h"),
-            (28.0 * hour, "28 h"),
-            (24.0 * hour / 7.0, "3.4 h"),
-            (0.5 * hour, "30 min"),
-        ] {
-            assert_eq!(period(secs), words);
-        }
-    }
 
     #[test]
     fn counts_have_commas() {
