@@ -15,6 +15,7 @@ use super::{
         index::{TILE_CELLS, TileId},
         mask::Mask,
         observation_runs::ObservationRuns,
+        observed_times::ObservedTimes,
         outcome::TileOutcome,
         sensor_sums::{GroupSums, SensorWeights},
         sensors::Weights,
@@ -291,69 +292,103 @@ impl TileDay {
             };
             let span_nanos = group.last_nanos.abs_diff(group.first_nanos);
             if of_day.scored > 0 {
-                outcome.scored += of_day.scored;
-                let before = usize::from(cell.order).min(ORDER_MAX);
-                outcome.squared_error_in_force += of_day.scores.squared[before];
-                for (total, error) in outcome.squared_errors.iter_mut().zip(&of_day.scores.squared) {
-                    *total += error;
-                }
-                let errors = match rules.criterion {
-                    OrderCriterion::SquaredError => &of_day.scores.squared,
-                    OrderCriterion::ZeroOne => &of_day.scores.wrong,
-                };
-                let (squared, scored) = (&of_day.scores.squared, of_day.scored);
-                let unit = (rules.levels.1 - rules.levels.0).powi(2);
-                let order = cell.errors.best().min(watch.supported_order());
-                let scores = DayScores { errors, squared, scored, order, unit };
-                watch.score(self.day, &rules.periodicities, &mut cell.errors, scores);
-                cell.set_order(watch, span_nanos);
-                outcome.squared_error_chosen += of_day.scores.squared[usize::from(cell.order).min(ORDER_MAX)];
+                of_day.score(self.day, cell, watch, (span_nanos, rules), &mut outcome);
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
             watch.fade(group_day.factors.known);
             let changes = times.changes(observed, &of_day.toggles, group_day.newer_than, watch.last());
             watch.learn(changes.count, changes.rate_sum, changes.last);
-            let (mut units, mut weight) = (cell.occupied as f64, group.observations.max(1) as f64);
-            if let Some(SensorWeights { groups, occupied, fades }) = sensors.as_deref_mut()
-                && let (Some(weights), Some(occupied)) = (groups.get(of_day.group), occupied.get_mut(index))
-            {
-                *occupied += of_day.occupied_weight;
-                units = weights.alpha + *occupied;
-                weight = fades.get(of_day.group).map_or(weight, |fade| fade.weight);
-            }
+            let (units, weight) = of_day.weigh(cell, group, sensors, index);
             let weighted = sums.sensors.as_ref().and_then(|sensors| sensors.groups.get(of_day.group)?.as_ref());
             let all = weighted.map(|weighted| {
                 let mut all = sum.clone();
                 all.add(&weighted.alpha);
                 all
             });
-            cell.spectral = SpectralModel::fit_sums(
-                CellSums {
-                    observations: group.observations,
-                    weight,
-                    mean: units / weight,
-                    a: all.as_ref().unwrap_or(sum),
-                    b: group_sum,
-                    span_nanos,
-                    gap_nanos: group_times.gap_nanos(),
-                    levels: rules.levels,
-                },
-                &rules.periodicities,
-            );
-            let readings = LearnedReadings {
-                pairs: group_times.gaps.count(),
-                span_secs: span_nanos as f64 / 1e9,
-                observed_hours: group_times.hours,
+            let sums = CellSums {
+                observations: group.observations,
+                weight,
                 mean: units / weight,
-                difference: rules.levels.1 - rules.levels.0,
-                remembered: weight / group.observations.max(1) as f64,
+                a: all.as_ref().unwrap_or(sum),
+                b: group_sum,
+                span_nanos,
+                gap_nanos: group_times.gap_nanos(),
+                levels: rules.levels,
             };
-            watch.support(&cell.spectral, &rules.periodicities, readings);
-            cell.set_order(watch, span_nanos);
-            cell.rang = watch.alarm().rang_on();
+            refit_cell(cell, watch, sums, group_times, rules);
         }
         self.tile.outcome.add(&outcome);
         self.tile
+    }
+}
+
+/// Trains the model of a cell again, and chooses its order.
+fn refit_cell(
+    cell: &mut CellModel,
+    watch: &mut OrderWatch,
+    sums: CellSums<'_>,
+    group_times: &ObservedTimes,
+    rules: &Rules,
+) {
+    cell.spectral = SpectralModel::fit_sums(sums, &rules.periodicities);
+    let readings = LearnedReadings {
+        pairs: group_times.gaps.count(),
+        span_secs: sums.span_nanos as f64 / 1e9,
+        observed_hours: group_times.hours,
+        mean: sums.mean,
+        difference: rules.levels.1 - rules.levels.0,
+        remembered: sums.weight / sums.observations.max(1) as f64,
+    };
+    watch.support(&cell.spectral, &rules.periodicities, readings);
+    cell.set_order(watch, sums.span_nanos);
+    cell.rang = watch.alarm().rang_on();
+}
+
+impl CellDay {
+    /// Takes the errors of the day into the choice of the cell's order, and adds them to the outcome.
+    fn score(
+        &self,
+        day: LocalDay,
+        cell: &mut CellModel,
+        watch: &mut OrderWatch,
+        (span_nanos, rules): (u64, &Rules),
+        outcome: &mut TileOutcome,
+    ) {
+        let (squared, scored) = (&self.scores.squared, self.scored);
+        outcome.scored += scored;
+        outcome.squared_error_in_force += squared[usize::from(cell.order).min(ORDER_MAX)];
+        for (total, error) in outcome.squared_errors.iter_mut().zip(squared) {
+            *total += error;
+        }
+        let errors = match rules.criterion {
+            OrderCriterion::SquaredError => squared,
+            OrderCriterion::ZeroOne => &self.scores.wrong,
+        };
+        let unit = (rules.levels.1 - rules.levels.0).powi(2);
+        let order = cell.errors.best().min(watch.supported_order());
+        let scores = DayScores { errors, squared, scored, order, unit };
+        watch.score(day, &rules.periodicities, &mut cell.errors, scores);
+        cell.set_order(watch, span_nanos);
+        outcome.squared_error_chosen += squared[usize::from(cell.order).min(ORDER_MAX)];
+    }
+
+    /// Adds the weight of the day's occupied readings. Returns the weights of all readings of the cell: those that saw
+    /// it occupied, and all.
+    fn weigh(
+        &self,
+        cell: &CellModel,
+        group: &Group,
+        sensors: &mut Option<Box<SensorWeights>>,
+        index: usize,
+    ) -> (f64, f64) {
+        let weight = group.observations.max(1) as f64;
+        if let Some(SensorWeights { groups, occupied, fades }) = sensors.as_deref_mut()
+            && let (Some(weights), Some(occupied)) = (groups.get(self.group), occupied.get_mut(index))
+        {
+            *occupied += self.occupied_weight;
+            return (weights.alpha + *occupied, fades.get(self.group).map_or(weight, |fade| fade.weight));
+        }
+        (cell.occupied as f64, weight)
     }
 }
 

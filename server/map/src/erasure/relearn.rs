@@ -126,49 +126,22 @@ impl<'a> Relearning<'a> {
     ///
     /// # Errors
     /// [`SumsUnavailable`] does not happen: the sums are in memory.
-    pub fn learn(self) -> Result<Vec<(StateId, StateSnapshot)>, SumsUnavailable> {
-        let Self { spec, decision, mut states, lessons, .. } = self;
-        let spec = Arc::new(MapSpec { grid: None, ..spec.clone() });
+    pub fn learn(mut self) -> Result<Vec<(StateId, StateSnapshot)>, SumsUnavailable> {
+        let spec = Arc::new(MapSpec { grid: None, ..self.spec.clone() });
         let mut directory = Directory::new();
         let prior_models = PriorModels::new(&spec);
-        let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(states.len());
-        let mut arrivals: Vec<Vec<Step>> = Vec::with_capacity(states.len());
-        for (id, state) in &states {
+        for (_, state) in &self.states {
             directory.push(StateInfo { name: state.name.clone(), kind: state.kind });
-            models.push(Arc::clone(prior_models.of(state.kind)));
-            let waiting = decision.waiting.get(id).into_iter().flatten().filter(|waiting| waiting.is_plausible);
-            arrivals.push(waiting.map(|waiting| Step::arrived(waiting.number, waiting.sample)).collect());
         }
+        let models: Vec<_> = self.states.iter().map(|(_, state)| Arc::clone(prior_models.of(state.kind))).collect();
         let mut models = Arc::new(models);
+        let mut arrivals = self.waiting();
         let mut earlier = Earlier::default();
-        for lesson in lessons {
-            let (mut is_early, mut is_crowded) = (false, false);
-            for ((index, samples), origins) in lesson.samples.iter().zip(&lesson.origins) {
-                let Some(arrivals) = arrivals.get_mut(index.0 as usize) else { continue };
-                (is_early, is_crowded) = (origins.is_early, origins.is_crowded);
-                let first_ahead = samples.len().saturating_sub(origins.ahead as usize);
-                for (at, (sample, (_, number))) in samples.iter().zip(origins.each()).enumerate() {
-                    arrivals.push(match at < first_ahead {
-                        true => Step::arrived(number, *sample),
-                        false => Step::waited(origins.arrived, lesson.generation, *sample),
-                    });
-                }
-            }
-            let cause = if is_early { UpdateCause::PendingLimit } else { UpdateCause::Midnight };
-            let start = UpdateStart { generation: lesson.generation, cut_nanos: i64::MAX, cause };
+        for lesson in std::mem::take(&mut self.lessons) {
+            lesson.arrive(&mut arrivals);
             let source = Arc::new(earlier);
             let work = UpdateWork {
-                basis: MapAtUpdate {
-                    start,
-                    position: 0,
-                    replay_from: 0,
-                    newest_nanos: lesson.newest_nanos,
-                    producers: Vec::new(),
-                    directory: directory.clone(),
-                    live: Vec::new(),
-                    site: Arc::new(Site::default()),
-                    grid: None,
-                },
+                basis: lesson.basis(&directory),
                 spec: Arc::clone(&spec),
                 models,
                 prior_models: prior_models.clone(),
@@ -177,7 +150,7 @@ impl<'a> Relearning<'a> {
                 grid: None,
                 readings: Some(Arc::<Earlier>::clone(&source)),
                 room: None,
-                is_crowded: Some(is_crowded),
+                is_crowded: Some(lesson.origins.last().is_some_and(|origins| origins.is_crowded)),
             };
             models = work.run(&AtomicU64::new(0))?.models;
             earlier = Arc::try_unwrap(source).unwrap_or_default();
@@ -185,6 +158,21 @@ impl<'a> Relearning<'a> {
                 earlier.0.entry(index).or_default().extend(samples);
             }
         }
+        Ok(self.learned(&models, arrivals))
+    }
+
+    /// By state, the observations that wait and are left.
+    fn waiting(&self) -> Vec<Vec<Step>> {
+        let of_state = |id: &StateId| {
+            let waiting = self.decision.waiting.get(id).into_iter().flatten().filter(|waiting| waiting.is_plausible);
+            waiting.map(|waiting| Step::arrived(waiting.number, waiting.sample)).collect()
+        };
+        self.states.iter().map(|(id, _)| of_state(id)).collect()
+    }
+
+    /// The states with these models, and with the last values after these observations.
+    fn learned(self, models: &[Arc<StateModel>], arrivals: Vec<Vec<Step>>) -> Vec<(StateId, StateSnapshot)> {
+        let Self { decision, mut states, .. } = self;
         for ((at, (id, state)), mut arrivals) in states.iter_mut().enumerate().zip(arrivals) {
             arrivals.sort_by_key(|step| step.place);
             let mut persistence = Persistence::default();
@@ -200,7 +188,40 @@ impl<'a> Relearning<'a> {
                 state.model = Arc::clone(model);
             }
         }
-        Ok(states)
+        states
+    }
+}
+
+impl Lesson {
+    /// Adds its observations to those of each state.
+    fn arrive(&self, arrivals: &mut [Vec<Step>]) {
+        for ((index, samples), origins) in self.samples.iter().zip(&self.origins) {
+            let Some(arrivals) = arrivals.get_mut(index.0 as usize) else { continue };
+            let first_ahead = samples.len().saturating_sub(origins.ahead as usize);
+            for (at, (sample, (_, number))) in samples.iter().zip(origins.each()).enumerate() {
+                arrivals.push(match at < first_ahead {
+                    true => Step::arrived(number, *sample),
+                    false => Step::waited(origins.arrived, self.generation, *sample),
+                });
+            }
+        }
+    }
+
+    /// The map when its update began, as far as the states need it.
+    fn basis(&self, directory: &Directory) -> MapAtUpdate {
+        let is_early = self.origins.last().is_some_and(|origins| origins.is_early);
+        let cause = if is_early { UpdateCause::PendingLimit } else { UpdateCause::Midnight };
+        MapAtUpdate {
+            start: UpdateStart { generation: self.generation, cut_nanos: i64::MAX, cause },
+            position: 0,
+            replay_from: 0,
+            newest_nanos: self.newest_nanos,
+            producers: Vec::new(),
+            directory: directory.clone(),
+            live: Vec::new(),
+            site: Arc::new(Site::default()),
+            grid: None,
+        }
     }
 }
 

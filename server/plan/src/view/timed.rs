@@ -243,6 +243,12 @@ impl TimedViewScorer {
             }
         }
         self.branches.clear();
+        self.add_partly(scene, row, &mut varying);
+        bits.iter_mut().zip(varying).for_each(|(bits, varying)| *bits = fixed + varying);
+    }
+
+    /// Adds the cells that are seen at some of the times only; `row` gives the information of a cell at each time.
+    fn add_partly<'r>(&self, scene: &TimedScene, row: impl Fn(usize) -> &'r [f64], varying: &mut [f64]) {
         for &PartialCell { place, times } in &self.partly {
             let (row, is_fixed) =
                 if scene.flags[place] & VARIES == 0 { (None, scene.bits[place]) } else { (Some(row(place)), 0.0) };
@@ -253,7 +259,6 @@ impl TimedViewScorer {
                 varying[time] += row.map_or(is_fixed, |row| row[time]);
             }
         }
-        bits.iter_mut().zip(varying).for_each(|(bits, varying)| *bits = fixed + varying);
     }
 
     fn begin(&mut self, fan: &Fan) {
