@@ -15,7 +15,7 @@ pub use anomalies::{Anomalies, Anomaly, AnomalyWatch, Judgement, Watched, Watche
 pub use cell_alarms::{CellAlarm, CellAlarms};
 pub use evaluate::{Comparison, EvaluateOptions, Evaluator, StateEvaluation, Unavailable};
 pub use grid::{
-    CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedGrid, PredictedTile, TILE_EDGE,
+    CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedTile, TILE_EDGE, WholeGrid,
 };
 pub use places::{PlacePrediction, PlacePredictions, PlaceQuery};
 pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader};

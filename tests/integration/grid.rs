@@ -24,7 +24,7 @@ use tidemap_client::{
         scan::Scan,
         tiles::{Mask, TileIndex, TileMasks},
     },
-    queries::{GridQuery, ModelKind, ModelSelector, PredictedGrid},
+    queries::{GridQuery, ModelKind, ModelSelector, WholeGrid},
 };
 use tidemap_tests::{
     daemon::{Daemon, Launch},
@@ -61,7 +61,7 @@ fn model(kind: ModelKind, order: Option<usize>) -> ModelSelector {
 }
 
 /// The whole grid at one time.
-async fn predicted(daemon: &Daemon, time_nanos: i64, model: ModelSelector) -> PredictedGrid {
+async fn predicted(daemon: &Daemon, time_nanos: i64, model: ModelSelector) -> WholeGrid {
     let query = GridQuery { map: MAP.to_owned(), time_nanos, model, ..GridQuery::default() };
     daemon.client().predict_grid(&query).await.expect("a grid").whole().await.expect("all of it")
 }

@@ -17,7 +17,7 @@ use tidemap_client::{
         scan::Scan,
         tiles::{Mask, TileIndex, TileMasks},
     },
-    queries::{CellPrediction, PredictedGrid},
+    queries::{CellPrediction, WholeGrid},
 };
 
 use crate::observe::{Outcome, SentCounts, collect, differs};
@@ -28,7 +28,7 @@ pub(crate) fn cell_box([x, y, z, to_x, to_y, to_z]: [i32; 6]) -> CellBox {
 }
 
 /// The values, whether each cell has changed, and where the cells are.
-pub(crate) fn arrays<'py>(py: Python<'py>, answer: &PredictedGrid) -> PyResult<Bound<'py, PyDict>> {
+pub(crate) fn arrays<'py>(py: Python<'py>, answer: &WholeGrid) -> PyResult<Bound<'py, PyDict>> {
     let region = answer.header.region;
     let [width, height, depth] = region.size().map(|cells| usize::try_from(cells).unwrap_or(usize::MAX));
     let mut values = Array3::from_elem((depth, height, width), f32::NAN);

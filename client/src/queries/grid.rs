@@ -86,7 +86,7 @@ pub struct GridPrediction {
 
 /// A complete reply.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PredictedGrid {
+pub struct WholeGrid {
     /// The header.
     pub header: GridHeader,
     /// The tiles, by z, then y, then x.
@@ -190,16 +190,16 @@ impl GridPrediction {
     ///
     /// # Errors
     /// [`Error`]
-    pub async fn whole(mut self) -> Result<PredictedGrid, Error> {
+    pub async fn whole(mut self) -> Result<WholeGrid, Error> {
         let mut tiles = Vec::new();
         while let Some(more) = self.next().await? {
             tiles.extend(more);
         }
-        Ok(PredictedGrid { header: self.header, tiles })
+        Ok(WholeGrid { header: self.header, tiles })
     }
 }
 
-impl PredictedGrid {
+impl WholeGrid {
     /// The prediction of a cell; unknown if it is not part of the reply.
     #[must_use]
     pub fn cell(&self, cell: [i32; 3]) -> CellPrediction {
@@ -224,7 +224,7 @@ mod tests {
         };
         let grid = GridSpec::new(0.1);
         let header = GridHeader { grid, region: CellBox::default(), tiles: 2, cells: 1024, bytes: 0, generation: 1 };
-        let grid = PredictedGrid { header, tiles: vec![tile([5, 0, -1], 511), tile([-1, 2, 0], 8)] };
+        let grid = WholeGrid { header, tiles: vec![tile([5, 0, -1], 511), tile([-1, 2, 0], 8)] };
         let known: Vec<[i32; 3]> = (-16..48)
             .flat_map(|x| (0..24).flat_map(move |y| (-8..8).map(move |z| [x, y, z])))
             .filter(|&cell| grid.cell(cell) != CellPrediction::Unknown)

@@ -11,7 +11,7 @@ use tempfile::tempdir;
 use tidemap_client::{
     maps::{GridSummary, Retention},
     observe::{Producer, ProducerOptions, scan::Scan, tiles::Mask},
-    queries::{CellPrediction, ModelDescription, ModelKind, PredictedGrid},
+    queries::{CellPrediction, ModelDescription, ModelKind, WholeGrid},
     updates::{Job, JobCause, JobState},
 };
 use tidemap_tests::{
@@ -49,7 +49,7 @@ async fn send(producer: &mut Producer, film: &Film, scans: &[(i64, Vec<Mask>)]) 
 /// The summary of a map's grid.
 struct Answers {
     summary: GridSummary,
-    grids: Vec<PredictedGrid>,
+    grids: Vec<WholeGrid>,
     models: Vec<ModelDescription>,
 }
 

@@ -10,7 +10,7 @@ use tidemap_client::{
         Producer, RefusalReason,
         scan::{Isometry3, PointCloud, Quaternion, RangeScan, Scan, Translation3, UnitQuaternion},
     },
-    queries::{CellPrediction, GridQuery, ModelKind, PredictedGrid},
+    queries::{CellPrediction, GridQuery, ModelKind, WholeGrid},
 };
 use tidemap_tests::oracle::run_update;
 use tonic::Code;
@@ -53,7 +53,7 @@ async fn sent(producer: &mut Producer, time_nanos: i64, scan: Scan) {
 }
 
 /// The states of the cells along a line: '.' free, '#' occupied, '?' unknown, '~' changing.
-fn line(grid: &PredictedGrid, from: [i32; 3], axis: usize, step: i32, cells: usize) -> String {
+fn line(grid: &WholeGrid, from: [i32; 3], axis: usize, step: i32, cells: usize) -> String {
     let mut at = from;
     let mut text = String::new();
     for _ in 0..cells {

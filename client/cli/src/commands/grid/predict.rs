@@ -12,7 +12,7 @@ use std::{
 use clap::{Args, ValueEnum};
 use tidemap_client::{
     maps::{CellBox, CellIndex, GridSpec, Map},
-    queries::{CellPrediction, GridOutput, GridQuery, ModelSelector, ORDER_MAX, PredictedGrid},
+    queries::{CellPrediction, GridOutput, GridQuery, ModelSelector, ORDER_MAX, WholeGrid},
 };
 
 use super::place::{AxisRange, Rectangle, cells};
@@ -273,7 +273,7 @@ fn is_full(picture: &MapPicture) -> bool {
 }
 
 /// The region cell by cell, as files show it.
-pub(crate) fn picture(predicted: &PredictedGrid) -> MapPicture {
+pub(crate) fn picture(predicted: &WholeGrid) -> MapPicture {
     let CellBox { min, max } = predicted.header.region;
     let (min, max): ([i32; 3], [i32; 3]) = (min.into(), max.into());
     let grid = &predicted.header.grid;
@@ -350,7 +350,7 @@ mod tests {
         let grid = GridSpec { origin_m: [10.0, 0.0, 0.0], ..GridSpec::new(0.5) };
         let region = CellBox { min: [-7, 2, 10].into(), max: [-3, 4, 12].into() };
         let header = GridHeader { grid, region, tiles: 1, cells: 512, bytes: 0, generation: 3 };
-        let picture = picture(&PredictedGrid { header, tiles });
+        let picture = picture(&WholeGrid { header, tiles });
         assert_eq!((picture.size_cells, picture.origin_m), ([4, 2, 2], [6.5, 1.0, 5.0]));
         let indices: Vec<_> = picture.known_indices().map(|(index, _)| index).collect();
         assert_eq!(indices, [[-7, 2, 11], [-5, 2, 11]]);

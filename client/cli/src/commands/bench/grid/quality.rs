@@ -4,7 +4,7 @@
 
 use tidemap_client::{
     Client,
-    queries::{GridQuery, ModelKind, ModelSelector, PredictedGrid},
+    queries::{GridQuery, ModelKind, ModelSelector, WholeGrid},
 };
 use tidemap_sim::GridOffice;
 
@@ -84,7 +84,7 @@ fn truths(office: &GridOffice, day: u32, scans_a_day: u32) -> Vec<Truth> {
 }
 
 /// The number of changing cells on the other side of 0.5 than their prediction.
-fn differing(office: &GridOffice, truth: &Truth, predicted: &PredictedGrid) -> u64 {
+fn differing(office: &GridOffice, truth: &Truth, predicted: &WholeGrid) -> u64 {
     let by_place: std::collections::HashMap<[i32; 3], usize> =
         predicted.tiles.iter().enumerate().map(|(number, tile)| (tile.place, number)).collect();
     let is_wrong = |(&cell, &occupied): (&u32, &bool)| {
