@@ -204,21 +204,8 @@ fn write_files(folder: &Path) {
     fs::write(folder.join("scan.pcd"), pcd).expect("a file");
 }
 
-#[test]
-fn every_command_prints_what_its_schema_says() {
-    let work = tempdir().expect("a folder");
-    let folder = work.path().display();
-    write_files(work.path());
-    let mut checked = Checked::new(&work.path().join("data"));
-    let map = checked.run("map create", "home --time-zone Europe/London --grid resolution=0.5,origin=-4:-4:0,flat");
-    assert!(map[0]["periods"].is_array() && map[0]["models"].is_array(), "{map}");
-    checked.run("map list", "");
-    checked.run("map show", "home");
-    checked.run("map set", "home --charger 0.5,0.5");
-    checked.run("state add", "home visitors --kind count");
-    checked.run("observe", &format!("home {folder}/door.csv --producer r"));
-    checked.run("observe", &format!("home {folder}/anna.csv --producer r"));
-
+/// States before and after they are learned.
+fn check_states(checked: &mut Checked, folder: &str) {
     // Nothing is learned yet, and people and programs see that.
     let before = checked.run("predict", &format!("home door --at {NOON}"));
     assert_eq!((&before[0]["model"], &before[0]["pending"]), (&"prior".into(), &1_000.into()), "{before}");
@@ -238,7 +225,10 @@ fn every_command_prints_what_its_schema_says() {
     checked.run("evaluate", &format!("home {folder}/door.csv --models auto,mean,latest"));
     checked.run("anomalies", "home door --confidence 0.6 --from 2025-01-06T00:00:00Z --to 2025-01-27T00:00:00Z");
     checked.run("reconstruct", "home door --from 2025-01-06T00:00:00Z --to 2025-01-07T00:00:00Z");
+}
 
+/// A grid, locations, and what to explore.
+fn check_grid_and_exploration(checked: &mut Checked, folder: &str) {
     checked.run("grid observe", &format!("home {folder}/scan.pcd --at {NOON} --pose 0,0,0,0,0,0,1 --producer r"));
     checked.run("update", "home");
     checked.run("grid predict", &format!("home --at {NOON} --out {folder}/noon.png"));
@@ -254,7 +244,10 @@ fn every_command_prints_what_its_schema_says() {
     checked.run("day", &format!("home --date {DAY} --slot 4h --explore 2"));
     checked.run("slot", &format!("home --at {NOON}"));
     checked.run("location delete", "home entrance");
+}
 
+/// A topological map, with routes and searches.
+fn check_topology(checked: &mut Checked, folder: &str) {
     checked.run("topology load", &format!("home {folder}/map.txt"));
     checked.run("traverse", &format!("home {folder}/runs.csv --producer r"));
     let route = checked.run("route", &format!("home Hall Shop --at {NOON} --alternatives 1"));
@@ -277,7 +270,10 @@ fn every_command_prints_what_its_schema_says() {
     checked.run("topology edit unlink", "home Shop Attic");
     checked.run("topology edit rename-node", "home Attic Loft");
     checked.run("topology edit remove-node", "home Loft");
+}
 
+/// Jobs, producers, copies, and the end of a map.
+fn check_upkeep(checked: &mut Checked, folder: &str) {
     let jobs = checked.run("job list", "");
     checked.run("job watch", &jobs[0]["id"].to_string());
     checked.run("producer list", "home");
@@ -288,6 +284,10 @@ fn every_command_prints_what_its_schema_says() {
     checked.run("sample", "");
     checked.run("sample", &format!("door {folder}/door"));
     checked.run("map delete", "home --yes");
+}
+
+/// Errors as JSON.
+fn check_errors(checked: &mut Checked, folder: &str) {
     checked.fails("map show home", "NOT_FOUND");
     checked.fails("map create Home", "INVALID_ARGUMENT");
     checked.fails("map delete home", "NOT_FOUND");
@@ -296,6 +296,28 @@ fn every_command_prints_what_its_schema_says() {
     checked.fails("sing", "USAGE");
     checked.fails("map list --server http://127.0.0.1:1", "UNAVAILABLE");
     checked.fails(&format!("observe home {folder}/none.csv"), "FAILED");
+}
+
+#[test]
+fn every_command_prints_what_its_schema_says() {
+    let work = tempdir().expect("a folder");
+    let folder = &work.path().display().to_string();
+    write_files(work.path());
+    let mut checked = Checked::new(&work.path().join("data"));
+    let map = checked.run("map create", "home --time-zone Europe/London --grid resolution=0.5,origin=-4:-4:0,flat");
+    assert!(map[0]["periods"].is_array() && map[0]["models"].is_array(), "{map}");
+    checked.run("map list", "");
+    checked.run("map show", "home");
+    checked.run("map set", "home --charger 0.5,0.5");
+    checked.run("state add", "home visitors --kind count");
+    checked.run("observe", &format!("home {folder}/door.csv --producer r"));
+    checked.run("observe", &format!("home {folder}/anna.csv --producer r"));
+
+    check_states(&mut checked, folder);
+    check_grid_and_exploration(&mut checked, folder);
+    check_topology(&mut checked, folder);
+    check_upkeep(&mut checked, folder);
+    check_errors(&mut checked, folder);
 
     let defined = checked.schema["$defs"].as_object().expect("definitions").keys();
     let missing: Vec<&String> = defined

@@ -77,6 +77,75 @@ fn outside(outcome: &Outcome, time: i64) -> f64 {
     text.and_then(|text| text.parse().ok()).unwrap_or_else(|| panic!("{}", outcome.stderr))
 }
 
+const MORNING_SECS: i64 = START_SECS + 23 * DAY_SECS + 10 * 3600;
+const AFTERNOON_SECS: i64 = START_SECS + 23 * DAY_SECS + 15 * 3600;
+
+fn both_times() -> String {
+    format!("{MORNING_SECS},{AFTERNOON_SECS}")
+}
+
+fn ask(daemon: &Daemon, more: &[&str]) -> Outcome {
+    let at = both_times();
+    let args = ["position", "office", "anna", "--at", &at, "--resolution", "0.25"];
+    tidemap(daemon, args.iter().chain(more).copied())
+}
+
+/// The learned positions of both axes.
+fn kept(daemon: &Daemon) -> [Vec<(f64, f64)>; 2] {
+    ["anna/x", "anna/y"].map(|axis| {
+        let (from, to) = (START_SECS.to_string(), (START_SECS + 30 * DAY_SECS).to_string());
+        let table = tidemap(daemon, ["reconstruct", "office", axis, "--from", &from, "--to", &to]).table();
+        table.numbers("time").into_iter().zip(table.numbers("value")).collect()
+    })
+}
+
+/// The person is where they are at that time of day; all cells and the outside add up to 1.
+fn check_places(daemon: &Daemon) {
+    for model in ["hypertime-em:3", "hypertime-em:2", "hypertime-km:3"] {
+        let table = ask(daemon, &["--top", "0", "--model", model]).table();
+        for (time, here, there) in [(MORNING_SECS, KITCHEN, DESK), (AFTERNOON_SECS, DESK, KITCHEN)] {
+            let (here, there) = (near(&table, time, here), near(&table, time, there));
+            println!("{model}: {here:.3} where it is, {there:.3} where not");
+            assert!(here > 0.7 && here > 5.0 * there, "{model}: {here}, {there}");
+        }
+    }
+    // The cells and the outside add up to 1; a region that was never visited has nearly 0.
+    let all = ask(daemon, &["--top", "0"]);
+    let of_time = |time: i64| {
+        let table = all.table();
+        let rows = table.numbers("time").into_iter().zip(table.numbers("probability"));
+        rows.filter(|(at, _)| *at == time as f64).map(|(_, probability)| probability).sum::<f64>()
+    };
+    for time in [MORNING_SECS, AFTERNOON_SECS] {
+        let outside = outside(&all, time);
+        assert!((of_time(time) + outside - 1.0).abs() < 1e-3, "{} and {outside}", of_time(time));
+    }
+    let elsewhere = ask(daemon, &["--region", "-9,-9:-8,-8", "--top", "1"]);
+    assert!(elsewhere.table().numbers("probability").iter().all(|&probability| probability < 1e-3));
+    assert!(elsewhere.stderr.contains("with 1.0000") || elsewhere.stderr.contains("with 0.9"), "{}", elsewhere.stderr);
+    let few = ask(daemon, &["--top", "3"]).table();
+    assert_eq!(few.rows.len(), 6);
+}
+
+/// An axis is a state like any other.
+fn check_axes(daemon: &Daemon) {
+    let outcome = tidemap(daemon, ["predict", "office", "anna", "--at", &both_times()]).table();
+    assert_eq!(outcome.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y"]);
+    let positions = outcome.numbers("probability");
+    let expected = [KITCHEN[0], DESK[0], KITCHEN[1], DESK[1]];
+    assert!(
+        positions.iter().zip(expected).all(|(position, expected)| (position - expected).abs() < 1.0),
+        "{positions:?}"
+    );
+    let fitted = ["predict", "office", "anna", "anna/y", "--at", &both_times(), "--model", "histogram:24"];
+    let fitted = tidemap(daemon, fitted).table();
+    assert_eq!(fitted.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y", "anna/y", "anna/y"]);
+    let compared = format!("time,state,value\n{MORNING_SECS},anna/x,2\n{AFTERNOON_SECS},anna/x,8\n");
+    let args = ["evaluate", "office", "-", "--models", "mean,auto"];
+    let compared = cli::tidemap_reading(daemon, args, &compared).table().numbers("mse");
+    assert!(compared[1] < 0.2 * compared[0], "{compared:?}");
+}
+
 #[test]
 fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     let data = tempfile::tempdir().expect("a folder");
@@ -90,63 +159,10 @@ fn a_person_is_expected_where_they_are_at_that_time_of_day() {
     tidemap(&daemon, ["position", "office", "anna", "--at", "now"]).fails(1, &["anna/x", "learned", "update"]);
     tidemap(&daemon, ["update", "office"]).table();
 
-    let day = START_SECS + 23 * DAY_SECS;
-    let (morning, afternoon) = (day + 10 * 3600, day + 15 * 3600);
-    let at = format!("{morning},{afternoon}");
-    let ask = |daemon: &Daemon, more: &[&str]| {
-        let args = ["position", "office", "anna", "--at", &at, "--resolution", "0.25"];
-        tidemap(daemon, args.iter().chain(more).copied())
-    };
-    for model in ["hypertime-em:3", "hypertime-em:2", "hypertime-km:3"] {
-        let table = ask(&daemon, &["--top", "0", "--model", model]).table();
-        for (time, here, there) in [(morning, KITCHEN, DESK), (afternoon, DESK, KITCHEN)] {
-            let (here, there) = (near(&table, time, here), near(&table, time, there));
-            println!("{model}: {here:.3} where it is, {there:.3} where not");
-            assert!(here > 0.7 && here > 5.0 * there, "{model}: {here}, {there}");
-        }
-    }
-    // The cells and the outside add up to 1; a region that was never visited has nearly 0.
-    let all = ask(&daemon, &["--top", "0"]);
-    let of_time = |time: i64| {
-        let table = all.table();
-        let rows = table.numbers("time").into_iter().zip(table.numbers("probability"));
-        rows.filter(|(at, _)| *at == time as f64).map(|(_, probability)| probability).sum::<f64>()
-    };
-    for time in [morning, afternoon] {
-        let outside = outside(&all, time);
-        assert!((of_time(time) + outside - 1.0).abs() < 1e-3, "{} and {outside}", of_time(time));
-    }
-    let elsewhere = ask(&daemon, &["--region", "-9,-9:-8,-8", "--top", "1"]);
-    assert!(elsewhere.table().numbers("probability").iter().all(|&probability| probability < 1e-3));
-    assert!(elsewhere.stderr.contains("with 1.0000") || elsewhere.stderr.contains("with 0.9"), "{}", elsewhere.stderr);
-    let few = ask(&daemon, &["--top", "3"]).table();
-    assert_eq!(few.rows.len(), 6);
-
-    // An axis is a state like any other.
-    let outcome = tidemap(&daemon, ["predict", "office", "anna", "--at", &at]).table();
-    assert_eq!(outcome.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y"]);
-    let positions = outcome.numbers("probability");
-    let expected = [KITCHEN[0], DESK[0], KITCHEN[1], DESK[1]];
-    assert!(
-        positions.iter().zip(expected).all(|(position, expected)| (position - expected).abs() < 1.0),
-        "{positions:?}"
-    );
-    let fitted = ["predict", "office", "anna", "anna/y", "--at", &at, "--model", "histogram:24"];
-    let fitted = tidemap(&daemon, fitted).table();
-    assert_eq!(fitted.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y", "anna/y", "anna/y"]);
-    let compared = format!("time,state,value\n{morning},anna/x,2\n{afternoon},anna/x,8\n");
-    let args = ["evaluate", "office", "-", "--models", "mean,auto"];
-    let compared = cli::tidemap_reading(&daemon, args, &compared).table().numbers("mse");
-    assert!(compared[1] < 0.2 * compared[0], "{compared:?}");
+    check_places(&daemon);
+    check_axes(&daemon);
 
     // Durable positions survive a kill, each complete; sending the same file again adds nothing.
-    let kept = |daemon: &Daemon| {
-        ["anna/x", "anna/y"].map(|axis| {
-            let (from, to) = (START_SECS.to_string(), (START_SECS + 30 * DAY_SECS).to_string());
-            let table = tidemap(daemon, ["reconstruct", "office", axis, "--from", &from, "--to", &to]).table();
-            table.numbers("time").into_iter().zip(table.numbers("value")).collect::<Vec<_>>()
-        })
-    };
     let before = (kept(&daemon), ask(&daemon, &["--top", "0"]).stdout);
     let axis = |axis: usize| rows.iter().map(|(time, place)| (*time as f64, place[axis])).collect::<Vec<_>>();
     assert_eq!(before.0, [axis(0), axis(1)]);
