@@ -19,7 +19,10 @@ use tonic_web::GrpcWebLayer;
 use tower_http::compression::{CompressionLayer, CompressionLevel, predicate::SizeAbove};
 use tower_layer::Layer as _;
 
-use crate::{connections::Remote, rpc::serve::GuardedServices};
+use crate::{
+    connections::Remote,
+    rpc::serve::{GuardedQueries, GuardedServices},
+};
 
 #[cfg(test)]
 mod api_page;
@@ -33,14 +36,15 @@ mod origin;
 pub(crate) use assets::has_page;
 pub(crate) use origin::{KnownHosts, is_own};
 
-/// The RPC whose replies browsers take compressed: pictures of grids, of which a fifth remains. Others are small, or
-/// streams of which every message must leave at once.
-const COMPRESSED: &str = "/tidemap.v1.QueryService/PredictGrid";
+/// The RPC that answers with grids. Its replies are the only ones that browsers take compressed: a fifth of them
+/// remains. Others are small, or streams of which every message must leave at once.
+const PREDICT_GRID: &str = "/tidemap.v1.QueryService/PredictGrid";
 
-/// The RPCs behind JSON.
+/// The RPCs behind JSON, and the questions behind pictures.
 #[derive(Clone)]
 struct Gateway {
     services: GuardedServices,
+    queries: GuardedQueries,
     pool: DescriptorPool,
     /// Turns to convert a large message.
     large: Arc<tokio::sync::Semaphore>,
@@ -50,7 +54,7 @@ struct Gateway {
 ///
 /// # Errors
 /// The descriptors of the wire cannot be read, which is a defect of the build.
-pub(crate) fn router(services: &GuardedServices, hosts: KnownHosts) -> anyhow::Result<Router> {
+pub(crate) fn router(services: &GuardedServices, queries: GuardedQueries, hosts: KnownHosts) -> anyhow::Result<Router> {
     let pool = DescriptorPool::decode(DESCRIPTORS)?;
     let openapi = openapi::document(&pool);
     let grpc_web = GrpcWebLayer::new().layer(services.clone());
@@ -62,7 +66,7 @@ pub(crate) fn router(services: &GuardedServices, hosts: KnownHosts) -> anyhow::R
     for service in pool.services() {
         for method in service.methods() {
             let path = format!("/{}/{}", service.full_name(), method.name());
-            router = if path == COMPRESSED {
+            router = if path == PREDICT_GRID {
                 let gzip = CompressionLayer::new().quality(CompressionLevel::Fastest);
                 router.route_service(&path, gzip.compress_when(SizeAbove::default()).layer(grpc_web.clone()))
             } else {
@@ -72,7 +76,8 @@ pub(crate) fn router(services: &GuardedServices, hosts: KnownHosts) -> anyhow::R
     }
     // Half of the processors are left to others, but for a machine that has one.
     let at_once = std::thread::available_parallelism().map_or(1, |processors| processors.get().div_ceil(2));
-    let gateway = Gateway { services: services.clone(), pool, large: Arc::new(tokio::sync::Semaphore::new(at_once)) };
+    let large = Arc::new(tokio::sync::Semaphore::new(at_once));
+    let gateway = Gateway { services: services.clone(), queries, pool, large };
     Ok(router
         .with_state(gateway)
         .layer(from_fn(name_remote))

@@ -5,10 +5,11 @@
 //! columns are the cell's index along each axis, which is part of the name of its state, `cell/X/Y/Z`; in a projected
 //! map cell_z is 0.
 //!
-//! Invariant: one row for each known cell, in the order of the picture; the picture contains probabilities, not
-//! entropies.
+//! Invariant: one row for each known cell, in the order of the picture.
 
 use std::fmt::Write as _;
+
+use tidemap_model::entropy_bits;
 
 use super::{MapPicture, PictureCell, PictureError};
 
@@ -20,7 +21,7 @@ pub fn write(picture: &MapPicture) -> Result<String, PictureError> {
     picture.check()?;
     let mut file = format!("{HEADER}\n");
     for ((centre, cell), (index, _)) in picture.known().zip(picture.known_indices()) {
-        let Some(probability) = cell.value() else { continue };
+        let Some(probability) = cell.probability() else { continue };
         let [x, y, z] = centre.map(micrometres);
         let [cell_x, cell_y, cell_z] = index;
         let entropy = entropy_bits(f64::from(probability));
@@ -35,12 +36,6 @@ pub fn write(picture: &MapPicture) -> Result<String, PictureError> {
 fn micrometres(metres: f64) -> f64 {
     // Adding zero turns -0 into 0.
     (metres * 1e6).round() / 1e6 + 0.0
-}
-
-/// Entropy of a binary variable: 1 bit at probability 0.5, 0 at certainty.
-fn entropy_bits(probability: f64) -> f64 {
-    let part = |share: f64| if share > 0.0 { -share * share.log2() } else { 0.0 };
-    part(probability) + part(1.0 - probability)
 }
 
 #[cfg(test)]

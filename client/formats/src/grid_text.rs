@@ -6,7 +6,7 @@
 use std::fmt::Write as _;
 
 use super::{
-    MapPicture, PictureError, PictureValue,
+    MapPicture, PictureError,
     drawing::{SHADES, text_bar},
 };
 
@@ -19,7 +19,7 @@ const ROWS: usize = 60;
 ///
 /// # Errors
 /// The picture is invalid, or has several layers.
-pub fn write(picture: &MapPicture, value: PictureValue, title: &str) -> Result<String, PictureError> {
+pub fn write(picture: &MapPicture, title: &str) -> Result<String, PictureError> {
     picture.check_flat()?;
     let [width, height] = [picture.size_cells[0] as usize, picture.size_cells[1] as usize];
     // A character is about twice as high as wide. Cells of a small map have two characters each.
@@ -35,13 +35,13 @@ pub fn write(picture: &MapPicture, value: PictureValue, title: &str) -> Result<S
     for block in rows.chunks(down) {
         let highest = |left: usize| {
             let cells = block.iter().flat_map(|row| row[left..(left + across).min(width)].iter());
-            cells.filter_map(|cell| cell.value()).reduce(f32::max)
+            cells.filter_map(|&cell| picture.value_of(cell)).reduce(f32::max)
         };
         let line: String = (0..width).step_by(across).flat_map(|left| [shade(highest(left))].repeat(times)).collect();
         let _ = writeln!(text, "  {}", line.trim_end());
     }
     let shades: Vec<String> = SHADES.iter().map(ToString::to_string).collect();
-    let _ = writeln!(text, "  {}: 0 {} 1; blank: not observed", value.text(), shades.join(" "));
+    let _ = writeln!(text, "  {}: 0 {} 1; blank: not observed", picture.value.text(), shades.join(" "));
     if let Some(bar) = text_bar(times as f64 / (across as f64 * picture.resolution_m)) {
         let _ = writeln!(text, "  {bar}");
     }
@@ -65,7 +65,7 @@ mod tests {
 
     #[test]
     fn a_small_map_has_two_characters_a_cell() -> Result<(), PictureError> {
-        let text = write(&samples::flat(), PictureValue::Probability, "office")?;
+        let text = write(&samples::flat(), "office")?;
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines[..3], ["office", "  ··▒▒██", "  ··██"]);
         assert_eq!(lines[3], "  probability of occupied: 0 · ░ ▒ ▓ █ 1; blank: not observed");
@@ -80,8 +80,8 @@ mod tests {
         (0..300).for_each(|row| cells[row * 1000 + 500] = Static { probability: 1.0 });
         cells[..1000].fill(Unknown);
         let picture = MapPicture { size_cells: [1000, 300, 1], cells, ..samples::flat() };
-        let text = write(&picture, PictureValue::Entropy, "hall")?;
-        let rows: Vec<&str> = text.lines().filter(|line| line.contains('·') && !line.contains("bits")).collect();
+        let text = write(&picture, "hall")?;
+        let rows: Vec<&str> = text.lines().filter(|line| line.contains('·') && !line.contains("blank")).collect();
         assert_eq!(rows.len(), 300_usize.div_ceil(22));
         assert!(rows.iter().all(|row| row.chars().filter(|&shown| shown == '█').count() == 1), "{text}");
         assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");

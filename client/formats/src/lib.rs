@@ -5,7 +5,6 @@
 //! error, never a smaller map. Numbers in error messages are those of the file: lines from 1, bytes from 0.
 
 pub mod cells_csv;
-mod colour;
 #[cfg(test)]
 mod cuts;
 pub mod drawing;

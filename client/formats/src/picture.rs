@@ -3,6 +3,9 @@
 //! Invariant: a picture that passes [`MapPicture::check`] has the number of cells of its size, and every known cell has
 //! a value within [0, 1]; all writers check it first.
 
+use tidemap_model::entropy_bits;
+use tidemap_picture::{CellPaint, Colour, Layer, Painter};
+
 use super::CELLS_MAX;
 
 /// A box of cells with their predictions.
@@ -18,12 +21,17 @@ pub struct MapPicture {
     pub size_cells: [u32; 3],
     /// The cells: x fastest, then y, then z.
     pub cells: Vec<PictureCell>,
+    /// What files show of the cells.
+    pub value: PictureValue,
+    /// The probability after a free and after an occupied reading of the map's sensor.
+    pub levels: (f64, f64),
 }
 
 /// What the values of a picture are.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum PictureValue {
     /// The probability that a cell is occupied.
+    #[default]
     Probability,
     /// The entropy of that probability, in bits.
     Entropy,
@@ -42,7 +50,7 @@ impl PictureValue {
     }
 }
 
-/// The prediction of a cell: the probability that it is occupied, or, in a picture of entropy, its entropy in bits.
+/// The prediction of a cell: the probability that it is occupied; in a picture of [`PictureValue::AtLeast`], 0 or 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs, reason = "see the type")]
 pub enum PictureCell {
@@ -94,8 +102,8 @@ pub enum PictureError {
 }
 
 impl PictureCell {
-    /// Its value; none if it is unknown.
-    pub fn value(self) -> Option<f32> {
+    /// Its probability; none if it is unknown.
+    pub fn probability(self) -> Option<f32> {
         match self {
             Self::Unknown => None,
             Self::Static { probability } | Self::Changing { probability } => Some(probability),
@@ -125,7 +133,7 @@ impl MapPicture {
         let wrong = |(cell, value): (usize, f32)| {
             if (0.0..=1.0).contains(&value) { None } else { Some(PictureError::Value { cell, value }) }
         };
-        let values = self.cells.iter().enumerate().filter_map(|(cell, kind)| Some((cell, kind.value()?)));
+        let values = self.cells.iter().enumerate().filter_map(|(cell, kind)| Some((cell, kind.probability()?)));
         values.into_iter().find_map(wrong).map_or(Ok(()), Err)
     }
 
@@ -136,6 +144,34 @@ impl MapPicture {
             1 => Ok(()),
             layers => Err(PictureError::Layers(layers)),
         }
+    }
+
+    /// What files show of a cell: its probability, or its entropy in bits; none if it is unknown.
+    #[allow(clippy::cast_possible_truncation, reason = "a value of a cell is a single")]
+    pub fn value_of(&self, cell: PictureCell) -> Option<f32> {
+        let probability = cell.probability()?;
+        Some(if self.value == PictureValue::Entropy {
+            entropy_bits(f64::from(probability)) as f32
+        } else {
+            probability
+        })
+    }
+
+    /// Who paints the cells.
+    pub(crate) fn painter(&self) -> Painter {
+        match self.value {
+            PictureValue::Probability => Painter::new(Layer::Probability, self.levels),
+            PictureValue::Entropy => Painter::new(Layer::Entropy, self.levels),
+            PictureValue::AtLeast(_) => Painter::new(Layer::Probability, (0.0, 1.0)),
+        }
+    }
+
+    /// The colour of a cell.
+    pub(crate) fn colour(&self, cell: PictureCell) -> Colour {
+        let known = cell.probability().zip(self.value_of(cell));
+        self.painter().colour(
+            known.map(|(probability, value)| CellPaint { probability: probability.into(), value: value.into() }),
+        )
     }
 
     /// The known cells with their centres in metres.
@@ -190,6 +226,8 @@ pub(crate) mod samples {
                 Changing { probability: 0.5 },
                 Changing { probability: 1.0 },
             ],
+            value: PictureValue::Probability,
+            levels: (0.0, 1.0),
         }
     }
 }

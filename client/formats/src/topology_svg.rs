@@ -8,10 +8,9 @@
 
 use std::collections::HashMap;
 
-use crate::{
-    colour::changing,
-    svg::{Svg, hex},
-};
+use tidemap_picture::palette::{is_dark, mark};
+
+use crate::svg::{Svg, hex};
 
 mod layout;
 mod legend;
@@ -33,6 +32,8 @@ const GREY: &str = "#9a9a9a";
 /// The colour of the path of a route or a search.
 const PATH: &str = "#1a4fa3";
 const MIDDLE: &str = "text-anchor=\"middle\"";
+/// Text on a dark node.
+const WHITE: &str = " fill=\"#ffffff\"";
 /// Pixels between an edge and the middle of its number.
 const BESIDE: f64 = 10.0;
 /// A white edge around a text that must cross a line.
@@ -114,7 +115,8 @@ pub fn write(picture: &TopologyPicture) -> Result<String, TopologyPictureError> 
             (Some(step), None) => (step.to_string(), node.name.clone()),
             (None, percent) => (percent.unwrap_or_default(), node.name.clone()),
         };
-        svg.text([x, y + 4.0], &inside, MIDDLE);
+        let ink = if node.probability.is_some_and(|probability| is_dark(mark(probability))) { WHITE } else { "" };
+        svg.text([x, y + 4.0], &inside, &format!("{MIDDLE}{ink}"));
         let ([dx, dy], anchor) = free_side(index, &picture.edges, &places);
         svg.text([x + dx, y + dy], &below, &format!("text-anchor=\"{anchor}\" {HALO}"));
     }
@@ -200,13 +202,12 @@ fn fitted(places_m: &[[f64; 2]]) -> (Vec<[f64; 2]>, f64) {
     (places_m.iter().map(place).collect(), scale)
 }
 
-/// The colour of a probability that the person is there: the scale of changing cells.
-#[allow(clippy::cast_possible_truncation, reason = "a colour has eight bits")]
+/// The colour of a probability that the person is there: darker where it is greater, as in pictures of grids.
 fn presence_colour(probability: f64) -> String {
-    hex(changing(probability as f32))
+    hex(mark(probability))
 }
 
-/// The colour of an edge: the less likely a traversal succeeds, the nearer to orange.
+/// The colour of an edge: the less likely a traversal succeeds, the darker.
 fn success_colour(success: f64) -> String {
     presence_colour(1.0 - success)
 }

@@ -5,7 +5,6 @@
 
 use crate::{
     MapPicture, PictureError,
-    colour::colour,
     svg::{Svg, hex},
 };
 
@@ -32,10 +31,10 @@ pub fn write(
     for (row, cells) in picture.rows_from_top().enumerate() {
         let mut column = 0;
         // Neighbours of one colour are one rectangle.
-        for run in cells.chunk_by(|one, next| colour(*one) == colour(*next)) {
+        for run in cells.chunk_by(|one, next| picture.colour(*one) == picture.colour(*next)) {
             if let Some(&cell) = run.first() {
                 let area = [column as f64 * scale, row as f64 * scale, run.len() as f64 * scale, scale];
-                svg.rectangle(area, &format!("fill=\"{}\"", hex(colour(cell))));
+                svg.rectangle(area, &format!("fill=\"{}\"", hex(picture.colour(cell))));
             }
             column += run.len();
         }

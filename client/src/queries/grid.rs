@@ -4,24 +4,19 @@
 
 mod tile;
 
+use tidemap_grid::predict::{CellOutput, GridQuestion};
 use tidemap_proto::{
-    convert::{
-        grid::{cell_box_from_wire, cell_box_to_wire, grid_from_wire},
-        query::selector_to_wire,
-        time::timestamp,
-    },
+    convert::cells::{header_from_wire, question_to_wire},
     v1::{self, predict_grid_response::Message},
 };
 use tonic::Streaming;
 
-pub use tile::{CellPrediction, PredictedTile};
+pub use tidemap_grid::predict::CellPrediction;
+pub use tidemap_proto::convert::cells::GridHeader;
+pub use tile::PredictedTile;
 
 use super::ModelSelector;
-use crate::{
-    connection::Client,
-    error::Error,
-    maps::{CellBox, GridSpec},
-};
+use crate::{connection::Client, error::Error, maps::CellBox};
 
 /// Number of cells along the edge of a tile.
 pub const TILE_EDGE: i32 = 8;
@@ -53,23 +48,6 @@ pub struct GridQuery {
     pub is_projected: bool,
     /// The output for each cell.
     pub output: GridOutput,
-}
-
-/// The header of a reply.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GridHeader {
-    /// The grid.
-    pub grid: GridSpec,
-    /// The cells of the tiles; z from 0 to 1 if projected.
-    pub region: CellBox,
-    /// Number of tiles to come.
-    pub tiles: u64,
-    /// Number of cells of these tiles.
-    pub cells: u64,
-    /// Maximum number of bytes of all tiles.
-    pub bytes: u64,
-    /// Number of updates published at the time of the reply.
-    pub generation: u64,
 }
 
 /// A reply in progress.
@@ -112,44 +90,33 @@ impl Client {
     }
 
     async fn asked(&self, query: &GridQuery, estimate_only: bool) -> Result<GridPrediction, Error> {
-        let (output, threshold) = match query.output {
-            GridOutput::Probability => (v1::GridOutput::Probability, 0.0),
-            GridOutput::Entropy => (v1::GridOutput::Entropy, 0.0),
-            GridOutput::Threshold(threshold) => (v1::GridOutput::Threshold, threshold),
+        let output = match query.output {
+            GridOutput::Probability => CellOutput::Probability,
+            GridOutput::Entropy => CellOutput::Entropy,
+            GridOutput::Threshold(threshold) => CellOutput::Threshold(threshold as f32),
         };
-        let request = v1::PredictGridRequest {
-            map: query.map.clone(),
-            time: Some(timestamp(query.time_nanos)),
-            model: Some(selector_to_wire(query.model)),
-            region: query.region.as_ref().map(cell_box_to_wire),
+        let question = GridQuestion {
+            utc_nanos: query.time_nanos,
+            selector: query.model,
+            region: query.region,
             project: query.is_projected,
-            output: output.into(),
-            threshold,
-            estimate_only,
+            output,
         };
+        let mut request = question_to_wire(&query.map, &question, estimate_only);
+        if let GridOutput::Threshold(threshold) = query.output {
+            // All its digits: the daemon checks them.
+            request.threshold = threshold;
+        }
         let answer = self.query_service().predict_grid(request).await.map_err(|status| self.error(&status))?;
         let mut replies = answer.into_inner();
         let first = replies.message().await.map_err(|status| self.error(&status))?;
         let Some(Message::Header(header)) = first.and_then(|reply| reply.message) else {
             return Err(Error::Protocol("no header of a grid"));
         };
-        let header = header_from_wire(header)?;
+        let header = header_from_wire(header).map_err(|_| Error::Protocol("an invalid grid"))?;
         let is_projected = query.is_projected;
         Ok(GridPrediction { client: self.clone(), header, is_projected, replies, received: 0, last: None })
     }
-}
-
-fn header_from_wire(header: v1::GridHeader) -> Result<GridHeader, Error> {
-    Ok(GridHeader {
-        grid: grid_from_wire(header.grid.ok_or(Error::Protocol("no grid in its header"))?)
-            .map_err(|_| Error::Protocol("an invalid grid"))?,
-        // A grid without cells has no region.
-        region: header.region.as_ref().map(cell_box_from_wire).unwrap_or_default(),
-        tiles: header.tiles,
-        cells: header.cells,
-        bytes: header.bytes,
-        generation: header.generation,
-    })
 }
 
 impl GridPrediction {
@@ -214,6 +181,7 @@ impl WholeGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::maps::GridSpec;
 
     #[test]
     fn a_cell_is_found_by_its_index() {

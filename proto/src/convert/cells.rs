@@ -2,6 +2,8 @@
 //!
 //! Invariant: a tile on the wire has a value for each known cell, from its masks and levels or from its list.
 
+use std::cmp::Ordering;
+
 use prost::Message as _;
 use tidemap_grid::{
     index::{CellBox, CellIndex, TILE_CELLS, TileIndex},
@@ -96,16 +98,20 @@ pub fn question_to_wire(map: &str, question: &GridQuestion, estimate_only: bool)
     }
 }
 
-/// The header of a reply, as received.
+/// The header of a reply.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ReceivedHeader {
+pub struct GridHeader {
     /// The grid.
-    pub spec: GridSpec,
-    /// The cells that are answered for; `None`: nothing was observed.
-    pub region: Option<CellBox>,
-    /// Number of tiles of the answer.
+    pub grid: GridSpec,
+    /// The cells of the tiles; z from 0 to 1 if projected; empty if nothing was observed.
+    pub region: CellBox,
+    /// Number of tiles to come.
     pub tiles: u64,
-    /// The generation that answers.
+    /// Number of cells of these tiles.
+    pub cells: u64,
+    /// Maximum number of bytes of all tiles.
+    pub bytes: u64,
+    /// Number of updates published at the time of the reply.
     pub generation: u64,
 }
 
@@ -113,31 +119,54 @@ pub struct ReceivedHeader {
 ///
 /// # Errors
 /// The invalid field of the grid.
-pub fn header_from_wire(header: v1::GridHeader) -> Result<ReceivedHeader, InvalidField> {
-    let v1::GridHeader { grid, region, tiles, generation, .. } = header;
-    let spec = grid_from_wire(grid.unwrap_or_default())?;
-    Ok(ReceivedHeader { spec, region: region.as_ref().map(cell_box_from_wire), tiles, generation })
+pub fn header_from_wire(header: v1::GridHeader) -> Result<GridHeader, InvalidField> {
+    let v1::GridHeader { grid, region, tiles, cells, bytes, generation } = header;
+    let grid = grid_from_wire(grid.unwrap_or_default())?;
+    // A grid without cells has no region.
+    let region = region.as_ref().map(cell_box_from_wire).unwrap_or_default();
+    Ok(GridHeader { grid, region, tiles, cells, bytes, generation })
 }
 
-/// The known cells of the lowest layer of a tile, with their values.
-pub fn layer_from_wire(tile: &v1::PredictedTile) -> impl Iterator<Item = (CellIndex, f32)> + '_ {
-    let has = |mask: &[u8], row: usize, column: u16| mask.get(row).is_some_and(|bits| bits >> column & 1 == 1);
-    let origin = TileIndex { x: tile.x, y: tile.y, z: tile.z };
-    let mut values = tile.values.iter().copied();
-    let places = (0..8_u16).flat_map(|row| (0..8_u16).map(move |column| (row, column)));
-    // Where an invalid tile lies is not known.
-    let places = places.filter(move |&(row, column)| origin.is_valid() && has(&tile.known, usize::from(row), column));
-    places.map(move |(row, column)| {
-        let (mask_row, cell) = (usize::from(row), origin.cell(8 * row + column));
-        let value = if tile.all_values || has(&tile.changed, mask_row, column) {
-            values.next().unwrap_or_default()
-        } else if has(&tile.high, mask_row, column) {
-            tile.static_high
-        } else {
-            tile.static_low
-        };
-        (cell, value)
-    })
+/// Why a tile of a reply is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct InvalidTile(pub &'static str);
+
+/// A tile of a reply, and the outputs of its cells that have not changed, the lower and the higher. Each value of the
+/// tile belongs to a known cell, and is from 0 to 1.
+///
+/// # Errors
+/// The tile contradicts itself.
+pub fn tile_from_wire(tile: v1::PredictedTile, is_projected: bool) -> Result<(TileCells, (f32, f32)), InvalidTile> {
+    let index = TileIndex { x: tile.x, y: tile.y, z: tile.z };
+    if !index.is_valid() {
+        return Err(InvalidTile("a tile lies outside of any grid"));
+    }
+    let bytes = if is_projected { LAYER_BYTES } else { MASK_BYTES };
+    let mask = |wire: &[u8]| {
+        // Empty masks may be left out.
+        if !wire.is_empty() && wire.len() != bytes {
+            return Err(InvalidTile("a mask of a tile has another length"));
+        }
+        let mut padded = [0; MASK_BYTES];
+        padded.iter_mut().zip(wire).for_each(|(to, from)| *to = *from);
+        Ok(Mask::from_bytes(&padded))
+    };
+    let (known, changed, high) = (mask(&tile.known)?, mask(&tile.changed)?, mask(&tile.high)?);
+    let changed = changed & known;
+    let (values, all_values) = (tile.values, tile.all_values);
+    let wanted = if all_values { known.count() } else { changed.count() };
+    match values.len().cmp(&(wanted as usize)) {
+        Ordering::Less => return Err(InvalidTile("values of a tile are missing")),
+        Ordering::Greater => return Err(InvalidTile("a tile has more values than cells")),
+        Ordering::Equal => {}
+    }
+    let cells = TileCells { index, known, changed, high, values, all_values };
+    let levels = (tile.static_low, tile.static_high);
+    if cells.known_cells(levels).filter_map(|(_, cell)| cell.value()).any(|value| !(0.0..=1.0).contains(&value)) {
+        return Err(InvalidTile("a value of a tile is not between 0 and 1"));
+    }
+    Ok((cells, levels))
 }
 
 /// The header of a reply, for the wire.
@@ -236,6 +265,8 @@ pub fn cell_alarm_to_wire(cell: CellIndex, description: &CellDescription) -> v1:
 
 #[cfg(test)]
 mod tests {
+    use tidemap_grid::predict::CellPrediction;
+
     use super::*;
 
     fn request() -> v1::PredictGridRequest {
@@ -282,24 +313,74 @@ mod tests {
         }
     }
 
-    #[test]
-    fn the_cells_of_a_layer_have_their_own_values() {
-        let wire = v1::PredictedTile {
+    fn tile() -> v1::PredictedTile {
+        let mask = |bits: u8| [vec![bits], vec![0; 63]].concat();
+        v1::PredictedTile {
             x: 1,
-            y: -1,
-            known: vec![3, 1, 0, 0, 0, 0, 0, 0],
-            changed: vec![0, 1, 0, 0, 0, 0, 0, 0],
-            high: vec![2, 0, 0, 0, 0, 0, 0, 0],
-            static_high: 1.0,
-            static_low: 0.125,
-            values: vec![0.25],
-            ..v1::PredictedTile::default()
+            y: -2,
+            z: 3,
+            known: mask(0b1111),
+            changed: mask(0b0101),
+            high: mask(0b0010),
+            static_high: 0.75,
+            static_low: 0.25,
+            values: vec![0.1, 0.9],
+            all_values: false,
+        }
+    }
+
+    fn cells(wire: v1::PredictedTile, is_projected: bool) -> Result<Vec<(u16, CellPrediction)>, InvalidTile> {
+        tile_from_wire(wire, is_projected).map(|(tile, levels)| tile.known_cells(levels).collect())
+    }
+
+    #[test]
+    fn cells_are_unknown_static_or_changing() {
+        use CellPrediction::{Changing, Static};
+        let found = cells(tile(), false);
+        assert_eq!(found, Ok(vec![(0, Changing(0.1)), (1, Static(0.75)), (2, Changing(0.9)), (3, Static(0.25))]));
+        let all = v1::PredictedTile { all_values: true, values: vec![0.1, 0.2, 0.3, 0.4], high: Vec::new(), ..tile() };
+        let found = cells(all, false);
+        assert_eq!(found, Ok(vec![(0, Changing(0.1)), (1, Static(0.2)), (2, Changing(0.3)), (3, Static(0.4))]));
+    }
+
+    #[test]
+    fn a_projected_tile_has_one_layer() {
+        let layer = |first: u8, second: u8| vec![first, second, 0, 0, 0, 0, 0, 0];
+        let wire = v1::PredictedTile {
+            known: layer(3, 1),
+            changed: layer(0, 1),
+            high: layer(2, 0),
+            values: vec![0.5],
+            ..tile()
         };
-        let cell = |x, y| CellIndex { x, y, z: 0 };
-        let layer: Vec<_> = layer_from_wire(&wire).collect();
-        assert_eq!(layer, [(cell(8, -8), 0.125), (cell(9, -8), 1.0), (cell(8, -7), 0.25)]);
-        let all = v1::PredictedTile { all_values: true, values: vec![0.5, 0.75, 1.0], ..wire };
-        assert_eq!(layer_from_wire(&all).map(|(_, value)| value).collect::<Vec<_>>(), [0.5, 0.75, 1.0]);
+        let (read, levels) = tile_from_wire(wire, true).expect("valid");
+        assert_eq!(read.index, TileIndex { x: 1, y: -2, z: 3 });
+        let values: Vec<_> = read.known_cells(levels).map(|(cell, prediction)| (cell, prediction.value())).collect();
+        assert_eq!(values, [(0, Some(0.25)), (1, Some(0.75)), (8, Some(0.5))]);
+    }
+
+    #[test]
+    fn a_tile_that_does_not_add_up_is_an_error() {
+        let wrong = |change: fn(&mut v1::PredictedTile), is_projected| {
+            let mut tile = tile();
+            change(&mut tile);
+            tile_from_wire(tile, is_projected).is_err()
+        };
+        assert!(!wrong(|_| {}, false));
+        assert!(wrong(|_| {}, true), "a projected tile has 8 bytes");
+        assert!(wrong(|tile| tile.values.truncate(1), false));
+        assert!(wrong(|tile| tile.values.push(0.5), false));
+        assert!(wrong(|tile| tile.known.truncate(63), false));
+        assert!(wrong(|tile| tile.values[0] = 1.5, false));
+        assert!(wrong(|tile| tile.static_low = f32::NAN, false));
+        assert!(wrong(|tile| tile.x = i32::MAX, false));
+    }
+
+    #[test]
+    fn a_tile_is_read_as_it_was_written() {
+        let (read, levels) = tile_from_wire(tile(), false).expect("valid");
+        let again = tile_to_wire(read.clone(), &GridQuestion::default(), (levels.0.into(), levels.1.into()));
+        assert_eq!(tile_from_wire(again, false), Ok((read, levels)));
     }
 
     #[test]

@@ -95,6 +95,46 @@ pub struct TileCells {
     pub all_values: bool,
 }
 
+/// The prediction of a cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum CellPrediction {
+    /// The cell was never observed.
+    #[default]
+    Unknown,
+    /// The value of a cell that was always read the same.
+    Static(f32),
+    /// The value of a cell that has changed.
+    Changing(f32),
+}
+
+impl CellPrediction {
+    /// The value; `None` for an unknown cell.
+    #[must_use]
+    pub fn value(self) -> Option<f32> {
+        match self {
+            Self::Unknown => None,
+            Self::Static(value) | Self::Changing(value) => Some(value),
+        }
+    }
+}
+
+impl TileCells {
+    /// The places of the known cells with their predictions, by place. `levels`: the outputs of cells that have not
+    /// changed and have no value of their own, the lower and the higher.
+    pub fn known_cells(&self, levels: (f32, f32)) -> impl Iterator<Item = (u16, CellPrediction)> + '_ {
+        let mut values = self.values.iter().copied();
+        self.known.cells().map(move |cell| {
+            let is_changed = self.changed.contains(cell);
+            let value = match (is_changed || self.all_values, self.high.contains(cell)) {
+                (true, _) => values.next().unwrap_or_default(),
+                (false, true) => levels.1,
+                (false, false) => levels.0,
+            };
+            (cell, if is_changed { CellPrediction::Changing(value) } else { CellPrediction::Static(value) })
+        })
+    }
+}
+
 /// The cells of a tile, by kind of value.
 struct Shape {
     known: Mask,

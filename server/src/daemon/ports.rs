@@ -98,7 +98,7 @@ fn web(services: &Services, access: &Access, settings: &Settings) -> anyhow::Res
         Access::Anybody if settings.http_write => Access::Anybody,
         Access::Anybody | Access::Readers => Access::Readers,
     };
-    web::router(&services.guarded(access), hosts)
+    web::router(&services.guarded(access.clone()), services.guarded_queries(access), hosts)
 }
 
 /// The names by which browsers may reach the HTTP port; any, where tokens are asked for.

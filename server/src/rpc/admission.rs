@@ -106,6 +106,31 @@ pub(crate) struct AdmittedService<S> {
 }
 
 impl<S> AdmittedService<S> {
+    /// What it serves, for work in [`AdmittedService::answer`].
+    pub(crate) fn inner(&self) -> &S {
+        &self.inner
+    }
+
+    /// Does work that answers a request as a call of a method would, without a message of the wire: the caller may call
+    /// the method, and the request counts and is measured as a call of it. `path`: of the method.
+    ///
+    /// # Errors
+    /// Of the work; or the caller may not ask this, too many requests are under way, or the token was revoked.
+    pub(crate) async fn answer<T>(
+        &self,
+        path: &'static str,
+        (headers, extensions): (&http::HeaderMap, &http::Extensions),
+        work: impl Future<Output = Result<T, RpcError>>,
+    ) -> Result<T, RpcError> {
+        let admitted = self.admit(path, headers, extensions)?;
+        let method = method_name(path);
+        let span = Span::of_request(headers, method);
+        let mut end = RequestEnd { method: Some(method), began: Instant::now(), code: None, span: span.clone() };
+        let answer = span.scope(self.access.work_for(admitted.caller.clone(), work)).await;
+        end.code = Some(answer.as_ref().map_or_else(|error| error.code_and_reason().0, |_| Code::Ok));
+        answer
+    }
+
     /// Admits a request by its head. The service takes the answer from the extensions of a request that has one.
     ///
     /// # Errors

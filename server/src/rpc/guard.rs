@@ -73,6 +73,24 @@ impl Access {
     }
 }
 
+impl Access {
+    /// Does work for a caller, until the caller's token is revoked.
+    ///
+    /// # Errors
+    /// Of the work, or that the token was revoked.
+    pub(super) async fn work_for<T>(
+        &self,
+        caller: Caller,
+        work: impl Future<Output = Result<T, RpcError>>,
+    ) -> Result<T, RpcError> {
+        let (Self::Tokens(keyring), Caller::Holder(_)) = (self, &caller) else { return caller.scope(work).await };
+        tokio::select! {
+            done = caller.clone().scope(work) => done,
+            () = keyring.clone().revoked(caller.clone()) => Err(RpcError::Revoked),
+        }
+    }
+}
+
 /// Works on a request for the caller that admission has found, until the caller's token is revoked.
 pub(super) async fn serve_caller(State(access): State<Access>, mut request: Request, next: Next) -> Response {
     let caller = request.extensions_mut().remove::<Caller>().unwrap_or(Caller::Stranger);

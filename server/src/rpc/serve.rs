@@ -44,10 +44,14 @@ const MESSAGE_OVERHEAD: usize = 4096;
 /// The services behind guard and admission, for the requests of one port.
 pub(crate) type GuardedServices = AdmittedService<service::Routes>;
 
+/// Questions behind guard and admission, for answers that are no messages of the wire.
+pub(crate) type GuardedQueries = AdmittedService<Arc<Queries>>;
+
 /// The services of all ports.
 #[derive(Clone, Debug)]
 pub(crate) struct Services {
     routes: service::Routes,
+    queries: Arc<Queries>,
     admission: Admission,
     health: Health,
 }
@@ -79,6 +83,11 @@ impl Services {
         let router = self.routes.clone().prepare().into_axum_router().layer(serve_caller);
         // Every request passes it, also one of a method that does not exist.
         self.admission.service(service::Routes::from(router), access)
+    }
+
+    /// Questions for callers with this access.
+    pub(crate) fn guarded_queries(&self, access: Access) -> GuardedQueries {
+        self.admission.service(Arc::clone(&self.queries), access)
     }
 }
 
@@ -114,7 +123,7 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
         fit_readings: settings.max_fit_readings,
         watches: settings.max_watches,
     };
-    let queries = Queries::new(Arc::clone(&catalog), limits);
+    let queries = Arc::new(Queries::new(Arc::clone(&catalog), limits));
     let plans = PlanLimits {
         predictions: settings.max_predictions,
         cells: settings.max_plan_cells,
@@ -132,7 +141,7 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
         )
         .add_service(ObservationServiceServer::new(observations).max_decoding_message_size(message_bytes))
         .add_service(
-            QueryServiceServer::new(queries)
+            QueryServiceServer::from_arc(Arc::clone(&queries))
                 .max_decoding_message_size(message_bytes.max(REQUEST_BYTES))
                 .max_encoding_message_size(64 << 20),
         )
@@ -144,7 +153,7 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
             MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone() })
                 .max_decoding_message_size(REQUEST_BYTES),
         );
-    Services { routes, admission, health }
+    Services { routes, queries, admission, health }
 }
 
 /// Serves the gRPC port to those with access until `stop` becomes true and the connections are closed. Reflection is

@@ -8,19 +8,16 @@ use axum::{
     extract::Request,
     http::{HeaderValue, header},
 };
-use tidemap_grid::{index::CellIndex, predict::GridQuestion};
 use tidemap_map::topology::Topology;
 use tidemap_proto::{
     convert::{
-        cells::{ReceivedHeader, header_from_wire, layer_from_wire, question_to_wire},
         route::{EdgePrediction, predictions_from_wire},
         search::presence_of_nodes,
         time::timestamp,
         topology::topology_from_wire,
     },
     v1::{
-        self, predict_grid_response::Message, query_service_client::QueryServiceClient,
-        route_service_client::RouteServiceClient, search_service_client::SearchServiceClient,
+        self, route_service_client::RouteServiceClient, search_service_client::SearchServiceClient,
         topology_service_client::TopologyServiceClient,
     },
 };
@@ -79,33 +76,6 @@ async fn converted<T: Send + 'static, E: std::fmt::Display + Send + 'static>(
 }
 
 impl Calls<'_> {
-    /// Predicts a grid and returns the header. Unless `estimate_only`, `take` gets the cells of the lowest layer of
-    /// each tile, with their values.
-    ///
-    /// # Errors
-    /// The RPC refused or failed.
-    pub(super) async fn predict_grid(
-        &self,
-        question: &GridQuestion,
-        estimate_only: bool,
-        mut take: impl FnMut(CellIndex, f32),
-    ) -> Result<ReceivedHeader, Status> {
-        let mut client = QueryServiceClient::new(self.services.clone()).max_decoding_message_size(REPLY_BYTES);
-        let question = question_to_wire(self.map, question, estimate_only);
-        let mut replies = client.predict_grid(self.caller.request(question)).await?.into_inner();
-        let mut header = None;
-        while let Some(reply) = replies.message().await? {
-            match reply.message {
-                Some(Message::Header(first)) => header = Some(header_from_wire(first).map_err(senseless)?),
-                Some(Message::Page(page)) => {
-                    page.tiles.iter().flat_map(layer_from_wire).for_each(|(cell, value)| take(cell, value));
-                }
-                None => {}
-            }
-        }
-        header.ok_or_else(|| senseless("a grid without a header"))
-    }
-
     /// The nodes and edges.
     ///
     /// # Errors

@@ -1,7 +1,7 @@
 //! What people link to: a grid at a time as a picture, and the topological map at a time as GeoJSON.
 //!
-//! Invariant: they ask the RPCs as any client does, with the caller's token, so that permissions and limits are the
-//! same. What is served has a tag of its content, and is asked for again each time.
+//! Invariant: they pass the same guard and admission as the RPCs, with the caller's token, so that permissions and
+//! limits are the same. What is served has a tag of its content, and is asked for again each time.
 
 use axum::{
     body::Body,
@@ -17,9 +17,11 @@ use super::{
     calls::{Caller, Calls},
     json,
 };
-use crate::clock::{Clock as _, SystemClock};
+use crate::{
+    clock::{Clock as _, SystemClock},
+    rpc::status::RpcError,
+};
 
-mod palette;
 mod parameters;
 mod picture;
 mod topology;
@@ -40,6 +42,12 @@ enum Failure {
 impl From<Status> for Failure {
     fn from(status: Status) -> Self {
         Self::Refused(status)
+    }
+}
+
+impl From<RpcError> for Failure {
+    fn from(error: RpcError) -> Self {
+        Self::Refused(error.into())
     }
 }
 

@@ -12,7 +12,7 @@ use tidemap_client::{
 
 use super::{Session, files, grid, point::Point, predict::check_for_cells, times};
 use crate::progress::status_line;
-use tidemap_formats::{table::Cell, tour_svg};
+use tidemap_formats::{PictureValue, table::Cell, tour_svg};
 
 #[derive(Debug, Args)]
 pub(crate) struct TourArgs {
@@ -118,7 +118,7 @@ async fn draw(session: &Session, query: &TourQuery, height_m: f64, tour: &Tour<S
         output: GridOutput::Probability,
     };
     let predicted = session.client.predict_grid(&grid).await?.whole().await?;
-    let picture = grid::predict::picture(&predicted);
+    let picture = grid::predict::picture(&predicted, PictureValue::Probability);
     let goals: Vec<[f64; 2]> = tour.steps.iter().map(|step| step.at_m).collect();
     Ok(tour_svg::write(&picture, start, &goals, query.is_open)?)
 }

@@ -1,19 +1,19 @@
 //! Heat maps: values in rows and columns, the first row at the top.
 //!
-//! Invariant: a cell without a value is blank, which no value is.
+//! Invariant: a cell without a value is blank as text and grey as SVG, which no value is.
 
 use std::fmt::Write as _;
 
-use tidemap_picture::{scale_bar, short};
+use tidemap_picture::{
+    palette::{UNKNOWN, occupancy},
+    scale_bar, short,
+};
 
 use super::label_line;
-use crate::{
-    colour::changing,
-    svg::{
-        Svg,
-        chart::{CHART_WIDTH, FONT_SIZE, HEADING, text_width},
-        hex,
-    },
+use crate::svg::{
+    Svg,
+    chart::{CHART_WIDTH, FONT_SIZE, HEADING, text_width},
+    hex,
 };
 
 /// Maximum number of columns of which each takes two characters.
@@ -123,8 +123,9 @@ impl HeatMap {
                 svg.text([margin - 8.0, y + edge / 2.0 + 4.0], label, "text-anchor=\"end\"");
             }
             for (column, value) in (0_u32..).zip(values) {
-                let Some(value) = value.filter(|value| !value.is_nan()) else { continue };
-                let fill = format!("fill=\"{}\"", hex(changing(self.share(value) as f32)));
+                let value = value.filter(|value| !value.is_nan());
+                let fill = value.map_or(UNKNOWN, |value| occupancy(self.share(value)));
+                let fill = format!("fill=\"{}\"", hex(fill));
                 svg.rectangle([margin + f64::from(column) * edge, y, edge, edge], &fill);
             }
         }
@@ -141,7 +142,7 @@ impl HeatMap {
         svg.text([margin, below + 28.0], &format!("{}: {low}", self.unit), "");
         let mut x = margin + text_width(&format!("{}: {low}", self.unit), FONT_SIZE) + 8.0;
         for shade in 0..=10_u8 {
-            let fill = format!("fill=\"{}\"", hex(changing(f32::from(shade) / 10.0)));
+            let fill = format!("fill=\"{}\"", hex(occupancy(f64::from(shade) / 10.0)));
             svg.rectangle([x, below + 16.0, 14.0, 14.0], &fill);
             x += 14.0;
         }

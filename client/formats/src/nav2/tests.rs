@@ -224,7 +224,7 @@ proptest! {
         });
         let origin_m = [f64::from(origin[0]) / 7.0, f64::from(origin[1]) * 1e-12, 0.0];
         let mut picture =
-            MapPicture { size_cells: [values.len() as u32, 1, 1], resolution_m, origin_m, min_cell: [0; 3], cells: cells.collect() };
+            MapPicture { size_cells: [values.len() as u32, 1, 1], resolution_m, origin_m, cells: cells.collect(), ..samples::flat() };
         let (grid, _) = back(&picture, GridMode::Raw).expect("raw");
         prop_assert_eq!((grid.resolution_m, &grid.origin_m[..]), (resolution_m, &origin_m[..2]));
         for (cell, value) in grid.cells.iter().zip(&values) {

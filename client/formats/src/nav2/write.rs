@@ -52,7 +52,7 @@ pub fn write(
     if let (GridMode::Scale, Some(cell)) = (mode, unknown) {
         return Err(PictureError::UnknownInScale { cell });
     }
-    let pixel = |cell: &PictureCell| match (mode, cell.value().map(f64::from)) {
+    let pixel = |cell: &PictureCell| match (mode, picture.value_of(*cell).map(f64::from)) {
         (GridMode::Trinary, Some(value)) if percent(value) <= percent(free) => FREE,
         (GridMode::Trinary, Some(value)) if percent(value) >= percent(occupied) => OCCUPIED,
         (GridMode::Trinary, _) => UNKNOWN,

@@ -1,10 +1,11 @@
 //! A map as points: a binary PLY file with a vertex at the centre of every known cell.
 //!
-//! Properties: x, y, z and probability as float; red, green and blue as uchar.
+//! Properties: x, y, z and probability as float; red, green and blue as uchar. In a picture of entropy, the property
+//! probability has the entropy in bits.
 //!
 //! Invariant: unknown cells are omitted; the vertices are in the order of the picture.
 
-use crate::{MapPicture, PictureError, colour::colour};
+use crate::{MapPicture, PictureError};
 
 /// Length of a vertex.
 const VERTEX_BYTES: usize = 4 * 4 + 3;
@@ -22,11 +23,11 @@ pub fn write(picture: &MapPicture) -> Result<Vec<u8>, PictureError> {
     .into_bytes();
     file.reserve_exact(vertices * VERTEX_BYTES);
     for (centre, cell) in picture.known() {
-        let probability = cell.value().unwrap_or_default();
-        for number in centre.map(|coordinate| coordinate as f32).into_iter().chain([probability]) {
+        let value = picture.value_of(cell).unwrap_or_default();
+        for number in centre.map(|coordinate| coordinate as f32).into_iter().chain([value]) {
             file.extend(number.to_le_bytes());
         }
-        file.extend(colour(cell));
+        file.extend(picture.colour(cell));
     }
     Ok(file)
 }

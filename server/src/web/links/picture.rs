@@ -1,7 +1,9 @@
-//! `GET /api/v1/maps/NAME/grid.png`: the columns of a grid at a time, one byte a pixel, north at the top.
+//! `GET /api/v1/maps/NAME/grid.png`: the columns of a grid at a time, north at the top, painted as all pictures are.
 //!
 //! Invariant: the number of pixels is checked before cells are asked for. A column shows its most probable known cell
-//! of the heights, as on the page.
+//! of the heights, as on the page. All of a picture is from one view.
+
+use std::sync::Arc;
 
 use axum::{
     extract::{Path, Request, State},
@@ -10,26 +12,29 @@ use axum::{
 };
 use tidemap_grid::{
     index::{CellBox, CellIndex},
-    predict::GridQuestion,
+    predict::{GridQuestion, TileCells},
     spec::GridSpec,
+    view::GridView,
 };
-use tidemap_model::selector::{ModelKind, ModelSelector};
-use tidemap_picture::{Canvas, Legend, LegendRow, SCALE_MAX, fitting_scale};
+use tidemap_map::view::MapView;
+use tidemap_model::{
+    entropy_bits,
+    selector::{ModelKind, ModelSelector},
+};
+use tidemap_picture::{Canvas, CellPaint, Layer, Legend, Painter, SCALE_MAX, fitting_scale};
 
 use super::{
-    super::{Gateway, calls::Calls},
+    super::{Gateway, PREDICT_GRID},
     Failure, Parameter, Visitor, in_turn,
-    palette::{FULL, Layer, UNKNOWN, entry},
     parameters::Given,
     time,
 };
+use crate::rpc::{query::Queries, status::RpcError};
 
 /// Maximum width and height, pixels.
 const SIDE_MAX: i64 = 8192;
 /// Maximum number of pixels.
 const PIXELS_MAX: i64 = 1 << 24;
-/// Cells that were not observed, in a picture with a legend.
-const BLANK: [u8; 3] = [255; 3];
 /// Heights that matter to a robot, metres; the floor and the ceiling are always occupied.
 const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
 
@@ -70,7 +75,32 @@ pub(in super::super) const PARAMETERS: &[Parameter] = &[
     },
 ];
 
-/// Cells of columns with their values, rows from south to north.
+/// The names of layers in addresses, what they show, and the model that they ask.
+const LAYERS: [(&str, Layer, ModelKind); 4] = [
+    ("probability", Layer::Probability, ModelKind::Auto),
+    ("entropy", Layer::Entropy, ModelKind::Auto),
+    ("seen", Layer::Probability, ModelKind::Latest),
+    ("difference", Layer::Difference, ModelKind::Auto),
+];
+
+/// A column that is not known.
+const UNKNOWN: u8 = 255;
+/// A probability of 1; a byte a column keeps large pictures small.
+const FULL: u8 = 254;
+
+/// The byte of a probability.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "it is clamped")]
+fn entry(probability: f32) -> u8 {
+    (probability.clamp(0.0, 1.0) * f32::from(FULL)).round() as u8
+}
+
+/// The probability of a byte; `None`: not known.
+fn probability(entry: u8) -> Option<f64> {
+    (entry != UNKNOWN).then(|| f64::from(entry) / f64::from(FULL))
+}
+
+/// Columns of cells with their probabilities, rows from south to north.
+#[derive(Clone)]
 struct PixelColumns {
     region: CellBox,
     cells: Vec<u8>,
@@ -82,63 +112,66 @@ impl PixelColumns {
         Self { region, cells: vec![UNKNOWN; usize::try_from(width * height).unwrap_or(0)] }
     }
 
-    /// Paints a cell, if it lies within the region.
-    fn paint(&mut self, at: CellIndex, value: f32) {
+    /// Adds the columns of a projected tile that lie within the region.
+    fn add(&mut self, tile: &TileCells, levels: (f32, f32)) {
         let [width, height] = sides(&self.region);
-        let x = i64::from(at.x) - i64::from(self.region.min.x);
-        let y = i64::from(at.y) - i64::from(self.region.min.y);
-        if (0..width).contains(&x)
-            && (0..height).contains(&y)
-            && let Ok(index) = usize::try_from(y * width + x)
-            && let Some(cell) = self.cells.get_mut(index)
-        {
-            *cell = entry(value);
-        }
-    }
-
-    /// (self - other + 1) / 2 where both are known.
-    fn minus(&mut self, other: &Self) {
-        for (cell, &before) in self.cells.iter_mut().zip(&other.cells) {
-            *cell = match (*cell, before) {
-                (UNKNOWN, _) | (_, UNKNOWN) => UNKNOWN,
-                (now, before) => ((u16::from(now) + u16::from(FULL) - u16::from(before)) / 2) as u8,
-            };
-        }
-    }
-
-    /// The picture as a PNG file with a legend below it.
-    fn framed_png(&self, layer: Layer, scale: u32, legend: &Legend) -> Result<Vec<u8>, Failure> {
-        let [width, _] = sides(&self.region);
-        let width = usize::try_from(width).unwrap_or(0).max(1);
-        let colour = |&cell: &u8| {
-            if cell == UNKNOWN { BLANK } else { layer.colour(f64::from(cell) / f64::from(FULL)) }
-        };
-        let cells = self.cells.chunks(width).rev().flatten().map(colour);
-        let framed = legend.below(&Canvas::of_cells(width, cells, scale));
-        framed.png().map_err(|error| Failure::from(tonic::Status::internal(error.to_string())))
-    }
-
-    /// The picture as a PNG file.
-    fn png(&self, layer: Layer, scale: u32) -> Result<Vec<u8>, Failure> {
-        let [width, height] = sides(&self.region).map(|side| u32::try_from(side).unwrap_or(0));
-        let mut pixels = Vec::with_capacity(self.cells.len() * (scale * scale) as usize);
-        for row in self.cells.chunks((width as usize).max(1)).rev() {
-            let wide: Vec<u8> = row.iter().flat_map(|&cell| std::iter::repeat_n(cell, scale as usize)).collect();
-            for _ in 0..scale {
-                pixels.extend_from_slice(&wide);
+        for (place, prediction) in tile.known_cells(levels) {
+            let at = tile.index.cell(place);
+            let x = i64::from(at.x) - i64::from(self.region.min.x);
+            let y = i64::from(at.y) - i64::from(self.region.min.y);
+            if (0..width).contains(&x)
+                && (0..height).contains(&y)
+                && let Ok(index) = usize::try_from(y * width + x)
+                && let (Some(cell), Some(value)) = (self.cells.get_mut(index), prediction.value())
+            {
+                *cell = entry(value);
             }
         }
-        let failed = |error: png::EncodingError| Failure::from(tonic::Status::internal(error.to_string()));
-        let mut file = Vec::new();
-        let mut encoder = png::Encoder::new(&mut file, width * scale, height * scale);
-        encoder.set_color(png::ColorType::Indexed);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_palette(layer.palette());
-        encoder.set_trns([[255; 255].as_slice(), &[0]].concat());
-        let mut writer = encoder.write_header().map_err(failed)?;
-        writer.write_image_data(&pixels).map_err(failed)?;
-        writer.finish().map_err(failed)?;
-        Ok(file)
+    }
+}
+
+/// What a picture is painted from.
+struct Painting {
+    layer: Layer,
+    /// Probabilities after a free and an occupied reading.
+    levels: (f64, f64),
+    now: PixelColumns,
+    /// The columns that a difference is taken from.
+    before: Option<PixelColumns>,
+}
+
+impl Painting {
+    /// The columns in their colours, north at the top.
+    fn canvas(&self, scale: u32) -> Canvas {
+        // Levels as the columns have them, so that what never changes is white or black.
+        let level = |level: f64| f64::from(entry(level as f32)) / f64::from(FULL);
+        let painter = Painter::new(self.layer, (level(self.levels.0), level(self.levels.1)));
+        let [width, _] = sides(&self.now.region);
+        let width = usize::try_from(width).unwrap_or(0).max(1);
+        let before = self.before.as_ref().unwrap_or(&self.now);
+        let rows = self.now.cells.chunks(width).zip(before.cells.chunks(width)).rev();
+        let cells = rows.flat_map(|(now, before)| now.iter().zip(before)).map(|(&now, &before)| {
+            let known = probability(now).zip(probability(before));
+            painter.colour(known.map(|(probability, before)| {
+                let value = match self.layer {
+                    Layer::Probability => probability,
+                    Layer::Entropy => entropy_bits(probability),
+                    Layer::Difference => probability - before,
+                };
+                CellPaint { probability, value }
+            }))
+        });
+        Canvas::of_cells(width, cells, scale)
+    }
+
+    /// The picture as a PNG file, with a legend below it if there is one.
+    fn png(&self, scale: u32, legend: Option<Legend>) -> Result<Vec<u8>, Failure> {
+        let mut canvas = self.canvas(scale);
+        if let Some(legend) = legend {
+            let rows = Painter::new(self.layer, self.levels).legend();
+            canvas = Legend { rows, ..legend }.below(&canvas);
+        }
+        canvas.png().map_err(|error| Failure::Refused(tonic::Status::internal(error.to_string())))
     }
 }
 
@@ -195,6 +228,7 @@ struct Wanted {
     /// The time that layer `difference` compares with.
     than: Option<i64>,
     layer: Layer,
+    model: ModelKind,
     /// Pixels along the side of a cell; none: as many as the picture needs to be read.
     scale: Option<u32>,
     has_legend: bool,
@@ -204,8 +238,8 @@ struct Wanted {
 impl Wanted {
     fn of(map: String, given: &Given) -> Result<Self, Failure> {
         let layer = given.get("layer").unwrap_or("probability");
-        let Some((_, layer)) = Layer::ALL.into_iter().find(|(name, _)| *name == layer) else {
-            let names = Layer::ALL.map(|(name, _)| name).join(", ");
+        let Some((_, layer, model)) = LAYERS.into_iter().find(|(name, ..)| *name == layer) else {
+            let names = LAYERS.map(|(name, ..)| name).join(", ");
             return Err(Failure::Invalid(format!("there is no layer {layer:.40}: the layers are {names}")));
         };
         let has_legend = match given.get("legend") {
@@ -234,19 +268,16 @@ impl Wanted {
             (than, _) => than,
         };
         let ranges = [given.range("x")?, given.range("y")?, given.range("z")?];
-        Ok(Self { map, at, than, layer, scale, has_legend, ranges })
+        Ok(Self { map, at, than, layer, model, scale, has_legend, ranges })
     }
 
-    fn question(&self, at: i64, region: Option<CellBox>) -> GridQuestion {
-        let kind = if self.layer == Layer::Seen { ModelKind::Latest } else { ModelKind::Auto };
-        GridQuestion {
-            utc_nanos: at,
-            selector: ModelSelector { kind, ..ModelSelector::default() },
-            // The bounds of the grid are wanted with all its heights.
-            project: region.is_some(),
-            region,
-            ..GridQuestion::default()
-        }
+    fn selector(&self) -> ModelSelector {
+        ModelSelector { kind: self.model, ..ModelSelector::default() }
+    }
+
+    fn question(&self, at: i64, region: CellBox) -> GridQuestion {
+        let (selector, region) = (self.selector(), Some(region));
+        GridQuestion { utc_nanos: at, selector, region, project: true, ..GridQuestion::default() }
     }
 
     /// Pixels along the side of a cell of a region.
@@ -257,15 +288,12 @@ impl Wanted {
         })
     }
 
-    /// What stands below a picture.
+    /// What stands below a picture, without its colours.
     fn legend(&self, metres_per_pixel: f64) -> Legend {
         let text = tidemap_model::time::format_rfc3339;
         let than = self.than.map_or_else(String::new, |than| format!(", compared with {}", text(than)));
-        Legend {
-            caption: format!("{} at {}{than}", self.map, text(self.at)),
-            rows: vec![self.layer.legend(), LegendRow::new(vec![BLANK], "not observed")],
-            metres_per_pixel,
-        }
+        let caption = format!("{} at {}{than}", self.map, text(self.at));
+        Legend { caption, rows: Vec::new(), metres_per_pixel }
     }
 
     /// The part of a grid with these bounds.
@@ -295,36 +323,58 @@ impl Wanted {
     }
 }
 
-/// The columns of a region at a time, and the generation that answered.
-async fn columns(calls: &Calls<'_>, wanted: &Wanted, at: i64, region: CellBox) -> Result<(PixelColumns, u64), Failure> {
-    let mut columns = PixelColumns::empty(region);
-    let question = wanted.question(at, Some(region));
-    let header = calls.predict_grid(&question, false, |cell, value| columns.paint(cell, value)).await?;
-    Ok((columns, header.generation))
+/// What was found for a picture.
+struct Found {
+    view: Arc<MapView>,
+    spec: GridSpec,
+    region: CellBox,
+    painting: Painting,
+}
+
+/// Asks for the columns of a picture; the outer error is of the question, the inner one of the address.
+async fn find(queries: &Queries, wanted: &Wanted) -> Result<Result<Found, Failure>, RpcError> {
+    let view = queries.grid_view(&wanted.map, wanted.selector()).await?;
+    // The bounds of the grid are wanted with all its heights.
+    let whole = GridQuestion { utc_nanos: wanted.at, selector: wanted.selector(), ..GridQuestion::default() };
+    let bounds = queries.select_cells(&view, whole).await?;
+    let Some(grid) = view.grid().filter(|_| bounds.tile_count > 0) else {
+        return Ok(Err(Failure::Invalid(format!("the grid of map {} has no scans yet: send some", wanted.map))));
+    };
+    let spec = grid.spec().clone();
+    let region = match wanted.region(&spec, &bounds.region) {
+        Ok(region) => region,
+        Err(failure) => return Ok(Err(failure)),
+    };
+    let columns_at = async |at| {
+        let question = wanted.question(at, region);
+        let selection = queries.select_cells(&view, question).await?;
+        let (low, high) = view.grid().map_or((0.0, 1.0), GridView::levels);
+        let add = move |columns: &mut PixelColumns, tile: &TileCells| columns.add(tile, (low as f32, high as f32));
+        queries.sum_cells(&view, (question, selection), PixelColumns::empty(region), add).await
+    };
+    let now = columns_at(wanted.at).await?;
+    let before = match wanted.than {
+        Some(than) => Some(columns_at(than).await?),
+        None => None,
+    };
+    let painting = Painting { layer: wanted.layer, levels: spec.sensor.levels(), now, before };
+    Ok(Ok(Found { view, spec, region, painting }))
 }
 
 async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Response, Failure> {
     let visitor = Visitor::of(&request);
-    let wanted = Wanted::of(map, &Given::of(request.uri().query(), PARAMETERS)?)?;
-    let calls = visitor.calls(gateway, &wanted.map);
-    let header = calls.predict_grid(&wanted.question(wanted.at, None), true, |_, _| ()).await?;
-    let spec = header.spec;
-    let Some(bounds) = header.region.filter(|_| header.tiles > 0) else {
-        return Err(Failure::Invalid(format!("the grid of map {} has no scans yet: send some", wanted.map)));
-    };
-    let region = wanted.region(&spec, &bounds)?;
-    let (mut now, generation) = columns(&calls, &wanted, wanted.at, region).await?;
-    if let Some(than) = wanted.than {
-        let (before, _) = columns(&calls, &wanted, than, region).await?;
-        now.minus(&before);
-    }
+    let (head, _) = request.into_parts();
+    let wanted = Wanted::of(map, &Given::of(head.uri.query(), PARAMETERS)?)?;
+    let work = find(gateway.queries.inner(), &wanted);
+    let found = gateway.queries.answer(PREDICT_GRID, (&head.headers, &head.extensions), work).await??;
+    let Found { view, spec, region, painting } = found;
     let scale = wanted.scale_of(&region);
     let metres_per_pixel = spec.resolution_m / f64::from(scale);
     let mut facts = HeaderMap::new();
     let corner = |along: usize, cell: i32| spec.origin_m[along] + f64::from(cell) * spec.resolution_m;
     for (name, value) in [
         ("tidemap-time", tidemap_model::time::format_rfc3339(wanted.at)),
-        ("tidemap-generation", generation.to_string()),
+        ("tidemap-generation", view.generation().to_string()),
         ("tidemap-metres-per-pixel", metres_per_pixel.to_string()),
         ("tidemap-lower-left-m", format!("{} {}", corner(0, region.min.x), corner(1, region.min.y))),
     ] {
@@ -333,11 +383,7 @@ async fn answer(gateway: &Gateway, map: String, request: Request) -> Result<Resp
         }
     }
     let legend = wanted.has_legend.then(|| wanted.legend(metres_per_pixel));
-    let file = in_turn(gateway, move || match legend {
-        Some(legend) => now.framed_png(wanted.layer, scale, &legend),
-        None => now.png(wanted.layer, scale),
-    })
-    .await?;
+    let file = in_turn(gateway, move || painting.png(scale, legend)).await?;
     Ok(visitor.answer("image/png", file, facts))
 }
 
@@ -352,42 +398,62 @@ pub(in super::super) async fn grid_png(
 
 #[cfg(test)]
 mod tests {
+    use tidemap_grid::{index::TileIndex, mask::Mask};
+    use tidemap_picture::palette;
+
     use super::*;
 
     const REGION: CellBox = CellBox { min: CellIndex { x: 7, y: 0, z: 0 }, max: CellIndex { x: 10, y: 2, z: 1 } };
 
     /// The cells (8, 0) free, (9, 0) occupied, (8, 1) with a value, and one that lies outside.
-    fn painted(value: f32) -> PixelColumns {
+    fn columns(value: f32) -> PixelColumns {
         let mut columns = PixelColumns::empty(REGION);
-        for (x, y, value) in [(8, 0, 0.0), (9, 0, 1.0), (8, 1, value), (11, 1, 1.0)] {
-            columns.paint(CellIndex { x, y, z: 0 }, value);
-        }
+        let mut known = Mask::EMPTY;
+        // Row 0: x of 8, 9 and 11; row 1: x of 8.
+        [0, 1, 3, 8].into_iter().for_each(|place| known.insert(place));
+        let index = TileIndex { x: 1, y: 0, z: 0 };
+        let values = vec![0.0, 1.0, 1.0, value];
+        let tile = TileCells { index, known, changed: Mask::EMPTY, high: Mask::EMPTY, values, all_values: true };
+        columns.add(&tile, (0.0, 1.0));
         columns
     }
 
-    #[test]
-    fn tiles_are_painted_where_they_lie() {
-        let mut columns = painted(0.25);
-        assert_eq!(columns.cells, [UNKNOWN, 0, FULL, UNKNOWN, 64, UNKNOWN]);
-        columns.minus(&painted(1.0));
-        assert_eq!(columns.cells, [UNKNOWN, 127, 127, UNKNOWN, 32, UNKNOWN]);
+    fn painting(layer: Layer, before: Option<f32>) -> Painting {
+        Painting { layer, levels: (0.0, 1.0), now: columns(0.25), before: before.map(columns) }
     }
 
     #[test]
-    fn a_file_is_read_back_pixel_by_pixel() -> Result<(), Box<dyn std::error::Error>> {
-        let columns = painted(0.25);
-        let Ok(file) = columns.png(Layer::Probability, 2) else { return Err("no file".into()) };
-        let mut reader = png::Decoder::new(std::io::Cursor::new(&file)).read_info()?;
-        let mut pixels = vec![0; reader.output_buffer_size().ok_or("too large")?];
-        let frame = reader.next_frame(&mut pixels)?;
-        assert_eq!((frame.width, frame.height, frame.color_type), (6, 4, png::ColorType::Indexed));
-        let (top, bottom) = ([UNKNOWN, UNKNOWN, 64, 64, UNKNOWN, UNKNOWN], [UNKNOWN, UNKNOWN, 0, 0, FULL, FULL]);
-        assert_eq!(pixels, [top, top, bottom, bottom].concat());
-        assert_eq!(
-            reader.info().trns.as_deref().map(|alphas| (alphas[0], alphas[254], alphas[255])),
-            Some((255, 255, 0))
-        );
-        Ok(())
+    fn tiles_lie_in_their_columns() {
+        assert_eq!(columns(0.25).cells, [UNKNOWN, 0, FULL, UNKNOWN, 64, UNKNOWN]);
+        assert_eq!([0.0, 0.5, 1.0, 7.0, -1.0, f32::NAN].map(entry), [0, 127, 254, 254, 0, 0]);
+    }
+
+    #[test]
+    fn columns_are_painted_with_north_at_the_top() {
+        let canvas = painting(Layer::Probability, None).canvas(2);
+        assert_eq!(canvas.size(), [6, 4]);
+        let at = |x, y| canvas.at([x, y]).expect("a pixel");
+        let grey = palette::UNKNOWN;
+        assert_eq!([at(0, 3), at(2, 3), at(3, 2), at(5, 2)], [grey, [255; 3], [255; 3], [0; 3]]);
+        assert_eq!([at(0, 0), at(2, 1), at(4, 0)], [grey, palette::occupancy(64.0 / 254.0), grey]);
+    }
+
+    #[test]
+    fn a_difference_is_painted_over_the_walls() {
+        let canvas = painting(Layer::Difference, Some(0.75)).canvas(1);
+        let at = |x, y| canvas.at([x, y]).expect("a pixel");
+        assert_eq!([at(0, 1), at(1, 1)], [palette::UNKNOWN, [255; 3]]);
+        assert!(at(2, 1).iter().all(|&band| band < 64), "the wall: {:?}", at(2, 1));
+        let [red, _, blue] = at(1, 0);
+        assert!(blue > red, "freer is blue: {:?}", at(1, 0));
+    }
+
+    #[test]
+    fn a_poor_sensor_has_white_floors_and_black_walls() {
+        let mut painting = Painting { levels: (0.3, 0.7), ..painting(Layer::Probability, None) };
+        painting.now.cells = vec![entry(0.3), entry(0.7), UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN];
+        let canvas = painting.canvas(1);
+        assert_eq!([[0, 1], [1, 1]].map(|at| canvas.at(at)), [[255; 3], [0; 3]].map(Some));
     }
 
     #[test]

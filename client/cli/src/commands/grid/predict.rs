@@ -179,8 +179,8 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
         is_projected: args.project || kind.is_flat(),
         output: match args.value() {
             PictureValue::AtLeast(threshold) => GridOutput::Threshold(threshold),
-            PictureValue::Entropy => GridOutput::Entropy,
-            PictureValue::Probability => GridOutput::Probability,
+            // A picture of entropies shows the walls beneath them, which are known from probabilities alone.
+            PictureValue::Entropy | PictureValue::Probability => GridOutput::Probability,
         },
     };
     let predicted = session.client.predict_grid(&query).await?;
@@ -192,7 +192,7 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
         "the region has {cells} cells, and a file takes at most {CELLS_MAX}: choose a part with --region or --z"
     );
     let predicted = predicted.whole().await?;
-    let picture = picture(&predicted);
+    let picture = picture(&predicted, args.value());
     let caption = format!(
         "{} at {}{}",
         args.map,
@@ -201,7 +201,7 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     );
     match path {
         Some(path) => write((kind, path), &picture, &args, &caption)?,
-        None => io::stdout().write_all(grid_text::write(&picture, args.value(), &caption)?.as_bytes())?,
+        None => io::stdout().write_all(grid_text::write(&picture, &caption)?.as_bytes())?,
     }
     if kind.is_flat() && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
         status_line("every column is occupied at some height: choose heights with --z MIN:MAX");
@@ -268,12 +268,12 @@ fn heights_text(grid: &GridSpec, region: Option<CellBox>) -> String {
 
 /// Whether there are known cells, and all of them are rather occupied than free.
 fn is_full(picture: &MapPicture) -> bool {
-    let mut values = picture.cells.iter().filter_map(|cell| cell.value()).peekable();
+    let mut values = picture.cells.iter().filter_map(|cell| cell.probability()).peekable();
     values.peek().is_some() && values.all(|probability| probability >= 0.5)
 }
 
 /// The region cell by cell, as files show it.
-pub(crate) fn picture(predicted: &WholeGrid) -> MapPicture {
+pub(crate) fn picture(predicted: &WholeGrid, value: PictureValue) -> MapPicture {
     let CellBox { min, max } = predicted.header.region;
     let (min, max): ([i32; 3], [i32; 3]) = (min.into(), max.into());
     let grid = &predicted.header.grid;
@@ -302,6 +302,8 @@ pub(crate) fn picture(predicted: &WholeGrid) -> MapPicture {
         min_cell: min,
         size_cells,
         cells: picture,
+        value,
+        levels: grid.sensor.levels(),
     }
 }
 
@@ -312,11 +314,11 @@ fn write(
     caption: &str,
 ) -> anyhow::Result<()> {
     match kind {
-        OutputKind::Drawing => files::write(out, grid_text::write(picture, args.value(), caption)?),
+        OutputKind::Drawing => files::write(out, grid_text::write(picture, caption)?),
         OutputKind::Png if args.picture.is_none() && args.scale.is_none() => files::write(out, png::write(picture, 1)?),
         OutputKind::Png => {
             let scale = args.scale.and_then(|ScaleArg(scale)| scale);
-            files::write(out, png::write_for_people(picture, scale, args.value(), caption)?)
+            files::write(out, png::write_for_people(picture, scale, caption)?)
         }
         OutputKind::Csv => files::write(out, cells_csv::write(picture)?),
         OutputKind::Ply => files::write(out, ply::write(picture)?),
@@ -350,7 +352,7 @@ mod tests {
         let grid = GridSpec { origin_m: [10.0, 0.0, 0.0], ..GridSpec::new(0.5) };
         let region = CellBox { min: [-7, 2, 10].into(), max: [-3, 4, 12].into() };
         let header = GridHeader { grid, region, tiles: 1, cells: 512, bytes: 0, generation: 3 };
-        let picture = picture(&WholeGrid { header, tiles });
+        let picture = picture(&WholeGrid { header, tiles }, PictureValue::Probability);
         assert_eq!((picture.size_cells, picture.origin_m), ([4, 2, 2], [6.5, 1.0, 5.0]));
         let indices: Vec<_> = picture.known_indices().map(|(index, _)| index).collect();
         assert_eq!(indices, [[-7, 2, 11], [-5, 2, 11]]);
