@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts schemathesis api-page web web-check demo test python docs lint sbom bench soak fuzz durability install deb clean
+.PHONY: help build texts schemathesis api-page palette web web-check demo test python docs lint sbom bench soak fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -42,6 +42,10 @@ schemathesis: build
 ## api-page: docs/src/api.md, from the descriptors of the wire; a test holds it equal
 api-page:
 	@$(ENV); TIDEMAP_WRITE_API_PAGE=1 cargo test --quiet -p tidemapd --lib api_page
+
+## palette: client/web/src/lib/palette.ts, from server/picture/src/palette.rs; a test holds it equal
+palette:
+	@$(ENV); TIDEMAP_WRITE_PALETTE=1 cargo test --quiet -p tidemap-picture --lib palette
 
 ## web-check: whether client/web/dist is what its source builds to
 web-check: web

@@ -1,65 +1,70 @@
-// Colours: the ends, what is not known, and that they can be told apart by their lightness.
+// Colours: the same as in all other pictures, free white, occupied black, unknown grey, and walls in every layer.
 
 import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';
 
-import { entropyBits, FULL, gradient, PALETTES, UNKNOWN, viridis } from './colours';
+import { colourOf, entropyBits, FULL, gradient, levelsOf, mark, markColour, occupancy, paletteOf, SURE, UNKNOWN, type Layer } from './colours';
+import { SAMPLES } from './palette';
 
-type Layer = keyof typeof PALETTES;
+const LAYERS: Layer[] = ['probability', 'entropy', 'difference', 'seen'];
 
-/** Red, green, blue and opacity as a canvas reads an entry. */
-function entry(layer: Layer, index: number): number[] {
-    return [...new Uint8Array(PALETTES[layer].slice(index, index + 1).buffer)];
+/** Red, green, blue and opacity as a canvas reads the pixel of a cell. */
+function entry(layer: Layer, now: number, before = now, levels = SURE): number[] {
+    const index = layer === 'difference' ? 256 * before + now : now;
+    return [...new Uint8Array(paletteOf(layer, levels).slice(index, index + 1).buffer)];
 }
 
-/** Relative luminance, as WCAG defines it. */
-function luminance(layer: Layer, index: number): number {
-    const [red = 0, green = 0, blue = 0] = entry(layer, index).map((value) => {
-        const share = value / 255;
-        return share <= 0.04045 ? share / 12.92 : ((share + 0.055) / 1.055) ** 2.4;
+suite('colours', () => {
+    test('are those of the pictures of the daemon', () => {
+        for (const layer of ['probability', 'entropy', 'difference'] as const) {
+            for (const [value, beneath, colour] of SAMPLES[layer]) {
+                assert.deepEqual(colourOf(layer, value, beneath), colour, `${layer} ${value} over ${beneath}`);
+            }
+        }
+        for (const [value, , colour] of SAMPLES.mark) assert.deepEqual(markColour(value), colour, `mark ${value}`);
     });
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
-}
 
-/** Whether the lightness of entries only grows, or falls, from one index to another. */
-function isMonotone(layer: Layer, from: number, to: number, sign: 1 | -1): boolean {
-    for (let index = from + 1; index <= to; index++) {
-        if (sign * (luminance(layer, index) - luminance(layer, index - 1)) < -1e-3) return false;
-    }
-    return sign * (luminance(layer, to) - luminance(layer, from)) > 0.3;
-}
-
-const LAYERS = Object.keys(PALETTES) as Layer[];
+    test('of styles are clamped to the ends', () => {
+        assert.deepEqual([-3, 0, 1, 3].map(occupancy), ['rgb(255 255 255)', 'rgb(255 255 255)', 'rgb(0 0 0)', 'rgb(0 0 0)']);
+        assert.deepEqual([mark(-3), mark(3)], [mark(0), mark(1)]);
+        assert.equal(occupancy(Number.NaN), 'rgb(255 255 255)');
+    });
+});
 
 suite('palettes', () => {
-    test('are transparent for what is not known, and for nothing else', () => {
-        for (const layer of LAYERS) {
-            assert.equal(PALETTES[layer].length, 256);
-            assert.deepEqual(entry(layer, UNKNOWN), [0, 0, 0, 0], layer);
-            for (let index = 0; index <= FULL; index++) assert.equal(entry(layer, index)[3], 255, `${layer} ${index}`);
+    test('show free white, occupied black and unknown grey', () => {
+        for (const layer of ['probability', 'seen'] as const) {
+            assert.deepEqual([0, FULL, UNKNOWN].map((cell) => entry(layer, cell)), [[255, 255, 255, 255], [0, 0, 0, 255], [205, 205, 205, 255]]);
         }
     });
 
-    test('begin and end with the ends of their colour maps', () => {
-        assert.deepEqual([entry('probability', 0), entry('probability', FULL)], [[68, 1, 84, 255], [253, 231, 37, 255]]);
-        assert.deepEqual([entry('seen', 0), entry('seen', FULL)], [[68, 1, 84, 255], [253, 231, 37, 255]]);
-        assert.deepEqual([entry('difference', 0), entry('difference', FULL)], [[33, 102, 172, 255], [179, 88, 6, 255]]);
+    test('keep walls dark and floors white in every layer, and unknown grey', () => {
+        for (const layer of LAYERS) {
+            assert.deepEqual(entry(layer, 0), [255, 255, 255, 255], layer);
+            assert.ok(entry(layer, FULL).slice(0, 3).every((band) => band < 64), layer);
+            assert.deepEqual(entry(layer, UNKNOWN), [205, 205, 205, 255], layer);
+        }
+        assert.deepEqual(entry('difference', 0, UNKNOWN), [205, 205, 205, 255]);
+        assert.deepEqual(entry('difference', UNKNOWN, 0), [205, 205, 205, 255]);
     });
 
-    test('of probability grow lighter with it', () => {
-        assert.ok(isMonotone('probability', 0, FULL, 1));
-        assert.ok(isMonotone('seen', 0, FULL, 1));
+    test('have their levels white and black where the sensor is poor', () => {
+        const levels = { free: 0.3, occupied: 0.7 };
+        const [low, high] = [Math.round(0.3 * FULL), Math.round(0.7 * FULL)];
+        assert.deepEqual([low, high].map((cell) => entry('probability', cell, cell, levels).slice(0, 3)), [[255, 255, 255], [0, 0, 0]]);
     });
 
-    test('of entropy are lightest at one half, and equal on both sides of it', () => {
-        assert.ok(isMonotone('entropy', 0, FULL / 2, 1));
-        assert.ok(isMonotone('entropy', FULL / 2, FULL, -1));
-        assert.deepEqual(entry('entropy', FULL / 2), [255, 234, 70, 255]);
-        assert.deepEqual(entry('entropy', 20), entry('entropy', FULL - 20));
+    test('know the levels of a sensor', () => {
+        assert.deepEqual(levelsOf({ hit: 1, falseAlarm: 0, prior: 0 }), SURE);
+        const { free, occupied } = levelsOf({ hit: 0.8, falseAlarm: 0.2, prior: 0.5 });
+        assert.ok(Math.abs(free - 0.2) < 1e-12 && Math.abs(occupied - 0.8) < 1e-12);
     });
 
-    test('of a difference are grey where there is none', () => {
-        assert.deepEqual(entry('difference', FULL / 2), [200, 200, 200, 255]);
+    test('show uncertainty most at one half, and a difference in the colour of its direction', () => {
+        const [red = 0, , blue = 0] = entry('entropy', FULL / 2);
+        assert.ok(blue > red + 100);
+        const [freer, fuller] = [entry('difference', 0, FULL), entry('difference', FULL, 0)];
+        assert.ok((freer[2] ?? 0) > (freer[0] ?? 0) + 100 && (fuller[0] ?? 0) > (fuller[2] ?? 0) + 100);
     });
 });
 
@@ -68,17 +73,12 @@ test('entropy is one bit at one half, and none where all is certain', () => {
     assert.ok(Math.abs(entropyBits(0.25) - 0.811278) < 1e-6);
 });
 
-test('colours of styles are clamped to the ends', () => {
-    assert.deepEqual([-3, 0, 0.5, 1, 3].map(viridis), [
-        'rgb(68 1 84)', 'rgb(68 1 84)', 'rgb(33 144 141)', 'rgb(253 231 37)', 'rgb(253 231 37)',
-    ]);
-});
-
-test('a legend has the colours of its layer', () => {
-    for (const layer of ['probability', 'seen', 'difference'] as const) {
-        for (const index of [0, FULL / 2, FULL]) {
-            assert.ok(gradient(layer).includes(`rgb(${entry(layer, index).slice(0, 3).join(' ')})`), `${layer} ${index}`);
-        }
+test('a legend has the ends of its layer', () => {
+    assert.match(gradient('probability'), /right, rgb\(255 255 255\).*rgb\(0 0 0\)\)$/);
+    const ends = (layer: Layer, low: number, high: number) =>
+        [low, high].map((value) => `rgb(${colourOf(layer, value, 0).join(' ')})`);
+    for (const [layer, low] of [['entropy', 0], ['difference', -1]] as const) {
+        const [first = '', last = ''] = ends(layer, low, 1);
+        assert.ok(gradient(layer).includes(`right, ${first}`) && gradient(layer).endsWith(`${last})`), layer);
     }
-    assert.ok(gradient('entropy').endsWith('rgb(255 234 70))'));
 });

@@ -1,44 +1,51 @@
-// Colour maps that colour-blind people can read, as tables of 256 colours.
+// The painter of the page: the same colours by the same rule as all pictures of the daemon and the command line.
 //
-// Invariant: entry 255 is for what is not known, and is transparent; entries 0 to 254 stand for 0 to 1.
+// Invariant: a cell at the map's free level is white or nearly so in every layer, one at its occupied level black or
+// nearly so, and an unknown one grey. Cells are bytes: 255 is unknown, 0 to 254 stand for probabilities from 0 to 1.
 
-/** The index of a value that is not known. */
+import { FREER, FULLER, MARKS, MUTED, OCCUPANCY, UNCERTAIN, UNKNOWN_COLOUR, type Colour } from './palette';
+
+/** The byte of a cell that is not known. */
 export const UNKNOWN = 255;
-/** The index that stands for 1. */
+/** The byte that stands for 1. */
 export const FULL = 254;
 
-/** A table of colours: 256 pixels, as canvas keeps them. */
-export type Palette = Uint32Array;
+export type Layer = 'probability' | 'entropy' | 'difference' | 'seen';
 
-const VIRIDIS = [
-    [68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99], [170, 220, 50],
-    [253, 231, 37],
-];
-const CIVIDIS = [
-    [0, 32, 77], [0, 51, 111], [57, 72, 107], [87, 93, 109], [112, 113, 115], [138, 134, 120], [166, 157, 117], [196, 182, 108],
-    [255, 234, 70],
-];
-// Blue to orange by way of grey: the two ends stay apart in every common colour blindness.
-const CHANGE = [
-    [33, 102, 172], [67, 147, 195], [146, 197, 222], [197, 205, 212], [200, 200, 200], [222, 208, 190], [253, 184, 99],
-    [224, 130, 20], [179, 88, 6],
-];
-
-function mix(stops: number[][], share: number): [number, number, number] {
-    const at = Math.min(1, Math.max(0, share)) * (stops.length - 1);
-    const low = Math.min(stops.length - 2, Math.floor(at));
-    const [from, to] = [stops[low] ?? [0, 0, 0], stops[low + 1] ?? [0, 0, 0]];
-    const channel = (index: number) => Math.round((from[index] ?? 0) + ((to[index] ?? 0) - (from[index] ?? 0)) * (at - low));
-    return [channel(0), channel(1), channel(2)];
+/** The probabilities after a free and after an occupied reading of the map's sensor. */
+export interface Levels {
+    free: number;
+    occupied: number;
 }
 
-function table(colour: (share: number) => [number, number, number]): Palette {
-    const palette = new Uint32Array(256);
-    for (let index = 0; index <= FULL; index++) {
-        const [red, green, blue] = colour(index / FULL);
-        palette[index] = ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
-    }
-    return palette;
+/** The levels of a sensor; a prior of 0 on the wire is 0.5. */
+export function levelsOf({ hit, falseAlarm, prior }: { hit: number; falseAlarm: number; prior: number }): Levels {
+    const before = prior || 0.5;
+    const posterior = (ifOccupied: number, ifFree: number) =>
+        (ifOccupied * before) / (ifOccupied * before + ifFree * (1 - before));
+    return { free: posterior(1 - hit, 1 - falseAlarm), occupied: posterior(hit, falseAlarm) };
+}
+
+/** Levels of a sensor that is always right. */
+export const SURE: Levels = { free: 0, occupied: 1 };
+
+/**
+ * Pixels as canvas keeps them: at the byte of a cell, or for differences at `256 * before + now`.
+ */
+export type Palette = Uint32Array;
+
+function blend(from: Colour, to: Colour, share: number): Colour {
+    const band = (index: 0 | 1 | 2) => Math.floor(from[index] + (to[index] - from[index]) * share + 0.5);
+    return [band(0), band(1), band(2)];
+}
+
+/** A value from 0 to 1; NaN is 0. */
+const within = (value: number) => Math.max(0, Math.min(1, value || 0));
+
+function mix(stops: Colour[], share: number): Colour {
+    const at = within(share) * (stops.length - 1);
+    const low = Math.min(stops.length - 2, Math.floor(at));
+    return blend(stops[low] ?? UNKNOWN_COLOUR, stops[low + 1] ?? UNKNOWN_COLOUR, at - low);
 }
 
 /** Entropy of a probability, bits. */
@@ -47,22 +54,61 @@ export function entropyBits(probability: number): number {
     return -(probability * Math.log2(probability) + (1 - probability) * Math.log2(1 - probability));
 }
 
-/** What a layer shows of a probability. */
-export const PALETTES = {
-    probability: table((share) => mix(VIRIDIS, share)),
-    entropy: table((share) => mix(CIVIDIS, entropyBits(share))),
-    seen: table((share) => mix(VIRIDIS, share)),
-    /** Of (difference + 1) / 2. */
-    difference: table((share) => mix(CHANGE, share)),
-} as const;
-
-/** A colour of viridis for styles. */
-export function viridis(share: number): string {
-    return `rgb(${mix(VIRIDIS, share).join(' ')})`;
+/** The colour of what a layer shows of a cell, over the map with this share of the way from free to occupied. */
+export function colourOf(layer: Layer, value: number, beneath: number): Colour {
+    if (layer === 'entropy') return blend(mix(MUTED, beneath), UNCERTAIN, within(value));
+    if (layer === 'difference') return blend(mix(MUTED, beneath), value < 0 ? FREER : FULLER, within(Math.abs(value)));
+    return mix(OCCUPANCY, beneath);
 }
 
-/** The colours of a layer from 0 to 1, as a gradient for a legend. */
-export function gradient(layer: keyof typeof PALETTES): string {
-    const stops = layer === 'entropy' ? CIVIDIS : layer === 'difference' ? CHANGE : VIRIDIS;
-    return `linear-gradient(to right, ${stops.map((stop) => `rgb(${stop.join(' ')})`).join(', ')})`;
+/** The colour of a line or a disc on white that stands for a value from 0 to 1; the greater, the darker. */
+export function markColour(value: number): Colour {
+    return mix(OCCUPANCY, MARKS[0] + (MARKS[1] - MARKS[0]) * within(value));
+}
+
+const style = (colour: Colour) => `rgb(${colour.join(' ')})`;
+
+/** As {@link markColour}, for styles. */
+export function mark(value: number): string {
+    return style(markColour(value));
+}
+
+/** The colour of a probability, or of the share of another value in its range, for styles. */
+export function occupancy(value: number): string {
+    return style(mix(OCCUPANCY, value));
+}
+
+/** The colour of what is not known, for styles. */
+export const UNKNOWN_STYLE = style(UNKNOWN_COLOUR);
+
+function pixel([red, green, blue]: Colour): number {
+    return ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+}
+
+/** What a layer shows of a cell that was `before` at another time. */
+function valueOf(layer: Layer, now: number, before: number): number {
+    return layer === 'entropy' ? entropyBits(now) : layer === 'difference' ? now - before : now;
+}
+
+function paint(layer: Layer, { free, occupied }: Levels, now: number, before: number): number {
+    if (now === UNKNOWN || before === UNKNOWN) return pixel(UNKNOWN_COLOUR);
+    // Levels as bytes have them, so that what never changes is white or black.
+    const [low, high] = [Math.round(free * FULL), Math.round(occupied * FULL)];
+    return pixel(colourOf(layer, valueOf(layer, now / FULL, before / FULL), (now - low) / (high - low)));
+}
+
+/** The colours of the cells of a map in a layer. */
+export function paletteOf(layer: Layer, levels: Levels): Palette {
+    if (layer !== 'difference') return Uint32Array.from({ length: 256 }, (_, now) => paint(layer, levels, now, now));
+    return Uint32Array.from({ length: 1 << 16 }, (_, index) => paint(layer, levels, index & 255, index >> 8));
+}
+
+/** The colours of a layer from its lowest value to its highest over free cells, as a gradient for a legend. */
+export function gradient(layer: Layer): string {
+    const steps = Array.from({ length: 33 }, (_, step) => step / 32);
+    const colour = (share: number) => {
+        if (layer === 'difference') return colourOf(layer, 2 * share - 1, 0);
+        return colourOf(layer, share, layer === 'entropy' ? 0 : share);
+    };
+    return `linear-gradient(to right, ${steps.map((share) => style(colour(share))).join(', ')})`;
 }

@@ -2,7 +2,7 @@
 //
 // Invariant: at most `REQUESTS_MAX` requests run for what is wanted now. What was wanted before is not waited for.
 
-import { blend, comingFrames, difference, frameAt, keptFrame, type Frame, type GridQuery } from './frames';
+import { blend, comingFrames, frameAt, keptFrame, type Frame, type GridQuery } from './frames';
 import { message } from './rpc.svelte';
 
 const REQUESTS_MAX = 2;
@@ -65,7 +65,7 @@ export class Feed {
         const frame = keptFrame(this.#query, ms);
         if (!frame || this.#base === undefined) return frame;
         const base = keptFrame(this.#query, this.#base);
-        return base && difference(base, frame);
+        return base && { ...frame, before: base.cells };
     }
 
     #pump(): void {

@@ -8,7 +8,7 @@ import { create, type MessageInitShape } from '@bufbuild/protobuf';
 import { PredictGridResponseSchema, type PredictedTileSchema } from '../wire/tidemap/v1/query_pb';
 import { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { FULL, UNKNOWN } from './colours';
-import { blend, comingFrames, difference, frameAt, gridHeader, keptFrame, valueAt, type Frame, type GridQuery } from './frames';
+import { blend, comingFrames, frameAt, gridHeader, keptFrame, valueAt, type Frame, type GridQuery } from './frames';
 import { queries } from './rpc.svelte';
 
 type Tile = MessageInitShape<typeof PredictedTileSchema>;
@@ -177,9 +177,14 @@ suite('two frames', () => {
         assert.deepEqual([from.cells[0], to.cells[0]], [0, 100]);
     });
 
-    test('differ by half a scale around the middle, and only where both know', () => {
-        const found = difference(frame(0, FULL, 70, UNKNOWN, 3), frame(FULL, 0, 70, 3, UNKNOWN));
-        assert.deepEqual([...found.cells], [FULL, 0, FULL / 2, UNKNOWN, UNKNOWN]);
+    test('differ from -1 to 1, and only where both know', () => {
+        const both = { ...frame(FULL, 0, 70, 3, UNKNOWN), before: frame(0, FULL, 70, UNKNOWN, 3).cells };
+        assert.deepEqual([0, 1, 2, 3, 4].map((x) => valueAt(both, x, 0)), [1, -1, 0, undefined, undefined]);
+    });
+
+    test('blend with what they are compared with', () => {
+        const before = from.cells;
+        assert.equal(blend({ ...from, before }, { ...to, before }, 0.5).before, before);
     });
 });
 

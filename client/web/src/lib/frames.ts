@@ -7,10 +7,9 @@ import type { GridHeader, PredictedTile } from '../wire/tidemap/v1/query_pb';
 import { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { FULL, UNKNOWN } from './colours';
 import { queries } from './rpc.svelte';
+import { eachCell, TILE } from './tiles';
 import { toTimestamp } from './times';
 
-/** Cells along an edge of a tile. */
-const TILE = 8;
 /** Memory of all frames. */
 const KEPT_MAX_BYTES = 24 * 1024 * 1024;
 
@@ -37,6 +36,8 @@ export interface GridQuery {
 /** The probabilities of the columns of a window at a time. */
 export interface Frame extends Window2d {
     cells: Uint8Array;
+    /** Those of another time, to show the difference from it. */
+    before?: Uint8Array;
 }
 
 function keyOf(query: GridQuery, ms: number): string {
@@ -47,25 +48,12 @@ function keyOf(query: GridQuery, ms: number): string {
 const quantised = (value: number) => Math.round(Math.min(1, Math.max(0, value)) * FULL);
 
 function paint(frame: Frame, tile: PredictedTile): void {
-    const width = frame.maxX - frame.minX;
-    const [low, high] = [quantised(tile.staticLow), quantised(tile.staticHigh)];
-    const { known, changed, high: isHigh, values, allValues } = tile;
+    const [width, height] = [frame.maxX - frame.minX, frame.maxY - frame.minY];
     const [left, bottom] = [tile.x * TILE - frame.minX, tile.y * TILE - frame.minY];
-    let next = 0;
-    for (let row = 0; row < TILE; row++) {
-        const bits = known[row] ?? 0;
-        if (bits === 0) continue;
-        const [moving, above] = [changed[row] ?? 0, isHigh[row] ?? 0];
-        const y = bottom + row;
-        const start = y * width + left;
-        for (let column = 0; column < TILE; column++) {
-            const bit = 1 << column;
-            if ((bits & bit) === 0) continue;
-            const value = allValues || moving & bit ? quantised(values[next++] ?? 0) : above & bit ? high : low;
-            const x = left + column;
-            if (x >= 0 && x < width && y >= 0 && y < frame.maxY - frame.minY) frame.cells[start + column] = value;
-        }
-    }
+    eachCell(tile, (place, value) => {
+        const [x, y] = [left + (place % TILE), bottom + Math.floor(place / TILE)];
+        if (x >= 0 && x < width && y >= 0 && y < height) frame.cells[y * width + x] = quantised(value);
+    });
 }
 
 async function load(query: GridQuery, ms: number, signal?: AbortSignal): Promise<Frame> {
@@ -155,20 +143,13 @@ export function blend(from: Frame, to: Frame, share: number, into?: Uint8Array):
     return { ...from, cells };
 }
 
-/** (b - a + 1) / 2 of each cell: how much more probable it is in `b`. */
-export function difference(a: Frame, b: Frame): Frame {
-    const cells = new Uint8Array(a.cells.length);
-    for (let index = 0; index < cells.length; index++) {
-        const from = a.cells[index] as number;
-        const to = b.cells[index] as number;
-        cells[index] = from === UNKNOWN || to === UNKNOWN ? UNKNOWN : (to - from + FULL) >> 1;
-    }
-    return { ...a, cells };
-}
-
-/** The value of the column at a cell; `undefined` where nothing is known. */
+/**
+ * The probability of the column at a cell, or how much more probable it is than before where the frame shows that;
+ * `undefined` where nothing is known.
+ */
 export function valueAt(frame: Frame, x: number, y: number): number | undefined {
     if (x < frame.minX || x >= frame.maxX || y < frame.minY || y >= frame.maxY) return undefined;
-    const value = frame.cells[(y - frame.minY) * (frame.maxX - frame.minX) + x - frame.minX] ?? UNKNOWN;
-    return value === UNKNOWN ? undefined : value / FULL;
+    const index = (y - frame.minY) * (frame.maxX - frame.minX) + x - frame.minX;
+    const [now, before] = [frame.cells[index] ?? UNKNOWN, frame.before ? (frame.before[index] ?? UNKNOWN) : 0];
+    return now === UNKNOWN || before === UNKNOWN ? undefined : (now - before) / FULL;
 }

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';
 
-import { PALETTES, viridis } from './colours';
+import { mark, paletteOf, SURE } from './colours';
 import { paintFrame, paintPlan } from './paint';
 import type { Plan } from './plan';
 
@@ -51,7 +51,7 @@ beforeEach(() => {
 });
 
 suite('a frame', () => {
-    const palette = PALETTES.probability;
+    const palette = paletteOf('probability', SURE);
     const frame = { minX: 2, minY: -1, maxX: 4, maxY: 2, cells: Uint8Array.of(0, 10, 20, 30, 254, 255) };
     const place = { originX: 1, originY: 2, resolution: 0.5 };
 
@@ -61,6 +61,26 @@ suite('a frame', () => {
         assert.deepEqual([image.width, image.height], [2, 3]);
         const pixels = [...new Uint32Array(image.data.buffer)];
         assert.deepEqual(pixels, [254, 255, 20, 30, 0, 10].map((index) => palette[index]));
+    });
+
+    test('of a difference has the colours of both times', () => {
+        const both = paletteOf('difference', SURE);
+        paintFrame(drawn(), { ...frame, before: Uint8Array.of(254, 10, 255, 0, 0, 255) }, both, place, { x: 0, y: 0, scale: 10 }, 1);
+        const image = sheets.at(-1)?.named('putImageData').at(-1)?.values[0] as ImageData;
+        const pairs = [[254, 0], [255, 255], [20, 255], [30, 0], [0, 254], [10, 10]] as const;
+        assert.deepEqual([...new Uint32Array(image.data.buffer)], pairs.map(([now, before]) => both[256 * before + now]));
+    });
+
+    test('of another layer than the palette is painted as far as it goes', () => {
+        paintFrame(drawn(), { ...frame, before: new Uint8Array(6) }, palette, place, { x: 0, y: 0, scale: 10 }, 1);
+        const pixels = () => {
+            const image = sheets.at(-1)?.named('putImageData').at(-1)?.values[0] as ImageData;
+            return [...new Uint32Array(image.data.buffer)];
+        };
+        assert.deepEqual(pixels(), [254, 255, 20, 30, 0, 10].map((index) => palette[index]));
+        const both = paletteOf('difference', SURE);
+        paintFrame(drawn(), frame, both, place, { x: 0, y: 0, scale: 10 }, 1);
+        assert.deepEqual(pixels(), [254, 255, 20, 30, 0, 10].map((index) => both[257 * index]));
     });
 
     test('lies where its cells are, seen by the camera', () => {
@@ -95,7 +115,7 @@ suite('a plan', () => {
         paint({ nodes });
         const discs = canvas.named('arc').map(({ values }) => values.slice(0, 3));
         assert.deepEqual(discs, [[100, 50, 9], [100, 50, 6.5], [130, 30, 9], [130, 30, 6.5]]);
-        assert.deepEqual(canvas.named('fill').map(({ brush }) => brush.fillStyle), ['ground', 'ground', 'ground', viridis(0.5)]);
+        assert.deepEqual(canvas.named('fill').map(({ brush }) => brush.fillStyle), ['ground', 'ground', 'ground', mark(0.5)]);
         assert.deepEqual(canvas.named('fillText').map(({ values }) => values), [['hall', 100, 70], ['lab', 130, 50]]);
     });
 
@@ -116,7 +136,7 @@ suite('a plan', () => {
         const edge = { from: 'hall', to: 'lab', title: '' };
         paint({ nodes, edges: [{ ...edge, share: 0.25, reports: 3 }, { ...edge, reports: 0 }] });
         const lines = canvas.named('stroke').filter(({ brush }) => brush.lineWidth === 3.5).map(({ brush }) => brush.strokeStyle);
-        assert.deepEqual(lines, [viridis(0.25), 'text']);
+        assert.deepEqual(lines, [mark(0.25), 'text']);
         assert.deepEqual(canvas.named('setLineDash').map(({ values }) => (values[0] as number[]).length), [0, 0, 0, 2, 0]);
         assert.deepEqual([canvas.named('moveTo')[0]?.values, canvas.named('lineTo')[0]?.values], [[100, 50], [130, 30]]);
     });

@@ -1,6 +1,6 @@
 // Draws a frame and a plan on canvases.
 
-import { viridis, type Palette } from './colours';
+import { mark, type Palette } from './colours';
 import type { Frame } from './frames';
 import type { Camera, Plan } from './plan';
 
@@ -10,6 +10,9 @@ export interface GridPlace {
     originY: number;
     resolution: number;
 }
+
+/** Ways and what was chosen: blue, which no probability is. */
+const WAY = '#1a4fa3';
 
 let sheet: HTMLCanvasElement | undefined;
 let image: ImageData | undefined;
@@ -24,11 +27,14 @@ function sheetOf(frame: Frame, palette: Palette): HTMLCanvasElement {
     }
     const pixels = new Uint32Array(image.data.buffer);
     const { cells } = frame;
+    // While a layer is changed, the frame may still be that of the other one.
+    const before = palette.length > 256 ? (frame.before ?? cells) : undefined;
     for (let row = 0; row < height; row++) {
         // Rows of a frame go north, those of a picture go south.
         let to = (height - 1 - row) * width;
         for (let from = row * width, end = from + width; from < end; from++, to++) {
-            pixels[to] = palette[cells[from] as number] as number;
+            const now = cells[from] as number;
+            pixels[to] = palette[before ? 256 * (before[from] as number) + now : now] as number;
         }
     }
     brush?.putImageData(image, 0, 0);
@@ -87,14 +93,14 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
             brush.moveTo(...at(from));
             brush.lineTo(...at(to));
             brush.lineWidth = isRim ? 6 : 3.5;
-            brush.strokeStyle = isRim ? style.ground : edge.share === undefined ? style.text : viridis(edge.share);
+            brush.strokeStyle = isRim ? style.ground : edge.share === undefined ? style.text : mark(edge.share);
             brush.setLineDash(!isRim && edge.reports === 0 ? [5, 5] : []);
             brush.stroke();
         }
     }
     brush.setLineDash([]);
     for (const path of plan.paths) {
-        brush.strokeStyle = brush.fillStyle = path.kind === 'route' ? '#d8366e' : '#e07b00';
+        brush.strokeStyle = brush.fillStyle = WAY;
         brush.lineWidth = 3;
         for (let step = 1; step < path.points.length; step++) {
             const [from, to] = [path.points[step - 1], path.points[step]];
@@ -126,10 +132,10 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         brush.fill();
         brush.beginPath();
         brush.arc(x, y, isChosen ? 9 : 6.5, 0, 2 * Math.PI);
-        brush.fillStyle = node.presence === undefined ? style.ground : viridis(node.presence);
+        brush.fillStyle = node.presence === undefined ? style.ground : mark(node.presence);
         brush.fill();
         brush.lineWidth = isChosen ? 3.5 : 2;
-        brush.strokeStyle = isChosen ? '#d8366e' : style.text;
+        brush.strokeStyle = isChosen ? WAY : style.text;
         brush.stroke();
     }
     if (camera.scale > 9 || plan.nodes.length < 40) {
@@ -144,9 +150,9 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
             const [x, y] = at(point);
             brush.beginPath();
             brush.arc(x, y, 9, 0, 2 * Math.PI);
-            brush.fillStyle = '#e07b00';
+            brush.fillStyle = WAY;
             brush.fill();
-            brush.fillStyle = '#000';
+            brush.fillStyle = '#fff';
             brush.fillText(point.label, x, y + 4);
         }
     }

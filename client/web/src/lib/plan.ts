@@ -13,7 +13,7 @@ export interface PlanNode {
 export interface PlanEdge {
     from: string;
     to: string;
-    /** What its colour shows, 0 to 1; absent: nothing is known. */
+    /** What its colour shows, 0 to 1, the greater the darker; absent: nothing is known. */
     share?: number;
     /** Number of reported traversals. */
     reports: number;

@@ -101,7 +101,8 @@ export class PlanFeed {
             // Two directions are drawn as one line, by the worse of them.
             const [worst, longest] = [Math.min(success, other?.success ?? 1), Math.max(durationSecs, other?.secs ?? 0)];
             const title = `${from} – ${to}: success ${worst.toFixed(2)}, ${longest.toFixed(0)} s`;
-            const share = this.#colour === 'success' ? worst : longest / slowest;
+            // Darker is worse: less likely to be passed, or longer.
+            const share = this.#colour === 'success' ? 1 - worst : longest / slowest;
             both.set(key, { from, to, title, share, reports: Number(reports) + (other?.reports ?? 0), success: worst, secs: longest });
         }
         return [...both.values()];
