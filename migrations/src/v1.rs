@@ -35,7 +35,6 @@
 
 pub mod event;
 pub mod file;
-pub mod fits;
 pub mod grid;
 pub mod history;
 pub mod index;
@@ -44,6 +43,7 @@ pub mod log;
 pub mod map;
 pub mod site;
 pub mod topology;
+pub mod trained;
 
 /// The number of this format.
 pub const FORMAT: u32 = 1;

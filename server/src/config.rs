@@ -314,9 +314,9 @@ settings! {
         max_predictions: u64 = 10_000_000, 1, 1 << 40;
         /// Models that are trained on request and cached, all maps together, and that evaluations hold at once (each
         /// holds those of one state). A model takes 100 bytes to 10 KB, a histogram 16 bytes per bin.
-        max_fitted_models: usize = 4000, 1, 1_000_000;
+        max_trained_models: usize = 4000, 1, 1_000_000;
         /// Observations that one model is trained on. The training takes some 100 bytes for each while it runs.
-        max_fit_readings: u64 = 2_000_000, 1, 1 << 32;
+        max_training_readings: u64 = 2_000_000, 1, 1 << 32;
         /// Open watches of anomalies. A watched map keeps what its watchers have not read yet, at most 5 MB, and the
         /// models of the previous generation.
         max_watches: usize = 64, 1, 100_000;

@@ -24,7 +24,7 @@ const TIMES_PER_BLOCK: usize = 1024;
 #[derive(Clone, Debug)]
 pub(crate) enum AnswerSource {
     /// The trained model.
-    Fitted(Arc<CachedModel>),
+    Trained(Arc<CachedModel>),
     /// There is no such model, for this reason.
     Nothing(Arc<str>),
 }
@@ -56,8 +56,8 @@ struct ErrorSums {
 pub(crate) struct Sine {
     /// The state.
     pub(crate) state: StateId,
-    /// One for each of [`Evaluator::kinds_to_fit`].
-    pub(crate) fitted: Vec<AnswerSource>,
+    /// One for each of [`Evaluator::kinds_to_train`].
+    pub(crate) trained: Vec<AnswerSource>,
 }
 
 impl Evaluator {
@@ -80,7 +80,7 @@ impl Evaluator {
     }
 
     /// The model kind of each row that is trained on the readings of a state, in order.
-    pub(crate) fn kinds_to_fit(&self) -> impl Iterator<Item = ModelKind> + use<> {
+    pub(crate) fn kinds_to_train(&self) -> impl Iterator<Item = ModelKind> + use<> {
         let kinds: Vec<_> = self.rows.iter().map(|row| row.kind).filter(|kind| kind.needs_readings()).collect();
         kinds.into_iter()
     }
@@ -110,8 +110,8 @@ impl Evaluator {
         }
     }
 
-    /// Adds observations of a state that has begun; `fitted` has one answer source for each of
-    /// [`Evaluator::kinds_to_fit`]. With a sine, the observations are angles.
+    /// Adds observations of a state that has begun; `trained` has one answer source for each of
+    /// [`Evaluator::kinds_to_train`]. With a sine, the observations are angles.
     ///
     /// # Errors
     /// The work was told to stop; the sums must then not be used.
@@ -119,13 +119,13 @@ impl Evaluator {
         &mut self,
         subject: Subject,
         samples: &[Sample],
-        fitted: Vec<AnswerSource>,
+        trained: Vec<AnswerSource>,
         sine: Option<Sine>,
         stop: StopSignal<'_>,
     ) -> Result<(), EarlyStop> {
         let Some(sums) = self.sums.get_mut(&subject) else { return Ok(()) };
-        let answering = by_row(&self.rows, fitted);
-        let sine = sine.map(|Sine { state, fitted }| (state, by_row(&self.rows, fitted)));
+        let answering = by_row(&self.rows, trained);
+        let sine = sine.map(|Sine { state, trained }| (state, by_row(&self.rows, trained)));
         for (index, missing) in sums.missing.iter_mut().enumerate() {
             let sources = [answering.get(index), sine.as_ref().and_then(|(_, sources)| sources.get(index))];
             for source in sources.into_iter().flatten() {
@@ -206,9 +206,9 @@ impl Evaluator {
 }
 
 /// The answer source of each row, from those of the rows that are trained on readings.
-fn by_row(rows: &[ModelSelector], fitted: impl IntoIterator<Item = AnswerSource>) -> Vec<Option<AnswerSource>> {
-    let mut fitted = fitted.into_iter();
-    rows.iter().map(|row| if row.kind.needs_readings() { fitted.next() } else { None }).collect()
+fn by_row(rows: &[ModelSelector], trained: impl IntoIterator<Item = AnswerSource>) -> Vec<Option<AnswerSource>> {
+    let mut trained = trained.into_iter();
+    rows.iter().map(|row| if row.kind.needs_readings() { trained.next() } else { None }).collect()
 }
 
 /// Predicts a state; `false` if there is no model.
@@ -222,7 +222,7 @@ fn answer(
 ) -> bool {
     match answering {
         None => target.predict_into(view, prepared, row, predicted),
-        Some(AnswerSource::Fitted(fitted)) => fitted.predict_into(view, target, prepared.moments(), row, predicted),
+        Some(AnswerSource::Trained(trained)) => trained.predict_into(view, target, prepared.moments(), row, predicted),
         Some(AnswerSource::Nothing(_)) => return false,
     }
     true

@@ -17,17 +17,17 @@ use tidemap_model::selector::ModelKind;
 use tidemap_store::MapId;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
-mod fitted;
 mod places;
 mod positions;
+mod trained;
 mod unavailable;
 
 #[cfg(test)]
 mod tests;
 
-pub(crate) use fitted::CachedModel;
 pub(crate) use places::PlaceModel;
 pub(crate) use positions::PositionModel;
+pub(crate) use trained::CachedModel;
 pub(crate) use unavailable::ModelUnavailable;
 
 /// Identifies a model.
@@ -48,34 +48,34 @@ pub(crate) struct ModelKey {
 
 /// Room for a model, with how many requests wait for it.
 #[derive(Debug)]
-struct FitRoom<T> {
+struct CacheEntry<T> {
     model: OnceCell<Arc<T>>,
     waiting: Arc<AtomicUsize>,
 }
 
-impl<T> Default for FitRoom<T> {
+impl<T> Default for CacheEntry<T> {
     fn default() -> Self {
         Self { model: OnceCell::new(), waiting: Arc::default() }
     }
 }
 
 /// A model, after it has been trained.
-type CacheSlot<T> = Arc<FitRoom<T>>;
+type CacheSlot<T> = Arc<CacheEntry<T>>;
 
 /// Counts a request that waits for a model, until it is dropped.
 #[derive(Debug)]
-pub(crate) struct FitInterest<T> {
+pub(crate) struct TrainingInterest<T> {
     slot: CacheSlot<T>,
 }
 
-impl<T> FitInterest<T> {
+impl<T> TrainingInterest<T> {
     /// For one training of the model: whether nobody waits for it any more.
-    pub(crate) fn fit_stop(&self) -> FitStop {
-        FitStop { waiting: Arc::clone(&self.slot.waiting), is_over: AtomicBool::new(false) }
+    pub(crate) fn training_stop(&self) -> TrainingStop {
+        TrainingStop { waiting: Arc::clone(&self.slot.waiting), is_over: AtomicBool::new(false) }
     }
 }
 
-impl<T> Drop for FitInterest<T> {
+impl<T> Drop for TrainingInterest<T> {
     fn drop(&mut self) {
         self.slot.waiting.fetch_sub(1, Ordering::Relaxed);
     }
@@ -83,14 +83,14 @@ impl<T> Drop for FitInterest<T> {
 
 /// Ends the training when nobody waits for the model.
 #[derive(Debug)]
-pub(crate) struct FitStop {
+pub(crate) struct TrainingStop {
     waiting: Arc<AtomicUsize>,
     /// Once told to stop, the training gives nothing, even if somebody requests the model again: that request trains
     /// it anew.
     is_over: AtomicBool,
 }
 
-impl FitStop {
+impl TrainingStop {
     /// Whether nobody waits any more, or did not at an earlier call.
     pub(crate) fn is_set(&self) -> bool {
         if self.waiting.load(Ordering::Relaxed) == 0 {
@@ -133,28 +133,28 @@ impl<T> ModelCache<T> {
         self.with_entries(|entries| entries.used(key)?.model.get().cloned())
     }
 
-    /// Counts a request for a model, which a fit then ends for, until the interest is dropped.
-    pub(crate) fn interest(&self, key: ModelKey) -> FitInterest<T> {
+    /// Counts a request for a model until the interest is dropped; without any request, the training ends.
+    pub(crate) fn interest(&self, key: ModelKey) -> TrainingInterest<T> {
         let slot = self.with_entries(|entries| entries.slot(key, self.max));
         slot.waiting.fetch_add(1, Ordering::Relaxed);
-        FitInterest { slot }
+        TrainingInterest { slot }
     }
 
-    /// The model: from the cache, from a fit that is running, or from `fit`.
+    /// The model: from the cache, from a training that is running, or from `training`.
     ///
     /// # Errors
-    /// The error of `fit`. Other requests that wait for the model then fit it themselves.
-    pub(crate) async fn get_or_fit<E>(
+    /// The error of `training`. Other requests that wait for the model then train it themselves.
+    pub(crate) async fn get_or_train<E>(
         &self,
         key: ModelKey,
-        fit: impl Future<Output = Result<T, E>>,
+        training: impl Future<Output = Result<T, E>>,
     ) -> Result<Arc<T>, E> {
         let slot = self.with_entries(|entries| entries.slot(key, self.max));
-        let fitted = slot.model.get_or_try_init(|| async { fit.await.map(Arc::new) }).await.cloned();
-        if fitted.is_err() {
+        let trained = slot.model.get_or_try_init(|| async { training.await.map(Arc::new) }).await.cloned();
+        if trained.is_err() {
             self.with_entries(|entries| entries.forget(&key, &slot));
         }
-        fitted
+        trained
     }
 
     /// Reserves capacity for this many models, cached or not, for the duration of a request; `None` if all requests

@@ -14,13 +14,13 @@ pub(crate) mod serve;
 pub(crate) mod status;
 
 mod acks;
-mod fitting;
 mod lookup;
 mod peer;
 mod permits;
 mod readings;
 mod replies;
 mod series;
+mod training;
 mod watched_body;
 
 /// The outcome of a unary request, or the beginning of a stream.

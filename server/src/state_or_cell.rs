@@ -134,14 +134,14 @@ impl StateOrCell {
         &self,
         view: &MapView,
         moments: &[Moment],
-        fitted: &dyn TemporalModel,
+        trained: &dyn TemporalModel,
         selector: ModelSelector,
         out: &mut [f64],
     ) {
         match self {
-            Self::State(id) => view.predict_trained_into(*id, moments, fitted, selector, out),
+            Self::State(id) => view.predict_trained_into(*id, moments, trained, selector, out),
             Self::Cell(cell) => {
-                view.predict_trained_cell_into(&cell.description, moments, fitted, selector, out);
+                view.predict_trained_cell_into(&cell.description, moments, trained, selector, out);
             }
         }
     }

@@ -32,7 +32,7 @@ fn learned(daemon: &Daemon, text: &str) {
 #[test]
 fn more_states_than_models_in_the_cache_are_compared() {
     let data = tempfile::tempdir().expect("a folder");
-    let daemon = Launch::on(data.path()).setting("max_fitted_models", 2).start();
+    let daemon = Launch::on(data.path()).setting("max_trained_models", 2).start();
     learned(&daemon, &rows(12, 0..240));
     let evaluate = |text: &str| {
         let args = ["evaluate", "home", "-", "--models", "histogram:24,calibrated"];

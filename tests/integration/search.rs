@@ -107,9 +107,9 @@ fn somebody_in_a_flat_is_looked_for_where_she_is_at_that_time() {
     assert_eq!(sure.column("node"), ["Center", "Master_Bedroom"]);
     let later = search(&daemon, "flat", "Center", monday, &["--for-arrival"]).table();
     assert_eq!(later.rows.len(), 9);
-    let fitted =
+    let trained =
         search(&daemon, "flat", "Center", monday + 3 * HOUR_SECS, &["--model", "pergam:2", "--for-arrival"]).table();
-    assert_eq!(fitted.column("node")[1], "Master_Bedroom");
+    assert_eq!(trained.column("node")[1], "Master_Bedroom");
 
     daemon.kill();
     let daemon = launch.start();

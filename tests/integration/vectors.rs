@@ -137,9 +137,9 @@ fn check_axes(daemon: &Daemon) {
         positions.iter().zip(expected).all(|(position, expected)| (position - expected).abs() < 1.0),
         "{positions:?}"
     );
-    let fitted = ["predict", "office", "anna", "anna/y", "--at", &both_times(), "--model", "histogram:24"];
-    let fitted = tidemap(daemon, fitted).table();
-    assert_eq!(fitted.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y", "anna/y", "anna/y"]);
+    let trained = ["predict", "office", "anna", "anna/y", "--at", &both_times(), "--model", "histogram:24"];
+    let trained = tidemap(daemon, trained).table();
+    assert_eq!(trained.column("state"), ["anna/x", "anna/x", "anna/y", "anna/y", "anna/y", "anna/y"]);
     let compared = format!("time,state,value\n{MORNING_SECS},anna/x,2\n{AFTERNOON_SECS},anna/x,8\n");
     let args = ["evaluate", "office", "-", "--models", "mean,auto"];
     let compared = cli::tidemap_reading(daemon, args, &compared).table().numbers("mse");

@@ -7,7 +7,7 @@
 use tidemap_model::{
     Sample, StateKind, TrainedModel,
     catalogue::{ModelKind, ParameterSet, WrongParameter},
-    models::{CannotFit, Moment, TemporalModel},
+    models::{CannotTrain, Moment, TemporalModel},
 };
 
 /// A trained model.
@@ -98,8 +98,8 @@ impl ComparedSettings {
     /// Trains the model on the readings of one state, ascending by time.
     ///
     /// # Errors
-    /// [`CannotFit`] without readings, or if a value is out of the model's range.
-    pub fn train(&self, samples: &[Sample], kind: StateKind) -> Result<ComparedModel, CannotFit> {
+    /// [`CannotTrain`] without readings, or if a value is out of the model's range.
+    pub fn train(&self, samples: &[Sample], kind: StateKind) -> Result<ComparedModel, CannotTrain> {
         Ok(match &self.settings {
             Settings::One(set) => Box::new(set.train(samples, kind)?),
             Settings::Average { calibrated, histogram, calibrated_weight } => Box::new(Average {

@@ -27,7 +27,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
-use tidemap_model::models::CannotFit;
+use tidemap_model::models::CannotTrain;
 use tidemap_plan::strategy::StrategyError;
 
 mod belief;
@@ -75,7 +75,7 @@ pub enum ExploreError {
     Weeks { first: usize, last: usize, found: usize },
     /// A model cannot be trained.
     #[error("model {model} cannot be trained: {refused}")]
-    Fit { model: String, refused: CannotFit },
+    CannotTrain { model: String, refused: CannotTrain },
     /// A strategy fails.
     #[error("strategy {strategy}: {refused}")]
     Strategy { strategy: &'static str, refused: StrategyError },

@@ -21,7 +21,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
-use tidemap_model::{Evaluation, models::CannotFit};
+use tidemap_model::{Evaluation, models::CannotTrain};
 
 mod compared;
 mod data;
@@ -68,16 +68,16 @@ pub enum ExperimentError {
     Folds(String),
     /// A model cannot be trained.
     #[error("model {model} cannot be trained on state {state:?}: {refused}")]
-    Fit { model: String, state: String, refused: CannotFit },
+    CannotTrain { model: String, state: String, refused: CannotTrain },
 }
 
 impl ExperimentError {
-    fn fit(label: &str, set: &ComparedSettings, state: &str, refused: CannotFit) -> Self {
+    fn cannot_train(label: &str, set: &ComparedSettings, state: &str, refused: CannotTrain) -> Self {
         let model = match set.shown() {
             "" => label.to_owned(),
             shown => format!("{label} ({shown})"),
         };
-        Self::Fit { model, state: state.to_owned(), refused }
+        Self::CannotTrain { model, state: state.to_owned(), refused }
     }
 }
 

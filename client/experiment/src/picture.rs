@@ -122,6 +122,6 @@ fn shortened(text: &str, room: f64, height: f64) -> String {
     if text_width(text, height) <= room {
         return text.to_owned();
     }
-    let fit = (room / text_width("m", height)) as usize;
-    text.chars().take(fit.saturating_sub(1)).chain(['…']).collect()
+    let letters = (room / text_width("m", height)) as usize;
+    text.chars().take(letters.saturating_sub(1)).chain(['…']).collect()
 }

@@ -72,7 +72,7 @@ pub(crate) fn score(
             .map(|(model, state)| {
                 let (label, set) = models[model];
                 let predictions = predict(&data, state, set, retrain, kind)
-                    .map_err(|refused| ExperimentError::fit(label, set, &data.states[state], refused));
+                    .map_err(|refused| ExperimentError::cannot_train(label, set, &data.states[state], refused));
                 step();
                 predictions
             })
@@ -91,7 +91,7 @@ fn predict(
     set: &ComparedSettings,
     retrain: Retrain,
     kind: StateKind,
-) -> Result<Vec<Vec<f64>>, tidemap_model::models::CannotFit> {
+) -> Result<Vec<Vec<f64>>, tidemap_model::models::CannotTrain> {
     let mut known: Vec<Sample> = data.train[state].clone();
     let mut model = set.train(&known, kind)?;
     let mut predictions = Vec::with_capacity(data.tests.len());

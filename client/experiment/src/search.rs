@@ -22,7 +22,7 @@ use std::{
 };
 
 use rayon::prelude::*;
-use tidemap_model::models::CannotFit;
+use tidemap_model::models::CannotTrain;
 use tidemap_plan::search::SearchError;
 
 mod protocol;
@@ -61,7 +61,7 @@ pub enum ReplayError {
     Nobody { from: usize, until: usize },
     /// A model cannot be trained.
     #[error("model {model} cannot be trained on place {place:?}: {refused}")]
-    Fit { model: String, place: String, refused: CannotFit },
+    CannotTrain { model: String, place: String, refused: CannotTrain },
     /// A search cannot be planned.
     #[error("a search cannot be planned: {0}")]
     Search(#[from] SearchError),

@@ -134,7 +134,8 @@ pub(crate) fn add_fold_errors(
         if train.is_empty() || test.is_empty() {
             continue;
         }
-        let model = set.train(train, kind).map_err(|refused| ExperimentError::fit(label, set, state, refused))?;
+        let model =
+            set.train(train, kind).map_err(|refused| ExperimentError::cannot_train(label, set, state, refused))?;
         for sample in test {
             errors.add(model.predict(sample.moment()), sample.value);
         }

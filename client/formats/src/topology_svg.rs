@@ -98,7 +98,7 @@ pub enum TopologyPictureError {
 /// # Errors
 /// [`TopologyPictureError`].
 pub fn write(picture: &TopologyPicture) -> Result<String, TopologyPictureError> {
-    let (places, scale) = fitted(&layout::places(&picture.nodes, &picture.edges)?);
+    let (places, scale) = scaled(&layout::places(&picture.nodes, &picture.edges)?);
     let far = |axis: usize| places.iter().map(|place| place[axis]).fold(0.0, f64::max) + MARGIN;
     let mut svg = Svg::new([far(0).max(legend::WIDTH), far(1) + legend::HEIGHT], 12.0);
     let has_path = picture.edges.iter().any(|edge| edge.is_on_path) || picture.nodes.iter().any(|n| n.step.is_some());
@@ -191,7 +191,7 @@ fn draw_edges(svg: &mut Svg, edges: &[PictureEdge], places: &[[f64; 2]]) {
 }
 
 /// Positions in pixels, y downwards, scaled so that the longer side takes [`SIDE`]; and pixels per unit.
-fn fitted(places_m: &[[f64; 2]]) -> (Vec<[f64; 2]>, f64) {
+fn scaled(places_m: &[[f64; 2]]) -> (Vec<[f64; 2]>, f64) {
     let bound =
         |axis: usize, pick: fn(f64, f64) -> f64, from: f64| places_m.iter().map(|place| place[axis]).fold(from, pick);
     let [low_x, low_y] = [0, 1].map(|axis| bound(axis, f64::min, f64::INFINITY));

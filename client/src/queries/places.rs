@@ -49,7 +49,7 @@ pub struct PlacePredictions {
     /// Number of observations that updates have learned.
     pub observations: u64,
     /// Number of observations with a position, on which the model was trained.
-    pub fitted_observations: u64,
+    pub trained_observations: u64,
     /// Number of updates published so far.
     pub generation: u64,
 }
@@ -99,7 +99,7 @@ impl Client {
         Ok(PlacePredictions {
             rows: (0..wanted).map(row).collect(),
             observations: reply.observations,
-            fitted_observations: reply.fitted_observations,
+            trained_observations: reply.trained_observations,
             generation: reply.generation,
         })
     }

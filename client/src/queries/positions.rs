@@ -44,7 +44,7 @@ pub struct PositionsHeader {
     /// Number of acknowledged positions.
     pub observations: u64,
     /// Number of positions that the model was trained on.
-    pub fitted_observations: u64,
+    pub trained_observations: u64,
     /// Time of the newest observation.
     pub last_nanos: Option<i64>,
     /// Number of updates published so far.
@@ -108,7 +108,7 @@ impl Client {
             resolution_m: header.resolution_m,
             counts: header.counts,
             observations: header.observations,
-            fitted_observations: header.fitted_observations,
+            trained_observations: header.trained_observations,
             last_nanos: instant(header.last_time),
             generation: header.generation,
         };

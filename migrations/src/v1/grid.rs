@@ -168,7 +168,7 @@ pub struct Cell {
     pub occupied_weight_bits: Option<u64>,
     /// The local day on which its change alarm rang, where it rings.
     #[prost(sint32, optional, tag = "10")]
-    pub rang: Option<i32>,
+    pub alarm_day: Option<i32>,
 }
 
 /// Observation times of cells of a tile. Follows the sums of a tile in the same record.

@@ -368,9 +368,9 @@ pub struct Alternatives {
     /// The calibrated model; absent before it was first trained.
     #[prost(message, optional, tag = "13")]
     pub calibrated: Option<Calibrated>,
-    /// The other models that were trained on readings: a message [`super::fits::Fits`]; empty where there is none.
+    /// The other models that were trained on readings: a message [`super::trained::TrainedModels`]; empty if none.
     #[prost(bytes = "vec", tag = "14")]
-    pub fits: Vec<u8>,
+    pub trained: Vec<u8>,
     /// The first local day of the present routine, in days since 1970-01-01; absent where the change alarm never rang.
     #[prost(sint32, optional, tag = "15")]
     pub since: Option<i32>,
@@ -429,5 +429,5 @@ pub struct Alarm {
     pub last_day: Option<i32>,
     /// The local day on which it rang, where it rings.
     #[prost(sint32, optional, tag = "5")]
-    pub rang: Option<i32>,
+    pub alarm_day: Option<i32>,
 }

@@ -243,7 +243,7 @@ pub fn cell_description_to_wire(
             order: u32::try_from(description.order).ok(),
             ..v1::ModelSelector::default()
         }),
-        change_date: date_or_empty(description.rang),
+        change_date: date_or_empty(description.alarm_day),
         ..v1::DescribeModelResponse::default()
     }
 }
@@ -254,7 +254,7 @@ pub fn cell_alarm_to_wire(cell: CellIndex, description: &CellDescription) -> v1:
     let last = description.persistence.last();
     v1::CellAlarm {
         state: cell.name(),
-        change_date: date_or_empty(description.rang),
+        change_date: date_or_empty(description.alarm_day),
         mean: description.spectral.mean(),
         learned_observations: description.folded,
         order: u32::try_from(description.order).unwrap_or(u32::MAX),

@@ -2,7 +2,7 @@
 //!
 //! Invariant: what is named fits together; whether the map has it is checked by who erases.
 
-use tidemap_map::erasure::{Wish, WishedPart};
+use tidemap_map::erasure::{ErasureRequest, RequestedPart};
 
 use super::{InvalidField, cells::cell_from_wire, time::nanos_from_timestamp};
 use crate::v1;
@@ -11,7 +11,7 @@ use crate::v1;
 ///
 /// # Errors
 /// The invalid field: nothing is named, or what is named does not go together, or it is a cell of a grid.
-pub fn wish_from_wire(request: &v1::EraseRequest) -> Result<Wish, InvalidField> {
+pub fn erasure_from_wire(request: &v1::EraseRequest) -> Result<ErasureRequest, InvalidField> {
     let v1::EraseRequest { state, producer, label, from_time, to_time, forget_sequence: forgets, .. } = request;
     let wrong = |field: &str, problem: &str| Err(InvalidField::new(field, problem));
     let name = (!state.is_empty()).then(|| state.clone());
@@ -28,7 +28,7 @@ pub fn wish_from_wire(request: &v1::EraseRequest) -> Result<Wish, InvalidField> 
     }
     if producer.is_empty() && !has_interval {
         return match name {
-            Some(_) => Ok(Wish { state: name, part: None }),
+            Some(_) => Ok(ErasureRequest { state: name, part: None }),
             None => wrong("state", "name what is to be erased: a state, a producer, an interval, or some of these"),
         };
     }
@@ -39,7 +39,7 @@ pub fn wish_from_wire(request: &v1::EraseRequest) -> Result<Wish, InvalidField> 
         return wrong("to_time", "it must be later than from_time: it is the end of the interval, and not part of it");
     }
     let producer = (!producer.is_empty()).then(|| (producer.clone(), label.clone()));
-    Ok(Wish { state: name, part: Some(WishedPart { producer, from_nanos, to_nanos, forgets: *forgets }) })
+    Ok(ErasureRequest { state: name, part: Some(RequestedPart { producer, from_nanos, to_nanos, forgets: *forgets }) })
 }
 
 #[cfg(test)]
@@ -48,7 +48,7 @@ mod tests {
     use crate::convert::time::timestamp;
 
     fn field(request: &v1::EraseRequest) -> String {
-        wish_from_wire(request).expect_err("wrong").field
+        erasure_from_wire(request).expect_err("wrong").field
     }
 
     #[test]
@@ -56,8 +56,8 @@ mod tests {
         assert_eq!(field(&v1::EraseRequest::default()), "state");
         let cell = "cell/1/2/3".to_owned();
         assert_eq!(field(&v1::EraseRequest { state: cell, ..Default::default() }), "state");
-        let wish = wish_from_wire(&v1::EraseRequest { state: "door".to_owned(), ..Default::default() });
-        assert!(matches!(wish, Ok(Wish { state: Some(_), part: None })));
+        let erasure = erasure_from_wire(&v1::EraseRequest { state: "door".to_owned(), ..Default::default() });
+        assert!(matches!(erasure, Ok(ErasureRequest { state: Some(_), part: None })));
     }
 
     #[test]
@@ -69,7 +69,7 @@ mod tests {
         assert_eq!(field(&v1::EraseRequest { from_time, to_time, ..Default::default() }), "to_time");
         let producer = "robot".to_owned();
         let whole = v1::EraseRequest { producer, label, forget_sequence: true, ..Default::default() };
-        let part = wish_from_wire(&whole).expect("right").part.expect("a part");
+        let part = erasure_from_wire(&whole).expect("right").part.expect("a part");
         assert!(part.forgets && part.from_nanos == i64::MIN && part.to_nanos == i64::MAX);
     }
 }

@@ -185,7 +185,7 @@ fn model_errors_to_wire(model: &StateModel) -> Vec<v1::ModelError> {
 }
 
 fn change_date(model: &StateModel) -> String {
-    date_or_empty(model.alternatives().and_then(|alternatives| alternatives.alarm().rang_on()))
+    date_or_empty(model.alternatives().and_then(|alternatives| alternatives.alarm().alarm_day()))
 }
 
 /// A local date, YYYY-MM-DD; empty without one.

@@ -49,7 +49,7 @@ pub struct CellModel {
     /// Decayed errors of each order.
     pub errors: OrderErrors,
     /// The day on which its change alarm rang, if it rings.
-    pub rang: Option<LocalDay>,
+    pub alarm_day: Option<LocalDay>,
 }
 
 /// The models of one tile in a generation.

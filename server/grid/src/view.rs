@@ -62,7 +62,7 @@ pub struct CellDescription {
     /// Decayed error sums of the orders; `None` where it has not changed.
     pub errors: Option<[f64; tidemap_model::ORDER_MAX + 1]>,
     /// The day on which its change alarm rang, if it rings.
-    pub rang: Option<LocalDay>,
+    pub alarm_day: Option<LocalDay>,
     /// Last value and persistence.
     pub persistence: Persistence,
     /// Observations learned.
@@ -271,7 +271,7 @@ impl GridView {
         region: &CellBox,
     ) -> Result<Vec<(CellIndex, CellDescription)>, TileUnavailable> {
         let model = self.model(tile)?;
-        let rings = model.cells.iter().filter(|cell| cell.rang.is_some());
+        let rings = model.cells.iter().filter(|cell| cell.alarm_day.is_some());
         let within = rings.map(|cell| (index.cell(cell.cell), cell.cell)).filter(|(cell, _)| region.contains(*cell));
         Ok(within.filter_map(|(cell, place)| Some((cell, self.describe_place(tile, &model, place)?))).collect())
     }
@@ -292,7 +292,7 @@ impl GridView {
             spectral: SpectralModel::default(),
             order: 0,
             errors: None,
-            rang: None,
+            alarm_day: None,
             folded: group.map_or(0, |group| group.observations),
             observations: 0,
             first_nanos: group.map(|group| group.first_nanos),
@@ -303,7 +303,7 @@ impl GridView {
             description.spectral = model.spectral.clone();
             description.order = usize::from(model.order);
             description.errors = Some(*model.errors.sums());
-            description.rang = model.rang;
+            description.alarm_day = model.alarm_day;
         } else if let (Some(at), Some(group)) = (at, group) {
             let levels = model.constant_levels(at, &self.sensors);
             let level = if model.always_occupied.contains(place) { levels.1 } else { levels.0 };

@@ -15,8 +15,8 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
-    refit::{ReadingsRequest, StateReadings},
     spec::MapSpec,
+    training::{ReadingsRequest, StateReadings},
 };
 use tidemap_model::{Sample, catalogue::NIGHTLY_WINDOW_NANOS};
 
@@ -102,9 +102,9 @@ fn update(map: &mut LiveMap, pool: &rayon::ThreadPool, day: i64, readings: Optio
     let started = Instant::now();
     let result = pool.install(|| work.run(&AtomicU64::new(0))).expect("in memory");
     let secs = started.elapsed().as_secs_f64();
-    let refits = result.refits().clone();
+    let outcome = result.training_outcome().clone();
     map.finish_update(result);
-    println!("day {day}: {secs:.2} s, {} models trained, {} wait", refits.fitted, refits.waiting);
+    println!("day {day}: {secs:.2} s, {} models trained, {} wait", outcome.trained, outcome.waiting);
     secs
 }
 

@@ -25,12 +25,12 @@ use crate::{
 };
 
 mod relearn;
+mod request;
 mod selection;
-mod wish;
 
 pub use relearn::Relearning;
+pub use request::{ErasureRequest, RequestedPart};
 pub use selection::{Decision, NotErasable, Selection, Survey};
-pub use wish::{Wish, WishedPart};
 
 /// Observations that are erased of states that remain.
 #[derive(Clone, Debug)]

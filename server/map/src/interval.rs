@@ -160,7 +160,7 @@ mod tests {
             spectral: SpectralModel::default(),
             order: 0,
             errors: None,
-            rang: None,
+            alarm_day: None,
             persistence: Persistence::from_parts(PersistenceParts {
                 pairs: 999,
                 change_rate_sum: 1000.0 / tau_secs,

@@ -71,14 +71,14 @@ impl MapView {
         &self,
         id: StateId,
         moments: &[Moment],
-        fitted: &dyn TemporalModel,
+        trained: &dyn TemporalModel,
         selector: ModelSelector,
         out: &mut [f64],
     ) {
         let kind = self.kind(id);
         for (probability, &moment) in out.iter_mut().zip(moments) {
             // A sum of Gaussians or of components may be off by rounding.
-            *probability = kind.saturate(fitted.predict(moment));
+            *probability = kind.saturate(trained.predict(moment));
         }
         blend(&self.live(id).persistence, self.memory_basis(id), moments, selector, out);
     }
@@ -153,12 +153,12 @@ impl MapView {
         &self,
         cell: &CellDescription,
         moments: &[Moment],
-        fitted: &dyn TemporalModel,
+        trained: &dyn TemporalModel,
         selector: ModelSelector,
         out: &mut [f64],
     ) {
         for (probability, &moment) in out.iter_mut().zip(moments) {
-            *probability = StateKind::Probability.saturate(fitted.predict(moment));
+            *probability = StateKind::Probability.saturate(trained.predict(moment));
         }
         blend(&cell.persistence, cell.memory_basis(), moments, selector, out);
     }

@@ -8,7 +8,7 @@
 //!    newer than all it knows, with each order 0 to 15. The errors join the decayed sums, the order with the lowest sum
 //!    is chosen, then the day is learned and the model trained again. Older observations are learned without a score.
 //!    The alternative models that the map enables are scored alike; `auto` changes only to one that is lower by 5 %.
-//! 4. Models that need training data are trained again where they are due (`refit.rs`). An update for
+//! 4. Models that need training data are trained again where they are due (`training.rs`). An update for
 //!    [`UpdateCause::PendingLimit`] trains none: its purpose is to free memory.
 //! 5. The writer publishes the generation, and a snapshot goes to the store. If saving fails, the log still has
 //!    everything.
@@ -44,10 +44,10 @@ use crate::{
     ids::StateId,
     name::StateName,
     prior_models::PriorModels,
-    refit::{REFITS_MAX, Refits, StateReadings, refit},
     site::Site,
     snapshot::ProducerMark,
     spec::MapSpec,
+    training::{StateReadings, TRAININGS_MAX, TrainingOutcome, train_due},
     view::LiveState,
 };
 
@@ -114,7 +114,7 @@ pub struct UpdateResult {
     pub(crate) grid: Option<GridResult>,
     pub(crate) history: Option<HistoryPiece>,
     outcomes: Vec<StateOutcome>,
-    refits: Refits,
+    training: TrainingOutcome,
 }
 
 /// What an update did to one state.
@@ -192,7 +192,7 @@ impl UpdateWork {
         let readings = self.readings.filter(|_| self.basis.start.cause != UpdateCause::PendingLimit);
         let untrained = |(id, _): &&(StateId, Vec<Sample>)| models[id.0 as usize].accumulator().observations() == 0;
         let is_crowded =
-            self.is_crowded.unwrap_or_else(|| history.states.iter().filter(untrained).count() > REFITS_MAX);
+            self.is_crowded.unwrap_or_else(|| history.states.iter().filter(untrained).count() > TRAININGS_MAX);
         let is_early = self.basis.start.cause == UpdateCause::PendingLimit;
         for origins in &mut history.origins {
             (origins.is_early, origins.is_crowded) = (is_early, is_crowded);
@@ -221,8 +221,8 @@ impl UpdateWork {
             models[id.0 as usize] = model;
             done.push((id, outcome));
         }
-        let refits = readings.map_or_else(Refits::default, |readings| {
-            refit(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
+        let training = readings.map_or_else(TrainingOutcome::default, |readings| {
+            train_due(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
         });
         // After models were trained again, which may change the choice.
         let named = |(id, outcome): (StateId, UpdateOutcome)| {
@@ -235,7 +235,7 @@ impl UpdateWork {
             (history.states, history.origins) = (Vec::new(), Vec::new());
         }
         let history = history.bounded();
-        Ok(UpdateResult { basis: self.basis, models: Arc::new(models), grid, history, outcomes, refits })
+        Ok(UpdateResult { basis: self.basis, models: Arc::new(models), grid, history, outcomes, training })
     }
 }
 
@@ -246,8 +246,8 @@ impl UpdateResult {
     }
 
     /// What became of the models that were due.
-    pub fn refits(&self) -> &Refits {
-        &self.refits
+    pub fn training_outcome(&self) -> &TrainingOutcome {
+        &self.training
     }
 
     /// What was done to the cells of the grid, where the map has one.

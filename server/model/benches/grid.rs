@@ -1,4 +1,4 @@
-//! Cells of an occupancy grid: sums over runs, fitting, scoring a day, predicting a map.
+//! Cells of an occupancy grid: sums over runs, training, scoring a day, predicting a map.
 //!
 //! `cargo bench -p tidemap-model --bench grid`; times are distinct and irregular, 168 periodicities.
 
@@ -68,7 +68,7 @@ fn sums(c: &mut Criterion) {
     group.finish();
 }
 
-fn fit(c: &mut Criterion) {
+fn train(c: &mut Criterion) {
     let week = Periodicities::default();
     let mut running = RunningSums::new(&week);
     running.extend_chunk(&PhasorTable::new(&week, &times(0)));
@@ -84,7 +84,7 @@ fn fit(c: &mut Criterion) {
             a
         })
         .collect();
-    let mut group = c.benchmark_group("fit_sums_168");
+    let mut group = c.benchmark_group("train_on_sums_168");
     group.throughput(Throughput::Elements(u64::from(CELLS)));
     for (name, days) in [("all_eligible", 28), ("one_day", 1)] {
         group.bench_function(name, |b| {
@@ -100,7 +100,7 @@ fn fit(c: &mut Criterion) {
                         gap_nanos: (0, 0),
                         levels: (0.1, 0.9),
                     };
-                    black_box(SpectralModel::fit_sums(sums, &week));
+                    black_box(SpectralModel::train_on_sums(sums, &week));
                 }
             });
         });
@@ -156,5 +156,5 @@ fn predict(c: &mut Criterion) {
     c.bench_function("instant_phasors_168", |b| b.iter(|| InstantPhasors::new(&week, black_box(civil_nanos))));
 }
 
-criterion_group!(benches, sums, fit, score, predict);
+criterion_group!(benches, sums, train, score, predict);
 criterion_main!(benches);

@@ -3,7 +3,7 @@
 //! The kind is fixed when a state is created.
 //!
 //! - **Kernels**: probabilities use the kernels that saturate to [0, 1]. Other kinds use `spectral/values.rs`: the same
-//!   sums in plain loops, with the bounds of the kind. Sums, learning and fitting are shared and know no bounds.
+//!   sums in plain loops, with the bounds of the kind. Sums, learning and training are shared and know no bounds.
 //! - **Units do not matter**: the change alarm gets errors divided by the variance of the values; the test for support
 //!   and the number of independent readings use this variance instead of μ(1 - μ); persistence measures changes in
 //!   units of two standard deviations. So a state in millimetres is learned as one in metres.

@@ -72,8 +72,8 @@ pub use position::{Dimensions, Position};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
 pub use state::{
-    ActiveModel, Alternatives, AlternativesParts, Combination, DayScores, FitParts, LearnedReadings, OrderWatch,
-    OrderWatchParts, StateModel, UpdateOutcome, UpdateRules,
+    ActiveModel, Alternatives, AlternativesParts, Combination, DayScores, LearnedReadings, OrderWatch, OrderWatchParts,
+    StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules,
 };
 pub use stop_signal::{EarlyStop, StopSignal};
 

@@ -22,7 +22,7 @@ mod support;
 mod uniform;
 
 #[cfg(test)]
-mod fit_stop_tests;
+mod training_stop_tests;
 
 pub use alarm::{ChangeAlarm, ChangeAlarmParts, DayErrors};
 pub use calibrated::{Calibrated, CalibratedOptions, CalibratedParts};
@@ -85,7 +85,7 @@ pub struct Readings<'a> {
     pub samples: &'a [Sample],
     /// A reading that is this many seconds older than the newest counts half; `None`: all have equal weight.
     pub half_life_secs: Option<f64>,
-    /// Ends the training early, with [`CannotFit::Stop`].
+    /// Ends the training early, with [`CannotTrain::Stop`].
     pub stop: StopSignal<'a>,
 }
 
@@ -113,7 +113,7 @@ impl<'a> Readings<'a> {
 /// Why a model could not be trained.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
-pub enum CannotFit {
+pub enum CannotTrain {
     /// There are no readings.
     #[error("there are no observations to train the model on")]
     NoReadings,

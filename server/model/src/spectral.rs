@@ -43,14 +43,14 @@ impl SpectralModel {
     /// The model of an accumulator: its mean and the [`ORDER_MAX`] strongest components; of those that are equal within
     /// rounding the longest period first. A periodicity is eligible where the observed span (last less first, UTC)
     /// holds 0.99 of its period; components of 0 are left out.
-    pub fn fit(accumulator: &Accumulator, periodicities: &Periodicities) -> SpectralModel {
-        SpectralModel::fit_with_gaps(accumulator, periodicities, &Gaps::default())
+    pub fn train(accumulator: &Accumulator, periodicities: &Periodicities) -> SpectralModel {
+        SpectralModel::train_with_gaps(accumulator, periodicities, &Gaps::default())
     }
 
-    /// [`SpectralModel::fit`] where the gaps between the readings are known. The observed span counts with the median
+    /// [`SpectralModel::train`] where the gaps between the readings are known. The observed span counts with the median
     /// gap added, since each reading stands for the time until the next: twelve monthly looks hold a year. A period
     /// that regular readings cannot tell from slower ones is not eligible.
-    pub fn fit_with_gaps(accumulator: &Accumulator, periodicities: &Periodicities, gaps: &Gaps) -> SpectralModel {
+    pub fn train_with_gaps(accumulator: &Accumulator, periodicities: &Periodicities, gaps: &Gaps) -> SpectralModel {
         let (mean, observations) = (accumulator.mean(), accumulator.observations());
         let per_observation = if observations == 0 { 1.0 } else { 1.0 / accumulator.weight() };
         let span_nanos = accumulator.span_nanos().saturating_add(gaps.median_nanos());

@@ -23,7 +23,7 @@ mod order_watch;
 mod tests;
 
 use alternatives::SpectralAtOrder;
-pub use alternatives::{ActiveModel, Alternatives, AlternativesParts, Combination, FitParts, UpdateRules};
+pub use alternatives::{ActiveModel, Alternatives, AlternativesParts, Combination, TrainingRecordParts, UpdateRules};
 pub use order_watch::{DayScores, LearnedReadings, OrderWatch, OrderWatchParts};
 
 /// The long-term model of one state.
@@ -231,7 +231,7 @@ impl StateModel {
             self.learn_day(periodicities, rules, day, of_day);
             // Trained again each day, so that the next day is scored with the knowledge before it.
             if let Some(alternatives) = &mut self.alternatives {
-                self.spectral = SpectralModel::fit_with_gaps(&self.accumulator, periodicities, alternatives.gaps());
+                self.spectral = SpectralModel::train_with_gaps(&self.accumulator, periodicities, alternatives.gaps());
                 alternatives.support(&self.spectral, periodicities, &self.accumulator);
             }
             rest = later;

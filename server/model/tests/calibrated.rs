@@ -47,7 +47,7 @@ fn mean(values: &[f64]) -> f64 {
 
 fn calibrated(options: CalibratedOptions) -> impl Fn(&[Sample]) -> Box<dyn Fn(Moment) -> f64> {
     move |samples| {
-        let model = Calibrated::fit(Readings::new(samples), options).unwrap();
+        let model = Calibrated::train(Readings::new(samples), options).unwrap();
         Box::new(move |at| model.predict(at))
     }
 }
@@ -81,7 +81,7 @@ fn fremen(samples: &[Sample]) -> Box<dyn Fn(Moment) -> f64> {
     let periodicities = Periodicities::default();
     let mut accumulator = Accumulator::new(&periodicities);
     accumulator.add(&periodicities, samples);
-    let model = SpectralModel::fit(&accumulator, &periodicities);
+    let model = SpectralModel::train(&accumulator, &periodicities);
     Box::new(move |at| model.predict(&periodicities, ORDER_MAX, at.civil_nanos()))
 }
 
@@ -192,14 +192,18 @@ fn weeks_that_had_no_part_in_the_choice_are_predicted() {
     let weeks = ["week1.csv", "week2.csv", "week3.csv", "week4.csv"].map(|name| read(&folder, name));
     let method = calibrated(CalibratedOptions::default());
     let once = method(&train);
-    let fitted_once = weeks.each_ref().map(|week| squared_error(&once, week));
+    let trained_once = weeks.each_ref().map(|week| squared_error(&once, week));
     let mut so_far = train;
-    let refitted = weeks.map(|week| {
+    let retrained = weeks.map(|week| {
         let error = squared_error(&method(&so_far), &week);
         so_far.extend(week);
         error
     });
-    assert!(mean(&fitted_once) <= 0.0600, "{:.5}", mean(&fitted_once));
-    assert!(mean(&refitted) <= 0.0600, "{:.5}", mean(&refitted));
-    println!("fitted once {:.5} {fitted_once:.5?}, refitted {:.5} {refitted:.5?}", mean(&fitted_once), mean(&refitted));
+    assert!(mean(&trained_once) <= 0.0600, "{:.5}", mean(&trained_once));
+    assert!(mean(&retrained) <= 0.0600, "{:.5}", mean(&retrained));
+    println!(
+        "trained once {:.5} {trained_once:.5?}, retrained {:.5} {retrained:.5?}",
+        mean(&trained_once),
+        mean(&retrained)
+    );
 }

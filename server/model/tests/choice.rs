@@ -45,9 +45,9 @@ fn learn_nightly(kind: StateKind, samples: &[Sample]) -> StateModel {
     for day in samples.chunk_by(|one, next| one.local_day() == next.local_day()) {
         state.update(&week, OrderCriterion::SquaredError, day.to_vec());
         seen += day.len();
-        for fit in UpdateRules::default().models.trained() {
-            if state.is_training_due(fit) {
-                let model = fit.train(Readings::new(&samples[..seen]), kind, &week).unwrap();
+        for model_kind in UpdateRules::default().models.trained() {
+            if state.is_training_due(model_kind) {
+                let model = model_kind.train(Readings::new(&samples[..seen]), kind, &week).unwrap();
                 state = state.with_trained(model, day[0].local_day());
             }
         }
@@ -77,8 +77,8 @@ fn errors(state: &StateModel, test: &[Sample]) -> (f64, Vec<f64>) {
         let (cycle, bins) = kind.histogram().unwrap();
         mse(&known.hours().histogram(cycle, bins).unwrap(), test)
     });
-    let fits = TRAINED_AT_NIGHT.into_iter().filter_map(|kind| Some(mse(known.trained(kind)?.0, test)));
-    let members = [spectral].into_iter().chain(histograms).chain(fits).collect();
+    let trained = TRAINED_AT_NIGHT.into_iter().filter_map(|kind| Some(mse(known.trained(kind)?.0, test)));
+    let members = [spectral].into_iter().chain(histograms).chain(trained).collect();
     (state.chosen(&week).map_or(spectral, |chosen| mse(&chosen, test)), members)
 }
 

@@ -73,9 +73,9 @@ fn check(what: &str, found: f64, expected: f64, tolerance: f64) {
 fn the_door_is_predicted_as_well_as_by_the_reference() {
     let Some(Door { train, weeks }) = door() else { return };
     let readings = Readings::new(&train);
-    check("mean", weekly_mse(&Mean::fit(readings).unwrap(), &weeks), 0.0856, 0.0005);
+    check("mean", weekly_mse(&Mean::train(readings).unwrap(), &weeks), 0.0856, 0.0005);
     let settings = HistogramSettings::new(HistogramCycle::Day, 24);
-    check("Hist_24", weekly_mse(&Histogram::fit(readings, &settings).unwrap(), &weeks), 0.0727, 0.0005);
+    check("Hist_24", weekly_mse(&Histogram::train(readings, &settings).unwrap(), &weeks), 0.0727, 0.0005);
 
     let mut table = HourTable::default();
     train.chunk_by(|a, b| a.local_day() == b.local_day()).for_each(|day| table.add(day));
@@ -84,8 +84,8 @@ fn the_door_is_predicted_as_well_as_by_the_reference() {
         let histogram = table.histogram(cycle, bins).unwrap();
         println!("{cycle:?} {bins}: {:.5}", weekly_mse(&histogram, &weeks));
     }
-    println!("latest: {:.5}", weekly_mse(&Latest::fit(readings).unwrap(), &weeks));
-    let chain = MarkovChain::fit(readings).unwrap();
+    println!("latest: {:.5}", weekly_mse(&Latest::train(readings).unwrap(), &weeks));
+    let chain = MarkovChain::train(readings).unwrap();
     println!("chain: {:.5}, {:?}, π {:.4}", weekly_mse(&chain, &weeks), chain.to_parts(), chain.stationary());
     // Half a day ahead and more, a chain equals the mean.
     check("chain", weekly_mse(&chain, &weeks), 0.0856, 0.001);
@@ -94,9 +94,9 @@ fn the_door_is_predicted_as_well_as_by_the_reference() {
 #[test]
 fn the_chain_predicts_the_next_minutes_of_the_door() {
     let Some(Door { train, weeks }) = door() else { return };
-    let fitted = MarkovChain::fit(Readings::new(&train)).unwrap();
+    let trained = MarkovChain::train(Readings::new(&train)).unwrap();
     for minutes in [1, 5] {
-        let (mut chain, mut errors, mut latest_errors) = (fitted, Evaluation::default(), Evaluation::default());
+        let (mut chain, mut errors, mut latest_errors) = (trained, Evaluation::default(), Evaluation::default());
         for week in &weeks {
             for (now, ahead) in week.iter().zip(&week[minutes..]) {
                 chain.observe(now.utc_nanos, now.value);
@@ -120,10 +120,10 @@ fn the_speed_is_predicted_as_well_as_by_the_reference() {
         let (train, test) = (read(&folder.join("train.txt"), &zone), read(&folder.join("test1.txt"), &zone));
         assert_eq!((train.len(), test.len()), (800, 101));
         let readings = Readings::new(&train);
-        check("speed, mean", mse(&Mean::fit(readings).unwrap(), &test), 0.01688, 0.00001);
+        check("speed, mean", mse(&Mean::train(readings).unwrap(), &test), 0.01688, 0.00001);
 
         let settings = HistogramSettings::new(HistogramCycle::Day, 24);
-        let bare = Histogram::fit(readings, &HistogramSettings { prior_readings: 0.0, ..settings }).unwrap();
+        let bare = Histogram::train(readings, &HistogramSettings { prior_readings: 0.0, ..settings }).unwrap();
         let mut as_reference = Evaluation::default();
         for sample in &test {
             let at = sample.moment();
@@ -132,7 +132,7 @@ fn the_speed_is_predicted_as_well_as_by_the_reference() {
         }
         check("speed, Hist_24 with 0.5 in empty bins", as_reference.mse(), 0.02022, 0.00002);
         check("speed, Hist_24 without a prior", mse(&bare, &test), 0.01949, 0.00001);
-        check("speed, Hist_24", mse(&Histogram::fit(readings, &settings).unwrap(), &test), 0.01855, 0.00001);
+        check("speed, Hist_24", mse(&Histogram::train(readings, &settings).unwrap(), &test), 0.01855, 0.00001);
     }
 }
 
@@ -154,7 +154,7 @@ fn the_door_supports_three_components_and_more() {
         changes: train.windows(2).map(|pair| (pair[1].value - pair[0].value).abs()).sum(),
     };
     let effective = effective_observations(&sums);
-    let model = SpectralModel::fit(&accumulator, &week);
+    let model = SpectralModel::train(&accumulator, &week);
     let supported = supported_order(&model, &week, &sums);
     println!("worth {effective:.0} independent readings, {supported} components supported");
     assert!(supported >= 3, "{supported} of {effective:.0}");
@@ -184,7 +184,7 @@ fn a_week_of_the_door_is_compressed_without_loss() {
     let Some(Door { weeks, .. }) = door() else { return };
     let samples = &weeks[1];
     for order in [0, 3, 10] {
-        let model = UniformSpectral::fit(Readings::new(samples), order).unwrap();
+        let model = UniformSpectral::train(Readings::new(samples), order).unwrap();
         let exact = model.reconstruct().iter().zip(samples).all(|(&state, sample)| state == (sample.value > 0.5));
         assert!(exact);
         println!(
@@ -220,7 +220,7 @@ fn the_alarm_keeps_quiet_over_the_door_and_rings_when_its_nights_become_days() {
         for (day, mse, scored) in daily_errors(samples) {
             alarm.observe(day, mse, scored);
         }
-        alarm.rang_on()
+        alarm.alarm_day()
     };
     let all: Vec<Sample> = train.iter().chain(weeks.iter().flatten()).copied().collect();
     assert_eq!(rang(&all), None);

@@ -39,11 +39,11 @@ fn read(folder: &Path, name: &str, zone: &Zone) -> Vec<Sample> {
         .collect()
 }
 
-fn fitted(samples: &[Sample]) -> SpectralModel {
+fn trained(samples: &[Sample]) -> SpectralModel {
     let week = Periodicities::default();
     let mut accumulator = Accumulator::new(&week);
     accumulator.add(&week, samples);
-    SpectralModel::fit(&accumulator, &week)
+    SpectralModel::train(&accumulator, &week)
 }
 
 #[track_caller]
@@ -59,7 +59,7 @@ fn check_mse(model: &SpectralModel, samples: &[Sample], orders: &[usize], expect
 fn predictions_are_as_good_as_the_reference() {
     let Some(folder) = recordings() else { return };
     let london = Zone::named("Europe/London").unwrap();
-    let model = fitted(&read(&folder, "train.csv", &london));
+    let model = trained(&read(&folder, "train.csv", &london));
     let orders = [0, 1, 2, 3, 5, 10, 15];
     let expected = [
         ("train.csv", [0.10418, 0.08797, 0.08290, 0.07886, 0.07336, 0.06623, 0.06262]),
@@ -76,7 +76,7 @@ fn predictions_are_as_good_as_the_reference() {
 #[test]
 fn the_door_has_a_daily_and_a_weekly_rhythm() {
     let Some(folder) = recordings() else { return };
-    let model = fitted(&read(&folder, "train.csv", &Zone::named("Europe/London").unwrap()));
+    let model = trained(&read(&folder, "train.csv", &Zone::named("Europe/London").unwrap()));
     let expected =
         [(86_400.0, 0.1773), (604_800.0, 0.0898), (21_600.0, 0.0808), (302_400.0, 0.0764), (75_600.0, 0.0682)];
     for (component, (period_secs, amplitude)) in model.components().iter().zip(expected) {
@@ -90,7 +90,7 @@ fn the_door_has_a_daily_and_a_weekly_rhythm() {
 fn a_map_in_utc_misses_the_change_to_summer_time() {
     let Some(folder) = recordings() else { return };
     let utc = Zone::utc();
-    let model = fitted(&read(&folder, "train.csv", &utc));
+    let model = trained(&read(&folder, "train.csv", &utc));
     for (name, expected) in [("week2.csv", 0.06884), ("week3.csv", 0.07562), ("week4.csv", 0.07402)] {
         check_mse(&model, &read(&folder, name, &utc), &[2], &[expected]);
     }
@@ -116,8 +116,8 @@ fn next_day_errors(days: &[Vec<Sample>], mut next_order: impl FnMut(LocalDay, &S
 }
 
 /// Mean squared errors of the next day, from the fifteenth day on, over observations: of the best order, and of the
-/// model in force. Without `refits` the calibrated model is never trained.
-fn next_day_in_force(samples: &[Sample], refits: bool) -> (f64, f64, StateModel) {
+/// model in force. Without `is_trained` the calibrated model is never trained.
+fn next_day_in_force(samples: &[Sample], is_trained: bool) -> (f64, f64, StateModel) {
     let week = Periodicities::default();
     let mut state = StateModel::new(&week);
     let (mut of_order, mut of_model, mut scored) = (0.0, 0.0, 0.0);
@@ -126,9 +126,9 @@ fn next_day_in_force(samples: &[Sample], refits: bool) -> (f64, f64, StateModel)
         let order = state.order();
         let outcome = state.update(&week, OrderCriterion::SquaredError, day.to_vec());
         seen += day.len();
-        if refits && state.is_training_due(ModelKind::Calibrated) {
-            let fit = Calibrated::fit(Readings::new(&samples[..seen]), CalibratedOptions::default()).unwrap();
-            state = state.with_trained(fit, day[0].local_day());
+        if is_trained && state.is_training_due(ModelKind::Calibrated) {
+            let model = Calibrated::train(Readings::new(&samples[..seen]), CalibratedOptions::default()).unwrap();
+            state = state.with_trained(model, day[0].local_day());
         }
         if index >= 14 {
             of_order += outcome.squared_errors[order];

@@ -83,7 +83,7 @@ fn a_periodic_mixture_knows_the_door_better_than_its_mean() {
     let by_mean = door.error("mean", &mean(&door.train));
     for gaussians in [1, 2, 3, 5] {
         let options = PergamOptions { gaussians, ..PergamOptions::default() };
-        let model = Pergam::fit(Readings::new(&door.train), &options).unwrap();
+        let model = Pergam::train(Readings::new(&door.train), &options).unwrap();
         let error = door.error(&format!("PerGaM_{gaussians}"), &model);
         assert!(error < 0.95 * by_mean, "{gaussians} Gaussians: {error}");
         assert!(gaussians < 5 || error < 0.073, "{error}");
@@ -91,7 +91,7 @@ fn a_periodic_mixture_knows_the_door_better_than_its_mean() {
 }
 
 fn door_by_hypertime(door: &Door, options: &HypertimeOptions) -> f64 {
-    let model = Hypertime::fit(Readings::new(&door.train), &Periodicities::default(), options).unwrap();
+    let model = Hypertime::train(Readings::new(&door.train), &Periodicities::default(), options).unwrap();
     let periods = model.periods_secs();
     assert!(periods.contains(&86_400.0) && periods.contains(&604_800.0), "{periods:?}");
     let HypertimeOptions { method, clusters, seed } = options;
@@ -125,7 +125,7 @@ fn speed_without_a_rhythm_is_predicted_no_worse_than_by_its_mean() {
     let by_mean = error(&mean(&train), &test);
     println!("velocity, mean: {by_mean:.5}");
     for options in [with(HypertimeMethod::Em, 1), with(HypertimeMethod::Em, 5), with(HypertimeMethod::Km, 10)] {
-        let model = Hypertime::fit_continuous(Readings::new(&train), &Periodicities::default(), &options).unwrap();
+        let model = Hypertime::train_continuous(Readings::new(&train), &Periodicities::default(), &options).unwrap();
         let (found, periods) = (error(&model, &test), model.periods_secs());
         println!("velocity, {:?} {} {periods:.0?}: {found:.5}", options.method, options.clusters);
         assert!(found < 1.02 * by_mean, "{found}");
@@ -156,9 +156,9 @@ fn year() -> Vec<Sample> {
 #[ignore = "takes minutes; for the table of figures"]
 fn figures() {
     let Some(door) = Door::read() else { return };
-    let timed = |fit: &dyn Fn() -> Hypertime| {
+    let timed = |train: &dyn Fn() -> Hypertime| {
         let start = std::time::Instant::now();
-        let model = fit();
+        let model = train();
         (model, start.elapsed().as_secs_f64())
     };
     let year = year();
@@ -173,9 +173,9 @@ fn figures() {
         }
         let options = with(method, clusters);
         let (probability, secs) =
-            timed(&|| Hypertime::fit(Readings::new(&year), &Periodicities::default(), &options).unwrap());
+            timed(&|| Hypertime::train(Readings::new(&year), &Periodicities::default(), &options).unwrap());
         let (number, as_number_secs) =
-            timed(&|| Hypertime::fit_continuous(Readings::new(&year), &Periodicities::default(), &options).unwrap());
+            timed(&|| Hypertime::train_continuous(Readings::new(&year), &Periodicities::default(), &options).unwrap());
         let (found, as_number) = (error(&probability, &year), error(&number, &year));
         println!(
             "year, {method:?} {clusters}: {found:.4} in {secs:.1} s, as number {as_number:.4} in {as_number_secs:.1} s"

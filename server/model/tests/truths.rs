@@ -14,7 +14,7 @@ use tidemap_model::{EnabledModels, LocalDay, ORDER_MAX, Periodicities, Sample, S
 const SLOT_NANOS: i64 = 600_000_000_000;
 const SLOTS: i64 = 144;
 /// The training data of the models.
-const FIT_DAYS: i64 = 84;
+const TRAINING_DAYS: i64 = 84;
 
 /// A pseudo-random number in `[0,1)`.
 fn noise(seed: i64) -> f64 {
@@ -40,7 +40,7 @@ enum Candidate {
     /// The order that was in force.
     Spectral,
     Histogram(usize),
-    Fitted(ModelKind),
+    Trained(ModelKind),
 }
 
 /// Mean squared errors of a day, each of predictions made before it.
@@ -81,13 +81,13 @@ fn run(kind: StateKind, days: i64, value: impl Fn(i64, i64) -> f64) -> Run {
         let outcome = run.state.update(&periodicities, rules, today.clone());
         run.days.push(report(&before, &outcome.squared_errors, outcome.squared_error_in_force, &today));
         seen.extend(today);
-        seen.drain(..seen.len().saturating_sub((FIT_DAYS * SLOTS) as usize));
+        seen.drain(..seen.len().saturating_sub((TRAINING_DAYS * SLOTS) as usize));
         // As in the daemon: after a change, the old routine is not used.
         let since = run.state.alternatives().and_then(|known| known.training_since());
         seen.retain(|sample: &Sample| since.is_none_or(|since| sample.local_day() >= since));
-        for fit in TRAINED_AT_NIGHT {
-            if run.state.is_training_due(fit) {
-                let model = fit.train(Readings::new(&seen), kind, &periodicities).unwrap();
+        for model_kind in TRAINED_AT_NIGHT {
+            if run.state.is_training_due(model_kind) {
+                let model = model_kind.train(Readings::new(&seen), kind, &periodicities).unwrap();
                 run.state = run.state.with_trained(model, LocalDay(day as i32));
             }
         }
@@ -107,7 +107,7 @@ fn report(before: &StateModel, orders: &[f64; ORDER_MAX + 1], in_force: f64, tod
         }
         for kind in TRAINED_AT_NIGHT {
             if let Some((model, _)) = known.trained(kind) {
-                candidates.push((Candidate::Fitted(kind), mse(model, today)));
+                candidates.push((Candidate::Trained(kind), mse(model, today)));
             }
         }
     }
@@ -165,7 +165,7 @@ fn flag(value: bool) -> f64 {
     f64::from(u8::from(value))
 }
 
-const PERGAM: Candidate = Candidate::Fitted(ModelKind::PERGAM);
+const PERGAM: Candidate = Candidate::Trained(ModelKind::PERGAM);
 
 #[test]
 fn one_short_daily_event() {
@@ -261,7 +261,7 @@ fn what_never_changes_has_the_mean() {
 /// `cargo test -p tidemap-model --test truths -- --ignored --nocapture`
 #[test]
 #[ignore = "a measurement"]
-fn how_long_a_fit_and_a_day_take() {
+fn how_long_a_training_and_a_day_take() {
     let minutes = |days: std::ops::Range<i64>, state_kind: StateKind| -> Vec<Sample> {
         let sample = |minute: i64| {
             let (day, of_day) = (minute.div_euclid(1440), minute.rem_euclid(1440));
@@ -273,15 +273,16 @@ fn how_long_a_fit_and_a_day_take() {
         (days.start * 1440..days.end * 1440).map(sample).collect()
     };
     for state_kind in [StateKind::Probability, StateKind::Continuous] {
-        let (seen, next) = (minutes(0..FIT_DAYS, state_kind), minutes(FIT_DAYS..FIT_DAYS + 1, state_kind));
+        let (seen, next) =
+            (minutes(0..TRAINING_DAYS, state_kind), minutes(TRAINING_DAYS..TRAINING_DAYS + 1, state_kind));
         for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(state_kind)) {
             let started = std::time::Instant::now();
             let model = kind.train(Readings::new(&seen), state_kind, &Periodicities::default()).unwrap();
-            let fitted = started.elapsed();
+            let trained = started.elapsed();
             let started = std::time::Instant::now();
             let error = mse(&model, &next);
             println!(
-                "{state_kind:?} {kind:?}: fit {fitted:?}, a day of minutes {:?}, error {error:.4}",
+                "{state_kind:?} {kind:?}: training {trained:?}, a day of minutes {:?}, error {error:.4}",
                 started.elapsed()
             );
         }

@@ -5,7 +5,7 @@
 
 use tidemap_model::{
     EarlyStop, StopSignal,
-    models::{CannotFit, Presence, PresenceOptions},
+    models::{CannotTrain, Presence, PresenceOptions},
 };
 
 /// Readings count for so long before the first time: as long as fits of other models look back.
@@ -30,7 +30,7 @@ pub struct Sighting {
 pub enum PresenceError {
     /// The number of places or of slots is outside of its range.
     #[error(transparent)]
-    CannotFit(#[from] CannotFit),
+    CannotTrain(#[from] CannotTrain),
     /// Nobody waits for the answer.
     #[error(transparent)]
     Stopped(#[from] EarlyStop),
@@ -184,7 +184,7 @@ mod tests {
     fn one_place_or_too_many_and_work_that_nobody_awaits_are_refused() {
         for places in [0, 1, 65] {
             let refused = presence_series(places, &[], &[MONDAY], HOUR, |_| 0, StopSignal::NEVER);
-            assert!(matches!(refused, Err(PresenceError::CannotFit(_))), "{refused:?}");
+            assert!(matches!(refused, Err(PresenceError::CannotTrain(_))), "{refused:?}");
         }
         let is_set = || true;
         let stopped = presence_series(3, &weeks(1), &[MONDAY + DAY_NANOS], HOUR, |_| 0, StopSignal::new(&is_set));

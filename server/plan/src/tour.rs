@@ -178,7 +178,7 @@ fn find_tour(
         observation_secs: question.observation_secs,
         budget_secs: question.budget_secs.unwrap_or(f64::INFINITY),
     };
-    let order = budget.fit();
+    let order = budget.select();
     stop.check()?;
     if order.is_empty() {
         let (budget_secs, least_secs) = (budget.budget_secs, budget.least_secs());

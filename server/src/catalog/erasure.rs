@@ -10,7 +10,7 @@ use std::{
 };
 
 use tidemap_map::{
-    erasure::{Selection, Wish},
+    erasure::{ErasureRequest, Selection},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
@@ -70,24 +70,29 @@ impl Catalog {
     }
 
     /// Erases something from a map, as a job that continues if the caller goes away.
-    pub(crate) fn erase(&self, map: &MapName, wish: Wish, caller: &Caller) -> Arc<UpdateJob> {
+    pub(crate) fn erase(&self, map: &MapName, request: ErasureRequest, caller: &Caller) -> Arc<UpdateJob> {
         let job = self.context.jobs.create(map.clone(), JobCause::Erasure, self.context.clock.now_nanos());
         let (this, map, by, running) = (self.clone(), map.clone(), caller.shown().to_owned(), Arc::clone(&job));
-        info!(%map, %wish, by, job = job.id, "erasure ordered");
+        info!(%map, %request, by, job = job.id, "erasure ordered");
         tokio::spawn(async move {
-            let erased = this.erase_now(&map, &wish, &running).await;
+            let erased = this.erase_now(&map, &request, &running).await;
             match &erased {
                 Ok(Erased { states, observations }) => {
-                    info!(%map, %wish, by, job = running.id, states, observations, "erased");
+                    info!(%map, %request, by, job = running.id, states, observations, "erased");
                 }
-                Err(error) => error!(%map, %wish, by, job = running.id, %error, "not erased"),
+                Err(error) => error!(%map, %request, by, job = running.id, %error, "not erased"),
             }
             running.end_with(erased.map(|_| None).map_err(|error| error.to_string()));
         });
         job
     }
 
-    async fn erase_now(&self, map: &MapName, wish: &Wish, job: &UpdateJob) -> Result<Erased, CatalogError> {
+    async fn erase_now(
+        &self,
+        map: &MapName,
+        request: &ErasureRequest,
+        job: &UpdateJob,
+    ) -> Result<Erased, CatalogError> {
         let open = self.changing.lock().await;
         if !*open {
             return Err(CatalogError::Stopping);
@@ -98,9 +103,9 @@ impl Catalog {
         }
         let (id, spec, view) = (old.id, Arc::clone(&old.spec), old.view());
         // States and producers are only added from here on.
-        let states = wish.state.as_deref().map(|state| states_of(&view, state)).transpose()?;
+        let states = request.state.as_deref().map(|state| states_of(&view, state)).transpose()?;
         let mut selection = None;
-        if let Some(part) = &wish.part {
+        if let Some(part) = &request.part {
             let producers = match &part.producer {
                 Some((producer, label)) => Some(self.producers_of(&old, (producer, label.as_deref())).await?),
                 None => None,
@@ -146,9 +151,9 @@ impl Catalog {
             }
         }
         let erased = erased?;
-        let producer = wish.part.iter().filter_map(|part| part.producer.as_ref());
+        let producer = request.part.iter().filter_map(|part| part.producer.as_ref());
         let producer = producer.flat_map(|(producer, label)| [Some(producer), label.as_ref()]).flatten();
-        let names: Vec<&str> = wish.state.iter().chain(producer).map(String::as_str).collect();
+        let names: Vec<&str> = request.state.iter().chain(producer).map(String::as_str).collect();
         self.context.jobs.erased(map, &names);
         job.count(erased.states, erased.observations);
         job.states_done.store(erased.states, Ordering::Relaxed);

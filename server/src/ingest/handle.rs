@@ -92,7 +92,7 @@ impl MapHandle {
         self.replaced.store(true, Ordering::SeqCst);
     }
 
-    /// Whether another handle has the map. What was read from the store before this says `false` fits to the view.
+    /// Whether another handle has the map. What was read from the store before this says `false` belongs to the view.
     pub(crate) fn is_replaced(&self) -> bool {
         self.replaced.load(Ordering::SeqCst)
     }

@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock};
 
 use tidemap_map::{
     history::HistoryPiece,
-    refit::{ReadingsRequest, StateReadings},
+    training::{ReadingsRequest, StateReadings},
 };
 use tidemap_model::Sample;
 use tidemap_store::{History, StateFiles};

@@ -5,7 +5,7 @@
 use tidemap_map::spec::MapSpec;
 use tidemap_model::{
     Sample, StopSignal,
-    models::{CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeOptions, Moment, Readings},
+    models::{CannotTrain, FieldReading, HypertimeDistribution, HypertimeField, HypertimeOptions, Moment, Readings},
 };
 
 /// A model of a state by place and time.
@@ -20,15 +20,15 @@ impl PlaceModel {
     /// readings of the same time, the first belong together, then the second, and so on.
     ///
     /// # Errors
-    /// [`CannotFit`] if an option is out of range, no time is among both, or the training is stopped.
-    pub(crate) fn fit(
+    /// [`CannotTrain`] if an option is out of range, no time is among both, or the training is stopped.
+    pub(crate) fn train(
         options: &HypertimeOptions,
         values: &[Sample],
         axes: &[impl AsRef<[Sample]>],
         spec: &MapSpec,
         stop: StopSignal<'_>,
-    ) -> Result<Self, CannotFit> {
-        let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotFit::NoReadings) };
+    ) -> Result<Self, CannotTrain> {
+        let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotTrain::NoReadings) };
         let mut place = 0;
         let mut placed: Vec<Sample> = Vec::new();
         let mut readings = Vec::new();
@@ -49,11 +49,11 @@ impl PlaceModel {
             place += 1;
         }
         if readings.is_empty() {
-            return Err(CannotFit::NoReadings);
+            return Err(CannotTrain::NoReadings);
         }
         let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
         let weights: Vec<f64> = Readings { half_life_secs, ..Readings::new(&placed) }.weights().collect();
-        let field = HypertimeField::fit_weighted(&readings, &weights, (&spec.periodicities, options), stop)?;
+        let field = HypertimeField::train_weighted(&readings, &weights, (&spec.periodicities, options), stop)?;
         Ok(Self { field, observations: readings.len() as u64 })
     }
 
@@ -88,11 +88,11 @@ mod tests {
         };
         let spec = MapSpec::new(MapName::new("office").expect("valid"));
         let model =
-            PlaceModel::fit(&options, &values, &[axis(5.0), axis(1.0)], &spec, StopSignal::NEVER).expect("a model");
+            PlaceModel::train(&options, &values, &[axis(5.0), axis(1.0)], &spec, StopSignal::NEVER).expect("a model");
         assert_eq!(model.observations(), 200);
         let at = |place: [f64; 2]| model.at(&place, values[0].moment()).expect("a distribution").mean()[0];
         assert!(at([5.0, 1.0]) > 0.8 && at([0.0, 0.0]) < 0.2, "{} and {}", at([5.0, 1.0]), at([0.0, 0.0]));
         let late: Vec<Sample> = (0..20).map(|i| sample(60 * i + 1, 0.0)).collect();
-        assert!(PlaceModel::fit(&options, &values, &[late.clone(), late], &spec, StopSignal::NEVER).is_err());
+        assert!(PlaceModel::train(&options, &values, &[late.clone(), late], &spec, StopSignal::NEVER).is_err());
     }
 }

@@ -6,7 +6,7 @@ use tidemap_map::{event::Dimensions, spec::MapSpec};
 use tidemap_model::{
     Sample, StopSignal,
     models::{
-        COUNT_BIN_NANOS, CannotFit, FieldReading, HypertimeDistribution, HypertimeField, HypertimeOptions, Moment,
+        COUNT_BIN_NANOS, CannotTrain, FieldReading, HypertimeDistribution, HypertimeField, HypertimeOptions, Moment,
         PoissonSpectral, Readings, TemporalModel as _,
     },
 };
@@ -29,21 +29,25 @@ impl PositionModel {
     /// Trains a model on the readings of all axes of a vector, each ascending by time.
     ///
     /// # Errors
-    /// [`CannotFit`] if an option is out of range, there is no reading, or the axes do not have readings at the same
+    /// [`CannotTrain`] if an option is out of range, there is no reading, or the axes do not have readings at the same
     /// times.
-    pub(crate) fn fit(
+    pub(crate) fn train(
         options: &HypertimeOptions,
         axes: &[impl AsRef<[Sample]>],
         spec: &MapSpec,
         stop: StopSignal<'_>,
-    ) -> Result<Self, CannotFit> {
-        let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotFit::NoReadings) };
+    ) -> Result<Self, CannotTrain> {
+        let Some(first) = axes.first().map(AsRef::as_ref) else { return Err(CannotTrain::NoReadings) };
         let times = || first.iter().map(|sample| sample.utc_nanos);
         let is_whole = Dimensions::of(axes.len()).is_some();
         let is_one = |axis: &[Sample]| axis.iter().map(|sample| sample.utc_nanos).eq(times());
         if !is_whole || !axes.iter().all(|axis| is_one(axis.as_ref())) {
             let (parameter, found) = ("axes", axes.len() as f64);
-            return Err(CannotFit::Parameter { parameter, found, expected: "2 or 3 with readings of the same times" });
+            return Err(CannotTrain::Parameter {
+                parameter,
+                found,
+                expected: "2 or 3 with readings of the same times",
+            });
         }
         let readings: Vec<FieldReading> = (0..first.len())
             .map(|i| FieldReading {
@@ -54,10 +58,10 @@ impl PositionModel {
             .collect();
         let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
         let weights: Vec<f64> = Readings { half_life_secs, ..Readings::new(first) }.weights().collect();
-        let field = HypertimeField::fit_weighted(&readings, &weights, (&spec.periodicities, options), stop)?;
+        let field = HypertimeField::train_weighted(&readings, &weights, (&spec.periodicities, options), stop)?;
         let counts = counts(first);
         let rate = Readings { half_life_secs, stop, ..Readings::new(&counts.samples) };
-        let rate = PoissonSpectral::fit(rate, &spec.periodicities, counts.bin_nanos)?;
+        let rate = PoissonSpectral::train(rate, &spec.periodicities, counts.bin_nanos)?;
         let bound = |axis: &[Sample], start: f64, nearer: fn(f64, f64) -> f64| {
             axis.iter().map(|sample| sample.value).fold(start, nearer)
         };

@@ -21,49 +21,49 @@ fn key(state: u32) -> ModelKey {
 /// A model that is identified by its newest value.
 fn model(value: f64) -> CachedModel {
     let samples = [Sample { utc_nanos: 5, offset_secs: 0, value }];
-    CachedModel::Trained(TrainedModel::Persistence(MarkovChain::fit(Readings::new(&samples)).expect("a reading")))
+    CachedModel::Trained(TrainedModel::Persistence(MarkovChain::train(Readings::new(&samples)).expect("a reading")))
 }
 
-fn value(fitted: &CachedModel) -> f64 {
-    let CachedModel::Trained(TrainedModel::Persistence(chain)) = fitted else { panic!("{fitted:?}") };
+fn value(trained: &CachedModel) -> f64 {
+    let CachedModel::Trained(TrainedModel::Persistence(chain)) = trained else { panic!("{trained:?}") };
     chain.to_parts().last_value
 }
 
 async fn keep(cache: &ModelCache, key: ModelKey, value: f64) {
-    cache.get_or_fit(key, async { Ok::<_, Infallible>(model(value)) }).await.expect("fitted");
+    cache.get_or_train(key, async { Ok::<_, Infallible>(model(value)) }).await.expect("trained");
 }
 
 #[tokio::test]
-async fn a_model_is_fitted_once_however_many_ask_for_it() {
+async fn a_model_is_trained_once_however_many_ask_for_it() {
     let cache = Arc::new(ModelCache::new(10));
-    let (fitted, go) = (Arc::new(AtomicU32::new(0)), Arc::new(Notify::new()));
+    let (trained, go) = (Arc::new(AtomicU32::new(0)), Arc::new(Notify::new()));
     let asking: Vec<_> = (0..8)
         .map(|_| {
-            let (cache, fitted, go) = (Arc::clone(&cache), Arc::clone(&fitted), Arc::clone(&go));
+            let (cache, trained, go) = (Arc::clone(&cache), Arc::clone(&trained), Arc::clone(&go));
             tokio::spawn(async move {
-                let fit = async {
-                    fitted.fetch_add(1, Ordering::Relaxed);
+                let training = async {
+                    trained.fetch_add(1, Ordering::Relaxed);
                     go.notified().await;
                     Ok::<_, Infallible>(model(0.25))
                 };
-                cache.get_or_fit(key(1), fit).await.map(|fitted| value(&fitted))
+                cache.get_or_train(key(1), training).await.map(|trained| value(&trained))
             })
         })
         .collect();
     // While it is trained, others are requested and trained.
-    while fitted.load(Ordering::Relaxed) == 0 {
+    while trained.load(Ordering::Relaxed) == 0 {
         tokio::task::yield_now().await;
     }
     assert!(cache.get(&key(1)).is_none());
     keep(&cache, key(2), 0.5).await;
-    assert_eq!(cache.get(&key(2)).map(|fitted| value(&fitted)), Some(0.5));
+    assert_eq!(cache.get(&key(2)).map(|trained| value(&trained)), Some(0.5));
     go.notify_one();
     for asked in asking {
         assert_eq!(asked.await.expect("no panic"), Ok(0.25));
     }
     keep(&cache, key(1), 1.0).await;
-    assert_eq!(cache.get(&key(1)).map(|fitted| value(&fitted)), Some(0.25));
-    assert_eq!(fitted.load(Ordering::Relaxed), 1);
+    assert_eq!(cache.get(&key(1)).map(|trained| value(&trained)), Some(0.25));
+    assert_eq!(trained.load(Ordering::Relaxed), 1);
 }
 
 #[tokio::test]
@@ -107,40 +107,40 @@ async fn whatever_differs_is_another_model() {
 }
 
 #[tokio::test]
-async fn a_fit_that_failed_is_not_kept() {
+async fn a_training_that_failed_is_not_kept() {
     let cache = ModelCache::new(2);
     keep(&cache, key(1), 0.5).await;
     keep(&cache, key(2), 0.5).await;
     for state in 3..20 {
-        let failed = cache.get_or_fit(key(state), async { Err("no readings") }).await;
+        let failed = cache.get_or_train(key(state), async { Err("no readings") }).await;
         assert_eq!(failed.err(), Some("no readings"));
         assert!(cache.get(&key(state)).is_none());
     }
     keep(&cache, key(3), 0.75).await;
-    assert_eq!(cache.get(&key(3)).map(|fitted| value(&fitted)), Some(0.75));
+    assert_eq!(cache.get(&key(3)).map(|trained| value(&trained)), Some(0.75));
 }
 
 #[tokio::test]
-async fn a_model_that_is_being_fitted_is_not_given_up_for_others() {
+async fn a_model_that_is_being_trained_is_not_given_up_for_others() {
     let cache = Arc::new(ModelCache::new(1));
     let (go, started) = (Arc::new(Notify::new()), Arc::new(Notify::new()));
-    let fitting = {
+    let running = {
         let (cache, go, started) = (Arc::clone(&cache), Arc::clone(&go), Arc::clone(&started));
         tokio::spawn(async move {
-            let fit = async {
+            let training = async {
                 started.notify_one();
                 go.notified().await;
                 Ok::<_, Infallible>(model(0.25))
             };
-            cache.get_or_fit(key(1), fit).await.map(drop)
+            cache.get_or_train(key(1), training).await.map(drop)
         })
     };
     started.notified().await;
     keep(&cache, key(2), 0.5).await;
     keep(&cache, key(3), 0.5).await;
     go.notify_one();
-    assert_eq!(fitting.await.expect("no panic"), Ok(()));
-    assert_eq!(cache.get(&key(1)).map(|fitted| value(&fitted)), Some(0.25));
+    assert_eq!(running.await.expect("no panic"), Ok(()));
+    assert_eq!(cache.get(&key(1)).map(|trained| value(&trained)), Some(0.25));
     // The extra model goes with the next one.
     keep(&cache, key(4), 0.5).await;
     assert_eq!(cache.entries.lock().expect("no panic").slots.len(), 1);
@@ -157,15 +157,15 @@ fn requests_hold_no_more_than_may_be_kept() {
 }
 
 #[tokio::test]
-async fn a_fit_goes_on_while_anybody_waits_and_never_again_once_told_to_stop() {
+async fn a_training_goes_on_while_anybody_waits_and_never_again_once_told_to_stop() {
     let cache = ModelCache::<CachedModel>::new(3);
     let (one, other) = (cache.interest(key(1)), cache.interest(key(1)));
-    let stop = one.fit_stop();
+    let stop = one.training_stop();
     drop(one);
     assert!(!stop.is_set(), "the other waits");
     drop(other);
     assert!(stop.is_set());
-    // Who asks now gets a fit of its own.
+    // Who asks now gets a training of its own.
     let late = cache.interest(key(1));
-    assert!(stop.is_set() && !late.fit_stop().is_set());
+    assert!(stop.is_set() && !late.training_stop().is_set());
 }

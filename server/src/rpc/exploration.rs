@@ -15,7 +15,6 @@ use tonic::{Request, Response};
 
 use super::{
     RpcReply,
-    fitting::ModelFitter,
     lookup::{check_limit, check_on_grid, find_map},
     map::edit_site,
     permits::{Permits, processors},
@@ -23,6 +22,7 @@ use super::{
     replies::Replies,
     series::PredictContext,
     status::RpcError,
+    training::ModelTrainer,
 };
 use crate::catalog::Catalog;
 
@@ -54,15 +54,15 @@ pub(crate) struct PlanLimits {
 pub(crate) struct Explorations {
     catalog: Arc<Catalog>,
     limits: PlanLimits,
-    fitting: Arc<ModelFitter>,
+    trainer: Arc<ModelTrainer>,
     permits: Permits,
 }
 
 impl Explorations {
-    /// Plans within these limits; models are trained by the fitter of `queries`.
+    /// Plans within these limits; models are trained by those of `queries`.
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
         // A plan keeps all processors busy; more at once only wait for each other.
-        Self { catalog, limits, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
+        Self { catalog, limits, trainer: queries.trainer(), permits: Permits::new(processors().max(2)) }
     }
 
     fn predict_options(&self) -> PredictOptions {
@@ -70,7 +70,7 @@ impl Explorations {
     }
 
     fn predict_context(&self) -> PredictContext<'_> {
-        PredictContext { fitting: &self.fitting, permits: &self.permits, predictions: self.limits.predictions }
+        PredictContext { trainer: &self.trainer, permits: &self.permits, predictions: self.limits.predictions }
     }
 
     /// Checks the number of times of a grid.

@@ -7,11 +7,11 @@ use std::{
 };
 
 use tidemap_grid::outcome::GridOutcome;
-use tidemap_map::{erasure::WishedPart, event::UpdateCause, update::StateOutcome};
+use tidemap_map::{erasure::RequestedPart, event::UpdateCause, update::StateOutcome};
 use tidemap_model::selector::ModelSelector;
 use tidemap_proto::{
     convert::{
-        erasure::wish_from_wire,
+        erasure::erasure_from_wire,
         map::update_to_wire,
         page::page_from_wire,
         query::selector_to_wire,
@@ -273,12 +273,12 @@ impl MaintenanceService for Maintenance {
     async fn erase(&self, request: Request<v1::EraseRequest>) -> RpcReply<v1::EraseResponse> {
         let request = request.into_inner();
         let handle = find_map(&self.catalog, &request.map).await?;
-        let wish = wish_from_wire(&request).map_err(RpcError::from)?;
-        if let Some(WishedPart { producer: Some((producer, label)), .. }) = &wish.part {
+        let erasure = erasure_from_wire(&request).map_err(RpcError::from)?;
+        if let Some(RequestedPart { producer: Some((producer, label)), .. }) = &erasure.part {
             self.catalog.producers_of(&handle, (producer, label.as_deref())).await.map_err(RpcError::from)?;
         }
         // Found again when the erasure begins: another one may have been first.
-        if let Some(state) = &wish.state
+        if let Some(state) = &erasure.state
             && let Err(error) = states_of(&handle.view(), state)
         {
             return Err(match error {
@@ -287,7 +287,7 @@ impl MaintenanceService for Maintenance {
             }
             .into());
         }
-        let job = self.catalog.erase(&handle.spec.name, wish, &Caller::current());
+        let job = self.catalog.erase(&handle.spec.name, erasure, &Caller::current());
         Ok(Response::new(v1::EraseResponse { job: Some(job_to_wire(&self.catalog, &job)) }))
     }
 

@@ -10,10 +10,10 @@ use tonic::{Request, Response, Streaming};
 
 use super::{
     RpcReply,
-    fitting::ModelFitter,
     permits::{PROMPT, Permit, Permits, processors},
     replies::Replies,
     status::RpcError,
+    training::ModelTrainer,
 };
 use crate::catalog::Catalog;
 
@@ -52,7 +52,7 @@ pub(crate) struct Queries {
     large_permits: Permits,
     /// Permits to read the past. They are separate, because their holder may wait for an update.
     past_permits: Permits,
-    fitting: Arc<ModelFitter>,
+    trainer: Arc<ModelTrainer>,
     watches: Watches,
 }
 
@@ -64,9 +64,9 @@ pub(crate) struct QueryLimits {
     /// Observations of one message.
     pub batch: usize,
     /// Trained models in the cache.
-    pub fitted_models: usize,
+    pub trained_models: usize,
     /// Readings that a model is trained on.
-    pub fit_readings: u64,
+    pub training_readings: u64,
     /// Watches at once.
     pub watches: usize,
 }
@@ -74,7 +74,8 @@ pub(crate) struct QueryLimits {
 impl Queries {
     /// Answers within these limits.
     pub(crate) fn new(catalog: Arc<Catalog>, limits: QueryLimits) -> Self {
-        let fitting = Arc::new(ModelFitter::new(Arc::clone(&catalog), limits.fitted_models, limits.fit_readings));
+        let trainer =
+            Arc::new(ModelTrainer::new(Arc::clone(&catalog), limits.trained_models, limits.training_readings));
         let (max_predictions, max_batch) = (limits.predictions, limits.batch);
         Self {
             catalog,
@@ -83,7 +84,7 @@ impl Queries {
             permits: Permits::default().beginning_within(PROMPT),
             large_permits: Permits::new((processors() / 2).max(1)).beginning_within(LARGE_WITHIN),
             past_permits: Permits::default(),
-            fitting,
+            trainer,
             watches: Watches::new(limits.watches),
         }
     }
@@ -93,9 +94,9 @@ impl Queries {
         if predictions <= SMALL_PREDICTIONS { self.permits.take().await } else { self.large_permits.take().await }
     }
 
-    /// The fitter of models, for other services.
-    pub(super) fn fitting(&self) -> Arc<ModelFitter> {
-        Arc::clone(&self.fitting)
+    /// The trainer of models, for other services.
+    pub(super) fn trainer(&self) -> Arc<ModelTrainer> {
+        Arc::clone(&self.trainer)
     }
 }
 

@@ -14,12 +14,12 @@ use tonic::{Request, Response};
 
 use super::{
     RpcReply,
-    fitting::ModelFitter,
     lookup::find_map,
     permits::{Permits, processors, run_blocking, run_while_awaited},
     query::Queries,
     series::PredictContext,
     status::RpcError,
+    training::ModelTrainer,
 };
 use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
@@ -35,18 +35,18 @@ pub(crate) struct Routes {
     catalog: Arc<Catalog>,
     /// Maximum number of predictions of one request.
     predictions: u64,
-    fitting: Arc<ModelFitter>,
+    trainer: Arc<ModelTrainer>,
     permits: Permits,
 }
 
 impl Routes {
-    /// Plans within this limit; models are trained by the fitter of `queries`.
+    /// Plans within this limit; models are trained by those of `queries`.
     pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, predictions: u64) -> Self {
-        Self { catalog, predictions, fitting: queries.fitting(), permits: Permits::new(processors().max(2)) }
+        Self { catalog, predictions, trainer: queries.trainer(), permits: Permits::new(processors().max(2)) }
     }
 
     fn predict_context(&self) -> PredictContext<'_> {
-        PredictContext { fitting: &self.fitting, permits: &self.permits, predictions: self.predictions }
+        PredictContext { trainer: &self.trainer, permits: &self.permits, predictions: self.predictions }
     }
 
     /// A map, its present view and its topology.

@@ -8,22 +8,22 @@ use tidemap_map::{ids::StateId, predict::PreparedTimes, view::MapView};
 use tidemap_model::{EarlyStop, StopSignal, models::Moment, selector::ModelSelector};
 
 use super::{
-    fitting::{LearnedState, ModelFitter},
     lookup::check_limit,
     permits::{Permits, run_while_awaited},
     status::RpcError,
+    training::{LearnedState, ModelTrainer},
 };
 use crate::{ingest::handle::MapHandle, model_cache::CachedModel, state_or_cell::StateOrCell};
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
 /// Times at which a trained model predicts between two looks at the stop signal: the slowest takes some 0.1 ms for one.
-pub(super) const FITTED_TIMES: usize = 256;
+pub(super) const TRAINED_TIMES: usize = 256;
 
 /// What a prediction for a plan needs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PredictContext<'a> {
-    pub fitting: &'a Arc<ModelFitter>,
+    pub trainer: &'a Arc<ModelTrainer>,
     pub permits: &'a Permits,
     /// Maximum number of predictions of one request.
     pub predictions: u64,
@@ -64,13 +64,13 @@ pub(super) async fn predict_series(
     let mut rows = Vec::with_capacity(states.len());
     for state in states {
         let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), state.clone());
-        let fitted = context.fitting.fitted(&learned, selector.kind).await?;
+        let trained = context.trainer.trained(&learned, selector.kind).await?;
         let (view, moments) = (Arc::clone(view), Arc::clone(&moments));
         let predict = move |stop: StopSignal<'_>| {
             let mut row = vec![0.0; moments.len()];
-            for (moments, row) in moments.chunks(FITTED_TIMES).zip(row.chunks_mut(FITTED_TIMES)) {
+            for (moments, row) in moments.chunks(TRAINED_TIMES).zip(row.chunks_mut(TRAINED_TIMES)) {
                 stop.check()?;
-                fitted.predict_into(&view, &state, moments, selector, row);
+                trained.predict_into(&view, &state, moments, selector, row);
             }
             Ok::<_, EarlyStop>(row)
         };
@@ -86,7 +86,7 @@ pub(super) struct Predictor {
     states: Vec<StateId>,
     selector: ModelSelector,
     /// Trained models, one per state; empty if none is needed.
-    fitted: Vec<Arc<CachedModel>>,
+    trained: Vec<Arc<CachedModel>>,
 }
 
 impl Predictor {
@@ -99,19 +99,19 @@ impl Predictor {
         states: Vec<StateId>,
         selector: ModelSelector,
     ) -> Result<Predictor, RpcError> {
-        let mut fitted = Vec::new();
+        let mut trained = Vec::new();
         if selector.kind.needs_readings() {
             for &id in &states {
                 let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), id.into());
-                fitted.push(context.fitting.fitted(&learned, selector.kind).await?);
+                trained.push(context.trainer.trained(&learned, selector.kind).await?);
             }
         }
-        Ok(Predictor { view: Arc::clone(view), states, selector, fitted })
+        Ok(Predictor { view: Arc::clone(view), states, selector, trained })
     }
 
     /// Probability that a state, by its index, is 1 at a time in nanoseconds UTC.
     pub(super) fn at(&self, index: usize, time_nanos: i64) -> f64 {
-        if self.fitted.is_empty() {
+        if self.trained.is_empty() {
             return self.at_prepared(index, &self.view.prepare(&[time_nanos]));
         }
         self.at_moments(index, &self.view.moments(&[time_nanos]), None)
@@ -125,8 +125,8 @@ impl Predictor {
     fn at_moments(&self, index: usize, moments: &[Moment], times: Option<&PreparedTimes>) -> f64 {
         let Some(&id) = self.states.get(index) else { return 0.0 };
         let mut row = vec![0.0; moments.len()];
-        match (self.fitted.get(index), times) {
-            (Some(fitted), _) => fitted.predict_into(&self.view, &id.into(), moments, self.selector, &mut row),
+        match (self.trained.get(index), times) {
+            (Some(trained), _) => trained.predict_into(&self.view, &id.into(), moments, self.selector, &mut row),
             (None, Some(times)) => self.view.predict_into(id, times, self.selector, &mut row),
             (None, None) => {}
         }

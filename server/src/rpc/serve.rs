@@ -119,8 +119,8 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
     let limits = QueryLimits {
         predictions: settings.max_predictions,
         batch: settings.max_batch_observations,
-        fitted_models: settings.max_fitted_models,
-        fit_readings: settings.max_fit_readings,
+        trained_models: settings.max_trained_models,
+        training_readings: settings.max_training_readings,
         watches: settings.max_watches,
     };
     let queries = Arc::new(Queries::new(Arc::clone(&catalog), limits));

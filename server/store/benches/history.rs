@@ -13,9 +13,9 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::MapName,
-    refit::{REFIT_READINGS, ReadingsRequest},
     snapshot::MapSnapshot,
     spec::MapSpec,
+    training::{ReadingsRequest, TRAINING_READINGS},
 };
 use tidemap_model::Sample;
 use tidemap_store::{MapId, Store, StoreOptions};
@@ -61,7 +61,7 @@ fn main() {
     let started = Instant::now();
     let files = history.state_files().expect("readable");
     println!("{NIGHTS} files found in {:.1} ms", started.elapsed().as_secs_f64() * 1e3);
-    let batch = (REFIT_READINGS / (NIGHTS as u64 * 1440)) as usize;
+    let batch = (TRAINING_READINGS / (NIGHTS as u64 * 1440)) as usize;
     let wanted: Vec<ReadingsRequest> =
         (0..STATES).map(|state| ReadingsRequest { state: StateId(state), from_nanos: 0 }).collect();
     let started = Instant::now();

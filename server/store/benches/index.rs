@@ -107,7 +107,7 @@ fn grid(spec: &MapSpec, seed: u64) -> GridSnapshot {
                 spectral: SpectralModel::from_parts(0.5, 17_200, components).expect("valid"),
                 order: 2,
                 errors: OrderErrors::default(),
-                rang: None,
+                alarm_day: None,
             }
         };
         let cells = (0..CHANGING).map(&mut cell).collect();

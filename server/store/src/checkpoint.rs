@@ -179,7 +179,7 @@ impl Checkpoints<'_> {
         }
         same(read_site(&mut reader, &record::encode(snapshot))? == *snapshot.site)?;
         let read = match &snapshot.grid {
-            Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::Places)?),
+            Some(_) => Some(grid_reader::read(&mut reader, &spec.periodicities, Keep::Offsets)?),
             None => None,
         };
         same(reader.finish()? == trailer)?;
@@ -195,14 +195,14 @@ impl Checkpoints<'_> {
         shared: Option<Vec<Weak<PhasorSum>>>,
     ) -> Result<Arc<CheckpointTiles>, String> {
         let file = self.disk.read_anywhere(path).map_err(|error| error.to_string())?;
-        let (places, read_shared) = read.take_places();
+        let (offsets, read_shared) = read.take_offsets();
         let shared = shared.unwrap_or(read_shared);
         let name = if path.extension().is_some_and(|extension| extension == "new") {
             path.with_extension("")
         } else {
             path.to_owned()
         };
-        Ok(Arc::new(CheckpointTiles::new(file, name, spec.periodicities.clone(), places, shared)))
+        Ok(Arc::new(CheckpointTiles::new(file, name, spec.periodicities.clone(), offsets, shared)))
     }
 
     fn read(&self, spec: &MapSpec, path: &Path, position: u64, memory: Memory) -> Result<MapSnapshot, String> {

@@ -12,7 +12,7 @@ use std::{
 
 use prost::Message as _;
 use tidemap_grid::spec::GridSpec;
-use tidemap_map::{ids::StateId, name::MapName, refit::ReadingsRequest, spec::MapSpec};
+use tidemap_map::{ids::StateId, name::MapName, spec::MapSpec, training::ReadingsRequest};
 use tidemap_migrations::v1::{
     file::{CHECKPOINT_MAGIC, FileHeader, HISTORY_MAGIC, RecordKind},
     grid as v1_grid,

@@ -10,7 +10,6 @@ mod columns;
 pub(crate) mod day;
 pub(crate) mod doubles;
 pub(crate) mod event;
-mod fits;
 pub(crate) mod history;
 mod ids;
 mod observation_runs;
@@ -25,6 +24,7 @@ pub(crate) mod tile;
 pub(crate) mod tile_model;
 pub(crate) mod tile_set;
 mod topology;
+mod trained;
 mod traversal;
 mod varint;
 

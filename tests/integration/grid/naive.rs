@@ -90,7 +90,7 @@ impl Naive {
             learned.folded += of_day.len() as u64;
             learned.mean = sum / learned.folded as f64;
             if has_changed {
-                learned.fit([&a, &b], of_day[of_day.len() - 1].0 - folded[0].0);
+                learned.train([&a, &b], of_day[of_day.len() - 1].0 - folded[0].0);
             }
         }
         learned
@@ -127,7 +127,7 @@ impl Naive {
         self.order = self.errors.iter().position(|&error| error <= lowest * 1.001).expect("one is the lowest");
     }
 
-    fn fit(&mut self, [a, b]: [&Sums; 2], span_nanos: i64) {
+    fn train(&mut self, [a, b]: [&Sums; 2], span_nanos: i64) {
         let n = self.folded as f64;
         let eligible =
             |harmonic: &usize| i128::from(span_nanos) * 100 * (*harmonic as i128 + 1) >= i128::from(WEEK_NANOS) * 99;

@@ -7,6 +7,12 @@ use super::{files, hold, read};
 /// Words that say nothing as the name of a value. Name what the value is: a reply, a tile, a `state_kind`, a `max`.
 const EMPTY_NAMES: [&str; 3] = ["told", "of", "most"];
 
+/// Words for which the glossary has another: a model is trained on readings, and trained again.
+const FOREIGN_WORDS: [&str; 3] = ["fit", "fitted", "refit"];
+
+/// Names with such a word that others have chosen: a function of the standard library, and scikit-learn's interface.
+const GIVEN_NAMES: [(&str, &str); 2] = [("", "shrink_to_fit"), ("client/python/", "fit")];
+
 /// A line of a file, split into its code and the text of its comment.
 #[derive(Debug, Default, PartialEq)]
 struct Line {
@@ -83,6 +89,23 @@ fn empty_names(code: &str) -> Vec<&'static str> {
     EMPTY_NAMES.into_iter().filter(|name| code.match_indices(name).any(|(at, _)| is_name(at, name))).collect()
 }
 
+/// The names in a line of code that begin or end with a foreign word. Inside a name it has its plain meaning, as in
+/// `does_not_fit_through_the_door`.
+fn foreign_names(code: &str) -> Vec<&str> {
+    let names = code.split(|character: char| !character.is_alphanumeric() && character != '_');
+    let is_foreign = |name: &&str| {
+        let starts = name.char_indices().filter(|&(at, letter)| at > 0 && (letter.is_uppercase() || letter == '_'));
+        let is_constant = !name.contains(char::is_lowercase);
+        let cuts: Vec<usize> = starts.filter(|&(_, letter)| !is_constant || letter == '_').map(|(at, _)| at).collect();
+        let (first, last) = match (cuts.first(), cuts.last()) {
+            (Some(&first), Some(&last)) => (&name[..first], &name[last..]),
+            _ => (*name, *name),
+        };
+        [first, last].iter().any(|part| FOREIGN_WORDS.contains(&part.trim_matches('_').to_lowercase().as_str()))
+    };
+    names.filter(is_foreign).collect()
+}
+
 /// Whether a comment says nothing by itself: "The same …" as what? "Its name." of what, and which names are there?
 fn is_empty_comment(comment: &[String]) -> bool {
     let says_only_its = |text: &str| {
@@ -124,6 +147,22 @@ fn names_say_what_a_value_is() {
 }
 
 #[test]
+fn names_use_the_words_of_the_glossary() {
+    let mut broken = Vec::new();
+    for path in &files(".", ".rs") {
+        for (number, line) in lines(&read(path)).iter().enumerate() {
+            let names = foreign_names(&line.code).into_iter();
+            let is_given =
+                |name: &str| GIVEN_NAMES.iter().any(|&(folder, given)| path.starts_with(folder) && name == given);
+            for name in names.filter(|name| !is_given(name)) {
+                broken.push(format!("{path}:{}: `{name}`: the word is train, see the glossary", number + 1));
+            }
+        }
+    }
+    hold(&broken);
+}
+
+#[test]
 fn comments_can_be_read_alone() {
     let mut broken = Vec::new();
     for path in files(".", ".rs").into_iter().chain(files(".", ".proto")) {
@@ -150,6 +189,9 @@ fn the_rules_of_phrases_can_fail() {
     assert_eq!(empty_names("sums.of.iter()"), ["of"]);
     assert_eq!(empty_names("fn of(py: u8) {"), ["of"]);
     assert_eq!(empty_names("    pub fn of(count: usize) -> Dimensions { Dimensions::of(row.of(1), of_day) }"), [""; 0]);
+    let foreign = ["fit", "fitted", "fit_weighted", "CannotFit", "FitStop", "max_refit", "REFIT_DAYS"];
+    assert_eq!(foreign_names(&foreign.join("(")), foreign);
+    assert_eq!(foreign_names("Misfit fits outfit it_does_not_fit_in FITNESS retrained"), [""; 0]);
     let comment = |text: &'static str| paragraphs(&lines(text)).into_iter().next().expect("a comment").1;
     assert!(is_empty_comment(&comment("/// The same without\n/// sums.")));
     assert!(is_empty_comment(&comment("    // Its private key.")));

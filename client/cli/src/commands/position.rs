@@ -156,7 +156,7 @@ fn summary(header: &PositionsHeader, forecast: &PositionForecast, time: i64, win
         counted.unwrap_or_default(),
         expected.join(", "),
         forecast.outside,
-        header.fitted_observations,
+        header.trained_observations,
         age.unwrap_or_default(),
     )
 }
@@ -172,7 +172,7 @@ mod tests {
             resolution_m: 0.5,
             counts: vec![3, 2],
             observations: 1,
-            fitted_observations: 1,
+            trained_observations: 1,
             last_nanos: None,
             generation: 1,
         };

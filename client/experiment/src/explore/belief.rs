@@ -5,7 +5,7 @@
 use tidemap_model::{
     Sample,
     catalogue::ModelKind,
-    models::{CannotFit, MarkovChain, Moment, Presence, PresenceOptions, Readings, TemporalModel},
+    models::{CannotTrain, MarkovChain, Moment, Presence, PresenceOptions, Readings, TemporalModel},
 };
 
 mod learner;
@@ -97,7 +97,7 @@ struct PlaceBelief {
 
 impl Belief {
     /// An untrained model; `remembers` adds a short-term memory.
-    pub(super) fn new(model: BeliefModel, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotFit> {
+    pub(super) fn new(model: BeliefModel, places: usize, slots: Slots, remembers: bool) -> Result<Belief, CannotTrain> {
         let (kind, blend) = match model {
             BeliefModel::Each { kind, blend } => (kind, blend),
             BeliefModel::Presence => (ModelKind::Mean, Blend::None),
@@ -119,7 +119,7 @@ impl Belief {
     }
 
     /// Trains the models for the day that starts with a slot.
-    pub(super) fn midnight(&mut self, slot: usize) -> Result<(), CannotFit> {
+    pub(super) fn midnight(&mut self, slot: usize) -> Result<(), CannotTrain> {
         if let Some(presence) = &mut self.presence {
             presence.learn();
         }
@@ -131,7 +131,7 @@ impl Belief {
                 }
             }
             if self.remembers && !place.readings.is_empty() {
-                place.chain = Some(MarkovChain::fit(Readings::new(&place.readings))?);
+                place.chain = Some(MarkovChain::train(Readings::new(&place.readings))?);
             }
         }
         Ok(())

@@ -87,17 +87,18 @@ pub(super) fn replay(
     model: BeliefModel,
     seed: u64,
 ) -> Result<Run, ExploreError> {
-    let cannot_fit = |refused| ExploreError::Fit { model: model.name(), refused };
+    let cannot_train = |refused| ExploreError::CannotTrain { model: model.name(), refused };
     let cannot_plan = |refused: StrategyError| ExploreError::Strategy { strategy: strategy.name(), refused };
     let (places, per_day) = (world.places.len(), world.slots());
     let slots = Slots { per_day, nanos: world.slot_minutes as i64 * 60_000_000_000 };
-    let mut belief = Belief::new(model, places, slots, strategy == VisitStrategy::NoveltyDriven).map_err(cannot_fit)?;
+    let mut belief =
+        Belief::new(model, places, slots, strategy == VisitStrategy::NoveltyDriven).map_err(cannot_train)?;
     let allowed = Budget::Ratio(exploration).visits(per_day).map_err(cannot_plan)?;
     let mut allowance = Allowance::new(per_day, allowed).map_err(cannot_plan)?;
     let mut run = Run { errors: Vec::with_capacity(world.days()), visits: 0 };
     for day in 0..world.days() {
         let first = day * per_day;
-        belief.midnight(first).map_err(cannot_fit)?;
+        belief.midnight(first).map_err(cannot_train)?;
         let schedule = match strategy.ahead(run.visits) {
             Some(ahead_by) => {
                 let ahead = belief.ahead(first);

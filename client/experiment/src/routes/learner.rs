@@ -12,10 +12,10 @@ use tidemap_map::{
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey},
-    refit::{ReadingsRequest, StateReadings},
     site::SiteEdit,
     spec::MapSpec,
     topology::Topology,
+    training::{ReadingsRequest, StateReadings},
     traversal::Traversal,
 };
 use tidemap_model::{Sample, selector::ModelSelector};

@@ -50,7 +50,7 @@ pub(super) fn by_model(
     train_minutes: usize,
     minutes: Range<usize>,
 ) -> Result<FindTimes, ReplayError> {
-    let models = fitted(world, entry, set, train_minutes)?;
+    let models = trained(world, entry, set, train_minutes)?;
     find(world, minutes, |node, minute| models[node].predict(world.moment(minute)))
 }
 
@@ -63,7 +63,7 @@ pub(super) fn log_loss(
     set: usize,
     minutes: Range<usize>,
 ) -> Result<f64, ReplayError> {
-    let models = fitted(world, entry, set, minutes.start)?;
+    let models = trained(world, entry, set, minutes.start)?;
     let (mut sum, mut count) = (0.0, 0.0);
     for minute in minutes.clone() {
         let Some(room) = world.room(minute) else { continue };
@@ -77,7 +77,7 @@ pub(super) fn log_loss(
 }
 
 /// The models of all nodes, trained on all minutes before `train_minutes`.
-fn fitted(
+fn trained(
     world: &RecordedWorld,
     entry: &ModelEntry,
     set: usize,
@@ -89,7 +89,7 @@ fn fitted(
         .map(|node| {
             set.train(&world.samples(node, train_minutes), StateKind::Probability).map_err(|refused| {
                 let model = format!("{} {}", entry.label, set.shown()).trim_end().to_owned();
-                ReplayError::Fit { model, place: world.names[node].clone(), refused }
+                ReplayError::CannotTrain { model, place: world.names[node].clone(), refused }
             })
         })
         .collect()

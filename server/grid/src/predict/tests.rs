@@ -81,7 +81,7 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
             spectral: SpectralModel::from_parts(mean, 9, vec![component(gamma), component(0.2)]).expect("valid"),
             order,
             errors: OrderErrors::default(),
-            rang: None,
+            alarm_day: None,
         });
         let group = Group { cells: tile.learned, observations: 9, first_nanos: 0, last_nanos: HOUR };
         let groups = if tile.learned.is_empty() { Vec::new() } else { vec![group] };

@@ -82,6 +82,6 @@ impl Pattern {
             tile.regroup(&mut gains, times, rules);
         }
         drop(gains);
-        tiles.into_par_iter().map(|tile| tile.refit(times, rules)).collect()
+        tiles.into_par_iter().map(|tile| tile.retrain(times, rules)).collect()
     }
 }

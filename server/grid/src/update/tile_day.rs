@@ -269,7 +269,7 @@ impl TileDay {
     }
 
     /// Chooses orders and trains the models again.
-    pub(super) fn refit(mut self, times: &Times, rules: &Rules) -> BusyTile {
+    pub(super) fn retrain(mut self, times: &Times, rules: &Rules) -> BusyTile {
         let mut outcome = TileOutcome::default();
         for (toggles, cells) in &self.observed {
             outcome.observations += u64::from(cells.count()) * run_length(toggles, self.scans);
@@ -315,7 +315,7 @@ impl TileDay {
                 gap_nanos: group_times.gap_nanos(),
                 levels: rules.levels,
             };
-            refit_cell(cell, watch, sums, group_times, rules);
+            retrain_cell(cell, watch, sums, group_times, rules);
         }
         self.tile.outcome.add(&outcome);
         self.tile
@@ -323,14 +323,14 @@ impl TileDay {
 }
 
 /// Trains the model of a cell again, and chooses its order.
-fn refit_cell(
+fn retrain_cell(
     cell: &mut CellModel,
     watch: &mut OrderWatch,
     sums: CellSums<'_>,
     group_times: &ObservedTimes,
     rules: &Rules,
 ) {
-    cell.spectral = SpectralModel::fit_sums(sums, &rules.periodicities);
+    cell.spectral = SpectralModel::train_on_sums(sums, &rules.periodicities);
     let readings = LearnedReadings {
         pairs: group_times.gaps.count(),
         span_secs: sums.span_nanos as f64 / 1e9,
@@ -341,7 +341,7 @@ fn refit_cell(
     };
     watch.support(&cell.spectral, &rules.periodicities, readings);
     cell.set_order(watch, sums.span_nanos);
-    cell.rang = watch.alarm().rang_on();
+    cell.alarm_day = watch.alarm().alarm_day();
 }
 
 impl CellDay {
@@ -515,7 +515,7 @@ fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
         }
         let at = model.cells.partition_point(|known| known.cell < cell);
         let errors = OrderErrors::default();
-        model.cells.insert(at, CellModel { cell, occupied, spectral, order: 0, errors, rang: None });
+        model.cells.insert(at, CellModel { cell, occupied, spectral, order: 0, errors, alarm_day: None });
         sums.watches.insert(at.min(sums.watches.len()), OrderWatch::of_constant(before_value));
         if let Some(weights) = &mut model.sensors {
             weights.occupied.insert(at.min(weights.occupied.len()), occupied_weight);

@@ -21,10 +21,10 @@ use crate::{
     history::{HistoryPiece, origins::Origins},
     ids::StateId,
     prior_models::PriorModels,
-    refit::{ReadingsRequest, StateReadings},
     site::Site,
     snapshot::StateSnapshot,
     spec::MapSpec,
+    training::{ReadingsRequest, StateReadings},
     update::{MapAtUpdate, SumsUnavailable, UpdateWork},
 };
 

@@ -24,7 +24,7 @@ const MIDNIGHT: i64 = 16_800 * 24 * HOUR;
 
 fn cell_model(cell: u16, order: u8, mean: f64, components: Vec<Component>) -> CellModel {
     let spectral = SpectralModel::from_parts(mean, 100, components).expect("valid");
-    CellModel { cell, occupied: 50, spectral, order, errors: OrderErrors::default(), rang: None }
+    CellModel { cell, occupied: 50, spectral, order, errors: OrderErrors::default(), alarm_day: None }
 }
 
 fn tile_model(cells: Vec<CellModel>, always_occupied: Mask) -> ModelSlot {

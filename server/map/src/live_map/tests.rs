@@ -13,8 +13,8 @@ use crate::{
 
 mod grid;
 mod kinds;
-mod refits;
 mod rename;
+mod training;
 mod vectors;
 
 const HOUR: i64 = 3_600_000_000_000;

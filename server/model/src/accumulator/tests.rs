@@ -139,7 +139,7 @@ fn boundary_times_are_exact() {
         accumulator.add(&periodicities, &samples);
         check_same(&gammas(&accumulator), &oracle_gammas(&periodicities, &samples));
         assert_eq!(accumulator.span_nanos(), i64::MAX as u64);
-        assert_eq!(SpectralModel::fit(&accumulator, &periodicities).observations(), 14);
+        assert_eq!(SpectralModel::train(&accumulator, &periodicities).observations(), 14);
     }
 }
 

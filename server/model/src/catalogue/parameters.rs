@@ -6,7 +6,7 @@
 use super::{ModelKind, TrainedModel, TrainingOptions};
 use crate::{
     ORDER_MAX, Periodicities, Sample, StateKind,
-    models::{CannotFit, HistogramCycle, HypertimeOptions, Readings},
+    models::{CannotTrain, HistogramCycle, HypertimeOptions, Readings},
     time::{format_duration, parse_duration},
 };
 
@@ -133,10 +133,10 @@ impl ParameterSet {
         }
         let reading = [Sample { utc_nanos: 0, offset_secs: 0, value: 0.5 }];
         match self.train(&reading, StateKind::Probability) {
-            Err(refused @ (CannotFit::Parameter { .. } | CannotFit::Irregular { .. })) => {
+            Err(refused @ (CannotTrain::Parameter { .. } | CannotTrain::Irregular { .. })) => {
                 Err(WrongParameter::Together(refused.to_string()))
             }
-            Ok(_) | Err(CannotFit::NoReadings | CannotFit::Stop(_)) => Ok(self),
+            Ok(_) | Err(CannotTrain::NoReadings | CannotTrain::Stop(_)) => Ok(self),
         }
     }
 
@@ -148,8 +148,8 @@ impl ParameterSet {
     /// Trains the model on the readings of one state, ascending by time.
     ///
     /// # Errors
-    /// [`CannotFit`] without readings, or if a value is out of the model's range.
-    pub fn train(&self, samples: &[Sample], kind: StateKind) -> Result<TrainedModel, CannotFit> {
+    /// [`CannotTrain`] without readings, or if a value is out of the model's range.
+    pub fn train(&self, samples: &[Sample], kind: StateKind) -> Result<TrainedModel, CannotTrain> {
         self.kind.train_with(Readings::new(samples), kind, &self.periodicities, self.options)
     }
 }

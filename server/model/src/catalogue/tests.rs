@@ -3,7 +3,7 @@
 use super::*;
 use crate::{
     Periodicities, Sample,
-    models::{CannotFit, Moment, Readings, TemporalModel},
+    models::{CannotTrain, Moment, Readings, TemporalModel},
 };
 
 /// Twenty-one days of hourly readings, the same on every day, in the bounds of every kind of state.
@@ -33,7 +33,7 @@ fn every_kind_is_there_once_and_is_trained_on_what_supports_it() {
                 assert!(state_kind.bounds().contains(&model.predict(at)), "{kind} of {state_kind:?}");
             }
             let nothing = kind.train(Readings::new(&[]), state_kind, &Periodicities::default());
-            assert!(matches!(nothing, Err(CannotFit::NoReadings)), "{kind}: {nothing:?}");
+            assert!(matches!(nothing, Err(CannotTrain::NoReadings)), "{kind}: {nothing:?}");
         }
     }
 }

@@ -7,7 +7,7 @@ use super::ModelKind;
 use crate::{
     InvalidParts, ORDER_MAX, Periodicities, StateKind,
     models::{
-        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CalibratedParts, CannotFit, CountRate, CountRateParts,
+        COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CalibratedParts, CannotTrain, CountRate, CountRateParts,
         FixedOrder, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramSettings, Hypertime, HypertimeMethod,
         HypertimeOptions, HypertimeParts, Latest, MarkovChain, Mean, Moment, Pergam, PergamOptions, PergamParts,
         Readings, TemporalModel, UniformSpectral,
@@ -69,7 +69,7 @@ impl ModelKind {
         readings: Readings<'_>,
         kind: StateKind,
         periodicities: &Periodicities,
-    ) -> Result<TrainedModel, CannotFit> {
+    ) -> Result<TrainedModel, CannotTrain> {
         self.train_with(readings, kind, periodicities, TrainingOptions::default())
     }
 
@@ -77,47 +77,47 @@ impl ModelKind {
     /// no update that could choose.
     ///
     /// # Errors
-    /// [`CannotFit`] if there are no readings, a parameter or a value is outside its range, or it is told to stop.
+    /// [`CannotTrain`] if there are no readings, a parameter or a value is outside its range, or it is told to stop.
     pub fn train_with(
         self,
         readings: Readings<'_>,
         kind: StateKind,
         periodicities: &Periodicities,
         options: TrainingOptions,
-    ) -> Result<TrainedModel, CannotFit> {
+    ) -> Result<TrainedModel, CannotTrain> {
         let TrainingOptions { order, seed, smoothing_bins, prior_readings, bin_nanos } = options;
         let hypertime = |method, clusters: u32| {
             let options = HypertimeOptions { method, clusters: clusters as usize, seed };
             let model = match kind {
-                StateKind::Probability => Hypertime::fit(readings, periodicities, &options),
+                StateKind::Probability => Hypertime::train(readings, periodicities, &options),
                 StateKind::Continuous | StateKind::Count => {
-                    Hypertime::fit_continuous(readings, periodicities, &options)
+                    Hypertime::train_continuous(readings, periodicities, &options)
                 }
             };
             model.map(|model| TrainedModel::Hypertime(Box::new(model)))
         };
         Ok(match self {
-            Self::Mean => TrainedModel::Mean(Mean::fit(readings)?),
-            Self::Latest => TrainedModel::Latest(Latest::fit(readings)?),
-            Self::Persistence => TrainedModel::Persistence(MarkovChain::fit(readings)?),
+            Self::Mean => TrainedModel::Mean(Mean::train(readings)?),
+            Self::Latest => TrainedModel::Latest(Latest::train(readings)?),
+            Self::Persistence => TrainedModel::Persistence(MarkovChain::train(readings)?),
             Self::Histogram { cycle, bins } => {
                 let settings = HistogramSettings { cycle, bins: bins as usize, smoothing_bins, prior_readings };
-                TrainedModel::Histogram(Histogram::fit(readings, &settings)?)
+                TrainedModel::Histogram(Histogram::train(readings, &settings)?)
             }
             Self::Auto | Self::Spectral => {
-                TrainedModel::Spectral(Box::new(FixedOrder::fit(readings, kind, periodicities, order)?))
+                TrainedModel::Spectral(Box::new(FixedOrder::train(readings, kind, periodicities, order)?))
             }
-            Self::Uniform => TrainedModel::Uniform(Box::new(UniformSpectral::fit(readings, order)?)),
+            Self::Uniform => TrainedModel::Uniform(Box::new(UniformSpectral::train(readings, order)?)),
             Self::Pergam { gaussians, period_nanos } => {
                 let options = PergamOptions { gaussians: gaussians as usize, period_nanos, seed };
-                TrainedModel::Pergam(Pergam::fit(readings, &options)?)
+                TrainedModel::Pergam(Pergam::train(readings, &options)?)
             }
             Self::HypertimeEm { clusters } => hypertime(HypertimeMethod::Em, clusters)?,
             Self::HypertimeKm { clusters } => hypertime(HypertimeMethod::Km, clusters)?,
             Self::Poisson => {
-                TrainedModel::Poisson(Box::new(CountRate::fit_in_bins(readings, periodicities, bin_nanos)?))
+                TrainedModel::Poisson(Box::new(CountRate::train_in_bins(readings, periodicities, bin_nanos)?))
             }
-            Self::Calibrated => TrainedModel::Calibrated(Calibrated::fit(readings, CalibratedOptions::default())?),
+            Self::Calibrated => TrainedModel::Calibrated(Calibrated::train(readings, CalibratedOptions::default())?),
         })
     }
 

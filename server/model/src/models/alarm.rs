@@ -44,7 +44,7 @@ pub struct ChangeAlarmParts {
     /// The last local day added.
     pub last_day: Option<LocalDay>,
     /// The day on which the alarm rang, if it rings.
-    pub rang: Option<LocalDay>,
+    pub alarm_day: Option<LocalDay>,
 }
 
 /// The history of the errors of one kind of days.
@@ -92,8 +92,8 @@ impl ChangeAlarm {
             // the sum climbs to the threshold by chance as rarely as on full days.
             parts.sum = (parts.sum + weight * (score - SLACK)).max(0.0);
         }
-        if parts.rang.is_none() && parts.sum > THRESHOLD {
-            parts.rang = Some(day);
+        if parts.alarm_day.is_none() && parts.sum > THRESHOLD {
+            parts.alarm_day = Some(day);
         }
         // An error far above the history enters it as the highest error that still scores.
         let error = if score >= SCORE_MAX { history.mean + SCORE_MAX * deviation } else { error };
@@ -102,12 +102,12 @@ impl ChangeAlarm {
 
     /// Whether the alarm rings.
     pub(crate) fn is_ringing(&self) -> bool {
-        self.parts.rang.is_some()
+        self.parts.alarm_day.is_some()
     }
 
     /// The day on which the alarm rang, if it rings.
-    pub fn rang_on(&self) -> Option<LocalDay> {
-        self.parts.rang
+    pub fn alarm_day(&self) -> Option<LocalDay> {
+        self.parts.alarm_day
     }
 
     /// Silences the alarm and begins a new history: what was usual before the change no longer counts. Days up to the

@@ -12,7 +12,7 @@
 use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
 
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 
 mod options;
 mod slots;
@@ -52,8 +52,8 @@ impl Calibrated {
     /// ignored. A half-life of the readings applies in addition to the memory of the options.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings or an option is outside its range.
-    pub fn fit(readings: Readings<'_>, options: CalibratedOptions) -> Result<Calibrated, CannotFit> {
+    /// [`CannotTrain`] where there are no readings or an option is outside its range.
+    pub fn train(readings: Readings<'_>, options: CalibratedOptions) -> Result<Calibrated, CannotTrain> {
         options.check()?;
         let values = readings.samples.iter().map(|sample| sample.value).filter(|value| value.is_finite());
         let (observations, lowest, highest) = values
@@ -61,7 +61,7 @@ impl Calibrated {
                 (count + 1, value.min(lowest), value.max(highest))
             });
         if observations == 0 {
-            return Err(CannotFit::NoReadings);
+            return Err(CannotTrain::NoReadings);
         }
         // Values are scaled to the range; computed in halves, because the range itself may overflow.
         let half_range = highest / 2.0 - lowest / 2.0;

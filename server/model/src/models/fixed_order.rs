@@ -2,7 +2,7 @@
 //!
 //! Invariant: a prediction lies in the bounds of the state's kind.
 
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::{Accumulator, Periodicities, SpectralModel, StateKind};
 
 /// The mean and the strongest components of the readings, of one order (T-RO 2017, section III).
@@ -19,19 +19,19 @@ impl FixedOrder {
     /// [`crate::ORDER_MAX`].
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings.
-    pub fn fit(
+    /// [`CannotTrain`] where there are no readings.
+    pub fn train(
         readings: Readings<'_>,
         kind: StateKind,
         periodicities: &Periodicities,
         order: usize,
-    ) -> Result<FixedOrder, CannotFit> {
+    ) -> Result<FixedOrder, CannotTrain> {
         if readings.samples.is_empty() {
-            return Err(CannotFit::NoReadings);
+            return Err(CannotTrain::NoReadings);
         }
         let mut accumulator = Accumulator::of_kind(kind);
         accumulator.add(periodicities, readings.samples);
-        let model = SpectralModel::fit(&accumulator, periodicities);
+        let model = SpectralModel::train(&accumulator, periodicities);
         Ok(FixedOrder { model, kind, order, periodicities: periodicities.clone() })
     }
 }

@@ -5,7 +5,7 @@
 //! the lowest and the highest reading.
 
 use super::mean::{RunningMean, check_values};
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 
 mod answer;
@@ -43,22 +43,22 @@ impl HistogramSettings {
         HistogramSettings { cycle, bins, smoothing_bins: 0.0, prior_readings: HISTOGRAM_PRIOR_READINGS }
     }
 
-    fn check(&self) -> Result<(), CannotFit> {
+    fn check(&self) -> Result<(), CannotTrain> {
         if !(1..=self.cycle.max_bins()).contains(&self.bins) {
             let expected = match self.cycle {
                 HistogramCycle::Day | HistogramCycle::WeekdayWeekend => "1 to 1440 bins of the day",
                 HistogramCycle::Week => "1 to 10080 bins of the week",
             };
-            return Err(CannotFit::Parameter { parameter: "bins", found: self.bins as f64, expected });
+            return Err(CannotTrain::Parameter { parameter: "bins", found: self.bins as f64, expected });
         }
         let found = self.smoothing_bins;
         if !(0.0..=self.bins as f64 / 4.0).contains(&found) {
             let expected = "0 to a quarter of the bins";
-            return Err(CannotFit::Parameter { parameter: "smoothing width in bins", found, expected });
+            return Err(CannotTrain::Parameter { parameter: "smoothing width in bins", found, expected });
         }
         let found = self.prior_readings;
         if !(0.0..=1e9).contains(&found) {
-            return Err(CannotFit::Parameter { parameter: "prior readings", found, expected: "0 to 1e9" });
+            return Err(CannotTrain::Parameter { parameter: "prior readings", found, expected: "0 to 1e9" });
         }
         Ok(())
     }
@@ -89,8 +89,8 @@ impl Histogram {
     /// predicts the mean of all.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings, a value is not finite, or a setting is outside its range.
-    pub fn fit(readings: Readings<'_>, settings: &HistogramSettings) -> Result<Histogram, CannotFit> {
+    /// [`CannotTrain`] where there are no readings, a value is not finite, or a setting is outside its range.
+    pub fn train(readings: Readings<'_>, settings: &HistogramSettings) -> Result<Histogram, CannotTrain> {
         settings.check()?;
         check_values(readings, f64::MIN..=f64::MAX, "a finite number")?;
         let mut bins = vec![RunningMean::default(); settings.cycle.runs() * settings.bins];

@@ -1,13 +1,13 @@
 //! Warped hypertime: time is mapped onto circles, one for each period found, and clustered there.
 //!
 //! Krajník et al., "Warped Hypertime Representations for Long-term Autonomy of Mobile Robots", RA-L 2019 ("RA-L 2019"),
-//! section III. Each reading gets a cosine and a sine for each period, mixtures are fitted to these points, and the
-//! strongest period left in the error is the next one. HyT-EM fits Gaussians over the circles' plane coordinates,
+//! section III. Each reading gets a cosine and a sine for each period, mixtures are trained on these points, and the
+//! strongest period left in the error is the next one. HyT-EM places Gaussians over the circles' plane coordinates,
 //! HyT-KM starts from k-means, keeps to the cosine distance on circles, and finds the number of clusters itself.
-//! [`Hypertime::fit`] lists the departures from the paper. Invariant: at most five periods and 50 clusters; every
+//! [`Hypertime::train`] lists the departures from the paper. Invariant: at most five periods and 50 clusters; every
 //! prediction is finite, that of a probability in `[0,1]`.
 
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::{InvalidParts, Periodicities, Sample};
 
 mod axis;
@@ -74,16 +74,16 @@ impl Hypertime {
     /// year); covariances have a prior.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings or an option is outside its range.
-    pub fn fit(
+    /// [`CannotTrain`] where there are no readings or an option is outside its range.
+    pub fn train(
         readings: Readings<'_>,
         periodicities: &Periodicities,
         options: &HypertimeOptions,
-    ) -> Result<Hypertime, CannotFit> {
+    ) -> Result<Hypertime, CannotTrain> {
         options.check()?;
         let samples = readings.samples;
         if samples.is_empty() {
-            return Err(CannotFit::NoReadings);
+            return Err(CannotTrain::NoReadings);
         }
         let civil: Vec<i64> = samples.iter().map(|sample| sample.civil_nanos()).collect();
         let (folds_of, folds) = deal(&civil, Dealing::InTurn);
@@ -101,23 +101,23 @@ impl Hypertime {
         Ok(Hypertime { shape: HypertimeKind::Probability(odds) })
     }
 
-    /// Trains the model of a value that is not a probability, such as a speed or a count, as [`HypertimeField::fit`]
+    /// Trains the model of a value that is not a probability, such as a speed or a count, as [`HypertimeField::train`]
     /// does.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings, an option is outside its range, or a value is not finite.
-    pub fn fit_continuous(
+    /// [`CannotTrain`] where there are no readings, an option is outside its range, or a value is not finite.
+    pub fn train_continuous(
         readings: Readings<'_>,
         periodicities: &Periodicities,
         options: &HypertimeOptions,
-    ) -> Result<Hypertime, CannotFit> {
+    ) -> Result<Hypertime, CannotTrain> {
         let of_one_place = readings.samples.iter().map(|sample| FieldReading {
             moment: sample.moment(),
             location: Vec::new(),
             value: vec![sample.value],
         });
         let (points, weights): (Vec<FieldReading>, Vec<f64>) = of_one_place.zip(readings.weights()).unzip();
-        let field = HypertimeField::fit_weighted(&points, &weights, (periodicities, options), readings.stop)?;
+        let field = HypertimeField::train_weighted(&points, &weights, (periodicities, options), readings.stop)?;
         Ok(Hypertime { shape: HypertimeKind::Continuous(field) })
     }
 

@@ -3,7 +3,7 @@
 //! The map that robots have by default: it remembers one reading. Invariant: the prediction is a reading.
 
 use super::mean::check_values;
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 
 #[cfg(test)]
@@ -35,11 +35,11 @@ impl Latest {
     /// Keeps the first and the newest reading; of several at the newest time the last.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings or a value is not finite.
-    pub fn fit(readings: Readings<'_>) -> Result<Latest, CannotFit> {
+    /// [`CannotTrain`] where there are no readings or a value is not finite.
+    pub fn train(readings: Readings<'_>) -> Result<Latest, CannotTrain> {
         check_values(readings, f64::MIN..=f64::MAX, "a finite number")?;
         let (Some(first), Some(last)) = (readings.samples.first(), readings.samples.last()) else {
-            return Err(CannotFit::NoReadings);
+            return Err(CannotTrain::NoReadings);
         };
         Ok(Latest {
             parts: LatestParts {

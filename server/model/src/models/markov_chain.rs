@@ -4,7 +4,7 @@
 //! reading it predicts a constant. Invariant: both rates are positive and finite, every prediction lies in `[0,1]`.
 
 use super::mean::check_values;
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 
 mod likelihood;
@@ -49,10 +49,10 @@ impl MarkovChain {
     /// their mean length: the likelihood depends on such differences in second order only.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings or a value is outside `[0,1]`.
-    pub fn fit(readings: Readings<'_>) -> Result<MarkovChain, CannotFit> {
+    /// [`CannotTrain`] where there are no readings or a value is outside `[0,1]`.
+    pub fn train(readings: Readings<'_>) -> Result<MarkovChain, CannotTrain> {
         check_values(readings, 0.0..=1.0, "0 to 1")?;
-        let Some(last) = readings.samples.last() else { return Err(CannotFit::NoReadings) };
+        let Some(last) = readings.samples.last() else { return Err(CannotTrain::NoReadings) };
         let mut transitions = Transitions::default();
         for (pair, weight) in readings.samples.windows(2).zip(readings.weights().skip(1)) {
             let gap_nanos = pair[1].utc_nanos.abs_diff(pair[0].utc_nanos);

@@ -2,7 +2,7 @@
 //!
 //! Invariant: the prediction is the same at all times and lies between the lowest and the highest reading.
 
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 
 #[cfg(test)]
@@ -25,8 +25,8 @@ impl Mean {
     /// The mean of the readings with the weights of [`Readings::weights`].
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings or a value is not finite.
-    pub fn fit(readings: Readings<'_>) -> Result<Mean, CannotFit> {
+    /// [`CannotTrain`] where there are no readings or a value is not finite.
+    pub fn train(readings: Readings<'_>) -> Result<Mean, CannotTrain> {
         check_values(readings, f64::MIN..=f64::MAX, "a finite number")?;
         let mut running = RunningMean::default();
         for (sample, weight) in readings.samples.iter().zip(readings.weights()) {
@@ -90,12 +90,12 @@ pub(super) fn check_values(
     readings: Readings<'_>,
     range: std::ops::RangeInclusive<f64>,
     expected: &'static str,
-) -> Result<(), CannotFit> {
+) -> Result<(), CannotTrain> {
     if readings.samples.is_empty() {
-        return Err(CannotFit::NoReadings);
+        return Err(CannotTrain::NoReadings);
     }
     match readings.samples.iter().find(|sample| !range.contains(&sample.value)) {
-        Some(sample) => Err(CannotFit::Parameter { parameter: "a reading's value", found: sample.value, expected }),
+        Some(sample) => Err(CannotTrain::Parameter { parameter: "a reading's value", found: sample.value, expected }),
         None => Ok(()),
     }
 }

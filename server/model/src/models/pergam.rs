@@ -1,19 +1,19 @@
 //! Periodic Gaussian mixture: events at fixed times of the period, such as a day.
 //!
 //! PerGaM of Krajník et al., "Where's Waldo at time t?", ICRA 2015 ("Waldo"), section IV.B: the readings are folded
-//! into one period (eq. 6) and a mixture of Gaussians is fitted to their mean values (eq. 7). The Gaussians are
+//! into one period (eq. 6) and a mixture of Gaussians is trained on their mean values (eq. 7). The Gaussians are
 //! wrapped here, so that 23:59 is next to 0:01. It can represent several short events, but only one period, which must
 //! be known. Invariant: at most [`PergamOptions::GAUSSIANS_MAX`], widths positive; a prediction lies in `[0,1]`.
 
 use super::mean::check_values;
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 use crate::civil::NANOS_PER_SEC;
 
 mod expectation;
 mod phases;
 
-use expectation::{WrappedGaussian, fit_wrapped};
+use expectation::{WrappedGaussian, train_wrapped};
 use phases::PhaseMeans;
 
 #[cfg(test)]
@@ -79,15 +79,15 @@ impl Pergam {
     /// 1,440th of the period; one that was never observed is interpolated between its observed neighbours.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings, or an option or a value is outside its range.
-    pub fn fit(readings: Readings<'_>, options: &PergamOptions) -> Result<Pergam, CannotFit> {
+    /// [`CannotTrain`] where there are no readings, or an option or a value is outside its range.
+    pub fn train(readings: Readings<'_>, options: &PergamOptions) -> Result<Pergam, CannotTrain> {
         check_range("gaussians", options.gaussians as f64, 1.0, PergamOptions::GAUSSIANS_MAX as f64, "1 to 20")?;
         let period_secs = options.period_nanos as f64 / 1e9;
         check_range("period_secs", period_secs, 1.0, PERIOD_MAX_NANOS as f64 / 1e9, "1 s to 100 years")?;
         check_values(readings, 0.0..=1.0, "0 to 1")?;
         let folded = PhaseMeans::new(readings, options.period_nanos);
         let level = folded.level();
-        let found = fit_wrapped(folded.shares(), options.gaussians, options.seed, readings.stop);
+        let found = train_wrapped(folded.shares(), options.gaussians, options.seed, readings.stop);
         readings.stop.check()?;
         let gaussians = found.iter().map(|wrapped| PergamGaussian {
             weight: wrapped.weight * level,
@@ -151,6 +151,6 @@ fn check_range(
     low: f64,
     high: f64,
     expected: &'static str,
-) -> Result<(), CannotFit> {
-    if (low..=high).contains(&found) { Ok(()) } else { Err(CannotFit::Parameter { parameter, found, expected }) }
+) -> Result<(), CannotTrain> {
+    if (low..=high).contains(&found) { Ok(()) } else { Err(CannotTrain::Parameter { parameter, found, expected }) }
 }

@@ -5,7 +5,7 @@
 //! components. Invariant: the rate is positive and finite.
 
 use super::mean::check_values;
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::{Component, InvalidParts, LocalDay, ORDER_MAX, Periodicities, StopSignal};
 
 mod count_rate;
@@ -64,15 +64,15 @@ impl PoissonSpectral {
     /// with fewer than four days it is 0.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings, a value is not in 0..=1e12, or the bin is outside its range.
-    pub fn fit(
+    /// [`CannotTrain`] where there are no readings, a value is not in 0..=1e12, or the bin is outside its range.
+    pub fn train(
         readings: Readings<'_>,
         periodicities: &Periodicities,
         bin_nanos: i64,
-    ) -> Result<PoissonSpectral, CannotFit> {
+    ) -> Result<PoissonSpectral, CannotTrain> {
         if !BIN_NANOS_RANGE.contains(&bin_nanos) {
             let (parameter, found) = ("bin in seconds", bin_nanos as f64 / 1e9);
-            return Err(CannotFit::Parameter { parameter, found, expected: "1 s to 400 days" });
+            return Err(CannotTrain::Parameter { parameter, found, expected: "1 s to 400 days" });
         }
         check_values(readings, 0.0..=COUNT_MAX, "a count, 0 to 1e12")?;
         let bins = binned(readings, bin_nanos);

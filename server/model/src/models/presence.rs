@@ -10,7 +10,7 @@
 
 use std::collections::VecDeque;
 
-use super::CannotFit;
+use super::CannotTrain;
 
 mod learning;
 
@@ -56,8 +56,8 @@ impl PresenceOptions {
         }
     }
 
-    fn check(&self) -> Result<(), CannotFit> {
-        let wrong = |parameter, found, expected| Err(CannotFit::Parameter { parameter, found, expected });
+    fn check(&self) -> Result<(), CannotTrain> {
+        let wrong = |parameter, found, expected| Err(CannotTrain::Parameter { parameter, found, expected });
         if !(2..=Self::PLACES_MAX).contains(&self.places) {
             return wrong("places", self.places as f64, "2 to 64");
         }
@@ -111,8 +111,8 @@ impl Presence {
     /// An untrained model: all places are equally likely, and staying is as likely as leaving.
     ///
     /// # Errors
-    /// [`CannotFit`] where an option is outside its range.
-    pub fn new(options: PresenceOptions) -> Result<Presence, CannotFit> {
+    /// [`CannotTrain`] where an option is outside its range.
+    pub fn new(options: PresenceOptions) -> Result<Presence, CannotTrain> {
         options.check()?;
         let places = options.places;
         let anywhere = 1.0 / places as f64;

@@ -2,13 +2,13 @@
 //! and the set of outliers that they miss, from which every state can be reconstructed exactly.
 //!
 //! T-RO section III.B. The crate's spectral model needs neither regular samples nor a transform of all of them; this
-//! one stores the history. Invariant: `reconstruct` returns exactly the fitted and appended states, for any order.
+//! one stores the history. Invariant: `reconstruct` returns exactly the states trained on and appended, for any order.
 
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
 use super::mean::check_values;
-use super::{CannotFit, Moment, Readings, TemporalModel};
+use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::{Component, InvalidParts, ORDER_MAX, Sample, StopSignal};
 
 mod gaps;
@@ -29,7 +29,7 @@ const STATES_PER_CHECK: usize = 4096;
 /// A regularly sampled binary state (T-RO, section III.B).
 ///
 /// Time is counted in steps: reading i was made i intervals (UTC) after the first. Predictions follow the local clock,
-/// so that a model fitted in winter keeps its hours in summer.
+/// so that a model trained in winter keeps its hours in summer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UniformSpectral {
     parts: UniformSpectralParts,
@@ -46,13 +46,13 @@ pub struct UniformSpectralParts {
     pub offset_secs: i32,
     /// Time between readings, in nanoseconds, at least 1.
     pub interval_nanos: i64,
-    /// Number of readings that the spectrum was fitted to, at least 2: component k turns k times in that many steps.
-    pub fitted_steps: u32,
-    /// Number of stored readings, at least `fitted_steps`.
+    /// Number of readings that the spectrum was trained on, at least 2: component k turns k times in that many steps.
+    pub trained_steps: u32,
+    /// Number of stored readings, at least `trained_steps`.
     pub steps: u32,
-    /// Mean of the readings that the spectrum was fitted to, in `[0,1]`.
+    /// Mean of the readings that the spectrum was trained on, in `[0,1]`.
     pub mean: f64,
-    /// The components P, strongest first, at most [`ORDER_MAX`]: index k from 1 to half of `fitted_steps`, phase 0 at
+    /// The components P, strongest first, at most [`ORDER_MAX`]: index k from 1 to half of `trained_steps`, phase 0 at
     /// the first reading.
     pub components: Vec<Component>,
     /// The outlier set O, Δ-encoded: from step 0 on, the number of steps to where the estimate p ≥ 0.5 starts differing
@@ -66,18 +66,18 @@ impl UniformSpectral {
     /// readings have equal weight.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are fewer than two readings, a value is neither 0 nor 1, or the order is above
-    /// [`ORDER_MAX`]; [`CannotFit::Irregular`] where a reading lies more than 1 % of the interval off its regular time.
-    pub fn fit(readings: Readings<'_>, order: usize) -> Result<UniformSpectral, CannotFit> {
+    /// [`CannotTrain`] where there are fewer than two readings, a value is neither 0 nor 1, or the order is above
+    /// [`ORDER_MAX`]; [`CannotTrain::Irregular`] where a reading lies over 1 % of the interval off its regular time.
+    pub fn train(readings: Readings<'_>, order: usize) -> Result<UniformSpectral, CannotTrain> {
         check_values(readings, 0.0..=1.0, "0 or 1")?;
         let samples = readings.samples;
-        let states = samples.iter().map(binary).collect::<Result<Vec<bool>, CannotFit>>()?;
+        let states = samples.iter().map(binary).collect::<Result<Vec<bool>, CannotTrain>>()?;
         let (first, interval_nanos) = regular(samples)?;
         let header = UniformSpectralParts {
             first_nanos: first.utc_nanos,
             offset_secs: first.offset_secs,
             interval_nanos,
-            fitted_steps: 0,
+            trained_steps: 0,
             steps: 0,
             mean: 0.5,
             components: Vec::new(),
@@ -89,8 +89,8 @@ impl UniformSpectral {
     /// The model of all stored states with another order: the update of T-RO III.B.3. It loses no information.
     ///
     /// # Errors
-    /// [`CannotFit`] where the order is above [`ORDER_MAX`].
-    pub fn with_order(&self, order: usize) -> Result<UniformSpectral, CannotFit> {
+    /// [`CannotTrain`] where the order is above [`ORDER_MAX`].
+    pub fn with_order(&self, order: usize) -> Result<UniformSpectral, CannotTrain> {
         UniformSpectral::of_states(&self.parts, &self.reconstruct(), order, StopSignal::NEVER)
     }
 
@@ -99,14 +99,14 @@ impl UniformSpectral {
         states: &[bool],
         order: usize,
         stop: StopSignal<'_>,
-    ) -> Result<UniformSpectral, CannotFit> {
+    ) -> Result<UniformSpectral, CannotTrain> {
         if order > ORDER_MAX {
-            return Err(CannotFit::Parameter { parameter: "order", found: order as f64, expected: "0 to 15" });
+            return Err(CannotTrain::Parameter { parameter: "order", found: order as f64, expected: "0 to 15" });
         }
         let steps = states.len() as u32;
         let (mean, components) = strongest(states, order)?;
         let parts = UniformSpectralParts {
-            fitted_steps: steps,
+            trained_steps: steps,
             steps: 0,
             mean,
             components,
@@ -126,13 +126,13 @@ impl UniformSpectral {
     /// differing from the state, the outlier set grows.
     ///
     /// # Errors
-    /// [`CannotFit`] where the value is neither 0 nor 1 or the time is not one interval after the last reading's.
-    pub fn append(&mut self, sample: &Sample) -> Result<(), CannotFit> {
+    /// [`CannotTrain`] where the value is neither 0 nor 1 or the time is not one interval after the last reading's.
+    pub fn append(&mut self, sample: &Sample) -> Result<(), CannotTrain> {
         let state = binary(sample)?;
         let parts = &self.parts;
         if u64::from(parts.steps) >= STEPS_MAX || off_time(sample, parts.first_nanos, parts.interval_nanos, parts.steps)
         {
-            return Err(CannotFit::Parameter {
+            return Err(CannotTrain::Parameter {
                 parameter: "time of a reading in seconds after the first",
                 found: (i128::from(sample.utc_nanos) - i128::from(parts.first_nanos)) as f64 / 1e9,
                 expected: "one interval after the last reading",
@@ -192,12 +192,12 @@ impl UniformSpectral {
         f64::from(self.parts.steps) / bits as f64
     }
 
-    /// Mean of the readings that the spectrum was fitted to, in `[0,1]`.
+    /// Mean of the readings that the spectrum was trained on, in `[0,1]`.
     pub fn mean(&self) -> f64 {
         self.parts.mean
     }
 
-    /// The components, strongest first; periodicity k has a period of the fitted span (steps times interval) over k.
+    /// The components, strongest first; periodicity k has a period of the span (steps times interval) over k.
     pub fn components(&self) -> &[Component] {
         &self.parts.components
     }
@@ -216,7 +216,7 @@ impl UniformSpectral {
     pub fn predict_at_order(&self, order: usize, at: Moment) -> f64 {
         let parts = &self.parts;
         let first = Moment { utc_nanos: parts.first_nanos, offset_secs: parts.offset_secs };
-        let span_nanos = i128::from(parts.interval_nanos) * i128::from(parts.fitted_steps);
+        let span_nanos = i128::from(parts.interval_nanos) * i128::from(parts.trained_steps);
         let elapsed_nanos = i128::from(at.civil_nanos()) - i128::from(first.civil_nanos());
         let elapsed_nanos = elapsed_nanos.rem_euclid(span_nanos);
         self.probability(order, |k| (elapsed_nanos * i128::from(k) % span_nanos) as f64 / span_nanos as f64)
@@ -239,9 +239,9 @@ impl UniformSpectral {
     }
 
     fn estimate_at_order(&self, order: usize, step: u32) -> bool {
-        let fitted = u64::from(self.parts.fitted_steps);
+        let trained = u64::from(self.parts.trained_steps);
         // k·step modulo the span in integers, so that a late step has the same phase as when it was encoded.
-        let turns = |k: u32| (u64::from(k) * u64::from(step) % fitted) as f64 / fitted as f64;
+        let turns = |k: u32| (u64::from(k) * u64::from(step) % trained) as f64 / trained as f64;
         self.probability(order, turns) >= 0.5 - TIE
     }
 
@@ -252,7 +252,7 @@ impl UniformSpectral {
             let (sin, cos) = (std::f64::consts::TAU * turns(component.periodicity)).sin_cos();
             let term = component.gamma_re * cos - component.gamma_im * sin;
             // At half the sampling rate a component is its own mirror image and enters once.
-            let is_fastest = 2 * u64::from(component.periodicity) == u64::from(self.parts.fitted_steps);
+            let is_fastest = 2 * u64::from(component.periodicity) == u64::from(self.parts.trained_steps);
             p += if is_fastest { term } else { 2.0 * term };
         }
         p.clamp(0.0, 1.0)
@@ -269,13 +269,13 @@ impl UniformSpectral {
     /// [`InvalidParts`] where a number is outside its range or there are too many components.
     pub fn from_parts(parts: UniformSpectralParts) -> Result<UniformSpectral, InvalidParts> {
         InvalidParts::check("interval", parts.interval_nanos as f64, 1.0..=i64::MAX as f64)?;
-        InvalidParts::check("fitted steps", f64::from(parts.fitted_steps), 2.0..=f64::from(parts.steps))?;
+        InvalidParts::check("trained steps", f64::from(parts.trained_steps), 2.0..=f64::from(parts.steps))?;
         InvalidParts::check("mean", parts.mean, 0.0..=1.0)?;
         if parts.components.len() > ORDER_MAX {
             return Err(InvalidParts::OrderTooHigh { found: parts.components.len() });
         }
         for component in &parts.components {
-            let highest = f64::from(parts.fitted_steps / 2);
+            let highest = f64::from(parts.trained_steps / 2);
             InvalidParts::check("component index", f64::from(component.periodicity), 1.0..=highest)?;
             InvalidParts::check("gamma_re", component.gamma_re, -1.01..=1.01)?;
             InvalidParts::check("gamma_im", component.gamma_im, -1.01..=1.01)?;
@@ -286,14 +286,14 @@ impl UniformSpectral {
 }
 
 impl TemporalModel for UniformSpectral {
-    /// p(t) by the spectrum alone, continued periodically before and after the fitted readings (T-RO eq. 10).
+    /// p(t) by the spectrum alone, continued periodically before and after its readings (T-RO eq. 10).
     fn predict(&self, at: Moment) -> f64 {
         self.predict_at_order(ORDER_MAX, at)
     }
 }
 
 /// A sample's state, 0 or 1.
-fn binary(sample: &Sample) -> Result<bool, CannotFit> {
+fn binary(sample: &Sample) -> Result<bool, CannotTrain> {
     let (parameter, found, expected) = ("a reading's value", sample.value, "0 or 1");
     let distance = |state: f64| (found - state).abs();
     // NaN is neither.
@@ -302,17 +302,17 @@ fn binary(sample: &Sample) -> Result<bool, CannotFit> {
     } else if distance(0.0) <= f64::EPSILON {
         Ok(false)
     } else {
-        Err(CannotFit::Parameter { parameter, found, expected })
+        Err(CannotTrain::Parameter { parameter, found, expected })
     }
 }
 
 /// Mean and strongest components of the transform, ties: the slower first.
-fn strongest(states: &[bool], order: usize) -> Result<(f64, Vec<Component>), CannotFit> {
+fn strongest(states: &[bool], order: usize) -> Result<(f64, Vec<Component>), CannotTrain> {
     let transform = RealFftPlanner::<f64>::new().plan_fft_forward(states.len());
     let mut values: Vec<f64> = states.iter().map(|&state| f64::from(u8::from(state))).collect();
     let mut spectrum: Vec<Complex<f64>> = transform.make_output_vec();
     let (parameter, expected) = ("number of readings", "a length that can be transformed");
-    let refused = |_| CannotFit::Parameter { parameter, found: states.len() as f64, expected };
+    let refused = |_| CannotTrain::Parameter { parameter, found: states.len() as f64, expected };
     transform.process(&mut values, &mut spectrum).map_err(refused)?;
     let per_reading = 1.0 / states.len() as f64;
     let mean = (spectrum[0].re * per_reading).clamp(0.0, 1.0);

@@ -1,6 +1,6 @@
-//! Fitting a model to a state of two values, from sums of phasors.
+//! Trains a model of a state of two values, from sums of phasors.
 //!
-//! Invariant: the same sums give the same model as [`SpectralModel::fit`], to 1e-9.
+//! Invariant: the same sums give the same model as [`SpectralModel::train`], to 1e-9.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -39,15 +39,15 @@ pub struct CellSums<'a> {
 }
 
 impl SpectralModel {
-    /// The model of a state of two values, by the rules of [`SpectralModel::fit_with_gaps`]. The sums must be over the
+    /// The model of a state of two values, as [`SpectralModel::train_with_gaps`] gives it. The sums must be over the
     /// same periodicities. Without observations, the untrained model.
-    pub fn fit_sums(sums: CellSums<'_>, periodicities: &Periodicities) -> SpectralModel {
+    pub fn train_on_sums(sums: CellSums<'_>, periodicities: &Periodicities) -> SpectralModel {
         if sums.observations == 0 {
             return SpectralModel::default();
         }
         let (free, occupied) = sums.levels;
         let mut strongest = Strongest::new();
-        Arch::new().dispatch(CellFit {
+        Arch::new().dispatch(CellTraining {
             sums: &sums,
             scale: (occupied - free) / sums.weight,
             span_nanos: sums.span_nanos.saturating_add(sums.gap_nanos.0),
@@ -60,7 +60,7 @@ impl SpectralModel {
 }
 
 /// γ_k = scale·(A_k - mean·B_k) of each periodicity, offered to the choice of the strongest.
-struct CellFit<'a> {
+struct CellTraining<'a> {
     sums: &'a CellSums<'a>,
     scale: f64,
     /// The observed span with the median gap added.
@@ -69,7 +69,7 @@ struct CellFit<'a> {
     strongest: &'a mut Strongest,
 }
 
-impl WithSimd for CellFit<'_> {
+impl WithSimd for CellTraining<'_> {
     type Output = ();
 
     #[inline(always)]

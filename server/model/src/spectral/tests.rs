@@ -8,10 +8,10 @@ use crate::Sample;
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 const DAY_NANOS: i64 = 24 * HOUR_NANOS;
 
-fn fitted(periodicities: &Periodicities, samples: &[Sample]) -> SpectralModel {
+fn trained(periodicities: &Periodicities, samples: &[Sample]) -> SpectralModel {
     let mut accumulator = Accumulator::new(periodicities);
     accumulator.add(periodicities, samples);
-    SpectralModel::fit(&accumulator, periodicities)
+    SpectralModel::train(&accumulator, periodicities)
 }
 
 /// A sine of one day, sampled hourly for some days.
@@ -24,7 +24,7 @@ fn daily_sine(days: i64) -> Vec<Sample> {
 #[test]
 fn a_sine_is_found_and_predicted_as_it_is() {
     let week = Periodicities::default();
-    let model = fitted(&week, &daily_sine(28));
+    let model = trained(&week, &daily_sine(28));
     let strongest = model.components()[0];
     assert_eq!(strongest.periodicity, 6);
     assert!((strongest.amplitude() - 0.3).abs() < 1e-9);
@@ -40,13 +40,13 @@ fn only_observed_periods_are_eligible() {
     let week = Periodicities::default();
     let mut samples = daily_sine(7);
     samples[5].value = 1.0;
-    let has_week = |samples: &[Sample]| fitted(&week, samples).components().iter().any(|c| c.periodicity == 0);
+    let has_week = |samples: &[Sample]| trained(&week, samples).components().iter().any(|c| c.periodicity == 0);
     let mut sloped: Vec<Sample> = samples.iter().map(|s| Sample { value: s.utc_nanos as f64 / 1e15, ..*s }).collect();
     assert!(has_week(&sloped));
     sloped.pop();
     assert!(!has_week(&sloped));
-    assert!(!fitted(&week, &sloped).components().is_empty());
-    assert!(fitted(&week, &sloped[..1]).components().is_empty());
+    assert!(!trained(&week, &sloped).components().is_empty());
+    assert!(trained(&week, &sloped[..1]).components().is_empty());
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn a_state_that_never_changed_has_no_components() {
     let week = Periodicities::default();
     for value in [0.0, 1.0] {
         let samples: Vec<Sample> = daily_sine(28).iter().map(|s| Sample { value, ..*s }).collect();
-        let model = fitted(&week, &samples);
+        let model = trained(&week, &samples);
         assert!(model.components().is_empty());
         assert!((model.predict(&week, 15, DAY_NANOS) - value).abs() < 1e-15);
     }
@@ -64,7 +64,7 @@ fn a_state_that_never_changed_has_no_components() {
 fn never_updated_answers_one_half() {
     let week = Periodicities::default();
     let model = SpectralModel::default();
-    assert_eq!(SpectralModel::fit(&Accumulator::new(&week), &week), model);
+    assert_eq!(SpectralModel::train(&Accumulator::new(&week), &week), model);
     assert!((model.predict(&week, 15, 123) - 0.5).abs() < 1e-15);
     assert_eq!(model.observations(), 0);
 }
@@ -75,13 +75,13 @@ fn the_strongest_come_first_and_equal_ones_by_index() {
     let week = Periodicities::default();
     let impulse =
         |hour: i64| Sample { utc_nanos: hour * HOUR_NANOS, offset_secs: 0, value: f64::from(u8::from(hour == 0)) };
-    let model = fitted(&week, &(0..24 * 7).map(impulse).collect::<Vec<_>>());
+    let model = trained(&week, &(0..24 * 7).map(impulse).collect::<Vec<_>>());
     assert_eq!(model.components().len(), ORDER_MAX);
     let amplitudes: Vec<f64> = model.components().iter().map(Component::amplitude).collect();
     assert!(amplitudes.is_sorted_by(|a, b| a >= b || (a - b).abs() < 1e-12));
     // Exact ties: a list, with a state that changes at the only time where both cosines are 1.
     let list = Periodicities::list(vec![8 * HOUR_NANOS, 4 * HOUR_NANOS, 2 * HOUR_NANOS]).unwrap();
-    let tie = fitted(&list, &[impulse(0), Sample { utc_nanos: 8 * HOUR_NANOS, offset_secs: 0, value: 0.0 }]);
+    let tie = trained(&list, &[impulse(0), Sample { utc_nanos: 8 * HOUR_NANOS, offset_secs: 0, value: 0.0 }]);
     assert!(tie.components().is_sorted_by_key(|c| c.periodicity));
 }
 
@@ -156,7 +156,7 @@ fn every_instruction_set_gives_the_same_predictions() {
     let week = Periodicities::default();
     let samples = daily_sine(9);
     let times: Vec<i64> = samples.iter().take(211).map(Sample::civil_nanos).collect();
-    let (model, table) = (fitted(&week, &samples), PhasorTable::new(&week, &times));
+    let (model, table) = (trained(&week, &samples), PhasorTable::new(&week, &times));
     let mut terms = [Term::default(); ORDER_MAX];
     let terms = model.terms(ORDER_MAX, &table, &mut terms).unwrap();
     let mut first = None;

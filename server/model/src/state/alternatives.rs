@@ -26,7 +26,7 @@ mod tests;
 
 pub use combination::Combination;
 pub(super) use combination::SpectralAtOrder;
-pub use parts::{AlternativesParts, FitParts};
+pub use parts::{AlternativesParts, TrainingRecordParts};
 
 /// A model's prediction for the time of a sample.
 pub(super) type SampleForecast<'a> = &'a dyn Fn(&Sample) -> f64;
@@ -79,11 +79,11 @@ pub(super) const KEPT_AT_CHANGE: f64 = 0.25;
 const ROUNDING: f64 = 1e-20;
 
 /// Models are trained on readings first after this many observed local days, and again every this many local days.
-const REFIT_DAYS: u32 = 7;
+const RETRAIN_DAYS: u32 = 7;
 
-/// Cheap models are trained first after this many observed local days, then daily until [`REFIT_DAYS`]: a short record
-/// can already choose among them.
-const EARLY_FIT_DAYS: u32 = 3;
+/// Cheap models are trained first after this many observed local days, then daily until [`RETRAIN_DAYS`]: a short
+/// record can already choose among them.
+const EARLY_TRAINING_DAYS: u32 = 3;
 
 /// What answers, if it is not the spectral model alone.
 #[derive(Clone, Debug, PartialEq)]
@@ -232,12 +232,12 @@ impl Alternatives {
     pub(super) fn is_training_due(&self, kind: ModelKind) -> bool {
         let Some(folded) = self.parts.learned_day.filter(|_| kind.place_at_night().is_some()) else { return false };
         match self.record(kind) {
-            None => self.days >= if kind.is_cheap() { EARLY_FIT_DAYS } else { REFIT_DAYS },
-            Some(fit) => {
-                let age_days = i64::from(folded.0) - i64::from(fit.day.0);
-                (kind.is_cheap() && self.days <= REFIT_DAYS && age_days >= 1)
-                    || age_days >= i64::from(REFIT_DAYS)
-                    || self.alarm.rang_on().is_some_and(|rang| rang > fit.day)
+            None => self.days >= if kind.is_cheap() { EARLY_TRAINING_DAYS } else { RETRAIN_DAYS },
+            Some(record) => {
+                let age_days = i64::from(folded.0) - i64::from(record.day.0);
+                (kind.is_cheap() && self.days <= RETRAIN_DAYS && age_days >= 1)
+                    || age_days >= i64::from(RETRAIN_DAYS)
+                    || self.alarm.alarm_day().is_some_and(|alarm_day| alarm_day > record.day)
             }
         }
     }
@@ -364,7 +364,7 @@ impl Alternatives {
     }
 
     fn watch(&mut self, day: LocalDay, mse: f64, observations: u64) {
-        if self.alarm.rang_on().is_some_and(|rang| day.0 - rang.0 >= ALARM_DAYS) {
+        if self.alarm.alarm_day().is_some_and(|alarm_day| day.0 - alarm_day.0 >= ALARM_DAYS) {
             self.alarm.reset();
         }
         let was_ringing = self.alarm.is_ringing();
@@ -387,7 +387,7 @@ impl Alternatives {
     /// passed. `None`: all are.
     pub fn training_since(&self) -> Option<LocalDay> {
         let folded = i64::from(self.parts.learned_day?.0);
-        self.since.filter(|since| folded - i64::from(since.0) + 1 >= i64::from(REFIT_DAYS))
+        self.since.filter(|since| folded - i64::from(since.0) + 1 >= i64::from(RETRAIN_DAYS))
     }
 
     /// Errors that differ by `rounding` or less are the same.

@@ -93,7 +93,7 @@ fn a_change_of_routine_rings_the_alarm_whatever_the_unit() {
         rhythm(80, 11).iter().enumerate().map(|(slot, v)| if slot / 144 < 60 { *v } else { 1.0 - *v }).collect();
     for scale in [1e-6, 1.0, 1e9] {
         let model = learned(StateKind::Continuous, &samples(&values, |v| scale * v), OrderCriterion::SquaredError);
-        let alarm = model.alternatives().map(|known| known.alarm().rang_on());
+        let alarm = model.alternatives().map(|known| known.alarm().alarm_day());
         let day = alarm.flatten().unwrap_or_else(|| panic!("it does not ring at {scale}"));
         let first = LocalDay::of_civil_nanos(samples(&values, |v| v)[0].civil_nanos());
         assert!((60..70).contains(&(day.0 - first.0)), "{scale}: day {}", day.0 - first.0);

@@ -97,10 +97,10 @@ impl OrderWatch {
         if OrderGains::apply_to(periodicities) {
             self.gains.record(best, squared, scored);
         }
-        if self.alarm.rang_on().is_some_and(|rang| day.0 - rang.0 >= ALARM_DAYS) {
+        if self.alarm.alarm_day().is_some_and(|alarm_day| day.0 - alarm_day.0 >= ALARM_DAYS) {
             self.alarm.reset();
         }
-        let was_ringing = self.alarm.rang_on().is_some();
+        let was_ringing = self.alarm.alarm_day().is_some();
         let error = squared.get(order.min(ORDER_MAX)).map_or(0.0, |sum| sum / scored.max(1) as f64 / unit);
         if self.alarm.observe(day, error, scored) && !was_ringing {
             // They are of another routine.

@@ -31,7 +31,7 @@ fn the_first_update_has_nothing_to_score() {
     let outcome = state.update(&week(), OrderCriterion::SquaredError, door(0, 1));
     assert_eq!(outcome, UpdateOutcome { observations: 144, ..UpdateOutcome::default() });
     assert_eq!(state.order(), 0);
-    assert_eq!(state.spectral(), &SpectralModel::fit(state.accumulator(), &week()));
+    assert_eq!(state.spectral(), &SpectralModel::train(state.accumulator(), &week()));
     assert_eq!(state.update(&week(), OrderCriterion::SquaredError, vec![]), UpdateOutcome::default());
 }
 
@@ -155,7 +155,7 @@ fn a_routine_of_the_clock_and_the_kind_of_day_chooses_the_model_that_has_it() {
 fn a_change_of_routine_rings_the_alarm_until_it_is_history() {
     let mut state = StateModel::new(&week());
     state.update(&week(), OrderCriterion::SquaredError, door(0, 42));
-    let rang = |state: &StateModel| state.alternatives().unwrap().alarm().rang_on();
+    let rang = |state: &StateModel| state.alternatives().unwrap().alarm().alarm_day();
     assert_eq!(rang(&state), None);
     let changed: Vec<Sample> =
         door(42, 7).into_iter().map(|sample| Sample { value: 1.0 - sample.value, ..sample }).collect();
@@ -246,8 +246,8 @@ fn a_published_model_predicts_the_same() {
         let day = samples.last().expect("readings").local_day();
         for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
             let readings = crate::models::Readings::new(&samples);
-            if let Ok(fit) = kind.train(readings, StateKind::Probability, &periodicities) {
-                model = model.with_trained(fit, day);
+            if let Ok(trained) = kind.train(readings, StateKind::Probability, &periodicities) {
+                model = model.with_trained(trained, day);
             }
         }
         let published = model.published();

@@ -152,7 +152,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
         self.begin(task);
         let mut limit = known.as_ref().map_or(limit, |known| known.cost.min(limit));
         let mut found = known;
-        let mut places: HashMap<(u32, u64), u32> = HashMap::new();
+        let mut head_labels: HashMap<(u32, u64), u32> = HashMap::new();
         let mut open_edges = Vec::new();
         let mut open = BinaryHeap::from([Reverse((task.cost, 0_u32))]);
         while let Some(Reverse((least, at))) = open.pop() {
@@ -189,7 +189,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
                     continue;
                 }
                 let place = (to as u32, self.cache.joined(label.at_secs, task.join_secs).to_bits());
-                let head = places.get(&place).copied().unwrap_or(NONE);
+                let head = head_labels.get(&place).copied().unwrap_or(NONE);
                 if self.is_dominated(head, &label, at, limit) {
                     continue;
                 }
@@ -201,7 +201,7 @@ impl<'a, 'b, F: Forecasts, U: FnMut() -> bool> Labels<'a, 'b, F, U> {
                 *self.made += 1;
                 label.next = head;
                 let index = self.labels.len() as u32;
-                places.insert(place, index);
+                head_labels.insert(place, index);
                 self.labels.push(label);
                 open.push(Reverse((least, index)));
             }

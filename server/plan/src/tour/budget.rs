@@ -36,7 +36,7 @@ impl TourBudget<'_> {
     /// The goals that fit, in the order of the drive. First removes the goals that do not fit even alone, then, one
     /// after the other, those with the least value for the time that they add; finally puts back those that fit after
     /// all, the most valuable first.
-    pub(super) fn fit(&self) -> Vec<usize> {
+    pub(super) fn select(&self) -> Vec<usize> {
         let mut goals: Vec<usize> = (0..self.ways.count()).filter(|&goal| self.fits(&[goal])).collect();
         let mut left_out = Vec::new();
         let mut order = self.ways.order(&goals);

@@ -400,7 +400,7 @@ proptest! {
     ) {
         let ways = ways(&numbers, 10, true);
         let budget = TourBudget { ways: &ways, values: &values, secs_m: 1.0, observation_secs: 0.2, budget_secs };
-        let order = budget.fit();
+        let order = budget.select();
         prop_assert!(order.is_empty() || budget.duration_secs(&order) <= budget_secs);
         prop_assert_eq!(order.is_empty(), budget.least_secs() > budget_secs);
         for other in (0..10).filter(|other| !order.contains(other)) {

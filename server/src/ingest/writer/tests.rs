@@ -25,11 +25,11 @@ use crate::{
 };
 
 pub(super) mod backlog;
-mod refits;
 mod repeated;
 pub(super) mod saves;
 mod scans;
 mod states;
+mod training;
 mod traversals;
 
 const HOUR: i64 = 3_600_000_000_000;

@@ -137,12 +137,12 @@ impl Context {
             }
         };
         let result = self.update_pool.install(|| work.run(progress))?;
-        let refits = result.refits();
-        if let Some(reason) = &refits.failure {
-            warn!(%map, states = refits.failed, reason, "models are not trained again, because history cannot be read");
+        let outcome = result.training_outcome();
+        if let Some(reason) = &outcome.failure {
+            warn!(%map, states = outcome.failed, reason, "models are not trained again, because history cannot be read");
         }
-        if refits.waiting > 0 {
-            info!(%map, trained = refits.fitted, waiting = refits.waiting, "models wait to be trained at a later update");
+        if outcome.waiting > 0 {
+            info!(%map, trained = outcome.trained, waiting = outcome.waiting, "models wait to be trained at a later update");
         }
         Ok(result)
     }

@@ -25,10 +25,10 @@ use super::{
 use crate::{
     model_cache::CachedModel,
     rpc::{
-        fitting::LearnedState,
         lookup::{find_all, find_map},
         replies::{Replies, compute_replies},
         status::RpcError,
+        training::LearnedState,
     },
     state_or_cell::StateOrCell,
 };
@@ -39,17 +39,17 @@ const READINGS_PER_REPLY: usize = 4096;
 /// The model that observations are judged by: one that was trained on the readings, or the view's.
 struct Judge {
     subject: StateOrCell,
-    fitted: Option<Arc<CachedModel>>,
+    trained: Option<Arc<CachedModel>>,
 }
 
 impl Judge {
     fn expected(&self, view: &MapView, readings: &[Reading], selector: ModelSelector) -> Vec<f64> {
         let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();
         let mut expected = vec![0.0; times.len()];
-        match &self.fitted {
+        match &self.trained {
             None => self.subject.predict_into(view, &view.prepare(&times), selector, &mut expected),
-            Some(fitted) => {
-                fitted.expect_into(view, &self.subject, &view.moments(&times), selector, &mut expected);
+            Some(trained) => {
+                trained.expect_into(view, &self.subject, &view.moments(&times), selector, &mut expected);
             }
         }
         expected
@@ -85,15 +85,15 @@ pub(super) async fn find_anomalies(
     let view = handle.view();
     let subject = find_all(&view, |_| "state".to_owned(), vec![name]).await?.pop().ok_or(RpcError::Stopping)?;
     // Before the permits to look up are taken: training has its own permits, and may take long.
-    let fitted = if selector.kind.needs_readings() {
+    let trained = if selector.kind.needs_readings() {
         let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), subject.clone());
-        Some(queries.fitting.fitted(&learned, selector.kind).await?)
+        Some(queries.trainer.trained(&learned, selector.kind).await?)
     } else {
         None
     };
     let (permits, gather) = past(queries, &handle, Arc::clone(&view), asked).await?;
     Ok(compute_replies(permits, move |sink| {
-        let judge = Judge { subject, fitted };
+        let judge = Judge { subject, trained };
         let is_left = || sink.is_closed();
         for readings in gather(StopSignal::new(&is_left))?.chunks(READINGS_PER_REPLY) {
             let mut reply = v1::FindAnomaliesResponse::default();

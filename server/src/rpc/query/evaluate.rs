@@ -30,10 +30,10 @@ use crate::{
     ingest::handle::MapHandle,
     model_cache::ModelUnavailable,
     rpc::{
-        fitting::LearnedState,
         lookup::{check_limit, find_all, find_map},
         permits::run_while_awaited,
         status::{Misfit, Problem, RpcError},
+        training::LearnedState,
     },
     state_or_cell::StateOrCell,
 };
@@ -64,7 +64,7 @@ pub(super) async fn evaluate_states(
         let columns = unpack_evaluated(packed, table.len()).map_err(RpcError::from)?;
         take_observations(&columns, &table, &view, &mut evaluator, &mut waiting).map_err(RpcError::from)?;
         // Without models to fit nothing is gained by waiting.
-        if waiting.count >= WAITING_MAX || evaluator.kinds_to_fit().next().is_none() {
+        if waiting.count >= WAITING_MAX || evaluator.kinds_to_train().next().is_none() {
             evaluator = compare(queries, &handle, &view, std::mem::take(&mut waiting), evaluator).await?;
         }
     }
@@ -168,23 +168,23 @@ async fn compare(
             _ => None,
         };
         let samples = by_state.remove(&subject).unwrap_or_default();
-        let mut fitted = Vec::with_capacity(2);
+        let mut trained = Vec::with_capacity(2);
         let axes = [state].into_iter().chain(sine.map(StateOrCell::from));
-        let mut held = queries.fitting.reserve(0)?;
+        let mut held = queries.trainer.reserve(0)?;
         for axis in axes {
             let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), axis);
-            let models = queries.fitting.all_fitted(&learned, evaluator.kinds_to_fit()).await?;
-            held.merge(queries.fitting.reserve(models.iter().flatten().count())?);
+            let models = queries.trainer.all_trained(&learned, evaluator.kinds_to_train()).await?;
+            held.merge(queries.trainer.reserve(models.iter().flatten().count())?);
             let source = |model| match model {
-                Ok(fitted) => AnswerSource::Fitted(fitted),
+                Ok(trained) => AnswerSource::Trained(trained),
                 Err(reason) => evaluator.nothing(&ModelUnavailable::to_string(&reason)),
             };
-            fitted.push(models.into_iter().map(source).collect::<Vec<AnswerSource>>());
+            trained.push(models.into_iter().map(source).collect::<Vec<AnswerSource>>());
         }
-        let needs_models = fitted.iter().any(|sources| !sources.is_empty());
-        let mut fitted = fitted.into_iter();
-        let own = fitted.next().unwrap_or_default();
-        let sine = sine.map(|state| Sine { state, fitted: fitted.next().unwrap_or_default() });
+        let needs_models = trained.iter().any(|sources| !sources.is_empty());
+        let mut trained = trained.into_iter();
+        let own = trained.next().unwrap_or_default();
+        let sine = sine.map(|state| Sine { state, trained: trained.next().unwrap_or_default() });
         work.push(SubjectWork { subject, samples, own, sine });
         // States that the view answers by itself hold nothing: they are compared together.
         if needs_models || index == last {

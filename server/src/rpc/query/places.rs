@@ -16,10 +16,10 @@ use super::{Queries, positions::find_vector};
 use crate::{
     model_cache::PlaceModel,
     rpc::{
-        fitting::LearnedState,
         lookup::{check_limit, find_all, find_map},
         permits::run_while_awaited,
         status::{Problem, RpcError},
+        training::LearnedState,
     },
 };
 
@@ -49,11 +49,11 @@ pub(super) async fn predict_at_places(
     let learned = |target| LearnedState::new(Arc::clone(&handle), Arc::clone(&view), target);
     let axes = (first.0..).take(coordinates).map(|axis| learned(StateId(axis).into())).collect();
     let observations = state.learned(&view);
-    let model = queries.fitting.place_model(learned(state), axes, first, question.kind).await?;
+    let model = queries.trainer.place_model(learned(state), axes, first, question.kind).await?;
     let permit = queries.permits.take().await?;
     let reply = v1::PredictAtPlacesResponse {
         observations,
-        fitted_observations: model.observations(),
+        trained_observations: model.observations(),
         generation: view.generation(),
         ..v1::PredictAtPlacesResponse::default()
     };

@@ -23,11 +23,11 @@ use super::Queries;
 use crate::{
     model_cache::PositionModel,
     rpc::{
-        fitting::LearnedState,
         lookup::{check_limit, find_map, find_state},
         permits::run_blocking,
         replies::{Replies, ReplySink, stream_replies},
         status::{Misfit, Problem, RpcError},
+        training::LearnedState,
     },
 };
 
@@ -120,7 +120,7 @@ pub(super) async fn predict_positions(
     cells.as_ref().map_or(Ok(()), |cells| limits.check(cells))?;
     let axes = (first.0..).take(dimensions.count()).map(StateId);
     let axes = axes.map(|id| LearnedState::new(Arc::clone(&handle), Arc::clone(&view), id.into())).collect();
-    let model = queries.fitting.position_model(axes, question.kind).await?;
+    let model = queries.trainer.position_model(axes, question.kind).await?;
     let (low, high) = model.bounds_m();
     let cells = cells.unwrap_or_else(|| Cells::around(low, high, question.edge_m));
     limits.check(&cells)?;
@@ -189,7 +189,7 @@ fn header(view: &MapView, first: StateId, model: &PositionModel, cells: &Cells) 
         resolution_m: cells.edge_m,
         counts: cells.counts.iter().map(|&count| u32::try_from(count).unwrap_or(u32::MAX)).collect(),
         observations: live.observations,
-        fitted_observations: model.positions(),
+        trained_observations: model.positions(),
         last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
         generation: view.generation(),
     };

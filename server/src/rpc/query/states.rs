@@ -2,7 +2,7 @@
 //!
 //! Invariant: replies come by state, then by time. If all times are one block, its phasors are computed once for all
 //! states and cells, and again after a longer wait. A reply that waits for its reader keeps no phasors in memory.
-//! Requests for existing models do not wait for a fit.
+//! Requests for existing models do not wait for a training.
 
 use std::{ops::Range, sync::Arc};
 
@@ -22,12 +22,12 @@ use crate::{
     ingest::handle::MapHandle,
     model_cache::CachedModel,
     rpc::{
-        fitting::LearnedState,
         lookup::{check_limit, find_all, find_map, find_published, opened},
         permits::run_blocking,
         replies::{Replies, ReplySink, compute_replies, stream_replies},
-        series::FITTED_TIMES,
+        series::TRAINED_TIMES,
         status::RpcError,
+        training::LearnedState,
     },
     state_or_cell::StateOrCell,
 };
@@ -110,7 +110,7 @@ pub(super) async fn predict_states(
     check_limit("predictions", predictions, queries.max_predictions, "setting max_predictions")?;
     if question.selector.kind.needs_readings() {
         let subjects = axes.find(&view).await?;
-        return Ok(predict_fitted(queries, handle, view, subjects, &question));
+        return Ok(predict_trained(queries, handle, view, subjects, &question));
     }
     // An interval costs about as much as thirteen predictions.
     let cost = if question.interval_level.is_some() { 13 * predictions } else { predictions };
@@ -124,30 +124,30 @@ pub(super) async fn predict_states(
 }
 
 /// Predicts by models that are trained on the readings of states and cells, one after the other. The permit is free
-/// during a fit.
-fn predict_fitted(
+/// during a training.
+fn predict_trained(
     queries: &Queries,
     handle: Arc<MapHandle>,
     view: Arc<MapView>,
     subjects: Vec<(StateAxis, StateOrCell)>,
     question: &StatesQuestion,
 ) -> Replies<v1::PredictStatesResponse> {
-    let (fitting, permits) = (Arc::clone(&queries.fitting), queries.large_permits.clone());
+    let (trainer, permits) = (Arc::clone(&queries.trainer), queries.large_permits.clone());
     let moments: Arc<[Moment]> = view.moments(&question.times_nanos).into();
     let StatesQuestion { selector, interval_level, .. } = *question;
     stream_replies(move |sink| async move {
         let mut cosine = None;
         for (axis, subject) in subjects {
             let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), subject.clone());
-            let fitted = tokio::select! {
+            let trained = tokio::select! {
                 () = sink.closed() => return Ok(()),
-                fitted = fitting.fitted(&learned, selector.kind) => fitted?,
+                trained = trainer.trained(&learned, selector.kind) => trained?,
             };
             if axis.is_angle && cosine.is_none() {
-                cosine = Some((subject, fitted));
+                cosine = Some((subject, trained));
                 continue;
             }
-            let sources: Vec<_> = cosine.take().into_iter().chain([(subject, fitted)]).collect();
+            let sources: Vec<_> = cosine.take().into_iter().chain([(subject, trained)]).collect();
             let (view, moments) = (Arc::clone(&view), Arc::clone(&moments));
             let sink = sink.clone().holding(vec![permits.take().await?]);
             let predict = move || predict_one(&view, (axis, &sources), &moments, (selector, interval_level), &sink);
@@ -169,11 +169,11 @@ fn predict_one(
 ) -> bool {
     let mut blocks = moments.chunks(TIMES_PER_BLOCK).enumerate();
     blocks.all(|(block, moments)| {
-        let forecast = sources.iter().map(|(subject, fitted)| {
+        let forecast = sources.iter().map(|(subject, trained)| {
             let mut values = vec![0.0; moments.len()];
-            for (moments, values) in moments.chunks(FITTED_TIMES).zip(values.chunks_mut(FITTED_TIMES)) {
+            for (moments, values) in moments.chunks(TRAINED_TIMES).zip(values.chunks_mut(TRAINED_TIMES)) {
                 if !sink.is_closed() {
-                    fitted.predict_into(view, subject, moments, selector, values);
+                    trained.predict_into(view, subject, moments, selector, values);
                 }
             }
             let level = interval_level.filter(|_| !axis.is_angle);

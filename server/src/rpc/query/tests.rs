@@ -38,9 +38,9 @@ use crate::{
 };
 
 mod anomalies;
-mod fitted;
 mod grids;
 mod past;
+mod trained;
 
 const MINUTE: i64 = 60_000_000_000;
 /// 2016-07-01T12:00 in London.
@@ -89,8 +89,13 @@ impl Bench {
 
     fn of(catalog: Arc<Catalog>) -> Self {
         let handle = catalog.get("office").expect("there");
-        let limits =
-            QueryLimits { predictions: 10_000, batch: 4096, fitted_models: 100, fit_readings: 10_000, watches: 2 };
+        let limits = QueryLimits {
+            predictions: 10_000,
+            batch: 4096,
+            trained_models: 100,
+            training_readings: 10_000,
+            watches: 2,
+        };
         Self { queries: Queries::new(catalog, limits), handle }
     }
 

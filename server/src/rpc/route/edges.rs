@@ -27,7 +27,7 @@ use crate::{
 pub(super) struct Edges {
     edges: EdgeForecasts,
     /// Index of each edge's success among the states of the predictor.
-    places: HashMap<StateId, usize>,
+    indices: HashMap<StateId, usize>,
     predictor: Predictor,
 }
 
@@ -44,16 +44,16 @@ impl Edges {
         let forecast_view = Arc::clone(view);
         let edges = routes.run_blocking(move || EdgeForecasts::new(forecast_view, speed_m_per_s, selector)).await?;
         let states: Vec<StateId> = edges.success_states().collect();
-        let places = states.iter().enumerate().map(|(place, &id)| (id, place)).collect();
+        let indices = states.iter().enumerate().map(|(index, &id)| (id, index)).collect();
         let alone = selector.unblended();
         let predictor = Predictor::new(routes.predict_context(), handle, view, states, alone).await?;
-        Ok(Edges { edges, places, predictor })
+        Ok(Edges { edges, indices, predictor })
     }
 
     /// The forecast of an edge at a time in nanoseconds UTC.
     pub(super) fn forecast(&self, edge: &Edge, time_nanos: i64) -> EdgeForecast {
         let success = |id: StateId, times: &PreparedTimes| {
-            self.places.get(&id).map_or(f64::NAN, |&place| self.predictor.at_prepared(place, times))
+            self.indices.get(&id).map_or(f64::NAN, |&index| self.predictor.at_prepared(index, times))
         };
         self.edges.forecast_with(edge, time_nanos, success)
     }

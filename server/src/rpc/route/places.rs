@@ -47,7 +47,7 @@ pub(super) struct NodeStates {
 
 impl NodeStates {
     fn of(view: &MapView, topology: &Topology, object: &str) -> Result<NodeStates, RpcError> {
-        let mut places = NodeStates::default();
+        let mut found = NodeStates::default();
         for node in topology.nodes() {
             let state = view.find(&state_at(node.name.as_str(), object));
             match state.filter(|&id| view.live(id).observations > 0) {
@@ -57,18 +57,18 @@ impl NodeStates {
                         let state = state_at(node.name.as_str(), object);
                         return Err(Problem::NoPresence { state, kind }.of("object").into());
                     }
-                    places.nodes.push(node.id);
-                    places.states.push(id);
+                    found.nodes.push(node.id);
+                    found.states.push(id);
                 }
                 None => {
-                    if places.unobserved.len() < UNOBSERVED_SHOWN {
-                        places.unobserved.push(node.name.as_str().to_owned());
+                    if found.unobserved.len() < UNOBSERVED_SHOWN {
+                        found.unobserved.push(node.name.as_str().to_owned());
                     }
-                    places.unobserved_nodes += 1;
+                    found.unobserved_nodes += 1;
                 }
             }
         }
-        Ok(places)
+        Ok(found)
     }
 
     /// The nodes and states for the presence of `object`, which is empty for the default kind.
@@ -87,10 +87,10 @@ impl NodeStates {
         }
         let (shared_view, shared_topology, object) = (Arc::clone(view), Arc::clone(topology), object.to_owned());
         let example = topology.nodes().next().map_or_else(String::new, |node| state_at(node.name.as_str(), &object));
-        let places = routes.run_blocking(move || NodeStates::of(&shared_view, &shared_topology, &object)).await??;
-        if places.nodes.is_empty() {
+        let found = routes.run_blocking(move || NodeStates::of(&shared_view, &shared_topology, &object)).await??;
+        if found.nodes.is_empty() {
             return Err(RouteError::NothingObserved { map: map.to_owned(), example }.into());
         }
-        Ok(places)
+        Ok(found)
     }
 }

@@ -49,8 +49,8 @@ pub(super) async fn plan_search(
     let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let object = object_from_wire(request.object)?;
-    let places = NodeStates::asked(routes, &request.map, &view, &object).await?;
-    let NodeStates { nodes, states, unobserved, unobserved_nodes } = places;
+    let found = NodeStates::asked(routes, &request.map, &view, &object).await?;
+    let NodeStates { nodes, states, unobserved, unobserved_nodes } = found;
     check_count(nodes.len(), options.effort, request.for_arrival).map_err(RouteError::from)?;
 
     let asked = (states.clone(), vec![time_nanos]);

@@ -14,7 +14,7 @@ use tidemap_grid::{
 use tidemap_migrations::v1::{file::RecordKind, grid as v1};
 use tidemap_model::{Periodicities, PhasorSum};
 
-use super::tiles::{CheckpointTiles, Places, TilePlace};
+use super::tiles::{CheckpointTiles, TileOffset, TileOffsets};
 use crate::{
     record::{
         day, tile,
@@ -28,7 +28,7 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Keep {
     /// Only the offsets of its tiles: the file is only checked.
-    Places,
+    Offsets,
     /// Everything; models and sums up to about this many bytes.
     UpTo(u64),
 }
@@ -36,7 +36,7 @@ pub(super) enum Keep {
 /// A grid that was read.
 pub(super) struct ReadGrid {
     /// Offsets of its tiles.
-    pub(super) places: Places,
+    pub(super) offsets: TileOffsets,
     /// Shared sums that are in memory, by number.
     pub(super) shared: Vec<Weak<PhasorSum>>,
     /// The grid, with empty slots for the tiles that are not in memory; empty if only the offsets are kept.
@@ -61,9 +61,9 @@ impl ReadGrid {
         grid
     }
 
-    /// Takes the places out; the shared sums with them.
-    pub(super) fn take_places(&mut self) -> (Places, Vec<Weak<PhasorSum>>) {
-        (std::mem::take(&mut self.places), std::mem::take(&mut self.shared))
+    /// Takes the offsets out; the shared sums with them.
+    pub(super) fn take_offsets(&mut self) -> (TileOffsets, Vec<Weak<PhasorSum>>) {
+        (std::mem::take(&mut self.offsets), std::mem::take(&mut self.shared))
     }
 }
 
@@ -74,7 +74,7 @@ struct TileReader<'reader> {
     room: u64,
     /// Shared sums in memory: all before the first tile that is not loaded.
     shared: Vec<Arc<PhasorSum>>,
-    places: Places,
+    offsets: TileOffsets,
     buffer: Vec<u8>,
 }
 
@@ -103,11 +103,12 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
         received_nanos: head.received_nanos,
     };
     let room = match keep {
-        Keep::Places => 0,
+        Keep::Offsets => 0,
         Keep::UpTo(bytes) => bytes,
     };
-    let keeps = keep != Keep::Places;
-    let mut tiles = TileReader { reader, periodicities, room, shared: Vec::new(), places: Places::default(), buffer };
+    let keeps = keep != Keep::Offsets;
+    let mut tiles =
+        TileReader { reader, periodicities, room, shared: Vec::new(), offsets: TileOffsets::default(), buffer };
     let mut cold_from = None;
     for index in 0..head.tiles as usize {
         let (live, slots) = tiles.tile(index < head.models as usize)?;
@@ -123,7 +124,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
             grid.sums.push(sums);
         }
     }
-    let TileReader { reader, shared, places, mut buffer, .. } = tiles;
+    let TileReader { reader, shared, offsets, mut buffer, .. } = tiles;
     let mut last_day = None;
     for _ in 0..head.days {
         let day = read_day(reader, head.tiles, &mut buffer)?;
@@ -143,14 +144,14 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
     }
     let shared = shared.iter().map(Arc::downgrade).collect();
     let cold_from = cold_from.unwrap_or(grid.models.len());
-    Ok(ReadGrid { places, shared, grid, cold_from })
+    Ok(ReadGrid { offsets, shared, grid, cold_from })
 }
 
 impl TileReader<'_> {
     /// The next tile, with its model and sums if they are loaded.
     fn tile(&mut self, may_have_model: bool) -> Result<(LiveTile, Option<(ModelSlot, SumsSlot)>), String> {
         while self.reader.next_kind()? == RecordKind::SharedSum {
-            self.places.shared.push(self.reader.offset());
+            self.offsets.shared.push(self.reader.offset());
             self.reader.long(RecordKind::SharedSum, &mut self.buffer)?;
             let sum = tile_model::decode_shared(&self.buffer, self.periodicities)?;
             if self.room > 0 {
@@ -161,22 +162,22 @@ impl TileReader<'_> {
         let message: v1::Tile = self.reader.long_message(RecordKind::Tile, &mut self.buffer)?;
         let live = tile::decode(&message)?;
         if !message.has_model {
-            self.places.tiles.push(TilePlace::default());
+            self.offsets.tiles.push(TileOffset::default());
             return Ok((live, (self.room > 0).then(Default::default)));
         }
         if !may_have_model {
             return Err("a tile has a model where there should be none".to_owned());
         }
-        let model_place = self.reader.offset();
+        let model_offset = self.reader.offset();
         let model: v1::TileModel = self.reader.long_message(RecordKind::TileModel, &mut self.buffer)?;
         let model = tile_model::decode(&model, self.periodicities)?;
-        self.places.tiles.push(TilePlace { model: model_place, sums: self.reader.offset() });
+        self.offsets.tiles.push(TileOffset { model: model_offset, sums: self.reader.offset() });
         self.reader.long(RecordKind::TileSums, &mut self.buffer)?;
         let sums = EncodedSums::new(&self.buffer, self.periodicities)?;
         if sums.groups != model.groups.len() || sums.cells(self.periodicities) != model.cells.len() {
             return Err("the sums of a tile differ in number from its groups and cells".to_owned());
         }
-        if sums.shared.iter().any(|&number| number as usize >= self.places.shared.len()) {
+        if sums.shared.iter().any(|&number| number as usize >= self.offsets.shared.len()) {
             return Err("a shared sum is missing".to_owned());
         }
         // Tiles are loaded in order until the limit, so that every shared sum that they refer to is loaded.

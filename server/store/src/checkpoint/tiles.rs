@@ -30,15 +30,15 @@ const MODELS_BYTES: usize = 16 << 20;
 
 /// Offsets of a tile's records in the file; 0 if it has none.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct TilePlace {
+pub(crate) struct TileOffset {
     pub(crate) model: u64,
     pub(crate) sums: u64,
 }
 
 /// Offsets of all records in the file.
 #[derive(Default)]
-pub(crate) struct Places {
-    pub(crate) tiles: Vec<TilePlace>,
+pub(crate) struct TileOffsets {
+    pub(crate) tiles: Vec<TileOffset>,
     /// The shared sums, by their number.
     pub(crate) shared: Vec<u64>,
 }
@@ -48,7 +48,7 @@ pub(crate) struct CheckpointTiles {
     file: Box<dyn DiskReader>,
     path: PathBuf,
     periodicities: Periodicities,
-    places: Places,
+    offsets: TileOffsets,
     /// The shared sums that are in memory. Held for a look-up.
     shared: Mutex<Vec<Weak<PhasorSum>>>,
     /// Held for a look-up.
@@ -67,25 +67,25 @@ impl CheckpointTiles {
         file: Box<dyn DiskReader>,
         path: PathBuf,
         periodicities: Periodicities,
-        places: Places,
+        offsets: TileOffsets,
         mut shared: Vec<Weak<PhasorSum>>,
     ) -> CheckpointTiles {
-        shared.resize_with(places.shared.len(), Weak::new);
+        shared.resize_with(offsets.shared.len(), Weak::new);
         let models = Mutex::new(ModelCache::new(MODELS_BYTES));
-        CheckpointTiles { file, path, periodicities, places, shared: Mutex::new(shared), models }
+        CheckpointTiles { file, path, periodicities, offsets, shared: Mutex::new(shared), models }
     }
 
     pub(super) fn periodicities(&self) -> &Periodicities {
         &self.periodicities
     }
 
-    fn place(&self, tile: TileId) -> TilePlace {
-        self.places.tiles.get(tile.0 as usize).copied().unwrap_or_default()
+    fn offset(&self, tile: TileId) -> TileOffset {
+        self.offsets.tiles.get(tile.0 as usize).copied().unwrap_or_default()
     }
 
     /// A tile's model as bytes; `None` if it has none.
     pub(super) fn raw_model(&self, tile: TileId) -> Result<Option<Vec<u8>>, String> {
-        match self.place(tile).model {
+        match self.offset(tile).model {
             0 => Ok(None),
             offset => anywhere::long(&*self.file, RecordKind::TileModel, offset).map(|(bytes, _)| Some(bytes)),
         }
@@ -93,7 +93,7 @@ impl CheckpointTiles {
 
     /// A tile's sums as bytes; `None` if it has none.
     pub(super) fn raw_sums(&self, tile: TileId) -> Result<Option<Vec<u8>>, String> {
-        match self.place(tile).sums {
+        match self.offset(tile).sums {
             0 => Ok(None),
             offset => anywhere::long(&*self.file, RecordKind::TileSums, offset).map(|(bytes, _)| Some(bytes)),
         }
@@ -101,7 +101,7 @@ impl CheckpointTiles {
 
     /// A shared sum as bytes.
     pub(super) fn raw_shared(&self, number: u32) -> Result<Vec<u8>, String> {
-        let offset = self.places.shared.get(number as usize).ok_or("a shared sum is not there")?;
+        let offset = self.offsets.shared.get(number as usize).ok_or("a shared sum is not there")?;
         anywhere::long(&*self.file, RecordKind::SharedSum, *offset).map(|(bytes, _)| bytes)
     }
 

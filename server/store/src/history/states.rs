@@ -2,7 +2,7 @@
 //!
 //! Invariant: the observations of a state are those that [`History::state`] returns.
 
-use tidemap_map::refit::ReadingsRequest;
+use tidemap_map::training::ReadingsRequest;
 use tidemap_model::Sample;
 
 use super::{History, Part, table::Table};

@@ -4,12 +4,12 @@
 
 use tidemap_migrations::v1::map as v1;
 use tidemap_model::{
-    Alternatives, AlternativesParts, FitParts, GapsParts, LocalDay, Periodicities, PersistenceParts, StateKind,
-    TrainedModelParts,
+    Alternatives, AlternativesParts, GapsParts, LocalDay, Periodicities, PersistenceParts, StateKind,
+    TrainedModelParts, TrainingRecordParts,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
-use super::{Invalid, doubles, fits};
+use super::{Invalid, doubles, trained};
 
 /// Hours of a week, with two numbers each.
 const WEEK: usize = 168 * 2;
@@ -38,8 +38,8 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v1::Al
         last: parts.succession.last.map(|(nanos, value)| v1::LastObservation { nanos, value_bits: value.to_bits() }),
         supported: u32::from(parts.supported),
         days: parts.days,
-        calibrated: parts.fits.iter().find_map(encode_calibrated),
-        fits: fits::encode(&parts.fits),
+        calibrated: parts.trained.iter().find_map(encode_calibrated),
+        trained: trained::encode(&parts.trained),
         since: parts.since.map(|day| day.0),
         gains_bits: encode_gains(parts.gains),
         gaps: parts.gaps.count,
@@ -55,7 +55,7 @@ pub(super) fn encode_alarm(alarm: ChangeAlarmParts) -> v1::Alarm {
         typical_observations_bits: alarm.typical_observations.to_bits(),
         sum_bits: alarm.sum.to_bits(),
         last_day: alarm.last_day.map(|day| day.0),
-        rang: alarm.rang.map(|day| day.0),
+        alarm_day: alarm.alarm_day.map(|day| day.0),
     }
 }
 
@@ -70,7 +70,7 @@ pub(super) fn decode_alarm(message: Option<&v1::Alarm>) -> Result<ChangeAlarmPar
         typical_observations: f64::from_bits(alarm.typical_observations_bits),
         sum: f64::from_bits(alarm.sum_bits),
         last_day: alarm.last_day.map(LocalDay),
-        rang: alarm.rang.map(LocalDay),
+        alarm_day: alarm.alarm_day.map(LocalDay),
     })
 }
 
@@ -104,13 +104,13 @@ fn decode_gaps(message: &v1::Alternatives) -> Result<GapsParts, Invalid> {
     Ok(GapsParts { count: message.gaps, kept: kept.iter().map(gap).collect::<Result<_, Invalid>>()? })
 }
 
-fn encode_calibrated(fit: &FitParts) -> Option<v1::Calibrated> {
-    let TrainedModelParts::Calibrated(model) = &fit.model else { return None };
+fn encode_calibrated(record: &TrainingRecordParts) -> Option<v1::Calibrated> {
+    let TrainedModelParts::Calibrated(model) = &record.model else { return None };
     let mut profile = Vec::with_capacity(SLOTS * 8);
     doubles::push(&mut profile, &model.profile);
     Some(v1::Calibrated {
-        day: fit.day.0,
-        error_sum_bits: fit.error_sum.map(f64::to_bits),
+        day: record.day.0,
+        error_sum_bits: record.error_sum.map(f64::to_bits),
         observations: model.observations,
         lowest_bits: model.lowest.to_bits(),
         highest_bits: model.highest.to_bits(),
@@ -148,18 +148,18 @@ pub(crate) fn decode(
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,
         since: message.since.map(LocalDay),
-        fits: calibrated.into_iter().chain(fits::decode(&message.fits, periodicities)?).collect(),
+        trained: calibrated.into_iter().chain(trained::decode(&message.trained, periodicities)?).collect(),
     };
     Alternatives::from_parts_of(state_kind, parts).map_err(|error| error.to_string())
 }
 
-fn decode_calibrated(message: &v1::Calibrated) -> Result<FitParts, Invalid> {
+fn decode_calibrated(message: &v1::Calibrated) -> Result<TrainingRecordParts, Invalid> {
     if message.profile.len() != SLOTS * 8 {
         return Err("the calibrated profile of a state does not have its length");
     }
     let mut profile = Vec::with_capacity(SLOTS);
     doubles::take(&message.profile, &mut profile);
-    Ok(FitParts {
+    Ok(TrainingRecordParts {
         model: TrainedModelParts::Calibrated(CalibratedParts {
             observations: message.observations,
             lowest: f64::from_bits(message.lowest_bits),

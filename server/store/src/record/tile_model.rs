@@ -79,7 +79,7 @@ fn encode_cell(cell: &CellModel, occupied_weight_bits: Option<u64>) -> v1::Cell 
         error_sums,
         errors_last_day: errors.last_day.map(|day| day.0),
         occupied_weight_bits,
-        rang: cell.rang.map(|day| day.0),
+        alarm_day: cell.alarm_day.map(|day| day.0),
     }
 }
 
@@ -157,7 +157,7 @@ fn decode_cell(message: &v1::Cell, periodicities: &Periodicities) -> Result<Cell
             .map_err(invalid)?,
         order: order.ok_or("the order of a cell is too high")?,
         errors: OrderErrors::from_parts(errors).map_err(invalid)?,
-        rang: message.rang.map(LocalDay),
+        alarm_day: message.alarm_day.map(LocalDay),
     })
 }
 

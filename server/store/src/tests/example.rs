@@ -143,8 +143,8 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
 }
 
 /// Models of every kind, two of each. Trained once, because it takes long.
-static FITS: LazyLock<Vec<TrainedModel>> = LazyLock::new(|| {
-    let fits = [2, 3].map(|every| {
+static TRAINED: LazyLock<Vec<TrainedModel>> = LazyLock::new(|| {
+    let trained = [2, 3].map(|every| {
         let sample = |hour: i64| Sample {
             utc_nanos: hour * HOUR_NANOS,
             offset_secs: 3600,
@@ -152,10 +152,10 @@ static FITS: LazyLock<Vec<TrainedModel>> = LazyLock::new(|| {
         };
         let samples: Vec<Sample> = (0..240).map(sample).collect();
         let (state_kind, week) = (StateKind::Probability, Periodicities::default());
-        let fit = |kind: ModelKind| kind.train(Readings::new(&samples), state_kind, &week).expect("readings");
-        TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(state_kind)).map(fit).collect::<Vec<_>>()
+        let train = |kind: ModelKind| kind.train(Readings::new(&samples), state_kind, &week).expect("readings");
+        TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(state_kind)).map(train).collect::<Vec<_>>()
     });
-    fits.into_iter().flatten().collect()
+    trained.into_iter().flatten().collect()
 });
 
 pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateSnapshot {
@@ -174,8 +174,8 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
     if !samples.is_empty() {
         let next: Vec<Sample> =
             samples.iter().map(|&sample| Sample { utc_nanos: sample.utc_nanos + 99 * HOUR_NANOS, ..sample }).collect();
-        for fitted in FITS.iter().filter(|_| random.random_bool(0.7)) {
-            model = model.with_trained(fitted.clone(), LocalDay(4));
+        for trained in TRAINED.iter().filter(|_| random.random_bool(0.7)) {
+            model = model.with_trained(trained.clone(), LocalDay(4));
         }
         // Some of them have been scored.
         model.update(&spec.periodicities, rules, if random.random_bool(0.5) { next } else { Vec::new() });

@@ -10,7 +10,7 @@ use tidemap_map::{event::Event, history::HistoryPiece, ids::StateId, snapshot::M
 
 use super::{
     example::{append, content, copy, options},
-    golden_events, golden_fits, golden_grid, golden_states,
+    golden_events, golden_grid, golden_states, golden_trained,
 };
 use crate::{Loss, MapId, Source, Store, disk::RealDisk, index::tests_only::rows_checksum, losses};
 
@@ -24,7 +24,7 @@ pub(super) struct Golden {
 }
 
 fn golden() -> Vec<(MapId, Golden)> {
-    let maps = [golden_events::map(), golden_grid::map(), golden_states::map(), golden_fits::map()];
+    let maps = [golden_events::map(), golden_grid::map(), golden_states::map(), golden_trained::map()];
     (1..).map(MapId).zip(maps).collect()
 }
 
@@ -58,7 +58,7 @@ fn format_1_is_written_as_it_always_was() {
             for event in events {
                 append(&log, &event).expect("appends");
             }
-            let erased = golden_fits::erased(&snapshot);
+            let erased = golden_trained::erased(&snapshot);
             store.save(id, erased.as_ref().unwrap_or(&snapshot)).expect("saves");
             if erased.is_some() {
                 store.erase_states(id, &[StateId(snapshot.states.len() as u32)]).expect("erases");

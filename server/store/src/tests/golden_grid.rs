@@ -197,7 +197,7 @@ fn learned() -> (TileModel, TileSums) {
         spectral: SpectralModel::from_parts(0.4, 4, components).expect("valid"),
         order: 1,
         errors: OrderErrors::from_parts(errors).expect("valid"),
-        rang: None,
+        alarm_day: None,
     };
     let model = TileModel {
         groups: vec![group(0..40, 4), group(40..64, 3)],

@@ -10,9 +10,9 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, FitParts, GapsParts,
-    LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample, SpectralModel,
-    StateModel, TrainedModelParts, UpdateRules, Zone,
+    Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, GapsParts, LocalDay,
+    OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample, SpectralModel, StateModel,
+    TrainedModelParts, TrainingRecordParts, UpdateRules, Zone,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
@@ -50,7 +50,7 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
             typical_observations: 1440.0,
             sum: 0.75,
             last_day: Some(LocalDay(19_675)),
-            rang: Some(LocalDay(-3)),
+            alarm_day: Some(LocalDay(-3)),
         },
         succession: PersistenceParts { pairs: 9, change_rate_sum: 0.375, last: Some((1_700_000_009_000_000_000, 1.0)) },
         changes: 4.25,
@@ -59,7 +59,7 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
         gains: OrderGainsParts { days: 21.5, sum: 0.75, squares: 0.0625 },
         days: 28,
         since: None,
-        fits: Vec::from_iter(calibrated.map(|error_sum| FitParts {
+        trained: Vec::from_iter(calibrated.map(|error_sum| TrainingRecordParts {
             model: TrainedModelParts::Calibrated(CalibratedParts {
                 observations: 40_320,
                 lowest: 0.0,

@@ -91,7 +91,7 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
         spectral: SpectralModel::default(),
         order: 0,
         errors: OrderErrors::default(),
-        rang: None,
+        alarm_day: None,
     };
     let group = Group { cells: Mask::FULL, observations: 2, first_nanos: 0, last_nanos: 1 };
     let model = TileModel {

@@ -187,7 +187,7 @@ pub(crate) fn learned(
             spectral: SpectralModel::from_parts(random.random(), random.random(), components).expect("valid"),
             order: random.random_range(0..16),
             errors: OrderErrors::from_parts(errors).expect("valid"),
-            rang: random.random_bool(0.2).then_some(LocalDay(19_100)),
+            alarm_day: random.random_bool(0.2).then_some(LocalDay(19_100)),
         });
         sums.cells.push(sum(spec, random));
     }

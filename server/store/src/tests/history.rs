@@ -10,9 +10,9 @@ use tidemap_map::{
         origins::{OriginRun, Origins},
     },
     ids::{ProducerId, StateId},
-    refit::ReadingsRequest,
     snapshot::MapSnapshot,
     spec::MapSpec,
+    training::ReadingsRequest,
 };
 use tidemap_model::Sample;
 

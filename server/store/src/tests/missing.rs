@@ -3,7 +3,7 @@
 use std::{fs, path::Path, sync::Arc};
 
 use rand::{SeedableRng as _, rngs::SmallRng};
-use tidemap_map::{ids::StateId, refit::ReadingsRequest, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_map::{ids::StateId, snapshot::MapSnapshot, spec::MapSpec, training::ReadingsRequest};
 
 use super::{
     example::{append, event, fill, options, spec as plain_spec},

@@ -331,14 +331,14 @@ proptest! {
         count in 1..=100_u32,
         is_list: bool,
         histograms: bool,
-        fits in prop::collection::vec(prop::sample::select(&tidemap_model::catalogue::TRAINED_AT_NIGHT[..]), 0..4),
+        trained in prop::collection::vec(prop::sample::select(&tidemap_model::catalogue::TRAINED_AT_NIGHT[..]), 0..4),
     ) {
         let periodicities = if is_list {
             Periodicities::list((1..=i64::from(count)).map(|k| base / k).collect())
         } else {
             Periodicities::harmonics(base, count)
         };
-        let spec = MapSpec { zone: Zone::named(if is_list { "UTC" } else { "America/New_York" }).expect("known"), periodicities: periodicities.expect("valid"), criterion: if is_list { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError }, created_nanos: base, models: fits.into_iter().fold(
+        let spec = MapSpec { zone: Zone::named(if is_list { "UTC" } else { "America/New_York" }).expect("known"), periodicities: periodicities.expect("valid"), criterion: if is_list { OrderCriterion::ZeroOne } else { OrderCriterion::SquaredError }, created_nanos: base, models: trained.into_iter().fold(
                 EnabledModels::SPECTRAL.with_histograms(histograms),
                 EnabledModels::with,
             ), ..MapSpec::new(MapName::new("a-b_0").expect("valid")) };

@@ -28,7 +28,7 @@ pub(crate) struct GridMasks {
 
 /// The alignment of a map's cells with those of the grid.
 #[derive(Clone, Copy, Debug)]
-struct CellFit {
+struct CellAlignment {
     /// Grid cells per map cell along an axis.
     times: i64,
     /// Grid cell where the map's cell (0, 0, 0) begins.
@@ -36,7 +36,7 @@ struct CellFit {
     off_cells: f64,
 }
 
-impl CellFit {
+impl CellAlignment {
     fn new(resolution_m: f64, origin_m: [f64; 3], grid: &GridSpec) -> anyhow::Result<Self> {
         let ratio = resolution_m / grid.resolution_m;
         let times = ratio.round();
@@ -143,20 +143,20 @@ fn row_bits(from: u32, to: u32) -> u64 {
 
 /// The known cells of an OctoMap.
 pub(crate) fn of_octomap(map: &OctoMap, grid: &GridSpec) -> anyhow::Result<GridMasks> {
-    let fit = CellFit::new(map.resolution_m, [0.0; 3], grid)?;
+    let alignment = CellAlignment::new(map.resolution_m, [0.0; 3], grid)?;
     let mut tiles = TileFill::new(grid);
     for leaf in &map.leaves {
-        let cells = fit.cells(leaf.min_cell.map(i64::from), [i64::from(leaf.size_cells); 3]);
+        let cells = alignment.cells(leaf.min_cell.map(i64::from), [i64::from(leaf.size_cells); 3]);
         tiles.fill(cells, leaf.occupied)?;
     }
     let also = grid.is_flat.then_some("the grid is flat: only the layer z = 0 is used");
-    Ok(GridMasks { tiles: tiles.into_seen(), notice: fit.notice(also) })
+    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also) })
 }
 
 /// The known cells of a 2D grid.
 pub(crate) fn of_plane(map: &nav2::Grid, grid: &GridSpec) -> anyhow::Result<GridMasks> {
     let [x_m, y_m] = map.origin_m;
-    let fit = CellFit::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
+    let alignment = CellAlignment::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
     let mut tiles = TileFill::new(grid);
     // A 2D map is one layer of the grid, whatever the size of its cells.
     tiles.allowed.0[2] = tiles.allowed.0[2].max(0);
@@ -164,11 +164,11 @@ pub(crate) fn of_plane(map: &nav2::Grid, grid: &GridSpec) -> anyhow::Result<Grid
     let width = i64::from(map.size_cells[0]).max(1);
     for (index, cell) in (0_i64..).zip(&map.cells) {
         if let Some(occupied) = cell.occupied() {
-            tiles.fill(fit.cells([index % width, index / width, 0], [1; 3]), occupied)?;
+            tiles.fill(alignment.cells([index % width, index / width, 0], [1; 3]), occupied)?;
         }
     }
     let also = (!grid.is_flat).then_some("the map is flat: its cells become the layer z = 0");
-    Ok(GridMasks { tiles: tiles.into_seen(), notice: fit.notice(also) })
+    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also) })
 }
 
 #[cfg(test)]

@@ -72,7 +72,7 @@ pub(super) async fn run(session: &Session, args: PredictArgs, times: Vec<i64>) -
     table.finish()?;
     status_line(&format!(
         "from {} of {} observations, those with a position of the same time",
-        found.fitted_observations, found.observations
+        found.trained_observations, found.observations
     ));
     Ok(ExitCode::SUCCESS)
 }

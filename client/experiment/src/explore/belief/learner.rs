@@ -5,7 +5,7 @@
 use tidemap_model::{
     OrderCriterion, Periodicities, Sample, StateKind, StateModel, TrainedModel,
     catalogue::{ModelKind, TrainingCost},
-    models::{CannotFit, Moment, Readings, TemporalModel},
+    models::{CannotTrain, Moment, Readings, TemporalModel},
 };
 
 /// Maximum number of components of the spectral model.
@@ -58,7 +58,7 @@ impl Learner {
     }
 
     /// Trains on all readings; earlier ones must come first.
-    pub(super) fn learn(&mut self, readings: &[Sample]) -> Result<(), CannotFit> {
+    pub(super) fn learn(&mut self, readings: &[Sample]) -> Result<(), CannotTrain> {
         if readings.is_empty() {
             return Ok(());
         }
@@ -73,11 +73,11 @@ impl Learner {
         Ok(())
     }
 
-    fn learn_spectral(&mut self, readings: &[Sample]) -> Result<(), CannotFit> {
+    fn learn_spectral(&mut self, readings: &[Sample]) -> Result<(), CannotTrain> {
         let mut spectral = match self.spectral.take() {
             Some(spectral) => spectral,
             None => {
-                let refused = |_| CannotFit::Parameter {
+                let refused = |_| CannotTrain::Parameter {
                     parameter: "number of periodicities",
                     found: f64::from(PERIOD_COUNT),
                     expected: "1 to 2048",

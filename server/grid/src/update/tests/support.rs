@@ -250,7 +250,7 @@ fn a_cell_is_judged_as_a_named_state_with_its_readings() {
             if day >= 28 {
                 assert_eq!(usize::from(model.order), state.order(), "{at}");
             }
-            assert_eq!(model.rang, known.alarm().rang_on(), "{at}");
+            assert_eq!(model.alarm_day, known.alarm().alarm_day(), "{at}");
             let periods = |model: &tidemap_model::SpectralModel| -> Vec<u32> {
                 model.components().iter().map(|component| component.periodicity).collect()
             };
@@ -258,6 +258,6 @@ fn a_cell_is_judged_as_a_named_state_with_its_readings() {
         }
     }
     let rang: Vec<usize> =
-        camera.models().iter().filter(|(_, model)| model.rang.is_some()).map(|(cell, _)| *cell).collect();
+        camera.models().iter().filter(|(_, model)| model.alarm_day.is_some()).map(|(cell, _)| *cell).collect();
     assert_eq!(rang, [3, 7, 11], "the cells with a new routine");
 }

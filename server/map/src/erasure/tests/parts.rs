@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use tidemap_model::{EnabledModels, Sample};
 
 use super::*;
-use crate::refit::{ReadingsRequest, StateReadings};
+use crate::training::{ReadingsRequest, StateReadings};
 
 const DAY: i64 = 24 * HOUR;
 const STATES: u32 = 4;

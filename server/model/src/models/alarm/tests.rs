@@ -73,7 +73,7 @@ fn it_rings_until_it_is_reset_and_then_learns_anew() {
     let mse = |day: i32| if day < 40 { 0.05 } else { 0.3 };
     let rang = rings(&mut alarm, 0..60, mse).unwrap();
     assert!((42..47).contains(&rang), "{rang}");
-    assert_eq!(alarm.rang_on(), Some(LocalDay(MONDAY + rang)));
+    assert_eq!(alarm.alarm_day(), Some(LocalDay(MONDAY + rang)));
     // The old level does not silence it.
     assert!(alarm.observe(LocalDay(MONDAY + 60), 0.05, 1440));
     assert_eq!(ChangeAlarm::from_parts(alarm.to_parts()), Ok(alarm));

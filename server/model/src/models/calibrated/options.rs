@@ -1,6 +1,6 @@
 //! Options of the training of a calibrated model.
 
-use crate::models::CannotFit;
+use crate::models::CannotTrain;
 
 /// How a [`Calibrated`] model is trained.
 ///
@@ -36,13 +36,13 @@ impl Default for CalibratedOptions {
 }
 
 impl CalibratedOptions {
-    pub(super) fn check(&self) -> Result<(), CannotFit> {
+    pub(super) fn check(&self) -> Result<(), CannotTrain> {
         let day = "0 to 86400 seconds";
         for (parameter, found) in
             [("smoothing_secs", self.smoothing_secs), ("broad_smoothing_secs", self.broad_smoothing_secs)]
         {
             if !(0.0..=86_400.0).contains(&found) {
-                return Err(CannotFit::Parameter { parameter, found, expected: day });
+                return Err(CannotTrain::Parameter { parameter, found, expected: day });
             }
         }
         for (parameter, found) in [
@@ -51,7 +51,7 @@ impl CalibratedOptions {
             ("day_of_week_caution", self.day_of_week_caution),
         ] {
             if found.is_nan() || found <= 0.0 {
-                return Err(CannotFit::Parameter { parameter, found, expected: "a number above 0" });
+                return Err(CannotTrain::Parameter { parameter, found, expected: "a number above 0" });
             }
         }
         Ok(())

@@ -24,8 +24,8 @@ fn simulated(from: i64, to: i64, mut value: impl FnMut(i64, i64) -> f64) -> Vec<
         .collect()
 }
 
-fn fitted(samples: &[Sample]) -> Calibrated {
-    Calibrated::fit(Readings::new(samples), CalibratedOptions::default()).unwrap()
+fn trained(samples: &[Sample]) -> Calibrated {
+    Calibrated::train(Readings::new(samples), CalibratedOptions::default()).unwrap()
 }
 
 fn at(day: i64, minute: i64) -> Moment {
@@ -36,7 +36,7 @@ fn at(day: i64, minute: i64) -> Moment {
 fn error_beside_the_mean(mut value: impl FnMut(i64, i64) -> f64) -> f64 {
     let (train, test) = (simulated(0, 70, &mut value), simulated(70, 84, &mut value));
     let mean = train.iter().map(|sample| sample.value).sum::<f64>() / train.len() as f64;
-    let model = fitted(&train);
+    let model = trained(&train);
     let of_model: f64 = test.iter().map(|sample| (model.predict(sample.moment()) - sample.value).powi(2)).sum();
     let of_mean: f64 = test.iter().map(|sample| (mean - sample.value).powi(2)).sum();
     let share = of_model / of_mean;
@@ -70,7 +70,7 @@ fn a_routine_of_weekdays_spares_the_weekend() {
     let mut random = SmallRng::seed_from_u64(3);
     let mut value = |day: i64, minute| if day % 7 < 5 { event(&mut random, minute, 540..1020) } else { 0.0 };
     assert!(error_beside_the_mean(&mut value) < 0.15);
-    let model = fitted(&simulated(0, 70, value));
+    let model = trained(&simulated(0, 70, value));
     assert!(model.predict(at(70, 720)) > 0.9 && model.predict(at(75, 720)) < 0.05);
 }
 
@@ -84,7 +84,7 @@ fn a_slow_drift_is_followed() {
         let train =
             simulated(0, 70, |day, minute| f64::from(u8::from(days[day as usize] && (540..1020).contains(&minute))));
         let even = CalibratedOptions { memory_days: f64::INFINITY, ..CalibratedOptions::default() };
-        let unfading = Calibrated::fit(Readings::new(&train), even).unwrap();
+        let unfading = Calibrated::train(Readings::new(&train), even).unwrap();
         let mean = train.iter().map(|sample| sample.value).sum::<f64>() / train.len() as f64;
         let error = |predict: &dyn Fn(Moment) -> f64| -> f64 {
             let moments = (70..84).flat_map(|day| (0..144).map(move |slot| (day, slot * 10 + 5)));
@@ -95,7 +95,7 @@ fn a_slow_drift_is_followed() {
                 })
                 .sum()
         };
-        let model = fitted(&train);
+        let model = trained(&train);
         let (fading, unfading) = (error(&|at| model.predict(at)), error(&|at| unfading.predict(at)));
         let of_mean = error(&|_| mean);
         println!("{:.3} of the expected error of the mean, {:.3} without fading", fading / of_mean, unfading / of_mean);
@@ -111,7 +111,7 @@ fn a_change_of_routine_is_taken_up() {
         let hours = if day < 42 { 540..720 } else { 840..1020 };
         f64::from(u8::from(hours.contains(&minute)))
     };
-    let model = fitted(&simulated(0, 70, value));
+    let model = trained(&simulated(0, 70, value));
     assert!(model.predict(at(70, 930)) > 0.5 && model.predict(at(70, 630)) < 0.5);
     assert!(error_beside_the_mean(value) < 0.6);
 }
@@ -130,7 +130,7 @@ fn noise_costs_hardly_more_than_its_mean() {
             held
         });
         let mean = train.iter().map(|sample| sample.value).sum::<f64>() / train.len() as f64;
-        let model = fitted(&train);
+        let model = trained(&train);
         let week = (0..SLOTS_PER_WEEK as i64).map(|slot| (model.predict(at(70, slot * 10)) - 0.3).powi(2));
         let excess = week.sum::<f64>() / SLOTS_PER_WEEK as f64;
         let share = (0.21 + excess) / (0.21 + (mean - 0.3).powi(2)) - 1.0;
@@ -144,7 +144,7 @@ fn noise_costs_hardly_more_than_its_mean() {
 #[test]
 fn what_never_changes_is_predicted_as_it_is() {
     for constant in [0.0, 0.3, 1.0] {
-        let model = fitted(&simulated(0, 14, |_, _| constant));
+        let model = trained(&simulated(0, 14, |_, _| constant));
         assert_eq!((model.predict(at(14, 0)), model.predict(at(200, 733))), (constant, constant));
     }
 }
@@ -160,7 +160,7 @@ fn what_was_never_seen_is_taken_from_what_was() {
             secs / DAY_SECS % 7 < 5 && (32_400..61_200).contains(&(secs % DAY_SECS))
         })
         .collect();
-    let model = fitted(&seen);
+    let model = trained(&seen);
     // The weekend is like any day, the night like the mean.
     assert!(model.predict(at(33, 600)) < 0.2 && model.predict(at(33, 900)) > 0.8);
     let mean = seen.iter().map(|sample| sample.value).sum::<f64>() / seen.len() as f64;
@@ -169,7 +169,7 @@ fn what_was_never_seen_is_taken_from_what_was() {
 
 #[test]
 fn one_day_is_no_routine() {
-    let model = fitted(&simulated(0, 1, |_, minute| f64::from(u8::from(minute >= 720))));
+    let model = trained(&simulated(0, 1, |_, minute| f64::from(u8::from(minute >= 720))));
     for minute in [0, 300, 1000, 1400] {
         assert!((model.predict(at(1, minute)) - 0.5).abs() < 0.1);
     }
@@ -179,7 +179,7 @@ fn one_day_is_no_routine() {
 fn looking_twice_is_not_seeing_more() {
     let once = simulated(0, 21, |day, minute| f64::from(u8::from((day + minute / 180) % 3 == 0)));
     let twice: Vec<Sample> = once.iter().flat_map(|&sample| [sample, sample]).collect();
-    let (once, twice) = (fitted(&once), fitted(&twice));
+    let (once, twice) = (trained(&once), trained(&twice));
     for (a, b) in once.parts.profile.iter().zip(&twice.parts.profile) {
         assert!((a - b).abs() < 1e-9);
     }
@@ -200,7 +200,7 @@ fn between_no_caution_and_all_caution_lie_the_histogram_and_the_mean() {
             caution,
             day_of_week_caution: caution,
         };
-        Calibrated::fit(Readings::new(&samples), options).unwrap()
+        Calibrated::train(Readings::new(&samples), options).unwrap()
     };
     let (bold, timid) = (with(1e-12), with(f64::INFINITY));
     let mean = samples.iter().map(|sample| sample.value).sum::<f64>() / samples.len() as f64;
@@ -236,12 +236,12 @@ fn the_profile_is_straight_between_the_middles_of_slots() {
 }
 
 #[test]
-fn nothing_to_fit_and_options_outside_their_range_are_refused() {
-    let fit = |samples: &[Sample], options| Calibrated::fit(Readings::new(samples), options);
+fn no_readings_and_options_outside_their_range_are_refused() {
+    let train = |samples: &[Sample], options| Calibrated::train(Readings::new(samples), options);
     let default = CalibratedOptions::default();
-    assert_eq!(fit(&[], default), Err(CannotFit::NoReadings));
+    assert_eq!(train(&[], default), Err(CannotTrain::NoReadings));
     let one = Sample { utc_nanos: 0, offset_secs: 0, value: 0.7 };
-    assert_eq!(fit(&[Sample { value: f64::NAN, ..one }], default), Err(CannotFit::NoReadings));
+    assert_eq!(train(&[Sample { value: f64::NAN, ..one }], default), Err(CannotTrain::NoReadings));
     for bad in [
         CalibratedOptions { smoothing_secs: -1.0, ..default },
         CalibratedOptions { broad_smoothing_secs: f64::NAN, ..default },
@@ -249,14 +249,14 @@ fn nothing_to_fit_and_options_outside_their_range_are_refused() {
         CalibratedOptions { caution: f64::NAN, ..default },
         CalibratedOptions { day_of_week_caution: -2.0, ..default },
     ] {
-        assert!(matches!(fit(&[one], bad), Err(CannotFit::Parameter { .. })), "{bad:?}");
+        assert!(matches!(train(&[one], bad), Err(CannotTrain::Parameter { .. })), "{bad:?}");
     }
-    assert_eq!(fit(&[one], default).unwrap().predict(at(0, 0)), 0.7);
+    assert_eq!(train(&[one], default).unwrap().predict(at(0, 0)), 0.7);
 }
 
 #[test]
 fn damaged_parts_are_refused() {
-    let parts = fitted(&simulated(0, 7, |day, _| day as f64 / 7.0)).to_parts();
+    let parts = trained(&simulated(0, 7, |day, _| day as f64 / 7.0)).to_parts();
     assert_eq!(Calibrated::from_parts(parts.clone()).unwrap().to_parts(), parts);
     let damaged: [fn(&mut CalibratedParts); 6] = [
         |parts| parts.profile.truncate(7),
@@ -299,7 +299,7 @@ proptest! {
         utc_nanos in any::<i64>(),
     ) {
         let readings = Readings { half_life_secs, ..Readings::new(&samples) };
-        let model = Calibrated::fit(readings, CalibratedOptions::default()).unwrap();
+        let model = Calibrated::train(readings, CalibratedOptions::default()).unwrap();
         let values = samples.iter().map(|sample| sample.value);
         let (lowest, highest) = (values.clone().fold(f64::MAX, f64::min), values.fold(f64::MIN, f64::max));
         let p = model.predict(Moment { utc_nanos, offset_secs: 3600 });
@@ -313,7 +313,7 @@ proptest! {
         let plain = simulated(0, 15, |_, minute| event(&mut random, minute, 600..800));
         let moved: Vec<Sample> =
             plain.iter().map(|&sample| Sample { value: start + scale * sample.value, ..sample }).collect();
-        let (plain, moved) = (fitted(&plain), fitted(&moved));
+        let (plain, moved) = (trained(&plain), trained(&moved));
         for (a, b) in plain.parts.profile.iter().zip(&moved.parts.profile) {
             prop_assert!((start + scale * a - b).abs() < 1e-9 * (start.abs() + scale));
         }
@@ -327,7 +327,7 @@ proptest! {
             .iter()
             .map(|&sample| Sample { utc_nanos: sample.utc_nanos + weeks * 168 * HOUR, ..sample })
             .collect();
-        let (now, moved) = (fitted(&now), fitted(&moved));
+        let (now, moved) = (trained(&now), trained(&moved));
         prop_assert_eq!(now.predict(at(0, minute)), moved.predict(at(7 * weeks, minute)));
     }
 }

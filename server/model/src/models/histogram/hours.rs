@@ -129,7 +129,7 @@ impl HourTable {
         self.days.change(|cell| scale_by(cell, factor));
     }
 
-    /// The histogram with the default prior and no smoothing, equal to [`Histogram::fit`] on the same readings. `None`
+    /// The histogram with the default prior and no smoothing, as [`Histogram::train`] on the same readings. `None`
     /// without readings, or if a bin would not hold whole hours: the number of bins must divide 168 for the week, 24
     /// for the others.
     pub fn histogram(&self, cycle: HistogramCycle, bins: usize) -> Option<Histogram> {

@@ -25,8 +25,8 @@ fn days(count: i64, value: impl Fn(i64, i64) -> f64) -> Vec<Sample> {
         .collect()
 }
 
-fn fitted(samples: &[Sample], cycle: HistogramCycle, bins: usize) -> Histogram {
-    Histogram::fit(Readings::new(samples), &HistogramSettings::new(cycle, bins)).unwrap()
+fn trained(samples: &[Sample], cycle: HistogramCycle, bins: usize) -> Histogram {
+    Histogram::train(Readings::new(samples), &HistogramSettings::new(cycle, bins)).unwrap()
 }
 
 #[test]
@@ -34,13 +34,13 @@ fn each_cycle_knows_its_own_rhythm() {
     let open = |day: i64, hour: i64| f64::from(u8::from(day % 7 < 5 && (8..17).contains(&hour)));
     let samples = days(70, open);
     for (cycle, bins, tolerance) in [(HistogramCycle::Week, 168, 0.02), (HistogramCycle::WeekdayWeekend, 24, 0.01)] {
-        let histogram = fitted(&samples, cycle, bins);
+        let histogram = trained(&samples, cycle, bins);
         for sample in &samples {
             assert!((histogram.predict(sample.moment()) - sample.value).abs() < tolerance, "{cycle:?} {sample:?}");
         }
     }
     // The day mixes weekday and weekend: five of seven days are open at noon.
-    let day = fitted(&samples, HistogramCycle::Day, 24);
+    let day = trained(&samples, HistogramCycle::Day, 24);
     assert!((day.predict(at(12 * HOUR_NANOS)) - 5.0 / 7.0).abs() < 0.002);
     assert!(day.predict(at(3 * HOUR_NANOS)) < 0.002);
 }
@@ -48,7 +48,7 @@ fn each_cycle_knows_its_own_rhythm() {
 #[test]
 fn it_keeps_to_the_local_clock() {
     let samples = days(10, |_, hour| f64::from(u8::from(hour >= 12)));
-    let day = fitted(&samples, HistogramCycle::Day, 2);
+    let day = trained(&samples, HistogramCycle::Day, 2);
     let eleven = MONDAY * DAY_NANOS + 11 * HOUR_NANOS;
     assert!(day.predict(Moment { utc_nanos: eleven, offset_secs: 3600 }) > 0.99);
     assert!(day.predict(Moment { utc_nanos: eleven, offset_secs: 3599 }) < 0.01);
@@ -59,12 +59,12 @@ fn a_bin_with_little_data_leans_on_the_mean() {
     let mut samples = days(10, |_, hour| if hour == 3 { 1.0 } else { 0.0 });
     samples.retain(|sample| sample.utc_nanos % DAY_NANOS < 6 * HOUR_NANOS);
     let mean = 1.0 / 6.0;
-    let histogram = fitted(&samples, HistogramCycle::Day, 24);
+    let histogram = trained(&samples, HistogramCycle::Day, 24);
     assert!((histogram.predict(at(12 * HOUR_NANOS)) - mean).abs() < 1e-12);
     assert!(histogram.weight(at(12 * HOUR_NANOS)).abs() < 1e-12);
     assert!((histogram.weight(at(3 * HOUR_NANOS)) - 60.0).abs() < 1e-12);
     let settings = HistogramSettings { prior_readings: 20.0, ..HistogramSettings::new(HistogramCycle::Day, 24) };
-    let shrunk = Histogram::fit(Readings::new(&samples), &settings).unwrap();
+    let shrunk = Histogram::train(Readings::new(&samples), &settings).unwrap();
     assert!((shrunk.predict(at(3 * HOUR_NANOS)) - (60.0 + 20.0 * mean) / 80.0).abs() < 1e-12);
 }
 
@@ -76,7 +76,7 @@ fn smoothing_spreads_over_midnight_and_keeps_the_mean() {
         prior_readings: 0.0,
         ..HistogramSettings::new(HistogramCycle::Day, 24)
     };
-    let histogram = Histogram::fit(Readings::new(&samples), &settings).unwrap();
+    let histogram = Histogram::train(Readings::new(&samples), &settings).unwrap();
     let value = |hour: i64| histogram.predict(at(hour * HOUR_NANOS));
     assert!((value(1) - value(23)).abs() < 1e-12);
     assert!(value(0) > value(1) && value(1) > value(2) && value(2) > 0.0 && value(12) < 1e-12);
@@ -85,7 +85,7 @@ fn smoothing_spreads_over_midnight_and_keeps_the_mean() {
     // Saturday's evening does not affect a weekday's morning.
     let weekend = days(14, |day, _| if day % 7 >= 5 { 1.0 } else { 0.0 });
     let settings = HistogramSettings { cycle: HistogramCycle::WeekdayWeekend, ..settings };
-    let histogram = Histogram::fit(Readings::new(&weekend), &settings).unwrap();
+    let histogram = Histogram::train(Readings::new(&weekend), &settings).unwrap();
     for sample in &weekend {
         assert!((histogram.predict(sample.moment()) - sample.value).abs() < 1e-12);
     }
@@ -95,7 +95,7 @@ fn smoothing_spreads_over_midnight_and_keeps_the_mean() {
 fn settings_out_of_range_are_refused() {
     let samples = [sample(0, 1.0)];
     let refused = |settings: HistogramSettings| {
-        matches!(Histogram::fit(Readings::new(&samples), &settings), Err(CannotFit::Parameter { .. }))
+        matches!(Histogram::train(Readings::new(&samples), &settings), Err(CannotTrain::Parameter { .. }))
     };
     for (cycle, max_bins) in
         [(HistogramCycle::Day, 1440), (HistogramCycle::Week, 10_080), (HistogramCycle::WeekdayWeekend, 1440)]
@@ -111,13 +111,13 @@ fn settings_out_of_range_are_refused() {
     for prior_readings in [-1.0, 2e9, f64::NAN] {
         assert!(refused(HistogramSettings { prior_readings, ..good }));
     }
-    assert_eq!(Histogram::fit(Readings::new(&[]), &good), Err(CannotFit::NoReadings));
-    assert!(Histogram::fit(Readings::new(&[sample(0, f64::NAN)]), &good).is_err());
+    assert_eq!(Histogram::train(Readings::new(&[]), &good), Err(CannotTrain::NoReadings));
+    assert!(Histogram::train(Readings::new(&[sample(0, f64::NAN)]), &good).is_err());
 }
 
 #[test]
 fn damaged_parts_are_refused() {
-    let good = fitted(&days(2, |_, _| 0.5), HistogramCycle::WeekdayWeekend, 3).to_parts();
+    let good = trained(&days(2, |_, _| 0.5), HistogramCycle::WeekdayWeekend, 3).to_parts();
     let damaged = |change: &dyn Fn(&mut HistogramParts)| {
         let mut parts = good.clone();
         change(&mut parts);
@@ -191,7 +191,7 @@ proptest! {
     #[test]
     fn a_bin_is_the_mean_of_its_readings(samples in readings(), bins in 1..200_usize) {
         let settings = HistogramSettings { prior_readings: 2.5, ..HistogramSettings::new(HistogramCycle::Day, bins) };
-        let histogram = Histogram::fit(Readings::new(&samples), &settings).unwrap();
+        let histogram = Histogram::train(Readings::new(&samples), &settings).unwrap();
         let bin_of = |sample: &Sample| {
             let secs = (sample.utc_nanos / 1_000_000_000 + 3600) % 86_400;
             secs as usize * bins / 86_400
@@ -241,7 +241,7 @@ proptest! {
                     continue;
                 };
                 prop_assert!(hours % bins == 0);
-                let (found, expected) = (histogram.to_parts(), fitted(&samples, cycle, bins).to_parts());
+                let (found, expected) = (histogram.to_parts(), trained(&samples, cycle, bins).to_parts());
                 for (found, expected) in found.values.iter().zip(&expected.values) {
                     prop_assert!((found - expected).abs() < 1e-9, "{:?} {}", cycle, bins);
                 }
@@ -264,7 +264,7 @@ proptest! {
         let when = Moment { utc_nanos: when, offset_secs };
         for cycle in [HistogramCycle::Day, HistogramCycle::Week, HistogramCycle::WeekdayWeekend] {
             let settings = HistogramSettings { smoothing_bins, ..HistogramSettings::new(cycle, 24) };
-            let histogram = Histogram::fit(Readings::new(&samples), &settings).unwrap();
+            let histogram = Histogram::train(Readings::new(&samples), &settings).unwrap();
             prop_assert!(histogram.predict(when).is_finite());
             prop_assert!(table.histogram(cycle, 24).unwrap().predict(when).is_finite());
         }

@@ -93,8 +93,8 @@ impl HypertimeDistribution {
     /// each coordinate, a value is not finite, or a width is negative or NaN.
     pub fn density(&self, value: &[f64], widths: &[f64]) -> Option<f64> {
         let coordinates = self.axes.len();
-        let fitting = value.len() == coordinates && widths.len() == coordinates;
-        if !fitting || !value.iter().all(|number| number.is_finite()) || !widths.iter().all(|&width| width >= 0.0) {
+        let is_complete = value.len() == coordinates && widths.len() == coordinates;
+        if !is_complete || !value.iter().all(|number| number.is_finite()) || !widths.iter().all(|&width| width >= 0.0) {
             return None;
         }
         let added: Vec<f64> =

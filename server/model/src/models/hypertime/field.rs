@@ -11,7 +11,7 @@ use super::grow::{Dealing, Growth, deal, grow, unit_weight};
 use super::joint::{FieldPoint, FieldTraining};
 use super::mixture::Mixture;
 use super::{HypertimeCluster, HypertimeMethod, HypertimeOptions};
-use crate::models::{CannotFit, Moment};
+use crate::models::{CannotTrain, Moment};
 use crate::{InvalidParts, Periodicities, StopSignal};
 
 #[cfg(test)]
@@ -57,34 +57,34 @@ pub struct HypertimeField {
 }
 
 impl HypertimeField {
-    /// Trains the model as [`super::Hypertime::fit`] does, with the candidate periods of a map. From more than 4,000
+    /// Trains the model as [`super::Hypertime::train`] does, with the candidate periods of a map. From more than 4,000
     /// readings, one is drawn from each of 4,000 equal runs in the given order.
     ///
     /// # Errors
-    /// [`CannotFit`] where there are no readings, an option is outside its range, readings differ in their number of
+    /// [`CannotTrain`] where there are no readings, an option is outside its range, readings differ in their number of
     /// coordinates, have no value or more than 16 coordinates in total, or a coordinate is not finite.
-    pub fn fit(
+    pub fn train(
         readings: &[FieldReading],
         periodicities: &Periodicities,
         options: &HypertimeOptions,
-    ) -> Result<HypertimeField, CannotFit> {
+    ) -> Result<HypertimeField, CannotTrain> {
         let weights = vec![1.0; readings.len()];
-        HypertimeField::fit_weighted(readings, &weights, (periodicities, options), StopSignal::NEVER)
+        HypertimeField::train_weighted(readings, &weights, (periodicities, options), StopSignal::NEVER)
     }
 
-    /// As [`HypertimeField::fit`], where each reading has a weight above 0, unless it is told to stop.
+    /// As [`HypertimeField::train`], where each reading has a weight above 0, unless it is told to stop.
     ///
     /// # Errors
     /// As there; also if the number of weights differs from that of readings, or a weight is not a finite number above
-    /// 0; [`CannotFit::Stop`].
-    pub fn fit_weighted(
+    /// 0; [`CannotTrain::Stop`].
+    pub fn train_weighted(
         readings: &[FieldReading],
         weights: &[f64],
         (periodicities, options): (&Periodicities, &HypertimeOptions),
         stop: StopSignal<'_>,
-    ) -> Result<HypertimeField, CannotFit> {
+    ) -> Result<HypertimeField, CannotTrain> {
         options.check()?;
-        let Some(first) = readings.first() else { return Err(CannotFit::NoReadings) };
+        let Some(first) = readings.first() else { return Err(CannotTrain::NoReadings) };
         check_weights(weights, readings.len())?;
         let (locations, values) = (first.location.len(), first.value.len());
         check_dimensions(readings, locations, values)?;
@@ -190,8 +190,8 @@ impl HypertimeField {
     }
 }
 
-fn check_weights(weights: &[f64], readings: usize) -> Result<(), CannotFit> {
-    let refused = |parameter, found, expected| Err(CannotFit::Parameter { parameter, found, expected });
+fn check_weights(weights: &[f64], readings: usize) -> Result<(), CannotTrain> {
+    let refused = |parameter, found, expected| Err(CannotTrain::Parameter { parameter, found, expected });
     if weights.len() != readings {
         return refused("weights", weights.len() as f64, "as many as readings");
     }
@@ -201,8 +201,8 @@ fn check_weights(weights: &[f64], readings: usize) -> Result<(), CannotFit> {
     }
 }
 
-fn check_dimensions(readings: &[FieldReading], locations: usize, values: usize) -> Result<(), CannotFit> {
-    let refused = |parameter, found, expected| Err(CannotFit::Parameter { parameter, found, expected });
+fn check_dimensions(readings: &[FieldReading], locations: usize, values: usize) -> Result<(), CannotTrain> {
+    let refused = |parameter, found, expected| Err(CannotTrain::Parameter { parameter, found, expected });
     if values == 0 || locations.saturating_add(values) > DIMENSIONS_MAX {
         let found = (locations as f64) + values as f64;
         return refused("coordinates", found, "one or more of the value, at most 16 with those of the location");

@@ -21,7 +21,7 @@ const STARTS: u64 = 4;
 /// Starts with many clusters: most clusters then end in the same positions from any start.
 const STARTS_OF_MANY: u64 = 2;
 const MANY_CLUSTERS: usize = 20;
-/// A further circle must lower the error to this factor: it adds two dimensions, and a circle that fits only noise
+/// A further circle must lower the error to this factor: it adds two dimensions, and a circle that follows only noise
 /// gains less.
 const CIRCLE_WORTH: f64 = 0.99;
 /// A further cluster must lower the strength of the periods in the error to this factor.
@@ -29,17 +29,17 @@ const CLUSTER_WORTH: f64 = 0.999;
 const DAY_NANOS: i64 = 86_400 * NANOS_PER_SEC;
 const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
 
-/// The circles of a model and of the fits that leave a fold out, by their periods. They may differ: if a period were
+/// The circles of a model and of the models that leave a fold out, by their periods. They may differ: if a period were
 /// searched in the readings that later judge it, noise would pass for a rhythm.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Circles {
     pub(super) all: Vec<HypertimePeriod>,
-    /// For each fold, the circles of the fit without it.
+    /// For each fold, the circles of the model without it.
     pub(super) without: Vec<Vec<HypertimePeriod>>,
 }
 
 impl Circles {
-    /// Adds one circle to each fit, from the error on its own readings; false if there is none to add.
+    /// Adds one circle to each model, from the error on its own readings; false if there is none to add.
     fn extend(&mut self, residuals: &[Residuals], candidates: &Candidates) -> bool {
         let strongest = |residuals: Option<Residuals>, taken: &[HypertimePeriod]| {
             residuals.and_then(|residuals| residuals.strongest(candidates, taken))
@@ -62,14 +62,14 @@ impl Circles {
     }
 }
 
-/// A fit to all readings, with the errors of such fits on held-out readings.
+/// A model of all readings, with the errors of such models on held-out readings.
 pub(super) struct Attempt<M> {
     pub(super) model: M,
     /// Mean squared error.
     pub(super) error: f64,
     /// Mean log-likelihood.
     pub(super) log_likelihood: f64,
-    /// The residuals of each fold, by the fit without it.
+    /// The residuals of each fold, by the model without it.
     pub(super) residuals: Vec<Residuals>,
 }
 
@@ -103,7 +103,7 @@ pub(super) trait Trainer<M> {
     /// The periods to choose among.
     fn candidates(&self) -> &Candidates;
 
-    /// Fits with these circles; the seed is for the start of the clustering.
+    /// Trains with these circles; the seed is for the start of the clustering.
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<M>;
 }
 
@@ -116,18 +116,18 @@ pub(super) struct Growth<'a> {
 }
 
 /// Grows a model circle by circle.
-pub(super) fn grow<M, F: Trainer<M>>(fit: &F, growth: &Growth<'_>, options: &HypertimeOptions) -> M {
+pub(super) fn grow<M, F: Trainer<M>>(trainer: &F, growth: &Growth<'_>, options: &HypertimeOptions) -> M {
     let mut circles = Circles { all: Vec::new(), without: vec![Vec::new(); growth.folds] };
     let mut clusters = match options.method {
         HypertimeMethod::Em => options.clusters,
         HypertimeMethod::Km => 1,
     };
     if growth.folds < 2 {
-        return fit.attempt(&circles, 1, options.seed).model;
+        return trainer.attempt(&circles, 1, options.seed).model;
     }
-    let mut best = clustered(fit, &circles, &mut clusters, options, growth.stop);
-    while circles.all.len() < PERIODS_MAX && circles.extend(&best.residuals, fit.candidates()) {
-        let next = clustered(fit, &circles, &mut clusters, options, growth.stop);
+    let mut best = clustered(trainer, &circles, &mut clusters, options, growth.stop);
+    while circles.all.len() < PERIODS_MAX && circles.extend(&best.residuals, trainer.candidates()) {
+        let next = clustered(trainer, &circles, &mut clusters, options, growth.stop);
         if growth.stop.is_set() || next.error >= best.error * CIRCLE_WORTH {
             break;
         }
@@ -139,16 +139,16 @@ pub(super) fn grow<M, F: Trainer<M>>(fit: &F, growth: &Growth<'_>, options: &Hyp
 /// The best of several starts; with HyT-KM, adds clusters as long as the periods left in the error become weaker (eq.
 /// 8).
 fn clustered<M, F: Trainer<M>>(
-    fit: &F,
+    trainer: &F,
     circles: &Circles,
     clusters: &mut usize,
     options: &HypertimeOptions,
     stop: StopSignal<'_>,
 ) -> Attempt<M> {
-    let mut best = best_start(fit, circles, *clusters, options.seed, stop);
+    let mut best = best_start(trainer, circles, *clusters, options.seed, stop);
     while options.method == HypertimeMethod::Km && *clusters < options.clusters {
-        let next = best_start(fit, circles, *clusters + 1, options.seed, stop);
-        if stop.is_set() || next.strength(fit.candidates()) >= best.strength(fit.candidates()) * CLUSTER_WORTH {
+        let next = best_start(trainer, circles, *clusters + 1, options.seed, stop);
+        if stop.is_set() || next.strength(trainer.candidates()) >= best.strength(trainer.candidates()) * CLUSTER_WORTH {
             break;
         }
         best = next;
@@ -158,13 +158,13 @@ fn clustered<M, F: Trainer<M>>(
 }
 
 fn best_start<M, F: Trainer<M>>(
-    fit: &F,
+    trainer: &F,
     circles: &Circles,
     clusters: usize,
     seed: u64,
     stop: StopSignal<'_>,
 ) -> Attempt<M> {
-    let mut best = fit.attempt(circles, clusters, seed);
+    let mut best = trainer.attempt(circles, clusters, seed);
     let starts = match clusters {
         // All starts give the same result.
         1 => 1,
@@ -175,7 +175,7 @@ fn best_start<M, F: Trainer<M>>(
         if stop.is_set() {
             break;
         }
-        let next = fit.attempt(circles, clusters, seed.wrapping_add(start));
+        let next = trainer.attempt(circles, clusters, seed.wrapping_add(start));
         if next.log_likelihood > best.log_likelihood {
             best = next;
         }

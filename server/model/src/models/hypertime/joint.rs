@@ -1,4 +1,4 @@
-//! Fits of one mixture over location, circles and value, and their error on held-out readings.
+//! Trains one mixture over location, circles and value, and scores it on held-out readings.
 //!
 //! Invariant: errors are taken along standardised coordinates, so that all coordinates of the value have equal weight.
 
@@ -15,7 +15,7 @@ use super::residuals::Residuals;
 use super::seeding::Points;
 use crate::StopSignal;
 
-/// Maximum number of readings of a fit.
+/// Maximum number of readings of a training.
 const READINGS_MAX: usize = 4_000;
 const FIRST_STEPS: usize = 40;
 const FOLD_STEPS: usize = 10;
@@ -91,8 +91,8 @@ impl<'a> FieldTraining<'a> {
         others
     }
 
-    /// Scores a fit without a fold on that fold.
-    fn score(&self, fitted: &Mixture, points: &Points, fold: usize, score: &mut HeldOutScore) {
+    /// Scores a model without a fold on that fold.
+    fn score(&self, trained: &Mixture, points: &Points, fold: usize, score: &mut HeldOutScore) {
         let given = points.coordinates - self.value.len();
         let mut residuals = Residuals::new(&self.candidates, self.value.len());
         for (reading, (numbers, weight)) in self.readings.iter().zip(points.iter()) {
@@ -100,10 +100,10 @@ impl<'a> FieldTraining<'a> {
                 continue;
             }
             let (coordinates, circles) = numbers.split_at(points.coordinates);
-            let (log_given, log_all) = fitted.log_densities(numbers, points.coordinates, given);
+            let (log_given, log_all) = trained.log_densities(numbers, points.coordinates, given);
             score.logs += weight * (log_all - log_given).clamp(-LOG_MAX, LOG_MAX);
             score.total += weight;
-            let shares = fitted.given(&coordinates[..given], circles);
+            let shares = trained.given(&coordinates[..given], circles);
             let mean = HypertimeDistribution::new(shares, self.value.clone()).mean();
             let standard = standardised(&mean, &self.value);
             for (dimension, (mean, value)) in standard.iter().zip(&reading.value).enumerate() {
@@ -127,18 +127,18 @@ impl Trainer<CircledMixture> for FieldTraining<'_> {
 
     fn attempt(&self, circles: &Circles, clusters: usize, seed: u64) -> Attempt<CircledMixture> {
         let points = self.points(&circles.all);
-        let mixture = Mixture::fit(&points, clusters, seed, FIRST_STEPS);
+        let mixture = Mixture::train(&points, clusters, seed, FIRST_STEPS);
         let mut score = HeldOutScore::default();
         for (fold, periods) in circles.without.iter().enumerate() {
-            // Starts from the fit to all readings, so that its optimum is judged; with other circles, from scratch.
+            // Starts from the model of all readings, so that its optimum is judged; with other circles, from scratch.
             if *periods == circles.all {
-                let mut fitted = mixture.clone();
-                fitted.refit(&self.others(&points, fold), FOLD_STEPS);
-                self.score(&fitted, &points, fold, &mut score);
+                let mut trained = mixture.clone();
+                trained.train_further(&self.others(&points, fold), FOLD_STEPS);
+                self.score(&trained, &points, fold, &mut score);
             } else {
                 let other = self.points(periods);
-                let fitted = Mixture::fit(&self.others(&other, fold), clusters, seed, FIRST_STEPS);
-                self.score(&fitted, &other, fold, &mut score);
+                let trained = Mixture::train(&self.others(&other, fold), clusters, seed, FIRST_STEPS);
+                self.score(&trained, &other, fold, &mut score);
             }
         }
         score.attempt((circles.all.clone(), mixture))

@@ -1,4 +1,4 @@
-//! Mixtures of clusters, fitted by expectation-maximisation (RA-L 2019 sections III.E and III.H).
+//! Mixtures of clusters, trained by expectation-maximisation (RA-L 2019 sections III.E and III.H).
 //!
 //! Covariances are shrunk towards that of all readings, as by a few more readings (C. Fraley and A. Raftery, "Bayesian
 //! regularization for normal mixture estimation", J. Classification 2007), which regularises clusters of few readings;
@@ -28,15 +28,15 @@ pub(super) struct Mixture {
 }
 
 impl Mixture {
-    /// Fits the given number of clusters, or fewer if there are fewer points; none without points.
-    pub(super) fn fit(points: &Points, clusters: usize, seed: u64, max_steps: usize) -> Mixture {
+    /// Trains the given number of clusters, or fewer if there are fewer points; none without points.
+    pub(super) fn train(points: &Points, clusters: usize, seed: u64, max_steps: usize) -> Mixture {
         let mut mixture = Mixture { clusters: first_clusters(points, clusters, seed) };
-        mixture.refit(points, max_steps);
+        mixture.train_further(points, max_steps);
         mixture
     }
 
-    /// Continues fitting, possibly with other points.
-    pub(super) fn refit(&mut self, points: &Points, max_steps: usize) {
+    /// Continues training, possibly with other points.
+    pub(super) fn train_further(&mut self, points: &Points, max_steps: usize) {
         if points.weights.is_empty() {
             return;
         }

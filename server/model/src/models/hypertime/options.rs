@@ -1,6 +1,6 @@
 //! How a warped hypertime model is trained.
 
-use crate::models::CannotFit;
+use crate::models::CannotTrain;
 
 /// The method of clustering in hypertime (RA-L 2019 section III.H).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -28,12 +28,12 @@ impl HypertimeOptions {
     /// The maximum number of clusters.
     pub const CLUSTERS_MAX: usize = 50;
 
-    pub(super) fn check(&self) -> Result<(), CannotFit> {
+    pub(super) fn check(&self) -> Result<(), CannotTrain> {
         if (1..=HypertimeOptions::CLUSTERS_MAX).contains(&self.clusters) {
             Ok(())
         } else {
             let (parameter, found) = ("clusters", self.clusters as f64);
-            Err(CannotFit::Parameter { parameter, found, expected: "1 to 50" })
+            Err(CannotTrain::Parameter { parameter, found, expected: "1 to 50" })
         }
     }
 }

@@ -20,7 +20,7 @@ pub(super) struct Points<'a> {
     pub(super) weights: Vec<f64>,
     /// The weight of independent readings: readings of the same hour are nearly repetitions.
     pub(super) unit: f64,
-    /// Ends a fit to them early; its result must then not be used.
+    /// Ends a training on them early; its result must then not be used.
     pub(super) stop: StopSignal<'a>,
 }
 

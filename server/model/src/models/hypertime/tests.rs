@@ -40,7 +40,7 @@ fn on(condition: bool) -> f64 {
 fn two_events_a_day_are_both_there() {
     let samples = days(10, |_, hour| on((8.0..10.0).contains(&hour) || (15.0..18.0).contains(&hour)));
     for method in BOTH {
-        let model = Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 4)).unwrap();
+        let model = Hypertime::train(Readings::new(&samples), &Periodicities::default(), &options(method, 4)).unwrap();
         let periods = model.periods_secs();
         assert!(periods.contains(&86_400.0), "{method:?}: {periods:?}");
         for (hour, expected) in [(9, 1.0), (16, 1.0), (3, 0.0), (12, 0.0), (23, 0.0)] {
@@ -54,7 +54,7 @@ fn two_events_a_day_are_both_there() {
 fn a_weekend_is_not_a_working_day() {
     let samples = days(28, |day, hour| on(day % 7 < 5 && (9.0..17.0).contains(&hour)));
     for method in BOTH {
-        let model = Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap();
+        let model = Hypertime::train(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap();
         let periods = model.periods_secs();
         assert!(periods.contains(&86_400.0), "{method:?}: {periods:?}");
         let (workday, weekend) =
@@ -74,7 +74,7 @@ fn where_there_is_no_rhythm_there_is_no_period() {
     let samples: Vec<Sample> =
         days(20, |_, _| 0.0).into_iter().map(|sample| Sample { value: on(draw() < 0.3), ..sample }).collect();
     for method in BOTH {
-        let model = Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap();
+        let model = Hypertime::train(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap();
         assert!(model.periods_secs().is_empty(), "{method:?}: {:?}", model.periods_secs());
         assert!((model.predict(minute(500)) - 0.3).abs() < 0.03);
     }
@@ -85,7 +85,7 @@ fn the_mean_prediction_is_the_mean() {
     let samples = days(14, |_, hour| 0.2 + 0.6 * on((6.0..9.0).contains(&hour)));
     let mean = samples.iter().map(|sample| sample.value).sum::<f64>() / samples.len() as f64;
     for method in BOTH {
-        let model = Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 2)).unwrap();
+        let model = Hypertime::train(Readings::new(&samples), &Periodicities::default(), &options(method, 2)).unwrap();
         assert!(!model.periods_secs().is_empty());
         let predicted = samples.iter().map(|sample| model.predict(sample.moment())).sum::<f64>();
         assert!((predicted / samples.len() as f64 - mean).abs() < 1e-3, "{method:?}");
@@ -98,7 +98,7 @@ fn a_number_that_is_no_probability_follows_its_day() {
     let samples = days(12, value);
     for (method, clusters, tolerance) in [(HypertimeMethod::Em, 1, 0.5), (HypertimeMethod::Km, 30, 6.0)] {
         let model =
-            Hypertime::fit_continuous(Readings::new(&samples), &Periodicities::default(), &options(method, clusters))
+            Hypertime::train_continuous(Readings::new(&samples), &Periodicities::default(), &options(method, clusters))
                 .unwrap();
         assert_eq!(model.periods_secs().first(), Some(&86_400.0));
         for hour in 0..24 {
@@ -117,8 +117,8 @@ fn values_that_do_not_change_are_predicted() {
                     (0..count).map(|i| Sample { utc_nanos: i * 11 * MINUTE, offset_secs: 0, value }).collect();
                 let readings = Readings::new(&samples);
                 for model in [
-                    Hypertime::fit(readings, &Periodicities::default(), &options(method, 3)).unwrap(),
-                    Hypertime::fit_continuous(readings, &Periodicities::default(), &options(method, 3)).unwrap(),
+                    Hypertime::train(readings, &Periodicities::default(), &options(method, 3)).unwrap(),
+                    Hypertime::train_continuous(readings, &Periodicities::default(), &options(method, 3)).unwrap(),
                 ] {
                     let p = model.predict(minute(77));
                     // A value of one half counts as 1 and 0 alike, and may give a model that is constant up to
@@ -138,7 +138,7 @@ fn two_readings_ten_years_apart_say_little() {
     {
         for method in BOTH {
             let model =
-                Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 50)).unwrap();
+                Hypertime::train(Readings::new(&samples), &Periodicities::default(), &options(method, 50)).unwrap();
             for moment in [minute(0), minute(123_456), samples[1].moment()] {
                 let p = model.predict(moment);
                 assert!((0.0..=1.0).contains(&p), "{p}");
@@ -149,28 +149,28 @@ fn two_readings_ten_years_apart_say_little() {
 }
 
 #[test]
-fn what_cannot_be_fitted_is_refused() {
+fn what_cannot_be_trained_is_refused() {
     let samples = [Sample { utc_nanos: 0, offset_secs: 0, value: 1.0 }];
     for method in BOTH {
         for clusters in [0, 51, 1_000_000, usize::MAX] {
             for refused in [
-                Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, clusters)),
-                Hypertime::fit_continuous(
+                Hypertime::train(Readings::new(&samples), &Periodicities::default(), &options(method, clusters)),
+                Hypertime::train_continuous(
                     Readings::new(&samples),
                     &Periodicities::default(),
                     &options(method, clusters),
                 ),
             ] {
-                assert!(matches!(refused, Err(CannotFit::Parameter { parameter: "clusters", .. })), "{clusters}");
+                assert!(matches!(refused, Err(CannotTrain::Parameter { parameter: "clusters", .. })), "{clusters}");
             }
         }
         assert_eq!(
-            Hypertime::fit(Readings::new(&[]), &Periodicities::default(), &options(method, 1)),
-            Err(CannotFit::NoReadings)
+            Hypertime::train(Readings::new(&[]), &Periodicities::default(), &options(method, 1)),
+            Err(CannotTrain::NoReadings)
         );
         assert_eq!(
-            Hypertime::fit_continuous(Readings::new(&[]), &Periodicities::default(), &options(method, 1)),
-            Err(CannotFit::NoReadings)
+            Hypertime::train_continuous(Readings::new(&[]), &Periodicities::default(), &options(method, 1)),
+            Err(CannotTrain::NoReadings)
         );
     }
 }
@@ -180,8 +180,9 @@ fn a_stored_model_predicts_the_same() {
     let samples = days(14, |day, hour| on((8.0..10.0).contains(&hour) && day % 7 != 6));
     for method in BOTH {
         for model in [
-            Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap(),
-            Hypertime::fit_continuous(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap(),
+            Hypertime::train(Readings::new(&samples), &Periodicities::default(), &options(method, 3)).unwrap(),
+            Hypertime::train_continuous(Readings::new(&samples), &Periodicities::default(), &options(method, 3))
+                .unwrap(),
         ] {
             assert!(!model.periods_secs().is_empty());
             assert_eq!(Hypertime::from_parts(&model.to_parts()).unwrap(), model);
@@ -193,7 +194,7 @@ fn a_stored_model_predicts_the_same() {
 fn broken_parts_are_refused() {
     let samples = days(14, |_, hour| on((8.0..10.0).contains(&hour)));
     let odds = BOTH.map(|method| {
-        Hypertime::fit(Readings::new(&samples), &Periodicities::default(), &options(method, 2)).unwrap().to_parts()
+        Hypertime::train(Readings::new(&samples), &Periodicities::default(), &options(method, 2)).unwrap().to_parts()
     });
     let odds = odds.map(|parts| match parts {
         HypertimeParts::Probability(parts) => parts,
@@ -270,7 +271,7 @@ proptest! {
         let options = options(if km { HypertimeMethod::Km } else { HypertimeMethod::Em }, clusters);
         let moments = [samples[0].moment(), Moment { utc_nanos: at, offset_secs: 0 }];
 
-        let model = Hypertime::fit(Readings { half_life_secs, ..Readings::new(&samples) }, &Periodicities::default(), &options).unwrap();
+        let model = Hypertime::train(Readings { half_life_secs, ..Readings::new(&samples) }, &Periodicities::default(), &options).unwrap();
         prop_assert_eq!(&Hypertime::from_parts(&model.to_parts()).unwrap(), &model);
         for moment in moments {
             let p = model.predict(moment);
@@ -283,7 +284,7 @@ proptest! {
         let (low, high) = samples
             .iter()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| (low.min(s.value), high.max(s.value)));
-        let model = Hypertime::fit_continuous(Readings { half_life_secs, ..Readings::new(&samples) }, &Periodicities::default(), &options).unwrap();
+        let model = Hypertime::train_continuous(Readings { half_life_secs, ..Readings::new(&samples) }, &Periodicities::default(), &options).unwrap();
         prop_assert_eq!(&Hypertime::from_parts(&model.to_parts()).unwrap(), &model);
         for moment in moments {
             let value = model.predict(moment);
@@ -317,7 +318,7 @@ fn a_year_is_found_where_the_map_has_it_and_where_the_readings_hold_it() {
     let of_a_year = Periodicities::harmonics(365 * 86_400 * NANOS_PER_SEC, 1_000).expect("in range");
     for periodicities in [of_a_year, Periodicities::default()] {
         for method in BOTH {
-            let model = Hypertime::fit(Readings::new(train), &periodicities, &options(method, 3)).unwrap();
+            let model = Hypertime::train(Readings::new(train), &periodicities, &options(method, 3)).unwrap();
             let periods = model.periods_secs();
             let has = |secs: f64| periods.iter().any(|period| (period / secs - 1.0).abs() < 0.01);
             assert!(has(31_556_952.0) && has(86_400.0), "{method:?}: {periods:?}");

@@ -1,7 +1,7 @@
-//! Readings of a probability in hypertime, and fits to them that leave a fold out.
+//! Readings of a probability in hypertime, and models of them that leave a fold out.
 //!
 //! Readings are summed by slots, so that years of them take little longer than weeks: by slots of the candidates' cycle
-//! for circles that divide it, by slots of time for others. Invariant: a fit sees only the weights of its folds.
+//! for circles that divide it, by slots of time for others. Invariant: a model sees only the weights of its folds.
 
 use std::collections::BTreeMap;
 
@@ -140,17 +140,17 @@ impl<'a> OddsTraining<'a> {
 
     fn mixtures(&self, hypertime: &Hypergrid<'_>, counts: &SlotWeights, start: (usize, u64)) -> (Mixture, Mixture) {
         let (clusters, seed) = start;
-        let fresh = |weights: &[f64]| Mixture::fit(&hypertime.points(weights), clusters, seed, FIRST_STEPS);
+        let fresh = |weights: &[f64]| Mixture::train(&hypertime.points(weights), clusters, seed, FIRST_STEPS);
         (fresh(&counts.ones), fresh(&counts.zeros))
     }
 
-    /// Adds the errors of a fit on a fold that it has not seen.
-    fn score(&self, fitted: &Odds, hypertime: &Hypergrid<'_>, fold: usize, score: &mut HeldOutScore) {
+    /// Adds the errors of a model on a fold that it has not seen.
+    fn score(&self, trained: &Odds, hypertime: &Hypergrid<'_>, fold: usize, score: &mut HeldOutScore) {
         let is_by_time = hypertime.is_by_time;
         let coarseness_nanos = if is_by_time { self.time_nanos } else { 0 };
         let mut residuals = Residuals::new(&self.candidates, 1).in_slots_of(coarseness_nanos);
         for (slot, ones, zeros) in hypertime.weights(fold).occupied() {
-            let p = fitted.at_point(hypertime.point(slot));
+            let p = trained.at_point(hypertime.point(slot));
             score.squared += ones * (1.0 - p) * (1.0 - p) + zeros * p * p;
             let scored = p.clamp(PROBABILITY_MIN, 1.0 - PROBABILITY_MIN);
             score.logs += ones * scored.ln() + zeros * (1.0 - scored).ln();
@@ -160,7 +160,7 @@ impl<'a> OddsTraining<'a> {
         }
         for (slot, ones, zeros) in self.by_time[fold].occupied() {
             let time = self.times[slot];
-            let error = fitted.at(time) - ones / (ones + zeros);
+            let error = trained.at(time) - ones / (ones + zeros);
             residuals.add_at(time, &self.candidates, (0, ones + zeros, error));
         }
         score.residuals.push(residuals);
@@ -180,10 +180,10 @@ impl Trainer<Odds> for OddsTraining<'_> {
         let mut score = HeldOutScore::default();
         for (fold, periods) in circles.without.iter().enumerate() {
             let seen = hypertime.without(Some(fold));
-            // Starts from the fit to all readings, so that its optimum is judged; with other circles, from scratch.
+            // Starts from the model of all readings, so that its optimum is judged; with other circles, from scratch.
             let again = |mixture: &Mixture, weights: &[f64]| {
                 let mut mixture = mixture.clone();
-                mixture.refit(&hypertime.points(weights), FOLD_STEPS);
+                mixture.train_further(&hypertime.points(weights), FOLD_STEPS);
                 mixture
             };
             if *periods == circles.all {

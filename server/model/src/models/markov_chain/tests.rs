@@ -18,8 +18,8 @@ fn at(secs: i64) -> Moment {
     Moment { utc_nanos: secs.saturating_mul(1_000_000_000), offset_secs: 0 }
 }
 
-fn fitted(samples: &[Sample]) -> MarkovChain {
-    MarkovChain::fit(Readings::new(samples)).unwrap()
+fn trained(samples: &[Sample]) -> MarkovChain {
+    MarkovChain::train(Readings::new(samples)).unwrap()
 }
 
 /// A state with these mean times at 0 and at 1, read at gaps drawn evenly from a range.
@@ -55,7 +55,7 @@ fn log_posterior(samples: &[Sample], rise: f64, fall: f64) -> f64 {
 fn known_rates_are_found_from_irregular_readings() {
     // Gaps from far shorter than the dwell to longer than it: many changes are never seen.
     for gaps in [60.0..120.0, 60.0..7200.0, 1800.0..14_400.0] {
-        let parts = fitted(&simulated(4.0 * HOUR, HOUR, gaps.clone(), 20_000, 7)).to_parts();
+        let parts = trained(&simulated(4.0 * HOUR, HOUR, gaps.clone(), 20_000, 7)).to_parts();
         let (low_secs, high_secs) = (1.0 / parts.rise_per_sec, 1.0 / parts.fall_per_sec);
         assert!((low_secs / (4.0 * HOUR) - 1.0).abs() < 0.15, "{gaps:?}: {low_secs}");
         assert!((high_secs / HOUR - 1.0).abs() < 0.15, "{gaps:?}: {high_secs}");
@@ -65,7 +65,7 @@ fn known_rates_are_found_from_irregular_readings() {
 #[test]
 fn it_predicts_forwards_from_the_newest_reading() {
     let samples = simulated(4.0 * HOUR, HOUR, 60.0..7200.0, 5000, 3);
-    let mut chain = fitted(&samples);
+    let mut chain = trained(&samples);
     let newest_secs = (samples[4999].utc_nanos / 1_000_000_000) + 10;
     chain.observe(newest_secs * 1_000_000_000, 1.0);
     assert!((chain.predict(at(newest_secs)) - 1.0).abs() < 1e-12);
@@ -86,7 +86,7 @@ fn a_state_that_never_changed_is_nearly_sure_not_to() {
     let days: Vec<f64> = (0..7 * 1440).map(|minute| f64::from(minute) * 60.0).collect();
     for value in [0.0, 1.0] {
         let samples: Vec<Sample> = days.iter().map(|&secs| sample(secs, value)).collect();
-        let chain = fitted(&samples);
+        let chain = trained(&samples);
         assert!((chain.stationary() - value).abs() < 0.02, "{}", chain.stationary());
         assert!(chain.stationary() > 0.0 && chain.stationary() < 1.0);
         // A week of no change: the next hour will most likely bring none.
@@ -97,7 +97,7 @@ fn a_state_that_never_changed_is_nearly_sure_not_to() {
 #[test]
 fn one_reading_and_equal_times_leave_the_prior() {
     for samples in [vec![sample(5.0, 1.0)], vec![sample(5.0, 0.0), sample(5.0, 1.0)]] {
-        let chain = fitted(&samples);
+        let chain = trained(&samples);
         assert!((chain.stationary() - 0.5).abs() < 1e-6);
         assert!((chain.memory_secs() - HOUR).abs() < 1.0, "{}", chain.memory_secs());
     }
@@ -106,10 +106,10 @@ fn one_reading_and_equal_times_leave_the_prior() {
 #[test]
 fn ten_years_of_silence_change_no_rate() {
     let mut samples = simulated(4.0 * HOUR, HOUR, 60.0..7200.0, 5000, 5);
-    let before = fitted(&samples).to_parts();
+    let before = trained(&samples).to_parts();
     let secs = samples[4999].utc_nanos as f64 / 1e9 + TEN_YEARS_SECS as f64;
     samples.push(sample(secs, 0.0));
-    let after = fitted(&samples).to_parts();
+    let after = trained(&samples).to_parts();
     assert!((after.rise_per_sec / before.rise_per_sec - 1.0).abs() < 0.01);
     assert!((after.fall_per_sec / before.fall_per_sec - 1.0).abs() < 0.01);
 }
@@ -117,17 +117,17 @@ fn ten_years_of_silence_change_no_rate() {
 #[test]
 fn an_unsure_but_steady_state_does_not_seem_to_change() {
     let steady: Vec<Sample> = (0..1440).map(|minute| sample(f64::from(minute) * 60.0, 0.5)).collect();
-    assert!(fitted(&steady).memory_secs() > 6.0 * HOUR);
+    assert!(trained(&steady).memory_secs() > 6.0 * HOUR);
     let restless: Vec<Sample> =
         (0..1440).map(|minute| sample(f64::from(minute) * 60.0, f64::from(minute % 2))).collect();
-    assert!(fitted(&restless).memory_secs() < 60.0);
+    assert!(trained(&restless).memory_secs() < 60.0);
 }
 
 #[test]
 fn nonsense_is_refused() {
-    assert_eq!(MarkovChain::fit(Readings::new(&[])), Err(CannotFit::NoReadings));
+    assert_eq!(MarkovChain::train(Readings::new(&[])), Err(CannotTrain::NoReadings));
     for value in [f64::NAN, -0.1, 1.1] {
-        assert!(matches!(MarkovChain::fit(Readings::new(&[sample(0.0, value)])), Err(CannotFit::Parameter { .. })));
+        assert!(matches!(MarkovChain::train(Readings::new(&[sample(0.0, value)])), Err(CannotTrain::Parameter { .. })));
     }
     let good = MarkovChainParts { rise_per_sec: 1e-4, fall_per_sec: 1e-4, last_nanos: 0, last_value: 1.0 };
     assert!(MarkovChain::from_parts(good).is_ok());
@@ -149,7 +149,7 @@ proptest! {
         longest_gap in 100.0..50_000.0_f64,
     ) {
         let samples = simulated(low_hours * HOUR, high_hours * HOUR, 30.0..longest_gap, 200, seed);
-        let parts = fitted(&samples).to_parts();
+        let parts = trained(&samples).to_parts();
         let found = log_posterior(&samples, parts.rise_per_sec, parts.fall_per_sec);
         for (rise, fall) in [(1.03, 1.0), (1.0, 1.03), (0.97, 1.0), (1.0, 0.97), (1.03, 1.03), (0.5, 0.5), (3.0, 3.0), (0.5, 2.0)] {
             let other = log_posterior(&samples, parts.rise_per_sec * rise, parts.fall_per_sec * fall);
@@ -168,7 +168,7 @@ proptest! {
         let mut samples: Vec<Sample> =
             readings.iter().map(|&(utc_nanos, value)| Sample { utc_nanos, offset_secs: 0, value }).collect();
         samples.sort_by_key(|sample| sample.utc_nanos);
-        let chain = MarkovChain::fit(Readings { half_life_secs: half_life, ..Readings::new(&samples) }).unwrap();
+        let chain = MarkovChain::train(Readings { half_life_secs: half_life, ..Readings::new(&samples) }).unwrap();
         let p = chain.predict(Moment { utc_nanos: when, offset_secs: 0 });
         prop_assert!((0.0..=1.0).contains(&p), "{}", p);
     }

@@ -59,7 +59,7 @@ impl WrappedGaussian {
 
 /// The likeliest mixture found from several starts; `shares` are masses at equally spaced phases, not negative. Empty
 /// without mass. Ends early if told to stop; the result must then not be used.
-pub(super) fn fit_wrapped(shares: &[f64], gaussians: usize, seed: u64, stop: StopSignal<'_>) -> Vec<WrappedGaussian> {
+pub(super) fn train_wrapped(shares: &[f64], gaussians: usize, seed: u64, stop: StopSignal<'_>) -> Vec<WrappedGaussian> {
     let mass: f64 = shares.iter().sum();
     let distinct = shares.iter().filter(|&&share| share > 0.0).count();
     if distinct == 0 || mass <= 0.0 {

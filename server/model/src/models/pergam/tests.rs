@@ -18,8 +18,8 @@ fn days(count: i64, on: impl Fn(i64) -> bool) -> Vec<Sample> {
     (0..count * 1_440).map(|m| Sample { utc_nanos: m * MINUTE, offset_secs: 0, value: value(m) }).collect()
 }
 
-fn fit(samples: &[Sample], gaussians: usize) -> Pergam {
-    Pergam::fit(Readings::new(samples), &PergamOptions { gaussians, ..PergamOptions::default() }).unwrap()
+fn train(samples: &[Sample], gaussians: usize) -> Pergam {
+    Pergam::train(Readings::new(samples), &PergamOptions { gaussians, ..PergamOptions::default() }).unwrap()
 }
 
 fn sample(minute: i64, value: f64) -> Sample {
@@ -29,7 +29,7 @@ fn sample(minute: i64, value: f64) -> Sample {
 #[test]
 fn two_short_events_a_day_are_both_there() {
     let samples = days(7, |minute| (480..510).contains(&minute) || (1_140..1_200).contains(&minute));
-    let model = fit(&samples, 2);
+    let model = train(&samples, 2);
     for (at, expected) in [(495, 1.0), (1_170, 1.0), (300, 0.0), (800, 0.0), (1_400, 0.0)] {
         let p = model.predict(minute(3 * 1_440 + at));
         assert!((p - expected).abs() < 0.1, "minute {at}: {p}");
@@ -41,7 +41,7 @@ fn two_short_events_a_day_are_both_there() {
 
 #[test]
 fn an_event_across_midnight_is_one_event() {
-    let model = fit(&days(5, |minute| !(40..1_400).contains(&minute)), 1);
+    let model = train(&days(5, |minute| !(40..1_400).contains(&minute)), 1);
     let gaussian = model.to_parts().gaussians[0];
     let from_midnight = gaussian.mean_secs.min(86_400.0 - gaussian.mean_secs);
     assert!(from_midnight < 120.0, "{gaussian:?}");
@@ -56,7 +56,7 @@ fn phases_are_local() {
         sample.utc_nanos -= 3_600 * NANOS_PER_SEC;
         sample.offset_secs = 3_600;
     }
-    let model = fit(&samples, 1);
+    let model = train(&samples, 1);
     let ten_thirty = Moment { utc_nanos: 34_200 * NANOS_PER_SEC, offset_secs: 3_600 };
     assert!(model.predict(ten_thirty) > 0.9);
     assert!(model.predict(Moment { offset_secs: 0, ..ten_thirty }) < 0.7);
@@ -68,7 +68,7 @@ fn another_period_may_be_asked_for() {
     let weekly: Vec<Sample> =
         samples.iter().map(|s| Sample { value: f64::from(u8::from(s.utc_nanos / DAY_NANOS % 7 == 2)), ..*s }).collect();
     let options = PergamOptions { gaussians: 1, period_nanos: 7 * DAY_NANOS, seed: 3 };
-    let model = Pergam::fit(Readings::new(&weekly), &options).unwrap();
+    let model = Pergam::train(Readings::new(&weekly), &options).unwrap();
     assert!(model.predict(minute(2 * 1_440 + 720)) > 0.9);
     assert!(model.predict(minute(5 * 1_440 + 720)) < 0.05);
     assert_eq!(model.period_secs(), 604_800.0);
@@ -80,7 +80,7 @@ fn values_that_do_not_change_are_predicted() {
         for count in [1, 2, 5_000] {
             let samples: Vec<Sample> = (0..count).map(|index| sample(index * 7, value)).collect();
             for gaussians in [1, 20] {
-                let model = fit(&samples, gaussians);
+                let model = train(&samples, gaussians);
                 for at in [0, 700, 1_439] {
                     let p = model.predict(minute(at));
                     assert!((p - value).abs() < 1e-6, "{count} of {value}, {gaussians} Gaussians, minute {at}: {p}");
@@ -96,29 +96,29 @@ fn more_gaussians_than_phases_are_not_needed() {
     for sample in samples.iter_mut().filter(|sample| [100, 900].contains(&(sample.utc_nanos / MINUTE % 1_440))) {
         sample.value = 1.0;
     }
-    let model = fit(&samples, 20);
+    let model = train(&samples, 20);
     assert!(model.to_parts().gaussians.len() <= 2);
     assert!(model.predict(minute(100)) > 0.3 && model.predict(minute(500)) < 1e-6);
 }
 
 #[test]
-fn what_cannot_be_fitted_is_refused() {
+fn what_cannot_be_trained_is_refused() {
     let samples = [sample(0, 1.0)];
     let with = |gaussians, period_nanos| {
-        Pergam::fit(Readings::new(&samples), &PergamOptions { gaussians, period_nanos, seed: 0 })
+        Pergam::train(Readings::new(&samples), &PergamOptions { gaussians, period_nanos, seed: 0 })
     };
     for gaussians in [0, 21, 1_000_000, usize::MAX] {
-        assert!(matches!(with(gaussians, DAY_NANOS), Err(CannotFit::Parameter { parameter: "gaussians", .. })));
+        assert!(matches!(with(gaussians, DAY_NANOS), Err(CannotTrain::Parameter { parameter: "gaussians", .. })));
     }
     for period in [i64::MIN, -1, 0, NANOS_PER_SEC - 1, i64::MAX] {
-        assert!(matches!(with(3, period), Err(CannotFit::Parameter { parameter: "period_secs", .. })), "{period}");
+        assert!(matches!(with(3, period), Err(CannotTrain::Parameter { parameter: "period_secs", .. })), "{period}");
     }
-    assert_eq!(Pergam::fit(Readings::new(&[]), &PergamOptions::default()), Err(CannotFit::NoReadings));
+    assert_eq!(Pergam::train(Readings::new(&[]), &PergamOptions::default()), Err(CannotTrain::NoReadings));
 }
 
 #[test]
 fn broken_parts_are_refused() {
-    let good = fit(&days(2, |minute| minute < 300), 2).to_parts();
+    let good = train(&days(2, |minute| minute < 300), 2).to_parts();
     assert!(Pergam::from_parts(&good).is_ok());
     let broken: [fn(&mut PergamParts); 6] = [
         |parts| parts.period_nanos = 0,
@@ -152,7 +152,7 @@ proptest! {
             .collect();
         samples.sort_by_key(|sample| sample.utc_nanos);
         let options = PergamOptions { gaussians, period_nanos: period_secs * NANOS_PER_SEC, seed: 1 };
-        let model = Pergam::fit(Readings { half_life_secs, ..Readings::new(&samples) }, &options).unwrap();
+        let model = Pergam::train(Readings { half_life_secs, ..Readings::new(&samples) }, &options).unwrap();
         prop_assert_eq!(&Pergam::from_parts(&model.to_parts()).unwrap(), &model);
         for moment in [samples[0].moment(), Moment { utc_nanos: at, offset_secs: 0 }] {
             let p = model.predict(moment);

@@ -5,7 +5,7 @@
 use std::collections::HashSet;
 
 use super::{COUNT_BIN_NANOS, PoissonSpectral, PoissonSpectralParts};
-use crate::models::{CannotFit, Moment, Readings, TemporalModel};
+use crate::models::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::{InvalidParts, Periodicities};
 
 /// A [`PoissonSpectral`] model in bins of [`COUNT_BIN_NANOS`], and the usual number of readings in an observed bin.
@@ -30,21 +30,21 @@ impl CountRate {
     /// Trains on the counts of single readings.
     ///
     /// # Errors
-    /// [`CannotFit`] as [`PoissonSpectral::fit`].
-    pub fn fit(readings: Readings<'_>, periodicities: &Periodicities) -> Result<CountRate, CannotFit> {
-        CountRate::fit_in_bins(readings, periodicities, COUNT_BIN_NANOS)
+    /// [`CannotTrain`] as [`PoissonSpectral::train`].
+    pub fn train(readings: Readings<'_>, periodicities: &Periodicities) -> Result<CountRate, CannotTrain> {
+        CountRate::train_in_bins(readings, periodicities, COUNT_BIN_NANOS)
     }
 
-    /// Trains on counts of single readings as [`CountRate::fit`], with bins of the given length in nanoseconds.
+    /// Trains on counts of single readings as [`CountRate::train`], with bins of the given length in nanoseconds.
     ///
     /// # Errors
-    /// As [`CountRate::fit`].
-    pub fn fit_in_bins(
+    /// As [`CountRate::train`].
+    pub fn train_in_bins(
         readings: Readings<'_>,
         periodicities: &Periodicities,
         bin_nanos: i64,
-    ) -> Result<CountRate, CannotFit> {
-        let bins = PoissonSpectral::fit(readings, periodicities, bin_nanos)?;
+    ) -> Result<CountRate, CannotTrain> {
+        let bins = PoissonSpectral::train(readings, periodicities, bin_nanos)?;
         let observed: HashSet<i64> =
             readings.samples.iter().map(|sample| sample.civil_nanos().div_euclid(bin_nanos)).collect();
         Ok(CountRate { bins, readings_per_bin: readings.samples.len() as f64 / observed.len().max(1) as f64 })

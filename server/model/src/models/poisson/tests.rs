@@ -31,8 +31,8 @@ fn counts(days: i64, seed: u64, mean: impl Fn(f64) -> f64) -> Vec<Sample> {
         .collect()
 }
 
-fn fitted(samples: &[Sample]) -> PoissonSpectral {
-    PoissonSpectral::fit(Readings::new(samples), &Periodicities::default(), COUNT_BIN_NANOS).unwrap()
+fn trained(samples: &[Sample]) -> PoissonSpectral {
+    PoissonSpectral::train(Readings::new(samples), &Periodicities::default(), COUNT_BIN_NANOS).unwrap()
 }
 
 fn at(secs: i64) -> Moment {
@@ -42,7 +42,7 @@ fn at(secs: i64) -> Moment {
 #[test]
 fn a_daily_rhythm_of_counts_is_found() {
     let mean = |hour: f64| 3.0 + 2.5 * (std::f64::consts::TAU * (hour - 14.0) / 24.0).cos();
-    let model = fitted(&counts(28, 1, mean));
+    let model = trained(&counts(28, 1, mean));
     assert!(model.order() >= 1);
     let error = |hour: i64| (model.predict(at(100 * 86_400 + hour * 3600)) - mean(hour as f64)).abs();
     let worst = (0..24).map(error).fold(0.0, f64::max);
@@ -51,21 +51,21 @@ fn a_daily_rhythm_of_counts_is_found() {
 
 #[test]
 fn counts_without_a_rhythm_mostly_get_no_component() {
-    let orders: Vec<usize> = (0..20).map(|seed| fitted(&counts(14, seed, |_| 2.0)).order()).collect();
+    let orders: Vec<usize> = (0..20).map(|seed| trained(&counts(14, seed, |_| 2.0)).order()).collect();
     let none = orders.iter().filter(|&&order| order == 0).count();
     assert!(none >= 19, "{orders:?}");
 }
 
 #[test]
 fn a_count_that_was_always_0_has_a_small_positive_rate() {
-    let rate = |days| fitted(&counts(days, 1, |_| 0.0)).predict(at(0));
+    let rate = |days| trained(&counts(days, 1, |_| 0.0)).predict(at(0));
     assert!((rate(1) - 0.5 / 145.0).abs() < 1e-12);
     assert!(rate(28) > 0.0 && rate(28) < rate(1));
 }
 
 #[test]
 fn the_rate_never_falls_to_0_at_night() {
-    let model = fitted(&counts(28, 3, |hour| if (12.0..13.0).contains(&hour) { 20.0 } else { 0.0 }));
+    let model = trained(&counts(28, 3, |hour| if (12.0..13.0).contains(&hour) { 20.0 } else { 0.0 }));
     assert!(model.order() >= 2, "{}", model.order());
     for minute in 0..1440 {
         assert!(model.predict(at(minute * 60)) >= 0.5 / 29.0 - 1e-12);
@@ -78,9 +78,9 @@ fn readings_of_a_bin_add_up_and_unobserved_bins_are_not_0() {
     // Two readings of 1 in the first bin of each hour, none in the other five.
     let samples: Vec<Sample> =
         (0..48).map(|half| sample(half / 2 * 3600 * 1_000_000_000 + half % 2 * 1_000_000_000, 1.0)).collect();
-    assert!((fitted(&samples).predict(at(0)) - 48.5 / 25.0).abs() < 1e-12);
+    assert!((trained(&samples).predict(at(0)) - 48.5 / 25.0).abs() < 1e-12);
     let hourly =
-        PoissonSpectral::fit(Readings::new(&samples), &Periodicities::default(), 24 * 6 * COUNT_BIN_NANOS).unwrap();
+        PoissonSpectral::train(Readings::new(&samples), &Periodicities::default(), 24 * 6 * COUNT_BIN_NANOS).unwrap();
     assert!((hourly.predict(at(0)) - 48.5 / 2.0).abs() < 1e-12);
 }
 
@@ -88,22 +88,22 @@ fn readings_of_a_bin_add_up_and_unobserved_bins_are_not_0() {
 fn older_counts_fade() {
     let samples = [sample(0, 8.0), sample(DAY_NANOS, 2.0)];
     let readings = Readings { half_life_secs: Some(86_400.0), ..Readings::new(&samples) };
-    let model = PoissonSpectral::fit(readings, &Periodicities::default(), COUNT_BIN_NANOS).unwrap();
+    let model = PoissonSpectral::train(readings, &Periodicities::default(), COUNT_BIN_NANOS).unwrap();
     assert!((model.predict(at(0)) - (0.5 + 0.5 * 8.0 + 2.0) / 2.5).abs() < 1e-12);
 }
 
 #[test]
 fn nonsense_is_refused() {
     let week = Periodicities::default();
-    let fit = |samples: &[Sample], bin| PoissonSpectral::fit(Readings::new(samples), &week, bin);
-    assert_eq!(fit(&[], COUNT_BIN_NANOS), Err(CannotFit::NoReadings));
+    let train = |samples: &[Sample], bin| PoissonSpectral::train(Readings::new(samples), &week, bin);
+    assert_eq!(train(&[], COUNT_BIN_NANOS), Err(CannotTrain::NoReadings));
     for value in [-1.0, f64::NAN, f64::INFINITY, 1e13] {
-        assert!(matches!(fit(&[sample(0, value)], COUNT_BIN_NANOS), Err(CannotFit::Parameter { .. })));
+        assert!(matches!(train(&[sample(0, value)], COUNT_BIN_NANOS), Err(CannotTrain::Parameter { .. })));
     }
     for bin in [0, -1, 999_999_999, i64::MAX] {
-        assert!(matches!(fit(&[sample(0, 1.0)], bin), Err(CannotFit::Parameter { .. })));
+        assert!(matches!(train(&[sample(0, 1.0)], bin), Err(CannotTrain::Parameter { .. })));
     }
-    let good = fitted(&counts(28, 1, |hour| hour)).to_parts();
+    let good = trained(&counts(28, 1, |hour| hour)).to_parts();
     assert!(!good.components.is_empty());
     let damaged = |change: &dyn Fn(&mut PoissonSpectralParts)| {
         let mut parts = good.clone();
@@ -133,7 +133,7 @@ proptest! {
         samples.sort_by_key(|sample| sample.utc_nanos);
         let week = Periodicities::default();
         let readings = Readings { half_life_secs, ..Readings::new(&samples) };
-        let model = PoissonSpectral::fit(readings, &week, COUNT_BIN_NANOS).unwrap();
+        let model = PoissonSpectral::train(readings, &week, COUNT_BIN_NANOS).unwrap();
         let predicted = model.predict(Moment { utc_nanos: when, offset_secs: 0 });
         prop_assert!(predicted > 0.0 && predicted.is_finite(), "{}", predicted);
         prop_assert_eq!(PoissonSpectral::from_parts(&week, model.to_parts()), Ok(model));

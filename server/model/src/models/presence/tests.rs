@@ -172,6 +172,6 @@ fn options_outside_their_range_are_refused() {
         PresenceOptions { prior_slots: f64::INFINITY, ..usual },
         PresenceOptions { steps: 0, ..usual },
     ] {
-        assert!(matches!(Presence::new(options), Err(CannotFit::Parameter { .. })), "{options:?}");
+        assert!(matches!(Presence::new(options), Err(CannotTrain::Parameter { .. })), "{options:?}");
     }
 }

@@ -58,7 +58,7 @@ fn judged(samples: &[Sample]) -> Judged {
         changes,
     };
     let effective = effective_observations(&sums);
-    let model = SpectralModel::fit(&accumulator, &week);
+    let model = SpectralModel::train(&accumulator, &week);
     Judged { supported: supported_order(&model, &week, &sums), effective, model }
 }
 

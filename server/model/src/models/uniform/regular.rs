@@ -5,7 +5,7 @@
 //! differences, which gaps do not shift, and the first reading that is too late or too early. Invariant: the interval
 //! is above 0, and no reading is missing.
 
-use super::{CannotFit, Sample};
+use super::{CannotTrain, Sample};
 
 /// The maximum number of readings: steps are stored in 32 bits.
 pub(super) const STEPS_MAX: u64 = u32::MAX as u64;
@@ -14,10 +14,10 @@ pub(super) const STEPS_MAX: u64 = u32::MAX as u64;
 const JITTER: f64 = 0.01;
 
 /// The first sample and the interval in nanoseconds, if the samples are regular.
-pub(super) fn regular(samples: &[Sample]) -> Result<(Sample, i64), CannotFit> {
+pub(super) fn regular(samples: &[Sample]) -> Result<(Sample, i64), CannotTrain> {
     let found = samples.len();
     let (&[first, .., last], 2..=STEPS_MAX) = (samples, found as u64) else {
-        return Err(CannotFit::Parameter {
+        return Err(CannotTrain::Parameter {
             parameter: "number of readings",
             found: found as f64,
             expected: "2 to 4e9",
@@ -43,7 +43,7 @@ pub(super) fn off_time(sample: &Sample, first_nanos: i64, interval_nanos: i64, s
 
 /// The error for samples that are not regular: names the first that does not come one usual interval after the one
 /// before, or else the one that has drifted off its time.
-fn irregular(samples: &[Sample], drifted: usize) -> CannotFit {
+fn irregular(samples: &[Sample], drifted: usize) -> CannotTrain {
     let secs = |i: usize| match (samples.get(i), i.checked_sub(1).and_then(|before| samples.get(before))) {
         (Some(sample), Some(before)) => (i128::from(sample.utc_nanos) - i128::from(before.utc_nanos)) as f64 / 1e9,
         _ => 0.0,
@@ -54,5 +54,5 @@ fn irregular(samples: &[Sample], drifted: usize) -> CannotFit {
     let jumps = |&i: &usize| interval_secs <= 0.0 || (secs(i) - interval_secs).abs() > JITTER * interval_secs;
     let at = (1..samples.len()).find(jumps).unwrap_or(drifted);
     let at_secs = samples.get(at).map_or(0.0, |sample| sample.utc_nanos as f64 / 1e9);
-    CannotFit::Irregular { interval_secs, at_secs, after_secs: secs(at) }
+    CannotTrain::Irregular { interval_secs, at_secs, after_secs: secs(at) }
 }

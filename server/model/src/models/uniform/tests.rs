@@ -16,8 +16,8 @@ fn regular_samples(states: &[bool], interval_nanos: i64) -> Vec<Sample> {
     (0..).zip(states).map(|(step, &state)| sample(WEEK_NANOS + step * interval_nanos, state)).collect()
 }
 
-fn fitted(samples: &[Sample], order: usize) -> UniformSpectral {
-    UniformSpectral::fit(Readings::new(samples), order).unwrap()
+fn trained(samples: &[Sample], order: usize) -> UniformSpectral {
+    UniformSpectral::train(Readings::new(samples), order).unwrap()
 }
 
 /// Two weeks, every ten minutes, of a door that is open in working hours, with a few exceptions.
@@ -35,8 +35,8 @@ fn it_equals_the_incremental_model_where_the_periods_are_harmonics_of_the_span()
     let periodicities = Periodicities::harmonics(2 * WEEK_NANOS, 336).unwrap();
     let mut accumulator = Accumulator::new(&periodicities);
     accumulator.add(&periodicities, &samples);
-    let incremental = SpectralModel::fit(&accumulator, &periodicities);
-    let model = fitted(&samples, ORDER_MAX);
+    let incremental = SpectralModel::train(&accumulator, &periodicities);
+    let model = trained(&samples, ORDER_MAX);
     assert!((model.mean() - incremental.mean()).abs() < 1e-9);
     for (found, expected) in model.components().iter().zip(incremental.components()) {
         assert_eq!(found.periodicity, expected.periodicity + 1);
@@ -56,7 +56,7 @@ fn it_equals_the_incremental_model_where_the_periods_are_harmonics_of_the_span()
 
 #[test]
 fn predictions_follow_the_local_clock() {
-    let model = fitted(&regular_samples(&office(), 10 * MINUTE_NANOS), 5);
+    let model = trained(&regular_samples(&office(), 10 * MINUTE_NANOS), 5);
     let winter = Moment { utc_nanos: 5 * WEEK_NANOS + 9 * 60 * MINUTE_NANOS, offset_secs: 3600 };
     let summer = Moment { utc_nanos: winter.utc_nanos - 60 * MINUTE_NANOS, offset_secs: 7200 };
     assert!((model.predict(winter) - model.predict(summer)).abs() < 1e-12);
@@ -67,7 +67,7 @@ fn the_outlier_set_holds_where_the_prediction_starts_and_stops_to_differ() {
     let mut states = vec![false; 100];
     states[20..23].fill(true);
     states[60] = true;
-    let mut model = fitted(&regular_samples(&states, MINUTE_NANOS), 0);
+    let mut model = trained(&regular_samples(&states, MINUTE_NANOS), 0);
     assert_eq!(model.outliers(), [20, 23, 60, 61]);
     assert!((model.estimation_error() - 0.04).abs() < 1e-12);
     assert!((model.compression_ratio(true) - 100.0 / (288.0 + 4.0 * 8.0)).abs() < 1e-12);
@@ -81,30 +81,33 @@ fn the_outlier_set_holds_where_the_prediction_starts_and_stops_to_differ() {
 #[test]
 fn components_pay_where_the_state_has_a_rhythm() {
     let samples = regular_samples(&office(), 10 * MINUTE_NANOS);
-    let errors: Vec<f64> = [0, 2, 10].iter().map(|&order| fitted(&samples, order).estimation_error()).collect();
+    let errors: Vec<f64> = [0, 2, 10].iter().map(|&order| trained(&samples, order).estimation_error()).collect();
     assert!(errors[0] > errors[1] && errors[1] > errors[2], "{errors:?}");
 }
 
 #[test]
 fn what_is_irregular_is_told_by_the_usual_interval_and_the_first_that_departs_from_it() {
     let samples = regular_samples(&office(), MINUTE_NANOS);
-    let fit_error = |samples: &[Sample]| UniformSpectral::fit(Readings::new(samples), 2).unwrap_err();
+    let train_error = |samples: &[Sample]| UniformSpectral::train(Readings::new(samples), 2).unwrap_err();
     let first_secs = WEEK_NANOS as f64 / 1e9;
     let mut missing = samples.clone();
     missing.drain(40..70);
     let expected =
-        CannotFit::Irregular { interval_secs: 60.0, at_secs: first_secs + 70.0 * 60.0, after_secs: 31.0 * 60.0 };
-    assert_eq!(fit_error(&missing), expected);
-    let message = fit_error(&missing).to_string();
+        CannotTrain::Irregular { interval_secs: 60.0, at_secs: first_secs + 70.0 * 60.0, after_secs: 31.0 * 60.0 };
+    assert_eq!(train_error(&missing), expected);
+    let message = train_error(&missing).to_string();
     assert!(message.contains("60 s apart") && message.contains("1860 s after") && message.contains("spectral"));
     let twice = [samples[0], samples[0], samples[0]];
-    assert_eq!(fit_error(&twice), CannotFit::Irregular { interval_secs: 0.0, at_secs: first_secs, after_secs: 0.0 });
+    assert_eq!(
+        train_error(&twice),
+        CannotTrain::Irregular { interval_secs: 0.0, at_secs: first_secs, after_secs: 0.0 }
+    );
     // Each a little later than the one before: no single jump, but a drift.
     let mut drifting = samples[..1000].to_vec();
     for (i, sample) in (0..).zip(&mut drifting) {
         sample.utc_nanos += i * i * 100_000;
     }
-    let CannotFit::Irregular { interval_secs, after_secs, .. } = fit_error(&drifting) else { panic!("irregular") };
+    let CannotTrain::Irregular { interval_secs, after_secs, .. } = train_error(&drifting) else { panic!("irregular") };
     assert!((interval_secs - 60.1).abs() < 0.01 && (after_secs - interval_secs).abs() < 0.6);
 }
 
@@ -112,9 +115,9 @@ fn what_is_irregular_is_told_by_the_usual_interval_and_the_first_that_departs_fr
 fn one_model_answers_and_recalls_at_every_lower_order() {
     let states = office();
     let samples = regular_samples(&states, 10 * MINUTE_NANOS);
-    let highest = fitted(&samples, ORDER_MAX);
+    let highest = trained(&samples, ORDER_MAX);
     for order in [0, 1, 4, ORDER_MAX] {
-        let model = fitted(&samples, order);
+        let model = trained(&samples, order);
         let mut outliers = 0;
         for (step, sample) in (0..).zip(&samples) {
             let p = highest.predict_at_order(order, sample.moment());
@@ -140,8 +143,8 @@ fn irregular_samples_are_refused() {
     let states = office();
     let samples = regular_samples(&states, MINUTE_NANOS);
     let refused = |samples: &[Sample]| {
-        let found = UniformSpectral::fit(Readings::new(samples), 2);
-        matches!(found, Err(CannotFit::Parameter { .. } | CannotFit::Irregular { .. }))
+        let found = UniformSpectral::train(Readings::new(samples), 2);
+        matches!(found, Err(CannotTrain::Parameter { .. } | CannotTrain::Irregular { .. }))
     };
     assert!(!refused(&samples));
     let mut missing = samples.clone();
@@ -154,16 +157,16 @@ fn irregular_samples_are_refused() {
     assert!(refused(&late));
     assert!(refused(&[samples[0], samples[0]]));
     assert!(refused(&samples[..1]));
-    assert_eq!(UniformSpectral::fit(Readings::new(&[]), 2), Err(CannotFit::NoReadings));
+    assert_eq!(UniformSpectral::train(Readings::new(&[]), 2), Err(CannotTrain::NoReadings));
     for value in [0.5, f64::NAN, -1.0] {
         let mut unsure = samples.clone();
         unsure[3].value = value;
         assert!(refused(&unsure));
     }
-    assert!(UniformSpectral::fit(Readings::new(&samples), ORDER_MAX + 1).is_err());
-    assert!(fitted(&samples, 2).with_order(ORDER_MAX + 1).is_err());
+    assert!(UniformSpectral::train(Readings::new(&samples), ORDER_MAX + 1).is_err());
+    assert!(trained(&samples, 2).with_order(ORDER_MAX + 1).is_err());
     // Appended readings must be the next ones.
-    let mut model = fitted(&samples[..100], 2);
+    let mut model = trained(&samples[..100], 2);
     let before = model.clone();
     assert!(model.append(&samples[101]).is_err());
     assert!(model.append(&samples[99]).is_err());
@@ -176,7 +179,7 @@ fn irregular_samples_are_refused() {
 #[test]
 fn times_at_the_ends_of_the_range_are_taken() {
     let samples = [sample(i64::MIN, true), sample(-1, false), sample(i64::MAX - 1, true)];
-    let model = fitted(&samples, 1);
+    let model = trained(&samples, 1);
     assert_eq!(model.reconstruct(), [true, false, true]);
     for utc_nanos in [i64::MIN, 0, i64::MAX] {
         let p = model.predict(Moment { utc_nanos, offset_secs: i32::MAX });
@@ -186,7 +189,7 @@ fn times_at_the_ends_of_the_range_are_taken() {
 
 #[test]
 fn damaged_parts_are_refused() {
-    let good = fitted(&regular_samples(&office(), MINUTE_NANOS), 3).to_parts();
+    let good = trained(&regular_samples(&office(), MINUTE_NANOS), 3).to_parts();
     assert!(good.outlier_gaps.len() > 2);
     let damaged = |change: &dyn Fn(&mut UniformSpectralParts)| {
         let mut parts = good.clone();
@@ -195,8 +198,8 @@ fn damaged_parts_are_refused() {
     };
     assert!(!damaged(&|_| ()));
     assert!(damaged(&|parts| parts.interval_nanos = 0));
-    assert!(damaged(&|parts| parts.fitted_steps = parts.steps + 1));
-    assert!(damaged(&|parts| parts.fitted_steps = 0));
+    assert!(damaged(&|parts| parts.trained_steps = parts.steps + 1));
+    assert!(damaged(&|parts| parts.trained_steps = 0));
     assert!(damaged(&|parts| parts.mean = f64::NAN));
     assert!(damaged(&|parts| parts.components = vec![parts.components[0]; 16]));
     assert!(damaged(&|parts| parts.components[0].periodicity = 0));
@@ -217,7 +220,7 @@ proptest! {
     ) {
         let all = [states.as_slice(), appended.as_slice()].concat();
         let samples = regular_samples(&all, MINUTE_NANOS);
-        let mut model = fitted(&samples[..states.len()], order);
+        let mut model = trained(&samples[..states.len()], order);
         prop_assert_eq!(&model.reconstruct(), &states);
         for sample in &samples[states.len()..] {
             model.append(sample).unwrap();
@@ -230,7 +233,7 @@ proptest! {
         prop_assert_eq!(model.state(all.len() as u32), None);
         let updated = model.with_order(next_order).unwrap();
         prop_assert_eq!(&updated.reconstruct(), &all);
-        prop_assert_eq!(&updated, &fitted(&samples, next_order));
+        prop_assert_eq!(&updated, &trained(&samples, next_order));
         let wrong = updated.with_order(0).unwrap().estimation_error();
         let ones = all.iter().filter(|&&state| state).count() as f64 / all.len() as f64;
         prop_assert!((wrong - ones.min(1.0 - ones)).abs() < 1e-12);

@@ -1,4 +1,4 @@
-//! What `cell.rs` promises, against the fit to the same observations.
+//! What `cell.rs` promises, against the model trained on the same observations.
 
 use proptest::prelude::*;
 
@@ -50,10 +50,10 @@ proptest! {
             observed.iter().map(|&(at, occupied)| Sample { utc_nanos: at, offset_secs: 0, value: level(occupied) }).collect();
         let mut accumulator = Accumulator::new(&periodicities);
         accumulator.add(&periodicities, &samples);
-        let expected = SpectralModel::fit(&accumulator, &periodicities);
+        let expected = SpectralModel::train(&accumulator, &periodicities);
 
         let (a, b) = sums_of_runs(&periodicities, &observed);
-        let found = SpectralModel::fit_sums(
+        let found = SpectralModel::train_on_sums(
             CellSums {
                 observations: observed.len() as u64,
                 weight: observed.len() as f64,
@@ -93,7 +93,7 @@ fn of_real_parts(periodicities: &Periodicities, real: &[f64], observations: u64)
     let b = PhasorSum::zero(periodicities);
     let (span_nanos, levels) = (u64::MAX, (0.2, 0.7));
     let weight = observations as f64;
-    SpectralModel::fit_sums(
+    SpectralModel::train_on_sums(
         CellSums { observations, weight, mean: 0.5, a: &a, b: &b, span_nanos, gap_nanos: (0, 0), levels },
         periodicities,
     )
@@ -140,7 +140,7 @@ fn every_instruction_set_chooses_the_same() {
     let mut first = None;
     for arch in crate::phasor::every_arch() {
         let mut strongest = Strongest::new();
-        arch.dispatch(CellFit {
+        arch.dispatch(CellTraining {
             sums: &sums,
             scale: 0.005,
             span_nanos: u64::MAX,

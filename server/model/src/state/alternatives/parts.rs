@@ -41,12 +41,12 @@ pub struct AlternativesParts {
     /// The first local day of the present routine, where the change alarm has rung before.
     pub since: Option<LocalDay>,
     /// The models that were trained on readings, at most one of a kind.
-    pub fits: Vec<FitParts>,
+    pub trained: Vec<TrainingRecordParts>,
 }
 
 /// The stored form of a model that was trained on readings.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FitParts {
+pub struct TrainingRecordParts {
     /// The model.
     pub model: TrainedModelParts,
     /// The last local day that it was trained on.
@@ -72,7 +72,7 @@ impl Alternatives {
             gains: self.gains.to_parts(),
             days: self.days,
             since: self.since,
-            fits: self.trained.iter().flatten().filter_map(TrainingRecord::to_parts).collect(),
+            trained: self.trained.iter().flatten().filter_map(TrainingRecord::to_parts).collect(),
         }
     }
 
@@ -97,18 +97,18 @@ impl Alternatives {
                 return Err(InvalidParts::OutOfRange { field: "number of error sums", found });
             }
         };
-        for &sum in parts.error_sums.iter().chain(parts.fits.iter().filter_map(|fit| fit.error_sum.as_ref())) {
+        for &sum in parts.error_sums.iter().chain(parts.trained.iter().filter_map(|record| record.error_sum.as_ref())) {
             InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
         }
         InvalidParts::check("sum of changes", parts.changes, 0.0..=f64::MAX)?;
         let mut trained = [const { None }; TRAINED_AT_NIGHT.len()];
-        for fit in parts.fits {
-            let model = TrainedModel::from_parts_of(kind, fit.model)?;
+        for record in parts.trained {
+            let model = TrainedModel::from_parts_of(kind, record.model)?;
             let place = model.kind_at_night().and_then(ModelKind::place_at_night);
-            let Some(record) = place.and_then(|place| trained.get_mut(place)).filter(|record| record.is_none()) else {
+            let Some(slot) = place.and_then(|place| trained.get_mut(place)).filter(|slot| slot.is_none()) else {
                 return Err(InvalidParts::OutOfRange { field: "models of a kind", found: 2.0 });
             };
-            *record = Some(TrainingRecord { model: Arc::new(model), day: fit.day, error: fit.error_sum });
+            *slot = Some(TrainingRecord { model: Arc::new(model), day: record.day, error: record.error_sum });
         }
         let is_there = |kind: &ModelKind| match kind.place_at_night() {
             Some(place) => trained.get(place).is_some_and(Option::is_some),
@@ -139,7 +139,7 @@ impl Alternatives {
 }
 
 impl TrainingRecord {
-    fn to_parts(&self) -> Option<FitParts> {
-        Some(FitParts { model: self.model.to_parts()?, day: self.day, error_sum: self.error })
+    fn to_parts(&self) -> Option<TrainingRecordParts> {
+        Some(TrainingRecordParts { model: self.model.to_parts()?, day: self.day, error_sum: self.error })
     }
 }

@@ -38,8 +38,8 @@ fn office(day: i64, slot: i64) -> f64 {
     f64::from(u8::from((day + 3) % 7 < 5 && (opened..closed).contains(&slot)))
 }
 
-fn fit(samples: &[Sample]) -> Calibrated {
-    Calibrated::fit(Readings::new(samples), CalibratedOptions::default()).unwrap()
+fn train(samples: &[Sample]) -> Calibrated {
+    Calibrated::train(Readings::new(samples), CalibratedOptions::default()).unwrap()
 }
 
 fn learn(state: &mut StateModel, samples: Vec<Sample>) {
@@ -60,7 +60,7 @@ fn squared_error(model: &impl TemporalModel, samples: &[Sample]) -> f64 {
 }
 
 #[test]
-fn a_fit_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_one_from_the_third_day() {
+fn a_training_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_one_from_the_third_day() {
     let mut state = StateModel::new(&Periodicities::default());
     let due = |state: &StateModel| [ModelKind::Calibrated, ModelKind::PERGAM].map(|kind| state.is_training_due(kind));
     assert_eq!(due(&state), [false, false]);
@@ -69,8 +69,8 @@ fn a_fit_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_one_f
         learn(&mut state, samples(2 * observed..2 * observed + 1, office));
         assert_eq!(due(&state), [observed >= 3, false], "{observed} days");
         if observed >= 3 {
-            state = state.with_trained(fit(&samples(0..2 * observed + 1, office)), LocalDay(2 * observed as i32));
-            assert_eq!(due(&state), [false, false], "fitted after {observed} days");
+            state = state.with_trained(train(&samples(0..2 * observed + 1, office)), LocalDay(2 * observed as i32));
+            assert_eq!(due(&state), [false, false], "trained after {observed} days");
         }
     }
     // Late data does not count as a further day, because the day may be counted already.
@@ -78,7 +78,7 @@ fn a_fit_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_one_f
     assert_eq!(due(&state), [false, false]);
     learn(&mut state, samples(14..15, office));
     assert_eq!(due(&state), [true, true]);
-    state = state.with_trained(fit(&samples(0..15, office)), LocalDay(14));
+    state = state.with_trained(train(&samples(0..15, office)), LocalDay(14));
     assert!(!state.is_training_due(ModelKind::Calibrated));
     // From here on the calendar counts.
     learn(&mut state, samples(20..21, office));
@@ -88,21 +88,21 @@ fn a_fit_is_due_after_seven_observed_days_and_every_seven_days_and_a_cheap_one_f
 }
 
 #[test]
-fn a_fit_is_due_when_the_alarm_has_rung_since() {
+fn a_training_is_due_when_the_alarm_has_rung_since() {
     let mut state = StateModel::new(&Periodicities::default());
     learn(&mut state, samples(0..42, office));
-    let mut fitted = None;
+    let mut trained = None;
     for day in 42..56 {
-        let rang = state.alternatives().unwrap().alarm().rang_on();
+        let rang = state.alternatives().unwrap().alarm().alarm_day();
         if let Some(rang) = rang {
-            assert!(state.is_training_due(ModelKind::Calibrated), "it rang on {rang}, fitted on {fitted:?}");
-            assert_eq!(fitted, Some(i64::from(rang.0) - 1));
-            let again = state.clone().with_trained(fit(&samples(0..day, office)), LocalDay(day as i32 - 1));
-            assert!(!again.is_training_due(ModelKind::Calibrated), "what it rang for is fitted");
+            assert!(state.is_training_due(ModelKind::Calibrated), "it rang on {rang}, trained on {trained:?}");
+            assert_eq!(trained, Some(i64::from(rang.0) - 1));
+            let again = state.clone().with_trained(train(&samples(0..day, office)), LocalDay(day as i32 - 1));
+            assert!(!again.is_training_due(ModelKind::Calibrated), "it was trained after the alarm");
             return;
         }
-        state = state.with_trained(fit(&samples(0..42, office)), LocalDay(day as i32 - 1));
-        fitted = Some(day - 1);
+        state = state.with_trained(train(&samples(0..42, office)), LocalDay(day as i32 - 1));
+        trained = Some(day - 1);
         assert!(!state.is_training_due(ModelKind::Calibrated));
         learn(&mut state, samples(day..day + 1, |day, slot| 1.0 - office(day, slot)));
     }
@@ -110,10 +110,10 @@ fn a_fit_is_due_when_the_alarm_has_rung_since() {
 }
 
 #[test]
-fn a_day_is_scored_by_the_fit_before_it() {
+fn a_day_is_scored_by_the_model_before_it() {
     let mut state = StateModel::new(&Periodicities::default());
     learn(&mut state, samples(0..14, office));
-    let first = fit(&samples(0..14, office));
+    let first = train(&samples(0..14, office));
     state = state.with_trained(first.clone(), LocalDay(13));
     assert_eq!(calibrated_error(&state), None, "nothing was scored");
     assert!(matches!(state.choice(), ModelKind::Histogram { .. }));
@@ -124,10 +124,10 @@ fn a_day_is_scored_by_the_fit_before_it() {
     // It begins with the error of the model in force.
     let expected = before * KEPT_PER_DAY + squared_error(&first, &day);
     assert!((after - expected).abs() < 1e-9, "{after}, expected {expected}");
-    // Another fit, two days without observations, which do not count, and a day.
-    let second = fit(&samples(0..15, office));
+    // Another model, two days without observations, which do not count, and a day.
+    let second = train(&samples(0..15, office));
     state = state.with_trained(second.clone(), LocalDay(14));
-    assert_eq!(calibrated_error(&state), Some(after), "a fit alone is no score");
+    assert_eq!(calibrated_error(&state), Some(after), "a model alone is no score");
     let day = samples(17..18, office);
     learn(&mut state, day.clone());
     let expected = after * KEPT_PER_DAY + squared_error(&second, &day);
@@ -141,7 +141,7 @@ fn it_begins_with_the_sum_of_the_spectral_model_where_that_is_in_force() {
     learn(&mut state, samples(0..14, chance));
     assert_eq!(state.choice(), ModelKind::Spectral);
     let before = sum_of(&state, ModelKind::Spectral).unwrap();
-    let model = fit(&samples(0..14, chance));
+    let model = train(&samples(0..14, chance));
     state = state.with_trained(model.clone(), LocalDay(13));
     let day = samples(14..15, chance);
     learn(&mut state, day.clone());
@@ -158,7 +158,7 @@ fn zero_one_counts_wrong_predictions_of_the_calibrated_model() {
         state.update(&Periodicities::default(), OrderCriterion::ZeroOne, samples);
     };
     update(&mut state, samples(0..14, office));
-    let model = fit(&samples(0..14, office));
+    let model = train(&samples(0..14, office));
     state = state.with_trained(model.clone(), LocalDay(13));
     for day in 14..16 {
         let before = calibrated_error(&state);
@@ -189,7 +189,7 @@ fn the_calibrated_model_is_chosen_where_it_predicts_best() {
         }
         seen.extend(today);
         if state.is_training_due(ModelKind::Calibrated) {
-            state = state.with_trained(fit(&seen), LocalDay(day as i32));
+            state = state.with_trained(train(&seen), LocalDay(day as i32));
         }
     }
     let errors: Vec<_> = state.alternatives().unwrap().error_sums().collect();
@@ -201,7 +201,7 @@ fn the_calibrated_model_is_chosen_where_it_predicts_best() {
 fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
     let mut state = StateModel::new(&Periodicities::default());
     learn(&mut state, samples(0..9, office));
-    let unscored = state.clone().with_trained(fit(&samples(0..9, office)), LocalDay(8));
+    let unscored = state.clone().with_trained(train(&samples(0..9, office)), LocalDay(8));
     let mut scored = unscored.clone();
     learn(&mut scored, samples(9..40, office));
     for state in [&state, &unscored, &scored] {
@@ -215,7 +215,7 @@ fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
         Alternatives::from_parts(parts).is_err()
     };
     assert!(!is_refused(|parts| parts.choice = 128));
-    assert!(is_refused(|parts| (parts.choice, parts.fits) = (128, Vec::new())));
+    assert!(is_refused(|parts| (parts.choice, parts.trained) = (128, Vec::new())));
     assert!(is_refused(|parts| parts.choice = 129));
     assert!(is_refused(|parts| parts.choice = 4));
     assert!(is_refused(|parts| parts.choice = 127));
@@ -223,10 +223,10 @@ fn parts_make_the_same_again_and_what_cannot_be_is_refused() {
     assert!(is_refused(|parts| parts.error_sums.truncate(3)));
     assert!(is_refused(|parts| (parts.choice, parts.error_sums) = (1, vec![1.0])));
     assert!(!is_refused(|parts| (parts.choice, parts.error_sums) = (0, vec![1.0])));
-    assert!(is_refused(|parts| parts.fits.push(parts.fits[0].clone())));
-    assert!(is_refused(|parts| parts.fits[0].error_sum = Some(f64::NAN)));
-    assert!(is_refused(|parts| parts.fits[0].error_sum = Some(-1.0)));
-    assert!(is_refused(|parts| match &mut parts.fits[0].model {
+    assert!(is_refused(|parts| parts.trained.push(parts.trained[0].clone())));
+    assert!(is_refused(|parts| parts.trained[0].error_sum = Some(f64::NAN)));
+    assert!(is_refused(|parts| parts.trained[0].error_sum = Some(-1.0)));
+    assert!(is_refused(|parts| match &mut parts.trained[0].model {
         TrainedModelParts::Calibrated(model) => _ = model.profile.pop(),
         _ => panic!("another model"),
     }));

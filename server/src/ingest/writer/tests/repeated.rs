@@ -4,7 +4,7 @@
 use std::{fs, sync::mpsc};
 
 use super::{
-    refits::{DAYS, copy, files, learn, model, observe, update},
+    training::{DAYS, copy, files, learn, model, observe, update},
     *,
 };
 

@@ -9,7 +9,7 @@ use tidemap_map::{
     ids::ProducerId,
     live_map::LiveMap,
     name::{ProducerKey, StateName},
-    refit::{ReadingsRequest, StateReadings},
+    training::{ReadingsRequest, StateReadings},
 };
 use tidemap_model::StateKind;
 

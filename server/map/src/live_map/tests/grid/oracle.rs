@@ -110,7 +110,7 @@ impl CellOracle {
         parts.weight = parts.weight.min(parts.observations as f64);
         let accumulator = tidemap_model::Accumulator::from_parts(periodicities, parts).expect("valid");
         let gaps = self.model.alternatives().map(|known| known.gaps().clone()).unwrap_or_default();
-        let spectral = SpectralModel::fit_with_gaps(&accumulator, periodicities, &gaps);
+        let spectral = SpectralModel::train_with_gaps(&accumulator, periodicities, &gaps);
         let (order, errors) = (self.model.best_order(), *self.model.errors());
         self.replace(StateModel::from_parts(accumulator, spectral, order, errors).expect("valid"));
     }

@@ -35,7 +35,7 @@ fn people() -> Vec<FieldReading> {
 #[test]
 fn events_are_where_they_are_at_that_time_of_day() {
     for method in BOTH {
-        let field = HypertimeField::fit(&people(), &Periodicities::default(), &options(method, 3)).unwrap();
+        let field = HypertimeField::train(&people(), &Periodicities::default(), &options(method, 3)).unwrap();
         assert!(field.periods().iter().any(|period| period.secs() == 86_400.0), "{method:?}: {:?}", field.periods());
         for (at, here, there) in [(12, [2.0, 0.0], [-3.0, 1.0]), (24, [-3.0, 1.0], [2.0, 0.0])] {
             let density = |place| field.density(hour(960 + at), &[], place).unwrap();
@@ -63,7 +63,7 @@ fn a_value_depends_on_place_and_time() {
             FieldReading { moment, location: vec![place], value: vec![speed + 0.05 * jitter(half_hour)] }
         })
         .collect();
-    let field = HypertimeField::fit(&readings, &Periodicities::default(), &options(HypertimeMethod::Em, 6)).unwrap();
+    let field = HypertimeField::train(&readings, &Periodicities::default(), &options(HypertimeMethod::Em, 6)).unwrap();
     let mean = |h: i64, place: f64| field.mean(hour(24 * 30 + h), &[place]).unwrap()[0];
     assert!(mean(9, -0.3) < 0.5, "{}", mean(9, -0.3));
     assert!(mean(9, 0.3) > 0.7, "{}", mean(9, 0.3));
@@ -76,7 +76,7 @@ fn a_density_integrates_to_one_and_is_widened_by_a_cell() {
         .map(|h| FieldReading { moment: hour(h), location: Vec::new(), value: vec![f64::from(jitter(h) > 0.0) * 10.0] })
         .collect();
     for method in BOTH {
-        let field = HypertimeField::fit(&readings, &Periodicities::default(), &options(method, 2)).unwrap();
+        let field = HypertimeField::train(&readings, &Periodicities::default(), &options(method, 2)).unwrap();
         let distribution = field.distribution(hour(5), &[]).unwrap();
         let integral = |width: f64, cell: f64| {
             let cells = (40.0 / width) as i64;
@@ -97,21 +97,21 @@ fn a_distribution_has_the_variance_of_its_readings() {
     let readings: Vec<FieldReading> = (0..600)
         .map(|h| FieldReading { moment: hour(h), location: Vec::new(), value: vec![100.0 + 12.0 * jitter(h)] })
         .collect();
-    let field = HypertimeField::fit(&readings, &Periodicities::default(), &options(HypertimeMethod::Em, 2)).unwrap();
+    let field = HypertimeField::train(&readings, &Periodicities::default(), &options(HypertimeMethod::Em, 2)).unwrap();
     let distribution = field.distribution(hour(3), &[]).unwrap();
     assert!((distribution.mean()[0] - 100.0).abs() < 1.0);
     assert!((distribution.variance()[0] - 12.0).abs() < 1.5, "{:?}", distribution.variance());
 }
 
 #[test]
-fn what_cannot_be_fitted_or_asked_is_refused() {
+fn what_cannot_be_trained_or_asked_is_refused() {
     let good = people();
-    let parameter = |readings: &[FieldReading], clusters| match HypertimeField::fit(
+    let parameter = |readings: &[FieldReading], clusters| match HypertimeField::train(
         readings,
         &Periodicities::default(),
         &options(HypertimeMethod::Em, clusters),
     ) {
-        Err(CannotFit::Parameter { parameter, .. }) => parameter,
+        Err(CannotTrain::Parameter { parameter, .. }) => parameter,
         other => panic!("{other:?}"),
     };
     let with = |change: fn(&mut FieldReading)| {
@@ -128,11 +128,11 @@ fn what_cannot_be_fitted_or_asked_is_refused() {
     let wide = |value: usize| vec![FieldReading { moment: hour(0), location: vec![0.0; 9], value: vec![0.0; value] }];
     assert_eq!(parameter(&wide(0), 1), "coordinates");
     assert_eq!(parameter(&wide(8), 1), "coordinates");
-    assert!(HypertimeField::fit(&wide(7), &Periodicities::default(), &options(HypertimeMethod::Em, 1)).is_ok());
-    let none = HypertimeField::fit(&[], &Periodicities::default(), &HypertimeOptions::default());
-    assert_eq!(none, Err(CannotFit::NoReadings));
+    assert!(HypertimeField::train(&wide(7), &Periodicities::default(), &options(HypertimeMethod::Em, 1)).is_ok());
+    let none = HypertimeField::train(&[], &Periodicities::default(), &HypertimeOptions::default());
+    assert_eq!(none, Err(CannotTrain::NoReadings));
 
-    let field = HypertimeField::fit(&good, &Periodicities::default(), &options(HypertimeMethod::Em, 1)).unwrap();
+    let field = HypertimeField::train(&good, &Periodicities::default(), &options(HypertimeMethod::Em, 1)).unwrap();
     assert_eq!(field.mean(hour(0), &[1.0]), None);
     assert_eq!(field.density(hour(0), &[], &[1.0]), None);
     assert_eq!(field.density(hour(0), &[], &[1.0, f64::NAN]), None);
@@ -151,7 +151,7 @@ fn places_beyond_all_measure_have_an_answer() {
         })
         .collect();
     for method in BOTH {
-        let field = HypertimeField::fit(&readings, &Periodicities::default(), &options(method, 4)).unwrap();
+        let field = HypertimeField::train(&readings, &Periodicities::default(), &options(method, 4)).unwrap();
         assert_eq!(HypertimeField::from_parts(&field.to_parts()).unwrap(), field);
         for place in [[0.0, 7.0], [f64::MAX, f64::MIN], [1e-300, 1e300]] {
             let mean = field.mean(hour(99), &place).unwrap();

@@ -81,7 +81,7 @@ fn means_by(hours: &BTreeMap<i64, f64>, slots: usize, slot: impl Fn(i64) -> usiz
 
 impl Learnt {
     fn from(samples: &[Sample]) -> Learnt {
-        let model = Calibrated::fit(Readings::new(samples), CalibratedOptions::default()).unwrap();
+        let model = Calibrated::train(Readings::new(samples), CalibratedOptions::default()).unwrap();
         let hours = hourly_means(samples);
         let mut cells = vec![HourMoments::default(); 48];
         for (&hour, &mean) in &hours {

@@ -76,17 +76,17 @@ impl World {
     }
 
     /// As if a model had been trained on a day.
-    fn fitted_on(&mut self, state: usize, day: i32) {
-        let fit = Calibrated::fit(Readings::new(&samples(9, 0..2)), CalibratedOptions::default()).expect("fits");
-        self.models[state] = Arc::new(StateModel::clone(&self.models[state]).with_trained(fit, LocalDay(day)));
+    fn trained_on(&mut self, state: usize, day: i32) {
+        let model = Calibrated::train(Readings::new(&samples(9, 0..2)), CalibratedOptions::default()).expect("trained");
+        self.models[state] = Arc::new(StateModel::clone(&self.models[state]).with_trained(model, LocalDay(day)));
     }
 
-    fn refit(&mut self, limits: Limits) -> Refits {
+    fn train_due(&mut self, limits: Limits) -> TrainingOutcome {
         let newest = self.own.iter().flat_map(|(_, own)| own).map(|sample| sample.utc_nanos).max().expect("some");
-        refit_within(limits, &self.spec, newest, &self.own, &mut self.models, &self.kept)
+        train_within(limits, &self.spec, newest, &self.own, &mut self.models, &self.kept)
     }
 
-    fn fit_of(&self, state: usize) -> Option<(&Calibrated, i32)> {
+    fn trained_of(&self, state: usize) -> Option<(&Calibrated, i32)> {
         let (model, day) = self.models[state].alternatives()?.trained(ModelKind::Calibrated)?;
         let TrainedModel::Calibrated(model) = model else { panic!("another model") };
         Some((model, day.0))
@@ -99,23 +99,23 @@ impl World {
     }
 }
 
-fn fitted(samples: &[Sample]) -> Calibrated {
-    Calibrated::fit(Readings::new(samples), CalibratedOptions::default()).expect("fits")
+fn trained(samples: &[Sample]) -> Calibrated {
+    Calibrated::train(Readings::new(samples), CalibratedOptions::default()).expect("trained")
 }
 
 #[test]
-fn a_model_is_fitted_to_the_last_weeks_and_to_what_the_update_had() {
+fn a_model_is_trained_on_the_last_weeks_and_to_what_the_update_had() {
     let mut world = World::new(spec(Retention::Forever), 2, 100);
-    assert_eq!(world.refit(LIMITS), Refits { fitted: 2, ..Refits::default() });
+    assert_eq!(world.train_due(LIMITS), TrainingOutcome { trained: 2, ..TrainingOutcome::default() });
     for state in 0..2 {
         let newest = 100 * DAY - HOUR;
         let mut expected = samples(state, 0..100);
         expected.retain(|sample| sample.utc_nanos >= newest - 84 * DAY);
-        assert_eq!(world.fit_of(state as usize), Some((&fitted(&expected), 99)));
+        assert_eq!(world.trained_of(state as usize), Some((&trained(&expected), 99)));
     }
     assert_eq!(world.asked(), [[0, 1]]);
     // Nothing is due any more.
-    assert_eq!(world.refit(LIMITS), Refits::default());
+    assert_eq!(world.train_due(LIMITS), TrainingOutcome::default());
     assert_eq!(world.asked().len(), 1);
 }
 
@@ -127,94 +127,97 @@ fn late_readings_and_a_half_life_count() {
     let readings = world.kept.readings.get_mut(&StateId(0)).expect("known");
     readings.retain(|sample| sample.utc_nanos / DAY != 4);
     world.own[0].1.extend(samples(0, 4..5));
-    assert_eq!(world.refit(LIMITS).fitted, 1);
+    assert_eq!(world.train_due(LIMITS).trained, 1);
     let all = samples(0, 0..20);
     let readings = Readings { half_life_secs: Some(3.0 * 86_400.0), ..Readings::new(&all) };
-    let expected = Calibrated::fit(readings, CalibratedOptions::default()).expect("fits");
-    assert_ne!(expected, fitted(&all));
-    assert_eq!(world.fit_of(0), Some((&expected, 19)));
+    let expected = Calibrated::train(readings, CalibratedOptions::default()).expect("trained");
+    assert_ne!(expected, trained(&all));
+    assert_eq!(world.trained_of(0), Some((&expected, 19)));
 }
 
 #[test]
-fn readings_that_cannot_be_had_cost_the_fits_of_their_batch_alone() {
+fn readings_that_cannot_be_had_cost_the_models_of_their_batch_alone() {
     let mut world = World::new(spec(Retention::Forever), 5, 20);
-    world.fitted_on(2, 3);
+    world.trained_on(2, 3);
     let before = world.models.clone();
     world.kept.damaged = Some(StateId(2));
     // Two states at once.
-    let refits = world.refit(Limits { readings: 2 * 20 * 24 + 5, ..LIMITS });
+    let outcome = world.train_due(Limits { readings: 2 * 20 * 24 + 5, ..LIMITS });
     assert_eq!(world.asked(), [vec![0, 1], vec![2, 3], vec![4]]);
-    assert_eq!((refits.fitted, refits.waiting, refits.failed), (3, 0, 2));
-    assert!(refits.failure.expect("a reason").contains("StateId(2) is damaged"));
+    assert_eq!((outcome.trained, outcome.waiting, outcome.failed), (3, 0, 2));
+    assert!(outcome.failure.expect("a reason").contains("StateId(2) is damaged"));
     for state in [2, 3] {
         assert_eq!(world.models[state], before[state]);
         assert!(world.models[state].is_training_due(ModelKind::Calibrated));
     }
-    assert_eq!(world.fit_of(4).map(|(_, day)| day), Some(19));
+    assert_eq!(world.trained_of(4).map(|(_, day)| day), Some(19));
     // What is repaired is trained by the next update.
     world.kept.damaged = None;
-    assert_eq!(world.refit(LIMITS), Refits { fitted: 2, ..Refits::default() });
+    assert_eq!(world.train_due(LIMITS), TrainingOutcome { trained: 2, ..TrainingOutcome::default() });
 }
 
 #[test]
 fn a_source_that_leaves_a_state_out_is_not_believed() {
     let mut world = World::new(spec(Retention::Forever), 2, 20);
     world.kept.is_short = true;
-    let refits = world.refit(LIMITS);
-    assert_eq!((refits.fitted, refits.failed), (0, 2));
-    assert!(refits.failure.is_some() && world.fit_of(1).is_none());
+    let outcome = world.train_due(LIMITS);
+    assert_eq!((outcome.trained, outcome.failed), (0, 2));
+    assert!(outcome.failure.is_some() && world.trained_of(1).is_none());
 }
 
 #[test]
 fn those_that_have_waited_longest_go_first() {
     let mut world = World::new(spec(Retention::Forever), 6, 40);
     for (state, day) in [(0, 30), (1, 20), (2, 39), (3, 25)] {
-        world.fitted_on(state, day);
+        world.trained_on(state, day);
     }
     let days =
-        |world: &World| (0..6).map(|state| world.fit_of(state).map(|(_, day)| day)).collect::<Vec<Option<i32>>>();
+        |world: &World| (0..6).map(|state| world.trained_of(state).map(|(_, day)| day)).collect::<Vec<Option<i32>>>();
     // Those that were never trained, then the one trained longest ago; the one just trained is not due.
-    let limits = Limits { refits: |_| 3, ..LIMITS };
-    assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 2, ..Refits::default() });
+    let limits = Limits { models: |_| 3, ..LIMITS };
+    assert_eq!(world.train_due(limits), TrainingOutcome { trained: 3, waiting: 2, ..TrainingOutcome::default() });
     assert_eq!(days(&world), [Some(30), Some(39), Some(39), Some(25), Some(39), Some(39)]);
-    assert_eq!(world.refit(limits), Refits { fitted: 2, ..Refits::default() });
+    assert_eq!(world.train_due(limits), TrainingOutcome { trained: 2, ..TrainingOutcome::default() });
     assert_eq!(days(&world), [Some(39); 6]);
 }
 
 #[test]
-fn nothing_is_fitted_that_is_not_kept() {
+fn nothing_is_trained_that_is_not_kept() {
     let mut world = World::new(spec(Retention::None), 2, 20);
-    assert_eq!(world.refit(LIMITS), Refits::default());
-    assert!(world.asked().is_empty() && world.fit_of(0).is_none());
-    // The map does not ask for history that its retention has dropped; it fits a model to the rest anyway.
+    assert_eq!(world.train_due(LIMITS), TrainingOutcome::default());
+    assert!(world.asked().is_empty() && world.trained_of(0).is_none());
+    // The map does not ask for history that its retention has dropped; it trains a model on the rest anyway.
     let mut world = World::new(spec(Retention::Duration(5 * DAY)), 1, 20);
     world.own.push((StateId(7), samples(7, 0..1)));
-    assert_eq!(world.refit(LIMITS).fitted, 1);
+    assert_eq!(world.train_due(LIMITS).trained, 1);
     let newest = 20 * DAY - HOUR;
     let asked = world.kept.asked.lock().expect("sound").clone();
     assert_eq!(asked, [[ReadingsRequest { state: StateId(0), from_nanos: newest - 5 * DAY }]]);
-    assert_eq!(world.fit_of(0).map(|(model, _)| model.observations()), Some(5 * 24 + 1));
+    assert_eq!(world.trained_of(0).map(|(model, _)| model.observations()), Some(5 * 24 + 1));
 }
 
 #[test]
-fn a_state_that_was_read_too_often_is_fitted_to_fewer_days() {
+fn a_state_that_was_read_too_often_is_trained_on_fewer_days() {
     let mut world = World::new(spec(Retention::Forever), 2, 30);
-    assert_eq!(world.refit(Limits { readings: 240, ..LIMITS }).fitted, 2);
+    assert_eq!(world.train_due(Limits { readings: 240, ..LIMITS }).trained, 2);
     assert_eq!(world.asked(), [[0], [1]], "one at a time");
     for state in 0..2 {
-        let observations = world.fit_of(state).expect("fitted").0.observations();
+        let observations = world.trained_of(state).expect("trained").0.observations();
         assert!((200..=281).contains(&observations), "{observations}");
     }
 }
 
 #[test]
-fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_fitted() {
+fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_trained() {
     let mut world = World::new(MapSpec { models: EnabledModels::ALL, ..spec(Retention::Forever) }, 3, 20);
-    let limits = Limits { refits: |kind| if kind == ModelKind::Calibrated { 9 } else { 1 }, ..LIMITS };
-    assert_eq!(world.refit(limits), Refits { fitted: 3 + 3, waiting: 3 * 2, ..Refits::default() });
-    assert_eq!(world.refit(limits), Refits { fitted: 3, waiting: 3, ..Refits::default() });
-    assert_eq!(world.refit(limits), Refits { fitted: 3, ..Refits::default() });
-    assert_eq!(world.refit(limits), Refits::default());
+    let limits = Limits { models: |kind| if kind == ModelKind::Calibrated { 9 } else { 1 }, ..LIMITS };
+    assert_eq!(
+        world.train_due(limits),
+        TrainingOutcome { trained: 3 + 3, waiting: 3 * 2, ..TrainingOutcome::default() }
+    );
+    assert_eq!(world.train_due(limits), TrainingOutcome { trained: 3, waiting: 3, ..TrainingOutcome::default() });
+    assert_eq!(world.train_due(limits), TrainingOutcome { trained: 3, ..TrainingOutcome::default() });
+    assert_eq!(world.train_due(limits), TrainingOutcome::default());
     // The readings of a state are asked for once, whatever is trained on them.
     assert_eq!(world.asked(), [vec![0, 1, 2], vec![1], vec![2]]);
     for (number, model) in world.models.iter().enumerate() {
@@ -229,11 +232,11 @@ fn each_kind_has_a_bound_of_its_own_and_what_is_not_enabled_is_not_fitted() {
     }
 
     let mut world = World::new(MapSpec { models: EnabledModels::SPECTRAL, ..spec(Retention::Forever) }, 2, 20);
-    assert_eq!((world.refit(LIMITS), world.asked().len()), (Refits::default(), 0));
+    assert_eq!((world.train_due(LIMITS), world.asked().len()), (TrainingOutcome::default(), 0));
 }
 
 #[test]
-fn a_new_routine_is_fitted_without_the_old_one() {
+fn a_new_routine_is_trained_without_the_old_one() {
     let mut world = World::new(spec(Retention::Forever), 1, 60);
     let mut later = samples(0, 60..80);
     later.iter_mut().for_each(|sample| sample.value = 1.0 - sample.value);
@@ -245,6 +248,6 @@ fn a_new_routine_is_fitted_without_the_old_one() {
     world.own[0].1 = later.split_off(19 * 24);
     let kept = world.kept.readings.get_mut(&StateId(0)).expect("known");
     kept.extend(samples(0, 59..60).into_iter().chain(later));
-    assert_eq!(world.refit(LIMITS).fitted, 1);
-    assert_eq!(world.fit_of(0).map(|(model, _)| model.observations()), Some((80 - since as u64) * 24));
+    assert_eq!(world.train_due(LIMITS).trained, 1);
+    assert_eq!(world.trained_of(0).map(|(model, _)| model.observations()), Some((80 - since as u64) * 24));
 }

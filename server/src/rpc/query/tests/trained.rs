@@ -45,14 +45,14 @@ fn expected(bench: &Bench, readings: &[(i64, f64)], times: &[i64]) -> [Vec<f64>;
     let mut make = view.sample_maker();
     let samples: Vec<Sample> = readings.iter().map(|&(nanos, value)| make(nanos, value)).collect();
     let readings = Readings::new(&samples);
-    let histogram = Histogram::fit(readings, &HistogramSettings::new(HistogramCycle::Day, 24)).expect("readings");
-    let calibrated = Calibrated::fit(readings, CalibratedOptions::default()).expect("readings");
+    let histogram = Histogram::train(readings, &HistogramSettings::new(HistogramCycle::Day, 24)).expect("readings");
+    let calibrated = Calibrated::train(readings, CalibratedOptions::default()).expect("readings");
     let models: [&dyn TemporalModel; 2] = [&histogram, &calibrated];
     models.map(|model| view.moments(times).into_iter().map(|moment| model.predict(moment)).collect())
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_model_is_fitted_to_what_updates_have_folded_in_wherever_that_is() {
+async fn a_model_is_trained_on_what_updates_have_folded_in_wherever_that_is() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bench = Bench::new(dir.path(), Retention::Forever, None).await;
     let times: Vec<i64> = (0..30).map(|i| NOON + 2000 * HOUR + i * 37 * MINUTE).collect();
@@ -133,7 +133,7 @@ async fn a_state_of_which_nothing_was_learned_answers_as_with_every_model() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_model_cannot_be_fitted_to_is_said() {
+async fn what_a_model_cannot_be_trained_on_is_said() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let bench = Bench::new(dir.path(), Retention::None, Some(Retention::Forever)).await;
     bench.robot("r").await.observe(&bench, &door(0..5)).await;
@@ -162,20 +162,25 @@ async fn a_model_has_its_limits() {
     bench.update().await;
     check_refused(bench.ask(ModelKind::Poisson, &[NOON]).await, Code::FailedPrecondition, &["poisson", "counts"]);
     let with = |readings| {
-        let limits =
-            QueryLimits { predictions: 10_000, batch: 4096, fitted_models: 100, fit_readings: readings, watches: 2 };
+        let limits = QueryLimits {
+            predictions: 10_000,
+            batch: 4096,
+            trained_models: 100,
+            training_readings: readings,
+            watches: 2,
+        };
         Queries::new(bench.queries.catalog.clone(), limits)
     };
     let (few, enough) = (with(99), with(100));
     bench.queries = few;
-    let words = ["histogram:24", "100 observations", "max_fit_readings", "99"];
+    let words = ["histogram:24", "100 observations", "max_training_readings", "99"];
     check_refused(bench.ask(HISTOGRAM, &[NOON]).await, Code::ResourceExhausted, &words);
     bench.queries = enough;
     assert!(bench.ask(HISTOGRAM, &[NOON]).await.is_ok());
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_model_is_fitted_to_what_is_still_kept() {
+async fn a_model_is_trained_on_what_is_still_kept() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bench = Bench::new(dir.path(), Retention::Duration(100 * HOUR), None).await;
     bench.robot("r").await.observe(&bench, &door(0..100)).await;
@@ -224,7 +229,7 @@ async fn a_cell_has_the_models_of_a_state_that_does_the_same() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_cell_whose_readings_are_not_kept_has_no_fitted_model() {
+async fn a_cell_whose_readings_are_not_kept_has_no_trained_model() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let bench = Bench::new(dir.path(), Retention::Forever, Some(Retention::None)).await;
     bench.robot("s").await.show(&bench, &minutes(5)).await;

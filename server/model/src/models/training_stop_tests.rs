@@ -1,4 +1,4 @@
-//! Fits that are told to stop, of every model whose fit takes long.
+//! Trainings that are told to stop, of every model whose training takes long.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -13,19 +13,19 @@ fn readings(count: i64) -> Vec<Sample> {
     (0..count).map(|hour| Sample { utc_nanos: hour * HOUR_NANOS, offset_secs: 0, value: value(hour) }).collect()
 }
 
-/// Stops a fit after several numbers of questions: each time it ends soon after, without a model.
-fn is_stopped(name: &str, most_after: usize, fit: impl Fn(StopSignal<'_>) -> Result<(), CannotFit>) {
+/// Stops a training after several numbers of questions: each time it ends soon after, without a model.
+fn is_stopped(name: &str, most_after: usize, train: impl Fn(StopSignal<'_>) -> Result<(), CannotTrain>) {
     let asked = AtomicUsize::new(0);
-    let fit_until = |after: usize| {
+    let train_until = |after: usize| {
         asked.store(0, Ordering::Relaxed);
         let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= after;
-        fit(StopSignal::new(&is_set))
+        train(StopSignal::new(&is_set))
     };
-    assert_eq!(fit_until(usize::MAX), Ok(()), "{name}");
+    assert_eq!(train_until(usize::MAX), Ok(()), "{name}");
     let questions = asked.load(Ordering::Relaxed);
     assert!(questions > 3, "{name}: {questions} questions");
     for after in [0, 1, questions / 3, questions / 2, questions - 1] {
-        assert_eq!(fit_until(after), Err(CannotFit::Stop(EarlyStop)), "{name} after {after} of {questions}");
+        assert_eq!(train_until(after), Err(CannotTrain::Stop(EarlyStop)), "{name} after {after} of {questions}");
         let further = asked.load(Ordering::Relaxed) - after;
         assert!(further <= most_after, "{name}: {further} further questions after {after} of {questions}");
     }
@@ -36,22 +36,22 @@ fn until<'a>(samples: &'a [Sample], stop: StopSignal<'a>) -> Readings<'a> {
 }
 
 #[test]
-fn a_fit_that_is_told_to_stop_ends_soon_and_gives_no_model() {
+fn a_training_that_is_told_to_stop_ends_soon_and_gives_no_model() {
     let samples = readings(21 * 24);
     for method in [HypertimeMethod::Em, HypertimeMethod::Km] {
         let options = HypertimeOptions { method, clusters: 3, seed: 0 };
-        // The attempt under way ends: for each of its fits a round of clusters and a step.
+        // The attempt under way ends: for each of its models a round of clusters and a step.
         is_stopped("probability", 30, |stop| {
-            Hypertime::fit(until(&samples, stop), &Periodicities::default(), &options).map(drop)
+            Hypertime::train(until(&samples, stop), &Periodicities::default(), &options).map(drop)
         });
         is_stopped("value", 30, |stop| {
-            Hypertime::fit_continuous(until(&samples, stop), &Periodicities::default(), &options).map(drop)
+            Hypertime::train_continuous(until(&samples, stop), &Periodicities::default(), &options).map(drop)
         });
     }
-    is_stopped("pergam", 8, |stop| Pergam::fit(until(&samples, stop), &PergamOptions::default()).map(drop));
-    is_stopped("persistence", 2, |stop| MarkovChain::fit(until(&samples, stop)).map(drop));
+    is_stopped("pergam", 8, |stop| Pergam::train(until(&samples, stop), &PergamOptions::default()).map(drop));
+    is_stopped("persistence", 2, |stop| MarkovChain::train(until(&samples, stop)).map(drop));
     let periodicities = Periodicities::default();
-    is_stopped("poisson", 6, |stop| CountRate::fit(until(&samples, stop), &periodicities).map(drop));
+    is_stopped("poisson", 6, |stop| CountRate::train(until(&samples, stop), &periodicities).map(drop));
     let many = readings(20_000);
-    is_stopped("uniform", 1, |stop| UniformSpectral::fit(until(&many, stop), 5).map(drop));
+    is_stopped("uniform", 1, |stop| UniformSpectral::train(until(&many, stop), 5).map(drop));
 }

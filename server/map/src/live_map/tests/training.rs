@@ -9,7 +9,7 @@ use tidemap_model::{
 use super::*;
 use crate::{
     history::HistoryPiece,
-    refit::{ReadingsRequest, Refits, StateReadings},
+    training::{ReadingsRequest, StateReadings, TrainingOutcome},
 };
 
 const DAYS: i64 = 40;
@@ -60,35 +60,35 @@ fn of_all() -> Arc<MapSpec> {
     Arc::new(MapSpec { models: EnabledModels::ALL, ..MapSpec::clone(&spec()) })
 }
 
-fn run(map: &mut LiveMap, work: UpdateWork, known: &mut Pieces) -> (MapSnapshot, Refits) {
+fn run(map: &mut LiveMap, work: UpdateWork, known: &mut Pieces) -> (MapSnapshot, TrainingOutcome) {
     let result = work.with_readings(Arc::new(known.clone())).run(&AtomicU64::new(0)).expect("in memory");
-    let refits = result.refits().clone();
+    let outcome = result.training_outcome().clone();
     let snapshot = map.finish_update(result);
     known.0.extend(snapshot.history.iter().cloned());
-    (snapshot, refits)
+    (snapshot, outcome)
 }
 
 #[test]
-fn updates_that_are_run_again_fit_the_same_models() {
+fn updates_that_are_run_again_train_the_same_models() {
     let mut map = LiveMap::new(of_all());
-    let (mut log, mut snapshots, mut known, mut fitted) = (Vec::new(), Vec::new(), Pieces::default(), Vec::new());
+    let (mut log, mut snapshots, mut known, mut trained) = (Vec::new(), Vec::new(), Pieces::default(), Vec::new());
     for number in 0..DAYS {
         let observed = event(&map, &day(number));
         assert!(apply(&mut map, &observed).is_none());
         let start = Event::UpdateStart(map.plan_update(Some((number + 1) * 24 * HOUR), NOW, UpdateCause::Midnight));
         let work = apply(&mut map, &start).expect("an update");
         let pieces_before = known.0.len();
-        let (snapshot, refits) = run(&mut map, work, &mut known);
-        if refits != Refits::default() {
+        let (snapshot, outcome) = run(&mut map, work, &mut known);
+        if outcome != TrainingOutcome::default() {
             // In the first week the cheap model alone, of both states.
             let of_day = if number < 6 { 2 } else { 8 };
-            assert_eq!(refits, Refits { fitted: of_day, ..Refits::default() });
-            fitted.push(number);
+            assert_eq!(outcome, TrainingOutcome { trained: of_day, ..TrainingOutcome::default() });
+            trained.push(number);
         }
         log.extend([observed, start]);
         snapshots.push((snapshot, pieces_before));
     }
-    assert_eq!(fitted, [2, 3, 4, 5, 6, 13, 20, 27, 34]);
+    assert_eq!(trained, [2, 3, 4, 5, 6, 13, 20, 27, 34]);
     let expected = map.publish();
     for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
         assert!(
@@ -137,7 +137,7 @@ fn auto_answers_by_the_models_that_predict_best_together() {
         view.predict_into(StateId(0), &prepared, selector, &mut out);
         out
     };
-    let (calibrated, _) = model.alternatives().and_then(|known| known.trained(ModelKind::Calibrated)).expect("fitted");
+    let (calibrated, _) = model.alternatives().and_then(|known| known.trained(ModelKind::Calibrated)).expect("trained");
     let auto = ModelSelector::default();
     let mut expected = vec![0.0; times.len()];
     view.predict_trained_into(StateId(0), &view.moments(&times), calibrated, auto, &mut expected);

@@ -3,9 +3,9 @@
 //! Invariant: every number is read back bit by bit. The constructors of the models check the numbers.
 
 use prost::Message as _;
-use tidemap_migrations::v1::fits as v1;
+use tidemap_migrations::v1::trained as v1;
 use tidemap_model::{
-    Component, FitParts, LocalDay, Periodicities, TrainedModelParts,
+    Component, LocalDay, Periodicities, TrainedModelParts, TrainingRecordParts,
     models::{
         CountRateParts, HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts,
         HypertimeParts, HypertimePeriod, PergamGaussian, PergamParts, PoissonSpectralParts,
@@ -17,16 +17,16 @@ use super::Invalid;
 const INVALID: Invalid = "the trained models of a state are not valid";
 
 /// Empty if there is none.
-pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
-    let mut message = v1::Fits::default();
-    for parts in fits {
-        let fit = Some(v1::Fit { day: parts.day.0, error_sum_bits: parts.error_sum.map(f64::to_bits) });
+pub(crate) fn encode(records: &[TrainingRecordParts]) -> Vec<u8> {
+    let mut message = v1::TrainedModels::default();
+    for parts in records {
+        let training = Some(v1::Training { day: parts.day.0, error_sum_bits: parts.error_sum.map(f64::to_bits) });
         match &parts.model {
             TrainedModelParts::Calibrated(_) => {}
-            TrainedModelParts::Poisson(model) => message.poisson = Some(encode_poisson(fit, model)),
-            TrainedModelParts::Pergam(model) => message.pergam = Some(encode_pergam(fit, model)),
+            TrainedModelParts::Poisson(model) => message.poisson = Some(encode_poisson(training, model)),
+            TrainedModelParts::Pergam(model) => message.pergam = Some(encode_pergam(training, model)),
             TrainedModelParts::Hypertime(model) => {
-                let (method, model) = encode_hypertime(fit, model);
+                let (method, model) = encode_hypertime(training, model);
                 match method {
                     HypertimeMethod::Em => message.hypertime_em = Some(model),
                     HypertimeMethod::Km => message.hypertime_km = Some(model),
@@ -38,8 +38,8 @@ pub(crate) fn encode(fits: &[FitParts]) -> Vec<u8> {
 }
 
 /// The models of a state of a map with these periodicities.
-pub(crate) fn decode(bytes: &[u8], periodicities: &Periodicities) -> Result<Vec<FitParts>, Invalid> {
-    let message = v1::Fits::decode(bytes).map_err(|_| INVALID)?;
+pub(crate) fn decode(bytes: &[u8], periodicities: &Periodicities) -> Result<Vec<TrainingRecordParts>, Invalid> {
+    let message = v1::TrainedModels::decode(bytes).map_err(|_| INVALID)?;
     let pergam = message.pergam.as_ref().map(decode_pergam);
     let em = message.hypertime_em.as_ref().map(|model| decode_hypertime(HypertimeMethod::Em, model));
     let km = message.hypertime_km.as_ref().map(|model| decode_hypertime(HypertimeMethod::Km, model));
@@ -55,32 +55,36 @@ fn doubles(bits: &[u64]) -> Vec<f64> {
     bits.iter().map(|&bits| f64::from_bits(bits)).collect()
 }
 
-fn with_fit(model: TrainedModelParts, fit: Option<&v1::Fit>) -> Result<FitParts, Invalid> {
-    let fit = fit.ok_or(INVALID)?;
-    Ok(FitParts { model, day: LocalDay(fit.day), error_sum: fit.error_sum_bits.map(f64::from_bits) })
+fn with_training(model: TrainedModelParts, training: Option<&v1::Training>) -> Result<TrainingRecordParts, Invalid> {
+    let training = training.ok_or(INVALID)?;
+    Ok(TrainingRecordParts {
+        model,
+        day: LocalDay(training.day),
+        error_sum: training.error_sum_bits.map(f64::from_bits),
+    })
 }
 
-fn encode_pergam(fit: Option<v1::Fit>, model: &PergamParts) -> v1::Pergam {
+fn encode_pergam(training: Option<v1::Training>, model: &PergamParts) -> v1::Pergam {
     let numbers = |gaussian: &PergamGaussian| [gaussian.weight, gaussian.mean_secs, gaussian.deviation_secs];
     let gaussians: Vec<f64> = model.gaussians.iter().flat_map(numbers).collect();
-    v1::Pergam { fit, period_nanos: model.period_nanos, gaussians_bits: bits(&gaussians) }
+    v1::Pergam { training, period_nanos: model.period_nanos, gaussians_bits: bits(&gaussians) }
 }
 
-fn decode_pergam(message: &v1::Pergam) -> Result<FitParts, Invalid> {
+fn decode_pergam(message: &v1::Pergam) -> Result<TrainingRecordParts, Invalid> {
     let numbers = doubles(&message.gaussians_bits);
     let (gaussians, []) = numbers.as_chunks::<3>() else { return Err(INVALID) };
     let gaussian =
         |&[weight, mean_secs, deviation_secs]: &[f64; 3]| PergamGaussian { weight, mean_secs, deviation_secs };
     let gaussians = gaussians.iter().map(gaussian).collect();
     let model = PergamParts { period_nanos: message.period_nanos, gaussians };
-    with_fit(TrainedModelParts::Pergam(model), message.fit.as_ref())
+    with_training(TrainedModelParts::Pergam(model), message.training.as_ref())
 }
 
-fn encode_poisson(fit: Option<v1::Fit>, model: &CountRateParts) -> v1::Poisson {
+fn encode_poisson(training: Option<v1::Training>, model: &CountRateParts) -> v1::Poisson {
     let CountRateParts { bins, readings_per_bin, .. } = model;
     let gammas: Vec<f64> = bins.components.iter().flat_map(|one| [one.gamma_re, one.gamma_im]).collect();
     v1::Poisson {
-        fit,
+        training,
         bin_nanos: bins.bin_nanos,
         rate_bits: bits(&[bins.mean, bins.floor, *readings_per_bin]),
         periodicities: bins.components.iter().map(|one| one.periodicity).collect(),
@@ -88,7 +92,7 @@ fn encode_poisson(fit: Option<v1::Fit>, model: &CountRateParts) -> v1::Poisson {
     }
 }
 
-fn decode_poisson(message: &v1::Poisson, periodicities: &Periodicities) -> Result<FitParts, Invalid> {
+fn decode_poisson(message: &v1::Poisson, periodicities: &Periodicities) -> Result<TrainingRecordParts, Invalid> {
     let &[mean, floor, readings_per_bin] = doubles(&message.rate_bits).as_slice() else { return Err(INVALID) };
     let gammas = doubles(&message.gammas_bits);
     let (gammas, []) = gammas.as_chunks::<2>() else { return Err(INVALID) };
@@ -100,15 +104,15 @@ fn decode_poisson(message: &v1::Poisson, periodicities: &Periodicities) -> Resul
     let components = message.periodicities.iter().zip(gammas).map(component).collect();
     let bins = PoissonSpectralParts { bin_nanos: message.bin_nanos, mean, floor, components };
     let model = CountRateParts { periodicities: periodicities.clone(), bins, readings_per_bin };
-    with_fit(TrainedModelParts::Poisson(model), message.fit.as_ref())
+    with_training(TrainedModelParts::Poisson(model), message.training.as_ref())
 }
 
-fn encode_hypertime(fit: Option<v1::Fit>, model: &HypertimeParts) -> (HypertimeMethod, v1::Hypertime) {
+fn encode_hypertime(training: Option<v1::Training>, model: &HypertimeParts) -> (HypertimeMethod, v1::Hypertime) {
     let clusters = |clusters: &[HypertimeCluster]| clusters.iter().map(encode_cluster).collect();
     match model {
         HypertimeParts::Probability(odds) => {
             let message = v1::Hypertime {
-                fit,
+                training,
                 divisors: divisors(&odds.periods),
                 cycle_nanos: cycles(&odds.periods),
                 odds_bits: bits(&[odds.mean, odds.background, odds.log_ones, odds.log_zeros]),
@@ -123,7 +127,7 @@ fn encode_hypertime(fit: Option<v1::Fit>, model: &HypertimeParts) -> (HypertimeM
             // A model of the value only, without a location.
             let axes = field.value.iter().flat_map(|axis| [axis.centre, axis.scale, axis.low, axis.high]);
             let message = v1::Hypertime {
-                fit,
+                training,
                 divisors: divisors(&field.periods),
                 cycle_nanos: cycles(&field.periods),
                 odds_bits: Vec::new(),
@@ -137,7 +141,7 @@ fn encode_hypertime(fit: Option<v1::Fit>, model: &HypertimeParts) -> (HypertimeM
     }
 }
 
-fn decode_hypertime(method: HypertimeMethod, message: &v1::Hypertime) -> Result<FitParts, Invalid> {
+fn decode_hypertime(method: HypertimeMethod, message: &v1::Hypertime) -> Result<TrainingRecordParts, Invalid> {
     let clusters = |clusters: &[v1::Cluster]| clusters.iter().map(decode_cluster).collect();
     let periods = periods(&message.divisors, &message.cycle_nanos)?;
     let model = match (doubles(&message.odds_bits).as_slice(), doubles(&message.axis_bits).as_slice()) {
@@ -161,7 +165,7 @@ fn decode_hypertime(method: HypertimeMethod, message: &v1::Hypertime) -> Result<
         }),
         _ => return Err(INVALID),
     };
-    with_fit(TrainedModelParts::Hypertime(model), message.fit.as_ref())
+    with_training(TrainedModelParts::Hypertime(model), message.training.as_ref())
 }
 
 fn divisors(periods: &[HypertimePeriod]) -> Vec<u32> {
@@ -218,17 +222,18 @@ mod tests {
         };
         let samples: Vec<Sample> = (0..720).map(sample).collect();
         let periodicities = Periodicities::default();
-        let model = CountRate::fit(Readings::new(&samples), &periodicities).expect("counts").to_parts();
+        let model = CountRate::train(Readings::new(&samples), &periodicities).expect("counts").to_parts();
         assert!(!model.bins.components.is_empty());
-        let fits = [FitParts { model: TrainedModelParts::Poisson(model), day: LocalDay(9), error_sum: Some(0.1) }];
-        assert_eq!(decode(&encode(&fits), &periodicities), Ok(fits.to_vec()));
-        let mut message = v1::Fits::decode(encode(&fits).as_slice()).expect("a message");
+        let records =
+            [TrainingRecordParts { model: TrainedModelParts::Poisson(model), day: LocalDay(9), error_sum: Some(0.1) }];
+        assert_eq!(decode(&encode(&records), &periodicities), Ok(records.to_vec()));
+        let mut message = v1::TrainedModels::decode(encode(&records).as_slice()).expect("a message");
         message.poisson.as_mut().expect("it is there").gammas_bits.pop();
         assert_eq!(decode(&message.encode_to_vec(), &periodicities), Err(INVALID));
     }
 
-    fn hypertime(gain: f64, periods: &[HypertimePeriod]) -> FitParts {
-        FitParts {
+    fn hypertime(gain: f64, periods: &[HypertimePeriod]) -> TrainingRecordParts {
+        TrainingRecordParts {
             model: TrainedModelParts::Hypertime(HypertimeParts::Probability(HypertimeOddsParts {
                 method: HypertimeMethod::Em,
                 periods: periods.to_vec(),
@@ -245,13 +250,13 @@ mod tests {
         }
     }
 
-    fn stored(fit: &FitParts) -> v1::Hypertime {
-        let message = v1::Fits::decode(encode(std::slice::from_ref(fit)).as_slice()).expect("a record");
+    fn stored(record: &TrainingRecordParts) -> v1::Hypertime {
+        let message = v1::TrainedModels::decode(encode(std::slice::from_ref(record)).as_slice()).expect("a record");
         message.hypertime_em.expect("the model")
     }
 
-    fn read(model: v1::Hypertime) -> Result<Vec<FitParts>, Invalid> {
-        let message = v1::Fits { hypertime_em: Some(model), ..v1::Fits::default() };
+    fn read(model: v1::Hypertime) -> Result<Vec<TrainingRecordParts>, Invalid> {
+        let message = v1::TrainedModels { hypertime_em: Some(model), ..v1::TrainedModels::default() };
         decode(&message.encode_to_vec(), &Periodicities::default())
     }
 

@@ -4,7 +4,7 @@
 
 /// The models of a state as they were last trained; absent before they were first trained.
 #[derive(Clone, PartialEq, prost::Message)]
-pub struct Fits {
+pub struct TrainedModels {
     /// The periodic mixture of Gaussians.
     #[prost(message, optional, tag = "1")]
     pub pergam: Option<Pergam>,
@@ -21,7 +21,7 @@ pub struct Fits {
 
 /// When a model was trained, and its errors since.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
-pub struct Fit {
+pub struct Training {
     /// The last local day that it was trained on, in days since 1970-01-01.
     #[prost(sint32, tag = "1")]
     pub day: i32,
@@ -35,7 +35,7 @@ pub struct Fit {
 pub struct Pergam {
     /// When it was trained.
     #[prost(message, optional, tag = "1")]
-    pub fit: Option<Fit>,
+    pub training: Option<Training>,
     /// Period of the mixture, in nanoseconds.
     #[prost(sint64, tag = "2")]
     pub period_nanos: i64,
@@ -49,7 +49,7 @@ pub struct Pergam {
 pub struct Poisson {
     /// When it was trained.
     #[prost(message, optional, tag = "1")]
-    pub fit: Option<Fit>,
+    pub training: Option<Training>,
     /// Length of a bin.
     #[prost(sint64, tag = "2")]
     pub bin_nanos: i64,
@@ -69,7 +69,7 @@ pub struct Poisson {
 pub struct Hypertime {
     /// When it was trained.
     #[prost(message, optional, tag = "1")]
-    pub fit: Option<Fit>,
+    pub training: Option<Training>,
     /// Its periods, as divisors of their cycles.
     #[prost(uint32, repeated, tag = "2")]
     pub divisors: Vec<u32>,

@@ -5,15 +5,15 @@
 use std::sync::Arc;
 
 use tidemap_map::ids::StateId;
-use tidemap_model::{Sample, StopSignal, models::CannotFit, selector::ModelKind};
+use tidemap_model::{Sample, StopSignal, models::CannotTrain, selector::ModelKind};
 
-use super::{LearnedState, ModelFitter};
+use super::{LearnedState, ModelTrainer};
 use crate::{
-    model_cache::{FitStop, ModelKey, ModelUnavailable, PlaceModel, PositionModel},
+    model_cache::{ModelKey, ModelUnavailable, PlaceModel, PositionModel, TrainingStop},
     rpc::{permits::run_blocking, status::RpcError},
 };
 
-impl ModelFitter {
+impl ModelTrainer {
     /// The model of a vector with these axes, from the cache or trained now.
     ///
     /// # Errors
@@ -35,19 +35,19 @@ impl ModelFitter {
         }
         let this = Arc::clone(self);
         let interest = self.positions.interest(key);
-        let stop = Arc::new(interest.fit_stop());
+        let stop = Arc::new(interest.training_stop());
         // A task of its own: if this request is dropped, others may wait for the same model.
-        let fit = async move { this.positions.get_or_fit(key, this.fit_positions(&axes, kind, stop)).await };
-        let fitted = tokio::spawn(fit).await.map_err(|_| RpcError::Stopping)?;
+        let training = async move { this.positions.get_or_train(key, this.train_positions(&axes, kind, stop)).await };
+        let trained = tokio::spawn(training).await.map_err(|_| RpcError::Stopping)?;
         drop(interest);
-        fitted
+        trained
     }
 
-    async fn fit_positions(
+    async fn train_positions(
         &self,
         axes: &[Arc<LearnedState>],
         kind: ModelKind,
-        stop: Arc<FitStop>,
+        stop: Arc<TrainingStop>,
     ) -> Result<PositionModel, RpcError> {
         let first = axes.first().ok_or(RpcError::Stopping)?;
         let options = kind.hypertime_options().ok_or(RpcError::Stopping)?;
@@ -57,18 +57,18 @@ impl ModelFitter {
             samples.push(self.gather(axis, kind, &stop).await?);
         }
         let handle = Arc::clone(&first.handle);
-        let fit = move || {
+        let train = move || {
             let is_set = || stop.is_set();
-            PositionModel::fit(&options, &samples, &handle.spec, StopSignal::new(&is_set))
+            PositionModel::train(&options, &samples, &handle.spec, StopSignal::new(&is_set))
         };
-        let fitted = run_blocking(permit, fit).await?;
-        fitted.map_err(|error| first.unavailable(kind, error))
+        let trained = run_blocking(permit, train).await?;
+        trained.map_err(|error| first.unavailable(kind, error))
     }
 
     /// The model of a state by the places that a vector with these axes had at the same times.
     ///
     /// # Errors
-    /// As [`ModelFitter::position_model`]; also if the two have no time in common.
+    /// As [`ModelTrainer::position_model`]; also if the two have no time in common.
     pub(in crate::rpc) async fn place_model(
         self: &Arc<Self>,
         learned: Arc<LearnedState>,
@@ -89,20 +89,21 @@ impl ModelFitter {
         }
         let this = Arc::clone(self);
         let interest = self.places.interest(key);
-        let stop = Arc::new(interest.fit_stop());
+        let stop = Arc::new(interest.training_stop());
         // A task of its own, as above.
-        let fit = async move { this.places.get_or_fit(key, this.fit_places(&learned, &axes, kind, stop)).await };
-        let fitted = tokio::spawn(fit).await.map_err(|_| RpcError::Stopping)?;
+        let training =
+            async move { this.places.get_or_train(key, this.train_places(&learned, &axes, kind, stop)).await };
+        let trained = tokio::spawn(training).await.map_err(|_| RpcError::Stopping)?;
         drop(interest);
-        fitted
+        trained
     }
 
-    async fn fit_places(
+    async fn train_places(
         &self,
         learned: &Arc<LearnedState>,
         axes: &[Arc<LearnedState>],
         kind: ModelKind,
-        stop: Arc<FitStop>,
+        stop: Arc<TrainingStop>,
     ) -> Result<PlaceModel, RpcError> {
         let options = kind.hypertime_options().ok_or(RpcError::Stopping)?;
         let permit = self.slow_permits.take().await?;
@@ -112,13 +113,13 @@ impl ModelFitter {
             samples.push(self.gather(axis, kind, &stop).await?);
         }
         let handle = Arc::clone(&learned.handle);
-        let fit = move || {
+        let train = move || {
             let is_set = || stop.is_set();
-            PlaceModel::fit(&options, &values, &samples, &handle.spec, StopSignal::new(&is_set))
+            PlaceModel::train(&options, &values, &samples, &handle.spec, StopSignal::new(&is_set))
         };
-        let fitted = run_blocking(permit, fit).await?;
-        fitted.map_err(|error| match error {
-            CannotFit::NoReadings => learned.unavailable(kind, ModelUnavailable::NoPlaces),
+        let trained = run_blocking(permit, train).await?;
+        trained.map_err(|error| match error {
+            CannotTrain::NoReadings => learned.unavailable(kind, ModelUnavailable::NoPlaces),
             error => learned.unavailable(kind, error),
         })
     }

@@ -4,7 +4,7 @@
 //! days, seven days after they were last trained, and when the change alarm has rung since. Each is trained on the
 //! last twelve weeks. Starting one week after an alarm, models are trained only on data from three days before the
 //! alarm onwards. Of each kind, the models that have waited longest go first, and an update trains a limited number
-//! ([`refits_max`]), so that a costly kind does not delay another. Maps without history of named states have none.
+//! ([`trainings_max`]), so that a costly kind does not delay another. Maps without history of named states have none.
 //!
 //! Invariant: the training depends on the readings, the models and the map's properties alone: an update that is
 //! repeated from the same history trains the same models. If readings cannot be read, their models stay as they are,
@@ -17,7 +17,7 @@ use tidemap_grid::spec::Retention;
 use tidemap_model::{
     LocalDay, OffsetCache, Sample, StateModel, TrainedModel,
     catalogue::{ModelKind, NIGHTLY_WINDOW_NANOS, TrainingCost},
-    models::{CannotFit, Readings},
+    models::{CannotTrain, Readings},
 };
 
 use crate::{event::StateKind, ids::StateId, spec::MapSpec};
@@ -28,9 +28,9 @@ mod tests;
 /// Maximum number of models of a kind that one update trains: as many as take a few minutes, so that a night with very
 /// many states ends. The longest-waiting go first; the others wait for the next update that learns new data of theirs.
 #[must_use]
-pub(crate) fn refits_max(kind: ModelKind) -> usize {
+pub(crate) fn trainings_max(kind: ModelKind) -> usize {
     match kind.cost() {
-        Some(TrainingCost::Low) => REFITS_MAX,
+        Some(TrainingCost::Low) => TRAININGS_MAX,
         Some(TrainingCost::Medium) => 1_000,
         Some(TrainingCost::High) => 100,
         None => 0,
@@ -38,14 +38,14 @@ pub(crate) fn refits_max(kind: ModelKind) -> usize {
 }
 
 /// Maximum number of models of a kind with low cost that an update trains.
-pub(crate) const REFITS_MAX: usize = 2_000;
+pub(crate) const TRAININGS_MAX: usize = 2_000;
 
 const SEC_NANOS: i64 = 1_000_000_000;
 const DAY_NANOS: i64 = 86_400 * SEC_NANOS;
 
 /// About the maximum number of readings that a model is trained on: a state with more frequent readings is trained on
 /// fewer days. The states whose readings add up to this are in memory at once, with those of the next batch: 200 MB.
-pub const REFIT_READINGS: u64 = 4_000_000;
+pub const TRAINING_READINGS: u64 = 4_000_000;
 
 /// The readings to fetch for a state: those at this instant and later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,10 +68,10 @@ pub trait StateReadings: fmt::Debug + Send + Sync {
 
 /// What became of the models that were due.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Refits {
+pub struct TrainingOutcome {
     /// Models that were trained.
-    pub fitted: u64,
-    /// Models that wait, because an update trains at most [`refits_max`] of their kind.
+    pub trained: u64,
+    /// Models that wait, because an update trains at most [`trainings_max`] of their kind.
     pub waiting: u64,
     /// States that keep their models, because their readings could not be read.
     pub failed: u64,
@@ -83,12 +83,12 @@ pub struct Refits {
 #[derive(Clone, Copy, Debug)]
 struct Limits {
     /// Models of a kind.
-    refits: fn(ModelKind) -> usize,
+    models: fn(ModelKind) -> usize,
     /// Readings of one state, and of those whose models are trained at the same time.
     readings: u64,
 }
 
-const LIMITS: Limits = Limits { refits: refits_max, readings: REFIT_READINGS };
+const LIMITS: Limits = Limits { models: trainings_max, readings: TRAINING_READINGS };
 
 /// A state with models that are due to be trained.
 struct Due<'a> {
@@ -106,38 +106,38 @@ struct Due<'a> {
 
 /// Trains the due models of the states of which this update has learned `own`, on the current rayon pool.
 /// `newest_nanos`: the latest time of the map's observations, which sets the age of readings.
-pub(crate) fn refit(
+pub(crate) fn train_due(
     spec: &MapSpec,
     newest_nanos: i64,
     own: &[(StateId, Vec<Sample>)],
     models: &mut [Arc<StateModel>],
     source: &dyn StateReadings,
-) -> Refits {
-    refit_within(LIMITS, spec, newest_nanos, own, models, source)
+) -> TrainingOutcome {
+    train_within(LIMITS, spec, newest_nanos, own, models, source)
 }
 
-fn refit_within(
+fn train_within(
     limits: Limits,
     spec: &MapSpec,
     newest_nanos: i64,
     own: &[(StateId, Vec<Sample>)],
     models: &mut [Arc<StateModel>],
     source: &dyn StateReadings,
-) -> Refits {
+) -> TrainingOutcome {
     // History may have been deleted up to here, or not yet: a model must not depend on that.
     let kept_from = match spec.retention {
-        Retention::None => return Refits::default(),
+        Retention::None => return TrainingOutcome::default(),
         Retention::Duration(nanos) => newest_nanos.saturating_sub(nanos),
         Retention::Forever => i64::MIN,
     };
     let (mut kinds, mut waiting) = (BTreeMap::<StateId, Vec<ModelKind>>::new(), 0);
     for kind in spec.models.trained() {
         let mut of_kind: Vec<(Option<LocalDay>, StateId)> =
-            own.iter().filter_map(|(id, _)| Some((fitted_on(models.get(id.0 as usize)?, kind)?, *id))).collect();
+            own.iter().filter_map(|(id, _)| Some((trained_on(models.get(id.0 as usize)?, kind)?, *id))).collect();
         // Models that were never trained go first.
-        of_kind.sort_by_key(|(fitted, _)| *fitted);
-        waiting += of_kind.len().saturating_sub((limits.refits)(kind)) as u64;
-        of_kind.truncate((limits.refits)(kind));
+        of_kind.sort_by_key(|(trained, _)| *trained);
+        waiting += of_kind.len().saturating_sub((limits.models)(kind)) as u64;
+        of_kind.truncate((limits.models)(kind));
         of_kind.into_iter().for_each(|(_, id)| kinds.entry(id).or_default().push(kind));
     }
     let mut offsets = spec.zone.offset_cache();
@@ -151,34 +151,34 @@ fn refit_within(
     // As history has them.
     due.sort_by_key(|due| due.wanted.state);
     let mut batches = Batches { rest: &due, readings_max: limits.readings, source };
-    let mut refits = Refits { waiting, ..Refits::default() };
+    let mut outcome = TrainingOutcome { waiting, ..TrainingOutcome::default() };
     let mut next = batches.next();
     while let Some((batch, found)) = next {
         // The next batch is read meanwhile.
-        let fit =
-            || found.map(|found| batch.par_iter().zip(found).map(|(due, earlier)| fit(spec, due, earlier)).collect());
-        let fitted: Result<Vec<_>, String>;
-        (fitted, next) = rayon::join(fit, || batches.next());
-        match fitted {
-            Ok(fitted) => {
-                for (due, fitted) in batch.iter().zip(fitted) {
+        let train_batch =
+            || found.map(|found| batch.par_iter().zip(found).map(|(due, earlier)| train(spec, due, earlier)).collect());
+        let trained: Result<Vec<_>, String>;
+        (trained, next) = rayon::join(train_batch, || batches.next());
+        match trained {
+            Ok(trained) => {
+                for (due, trained) in batch.iter().zip(trained) {
                     let Some(model) = models.get_mut(due.wanted.state.0 as usize) else { continue };
-                    let mut refitted = StateModel::clone(model);
+                    let mut retrained = StateModel::clone(model);
                     // Without readings the state keeps what it has.
-                    for fitted in fitted.into_iter().flatten() {
-                        refitted = refitted.with_trained(fitted, due.day);
-                        refits.fitted += 1;
+                    for trained in trained.into_iter().flatten() {
+                        retrained = retrained.with_trained(trained, due.day);
+                        outcome.trained += 1;
                     }
-                    *model = Arc::new(refitted);
+                    *model = Arc::new(retrained);
                 }
             }
             Err(reason) => {
-                refits.failed += batch.len() as u64;
-                refits.failure.get_or_insert(reason);
+                outcome.failed += batch.len() as u64;
+                outcome.failure.get_or_insert(reason);
             }
         }
     }
-    refits
+    outcome
 }
 
 /// Batches of due states with the readings of earlier updates, as many as may be in memory.
@@ -207,7 +207,7 @@ impl<'a> Iterator for Batches<'a> {
 }
 
 /// How long a model of a state has waited: the day on which it was last trained, if any. `None` if it is not due.
-fn fitted_on(model: &StateModel, kind: ModelKind) -> Option<Option<LocalDay>> {
+fn trained_on(model: &StateModel, kind: ModelKind) -> Option<Option<LocalDay>> {
     let known = model.alternatives().filter(|_| model.is_training_due(kind))?;
     Some(known.trained(kind).map(|(_, day)| day))
 }
@@ -242,15 +242,15 @@ fn due<'a>(
 /// Number of due states to process together: at least one, if there are any.
 fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     let mut readings = 0_u64;
-    let fits = due.iter().take_while(|due| {
+    let within = due.iter().take_while(|due| {
         readings = readings.saturating_add(due.expected);
         readings <= readings_max
     });
-    fits.count().max(1).min(due.len())
+    within.count().max(1).min(due.len())
 }
 
 /// Trains each due model of a state.
-fn fit(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<TrainedModel, CannotFit>> {
+fn train(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<TrainedModel, CannotTrain>> {
     let mut samples = earlier;
     samples.extend(due.own.iter().filter(|sample| sample.utc_nanos >= due.wanted.from_nanos));
     // Stable: of equal times those of earlier updates come first.

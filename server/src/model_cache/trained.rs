@@ -7,7 +7,7 @@ use tidemap_map::{event::StateKind, spec::MapSpec, view::MapView};
 use tidemap_model::{
     Sample, StopSignal, TrainedModel,
     catalogue::QueryInputs,
-    models::{CannotFit, Moment, Readings, TemporalModel},
+    models::{CannotTrain, Moment, Readings, TemporalModel},
     selector::{ModelKind, ModelSelector},
 };
 
@@ -27,14 +27,14 @@ impl CachedModel {
     /// readings ([`ModelKind::needs_readings`]) give [`CachedModel::Unlearned`].
     ///
     /// # Errors
-    /// [`CannotFit`] if a parameter is out of range or the model does not support the readings, or it is told to stop.
+    /// [`CannotTrain`] if a parameter is out of range, the model does not support the readings, or was told to stop.
     pub(crate) fn train(
         kind: ModelKind,
         state_kind: StateKind,
         samples: &[Sample],
         spec: &MapSpec,
         stop: StopSignal<'_>,
-    ) -> Result<Self, CannotFit> {
+    ) -> Result<Self, CannotTrain> {
         if samples.is_empty() || !kind.needs_readings() {
             return Ok(Self::Unlearned);
         }

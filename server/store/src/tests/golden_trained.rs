@@ -2,7 +2,7 @@
 
 use tidemap_map::{event::StateKind, name::MapName, snapshot::MapSnapshot, spec::MapSpec};
 use tidemap_model::{
-    Alternatives, Component, EnabledModels, FitParts, LocalDay, TrainedModelParts,
+    Alternatives, Component, EnabledModels, LocalDay, TrainedModelParts, TrainingRecordParts,
     models::{
         CountRateParts, HypertimeAxis, HypertimeCluster, HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts,
         HypertimeParts, HypertimePeriod, PergamGaussian, PergamParts, PoissonSpectralParts,
@@ -62,11 +62,11 @@ fn field(method: HypertimeMethod) -> HypertimeParts {
     })
 }
 
-/// What is known of a state of a kind, with the models of `fits` and the calibrated one.
-fn known(state_kind: StateKind, fits: Vec<(TrainedModelParts, Option<f64>)>, choice: u8) -> Alternatives {
+/// What is known of a state of a kind, with the models of `models` and the calibrated one.
+fn known(state_kind: StateKind, models: Vec<(TrainedModelParts, Option<f64>)>, choice: u8) -> Alternatives {
     let mut parts = alternatives(Some(Some(2.75))).to_parts();
-    let fit = |(model, error_sum)| FitParts { model, day: LocalDay(19_669), error_sum };
-    parts.fits.extend(fits.into_iter().map(fit));
+    let record = |(model, error_sum)| TrainingRecordParts { model, day: LocalDay(19_669), error_sum };
+    parts.trained.extend(models.into_iter().map(record));
     parts.since = Some(LocalDay(19_600));
     parts.choice = choice;
     Alternatives::from_parts_of(state_kind, parts).expect("valid")

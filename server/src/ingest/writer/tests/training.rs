@@ -84,14 +84,14 @@ pub(super) fn files(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[tokio::test]
-async fn updates_that_are_run_again_fit_the_same_models() {
+async fn updates_that_are_run_again_train_the_same_models() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let expected = learn(dir.path(), Retention::Forever).await;
     let known = expected.alternatives().expect("learned");
     // First after seven days, then every seven.
     let newest = known.learned_day().expect("folded").0;
     for kind in TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.supports(StateKind::Probability)) {
-        let (model, day) = known.trained(kind).expect("fitted");
+        let (model, day) = known.trained(kind).expect("trained");
         assert_eq!((model.kind_at_night(), newest - day.0), (Some(kind), 3));
         if let TrainedModel::Calibrated(model) = model {
             assert_eq!(model.observations(), 21 * 48);
@@ -125,7 +125,7 @@ async fn updates_that_are_run_again_fit_the_same_models() {
 }
 
 #[tokio::test]
-async fn a_map_that_keeps_nothing_has_no_fitted_model() {
+async fn a_map_that_keeps_nothing_has_no_trained_model() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let learned = learn(dir.path(), Retention::None).await;
     let known = learned.alternatives().expect("learned");
@@ -155,14 +155,14 @@ async fn an_update_that_makes_room_fits_nothing() {
     robot.observe(&handle, NOON - (DAYS - 9) * DAY).await;
     update(&bench, &handle, 10).await;
     let learned = model(&handle);
-    let (fitted, _) = learned.alternatives().expect("learned").trained(calibrated).expect("fitted");
-    assert!(matches!(fitted, TrainedModel::Calibrated(model) if model.observations() == 9 * 48 + 1), "{fitted:?}");
+    let (trained, _) = learned.alternatives().expect("learned").trained(calibrated).expect("trained");
+    assert!(matches!(trained, TrainedModel::Calibrated(model) if model.observations() == 9 * 48 + 1), "{trained:?}");
     assert!(!learned.is_training_due(calibrated));
     bench.catalog.stop().await;
 }
 
 #[tokio::test]
-async fn damaged_history_costs_the_fit_and_not_the_update() {
+async fn damaged_history_costs_the_model_and_not_the_update() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let before = learn(dir.path(), Retention::Forever).await;
     let first = files(&dir.path().join("maps/00000001/history")).into_iter().next().expect("a file");
@@ -175,9 +175,9 @@ async fn damaged_history_costs_the_fit_and_not_the_update() {
     let after = model(&handle);
     assert!(after.is_training_due(ModelKind::Calibrated), "tried again");
     assert_eq!(after.accumulator().observations(), before.accumulator().observations() + 48);
-    let fitted = |model: &StateModel| {
+    let trained = |model: &StateModel| {
         model.alternatives().and_then(|known| known.trained(ModelKind::Calibrated)).map(|(_, day)| day)
     };
-    assert!(fitted(&before).is_some() && fitted(&after) == fitted(&before));
+    assert!(trained(&before).is_some() && trained(&after) == trained(&before));
     bench.catalog.stop().await;
 }

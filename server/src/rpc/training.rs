@@ -40,7 +40,7 @@ use super::readings::{ReadingsQuery, gather, not_replaced, read, retention};
 use crate::{
     catalog::Catalog,
     ingest::handle::MapHandle,
-    model_cache::{CachedModel, FitStop, ModelCache, ModelKey, ModelUnavailable, PlaceModel, PositionModel},
+    model_cache::{CachedModel, ModelCache, ModelKey, ModelUnavailable, PlaceModel, PositionModel, TrainingStop},
     rpc::{
         lookup::check_limit,
         permits::{Permits, processors, run_blocking, run_while_awaited},
@@ -53,7 +53,7 @@ mod positions;
 
 /// Trains models, or takes them from the cache.
 #[derive(Debug)]
-pub(super) struct ModelFitter {
+pub(super) struct ModelTrainer {
     catalog: Arc<Catalog>,
     models: ModelCache,
     /// The cache of models of positions.
@@ -97,17 +97,17 @@ impl LearnedState {
     }
 }
 
-impl ModelFitter {
-    /// Limits the cache to `max_fitted` models, and a fit to `max_readings` readings.
-    pub(super) fn new(catalog: Arc<Catalog>, max_fitted: usize, max_readings: u64) -> Self {
+impl ModelTrainer {
+    /// Limits the cache to `max_trained` models, and a training to `max_readings` readings.
+    pub(super) fn new(catalog: Arc<Catalog>, max_trained: usize, max_readings: u64) -> Self {
         // The other half of the processors stays free.
         let slow_permits = Permits::new((processors() / 2).max(1));
         let (permits, comparing_permits) = (Permits::default(), Permits::default());
         Self {
             catalog,
-            models: ModelCache::new(max_fitted),
-            positions: ModelCache::new(max_fitted),
-            places: ModelCache::new(max_fitted),
+            models: ModelCache::new(max_trained),
+            positions: ModelCache::new(max_trained),
+            places: ModelCache::new(max_trained),
             permits,
             slow_permits,
             comparing_permits,
@@ -115,11 +115,11 @@ impl ModelFitter {
         }
     }
 
-    /// Several models of a state, each as [`ModelFitter::fitted`] gives it, from readings that are gathered once.
+    /// Several models of a state, each as [`ModelTrainer::trained`] gives it, from readings that are gathered once.
     ///
     /// # Errors
     /// The readings cannot be read, or no permit was free in time.
-    pub(super) async fn all_fitted(
+    pub(super) async fn all_trained(
         self: &Arc<Self>,
         learned: &Arc<LearnedState>,
         kinds: impl Iterator<Item = ModelKind>,
@@ -131,8 +131,8 @@ impl ModelFitter {
         }
         let _permit = self.comparing_permits.take().await?;
         for kind in kinds {
-            models.push(match self.fitted(learned, kind).await {
-                Ok(fitted) => Ok(fitted),
+            models.push(match self.trained(learned, kind).await {
+                Ok(trained) => Ok(trained),
                 Err(RpcError::ModelUnavailable { reason, .. }) => Err(reason),
                 Err(error) => return Err(error),
             });
@@ -144,7 +144,7 @@ impl ModelFitter {
     ///
     /// # Errors
     /// [`RpcError::ModelUnavailable`] if there can be no such model; others if the readings cannot be read.
-    pub(super) async fn fitted(
+    pub(super) async fn trained(
         self: &Arc<Self>,
         learned: &Arc<LearnedState>,
         kind: ModelKind,
@@ -153,20 +153,20 @@ impl ModelFitter {
         let (map, handle) = (learned.handle.id, learned.handle.number);
         let (generation, subject) = (learned.view.generation(), learned.target.subject());
         let key = ModelKey { map, handle, generation, subject, kind, place: None };
-        if let Some(fitted) = self.models.get(&key) {
-            return Ok(fitted);
+        if let Some(trained) = self.models.get(&key) {
+            return Ok(trained);
         }
         if learned.observations() == 0 {
             return Ok(Arc::new(CachedModel::Unlearned));
         }
         let (this, learned) = (Arc::clone(self), Arc::clone(learned));
         let interest = self.models.interest(key);
-        let stop = Arc::new(interest.fit_stop());
+        let stop = Arc::new(interest.training_stop());
         // A task of its own: if this request is dropped, others may wait for the same model.
-        let task = tokio::spawn(async move { this.models.get_or_fit(key, this.fit(&learned, kind, stop)).await });
-        let fitted = task.await.map_err(|_| RpcError::Stopping)?;
+        let task = tokio::spawn(async move { this.models.get_or_train(key, this.train(&learned, kind, stop)).await });
+        let trained = task.await.map_err(|_| RpcError::Stopping)?;
         drop(interest);
-        fitted
+        trained
     }
 
     /// The readings of states within an interval, learned or pending: a list per state, ascending by time.
@@ -195,7 +195,7 @@ impl ModelFitter {
             let read = move |stop: StopSignal<'_>| gather(&history, &handle.spec, tail, &wanted, stop);
             let readings = run_while_awaited(permit, None, read).await??;
             let got = readings.len() as u64;
-            check_limit("readings of the locations", got, left, "setting max_fit_readings")?;
+            check_limit("readings of the locations", got, left, "setting max_training_readings")?;
             left -= got;
             found.push(readings);
         }
@@ -208,7 +208,7 @@ impl ModelFitter {
     /// [`RpcError::Limit`] if all requests together would hold more than the cache may.
     pub(super) fn reserve(&self, models: usize) -> Result<OwnedSemaphorePermit, RpcError> {
         self.models.reserve(models).ok_or_else(|| {
-            let (what, setting) = ("fitted models that evaluations hold", "setting max_fitted_models");
+            let (what, setting) = ("trained models that evaluations hold", "setting max_trained_models");
             let got = Some(self.models.reserved().saturating_add(models) as u64);
             OverLimit { what, got, max: self.models.max() as u64, setting }.into()
         })
@@ -235,23 +235,23 @@ impl ModelFitter {
         Ok(())
     }
 
-    async fn fit(
+    async fn train(
         &self,
         learned: &Arc<LearnedState>,
         kind: ModelKind,
-        stop: Arc<FitStop>,
+        stop: Arc<TrainingStop>,
     ) -> Result<CachedModel, RpcError> {
         let is_slow = kind.cost() == Some(TrainingCost::High);
         let permit = if is_slow { self.slow_permits.take().await? } else { self.permits.take().await? };
         let samples = learned.samples.get_or_try_init(|| self.gather(learned, kind, &stop)).await?;
         let (samples, handle) = (Arc::clone(samples), Arc::clone(&learned.handle));
         let state_kind = learned.target.kind(&learned.view);
-        let fit = move || {
+        let train = move || {
             let is_set = || stop.is_set();
             CachedModel::train(kind, state_kind, &samples, &handle.spec, StopSignal::new(&is_set))
         };
-        let fitted = run_blocking(permit, fit).await?;
-        fitted.map_err(|error| learned.unavailable(kind, error))
+        let trained = run_blocking(permit, train).await?;
+        trained.map_err(|error| learned.unavailable(kind, error))
     }
 
     /// The readings of a state that the view's updates have learned, ascending by time.
@@ -259,7 +259,7 @@ impl ModelFitter {
         &self,
         learned: &Arc<LearnedState>,
         kind: ModelKind,
-        stop: &Arc<FitStop>,
+        stop: &Arc<TrainingStop>,
     ) -> Result<Arc<[Sample]>, RpcError> {
         let subject = learned.target.subject();
         let enough = usize::try_from(self.max_readings).unwrap_or(usize::MAX);
@@ -302,7 +302,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_model_is_fitted_to_everything_or_to_what_the_map_is_to_keep() {
+    fn a_model_is_trained_on_everything_or_to_what_the_map_is_to_keep() {
         assert_eq!(lacking(5, 5), None);
         assert_eq!(lacking(0, 5), Some(ModelUnavailable::Forgotten));
         assert_eq!(lacking(6, 5), Some(ModelUnavailable::TooMany { got: 6, max: 5 }));

@@ -1,6 +1,6 @@
 //! What somebody wants to erase, by names.
 //!
-//! Invariant: a wish names at least a state or a part.
+//! Invariant: a request names at least a state or a part.
 
 use std::fmt;
 
@@ -8,16 +8,16 @@ use tidemap_model::time::format_rfc3339;
 
 /// What is to be erased, by names.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Wish {
+pub struct ErasureRequest {
     /// The state; `None`: all, of which a part is to be erased.
     pub state: Option<String>,
     /// Which of the observations; `None`: all, with the state.
-    pub part: Option<WishedPart>,
+    pub part: Option<RequestedPart>,
 }
 
 /// Some of the observations.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct WishedPart {
+pub struct RequestedPart {
     /// The producer, and its label; without one, all labels.
     pub producer: Option<(String, Option<String>)>,
     /// Observations from this time on, nanoseconds UTC.
@@ -28,7 +28,7 @@ pub struct WishedPart {
     pub forgets: bool,
 }
 
-impl fmt::Display for Wish {
+impl fmt::Display for ErasureRequest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.state {
             Some(state) => write!(f, "state {state:?}")?,
@@ -38,7 +38,7 @@ impl fmt::Display for Wish {
     }
 }
 
-impl fmt::Display for WishedPart {
+impl fmt::Display for RequestedPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.producer {
             Some((producer, Some(label))) => write!(f, "producer {producer:?} with label {label:?}, ")?,
