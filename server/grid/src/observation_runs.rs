@@ -107,7 +107,10 @@ impl ObservationRuns {
     ) {
         let lists: Vec<CellRuns> = observed
             .filter(|(_, cells)| !cells.is_empty())
-            .map(|(toggles, cells)| CellRuns { cells: cells.cells().collect(), toggles: toggles.as_slice().into() })
+            .map(|(toggles, cells)| {
+                debug_assert!(toggles.is_sorted_by(|a, b| a < b), "toggles ascend: {toggles:?}");
+                CellRuns { cells: cells.cells().collect(), toggles: toggles.as_slice().into() }
+            })
             .collect();
         if !lists.is_empty() {
             self.days.push(DayRuns { civil_nanos: Arc::clone(civil_nanos), sensors: sensors.cloned(), lists });

@@ -147,11 +147,14 @@ impl EdgeRecord {
         let model = blend(known, finite_or(success, prior.success).clamp(0.0, 1.0), prior.success);
         let weight = self.tried.min(self.hour_uniformity) + PRIOR_REPORTS;
         let success = (weight * model + passed) / (weight + tried);
-        EdgeForecast {
+        let forecast = EdgeForecast {
             success: success.clamp(LEARNED_SUCCESS_MIN, 1.0 - 1e-9),
             evidence: weight + tried,
             duration_secs: self.duration_secs(prior, |before| blend(self.travelled, finite_or(travel, before), before)),
-        }
+        };
+        debug_assert!(forecast.evidence > 0.0, "{forecast:?}");
+        debug_assert!(forecast.duration_secs > 0.0 && forecast.duration_secs.is_finite(), "{forecast:?}");
+        forecast
     }
 
     fn duration_secs(&self, prior: &EdgePrior, speed: impl Fn(f64) -> f64) -> f64 {

@@ -31,7 +31,9 @@ pub fn cos_sin(angle_rad: f64) -> [f64; 2] {
 pub fn direction_rad([cos, sin]: [f64; 2]) -> f64 {
     let direction = libm::atan2(sin, cos);
     // atan2 ends at +π.
-    if direction < PI { direction } else { -PI }
+    let direction = if direction < PI { direction } else { -PI };
+    debug_assert!((-PI..PI).contains(&direction), "{direction} rad");
+    direction
 }
 
 #[cfg(test)]

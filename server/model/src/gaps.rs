@@ -45,7 +45,12 @@ impl Gaps {
         if kept.len() >= KEPT && kept.last().is_some_and(|&(last, _)| hash > self::hash(last)) {
             return;
         }
-        kept.insert(kept.partition_point(|&(other, _)| self::hash(other) < hash), (number, whole_secs(nanos)));
+        let at = kept.partition_point(|&(other, _)| self::hash(other) < hash);
+        kept.insert(at, (number, whole_secs(nanos)));
+        debug_assert!(
+            kept[..at].last().is_none_or(|&(before, _)| self::hash(before) < hash),
+            "kept gaps ascend by hash"
+        );
         kept.truncate(KEPT);
     }
 

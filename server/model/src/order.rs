@@ -53,6 +53,7 @@ impl OrderErrors {
         let kept = kept(last_day, day);
         for (sum, error) in self.parts.sums.iter_mut().zip(errors) {
             *sum = *sum * kept + error;
+            debug_assert!(sum.is_finite() && *sum >= 0.0, "a sum of errors is {sum}");
         }
         self.parts.last_day = Some(day.max(last_day));
     }

@@ -42,6 +42,7 @@ impl Persistence {
             }
             self.parts.pairs = self.parts.pairs.saturating_add(1);
             self.parts.change_rate_sum += (value - last_value).abs() / secs_between(last_nanos, utc_nanos);
+            debug_assert!(self.parts.change_rate_sum.is_finite(), "the rate of changes from {last_value} to {value}");
         }
         self.parts.last = Some((utc_nanos, value));
     }

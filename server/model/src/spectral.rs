@@ -68,6 +68,8 @@ impl SpectralModel {
             }
         }
         let components = strongest.into_components(periodicities);
+        debug_assert!(components.len() <= ORDER_MAX, "{} components", components.len());
+        debug_assert!(components.iter().all(|component| component.amplitude().is_finite()), "{components:?}");
         SpectralModel { mean, observations, components }
     }
 

@@ -61,7 +61,9 @@ impl DaySlots {
         if !(MINUTE_NANOS..=day_nanos).contains(&slot_nanos) {
             return Err(DayError::Slot { slot_nanos, day_nanos });
         }
-        Ok(DaySlots { from_nanos, until_nanos, slot_nanos })
+        let slots = DaySlots { from_nanos, until_nanos, slot_nanos };
+        debug_assert_eq!(slots.start_nanos(slots.count()), until_nanos, "slots reach the end of the day");
+        Ok(slots)
     }
 
     /// Number of slots, at least 1.

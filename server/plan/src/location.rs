@@ -24,7 +24,9 @@ pub fn surprise_bits(states: impl IntoIterator<Item = (f64, f64)>) -> f64 {
         let informed = probability(informed).clamp(1.0 - INFORMATION_CERTAINTY, INFORMATION_CERTAINTY);
         -expected * informed.log2() - (1.0 - expected) * (1.0 - informed).log2()
     };
-    states.into_iter().map(of_state).sum()
+    let bits = states.into_iter().map(of_state).sum();
+    debug_assert!(bits >= 0.0, "{bits} bits");
+    bits
 }
 
 /// The expected number of wrong predictions that a visit corrects: the sum of min(p, 1 - p), the probability that the

@@ -53,6 +53,7 @@ impl Bits {
     }
 
     fn trim(&mut self) {
+        debug_assert_eq!(self.words.len(), self.len.div_ceil(64), "{} bits", self.len);
         let used = self.len % 64;
         if let Some(last) = self.words.last_mut().filter(|_| used > 0) {
             *last &= (1 << used) - 1;

@@ -72,6 +72,7 @@ impl ChangeAlarm {
         if is_new && observations > 0 && mse.is_finite() && mse >= 0.0 {
             self.parts.last_day = Some(day);
             self.take_in(day, mse.sqrt(), observations as f64);
+            debug_assert!(self.parts.sum.is_finite() && self.parts.sum >= 0.0, "{}", self.parts.sum);
         }
         self.is_ringing()
     }

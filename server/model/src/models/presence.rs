@@ -230,5 +230,10 @@ fn normalise(values: &mut [f64]) {
     let total: f64 = values.iter().sum();
     if total > 0.0 {
         values.iter_mut().for_each(|value| *value /= total);
+        // Of numbers so small that they have lost digits, nothing is promised.
+        debug_assert!(
+            total < f64::MIN_POSITIVE || (values.iter().sum::<f64>() - 1.0).abs() < 1e-9,
+            "probabilities sum to 1: {values:?}"
+        );
     }
 }

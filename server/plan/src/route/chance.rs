@@ -57,6 +57,11 @@ impl Chance {
         let tail = 0.5 * (1.0 - confidence);
         let (lower, upper) = (beta_quantile(alpha, beta, tail), beta_quantile(alpha, beta, 1.0 - tail));
         // Nearly all mass of a probability close to 0 or 1 may lie on one side of its mean.
-        Interval { lower: lower.min(mean), upper: upper.max(mean) }
+        let found = Interval { lower: lower.min(mean), upper: upper.max(mean) };
+        debug_assert!(
+            0.0 <= found.lower && found.lower <= found.upper && found.upper <= 1.0,
+            "{found:?} around {mean}"
+        );
+        found
     }
 }

@@ -35,7 +35,9 @@ impl<'a> Network<'a> {
         let into_first = beginnings(nodes.len(), ends.iter().map(|ends| ends.1));
         let mut into: Vec<u32> = (0..ends.len() as u32).collect();
         into.sort_by_key(|&edge| ends[edge as usize].1);
-        let edges = found.into_iter().map(|(_, _, edge)| edge).collect();
+        let edges: Vec<&Edge> = found.into_iter().map(|(_, _, edge)| edge).collect();
+        debug_assert!(nodes.is_sorted() && ends.is_sorted_by_key(|ends| ends.0), "nodes and the edges of nodes ascend");
+        debug_assert_eq!(edges.len(), topology.edges().count(), "both ends of every edge exist");
         Network { topology, nodes, edges, ends, first, into, into_first }
     }
 

@@ -103,6 +103,11 @@ impl SearchPlan {
             states: ordered.states,
             floor,
         };
+        debug_assert!(
+            plan.walk.is_sorted_by(|a, b| a.arrival_secs <= b.arrival_secs),
+            "arrivals ascend along the walk"
+        );
+        debug_assert!(plan.steps.is_sorted_by(|a, b| a.arrival_secs <= b.arrival_secs), "arrivals of steps ascend");
         plan.summarise(0.0);
         plan.lower_bound_secs = ordered.lower_bound_secs.min(plan.expected_secs);
         plan

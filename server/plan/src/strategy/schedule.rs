@@ -18,7 +18,7 @@ pub fn schedule(
     let (slots, places) = (gains.slots(), gains.places());
     let visits = budget.visits(slots)?;
     let mut random = SmallRng::seed_from_u64(seed);
-    Ok(match strategy {
+    let visits_of_slots = match strategy {
         Strategy::RoundRobin { visited } => {
             let mut turn = (visited % places as u64) as usize;
             let visit = |slot: usize| {
@@ -48,7 +48,10 @@ pub fn schedule(
             by_chance(&mut random, budget, visits, slots, weight, places, rest)
         }
         Strategy::Greedy => greedy(&mut random, gains, visits),
-    })
+    };
+    debug_assert_eq!(visits_of_slots.len(), slots, "a plan has one row per slot");
+    debug_assert!(visits_of_slots.iter().flatten().all(|&place| place < places), "{visits_of_slots:?}");
+    Ok(visits_of_slots)
 }
 
 /// The weight of rest, w, with which the expected number of visits is the ratio times the slots: the root of

@@ -63,6 +63,7 @@ impl TourBudget<'_> {
                 goals.pop();
             }
         }
+        debug_assert!(self.ways.stop.is_set() || order.is_empty() || self.fits(&order), "the drive fits into the time");
         order
     }
 }

@@ -58,7 +58,9 @@ pub(super) fn interval(p: f64, hour: HourMoments, all: HourMoments, level: f64, 
     let mean = (hour.days * p + borrowed.doubt_days * 0.5) / (hour.days + borrowed.doubt_days);
     let of_all = blend(all.scatter(), SCATTER_BEFORE);
     let scatter = blend(hour.scatter(), (of_all, borrowed.scatter_days));
-    Beta::with_moments(mean, scatter).shortest_around(p, mass_of(level.max(0.0)), borrowed.end)
+    let found = Beta::with_moments(mean, scatter).shortest_around(p, mass_of(level.max(0.0)), borrowed.end);
+    debug_assert!(0.0 <= found.lower && found.contains(p) && found.upper <= 1.0, "{found:?} around {p}");
+    found
 }
 
 /// The mass of the Beta distribution that an interval of a level holds, both in `[0,1]`.

@@ -86,6 +86,8 @@ pub(super) fn train_wrapped(shares: &[f64], gaussians: usize, seed: u64, stop: S
             best = found;
         }
     }
+    let weights: f64 = best.1.iter().map(|gaussian| gaussian.weight).sum();
+    debug_assert!(best.1.is_empty() || (weights - 1.0).abs() < 1e-9, "weights sum to {weights}");
     best.1
 }
 
