@@ -18,7 +18,7 @@ use tonic_reflection::pb::v1::{
 };
 
 /// Status line and body of a GET.
-async fn get(daemon: &Daemon, path: &str) -> (String, String) {
+pub(super) async fn get(daemon: &Daemon, path: &str) -> (String, String) {
     let mut connection = TcpStream::connect(&daemon.http).await.expect("the port is open");
     let request = format!("GET {path} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n\r\n", daemon.http);
     connection.write_all(request.as_bytes()).await.expect("a request");
@@ -28,8 +28,8 @@ async fn get(daemon: &Daemon, path: &str) -> (String, String) {
     (head.lines().next().expect("a status line").to_owned(), body.to_owned())
 }
 
-/// The value of a metric that has no labels.
-fn metric(text: &str, name: &str) -> Option<f64> {
+/// The value of a metric; `name` ends with the labels, if it has any.
+pub(super) fn metric(text: &str, name: &str) -> Option<f64> {
     text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.parse().ok())
 }
 
