@@ -1,4 +1,4 @@
-//! The daemon from outside, and the rules that hold the work tree together. One binary, so that it links once.
+//! The daemon from outside. One binary, so that it links once.
 
 mod acceptance;
 mod alerts;
@@ -22,7 +22,6 @@ mod reports;
 mod routes;
 mod search;
 mod security;
-mod tidy;
 mod traces;
 mod traversals;
 mod vectors;

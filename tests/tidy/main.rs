@@ -201,7 +201,7 @@ fn arrows_between_crates_go_one_way() {
     for path in files(".", "Cargo.toml").iter().filter(|path| *path != "Cargo.toml") {
         let folder = path.trim_end_matches("/Cargo.toml");
         if !CRATES.iter().chain(&APART).any(|&(known, ..)| known == folder) {
-            broken.push(format!("{path}: a crate that tests/integration/tidy.rs does not know; add it to CRATES"));
+            broken.push(format!("{path}: a crate that tests/tidy does not know; add it to CRATES"));
         }
     }
     for (folder, package, allowed) in CRATES.into_iter().chain(APART) {

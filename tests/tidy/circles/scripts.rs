@@ -4,7 +4,7 @@
 //! is not one of them.
 
 use super::{Crate, Names};
-use crate::tidy::{files, read};
+use crate::{files, read};
 
 /// The Python package: a module for each file. What `__init__.py` imports it exports.
 pub(super) fn python() -> Crate {
