@@ -1,15 +1,11 @@
 //! Recordings of real places, which lie beside the repository and not in it.
 //!
-//! Invariant: read only. Tests that need a missing recording are skipped and say so. With `TIDEMAP_REQUIRE_DATA` set,
-//! they fail.
+//! Invariant: read only.
 
-use std::{
-    env,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
-/// A day, a week and so on are counted in nanoseconds.
-const SECOND_NANOS: i64 = 1_000_000_000;
+#[path = "../../server/model/tests/recordings/folder.rs"]
+mod beside;
 
 /// The folder of a recording; `None`, with a line on stdout, where it is missing.
 ///
@@ -17,14 +13,11 @@ const SECOND_NANOS: i64 = 1_000_000_000;
 /// If it is missing and `TIDEMAP_REQUIRE_DATA` is set.
 #[must_use]
 pub fn folder(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data")).join(name);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    assert!(env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "there are no recordings {name:?} in ../shared/data");
-    println!("SKIPPED: there are no recordings {name:?} in ../shared/data");
-    None
+    beside::recordings(name)
 }
+
+/// A day, a week and so on are counted in nanoseconds.
+const SECOND_NANOS: i64 = 1_000_000_000;
 
 /// The rows `time,state,value` of a file as nanoseconds UTC and value.
 ///

@@ -2,11 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::{
-    fmt::Write as _,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{fmt::Write as _, fs, path::Path};
 
 use tempfile::TempDir;
 
@@ -15,6 +11,10 @@ use super::{
     *,
 };
 use tidemap_formats::table::Format;
+
+#[path = "../../../server/model/tests/recordings/folder.rs"]
+mod folder;
+pub(crate) use folder::recordings;
 
 /// Quarter hours from Monday 2024-01-01 on.
 const MONDAY: i64 = 1_704_067_200;
@@ -366,17 +366,6 @@ fn nothing_in_the_picture_overlaps_a_text() {
             assert!(is_apart || are_lines, "{element}\n{other}");
         }
     }
-}
-
-/// The recordings of Krajník et al., RA-L 2019, where they are at hand.
-fn recordings(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if !folder.is_dir() {
-        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
-        println!("SKIPPED: no recordings at {}", folder.display());
-        return None;
-    }
-    Some(folder)
 }
 
 #[track_caller]

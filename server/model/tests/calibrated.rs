@@ -3,23 +3,17 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
+
+#[path = "recordings/folder.rs"]
+mod folder;
+use folder::recordings;
 
 use tidemap_model::models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
 use tidemap_model::{Accumulator, LocalDay, ORDER_MAX, Periodicities, Sample, SpectralModel, Zone};
 
 /// A predictor: the prediction of each moment, given the readings so far.
 type Method<'a> = &'a dyn Fn(&[Sample]) -> Box<dyn Fn(Moment) -> f64>;
-
-fn recordings() -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join("door");
-    if !folder.is_dir() {
-        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
-        println!("SKIPPED: no recordings at {}", folder.display());
-        return None;
-    }
-    Some(folder)
-}
 
 /// The rows `time,state,value` of a recording.
 fn read(folder: &Path, name: &str) -> Vec<Sample> {
@@ -135,7 +129,7 @@ fn training_weeks(folder: &Path) -> Vec<Vec<Sample>> {
 #[test]
 #[ignore = "the search by which the defaults were chosen: minutes, and of interest when the model changes"]
 fn the_defaults_come_from_rolling_origin_on_the_training_weeks() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let weeks = training_weeks(&folder);
     Rolling::of(&histogram(|_| 0), &weeks).print("mean");
     Rolling::of(&histogram(hour_of_day), &weeks).print("hour of day");
@@ -187,7 +181,7 @@ fn the_defaults_come_from_rolling_origin_on_the_training_weeks() {
 
 #[test]
 fn weeks_that_had_no_part_in_the_choice_are_predicted() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let train = read(&folder, "train.csv");
     let weeks = ["week1.csv", "week2.csv", "week3.csv", "week4.csv"].map(|name| read(&folder, name));
     let method = calibrated(CalibratedOptions::default());

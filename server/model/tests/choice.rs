@@ -5,7 +5,9 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
+#[path = "recordings/folder.rs"]
+mod folder;
+use folder::recordings;
 
 use tidemap_model::catalogue::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT};
 use tidemap_model::models::{Moment, Readings, TemporalModel};
@@ -15,12 +17,7 @@ const DAY_SECS: i64 = 86_400;
 
 /// The door's training data. Skipped without the recordings.
 fn train() -> Option<Vec<Sample>> {
-    let file = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/door/train.csv"));
-    if !Path::new(&file).is_file() {
-        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", file.display());
-        println!("SKIPPED: no recordings at {}", file.display());
-        return None;
-    }
+    let file = recordings("door")?.join("train.csv");
     let mut offsets = Zone::named("Europe/London").unwrap().offset_cache();
     let sample = |row: &str| {
         let mut fields = row.split(',');

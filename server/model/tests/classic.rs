@@ -3,7 +3,11 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
+
+#[path = "recordings/folder.rs"]
+mod folder;
+use folder::recordings;
 
 use tidemap_model::models::{
     ChangeAlarm, DependenceSums, Histogram, HistogramCycle, HistogramSettings, HourTable, Latest, MarkovChain, Mean,
@@ -13,16 +17,6 @@ use tidemap_model::{
     Accumulator, Evaluation, LocalDay, OrderCriterion, Periodicities, Persistence, Sample, SpectralModel, StateModel,
     Zone, evaluate,
 };
-
-fn recordings(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if !folder.is_dir() {
-        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
-        println!("SKIPPED: no recordings at {}", folder.display());
-        return None;
-    }
-    Some(folder)
-}
 
 /// The rows of a recording, time first and value last, as observed in a zone; invalid rows are omitted.
 fn read(file: &Path, zone: &Zone) -> Vec<Sample> {

@@ -3,7 +3,14 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
+
+#[path = "recordings/door_figures.rs"]
+mod door_figures;
+#[path = "recordings/folder.rs"]
+mod folder;
+use door_figures::{COMPONENTS, ERRORS, ORDERS, TOLERANCE};
+use folder::recordings;
 
 use tidemap_model::catalogue::ModelKind;
 use tidemap_model::{
@@ -11,18 +18,6 @@ use tidemap_model::{
     Zone, evaluate,
     models::{Calibrated, CalibratedOptions, Readings},
 };
-
-const TOLERANCE: f64 = 0.0002;
-
-fn recordings() -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join("door");
-    if !folder.is_dir() {
-        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
-        println!("SKIPPED: no recordings at {}", folder.display());
-        return None;
-    }
-    Some(folder)
-}
 
 /// The rows `time,state,value` of a recording, as observed in a zone.
 fn read(folder: &Path, name: &str, zone: &Zone) -> Vec<Sample> {
@@ -57,29 +52,19 @@ fn check_mse(model: &SpectralModel, samples: &[Sample], orders: &[usize], expect
 
 #[test]
 fn predictions_are_as_good_as_the_reference() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let london = Zone::named("Europe/London").unwrap();
     let model = trained(&read(&folder, "train.csv", &london));
-    let orders = [0, 1, 2, 3, 5, 10, 15];
-    let expected = [
-        ("train.csv", [0.10418, 0.08797, 0.08290, 0.07886, 0.07336, 0.06623, 0.06262]),
-        ("week1.csv", [0.09041, 0.07968, 0.07317, 0.06892, 0.06864, 0.06652, 0.06502]),
-        ("week2.csv", [0.07722, 0.07048, 0.06826, 0.06614, 0.06961, 0.07333, 0.07124]),
-        ("week3.csv", [0.08351, 0.07580, 0.07506, 0.07378, 0.07327, 0.07059, 0.06866]),
-        ("week4.csv", [0.09121, 0.08078, 0.07304, 0.06750, 0.06325, 0.05400, 0.05212]),
-    ];
-    for (name, expected) in expected {
-        check_mse(&model, &read(&folder, name, &london), &orders, &expected);
+    for (name, _, expected) in ERRORS {
+        check_mse(&model, &read(&folder, name, &london), &ORDERS, &expected);
     }
 }
 
 #[test]
 fn the_door_has_a_daily_and_a_weekly_rhythm() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let model = trained(&read(&folder, "train.csv", &Zone::named("Europe/London").unwrap()));
-    let expected =
-        [(86_400.0, 0.1773), (604_800.0, 0.0898), (21_600.0, 0.0808), (302_400.0, 0.0764), (75_600.0, 0.0682)];
-    for (component, (period_secs, amplitude)) in model.components().iter().zip(expected) {
+    for (component, (period_secs, amplitude)) in model.components().iter().zip(COMPONENTS) {
         let found = Periodicities::default().period_secs(component.periodicity as usize);
         assert!((found - period_secs).abs() < 1e-6, "{found}, expected {period_secs}");
         assert!((component.amplitude() - amplitude).abs() <= 0.00006, "{}", component.amplitude());
@@ -88,7 +73,7 @@ fn the_door_has_a_daily_and_a_weekly_rhythm() {
 
 #[test]
 fn a_map_in_utc_misses_the_change_to_summer_time() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let utc = Zone::utc();
     let model = trained(&read(&folder, "train.csv", &utc));
     for (name, expected) in [("week2.csv", 0.06884), ("week3.csv", 0.07562), ("week4.csv", 0.07402)] {
@@ -141,7 +126,7 @@ fn next_day_in_force(samples: &[Sample], is_trained: bool) -> (f64, f64, StateMo
 
 #[test]
 fn the_chosen_model_predicts_the_next_day() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let samples = read(&folder, "train.csv", &Zone::named("Europe/London").unwrap());
     let (of_order, without, _) = next_day_in_force(&samples, false);
     let (_, with, state) = next_day_in_force(&samples, true);
@@ -157,7 +142,7 @@ fn the_chosen_model_predicts_the_next_day() {
 
 #[test]
 fn the_chosen_order_predicts_the_next_day() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let samples = read(&folder, "train.csv", &Zone::named("Europe/London").unwrap());
     let days: Vec<Vec<Sample>> =
         samples.chunk_by(|a, b| a.local_day() == b.local_day()).map(<[Sample]>::to_vec).collect();

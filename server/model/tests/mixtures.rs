@@ -3,22 +3,16 @@
 
 #![allow(clippy::unwrap_used)]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
+
+#[path = "recordings/folder.rs"]
+mod folder;
+use folder::recordings;
 
 use tidemap_model::models::{
     Hypertime, HypertimeMethod, HypertimeOptions, Pergam, PergamOptions, Readings, TemporalModel,
 };
 use tidemap_model::{Periodicities, Sample, Zone};
-
-fn recordings(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join(name);
-    if !folder.is_dir() {
-        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
-        println!("SKIPPED: no recordings at {}", folder.display());
-        return None;
-    }
-    Some(folder)
-}
 
 /// Rows of a time in Unix seconds and, after the last separator, a value; as observed in London.
 fn read(path: &Path, header_rows: usize) -> Vec<Sample> {

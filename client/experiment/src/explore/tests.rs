@@ -198,12 +198,9 @@ fn weeks_that_the_world_does_not_have_are_refused() {
 /// The flat of RAS 2017, eight of its sixteen weeks.
 #[test]
 fn of_the_recorded_flat_the_published_order_is_found_and_the_best_pair_is_far_ahead() {
-    let world = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/aruba/presence_8weeks.txt");
-    if !Path::new(world).exists() {
-        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "{world} is not there");
-        println!("SKIPPED: {world} is not there");
-        return;
-    }
+    let Some(folder) = crate::tests::recordings("aruba") else { return };
+    let world = folder.join("presence_8weeks.txt");
+    let world = world.display();
     let text = format!(
         "world: {world}\nseeds: 2\nweeks: [3, 8]\nstrategies: [round-robin, monte-carlo, online-error]\n\
          models: [mean, spectral, presence]\nout: o\n"

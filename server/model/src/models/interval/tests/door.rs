@@ -2,7 +2,7 @@
 //! without the recordings.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::super::{
     beta::{INTERVAL_PRIOR, IntervalPrior, interval},
@@ -11,17 +11,11 @@ use super::super::{
 use crate::models::{Calibrated, CalibratedOptions, Moment, Readings, TemporalModel};
 use crate::{Sample, Zone};
 
-const HOUR_NANOS: i64 = 3_600_000_000_000;
+#[path = "../../../../tests/recordings/folder.rs"]
+mod folder;
+use folder::recordings;
 
-fn recordings() -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data")).join("door");
-    if !folder.is_dir() {
-        assert!(std::env::var_os("TIDEMAP_REQUIRE_DATA").is_none(), "no recordings at {}", folder.display());
-        println!("SKIPPED: no recordings at {}", folder.display());
-        return None;
-    }
-    Some(folder)
-}
+const HOUR_NANOS: i64 = 3_600_000_000_000;
 
 fn read(folder: &Path, name: &str) -> Vec<Sample> {
     let text = std::fs::read_to_string(folder.join(name)).unwrap();
@@ -141,7 +135,7 @@ fn print(name: &str, scores: &DoorScore) {
 #[test]
 #[ignore = "the search by which the borrowed days were chosen: of interest when the intervals change"]
 fn what_is_borrowed_comes_from_rolling_origin_on_the_training_weeks() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let train = read(&folder, "train.csv");
     let folds = folds(&train);
     let mut tried = Vec::new();
@@ -204,7 +198,7 @@ fn held<'a>(tests: impl Iterator<Item = (&'a Learnt, &'a [Sample])>, level: f64)
 
 #[test]
 fn every_level_holds_in_the_folds_of_the_training_weeks() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let folds = folds(&read(&folder, "train.csv"));
     for level in [0.5, 0.8, 0.9, 0.95] {
         let [active, elsewhere] = held(folds.iter().map(|(learnt, test)| (learnt, test.as_slice())), level);
@@ -217,7 +211,7 @@ fn every_level_holds_in_the_folds_of_the_training_weeks() {
 #[test]
 #[ignore = "a measurement on the test weeks, which had no part in any choice"]
 fn how_often_each_level_holds_on_the_test_weeks() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let learnt = Learnt::from(&read(&folder, "train.csv"));
     let weeks = ["week1.csv", "week2.csv", "week3.csv", "week4.csv"].map(|name| read(&folder, name));
     for level in [0.5, 0.8, 0.9, 0.95] {
@@ -228,7 +222,7 @@ fn how_often_each_level_holds_on_the_test_weeks() {
 
 #[test]
 fn nine_in_ten_hold_on_weeks_that_had_no_part_in_the_choice() {
-    let Some(folder) = recordings() else { return };
+    let Some(folder) = recordings("door") else { return };
     let learnt = Learnt::from(&read(&folder, "train.csv"));
     let mut scores = DoorScore::default();
     for name in ["week1.csv", "week2.csv", "week3.csv", "week4.csv"] {
