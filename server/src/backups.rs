@@ -145,7 +145,7 @@ impl Schedule {
         loop {
             let now = clock.now_nanos();
             let (schedule, id) = (self.clone(), store.store_id().to_owned());
-            let newest = tokio::task::spawn_blocking(move || schedule.newest_nanos(&id, now)).await;
+            let newest = crate::task::blocking(move || schedule.newest_nanos(&id, now)).await;
             let Ok(newest) = newest else { return };
             let due = newest.map_or(i64::MIN, |began| began.saturating_add(every_nanos)).max(not_before);
             let wait = Duration::from_nanos(u64::try_from(due.saturating_sub(now)).unwrap_or(0)).min(LOOK_EVERY);
@@ -172,7 +172,7 @@ impl Schedule {
                 let made = schedule.make(&store, now, keeps_all, &|| !*stop.borrow());
                 counted(&schedule.folder.join(name_of(now)), made).map_err(|error| error.to_string())
             };
-            let made = tokio::task::spawn_blocking(work).await.unwrap_or_else(|error| Err(error.to_string()));
+            let made = crate::task::blocking(work).await.unwrap_or_else(|error| Err(error.to_string()));
             if let Err(reason) = &made {
                 error!(folder = %self.folder.display(), reason, "the scheduled backup was not made; it is tried again");
                 not_before = clock.now_nanos().saturating_add(again_nanos);

@@ -24,10 +24,13 @@ use tidemap_map::{live_map::LiveMap, name::MapName, spec::MapSpec, update::SumsU
 use tidemap_store::{EraseError, MapId, OpenError, StoreError};
 use tracing::{error, info, warn};
 
-use crate::ingest::{
-    ending::Ending,
-    handle::{MapHandle, OpenProgress, WriterEndpoints},
-    writer::{Context, start_in},
+use crate::{
+    ingest::{
+        ending::Ending,
+        handle::{MapHandle, OpenProgress, WriterEndpoints},
+        writer::{Context, start_in},
+    },
+    task::Task,
 };
 
 /// A map with more bytes of checkpoints and log is served from the index until it is restored.
@@ -258,7 +261,7 @@ impl Catalog {
     /// See [`CatalogError`].
     pub(crate) async fn create(&self, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
         let this = self.clone();
-        ended(tokio::spawn(async move { this.create_now(spec).await })).await
+        ended(crate::task::spawn(async move { this.create_now(spec).await })).await
     }
 
     async fn create_now(&self, spec: MapSpec) -> Result<Arc<MapHandle>, CatalogError> {
@@ -276,7 +279,7 @@ impl Catalog {
         }
         let context = self.context.clone();
         let name = spec.name.clone();
-        let handle = ended(tokio::task::spawn_blocking(move || {
+        let handle = ended(crate::task::blocking(move || {
             let id = context.store.create_map(&spec)?;
             open_map(&context, id, &Arc::new(spec)).inspect_err(|_| {
                 // An unlisted map could be neither used nor deleted, and would take its name at the next start.
@@ -299,7 +302,7 @@ impl Catalog {
     /// See [`CatalogError`].
     pub(crate) async fn delete(&self, name: &str) -> Result<(), CatalogError> {
         let (this, name) = (self.clone(), name.to_owned());
-        ended(tokio::spawn(async move { this.delete_now(&name).await })).await
+        ended(crate::task::spawn(async move { this.delete_now(&name).await })).await
     }
 
     async fn delete_now(&self, name: &str) -> Result<(), CatalogError> {
@@ -309,7 +312,7 @@ impl Catalog {
         }
         if let Some(map) = self.unavailable().iter().find(|map| map.name == name && self.get(name).is_err()) {
             let (store, id) = (Arc::clone(&self.context.store), map.id);
-            ended(tokio::task::spawn_blocking(move || Ok(store.delete_map(id)?))).await?;
+            ended(crate::task::blocking(move || Ok(store.delete_map(id)?))).await?;
             self.unavailable.rcu(|all| all.iter().filter(|other| other.id != id).cloned().collect::<Vec<_>>());
             info!(map = name, id = id.0, "unavailable map deleted");
             return Ok(());
@@ -321,7 +324,7 @@ impl Catalog {
         self.maps.store(Arc::new(maps));
         handle.stop(Ending::MapDeleted).await;
         let (store, id) = (Arc::clone(&self.context.store), handle.id);
-        let deleted = ended(tokio::task::spawn_blocking(move || Ok(store.delete_map(id)?))).await;
+        let deleted = ended(crate::task::blocking(move || Ok(store.delete_map(id)?))).await;
         match &deleted {
             Ok(()) => info!(map = name, id = id.0, "map deleted"),
             Err(error) => {
@@ -344,7 +347,7 @@ impl Catalog {
         let mut stopping: Vec<_> = Vec::with_capacity(maps.len());
         for handle in maps.values() {
             let handle = Arc::clone(handle);
-            stopping.push(tokio::spawn(async move { handle.stop(Ending::Shutdown).await }));
+            stopping.push(crate::task::spawn(async move { handle.stop(Ending::Shutdown).await }));
         }
         for stopped in stopping {
             if let Err(error) = stopped.await {
@@ -364,7 +367,7 @@ fn shortened(name: &str) -> String {
     name.chars().take(80).collect()
 }
 
-async fn ended<T>(task: tokio::task::JoinHandle<Result<T, CatalogError>>) -> Result<T, CatalogError> {
+async fn ended<T>(task: Task<Result<T, CatalogError>>) -> Result<T, CatalogError> {
     match task.await {
         Ok(result) => result,
         Err(_) => Err(CatalogError::Stopping),

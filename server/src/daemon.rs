@@ -111,7 +111,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
 
     let scrubber = Scrubber::start(&store, &settings);
     if let Some(schedule) = Schedule::of(&settings) {
-        tokio::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));
+        crate::task::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));
     }
     let result = tokio::select! {
         _ = terminate.recv() => Ok(()),
@@ -144,7 +144,7 @@ fn tell_ready(settings: &Settings, store: &Store, ports: &Ports) {
 
 /// Restores the maps that are served from the index. Ends only if one cannot be restored.
 async fn cannot_restore(catalog: Arc<Catalog>, rest: Vec<UnopenedMap>) -> DaemonError {
-    match tokio::task::spawn_blocking(move || catalog.restore_rest(rest)).await {
+    match crate::task::blocking(move || catalog.restore_rest(rest)).await {
         Ok(Err(error)) => error.into(),
         Err(error) => DaemonError::Other(error.into()),
         Ok(Ok(())) => std::future::pending().await,

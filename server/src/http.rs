@@ -171,7 +171,7 @@ pub(crate) async fn serve(
                 }
                 let silent = if may_read_names { metrics.silent.metrics(&catalog).await } else { String::new() };
                 // Sizes and backups are read from the disk.
-                let text = tokio::task::spawn_blocking(move || {
+                let text = crate::task::blocking(move || {
                     for (name, value, _) in statistics::of_daemon(&catalog) {
                         metrics::gauge!(format!("tidemap_{name}")).set(value);
                     }

@@ -28,6 +28,7 @@ mod silent_producers;
 mod state_or_cell;
 mod statistics;
 mod storage_watch;
+mod task;
 mod telemetry;
 mod web;
 

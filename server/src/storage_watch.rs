@@ -38,7 +38,7 @@ pub(crate) async fn run(
         let store = Arc::clone(&catalog.context().store);
         drop(catalog);
         // A disk that hangs delays the next look only.
-        if let Ok(Some(error)) = tokio::task::spawn_blocking(move || store.verify()).await
+        if let Ok(Some(error)) = crate::task::blocking(move || store.verify()).await
             && fatal.send(error.to_string()).is_err()
         {
             return;

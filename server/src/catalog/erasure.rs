@@ -74,7 +74,7 @@ impl Catalog {
         let job = self.context.jobs.create(map.clone(), JobCause::Erasure, self.context.clock.now_nanos());
         let (this, map, by, running) = (self.clone(), map.clone(), caller.shown().to_owned(), Arc::clone(&job));
         info!(%map, %request, by, job = job.id, "erasure ordered");
-        tokio::spawn(async move {
+        crate::task::spawn(async move {
             let erased = this.erase_now(&map, &request, &running).await;
             match &erased {
                 Ok(Erased { states, observations }) => {
@@ -129,7 +129,7 @@ impl Catalog {
         drop((old, view));
         job.step("write again");
         let context = self.context.clone();
-        let (erased, restored) = ended(tokio::task::spawn_blocking(move || {
+        let (erased, restored) = ended(crate::task::blocking(move || {
             let erased = match &selection {
                 Some((selection, forgets)) => context.store.erase_part(id, selection, *forgets),
                 None => context.store.erase_states(id, &states.unwrap_or_default()),

@@ -64,7 +64,7 @@ impl Acceptor {
     /// Accepts the connections of a listener; a port may have several.
     pub(crate) fn listen(&self, listener: Listener) {
         let (door, reserve) = (self.door.clone(), self.reserve.clone());
-        tokio::spawn(async move {
+        crate::task::spawn(async move {
             loop {
                 let next = tokio::select! {
                     next = listener.accept() => next,

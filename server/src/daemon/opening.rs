@@ -27,7 +27,7 @@ use crate::{
 pub(super) async fn open_store(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Arc<Store>, DaemonError> {
     let for_store = settings.clone();
     let open = move || open_now(&for_store, disk);
-    let store = tokio::task::spawn_blocking(open).await.map_err(anyhow::Error::from)??;
+    let store = crate::task::blocking(open).await.map_err(anyhow::Error::from)??;
     close_to_others(&settings.data_dir);
     telemetry::tell_build(store.store_id());
     tell_state(&store, &settings.data_dir);
@@ -83,7 +83,7 @@ pub(super) async fn open_catalog(
     };
     let max_maps = settings.max_maps;
     let open = move || Catalog::open(context, max_maps, RESTORED_FIRST_BYTES);
-    let (catalog, rest) = tokio::task::spawn_blocking(open).await.map_err(anyhow::Error::from)??;
+    let (catalog, rest) = crate::task::blocking(open).await.map_err(anyhow::Error::from)??;
     let catalog = Arc::new(catalog);
     follow_commits(&catalog);
     Ok((catalog, rest))

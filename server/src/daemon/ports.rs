@@ -85,7 +85,7 @@ fn load_access(settings: &Settings) -> Result<Access, DaemonError> {
     let followed = FileWatch::new("tokens", vec![path.clone()]);
     let keyring = Keyring::open(path.clone()).map_err(|error| DaemonError::Settings(error.to_string()))?;
     let followed_by = keyring.clone();
-    tokio::spawn(followed.follow(move || followed_by.reload()));
+    crate::task::spawn(followed.follow(move || followed_by.reload()));
     Ok(Access::Tokens(keyring))
 }
 
@@ -149,7 +149,7 @@ impl Ports {
         let services = rpc::serve::services(Arc::clone(catalog), settings, stopping.clone()).await;
         services.health().tell(http::readiness(catalog, false).0).await;
         let watched = Arc::downgrade(catalog);
-        tokio::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
+        crate::task::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
         let web = web(&services, &access, settings)?;
         let connections = accept_grpc(settings, grpc, grpc_tls.clone())?;
         let is_local = grpc_address.ip().is_loopback();
@@ -161,7 +161,7 @@ impl Ports {
         let (grpc, http) = (tokio::spawn(grpc), tokio::spawn(http));
         let tls: Vec<Tls> = grpc_tls.into_iter().chain(http_tls).collect();
         if !tls.is_empty() {
-            tokio::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));
+            crate::task::spawn(followed.follow(move || tls.iter().try_for_each(Tls::reload)));
         }
         Ok(Self { grpc, http, grpc_address, http_address, stop })
     }

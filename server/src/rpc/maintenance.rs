@@ -191,7 +191,7 @@ impl MaintenanceService for Maintenance {
         let job = self.job(request.get_ref().id)?;
         let (replies, stream) = mpsc::channel(4);
         let catalog = Arc::clone(&self.catalog);
-        tokio::spawn(async move {
+        crate::task::spawn(async move {
             let mut status = job.watch();
             let mut reported = None;
             loop {
@@ -265,7 +265,7 @@ impl MaintenanceService for Maintenance {
             let target = folder.map_or_else(|| Ok(PathBuf::from(&path)), |folder| backups::target(&folder, &path));
             Ok::<_, RpcError>(backups::make(&store, &target?)?)
         };
-        let copied = tokio::task::spawn_blocking(work).await.map_err(|_| RpcError::Stopping)?;
+        let copied = crate::task::blocking(work).await.map_err(|_| RpcError::Stopping)?;
         let BackupReport { maps, copied_files, copied_bytes, kept_files } = copied?;
         Ok(Response::new(v1::CreateBackupResponse { maps, copied_files, copied_bytes, kept_files }))
     }
@@ -299,7 +299,7 @@ impl MaintenanceService for Maintenance {
         let handle = if name.is_empty() { None } else { Some(find_map(&self.catalog, &name).await?) };
         let catalog = Arc::clone(&self.catalog);
         // Sizes are read from the disk.
-        let statistics = tokio::task::spawn_blocking(move || match handle {
+        let statistics = crate::task::blocking(move || match handle {
             Some(handle) => statistics::of_map(&catalog, &handle),
             None => statistics::of_daemon(&catalog),
         });

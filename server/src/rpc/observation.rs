@@ -77,7 +77,7 @@ impl Observations {
         let mut entry = self.streams.enter()?;
         let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
         let service = self.clone();
-        tokio::spawn(Span::current().scope(Caller::current().scope(async move {
+        crate::task::spawn(Span::current().scope(Caller::current().scope(async move {
             let result = open_and_serve(&service, &mut entry, &mut requests, &replies).await;
             if let Err(error) = result {
                 debug!(%error, "stream ended");

@@ -124,13 +124,13 @@ where
     let (sink, ready) = mpsc::channel(1);
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD);
     let work = work(ReplySink { ready: sink.clone(), permits: None });
-    let work = tokio::spawn(async move {
+    let work = crate::task::spawn(async move {
         if let Err(error) = work.await {
             // The client may be gone.
             let _ = sink.send(Err(error)).await;
         }
     });
-    tokio::spawn(async move {
+    crate::task::spawn(async move {
         let all_sent = pass_on(ready, &replies, READ_WITHIN).await;
         if work.await.is_err() && all_sent {
             // The reader must not take what it has for everything.

@@ -163,7 +163,8 @@ impl ModelTrainer {
         let interest = self.models.interest(key);
         let stop = Arc::new(interest.training_stop());
         // A task of its own: if this request is dropped, others may wait for the same model.
-        let task = tokio::spawn(async move { this.models.get_or_train(key, this.train(&learned, kind, stop)).await });
+        let task =
+            crate::task::spawn(async move { this.models.get_or_train(key, this.train(&learned, kind, stop)).await });
         let trained = task.await.map_err(|_| RpcError::Stopping)?;
         drop(interest);
         trained
@@ -284,7 +285,7 @@ impl ModelTrainer {
                 None => Ok(learned.target.samples(&learned.view, readings).into()),
             }
         };
-        tokio::task::spawn_blocking(gather).await.map_err(|_| RpcError::Stopping)?
+        crate::task::blocking(gather).await.map_err(|_| RpcError::Stopping)?
     }
 }
 

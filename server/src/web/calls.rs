@@ -71,7 +71,7 @@ fn senseless(error: impl std::fmt::Display) -> Status {
 async fn converted<T: Send + 'static, E: std::fmt::Display + Send + 'static>(
     convert: impl FnOnce() -> Result<T, E> + Send + 'static,
 ) -> Result<T, Status> {
-    let done = tokio::task::spawn_blocking(convert).await.map_err(|_| Status::internal("the work was not done"))?;
+    let done = crate::task::blocking(convert).await.map_err(|_| Status::internal("the work was not done"))?;
     done.map_err(senseless)
 }
 

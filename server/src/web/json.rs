@@ -132,7 +132,7 @@ async fn convert<T: Send + 'static>(bytes: usize, work: impl FnOnce() -> T + Sen
     if bytes <= TINY_MESSAGE_BYTES {
         return Ok(work());
     }
-    tokio::task::spawn_blocking(work).await.map_err(|_| Status::internal("the message was not converted"))
+    crate::task::blocking(work).await.map_err(|_| Status::internal("the message was not converted"))
 }
 
 impl Gateway {

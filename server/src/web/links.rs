@@ -128,7 +128,7 @@ async fn in_turn<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
 ) -> Result<T, Failure> {
     let turn = std::sync::Arc::clone(&gateway.large).acquire_owned().await;
-    let done = tokio::task::spawn_blocking(work).await;
+    let done = crate::task::blocking(work).await;
     drop(turn);
     done.unwrap_or_else(|_| Err(Status::internal("the work was not done").into()))
 }

@@ -219,7 +219,7 @@ impl<'a> Stream<'a> {
             return Ok(self.intake()?.next_scans()?);
         }
         let mut intake = self.intake.take().ok_or(RpcError::Stopping)?;
-        let work = tokio::task::spawn_blocking(move || {
+        let work = crate::task::blocking(move || {
             let batch = intake.next_scans();
             (intake, batch)
         });

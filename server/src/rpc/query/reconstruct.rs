@@ -103,7 +103,7 @@ async fn find_subject(view: &Arc<MapView>, name: &str) -> Result<Subject, RpcErr
     let Some(cell) = cell_from_wire("state", name)? else { return find_state(view, name).map(Subject::State) };
     let for_thread = Arc::clone(view);
     // Its tile may have to be read from the disk.
-    let found = tokio::task::spawn_blocking(move || find_cell(&for_thread, cell).map(drop));
+    let found = crate::task::blocking(move || find_cell(&for_thread, cell).map(drop));
     found.await.map_err(|_| RpcError::Stopping)??;
     let (index, place) = cell.tile();
     let tile = view.grid().and_then(|grid| grid.find(index));

@@ -113,7 +113,7 @@ pub(super) async fn watch_anomalies(
     let (replies, stream) = mpsc::channel(REPLIES_AHEAD + 1);
     // Reserved now: when the reader is slow, there is no room for the last reply.
     let last_word = replies.clone().try_reserve_owned().map_err(|_| RpcError::Stopping)?;
-    tokio::spawn(async move {
+    crate::task::spawn(async move {
         let _place = place;
         if let Err(end) = watch.run(listening, &replies).await {
             last_word.send(Err(end.into()));

@@ -38,7 +38,7 @@ impl ModelTrainer {
         let stop = Arc::new(interest.training_stop());
         // A task of its own: if this request is dropped, others may wait for the same model.
         let training = async move { this.positions.get_or_train(key, this.train_positions(&axes, kind, stop)).await };
-        let trained = tokio::spawn(training).await.map_err(|_| RpcError::Stopping)?;
+        let trained = crate::task::spawn(training).await.map_err(|_| RpcError::Stopping)?;
         drop(interest);
         trained
     }
@@ -93,7 +93,7 @@ impl ModelTrainer {
         // A task of its own, as above.
         let training =
             async move { this.places.get_or_train(key, this.train_places(&learned, &axes, kind, stop)).await };
-        let trained = tokio::spawn(training).await.map_err(|_| RpcError::Stopping)?;
+        let trained = crate::task::spawn(training).await.map_err(|_| RpcError::Stopping)?;
         drop(interest);
         trained
     }
