@@ -17,7 +17,9 @@ PREFIX ?= /usr/local
 SCHEMATHESIS := 4.32.5
 # What the tests need, as one build: the libraries, every program (with the daemon that has a planted fault) and every
 # test. The runner then finds all of it built.
-TESTED := --workspace --locked --bins --tests
+TESTED := --workspace --locked --bins --tests $(FEATURES)
+# All but the allocator, whose C code takes as long to build as a crate of the daemon.
+FEATURES := --no-default-features --features tidemapd/traces,tidemap/experiment
 
 ## help: the targets of this file
 help:
@@ -53,8 +55,11 @@ web-check: web
 		{ echo "client/web/dist is not what client/web builds to: run make web, and commit client/web/dist" >&2; exit 1; }
 
 ## demo: a simulated office, weeks of robots' observations, and what is learned from them
-demo: build
-	@$(BUILT)/tidemap demo $(ARGS)
+# Without the allocator, the traces and the experiments, which it does not need.
+demo:
+	@$(SETUP)
+	@$(ENV); cargo build --profile demo --no-default-features --locked -p tidemapd -p tidemap
+	@$${CARGO_TARGET_DIR:-target}/demo/tidemap demo $(ARGS)
 
 ## test: all tests
 test:
@@ -65,7 +70,7 @@ test:
 	else \
 		cargo test $(TESTED); \
 	fi
-	@$(ENV); cargo test --workspace --doc --locked
+	@$(ENV); cargo test --workspace --doc --locked $(FEATURES)
 	@$(ENV); if [ -e client/web/node_modules/vite ]; then \
 		cd client/web && npm run -s test; \
 	else \
@@ -86,7 +91,7 @@ docs:
 lint:
 	@$(SETUP) lint
 	@$(ENV); cargo fmt --all --check
-	@$(ENV); cargo clippy --workspace --all-targets --features tidemap-store/fuzz --locked -- -D warnings
+	@$(ENV); cargo clippy --workspace --all-targets $(FEATURES),tidemap-store/fuzz --locked -- -D warnings
 	@$(ENV); deploy/check-dependencies.sh
 
 ## sbom: the programs' dependencies with versions, licences and hashes, as CycloneDX in target/sbom
@@ -119,6 +124,8 @@ durability: export TIDEMAP_FULL_ROUNDS ?= 100
 durability: export TIDEMAP_SIMULATED_SEEDS ?= 5000
 durability: export TIDEMAP_OPERATIONS ?= 20000
 durability: export TIDEMAP_FULL := 1
+# With what ships.
+durability: FEATURES :=
 durability:
 	@$(SETUP) test
 	@$(ENV); cargo build --release $(TESTED)
@@ -136,7 +143,7 @@ texts: build
 install: texts
 	@dir="$(DESTDIR)$(PREFIX)"; sudo=; \
 		if ! mkdir -p "$$dir/bin" 2>/dev/null || ! [ -w "$$dir/bin" ]; then sudo=sudo; fi; \
-		$$sudo install -D -m 755 -t "$$dir/bin" "$(BUILT)/tidemapd" "$(BUILT)/tidemap"; \
+		$$sudo install -D -s -m 755 -t "$$dir/bin" "$(BUILT)/tidemapd" "$(BUILT)/tidemap"; \
 		$$sudo install -D -m 644 -t "$$dir/share/man/man1" target/texts/man/*; \
 		$$sudo install -D -m 644 -t "$$dir/share/bash-completion/completions" target/texts/bash/*; \
 		$$sudo install -D -m 644 -t "$$dir/share/zsh/site-functions" target/texts/zsh/*; \

@@ -3,11 +3,10 @@
 use std::{process::ExitCode, sync::Arc};
 
 use tidemap_store::disk::RealDisk;
-use tikv_jemallocator::Jemalloc;
-
 /// Gives memory back after an update, which the allocator of the system keeps; `.cargo/config.toml` has its settings.
+#[cfg(feature = "jemalloc")]
 #[global_allocator]
-static ALLOCATOR: Jemalloc = Jemalloc;
+static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 
 fn main() -> ExitCode {
     tidemapd::run(Arc::new(RealDisk))

@@ -9,6 +9,7 @@ mod command_texts;
 mod day;
 mod erase;
 mod evaluate;
+#[cfg(feature = "experiment")]
 mod experiment;
 mod files;
 mod grid;
@@ -275,6 +276,7 @@ enum Command {
     /// A protocol is a YAML file: training and test data, models with their parameters, the tuning of parameter lists
     /// on the training data, and the baseline model. The comparison goes to stdout; tables, predictions and a picture
     /// go to the folder that the protocol names.
+    #[cfg(feature = "experiment")]
     Experiment(experiment::ExperimentArgs),
     /// Measures a running daemon under load
     #[command(subcommand)]
@@ -374,6 +376,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
     if let Command::Sample(args) = &line.command {
         return sample::run(args, line.output.unwrap_or_else(default_format));
     }
+    #[cfg(feature = "experiment")]
     if let Command::Experiment(args) = line.command {
         return experiment::run(args, line.output.unwrap_or_else(default_format));
     }
@@ -420,8 +423,9 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Erase(args) => erase::run(&session, &args).await,
         Command::Bench(command) => bench::run(&session, &command).await,
         // Handled above.
+        #[cfg(feature = "experiment")]
+        Command::Experiment(_) => Ok(ExitCode::SUCCESS),
         Command::Demo(_)
-        | Command::Experiment(_)
         | Command::Open(_)
         | Command::Completions(_)
         | Command::ManPages(_)
