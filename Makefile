@@ -17,7 +17,7 @@ PREFIX ?= /usr/local
 SCHEMATHESIS := 4.32.5
 # What the tests need, as one build: the libraries, every program (with the daemon that has a planted fault) and every
 # test. The runner then finds all of it built.
-TESTED := --workspace --locked --bins --tests $(FEATURES)
+TESTED = --workspace --locked --bins --tests $(FEATURES)
 # All but the allocator, whose C code takes as long to build as a crate of the daemon.
 FEATURES := --no-default-features --features tidemapd/traces,tidemap/experiment
 
