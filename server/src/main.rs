@@ -3,6 +3,7 @@
 use std::{process::ExitCode, sync::Arc};
 
 use tidemap_store::disk::RealDisk;
+
 /// Gives memory back after an update, which the allocator of the system keeps; `.cargo/config.toml` has its settings.
 #[cfg(feature = "jemalloc")]
 #[global_allocator]

@@ -45,7 +45,7 @@ fn what_is_trained_at_night_comes_back_from_its_stored_parts_as_the_same_kind() 
         for state_kind in supported(kind) {
             let model = train(kind, state_kind);
             assert_eq!(model.kind_at_night(), Some(kind));
-            let parts = model.to_parts().unwrap();
+            let parts = model.to_parts().unwrap_or_else(|| panic!("{kind} has no parts: see to_parts"));
             for other in StateKind::ALL {
                 let read = TrainedModel::from_parts_of(other, parts.clone());
                 let is_hypertime = kind.hypertime_options().is_some();
