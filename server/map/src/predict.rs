@@ -202,10 +202,6 @@ fn blend(persistence: &Persistence, basis: MemoryBasis, moments: &[Moment], sele
         return;
     }
     for (probability, moment) in out.iter_mut().zip(moments) {
-        *probability = if selector.persistence {
-            persistence.blend_of(basis.usual_change, *probability, moment.utc_nanos)
-        } else {
-            persistence.remember(basis, *probability, moment.utc_nanos)
-        };
+        *probability = selector.blend(persistence, basis, *probability, moment.utc_nanos);
     }
 }

@@ -3,7 +3,7 @@
 //! Invariant: the answering model of a state depends on the query and on what the last update chose alone.
 
 pub use crate::catalogue::ModelKind;
-use crate::{ORDER_MAX, StateModel};
+use crate::{MemoryBasis, ORDER_MAX, Persistence, StateModel};
 
 mod name;
 
@@ -72,6 +72,16 @@ impl ModelSelector {
     #[inline]
     pub fn is_blended(self) -> bool {
         self.persistence || self.memory
+    }
+
+    /// A prediction `p` for a time, drawn towards the last value as this model does it; `p` itself if it does not.
+    #[must_use]
+    pub fn blend(self, newest: &Persistence, basis: MemoryBasis, p: f64, utc_nanos: i64) -> f64 {
+        match (self.persistence, self.memory) {
+            (true, _) => newest.blend_of(basis.usual_change, p, utc_nanos),
+            (false, true) => newest.remember(basis, p, utc_nanos),
+            (false, false) => p,
+        }
     }
 
     /// This model without the last value.
