@@ -81,9 +81,11 @@ pub enum ExploreError {
     Strategy { strategy: &'static str, refused: StrategyError },
 }
 
-/// The result of a strategy with a model over all seeds.
+/// The result of a strategy with a model and a share of slots over all seeds.
 #[derive(Clone, Debug)]
 pub struct StrategyResult {
+    /// The share of slots that may be used for visits, 0 to 1.
+    pub exploration: f64,
     /// The strategy.
     pub strategy: VisitStrategy,
     /// The model.
@@ -108,7 +110,7 @@ impl StrategyResult {
 /// The results of an exploration.
 #[derive(Debug)]
 pub struct Exploration {
-    /// Every strategy with every model, in the order of the protocol, strategy by strategy.
+    /// Every strategy with every model, in the order of the protocol: by share of slots, then strategy by strategy.
     pub results: Vec<StrategyResult>,
     /// Days of the world.
     pub days: usize,
@@ -130,25 +132,27 @@ fn explore(
     progress: &(impl Fn(u64, u64) + Sync),
 ) -> Result<Exploration, ExploreError> {
     let (seeds, days) = (protocol.seeds as usize, world.days());
-    let pairs: Vec<(VisitStrategy, BeliefModel)> = protocol
-        .strategies
-        .iter()
-        .flat_map(|&strategy| protocol.models.iter().map(move |&model| (strategy, model)))
-        .collect();
-    let (done, total) = (AtomicU64::new(0), (pairs.len() * seeds) as u64);
-    let runs = (0..pairs.len() * seeds)
+    let mut explorers: Vec<(f64, VisitStrategy, BeliefModel)> = Vec::new();
+    for &exploration in &protocol.explorations {
+        for &strategy in &protocol.strategies {
+            explorers.extend(protocol.models.iter().map(|&model| (exploration, strategy, model)));
+        }
+    }
+    let (done, total) = (AtomicU64::new(0), (explorers.len() * seeds) as u64);
+    let runs = (0..explorers.len() * seeds)
         .into_par_iter()
         .map(|job| {
-            let (strategy, model) = pairs[job / seeds];
-            let run = replay::replay(world, protocol.exploration, strategy, model, (job % seeds) as u64);
+            let (exploration, strategy, model) = explorers[job / seeds];
+            let run = replay::replay(world, exploration, strategy, model, (job % seeds) as u64);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             run
         })
         .collect::<Result<Vec<replay::Run>, ExploreError>>()?;
-    let result = |(&(strategy, model), runs): (&(VisitStrategy, BeliefModel), &[replay::Run])| {
+    let result = |(&(exploration, strategy, model), runs): (&(f64, VisitStrategy, BeliefModel), &[replay::Run])| {
         let visits: u64 = runs.iter().map(|run| run.visits).sum();
         let visits_per_day = visits as f64 / (runs.len() * days).max(1) as f64;
-        StrategyResult { strategy, model, days: runs.iter().map(|run| run.errors.clone()).collect(), visits_per_day }
+        let days = runs.iter().map(|run| run.errors.clone()).collect();
+        StrategyResult { exploration, strategy, model, days, visits_per_day }
     };
-    Ok(Exploration { results: pairs.iter().zip(runs.chunks(seeds.max(1))).map(result).collect(), days })
+    Ok(Exploration { results: explorers.iter().zip(runs.chunks(seeds.max(1))).map(result).collect(), days })
 }

@@ -1,4 +1,4 @@
-//! The error over the weeks as a picture: a panel for each strategy, with a line for each model.
+//! The error over the weeks as a picture: a panel for each share of slots and strategy, with a line for each model.
 //!
 //! Invariant: the same results give the same bytes; all panels have the same scale.
 
@@ -25,22 +25,28 @@ pub(super) fn draw(protocol: &PlacesProtocol, outcome: &Exploration) -> String {
     let all = outcome.results.iter().flat_map(|result| (0..weeks).map(move |week| percent(result, week)));
     let scale = Scale::up_to(all.fold(0.0, f64::max));
     let width = (CHART_WIDTH - LEFT - GAP * COLUMNS as f64) / COLUMNS as f64;
+    let several = protocol.explorations.len() > 1;
+    let strategies = |share: &f64| protocol.strategies.iter().map(|strategy| (*share, *strategy)).collect::<Vec<_>>();
+    let panels: Vec<_> = protocol.explorations.iter().flat_map(strategies).collect();
     let left = |index: usize| LEFT + (index % COLUMNS) as f64 * (width + GAP);
-    let legend_top = TOP + protocol.strategies.len().div_ceil(COLUMNS) as f64 * (HEIGHT + GAP + 16.0);
+    let legend_top = TOP + panels.len().div_ceil(COLUMNS) as f64 * (HEIGHT + GAP + 16.0);
     let legend_height = LEGEND_ROW * protocol.models.len().div_ceil(COLUMNS) as f64;
     let mut svg = Svg::new([CHART_WIDTH, legend_top + legend_height + 24.0], FONT_SIZE);
     svg.text([16.0, 26.0], &protocol.name, HEADING);
     svg.text([16.0, 46.0], "wrong states, percent of all, by week", "text-anchor=\"start\"");
-    for (index, strategy) in protocol.strategies.iter().enumerate() {
+    for (index, &(share, strategy)) in panels.iter().enumerate() {
         let top = TOP + (index / COLUMNS) as f64 * (HEIGHT + GAP + 16.0);
         let panel = Panel { area: [left(index), top, width, HEIGHT], steps: weeks, scale };
-        svg.text([left(index), top - 8.0], strategy.name(), HEADING);
+        let heading = if several { format!("{}, {share}", strategy.name()) } else { strategy.name().to_owned() };
+        svg.text([left(index), top - 8.0], &heading, HEADING);
         panel.draw_grid(&mut svg);
         for week in (0..weeks).step_by(weeks.div_ceil(12)) {
             panel.label(&mut svg, week as f64 + 0.5, &(week + 1).to_string());
         }
         for (index, model) in protocol.models.iter().enumerate() {
-            let is_this = |result: &&StrategyResult| result.strategy == *strategy && result.model == *model;
+            let is_this = |result: &&StrategyResult| {
+                result.exploration == share && result.strategy == strategy && result.model == *model
+            };
             for result in outcome.results.iter().filter(is_this) {
                 panel.draw_series(&mut svg, (0..weeks).map(|week| Some(percent(result, week))), &series_style(index));
             }

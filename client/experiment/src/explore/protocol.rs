@@ -39,8 +39,8 @@ pub struct PlacesProtocol {
     pub world: PathBuf,
     /// Length of a slot, which divides the day.
     pub slot_minutes: usize,
-    /// The share of slots that may be used for visits, 0 to 1.
-    pub exploration: f64,
+    /// The shares of slots that may be used for visits, each 0 to 1, at least one.
+    pub explorations: Vec<f64>,
     /// Number of runs of each strategy with each model, with seeds from 0 on.
     pub seeds: u64,
     /// First and last week, from 1, that are also scored separately.
@@ -61,7 +61,7 @@ struct RawExploreProtocol {
     world: Option<Word>,
     office: Option<RawOffice>,
     slot: Option<Word>,
-    exploration: Option<Word>,
+    exploration: Option<Words>,
     seeds: Option<Word>,
     weeks: Option<Words>,
     strategies: Option<Words>,
@@ -95,8 +95,13 @@ fn of_office(
     folder: &Path,
 ) -> Result<OfficeProtocol, ProtocolError> {
     const RIGHT: &str = "left out beside an office, which is a world of its own";
-    let one = [("world", written.world), ("slot", written.slot), ("exploration", written.exploration)];
-    let lists = [("weeks", written.weeks), ("strategies", written.strategies), ("models", written.models)];
+    let one = [("world", written.world), ("slot", written.slot)];
+    let lists = [
+        ("exploration", written.exploration),
+        ("weeks", written.weeks),
+        ("strategies", written.strategies),
+        ("models", written.models),
+    ];
     let first = |words: Words| Word {
         line: words.line,
         text: words.words.into_iter().map(|word| word.text).collect::<Vec<_>>().join(", "),
@@ -117,24 +122,37 @@ fn of_places(written: RawExploreProtocol, name: &str, folder: &Path) -> Result<P
             (minutes > 0 && DAY_MINUTES.is_multiple_of(minutes)).then_some(minutes)
         })
     })?;
-    let exploration = written.exploration.map_or(Ok(0.5), |word| {
-        parsed(&word, "exploration", "the share of slots for visits, from 0 to 1", |text| {
-            text.parse().ok().filter(|ratio| (0.0..=1.0).contains(ratio))
-        })
-    })?;
     let strategies = VisitStrategy::ALL.into_iter().map(|strategy| (strategy.name().to_owned(), strategy));
     let models = BeliefModel::all().map(|model| (model.name(), model));
     Ok(PlacesProtocol {
         name: written.name.map_or_else(|| name.to_owned(), |word| word.text),
         world: folder.join(required(written.world, "world", WORLD)?.text),
         slot_minutes,
-        exploration,
+        explorations: written.exploration.as_ref().map_or_else(|| Ok(vec![0.5]), explorations)?,
         seeds: seeds(written.seeds)?,
         weeks: written.weeks.as_ref().map(weeks).transpose()?,
         strategies: named("strategies", written.strategies, &strategies.collect::<Vec<_>>())?,
         models: named("models", written.models, &models.collect::<Vec<_>>())?,
         out: folder.join(required(written.out, "out", OUT)?.text),
     })
+}
+
+/// The shares of slots for visits, each once.
+fn explorations(written: &Words) -> Result<Vec<f64>, ProtocolError> {
+    const KEY: &str = "exploration";
+    const RIGHT: &str = "the share of slots for visits, from 0 to 1, or a list of such shares";
+    if written.words.is_empty() {
+        return Err(ProtocolError::value(KEY, &Word { line: written.line, text: "[]".to_owned() }, RIGHT));
+    }
+    let mut shares: Vec<f64> = Vec::with_capacity(written.words.len());
+    for word in &written.words {
+        let share = parsed(word, KEY, RIGHT, |text| text.parse().ok().filter(|share| (0.0..=1.0).contains(share)))?;
+        if shares.contains(&share) {
+            return Err(ProtocolError::value(KEY, word, "each share once"));
+        }
+        shares.push(share);
+    }
+    Ok(shares)
 }
 
 fn seeds(word: Option<Word>) -> Result<u64, ProtocolError> {

@@ -55,7 +55,7 @@ fn a_protocol_is_read_and_has_defaults() {
     assert_eq!(read.models[1], BeliefModel::Each { kind: ModelKind::Spectral, blend: Blend::Persistence });
     let least = protocol("world: w\nstrategies: greedy\nmodels: presence\nout: o\n");
     assert_eq!((least.name.as_str(), least.slot_minutes, least.seeds, least.weeks), ("stem", 10, 5, None));
-    assert!((least.exploration - 0.5).abs() < 1e-12);
+    assert_eq!(least.explorations, [0.5]);
 }
 
 #[test]
@@ -69,7 +69,13 @@ fn what_a_protocol_says_wrongly_is_named() {
         ("slot: 30m", "slot: 90s", "line 3: slot is \"90s\""),
         ("slot: 30m", "slot: 2d", "line 3: slot is \"2d\""),
         ("exploration: 0.25", "exploration: 1.5", "line 4: exploration is \"1.5\""),
-        ("exploration: 0.25", "exploration: .nan", "line 4: exploration is"),
+        ("exploration: 0.25", "exploration: []", "line 4: exploration is \"[]\": it has to be the share of slots"),
+        ("exploration: 0.25", "exploration: [0.25, half]", "line 4: exploration is \"half\""),
+        (
+            "exploration: 0.25",
+            "exploration: [0.25, 0.250]",
+            "line 4: exploration is \"0.250\": it has to be each share",
+        ),
         ("seeds: 3", "seeds: 0", "line 5: seeds is \"0\": it has to be a whole number from 1 to 1000"),
         ("weeks: [2, 3]", "weeks: [3, 2]", "line 6: weeks is \"2\": it has to be the first and the last week"),
         ("weeks: [2, 3]", "weeks: [0, 2]", "line 6: weeks is \"0\""),
@@ -89,6 +95,8 @@ fn what_a_protocol_says_wrongly_is_named() {
         let refused = parse(&PROTOCOL.replace(from, to), "stem", Path::new("")).expect_err(to).to_string();
         assert!(refused.starts_with(message) || refused.contains("nam"), "{refused}");
     }
+    let refused = parse(&PROTOCOL.replace("0.25", ".nan"), "stem", Path::new("")).expect_err("no number").to_string();
+    assert!(refused.contains("`.nan`") && refused.contains("line 4"), "{refused}");
 }
 
 #[test]
@@ -181,6 +189,27 @@ fn results_are_written() {
     assert_eq!(read("weeks.csv").lines().count(), 1 + 6 * 3);
     let picture = read("exploration.svg");
     assert!(picture.starts_with("<svg") && picture.contains("online-error") && !picture.contains("NaN"), "{picture}");
+}
+
+#[test]
+fn several_shares_of_slots_are_compared_in_one_run() {
+    let text = PROTOCOL.replace("exploration: 0.25", "exploration: [0, 0.25]").replace("seeds: 3", "seeds: 1");
+    let (one, both) = (protocol(&PROTOCOL.replace("seeds: 3", "seeds: 1")), protocol(&text));
+    let world = regular(21);
+    let run = |protocol: &PlacesProtocol| explore(&world, protocol, &|_, _| ()).unwrap();
+    let outcome = run(&both);
+    let shares: Vec<f64> = outcome.results.iter().map(|result| result.exploration).collect();
+    assert_eq!(shares, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.25, 0.25, 0.25, 0.25, 0.25, 0.25]);
+    // A share is explored as it would be alone.
+    for (result, alone) in outcome.results[6..].iter().zip(run(&one).results) {
+        assert_eq!((result.strategy, result.model, &result.days), (alone.strategy, alone.model, &alone.days));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write(&both, &outcome, folder.path()).unwrap();
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    assert!(read("results.csv").starts_with("exploration,strategy,model,error_percent,"));
+    assert!(read("weeks.csv").contains("\n0.25,online-error,presence,3,"));
+    assert!(read("exploration.svg").contains("online-error, 0.25"));
 }
 
 #[test]
