@@ -8,10 +8,37 @@ use tidemap_model::{
     Sample, StateKind, TrainedModel,
     catalogue::{ModelKind, ParameterSet, WrongParameter},
     models::{CannotTrain, Moment, TemporalModel},
+    selector::ModelSelector,
 };
 
 /// A trained model.
-pub type ComparedModel = Box<dyn TemporalModel + Send + Sync>;
+#[derive(Clone, Debug)]
+pub enum ComparedModel {
+    /// Of the catalogue.
+    One(TrainedModel),
+    /// A mean of two.
+    Average(Average),
+}
+
+impl TemporalModel for ComparedModel {
+    fn predict(&self, at: Moment) -> f64 {
+        match self {
+            Self::One(model) => model.predict(at),
+            Self::Average(model) => model.predict(at),
+        }
+    }
+}
+
+impl ComparedModel {
+    /// This model with another newest reading, given by its time in nanoseconds UTC and its value, if it answers from
+    /// the newest reading; none for other models.
+    pub fn with_newest(&self, newest: (i64, f64)) -> Option<ComparedModel> {
+        match self {
+            Self::One(model) => model.with_newest(newest).map(Self::One),
+            Self::Average(_) => None,
+        }
+    }
+}
 
 /// The kinds of models that can be compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +85,7 @@ impl ComparableKind {
 pub struct ComparedSettings {
     shown: String,
     settings: Settings,
+    blend: ModelSelector,
 }
 
 #[derive(Clone, Debug)]
@@ -87,7 +115,18 @@ impl ComparedSettings {
             }
         };
         let shown: Vec<String> = parameters.iter().map(|(name, text)| format!("{name}={text}")).collect();
-        Ok(Self { shown: shown.join(" "), settings })
+        Ok(Self { shown: shown.join(" "), settings, blend: ModelSelector::default() })
+    }
+
+    /// These settings with predictions that are drawn towards the newest reading as `blend` does it.
+    #[must_use]
+    pub fn blended(self, blend: ModelSelector) -> Self {
+        Self { blend, ..self }
+    }
+
+    /// How predictions are drawn towards the newest reading.
+    pub fn blend(&self) -> ModelSelector {
+        self.blend
     }
 
     /// The parameters of the protocol, such as `bins=24 cycle=day`.
@@ -101,8 +140,8 @@ impl ComparedSettings {
     /// [`CannotTrain`] without readings, or if a value is out of the model's range.
     pub fn train(&self, samples: &[Sample], kind: StateKind) -> Result<ComparedModel, CannotTrain> {
         Ok(match &self.settings {
-            Settings::One(set) => Box::new(set.train(samples, kind)?),
-            Settings::Average { calibrated, histogram, calibrated_weight } => Box::new(Average {
+            Settings::One(set) => ComparedModel::One(set.train(samples, kind)?),
+            Settings::Average { calibrated, histogram, calibrated_weight } => ComparedModel::Average(Average {
                 calibrated: calibrated.train(samples, kind)?,
                 histogram: histogram.train(samples, kind)?,
                 calibrated_weight: *calibrated_weight,
@@ -113,7 +152,8 @@ impl ComparedSettings {
 
 /// The weighted mean of two profiles whose errors differ: the calibrated one distinguishes days where they differ for
 /// certain, the smoothed histogram has more readings behind each value.
-struct Average {
+#[derive(Clone, Debug)]
+pub struct Average {
     calibrated: TrainedModel,
     histogram: TrainedModel,
     /// From 0 to 1; the histogram has the rest.

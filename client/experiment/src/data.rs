@@ -4,8 +4,8 @@
 //! again in portions.
 //!
 //! Invariant: every row of every file is valid, or the experiment fails. No test set starts before the end of the
-//! training data, nor, if models learn test sets, before the end of the previous test set. A portion has at most the
-//! given number of readings, or one state.
+//! training data unless it is a file of it, nor, if models learn test sets, before the end of the previous test set. A
+//! portion has at most the given number of readings, or one state.
 
 use std::{
     borrow::Cow,
@@ -22,7 +22,7 @@ use tidemap_model::{
     time::{format_rfc3339, parse_time},
 };
 
-use super::protocol::{Protocol, Retrain, RowFormat};
+use super::protocol::{Protocol, Retrain, RowFormat, TestFile};
 
 /// Name of the state of files without state names.
 const UNNAMED: &str = "value";
@@ -57,6 +57,8 @@ pub enum DataError {
 pub struct TestSet {
     /// Its name in results.
     pub label: String,
+    /// Whether it is training data.
+    pub is_learned: bool,
     /// Readings of each state, ascending by time.
     pub samples: Vec<Vec<Sample>>,
 }
@@ -83,8 +85,12 @@ fn extend(extent: &mut TimeExtent, time: i64) {
 impl Data {
     fn empty(states: Vec<String>, protocol: &Protocol) -> Self {
         let samples = vec![Vec::new(); states.len()];
-        let test = |label: &String| TestSet { label: label.clone(), samples: samples.clone() };
-        let tests = protocol.test.iter().map(|file| test(&file.label)).collect();
+        let test = |file: &TestFile| TestSet {
+            label: file.label.clone(),
+            is_learned: file.is_learned,
+            samples: samples.clone(),
+        };
+        let tests = protocol.test.iter().map(test).collect();
         Self { train: samples, tests, states }
     }
 
@@ -221,15 +227,16 @@ fn ranges(counts: &[usize], max: usize) -> Vec<Range<usize>> {
     ranges
 }
 
-/// Checks that models are scored on unseen data only. Adjacent recordings may share the time of their boundary.
+/// Checks that models are scored on unseen data only, except on the files of the training data. Adjacent recordings may
+/// share the time of their boundary.
 fn check_order(protocol: &Protocol, extents: &[TimeExtent]) -> Result<(), DataError> {
     let [train, tests @ ..] = extents else { return Ok(()) };
     let mut before = ("the training data".to_owned(), *train);
-    for (&test, file) in tests.iter().zip(&protocol.test) {
+    for (&test, file) in tests.iter().zip(&protocol.test).filter(|(_, file)| !file.is_learned) {
         let (Some((begins, ends)), Some((_, known_until))) = (test, before.1) else { continue };
         if begins < known_until {
             let right = match protocol.retrain {
-                Retrain::Never => "a test set must be after all training data",
+                Retrain::Never => "a test set must be after all training data, or be a file of it",
                 Retrain::Each => "with retrain: each, test sets must follow one another",
             };
             let path = file.path.clone();

@@ -8,6 +8,7 @@
 //! - `data.rs`: files to readings by state, in portions of states that fit into memory; one invalid row stops it;
 //! - `tuning.rs`: rolling origin on training data; the parameter set with the lowest mean error is chosen;
 //! - `score.rs`: the chosen sets on the test sets: errors by test set and by local day;
+//! - `newest.rs`: predictions by how far ahead readings are predicted, from the newest reading then;
 //! - `paired.rs`: models in pairs: studentised bootstrap over days within test sets, fixed seed, corrected by Holm;
 //! - `report.rs`: results.csv, pairs.csv, folds.csv, predictions.csv; `picture.rs`: comparison.svg.
 //!
@@ -15,8 +16,9 @@
 //! with one choice of parameters for all states; readings of all states have the same weight. Nothing is tested
 //! with fewer than five days more than test sets.
 //!
-//! Invariant: parameters are tuned on training data only, a test set is predicted from earlier data only, and the same
-//! files give the same results for any number of threads: jobs are independent and summed in order.
+//! Invariant: parameters are tuned on training data only, a test set is predicted from earlier data only (unless it is
+//! a file of the training data, whose errors stay apart), and the same files give the same results for any number of
+//! threads: jobs are independent and summed in order.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -26,6 +28,7 @@ use tidemap_model::{Evaluation, models::CannotTrain};
 mod compared;
 mod data;
 pub mod explore;
+mod newest;
 mod paired;
 mod picture;
 mod place_recording;
@@ -40,7 +43,7 @@ mod tuning;
 #[cfg(test)]
 mod tests;
 
-pub use protocol::{Protocol, ProtocolError, read};
+pub use protocol::{Ahead, Protocol, ProtocolError, read};
 pub use report::{summary, write};
 
 pub use compared::{ComparableKind, ComparedModel, ComparedSettings};
@@ -81,11 +84,13 @@ impl ExperimentError {
     }
 }
 
-/// The result of a model.
+/// The result of a model at one lag.
 #[derive(Clone, Debug)]
 pub struct ModelResult {
     /// Its name in results.
     pub label: String,
+    /// How far ahead readings are predicted; none if the models answer without a newest reading.
+    pub ahead: Option<Ahead>,
     /// Its parameters, as chosen.
     pub parameters: String,
     /// Errors of the model on the test days.
@@ -110,13 +115,13 @@ impl ModelResult {
 /// The results of an experiment.
 #[derive(Debug)]
 pub struct Comparison {
-    /// The models, in the order of the protocol.
+    /// By lag, then the models, both in the order of the protocol.
     pub models: Vec<ModelResult>,
     /// The folds on which parameters were tuned.
     pub folds: Vec<Fold>,
     /// The scores of every parameter set on the folds.
     pub trials: Vec<Trial<Evaluation>>,
-    /// Every pair of models, in the order of the protocol.
+    /// Every pair of models at the same lag, by lag, then in the order of the protocol.
     pub pairs: Vec<PairedModels>,
     /// The data; if it was read in several portions, the names of the states without their readings.
     pub data: Data,
@@ -172,14 +177,32 @@ fn run_in_portions(
         .enumerate()
         .map(|(index, model)| (model.label.as_str(), &model.sets[tuning::chosen(&trials, index)]))
         .collect();
-    let scores = score::score(&data, &models, protocol.retrain, kind, &step)?;
-    let days: Vec<&[DayErrors]> = scores.iter().map(|score| score.days.as_slice()).collect();
-    let pairs = paired::all_pairs(&days, protocol.significance);
-    let baseline = scores.get(protocol.baseline).map_or_else(Vec::new, |score| score.days.clone());
-    let results = models.iter().zip(scores).enumerate().map(|(index, (&(label, set), score))| {
-        let difference =
-            (index != protocol.baseline).then(|| paired::difference(&score.days, &baseline, protocol.significance));
-        ModelResult { label: label.to_owned(), parameters: set.shown().to_owned(), score, difference }
+    let scores = score::score(&data, &models, protocol, &step)?;
+    let (models, pairs) = compared(protocol, &models, scores);
+    Ok(Comparison { models, folds, trials, pairs, data: data.all })
+}
+
+/// Compares scores, which come by lag, then by model, at each lag.
+fn compared(
+    protocol: &Protocol,
+    models: &[(&str, &ComparedSettings)],
+    scores: Vec<TestScore>,
+) -> (Vec<ModelResult>, Vec<PairedModels>) {
+    let (mut differences, mut pairs) = (Vec::with_capacity(scores.len()), Vec::new());
+    for scores in scores.chunks(models.len().max(1)) {
+        let days: Vec<&[DayErrors]> = scores.iter().map(|score| score.days.as_slice()).collect();
+        let first = differences.len();
+        let pair = |pair: PairedModels| PairedModels { model: first + pair.model, other: first + pair.other, ..pair };
+        pairs.extend(paired::all_pairs(&days, protocol.significance).into_iter().map(pair));
+        differences.extend(days.iter().enumerate().map(|(index, own)| {
+            let baseline = days.get(protocol.baseline).filter(|_| index != protocol.baseline)?;
+            Some(paired::difference(own, baseline, protocol.significance))
+        }));
+    }
+    let lags = score::lags(protocol).into_iter();
+    let rows = lags.flat_map(|ahead| models.iter().map(move |&(label, set)| (ahead, label, set)));
+    let results = rows.zip(scores.into_iter().zip(differences)).map(|((ahead, label, set), (score, difference))| {
+        ModelResult { label: label.to_owned(), ahead, parameters: set.shown().to_owned(), score, difference }
     });
-    Ok(Comparison { models: results.collect(), folds, trials, pairs, data: data.all })
+    (results.collect(), pairs)
 }

@@ -1,8 +1,9 @@
-//! The comparison as a picture: a bar for each model, in SVG.
+//! The comparison as a picture: a bar for each lag and model, in SVG.
 //!
-//! A bar is the mean squared error. The dashed line is the error of the baseline. A whisker is the interval of the
-//! difference to the baseline, added to the baseline's error: if it does not cross the line, the difference is
-//! significant. Labels, bars and figures have a column each, so that no text overlaps a line.
+//! A bar is the mean squared error. The dashed line is the error of the baseline at the same lag. A whisker is the
+//! interval of the difference to the baseline, added to the baseline's error: if it does not cross the line, the
+//! difference is significant. Labels, bars and figures have a column each, so that no text overlaps a line.
+//!
 //! Invariant: the same results give the same bytes; text stays inside the picture in all common fonts.
 
 use tidemap_formats::svg::{
@@ -46,14 +47,18 @@ fn colour(protocol: &Protocol, model: &ModelResult) -> &'static str {
 /// Draws the comparison.
 pub(crate) fn draw(protocol: &Protocol, outcome: &Comparison) -> String {
     let models = &outcome.models;
-    let baseline_mse = models.get(protocol.baseline).map_or(0.0, |model| model.score.mse());
-    let whisker = |model: &ModelResult| {
+    let of_lag = protocol.models.len().max(1);
+    let baseline_mse =
+        |index: usize| models.get(index / of_lag * of_lag + protocol.baseline).map_or(0.0, |model| model.score.mse());
+    let whisker = |index: usize, model: &ModelResult| {
         let (lower, upper) = model.difference?.test?.interval?;
         // Identical predictions have an empty interval.
-        (lower < upper).then_some((baseline_mse + lower, baseline_mse + upper))
+        (lower < upper).then_some((baseline_mse(index) + lower, baseline_mse(index) + upper))
     };
-    let highest = |model: &ModelResult| whisker(model).map_or(0.0, |(_, upper)| upper).max(model.score.mse());
-    let highest = models.iter().map(highest).fold(0.0, f64::max);
+    let highest = |(index, model): (usize, &ModelResult)| {
+        whisker(index, model).map_or(0.0, |(_, upper)| upper).max(model.score.mse())
+    };
+    let highest = models.iter().enumerate().map(highest).fold(0.0, f64::max);
     let scale = Scale::up_to(highest);
     let x = |mse: f64| LABELS + (mse / scale.end()).max(0.0) * (WIDTH - LABELS - FIGURES);
     let bottom = TOP + ROW * models.len() as f64;
@@ -72,7 +77,8 @@ pub(crate) fn draw(protocol: &Protocol, outcome: &Comparison) -> String {
             &format!("fill=\"{}\"", colour(protocol, model)),
         );
         let room = LABELS - 10.0 - MARGIN;
-        let (label, parameters) = (shortened(&model.label, room, NORMAL), shortened(&model.parameters, room, SMALL));
+        let label = model.ahead.map_or_else(|| model.label.clone(), |ahead| format!("{}, {ahead}", model.label));
+        let (label, parameters) = (shortened(&label, room, NORMAL), shortened(&model.parameters, room, SMALL));
         let below = if parameters.is_empty() { 4.0 } else { -3.0 };
         svg.text([LABELS - 10.0, middle + below], &label, "text-anchor=\"end\"");
         if !parameters.is_empty() {
@@ -80,15 +86,18 @@ pub(crate) fn draw(protocol: &Protocol, outcome: &Comparison) -> String {
             svg.text([LABELS - 10.0, middle + 11.0], &parameters, &style);
         }
         svg.text([WIDTH - MARGIN, middle + 4.0], &number(mse), "text-anchor=\"end\"");
-        if let Some((lower, upper)) = whisker(model) {
+        if let Some((lower, upper)) = whisker(index, model) {
             svg.line([x(lower), middle, x(upper), middle], WHISKER);
             for end in [x(lower), x(upper)] {
                 svg.line([end, middle - 4.0, end, middle + 4.0], WHISKER);
             }
         }
     }
-    let line = x(baseline_mse);
-    svg.line([line, TOP - 4.0, line, bottom + 4.0], DASHED);
+    for first in (0..models.len()).step_by(of_lag) {
+        let line = x(baseline_mse(first));
+        let (from, until) = (TOP + ROW * first as f64, TOP + ROW * (first + of_lag) as f64);
+        svg.line([line, from - 4.0, line, until + 4.0], DASHED);
+    }
     legend(&mut svg, bottom + 66.0, protocol, models.get(protocol.baseline).map_or("", |model| model.label.as_str()));
     svg.finish()
 }

@@ -3,10 +3,11 @@
 //! Invariant: a protocol that was read is consistent in itself: every model can be trained, every list can be tuned,
 //! labels are unique. The files it names may be missing. Paths are relative to the protocol's file.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use tidemap_model::{StateKind, Zone, time::parse_duration};
 
+mod ahead;
 mod error;
 pub(super) mod keys;
 pub(super) mod model_entry;
@@ -15,14 +16,19 @@ pub(super) mod raw;
 #[cfg(test)]
 mod tests;
 
+pub use ahead::Ahead;
 pub use error::ProtocolError;
 pub(crate) use model_entry::ModelEntry;
 
 use keys::{ProtocolFile, from_yaml, parsed, required, whole};
+use model_entry::Allowed;
 use raw::{RawProtocol, RawTuning, Word, Words};
 
 /// The meaning of the key `out`.
 pub(super) const OUT: &str = "the folder that results are written to";
+
+/// The value of the key `lists` that makes a model of every value.
+pub(super) const EACH: &str = "each";
 
 /// Maximum number of folds; each trains every parameter set once.
 const FOLDS_MAX: usize = 1000;
@@ -44,6 +50,16 @@ pub enum Retrain {
     #[default]
     Never,
     /// Before each test set, on all earlier data.
+    Each,
+}
+
+/// What lists of parameters are for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Lists {
+    /// Tuning chooses one value.
+    #[default]
+    Tuned,
+    /// Every value is a model of its own.
     Each,
 }
 
@@ -75,6 +91,8 @@ pub struct TestFile {
     /// Its name in results.
     pub label: String,
     pub path: PathBuf,
+    /// Whether it is a file of the training data, so that its errors are those of models that have learned it.
+    pub is_learned: bool,
 }
 
 /// The protocol of a comparison of models.
@@ -96,6 +114,8 @@ pub struct Protocol {
     pub test: Vec<TestFile>,
     /// When models are trained again.
     pub retrain: Retrain,
+    /// How far ahead readings are predicted. Empty: by the trained models alone, without a newest reading.
+    pub ahead: Vec<Ahead>,
     /// The models, at least one.
     pub models: Vec<ModelEntry>,
     /// Tuning of parameters.
@@ -127,11 +147,14 @@ pub(crate) fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, P
     let kind = choice(written.kind, "kind", &StateKind::ALL.map(|kind| (kind.name(), kind)))?;
     let format = choice(written.format, "format", &[("csv", RowFormat::Csv), ("pairs", RowFormat::Pairs)])?;
     let states = states(written.states, format)?;
-    let train = paths(written.train, "train", folder)?.into_iter().map(|(_, path)| path).collect();
-    let test = labelled(paths(written.test, "test", folder)?);
+    let train: Vec<PathBuf> = paths(written.train, "train", folder)?.into_iter().map(|(_, path)| path).collect();
+    let test = labelled(paths(written.test, "test", folder)?, &train);
     let retrain = choice(written.retrain, "retrain", &[("never", Retrain::Never), ("each", Retrain::Each)])?;
     let tuning = written.tuning.as_ref().map(tuning).transpose()?;
-    let models = model_entry::read(written.models, kind, tuning.is_some())?;
+    let ahead = ahead::read(written.ahead)?;
+    let lists = lists(written.lists, tuning.is_some())?;
+    let allowed = Allowed { values: kind, tunes: tuning.is_some(), lists, has_newest: !ahead.is_empty() };
+    let models = model_entry::read(written.models, allowed)?;
     let baseline = match written.baseline {
         Some(word) => models.iter().position(|model| model.label == word.text).ok_or_else(|| {
             let labels: Vec<&str> = models.iter().map(|model| model.label.as_str()).collect();
@@ -163,6 +186,7 @@ pub(crate) fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, P
         train,
         test,
         retrain,
+        ahead,
         models,
         tuning,
         baseline,
@@ -170,6 +194,17 @@ pub(crate) fn parse(text: &str, name: &str, folder: &Path) -> Result<Protocol, P
         predictions,
         out: folder.join(out.text),
     })
+}
+
+/// What lists of parameters are for. With tuning, lists are for tuning.
+fn lists(word: Option<Word>, tunes: bool) -> Result<Lists, ProtocolError> {
+    match word {
+        Some(word) if tunes && word.text == EACH => {
+            let right = "left out beside tuning, which chooses one value of each list";
+            Err(ProtocolError::value("lists", &word, right))
+        }
+        word => choice(word, "lists", &[("tuned", Lists::Tuned), (EACH, Lists::Each)]),
+    }
 }
 
 /// One of several words; the default if the key is missing.
@@ -218,14 +253,20 @@ fn paths(written: Option<Words>, key: &'static str, folder: &Path) -> Result<Vec
 }
 
 /// Test sets have the names of their files, numbered where two names are equal.
-fn labelled(paths: Vec<(Word, PathBuf)>) -> Vec<TestFile> {
+fn labelled(paths: Vec<(Word, PathBuf)>, train: &[PathBuf]) -> Vec<TestFile> {
+    // ./train.csv and train.csv are one file.
+    let same = |one: &Path, other: &Path| {
+        let named = |part: &Component<'_>| *part != Component::CurDir;
+        one.components().filter(named).eq(other.components().filter(named))
+    };
     let mut tests: Vec<TestFile> = Vec::with_capacity(paths.len());
     for (word, path) in paths {
         let stem = path.file_stem().map_or_else(|| word.text.clone(), |stem| stem.to_string_lossy().into_owned());
         let numbered = (1..).map(|number: u32| if number == 1 { stem.clone() } else { format!("{stem}-{number}") });
         let mut free = numbered.filter(|label| tests.iter().all(|test| test.label != *label));
         let label = free.next().unwrap_or_default();
-        tests.push(TestFile { label, path });
+        let is_learned = train.iter().any(|other| same(other, &path));
+        tests.push(TestFile { label, path, is_learned });
     }
     tests
 }

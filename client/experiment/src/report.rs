@@ -11,31 +11,59 @@ use std::{
 use anyhow::Context as _;
 use tidemap_model::{Evaluation, StateKind};
 
-use super::{Comparison, ModelResult, Protocol, picture, protocol::Predictions};
+use super::{
+    Comparison, ModelResult, Protocol, picture,
+    protocol::Predictions,
+    score::{SetErrors, lags},
+};
 use tidemap_formats::table::{Cell, Format, TableWriter, write_rows};
 
-/// Writes the comparison, a row for each model.
+/// Writes the comparison, a row for each lag and model.
 ///
-/// Columns: model, parameters, mse and error_rate (means over test sets), mse of each test set, the difference of mse
-/// to the baseline with its interval and p-value, and a verdict: better, worse, or no difference.
+/// Columns: model, parameters, mse and error_rate (means over test sets that were not learned), mse of each test set,
+/// the difference of mse to the baseline with its interval and p-value, and a verdict: better, worse, or no difference.
+/// If the protocol has lags, also ahead and log_loss (nats); if it tests training data, the error rate of each test
+/// set.
 pub fn summary<W: Write>(protocol: &Protocol, outcome: &Comparison, format: Format, writer: W) -> io::Result<()> {
-    let mut columns = ["model", "parameters", "mse", "error_rate"].map(str::to_owned).to_vec();
+    let mut columns = vec!["model".to_owned(), "parameters".to_owned()];
+    columns.extend(has_lags(protocol).then(|| "ahead".to_owned()));
+    columns.extend(["mse", "error_rate"].map(str::to_owned));
+    columns.extend(has_lags(protocol).then(|| "log_loss".to_owned()));
     columns.extend(protocol.test.iter().map(|test| format!("mse_{}", test.label)));
+    if tests_learned(protocol) {
+        columns.extend(protocol.test.iter().map(|test| format!("error_rate_{}", test.label)));
+    }
     columns.extend(["difference", "lower", "upper", "p_value", "verdict"].map(str::to_owned));
     write_rows(format, &columns, outcome.models.iter().map(|model| row(protocol, model)), writer)
 }
 
+fn has_lags(protocol: &Protocol) -> bool {
+    !protocol.ahead.is_empty()
+}
+
+/// Whether a test set is a file of the training data.
+fn tests_learned(protocol: &Protocol) -> bool {
+    protocol.test.iter().any(|test| test.is_learned)
+}
+
 fn row(protocol: &Protocol, model: &ModelResult) -> Vec<Cell> {
-    // An error rate has no meaning for a speed or a count.
+    // Error rate and log loss have no meaning for a speed or a count.
     let has_rate = protocol.kind == StateKind::Probability;
-    let mut cells = vec![
-        Cell::Text(model.label.clone()),
-        Cell::Text(model.parameters.clone()),
-        model.score.mse().into(),
-        Cell::maybe(has_rate.then(|| model.score.error_rate())),
-    ];
-    cells.extend(model.score.sets.iter().map(|set| Cell::from(set.mse())));
-    let mean = model.difference.map(|difference| difference.mean);
+    let score = &model.score;
+    let unseen = score.has_unseen();
+    let mut cells = vec![Cell::Text(model.label.clone()), Cell::Text(model.parameters.clone())];
+    cells.extend(model.ahead.map(|ahead| Cell::Text(ahead.to_string())));
+    cells.push(Cell::maybe(unseen.then(|| score.mse())));
+    cells.push(Cell::maybe((has_rate && unseen).then(|| score.error_rate())));
+    if has_lags(protocol) {
+        cells.push(Cell::maybe((has_rate && unseen).then(|| score.log_loss())));
+    }
+    cells.extend(score.sets.iter().map(|set| Cell::from(set.errors.mse())));
+    if tests_learned(protocol) {
+        let rate = |set: &SetErrors| Cell::maybe(has_rate.then(|| set.errors.error_rate()));
+        cells.extend(score.sets.iter().map(rate));
+    }
+    let mean = model.difference.filter(|_| unseen).map(|difference| difference.mean);
     let test = model.difference.and_then(|difference| difference.test);
     let interval = test.and_then(|test| test.interval);
     cells.push(Cell::maybe(mean));
@@ -73,11 +101,14 @@ pub(super) fn file(
     written().with_context(|| path.display().to_string())
 }
 
-/// The difference of every pair of models, with its p-value as it is and corrected for the number of pairs (Holm). The
-/// verdict is by the corrected one.
+/// The difference of every pair of models at a lag, with its p-value as it is and corrected for the number of pairs
+/// (Holm). The verdict is by the corrected one.
 fn pairs<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
-    let columns = ["model", "other", "difference", "lower", "upper", "p_value", "corrected_p_value", "verdict"];
+    let mut columns = vec!["model", "other"];
+    columns.extend(has_lags(protocol).then_some("ahead"));
+    columns.extend(["difference", "lower", "upper", "p_value", "corrected_p_value", "verdict"]);
     let label = |index: usize| Cell::Text(outcome.models[index].label.clone());
+    let ahead = |index: usize| outcome.models[index].ahead.map(|ahead| Cell::Text(ahead.to_string()));
     let rows = outcome.pairs.iter().map(|pair| {
         let test = pair.difference.test;
         let interval = test.and_then(|test| test.interval);
@@ -86,16 +117,17 @@ fn pairs<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::
             mean if mean < 0.0 => "better",
             _ => "worse",
         });
-        vec![
-            label(pair.model),
-            label(pair.other),
+        let mut cells = vec![label(pair.model), label(pair.other)];
+        cells.extend(ahead(pair.model));
+        cells.extend([
             pair.difference.mean.into(),
             Cell::maybe(interval.map(|(lower, _)| lower)),
             Cell::maybe(interval.map(|(_, upper)| upper)),
             Cell::maybe(test.map(|test| test.p_value)),
             Cell::maybe(pair.corrected_p_value),
             verdict.map_or(Cell::Empty, Cell::from),
-        ]
+        ]);
+        cells
     });
     write_rows(Format::Csv, &columns, rows, writer)
 }
@@ -122,10 +154,12 @@ fn trials<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io:
     write_rows(Format::Csv, &columns, rows, writer)
 }
 
-/// The predictions and the observed values, by test set, by time, by state.
+/// The predictions and the observed values, by test set, by time, by state, by lag.
 fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -> io::Result<()> {
     let mut columns = ["time", "state", "value"].map(str::to_owned).to_vec();
-    columns.extend(outcome.models.iter().map(|model| model.label.clone()));
+    columns.extend(has_lags(protocol).then(|| "ahead".to_owned()));
+    let of_one_lag = outcome.models.iter().take(protocol.models.len());
+    columns.extend(of_one_lag.map(|model| model.label.clone()));
     let mut table = TableWriter::new(Format::Csv, &columns, writer);
     for (set, test) in outcome.data.tests.iter().enumerate() {
         let mut readings: Vec<(i64, usize, usize)> = Vec::new();
@@ -145,9 +179,12 @@ fn predictions<W: Write>(protocol: &Protocol, outcome: &Comparison, writer: W) -
         readings.sort_unstable();
         for (time, state, at) in readings {
             let value = test.samples[state][at].value;
-            let mut cells = vec![Cell::Time(time), outcome.data.states[state].as_str().into(), value.into()];
-            cells.extend(outcome.models.iter().map(|model| Cell::from(model.score.predictions[set][state][at])));
-            table.row(cells)?;
+            for (ahead, models) in lags(protocol).into_iter().zip(outcome.models.chunks(protocol.models.len().max(1))) {
+                let mut cells = vec![Cell::Time(time), outcome.data.states[state].as_str().into(), value.into()];
+                cells.extend(ahead.map(|ahead| Cell::Text(ahead.to_string())));
+                cells.extend(models.iter().map(|model| Cell::from(model.score.predictions[set][state][at])));
+                table.row(cells)?;
+            }
         }
     }
     table.finish()

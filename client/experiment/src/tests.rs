@@ -17,12 +17,12 @@ mod folder;
 pub(crate) use folder::recordings;
 
 /// Quarter hours from Monday 2024-01-01 on.
-const MONDAY: i64 = 1_704_067_200;
-const STEP: i64 = 900;
-const DAY: i64 = 86_400;
+pub(crate) const MONDAY: i64 = 1_704_067_200;
+pub(crate) const STEP: i64 = 900;
+pub(crate) const DAY: i64 = 86_400;
 
 /// Rows of a door that is open from nine to five but on weekends, shifted by `shift` hours, over some days.
-fn recording(first_day: i64, days: i64, shift: i64) -> String {
+pub(crate) fn recording(first_day: i64, days: i64, shift: i64) -> String {
     let mut text = "time,state,value\n".to_owned();
     for time in (first_day * DAY..(first_day + days) * DAY).step_by(STEP as usize) {
         let (weekday, hour) = (time / DAY % 7, time / 3600 % 24 - shift);
@@ -58,11 +58,11 @@ fn folder() -> TempDir {
     folder
 }
 
-fn protocol(folder: &Path, text: &str) -> Protocol {
+pub(crate) fn protocol(folder: &Path, text: &str) -> Protocol {
     parse(text, "test", folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn ran(folder: &Path, text: &str) -> Comparison {
+pub(crate) fn ran(folder: &Path, text: &str) -> Comparison {
     run(&protocol(folder, text), &|_, _| ()).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -153,12 +153,12 @@ fn states_are_learned_apart_and_scored_together() {
     }
     let outcome = ran(folder.path(), &text);
     assert_eq!(outcome.data.states, ["door", "lamp"]);
-    assert_eq!(outcome.models[0].score.sets[0].observations, 2 * 7 * 96);
+    assert_eq!(outcome.models[0].score.sets[0].errors.observations, 2 * 7 * 96);
     // The lamp is as easy as the door.
     assert!((mse(&outcome, "histogram") - mse(&door, "histogram")).abs() < 1e-9);
     let only = ran(folder.path(), &format!("{text}states: [lamp]\n"));
     assert_eq!(only.data.states, ["lamp"]);
-    assert_eq!(only.models[0].score.sets[0].observations, 7 * 96);
+    assert_eq!(only.models[0].score.sets[0].errors.observations, 7 * 96);
 }
 
 #[test]

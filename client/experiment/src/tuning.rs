@@ -8,6 +8,7 @@
 use rayon::prelude::*;
 use tidemap_model::{
     Evaluation, Sample, StateKind,
+    models::TemporalModel as _,
     time::{format_duration, format_rfc3339},
 };
 

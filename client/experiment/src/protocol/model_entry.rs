@@ -1,21 +1,28 @@
 //! The models of a protocol, each with the parameter sets that its lists of values span.
 //!
+//! A name may end in a suffix that draws predictions to the newest reading, as on the command line (`spectral+memory`);
+//! which suffixes there are is the selector's matter ([`ModelSelector`]).
+//!
 //! Invariant: an entry has at least one parameter set, and several only if the protocol tunes. Sets are in the order of
 //! the lists; the last parameter changes fastest.
 
 use tidemap_model::{
     StateKind,
     catalogue::{ModelKind, SupportedStates, WrongParameter},
+    selector::ModelSelector,
 };
 
 use super::{
     super::compared::{ComparableKind, ComparedSettings},
+    EACH, Lists,
     error::ProtocolError,
     raw::{RawModel, Word, Words},
 };
 
 /// Maximum number of parameter sets of one model.
 const PARAMETER_SETS_MAX: usize = 10_000;
+/// Maximum number of models; each is compared with each.
+const MODELS_MAX: usize = 100;
 /// The key that sets the display name of a model; not a model parameter.
 const NAME: &str = "name";
 
@@ -28,36 +35,91 @@ pub struct ModelEntry {
     pub sets: Vec<ComparedSettings>,
 }
 
+/// What the rest of a protocol allows its models.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Allowed {
+    /// The kind of the values.
+    pub values: StateKind,
+    /// Whether a section chooses from lists.
+    pub tunes: bool,
+    /// What lists are for.
+    pub lists: Lists,
+    /// Whether readings are predicted from a newest one.
+    pub has_newest: bool,
+}
+
 /// Reads the models.
-pub(crate) fn read(
-    models: Option<Vec<RawModel>>,
-    values: StateKind,
-    tunes: bool,
-) -> Result<Vec<ModelEntry>, ProtocolError> {
+pub(crate) fn read(models: Option<Vec<RawModel>>, allowed: Allowed) -> Result<Vec<ModelEntry>, ProtocolError> {
     let models = models.filter(|models| !models.is_empty());
     let models =
         models.ok_or_else(|| ProtocolError::missing("models", "a list of models, such as [mean, spectral]"))?;
     let mut entries: Vec<ModelEntry> = Vec::with_capacity(models.len());
     for model in &models {
-        let entry = entry(model, values, tunes)?;
-        if entries.iter().any(|other| other.label == entry.label) {
-            let wrong = format!(
-                "two models have the name {:?}: set another name, as in {}: {{name: other}}",
-                entry.label, model.kind.text
-            );
+        let entry = entry(model, allowed)?;
+        for entry in of_lists(entry, allowed.lists) {
+            if entries.iter().any(|other| other.label == entry.label) {
+                let wrong = format!(
+                    "two models have the name {:?}: set another name, as in {}: {{name: other}}",
+                    entry.label, model.kind.text
+                );
+                return Err(ProtocolError::model(model.kind.line, &model.kind, wrong));
+            }
+            entries.push(entry);
+        }
+        if allowed.lists == Lists::Each && entries.len() > MODELS_MAX {
+            let wrong = format!("with its lists, there are more than {MODELS_MAX} models: shorten them");
             return Err(ProtocolError::model(model.kind.line, &model.kind, wrong));
         }
-        entries.push(entry);
     }
     Ok(entries)
 }
 
-fn entry(model: &RawModel, values: StateKind, tunes: bool) -> Result<ModelEntry, ProtocolError> {
-    let written = &model.kind;
-    let kind = ComparableKind::all().find(|kind| kind.name() == written.text).ok_or_else(|| {
+/// The entry, or one for each of its parameter sets, which are then part of the names.
+fn of_lists(entry: ModelEntry, lists: Lists) -> Vec<ModelEntry> {
+    match lists {
+        Lists::Each if entry.sets.len() > 1 => {
+            let label = |set: &ComparedSettings| format!("{} {}", entry.label, set.shown());
+            entry.sets.iter().map(|set| ModelEntry { label: label(set), sets: vec![set.clone()] }).collect()
+        }
+        Lists::Each | Lists::Tuned => vec![entry],
+    }
+}
+
+/// The kind of a model, and how its predictions are drawn towards the newest reading.
+fn kind(written: &Word, has_newest: bool) -> Result<(ComparableKind, ModelSelector), ProtocolError> {
+    let (name, suffix) = written.text.split_at(written.text.find('+').unwrap_or(written.text.len()));
+    let kind = ComparableKind::all().find(|kind| kind.name() == name).ok_or_else(|| {
         let names: Vec<_> = ComparableKind::all().map(ComparableKind::name).collect();
         ProtocolError::value("model", written, &format!("one of: {}", names.join(", ")))
     })?;
+    if suffix.is_empty() {
+        return Ok((kind, ModelSelector::default()));
+    }
+    // The mean of two models is no model of the catalogue, but takes the same suffixes.
+    let of_catalogue = match kind {
+        ComparableKind::One(kind) => kind,
+        ComparableKind::Average => ModelKind::Mean,
+    };
+    let blend: Result<ModelSelector, _> = format!("{}{suffix}", of_catalogue.name()).parse();
+    let blend = blend.map_err(|wrong| ProtocolError::model(written.line, written, wrong.to_string()))?;
+    if of_catalogue.takes_newest() {
+        let wrong = format!("{name} answers from the newest reading as it is: leave out {suffix}");
+        return Err(ProtocolError::model(written.line, written, wrong));
+    }
+    if !has_newest {
+        let wrong = format!(
+            "{suffix} draws predictions towards the newest reading, and nothing says which reading that is: write how \
+             far ahead to predict in a comparison, as in ahead: [next, 1h, 24h], or leave it out"
+        );
+        return Err(ProtocolError::model(written.line, written, wrong));
+    }
+    Ok((kind, blend))
+}
+
+fn entry(model: &RawModel, allowed: Allowed) -> Result<ModelEntry, ProtocolError> {
+    let Allowed { values, tunes, lists, has_newest } = allowed;
+    let written = &model.kind;
+    let (kind, blend) = kind(written, has_newest)?;
     let names = kind.parameters();
     let is_of_counts = |kind: ModelKind| kind.info().states == SupportedStates::Counts;
     if matches!(kind, ComparableKind::One(kind) if is_of_counts(kind)) && values != StateKind::Count {
@@ -76,9 +138,10 @@ fn entry(model: &RawModel, values: StateKind, tunes: bool) -> Result<ModelEntry,
             let wrong = format!("{name} is an empty list: write a value, or several to choose from");
             return Err(ProtocolError::model(values.line, written, wrong));
         }
-        if values.words.len() > 1 && !tunes {
+        if values.words.len() > 1 && !tunes && lists == Lists::Tuned {
             let wrong = format!(
-                "{name} lists {} values and nothing chooses one: write tuning: {{folds: 4, fold: 7d}}, or one value",
+                "{name} lists {} values and nothing chooses one: write tuning: {{folds: 4, fold: 7d}}, or one value, or \
+                 lists: {EACH} to compare all",
                 values.words.len()
             );
             return Err(ProtocolError::model(values.line, written, wrong));
@@ -86,7 +149,8 @@ fn entry(model: &RawModel, values: StateKind, tunes: bool) -> Result<ModelEntry,
         axes.push((name, values));
     }
     let sets = combinations(written, &axes)?;
-    let sets = sets.iter().map(|chosen| parameter_set(kind, written, chosen)).collect::<Result<_, _>>()?;
+    let set = |chosen: &Combination<'_>| Ok(parameter_set(kind, written, chosen)?.blended(blend));
+    let sets = sets.iter().map(set).collect::<Result<_, ProtocolError>>()?;
     Ok(ModelEntry { label, sets })
 }
 

@@ -49,6 +49,8 @@ pub(crate) struct RawProtocol {
     pub train: Option<Words>,
     pub test: Option<Words>,
     pub retrain: Option<Word>,
+    pub ahead: Option<Words>,
+    pub lists: Option<Word>,
     pub models: Option<Vec<RawModel>>,
     pub tuning: Option<RawTuning>,
     pub baseline: Option<Word>,

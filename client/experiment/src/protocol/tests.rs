@@ -141,7 +141,7 @@ fn a_list_that_nothing_chooses_from_is_refused() {
     assert_eq!(
         refused_with("tuning: {folds: 4, fold: 7d}\n", ""),
         "line 9: model histogram: bins lists 2 values and nothing chooses one: write tuning: {folds: 4, fold: 7d}, or \
-         one value"
+         one value, or lists: each to compare all"
     );
 }
 
@@ -166,6 +166,66 @@ fn wrong_values_are_named_with_their_lines() {
         let message = refused_with(line, other);
         assert!(message.starts_with(begins), "{message}");
     }
+}
+
+const LAGS: &str = "zone: UTC\ntrain: a.csv\ntest: b.csv\nahead: [next, 90m]\nmodels: [mean, mean+memory]\nout: o\n";
+
+#[test]
+fn lags_and_blends_are_read() {
+    let protocol = parsed(LAGS).unwrap();
+    assert_eq!(protocol.ahead, [Ahead::Next, Ahead::Nanos(90 * 60 * 1_000_000_000)]);
+    assert_eq!(protocol.ahead.iter().map(Ahead::to_string).collect::<Vec<_>>(), ["next", "90m"]);
+    let labels: Vec<&str> = protocol.models.iter().map(|model| model.label.as_str()).collect();
+    assert_eq!(labels, ["mean", "mean+memory"]);
+    assert!(!protocol.models[0].sets[0].blend().is_blended() && protocol.models[1].sets[0].blend().memory);
+    assert!(parsed(WHOLE).unwrap().ahead.is_empty());
+    assert_eq!(parsed(&LAGS.replace("[next, 90m]", "1h")).unwrap().ahead, [Ahead::Nanos(3600 * 1_000_000_000)]);
+}
+
+#[test]
+fn wrong_lags_and_blends_are_named() {
+    for (from, to, begins) in [
+        ("90m", "soon", "line 4: ahead is \"soon\": it has to be next (the reading before is known), or a duration"),
+        ("90m", "0h", "line 4: ahead is \"0h\": it has to be next"),
+        ("90m", "next", "line 4: ahead is \"next\": it has to be each once"),
+        ("90m", "1h, 60m", "line 4: ahead is \"60m\": it has to be each once"),
+        ("next, 90m", "", "line 4: ahead is \"a list of 0\": it has to be 1 to 32 times"),
+        ("mean+memory", "mean+luck", "line 5: model mean+luck: \"mean+luck\": the only suffixes are +persistence"),
+        ("mean+memory", "mad+memory", "line 5: model is \"mad+memory\": it has to be one of: mean, latest"),
+        ("mean+memory", "latest+memory", "line 5: model latest+memory: latest answers from the newest reading"),
+        ("ahead: [next, 90m]", "retrain: each", "line 5: model mean+memory: +memory draws predictions towards the"),
+    ] {
+        let message = refused(&LAGS.replacen(from, to, 1));
+        assert!(message.starts_with(begins), "{message}");
+    }
+}
+
+#[test]
+fn lists_without_tuning_are_models_of_their_own_where_asked() {
+    let text = WHOLE.replace("tuning: {folds: 4, fold: 7d}", "lists: each");
+    let labels = |text: &str| -> Vec<String> {
+        parsed(text).unwrap().models.into_iter().map(|model| model.label).collect::<Vec<_>>()
+    };
+    assert_eq!(
+        labels(&text)[..4],
+        ["mean", "histogram bins=12 cycle=day", "histogram bins=12 cycle=week", "histogram bins=24 cycle=day"]
+    );
+    assert_eq!(labels(&text.replace("lists: each", "lists: each\n").replace("[12, 24]", "12")).len(), 5);
+    let message = refused_with("significance: 0.1", "lists: each");
+    assert!(message.starts_with("line 14: lists is \"each\": it has to be left out beside tuning"), "{message}");
+    let message = refused_with("significance: 0.1", "lists: all");
+    assert!(message.starts_with("line 14: lists is \"all\": it has to be one of: tuned, each"), "{message}");
+    let bins = (1..=101).map(|bins| bins.to_string()).collect::<Vec<_>>().join(", ");
+    let message = refused(&text.replace("12, 24", &bins));
+    assert!(message.contains("with its lists, there are more than 100 models"), "{message}");
+}
+
+#[test]
+fn a_file_of_the_training_data_may_be_a_test_set() {
+    let text = WHOLE.replace("[week1.csv,", "[./data/train.csv, week1.csv,");
+    let learned: Vec<(String, bool)> =
+        parsed(&text).unwrap().test.into_iter().map(|file| (file.label, file.is_learned)).collect();
+    assert_eq!(learned[..2], [("train".to_owned(), true), ("week1".to_owned(), false)]);
 }
 
 #[test]

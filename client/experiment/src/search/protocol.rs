@@ -11,9 +11,9 @@ use tidemap_model::StateKind;
 use crate::{
     place_recording::DAY_MINUTES,
     protocol::{
-        ModelEntry, OUT, ProtocolError,
+        Lists, ModelEntry, OUT, ProtocolError,
         keys::{ProtocolFile, from_yaml, parsed, required, whole},
-        model_entry,
+        model_entry::{self, Allowed},
         raw::{RawModel, RawTuning, Word},
         tuning,
     },
@@ -112,7 +112,9 @@ pub(super) fn parse(text: &str, folder: &Path) -> Result<SearchProtocol, Protoco
             (folds, fold_minutes, criterion)
         }
     };
-    let models = model_entry::read(written.models, StateKind::Probability, folds > 0)?;
+    // Searches begin far from any reading.
+    let allowed = Allowed { values: StateKind::Probability, tunes: folds > 0, lists: Lists::Tuned, has_newest: false };
+    let models = model_entry::read(written.models, allowed)?;
     let out = required(written.out, "out", OUT)?;
     Ok(SearchProtocol {
         topology: folder.join(topology.text),

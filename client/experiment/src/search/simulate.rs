@@ -5,7 +5,7 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
-use tidemap_model::StateKind;
+use tidemap_model::{StateKind, models::TemporalModel as _};
 use tidemap_plan::search::{Goal, SearchError, SearchOptions, search};
 
 use super::{RecordedWorld, ReplayError};

@@ -9,8 +9,8 @@ use crate::{
     models::{
         COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CalibratedParts, CannotTrain, CountRate, CountRateParts,
         FixedOrder, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramSettings, Hypertime, HypertimeMethod,
-        HypertimeOptions, HypertimeParts, Latest, MarkovChain, Mean, Moment, Pergam, PergamOptions, PergamParts,
-        Readings, TemporalModel, UniformSpectral,
+        HypertimeOptions, HypertimeParts, Latest, LatestParts, MarkovChain, MarkovChainParts, Mean, Moment, Pergam,
+        PergamOptions, PergamParts, Readings, TemporalModel, UniformSpectral,
     },
 };
 
@@ -184,6 +184,26 @@ impl TrainedModel {
             }
             other => other.predict(at),
         }
+    }
+}
+
+impl TrainedModel {
+    /// This model with another newest reading, given by its time in nanoseconds UTC and its value, even one that is
+    /// older than the training data; `None` for models that do not answer from the newest reading.
+    pub fn with_newest(&self, (last_nanos, last_value): (i64, f64)) -> Option<TrainedModel> {
+        let model = match self {
+            Self::Latest(model) => {
+                let first_nanos = model.to_parts().first_nanos.min(last_nanos);
+                let parts = LatestParts { first_nanos, last_nanos, last_value, ..model.to_parts() };
+                Latest::from_parts(parts).map(Self::Latest)
+            }
+            Self::Persistence(chain) => {
+                let parts = MarkovChainParts { last_nanos, last_value, ..chain.to_parts() };
+                MarkovChain::from_parts(parts).map(Self::Persistence)
+            }
+            _ => return None,
+        };
+        model.ok()
     }
 }
 
