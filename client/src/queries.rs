@@ -10,6 +10,7 @@ mod places;
 mod positions;
 mod predict;
 mod reconstruct;
+mod surprises;
 
 pub use anomalies::{Anomalies, Anomaly, AnomalyWatch, Judgement, Watched, WatchedPlaces};
 pub use cell_alarms::{CellAlarm, CellAlarms};
@@ -21,8 +22,9 @@ pub use places::{PlacePrediction, PlacePredictions, PlaceQuery};
 pub use positions::{PositionForecast, PositionQuery, Positions, PositionsHeader};
 pub use predict::{PredictionRun, Predictions};
 pub use reconstruct::Reconstruction;
+pub use surprises::{SurpriseQuery, Surprising};
 pub use tidemap_model::{
-    ORDER_MAX, StateKind,
+    KEPT_CONFIDENCE, ORDER_MAX, StateKind, SurpriseRun,
     selector::{InvalidModel, ModelKind, ModelSelector},
 };
 

@@ -43,6 +43,7 @@ const BOUNDS: &[(&str, usize)] = &[
     ("GetInformationRequest.locations", NAMES),
     ("GetInformationRequest.states", NAMES),
     ("GetInformationRequest.times_nanos", TIMES),
+    ("ListSurprisesRequest.states", NAMES),
     ("LoadTopologyRequest.edges", 250_000),
     ("LoadTopologyRequest.nodes", 100_000),
     ("Location.states", NAMES),

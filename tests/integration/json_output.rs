@@ -223,7 +223,9 @@ fn check_states(checked: &mut Checked, folder: &str) {
     checked.run("predict", &format!("home door --at {NOON} --where anna=1.5,2 --density 0.5,1"));
     checked.run("position", &format!("home anna --at {NOON} --top 3 --count 1h"));
     checked.run("evaluate", &format!("home {folder}/door.csv --models auto,mean,latest"));
-    checked.run("anomalies", "home door --confidence 0.6 --from 2025-01-06T00:00:00Z --to 2025-01-27T00:00:00Z");
+    let times = "--from 2025-01-06T00:00:00Z --to 2025-01-27T00:00:00Z";
+    checked.run("anomalies", &format!("home door --model auto --confidence 0.6 {times}"));
+    checked.run("anomalies", &format!("home --confidence 0.9 {times}"));
     checked.run("reconstruct", "home door --from 2025-01-06T00:00:00Z --to 2025-01-07T00:00:00Z");
 }
 

@@ -101,13 +101,18 @@ fn speeds_of_a_robot_are_learned_and_told_as_well_as_by_the_reference() {
         assert!(without.stderr.contains(&format!("{model} is left out of path")), "{model}: {}", without.stderr);
     }
     // Were the speeds normal, one in a hundred would be beyond an interval of 99 %. They are not: some runs were slow.
-    let odd = tidemap(&daemon, ["anomalies", "office", "path", "--from", "0", "--to", "1500000000"]).table();
+    let odd = tidemap(&daemon, ["anomalies", "office", "path", "--from", "0", "--to", "1500000000", "--model", "auto"])
+        .table();
     println!("anomalies: {} of 800", odd.rows.len());
     assert!(odd.rows.len() < 48 && odd.numbers("probability").iter().all(|&tail| tail <= 0.01), "{odd:?}");
     assert!(odd.numbers("value").iter().all(|&speed| speed < 0.2), "{odd:?}");
     let planted = observe(&daemon, "planted", "1410000000,path,25\n1410000001,path,0.5\n", &[]).table();
     assert_eq!(planted.number("accepted"), 2.0);
-    let found = tidemap(&daemon, ["anomalies", "office", "path", "--from", "1410000000", "--to", "1410000002"]).table();
+    let found = tidemap(
+        &daemon,
+        ["anomalies", "office", "path", "--from", "1410000000", "--to", "1410000002", "--model", "auto"],
+    )
+    .table();
     assert_eq!((found.column("time"), found.column("value")), (vec!["1410000000"], vec!["25"]));
 
     let at = "1409844784,1409900000,1500000000";

@@ -22,6 +22,7 @@ mod reports;
 mod routes;
 mod search;
 mod security;
+mod surprises;
 mod traces;
 mod traversals;
 mod vectors;

@@ -307,6 +307,52 @@ pub struct State {
     /// All readings, where they are few; there is no spectrum then.
     #[prost(message, optional, tag = "15")]
     pub short: Option<ShortRecord>,
+    /// The unusual observations among those that were learned; absent if there are none.
+    #[prost(message, optional, tag = "16")]
+    pub surprises: Option<Surprises>,
+}
+
+/// Runs of observations of a state that its model did not expect before it learned them.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Surprises {
+    /// Ascending by the first time; at most 64.
+    #[prost(message, repeated, tag = "1")]
+    pub runs: Vec<SurpriseRun>,
+    /// Whether the run with the newest observation goes on with the next unusual one.
+    #[prost(bool, tag = "2")]
+    pub is_open: bool,
+    /// Number of runs that had to make room.
+    #[prost(uint64, tag = "3")]
+    pub dropped: u64,
+}
+
+/// A run of observations that begins with an unusual one.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct SurpriseRun {
+    /// Time of the first, nanoseconds UTC.
+    #[prost(sfixed64, tag = "1")]
+    pub first_nanos: i64,
+    /// From the first to the last, nanoseconds.
+    #[prost(uint64, tag = "2")]
+    pub length_nanos: u64,
+    /// Number of observations that were not expected.
+    #[prost(uint64, tag = "3")]
+    pub observations: u64,
+    /// Whether they lie above what was expected.
+    #[prost(bool, tag = "4")]
+    pub is_above: bool,
+    /// The value of the most surprising one.
+    #[prost(fixed64, tag = "5")]
+    pub value_bits: u64,
+    /// What the model said of it: the probability of 1, or of a value as far out.
+    #[prost(fixed64, tag = "6")]
+    pub probability_bits: u64,
+    /// The probability of that value; absent if it is the one before.
+    #[prost(fixed64, optional, tag = "7")]
+    pub observed_bits: Option<u64>,
+    /// The surprise of all looks, in bits.
+    #[prost(fixed64, tag = "8")]
+    pub surprise_bits: u64,
 }
 
 /// All readings of a state with few, from which its spectrum follows.

@@ -1,15 +1,21 @@
-//! Confidence and model of a request for anomalies, and what a watch is of.
+//! Confidence and model of a request for anomalies, what a watch is of, and what was unusual before it was learned.
 //!
 //! Invariant: a region to watch has at least one cell; whether the map has what is named is not checked.
 
-use tidemap_grid::index::CellBox;
+use tidemap_grid::index::{CellBox, CellIndex};
 use tidemap_map::{
-    anomaly::{CannotJudge, Confidence, can_judge, can_watch},
+    anomaly::{CannotJudge, Confidence, SurpriseQuestion, can_judge, can_watch},
     name::StateName,
 };
-use tidemap_model::selector::ModelSelector;
+use tidemap_model::{KEPT_CONFIDENCE, SurpriseRun, selector::ModelSelector};
 
-use super::{InvalidField, grid::cell_box_from_wire, query::selector_from_wire, site::location_name_from_wire};
+use super::{
+    InvalidField,
+    grid::cell_box_from_wire,
+    query::selector_from_wire,
+    site::location_name_from_wire,
+    time::{instant, interval_from_wire, timestamp},
+};
 use crate::v1;
 
 /// The confidence, 0.99 by default.
@@ -73,6 +79,83 @@ pub fn watch_from_wire(request: v1::WatchAnomaliesRequest) -> Result<WatchQuesti
     Ok(WatchQuestion { states, location, region, confidence, selector })
 }
 
+/// Runs of one reply, if the request does not say how many.
+const SURPRISES: u32 = 100;
+/// Maximum number of runs of one reply.
+const SURPRISES_MAX: u32 = 10_000;
+
+/// Names of the states of a request for what was unusual, and what is asked of them. Without names: all states.
+///
+/// # Errors
+/// The invalid field.
+pub fn surprises_from_wire(request: v1::ListSurprisesRequest) -> Result<(Vec<String>, SurpriseQuestion), InvalidField> {
+    let v1::ListSurprisesRequest { states, from_time, to_time, confidence, top, .. } = request;
+    let within_nanos = interval_from_wire(from_time, to_time)?;
+    let confidence = confidence_from_wire("confidence", confidence)?;
+    if confidence.get() < KEPT_CONFIDENCE {
+        let text = format!(
+            "{} is too low: what is unusual is kept from {KEPT_CONFIDENCE} on; FindAnomalies judges by less",
+            confidence.get()
+        );
+        return Err(InvalidField::new("confidence", text));
+    }
+    if top > SURPRISES_MAX {
+        return Err(InvalidField::new("top", format!("{top} is too many: at most {SURPRISES_MAX} runs")));
+    }
+    let top = if top == 0 { SURPRISES } else { top };
+    Ok((states, SurpriseQuestion { within_nanos, confidence, top: top as usize }))
+}
+
+/// Checks that a name is that of a state, and not of a cell.
+///
+/// # Errors
+/// It is the name of a cell.
+pub fn no_cell_from_wire(field: &str, name: &str) -> Result<(), InvalidField> {
+    match CellIndex::from_name(name) {
+        Some(_) => {
+            let text = format!("{name}: cells keep nothing of what was unusual; FindAnomalies looks at a cell");
+            Err(InvalidField::new(field, text))
+        }
+        None => Ok(()),
+    }
+}
+
+/// A run of a state for the wire.
+#[must_use]
+pub fn surprise_to_wire(state: &str, run: &SurpriseRun) -> v1::Surprise {
+    v1::Surprise {
+        state: state.to_owned(),
+        first_time: Some(timestamp(run.first_nanos)),
+        last_time: Some(timestamp(run.last_nanos)),
+        observations: run.observations,
+        above: run.is_above,
+        value: run.value,
+        probability: run.probability,
+        bits: run.bits,
+    }
+}
+
+/// The name of a state and a run of it, from a reply; `None` if the reply is not whole.
+#[must_use]
+pub fn surprise_from_wire(wire: v1::Surprise) -> Option<(String, SurpriseRun)> {
+    let v1::Surprise { state, first_time, last_time, observations, above, value, probability, bits } = wire;
+    let (first_nanos, last_nanos) = (instant(first_time)?, instant(last_time)?);
+    let is_whole = first_nanos <= last_nanos && (0.0..=1.0).contains(&probability) && value.is_finite() && bits >= 0.0;
+    // A reply does not say whether a probability is that of the value, and only the daemon needs it.
+    let observed_probability = probability;
+    let run = SurpriseRun {
+        first_nanos,
+        last_nanos,
+        observations,
+        is_above: above,
+        value,
+        probability,
+        observed_probability,
+        bits,
+    };
+    is_whole.then_some((state, run))
+}
+
 fn cannot_judge(field: &str, error: CannotJudge) -> InvalidField {
     let name = match error {
         CannotJudge::Persistence => "persistence",
@@ -113,6 +196,42 @@ mod tests {
         assert_eq!(watching(v1::ModelKind::Calibrated, false), Err("model.kind".to_owned()));
         assert_eq!(watching(v1::ModelKind::Mean, true), Err("model.persistence".to_owned()));
         assert!(watching(v1::ModelKind::Mean, false).is_ok());
+    }
+
+    #[test]
+    fn what_is_asked_of_what_was_unusual_is_checked() {
+        let right = || v1::ListSurprisesRequest {
+            from_time: Some(timestamp(5)),
+            to_time: Some(timestamp(9)),
+            ..Default::default()
+        };
+        let asked = |request| surprises_from_wire(request).map(|(_, question)| question);
+        let question = asked(right()).expect("right");
+        assert_eq!((question.within_nanos, question.confidence.get(), question.top), (5..9, 0.99, 100));
+        let field = |request| asked(request).expect_err("wrong").field;
+        assert_eq!(field(v1::ListSurprisesRequest { confidence: Some(0.8), ..right() }), "confidence");
+        assert_eq!(field(v1::ListSurprisesRequest { confidence: Some(2.0), ..right() }), "confidence");
+        assert_eq!(field(v1::ListSurprisesRequest { top: 10_001, ..right() }), "top");
+        assert_eq!(field(v1::ListSurprisesRequest { to_time: None, ..right() }), "to_time");
+    }
+
+    #[test]
+    fn a_run_is_read_as_it_was_written_or_refused() {
+        let run = SurpriseRun {
+            first_nanos: 5,
+            last_nanos: 9,
+            observations: 3,
+            is_above: true,
+            value: 1.0,
+            probability: 0.01,
+            observed_probability: 0.01,
+            bits: 6.5,
+        };
+        let wire = surprise_to_wire("door", &run);
+        assert_eq!(surprise_from_wire(wire.clone()), Some(("door".to_owned(), run)));
+        assert_eq!(surprise_from_wire(v1::Surprise { last_time: Some(timestamp(4)), ..wire.clone() }), None);
+        assert_eq!(surprise_from_wire(v1::Surprise { first_time: None, ..wire.clone() }), None);
+        assert_eq!(surprise_from_wire(v1::Surprise { probability: f64::NAN, ..wire }), None);
     }
 
     #[test]

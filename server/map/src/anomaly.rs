@@ -1,9 +1,10 @@
 //! Observations that a model did not expect (T-RO 2017, section V; for continuous and count states see `values.rs`).
 //!
-//! A past observation is judged by the model of one view. A watched observation is judged by the models in force when
-//! the watch processes it, even if the observation itself must wait to be learned. Models that answer from the newest
-//! value judge nothing, because at the time of an old observation that value was another. A scan is logged as changed
-//! bits of tiles, so a watch follows those of its cells ([`tidemap_grid::follower`]).
+//! What was unusual before it was learned is kept at updates (`learned.rs`). Apart from that a past observation is
+//! judged by the model of one view. A watched observation is judged by the models in force when the watch processes it,
+//! even if the observation itself must wait to be learned. Models that answer from the newest value judge nothing,
+//! because at the time of an old observation that value was another. A scan is logged as changed bits of tiles, so a
+//! watch follows those of its cells ([`tidemap_grid::follower`]).
 //!
 //! Invariant: only this module decides what an anomaly is. A probability of one half is never sure enough, so an
 //! untrained state has no anomalies.
@@ -127,8 +128,10 @@ impl MapView {
 }
 
 mod cells;
+pub(crate) mod learned;
 mod values;
 
+pub use learned::{MAP_RUNS_MAX, StateSurprise, SurpriseQuestion};
 pub use values::ValueJudge;
 
 #[cfg(test)]

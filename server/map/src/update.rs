@@ -4,10 +4,11 @@
 //!    positions with a time before the cut. A cut never goes back.
 //! 2. When the start is durable, the pending observations go into [`UpdateWork`], with a copy of the live values at
 //!    that position. The map continues to change meanwhile.
-//! 3. Per state and local day, in order of time: the model as it was before the day predicts every observation that is
-//!    newer than all it knows, with each order 0 to 15. The errors join the decayed sums, the order with the lowest sum
-//!    is chosen, then the day is learned and the model trained again. Older observations are learned without a score.
-//!    The alternative models that the map enables are scored alike; `auto` changes only to one that is lower by 5 %.
+//! 3. Per state and local day, in order of time: what the model as it was before the day finds unusual of the day is
+//!    kept (`anomaly/learned.rs`). It predicts every observation that is newer than all it knows, with each order 0 to
+//!    15. The errors join the decayed sums, the order with the lowest sum is chosen, then the day is learned and the
+//!    model trained again. Older observations are learned without a score. The alternative models that the map enables
+//!    are scored alike; `auto` changes only to one that is lower by 5 %.
 //! 4. Models that need training data are trained again where they are due (`training.rs`). An update for
 //!    [`UpdateCause::PendingLimit`] trains none: its purpose is to free memory.
 //! 5. The writer publishes the generation, and a snapshot goes to the store. If saving fails, the log still has
@@ -25,7 +26,7 @@ use std::sync::{
 };
 
 use rayon::prelude::*;
-use tidemap_model::{Sample, StateModel, UpdateOutcome, UpdateRules, selector::ModelSelector};
+use tidemap_model::{Sample, StateModel, Surprises, UpdateOutcome, UpdateRules, selector::ModelSelector};
 
 #[cfg(test)]
 use tidemap_grid::update::rules::UpdateLimits;
@@ -38,6 +39,7 @@ use tidemap_grid::{
 };
 
 use crate::{
+    anomaly::learned,
     directory::Directory,
     event::{UpdateCause, UpdateStart},
     history::{HistoryDay, HistoryPiece, origins::Origins},
@@ -206,7 +208,11 @@ impl UpdateWork {
             model.load(&self.spec.periodicities).map_err(|reason| (id, reason))?;
             // History keeps them in order of arrival.
             samples.shrink_to_fit();
-            let outcome = model.update(&self.spec.periodicities, rules, samples.clone());
+            let periodicities = &self.spec.periodicities;
+            let mut judge = |before: &StateModel, of_day: &[Sample], surprises: &mut Surprises| {
+                learned::judge(surprises, before, periodicities, of_day);
+            };
+            let outcome = model.update_judged(periodicities, rules, samples.clone(), &mut judge);
             room.take_in(&model);
             progress.fetch_add(1, Ordering::Relaxed);
             Ok((id, Arc::new(model), outcome))
@@ -224,6 +230,7 @@ impl UpdateWork {
         let training = readings.map_or_else(TrainingOutcome::default, |readings| {
             train_due(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
         });
+        learned::bound(&mut models, learned::MAP_RUNS_MAX);
         // After models were trained again, which may change the choice.
         let named = |(id, outcome): (StateId, UpdateOutcome)| {
             let model = &models[id.0 as usize];

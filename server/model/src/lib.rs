@@ -53,6 +53,7 @@ pub mod special;
 mod spectral;
 mod state;
 mod stop_signal;
+mod surprise;
 pub mod time;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
@@ -76,6 +77,9 @@ pub use state::{
     StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules,
 };
 pub use stop_signal::{EarlyStop, StopSignal};
+pub use surprise::{
+    JudgedReading, KEPT_CONFIDENCE, RUNS_MAX as SURPRISE_RUNS_MAX, SurpriseRun, Surprises, observed_bits,
+};
 
 /// The highest model order: at most this many spectral components are kept and used.
 pub const ORDER_MAX: usize = 15;

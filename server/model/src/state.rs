@@ -12,10 +12,12 @@ use crate::evaluate::score_samples;
 use crate::models::{OrderGains, TemporalModel as _};
 use crate::{
     Accumulator, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Sample, StateKind,
+    Surprises,
 };
 
 mod alternatives;
 mod day_by_day;
+mod in_force;
 #[cfg(test)]
 mod kind_tests;
 mod order_watch;
@@ -35,6 +37,7 @@ pub struct StateModel {
     errors: OrderErrors,
     /// `None` while the state is untrained.
     alternatives: Option<Box<Alternatives>>,
+    surprises: Surprises,
 }
 
 /// The outcome of an update.
@@ -64,7 +67,8 @@ impl StateModel {
     pub fn of_kind(kind: StateKind) -> StateModel {
         let accumulator = Accumulator::of_kind(kind);
         let spectral = SpectralModel::from_parts_of(kind, kind.untrained(), 0, Vec::new()).unwrap_or_default();
-        StateModel { accumulator, spectral, order: 0, errors: OrderErrors::default(), alternatives: None }
+        let (errors, surprises) = (OrderErrors::default(), Surprises::default());
+        StateModel { accumulator, spectral, order: 0, errors, alternatives: None, surprises }
     }
 
     /// An untrained probability with a prior in `[0,1]`; a prior outside of it counts as 0.5.
@@ -87,7 +91,7 @@ impl StateModel {
             return Err(InvalidParts::OrderTooHigh { found: order });
         }
         accumulator.pack();
-        Ok(StateModel { accumulator, spectral, order, errors, alternatives: None })
+        Ok(StateModel { accumulator, spectral, order, errors, alternatives: None, surprises: Surprises::default() })
     }
 
     /// Adds the stored alternatives.
@@ -106,7 +110,19 @@ impl StateModel {
             order: self.order,
             errors: self.errors,
             alternatives: self.alternatives.as_ref().map(|known| Box::new(known.published())),
+            surprises: self.surprises.clone(),
         }
+    }
+
+    /// This state with other unusual observations.
+    #[must_use]
+    pub fn with_surprises(self, surprises: Surprises) -> StateModel {
+        StateModel { surprises, ..self }
+    }
+
+    /// The unusual observations among those that it has learned, as it was before that.
+    pub fn surprises(&self) -> &Surprises {
+        &self.surprises
     }
 
     /// The alternatives to the spectral model; `None` while the state is untrained.
@@ -206,7 +222,19 @@ impl StateModel {
         &mut self,
         periodicities: &Periodicities,
         rules: impl Into<UpdateRules>,
+        samples: Vec<Sample>,
+    ) -> UpdateOutcome {
+        self.update_judged(periodicities, rules, samples, &mut |_, _, _| ())
+    }
+
+    /// As [`StateModel::update`]. Of each local day `judge` is told first, with the state before it learns the day; it
+    /// brings the state's unusual observations up to date.
+    pub fn update_judged(
+        &mut self,
+        periodicities: &Periodicities,
+        rules: impl Into<UpdateRules>,
         mut samples: Vec<Sample>,
+        judge: &mut dyn FnMut(&StateModel, &[Sample], &mut Surprises),
     ) -> UpdateOutcome {
         let mut rules = rules.into();
         if self.kind() != StateKind::Probability {
@@ -227,6 +255,9 @@ impl StateModel {
             // Clocks set back over midnight return to a date that has already ended: this is not a new day.
             let length = rest.iter().position(|sample| sample.local_day() > day).unwrap_or(rest.len());
             let (of_day, later) = rest.split_at(length);
+            let mut surprises = std::mem::take(&mut self.surprises);
+            judge(self, of_day, &mut surprises);
+            self.surprises = surprises;
             self.score_day(periodicities, rules, day, of_day, &mut outcome);
             self.learn_day(periodicities, rules, day, of_day);
             // Trained again each day, so that the next day is scored with the knowledge before it.

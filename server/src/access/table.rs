@@ -47,6 +47,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.QueryService/PredictGrid", role(Planner)),
     ("/tidemap.v1.QueryService/Reconstruct", role(Planner)),
     ("/tidemap.v1.QueryService/FindAnomalies", role(Planner)),
+    ("/tidemap.v1.QueryService/ListSurprises", role(Planner)),
     ("/tidemap.v1.QueryService/WatchAnomalies", role(Planner)),
     ("/tidemap.v1.QueryService/PredictPositions", role(Planner)),
     ("/tidemap.v1.QueryService/PredictAtPlaces", role(Planner)),

@@ -25,6 +25,7 @@ mod places;
 mod positions;
 mod reconstruct;
 pub(super) mod states;
+mod surprises;
 mod watch;
 
 #[cfg(test)]
@@ -149,6 +150,10 @@ impl QueryService for Queries {
 
     async fn find_anomalies(&self, request: Request<v1::FindAnomaliesRequest>) -> RpcReply<Self::FindAnomaliesStream> {
         Ok(Response::new(anomalies::find_anomalies(self, request.into_inner()).await?))
+    }
+
+    async fn list_surprises(&self, request: Request<v1::ListSurprisesRequest>) -> RpcReply<v1::ListSurprisesResponse> {
+        Ok(Response::new(surprises::list_surprises(self, request.into_inner()).await?))
     }
 
     async fn watch_anomalies(

@@ -23,7 +23,7 @@ use crate::{
 };
 
 /// How long to wait for a running update that has the observations.
-const UPDATE_WITHIN: Duration = Duration::from_secs(30);
+pub(super) const UPDATE_WITHIN: Duration = Duration::from_secs(30);
 
 /// A question for readings.
 #[derive(Clone, Debug)]

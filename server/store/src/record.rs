@@ -20,6 +20,7 @@ mod sensors;
 pub(crate) mod site;
 pub(crate) mod snapshot;
 pub(crate) mod spec;
+mod surprises;
 pub(crate) mod tile;
 pub(crate) mod tile_model;
 pub(crate) mod tile_set;

@@ -121,10 +121,10 @@ fn anomalies_are_the_observations_that_predictions_of_their_times_contradict() {
         assert!(expected.len() < readings.len() / 50, "{model}: {}", expected.len());
         assert_eq!(found.rows, expected, "{model} at {confidence}");
     }
-    assert_eq!(anomalies(&door, &["--from", from, "--to", to]), {
+    assert_eq!(anomalies(&door, &["--from", from, "--to", to, "--model", "auto"]), {
         anomalies(&door, &["--confidence", "0.99", "--from", from, "--to", to, "--model", "auto"])
     });
-    assert_eq!(anomalies(&door, &["--from", "0", "--to", "1"]).rows, Vec::<Vec<String>>::new());
+    assert_eq!(anomalies(&door, &["--from", "0", "--to", "1", "--model", "auto"]).rows, Vec::<Vec<String>>::new());
 }
 
 #[test]
@@ -137,8 +137,10 @@ fn misuse_of_anomalies_is_told() {
     for (args, words) in [
         (&["door", "--confidence", "0.3"][..], ["--confidence", "above 0.5"]),
         (&["door", "--confidence", "much"], ["--confidence", "above 0.5"]),
-        (&["door", "window"], ["one state", "--watch"]),
-        (&[], ["one state", "--watch"]),
+        (&["door", "window", "--model", "auto"], ["one state", "--watch"]),
+        (&["--model", "auto"], ["one state", "--watch"]),
+        (&["door", "--confidence", "0.8"], ["from a confidence of 0.9 on", "--model auto"]),
+        (&["door", "--top", "5", "--model", "auto"], ["--top", "--model"]),
     ] {
         ask(&[args, &times].concat()).fails(2, &words);
     }
@@ -158,8 +160,10 @@ fn misuse_of_anomalies_is_told() {
     ask(&["door", "--watch", "--model", "calibrated"]).fails(1, &["must be trained", "auto, mean or spectral"]);
     door.tidemap(["map", "create", "forgetful", "--retention", "none"]).table();
     cli::tidemap_reading(&door.daemon, ["observe", "forgetful", "-"], rows).table();
-    door.tidemap(["anomalies", "forgetful", "door", "--from", "0", "--to", "9"])
+    door.tidemap(["anomalies", "forgetful", "door", "--from", "0", "--to", "9", "--model", "auto"])
         .fails(1, &["keeps no history", "--retention"]);
+    // What was unusual is kept without history.
+    assert!(door.tidemap(["anomalies", "forgetful", "--from", "0", "--to", "9"]).table().rows.is_empty());
 }
 
 #[test]

@@ -1,13 +1,18 @@
 //! `tidemap anomalies`.
 //!
-//! Invariant: each row is an observation and the model's prediction for its time. With --watch, each row is written and
-//! flushed as soon as it arrives, until the command is interrupted.
+//! Without --model a row is a run of observations that were unusual before they were learned, the most surprising
+//! first.
+//!
+//! Invariant: with --model, and with --watch, each row is an observation and the model's prediction for its time. With
+//! --watch, each row is written and flushed as soon as it arrives, until the command is interrupted.
 
-use std::process::ExitCode;
+use std::{ops::Range, process::ExitCode};
 
 use anyhow::Context as _;
 use clap::Args;
-use tidemap_client::queries::{Anomaly, AnomalyWatch, Judgement, ModelSelector, WatchedPlaces};
+use tidemap_client::queries::{
+    Anomaly, AnomalyWatch, Judgement, KEPT_CONFIDENCE, ModelSelector, SurpriseQuery, WatchedPlaces,
+};
 
 use super::{
     Session,
@@ -22,11 +27,11 @@ use tidemap_formats::table::Cell;
 pub(crate) struct AnomaliesArgs {
     /// Name of the map
     map: String,
-    /// Name of the state, or cell/X/Y/Z; with --watch several names, or none for all named states
+    /// Names of states, none for all named states; with --model one name, or cell/X/Y/Z
     #[arg(value_name = "STATE")]
     states: Vec<String>,
-    /// How sure the model has to be of the opposite value, above 0.5 and at most 1. For other kinds of states: the
-    /// confidence of the interval that a value has to lie outside of
+    /// How sure the model has to be of the opposite value, above 0.5 and at most 1; from 0.9 on without --model and
+    /// --watch. For other kinds of states: the confidence of the interval that a value has to lie outside of
     #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = confidence)]
     confidence: f64,
     /// First time
@@ -35,9 +40,15 @@ pub(crate) struct AnomaliesArgs {
     /// End of the times, not included
     #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
     to: Option<i64>,
-    /// Model: those of predict except latest, persistence and those with a suffix; with --watch auto, mean or spectral
-    #[arg(long, value_name = "KIND", default_value = "auto")]
-    model: ModelSelector,
+    /// Judges every observation that the map keeps by this model as it is now, and not as it was before it learned
+    /// them: those of predict except latest, persistence and those with a suffix; with --watch auto (the default), mean
+    /// or spectral
+    #[arg(long, value_name = "KIND")]
+    model: Option<ModelSelector>,
+    /// Maximum number of runs, without --model
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(conflicts_with_all = ["model", "watch"])]
+    top: u32,
     /// Shows anomalies as they occur, until interrupted
     #[arg(long, conflicts_with_all = ["from", "to"])]
     watch: bool,
@@ -58,8 +69,8 @@ fn confidence(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitCode> {
-    let AnomaliesArgs { map, states, confidence, from, to, model, watch, region, z, location } = args;
-    let judgement = Judgement { confidence, model };
+    let AnomaliesArgs { map, states, confidence, from, to, model, top, watch, region, z, location } = args;
+    let judgement = Judgement { confidence, model: model.unwrap_or_default() };
     if watch {
         let region = match region {
             Some(region) => Some(place::region_of(&session.client.map(&map).await?, Some(region), z)?),
@@ -72,13 +83,58 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     let (Some(from), Some(to)) = (from, to) else {
         return Err(usage("give the times with --from and --to, or wait for anomalies with --watch"));
     };
-    let [state] = states.as_slice() else {
-        return Err(usage("name one state; several states need --watch"));
-    };
     if from >= to {
         return Err(usage("--from must be before --to, which is not included"));
     }
-    let mut anomalies = session.client.anomalies(&map, state, from, to, judgement).await?;
+    // Cells keep nothing of what was unusual: the model in force looks at one.
+    let is_of_cell = matches!(&states[..], [name] if name.starts_with("cell/"));
+    if model.is_none() && !is_of_cell {
+        let query = SurpriseQuery { states, from_nanos: from, to_nanos: to, confidence, top };
+        return surprises(session, &map, query).await;
+    }
+    let [state] = states.as_slice() else {
+        return Err(usage("name one state with --model; several states go without it, or with --watch"));
+    };
+    look_back(session, &map, state, from..to, judgement).await
+}
+
+/// What was unusual before it was learned.
+async fn surprises(session: &Session, map: &str, query: SurpriseQuery) -> anyhow::Result<ExitCode> {
+    if query.confidence < KEPT_CONFIDENCE {
+        return Err(usage(format!(
+            "what was unusual is kept from a confidence of {KEPT_CONFIDENCE} on: name a model that judges the past by \
+             less, as in --model auto"
+        )));
+    }
+    let found = session.client.surprises(map, query).await?;
+    let mut table = session.table(&["state", "first", "last", "observations", "value", "probability", "surprise_bits"]);
+    for (state, run) in found.runs {
+        table.row(vec![
+            Cell::Text(state),
+            Cell::Time(run.first_nanos),
+            Cell::Time(run.last_nanos),
+            run.observations.into(),
+            run.value.into(),
+            run.probability.into(),
+            run.bits.into(),
+        ])?;
+    }
+    table.finish()?;
+    if found.dropped > 0 {
+        status_line(&format!("{} weaker or older runs of these states were dropped to make room", found.dropped));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Judges the observations of the past by a model as it is now.
+async fn look_back(
+    session: &Session,
+    map: &str,
+    state: &str,
+    within: Range<i64>,
+    judgement: Judgement,
+) -> anyhow::Result<ExitCode> {
+    let mut anomalies = session.client.anomalies(map, state, within.start, within.end, judgement).await?;
     let mut table = session.table(&["time", "value", "probability"]);
     while let Some(batch) = anomalies.next().await? {
         for Anomaly { utc_nanos: time_nanos, value, probability } in batch {

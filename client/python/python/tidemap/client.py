@@ -445,6 +445,11 @@ class Client:
         """Observations that the model did not expect, live as they come; fields of ``WatchAnomaliesRequest``."""
         return self.stream("QueryService/WatchAnomalies", {"map": map, **request})
 
+    def surprises(self, map: str, from_time: Time, to_time: Time, **request: Any) -> list[dict[str, Any]]:
+        """What was unusual before it was learned, most surprising first; fields of ``ListSurprisesRequest``."""
+        asked = {"map": map, "from_time": _times.timestamp(from_time), "to_time": _times.timestamp(to_time), **request}
+        return self.call("QueryService/ListSurprises", asked).get("surprises", [])
+
     def changed_cells(self, map: str, **request: Any) -> list[dict[str, Any]]:
         """Cells of the grid whose routine seems to have changed; fields of ``ListCellAlarmsRequest``."""
         replies = self.stream("QueryService/ListCellAlarms", {"map": map, **request})

@@ -40,6 +40,7 @@ use crate::{
 mod anomalies;
 mod grids;
 mod past;
+mod surprises;
 mod trained;
 
 const MINUTE: i64 = 60_000_000_000;

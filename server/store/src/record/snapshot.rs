@@ -17,7 +17,7 @@ use tidemap_model::{
 use super::{
     Invalid, alternatives,
     ids::{decode_kind, decode_producer_key, decode_state_name, encode_kind, encode_producer_key},
-    sensors,
+    sensors, surprises,
 };
 
 /// The counters of a snapshot. The counts must fit; [`check`] makes sure of that.
@@ -201,6 +201,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
                 .collect(),
             batches: short.batches,
         }),
+        surprises: surprises::encode(state.model.surprises()),
     }
 }
 
@@ -299,6 +300,7 @@ fn decode_model(
         OrderErrors::from_parts(errors).map_err(invalid)?,
     )
     .map_err(invalid)?;
+    let model = model.with_surprises(surprises::decode(message.surprises.as_ref())?);
     Ok(match &message.alternatives {
         Some(known) => model.with_alternatives(alternatives::decode(kind, known, periodicities)?),
         None => model,
