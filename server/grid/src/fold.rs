@@ -15,18 +15,16 @@ use crate::sensors::{SensorId, Sensors, Weights};
 /// Maximum number of scans of one map day whose phasors are in memory at a time.
 pub(super) const CHUNK_SCANS_MAX: usize = 256;
 
-/// Phasors of one chunk of a pattern's scans.
+/// The sums over one chunk of a pattern's scans.
 pub(super) struct Chunk<'a> {
     /// Number of the first scan.
     pub(super) first: usize,
-    pub(super) phasors: &'a PhasorTable,
     /// Running sums: row i is that of the scans before scan `first` + i.
     pub(super) rows: &'a RunningSums,
     /// The running sums with the weights of readings; `None` where all scans are of the map's own sensor.
     pub(super) weighted: Option<&'a WeightedRows>,
-    /// The values of a free and an occupied reading of each scan; `None` if all are of the map's own sensor.
-    pub(super) levels: Option<(&'a [f64], &'a [f64])>,
-    pub(super) utc_nanos: &'a [i64],
+    /// Number of scans.
+    pub(super) scans: usize,
     pub(super) is_last: bool,
 }
 
@@ -47,7 +45,7 @@ pub(super) fn fold_toggles(
     rows: &RunningSums,
     chunk: &Chunk<'_>,
 ) {
-    let end = chunk.first + chunk.utc_nanos.len();
+    let end = chunk.first + chunk.scans;
     while let Some(&toggle) = toggles.get(cursor.at).filter(|&&toggle| (toggle as usize) < end) {
         let row = rows.row(toggle as usize - chunk.first);
         if cursor.is_on {
@@ -67,27 +65,9 @@ pub(super) fn fold_toggles(
         }
     }
     if chunk.is_last && cursor.is_on {
-        sum.add_row(rows.row(chunk.utc_nanos.len()));
+        sum.add_row(rows.row(chunk.scans));
         cursor.is_on = false;
     }
-}
-
-/// Writes the value at each scan of a chunk that starts with scan `first`: that of a clear or a set bit.
-pub(super) fn fill(values: &mut [f64], toggles: &[u32], cursor: Cursor, first: usize, (clear, set): (&[f64], &[f64])) {
-    let (length, mut from, mut is_on) = (values.len(), 0, cursor.is_on);
-    let mut write = |from: usize, to: usize, is_on: bool| {
-        let levels = if is_on { set } else { clear };
-        values[from..to].copy_from_slice(&levels[from..to]);
-        to == length
-    };
-    for &toggle in toggles.get(cursor.at..).unwrap_or_default() {
-        let to = (toggle as usize).saturating_sub(first).min(length);
-        if write(from, to, is_on) {
-            return;
-        }
-        (from, is_on) = (to, !is_on);
-    }
-    write(from, length, is_on);
 }
 
 /// Number of scans at which a bit is set.

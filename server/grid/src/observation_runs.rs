@@ -155,15 +155,7 @@ impl ObservationRuns {
                 }
                 let is_last = first + civil_nanos.len() == day.civil_nanos.len();
                 let weighted = weighted_rows.as_ref();
-                let chunk = Chunk {
-                    first,
-                    phasors: &phasors,
-                    rows: &rows,
-                    weighted,
-                    levels: None,
-                    utc_nanos: civil_nanos,
-                    is_last,
-                };
+                let chunk = Chunk { first, rows: &rows, weighted, scans: civil_nanos.len(), is_last };
                 for WantedCell { toggles, cursor, sum, faded } in &mut wanted {
                     let sum = faded.as_mut().map_or(&mut **sum, |(sum, _)| sum);
                     let from = *cursor;

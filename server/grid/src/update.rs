@@ -2,9 +2,10 @@
 //!
 //! Tiles that were seen by the same scans of a day are processed together: they share the phasors of those scans and
 //! their running sums, in chunks that stay in cache. A cell then costs one row of sums per change of its value, and a
-//! prediction per observation if it has a spectrum to be scored.
+//! prediction per look if it has a spectrum to be scored: scans that no candidate period tells apart are one look.
 //!
-//! Invariant: each cell's model is what `StateModel::update` of tidemap-model gives for its readings, to 1e-9.
+//! Invariant: each cell's model is what `StateModel::update` of tidemap-model gives for its readings, to 1e-9, and the
+//! errors of its orders to 1e-3.
 
 use std::{
     collections::HashMap,
@@ -24,6 +25,7 @@ use crate::{
 };
 
 mod batch;
+mod looks;
 mod observed;
 mod pattern;
 pub mod rules;

@@ -6,7 +6,8 @@ use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use tidemap_model::{
-    CellSums, Component, InstantPhasors, Periodicities, PhasorSum, PhasorTable, RunningSums, ScoreSums, SpectralModel,
+    CellSums, Component, InstantPhasors, Periodicities, PhasorSum, PhasorTable, ReadingSums, RunningSums, ScoreSums,
+    SpectralModel,
 };
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
@@ -120,12 +121,20 @@ fn score(c: &mut Criterion) {
         ("weighted", 0.2, Some(&weights[..]), false),
         ("with_wrong", 0.2, None, true),
     ] {
-        let cells: Vec<(SpectralModel, Vec<f64>)> = (0..CELLS).map(|cell| (model(cell, swing), values(cell))).collect();
+        let readings = |cell| {
+            let mut readings = ReadingSums::default();
+            for (i, value) in values(cell).into_iter().enumerate() {
+                readings.push(std::iter::once(value).filter(|_| weights.is_none_or(|weights| weights[i] > 0.0)));
+            }
+            readings
+        };
+        let cells: Vec<(SpectralModel, ReadingSums)> =
+            (0..CELLS).map(|cell| (model(cell, swing), readings(cell))).collect();
         group.bench_with_input(BenchmarkId::from_parameter(name), &cells, |b, cells| {
             b.iter(|| {
                 let mut sums = ScoreSums::default();
-                for (model, values) in cells {
-                    model.score_run_values(&phasors, values, weights, &mut sums, with_wrong);
+                for (model, readings) in cells {
+                    model.score_readings(&phasors, readings, &mut sums, with_wrong);
                 }
                 sums
             });

@@ -81,7 +81,7 @@ pub(crate) fn score_samples(
         let values: Vec<f64> = chunk.iter().map(|sample| sample.value).collect();
         let phasors = PhasorTable::only(periodicities, &civil_nanos, &chosen);
         match kind {
-            StateKind::Probability => model.score_run_values(&phasors, &values, None, &mut sums, true),
+            StateKind::Probability => model.score_run_values(&phasors, &values, &mut sums, true),
             _ => model.score_values(kind, &phasors, &values, &mut sums.squared),
         }
     }

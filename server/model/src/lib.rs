@@ -71,7 +71,7 @@ pub use phasor::PhasorTable;
 pub use phasor_sum::{PhasorSum, RunningSums};
 pub use position::{Dimensions, Position};
 pub use sample::Sample;
-pub use spectral::{CellSums, Component, InstantPhasors, ScoreSums, SpectralModel};
+pub use spectral::{CellSums, Component, InstantPhasors, ReadingSums, ScoreSums, SpectralModel};
 pub use state::{
     ActiveModel, Alternatives, AlternativesParts, Combination, DayScores, LearnedReadings, OrderWatch, OrderWatchParts,
     StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules,

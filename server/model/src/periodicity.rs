@@ -142,6 +142,16 @@ impl Periodicities {
         }
     }
 
+    /// A 60th of the shortest period, in nanoseconds, at least 1: readings that are no further apart are one look,
+    /// since no periodicity tells them apart.
+    pub fn look_nanos(&self) -> i64 {
+        let shortest = match &self.inner.cycles {
+            Cycles::Harmonics { base, count } => base.period / *count as u64,
+            Cycles::List(list) => list.iter().map(|cycle| cycle.period).min().unwrap_or(u64::MAX),
+        };
+        i64::try_from(shortest / 60).unwrap_or(i64::MAX).max(1)
+    }
+
     /// Whether a span of observation holds at least 0.99 of periodicity `k`, in exact integers.
     pub(crate) fn is_eligible(&self, k: usize, span_nanos: u64) -> bool {
         let Some((period, turns)) = self.period_of_turns(k) else { return false };

@@ -19,7 +19,7 @@ pub use cell::CellSums;
 pub use component::Component;
 use component::Strongest;
 pub use instant::InstantPhasors;
-pub use score::ScoreSums;
+pub use score::{ReadingSums, ScoreSums};
 use sweep::{Predict, Term};
 
 #[cfg(test)]

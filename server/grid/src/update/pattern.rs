@@ -17,6 +17,7 @@ use super::{
         day::{DayTile, GridDay},
         fold::{Chunk, WeightedRows},
     },
+    looks::Looks,
     rules::Rules,
     shared_sums::{Gains, Times},
     tile_day::{BusyTile, TileDay},
@@ -58,6 +59,11 @@ impl Pattern {
                 TileDay::new(tile, (day.day, of_day), &self.ranges, times, rules)
             })
             .collect();
+        if tiles.iter().any(TileDay::is_scored) {
+            for chunk in Looks::new(&times.civil_nanos, &rules.periodicities).chunks(times, rules) {
+                tiles.par_iter_mut().for_each(|tile| tile.score(&chunk, rules));
+            }
+        }
         let mut contributions = self.gains().missing(tiles.iter().flat_map(TileDay::toggles), times, rules);
         let mut rows = RunningSums::new(&rules.periodicities);
         let mut weighted = times.weighted.as_ref().map(|_| WeightedRows::new(&rules.periodicities));
@@ -68,13 +74,11 @@ impl Pattern {
             if let (Some(rows), Some(scans)) = (&mut weighted, &times.weighted) {
                 rows.extend_chunk(&phasors, scans, first);
             }
-            let levels = times.weighted.as_ref().map(|scans| scans.levels(first, civil_nanos.len()));
-            let utc_nanos = &times.utc_nanos[first..first + civil_nanos.len()];
-            let is_last = first + civil_nanos.len() == times.utc_nanos.len();
-            let weighted = weighted.as_ref();
-            let chunk = Chunk { first, phasors: &phasors, rows: &rows, weighted, levels, utc_nanos, is_last };
+            let scans = civil_nanos.len();
+            let is_last = first + scans == times.utc_nanos.len();
+            let chunk = Chunk { first, rows: &rows, weighted: weighted.as_ref(), scans, is_last };
             contributions.par_iter_mut().for_each(|contribution| contribution.fold(&chunk));
-            tiles.par_iter_mut().for_each(|tile| tile.fold(&chunk, rules));
+            tiles.par_iter_mut().for_each(|tile| tile.fold(&chunk));
         }
         let mut gains = self.gains();
         gains.take(contributions);

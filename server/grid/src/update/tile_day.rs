@@ -11,7 +11,7 @@ use super::{
     super::{
         day::DayTile,
         fade::{DayFactors, GroupFade},
-        fold::{CHUNK_SCANS_MAX, Chunk, Cursor, fill, fold_toggles, run_length},
+        fold::{Chunk, Cursor, fold_toggles, run_length},
         index::{TILE_CELLS, TileId},
         mask::Mask,
         observation_runs::ObservationRuns,
@@ -21,6 +21,7 @@ use super::{
         sensors::Weights,
         tile::{CellModel, Group, TileData, TileModel, TileSums},
     },
+    looks::{GroupScoring, LookChunk, Scratch},
     observed::{DayToggles, SplitGroup, part_by_spectrum, split_groups},
     rules::Rules,
     shared_sums::{Gains, Times},
@@ -45,7 +46,10 @@ pub(super) struct BusyTile {
 struct CellDay {
     /// Toggles of the occupied bit.
     toggles: Vec<u32>,
+    /// How far the toggles are added to the sums.
     cursor: Cursor,
+    /// How far they are scored.
+    scored_to: Cursor,
     /// The split group.
     group: usize,
     /// Readings of the day that are newer than all before; 0 without earlier readings.
@@ -57,17 +61,10 @@ struct CellDay {
     late: Option<(PhasorSum, f64)>,
 }
 
-/// How a group's cells are scored on the day.
+/// A group on the day.
 #[derive(Debug)]
 struct GroupDay {
-    /// Scans up to this time are not scored; `None`: nothing is scored.
-    newer_than: Option<i64>,
-    /// Whether every scan of the pattern counts.
-    all: bool,
-    cursor: Cursor,
-    weights: Vec<f64>,
-    /// Scans of the chunk that count.
-    scored: u64,
+    scoring: GroupScoring,
     /// What the day does to the weights of its readings.
     factors: DayFactors,
 }
@@ -81,6 +78,8 @@ pub(super) struct TileDay {
     split: Vec<SplitGroup>,
     groups: Vec<GroupDay>,
     cells: Vec<CellDay>,
+    /// The indices of the cells that are scored, by group.
+    by_group: Vec<u16>,
     /// Number of scans that saw the tile.
     scans: usize,
 }
@@ -108,8 +107,7 @@ impl TileDay {
             let all_newer = newer_than.is_some_and(|last| times.all.first_nanos > last);
             let all = all_newer && toggles.is_some_and(|toggles| toggles.as_slice() == [0]);
             let factors = toggles.map_or(DayFactors::EQUAL, |_| factors_of(&working.model, group, day, rules));
-            let (cursor, weights) = (Cursor::default(), Vec::new());
-            groups.push(GroupDay { newer_than, all, cursor, weights, scored: 0, factors });
+            groups.push(GroupDay { scoring: GroupScoring { newer_than, all, cursor: Cursor::default() }, factors });
         }
         let mut group_of = [usize::MAX; TILE_CELLS];
         for (index, group) in split.iter().enumerate() {
@@ -139,7 +137,12 @@ impl TileDay {
             }
             cells.push(CellDay { toggles, group, occupied_weight, late, ..CellDay::default() });
         }
-        TileDay { day, tile, observed: toggles.observed, split, groups, cells, scans: times.utc_nanos.len() }
+        let group_of = |&index: &u16| cells.get(usize::from(index)).map_or(usize::MAX, |cell: &CellDay| cell.group);
+        let is_scored =
+            |index: &u16| groups.get(group_of(index)).is_some_and(|group| group.scoring.newer_than.is_some());
+        let mut by_group: Vec<u16> = (0..).take(cells.len()).filter(is_scored).collect();
+        by_group.sort_by_key(group_of);
+        TileDay { day, tile, observed: toggles.observed, split, groups, cells, by_group, scans: times.utc_nanos.len() }
     }
 
     /// The toggles of the cells whose sums must be complete; may contain duplicates.
@@ -148,38 +151,49 @@ impl TileDay {
         summed.filter_map(|group| self.observed.get(group.toggles?)).map(|(toggles, _)| toggles)
     }
 
-    /// Processes one chunk: scores it, then adds it to the sums of occupied readings.
-    pub(super) fn fold(&mut self, chunk: &Chunk<'_>, rules: &Rules) {
-        for (group, split) in self.groups.iter_mut().zip(&self.split) {
-            let toggles = split.toggles.and_then(|index| self.observed.get(index)).map(|(toggles, _)| toggles);
-            group.weigh(toggles.map_or(&[], Vec::as_slice), chunk);
-        }
+    /// Whether any cell is scored.
+    pub(super) fn is_scored(&self) -> bool {
+        !self.by_group.is_empty()
+    }
+
+    /// Scores some looks by the models of before the day.
+    pub(super) fn score(&mut self, chunk: &LookChunk<'_>, rules: &Rules) {
+        let TileDay { tile, observed, split, groups, cells, by_group, .. } = self;
         let with_wrong = rules.criterion == OrderCriterion::ZeroOne;
-        let (free, occupied, mut mixed) =
-            ([rules.levels.0; CHUNK_SCANS_MAX], [rules.levels.1; CHUNK_SCANS_MAX], [0.0; CHUNK_SCANS_MAX]);
-        let length = chunk.utc_nanos.len();
-        let end = chunk.first + length;
-        let (free, occupied) = chunk.levels.unwrap_or((&free[..length], &occupied[..length]));
-        let occupied_rows = chunk.weighted.map_or(chunk.rows, |weighted| &weighted.beta);
-        let cells = self.cells.iter_mut().zip(&self.tile.data.model.cells).zip(&mut self.tile.data.sums.cells);
-        for ((day, model), sum) in cells {
-            let Some(group) = self.groups.get(day.group) else { continue };
-            let weights = (!group.all).then_some(group.weights.as_slice());
-            if group.scored > 0 {
-                let toggles = day.toggles.get(day.cursor.at).is_some_and(|&toggle| (toggle as usize) < end);
-                let values = match (toggles, day.cursor.is_on) {
-                    (true, _) => {
-                        fill(&mut mixed[..length], &day.toggles, day.cursor, chunk.first, (free, occupied));
-                        &mixed[..length]
-                    }
-                    (false, true) => occupied,
-                    (false, false) => free,
+        let mut scratch = Scratch::default();
+        let group_of = |index: u16| cells.get(usize::from(index)).map_or(usize::MAX, |cell| cell.group);
+        let same_groups: Vec<&[u16]> = by_group.chunk_by(|&one, &next| group_of(one) == group_of(next)).collect();
+        for same in same_groups {
+            let index =
+                same.first().and_then(|&index| cells.get(usize::from(index))).map_or(usize::MAX, |cell| cell.group);
+            let Some(group) = groups.get_mut(index) else { continue };
+            let toggles = split.get(index).and_then(|split| observed.get(split.toggles?));
+            let toggles = toggles.map_or(&[][..], |(toggles, _)| toggles.as_slice());
+            let mut readings = group.scoring.readings(toggles, chunk, &mut scratch);
+            for &index in same {
+                let index = usize::from(index);
+                let (Some(day), Some(model)) = (cells.get_mut(index), tile.data.model.cells.get(index)) else {
+                    continue;
                 };
-                model.spectral.score_run_values(chunk.phasors, values, weights, &mut day.scores, with_wrong);
-                day.scored += group.scored;
+                let Some(readings) = &mut readings else {
+                    day.scored_to.skip(&day.toggles, chunk);
+                    continue;
+                };
+                let of_cell = readings.of_cell(&day.toggles, &mut day.scored_to);
+                model.spectral.score_readings(&chunk.phasors, of_cell, &mut day.scores, with_wrong);
+                day.scored += readings.scored;
             }
-            let sum = day.late.as_mut().map_or(sum, |(late, _)| late);
-            fold_toggles(&day.toggles, &mut day.cursor, sum, occupied_rows, chunk);
+        }
+    }
+
+    /// Adds a chunk to the sums of occupied readings.
+    pub(super) fn fold(&mut self, chunk: &Chunk<'_>) {
+        let occupied_rows = chunk.weighted.map_or(chunk.rows, |weighted| &weighted.beta);
+        for (day, sum) in self.cells.iter_mut().zip(&mut self.tile.data.sums.cells) {
+            if self.groups.get(day.group).is_some() {
+                let sum = day.late.as_mut().map_or(sum, |(late, _)| late);
+                fold_toggles(&day.toggles, &mut day.cursor, sum, occupied_rows, chunk);
+            }
         }
     }
 
@@ -296,7 +310,7 @@ impl TileDay {
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
             watch.fade(group_day.factors.known);
-            let changes = times.changes(observed, &of_day.toggles, group_day.newer_than, watch.last());
+            let changes = times.changes(observed, &of_day.toggles, group_day.scoring.newer_than, watch.last());
             watch.learn(changes.count, changes.rate_sum, changes.last);
             let (units, weight) = of_day.weigh(cell, group, sensors, index);
             let weighted = sums.sensors.as_ref().and_then(|sensors| sensors.groups.get(of_day.group)?.as_ref());
@@ -389,31 +403,6 @@ impl CellDay {
             return (weights.alpha + *occupied, fades.get(self.group).map_or(weight, |fade| fade.weight));
         }
         (cell.occupied as f64, weight)
-    }
-}
-
-impl GroupDay {
-    /// Sets the weights of a chunk's scans if not all count: 1 where the group was observed and the scan is newer than
-    /// all known ones.
-    fn weigh(&mut self, toggles: &[u32], chunk: &Chunk<'_>) {
-        let Some(newer_than) = self.newer_than else { return };
-        if self.all {
-            self.scored = chunk.utc_nanos.len() as u64;
-            return;
-        }
-        self.weights.resize(chunk.utc_nanos.len(), 0.0);
-        let ends = (&[0.0; CHUNK_SCANS_MAX][..], &[1.0; CHUNK_SCANS_MAX][..]);
-        fill(&mut self.weights, toggles, self.cursor, chunk.first, ends);
-        for (weight, &nanos) in self.weights.iter_mut().zip(chunk.utc_nanos) {
-            if nanos <= newer_than {
-                *weight = 0.0;
-            }
-        }
-        self.scored = self.weights.iter().filter(|weight| **weight > 0.0).count() as u64;
-        let end = chunk.first + chunk.utc_nanos.len();
-        while toggles.get(self.cursor.at).is_some_and(|&toggle| (toggle as usize) < end) {
-            self.cursor = Cursor { at: self.cursor.at + 1, is_on: !self.cursor.is_on };
-        }
     }
 }
 

@@ -1,10 +1,11 @@
 //! Scores every order of a model in one pass over a table of phasors: one time per lane of eight.
 //!
-//! An order's prediction is the one below plus one term. The value carried from order to order is prediction minus
-//! value, so that saturating the prediction to `[0,1]` is keeping the error between -value and 1 - value, and omitting
-//! a time is keeping its error between 0 and 0.
+//! An order's prediction is the one below plus one term. What was read at a time is given as sums over its readings, so
+//! that readings which no candidate period tells apart cost one prediction together: with the prediction p, n readings
+//! of sum s and sum of squares q have the squared error q + p (n p - 2 s).
 //!
-//! Invariant: an omitted time adds nothing to any sum. Sums have the same bits on every instruction set.
+//! Invariant: an omitted time adds nothing to any sum. Sums have the same bits on every instruction set, and no squared
+//! error is below 0.
 
 use pulp::{Arch, Simd};
 
@@ -16,8 +17,6 @@ use crate::{ORDER_MAX, PhasorTable};
 #[cfg(test)]
 mod tests;
 
-const ONES: [f64; LANES] = [1.0; LANES];
-
 /// Errors of each order 0..=[`ORDER_MAX`], summed over observations.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct ScoreSums {
@@ -27,35 +26,121 @@ pub struct ScoreSums {
     pub wrong: [f64; ORDER_MAX + 1],
 }
 
+/// What was read at the times of a table, one entry per time. The readings of a time are predicted alike.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ReadingSums {
+    /// Number of readings, 0 and more; 0: the time is omitted.
+    pub counts: Vec<f64>,
+    /// Sum of their values, each in `[0,1]`.
+    pub sums: Vec<f64>,
+    /// Sum of the squares of their values.
+    pub squares: Vec<f64>,
+    /// Number of values that are at least 0.5.
+    pub high: Vec<f64>,
+}
+
+impl ReadingSums {
+    /// Number of times.
+    pub fn len(&self) -> usize {
+        self.counts.len()
+    }
+
+    /// Whether there are no times.
+    pub fn is_empty(&self) -> bool {
+        self.counts.is_empty()
+    }
+
+    /// Removes all times.
+    pub fn clear(&mut self) {
+        for column in [&mut self.counts, &mut self.sums, &mut self.squares, &mut self.high] {
+            column.clear();
+        }
+    }
+
+    /// Adds a time with the readings that are given with their values in `[0,1]`.
+    #[inline]
+    pub fn push(&mut self, values: impl Iterator<Item = f64>) {
+        let [mut count, mut sum, mut square, mut high] = [0.0; 4];
+        for value in values {
+            count += 1.0;
+            sum += value;
+            square += value * value;
+            high += f64::from(u8::from(value >= 0.5));
+        }
+        self.counts.push(count);
+        self.sums.push(sum);
+        self.squares.push(square);
+        self.high.push(high);
+    }
+
+    /// Adds some times of others; none where they do not have them.
+    pub fn extend_from(&mut self, others: &ReadingSums, times: std::ops::Range<usize>) {
+        self.counts.extend_from_slice(others.counts.get(times.clone()).unwrap_or_default());
+        self.sums.extend_from_slice(others.sums.get(times.clone()).unwrap_or_default());
+        self.squares.extend_from_slice(others.squares.get(times.clone()).unwrap_or_default());
+        self.high.extend_from_slice(others.high.get(times).unwrap_or_default());
+    }
+}
+
 impl SpectralModel {
     /// Adds the errors of every order 0..=[`ORDER_MAX`] at predicting `values`, each in `[0,1]`, at the times of the
-    /// table. Times of weight 0 are omitted, others count once; without weights, all count. Where `values` or `weights`
-    /// are shorter than the table, for the first times only. `wrong` is counted only if requested. Fast where the table
+    /// table; where they are fewer than the times, at the first times only. `wrong` is counted only if requested.
+    pub fn score_run_values(&self, phasors: &PhasorTable, values: &[f64], sums: &mut ScoreSums, with_wrong: bool) {
+        let mut readings = ReadingSums::default();
+        values.iter().for_each(|&value| readings.push(std::iter::once(value)));
+        self.score_readings(phasors, &readings, sums, with_wrong);
+    }
+
+    /// Adds the errors of every order 0..=[`ORDER_MAX`] at predicting the readings at the times of the table; where
+    /// they are of fewer times, at the first times only. `wrong` is counted only if requested. Fast where the table
     /// holds the model's periodicities, correct in any case.
-    pub fn score_run_values(
+    pub fn score_readings(
         &self,
         phasors: &PhasorTable,
-        values: &[f64],
-        weights: Option<&[f64]>,
+        readings: &ReadingSums,
         sums: &mut ScoreSums,
         with_wrong: bool,
     ) {
-        let times = phasors.len().min(values.len()).min(weights.map_or(usize::MAX, <[f64]>::len));
-        let (values, weights) = (&values[..times], weights.map(|weights| &weights[..times]));
+        let ReadingSums { counts, sums: values, squares, high } = readings;
+        let times = phasors.len().min(counts.len()).min(values.len()).min(squares.len()).min(high.len());
+        let columns = Columns {
+            counts: &counts[..times],
+            sums: &values[..times],
+            squares: &squares[..times],
+            high: &high[..times],
+        };
+        let mean = self.mean;
         let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(ORDER_MAX, phasors, &mut terms) {
-            Some(terms) => {
-                let mean = self.mean;
-                Arch::new().dispatch(OnLanes(ScoreKernel { mean, terms, values, weights, with_wrong, sums }));
-            }
+            Some(terms) => Arch::new().dispatch(OnLanes(ScoreKernel { mean, terms, columns, with_wrong, sums })),
             None => {
                 let own: Vec<u32> = self.components.iter().map(|component| component.periodicity).collect();
                 let phasors = PhasorTable::only(phasors.periodicities(), &phasors.civil_nanos()[..times], &own);
                 let mut terms = [Term::default(); ORDER_MAX];
                 let terms = self.terms(ORDER_MAX, &phasors, &mut terms).unwrap_or(&[]);
-                let mean = self.mean;
-                Arch::new().dispatch(OnLanes(ScoreKernel { mean, terms, values, weights, with_wrong, sums }));
+                Arch::new().dispatch(OnLanes(ScoreKernel { mean, terms, columns, with_wrong, sums }));
             }
+        }
+    }
+}
+
+/// The readings at each time; all columns are equally long.
+#[derive(Clone, Copy)]
+pub(super) struct Columns<'a> {
+    counts: &'a [f64],
+    sums: &'a [f64],
+    squares: &'a [f64],
+    high: &'a [f64],
+}
+
+impl<'a> Columns<'a> {
+    #[inline(always)]
+    fn from(self, at: usize) -> Columns<'a> {
+        Columns {
+            counts: &self.counts[at..],
+            sums: &self.sums[at..],
+            squares: &self.squares[at..],
+            high: &self.high[at..],
         }
     }
 }
@@ -64,9 +149,7 @@ impl SpectralModel {
 pub(super) struct ScoreKernel<'a, 'b> {
     pub(super) mean: f64,
     pub(super) terms: &'b [Term<'a>],
-    pub(super) values: &'b [f64],
-    /// As long as the values.
-    pub(super) weights: Option<&'b [f64]>,
+    pub(super) columns: Columns<'b>,
     pub(super) with_wrong: bool,
     pub(super) sums: &'b mut ScoreSums,
 }
@@ -76,7 +159,7 @@ impl EightLanes for ScoreKernel<'_, '_> {
 
     #[inline(always)]
     fn run<S: Simd, const V: usize>(self, simd: S) {
-        // As many vectors side by side as registers hold, each with its error and the error's bounds.
+        // As many vectors side by side as registers hold, each with its prediction and its readings.
         match (V, self.with_wrong) {
             (1, false) => self.add::<S, V, 8, false>(simd),
             (1, true) => self.add::<S, V, 4, true>(simd),
@@ -93,22 +176,21 @@ impl ScoreKernel<'_, '_> {
         let used = self.terms.len().min(ORDER_MAX);
         let terms = &self.terms[..used];
         let mut lanes = ScoreLanes::<S, V>::new(simd);
-        let times = self.values.len();
+        let times = self.columns.counts.len();
         let mut at = 0;
         while at + SIDE_BY_SIDE * LANES <= times {
-            let weights = self.weights.map(|weights| &weights[at..]);
-            lanes.add::<SIDE_BY_SIDE, WRONG>(simd, self.mean, terms, &self.values[at..], weights, at);
+            lanes.add::<SIDE_BY_SIDE, WRONG>(simd, self.mean, terms, self.columns.from(at), at);
             at += SIDE_BY_SIDE * LANES;
         }
         while at + LANES <= times {
-            let weights = self.weights.map(|weights| &weights[at..]);
-            lanes.add::<1, WRONG>(simd, self.mean, terms, &self.values[at..], weights, at);
+            lanes.add::<1, WRONG>(simd, self.mean, terms, self.columns.from(at), at);
             at += LANES;
         }
         if at < times {
             // The last eight are padded with omitted times.
-            let padded_values = padded(&self.values[at..]);
-            let padded_weights = padded(self.weights.map_or(&ONES[..times - at], |weights| &weights[at..]));
+            let rest = self.columns.from(at);
+            let [counts, sums, squares, high] = [rest.counts, rest.sums, rest.squares, rest.high].map(padded);
+            let columns = Columns { counts: &counts, sums: &sums, squares: &squares, high: &high };
             let mut rows = [([0.0; LANES], [0.0; LANES]); ORDER_MAX];
             for (row, term) in rows.iter_mut().zip(terms) {
                 *row = (padded(&term.cos[at..times]), padded(&term.sin[at..times]));
@@ -117,8 +199,7 @@ impl ScoreKernel<'_, '_> {
             for ((padded, term), (cos, sin)) in padded_terms.iter_mut().zip(terms).zip(&rows) {
                 *padded = Term { cos, sin, ..*term };
             }
-            let weights = Some(&padded_weights[..]);
-            lanes.add::<1, WRONG>(simd, self.mean, &padded_terms[..used], &padded_values, weights, 0);
+            lanes.add::<1, WRONG>(simd, self.mean, &padded_terms[..used], columns, 0);
         }
         lanes.add_to::<WRONG>(simd, used, self.sums);
     }
@@ -140,84 +221,76 @@ fn eights<S: Simd, const V: usize, const N: usize>(numbers: &[f64]) -> Option<&[
     S::as_simd_f64s(numbers).0.as_chunks::<V>().0.first_chunk::<N>()
 }
 
-/// The observations at `N` times eight times.
-struct ErrorBounds<S: Simd, const V: usize, const N: usize> {
-    /// The bounds of the error.
-    lowest: [[S::f64s; V]; N],
-    highest: [[S::f64s; V]; N],
-    /// The error from which the prediction is at least 0.5.
-    threshold: [[S::f64s; V]; N],
-    /// How many wrong predictions more there are from there on: 1, or -1 where the value is itself at
-    /// least 0.5, or 0 where the time is left out.
+/// The readings at `N` times eight times.
+struct ReadingLanes<S: Simd, const V: usize, const N: usize> {
+    counts: [[S::f64s; V]; N],
+    /// -2 times the sum of the values.
+    minus_twice: [[S::f64s; V]; N],
+    /// How many wrong predictions more there are from a prediction of 0.5 on.
     step: [[S::f64s; V]; N],
 }
 
 /// Sums of each order, still in lanes.
 struct ScoreLanes<S: Simd, const V: usize> {
+    /// Σ p (n p - 2 s).
     squared: [Eight<S, V>; ORDER_MAX + 1],
     wrong: [Eight<S, V>; ORDER_MAX + 1],
+    /// Σ q, the same for every order.
+    squares: Eight<S, V>,
     /// Values of at least 0.5: wrong predictions of each order if all were below 0.5.
-    positive: Eight<S, V>,
+    high: Eight<S, V>,
 }
 
 impl<S: Simd, const V: usize> ScoreLanes<S, V> {
     #[inline(always)]
     fn new(simd: S) -> ScoreLanes<S, V> {
         let zero = Eight::splat(simd, 0.0);
-        ScoreLanes { squared: [zero; ORDER_MAX + 1], wrong: [zero; ORDER_MAX + 1], positive: zero }
+        ScoreLanes { squared: [zero; ORDER_MAX + 1], wrong: [zero; ORDER_MAX + 1], squares: zero, high: zero }
     }
 
-    /// Adds the errors at `N` times eight times: the first of `values` and `weights`, and those of the
-    /// terms from time `at`.
+    /// Adds the errors at `N` times eight times: the first of the columns, and those of the terms from time `at`.
     #[inline(always)]
     fn add<const N: usize, const WRONG: bool>(
         &mut self,
         simd: S,
         mean: f64,
         terms: &[Term<'_>],
-        values: &[f64],
-        weights: Option<&[f64]>,
+        columns: Columns<'_>,
         at: usize,
     ) {
-        let (zero, half, one) = (simd.splat_f64s(0.0), simd.splat_f64s(0.5), simd.splat_f64s(1.0));
-        let mean = simd.splat_f64s(mean);
-        let Some(values) = eights::<S, V, N>(values) else { return };
-        let mut counted = [[one; V]; N];
-        if let Some(weights) = weights {
-            let Some(weights) = eights::<S, V, N>(weights) else { return };
-            for (counted, &weight) in counted.as_flattened_mut().iter_mut().zip(weights.as_flattened()) {
-                *counted = simd.select_f64s(simd.greater_than_f64s(weight, zero), one, zero);
-            }
-        }
-        let mut error = [[zero; V]; N];
-        let mut observed = ErrorBounds { lowest: error, highest: error, threshold: error, step: error };
+        let (zero, minus_two) = (simd.splat_f64s(0.0), simd.splat_f64s(-2.0));
+        let Some(counts) = eights::<S, V, N>(columns.counts) else { return };
+        let Some(sums) = eights::<S, V, N>(columns.sums) else { return };
+        let Some(squares) = eights::<S, V, N>(columns.squares) else { return };
+        let mut prediction = [[simd.splat_f64s(mean); V]; N];
+        let mut readings = ReadingLanes { counts: *counts, minus_twice: *sums, step: [[zero; V]; N] };
         for n in 0..N {
             for v in 0..V {
-                let (value, counted) = (values[n][v], counted[n][v]);
-                error[n][v] = simd.sub_f64s(mean, value);
-                observed.lowest[n][v] = simd.neg_f64s(simd.mul_f64s(counted, value));
-                observed.highest[n][v] = simd.add_f64s(counted, observed.lowest[n][v]);
-                if WRONG {
-                    let positive = simd.greater_than_or_equal_f64s(value, half);
-                    observed.threshold[n][v] = simd.sub_f64s(half, value);
-                    observed.step[n][v] = simd.select_f64s(positive, simd.neg_f64s(counted), counted);
-                    let counted = simd.select_f64s(positive, counted, zero);
-                    self.positive.0[v] = simd.add_f64s(self.positive.0[v], counted);
+                readings.minus_twice[n][v] = simd.mul_f64s(minus_two, sums[n][v]);
+                self.squares.0[v] = simd.add_f64s(self.squares.0[v], squares[n][v]);
+            }
+        }
+        if WRONG {
+            let Some(high) = eights::<S, V, N>(columns.high) else { return };
+            for n in 0..N {
+                for v in 0..V {
+                    readings.step[n][v] = simd.mul_add_f64s(minus_two, high[n][v], counts[n][v]);
+                    self.high.0[v] = simd.add_f64s(self.high.0[v], high[n][v]);
                 }
             }
         }
-        self.add_order::<N, WRONG>(simd, 0, &error, &observed);
+        self.add_order::<N, WRONG>(simd, 0, &prediction, &readings);
         for (order, term) in (1..=ORDER_MAX).zip(terms) {
             let Some(cos) = eights::<S, V, N>(&term.cos[at..]) else { return };
             let Some(sin) = eights::<S, V, N>(&term.sin[at..]) else { return };
             let (cos_weight, sin_weight) = (simd.splat_f64s(term.cos_weight), simd.splat_f64s(term.sin_weight));
             for n in 0..N {
                 for v in 0..V {
-                    let once = simd.mul_add_f64s(cos_weight, cos[n][v], error[n][v]);
-                    error[n][v] = simd.mul_add_f64s(sin_weight, sin[n][v], once);
+                    let once = simd.mul_add_f64s(cos_weight, cos[n][v], prediction[n][v]);
+                    prediction[n][v] = simd.mul_add_f64s(sin_weight, sin[n][v], once);
                 }
             }
-            self.add_order::<N, WRONG>(simd, order, &error, &observed);
+            self.add_order::<N, WRONG>(simd, order, &prediction, &readings);
         }
     }
 
@@ -226,25 +299,25 @@ impl<S: Simd, const V: usize> ScoreLanes<S, V> {
         &mut self,
         simd: S,
         order: usize,
-        error: &[[S::f64s; V]; N],
-        observed: &ErrorBounds<S, V, N>,
+        prediction: &[[S::f64s; V]; N],
+        readings: &ReadingLanes<S, V, N>,
     ) {
+        let (zero, half, one) = (simd.splat_f64s(0.0), simd.splat_f64s(0.5), simd.splat_f64s(1.0));
         let mut squared = self.squared[order].0;
-        for n in 0..N {
-            for v in 0..V {
-                let error = simd.max_f64s(error[n][v], observed.lowest[n][v]);
-                let saturated = simd.min_f64s(error, observed.highest[n][v]);
-                squared[v] = simd.mul_add_f64s(saturated, saturated, squared[v]);
+        for (n, prediction) in prediction.iter().enumerate() {
+            for (v, &prediction) in prediction.iter().enumerate() {
+                let saturated = simd.min_f64s(simd.max_f64s(prediction, zero), one);
+                let inner = simd.mul_add_f64s(readings.counts[n][v], saturated, readings.minus_twice[n][v]);
+                squared[v] = simd.mul_add_f64s(saturated, inner, squared[v]);
             }
         }
         self.squared[order].0 = squared;
         if WRONG {
-            let zero = simd.splat_f64s(0.0);
             let mut wrong = self.wrong[order].0;
-            for (n, error) in error.iter().enumerate() {
-                for (v, &error) in error.iter().enumerate() {
-                    let predicted = simd.greater_than_or_equal_f64s(error, observed.threshold[n][v]);
-                    let step = simd.select_f64s(predicted, observed.step[n][v], zero);
+            for (n, prediction) in prediction.iter().enumerate() {
+                for (v, &prediction) in prediction.iter().enumerate() {
+                    let is_high = simd.greater_than_or_equal_f64s(prediction, half);
+                    let step = simd.select_f64s(is_high, readings.step[n][v], zero);
                     wrong[v] = simd.add_f64s(wrong[v], step);
                 }
             }
@@ -258,9 +331,10 @@ impl<S: Simd, const V: usize> ScoreLanes<S, V> {
         let (mut squared, mut wrong) = (0.0, 0.0);
         for order in 0..=ORDER_MAX {
             if order <= used {
-                squared = self.squared[order].sum(simd);
+                // Rounding may leave less than nothing of a perfect prediction.
+                squared = (self.squares.sum(simd) + self.squared[order].sum(simd)).max(0.0);
                 if WRONG {
-                    wrong = self.positive.sum(simd) + self.wrong[order].sum(simd);
+                    wrong = self.high.sum(simd) + self.wrong[order].sum(simd);
                 }
             }
             sums.squared[order] += squared;

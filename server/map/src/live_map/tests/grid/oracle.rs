@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing here knows of runs, groups or shared sums.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use tidemap_grid::{
     index::{CellIndex, TileIndex},
@@ -31,7 +31,8 @@ pub(crate) struct CellOracle {
     pub(crate) folded: Vec<Read>,
     pub(crate) model: StateModel,
     pub(crate) persistence: Persistence,
-    /// Whether two components were as strong as each other, so that another choice is as good.
+    /// Whether two components were as strong as each other, so that another choice is as good, or readings were scored
+    /// in one look, which a state scores one by one.
     tied: bool,
 }
 
@@ -66,12 +67,14 @@ impl CellOracle {
         self.taken = self.pending.extract_if(.., is_due).collect();
     }
 
-    fn learn(&mut self, periodicities: &Periodicities, criterion: OrderCriterion, half_life_days: Option<f64>) {
+    fn learn(&mut self, looks: &Looks, (criterion, half_life_days): (OrderCriterion, Option<f64>)) {
+        let periodicities = &looks.periodicities;
         let mut taken = std::mem::take(&mut self.taken);
         taken.sort_by_key(|read| read.sample.utc_nanos);
         // Day by day, so that ties of each day's model are found.
         for of_day in taken.chunk_by(|one, next| one.sample.local_day() == next.sample.local_day()) {
-            self.tied |= self.has_tie(periodicities);
+            let is_shared = of_day.iter().any(|read| looks.has_others(read.sample.civil_nanos()));
+            self.tied |= is_shared || self.has_tie(periodicities);
             let rules = UpdateRules { models: EnabledModels::SPECTRAL, ..UpdateRules::from(criterion) };
             self.model.update(periodicities, rules, of_day.iter().map(|read| read.sample).collect());
             self.folded.extend(of_day);
@@ -231,10 +234,28 @@ pub(crate) fn near(a: f64, b: f64, tolerance: f64, at: &str, what: &str) {
     assert!((a - b).abs() <= tolerance, "{at}: {what} is {a}, or {b}");
 }
 
+/// The times of all scans, by look.
+#[derive(Clone, Debug)]
+struct Looks {
+    periodicities: Periodicities,
+    civil_nanos: HashMap<i64, HashSet<i64>>,
+}
+
+impl Looks {
+    fn look(&self, civil_nanos: i64) -> i64 {
+        civil_nanos.div_euclid(self.periodicities.look_nanos())
+    }
+
+    /// Whether the look of a scan has scans of other times.
+    fn has_others(&self, civil_nanos: i64) -> bool {
+        self.civil_nanos.get(&self.look(civil_nanos)).is_some_and(|times| times.len() > 1)
+    }
+}
+
 /// All cells.
 #[derive(Clone, Debug)]
 pub(crate) struct Oracle {
-    periodicities: Periodicities,
+    looks: Looks,
     criterion: OrderCriterion,
     half_life_days: Option<f64>,
     pub(crate) cells: BTreeMap<(TileIndex, u16), CellOracle>,
@@ -243,13 +264,18 @@ pub(crate) struct Oracle {
 
 impl Oracle {
     pub(crate) fn new(periodicities: &Periodicities, criterion: OrderCriterion, half_life_days: Option<f64>) -> Oracle {
-        let (periodicities, cells) = (periodicities.clone(), BTreeMap::new());
-        Oracle { periodicities, criterion, half_life_days, cells, cell_observations: 0 }
+        let looks = Looks { periodicities: periodicities.clone(), civil_nanos: HashMap::new() };
+        Oracle { looks, criterion, half_life_days, cells: BTreeMap::new(), cell_observations: 0 }
+    }
+
+    /// A scan was made, whatever it showed.
+    pub(crate) fn scan(&mut self, civil_nanos: i64) {
+        self.looks.civil_nanos.entry(self.looks.look(civil_nanos)).or_default().insert(civil_nanos);
     }
 
     pub(crate) fn observe(&mut self, tile: TileIndex, cell: u16, read: Read, is_ahead: bool) {
         self.cell_observations += 1;
-        let periodicities = &self.periodicities;
+        let periodicities = &self.looks.periodicities;
         let cell = self.cells.entry((tile, cell)).or_insert_with(|| CellOracle::new(periodicities));
         if is_ahead {
             cell.future.push(read);
@@ -264,7 +290,7 @@ impl Oracle {
     }
 
     pub(crate) fn finish_update(&mut self) {
-        let learn = |cell: &mut CellOracle| cell.learn(&self.periodicities, self.criterion, self.half_life_days);
+        let learn = |cell: &mut CellOracle| cell.learn(&self.looks, (self.criterion, self.half_life_days));
         self.cells.values_mut().for_each(learn);
     }
 

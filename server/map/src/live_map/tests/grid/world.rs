@@ -226,6 +226,7 @@ impl World {
             }
             let is_ahead = scan.utc_nanos > envelope.plausible_nanos();
             self.scans.take(scan, offset_secs, sensor, is_ahead);
+            self.oracle.scan(scan.utc_nanos + i64::from(offset_secs) * SECOND);
             for &(tile, masks) in &scan.tiles {
                 for cell in masks.observed().cells() {
                     let is_occupied = masks.occupied().contains(cell);
