@@ -33,6 +33,7 @@
 
 #![allow(missing_docs, reason = "fields whose name says it all")]
 
+pub mod ensemble;
 pub mod event;
 pub mod file;
 pub mod grid;

@@ -13,8 +13,8 @@ use tidemap_map::{
     event::StateKind, history::Subject, ids::StateId, interval::cell_intervals, predict::PreparedTimes, view::MapView,
 };
 use tidemap_model::{
-    Persistence, Sample,
-    models::{Interval, Moment, TemporalModel},
+    HeldInterval, Persistence, Sample,
+    models::{Moment, TemporalModel},
     selector::{ModelKind, ModelSelector},
 };
 
@@ -153,7 +153,7 @@ impl StateOrCell {
         moments: &[Moment],
         values: &[f64],
         level: Option<f64>,
-    ) -> Vec<Interval> {
+    ) -> Vec<HeldInterval> {
         match self {
             Self::State(id) => view.intervals(*id, moments, values, level),
             Self::Cell(cell) => cell_intervals(&cell.description, values, level),

@@ -24,6 +24,7 @@ CLASSIFIERS = [
     models.FreMEn(order=8),
     models.Histogram(bins=168, cycle="week"),
     models.Calibrated(),
+    models.Ensemble(),
     models.PerGaM(period="7d", gaussians=5),
     models.Hypertime(),
     models.Hypertime(method="km"),

@@ -62,7 +62,7 @@ mod tests {
     #[test]
     fn what_is_named_is_enabled_and_the_spectral_model_always() {
         let all = enabled_to_wire(EnabledModels::ALL);
-        assert_eq!(all.len(), 7);
+        assert_eq!(all.len(), 8);
         assert_eq!(enabled_from_wire("models", &all, Retention::Forever), Ok(EnabledModels::ALL));
         let one = enabled(&[ModelKind::HypertimeKm], Retention::Forever).expect("known");
         assert_eq!(one, EnabledModels::SPECTRAL.with(tidemap_model::catalogue::ModelKind::HYPERTIME_KM));

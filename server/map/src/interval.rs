@@ -5,7 +5,7 @@
 
 use tidemap_grid::view::CellDescription;
 use tidemap_model::{
-    StateKind,
+    HeldInterval, StateKind,
     models::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval},
 };
 
@@ -15,7 +15,8 @@ const HOUR_SECS: f64 = 3600.0;
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 /// 1970-01-01 was a Thursday; weeks begin on Monday.
 const EPOCH_HOUR_OF_WEEK: i64 = 3 * 24;
-const NEVER: Interval = Interval { lower: 0.0, upper: 1.0 };
+/// Of a state that was never observed.
+const NEVER: HeldInterval = HeldInterval { interval: Interval { lower: 0.0, upper: 1.0 }, mass: 1.0 };
 
 /// How much single hours of a state differ, ready for many predictions.
 #[derive(Clone, Debug)]
@@ -73,18 +74,22 @@ impl MapView {
         moments: &[Moment],
         probabilities: &[f64],
         level: Option<f64>,
-    ) -> Vec<Interval> {
+    ) -> Vec<HeldInterval> {
         let Some(level) = level else { return Vec::new() };
+        if let Some(around) = self.model(id).predictive_around(moments, probabilities) {
+            return around.into_iter().map(|predicted| predicted.interval(level)).collect();
+        }
+        let held = |interval: Interval| HeldInterval { interval, mass: level };
         let spreads = self.spreads(id);
         let (kind, folded) = (self.kind(id), self.model(id).accumulator());
         if kind != StateKind::Probability {
             let Some(spreads) = spreads.filter(|_| folded.observations() >= 2) else { return Vec::new() };
             let readings = folded.variance();
             let pairs = moments.iter().zip(probabilities);
-            return pairs.map(|(&at, &p)| spreads.value_interval(kind, p, at, readings, level)).collect();
+            return pairs.map(|(&at, &p)| held(spreads.value_interval(kind, p, at, readings, level))).collect();
         }
         let interval = |(&moment, &p): (&Moment, &f64)| match &spreads {
-            Some(spreads) => spreads.interval(p, moment, level),
+            Some(spreads) => held(spreads.interval(p, moment, level)),
             None => NEVER,
         };
         moments.iter().zip(probabilities).map(interval).collect()
@@ -94,7 +99,7 @@ impl MapView {
 /// The bands of predictions of a cell; `None` without a level. A cell has no record of single hours. As a two-state
 /// Markov chain with time constant τ (T-RO 2017 eq. 12), its mean over an hour T varies by p(1 - p)·(2τ/T)(1 - (τ/T)(1
 /// - e^(-T/τ))), and each hour of its observations counts as one observed hour.
-pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Option<f64>) -> Vec<Interval> {
+pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Option<f64>) -> Vec<HeldInterval> {
     let Some(level) = level else { return Vec::new() };
     let Some(hours) = observed_hours(cell) else { return vec![NEVER; probabilities.len()] };
     let ratio = cell.persistence.tau_secs() / HOUR_SECS;
@@ -105,7 +110,7 @@ pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Opti
             sum: hours * p,
             sum_of_squares: hours * (p * p + p * (1.0 - p) * alike.clamp(0.0, 1.0)),
         };
-        credible_interval(p, moments, moments, level)
+        HeldInterval { interval: credible_interval(p, moments, moments, level), mass: level }
     };
     probabilities.iter().map(interval).collect()
 }
@@ -150,7 +155,7 @@ mod tests {
         let (unsure, sure) = (many.interval(0.4, at(50, 9), 0.9), many.interval(0.01, at(50, 3), 0.9));
         assert!(unsure.width() > 0.5 && sure.width() < 0.1, "{unsure:?} {sure:?}");
         // Saturday and Sunday were seen in a shorter record alone.
-        assert_eq!(table(2).interval(0.3, at(2, 9), 0.9), NEVER);
+        assert_eq!(table(2).interval(0.3, at(2, 9), 0.9), NEVER.interval);
     }
 
     #[test]
@@ -171,7 +176,7 @@ mod tests {
             observations: 1000,
             first_nanos: Some(0),
         };
-        let width = |tau_secs| cell_intervals(&cell(tau_secs), &[0.4], Some(0.9))[0].width();
+        let width = |tau_secs| cell_intervals(&cell(tau_secs), &[0.4], Some(0.9))[0].interval.width();
         assert!(width(10.0) < 0.5 * width(36_000.0), "{} {}", width(10.0), width(36_000.0));
         let unseen = CellDescription { first_nanos: None, ..cell(10.0) };
         assert_eq!(cell_intervals(&unseen, &[0.5], Some(0.9)), [NEVER]);

@@ -84,11 +84,20 @@ impl MapView {
     }
 
     /// Predicts a state at each time: the probability of 1, or the expected value. `out` is as long as the times. A
-    /// kind that must be trained on readings first ([`ModelKind::needs_readings`]) predicts as [`ModelKind::Auto`].
+    /// kind that must be trained on readings first ([`ModelKind::needs_readings`]) predicts as [`ModelKind::Auto`]; so
+    /// does an ensemble of a state that has none.
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
-        let chosen = if selector.kind == ModelKind::Auto && selector.order.is_none() {
+        let by_default = selector.kind == ModelKind::Auto && selector.order.is_none();
+        if (by_default || selector.kind == ModelKind::Ensemble)
+            && let Some(predicted) = model.predictive(&self.spec.periodicities, &times.moments)
+        {
+            out.iter_mut().zip(&predicted).for_each(|(out, predicted)| *out = predicted.value());
+            blend(&live.persistence, self.memory_basis(id), &times.moments, selector, out);
+            return;
+        }
+        let chosen = if by_default || selector.kind == ModelKind::Ensemble {
             model.chosen(&self.spec.periodicities)
         } else {
             None

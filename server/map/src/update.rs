@@ -234,7 +234,7 @@ impl UpdateWork {
         // After models were trained again, which may change the choice.
         let named = |(id, outcome): (StateId, UpdateOutcome)| {
             let model = &models[id.0 as usize];
-            let chosen = ModelSelector::of_choice(model.choice(), model);
+            let chosen = ModelSelector::of_choice(model.answers(), model);
             self.basis.directory.info(id).map(|info| StateOutcome { name: info.name.clone(), outcome, chosen })
         };
         let outcomes = done.into_iter().filter_map(named).collect();

@@ -39,7 +39,7 @@ pub const NIGHTLY_WINDOW_NANOS: i64 = 84 * DAY_NANOS;
 /// Which model answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelKind {
-    /// The model and order that the last update chose.
+    /// What answers by default: the ensemble where a state has one, else the model and order that the last update chose.
     #[default]
     Auto,
     /// The mean of the learned values.
@@ -78,6 +78,8 @@ pub enum ModelKind {
     Poisson,
     /// Regression on the rhythms of day and week.
     Calibrated,
+    /// All that predicts a state, weighted by how well each has predicted, with what the looks speak for.
+    Ensemble,
     /// The strongest components of the Fourier transform of regular readings, and the outliers that they miss (T-RO
     /// 2017, section III.B).
     Uniform,
@@ -154,7 +156,7 @@ impl ModelKind {
     pub const HYPERTIME_KM: Self = Self::HypertimeKm { clusters: COMPONENTS };
 
     /// Every kind, with its default parameters, in the order of the command line.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Auto,
         Self::Mean,
         Self::Latest,
@@ -167,6 +169,7 @@ impl ModelKind {
         Self::HYPERTIME_KM,
         Self::Poisson,
         Self::Calibrated,
+        Self::Ensemble,
     ];
 
     /// The row of this kind in the table of all kinds.
@@ -193,6 +196,7 @@ impl ModelKind {
             Self::HypertimeKm { .. } => row("hypertime-km", All, HIGH, OF_CLUSTERS),
             Self::Poisson => row("poisson", Counts, LOW, &["bin", "period_base", "period_count"]),
             Self::Calibrated => row("calibrated", All, LOW, &[]),
+            Self::Ensemble => row("ensemble", Probabilities, PUBLISHED, &[]),
         }
     }
 
@@ -269,7 +273,7 @@ impl ModelKind {
 
     /// Whether all cells of a grid have it, without training.
     pub fn is_for_cells(self) -> bool {
-        !self.needs_readings()
+        !self.needs_readings() && self != Self::Ensemble
     }
 
     /// Whether it answers from the newest value, which no update may have learned yet.

@@ -18,7 +18,7 @@ const SECS_PER_DAY: i64 = 86_400;
 const NANOS_PER_DAY: i64 = SECS_PER_DAY * NANOS_PER_SEC;
 
 /// A local date, as days since 1970-01-01; shown as `YYYY-MM-DD`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LocalDay(pub i32);
 
 impl LocalDay {
@@ -35,10 +35,15 @@ impl LocalDay {
         let day = i32::try_from(date.duration_since(jiff::civil::date(1970, 1, 1)).as_secs() / SECS_PER_DAY).ok()?;
         Some(LocalDay(day)).filter(|day| day.to_string() == text)
     }
-}
 
-impl fmt::Display for LocalDay {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    /// The day of the week: 0 for Monday to 6 for Sunday.
+    pub fn weekday(self) -> usize {
+        // 1970-01-01 was a Thursday. Between 0 and 6.
+        (i64::from(self.0) + 3).rem_euclid(7) as usize
+    }
+
+    /// Year, month from 1, and day of the month from 1.
+    pub fn date(self) -> (i64, u8, u8) {
         // Gregorian date from a day number in eras of 400 years that begin on 1 March, so that the
         // leap day comes last (H. Hinnant, "chrono-compatible low-level date algorithms").
         let days = i64::from(self.0) + 719_468;
@@ -49,7 +54,14 @@ impl fmt::Display for LocalDay {
         let shifted_month = (5 * day_of_year + 2) / 153;
         let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
         let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
-        let year = year_of_era + era * 400 + i64::from(month <= 2);
+        // Month and day are at most 12 and 31.
+        (year_of_era + era * 400 + i64::from(month <= 2), month as u8, day as u8)
+    }
+}
+
+impl fmt::Display for LocalDay {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (year, month, day) = self.date();
         write!(f, "{year:04}-{month:02}-{day:02}")
     }
 }

@@ -35,6 +35,7 @@ mod accumulator;
 mod angle;
 pub mod catalogue;
 mod civil;
+mod ensemble;
 mod entropy;
 mod evaluate;
 mod gaps;
@@ -47,6 +48,7 @@ mod persistence;
 mod phasor;
 mod phasor_sum;
 mod position;
+mod predictive;
 mod sample;
 pub mod selector;
 pub mod special;
@@ -60,6 +62,7 @@ pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, 
 pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
+pub use ensemble::{ClassParts, DayForecast, Ensemble, EnsembleParts, SaidParts, TrainedEnsemble};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};
@@ -70,11 +73,12 @@ pub use persistence::{MemoryBasis, Persistence, PersistenceParts};
 pub use phasor::PhasorTable;
 pub use phasor_sum::{PhasorSum, RunningSums};
 pub use position::{Dimensions, Position};
+pub use predictive::{HeldInterval, Predictive};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ReadingSums, ScoreSums, SpectralModel};
 pub use state::{
-    ActiveModel, Alternatives, AlternativesParts, Combination, DayScores, LearnedReadings, OrderWatch, OrderWatchParts,
-    StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules,
+    ActiveModel, Alternatives, AlternativesParts, ChosenMember, Combination, DayScores, LearnedReadings, OrderWatch,
+    OrderWatchParts, StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules,
 };
 pub use stop_signal::{EarlyStop, StopSignal};
 pub use surprise::{

@@ -37,8 +37,12 @@ impl ModelSelector {
     pub fn answering(self, model: &StateModel) -> ModelSelector {
         match (self.kind, self.order) {
             (ModelKind::Auto, None) => {
-                let chosen = ModelSelector::of_choice(model.choice(), model);
+                let chosen = ModelSelector::of_choice(model.answers(), model);
                 ModelSelector { persistence: self.persistence, memory: self.memory, ..chosen }
+            }
+            // A state that has no ensemble is predicted by what the last update chose.
+            (ModelKind::Ensemble, _) if model.ensemble().is_none() => {
+                ModelSelector { kind: ModelKind::Auto, order: None, ..self }.answering(model)
             }
             _ => self.answering_with(model.order()),
         }
@@ -63,7 +67,7 @@ impl ModelSelector {
 
     /// Order of the spectral model that predicts this state; 0 for a constant model or another kind.
     pub fn order_for(&self, model: &StateModel) -> usize {
-        let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.choice() != ModelKind::Spectral;
+        let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.answers() != ModelKind::Spectral;
         if self.kind.has_order() && !is_other { self.order_or(model.order()) } else { 0 }
     }
 

@@ -6,13 +6,15 @@
 //! batches come in order of time; data older than the last learned observation is never scored. Models that are trained
 //! on readings between updates ([`StateModel::with_trained`]) take part from the next day on.
 
+use std::sync::Arc;
+
 use crate::SpectralModel;
 use crate::catalogue::{ModelKind, TrainedModel};
 use crate::evaluate::score_samples;
-use crate::models::{OrderGains, TemporalModel as _};
+use crate::models::{Moment, OrderGains, TemporalModel as _};
 use crate::{
-    Accumulator, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Sample, StateKind,
-    Surprises,
+    Accumulator, Ensemble, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Predictive,
+    Sample, StateKind, Surprises,
 };
 
 mod alternatives;
@@ -25,7 +27,9 @@ mod order_watch;
 mod tests;
 
 use alternatives::SpectralAtOrder;
-pub use alternatives::{ActiveModel, Alternatives, AlternativesParts, Combination, TrainingRecordParts, UpdateRules};
+pub use alternatives::{
+    ActiveModel, Alternatives, AlternativesParts, ChosenMember, Combination, TrainingRecordParts, UpdateRules,
+};
 pub use order_watch::{DayScores, LearnedReadings, OrderWatch, OrderWatchParts};
 
 /// The long-term model of one state.
@@ -130,9 +134,42 @@ impl StateModel {
         self.alternatives.as_deref()
     }
 
-    /// The model that has predicted best so far; it has the highest weight if several answer together.
+    /// What answers by default: the ensemble where the state has one, else the chosen model.
+    pub fn answers(&self) -> ModelKind {
+        if self.ensemble().is_some() { ModelKind::Ensemble } else { self.choice() }
+    }
+
+    /// The ensemble, if it answers: it is enabled, and has looks.
+    pub fn ensemble(&self) -> Option<&Ensemble> {
+        self.alternatives.as_ref()?.ensemble().filter(|ensemble| ensemble.last_day().is_some())
+    }
+
+    /// The single model that has predicted best so far, a member of the ensemble; it has the highest weight if several
+    /// are chosen together.
     pub fn choice(&self) -> ModelKind {
         self.alternatives.as_ref().map_or(ModelKind::Spectral, |alternatives| alternatives.choice())
+    }
+
+    /// What the update has chosen, or the spectral model: the member of the ensemble that updates choose.
+    /// `periodicities` are those of its map.
+    pub fn chosen_member<'a>(&'a self, periodicities: &'a Periodicities) -> ChosenMember<'a> {
+        let (model, order, kind) = (&self.spectral, self.order(), self.kind());
+        let spectral = SpectralAtOrder { model, order, kind, periodicities };
+        ChosenMember { chosen: self.chosen(periodicities), spectral }
+    }
+
+    /// The predictive distributions of a probability at moments, which are best in order of time; `None` where no
+    /// ensemble answers. `periodicities` are those of its map.
+    pub fn predictive(&self, periodicities: &Periodicities, moments: &[Moment]) -> Option<Vec<Predictive>> {
+        Some(self.ensemble()?.predict(moments, &self.chosen_member(periodicities)))
+    }
+
+    /// The predictive distributions around predictions of any model of a probability: how many looks speak for an hour,
+    /// and how its readings depend on each other, do not depend on the model. `None` where no ensemble answers.
+    pub fn predictive_around(&self, moments: &[Moment], probabilities: &[f64]) -> Option<Vec<Predictive>> {
+        let ensemble = self.ensemble()?;
+        let pairs = moments.iter().zip(probabilities);
+        Some(pairs.map(|(&at, &probability)| ensemble.around(at, probability)).collect())
     }
 
     /// What answers: the models that have predicted best so far; `None` if it is the spectral model alone.
@@ -258,7 +295,8 @@ impl StateModel {
             let mut surprises = std::mem::take(&mut self.surprises);
             judge(self, of_day, &mut surprises);
             self.surprises = surprises;
-            self.score_day(periodicities, rules, day, of_day, &mut outcome);
+            let in_force = self.learn_ensemble(periodicities, rules, day, of_day);
+            self.score_day(periodicities, rules, day, of_day, in_force, &mut outcome);
             self.learn_day(periodicities, rules, day, of_day);
             // Trained again each day, so that the next day is scored with the knowledge before it.
             if let Some(alternatives) = &mut self.alternatives {
@@ -278,7 +316,8 @@ impl StateModel {
 
     /// Learns a day, each observation weighted by its age in local days.
     fn learn_day(&mut self, periodicities: &Periodicities, rules: UpdateRules, day: LocalDay, of_day: &[Sample]) {
-        let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(rules.models)));
+        let kind = self.kind();
+        let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(kind, rules.models)));
         let Some(half_life_days) = rules.half_life_days else {
             self.accumulator.add(periodicities, of_day);
             alternatives.add(day, of_day);
@@ -300,13 +339,39 @@ impl StateModel {
         }
     }
 
-    /// Scores the samples of a day that are newer than all earlier ones, and chooses.
+    /// Lets the ensemble judge and learn a day, before the day changes what is chosen. Gives the squared error of the
+    /// ensemble's predictions of the day's newer samples; `None` where it did not answer.
+    fn learn_ensemble(
+        &mut self,
+        periodicities: &Periodicities,
+        rules: UpdateRules,
+        day: LocalDay,
+        of_day: &[Sample],
+    ) -> Option<f64> {
+        let kind = self.kind();
+        let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(kind, rules.models)));
+        // Out of the state meanwhile, which has the model that was chosen.
+        let mut ensemble = alternatives.ensemble_mut().take().filter(|_| rules.models.has_ensemble())?;
+        let answered = ensemble.last_day().is_some();
+        let newer_than = self.accumulator.last_nanos().unwrap_or(i64::MIN);
+        let newer = &of_day[of_day.partition_point(|sample| sample.utc_nanos <= newer_than)..];
+        let chosen = self.chosen_member(periodicities);
+        let error = Arc::make_mut(&mut ensemble).learn_day(day, of_day, newer, &chosen);
+        if let Some(alternatives) = &mut self.alternatives {
+            *alternatives.ensemble_mut() = Some(ensemble);
+        }
+        Some(error).filter(|_| answered)
+    }
+
+    /// Scores the samples of a day that are newer than all earlier ones, and chooses. `in_force`: the squared error of
+    /// the ensemble, where it answered.
     fn score_day(
         &mut self,
         periodicities: &Periodicities,
         rules: UpdateRules,
         day: LocalDay,
         of_day: &[Sample],
+        in_force: Option<f64>,
         outcome: &mut UpdateOutcome,
     ) {
         let Some(last_nanos) = self.accumulator.last_nanos() else { return };
@@ -330,7 +395,7 @@ impl StateModel {
         let before = (self.order, self.order());
         self.errors.record(day, errors);
         self.order = self.errors.best();
-        outcome.squared_error_in_force += match &mut self.alternatives {
+        let by_choice = match &mut self.alternatives {
             Some(alternatives) => {
                 if OrderGains::apply_to(periodicities) {
                     alternatives.record_gain(before.0, &sums.squared, newer.len() as u64);
@@ -350,6 +415,7 @@ impl StateModel {
             }
             None => squared,
         };
+        outcome.squared_error_in_force += in_force.unwrap_or(by_choice);
         outcome.scored += newer.len() as u64;
         for (total, error) in outcome.squared_errors.iter_mut().zip(&sums.squared) {
             *total += error;

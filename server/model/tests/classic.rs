@@ -14,8 +14,8 @@ use tidemap_model::models::{
     OrderGains, Readings, TemporalModel, UniformSpectral, effective_observations, supported_order,
 };
 use tidemap_model::{
-    Accumulator, Evaluation, LocalDay, OrderCriterion, Periodicities, Persistence, Sample, SpectralModel, StateModel,
-    Zone, evaluate,
+    Accumulator, EnabledModels, Evaluation, LocalDay, OrderCriterion, Periodicities, Persistence, Sample,
+    SpectralModel, StateModel, UpdateRules, Zone, evaluate,
 };
 
 /// The rows of a recording, time first and value last, as observed in a zone; invalid rows are omitted.
@@ -191,13 +191,14 @@ fn a_week_of_the_door_is_compressed_without_loss() {
     }
 }
 
-/// The errors of the door that the change alarm receives: those of the order in force, on days not yet learned.
+/// The errors of the door that the change alarm receives: those of the chosen model, on days not yet learned.
 fn daily_errors(samples: &[Sample]) -> Vec<(LocalDay, f64, u64)> {
     let week = Periodicities::default();
+    let rules = UpdateRules { models: EnabledModels::default().without_ensemble(), ..UpdateRules::default() };
     let mut state = StateModel::new(&week);
     let mut errors = Vec::new();
     for day in samples.chunk_by(|a, b| a.local_day() == b.local_day()) {
-        let outcome = state.update(&week, OrderCriterion::SquaredError, day.to_vec());
+        let outcome = state.update(&week, rules, day.to_vec());
         if outcome.scored > 0 {
             let mse = outcome.squared_error_in_force / outcome.scored as f64;
             errors.push((day[0].local_day(), mse, outcome.scored));

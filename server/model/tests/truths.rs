@@ -72,7 +72,7 @@ fn mse(model: &dyn TemporalModel, samples: &[Sample]) -> f64 {
 /// `days` days of a truth, which gives the value by day and slot of the day.
 fn run(kind: StateKind, days: i64, value: impl Fn(i64, i64) -> f64) -> Run {
     let periodicities = Periodicities::default();
-    let rules = UpdateRules { models: EnabledModels::ALL, ..UpdateRules::default() };
+    let rules = UpdateRules { models: EnabledModels::ALL.without_ensemble(), ..UpdateRules::default() };
     let mut run = Run { state: StateModel::of_kind(kind), days: Vec::new() };
     let mut seen = Vec::new();
     for day in 0..days {

@@ -9,6 +9,7 @@ mod cells;
 mod columns;
 pub(crate) mod day;
 pub(crate) mod doubles;
+mod ensemble;
 pub(crate) mod event;
 pub(crate) mod history;
 mod ids;

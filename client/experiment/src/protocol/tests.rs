@@ -103,7 +103,7 @@ fn an_unknown_model_is_named_with_the_models_there_are() {
     assert_eq!(
         refused_with("  - mean", "  - fremen"),
         "line 8: model is \"fremen\": it has to be one of: mean, latest, persistence, histogram, spectral, uniform, \
-         pergam, hypertime-em, hypertime-km, poisson, calibrated, average"
+         pergam, hypertime-em, hypertime-km, poisson, calibrated, ensemble, average"
     );
     assert!(refused_with("  - mean", "  - auto").starts_with("line 8: model is \"auto\""));
 }

@@ -289,6 +289,15 @@ class CalibratedRegressor(_OfWeek, _Regressor):
     """As :class:`Calibrated`, for any number."""
 
 
+class Ensemble(_Classifier):
+    """All that predicts the looks of a state, weighted by how well each has predicted before."""
+
+    _kind = "ensemble"
+
+    def __init__(self, time_zone: str = "UTC") -> None:
+        self.time_zone = time_zone
+
+
 class Hypertime(_OfClusters, _Classifier):
     """Warped hypertime (RA-L 2019): clusters in time wrapped onto rhythms. ``method``: ``em`` or ``km``."""
 

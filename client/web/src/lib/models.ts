@@ -15,6 +15,7 @@ const NAMES: Partial<Record<ModelKind, string>> = {
     [ModelKind.POISSON]: 'Poisson',
     [ModelKind.CALIBRATED]: 'calibrated',
     [ModelKind.UNIFORM]: 'uniform',
+    [ModelKind.ENSEMBLE]: 'ensemble',
 };
 const CYCLES: Partial<Record<HistogramCycle, string>> = {
     [HistogramCycle.DAY]: 'day',

@@ -3,7 +3,7 @@
 //! Invariant: a question has at least one name and one time; whether the map has the names is not checked.
 
 use tidemap_map::event::StateKind;
-use tidemap_model::{Persistence, entropy_bits, models::Interval, selector::ModelSelector};
+use tidemap_model::{HeldInterval, Persistence, entropy_bits, selector::ModelSelector};
 
 use super::{interval_level_from_wire, selector_from_wire, selector_to_wire};
 use crate::{
@@ -65,7 +65,7 @@ pub struct StateForecast {
     /// One per time.
     pub values: Vec<f64>,
     /// One per time; empty if none were asked for.
-    pub intervals: Vec<Interval>,
+    pub intervals: Vec<HeldInterval>,
     /// The state.
     pub facts: StateFacts,
 }
@@ -88,8 +88,9 @@ pub fn forecast_to_wire(
             StateKind::Continuous | StateKind::Count => Vec::new(),
         },
         probabilities: values,
-        lower: intervals.iter().map(|interval| interval.lower).collect(),
-        upper: intervals.iter().map(|interval| interval.upper).collect(),
+        lower: intervals.iter().map(|held| held.interval.lower).collect(),
+        upper: intervals.iter().map(|held| held.interval.upper).collect(),
+        masses: intervals.iter().map(|held| held.mass).collect(),
         order: u32::try_from(order).unwrap_or(u32::MAX),
         observations,
         last_time: persistence.last().map(|(nanos, _)| timestamp(nanos)),

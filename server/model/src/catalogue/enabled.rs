@@ -12,11 +12,15 @@ pub struct EnabledModels(u32);
 /// The bit of histograms; those of [`TRAINED_AT_NIGHT`] follow. They are stored.
 const HISTOGRAM_BIT: u32 = 1;
 
+/// The bit of the ensemble, clear of those of models to come.
+const ENSEMBLE_BIT: u32 = 1 << 30;
+
 /// The bit of models of this name, 0 of the spectral model; `None` if updates do not choose such models.
 fn bit(name: &str) -> Option<u32> {
     let trained = || TRAINED_AT_NIGHT.iter().position(|kind| kind.name() == name);
     match name {
         _ if name == ModelKind::Spectral.name() => Some(0),
+        _ if name == ModelKind::Ensemble.name() => Some(ENSEMBLE_BIT),
         _ if HISTOGRAMS.iter().any(|kind| kind.name() == name) => Some(HISTOGRAM_BIT),
         _ => trained().map(|place| HISTOGRAM_BIT << (place + 1)),
     }
@@ -35,7 +39,7 @@ impl EnabledModels {
     pub const SPECTRAL: EnabledModels = EnabledModels(0);
 
     /// All models.
-    pub const ALL: EnabledModels = EnabledModels((HISTOGRAM_BIT << (TRAINED_AT_NIGHT.len() + 1)) - 1);
+    pub const ALL: EnabledModels = EnabledModels(ENSEMBLE_BIT | ((HISTOGRAM_BIT << (TRAINED_AT_NIGHT.len() + 1)) - 1));
 
     /// These models, and those of the kind, whatever its parameters; unchanged if updates do not choose the kind.
     #[must_use]
@@ -61,16 +65,29 @@ impl EnabledModels {
         self.kinds().map(ModelKind::name)
     }
 
-    /// The models, each kind once, with default parameters: the spectral one, histograms, and those that are trained.
+    /// The models, each kind once, with default parameters: the spectral one, histograms, those that are trained, and
+    /// the ensemble.
     pub fn kinds(self) -> impl Iterator<Item = ModelKind> {
         let histogram = HISTOGRAMS.into_iter().take(1).filter(move |_| self.has_histograms());
-        std::iter::once(ModelKind::Spectral).chain(histogram).chain(self.trained())
+        let ensemble = Some(ModelKind::Ensemble).filter(move |_| self.has_ensemble());
+        std::iter::once(ModelKind::Spectral).chain(histogram).chain(self.trained()).chain(ensemble)
     }
 
     /// These models without those that are trained on readings.
     #[must_use]
     pub fn without_trained(self) -> EnabledModels {
-        EnabledModels(self.0 & HISTOGRAM_BIT)
+        EnabledModels(self.0 & (ENSEMBLE_BIT | HISTOGRAM_BIT))
+    }
+
+    /// These models without the ensemble.
+    #[must_use]
+    pub fn without_ensemble(self) -> EnabledModels {
+        EnabledModels(self.0 & !ENSEMBLE_BIT)
+    }
+
+    /// Whether an ensemble of all answers.
+    pub fn has_ensemble(self) -> bool {
+        self.0 & ENSEMBLE_BIT != 0
     }
 
     /// Whether [`HISTOGRAMS`] are tried.
@@ -91,11 +108,11 @@ impl EnabledModels {
     /// The names of all models that can be enabled, in a sentence: cheap ones first.
     pub fn all_names() -> String {
         let mut kinds: Vec<ModelKind> = EnabledModels::ALL.kinds().collect();
-        kinds.sort_by_key(|kind| kind.cost() > Some(TrainingCost::Low));
+        kinds.sort_by_key(|kind| (*kind == ModelKind::Ensemble, kind.cost() > Some(TrainingCost::Low)));
         listed(kinds.into_iter().map(ModelKind::name), "and")
     }
 
-    /// As a number, to store: 1 for histograms, 2, 4, 8, … for [`TRAINED_AT_NIGHT`].
+    /// As a number, to store: 1 for histograms, 2, 4, 8, … for [`TRAINED_AT_NIGHT`], 2^30 for the ensemble.
     pub fn to_bits(self) -> u32 {
         self.0
     }
@@ -124,19 +141,26 @@ mod tests {
 
     #[test]
     fn stored_numbers_stay_what_they_are() {
-        let stored = [("histogram", 1), ("calibrated", 2), ("pergam", 4), ("hypertime-em", 8), ("hypertime-km", 16)];
+        let stored = [
+            ("histogram", 1),
+            ("calibrated", 2),
+            ("pergam", 4),
+            ("hypertime-em", 8),
+            ("hypertime-km", 16),
+            ("ensemble", 1 << 30),
+        ];
         for (name, bits) in stored.into_iter().chain([("poisson", 32), ("spectral", 0)]) {
             let models = EnabledModels::SPECTRAL.with_named(name).unwrap();
             assert_eq!((models.to_bits(), EnabledModels::from_bits(bits)), (bits, Some(models)), "{name}");
         }
-        assert_eq!(EnabledModels::from_bits(EnabledModels::ALL.to_bits() + 1), None);
+        assert_eq!(EnabledModels::from_bits(1 << 29), None);
     }
 
     #[test]
     fn the_cheap_models_are_the_usual_ones() {
         let usual: Vec<&str> = EnabledModels::default().names().collect();
         assert_eq!(usual, ["spectral", "histogram", "calibrated", "poisson"]);
-        let all = "spectral, histogram, calibrated, poisson, pergam, hypertime-em and hypertime-km";
+        let all = "spectral, histogram, calibrated, poisson, pergam, hypertime-em, hypertime-km and ensemble";
         assert_eq!(EnabledModels::all_names(), all);
     }
 }

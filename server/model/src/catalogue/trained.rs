@@ -5,7 +5,7 @@
 
 use super::ModelKind;
 use crate::{
-    InvalidParts, ORDER_MAX, Periodicities, StateKind,
+    InvalidParts, ORDER_MAX, Periodicities, StateKind, TrainedEnsemble,
     models::{
         COUNT_BIN_NANOS, Calibrated, CalibratedOptions, CalibratedParts, CannotTrain, CountRate, CountRateParts,
         FixedOrder, HISTOGRAM_PRIOR_READINGS, Histogram, HistogramSettings, Hypertime, HypertimeMethod,
@@ -56,6 +56,7 @@ pub enum TrainedModel {
     Hypertime(Box<Hypertime>),
     Poisson(Box<CountRate>),
     Calibrated(Calibrated),
+    Ensemble(Box<TrainedEnsemble>),
 }
 
 impl ModelKind {
@@ -118,6 +119,7 @@ impl ModelKind {
                 TrainedModel::Poisson(Box::new(CountRate::train_in_bins(readings, periodicities, bin_nanos)?))
             }
             Self::Calibrated => TrainedModel::Calibrated(Calibrated::train(readings, CalibratedOptions::default())?),
+            Self::Ensemble => TrainedModel::Ensemble(Box::new(TrainedEnsemble::train(readings)?)),
         })
     }
 
@@ -146,6 +148,7 @@ impl TrainedModel {
             Self::Hypertime(model) => &**model,
             Self::Poisson(model) => &**model,
             Self::Calibrated(model) => model,
+            Self::Ensemble(model) => &**model,
         }
     }
 }
@@ -233,7 +236,8 @@ impl TrainedModel {
             | Self::Persistence(_)
             | Self::Histogram(_)
             | Self::Spectral(_)
-            | Self::Uniform(_) => None,
+            | Self::Uniform(_)
+            | Self::Ensemble(_) => None,
         }
     }
 

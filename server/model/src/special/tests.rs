@@ -42,3 +42,21 @@ fn quantiles_are_those_in_closed_form() {
         assert!((3.0 * x * x - 2.0 * x * x * x - q).abs() < 1e-11, "Beta(2, 2) at {q}");
     }
 }
+
+#[test]
+fn the_log_gamma_function_is_that_of_libm() {
+    for step in 1..4_000 {
+        let x = 0.001 * 1.005_f64.powi(step);
+        let (found, known) = (ln_gamma(x), libm::lgamma(x));
+        assert!((found - known).abs() < 1e-9 * known.abs().max(1.0), "{x}: {found} instead of {known}");
+    }
+}
+
+#[test]
+fn the_digamma_function_has_its_known_values() {
+    // Minus Euler's constant, and 2 - γ - 2 ln 2.
+    for (x, known) in [(1.0, -0.577_215_664_901_532_9), (0.5, -1.963_510_026_021_423_5), (10.0, 2.251_752_589_066_721)]
+    {
+        assert!((digamma(x) - known).abs() < 1e-9, "{x}: {}", digamma(x));
+    }
+}

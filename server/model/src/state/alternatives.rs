@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use crate::{
-    Accumulator, Gaps, LocalDay, ORDER_MAX, Periodicities, Persistence, Sample, SpectralModel, StateKind,
+    Accumulator, Ensemble, Gaps, LocalDay, ORDER_MAX, Periodicities, Persistence, Sample, SpectralModel, StateKind,
     catalogue::{EnabledModels, HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel},
     models::{
         ChangeAlarm, DependenceSums, Histogram, HourTable, Moment, OrderGains, TemporalModel,
@@ -24,8 +24,8 @@ mod parts;
 #[cfg(test)]
 mod tests;
 
-pub use combination::Combination;
 pub(super) use combination::SpectralAtOrder;
+pub use combination::{ChosenMember, Combination};
 pub use parts::{AlternativesParts, TrainingRecordParts};
 
 /// A model's prediction for the time of a sample.
@@ -137,6 +137,9 @@ pub struct Alternatives {
     days: u32,
     /// The first local day of the present routine, by the change alarm.
     since: Option<LocalDay>,
+    /// What answers where it is enabled: probabilities only.
+    /// Shared: readers have it too.
+    ensemble: Option<Arc<Ensemble>>,
     /// By their places in [`TRAINED_AT_NIGHT`].
     trained: [Option<TrainingRecord>; TRAINED_AT_NIGHT.len()],
 }
@@ -205,9 +208,20 @@ impl Alternatives {
     }
 
     /// Untrained alternatives with these models enabled.
-    pub(super) fn new(models: EnabledModels) -> Alternatives {
+    pub(super) fn new(kind: StateKind, models: EnabledModels) -> Alternatives {
+        let ensemble = Some(Arc::default()).filter(|_| models.has_ensemble() && kind == StateKind::Probability);
         let parts = Errors { histograms: models.has_histograms().then(Default::default), ..Errors::default() };
-        Alternatives { parts, ..Alternatives::default() }
+        Alternatives { parts, ensemble, ..Alternatives::default() }
+    }
+
+    /// The ensemble of the models; `None` where it is not enabled, and of a state that is no probability.
+    pub fn ensemble(&self) -> Option<&Ensemble> {
+        self.ensemble.as_deref()
+    }
+
+    /// The ensemble to be changed.
+    pub(super) fn ensemble_mut(&mut self) -> &mut Option<Arc<Ensemble>> {
+        &mut self.ensemble
     }
 
     /// Faded sums of errors of all that is tried: of the spectral model with its best order, of each of [`HISTOGRAMS`],
@@ -265,6 +279,7 @@ impl Alternatives {
 
     /// Removes models that are not enabled.
     fn restrict(&mut self, models: EnabledModels) {
+        self.ensemble = self.ensemble.take().filter(|_| models.has_ensemble());
         self.parts.histograms = self.parts.histograms.filter(|_| models.has_histograms());
         for (kind, record) in TRAINED_AT_NIGHT.into_iter().zip(&mut self.trained) {
             *record = record.take().filter(|_| models.has(kind));

@@ -3,7 +3,10 @@
 //! Invariant: a prediction lies in the bounds of the state's kind.
 
 use super::{ActiveModel, StateModel};
-use crate::{Periodicities, PhasorTable, Sample, models::TemporalModel as _};
+use crate::{
+    Periodicities, PhasorTable, Sample,
+    models::{Moment, TemporalModel as _},
+};
 
 /// Observations that share one table of phasors; it stays in cache.
 const CHUNK: usize = 1024;
@@ -11,6 +14,11 @@ const CHUNK: usize = 1024;
 impl StateModel {
     /// The predictions of the model in force at the times of samples; `periodicities` are those of its map.
     pub fn predict_in_force(&self, periodicities: &Periodicities, samples: &[Sample]) -> Vec<f64> {
+        if self.ensemble().is_some() {
+            let moments: Vec<Moment> = samples.iter().map(Sample::moment).collect();
+            let predicted = self.predictive(periodicities, &moments).unwrap_or_default();
+            return predicted.into_iter().map(|predicted| predicted.value()).collect();
+        }
         let (kind, spectral, order) = (self.kind(), self.spectral(), self.order());
         let chosen = self.chosen(periodicities);
         let mut predictions = vec![0.0; samples.len()];

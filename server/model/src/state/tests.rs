@@ -100,7 +100,8 @@ fn with_a_half_life_an_old_routine_is_unlearned() {
     samples.extend(door(56, 21).into_iter().map(|sample| Sample { value: 1.0 - sample.value, ..sample }));
     let squared = |half_life_days| {
         let mut state = StateModel::new(&week());
-        let rules = UpdateRules { half_life_days, ..UpdateRules::default() };
+        let models = crate::EnabledModels::default().without_ensemble();
+        let rules = UpdateRules { half_life_days, models, ..UpdateRules::default() };
         state.update(&week(), rules, samples.clone());
         let next: Vec<Sample> =
             door(77, 7).into_iter().map(|sample| Sample { value: 1.0 - sample.value, ..sample }).collect();

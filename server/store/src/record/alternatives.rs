@@ -9,7 +9,7 @@ use tidemap_model::{
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
-use super::{Invalid, doubles, trained};
+use super::{Invalid, doubles, ensemble, trained};
 
 /// Hours of a week, with two numbers each.
 const WEEK: usize = 168 * 2;
@@ -44,6 +44,7 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v1::Al
         gains_bits: encode_gains(parts.gains),
         gaps: parts.gaps.count,
         changes_bits: parts.changes.to_bits(),
+        ensemble: parts.ensemble.as_deref().map(|parts| Box::new(ensemble::encode(parts))),
         kept_gaps: parts.gaps.kept.iter().flat_map(|&(number, secs)| [number, u64::from(secs)]).collect(),
     }
 }
@@ -148,6 +149,7 @@ pub(crate) fn decode(
         supported: u8::try_from(message.supported).map_err(|_| "the supported order of a state is too high")?,
         days: message.days,
         since: message.since.map(LocalDay),
+        ensemble: message.ensemble.as_deref().map(ensemble::decode).transpose()?.map(Box::new),
         trained: calibrated.into_iter().chain(trained::decode(&message.trained, periodicities)?).collect(),
     };
     Alternatives::from_parts_of(state_kind, parts).map_err(|error| error.to_string())

@@ -7,12 +7,18 @@
 use std::path::{Path, PathBuf};
 
 use tidemap_map::{event::Event, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_model::EnabledModels;
 
 use super::{
     example::{append, content, copy, options},
     golden_events, golden_grid, golden_states, golden_trained,
 };
 use crate::{Loss, MapId, Source, Store, disk::RealDisk, index::tests_only::rows_checksum, losses};
+
+/// The models of the maps: histograms, the calibrated model and the rate of counts.
+pub(super) fn models() -> EnabledModels {
+    EnabledModels::from_bits(35).expect("known")
+}
 
 /// A map with known content.
 pub(super) struct Golden {

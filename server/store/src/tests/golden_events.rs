@@ -29,6 +29,7 @@ fn spec() -> MapSpec {
         periodicities: Periodicities::list(vec![604_800_000_000_000, 86_400_000_000_000]).expect("valid"),
         criterion: OrderCriterion::ZeroOne,
         created_nanos: 1_700_000_000_123_456_789,
+        models: super::golden::models(),
         ..MapSpec::new(MapName::new("office").expect("valid"))
     }
 }

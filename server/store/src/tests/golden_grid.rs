@@ -50,6 +50,7 @@ fn spec() -> MapSpec {
             half_life_nanos: Some(60 * 86_400_000_000_000),
             ..GridSpec::new(0.05)
         }),
+        models: super::golden::models(),
         ..MapSpec::new(MapName::new("warehouse").expect("valid"))
     }
 }

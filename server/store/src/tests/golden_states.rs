@@ -26,6 +26,7 @@ pub(super) fn spec() -> MapSpec {
         half_life_nanos: Some(30 * 86_400_000_000_000),
         prior: 0.25,
         retention: Retention::Duration(90 * 86_400_000_000_000),
+        models: super::golden::models(),
         ..MapSpec::new(MapName::new("clinic").expect("valid"))
     }
 }
@@ -59,6 +60,7 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
         gains: OrderGainsParts { days: 21.5, sum: 0.75, squares: 0.0625 },
         days: 28,
         since: None,
+        ensemble: None,
         trained: Vec::from_iter(calibrated.map(|error_sum| TrainingRecordParts {
             model: TrainedModelParts::Calibrated(CalibratedParts {
                 observations: 40_320,

@@ -16,7 +16,7 @@ use super::{
 
 fn spec() -> MapSpec {
     let name = MapName::new("museum").expect("valid");
-    MapSpec { name, models: EnabledModels::ALL, ..golden_states::spec() }
+    MapSpec { name, models: EnabledModels::ALL.without_ensemble(), ..golden_states::spec() }
 }
 
 /// A cluster with the given numbers of coordinates and circles.

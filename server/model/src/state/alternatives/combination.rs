@@ -37,6 +37,22 @@ impl TemporalModel for SpectralAtOrder<'_> {
     }
 }
 
+/// What an update has chosen, as one model: the spectral one answers at moments that a histogram cannot tell of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChosenMember<'a> {
+    pub(in crate::state) chosen: Option<ActiveModel<'a>>,
+    pub(in crate::state) spectral: SpectralAtOrder<'a>,
+}
+
+impl TemporalModel for ChosenMember<'_> {
+    fn predict(&self, at: Moment) -> f64 {
+        match &self.chosen {
+            Some(chosen) if chosen.covers(at) => self.spectral.kind.saturate(chosen.predict(at)),
+            _ => self.spectral.predict(at),
+        }
+    }
+}
+
 /// The models that answer together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Combination<'a> {

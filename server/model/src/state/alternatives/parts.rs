@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::{Alternatives, Errors, TrainingRecord};
 use crate::{
-    Gaps, GapsParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
+    Ensemble, EnsembleParts, Gaps, GapsParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
     catalogue::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel, TrainedModelParts},
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts, OrderGains, OrderGainsParts},
 };
@@ -42,6 +42,8 @@ pub struct AlternativesParts {
     pub since: Option<LocalDay>,
     /// The models that were trained on readings, at most one of a kind.
     pub trained: Vec<TrainingRecordParts>,
+    /// The ensemble, where it is enabled.
+    pub ensemble: Option<Box<EnsembleParts>>,
 }
 
 /// The stored form of a model that was trained on readings.
@@ -73,6 +75,7 @@ impl Alternatives {
             days: self.days,
             since: self.since,
             trained: self.trained.iter().flatten().filter_map(TrainingRecord::to_parts).collect(),
+            ensemble: self.ensemble.as_ref().map(|ensemble| Box::new(ensemble.to_parts())),
         }
     }
 
@@ -101,6 +104,12 @@ impl Alternatives {
             InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
         }
         InvalidParts::check("sum of changes", parts.changes, 0.0..=f64::MAX)?;
+        if kind != StateKind::Probability && parts.ensemble.is_some() {
+            return Err(InvalidParts::OutOfRange {
+                field: "ensemble of a state that is no probability",
+                found: f64::NAN,
+            });
+        }
         let mut trained = [const { None }; TRAINED_AT_NIGHT.len()];
         for record in parts.trained {
             let model = TrainedModel::from_parts_of(kind, record.model)?;
@@ -133,6 +142,7 @@ impl Alternatives {
             gains: OrderGains::from_parts(parts.gains)?,
             days: parts.days,
             since: parts.since,
+            ensemble: parts.ensemble.map(|parts| Ensemble::from_parts(&parts).map(Arc::new)).transpose()?,
             trained,
         })
     }

@@ -172,6 +172,11 @@ fn zero_one_counts_wrong_predictions_of_the_calibrated_model() {
     }
 }
 
+/// The rules by which the chosen model answers.
+fn without_ensemble() -> UpdateRules {
+    UpdateRules { models: EnabledModels::default().without_ensemble(), ..UpdateRules::default() }
+}
+
 #[test]
 fn the_calibrated_model_is_chosen_where_it_predicts_best() {
     // Edges that move by hours from day to day, and a weekend: neither few components nor hourly bins describe this.
@@ -181,7 +186,7 @@ fn the_calibrated_model_is_chosen_where_it_predicts_best() {
     for day in 0..70 {
         let today = samples(day..day + 1, office);
         let before = state.clone();
-        let outcome = state.update(&Periodicities::default(), OrderCriterion::SquaredError, today.clone());
+        let outcome = state.update(&Periodicities::default(), without_ensemble(), today.clone());
         if let Some(ActiveModel::Trained(model)) = before.chosen(&Periodicities::default()) {
             assert!((outcome.squared_error_in_force - squared_error(model, &today)).abs() < 1e-9);
             in_force[0] += outcome.squared_error_in_force;

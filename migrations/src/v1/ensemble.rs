@@ -1,0 +1,119 @@
+//! The ensemble of a state of probabilities.
+//!
+//! Invariant: a list of numbers has the length that the model requires; the reader checks that. Lists of singles are
+//! IEEE 754 singles of four bytes, little-endian.
+
+/// All that an ensemble has learned; absent where it is not enabled.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Ensemble {
+    /// Sum and number of all looks.
+    #[prost(fixed64, repeated, tag = "1")]
+    pub looks_bits: Vec<u64>,
+    /// The last learned day, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "2")]
+    pub last_day: Option<i32>,
+    /// Singles of the table of all history: 168 sums, 168 numbers of looks by hour of the week from Monday on, 24 weights
+    /// of priors.
+    #[prost(bytes = "vec", tag = "3")]
+    pub all: Vec<u8>,
+    /// Likewise of the table with a half-life of a week.
+    #[prost(bytes = "vec", tag = "4")]
+    pub recent: Vec<u8>,
+    /// Singles by half-hour, first of weekdays, then of weekends: 96 sums, 96 numbers, 96 newest looks, below 0 for none.
+    #[prost(bytes = "vec", tag = "5")]
+    pub alike: Vec<u8>,
+    /// Of each of 126 days, by its number modulo 126: bits by half-hour in 8 bytes, then 48 values of four bits, in
+    /// fourteenths, the earlier in the lower bits. Empty before the first day.
+    #[prost(bytes = "vec", tag = "6")]
+    pub recall: Vec<u8>,
+    /// Of each of 42 days, by its number modulo 42: 48 signed bytes. Empty before the first day.
+    #[prost(bytes = "vec", tag = "7")]
+    pub residuals: Vec<u8>,
+    /// The last day of the residuals.
+    #[prost(sint32, optional, tag = "8")]
+    pub residuals_day: Option<i32>,
+    /// Singles by rotation from 2 to 42 days: 41 sums of products, 41 of squares.
+    #[prost(bytes = "vec", tag = "9")]
+    pub rotations: Vec<u8>,
+    /// Means of five days.
+    #[prost(message, repeated, tag = "10")]
+    pub bins: Vec<Bin>,
+    /// The first day of the season.
+    #[prost(sint32, optional, tag = "11")]
+    pub season_first: Option<i32>,
+    /// The last day of the season.
+    #[prost(sint32, optional, tag = "12")]
+    pub season_last: Option<i32>,
+    /// Gaps between observed days, by class.
+    #[prost(uint32, repeated, tag = "13")]
+    pub gaps: Vec<u32>,
+    /// The rhythm of the year: mean, then cosine and sine of three harmonics.
+    #[prost(fixed64, repeated, tag = "14")]
+    pub rhythm_bits: Vec<u64>,
+    /// Singles of the stack that forgets slowly: 105 sums of squares, 14 of products, 14 weights.
+    #[prost(bytes = "vec", tag = "15")]
+    pub slow_stack: Vec<u8>,
+    /// Likewise of the stack that forgets fast.
+    #[prost(bytes = "vec", tag = "16")]
+    pub fast_stack: Vec<u8>,
+    /// Singles: the losses of the members.
+    #[prost(bytes = "vec", tag = "17")]
+    pub losses: Vec<u8>,
+    /// The classes of the time ahead, the shortest first.
+    #[prost(message, repeated, tag = "18")]
+    pub classes: Vec<Class>,
+    /// Singles: sums of the correction, then of the dependence of neighbouring half-hours.
+    #[prost(bytes = "vec", tag = "19")]
+    pub calibration: Vec<u8>,
+    /// The smooth table by hour of weekdays, then of weekends; empty where there is none.
+    #[prost(fixed64, repeated, tag = "20")]
+    pub smooth_bits: Vec<u64>,
+    /// The number of looks for which the smooth table was made.
+    #[prost(fixed64, tag = "21")]
+    pub smooth_looks_bits: u64,
+}
+
+/// The looks of five days.
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+pub struct Bin {
+    /// The first observed day.
+    #[prost(sint32, tag = "1")]
+    pub day: i32,
+    /// Their mean, the bits of a single.
+    #[prost(fixed32, tag = "2")]
+    pub mean_bits: u32,
+    /// Their number, the bits of a single.
+    #[prost(fixed32, tag = "3")]
+    pub looks_bits: u32,
+}
+
+/// A class of the time ahead.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Class {
+    /// Singles: the losses of the members far ahead, looks explained by the pool, by the mean, and number of looks.
+    #[prost(bytes = "vec", tag = "1")]
+    pub numbers: Vec<u8>,
+    /// What was said at the last turn of the class.
+    #[prost(message, optional, tag = "2")]
+    pub newer: Option<Said>,
+    /// And at the one before.
+    #[prost(message, optional, tag = "3")]
+    pub older: Option<Said>,
+}
+
+/// What the members said of the week at the end of a day.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Said {
+    /// The day.
+    #[prost(sint32, tag = "1")]
+    pub day: i32,
+    /// The mean, the bits of a single.
+    #[prost(fixed32, tag = "2")]
+    pub mean_bits: u32,
+    /// By hour of the week in 255ths: of the table of all history, of the recent one, of the chosen model.
+    #[prost(bytes = "vec", tag = "3")]
+    pub weeks: Vec<u8>,
+    /// As [`Ensemble::rhythm_bits`].
+    #[prost(fixed64, repeated, tag = "4")]
+    pub rhythm_bits: Vec<u64>,
+}

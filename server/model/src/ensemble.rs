@@ -1,0 +1,361 @@
+//! An ensemble of members that predict the looks of one state, weighted by how well each has predicted before.
+//!
+//! The members are tables by hour of the week with all history and with a half-life of a week, rotations of some days,
+//! the last days of the same kind, the same weekday of the month, a smooth table for few looks, stacks of all of these
+//! with what the last days left over, and the model that the nightly update chose. A look is the mean of the readings of
+//! one half-hour ([`looks`]): more readings of the same world make nothing surer. Each local day is predicted, the
+//! members are judged by its looks (T-RO section IV.B), and then it is learned. Up to six days ahead the pool of the
+//! next days answers; farther ahead the members are weighted by how well they predicted as far ahead ([`outlook`]). At
+//! hours that were hardly looked at the smooth table answers.
+//!
+//! Invariant: what an ensemble knows is a function of the looks and their days, as long as days come in order and are
+//! not split; predictions are at least 0.001 away from 0 and 1.
+
+mod calibration;
+mod forecast;
+mod looks;
+mod outlook;
+mod parts;
+mod pool;
+mod recall;
+mod rotation;
+mod season;
+mod seen;
+mod smooth_table;
+mod stack;
+#[cfg(test)]
+mod tests;
+mod trained;
+mod week_table;
+
+use std::sync::OnceLock;
+
+use calibration::Calibration;
+pub use forecast::DayForecast;
+use looks::{DayLooks, HOURS, SLOT_NANOS, SLOTS, slot_at};
+use outlook::{FarWeights, Outlook, Profile};
+pub use parts::{ClassParts, EnsembleParts, SaidParts};
+use pool::{Member, Pool};
+use recall::Recall;
+use rotation::Rotation;
+use season::Season;
+use seen::equivalent_looks;
+use smooth_table::{KindHours, smooth_table};
+use stack::{Stack, clip};
+pub use trained::TrainedEnsemble;
+use week_table::{WeekTable, kind_of_day};
+
+use crate::{LocalDay, Sample, models::TemporalModel};
+
+/// The half-life of the recent table, in days.
+const RECENT_DAYS: f64 = 7.0;
+/// The shares of their sums that the stacks keep after each further observed day.
+const SLOW: f64 = 0.985;
+const FAST: f64 = 0.94;
+/// The last days of the same kind: each counts this share of the next.
+const ALIKE_KEPT: f64 = 0.7;
+/// The smooth table is made again when the number of looks has grown by this share.
+const SMOOTH_GROWTH: f64 = 0.05;
+/// With more looks at every hour the smooth table is not needed.
+const SMOOTH_LOOKS: f64 = 8.0;
+
+/// The last days of weekdays and of weekends, by half-hour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct AlikeDays {
+    sums: [[f32; SLOTS]; 2],
+    looks: [[f32; SLOTS]; 2],
+    /// The newest look; negative: none.
+    last: [[f32; SLOTS]; 2],
+}
+
+/// What answers far ahead, made when it is first asked for.
+#[derive(Clone, Debug)]
+struct FarView {
+    profile: Profile,
+    weights: [FarWeights; outlook::CLASSES],
+}
+
+/// An ensemble of one state of probabilities.
+#[derive(Clone, Debug)]
+pub struct Ensemble {
+    sum: f64,
+    looks: f64,
+    all: WeekTable,
+    recent: WeekTable,
+    alike: AlikeDays,
+    recall: Recall,
+    rotation: Rotation,
+    season: Season,
+    stacks: [Stack; 2],
+    pool: Pool,
+    outlook: Outlook,
+    calibration: Calibration,
+    smooth: Option<KindHours>,
+    smooth_looks: f64,
+    /// How many looks speak for each hour; follows from the table of all history.
+    known: KindHours,
+    /// Made on demand from the rest.
+    far: OnceLock<Box<FarView>>,
+}
+
+impl PartialEq for Ensemble {
+    fn eq(&self, other: &Ensemble) -> bool {
+        self.to_parts() == other.to_parts()
+    }
+}
+
+impl Default for Ensemble {
+    fn default() -> Ensemble {
+        Ensemble::new()
+    }
+}
+
+impl Ensemble {
+    /// An ensemble without looks.
+    pub fn new() -> Ensemble {
+        Ensemble {
+            sum: 0.0,
+            looks: 0.0,
+            all: WeekTable::new(None),
+            recent: WeekTable::new(Some(RECENT_DAYS)),
+            alike: AlikeDays { sums: [[0.0; SLOTS]; 2], looks: [[0.0; SLOTS]; 2], last: [[-1.0; SLOTS]; 2] },
+            recall: Recall::new(),
+            rotation: Rotation::new(),
+            season: Season::new(),
+            stacks: [Stack::new(SLOW), Stack::new(FAST)],
+            pool: Pool::new(),
+            outlook: Outlook::new(),
+            calibration: Calibration::new(),
+            smooth: None,
+            smooth_looks: 0.0,
+            known: [[0.0; HOURS]; 2],
+            far: OnceLock::new(),
+        }
+    }
+
+    /// Number of looks learned: half-hours of single days with a reading.
+    pub fn looks(&self) -> f64 {
+        self.looks
+    }
+
+    /// The last learned day.
+    pub fn last_day(&self) -> Option<LocalDay> {
+        self.recall.last()
+    }
+
+    /// The mean of all looks, shrunk to 0.5 by one.
+    pub fn mean(&self) -> f64 {
+        (self.sum + 0.5) / (self.looks + 1.0)
+    }
+
+    /// Learns a local day: judges all members by its looks, then adds them. A day that is not newer than all before is
+    /// added without judging. `samples`: its readings in order of time; `chosen`: the model that the update had chosen
+    /// before the day. Gives the squared error of the predictions for `newer`, those of the samples that no earlier
+    /// day has.
+    pub fn learn_day(
+        &mut self,
+        day: LocalDay,
+        samples: &[Sample],
+        newer: &[Sample],
+        chosen: &dyn TemporalModel,
+    ) -> f64 {
+        let parts = look_parts(samples, chosen);
+        let forecast = self.learn(day, &DayLooks::of_samples(samples), chosen, &look_losses(&parts));
+        let Some(forecast) = forecast else { return 0.0 };
+        let error = |parts: &[LookPart]| parts.iter().map(|part| part.squared_error(&forecast)).sum();
+        if newer.len() == samples.len() { error(&parts) } else { error(&look_parts(newer, chosen)) }
+    }
+
+    fn learn(
+        &mut self,
+        day: LocalDay,
+        looks: &DayLooks,
+        chosen: &dyn TemporalModel,
+        chosen_losses: &[f64; SLOTS],
+    ) -> Option<DayForecast> {
+        if looks.is_empty() {
+            return None;
+        }
+        self.far.take();
+        let last = self.recall.last();
+        if last.is_some_and(|last| day <= last) {
+            self.add_late(day, looks);
+            return None;
+        }
+        if let Some(last) = last {
+            self.pass(last, day);
+        }
+        let members = self.members(day, chosen);
+        let forecast = self.forecast_of(day, &members);
+        for stack in &mut self.stacks {
+            stack.learn(&members.features, looks);
+        }
+        let mut losses = [0.0; pool::MEMBERS];
+        for (slot, value) in looks.seen() {
+            for (loss, predicted) in losses.iter_mut().zip(&members.values) {
+                *loss += pool::loss(predicted[slot], value);
+            }
+            let own = &mut losses[Member::Chosen as usize];
+            *own += chosen_losses[slot] - pool::loss(members.values[Member::Chosen as usize][slot], value);
+        }
+        self.pool.learn(&losses);
+        self.calibration.learn(&forecast, looks);
+        self.outlook.judge(day, looks, &self.season);
+        let weekday = day.weekday();
+        self.all.learn(weekday, looks, &members.all);
+        self.recent.learn(weekday, looks, &members.recent);
+        let mut residuals = [0.0; SLOTS];
+        for (slot, value) in looks.seen() {
+            residuals[slot] = value - clip(members.all.weekday[slot / 2]);
+        }
+        self.rotation.learn(day, &residuals);
+        self.learn_alike(kind_of_day(weekday), looks);
+        self.add(day, looks);
+        self.make_smooth();
+        let turns = Outlook::turns(last, day);
+        if turns.contains(&true) {
+            let profile = self.profile(chosen);
+            self.outlook.keep(turns, day, &profile);
+        }
+        Some(forecast)
+    }
+
+    fn add(&mut self, day: LocalDay, looks: &DayLooks) {
+        let (sum, number) = looks.seen().fold((0.0, 0.0), |(sum, number), (_, value)| (sum + value, number + 1.0));
+        self.sum += sum;
+        self.looks += number;
+        self.season.learn(day, sum, number);
+        self.recall.learn(day, looks);
+    }
+
+    /// Adds looks of a day that is not the newest.
+    fn add_late(&mut self, day: LocalDay, looks: &DayLooks) {
+        let age_days = self.recall.last().map_or(0.0, |last| f64::from(last.0) - f64::from(day.0));
+        for table in [&mut self.all, &mut self.recent] {
+            table.add(day.weekday(), looks, table.weight_at_age(age_days));
+        }
+        self.add(day, looks);
+        self.make_smooth();
+    }
+
+    /// Lets the days without looks between two days pass.
+    fn pass(&mut self, last: LocalDay, day: LocalDay) {
+        let days = i64::from(day.0) - i64::from(last.0) - 1;
+        if days > 0 {
+            self.all.pass(days as f64);
+            self.recent.pass(days as f64);
+        }
+        // The day itself, too, ages the days of its kind.
+        for kind in 0..2 {
+            let of_kind = (1..=days.min(4 * 7))
+                .filter(|back| kind_of_day(LocalDay(day.0.saturating_sub(*back as i32)).weekday()) == kind);
+            let factor = ALIKE_KEPT.powi(of_kind.count() as i32) as f32;
+            let numbers = self.alike.sums[kind].iter_mut().chain(&mut self.alike.looks[kind]);
+            numbers.for_each(|number| *number *= factor);
+        }
+    }
+
+    fn learn_alike(&mut self, kind: usize, looks: &DayLooks) {
+        let (sums, numbers) = (&mut self.alike.sums[kind], &mut self.alike.looks[kind]);
+        sums.iter_mut().chain(numbers.iter_mut()).for_each(|number| *number *= ALIKE_KEPT as f32);
+        for (slot, value) in looks.seen() {
+            sums[slot] += value as f32;
+            numbers[slot] += 1.0;
+            self.alike.last[kind][slot] = value as f32;
+        }
+    }
+
+    /// Makes the smooth table again where it is due. Its dates depend on the number of looks alone.
+    fn make_smooth(&mut self) {
+        self.known = equivalent_looks(&self.all.looks_by_kind());
+        let needed = self.known.as_flattened().iter().any(|&looks| looks < SMOOTH_LOOKS);
+        if !needed {
+            self.smooth = None;
+        } else if self.smooth.is_none() || self.looks >= self.smooth_looks * (1.0 + SMOOTH_GROWTH) {
+            self.smooth = Some(smooth_table(&self.all));
+            self.smooth_looks = self.looks;
+        }
+    }
+
+    /// What the members say of the week after the last day.
+    fn profile(&self, chosen: &dyn TemporalModel) -> Profile {
+        let mean = self.mean();
+        let mixed = |table: &WeekTable, share: f64| {
+            let (kinds, mut weekdays) = table.week(mean);
+            for (weekday, hours) in weekdays.iter_mut().enumerate() {
+                let of_kind = &kinds[kind_of_day(weekday)];
+                hours.iter_mut().zip(of_kind).for_each(|(value, kind)| *value += share * (kind - *value));
+            }
+            weekdays
+        };
+        let next = self.recall.last().map_or(0, |last| last.0.saturating_add(1));
+        let mut of_chosen = [[0.0; HOURS]; 7];
+        for ahead in 0..7 {
+            let day = LocalDay(next.saturating_add(ahead));
+            for (hour, value) in of_chosen[day.weekday()].iter_mut().enumerate() {
+                let at = |half: i64| {
+                    chosen.predict(forecast::civil_moment(day, (2 * hour as i64 + half) * SLOT_NANOS + SLOT_NANOS / 2))
+                };
+                *value = 0.5 * (at(0) + at(1));
+            }
+        }
+        Profile {
+            mean,
+            week: mixed(&self.all, self.pool.share(Member::Kind, Member::Weekday)),
+            recent: mixed(&self.recent, self.pool.share(Member::RecentKind, Member::RecentWeekday)),
+            chosen: of_chosen,
+            rhythm: self.season.rhythm,
+        }
+    }
+}
+
+/// The parts of one look by which a model with finer steps is judged.
+const PARTS_JUDGED: usize = 6;
+
+/// Some readings of one look that follow each other, with what the chosen model predicted at the middle one.
+struct LookPart {
+    slot: usize,
+    number: f64,
+    mean: f64,
+    /// Σ (value - mean)².
+    scatter: f64,
+    chosen: f64,
+}
+
+impl LookPart {
+    /// The squared error of a forecast, summed over the readings.
+    fn squared_error(&self, forecast: &DayForecast) -> f64 {
+        let predicted = forecast.with_chosen(self.slot, self.chosen);
+        self.number * (predicted - self.mean).powi(2) + self.scatter
+    }
+}
+
+/// At most [`PARTS_JUDGED`] parts of each look. `samples`: of one day, in order of time.
+fn look_parts(samples: &[Sample], model: &dyn TemporalModel) -> Vec<LookPart> {
+    let slot = |sample: &Sample| slot_at(sample.civil_nanos());
+    let looks = samples.chunk_by(|one, next| slot(one) == slot(next));
+    let parts = looks.flat_map(|look| look.chunks(look.len().div_ceil(PARTS_JUDGED)));
+    let part = |part: &[Sample]| {
+        let middle = part.get(part.len() / 2)?;
+        let number = part.len() as f64;
+        let mean = part.iter().map(|sample| sample.value).sum::<f64>() / number;
+        let scatter = part.iter().map(|sample| (sample.value - mean).powi(2)).sum();
+        Some(LookPart { slot: slot(middle), number, mean, scatter, chosen: model.predict(middle.moment()) })
+    };
+    parts.filter_map(part).collect()
+}
+
+/// The loss of the chosen model at each look of a day: the mean over its parts.
+fn look_losses(parts: &[LookPart]) -> [f64; SLOTS] {
+    let mut losses = [0.0; SLOTS];
+    for look in parts.chunk_by(|one, next| one.slot == next.slot) {
+        let number: f64 = look.iter().map(|part| part.number).sum();
+        let mean = look.iter().map(|part| part.number * part.mean).sum::<f64>() / number;
+        // What the values differ within the look is no fault of the model.
+        let loss = |part: &LookPart| part.number * (pool::loss(part.chosen, part.mean) - (part.mean - mean).powi(2));
+        if let Some(first) = look.first() {
+            losses[first.slot] = look.iter().map(loss).sum::<f64>() / number;
+        }
+    }
+    losses
+}

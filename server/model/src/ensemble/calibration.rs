@@ -1,0 +1,70 @@
+//! The last correction of an ensemble, and how much an hour of a day differs from what was predicted.
+//!
+//! The correction draws predictions towards the mean by how far the last days departed from them; its half-life is three
+//! days, so that a change of habit makes the next days unsure. The dependence is the correlation of the errors of
+//! neighbouring half-hours, from which follows how much the mean of an hour scatters. Invariant: the correction is in
+//! `[0,1]`, the dependence in `[0,1)`.
+
+use super::forecast::DayForecast;
+use super::looks::DayLooks;
+
+/// The half-life of the correction, in observed days.
+const HALF_LIFE_DAYS: f64 = 3.0;
+/// How much no correction counts.
+const PRIOR: f64 = 5.0;
+/// The half-life of the dependence, in observed days.
+const DEPENDENCE_DAYS: f64 = 28.0;
+/// The dependence before any look, as of a state that keeps its value for 40 minutes, and how much it counts.
+const DEPENDENCE: f64 = 0.45;
+const DEPENDENCE_PRIOR: f64 = 0.5;
+
+/// Faded sums.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Calibration {
+    /// Σ u (y - μ) and Σ u², where u is the pool's departure from the mean μ.
+    pub(super) departures: [f32; 2],
+    /// Σ e e' of the errors of neighbouring half-hours, and Σ √(v v') of their expected squares.
+    pub(super) neighbours: [f32; 2],
+}
+
+impl Calibration {
+    pub(super) const fn new() -> Calibration {
+        Calibration { departures: [0.0; 2], neighbours: [0.0; 2] }
+    }
+
+    /// The factor on departures from the mean.
+    pub(super) fn factor(&self) -> f64 {
+        let [product, square] = self.departures.map(f64::from);
+        ((product + PRIOR) / (square + PRIOR)).clamp(0.0, 1.0)
+    }
+
+    /// The correlation of the errors of neighbouring half-hours.
+    pub(super) fn dependence(&self) -> f64 {
+        let [product, square] = self.neighbours.map(f64::from);
+        ((product + DEPENDENCE * DEPENDENCE_PRIOR) / (square + DEPENDENCE_PRIOR)).clamp(0.0, 0.999)
+    }
+
+    /// Learns from a day that was predicted before.
+    pub(super) fn learn(&mut self, forecast: &DayForecast, looks: &DayLooks) {
+        let add = |sums: &mut [f32; 2], half_life_days: f64, more: [f64; 2]| {
+            let kept = 0.5_f64.powf(1.0 / half_life_days);
+            sums.iter_mut().zip(more).for_each(|(sum, more)| *sum = (kept * f64::from(*sum) + more) as f32);
+        };
+        let (mut departures, mut neighbours) = ([0.0; 2], [0.0; 2]);
+        let mut before: Option<(usize, f64, f64)> = None;
+        for (slot, value) in looks.seen() {
+            let departure = forecast.uncorrected(slot) - forecast.mean();
+            departures[0] += departure * (value - forecast.mean());
+            departures[1] += departure * departure;
+            let p = forecast.at_slot(slot);
+            let (error, expected) = (value - p, p * (1.0 - p));
+            if let Some((_, error_before, expected_before)) = before.filter(|(earlier, ..)| earlier + 1 == slot) {
+                neighbours[0] += error * error_before;
+                neighbours[1] += (expected * expected_before).sqrt();
+            }
+            before = Some((slot, error, expected));
+        }
+        add(&mut self.departures, HALF_LIFE_DAYS, departures);
+        add(&mut self.neighbours, DEPENDENCE_DAYS, neighbours);
+    }
+}

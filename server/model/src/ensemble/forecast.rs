@@ -1,0 +1,254 @@
+//! What an ensemble predicts for one local day, half-hour by half-hour, and far ahead.
+//!
+//! Invariant: a forecast of a day uses no look of that day but those in the tables.
+
+use super::looks::{HOURS, SLOT_NANOS, SLOTS, slot_at};
+use super::outlook::{CLASSES, class_of};
+use super::pool::{MEMBERS, Member};
+use super::seen::evidence;
+use super::stack::{FEATURES, Features, clip, log_odds};
+use super::week_table::{DayLevels, kind_of_day};
+use super::{Ensemble, FarView};
+use crate::{
+    LocalDay, Predictive,
+    models::{Moment, TemporalModel},
+};
+
+/// The members whose log odds the stacks join, in the order of their features.
+const STACKED: [Member; super::stack::MEMBERS] =
+    [Member::Kind, Member::Weekday, Member::RecentKind, Member::Rotation, Member::Alike, Member::Nth, Member::Chosen];
+/// The days before whose residuals the stacks join, but for that of the last day of the kind, which has the place
+/// [`LAST_ALIKE`].
+const DAYS_AGO: [(usize, i32); 5] = [(0, 1), (1, 2), (2, 7), (3, 14), (5, 28)];
+const LAST_ALIKE: usize = 4;
+/// How far back a rotation looks, and after how many days one of its days counts half.
+const ROTATION_DAYS: i32 = 84;
+const ROTATION_HALF_LIFE: f64 = 60.0;
+/// How much the weekday table counts beside the same weekdays of the month.
+const NTH_PRIOR: f64 = 0.5;
+/// A chosen model with less weight is left out between the half-hours.
+const WEIGHT_MIN: f64 = 0.01;
+/// Up to so many days ahead the pool of the next days answers.
+const NEXT_DAYS: i64 = 6;
+const DAY_NANOS: i64 = SLOTS as i64 * SLOT_NANOS;
+
+/// The members' predictions for a day.
+#[derive(Clone, Debug)]
+pub(super) struct MemberDay {
+    /// By member, then by half-hour.
+    pub(super) values: [[f64; SLOTS]; MEMBERS],
+    pub(super) features: Features,
+    pub(super) all: DayLevels,
+    pub(super) recent: DayLevels,
+}
+
+/// What an ensemble predicts for one local day.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DayForecast {
+    /// The pool without the chosen model, weighted.
+    rest: [f64; SLOTS],
+    /// The chosen model, and its weight.
+    chosen: [f64; SLOTS],
+    chosen_weight: f64,
+    /// What is known apart from the members, by hour.
+    smooth: [f64; HOURS],
+    /// How many looks speak for each hour.
+    looks: [f64; HOURS],
+    mean: f64,
+    factor: f64,
+    dependence: f64,
+}
+
+/// A local civil time of a day as a moment; its offset does not matter to a model of habits.
+pub(super) fn civil_moment(day: LocalDay, nanos: i64) -> Moment {
+    Moment { utc_nanos: i64::from(day.0).saturating_mul(DAY_NANOS).saturating_add(nanos), offset_secs: 0 }
+}
+
+impl DayForecast {
+    /// The mean towards which predictions are corrected.
+    pub(super) fn mean(&self) -> f64 {
+        self.mean
+    }
+
+    /// The pool's answer at a half-hour.
+    pub(super) fn uncorrected(&self, slot: usize) -> f64 {
+        self.rest[slot] + self.chosen_weight * self.chosen[slot]
+    }
+
+    /// The prediction at a half-hour.
+    pub(super) fn at_slot(&self, slot: usize) -> f64 {
+        self.corrected(slot, self.uncorrected(slot))
+    }
+
+    fn corrected(&self, slot: usize, pool: f64) -> f64 {
+        let smooth = self.smooth[slot / 2];
+        let value = smooth + evidence(self.looks[slot / 2]) * (pool - smooth);
+        clip(self.mean + self.factor * (value - self.mean))
+    }
+
+    /// The prediction at a half-hour where the chosen model says something else.
+    pub(super) fn with_chosen(&self, slot: usize, chosen: f64) -> f64 {
+        self.corrected(slot, self.rest[slot] + self.chosen_weight * clip(chosen))
+    }
+
+    /// The prediction at a moment of the day.
+    pub fn predict(&self, at: Moment, chosen: &dyn TemporalModel) -> f64 {
+        let slot = slot_at(at.civil_nanos());
+        if self.chosen_weight < WEIGHT_MIN {
+            return self.at_slot(slot);
+        }
+        self.with_chosen(slot, chosen.predict(at))
+    }
+
+    fn predictive(&self, at: Moment, chosen: &dyn TemporalModel) -> Predictive {
+        let hour = slot_at(at.civil_nanos()) / 2;
+        Predictive::new(self.predict(at, chosen), self.looks[hour], self.dependence)
+    }
+}
+
+impl Ensemble {
+    /// The predictions of the members for a day, from what is known of other days.
+    pub(super) fn members(&self, day: LocalDay, chosen: &dyn TemporalModel) -> MemberDay {
+        let (mean, weekday) = (self.mean(), day.weekday());
+        let kind = kind_of_day(weekday);
+        let (all, recent) = (self.all.levels(weekday, mean), self.recent.levels(weekday, mean));
+        let mut values = [[0.0; SLOTS]; MEMBERS];
+        let mut features = [[0.0; FEATURES]; SLOTS];
+        let rotation = self.rotation.days() as i32;
+        let nth = self.same_weekdays_of_month(day);
+        for slot in 0..SLOTS {
+            let hour = slot / 2;
+            let base = all.weekday[hour];
+            let seen = |back: i32| self.recall.day(LocalDay(day.0.saturating_sub(back)))?.value(slot);
+            let mut set = |member: Member, value: f64| values[member as usize][slot] = clip(value);
+            set(Member::Mean, mean);
+            set(Member::Hour, all.hour[hour]);
+            set(Member::Kind, all.kind[hour]);
+            set(Member::Weekday, base);
+            set(Member::RecentKind, recent.kind[hour]);
+            set(Member::RecentWeekday, recent.weekday[hour]);
+            let turns = (1..).map(|turn| turn * rotation).take_while(|&back| back <= ROTATION_DAYS);
+            let weigh =
+                |(sum, number): (f64, f64), (value, weight): (f64, f64)| (sum + weight * value, number + weight);
+            let turned = turns
+                .filter_map(|back| Some((seen(back)?, 0.5_f64.powf(f64::from(back) / ROTATION_HALF_LIFE))))
+                .fold((base, 1.0), weigh);
+            set(Member::Rotation, turned.0 / turned.1);
+            let (sum, number) = (f64::from(self.alike.sums[kind][slot]), f64::from(self.alike.looks[kind][slot]));
+            set(Member::Alike, (sum + base) / (number + 1.0));
+            let same = nth.iter().filter_map(|&back| Some((seen(back)?, 1.0)));
+            let of_nth = same.fold((NTH_PRIOR * base, NTH_PRIOR), weigh);
+            set(Member::Nth, of_nth.0 / of_nth.1);
+            set(Member::Chosen, chosen.predict(civil_moment(day, slot as i64 * SLOT_NANOS + SLOT_NANOS / 2)));
+            set(Member::Smooth, self.smooth.map_or(base, |smooth| smooth[kind][hour]));
+            let x = &mut features[slot];
+            for (feature, member) in x.iter_mut().zip(STACKED) {
+                *feature = log_odds(values[member as usize][slot]);
+            }
+            let residuals = &mut x[STACKED.len()..];
+            for (place, back) in DAYS_AGO {
+                let before = self.recall.day(LocalDay(day.0.saturating_sub(back)));
+                residuals[place] = before.and_then(|before| before.value_near(slot)).map_or(0.0, |value| value - base);
+            }
+            let last = f64::from(self.alike.last[kind][slot]);
+            residuals[LAST_ALIKE] = if last < 0.0 { 0.0 } else { last - base };
+            x[FEATURES - 1] = 1.0;
+            for (stack, member) in self.stacks.iter().zip([Member::SlowStack, Member::FastStack]) {
+                values[member as usize][slot] = stack.predict(x);
+            }
+        }
+        MemberDay { values, features, all, recent }
+    }
+
+    /// How many days back the same weekdays of earlier months are, such as the first Mondays.
+    fn same_weekdays_of_month(&self, day: LocalDay) -> Vec<i32> {
+        let number = |day: LocalDay| (day.date().2 - 1) / 7;
+        let of_day = number(day);
+        let weeks = (1..=super::recall::DAYS as i32 / 7).map(|week| 7 * week);
+        weeks.filter(|&back| number(LocalDay(day.0.saturating_sub(back))) == of_day).collect()
+    }
+
+    /// What the members say together.
+    pub(super) fn forecast_of(&self, day: LocalDay, members: &MemberDay) -> DayForecast {
+        let weights = self.pool.weights(self.looks);
+        let kind = kind_of_day(day.weekday());
+        let mut rest = [0.0; SLOTS];
+        for (place, (values, weight)) in members.values.iter().zip(weights).enumerate() {
+            if place != Member::Chosen as usize {
+                rest.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value);
+            }
+        }
+        DayForecast {
+            rest,
+            chosen: members.values[Member::Chosen as usize],
+            chosen_weight: weights[Member::Chosen as usize],
+            // Every hour has enough looks where there is no smooth table.
+            smooth: self.smooth.map_or(members.all.weekday, |smooth| smooth[kind]).map(clip),
+            looks: self.known[kind],
+            mean: clip(self.mean()),
+            factor: self.calibration.factor(),
+            dependence: self.calibration.dependence(),
+        }
+    }
+
+    /// The forecast of a day.
+    pub fn forecast(&self, day: LocalDay, chosen: &dyn TemporalModel) -> DayForecast {
+        self.forecast_of(day, &self.members(day, chosen))
+    }
+
+    /// What a query for a day is answered from; `None`: far ahead, or long ago.
+    fn near(&self, day: LocalDay) -> bool {
+        self.last_day().is_none_or(|last| (i64::from(day.0) - i64::from(last.0)).abs() <= NEXT_DAYS)
+    }
+
+    fn far(&self, chosen: &dyn TemporalModel) -> &FarView {
+        self.far.get_or_init(|| {
+            let profile = self.profile(chosen);
+            let mut classes = 0..CLASSES;
+            let weights = [(); CLASSES].map(|()| self.outlook.weights(classes.next().unwrap_or(0)));
+            Box::new(FarView { profile, weights })
+        })
+    }
+
+    /// The predictive distribution around another model's prediction for a moment.
+    pub fn around(&self, at: Moment, probability: f64) -> Predictive {
+        let civil_nanos = at.civil_nanos();
+        let kind = kind_of_day(LocalDay::of_civil_nanos(civil_nanos).weekday());
+        let looks = self.known[kind][slot_at(civil_nanos) / 2];
+        Predictive::new(probability, looks, self.calibration.dependence())
+    }
+
+    /// Predictions at moments, which are best in order of time: a day is forecast once. `chosen`: the model that the
+    /// update has chosen.
+    pub fn predict(&self, moments: &[Moment], chosen: &dyn TemporalModel) -> Vec<Predictive> {
+        let mut of_day: Option<(LocalDay, DayForecast)> = None;
+        let predict = |&at: &Moment| {
+            let day = LocalDay::of_civil_nanos(at.civil_nanos());
+            if !self.near(day) {
+                return self.predict_far(at, day, chosen);
+            }
+            let forecast = match of_day.take() {
+                Some((known, forecast)) if known == day => forecast,
+                _ => self.forecast(day, chosen),
+            };
+            let predicted = forecast.predictive(at, chosen);
+            of_day = Some((day, forecast));
+            predicted
+        };
+        moments.iter().map(predict).collect()
+    }
+
+    fn predict_far(&self, at: Moment, day: LocalDay, chosen: &dyn TemporalModel) -> Predictive {
+        let far = self.far(chosen);
+        let ahead = self.last_day().map_or(0, |last| (i64::from(day.0) - i64::from(last.0)).abs());
+        let (class, kind) = (class_of(ahead).unwrap_or(0), kind_of_day(day.weekday()));
+        let hour = slot_at(at.civil_nanos()) / 2;
+        let pool = far.weights[class].predict(&far.profile, day, hour, chosen.predict(at), &self.season);
+        let looks = self.known[kind][hour];
+        let value = self.smooth.map_or(pool, |smooth| {
+            let smooth = far.profile.moved(clip(smooth[kind][hour]), day);
+            smooth + evidence(looks) * (pool - smooth)
+        });
+        Predictive::new(clip(value), looks, self.calibration.dependence())
+    }
+}

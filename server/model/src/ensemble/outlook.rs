@@ -1,0 +1,326 @@
+//! The view far ahead: which member answers for a week, a month, a season, a year from now.
+//!
+//! A model speaks as far ahead as it was judged. Every week, four weeks, quarter and year the ensemble keeps what its
+//! members then said of each hour of the week; looks that come as long after are compared with it. The members are
+//! weighted by these losses, class by class of the time ahead. A class without enough looks takes over what the shorter
+//! ones say of members without a window; a member with a window does not speak far beyond it. The share of days on which
+//! the plain mean was as good as the pool is left to the mean. Invariant: predictions lie strictly between 0 and 1.
+
+use super::looks::{DayLooks, HOURS};
+use super::pool::normalised;
+use super::season::{Rhythm, Season};
+use super::stack::{clip, log_odds, probability};
+use super::week_table::Hours;
+use crate::LocalDay;
+
+/// The shortest time ahead of each class, in days. Below the first, the pool of the next days answers.
+pub(super) const AHEAD_DAYS: [i64; 4] = [7, 28, 91, 364];
+/// Number of classes.
+pub(super) const CLASSES: usize = AHEAD_DAYS.len();
+
+/// What answers far ahead.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FarMember {
+    /// The mean of all looks.
+    Mean,
+    /// The table of all history.
+    Week,
+    /// The table with a half-life of a week.
+    Recent,
+    /// The rhythm of the year.
+    Rhythm,
+    /// The table of all history, moved by the rhythm of the year.
+    WeekAndRhythm,
+    /// The same days of earlier years.
+    YearsAgo,
+    /// The model that the update chose.
+    Chosen,
+}
+
+/// Number of members.
+pub(super) const FAR_MEMBERS: usize = 7;
+
+const ALL: [FarMember; FAR_MEMBERS] = [
+    FarMember::Mean,
+    FarMember::Week,
+    FarMember::Recent,
+    FarMember::Rhythm,
+    FarMember::WeekAndRhythm,
+    FarMember::YearsAgo,
+    FarMember::Chosen,
+];
+
+/// A loss counts this power of its class's days less: looks of days close together judge the same.
+const DEPENDENCE: f64 = 0.8;
+/// With fewer looks a class is not judged.
+const LOOKS_MIN: f64 = 20.0;
+/// What a shorter class says counts this much for the next.
+const CARRIED: f64 = 0.3;
+/// A member with a window speaks for this many windows ahead, unjudged.
+const WINDOWS: f64 = 4.0;
+/// The share of a class's sums that remains after each further observed day.
+const KEPT: f64 = 0.995;
+/// At most this many looks of a day count.
+const LOOKS_OF_DAY: f64 = 3.0;
+/// The share of the mean before any look, and how many looks that counts as.
+const MEAN_SHARE: f64 = 0.1;
+const MEAN_LOOKS: f64 = 5.0;
+
+impl FarMember {
+    /// The days back from which it knows anything; `None`: all.
+    fn window_days(self) -> Option<f64> {
+        match self {
+            FarMember::Recent => Some(7.0),
+            // Models are trained on twelve weeks.
+            FarMember::Chosen => Some(21.0),
+            _ => None,
+        }
+    }
+
+    fn prior(self) -> f64 {
+        match self {
+            FarMember::Mean | FarMember::Week => 0.25,
+            FarMember::Recent => 0.5,
+            FarMember::Rhythm => 1.5,
+            FarMember::WeekAndRhythm | FarMember::Chosen => 4.0,
+            FarMember::YearsAgo => 2.0,
+        }
+    }
+}
+
+/// By hour of the week, in steps of a 255th.
+type Bytes = [u8; 7 * HOURS];
+
+fn bytes(week: &[Hours; 7]) -> Bytes {
+    let mut bytes = [0; 7 * HOURS];
+    // Between 0 and 255.
+    bytes
+        .iter_mut()
+        .zip(week.as_flattened())
+        .for_each(|(byte, value)| *byte = (value.clamp(0.0, 1.0) * 255.0).round() as u8);
+    bytes
+}
+
+/// What the members said of the week at the end of a day.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Said {
+    pub(super) day: LocalDay,
+    pub(super) mean: f32,
+    pub(super) week: Bytes,
+    pub(super) recent: Bytes,
+    pub(super) chosen: Bytes,
+    pub(super) rhythm: Rhythm,
+}
+
+/// What the members say of the week now.
+#[derive(Clone, Debug)]
+pub(super) struct Profile {
+    pub(super) mean: f64,
+    pub(super) week: [Hours; 7],
+    pub(super) recent: [Hours; 7],
+    /// Of the chosen model, in the week after the last day.
+    pub(super) chosen: [Hours; 7],
+    pub(super) rhythm: Rhythm,
+}
+
+impl Profile {
+    /// What a value of all seasons is in the season of a day.
+    pub(super) fn moved(&self, value: f64, day: LocalDay) -> f64 {
+        moved(value, self.rhythm.at(day), clip(self.mean))
+    }
+
+    fn said(&self, day: LocalDay) -> Said {
+        Said {
+            day,
+            mean: self.mean as f32,
+            week: bytes(&self.week),
+            recent: bytes(&self.recent),
+            chosen: bytes(&self.chosen),
+            rhythm: self.rhythm,
+        }
+    }
+}
+
+/// The losses of one class.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Class {
+    pub(super) losses: [f32; FAR_MEMBERS],
+    /// Looks that were better explained by the pool, and by the mean.
+    pub(super) explained: [f32; 2],
+    pub(super) looks: f32,
+    /// What was said at the two last turns of the class, the newer first.
+    pub(super) said: [Option<Box<Said>>; 2],
+}
+
+/// How a class of the time ahead is answered.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FarWeights {
+    weights: [f64; FAR_MEMBERS],
+    mean_share: f64,
+}
+
+/// The classes.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Outlook {
+    pub(super) classes: [Class; CLASSES],
+}
+
+/// The class of a time ahead in days; `None` below the first.
+pub(super) fn class_of(ahead_days: i64) -> Option<usize> {
+    AHEAD_DAYS.iter().rposition(|&shortest| ahead_days >= shortest)
+}
+
+/// A value moved in log odds by how much a season differs from the mean.
+fn moved(value: f64, season: f64, mean: f64) -> f64 {
+    probability(log_odds(value) + log_odds(season) - log_odds(mean))
+}
+
+/// What the far members say of an hour of a day.
+fn members(parts: (f64, f64, f64, f64), day: LocalDay, rhythm: &Rhythm, season: &Season) -> [f64; FAR_MEMBERS] {
+    let (mean, week, recent, chosen) = parts;
+    let (mean, week, at) = (clip(mean), clip(week), rhythm.at(day));
+    [mean, week, clip(recent), at, moved(week, at, mean), season.years_ago(day, rhythm), clip(chosen)]
+}
+
+/// What was said of an hour of the week, 0 for Monday, midnight.
+fn members_of_said(said: &Said, day: LocalDay, hour_of_week: usize, season: &Season) -> [f64; FAR_MEMBERS] {
+    let value = |bytes: &Bytes| f64::from(bytes[hour_of_week]) / 255.0;
+    let parts = (f64::from(said.mean), value(&said.week), value(&said.recent), value(&said.chosen));
+    members(parts, day, &said.rhythm, season)
+}
+
+/// The weighted mean of the members.
+fn pooled(values: &[f64; FAR_MEMBERS], weights: &[f64; FAR_MEMBERS]) -> f64 {
+    values.iter().zip(weights).map(|(value, weight)| value * weight).sum()
+}
+
+impl FarWeights {
+    /// The answer for an hour of a day.
+    pub(super) fn predict(&self, profile: &Profile, day: LocalDay, hour: usize, chosen: f64, season: &Season) -> f64 {
+        let weekday = day.weekday();
+        let parts = (profile.mean, profile.week[weekday][hour], profile.recent[weekday][hour], chosen);
+        let values = members(parts, day, &profile.rhythm, season);
+        (1.0 - self.mean_share) * pooled(&values, &self.weights) + self.mean_share * values[FarMember::Mean as usize]
+    }
+}
+
+impl Outlook {
+    pub(super) const fn new() -> Outlook {
+        const CLASS: Class = Class { losses: [0.0; FAR_MEMBERS], explained: [0.0; 2], looks: 0.0, said: [None, None] };
+        Outlook { classes: [CLASS; CLASSES] }
+    }
+
+    fn mean_share(&self, class: usize) -> f64 {
+        let [pool, mean] = self.classes[class].explained.map(f64::from);
+        (mean + MEAN_SHARE * MEAN_LOOKS) / (pool + mean + MEAN_LOOKS)
+    }
+
+    /// How a class is answered.
+    pub(super) fn weights(&self, class: usize) -> FarWeights {
+        let counted = |class: usize, member: usize| {
+            f64::from(self.classes[class].losses[member]) * (AHEAD_DAYS[class] as f64).powf(-DEPENDENCE)
+        };
+        let looks = f64::from(self.classes[class].looks);
+        let mut logs = [0.0; FAR_MEMBERS];
+        for (place, (log, member)) in logs.iter_mut().zip(ALL).enumerate() {
+            *log = member.prior().ln() - counted(class, place);
+            let beyond = |days: f64| WINDOWS * days < AHEAD_DAYS[class] as f64;
+            if looks < LOOKS_MIN && member.window_days().is_some_and(beyond) {
+                *log = f64::NEG_INFINITY;
+            }
+        }
+        for shorter in 0..class {
+            let unlimited = |place: &usize| ALL[*place].window_days().is_none();
+            let least =
+                (0..FAR_MEMBERS).filter(unlimited).map(|place| counted(shorter, place)).fold(f64::INFINITY, f64::min);
+            let carried = CARRIED.powi((class - shorter) as i32) * LOOKS_MIN / (LOOKS_MIN + looks);
+            for (place, log) in logs.iter_mut().enumerate() {
+                *log -= carried * if unlimited(&place) { counted(shorter, place) } else { least };
+            }
+        }
+        FarWeights { weights: normalised(logs), mean_share: self.mean_share(class) }
+    }
+
+    /// Judges what was said long before a day by the day's looks.
+    pub(super) fn judge(&mut self, day: LocalDay, looks: &DayLooks, season: &Season) {
+        let seen: Vec<(usize, f64)> = looks.seen().collect();
+        if seen.is_empty() {
+            return;
+        }
+        for (class, &ahead_days) in AHEAD_DAYS.iter().enumerate() {
+            let far = self.weights(class);
+            let known = &mut self.classes[class];
+            let Some(said) = known.said[1].as_deref() else { continue };
+            if i64::from(day.0) - i64::from(said.day.0) < ahead_days {
+                continue;
+            }
+            let (mut explained, mut losses) = ([0.0; 2], [0.0; FAR_MEMBERS]);
+            let mut last: Option<(usize, [f64; FAR_MEMBERS])> = None;
+            for &(slot, value) in &seen {
+                let hour = day.weekday() * HOURS + slot / 2;
+                let values = match last {
+                    Some((known, values)) if known == hour => values,
+                    _ => members_of_said(said, day, hour, season),
+                };
+                last = Some((hour, values));
+                let likelihood = |p: f64| p * value + (1.0 - p) * (1.0 - value);
+                let by_pool = (1.0 - far.mean_share) * likelihood(clip(pooled(&values, &far.weights)));
+                let by_mean = far.mean_share * likelihood(values[FarMember::Mean as usize]);
+                explained[0] += by_pool / (by_pool + by_mean);
+                explained[1] += by_mean / (by_pool + by_mean);
+                for (loss, p) in losses.iter_mut().zip(values) {
+                    *loss -= value * p.ln() + (1.0 - value) * (1.0 - p).ln();
+                }
+            }
+            let number = seen.len() as f64;
+            let counted = number.min(LOOKS_OF_DAY);
+            let add = |sum: &mut f32, more: f64| *sum = (KEPT * f64::from(*sum) + more / number * counted) as f32;
+            known.losses.iter_mut().zip(losses).for_each(|(sum, loss)| add(sum, loss));
+            known.explained.iter_mut().zip(explained).for_each(|(sum, more)| add(sum, more));
+            add(&mut known.looks, number);
+        }
+    }
+
+    /// The classes that keep what is said at the end of a day, if days since `last` include their turn.
+    pub(super) fn turns(last: Option<LocalDay>, day: LocalDay) -> [bool; CLASSES] {
+        let turn = |day: LocalDay, days: i64| i64::from(day.0).div_euclid(days);
+        AHEAD_DAYS.map(|days| last.is_none_or(|last| turn(last, days) != turn(day, days)))
+    }
+
+    /// Keeps what is said at the end of a day.
+    pub(super) fn keep(&mut self, turns: [bool; CLASSES], day: LocalDay, profile: &Profile) {
+        for (class, _) in self.classes.iter_mut().zip(turns).filter(|(_, turn)| *turn) {
+            class.said[1] = class.said[0].replace(Box::new(profile.said(day)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_ahead_have_classes() {
+        assert_eq!([0, 6, 7, 27, 28, 90, 91, 363, 364, 9_999].map(class_of), {
+            [None, None, Some(0), Some(0), Some(1), Some(1), Some(2), Some(2), Some(3), Some(3)]
+        });
+    }
+
+    #[test]
+    fn a_window_does_not_speak_beyond_itself_unjudged() {
+        let outlook = Outlook::new();
+        let (near, far) = (outlook.weights(0), outlook.weights(2));
+        let recent = FarMember::Recent as usize;
+        assert!(near.weights[recent] > 0.0 && far.weights[recent] == 0.0);
+        assert_eq!(outlook.weights(3).weights[FarMember::Chosen as usize], 0.0);
+        assert!((far.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_was_said_is_kept_at_the_turn_of_each_class() {
+        assert_eq!(Outlook::turns(None, LocalDay(3)), [true; 4]);
+        assert_eq!(Outlook::turns(Some(LocalDay(6)), LocalDay(7)), [true, false, false, false]);
+        assert_eq!(Outlook::turns(Some(LocalDay(8)), LocalDay(12)), [false; 4]);
+        assert_eq!(Outlook::turns(Some(LocalDay(8)), LocalDay(29)), [true, true, false, false]);
+    }
+}

@@ -1,0 +1,292 @@
+//! The year of a state: what it was in the same season before.
+//!
+//! The looks of five days each are one mean. A rhythm of up to three harmonics of the year is solved by least squares as
+//! soon as the record spans a year; each order is weighted by how well it explains the means, in independent ones, and
+//! its amplitude is lowered by what noise would show. So on noise it is the mean. Beside it stands the plain memory of
+//! the same days a year ago, which keeps sharp edges. Invariant: predictions lie strictly between 0 and 1.
+
+use nalgebra::{Cholesky, DMatrix, DVector};
+
+use super::stack::clip;
+use crate::LocalDay;
+
+/// Days of one mean.
+const BIN_DAYS: i64 = 5;
+/// Means that are kept: four years.
+const BINS_MAX: usize = 293;
+const YEAR_DAYS: f64 = 365.25;
+/// Harmonics of the year.
+const ORDERS: usize = 3;
+/// A record must span this share of a year, with one more of its usual gaps.
+const YEAR_SEEN: f64 = 0.99;
+/// Squared error that every order has.
+const ERROR_MIN: f64 = 0.02;
+/// The log of the evidence that each further harmonic must bring, per log of the number of means.
+const COST: f64 = 1.5;
+/// The log of the evidence that any rhythm must bring.
+const COST_OF_ANY: f64 = 0.7;
+const RIDGE: f64 = 0.3;
+/// With fewer means the rhythm is solved every day, else with each new mean.
+const OFTEN_SOLVED: usize = 40;
+/// Means as far apart as this are neighbours, in days.
+const ADJACENT_DAYS: f64 = 7.5;
+/// The looks that the rhythm counts beside those of the same days in earlier years.
+const RHYTHM_LOOKS: f64 = 4.0;
+/// How much the five days before and after count.
+const BESIDE: f64 = 0.25;
+/// Earlier years that are remembered.
+const YEARS: i64 = 4;
+
+/// The looks of five days.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bin {
+    /// The first observed day.
+    pub(super) day: i32,
+    pub(super) mean: f32,
+    pub(super) looks: f32,
+}
+
+impl Bin {
+    fn number(self) -> i64 {
+        i64::from(self.day).div_euclid(BIN_DAYS)
+    }
+}
+
+/// Means of five days each, and the rhythm of the year that follows from them.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Season {
+    pub(super) bins: Vec<Bin>,
+    pub(super) first: Option<LocalDay>,
+    pub(super) last: Option<LocalDay>,
+    /// Days between observed days: how often one, two, three to seven, eight to fifteen, more.
+    pub(super) gaps: [u32; GAPS.len()],
+    pub(super) rhythm: Rhythm,
+}
+
+/// The longest gap of each class, in days.
+pub(super) const GAPS: [i64; 6] = [1, 2, 7, 15, 31, 400];
+
+/// A rhythm of the year.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rhythm {
+    pub(super) mean: f64,
+    /// Cosine and sine by harmonic, averaged over the orders.
+    pub(super) waves: [[f64; 2]; ORDERS],
+}
+
+/// One order of the rhythm.
+struct Solved {
+    order: usize,
+    independent: f64,
+    squared_error: f64,
+    coefficients: Vec<f64>,
+    shrunk: f64,
+}
+
+fn phases(day: f64) -> [[f64; 2]; ORDERS] {
+    [1.0, 2.0, 3.0].map(|harmonic| {
+        let angle = std::f64::consts::TAU * harmonic * day / YEAR_DAYS;
+        [angle.cos(), angle.sin()]
+    })
+}
+
+impl Rhythm {
+    pub(super) const UNKNOWN: Rhythm = Rhythm { mean: 0.5, waves: [[0.0; 2]; ORDERS] };
+
+    /// The value on a day, apart from the hour.
+    pub(super) fn at(&self, day: LocalDay) -> f64 {
+        if self.waves == [[0.0; 2]; ORDERS] {
+            return clip(self.mean);
+        }
+        let waves = phases(f64::from(day.0));
+        let swing: f64 =
+            self.waves.iter().flatten().zip(waves.iter().flatten()).map(|(wave, phase)| wave * phase).sum();
+        clip(self.mean + swing)
+    }
+}
+
+impl Season {
+    pub(super) const fn new() -> Season {
+        Season { bins: Vec::new(), first: None, last: None, gaps: [0; GAPS.len()], rhythm: Rhythm::UNKNOWN }
+    }
+
+    /// Learns the looks of a day: their sum and number, above 0.
+    pub(super) fn learn(&mut self, day: LocalDay, sum: f64, looks: f64) {
+        let number = i64::from(day.0).div_euclid(BIN_DAYS);
+        let place = self.bins.partition_point(|bin| bin.number() < number);
+        let bins = self.bins.len();
+        match self.bins.get_mut(place).filter(|bin| bin.number() == number) {
+            Some(bin) => {
+                let (before, all) = (f64::from(bin.looks), f64::from(bin.looks) + looks);
+                bin.mean = ((f64::from(bin.mean) * before + sum) / all) as f32;
+                bin.looks = all as f32;
+            }
+            None => {
+                self.bins.insert(place, Bin { day: day.0, mean: (sum / looks) as f32, looks: looks as f32 });
+                if self.bins.len() > BINS_MAX {
+                    self.bins.remove(0);
+                }
+            }
+        }
+        if let Some(last) = self.last.filter(|&last| day > last) {
+            let gap = i64::from(day.0) - i64::from(last.0);
+            let class = GAPS.iter().position(|&longest| gap <= longest).unwrap_or(GAPS.len() - 1);
+            self.gaps[class] = self.gaps[class].saturating_add(1);
+        }
+        self.first = Some(self.first.map_or(day, |first| first.min(day)));
+        self.last = Some(self.last.map_or(day, |last| last.max(day)));
+        // A year has too many means to solve it again every day.
+        if self.bins.len() != bins || self.bins.len() < OFTEN_SOLVED {
+            self.rhythm = self.solve();
+        }
+    }
+
+    /// About the median number of days from an observed day to the next.
+    fn usual_gap(&self) -> f64 {
+        let all: u32 = self.gaps.iter().sum();
+        let mut so_far = 0;
+        for (&longest, &number) in GAPS.iter().zip(&self.gaps) {
+            so_far += number;
+            if 2 * so_far > all {
+                return longest as f64;
+            }
+        }
+        0.0
+    }
+
+    fn solve(&self) -> Rhythm {
+        let looks: f64 = self.bins.iter().map(|bin| f64::from(bin.looks)).sum();
+        let sum: f64 = self.bins.iter().map(|bin| f64::from(bin.looks) * f64::from(bin.mean)).sum();
+        let mean = (sum + 0.5) / (looks + 1.0);
+        let flat = Rhythm { mean, waves: [[0.0; 2]; ORDERS] };
+        let span = self.first.zip(self.last).map_or(0.0, |(first, last)| f64::from(last.0) - f64::from(first.0));
+        if self.bins.len() < 6 || span + self.usual_gap() < YEAR_SEEN * YEAR_DAYS {
+            return flat;
+        }
+        let number = self.bins.len() as f64;
+        let values: Vec<f64> = self.bins.iter().map(|bin| f64::from(bin.mean)).collect();
+        let centre = values.iter().sum::<f64>() / number;
+        let flat_error: f64 = values.iter().map(|value| (value - centre).powi(2)).sum();
+        let solved: Vec<Solved> =
+            (1..=ORDERS).filter_map(|order| self.solve_order(order, &values, flat_error)).collect();
+        let Some(independent) = solved.iter().map(|solved| solved.independent).reduce(f64::min) else { return flat };
+        let evidence = |order: usize, error: f64| {
+            let cost = COST * order as f64 * independent.max(2.0).ln() + if order > 0 { COST_OF_ANY } else { 0.0 };
+            -0.5 * independent * (error / number + ERROR_MIN).ln() - cost
+        };
+        let of_flat = evidence(0, flat_error);
+        let highest = solved.iter().map(|one| evidence(one.order, one.squared_error)).fold(of_flat, f64::max);
+        let (mut all, mut rhythm) = ((of_flat - highest).exp(), Rhythm { mean: 0.0, ..flat });
+        rhythm.mean = all * mean;
+        for one in &solved {
+            let share = (evidence(one.order, one.squared_error) - highest).exp();
+            all += share;
+            let Some((&constant, waves)) = one.coefficients.split_first().filter(|_| one.shrunk > 0.0) else {
+                rhythm.mean += share * mean;
+                continue;
+            };
+            rhythm.mean += share * constant;
+            for (wave, coefficient) in rhythm.waves.as_flattened_mut().iter_mut().zip(waves) {
+                *wave += share * one.shrunk * coefficient;
+            }
+        }
+        rhythm.mean /= all;
+        rhythm.waves.as_flattened_mut().iter_mut().for_each(|wave| *wave /= all);
+        rhythm
+    }
+
+    fn solve_order(&self, order: usize, values: &[f64], flat_error: f64) -> Option<Solved> {
+        let (number, width) = (values.len(), 2 * order + 1);
+        if number < 3 * width {
+            return None;
+        }
+        let basis = DMatrix::from_fn(number, width, |row, column| {
+            let day = self.bins.get(row).map_or(0.0, |bin| f64::from(bin.day));
+            if column == 0 { 1.0 } else { phases(day)[(column - 1) / 2][(column - 1) % 2] }
+        });
+        let values = DVector::from_column_slice(values);
+        let mut squares = basis.tr_mul(&basis);
+        for at in 0..width {
+            squares[(at, at)] += if at == 0 { 1e-6 } else { RIDGE };
+        }
+        let coefficients = Cholesky::new(squares)?.solve(&basis.tr_mul(&values));
+        let errors = values - basis * &coefficients;
+        let squared_error = errors.norm_squared();
+        let adjacent: Vec<f64> = (1..number)
+            .filter(|&at| {
+                let days = self.bins.get(at).zip(self.bins.get(at - 1)).map(|(bin, before)| bin.day - before.day);
+                days.is_some_and(|days| f64::from(days) < ADJACENT_DAYS)
+            })
+            .map(|at| errors[at] * errors[at - 1])
+            .collect();
+        let dependence =
+            if adjacent.len() > 3 { (adjacent.iter().sum::<f64>() / squared_error.max(1e-9)).max(0.0) } else { 0.0 };
+        let independent = (number as f64 * (1.0 - dependence) / (1.0 + dependence)).max(4.0);
+        // What as many waves explain of noise, against what they explain.
+        let (waves, number) = (2.0 * order as f64, number as f64);
+        let noise = waves * squared_error / (independent - waves - 1.0).max(1.0);
+        let explained = ((flat_error - squared_error) * independent / number).max(1e-9);
+        let coefficients = coefficients.iter().copied().collect();
+        Some(Solved { order, independent, squared_error, coefficients, shrunk: (1.0 - noise / explained).max(0.0) })
+    }
+
+    /// What the state was on the same days of earlier years, shrunk to `rhythm`'s value on the day.
+    pub(super) fn years_ago(&self, day: LocalDay, rhythm: &Rhythm) -> f64 {
+        let (mut sum, mut number) = (RHYTHM_LOOKS * rhythm.at(day), RHYTHM_LOOKS);
+        for years in 1..=YEARS {
+            let then = (f64::from(day.0) - years as f64 * YEAR_DAYS) / BIN_DAYS as f64;
+            let middle = then.floor() as i64;
+            for (bin, share) in [(middle - 1, BESIDE), (middle, 1.0), (middle + 1, BESIDE)] {
+                let place = self.bins.partition_point(|known| known.number() < bin);
+                if let Some(known) = self.bins.get(place).filter(|known| known.number() == bin) {
+                    sum += share * f64::from(known.looks) * f64::from(known.mean);
+                    number += share * f64::from(known.looks);
+                }
+            }
+        }
+        clip(sum / number)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn season(days: std::ops::Range<i32>, every: usize, value: impl Fn(i32) -> f64) -> Season {
+        let mut season = Season::new();
+        days.step_by(every).for_each(|day| season.learn(LocalDay(day), value(day), 1.0));
+        season
+    }
+
+    #[test]
+    fn a_long_season_is_known_after_a_year_and_not_before() {
+        let open = |day: i32| f64::from(u8::from(day.rem_euclid(365) < 182));
+        let short = season(0..200, 1, open);
+        assert_eq!(short.rhythm.waves, [[0.0; 2]; ORDERS]);
+        let long = season(0..700, 1, open);
+        let wrong = (700..1065).filter(|&day| (long.rhythm.at(LocalDay(day)) - open(day)).abs() > 0.5).count();
+        assert!(wrong < 20, "{wrong} days of the rhythm");
+        let wrong = |day: &i32| (long.years_ago(LocalDay(*day), &long.rhythm) - open(*day)).abs() > 0.5;
+        assert!((700..1065).filter(wrong).count() < 6);
+    }
+
+    #[test]
+    fn noise_has_no_season() {
+        // A fixed sequence without a rhythm of a year.
+        let noise = |day: i32| f64::from(u8::from((day.wrapping_mul(2_654_435_761_u32 as i32) as u32) >> 16 & 7 < 2));
+        let season = season(0..800, 1, noise);
+        let swing =
+            (0..365).map(|day| (season.rhythm.at(LocalDay(day)) - season.rhythm.mean).abs()).fold(0.0, f64::max);
+        assert!(swing < 0.03, "{swing}");
+    }
+
+    #[test]
+    fn means_are_bounded_and_late_days_join_theirs() {
+        let mut long = season(0..3000, 1, |_| 1.0);
+        assert_eq!(long.bins.len(), BINS_MAX);
+        let bins = long.bins.len();
+        long.learn(LocalDay(2500), 0.0, 2.0);
+        assert_eq!(long.bins.len(), bins);
+        assert!(long.bins.is_sorted_by_key(|bin| bin.day));
+    }
+}

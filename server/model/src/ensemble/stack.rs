@@ -1,0 +1,154 @@
+//! The members joined in log odds: weights that learn each night how much each member deserves (D. H. Wolpert, "Stacked
+//! generalization", Neural Networks 5, 1992).
+//!
+//! A logistic regression on the log odds of some members and on what the last days left over, trained on predictions
+//! that were made before their day was learned. One step of iteratively reweighted least squares a look, with sums that
+//! fade, and a ridge towards the average of the weekday tables. Invariant: weights are finite.
+
+use nalgebra::{Cholesky, SMatrix, SVector};
+
+use super::looks::{DayLooks, SLOTS};
+
+/// Members of which the log odds count.
+pub(super) const MEMBERS: usize = 7;
+/// Residuals: of 1, 2, 7, 14 days ago, of the last day of the kind, of 28 days ago.
+pub(super) const RESIDUALS: usize = 6;
+/// All features; the last is 1.
+pub(super) const FEATURES: usize = MEMBERS + RESIDUALS + 1;
+/// Entries of the lower triangle of the matrix of the sums.
+pub(super) const PAIRS: usize = FEATURES * (FEATURES + 1) / 2;
+
+/// The weights before any look: of kind and weekday tables of all history, and of the chosen model.
+const WEIGHTS: [f64; MEMBERS] = [0.335, 0.335, 0.0, 0.0, 0.0, 0.0, 0.33];
+/// How many looks the weights before any look count as: for members and residuals, and for the constant.
+const RIDGE: f64 = 20.0;
+const RIDGE_CONSTANT: f64 = 300.0;
+
+/// The features of each half-hour of a day.
+pub(super) type Features = [[f64; FEATURES]; SLOTS];
+
+/// Log odds of a probability.
+pub(super) fn log_odds(p: f64) -> f64 {
+    (p / (1.0 - p)).ln()
+}
+
+/// The probability of log odds, within [`clip`]'s bounds.
+pub(super) fn probability(log_odds: f64) -> f64 {
+    clip(1.0 / (1.0 + (-log_odds.clamp(-30.0, 30.0)).exp()))
+}
+
+/// No member is surer than one in a thousand.
+pub(super) fn clip(p: f64) -> f64 {
+    p.clamp(1e-3, 1.0 - 1e-3)
+}
+
+/// A logistic regression with fading sums.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Stack {
+    /// The share of the sums that remains after each further observed day.
+    kept: f64,
+    /// The lower triangle of Σ v x xᵀ, row by row.
+    pub(super) squares: [f32; PAIRS],
+    /// Σ (v wᵀx + y - p) x.
+    pub(super) products: [f32; FEATURES],
+    /// The weights in force.
+    pub(super) weights: [f32; FEATURES],
+}
+
+fn at_first(feature: usize) -> f64 {
+    WEIGHTS.get(feature).copied().unwrap_or(0.0)
+}
+
+impl Stack {
+    pub(super) fn new(kept: f64) -> Stack {
+        let mut weights = [0.0; FEATURES];
+        weights.iter_mut().enumerate().for_each(|(feature, weight)| *weight = at_first(feature) as f32);
+        Stack { kept, squares: [0.0; PAIRS], products: [0.0; FEATURES], weights }
+    }
+
+    fn sum(&self, features: &[f64; FEATURES]) -> f64 {
+        features.iter().zip(&self.weights).map(|(feature, &weight)| feature * f64::from(weight)).sum()
+    }
+
+    pub(super) fn predict(&self, features: &[f64; FEATURES]) -> f64 {
+        probability(self.sum(features))
+    }
+
+    /// Learns the looks of a day from the features that were known before it.
+    pub(super) fn learn(&mut self, features: &Features, looks: &DayLooks) {
+        let mut squares = self.squares.map(|sum| self.kept * f64::from(sum));
+        let mut products = self.products.map(|sum| self.kept * f64::from(sum));
+        for (slot, value) in looks.seen() {
+            let x = &features[slot];
+            let log_odds = self.sum(x);
+            let p = probability(log_odds);
+            let weight = p * (1.0 - p) + 1e-3;
+            let target = weight * log_odds + value - p;
+            let mut pairs = squares.iter_mut();
+            for (row, &one) in x.iter().enumerate() {
+                products[row] += target * one;
+                for (&other, sum) in x[..=row].iter().zip(&mut pairs) {
+                    *sum += weight * one * other;
+                }
+            }
+        }
+        self.squares = squares.map(|sum| sum as f32);
+        self.products = products.map(|sum| sum as f32);
+        let mut pairs = squares.iter();
+        let mut matrix = SMatrix::<f64, FEATURES, FEATURES>::zeros();
+        let mut vector = SVector::<f64, FEATURES>::from(products);
+        for row in 0..FEATURES {
+            for (column, &sum) in (0..=row).zip(&mut pairs) {
+                matrix[(row, column)] = sum;
+            }
+            let ridge = if row == FEATURES - 1 { RIDGE_CONSTANT } else { RIDGE };
+            matrix[(row, row)] += ridge;
+            vector[row] += ridge * at_first(row);
+        }
+        // The factorisation reads the lower triangle alone. With the ridge it exists; if rounding says otherwise, the
+        // weights stay.
+        if let Some(factor) = Cholesky::new(matrix) {
+            let solved = factor.solve(&vector);
+            if solved.iter().all(|weight| weight.is_finite()) {
+                self.weights.iter_mut().zip(&solved).for_each(|(weight, &new)| *weight = new as f32);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Sample;
+
+    #[test]
+    fn the_member_that_is_right_gets_the_weight() {
+        let mut stack = Stack::new(0.985);
+        let looks = |day: i64| {
+            let sample = |slot: i64| Sample {
+                utc_nanos: slot * 1_800_000_000_000,
+                offset_secs: 0,
+                value: f64::from(u8::from((slot / 7 + day) % 2 == 0)),
+            };
+            DayLooks::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>())
+        };
+        let features = |day: i64| {
+            let mut features = [[0.0; FEATURES]; SLOTS];
+            for (slot, x) in features.iter_mut().enumerate() {
+                // The third member knows, the first says the opposite.
+                let right = if (slot as i64 / 7 + day) % 2 == 0 { 0.9 } else { 0.1 };
+                x[2] = log_odds(right);
+                x[0] = -x[2];
+                x[FEATURES - 1] = 1.0;
+            }
+            features
+        };
+        assert_eq!(stack.predict(&[0.0; FEATURES]), 0.5);
+        for day in 0..60 {
+            stack.learn(&features(day), &looks(day));
+        }
+        assert!(stack.weights[2] > 0.5 && stack.weights[0] < 0.0, "{:?}", stack.weights);
+        let p = stack.predict(&features(0)[0]);
+        assert!(p > 0.97, "{p}");
+    }
+}

@@ -1,0 +1,1 @@
+//! What an ensemble learns of simulated habits.

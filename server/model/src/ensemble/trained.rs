@@ -1,0 +1,86 @@
+//! An ensemble that is trained on readings at once, as if updates had learned them night by night.
+//!
+//! Its chosen model is the calibrated one, trained again on the days on which updates train it. Invariant: each day is
+//! predicted by what was trained on the days before it.
+
+use super::Ensemble;
+use crate::{
+    LocalDay,
+    catalogue::NIGHTLY_WINDOW_NANOS,
+    models::{Calibrated, CalibratedOptions, CannotTrain, Moment, Readings, TemporalModel},
+};
+
+/// The calibrated model is trained daily up to this day, then every so many days.
+const RETRAIN_DAYS: i64 = 7;
+/// And first after this many days.
+const FIRST_DAYS: i64 = 3;
+
+/// An ensemble with its chosen model.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainedEnsemble {
+    ensemble: Ensemble,
+    chosen: Option<Calibrated>,
+}
+
+/// What the mean of an ensemble predicts.
+struct MeanAlone(f64);
+
+impl TemporalModel for MeanAlone {
+    fn predict(&self, _: Moment) -> f64 {
+        self.0
+    }
+}
+
+impl TrainedEnsemble {
+    /// Trains it on the readings of a state of probabilities. A half-life does not apply: the members forget by
+    /// themselves.
+    ///
+    /// # Errors
+    /// [`CannotTrain`] where there are no readings, or it is told to stop.
+    pub fn train(readings: Readings<'_>) -> Result<TrainedEnsemble, CannotTrain> {
+        let samples = readings.samples;
+        if samples.is_empty() {
+            return Err(CannotTrain::NoReadings);
+        }
+        let mut trained = TrainedEnsemble { ensemble: Ensemble::new(), chosen: None };
+        let (mut days, mut trained_on, mut seen) = (0, None::<LocalDay>, 0);
+        for of_day in samples.chunk_by(|one, next| one.local_day() == next.local_day()) {
+            readings.stop.check()?;
+            let (Some(first), Some(newest)) = (of_day.first(), of_day.last()) else { continue };
+            let day = first.local_day();
+            match &trained.chosen {
+                Some(chosen) => {
+                    trained.ensemble.learn_day(day, of_day, &[], chosen);
+                }
+                None => {
+                    let mean = MeanAlone(trained.ensemble.mean());
+                    trained.ensemble.learn_day(day, of_day, &[], &mean);
+                }
+            }
+            seen += of_day.len();
+            days += 1;
+            let since = trained_on.map(|last| i64::from(day.0) - i64::from(last.0));
+            let due = since.map_or(days >= FIRST_DAYS, |since| since >= RETRAIN_DAYS || days <= RETRAIN_DAYS);
+            if due {
+                let oldest = newest.utc_nanos.saturating_sub(NIGHTLY_WINDOW_NANOS);
+                let window = samples.get(..seen).unwrap_or(samples);
+                let window = window.get(window.partition_point(|sample| sample.utc_nanos < oldest)..).unwrap_or(window);
+                let of_window = Readings { stop: readings.stop, ..Readings::new(window) };
+                trained.chosen = Some(Calibrated::train(of_window, CalibratedOptions::default())?);
+                trained_on = Some(day);
+            }
+        }
+        Ok(trained)
+    }
+}
+
+impl TemporalModel for TrainedEnsemble {
+    fn predict(&self, at: Moment) -> f64 {
+        let mean = MeanAlone(self.ensemble.mean());
+        let chosen: &dyn TemporalModel = match &self.chosen {
+            Some(chosen) => chosen,
+            None => &mean,
+        };
+        self.ensemble.predict(&[at], chosen).first().map_or(mean.0, |predicted| predicted.value())
+    }
+}

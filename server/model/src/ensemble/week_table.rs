@@ -1,0 +1,221 @@
+//! Sums over looks by hour of the local week, and the table that follows from them.
+//!
+//! The table has four levels, each shrunk towards the one before: the mean, the hour of the day, the hour of the kind
+//! of day (Monday to Friday, or weekend), the hour of the weekday. A cell's prior is a mixture: its mean is that of the
+//! coarser level or that of the neighbouring hours, its strength 1, 5, 25 or 125 looks. The cell weighs these eight
+//! priors by how well each explains its own looks (the beta-binomial likelihood) and by how often each has explained
+//! the cells of its level before (empirical Bayes). So a state without a daily rhythm keeps its mean, and one that
+//! changes sharply at an hour keeps the edge. Invariant: every value lies strictly between 0 and 1.
+
+use super::looks::{DayLooks, HOURS};
+use crate::special::ln_gamma;
+
+/// The strengths of the priors, in looks.
+const STRENGTHS: [f64; 4] = [1.0, 5.0, 25.0, 125.0];
+/// Priors of a cell: each strength towards the coarser level, then each towards the neighbouring hours.
+pub(super) const PRIORS: usize = 2 * STRENGTHS.len();
+/// How the priors are weighted before any look.
+const PRIOR_WEIGHTS: [f64; PRIORS] = [0.05, 0.1, 0.15, 0.2, 0.05, 0.1, 0.15, 0.2];
+/// Each day the weights of the priors keep this share, gain the [`LEARNED`] share of what the cells say, and
+/// [`RETURNED`] times the weights before any look.
+const KEPT: f64 = 0.8;
+const LEARNED: f64 = 0.2;
+const RETURNED: f64 = 0.4;
+/// The weights of the priors tend to this multiple of those before any look.
+const RESTING: f64 = RETURNED / (1.0 - KEPT);
+/// Of the weights before the first day.
+const AT_FIRST: f64 = 16.0;
+/// Neighbouring hours on each side; each further one counts half.
+const NEIGHBOURS: usize = 4;
+/// The looks that the coarser level counts among the neighbours.
+const NEIGHBOUR_PRIOR: f64 = 4.0;
+/// A prior mean is at least this far from 0 and 1.
+const EDGE: f64 = 1e-3;
+
+/// Levels of the table above the mean: hour, hour of the kind of day, hour of the weekday.
+pub(super) const LEVELS: usize = 3;
+/// The first weekday of the weekend; Monday is 0.
+const SATURDAY: usize = 5;
+
+/// Values by hour of the day.
+pub(super) type Hours = [f64; HOURS];
+
+/// Whether a weekday, 0 for Monday, is of the weekend: 1, else 0.
+pub(super) fn kind_of_day(weekday: usize) -> usize {
+    usize::from(weekday >= SATURDAY)
+}
+
+/// Sums over looks by hour of the local week, which fade by age if the table has a half-life.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct WeekTable {
+    /// Days after which a look counts half; `None`: never.
+    half_life_days: Option<f64>,
+    /// Of each weekday, from Monday: the sum of the looks' values by hour.
+    pub(super) sums: [[f32; HOURS]; 7],
+    /// And their number.
+    pub(super) looks: [[f32; HOURS]; 7],
+    /// How the priors of each level are weighted.
+    pub(super) weights: [[f32; PRIORS]; LEVELS],
+}
+
+/// The levels of a table for one weekday.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct DayLevels {
+    /// The value by hour of the day.
+    pub(super) hour: Hours,
+    /// By hour of the kind of day.
+    pub(super) kind: Hours,
+    /// By hour of the weekday.
+    pub(super) weekday: Hours,
+    /// How much the looks of each level speak for each prior.
+    responsibilities: [[f64; PRIORS]; LEVELS],
+}
+
+impl WeekTable {
+    pub(super) fn new(half_life_days: Option<f64>) -> WeekTable {
+        let weights = [PRIOR_WEIGHTS.map(|weight| (AT_FIRST * weight) as f32); LEVELS];
+        WeekTable { half_life_days, sums: [[0.0; HOURS]; 7], looks: [[0.0; HOURS]; 7], weights }
+    }
+
+    fn of_days(table: &[[f32; HOURS]; 7], weekdays: std::ops::Range<usize>) -> Hours {
+        let mut hours = [0.0; HOURS];
+        for day in &table[weekdays] {
+            hours.iter_mut().zip(day).for_each(|(hour, &of_day)| *hour += f64::from(of_day));
+        }
+        hours
+    }
+
+    /// Sum and number of the looks of some weekdays by hour.
+    fn sums_of(&self, weekdays: std::ops::Range<usize>) -> (Hours, Hours) {
+        (Self::of_days(&self.sums, weekdays.clone()), Self::of_days(&self.looks, weekdays))
+    }
+
+    /// Number of looks by hour of the kind of day: of weekdays, then of the weekend.
+    pub(super) fn looks_by_kind(&self) -> [Hours; 2] {
+        [Self::of_days(&self.looks, 0..SATURDAY), Self::of_days(&self.looks, SATURDAY..7)]
+    }
+
+    /// Sum of the looks by hour of the kind of day: of weekdays, then of the weekend.
+    pub(super) fn sums_by_kind(&self) -> [Hours; 2] {
+        [Self::of_days(&self.sums, 0..SATURDAY), Self::of_days(&self.sums, SATURDAY..7)]
+    }
+
+    /// The levels for a weekday. `mean`: of all looks.
+    pub(super) fn levels(&self, weekday: usize, mean: f64) -> DayLevels {
+        let of_kind = if weekday >= SATURDAY { SATURDAY..7 } else { 0..SATURDAY };
+        let [mut first, mut second, mut third] = [[0.0; PRIORS]; LEVELS];
+        let hour = level(self.sums_of(0..7), &[mean; HOURS], &self.weights[0], &mut first);
+        let kind = level(self.sums_of(of_kind), &hour, &self.weights[1], &mut second);
+        let weekday = level(self.sums_of(weekday..weekday + 1), &kind, &self.weights[2], &mut third);
+        DayLevels { hour, kind, weekday, responsibilities: [first, second, third] }
+    }
+
+    /// By hour of the kind of day, and by hour of the weekday, for the whole week.
+    pub(super) fn week(&self, mean: f64) -> ([Hours; 2], [Hours; 7]) {
+        let mut unused = [0.0; PRIORS];
+        let hour = level(self.sums_of(0..7), &[mean; HOURS], &self.weights[0], &mut unused);
+        let kinds = [0..SATURDAY, SATURDAY..7]
+            .map(|weekdays| level(self.sums_of(weekdays), &hour, &self.weights[1], &mut unused));
+        let weekday = |day| level(self.sums_of(day..day + 1), &kinds[kind_of_day(day)], &self.weights[2], &mut unused);
+        (kinds, [0, 1, 2, 3, 4, 5, 6].map(weekday))
+    }
+
+    /// Lets days without looks pass.
+    pub(super) fn pass(&mut self, days: f64) {
+        let kept = KEPT.powf(days);
+        for (weight, resting) in self.weights.iter_mut().flat_map(|level| level.iter_mut().zip(PRIOR_WEIGHTS)) {
+            let resting = RESTING * resting;
+            *weight = (resting + kept * (f64::from(*weight) - resting)) as f32;
+        }
+        self.fade(days);
+    }
+
+    fn fade(&mut self, days: f64) {
+        let Some(half_life_days) = self.half_life_days else { return };
+        let factor = 0.5_f64.powf(days / half_life_days) as f32;
+        for number in self.sums.as_flattened_mut().iter_mut().chain(self.looks.as_flattened_mut()) {
+            *number *= factor;
+        }
+    }
+
+    /// Learns a day, for which `levels` were computed before.
+    pub(super) fn learn(&mut self, weekday: usize, looks: &DayLooks, levels: &DayLevels) {
+        for (weights, said) in self.weights.iter_mut().zip(&levels.responsibilities) {
+            for ((weight, said), first) in weights.iter_mut().zip(said).zip(PRIOR_WEIGHTS) {
+                *weight = (KEPT * f64::from(*weight) + LEARNED * said + RETURNED * first) as f32;
+            }
+        }
+        self.fade(1.0);
+        self.add(weekday, looks, 1.0);
+    }
+
+    /// Adds looks with a weight.
+    pub(super) fn add(&mut self, weekday: usize, looks: &DayLooks, weight: f64) {
+        for (slot, value) in looks.seen() {
+            self.sums[weekday][slot / 2] += (weight * value) as f32;
+            self.looks[weekday][slot / 2] += weight as f32;
+        }
+    }
+
+    /// The weight of a look that is so many days old.
+    pub(super) fn weight_at_age(&self, days: f64) -> f64 {
+        self.half_life_days.map_or(1.0, |half_life_days| 0.5_f64.powf(days / half_life_days))
+    }
+}
+
+/// The values of one level, and how much its looks speak for each prior, added up.
+fn level(
+    (sums, looks): (Hours, Hours),
+    coarser: &Hours,
+    weights: &[f32; PRIORS],
+    responsibilities: &mut [f64; PRIORS],
+) -> Hours {
+    let total: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
+    let logs = weights.map(|weight| (f64::from(weight) / total).ln());
+    let mut values = [0.0; HOURS];
+    for (hour, value) in values.iter_mut().enumerate() {
+        let near = neighbours(&sums, &looks, hour, coarser[hour]);
+        let (sum, number) = (sums[hour], looks[hour]);
+        let mut evidence = logs;
+        let mut means = [0.0; PRIORS];
+        for (prior, (evidence, mean)) in evidence.iter_mut().zip(&mut means).enumerate() {
+            let strength = STRENGTHS[prior % STRENGTHS.len()];
+            let towards = if prior < STRENGTHS.len() { coarser[hour] } else { near }.clamp(EDGE, 1.0 - EDGE);
+            let (ones, zeros) = (strength * towards, strength * (1.0 - towards));
+            if number > 0.0 {
+                *evidence += log_likelihood(sum, (number - sum).max(0.0), ones, zeros);
+            }
+            *mean = (sum + ones) / (number + strength);
+        }
+        let highest = evidence.iter().copied().fold(f64::MIN, f64::max);
+        let shares = evidence.map(|evidence| (evidence - highest).exp());
+        let all: f64 = shares.iter().sum();
+        for ((share, mean), said) in shares.iter().zip(means).zip(responsibilities.iter_mut()) {
+            *value += share / all * mean;
+            *said += share / all * number.min(1.0);
+        }
+    }
+    values
+}
+
+/// The mean of the neighbouring hours, shrunk to the coarser level.
+fn neighbours(sums: &Hours, looks: &Hours, hour: usize, coarser: f64) -> f64 {
+    let (mut sum, mut number, mut share) = (NEIGHBOUR_PRIOR * coarser, NEIGHBOUR_PRIOR, 1.0);
+    for distance in 1..=NEIGHBOURS {
+        let (after, before) = ((hour + distance) % HOURS, (hour + HOURS - distance) % HOURS);
+        sum += share * (sums[after] + sums[before]);
+        number += share * (looks[after] + looks[before]);
+        share *= 0.5;
+    }
+    sum / number
+}
+
+/// The log likelihood of looks under a Beta prior, but for what is the same for all priors.
+fn log_likelihood(ones: f64, zeros: f64, prior_ones: f64, prior_zeros: f64) -> f64 {
+    let strength = prior_ones + prior_zeros;
+    ln_gamma(ones + prior_ones) + ln_gamma(zeros + prior_zeros)
+        - ln_gamma(ones + zeros + strength)
+        - ln_gamma(prior_ones)
+        - ln_gamma(prior_zeros)
+        + ln_gamma(strength)
+}

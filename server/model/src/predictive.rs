@@ -1,0 +1,173 @@
+//! The predictive distribution of a state of probabilities at one time: the one source of value, interval, entropy and
+//! information.
+//!
+//! p is the probability by the state's habits; how well it is known is counted in looks: p ~ Beta(vν, (1 - v)ν). M is
+//! the mean of the state over an hour, which an interval is about: of twelve readings of the hour, so many are 1 as the
+//! beta-binomial distribution says whose mean is v and whose dependence is that of the state's readings. All and nothing
+//! are probable by themselves, so an interval holds a mass of its own, which may be above the level. Invariant: the
+//! value lies strictly between 0 and 1; entropy and information are not negative; an interval contains the value and
+//! holds at least its level.
+
+use crate::{
+    entropy::entropy_bits,
+    models::Interval,
+    special::{digamma, ln_gamma},
+};
+
+#[cfg(test)]
+mod tests;
+
+/// Readings of an hour.
+const READINGS: usize = 12;
+/// The nearest that a value comes to 0 and 1.
+const EDGE: f64 = 1e-6;
+/// Lower ends that are tried.
+const STEPS: usize = 60;
+
+/// A predicted probability with what it rests on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Predictive {
+    value: f64,
+    looks: f64,
+    dependence: f64,
+}
+
+/// An interval with the probability that it holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeldInterval {
+    /// The interval.
+    pub interval: Interval,
+    /// The probability that the mean of the hour lies in it: at least the level that was asked for.
+    pub mass: f64,
+}
+
+impl Predictive {
+    /// A prediction. `value`: the probability; NaN counts as 0.5. `looks`: for how many looks at this hour it stands, at
+    /// least 0. `dependence`: the correlation of the state half an hour apart, within `[0,1)`.
+    pub fn new(value: f64, looks: f64, dependence: f64) -> Predictive {
+        let value = if value.is_nan() { 0.5 } else { value.clamp(EDGE, 1.0 - EDGE) };
+        let looks = if looks.is_nan() { 0.0 } else { looks.max(0.0) };
+        let dependence = if dependence.is_nan() { 0.0 } else { dependence.clamp(1e-3, 0.999) };
+        Predictive { value, looks, dependence }
+    }
+
+    /// The probability.
+    pub fn value(self) -> f64 {
+        self.value
+    }
+
+    /// For how many looks at this hour it stands.
+    pub fn looks(self) -> f64 {
+        self.looks
+    }
+
+    /// The entropy of the state in bits, 0 to 1: the expected loss of acting on the value.
+    pub fn entropy_bits(self) -> f64 {
+        entropy_bits(self.value)
+    }
+
+    /// The mutual information of one look and the habit, in bits: what a look teaches of later ones.
+    pub fn learning_bits(self) -> f64 {
+        // Half a look, where nobody has looked.
+        let (v, looks) = (self.value, self.looks.max(0.5));
+        let kept = digamma(looks + 1.0) - v * digamma(v * looks + 1.0) - (1.0 - v) * digamma((1.0 - v) * looks + 1.0);
+        (self.entropy_bits() - kept / std::f64::consts::LN_2).max(0.0)
+    }
+
+    /// The share of a single reading's variance that the mean of an hour has.
+    fn variance_share(self) -> f64 {
+        // As a state that relaxes to its habit, with this correlation after half an hour.
+        let x = -2.0 * self.dependence.ln();
+        let share = 2.0 * (x - 1.0 + (-x).exp()) / (x * x);
+        // What is not known of the habit is common to the whole hour.
+        share + (1.0 - share) / (1.0 + self.looks)
+    }
+
+    /// The probability that so many of the hour's twelve readings are 1, from none to all.
+    fn masses(self) -> [f64; READINGS + 1] {
+        let n = READINGS as f64;
+        let dependence = ((n * self.variance_share() - 1.0) / (n - 1.0)).clamp(1e-4, 0.995);
+        let strength = 1.0 / dependence - 1.0;
+        let (ones, zeros) = (self.value * strength, (1.0 - self.value) * strength);
+        let constant =
+            ln_gamma(n + 1.0) + ln_gamma(strength) - ln_gamma(ones) - ln_gamma(zeros) - ln_gamma(n + strength);
+        let mut masses = [0.0; READINGS + 1];
+        for (k, mass) in masses.iter_mut().enumerate() {
+            let k = k as f64;
+            let log = ln_gamma(k + ones) + ln_gamma(n - k + zeros) - ln_gamma(k + 1.0) - ln_gamma(n - k + 1.0);
+            *mass = (constant + log).exp();
+        }
+        masses
+    }
+
+    /// The shortest interval that contains the value and holds the mean of the hour with probability `level`, in (0, 1).
+    pub fn interval(self, level: f64) -> HeldInterval {
+        HourMean::new(self.masses()).interval(self.value, level)
+    }
+}
+
+/// The distribution of the mean of an hour: atoms at 0 and 1, and a density between.
+struct HourMean {
+    at_zero: f64,
+    /// Means between 0 and 1, ascending, the first 0 and the last 1, and the probability of at most each of them, which
+    /// leaves out the atom at 1.
+    means: [f64; READINGS],
+    below: [f64; READINGS],
+}
+
+impl HourMean {
+    fn new(masses: [f64; READINGS + 1]) -> HourMean {
+        let (mut means, mut below) = ([0.0; READINGS], [0.0; READINGS]);
+        let mut sum = masses[0];
+        below[0] = sum;
+        for k in 1..READINGS {
+            sum += masses[k];
+            below[k] = sum;
+            means[k] = if k == READINGS - 1 { 1.0 } else { (k as f64 + 0.5) / READINGS as f64 };
+        }
+        HourMean { at_zero: masses[0], means, below }
+    }
+
+    /// The probability of less than a mean above 0, or of at most one below 1.
+    fn below(&self, mean: f64) -> f64 {
+        between(mean, &self.means, &self.below)
+    }
+
+    fn quantile(&self, probability: f64) -> f64 {
+        if probability > self.at_zero { between(probability, &self.below, &self.means) } else { 0.0 }
+    }
+
+    fn interval(&self, value: f64, level: f64) -> HeldInterval {
+        let inner = self.below[READINGS - 1];
+        let (mut best, mut width) = ((0.0, 1.0), f64::INFINITY);
+        let mut consider = |lower: f64, upper: f64| {
+            if upper - lower < width - 1e-9 {
+                (best, width) = ((lower, upper), upper - lower);
+            }
+        };
+        for step in 0..=STEPS {
+            let lower = (value * step as f64 / STEPS as f64).min(value);
+            let up_to = level + if lower > 0.0 { self.below(lower) } else { 0.0 };
+            if up_to > 1.0 {
+                break;
+            }
+            consider(lower, if up_to <= inner { self.quantile(up_to).max(value) } else { 1.0 });
+        }
+        // Up to 1, from as far as the level allows.
+        consider(self.quantile(1.0 - level).min(value), 1.0);
+        let (lower, upper) = best;
+        let mass =
+            if upper >= 1.0 { 1.0 } else { self.below(upper) } - if lower > 0.0 { self.below(lower) } else { 0.0 };
+        HeldInterval { interval: Interval { lower, upper }, mass: mass.clamp(0.0, 1.0) }
+    }
+}
+
+/// Linear interpolation; `from` ascends.
+fn between(at: f64, from: &[f64; READINGS], to: &[f64; READINGS]) -> f64 {
+    let next = from.iter().position(|&known| at <= known).unwrap_or(READINGS);
+    if next == 0 || next == READINGS {
+        return to[next.min(READINGS - 1)];
+    }
+    let span = from[next] - from[next - 1];
+    if span <= 0.0 { to[next] } else { to[next - 1] + (to[next] - to[next - 1]) * (at - from[next - 1]) / span }
+}
