@@ -119,7 +119,7 @@ fn a_model_that_is_not_there_is_left_out_and_said_so() {
     door.tidemap(["map", "create", "short", "--retention", "none"]).table();
     observe(&door, "short", &states[..1]);
     let all = evaluate(&door, "short", &states[..1], "all");
-    assert_eq!(all.table().rows.len(), 3 + 16, "auto, mean, latest and the orders");
+    assert_eq!(all.table().rows.len(), 4 + 16, "auto, mean, latest, ensemble and the orders");
     for model in ["persistence", "histogram:24", "pergam:3", "hypertime-em:3", "hypertime-km:3", "calibrated"] {
         assert!(all.stderr.contains(&format!("{model} is left out of a")), "{model}: {}", all.stderr);
     }
@@ -139,7 +139,7 @@ fn a_map_chooses_among_the_models_that_it_was_created_with() {
     assert_eq!(models("usual", &[]), "spectral histogram calibrated poisson");
     assert_eq!(models("forgetful", &["--retention", "none"]), "spectral histogram");
     assert_eq!(models("few", &["--models", "pergam"]), "spectral pergam");
-    let all = "spectral histogram calibrated pergam hypertime-em hypertime-km poisson";
+    let all = "spectral histogram calibrated pergam hypertime-em hypertime-km poisson ensemble";
     assert_eq!(models("rich", &["--models", "all"]), all);
     let refused = |more: &[&str]| door.tidemap([&["map", "create", "other"][..], more].concat());
     refused(&["--models", "spectral,fremen"]).fails(2, &["fremen", "hypertime-km", "all"]);
@@ -165,7 +165,7 @@ fn a_map_chooses_among_the_models_that_it_was_created_with() {
         let expected =
             ["spectral", "histogram:24", "histogram:weekend:24", "histogram:week:168", "calibrated", "pergam:3"];
         assert_eq!(names, [&expected[..], &["hypertime-em:3", "hypertime-km:3"]].concat(), "{line}");
-        assert!(names.contains(&line.rsplit(',').nth(1).unwrap_or_default()), "{line}");
+        assert_eq!(line.rsplit(',').nth(1), Some("ensemble"), "{line}");
     }
 }
 
