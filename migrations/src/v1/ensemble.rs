@@ -12,14 +12,15 @@ pub struct Ensemble {
     /// The last learned day, in days since 1970-01-01.
     #[prost(sint32, optional, tag = "2")]
     pub last_day: Option<i32>,
-    /// Singles of the table of all history: 168 sums, 168 numbers of looks by hour of the week from Monday on, 24 weights
-    /// of priors.
+    /// Singles of the table of all history: 168 sums, 168 numbers of looks by hour of the week from Monday on, 24
+    /// weights of priors.
     #[prost(bytes = "vec", tag = "3")]
     pub all: Vec<u8>,
     /// Likewise of the table with a half-life of a week.
     #[prost(bytes = "vec", tag = "4")]
     pub recent: Vec<u8>,
-    /// Singles by half-hour, first of weekdays, then of weekends: 96 sums, 96 numbers, 96 newest looks, below 0 for none.
+    /// Singles by half-hour, first of weekdays, then of weekends: 96 sums, 96 numbers, 96 newest looks, below 0 for
+    /// none.
     #[prost(bytes = "vec", tag = "5")]
     pub alike: Vec<u8>,
     /// Of each of 126 days, by its number modulo 126: bits by half-hour in 8 bytes, then 48 values of four bits, in

@@ -31,15 +31,13 @@ const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
 /// Default number of Gaussians, and of clusters.
 const COMPONENTS: u32 = 3;
 
-/// A model is trained at night on readings at most this old against the state's newest: twelve weeks, in nanoseconds.
-/// Older days would hardly count in a calibrated model, and training takes no longer after a year than after these
-/// weeks.
-pub const NIGHTLY_WINDOW_NANOS: i64 = 84 * DAY_NANOS;
+pub use crate::models::NIGHTLY_WINDOW_NANOS;
 
 /// Which model answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelKind {
-    /// What answers by default: the ensemble where a state has one, else the model and order that the last update chose.
+    /// What answers by default: the ensemble where a state has one, else the model and order that the last update
+    /// chose.
     #[default]
     Auto,
     /// The mean of the learned values.

@@ -2,8 +2,8 @@
 //!
 //! The members are tables by hour of the week with all history and with a half-life of a week, rotations of some days,
 //! the last days of the same kind, the same weekday of the month, a smooth table for few looks, stacks of all of these
-//! with what the last days left over, and the model that the nightly update chose. A look is the mean of the readings of
-//! one half-hour ([`looks`]): more readings of the same world make nothing surer. Each local day is predicted, the
+//! with what the last days left over, and the model that the nightly update chose. A look is the mean of the readings
+//! of one half-hour ([`looks`]): more readings of the same world make nothing surer. Each local day is predicted, the
 //! members are judged by its looks (T-RO section IV.B), and then it is learned. Up to six days ahead the pool of the
 //! next days answers; farther ahead the members are weighted by how well they predicted as far ahead ([`outlook`]). At
 //! hours that were hardly looked at the smooth table answers.

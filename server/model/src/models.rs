@@ -49,6 +49,11 @@ pub use uniform::{UniformSpectral, UniformSpectralParts};
 
 use crate::{EarlyStop, Sample, StopSignal, civil::NANOS_PER_SEC};
 
+/// A model is trained at night on readings at most this old against the state's newest: twelve weeks, in nanoseconds.
+/// Older days would hardly count in a calibrated model, and training takes no longer after a year than after these
+/// weeks.
+pub const NIGHTLY_WINDOW_NANOS: i64 = 84 * 86_400 * NANOS_PER_SEC;
+
 /// A moment with its local time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Moment {

@@ -3,10 +3,10 @@
 //!
 //! p is the probability by the state's habits; how well it is known is counted in looks: p ~ Beta(vν, (1 - v)ν). M is
 //! the mean of the state over an hour, which an interval is about: of twelve readings of the hour, so many are 1 as the
-//! beta-binomial distribution says whose mean is v and whose dependence is that of the state's readings. All and nothing
-//! are probable by themselves, so an interval holds a mass of its own, which may be above the level. Invariant: the
-//! value lies strictly between 0 and 1; entropy and information are not negative; an interval contains the value and
-//! holds at least its level.
+//! beta-binomial distribution says whose mean is v and whose dependence is that of the state's readings. All and
+//! nothing are probable by themselves, so an interval holds a mass of its own, which may be above the level. Invariant:
+//! the value lies strictly between 0 and 1; entropy and information are not negative; an interval contains the value
+//! and holds at least its level.
 
 use crate::{
     entropy::entropy_bits,
@@ -42,8 +42,8 @@ pub struct HeldInterval {
 }
 
 impl Predictive {
-    /// A prediction. `value`: the probability; NaN counts as 0.5. `looks`: for how many looks at this hour it stands, at
-    /// least 0. `dependence`: the correlation of the state half an hour apart, within `[0,1)`.
+    /// A prediction. `value`: the probability; NaN counts as 0.5. `looks`: for how many looks at this hour it stands,
+    /// at least 0. `dependence`: the correlation of the state half an hour apart, within `[0,1)`.
     pub fn new(value: f64, looks: f64, dependence: f64) -> Predictive {
         let value = if value.is_nan() { 0.5 } else { value.clamp(EDGE, 1.0 - EDGE) };
         let looks = if looks.is_nan() { 0.0 } else { looks.max(0.0) };
@@ -100,7 +100,8 @@ impl Predictive {
         masses
     }
 
-    /// The shortest interval that contains the value and holds the mean of the hour with probability `level`, in (0, 1).
+    /// The shortest interval that contains the value and holds the mean of the hour with probability `level`, in (0,
+    /// 1).
     pub fn interval(self, level: f64) -> HeldInterval {
         HourMean::new(self.masses()).interval(self.value, level)
     }

@@ -1,7 +1,7 @@
 //! The last correction of an ensemble, and how much an hour of a day differs from what was predicted.
 //!
-//! The correction draws predictions towards the mean by how far the last days departed from them; its half-life is three
-//! days, so that a change of habit makes the next days unsure. The dependence is the correlation of the errors of
+//! The correction draws predictions towards the mean by how far the last days departed from them; its half-life is
+//! three days, so that a change of habit makes the next days unsure. The dependence is the correlation of the errors of
 //! neighbouring half-hours, from which follows how much the mean of an hour scatters. Invariant: the correction is in
 //! `[0,1]`, the dependence in `[0,1)`.
 

@@ -3,8 +3,9 @@
 //! A model speaks as far ahead as it was judged. Every week, four weeks, quarter and year the ensemble keeps what its
 //! members then said of each hour of the week; looks that come as long after are compared with it. The members are
 //! weighted by these losses, class by class of the time ahead. A class without enough looks takes over what the shorter
-//! ones say of members without a window; a member with a window does not speak far beyond it. The share of days on which
-//! the plain mean was as good as the pool is left to the mean. Invariant: predictions lie strictly between 0 and 1.
+//! ones say of members without a window; a member with a window does not speak far beyond it. The share of days on
+//! which the plain mean was as good as the pool is left to the mean. Invariant: predictions lie strictly between 0 and
+//! 1.
 
 use super::looks::{DayLooks, HOURS};
 use super::pool::normalised;
@@ -31,7 +32,7 @@ enum FarMember {
     Rhythm,
     /// The table of all history, moved by the rhythm of the year.
     WeekAndRhythm,
-    /// The same days of earlier years.
+    /// What the state was on those days of earlier years.
     YearsAgo,
     /// The model that the update chose.
     Chosen,

@@ -31,7 +31,8 @@ pub struct EnsembleParts {
     pub tables: [Vec<f32>; 2],
     /// By half-hour of weekdays and of weekends: sums, numbers, newest looks.
     pub alike: Vec<f32>,
-    /// Of each of the last 126 days, by its number modulo 126: 8 bytes of bits by half-hour, little-endian, 24 of values.
+    /// Of each of the last 126 days, by its number modulo 126: 8 bytes of bits by half-hour, little-endian, 24 of
+    /// values.
     pub recall: Vec<u8>,
     /// Of each of the last 42 days, by its number modulo 42: 48 residuals.
     pub residuals: Vec<i8>,

@@ -1,7 +1,7 @@
 //! How much each member counts for the next days: by how well it predicted the days before they were learned.
 //!
-//! A member has its prior weight times exp(-½ L), where L is its faded sum of log loss and squared error over looks. The
-//! pool is the weighted mean of the members' probabilities. Invariant: the weights sum to 1.
+//! A member has its prior weight times exp(-½ L), where L is its faded sum of log loss and squared error over looks.
+//! The pool is the weighted mean of the members' probabilities. Invariant: the weights sum to 1.
 
 use super::stack::clip;
 
@@ -24,7 +24,7 @@ pub(super) enum Member {
     Rotation,
     /// The last days of the same kind.
     Alike,
-    /// The same weekday of the month, such as first Mondays.
+    /// Days that are the same weekday of their months, such as first Mondays.
     Nth,
     /// The stack that forgets slowly.
     SlowStack,

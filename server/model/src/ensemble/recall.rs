@@ -1,8 +1,8 @@
 //! The looks of the last eighteen weeks, half-hour by half-hour: what a state was a day, a week, two weeks ago.
 //!
 //! A day takes 32 bytes: one bit a half-hour says whether it was looked at, four bits say what was seen, in steps of a
-//! fourteenth; 0 and 1 are exact. Invariant: a day that is older than the last one by [`DAYS`] or more is forgotten, and
-//! days between that brought no looks are unseen.
+//! fourteenth; 0 and 1 are exact. Invariant: a day that is older than the last one by [`DAYS`] or more is forgotten,
+//! and days between that brought no looks are unseen.
 
 use super::looks::{DayLooks, SLOTS};
 use crate::LocalDay;

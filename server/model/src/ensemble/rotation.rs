@@ -46,9 +46,9 @@ impl Rotation {
     pub(super) fn days(&self) -> usize {
         let (mut best, mut highest) = (SHORTEST, f64::MIN);
         for (index, (&product, &square)) in self.products.iter().zip(&self.squares).enumerate() {
-            let fit = f64::from(product) / (f64::from(square) + 1e-9).sqrt();
-            if index + SHORTEST != WEEK && fit > highest {
-                (best, highest) = (index + SHORTEST, fit);
+            let score = f64::from(product) / (f64::from(square) + 1e-9).sqrt();
+            if index + SHORTEST != WEEK && score > highest {
+                (best, highest) = (index + SHORTEST, score);
             }
         }
         best

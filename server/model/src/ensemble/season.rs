@@ -1,9 +1,9 @@
 //! The year of a state: what it was in the same season before.
 //!
-//! The looks of five days each are one mean. A rhythm of up to three harmonics of the year is solved by least squares as
-//! soon as the record spans a year; each order is weighted by how well it explains the means, in independent ones, and
-//! its amplitude is lowered by what noise would show. So on noise it is the mean. Beside it stands the plain memory of
-//! the same days a year ago, which keeps sharp edges. Invariant: predictions lie strictly between 0 and 1.
+//! The looks of five days each are one mean. A rhythm of up to three harmonics of the year is solved by least squares
+//! as soon as the record spans a year; each order is weighted by how well it explains the means, in independent ones,
+//! and its amplitude is lowered by what noise would show. So on noise it is the mean. Beside it stands the plain memory
+//! of the same days a year ago, which keeps sharp edges. Invariant: predictions lie strictly between 0 and 1.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 

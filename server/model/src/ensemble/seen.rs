@@ -22,8 +22,8 @@ pub(super) fn equivalent_looks(looks: &[Hours; 2]) -> [Hours; 2] {
                     let share = if other_kind == kind { near } else { near * OTHER_KIND };
                     let mut add = |number: f64| {
                         // What so many looks tell of their own hour, and that hour of this one.
-                        let told = (share * number / (number + 1.0)).min(SHARE_MAX);
-                        *known += told / (1.0 - told);
+                        let share = (share * number / (number + 1.0)).min(SHARE_MAX);
+                        *known += share / (1.0 - share);
                     };
                     match apart {
                         0 if other_kind == kind => {}

@@ -6,8 +6,7 @@
 use super::Ensemble;
 use crate::{
     LocalDay,
-    catalogue::NIGHTLY_WINDOW_NANOS,
-    models::{Calibrated, CalibratedOptions, CannotTrain, Moment, Readings, TemporalModel},
+    models::{Calibrated, CalibratedOptions, CannotTrain, Moment, NIGHTLY_WINDOW_NANOS, Readings, TemporalModel},
 };
 
 /// The calibrated model is trained daily up to this day, then every so many days.

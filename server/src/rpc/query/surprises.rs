@@ -32,10 +32,10 @@ pub(super) async fn list_surprises(
     queries: &Queries,
     request: v1::ListSurprisesRequest,
 ) -> Result<v1::ListSurprisesResponse, RpcError> {
-    let map = request.map.clone();
+    // First, so that the answer to a request for a map of others does not depend on the rest of it.
+    let handle = find_map(&queries.catalog, &request.map).await?;
     let (names, question) = surprises_from_wire(request)?;
     check_limit("states", names.len() as u64, STATES_MAX as u64, "states of a request")?;
-    let handle = find_map(&queries.catalog, &map).await?;
     let _past_permit = queries.past_permits.take().await?;
     for _ in 0..ATTEMPTS {
         let view = handle.view();
