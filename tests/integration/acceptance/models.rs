@@ -165,7 +165,7 @@ fn a_map_chooses_among_the_models_that_it_was_created_with() {
         let expected =
             ["spectral", "histogram:24", "histogram:weekend:24", "histogram:week:168", "calibrated", "pergam:3"];
         assert_eq!(names, [&expected[..], &["hypertime-em:3", "hypertime-km:3"]].concat(), "{line}");
-        assert_eq!(line.rsplit(',').nth(1), Some("ensemble"), "{line}");
+        assert!(names.contains(&line.rsplit(',').nth(1).unwrap_or_default()), "{line}");
     }
 }
 
