@@ -15,7 +15,10 @@ use tidemap_model::{
     selector::{ModelKind, ModelSelector},
 };
 
-use crate::{model_cache::CachedModel, state_or_cell::StateOrCell};
+use crate::{
+    model_cache::{CachedModel, ModelUnavailable},
+    state_or_cell::StateOrCell,
+};
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 1024;
@@ -123,8 +126,15 @@ impl Evaluator {
         sine: Option<Sine>,
         stop: StopSignal<'_>,
     ) -> Result<(), EarlyStop> {
+        let Some(target) = self.sums.get(&subject).map(|sums| sums.target.clone()) else { return Ok(()) };
+        let mut answering = by_row(&self.rows, trained);
+        for (index, answering) in answering.iter_mut().enumerate().filter(|(_, answering)| answering.is_none()) {
+            let kind = self.rows.get(index).map_or(ModelKind::Auto, |row| row.kind);
+            if let Err(reason) = ModelUnavailable::check(&target, &self.view, kind) {
+                *answering = Some(self.nothing(&reason.to_string()));
+            }
+        }
         let Some(sums) = self.sums.get_mut(&subject) else { return Ok(()) };
-        let answering = by_row(&self.rows, trained);
         let sine = sine.map(|Sine { state, trained }| (state, by_row(&self.rows, trained)));
         for (index, missing) in sums.missing.iter_mut().enumerate() {
             let sources = [answering.get(index), sine.as_ref().and_then(|(_, sources)| sources.get(index))];

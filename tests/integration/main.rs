@@ -7,6 +7,7 @@ mod bad_input;
 mod crowds;
 mod deploy;
 mod durability;
+mod ensembles;
 mod erasures;
 mod evaluation;
 mod examples;

@@ -91,8 +91,9 @@ pub fn check_for_cells(field: &str, selector: ModelSelector) -> Result<(), Inval
         return Ok(());
     }
     let text = format!(
-        "all cells at once have no model {}: use auto, mean, latest or spectral; cells by name have it",
-        selector.kind
+        "all cells at once have no model {}: use auto, mean, latest or spectral; {} have it",
+        selector.kind,
+        if selector.kind.needs_readings() { "cells by name" } else { "named states" }
     );
     Err(InvalidField::new(format!("{field}.kind"), text))
 }

@@ -1,5 +1,8 @@
 //! Prediction intervals: the band in which the mean over the hour around a moment lies with a given probability.
 //!
+//! Where a state has an ensemble, its predictive distribution gives the band and the probability that it holds;
+//! elsewhere the spread of single hours does, and the band is said to hold its level.
+//!
 //! Invariant: a band holds its prediction and lies in the bounds of the state's kind. The band of a probability that
 //! was never observed is [0, 1]; a state of another kind has none then.
 

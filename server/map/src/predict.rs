@@ -9,7 +9,7 @@ use tidemap_grid::{
     view::{CellDescription, GridView},
 };
 use tidemap_model::{
-    ActiveModel, InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
+    InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     models::{Moment, TemporalModel},
     selector::{ModelKind, ModelSelector},
 };
@@ -89,48 +89,17 @@ impl MapView {
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
-        let by_default = selector.kind == ModelKind::Auto && selector.order.is_none();
-        if (by_default || selector.kind == ModelKind::Ensemble)
-            && let Some(predicted) = model.predictive(&self.spec.periodicities, &times.moments)
-        {
-            out.iter_mut().zip(&predicted).for_each(|(out, predicted)| *out = predicted.value());
-            blend(&live.persistence, self.memory_basis(id), &times.moments, selector, out);
-            return;
-        }
-        let chosen = if by_default || selector.kind == ModelKind::Ensemble {
-            model.chosen(&self.spec.periodicities)
-        } else {
-            None
-        };
-        match chosen {
-            // Faster than [`Combination`]'s own prediction: all times share their phasors.
-            Some(ActiveModel::Combination(models)) => {
-                let (kind, weight) = (model.kind(), models.spectral_weight());
-                out.fill(0.0);
-                if weight > 0.0 {
-                    model.spectral().predict_values_into(kind, model.order(), &times.phasors, out);
-                }
-                for (out, &moment) in out.iter_mut().zip(&times.moments) {
-                    *out = kind.saturate(weight * *out + models.others_at(moment));
-                }
+        let is_default =
+            selector.kind == ModelKind::Ensemble || selector.kind == ModelKind::Auto && selector.order.is_none();
+        match selector.kind {
+            _ if is_default => {
+                model.predict_in_force_into(&self.spec.periodicities, &times.phasors, &times.moments, out);
                 blend(&live.persistence, self.memory_basis(id), &times.moments, selector, out);
             }
-            Some(chosen) => {
-                let plain = ModelSelector { persistence: false, memory: false, ..selector };
-                self.predict_trained_into(id, &times.moments, &chosen, plain, out);
-                for (probability, &moment) in out.iter_mut().zip(&times.moments) {
-                    if !chosen.covers(moment) {
-                        let (kind, periodicities) = (model.kind(), &self.spec.periodicities);
-                        let (spectral, civil_nanos) = (model.spectral(), moment.civil_nanos());
-                        *probability = spectral.predict_value(kind, periodicities, model.order(), civil_nanos);
-                    }
-                }
-                blend(&live.persistence, self.memory_basis(id), &times.moments, selector, out);
-            }
-            None if selector.kind == ModelKind::Latest && live.persistence.last().is_none() => {
+            ModelKind::Latest if live.persistence.last().is_none() => {
                 out.fill(self.prior_models.of(model.kind()).spectral().mean());
             }
-            None => {
+            _ => {
                 let parts = (model.spectral(), selector.order_for(model), &live.persistence);
                 predict_state(model.kind(), parts, self.memory_basis(id), times, selector, out);
             }

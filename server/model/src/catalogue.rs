@@ -112,6 +112,8 @@ pub enum SupportedStates {
 pub enum Training {
     /// What updates publish of each state, and of each cell of a grid, is the model: it answers at once.
     Published,
+    /// As [`Training::Published`], but of named states alone: cells do not have it.
+    PublishedOfStates,
     /// It is trained on the readings of the state: on request, and at night if it is in [`TRAINED_AT_NIGHT`].
     OnReadings(TrainingCost),
 }
@@ -194,7 +196,7 @@ impl ModelKind {
             Self::HypertimeKm { .. } => row("hypertime-km", All, HIGH, OF_CLUSTERS),
             Self::Poisson => row("poisson", Counts, LOW, &["bin", "period_base", "period_count"]),
             Self::Calibrated => row("calibrated", All, LOW, &[]),
-            Self::Ensemble => row("ensemble", Probabilities, PUBLISHED, &[]),
+            Self::Ensemble => row("ensemble", Probabilities, Training::PublishedOfStates, &[]),
         }
     }
 
@@ -266,12 +268,12 @@ impl ModelKind {
 
     /// Whether it must be trained on the readings of a state before it can predict.
     pub fn needs_readings(self) -> bool {
-        self.info().training != Training::Published
+        matches!(self.info().training, Training::OnReadings(_))
     }
 
     /// Whether all cells of a grid have it, without training.
     pub fn is_for_cells(self) -> bool {
-        !self.needs_readings() && self != Self::Ensemble
+        self.info().training == Training::Published
     }
 
     /// Whether it answers from the newest value, which no update may have learned yet.
@@ -282,7 +284,7 @@ impl ModelKind {
     /// How long its training takes; `None` if it is not trained on readings.
     pub fn cost(self) -> Option<TrainingCost> {
         match self.info().training {
-            Training::Published => None,
+            Training::Published | Training::PublishedOfStates => None,
             Training::OnReadings(cost) => Some(cost),
         }
     }

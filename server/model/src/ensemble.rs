@@ -23,15 +23,13 @@ mod season;
 mod seen;
 mod smooth_table;
 mod stack;
-#[cfg(test)]
-mod tests;
 mod trained;
 mod week_table;
 
 use std::sync::OnceLock;
 
 use calibration::Calibration;
-pub use forecast::DayForecast;
+use forecast::DayForecast;
 use looks::{DayLooks, HOURS, SLOT_NANOS, SLOTS, slot_at};
 use outlook::{FarWeights, Outlook, Profile};
 pub use parts::{ClassParts, EnsembleParts, SaidParts};
@@ -151,19 +149,19 @@ impl Ensemble {
     /// Learns a local day: judges all members by its looks, then adds them. A day that is not newer than all before is
     /// added without judging. `samples`: its readings in order of time; `chosen`: the model that the update had chosen
     /// before the day. Gives the squared error of the predictions for `newer`, those of the samples that no earlier
-    /// day has.
+    /// day has; `None` where the day was not judged.
     pub fn learn_day(
         &mut self,
         day: LocalDay,
         samples: &[Sample],
         newer: &[Sample],
         chosen: &dyn TemporalModel,
-    ) -> f64 {
+    ) -> Option<f64> {
         let parts = look_parts(samples, chosen);
         let forecast = self.learn(day, &DayLooks::of_samples(samples), chosen, &look_losses(&parts));
-        let Some(forecast) = forecast else { return 0.0 };
+        let forecast = forecast?;
         let error = |parts: &[LookPart]| parts.iter().map(|part| part.squared_error(&forecast)).sum();
-        if newer.len() == samples.len() { error(&parts) } else { error(&look_parts(newer, chosen)) }
+        Some(if newer.len() == samples.len() { error(&parts) } else { error(&look_parts(newer, chosen)) })
     }
 
     fn learn(

@@ -62,7 +62,7 @@ pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, 
 pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
-pub use ensemble::{ClassParts, DayForecast, Ensemble, EnsembleParts, SaidParts, TrainedEnsemble};
+pub use ensemble::{ClassParts, Ensemble, EnsembleParts, SaidParts, TrainedEnsemble};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};

@@ -360,7 +360,7 @@ impl StateModel {
         if let Some(alternatives) = &mut self.alternatives {
             *alternatives.ensemble_mut() = Some(ensemble);
         }
-        Some(error).filter(|_| answered)
+        error.filter(|_| answered)
     }
 
     /// Scores the samples of a day that are newer than all earlier ones, and chooses. `in_force`: the squared error of

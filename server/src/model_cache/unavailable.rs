@@ -2,8 +2,10 @@
 //!
 //! Invariant: the reason names the setting or the command that would change it, if there is one.
 
-use tidemap_map::event::StateKind;
-use tidemap_model::models::CannotTrain;
+use tidemap_map::{event::StateKind, view::MapView};
+use tidemap_model::{models::CannotTrain, selector::ModelKind};
+
+use crate::state_or_cell::StateOrCell;
 
 /// Why a model cannot answer for a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -18,10 +20,26 @@ pub(crate) enum ModelUnavailable {
     TooMany { got: u64, max: u64 },
     #[error("it is a model of {expected}, and the state is a {found}", found = .found.name())]
     OtherKind { expected: &'static str, found: StateKind },
+    #[error("only named states have it: use auto, mean, latest or spectral for a cell")]
+    StatesOnly,
     #[error("no update has learned any observation of it yet: see tidemap update")]
     Unlearned,
     #[error("it was never observed at the same time as a position of that vector: send both with equal times")]
     NoPlaces,
     #[error("{0}")]
     CannotTrain(#[from] CannotTrain),
+}
+
+impl ModelUnavailable {
+    /// Checks that what is predicted, and its values, support a kind of model.
+    ///
+    /// # Errors
+    /// Why they do not.
+    pub(crate) fn check(target: &StateOrCell, view: &MapView, kind: ModelKind) -> Result<(), ModelUnavailable> {
+        if matches!(target, StateOrCell::Cell(_)) && !kind.needs_readings() && !kind.is_for_cells() {
+            return Err(ModelUnavailable::StatesOnly);
+        }
+        let (expected, found) = (kind.info().states.values(), target.kind(view));
+        if kind.supports(found) { Ok(()) } else { Err(ModelUnavailable::OtherKind { expected, found }) }
+    }
 }

@@ -5,7 +5,11 @@
 use std::sync::Arc;
 
 use tidemap_map::{ids::StateId, predict::PreparedTimes, view::MapView};
-use tidemap_model::{EarlyStop, StopSignal, models::Moment, selector::ModelSelector};
+use tidemap_model::{
+    EarlyStop, StopSignal,
+    models::Moment,
+    selector::{ModelKind, ModelSelector},
+};
 
 use super::{
     lookup::check_limit,
@@ -13,7 +17,11 @@ use super::{
     status::RpcError,
     training::{LearnedState, ModelTrainer},
 };
-use crate::{ingest::handle::MapHandle, model_cache::CachedModel, state_or_cell::StateOrCell};
+use crate::{
+    ingest::handle::MapHandle,
+    model_cache::{CachedModel, ModelUnavailable},
+    state_or_cell::StateOrCell,
+};
 
 /// Times whose phasors are held at once.
 const TIMES_PER_BLOCK: usize = 4096;
@@ -27,6 +35,25 @@ pub(super) struct PredictContext<'a> {
     pub permits: &'a Permits,
     /// Maximum number of predictions of one request.
     pub predictions: u64,
+}
+
+/// Checks that states or cells support a model that updates publish.
+///
+/// # Errors
+/// The first that does not.
+pub(super) fn check_published<'a>(
+    view: &MapView,
+    subjects: impl IntoIterator<Item = &'a StateOrCell>,
+    kind: ModelKind,
+) -> Result<(), RpcError> {
+    subjects.into_iter().try_for_each(|subject| {
+        ModelUnavailable::check(subject, view, kind).map_err(|reason| RpcError::ModelUnavailable {
+            model: kind,
+            map: view.spec().name.as_str().to_owned(),
+            state: subject.name(view).into_owned(),
+            reason,
+        })
+    })
 }
 
 /// Probabilities that the states or cells are 1 at the times.
@@ -44,6 +71,7 @@ pub(super) async fn predict_series(
     let predictions = states.len() as u64 * times_nanos.len() as u64;
     check_limit("predictions", predictions, context.predictions, "setting max_predictions")?;
     if !selector.kind.needs_readings() {
+        check_published(view, &states, selector.kind)?;
         let view = Arc::clone(view);
         let predict = move |stop: StopSignal<'_>| {
             let mut rows = vec![Vec::with_capacity(times_nanos.len()); states.len()];

@@ -263,6 +263,7 @@ impl RpcError {
                 }
                 ModelUnavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 ModelUnavailable::OtherKind { .. }
+                | ModelUnavailable::StatesOnly
                 | ModelUnavailable::CannotTrain(_)
                 | ModelUnavailable::NoPlaces
                 | ModelUnavailable::Unlearned => (Code::FailedPrecondition, "MODEL_UNAVAILABLE"),

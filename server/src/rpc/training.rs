@@ -223,11 +223,8 @@ impl ModelTrainer {
                 if matches!(learned.target, StateOrCell::Cell(_)) { "--grid-retention" } else { "--retention" };
             learned.unavailable(kind, ModelUnavailable::NotKept { option })
         })?;
-        let found = learned.target.kind(&learned.view);
-        if !kind.supports(found) {
-            let expected = kind.info().states.values();
-            return Err(learned.unavailable(kind, ModelUnavailable::OtherKind { expected, found }));
-        }
+        ModelUnavailable::check(&learned.target, &learned.view, kind)
+            .map_err(|reason| learned.unavailable(kind, reason))?;
         // With a shorter retention fewer observations may be left.
         let (got, max) = (learned.observations(), self.max_readings);
         if retention == Retention::Forever && got > max {

@@ -179,8 +179,9 @@ pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), UsageError> {
     if model.kind.is_for_cells() {
         return Ok(());
     }
+    let others = if model.kind.needs_readings() { "cells by name" } else { "named states" };
     Err(UsageError(format!(
-        "all cells at once do not support model {model}: use auto, mean, latest or spectral; cells by name support it"
+        "all cells at once do not support model {model}: use auto, mean, latest or spectral; {others} support it"
     )))
 }
 

@@ -44,7 +44,7 @@ pub(super) struct MemberDay {
 
 /// What an ensemble predicts for one local day.
 #[derive(Clone, Debug, PartialEq)]
-pub struct DayForecast {
+pub(super) struct DayForecast {
     /// The pool without the chosen model, weighted.
     rest: [f64; SLOTS],
     /// The chosen model, and its weight.
@@ -92,7 +92,7 @@ impl DayForecast {
     }
 
     /// The prediction at a moment of the day.
-    pub fn predict(&self, at: Moment, chosen: &dyn TemporalModel) -> f64 {
+    fn predict(&self, at: Moment, chosen: &dyn TemporalModel) -> f64 {
         let slot = slot_at(at.civil_nanos());
         if self.chosen_weight < WEIGHT_MIN {
             return self.at_slot(slot);
@@ -192,11 +192,11 @@ impl Ensemble {
     }
 
     /// The forecast of a day.
-    pub fn forecast(&self, day: LocalDay, chosen: &dyn TemporalModel) -> DayForecast {
+    fn forecast(&self, day: LocalDay, chosen: &dyn TemporalModel) -> DayForecast {
         self.forecast_of(day, &self.members(day, chosen))
     }
 
-    /// What a query for a day is answered from; `None`: far ahead, or long ago.
+    /// Whether the pool of the next days answers for a day; else it is far ahead, or long ago.
     fn near(&self, day: LocalDay) -> bool {
         self.last_day().is_none_or(|last| (i64::from(day.0) - i64::from(last.0)).abs() <= NEXT_DAYS)
     }

@@ -21,7 +21,7 @@ const WEEK: usize = 7 * HOURS;
 const DAY_BYTES: usize = 8 + SLOTS / 2;
 
 /// What an [`Ensemble`] consists of, for storage. Every list has one length; `recall` and `residuals` may be empty.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EnsembleParts {
     /// Sum and number of all looks.
     pub looks: [f64; 2],
@@ -61,7 +61,7 @@ pub struct EnsembleParts {
 }
 
 /// A class of the time ahead, for storage.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ClassParts {
     /// The losses of the members far ahead.
     pub losses: [f32; FAR_MEMBERS],
@@ -74,7 +74,7 @@ pub struct ClassParts {
 }
 
 /// What the members said at the end of a day, for storage.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SaidParts {
     /// The day.
     pub day: LocalDay,

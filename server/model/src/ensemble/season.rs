@@ -58,13 +58,14 @@ pub(super) struct Season {
     pub(super) bins: Vec<Bin>,
     pub(super) first: Option<LocalDay>,
     pub(super) last: Option<LocalDay>,
-    /// Days between observed days: how often one, two, three to seven, eight to fifteen, more.
+    /// How often each class of gaps between observed days occurred; see [`GAPS`].
     pub(super) gaps: [u32; GAPS.len()],
     pub(super) rhythm: Rhythm,
 }
 
-/// The longest gap of each class, in days.
-pub(super) const GAPS: [i64; 6] = [1, 2, 7, 15, 31, 400];
+/// The longest gap of each class, in days. Longer ones are of the last class: a record with a hole of months does not
+/// span what it did not see.
+pub(super) const GAPS: [i64; 5] = [1, 2, 7, 15, 31];
 
 /// A rhythm of the year.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,4 +1,4 @@
-//! What the model in force says of observations, as a query of `auto` would be answered.
+//! What answers of a state by default: the ensemble, else what the last update chose.
 //!
 //! Invariant: a prediction lies in the bounds of the state's kind.
 
@@ -12,37 +12,50 @@ use crate::{
 const CHUNK: usize = 1024;
 
 impl StateModel {
-    /// The predictions of the model in force at the times of samples; `periodicities` are those of its map.
-    pub fn predict_in_force(&self, periodicities: &Periodicities, samples: &[Sample]) -> Vec<f64> {
-        if self.ensemble().is_some() {
-            let moments: Vec<Moment> = samples.iter().map(Sample::moment).collect();
-            let predicted = self.predictive(periodicities, &moments).unwrap_or_default();
-            return predicted.into_iter().map(|predicted| predicted.value()).collect();
+    /// Predicts by what answers by default: the probability of 1, or the expected value. `out` is as long as the
+    /// moments; `phasors`: of their times, with the components in use. `periodicities` are those of its map.
+    pub fn predict_in_force_into(
+        &self,
+        periodicities: &Periodicities,
+        phasors: &PhasorTable,
+        moments: &[Moment],
+        out: &mut [f64],
+    ) {
+        if let Some(predicted) = self.predictive(periodicities, moments) {
+            out.iter_mut().zip(&predicted).for_each(|(out, predicted)| *out = predicted.value());
+            return;
         }
         let (kind, spectral, order) = (self.kind(), self.spectral(), self.order());
-        let chosen = self.chosen(periodicities);
-        let mut predictions = vec![0.0; samples.len()];
-        if let Some(model @ (ActiveModel::Histogram(_) | ActiveModel::Trained(_))) = &chosen {
-            for (prediction, sample) in predictions.iter_mut().zip(samples) {
-                let at = sample.moment();
-                *prediction = match model.covers(at) {
-                    true => kind.saturate(model.predict(at)),
-                    false => spectral.predict_value(kind, periodicities, order, at.civil_nanos()),
-                };
-            }
-            return predictions;
-        }
-        let components: Vec<u32> = spectral.components().iter().take(order).map(|part| part.periodicity).collect();
-        for (predictions, samples) in predictions.chunks_mut(CHUNK).zip(samples.chunks(CHUNK)) {
-            let civil_nanos: Vec<i64> = samples.iter().map(Sample::civil_nanos).collect();
-            let phasors = PhasorTable::only(periodicities, &civil_nanos, &components);
-            spectral.predict_values_into(kind, order, &phasors, predictions);
-            if let Some(ActiveModel::Combination(models)) = &chosen {
+        match self.chosen(periodicities) {
+            None => spectral.predict_values_into(kind, order, phasors, out),
+            // Faster than [`Combination`](super::Combination)'s own prediction: all times share their phasors.
+            Some(ActiveModel::Combination(models)) => {
                 let weight = models.spectral_weight();
-                for (prediction, sample) in predictions.iter_mut().zip(samples) {
-                    *prediction = kind.saturate(weight * *prediction + models.others_at(sample.moment()));
+                out.fill(0.0);
+                if weight > 0.0 {
+                    spectral.predict_values_into(kind, order, phasors, out);
+                }
+                for (out, &moment) in out.iter_mut().zip(moments) {
+                    *out = kind.saturate(weight * *out + models.others_at(moment));
                 }
             }
+            Some(ActiveModel::Histogram(_) | ActiveModel::Trained(_)) => {
+                let chosen = self.chosen_member(periodicities);
+                out.iter_mut().zip(moments).for_each(|(out, &moment)| *out = chosen.predict(moment));
+            }
+        }
+    }
+
+    /// The predictions of what answers by default at the times of samples; `periodicities` are those of its map.
+    pub fn predict_in_force(&self, periodicities: &Periodicities, samples: &[Sample]) -> Vec<f64> {
+        let components = self.spectral.components().iter().take(self.order());
+        let components: Vec<u32> = components.map(|component| component.periodicity).collect();
+        let mut predictions = vec![0.0; samples.len()];
+        for (predictions, samples) in predictions.chunks_mut(CHUNK).zip(samples.chunks(CHUNK)) {
+            let moments: Vec<Moment> = samples.iter().map(Sample::moment).collect();
+            let civil_nanos: Vec<i64> = samples.iter().map(Sample::civil_nanos).collect();
+            let phasors = PhasorTable::only(periodicities, &civil_nanos, &components);
+            self.predict_in_force_into(periodicities, &phasors, &moments, predictions);
         }
         predictions
     }

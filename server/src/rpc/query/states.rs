@@ -25,7 +25,7 @@ use crate::{
         lookup::{check_limit, find_all, find_map, find_published, opened},
         permits::run_blocking,
         replies::{Replies, ReplySink, compute_replies, stream_replies},
-        series::TRAINED_TIMES,
+        series::{TRAINED_TIMES, check_published},
         status::RpcError,
         training::LearnedState,
     },
@@ -117,6 +117,7 @@ pub(super) async fn predict_states(
     // Held while cells are read from the disk, too.
     let permit = queries.permit_for(cost).await?;
     let subjects = axes.find(&view).await?;
+    check_published(&view, subjects.iter().map(|(_, subject)| subject), question.selector.kind)?;
     Ok(compute_replies(vec![permit], move |sink| {
         predict(&view, &subjects, &question, sink);
         Ok(())

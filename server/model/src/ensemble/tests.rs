@@ -1,1 +1,0 @@
-//! What an ensemble learns of simulated habits.
