@@ -35,6 +35,7 @@ impl KnownReadings {
             usual_change: if !is_probability && width > 0.0 { width } else { 1.0 },
             mean: if is_probability { mean } else { 0.5 },
             first_nanos: train.first().map(|sample| sample.utc_nanos),
+            most_likely_secs: None,
         };
         let mut samples = train.to_vec();
         tests.for_each(|test| samples.extend_from_slice(test));

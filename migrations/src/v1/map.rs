@@ -310,6 +310,13 @@ pub struct State {
     /// The unusual observations among those that were learned; absent if there are none.
     #[prost(message, optional, tag = "16")]
     pub surprises: Option<Surprises>,
+    /// What is known about the newest reading; absent while the state is untrained.
+    #[prost(message, optional, tag = "20")]
+    pub belief: Option<Belief>,
+    /// The recent readings in spans of 16 bytes: nanoseconds of the first (8), milliseconds up to the last (4),
+    /// readings of 1 (2) and of 0 (2).
+    #[prost(bytes = "vec", tag = "21")]
+    pub recent: Vec<u8>,
 }
 
 /// Runs of observations of a state that its model did not expect before it learned them.
@@ -353,6 +360,74 @@ pub struct SurpriseRun {
     /// The surprise of all looks, in bits.
     #[prost(fixed64, tag = "8")]
     pub surprise_bits: u64,
+}
+
+/// What is known about the newest reading of a state.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Belief {
+    /// Whether every learned reading was 0 or 1.
+    #[prost(bool, tag = "1")]
+    pub has_two_values: bool,
+    /// The newest learned reading.
+    #[prost(message, optional, tag = "2")]
+    pub newest: Option<LastObservation>,
+    /// The recent learned readings, as in [`State::recent`].
+    #[prost(bytes = "vec", tag = "3")]
+    pub recent: Vec<u8>,
+    /// Eleven doubles: rise and fall per second of the readings and of the hidden chain; readings at 1, misses,
+    /// readings at 0 and false alarms; the probabilities of a miss and of a false alarm; the gain by them.
+    #[prost(bytes = "vec", tag = "4")]
+    pub numbers: Vec<u8>,
+    /// Counts of successive readings, seven doubles per octave of the gap: its logarithm, the number and the gaps of
+    /// the pairs, and how many stayed 0, rose, fell and stayed 1.
+    #[prost(bytes = "vec", tag = "5")]
+    pub seen: Vec<u8>,
+    /// Those of hidden values.
+    #[prost(bytes = "vec", tag = "6")]
+    pub hidden: Vec<u8>,
+    /// Days learned.
+    #[prost(uint32, tag = "7")]
+    pub days: u32,
+    /// Dwells at 0 and at 1.
+    #[prost(message, repeated, tag = "8")]
+    pub dwells: Vec<BeliefDwells>,
+    /// The dwell that has not ended.
+    #[prost(message, optional, tag = "9")]
+    pub open: Option<OpenDwell>,
+    /// Per lag a double, twice: sums of products and of squares; empty before the first.
+    #[prost(bytes = "vec", tag = "10")]
+    pub lag_sums: Vec<u8>,
+}
+
+/// Completed dwells at a value.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct BeliefDwells {
+    /// Lengths in seconds, in force.
+    #[prost(float, repeated, tag = "1")]
+    pub secs: Vec<f32>,
+    /// Of how many dwells they are.
+    #[prost(uint32, tag = "2")]
+    pub count: u32,
+    /// Lengths of those since then.
+    #[prost(float, repeated, tag = "3")]
+    pub fresh: Vec<f32>,
+}
+
+/// A dwell that has not ended.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct OpenDwell {
+    /// Whether the state is 1 in it.
+    #[prost(bool, tag = "1")]
+    pub is_one: bool,
+    /// When it began, where that is known.
+    #[prost(sint64, optional, tag = "2")]
+    pub since_nanos: Option<i64>,
+    /// How well its begin is known, in seconds.
+    #[prost(fixed64, tag = "3")]
+    pub since_secs_bits: u64,
+    /// Time of its newest reading.
+    #[prost(sint64, tag = "4")]
+    pub last_nanos: i64,
 }
 
 /// All readings of a state with few, from which its spectrum follows.

@@ -160,6 +160,7 @@ fn cannot_judge(field: &str, error: CannotJudge) -> InvalidField {
     let name = match error {
         CannotJudge::Persistence => "persistence",
         CannotJudge::Memory => "memory",
+        CannotJudge::Belief => "belief",
         CannotJudge::Newest(_) | CannotJudge::NeedsTraining(_) => "kind",
     };
     InvalidField::new(format!("{field}.{name}"), error)

@@ -79,7 +79,11 @@ pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Resul
     if wire.persistence && wire.memory {
         return Err(wrong("memory", "use either persistence or memory, not both".to_owned()));
     }
-    Ok(ModelSelector { kind, order, persistence: wire.persistence, memory: wire.memory })
+    if wire.belief && (wire.persistence || wire.memory) {
+        return Err(wrong("belief", "use one of belief, persistence and memory".to_owned()));
+    }
+    let v1::ModelSelector { persistence, memory, belief, .. } = wire;
+    Ok(ModelSelector { kind, order, persistence, memory, belief })
 }
 
 /// Checks that all cells of a grid have the model.
@@ -144,6 +148,7 @@ pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
         order: selector.order.map(|order| u32::try_from(order).unwrap_or(u32::MAX)),
         persistence: selector.persistence,
         memory: selector.memory && !selector.persistence,
+        belief: selector.belief && !selector.memory && !selector.persistence,
         parameter: kind.count(),
         cycle: kind.cycle().map_or(v1::HistogramCycle::Unspecified, cycle_to_wire).into(),
         period: kind.period_nanos().filter(|&nanos| nanos != ModelKind::PERIOD_NANOS).map(duration),

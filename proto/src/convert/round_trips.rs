@@ -71,9 +71,9 @@ fn grids() -> impl Strategy<Value = GridSpec> {
 
 proptest! {
     #[test]
-    fn models_come_back(kind in kinds(), order in 0..=ORDER_MAX, has_order: bool, persistence: bool, memory: bool) {
+    fn models_come_back(kind in kinds(), order in 0..=ORDER_MAX, has_order: bool, blend in 0..4) {
         let order = Some(order).filter(|_| has_order && kind.has_order());
-        let selector = ModelSelector { kind, order, persistence, memory: memory && !persistence };
+        let selector = ModelSelector { kind, order, persistence: blend == 1, memory: blend == 2, belief: blend == 3 };
         prop_assert_eq!(selector_from_wire("model", Some(selector_to_wire(selector))), Ok(selector));
     }
 

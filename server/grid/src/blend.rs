@@ -4,9 +4,9 @@
 
 use tidemap_model::{MemoryBasis, Persistence, selector::ModelSelector};
 
-/// A cell's prediction `p` for a time, with its last value blended in.
+/// A cell's prediction `p` for a time, with its last value blended in; belief is persistence here.
 pub(super) fn blend_cell(persistence: &Persistence, mean: f64, p: f64, utc_nanos: i64, selector: ModelSelector) -> f64 {
-    if selector.persistence {
+    if selector.persistence || !selector.memory {
         return persistence.blend(p, utc_nanos);
     }
     persistence.remember(memory_basis(mean), p, utc_nanos)
@@ -15,5 +15,5 @@ pub(super) fn blend_cell(persistence: &Persistence, mean: f64, p: f64, utc_nanos
 /// What the memory of a cell with this mean needs beside its last value. Its first scan is not stored; scans are
 /// frequent compared with changes.
 pub(super) fn memory_basis(mean: f64) -> MemoryBasis {
-    MemoryBasis { usual_change: 1.0, mean, first_nanos: None }
+    MemoryBasis { usual_change: 1.0, mean, first_nanos: None, most_likely_secs: None }
 }

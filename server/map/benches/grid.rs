@@ -151,7 +151,7 @@ fn predict(c: &mut Criterion, spec: &Arc<MapSpec>, learned: MapSnapshot) {
     for (name, order, persistence) in
         [("order_2", Some(2), false), ("order_15", Some(15), false), ("persistence", Some(2), true)]
     {
-        let selector = ModelSelector { kind: ModelKind::Spectral, order, persistence, memory: false };
+        let selector = ModelSelector { kind: ModelKind::Spectral, order, persistence, memory: false, belief: false };
         group.bench_function(name, |b| {
             b.iter(|| {
                 for tile in (0..TILES as u32).map(TileId) {

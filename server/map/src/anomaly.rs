@@ -92,6 +92,9 @@ pub enum CannotJudge {
     /// The newest value is blended in by the chain.
     #[error("memory blends in the newest value, not the one before an observation: leave it out")]
     Memory,
+    /// Likewise.
+    #[error("belief blends in the newest value, not the one before an observation: leave it out")]
+    Belief,
     /// The model is trained on request, and observations do not wait for that.
     #[error("{0} must be trained, and a watch does not wait for that: use auto, mean or spectral")]
     NeedsTraining(ModelKind),
@@ -106,6 +109,7 @@ pub fn can_judge(model: ModelSelector) -> Result<(), CannotJudge> {
         kind if kind.takes_newest() => Err(CannotJudge::Newest(model.kind)),
         _ if model.persistence => Err(CannotJudge::Persistence),
         _ if model.memory => Err(CannotJudge::Memory),
+        _ if model.belief => Err(CannotJudge::Belief),
         _ => Ok(()),
     }
 }

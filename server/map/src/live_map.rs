@@ -120,7 +120,11 @@ impl LiveMap {
         for state in snapshot.states {
             map.add_state(StateInfo { name: state.name, kind: state.kind });
             if let Some(live) = map.live.last_mut() {
-                *live = LiveState { observations: state.observations, persistence: state.persistence };
+                *live = LiveState {
+                    observations: state.observations,
+                    persistence: state.persistence,
+                    recent: state.recent,
+                };
             }
             map.observations += state.observations;
             models.push(state.model);

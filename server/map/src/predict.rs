@@ -80,7 +80,7 @@ impl MapView {
             // A sum of Gaussians or of components may be off by rounding.
             *probability = kind.saturate(trained.predict(moment));
         }
-        blend(&self.live(id).persistence, self.memory_basis(id), moments, selector, out);
+        self.blend(id, moments, selector, out);
     }
 
     /// Predicts a state at each time: the probability of 1, or the expected value. `out` is as long as the times. A
@@ -94,23 +94,35 @@ impl MapView {
         match selector.kind {
             _ if is_default => {
                 model.predict_in_force_into(&self.spec.periodicities, &times.phasors, &times.moments, out);
-                blend(&live.persistence, self.memory_basis(id), &times.moments, selector, out);
+                self.blend(id, &times.moments, selector, out);
             }
             ModelKind::Latest if live.persistence.last().is_none() => {
                 out.fill(self.prior_models.of(model.kind()).spectral().mean());
             }
             _ => {
                 let parts = (model.spectral(), selector.order_for(model), &live.persistence);
-                predict_state(model.kind(), parts, self.memory_basis(id), times, selector, out);
+                predict_state(model.kind(), parts, times, selector, out);
+                self.blend(id, &times.moments, selector, out);
             }
         }
     }
 
-    /// What the memory of a state needs beside its last values.
-    pub(crate) fn memory_basis(&self, id: StateId) -> MemoryBasis {
-        let model = self.model(id);
-        let mean = if model.kind() == StateKind::Probability { model.spectral().mean() } else { 0.5 };
-        MemoryBasis { usual_change: model.usual_change(), mean, first_nanos: model.accumulator().first_nanos() }
+    /// Blends the newest readings of a state into predictions, if the model says so.
+    fn blend(&self, id: StateId, moments: &[Moment], selector: ModelSelector, out: &mut [f64]) {
+        if selector.belief {
+            return self.believe(id, moments, out);
+        }
+        blend(&self.live(id).persistence, self.model(id).memory_basis(), moments, selector, out);
+    }
+
+    /// Draws predictions of a state towards what its newest readings say. Before its first update they count as with
+    /// persistence.
+    pub(crate) fn believe(&self, id: StateId, moments: &[Moment], out: &mut [f64]) {
+        let (live, model) = (self.live(id), self.model(id));
+        match model.belief() {
+            Some(belief) => belief.blend_into(&live.recent, live.persistence.last(), moments, out),
+            None => blend(&live.persistence, model.memory_basis(), moments, PERSISTENCE, out),
+        }
     }
 
     /// Predicts the probability that a cell is occupied at each time. `out` is as long as the times.
@@ -122,7 +134,8 @@ impl MapView {
         out: &mut [f64],
     ) {
         let parts = (&cell.spectral, cell.order_for(selector), &cell.persistence);
-        predict_state(StateKind::Probability, parts, cell.memory_basis(), times, selector, out);
+        predict_state(StateKind::Probability, parts, times, selector, out);
+        blend(&cell.persistence, cell.memory_basis(), &times.moments, selector, out);
     }
 
     /// Predicts the probability that a cell is occupied at each moment by a model that was trained on its readings.
@@ -161,7 +174,6 @@ fn civil_nanos(offsets: &mut OffsetCache, utc_nanos: i64) -> i64 {
 fn predict_state(
     kind: StateKind,
     (spectral, order, persistence): (&SpectralModel, usize, &Persistence),
-    basis: MemoryBasis,
     times: &PreparedTimes,
     selector: ModelSelector,
     out: &mut [f64],
@@ -171,10 +183,13 @@ fn predict_state(
         ModelKind::Latest => out.fill(persistence.last().map_or_else(|| kind.untrained(), |(_, value)| value)),
         _ => spectral.predict_values_into(kind, order, &times.phasors, out),
     }
-    blend(persistence, basis, &times.moments, selector, out);
 }
 
-/// Blends the last value into predictions, if the model says so.
+/// The blend of states about which nothing else is known, and of cells.
+const PERSISTENCE: ModelSelector =
+    ModelSelector { kind: ModelKind::Auto, order: None, persistence: true, memory: false, belief: false };
+
+/// Blends the last value into predictions, if the model says so. Cells have no belief: with it, they have persistence.
 fn blend(persistence: &Persistence, basis: MemoryBasis, moments: &[Moment], selector: ModelSelector, out: &mut [f64]) {
     if !selector.is_blended() {
         return;

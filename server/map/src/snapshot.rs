@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use tidemap_grid::{sensors::ProducerSensor, snapshot::GridSnapshot};
-use tidemap_model::{Persistence, StateModel};
+use tidemap_model::{Persistence, Recent, StateModel};
 
 use crate::{
     event::StateKind,
@@ -116,6 +116,8 @@ pub struct StateSnapshot {
     pub observations: u64,
     /// Last value and persistence.
     pub persistence: Persistence,
+    /// The recent readings.
+    pub recent: Recent,
     /// Its model, shared with the view that is in force.
     pub model: Arc<StateModel>,
 }

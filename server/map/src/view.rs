@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use tidemap_grid::view::GridView;
-use tidemap_model::{Persistence, StateModel};
+use tidemap_model::{Persistence, Recent, Sample, StateModel};
 
 pub use crate::directory::StateInfo;
 
@@ -29,6 +29,16 @@ pub struct LiveState {
     pub observations: u64,
     /// Last value and persistence.
     pub persistence: Persistence,
+    /// The recent readings.
+    pub recent: Recent,
+}
+
+impl LiveState {
+    /// Takes in an observation whose time has come.
+    pub(crate) fn observe(&mut self, sample: &Sample) {
+        self.persistence.observe(sample.utc_nanos, sample.value);
+        self.recent.observe(sample.utc_nanos, sample.value);
+    }
 }
 
 /// An immutable picture of a map.

@@ -13,7 +13,7 @@ mod histogram;
 mod hypertime;
 mod interval;
 mod latest;
-mod markov_chain;
+pub(crate) mod markov_chain;
 mod mean;
 mod pergam;
 mod poisson;

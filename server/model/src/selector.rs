@@ -22,6 +22,9 @@ pub struct ModelSelector {
     /// Blends the last value in by the rates of a two-state chain, which allow for changes that nobody saw (RAS 2017,
     /// eq. 6). With [`ModelSelector::persistence`] it is ignored.
     pub memory: bool,
+    /// Draws the prediction towards what the newest readings say, as far as they have proved right that far ahead: see
+    /// [`Belief`](crate::Belief). With one of the others it is ignored.
+    pub belief: bool,
 }
 
 impl ModelSelector {
@@ -38,7 +41,8 @@ impl ModelSelector {
         match (self.kind, self.order) {
             (ModelKind::Auto, None) => {
                 let chosen = ModelSelector::of_choice(model.answers(), model);
-                ModelSelector { persistence: self.persistence, memory: self.memory, ..chosen }
+                let ModelSelector { persistence, memory, belief, .. } = self;
+                ModelSelector { persistence, memory, belief, ..chosen }
             }
             // A state that has no ensemble is predicted by what the last update chose.
             (ModelKind::Ensemble, _) if model.ensemble().is_none() => {
@@ -75,16 +79,17 @@ impl ModelSelector {
     #[must_use]
     #[inline]
     pub fn is_blended(self) -> bool {
-        self.persistence || self.memory
+        self.persistence || self.memory || self.belief
     }
 
-    /// A prediction `p` for a time, drawn towards the last value as this model does it; `p` itself if it does not.
+    /// A prediction `p` for a time, drawn towards the last value as this model does it; `p` itself if it does not. What
+    /// has no [`Belief`](crate::Belief) has persistence in its place.
     #[must_use]
     pub fn blend(self, newest: &Persistence, basis: MemoryBasis, p: f64, utc_nanos: i64) -> f64 {
-        match (self.persistence, self.memory) {
-            (true, _) => newest.blend_of(basis.usual_change, p, utc_nanos),
-            (false, true) => newest.remember(basis, p, utc_nanos),
-            (false, false) => p,
+        match (self.persistence, self.memory, self.belief) {
+            (true, ..) | (false, false, true) => newest.blend_of(basis.usual_change, p, utc_nanos),
+            (false, true, _) => newest.remember(basis, p, utc_nanos),
+            (false, false, false) => p,
         }
     }
 
@@ -92,7 +97,7 @@ impl ModelSelector {
     #[must_use]
     #[inline]
     pub fn unblended(self) -> ModelSelector {
-        ModelSelector { persistence: false, memory: false, ..self }
+        ModelSelector { persistence: false, memory: false, belief: false, ..self }
     }
 
     /// The requested order, or the one that the last update chose; at most [`ORDER_MAX`].

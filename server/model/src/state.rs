@@ -13,11 +13,12 @@ use crate::catalogue::{ModelKind, TrainedModel};
 use crate::evaluate::score_samples;
 use crate::models::{Moment, OrderGains, TemporalModel as _};
 use crate::{
-    Accumulator, Ensemble, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Predictive,
-    Sample, StateKind, Surprises,
+    Accumulator, Belief, Ensemble, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities,
+    Predictive, Sample, StateKind, Surprises,
 };
 
 mod alternatives;
+mod belief_day;
 mod day_by_day;
 mod in_force;
 #[cfg(test)]
@@ -41,6 +42,8 @@ pub struct StateModel {
     errors: OrderErrors,
     /// `None` while the state is untrained.
     alternatives: Option<Box<Alternatives>>,
+    /// Likewise.
+    belief: Option<Box<Belief>>,
     surprises: Surprises,
 }
 
@@ -72,7 +75,7 @@ impl StateModel {
         let accumulator = Accumulator::of_kind(kind);
         let spectral = SpectralModel::from_parts_of(kind, kind.untrained(), 0, Vec::new()).unwrap_or_default();
         let (errors, surprises) = (OrderErrors::default(), Surprises::default());
-        StateModel { accumulator, spectral, order: 0, errors, alternatives: None, surprises }
+        StateModel { accumulator, spectral, order: 0, errors, alternatives: None, belief: None, surprises }
     }
 
     /// An untrained probability with a prior in `[0,1]`; a prior outside of it counts as 0.5.
@@ -95,7 +98,8 @@ impl StateModel {
             return Err(InvalidParts::OrderTooHigh { found: order });
         }
         accumulator.pack();
-        Ok(StateModel { accumulator, spectral, order, errors, alternatives: None, surprises: Surprises::default() })
+        let surprises = Surprises::default();
+        Ok(StateModel { accumulator, spectral, order, errors, alternatives: None, belief: None, surprises })
     }
 
     /// Adds the stored alternatives.
@@ -115,6 +119,7 @@ impl StateModel {
             errors: self.errors,
             alternatives: self.alternatives.as_ref().map(|known| Box::new(known.published())),
             surprises: self.surprises.clone(),
+            belief: self.belief.as_ref().map(|known| Box::new(known.published())),
         }
     }
 
@@ -295,6 +300,7 @@ impl StateModel {
             let mut surprises = std::mem::take(&mut self.surprises);
             judge(self, of_day, &mut surprises);
             self.surprises = surprises;
+            self.learn_belief(periodicities, of_day);
             let in_force = self.learn_ensemble(periodicities, rules, day, of_day);
             self.score_day(periodicities, rules, day, of_day, in_force, &mut outcome);
             self.learn_day(periodicities, rules, day, of_day);

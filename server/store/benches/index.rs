@@ -22,8 +22,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Component, OrderErrors, OrderWatch, Periodicities, Persistence, PersistenceParts, PhasorSum, Sample, SpectralModel,
-    StateModel,
+    Component, OrderErrors, OrderWatch, Periodicities, Persistence, PersistenceParts, PhasorSum, Recent, Sample,
+    SpectralModel, StateModel,
 };
 use tidemap_store::{IndexContents, Store, StoreOptions};
 
@@ -78,6 +78,7 @@ fn states(spec: &MapSpec, seed: u64) -> Vec<StateSnapshot> {
         kind: StateKind::Probability,
         observations: 672,
         persistence,
+        recent: Recent::default(),
         model: Arc::clone(&models[id % models.len()]),
     };
     (0..STATES).map(state).collect()

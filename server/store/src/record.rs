@@ -4,6 +4,7 @@
 //! value that is read has passed the constructors of the domain.
 
 mod alternatives;
+pub(crate) mod belief;
 mod cell_watch;
 mod cells;
 mod columns;

@@ -5,6 +5,7 @@ mod bit_flips;
 mod damage;
 pub(crate) mod example;
 mod golden;
+mod golden_belief;
 mod golden_events;
 mod golden_grid;
 mod golden_states;

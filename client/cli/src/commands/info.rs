@@ -30,7 +30,7 @@ pub(crate) struct InfoArgs {
     #[arg(long = "view", value_name = "X,Y,Z[,RANGE]", allow_hyphen_values = true,
           conflicts_with_all = ["states", "locations"])]
     views: Vec<ViewArg>,
-    /// Model: those of predict, each optionally with +persistence or +memory
+    /// Model: those of predict, each optionally with +belief, +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
 }

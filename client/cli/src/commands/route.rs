@@ -64,7 +64,7 @@ pub(crate) struct RouteArgs {
     /// Maximum duration of a route [default: 1d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     horizon: Option<i64>,
-    /// Model, as in `predict`; with +memory or +persistence an edge that has just failed is unlikely for a while
+    /// Model, as in `predict`; with +belief, +memory or +persistence an edge that just failed is unlikely for a while
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
     /// Speed on edges without data, metres per second [default: 0.5]

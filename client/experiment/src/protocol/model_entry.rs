@@ -106,6 +106,10 @@ fn kind(written: &Word, has_newest: bool) -> Result<(ComparableKind, ModelSelect
         let wrong = format!("{name} answers from the newest reading as it is: leave out {suffix}");
         return Err(ProtocolError::model(written.line, written, wrong));
     }
+    if blend.belief {
+        let wrong = "+belief is learned by a map: import the files and ask it, or use +memory here".to_owned();
+        return Err(ProtocolError::model(written.line, written, wrong));
+    }
     if !has_newest {
         let wrong = format!(
             "{suffix} draws predictions towards the newest reading, and nothing says which reading that is: write how \

@@ -112,6 +112,9 @@ fn model_from_wire(wire: Option<v1::ModelSelector>) -> Result<ModelKind, Invalid
     if selector.memory {
         return Err(InvalidField::new("model.memory", "models of positions have no memory"));
     }
+    if selector.belief {
+        return Err(InvalidField::new("model.belief", "models of positions have no belief"));
+    }
     if selector.persistence {
         return Err(InvalidField::new("model.persistence", "models of positions have no persistence"));
     }

@@ -228,7 +228,7 @@ proptest! {
         for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
             for persistence in [false, true] {
                 let order = order.filter(|_| matches!(kind, ModelKind::Auto | ModelKind::Spectral));
-                let selector = ModelSelector { kind, order, persistence, memory: false };
+                let selector = ModelSelector { kind, order, persistence, memory: false, belief: false };
                 for region in [None, Some(part)] {
                     for output in [CellOutput::Probability, CellOutput::Entropy] {
                         for project in [false, true] {

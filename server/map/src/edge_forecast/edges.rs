@@ -46,7 +46,7 @@ pub struct EdgeForecasts {
 
 impl EdgeForecasts {
     /// The edges of a view. `speed_m_per_s`: the speed without reports, above 0. `blend`: whether and how the last
-    /// report of an edge still counts: with persistence (T-RO 2017, eq. 12 and 13), or with memory (the
+    /// report of an edge still counts: with persistence (T-RO 2017, eq. 12 and 13), with belief, or with memory (the
     /// fading weight of RAS 2017, eq. 6, as that of some reports beside the forecast's evidence);
     /// its kind and order are ignored.
     pub fn new(view: Arc<MapView>, speed_m_per_s: f64, blend: ModelSelector) -> EdgeForecasts {
@@ -94,8 +94,12 @@ impl EdgeForecasts {
             let persistence = &self.view.live(id).persistence;
             let blended = if self.blend.persistence {
                 persistence.blend(forecast.success, time_nanos)
+            } else if self.blend.belief {
+                let mut success = [forecast.success];
+                self.view.believe(id, times.moments(), &mut success);
+                success[0]
             } else {
-                let basis = self.view.memory_basis(id);
+                let basis = self.view.model(id).memory_basis();
                 let weight = persistence.memory_weight(basis, Some(MEMORY_MAX_SECS), time_nanos);
                 let last_value = persistence.last().map_or(0.0, |(_, value)| value);
                 let last = LAST_REPORTS * weight;

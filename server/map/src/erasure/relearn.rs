@@ -12,7 +12,7 @@ use std::{
     sync::{Arc, atomic::AtomicU64},
 };
 
-use tidemap_model::{Persistence, Sample, StateModel};
+use tidemap_model::{Sample, StateModel};
 
 use super::selection::{Decision, Selection, renumbered};
 use crate::{
@@ -26,6 +26,7 @@ use crate::{
     spec::MapSpec,
     training::{ReadingsRequest, StateReadings},
     update::{MapAtUpdate, SumsUnavailable, UpdateWork},
+    view::LiveState,
 };
 
 /// The observations of a state of one update that are left, with their origins; both empty if none is.
@@ -175,11 +176,9 @@ impl<'a> Relearning<'a> {
         let Self { decision, mut states, .. } = self;
         for ((at, (id, state)), mut arrivals) in states.iter_mut().enumerate().zip(arrivals) {
             arrivals.sort_by_key(|step| step.place);
-            let mut persistence = Persistence::default();
-            for Step { sample, .. } in &arrivals {
-                persistence.observe(sample.utc_nanos, sample.value);
-            }
-            state.persistence = persistence;
+            let mut live = LiveState::default();
+            arrivals.iter().for_each(|Step { sample, .. }| live.observe(sample));
+            (state.persistence, state.recent) = (live.persistence, live.recent);
             let erased = decision.numbers.get(id).map_or(0, |numbers| numbers.len() as u64);
             state.observations = state.observations.saturating_sub(erased);
             if decision.unlearned.contains(id)

@@ -139,7 +139,7 @@ impl LiveMap {
             let from = Origin { position, producer: envelope.producer, number: live.observations };
             self.live_dirty[index / LIVE_CHUNK] = true;
             if sample.utc_nanos <= plausible {
-                live.persistence.observe(sample.utc_nanos, sample.value);
+                live.observe(&sample);
                 self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
                 self.pending.push(state, sample, from);
             } else {

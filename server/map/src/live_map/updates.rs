@@ -41,7 +41,7 @@ impl LiveMap {
             // Their time has come: from here on they are like all others.
             let index = state.0 as usize;
             if let Some(live) = self.live.get_mut(index) {
-                live.persistence.observe(sample.utc_nanos, sample.value);
+                live.observe(&sample);
                 self.live_dirty[index / LIVE_CHUNK] = true;
             }
             self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
@@ -105,6 +105,7 @@ impl LiveMap {
                 kind: info.kind,
                 observations: live.observations,
                 persistence: live.persistence,
+                recent: live.recent,
                 model: Arc::clone(model),
             })
             .collect();

@@ -7,7 +7,7 @@ use super::mean::check_values;
 use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
 
-mod likelihood;
+pub(crate) mod likelihood;
 use likelihood::Transitions;
 
 #[cfg(test)]

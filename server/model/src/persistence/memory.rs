@@ -2,7 +2,8 @@
 //!
 //! Persistence assumes that a state did not change between two equal observations. The chain does not: its rates α
 //! (from 0 to 1) and β (back) make the observed share of changes plausible for the time between observations. Nothing
-//! is stored for it: the rates follow from the sums of [`Persistence`], the mean and the first time of the state.
+//! is stored for it: the rates are the most likely ones of a [`Belief`](crate::Belief), or follow from the sums of
+//! [`Persistence`], the mean and the first time of the state.
 //! Invariant: the weight of the last value is in `[0,1]` and falls with its age.
 
 use super::{Persistence, secs_between};
@@ -21,6 +22,9 @@ pub struct MemoryBasis {
     /// Time of the first observation: UTC, nanoseconds since 1970. `None` if it is unknown: then changes are assumed to
     /// be seldom compared with observations.
     pub first_nanos: Option<i64>,
+    /// The 1/(α+β) that makes the learned readings most likely, in seconds, above 0. `None` where only sums are known:
+    /// then it follows from these.
+    pub most_likely_secs: Option<f64>,
 }
 
 impl Persistence {
@@ -29,8 +33,12 @@ impl Persistence {
     ///
     /// With π = α/(α+β), two observations that are Δ apart differ with the probability 2π(1-π)(1 - e^(-(α+β)Δ)). The
     /// mean of |change|/Δ over all pairs, with their mean gap for Δ and the mean of the state for π, gives α+β. With
-    /// irregular gaps this is too high rather than too low, so that the memory is short rather than long.
+    /// irregular gaps this is too high rather than too low, so that the memory is short rather than long. The most
+    /// likely rates, where they are known, are right with any gaps.
     pub fn memory_secs(&self, basis: MemoryBasis) -> f64 {
+        if let Some(secs) = basis.most_likely_secs {
+            return secs;
+        }
         let pairs = self.parts.pairs as f64;
         let change = if basis.usual_change > 0.0 && basis.usual_change.is_finite() { basis.usual_change } else { 1.0 };
         // Between the mean and one half, because few observations do not tell the mean.
@@ -84,7 +92,15 @@ mod tests {
             known.observe((at_secs * 1e9) as i64, f64::from(u8::from(value)));
             sum += f64::from(u8::from(value));
         }
-        (known, MemoryBasis { usual_change: 1.0, mean: sum / 20_000.0, first_nanos: Some((gap_secs * 1e9) as i64) })
+        (
+            known,
+            MemoryBasis {
+                usual_change: 1.0,
+                mean: sum / 20_000.0,
+                first_nanos: Some((gap_secs * 1e9) as i64),
+                most_likely_secs: None,
+            },
+        )
     }
 
     #[test]

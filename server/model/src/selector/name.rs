@@ -14,10 +14,11 @@ use crate::{
 impl fmt::Display for ModelSelector {
     /// As the command line names it; the order is not part of the name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let suffix = match (self.persistence, self.memory) {
-            (true, _) => "+persistence",
-            (false, true) => "+memory",
-            (false, false) => "",
+        let suffix = match (self.persistence, self.memory, self.belief) {
+            (true, _, _) => "+persistence",
+            (false, true, _) => "+memory",
+            (false, false, true) => "+belief",
+            (false, false, false) => "",
         };
         write!(f, "{}{suffix}", self.kind)
     }
@@ -28,7 +29,7 @@ impl fmt::Display for ModelSelector {
 #[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum InvalidModel {
     #[error(
-        "{0:?} is not a model: use {names}, each optionally with +persistence or +memory",
+        "{0:?} is not a model: use {names}, each optionally with +belief, +persistence or +memory",
         names = listed(ModelKind::ALL.map(ModelKind::name), "or")
     )]
     Unknown(String),
@@ -44,7 +45,7 @@ pub enum InvalidModel {
     NotAPeriod { text: String, reason: InvalidDuration },
     #[error("{0:?}: the period of pergam has to be from 1m to 366d")]
     PeriodRange(String),
-    #[error("{0:?}: the only suffixes are +persistence and +memory")]
+    #[error("{0:?}: the only suffixes are +belief, +persistence and +memory")]
     Suffix(String),
 }
 
@@ -52,11 +53,12 @@ impl FromStr for ModelSelector {
     type Err = InvalidModel;
 
     fn from_str(text: &str) -> Result<Self, InvalidModel> {
-        let (model, [persistence, memory]) = match text.split_once('+') {
-            Some((model, "persistence")) => (model, [true, false]),
-            Some((model, "memory")) => (model, [false, true]),
+        let (model, [persistence, memory, belief]) = match text.split_once('+') {
+            Some((model, "persistence")) => (model, [true, false, false]),
+            Some((model, "memory")) => (model, [false, true, false]),
+            Some((model, "belief")) => (model, [false, false, true]),
             Some(_) => return Err(InvalidModel::Suffix(text.to_owned())),
-            None => (text, [false, false]),
+            None => (text, [false; 3]),
         };
         let mut parts = model.split(':').peekable();
         let name = parts.next().unwrap_or_default();
@@ -83,7 +85,7 @@ impl FromStr for ModelSelector {
                 return Err(InvalidModel::TooFine { text: text.to_owned(), kind: kind.name(), max: limit.max, what });
             }
         }
-        Ok(Self { kind, order: None, persistence, memory })
+        Ok(Self { kind, order: None, persistence, memory, belief })
     }
 }
 

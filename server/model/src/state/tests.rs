@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::{catalogue::TRAINED_AT_NIGHT, evaluate, models::Moment};
+use crate::{Belief, catalogue::TRAINED_AT_NIGHT, evaluate, models::Moment};
 
 const MINUTE_NANOS: i64 = 60_000_000_000;
 const DAY_NANOS: i64 = 1440 * MINUTE_NANOS;
@@ -200,7 +200,8 @@ fn parts_make_the_same_state_again() {
         OrderErrors::from_parts(state.errors().to_parts()).unwrap(),
     )
     .unwrap()
-    .with_alternatives(Alternatives::from_parts(state.alternatives().unwrap().to_parts()).unwrap());
+    .with_alternatives(Alternatives::from_parts(state.alternatives().unwrap().to_parts()).unwrap())
+    .with_belief(Belief::from_parts_of(StateKind::Probability, state.belief().unwrap().to_parts()).unwrap());
     assert_eq!(again, state);
     let too_high =
         StateModel::from_parts(Accumulator::new(&week()), SpectralModel::default(), 16, OrderErrors::default());

@@ -93,7 +93,7 @@ fn times() -> Vec<i64> {
 
 fn options(kind: ModelKind, persistence: bool) -> PredictOptions {
     PredictOptions {
-        selector: ModelSelector { kind, order: Some(2), persistence, memory: false },
+        selector: ModelSelector { kind, order: Some(2), persistence, memory: false, belief: false },
         ..PredictOptions::default()
     }
 }

@@ -15,7 +15,7 @@ use tidemap_model::{
 };
 
 use super::{
-    Invalid, alternatives,
+    Invalid, alternatives, belief,
     ids::{decode_kind, decode_producer_key, decode_state_name, encode_kind, encode_producer_key},
     sensors, surprises,
 };
@@ -202,6 +202,8 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
             batches: short.batches,
         }),
         surprises: surprises::encode(state.model.surprises()),
+        belief: state.model.belief().map(belief::encode),
+        recent: belief::encode_recent(state.recent.spans()),
     }
 }
 
@@ -247,6 +249,7 @@ pub(crate) fn decode_state(
         kind,
         observations: message.observations,
         persistence: Persistence::from_parts_of(kind, persistence).map_err(|error| error.to_string())?,
+        recent: belief::decode_recent(&message.recent)?,
         model: Arc::new(decode_model(kind, message, periodicities, spectrum)?),
     })
 }
@@ -301,6 +304,10 @@ fn decode_model(
     )
     .map_err(invalid)?;
     let model = model.with_surprises(surprises::decode(message.surprises.as_ref())?);
+    let model = match &message.belief {
+        Some(known) => model.with_belief(belief::decode(kind, known)?),
+        None => model,
+    };
     Ok(match &message.alternatives {
         Some(known) => model.with_alternatives(alternatives::decode(kind, known, periodicities)?),
         None => model,

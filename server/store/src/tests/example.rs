@@ -16,8 +16,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    EnabledModels, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample,
-    SpectralModel, StateModel, TrainedModel, UpdateRules, Zone,
+    EnabledModels, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Recent,
+    Sample, SpectralModel, StateModel, TrainedModel, UpdateRules, Zone,
     catalogue::{ModelKind, TRAINED_AT_NIGHT},
     models::Readings,
 };
@@ -187,11 +187,13 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
         model.spectral().observations(),
         model.spectral().components().to_vec(),
     );
-    let known = model.alternatives().cloned();
+    let (known, belief) = (model.alternatives().cloned(), model.belief().cloned());
+    let mut recent = Recent::default();
+    samples.iter().for_each(|sample| recent.observe(sample.utc_nanos, sample.value));
     let model = StateModel::from_parts(model.accumulator().clone(), spectral.expect("valid"), 2, errors);
-    let model = model.map(|model| match known {
-        Some(known) => model.with_alternatives(known),
-        None => model,
+    let model = model.map(|model| match (known, belief) {
+        (Some(known), Some(belief)) => model.with_alternatives(known).with_belief(belief),
+        _ => model,
     });
     let persistence =
         PersistenceParts { pairs: 7, change_rate_sum: random.random(), last: Some((77, random.random())) };
@@ -200,6 +202,7 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
         kind: StateKind::Probability,
         observations: random.random(),
         persistence: Persistence::from_parts(persistence).expect("valid"),
+        recent,
         model: Arc::new(model.expect("valid")),
     }
 }

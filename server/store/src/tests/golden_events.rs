@@ -18,7 +18,7 @@ use tidemap_map::{
 };
 use tidemap_model::{
     Accumulator, AccumulatorParts, Component, LocalDay, OrderCriterion, OrderErrors, OrderErrorsParts, Periodicities,
-    Persistence, PersistenceParts, SpectralModel, StateModel, Zone,
+    Persistence, PersistenceParts, Recent, SpectralModel, StateModel, Zone,
 };
 
 use super::golden::Golden;
@@ -193,6 +193,7 @@ fn snapshot() -> MapSnapshot {
         kind: StateKind::Probability,
         observations: 10,
         persistence,
+        recent: Recent::default(),
         model: Arc::new(model),
     };
     MapSnapshot {

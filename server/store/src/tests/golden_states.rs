@@ -11,8 +11,8 @@ use tidemap_map::{
 };
 use tidemap_model::{
     Accumulator, AccumulatorParts, Alternatives, AlternativesParts, Component, EnabledModels, GapsParts, LocalDay,
-    OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Sample, SpectralModel, StateModel,
-    TrainedModelParts, TrainingRecordParts, UpdateRules, Zone,
+    OrderErrors, OrderErrorsParts, Periodicities, Persistence, PersistenceParts, Recent, Sample, SpectralModel,
+    StateModel, TrainedModelParts, TrainingRecordParts, UpdateRules, Zone,
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
@@ -106,6 +106,7 @@ pub(super) fn state_of(kind: StateKind, name: &str, alternatives: Alternatives) 
         kind,
         observations: 10,
         persistence: Persistence::default(),
+        recent: Recent::default(),
         model: Arc::new(model.expect("valid").with_alternatives(alternatives)),
     }
 }
@@ -137,7 +138,12 @@ fn few() -> StateSnapshot {
     let rules = UpdateRules { models: EnabledModels::SPECTRAL, ..spec().update_rules() };
     model.update(&spec().periodicities, rules, vec![sample(400_000)]);
     assert!(model.accumulator().to_parts().short.is_some(), "one reading takes less room than the spectrum");
-    StateSnapshot { observations: 1, model: Arc::new(model), ..state("hatch", alternatives(None)) }
+    // As it was before states had beliefs.
+    let known = model.alternatives().expect("trained").clone();
+    let (sums, spectral) = (model.accumulator().clone(), model.spectral().clone());
+    let model = StateModel::from_parts(sums, spectral, model.best_order(), *model.errors()).expect("valid");
+    let model = Arc::new(model.with_alternatives(known));
+    StateSnapshot { observations: 1, model, ..state("hatch", alternatives(None)) }
 }
 
 pub(super) fn map() -> Golden {

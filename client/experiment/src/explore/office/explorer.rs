@@ -76,7 +76,7 @@ impl ExplorerKind {
             ExplorerKind::Temporal => (ModelKind::Auto, false),
             ExplorerKind::TemporalPersistence => (ModelKind::Auto, true),
         };
-        ModelSelector { kind, order: None, persistence, memory: false }
+        ModelSelector { kind, order: None, persistence, memory: false, belief: false }
     }
 }
 

@@ -37,7 +37,7 @@ fn a_state_that_was_added_is_there_before_anything_is_observed_of_it() {
     for (id, expected) in [(0, 0.5), (1, 0.0), (2, 0.0)] {
         for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
             for persistence in [false, true] {
-                let selector = ModelSelector { kind, order: None, persistence, memory: false };
+                let selector = ModelSelector { kind, order: None, persistence, memory: false, belief: false };
                 assert_eq!(predict_by(&view, id, selector, HOUR), expected, "state {id}, {selector:?}");
             }
         }

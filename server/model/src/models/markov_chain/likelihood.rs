@@ -18,26 +18,26 @@ const LOG_RATES: (f64, f64) = (-25.0, 23.0);
 const LOG_RATE_STEP: f64 = 0.5;
 
 /// Counts of staying and changing over gaps of about the same length.
-#[derive(Clone, Copy, Debug, Default)]
-struct GapCounts {
-    weight: f64,
-    gap_secs_sum: f64,
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct GapCounts {
+    pub(crate) weight: f64,
+    pub(crate) gap_secs_sum: f64,
     /// Weight of pairs that stayed 0, rose, fell and stayed 1.
-    low: f64,
-    rises: f64,
-    falls: f64,
-    high: f64,
+    pub(crate) low: f64,
+    pub(crate) rises: f64,
+    pub(crate) falls: f64,
+    pub(crate) high: f64,
 }
 
 /// Sufficient statistics of successive readings for the rates.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Transitions {
-    by_gap: BTreeMap<i32, GapCounts>,
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Transitions {
+    pub(crate) by_gap: BTreeMap<i32, GapCounts>,
 }
 
 impl Transitions {
     /// Counts a pair of readings in `[0,1]`; a gap of 0 says nothing.
-    pub(super) fn add(&mut self, gap_nanos: u64, from: f64, to: f64, weight: f64) {
+    pub(crate) fn add(&mut self, gap_nanos: u64, from: f64, to: f64, weight: f64) {
         if gap_nanos == 0 {
             return;
         }
@@ -51,8 +51,75 @@ impl Transitions {
         counts.high += weight * from.min(to);
     }
 
+    /// Counts a pair of readings with the probabilities that it stayed 0, rose, fell and stayed 1. Gaps of the same
+    /// octave count as one, so that the memory is constant; a gap of 0 says nothing.
+    pub(crate) fn add_by_octave(&mut self, gap_nanos: u64, [low, rise, fall, high]: [f64; 4]) {
+        let Some(octave) = gap_nanos.checked_ilog2() else { return };
+        let counts = self.by_gap.entry(octave as i32).or_default();
+        counts.weight += 1.0;
+        counts.gap_secs_sum += gap_nanos as f64 / 1e9;
+        counts.low += low;
+        counts.rises += rise;
+        counts.falls += fall;
+        counts.high += high;
+    }
+
+    /// Adds the counts of others, whose gaps are merged in the same way.
+    pub(crate) fn merge(&mut self, other: &Transitions) {
+        for (gap, more) in &other.by_gap {
+            let counts = self.by_gap.entry(*gap).or_default();
+            counts.weight += more.weight;
+            counts.gap_secs_sum += more.gap_secs_sum;
+            counts.low += more.low;
+            counts.rises += more.rises;
+            counts.falls += more.falls;
+            counts.high += more.high;
+        }
+    }
+
+    /// Forgetting: lowers the weight of all pairs so far.
+    pub(crate) fn scale(&mut self, factor: f64) {
+        for counts in self.by_gap.values_mut() {
+            let GapCounts { weight, gap_secs_sum, low, rises, falls, high } = counts;
+            [weight, gap_secs_sum, low, rises, falls, high].into_iter().for_each(|sum| *sum *= factor);
+        }
+    }
+
+    /// Whether nothing was counted.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.by_gap.is_empty()
+    }
+
+    /// The mean gap between two readings, in seconds; 0 without pairs.
+    pub(crate) fn mean_gap_secs(&self) -> f64 {
+        let [weight, secs] = self
+            .by_gap
+            .values()
+            .fold([0.0; 2], |[weight, secs], counts| [weight + counts.weight, secs + counts.gap_secs_sum]);
+        if weight > 0.0 { secs / weight } else { 0.0 }
+    }
+
+    /// (λ, π) of the highest posterior density, searched from a λ that is about right.
+    pub(crate) fn most_likely_near(&self, rate: f64) -> (f64, f64) {
+        let value = |log_rate: f64| self.profile(log_rate).0;
+        let mut at = rate.ln().clamp(LOG_RATES.0, LOG_RATES.1);
+        let mut best = value(at);
+        for direction in [LOG_RATE_STEP, -LOG_RATE_STEP] {
+            loop {
+                let next = at + direction;
+                let there = value(next);
+                if there <= best || !(LOG_RATES.0..=LOG_RATES.1).contains(&next) {
+                    break;
+                }
+                (at, best) = (next, there);
+            }
+        }
+        let at = golden_section(at - LOG_RATE_STEP, at + LOG_RATE_STEP, value);
+        (at.exp(), self.profile(at).1)
+    }
+
     /// (λ, π) of the highest posterior density; not to be used if the signal is set.
-    pub(super) fn most_likely(&self, stop: StopSignal<'_>) -> (f64, f64) {
+    pub(crate) fn most_likely(&self, stop: StopSignal<'_>) -> (f64, f64) {
         let (from, to) = LOG_RATES;
         let steps = ((to - from) / LOG_RATE_STEP) as usize;
         let value = |log_rate: f64| self.profile(log_rate).0;

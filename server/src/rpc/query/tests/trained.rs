@@ -28,7 +28,13 @@ fn door(hours: std::ops::Range<i64>) -> Vec<(i64, f64)> {
 }
 
 fn wire(kind: ModelKind, persistence: bool) -> Option<v1::ModelSelector> {
-    Some(selector_to_wire(tidemap_model::selector::ModelSelector { kind, order: None, persistence, memory: false }))
+    Some(selector_to_wire(tidemap_model::selector::ModelSelector {
+        kind,
+        order: None,
+        persistence,
+        memory: false,
+        belief: false,
+    }))
 }
 
 impl Bench {

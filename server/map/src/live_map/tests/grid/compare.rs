@@ -24,7 +24,13 @@ fn selectors() -> Vec<ModelSelector> {
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
         for order in [None, Some(0), Some(2), Some(ORDER_MAX)] {
             let blends = [[false, false], [true, false], [false, true]];
-            selectors.extend(blends.map(|[persistence, memory]| ModelSelector { kind, order, persistence, memory }));
+            selectors.extend(blends.map(|[persistence, memory]| ModelSelector {
+                kind,
+                order,
+                persistence,
+                memory,
+                belief: false,
+            }));
         }
     }
     selectors

@@ -168,7 +168,8 @@ impl CellOracle {
         match (selector.persistence, selector.memory) {
             (true, _) => self.persistence.blend(p, utc_nanos),
             (false, true) => {
-                let basis = MemoryBasis { usual_change: 1.0, mean: spectral.mean(), first_nanos: None };
+                let basis =
+                    MemoryBasis { usual_change: 1.0, mean: spectral.mean(), first_nanos: None, most_likely_secs: None };
                 self.persistence.remember(basis, p, utc_nanos)
             }
             (false, false) => p,

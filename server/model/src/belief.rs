@@ -1,0 +1,210 @@
+//! The newest reading: what recent readings say about a state now and a while ahead, and how much that counts.
+//!
+//! A state of two values is a hidden chain that a sensor reads with errors. Its rates, the errors and how long it keeps
+//! a value are learned day by day; a filter over its recent readings then gives the probability that it is 1 now and
+//! ahead. Other values stand for themselves. Either is blended into a prediction with a weight by lag, which is
+//! learned from the errors that both would have made. See [`recent`] for what an observation changes at once.
+//!
+//! Invariant: what is learned depends on the readings and their times alone, takes constant memory, and each day is
+//! scored before it is learned. A blended probability lies in `[0,1]`, and far ahead it is the prediction itself.
+
+use crate::{
+    Sample,
+    models::{Moment, markov_chain::likelihood::Transitions},
+};
+
+mod ahead;
+mod dwell;
+mod filter;
+mod lag;
+mod learn;
+mod noise;
+mod parts;
+mod recent;
+#[cfg(test)]
+mod tests;
+
+use ahead::Ahead;
+use dwell::Dwells;
+use lag::LagWeights;
+pub use noise::SensorNoise;
+pub use parts::{BeliefParts, GapCountParts, OpenDwell};
+pub use recent::{Recent, RecentSpan, SPANS_MAX};
+
+/// The rates of a two-state chain.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// α: changes from 0 to 1 per second of being 0; above 0.
+    pub rise_per_sec: f64,
+    /// β: changes from 1 to 0 per second of being 1; above 0.
+    pub fall_per_sec: f64,
+}
+
+impl Default for Rates {
+    /// One rise and one fall in an hour at each value.
+    fn default() -> Rates {
+        Rates { rise_per_sec: 1.0 / 3600.0, fall_per_sec: 1.0 / 3600.0 }
+    }
+}
+
+impl Rates {
+    /// α + β: the influence of a known value falls to 1/e in the time 1/(α + β).
+    pub fn sum(self) -> f64 {
+        self.rise_per_sec + self.fall_per_sec
+    }
+
+    /// π = α/(α + β), the share of the time in which the state is 1.
+    pub fn share(self) -> f64 {
+        self.rise_per_sec / self.sum()
+    }
+
+    /// The probability of 1 after a time, from that before it: π + (b - π)·e^(-(α+β)Δ).
+    fn after(self, before: f64, secs: f64) -> f64 {
+        self.share() + (before - self.share()) * (-self.sum() * secs).exp()
+    }
+}
+
+/// The newest learned reading: UTC nanoseconds and value.
+type Newest = (i64, f64);
+
+/// What is learned about the newest reading of a state; see the top of the file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Belief {
+    /// Whether every learned reading was 0 or 1.
+    has_two_values: bool,
+    newest: Option<Newest>,
+    recent: Recent,
+    /// Successive readings, taken as the truth.
+    seen: Transitions,
+    /// The rates that make them most likely.
+    seen_rates: Rates,
+    /// Expected counts of successive hidden values.
+    hidden: Transitions,
+    hidden_rates: Rates,
+    /// Expected number of readings at the hidden values, and of the wrong ones among them.
+    errors: noise::ErrorSums,
+    noise: SensorNoise,
+    /// By how much sensor noise has made readings more likely that were not yet learned, in nats; fading.
+    gain: f64,
+    days: u32,
+    dwells: Dwells,
+    weights: LagWeights,
+}
+
+impl Belief {
+    /// Of a state without readings. `can_have_two_values`: it is a probability.
+    pub fn new(can_have_two_values: bool) -> Belief {
+        Belief {
+            has_two_values: can_have_two_values,
+            newest: None,
+            recent: Recent::default(),
+            seen: Transitions::default(),
+            seen_rates: Rates::default(),
+            hidden: Transitions::default(),
+            hidden_rates: Rates::default(),
+            errors: noise::ErrorSums::default(),
+            noise: SensorNoise::default(),
+            gain: 0.0,
+            days: 0,
+            dwells: Dwells::default(),
+            weights: LagWeights::default(),
+        }
+    }
+
+    /// What readers need: a copy without what only learning needs. It answers the same.
+    #[must_use]
+    pub fn published(&self) -> Belief {
+        Belief {
+            newest: None,
+            recent: Recent::default(),
+            hidden: Transitions::default(),
+            errors: noise::ErrorSums::default(),
+            dwells: self.dwells.published(),
+            ..self.clone()
+        }
+    }
+
+    /// The rates that make the readings most likely as the truth; `None` before the second reading, and for other
+    /// values than 0 and 1.
+    pub fn rates_of_readings(&self) -> Option<Rates> {
+        (self.has_two_values && !self.seen.is_empty()).then_some(self.seen_rates)
+    }
+
+    /// The rates of the hidden chain, with the noise that counts.
+    pub fn rates(&self) -> Rates {
+        if self.is_noisy() { self.hidden_rates } else { self.seen_rates }
+    }
+
+    /// The sensor's errors; 0 unless they have made new readings more likely.
+    pub fn noise(&self) -> SensorNoise {
+        if self.is_noisy() { self.noise } else { SensorNoise::default() }
+    }
+
+    fn is_noisy(&self) -> bool {
+        self.gain > learn::GAIN_MIN
+    }
+
+    /// Whether the times for which it keeps its values are known, beyond rates.
+    pub fn knows_dwells(&self) -> bool {
+        self.has_two_values && self.dwells.are_known(self.rates(), self.seen.mean_gap_secs())
+    }
+
+    /// Draws predictions towards what the newest readings say. `recent` and `newest` are those of the state now;
+    /// predictions of times before the newest reading stay as they are. `out` is as long as the moments.
+    pub fn blend_into(&self, recent: &Recent, newest: Option<(i64, f64)>, moments: &[Moment], out: &mut [f64]) {
+        let Some((newest_nanos, value)) = newest else { return };
+        let lags = moments.iter().map(|moment| lag_secs(newest_nanos, moment.utc_nanos));
+        let longest = lags.clone().flatten().fold(0.0, f64::max);
+        let ahead = self.ahead(recent, (newest_nanos, value), longest);
+        for (out, lag) in out.iter_mut().zip(lags) {
+            let Some(lag) = lag else { continue };
+            let weight = self.weights.at(lag, self.trust_secs());
+            *out += weight * (self.reading(ahead.at(lag)) - *out);
+        }
+    }
+
+    /// What the recent readings say of the time after the newest one.
+    fn ahead(&self, recent: &Recent, (newest_nanos, value): Newest, longest_secs: f64) -> Ahead {
+        if !self.has_two_values || recent.newest_nanos() != Some(newest_nanos) {
+            return Ahead::constant(value);
+        }
+        let (rates, noise) = (self.rates(), self.noise());
+        match self.dwells.survivals().filter(|_| self.knows_dwells()) {
+            Some(survivals) => {
+                Ahead::of_dwells(survivals, &filter::filter_dwells(survivals, noise, recent), longest_secs)
+            }
+            None => Ahead::of_chain(rates, filter::filter_chain(rates, noise, recent)),
+        }
+    }
+
+    /// What a reading is expected to be, from what the state is: as everything that is learned from readings, a
+    /// prediction is of the next reading. What was taken for errors may as well be short changes.
+    fn reading(&self, said: f64) -> f64 {
+        if self.has_two_values { self.noise().reading(said) } else { said }
+    }
+
+    /// For how long the newest readings are trusted before lags were scored, in seconds.
+    fn trust_secs(&self) -> f64 {
+        if self.has_two_values { lag::TRUSTED_TIMES / self.rates().sum() } else { lag::PRIOR_TRUST_SECS }
+    }
+}
+
+/// Seconds from the newest reading to a time; `None` before it.
+fn lag_secs(newest_nanos: i64, utc_nanos: i64) -> Option<f64> {
+    (utc_nanos >= newest_nanos).then(|| utc_nanos.abs_diff(newest_nanos) as f64 / 1e9)
+}
+
+/// A reading of a state of two values: UTC nanoseconds, and whether it was 1.
+type Look = (i64, bool);
+
+/// The readings newer than a time, each newer than the one before.
+fn looks_after(last_nanos: Option<i64>, samples: &[Sample]) -> Vec<Look> {
+    let mut looks: Vec<Look> = Vec::with_capacity(samples.len());
+    for sample in samples {
+        let last = looks.last().map(|(nanos, _)| *nanos).or(last_nanos);
+        if last.is_none_or(|last| sample.utc_nanos > last) {
+            looks.push((sample.utc_nanos, sample.value >= 0.5));
+        }
+    }
+    looks
+}

@@ -1,0 +1,222 @@
+//! Learning a day: its successions, the sensor's errors, the dwells, and before all that the weights by lag.
+//!
+//! The errors of the sensor are found by expectation and maximisation, a few passes over the readings of a day with the
+//! expected counts of earlier days, so that nothing but counts is kept. They count once they have made readings more
+//! likely that were not yet learned. Invariant: a day is scored with what was known before it.
+
+use super::{
+    Belief, Look, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lag::LagWeights, lag_secs, looks_after, noise,
+};
+use crate::{Sample, models::markov_chain::likelihood::Transitions};
+
+/// Sensor noise counts when it has gained this many nats on readings that were not yet learned.
+pub(super) const GAIN_MIN: f64 = 5.0;
+/// The part of the gain, and of the expected counts, that is left after a day.
+const KEPT: f64 = 0.98;
+/// Passes over the readings of the first days, and of later ones.
+const FIRST_PASSES: usize = 15;
+const PASSES: usize = 2;
+const FIRST_DAYS: u32 = 2;
+/// The share of the first day's readings that its rest is judged by.
+const FIRST_SHARE: f64 = 2.0 / 3.0;
+/// At most about this many readings of a day are looked at.
+const LOOKS_MAX: usize = 20_000;
+/// Readings from which the rest of a day is predicted, beside the last one of the days before.
+const ORIGINS: usize = 15;
+
+/// A prediction for each of some readings.
+type Predict<'a> = dyn Fn(&[Sample]) -> Vec<f64> + 'a;
+
+/// A reading that was not yet learned, and what earlier ones said of it.
+struct Target {
+    lag: usize,
+    said: f64,
+    sample: Sample,
+}
+
+impl Belief {
+    /// Learns the readings of a day, ascending. They are scored first by `predict`, which has not learned them and
+    /// predicts each reading; `None`: nothing was learned before. `unit`: the variance of the state, above 0.
+    pub fn learn_day(&mut self, samples: &[Sample], predict: Option<&Predict<'_>>, unit: f64) {
+        let newest_before = self.newest.map(|(nanos, _)| nanos);
+        let from = samples.partition_point(|sample| newest_before.is_some_and(|before| sample.utc_nanos <= before));
+        let newer = &samples[from..];
+        if newer.is_empty() {
+            return;
+        }
+        if newer.iter().any(|sample| sample.value != 0.0 && sample.value != 1.0) {
+            self.has_two_values = false;
+        }
+        match predict {
+            Some(predict) => self.score(newer, predict, unit),
+            None => self.learn_first_day(newer, unit),
+        }
+        if self.has_two_values {
+            self.learn_looks(&looks_after(newest_before, newer));
+        }
+        self.take_in(newer);
+        self.days = self.days.saturating_add(1);
+    }
+
+    /// What is known follows the readings, without learning from them.
+    fn take_in(&mut self, samples: &[Sample]) {
+        for sample in samples {
+            self.recent.observe(sample.utc_nanos, sample.value);
+            if self.newest.is_none_or(|(newest, _)| sample.utc_nanos > newest) {
+                self.newest = Some((sample.utc_nanos, sample.value));
+            }
+        }
+    }
+
+    /// Learns two thirds of the first day and judges the rest by them, so that a state is not without weights and
+    /// noise for a day.
+    fn learn_first_day(&mut self, samples: &[Sample], unit: f64) {
+        let (first, rest) = samples.split_at((samples.len() as f64 * FIRST_SHARE) as usize);
+        if first.is_empty() || rest.is_empty() {
+            return;
+        }
+        let mean = first.iter().map(|sample| sample.value).sum::<f64>() / first.len() as f64;
+        let mut judge = self.clone();
+        judge.take_in(first);
+        if judge.has_two_values {
+            let (looks, newest) = (looks_after(None, first), judge.newest.take());
+            judge.learn_looks(&looks);
+            judge.newest = newest;
+            self.gain = judge.gained(&looks_after(newest.map(|(nanos, _)| nanos), rest));
+            if self.is_noisy() {
+                // Its dwells depend on which readings were wrong.
+                let learned = Belief { gain: self.gain, ..self.clone() };
+                let (recent, newest) = (judge.recent, judge.newest);
+                judge = learned;
+                judge.learn_looks(&looks);
+                (judge.recent, judge.newest) = (recent, newest);
+            }
+        }
+        judge.score_lags(rest, &|samples| vec![mean; samples.len()], unit);
+        self.weights = judge.weights;
+    }
+
+    /// By how much sensor noise makes readings more likely that were not learned, in nats.
+    fn gained(&self, looks: &[Look]) -> f64 {
+        if self.hidden.is_empty() {
+            return 0.0;
+        }
+        let likelihood = |rates: Rates, noise: SensorNoise| noise::log_likelihood(looks, 1, rates, noise);
+        likelihood(self.hidden_rates, self.noise) - likelihood(self.seen_rates, SensorNoise::default())
+    }
+
+    /// Judges the noise of the sensor and the weights by lag by readings that are not yet learned.
+    fn score(&mut self, newer: &[Sample], predict: &Predict<'_>, unit: f64) {
+        if self.has_two_values {
+            let was_noisy = self.is_noisy();
+            self.gain = self.gain * KEPT + self.gained(&looks_after(self.newest.map(|(nanos, _)| nanos), newer));
+            if self.is_noisy() != was_noisy {
+                // They depend on which readings were wrong.
+                self.dwells = Dwells::default();
+            }
+        }
+        self.score_lags(newer, predict, unit);
+    }
+
+    /// Judges the weights by lag.
+    fn score_lags(&mut self, newer: &[Sample], predict: &Predict<'_>, unit: f64) {
+        let targets = self.targets(newer);
+        let samples: Vec<Sample> = targets.iter().map(|target| target.sample).collect();
+        self.weights.fade();
+        for (target, predicted) in targets.iter().zip(predict(&samples)) {
+            self.weights.add(target.lag, (target.sample.value, predicted, target.said), unit);
+        }
+    }
+
+    /// The readings that the weights are judged by: those ahead of the newest known reading, and of some of the day.
+    fn targets(&self, newer: &[Sample]) -> Vec<Target> {
+        let mut targets = Vec::new();
+        let (mut recent, mut newest) = (self.recent, self.newest);
+        if let Some(newest) = newest {
+            self.targets_from(&recent, newest, newer, &mut targets);
+        }
+        let mut next = 0;
+        for (at, sample) in newer.iter().enumerate() {
+            recent.observe(sample.utc_nanos, sample.value);
+            if newest.is_none_or(|(nanos, _)| sample.utc_nanos > nanos) {
+                newest = Some((sample.utc_nanos, sample.value));
+            }
+            if at * ORIGINS >= next * newer.len() {
+                next += 1;
+                if let Some(newest) = newest {
+                    self.targets_from(&recent, newest, &newer[at + 1..], &mut targets);
+                }
+            }
+        }
+        targets
+    }
+
+    /// Adds for each lag the first of the later readings that is that far ahead.
+    fn targets_from(&self, recent: &Recent, newest: Newest, later: &[Sample], targets: &mut Vec<Target>) {
+        let target = |lag: usize| {
+            let nanos = newest.0.saturating_add((LagWeights::lag_secs(lag) * 1e9) as i64);
+            // Within the step of the lags: a reading just before counts too.
+            let at = later.partition_point(|sample| sample.utc_nanos < nanos);
+            let sample = later.get(at).or(later.last())?;
+            let secs = lag_secs(newest.0, sample.utc_nanos).filter(|secs| LagWeights::nearest(*secs) == Some(lag))?;
+            Some((lag, secs, *sample))
+        };
+        let found: Vec<_> = (0..super::lag::LAGS).filter_map(target).collect();
+        let longest = found.iter().map(|(_, secs, _)| *secs).fold(0.0, f64::max);
+        if found.is_empty() {
+            return;
+        }
+        let ahead = self.ahead(recent, newest, longest);
+        let target = |(lag, secs, sample)| Target { lag, said: self.reading(ahead.at(secs)), sample };
+        targets.extend(found.into_iter().map(target));
+    }
+
+    /// Learns successions, noise and dwells.
+    fn learn_looks(&mut self, looks: &[Look]) {
+        let looks = &looks[looks.len().saturating_sub(LOOKS_MAX)..];
+        let before = self.newest.map(|(nanos, value)| (nanos, value >= 0.5));
+        let all = before.iter().chain(looks);
+        for (&(earlier, from), &(later, to)) in all.clone().zip(all.skip(1)) {
+            let mut counts = [0.0; 4];
+            counts[usize::from(from) * 2 + usize::from(to)] = 1.0;
+            self.seen.add_by_octave(later.abs_diff(earlier), counts);
+        }
+        if self.seen.is_empty() {
+            return;
+        }
+        self.seen_rates = most_likely(&self.seen, self.seen_rates, self.days);
+        let expected = self.learn_noise(looks);
+        let gap = self.seen.mean_gap_secs();
+        self.dwells.learn(looks, &expected, gap);
+    }
+
+    /// Learns the hidden chain and the sensor's errors. Returns what the readings say by the noise that counts.
+    fn learn_noise(&mut self, looks: &[Look]) -> noise::Expected {
+        let passes = if self.days < FIRST_DAYS { FIRST_PASSES } else { PASSES };
+        if self.hidden.is_empty() {
+            (self.hidden_rates, self.noise) = (self.seen_rates, SensorNoise::begin());
+        }
+        self.hidden.scale(KEPT);
+        self.errors.scale(KEPT);
+        let (mut hidden, mut errors) = (self.hidden.clone(), self.errors);
+        for _ in 0..passes {
+            let expected = noise::expect(looks, self.hidden_rates, self.noise);
+            (hidden, errors) = (self.hidden.clone(), self.errors);
+            hidden.merge(&expected.transitions);
+            errors.merge(&expected.errors);
+            self.hidden_rates = most_likely(&hidden, self.hidden_rates, self.days);
+            self.noise = errors.noise();
+        }
+        (self.hidden, self.errors) = (hidden, errors);
+        noise::expect(looks, self.rates(), self.noise())
+    }
+}
+
+/// The most likely rates; after the first days near those of the day before.
+fn most_likely(transitions: &Transitions, before: Rates, days: u32) -> Rates {
+    let (sum, share) = match days {
+        0 => transitions.most_likely(crate::StopSignal::default()),
+        _ => transitions.most_likely_near(before.sum()),
+    };
+    Rates { rise_per_sec: sum * share, fall_per_sec: sum * (1.0 - share) }
+}

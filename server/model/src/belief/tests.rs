@@ -1,0 +1,256 @@
+//! What `belief.rs` promises, on simulated states.
+
+use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+
+use super::{ahead::Ahead, dwell::Survival, filter, lag::LagWeights, noise, *};
+use crate::StateKind;
+
+const SEC: i64 = 1_000_000_000;
+
+/// Readings of a state that keeps 0 and 1 for times drawn by `dwell`, at gaps drawn by `gap`, with errors.
+fn simulate(
+    seed: u64,
+    count: usize,
+    dwell: impl Fn(bool, &mut SmallRng) -> f64,
+    gap: impl Fn(&mut SmallRng) -> f64,
+    wrong: f64,
+) -> Vec<Sample> {
+    let mut random = SmallRng::seed_from_u64(seed);
+    let (mut now, mut value, mut until) = (0.0, false, 0.0);
+    let mut samples = Vec::with_capacity(count);
+    for _ in 0..count {
+        now += gap(&mut random);
+        while until <= now {
+            value = !value;
+            until += dwell(value, &mut random).max(1.0);
+        }
+        let read = value != (random.random::<f64>() < wrong);
+        samples.push(Sample { utc_nanos: (now * 1e9) as i64, offset_secs: 0, value: f64::from(u8::from(read)) });
+    }
+    samples
+}
+
+fn exponential(mean: f64, random: &mut SmallRng) -> f64 {
+    -mean * (1.0 - random.random::<f64>()).ln()
+}
+
+/// Learns readings day by day, each predicted by the mean before it.
+fn learned(samples: &[Sample]) -> Belief {
+    let mut belief = Belief::new(true);
+    let (mut sum, mut count) = (0.0, 0.0);
+    for day in samples.chunk_by(|one, next| one.local_day() == next.local_day()) {
+        let mean = if count > 0.0 { sum / count } else { 0.5 };
+        let predict = |samples: &[Sample]| vec![mean; samples.len()];
+        belief.learn_day(day, (count > 0.0).then_some(&predict), 0.25);
+        sum += day.iter().map(|sample| sample.value).sum::<f64>();
+        count += day.len() as f64;
+    }
+    belief
+}
+
+fn blended(belief: &Belief, samples: &[Sample], p: f64, lag_secs: i64) -> f64 {
+    let mut recent = Recent::default();
+    samples.iter().for_each(|sample| recent.observe(sample.utc_nanos, sample.value));
+    let last = samples.last().unwrap();
+    let mut out = [p];
+    let at = Moment { utc_nanos: last.utc_nanos + lag_secs * SEC, offset_secs: 0 };
+    belief.blend_into(&recent, Some((last.utc_nanos, last.value)), &[at], &mut out);
+    out[0]
+}
+
+#[test]
+fn the_rates_of_a_chain_are_found_whatever_the_gaps() {
+    for (low, high, gap) in [(7200.0, 1800.0, 60.0), (7200.0, 1800.0, 2700.0), (20_000.0, 5000.0, 600.0)] {
+        let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { high } else { low }, random);
+        let belief = learned(&simulate(1, 20_000, dwell, |random| exponential(gap, random), 0.0));
+        let rates = belief.rates_of_readings().unwrap();
+        let sum = 1.0 / low + 1.0 / high;
+        assert!((rates.sum() / sum - 1.0).abs() < 0.1, "{low} {high} {gap}: {rates:?}");
+        assert!((rates.share() - high / (low + high)).abs() < 0.03, "{low} {high} {gap}: {rates:?}");
+        assert_eq!(belief.noise(), SensorNoise::default(), "{low} {high} {gap}");
+    }
+}
+
+#[test]
+fn the_errors_of_a_sensor_are_found() {
+    let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 7200.0 } else { 10_800.0 }, random);
+    let belief = learned(&simulate(2, 20_000, dwell, |random| exponential(60.0, random), 0.1));
+    let SensorNoise { miss, false_alarm } = belief.noise();
+    assert!((miss - 0.1).abs() < 0.02 && (false_alarm - 0.1).abs() < 0.02, "{:?}", belief.noise());
+    let sum = 1.0 / 7200.0 + 1.0 / 10_800.0;
+    assert!((belief.rates().sum() / sum - 1.0).abs() < 0.2, "{:?}", belief.rates());
+}
+
+#[test]
+fn a_single_wrong_reading_is_not_believed() {
+    let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 7200.0 } else { 10_800.0 }, random);
+    let samples = simulate(3, 20_000, dwell, |_| 60.0, 0.1);
+    let belief = learned(&samples);
+    let reading = |minute: i64, value| Sample { utc_nanos: minute * 60 * SEC, offset_secs: 0, value };
+    let mut ones: Vec<Sample> = (0..20).map(|minute| reading(minute, 1.0)).collect();
+    assert!(blended(&belief, &ones, 0.4, 0) > 0.85);
+    ones.push(reading(20, 0.0));
+    assert!(blended(&belief, &ones, 0.4, 0) > 0.7);
+    ones.extend((21..24).map(|minute| reading(minute, 0.0)));
+    assert!(blended(&belief, &ones, 0.4, 0) < 0.3);
+}
+
+#[test]
+fn the_next_change_of_a_regular_state_is_foreseen() {
+    // 0 for ten minutes, 1 for five, give or take a little.
+    let dwell = |is_one, random: &mut SmallRng| {
+        let mean = if is_one { 300.0 } else { 600.0 };
+        mean * (0.97 + 0.06 * random.random::<f64>())
+    };
+    let samples = simulate(4, 20_000, dwell, |_| 10.0, 0.0);
+    let belief = learned(&samples);
+    assert!(belief.knows_dwells());
+    let change = samples.windows(2).rposition(|pair| pair[0].value == 0.0 && pair[1].value == 1.0).unwrap() + 1;
+    let seen = &samples[..=change];
+    let at = |lag_secs| blended(&belief, seen, 0.33, lag_secs);
+    assert!(at(120) > 0.9 && at(240) > 0.8, "{} {}", at(120), at(240));
+    assert!(at(420) < 0.2 && at(600) < 0.2, "{} {}", at(420), at(600));
+}
+
+#[test]
+fn far_ahead_the_prediction_answers() {
+    // A chain that forgets within minutes says nothing about tomorrow: there the predictor knows more.
+    let dwell = |_, random: &mut SmallRng| exponential(600.0, random);
+    let samples = simulate(5, 14_400, dwell, |_| 60.0, 0.0);
+    let belief = learned(&samples);
+    for p in [0.05, 0.9] {
+        assert!((blended(&belief, &samples, p, 7 * 86_400) - p).abs() < 0.01);
+        assert!((blended(&belief, &samples, p, 0) - samples.last().unwrap().value).abs() < 0.01);
+    }
+    let before = samples.last().unwrap().utc_nanos - SEC;
+    let mut out = [0.3];
+    let newest = samples.last().map(|sample| (sample.utc_nanos, sample.value));
+    belief.blend_into(&Recent::default(), newest, &[Moment { utc_nanos: before, offset_secs: 0 }], &mut out);
+    assert_eq!(out, [0.3]);
+}
+
+#[test]
+fn weights_follow_what_has_been_right() {
+    let mut weights = LagWeights::default();
+    for _ in 0..100 {
+        weights.add(1, (1.0, 0.2, 0.9), 0.25);
+        weights.add(6, (0.2, 0.2, 0.9), 0.25);
+    }
+    let at = |lag| weights.at(LagWeights::lag_secs(lag), 3600.0);
+    assert!(at(1) > 0.99 && at(6) < 0.1, "{} {}", at(1), at(6));
+    assert!(at(8) <= at(6), "a lag that was never scored goes by the one before it");
+    assert_eq!(weights.at(0.0, 3600.0), 1.0);
+    assert!(weights.at(1e9, 3600.0) < 1e-9);
+}
+
+#[test]
+fn numbers_are_the_newest_value_as_far_as_that_was_right() {
+    // Steps of an hour, read every ten minutes.
+    let mut random = SmallRng::seed_from_u64(6);
+    let mut value = 20.0;
+    let samples: Vec<Sample> = (0..3000)
+        .map(|at: i64| {
+            if at % 6 == 0 {
+                value = 20.0 + 4.0 * (random.random::<f64>() - 0.5);
+            }
+            Sample { utc_nanos: at * 600 * SEC, offset_secs: 0, value }
+        })
+        .collect();
+    let mut belief = Belief::new(false);
+    let predict = |samples: &[Sample]| vec![20.0; samples.len()];
+    for (number, day) in samples.chunk_by(|one, next| one.local_day() == next.local_day()).enumerate() {
+        belief.learn_day(day, (number > 0).then_some(&predict), 4.0 / 3.0);
+    }
+    let last = samples.last().unwrap().value;
+    let weight = |lag| (blended(&belief, &samples, 20.0, lag) - 20.0) / (last - 20.0);
+    assert!(weight(600) > 0.6 && weight(86_400) < 0.2, "{} {}", weight(600), weight(86_400));
+}
+
+#[test]
+fn the_filter_of_dwells_is_that_of_a_chain_if_dwells_are_exponential() {
+    let dwells = |mean: f64| -> Vec<f32> {
+        (0..48).map(|at| (-mean * (1.0 - (f64::from(at) + 0.5) / 48.0).ln()) as f32).collect()
+    };
+    let survivals = [Survival::of(&dwells(3000.0)), Survival::of(&dwells(1500.0))];
+    let rates = Rates { rise_per_sec: 1.0 / 3000.0, fall_per_sec: 1.0 / 1500.0 };
+    let mut recent = Recent::default();
+    for (secs, value) in [(0, 0.0), (60, 0.0), (130, 1.0), (200, 1.0)] {
+        recent.observe(secs * SEC, value);
+    }
+    let noise = SensorNoise { miss: 0.1, false_alarm: 0.05 };
+    let (dwelling, chain) =
+        (filter::filter_dwells(&survivals, noise, &recent), filter::filter_chain(rates, noise, &recent));
+    let (dwelling, chain) = (Ahead::of_dwells(&survivals, &dwelling, 20_000.0), Ahead::of_chain(rates, chain));
+    for lag in [0.0, 100.0, 600.0, 3000.0, 20_000.0] {
+        let (one, other) = (dwelling.at(lag), chain.at(lag));
+        assert!((one - other).abs() < 0.06, "{lag}: {one} {other}");
+    }
+}
+
+#[test]
+fn expected_changes_are_exact_without_errors() {
+    let looks = [(0, false), (60 * SEC, false), (120 * SEC, true), (180 * SEC, true)];
+    let expected = noise::expect(&looks, Rates::default(), SensorNoise::default());
+    assert_eq!(expected.ones, [0.0, 0.0, 1.0, 1.0]);
+    let counts: Vec<_> = expected.transitions.by_gap.values().collect();
+    assert_eq!(counts.len(), 1);
+    assert_eq!([counts[0].low, counts[0].rises, counts[0].falls, counts[0].high], [1.0, 1.0, 0.0, 1.0]);
+}
+
+#[test]
+fn old_readings_are_merged_and_changes_are_kept() {
+    let mut recent = Recent::default();
+    // 1 for 200 s, then 0 for 100 s, with a wrong reading every ten seconds.
+    for second in 0..300_i64 {
+        let is_one = (second < 200) != (second % 10 == 9);
+        recent.observe(second * SEC, f64::from(u8::from(is_one)));
+    }
+    assert_eq!(recent.spans().len(), SPANS_MAX);
+    let near = |span: &RecentSpan| (span.first_nanos - 200 * SEC).abs() <= 2 * SEC;
+    assert!(recent.spans().iter().any(near), "{:?}", recent.spans());
+    let before = recent;
+    recent.observe(299 * SEC, 1.0);
+    recent.observe(10 * SEC, 1.0);
+    recent.observe(400 * SEC, 0.5);
+    assert_eq!(recent, before);
+    assert_eq!(Recent::from_spans(before.spans()), Ok(before));
+}
+
+#[test]
+fn a_belief_comes_back_from_its_parts() {
+    let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 900.0 } else { 1800.0 }, random);
+    let belief = learned(&simulate(7, 10_000, dwell, |_| 60.0, 0.05));
+    let parts = belief.to_parts();
+    assert_eq!(Belief::from_parts_of(StateKind::Probability, parts.clone()), Ok(belief));
+    for wrong in [
+        BeliefParts { seen_rates: [0.0, 1.0], ..parts.clone() },
+        BeliefParts { noise: [0.5, 0.0], ..parts.clone() },
+        BeliefParts { errors: [f64::NAN, 0.0, 0.0, 0.0], ..parts.clone() },
+        BeliefParts { lag_sums: vec![1.0; 7], ..parts.clone() },
+        BeliefParts { dwell_counts: [0, 0], ..parts.clone() },
+        BeliefParts { newest: Some((1, 2.0)), ..parts },
+    ] {
+        assert!(Belief::from_parts_of(StateKind::Probability, wrong).is_err());
+    }
+}
+
+proptest::proptest! {
+    #[test]
+    fn recent_readings_stay_in_order_and_blends_in_their_bounds(
+        readings in proptest::collection::vec((1..100_000_i64, proptest::bool::weighted(0.3)), 1..200),
+        p in 0.0..=1.0_f64,
+        lag in 0..1_000_000_i64,
+    ) {
+        let mut now = 0;
+        let mut samples = Vec::new();
+        for (gap, is_one) in readings {
+            now += gap * SEC / 10;
+            samples.push(Sample { utc_nanos: now, offset_secs: 0, value: f64::from(u8::from(is_one)) });
+        }
+        let mut recent = Recent::default();
+        samples.iter().for_each(|sample| recent.observe(sample.utc_nanos, sample.value));
+        proptest::prop_assert_eq!(Recent::from_spans(recent.spans()), Ok(recent));
+        let blended = blended(&learned(&samples), &samples, p, lag);
+        proptest::prop_assert!((0.0..=1.0).contains(&blended), "{}", blended);
+    }
+}
