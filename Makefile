@@ -45,6 +45,11 @@ schemathesis: build
 api-page:
 	@$(ENV); TIDEMAP_WRITE_API_PAGE=1 cargo test --quiet -p tidemapd --lib api_page
 
+## guide-outputs: what the commands of README.md and docs/src show, as they show it now; read the difference before you keep it
+guide-outputs:
+	@$(ENV); cargo build --workspace --locked $(FEATURES) && \
+		TIDEMAP_WRITE_OUTPUTS=1 cargo test --quiet --workspace --locked $(FEATURES) --test integration examples
+
 ## palette: client/web/src/lib/palette.ts, from server/picture/src/palette.rs; a test holds it equal
 palette:
 	@$(ENV); TIDEMAP_WRITE_PALETTE=1 cargo test --quiet -p tidemap-picture --lib palette

@@ -93,12 +93,37 @@ fn run(path: &str) {
         return;
     }
     let reader = Reader::new();
+    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+    // From the last block on, so that the lines of those before stay where they are.
+    let mut renewed = Vec::new();
     for block in &blocks {
-        if let Err(problem) = reader.follow(block) {
-            panic!("{path}:{}: {problem}\n--- the daemon\n{}", block.line, reader.daemon.process().stderr());
-        }
+        let problem = match reader.follow(block) {
+            Ok(shown) => match &block.output {
+                Some(expected) if !output::matches(expected, &shown) && is_writing() => {
+                    renewed.push((block.output_lines.clone(), output::renewed(expected, &shown)));
+                    continue;
+                }
+                Some(expected) if !output::matches(expected, &shown) => {
+                    format!("the block showed other output than the page says:\n{shown}--- the page\n{expected}")
+                }
+                _ => continue,
+            },
+            Err(problem) => problem,
+        };
+        panic!("{path}:{}: {problem}\n--- the daemon\n{}", block.line, reader.daemon.process().stderr());
     }
     reader.daemon.stop_in_order();
+    for (place, output) in renewed.iter().rev() {
+        lines.splice(place.clone(), output.lines().map(str::to_owned));
+    }
+    if !renewed.is_empty() {
+        fs::write(root().join(path), lines.join("\n") + "\n").unwrap_or_else(|error| panic!("{path}: {error}"));
+    }
+}
+
+/// Whether the pages are to be written with the outputs of today: `make guide-outputs`.
+fn is_writing() -> bool {
+    std::env::var_os("TIDEMAP_WRITE_OUTPUTS").is_some()
 }
 
 /// Somebody at a shell, with a daemon of their own.
@@ -121,8 +146,8 @@ impl Reader {
         Self { folder, daemon }
     }
 
-    /// Runs a block and compares what it shows.
-    fn follow(&self, block: &Block) -> Result<(), String> {
+    /// Runs a block. Returns what it shows.
+    fn follow(&self, block: &Block) -> Result<String, String> {
         let screen = self.folder.path().join("screen");
         let file = fs::File::create(&screen).expect("a file for the output");
         let path = std::env::var("PATH").unwrap_or_default();
@@ -142,12 +167,7 @@ impl Reader {
         if !status.success() {
             return Err(format!("the block ended with {status}:\n{shown}"));
         }
-        match &block.output {
-            Some(expected) if !output::matches(expected, &shown) => {
-                Err(format!("the block showed other output than the page says:\n{shown}--- the page\n{expected}"))
-            }
-            _ => Ok(()),
-        }
+        Ok(shown)
     }
 }
 

@@ -34,6 +34,53 @@ fn line_matches(expected: &str, shown: &str) -> bool {
     rest.ends_with(end)
 }
 
+/// What a page should say instead, with its dots where they still fit: lines that stand for any number of lines stay if
+/// the lines around them do, and a word that ends in dots is as long as before.
+pub(crate) fn renewed(expected: &str, shown: &str) -> String {
+    let (old, new): (Vec<&str>, Vec<&str>) = (expected.lines().collect(), shown.lines().collect());
+    let is_gap = |line: &str| line.trim().chars().eq([ANYTHING]);
+    let Some(gap) = old.iter().position(|line| is_gap(line)) else {
+        return lines_renewed(&old, &new);
+    };
+    let after = old.len() - gap - 1;
+    if old[gap + 1..].iter().any(|line| is_gap(line)) || new.len() < gap + after {
+        return lines_renewed(&old, &new);
+    }
+    let last = lines_renewed(&old[gap + 1..], &new[new.len() - after..]);
+    format!("{}{ANYTHING}\n{last}", lines_renewed(&old[..gap], &new[..gap]))
+}
+
+fn lines_renewed(old: &[&str], new: &[&str]) -> String {
+    let renewed = |(number, line): (usize, &&str)| match old.get(number) {
+        Some(old) if old.split_whitespace().count() == line.split_whitespace().count() => line_renewed(old, line),
+        _ => (*line).to_owned(),
+    };
+    new.iter().enumerate().map(|line| renewed(line).trim_end().to_owned() + "\n").collect()
+}
+
+/// The line that was shown, with the dots of the old one: columns keep the places that they have on the screen.
+fn line_renewed(old: &str, shown: &str) -> String {
+    let mut line = shown.to_owned();
+    for (old, word) in old.split_whitespace().zip(shown.split_whitespace()) {
+        let Some(dots) = old.find(ANYTHING) else { continue };
+        let new = if line_matches(old, word) {
+            old.to_owned()
+        } else {
+            word.chars().take(old[..dots].chars().count()).chain([ANYTHING]).collect()
+        };
+        let space = " ".repeat(word.chars().count().saturating_sub(new.chars().count()));
+        line = line.replacen(word, &(new + &space), 1);
+    }
+    line
+}
+
+#[test]
+fn a_new_output_keeps_the_dots() {
+    assert_eq!(renewed("a 0.9…\n…\nz\n", "a 0.63\nb\nc\ny\n"), "a 0.6…\n…\ny\n");
+    assert_eq!(renewed("t 12…  5\n", "t 1234 6\n"), "t 12…  6\n");
+    assert_eq!(renewed("a\n", "b\nc\n"), "b\nc\n");
+}
+
 #[test]
 fn only_dots_and_spaces_may_differ() {
     assert!(matches("a  b\n", "a b\n"));

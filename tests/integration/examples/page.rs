@@ -1,5 +1,7 @@
 //! A Markdown page as the shell blocks that it has, each with the output that is shown behind it.
 
+use std::ops::Range;
+
 /// A block of commands.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Block {
@@ -9,6 +11,8 @@ pub(crate) struct Block {
     pub script: String,
     /// What the page says that they show.
     pub output: Option<String>,
+    /// The lines of the output, from 0.
+    pub output_lines: Range<usize>,
 }
 
 /// The blocks of a page in order, or the line and the reason why the page cannot be read.
@@ -37,9 +41,12 @@ pub(crate) fn blocks(text: &str) -> Result<Vec<Block>, (usize, String)> {
             return Err((index + 1, "the block has no end".to_owned()));
         }
         match kind.as_str() {
-            "sh" => blocks.push(Block { line: index + 2, script: body, output: None }),
+            "sh" => blocks.push(Block { line: index + 2, script: body, output: None, output_lines: 0..0 }),
             "output" => match blocks.last_mut() {
-                Some(block) if follows => block.output = Some(body),
+                Some(block) if follows => {
+                    block.output_lines = index + 1..index + 1 + body.lines().count();
+                    block.output = Some(body);
+                }
                 _ => return Err((index + 1, "an output block must stand directly behind a sh block".to_owned())),
             },
             "" => return Err((index + 1, "the block does not say what it is".to_owned())),
@@ -53,12 +60,13 @@ pub(crate) fn blocks(text: &str) -> Result<Vec<Block>, (usize, String)> {
 #[test]
 fn blocks_have_lines_and_outputs() {
     let page = "# A\n\n```sh\necho a\n```\n\n```output\na\n```\ntext\n```console\nmake\n```\n```sh\necho b\n```\n";
-    let block = |line, script: &str, output: Option<&str>| Block {
+    let block = |line, script: &str, output: Option<&str>, output_lines| Block {
         line,
         script: script.to_owned(),
         output: output.map(str::to_owned),
+        output_lines,
     };
-    assert_eq!(blocks(page), Ok(vec![block(4, "echo a\n", Some("a\n")), block(15, "echo b\n", None)]));
+    assert_eq!(blocks(page), Ok(vec![block(4, "echo a\n", Some("a\n"), 7..8), block(15, "echo b\n", None, 0..0)]));
 }
 
 #[test]
