@@ -57,3 +57,23 @@ proptest! {
         one.compare_sums(&other, &format!("seed {seed}"));
     }
 }
+
+proptest! {
+    // Each has three worlds of some days.
+    #![proptest_config(ProptestConfig { cases: config().cases.div_ceil(4), ..config() })]
+
+    #[test]
+    fn scans_are_learned_alike_in_one_update_and_night_by_night(seed in any::<u64>(), scans in 20_usize..90) {
+        let mut sent = World::new(seed).draw_scans(scans);
+        sent.sort_by_key(|scan| scan.utc_nanos);
+        let learned = |batch: usize, closes: &dyn Fn(usize) -> bool| {
+            let mut world = World::new(seed);
+            world.send_by_day(&sent, batch, closes);
+            world
+        };
+        let nightly = learned(1, &|_| true);
+        for other in [learned(1, &|_| false), learned(7, &|day| day % 3 == 1)] {
+            prop_assert!(other.knows_the_same(&nightly), "seed {seed}");
+        }
+    }
+}

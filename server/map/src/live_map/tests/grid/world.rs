@@ -12,7 +12,7 @@ use tidemap_grid::{
     spec::{GridSpec, Retention, SensorNoise},
     update::rules::UpdateLimits,
 };
-use tidemap_model::{OrderCriterion, Periodicities, Sample, Zone};
+use tidemap_model::{LocalDay, OrderCriterion, Periodicities, Sample, Zone};
 
 use super::robot::{Robot, SENSORS, Seen, random};
 use super::{
@@ -182,6 +182,33 @@ impl World {
         for of_robot in scans.chunk_by(|one, next| one.robot == next.robot) {
             of_robot.chunks(batch).for_each(|scans| self.send(scans));
         }
+    }
+
+    /// Sends scans, ascending by time, with an update after each local day whose number from the first `closes`, and
+    /// one of the rest. Robots take turns.
+    pub(crate) fn send_by_day(&mut self, scans: &[Seen], batch: usize, closes: impl Fn(usize) -> bool) {
+        let zone = self.spec.zone.clone();
+        let day_of = |scan: &Seen| zone.day_of(scan.utc_nanos);
+        self.now_nanos = scans.iter().map(|scan| scan.utc_nanos).fold(self.now_nanos, i64::max);
+        for (number, of_day) in scans.chunk_by(|one, next| day_of(one) == day_of(next)).enumerate() {
+            for of_robot in of_day.chunk_by(|one, next| one.robot == next.robot) {
+                of_robot.chunks(batch).for_each(|scans| self.send(scans));
+            }
+            if let Some(last) = of_day.last().filter(|_| closes(number)) {
+                self.start_update(Some(zone.midnight_nanos(LocalDay(day_of(last).0 + 1))));
+                self.finish_update();
+            }
+        }
+        self.settle();
+    }
+
+    /// Whether the tiles know what those of another world know, to the last bit.
+    pub(crate) fn knows_the_same(&self, other: &World) -> bool {
+        let known = |world: &World| {
+            let grid = world.snapshot.as_ref().and_then(|snapshot| snapshot.grid.as_ref()).expect("updated");
+            (grid.models.clone(), grid.sums.clone())
+        };
+        known(self) == known(other)
     }
 
     /// One robot's scans reach the map together.
