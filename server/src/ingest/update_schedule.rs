@@ -5,7 +5,7 @@
 //! daemon that was off at midnight catches up, and history that is imported at noon waits for the night, or for
 //! `tidemap update`. The setting `update_at_midnight = false` turns the nightly update off. With `observe --nightly`
 //! the midnights are those of the data, after all announcing streams have passed them. An early update takes whole
-//! local days if it can.
+//! local days, unless all that is pending is of one day.
 //!
 //! Invariant: one update runs at a time, and a bounded number wait. What becomes due while an update of the same cause
 //! waits joins it, because an update steps through each local day of its observations.
@@ -52,6 +52,8 @@ pub(super) struct UpdateSchedule {
     /// count.
     broken: HashMap<ProducerKey, (i64, Instant)>,
     data_midnight_nanos: i64,
+    /// The time that all streams of imported data have reached; `None` without such streams.
+    reached_nanos: Option<i64>,
     /// The last midnight of the clock that made an update due.
     clock_midnight_nanos: i64,
     limits: PendingLimits,
@@ -66,6 +68,7 @@ impl UpdateSchedule {
             queue: VecDeque::new(),
             broken: HashMap::new(),
             data_midnight_nanos: i64::MIN,
+            reached_nanos: None,
             clock_midnight_nanos: i64::MIN,
             limits,
             at_midnight,
@@ -142,7 +145,8 @@ impl UpdateSchedule {
         let now = Instant::now();
         self.broken.retain(|_, (_, until)| *until > now);
         let open = sessions.data_times().map(|(_, reached)| reached);
-        let Some(reached) = open.chain(self.broken.values().map(|(reached, _)| *reached)).min() else {
+        self.reached_nanos = open.chain(self.broken.values().map(|(reached, _)| *reached)).min();
+        let Some(reached) = self.reached_nanos else {
             // The import is over; the next one may be of older data.
             self.data_midnight_nanos = i64::MIN;
             return;
@@ -185,11 +189,15 @@ impl UpdateSchedule {
         if !map.pending_since_nanos().is_some_and(may_take) {
             return;
         }
-        // Whole days first: a model is then validated on days of which it has seen nothing.
-        let zone = &map.spec().zone;
-        let midnight = zone.midnight_nanos(zone.day_of(map.newest_nanos()));
-        let whole_days =
-            map.cut_nanos() < midnight && map.pending_since_nanos().is_some_and(|oldest| oldest < midnight);
-        self.due(whole_days.then_some(midnight), UpdateCause::PendingLimit, now_nanos);
+        // Whole days first: what is learned does not depend then on when an update ran. A day has not ended that a
+        // stream of imported data has not passed.
+        let midnight_of = |nanos: i64| map.spec().zone.midnight_nanos(map.spec().zone.day_of(nanos));
+        let takes_some = |midnight: &i64| {
+            map.cut_nanos() < *midnight && map.pending_since_nanos().is_some_and(|oldest| oldest < *midnight)
+        };
+        let newest = map.newest_nanos();
+        let passed = self.reached_nanos.map(|reached| midnight_of(reached.min(newest))).filter(takes_some);
+        let midnight = passed.or_else(|| Some(midnight_of(newest)).filter(takes_some));
+        self.due(midnight, UpdateCause::PendingLimit, now_nanos);
     }
 }

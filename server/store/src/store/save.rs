@@ -67,7 +67,9 @@ impl Store {
 impl OpenStore {
     /// Deletes files that are no longer needed.
     fn forget(&self, map: MapId, entry: &MapEntry, snapshot: &MapSnapshot) {
-        if let Err(error) = self.history(map).forget(&entry.spec, snapshot.newest_nanos) {
+        // An import may be far ahead of what updates have learned, and models of those days need the days before them.
+        let learned_nanos = snapshot.newest_nanos.min(snapshot.cut_nanos);
+        if let Err(error) = self.history(map).forget(&entry.spec, learned_nanos) {
             tracing::warn!(map = map.0, %error, "old history is not deleted; tried again at the next save");
         }
         if let Some(log) = &entry.log

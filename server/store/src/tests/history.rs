@@ -38,6 +38,7 @@ fn fill(directory: &Path, spec: &MapSpec, pieces: &[Arc<HistoryPiece>]) -> Store
         let snapshot = MapSnapshot {
             history: vec![Arc::clone(piece)],
             newest_nanos: piece.to_nanos,
+            cut_nanos: piece.to_nanos + 1,
             ..snapshot(spec, number as u64 + 3, 2)
         };
         store.save(MAP, &snapshot).expect("saves");
@@ -227,6 +228,25 @@ fn states_and_the_grid_are_kept_as_long_as_each_is_to_be() {
             assert_eq!(store.sizes(MAP).history_bytes, sizes.state_bytes + sizes.grid_bytes);
         }
     }
+}
+
+#[test]
+fn history_is_kept_for_days_that_updates_have_yet_to_learn() {
+    let directory = tempfile::tempdir().expect("temporary directory");
+    let pieces = pieces(6);
+    let spec = MapSpec { retention: Retention::Duration(2 * DAY_NANOS), ..spec("office") };
+    let store = fill(directory.path(), &spec, &pieces[..2]);
+    // An import has reached a day far ahead of what was learned.
+    let ahead = MapSnapshot {
+        history: vec![Arc::clone(&pieces[2])],
+        newest_nanos: pieces[5].to_nanos,
+        cut_nanos: pieces[2].to_nanos + 1,
+        ..snapshot(&spec, 9, 2)
+    };
+    store.save(MAP, &ahead).expect("saves");
+    let kept = names(directory.path()).iter().filter(|name| name.ends_with(".states.tmh")).count();
+    assert_eq!(kept, pieces[..3].iter().filter(|piece| piece.to_nanos >= pieces[2].to_nanos - 2 * DAY_NANOS).count());
+    assert!(kept > 1);
 }
 
 #[test]
