@@ -66,7 +66,7 @@ pub struct StateSamples {
     /// Whether the update ran early, to free memory.
     #[prost(bool, tag = "15")]
     pub is_early: bool,
-    /// Whether the update had too many untrained states to train models day by day.
+    /// Of no meaning any more.
     #[prost(bool, tag = "16")]
     pub is_crowded: bool,
 }

@@ -65,6 +65,6 @@ impl MapSpec {
     pub fn update_rules(&self) -> UpdateRules {
         let days = |nanos: i64| nanos as f64 / (86_400.0 * 1e9);
         let half_life_days = self.half_life_nanos.map(days);
-        UpdateRules { criterion: self.criterion, half_life_days, models: self.models, trains_day_by_day: false }
+        UpdateRules { criterion: self.criterion, half_life_days, models: self.models }
     }
 }

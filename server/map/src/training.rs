@@ -1,10 +1,11 @@
-//! Trains models again at the end of an update, on the readings that updates have learned.
+//! Trains models again after each local day of an update, on the readings that updates have learned.
 //!
 //! The calibrated model, the rate of counts, the periodic mixture and warped hypertime are due after seven observed
 //! days, seven days after they were last trained, and when the change alarm has rung since. Each is trained on the
 //! last twelve weeks. Starting one week after an alarm, models are trained only on data from three days before the
-//! alarm onwards. Of each kind, the models that have waited longest go first, and an update trains a limited number
-//! ([`trainings_max`]), so that a costly kind does not delay another. Maps without history of named states have none.
+//! alarm onwards. Of each kind, the models that have waited longest go first, and a limited number is trained after a
+//! day ([`trainings_max`]), so that a costly kind does not delay another. Maps without history of named states have
+//! none.
 //!
 //! Invariant: the training depends on the readings, the models and the map's properties alone: an update that is
 //! repeated from the same history trains the same models. If readings cannot be read, their models stay as they are,
@@ -25,20 +26,18 @@ use crate::{event::StateKind, ids::StateId, spec::MapSpec};
 #[cfg(test)]
 mod tests;
 
-/// Maximum number of models of a kind that one update trains: as many as take a few minutes, so that a night with very
-/// many states ends. The longest-waiting go first; the others wait for the next update that learns new data of theirs.
+/// Maximum number of models of a kind that are trained after a day: as many as take a few minutes, so that a night
+/// with very many states ends. The longest-waiting go first; the others wait for the next day that their states have
+/// data of.
 #[must_use]
 pub(crate) fn trainings_max(kind: ModelKind) -> usize {
     match kind.cost() {
-        Some(TrainingCost::Low) => TRAININGS_MAX,
+        Some(TrainingCost::Low) => 2_000,
         Some(TrainingCost::Medium) => 1_000,
         Some(TrainingCost::High) => 100,
         None => 0,
     }
 }
-
-/// Maximum number of models of a kind with low cost that an update trains.
-pub(crate) const TRAININGS_MAX: usize = 2_000;
 
 const SEC_NANOS: i64 = 1_000_000_000;
 const DAY_NANOS: i64 = 86_400 * SEC_NANOS;
@@ -71,12 +70,31 @@ pub trait StateReadings: fmt::Debug + Send + Sync {
 pub struct TrainingOutcome {
     /// Models that were trained.
     pub trained: u64,
-    /// Models that wait, because an update trains at most [`trainings_max`] of their kind.
+    /// Models that wait after the last day, because at most [`trainings_max`] of their kind are trained.
     pub waiting: u64,
     /// States that keep their models, because their readings could not be read.
     pub failed: u64,
     /// Why the first of these could not be read.
     pub failure: Option<String>,
+}
+
+impl TrainingOutcome {
+    /// Adds the outcome of the training after a later day.
+    pub(crate) fn add(&mut self, later: TrainingOutcome) {
+        self.trained += later.trained;
+        self.waiting = later.waiting;
+        self.failed += later.failed;
+        self.failure = self.failure.take().or(later.failure);
+    }
+}
+
+/// A state of which a day was learned.
+pub(crate) struct Pupil<'a> {
+    pub(crate) id: StateId,
+    /// What this update has learned of it up to the day, in order of time.
+    pub(crate) own: &'a [Sample],
+    /// What was learned of it, from all days.
+    pub(crate) model: &'a mut Arc<StateModel>,
 }
 
 /// Limits of a round of training.
@@ -92,11 +110,13 @@ const LIMITS: Limits = Limits { models: trainings_max, readings: TRAINING_READIN
 
 /// A state with models that are due to be trained.
 struct Due<'a> {
+    /// Its place among the pupils.
+    place: usize,
     wanted: ReadingsRequest,
     state_kind: StateKind,
     /// The models to train.
     kinds: Vec<ModelKind>,
-    /// What this update has learned.
+    /// What this update has learned, in order of time.
     own: &'a [Sample],
     /// The last learned day.
     day: LocalDay,
@@ -104,36 +124,34 @@ struct Due<'a> {
     expected: u64,
 }
 
-/// Trains the due models of the states of which this update has learned `own`, on the current rayon pool.
-/// `newest_nanos`: the latest time of the map's observations, which sets the age of readings.
+/// Trains the due models of the states of which a day was learned, on the current rayon pool. `end_nanos`: the end of
+/// the day, which sets the age of readings.
 pub(crate) fn train_due(
     spec: &MapSpec,
-    newest_nanos: i64,
-    own: &[(StateId, Vec<Sample>)],
-    models: &mut [Arc<StateModel>],
+    end_nanos: i64,
+    pupils: &mut [Pupil<'_>],
     source: &dyn StateReadings,
 ) -> TrainingOutcome {
-    train_within(LIMITS, spec, newest_nanos, own, models, source)
+    train_within(LIMITS, spec, end_nanos, pupils, source)
 }
 
 fn train_within(
     limits: Limits,
     spec: &MapSpec,
-    newest_nanos: i64,
-    own: &[(StateId, Vec<Sample>)],
-    models: &mut [Arc<StateModel>],
+    end_nanos: i64,
+    pupils: &mut [Pupil<'_>],
     source: &dyn StateReadings,
 ) -> TrainingOutcome {
     // History may have been deleted up to here, or not yet: a model must not depend on that.
     let kept_from = match spec.retention {
         Retention::None => return TrainingOutcome::default(),
-        Retention::Duration(nanos) => newest_nanos.saturating_sub(nanos),
+        Retention::Duration(nanos) => end_nanos.saturating_sub(nanos),
         Retention::Forever => i64::MIN,
     };
     let (mut kinds, mut waiting) = (BTreeMap::<StateId, Vec<ModelKind>>::new(), 0);
     for kind in spec.models.trained() {
         let mut of_kind: Vec<(Option<LocalDay>, StateId)> =
-            own.iter().filter_map(|(id, _)| Some((trained_on(models.get(id.0 as usize)?, kind)?, *id))).collect();
+            pupils.iter().filter_map(|pupil| Some((trained_on(pupil.model, kind)?, pupil.id))).collect();
         // Models that were never trained go first.
         of_kind.sort_by_key(|(trained, _)| *trained);
         waiting += of_kind.len().saturating_sub((limits.models)(kind)) as u64;
@@ -141,11 +159,12 @@ fn train_within(
         of_kind.into_iter().for_each(|(_, id)| kinds.entry(id).or_default().push(kind));
     }
     let mut offsets = spec.zone.offset_cache();
-    let mut due: Vec<Due<'_>> = own
+    let mut due: Vec<Due<'_>> = pupils
         .iter()
-        .filter_map(|(id, own)| {
-            let (kinds, model) = (kinds.remove(id)?, models.get(id.0 as usize)?);
-            due(ReadingsRequest { state: *id, from_nanos: kept_from }, kinds, model, own, &mut offsets, limits.readings)
+        .enumerate()
+        .filter_map(|(place, pupil)| {
+            let kinds = kinds.remove(&pupil.id)?;
+            due((place, pupil), kinds, kept_from, &mut offsets, limits.readings)
         })
         .collect();
     // As history has them.
@@ -162,14 +181,14 @@ fn train_within(
         match trained {
             Ok(trained) => {
                 for (due, trained) in batch.iter().zip(trained) {
-                    let Some(model) = models.get_mut(due.wanted.state.0 as usize) else { continue };
-                    let mut retrained = StateModel::clone(model);
+                    let Some(pupil) = pupils.get_mut(due.place) else { continue };
+                    let mut retrained = StateModel::clone(pupil.model);
                     // Without readings the state keeps what it has.
                     for trained in trained.into_iter().flatten() {
                         retrained = retrained.with_trained(trained, due.day);
                         outcome.trained += 1;
                     }
-                    *model = Arc::new(retrained);
+                    *pupil.model = Arc::new(retrained);
                 }
             }
             Err(reason) => {
@@ -212,15 +231,15 @@ fn trained_on(model: &StateModel, kind: ModelKind) -> Option<Option<LocalDay>> {
     Some(known.trained(kind).map(|(_, day)| day))
 }
 
-/// The training data of models of these kinds. `wanted`: the readings that the map keeps.
+/// The training data of models of these kinds. `kept_from`: the map keeps readings from then on.
 fn due<'a>(
-    wanted: ReadingsRequest,
+    (place, pupil): (usize, &Pupil<'a>),
     kinds: Vec<ModelKind>,
-    model: &StateModel,
-    own: &'a [Sample],
+    kept_from: i64,
     offsets: &mut OffsetCache,
     readings_max: u64,
 ) -> Option<Due<'a>> {
+    let (model, own) = (&*pupil.model, pupil.own);
     let (known, folded) = (model.alternatives()?, model.accumulator());
     let (newest, day) = (folded.last_nanos()?, known.learned_day()?);
     let span_nanos = newest.abs_diff(folded.first_nanos()?).max(1) as f64;
@@ -228,7 +247,7 @@ fn due<'a>(
     // Assumes a constant rate of readings.
     let expected = folded.observations() as f64 * (window_nanos / span_nanos);
     let share = (readings_max as f64 / expected.max(1.0)).min(1.0);
-    let mut from_nanos = newest.saturating_sub((window_nanos * share) as i64).max(wanted.from_nanos);
+    let mut from_nanos = newest.saturating_sub((window_nanos * share) as i64).max(kept_from);
     if let Some(since) = known.training_since() {
         let civil_nanos = i64::from(since.0).saturating_mul(DAY_NANOS);
         // Off by an hour if clocks changed between midnight UTC and local midnight, which does not matter over weeks.
@@ -236,7 +255,8 @@ fn due<'a>(
             from_nanos.max(civil_nanos.saturating_sub(i64::from(offsets.offset_secs(civil_nanos)) * SEC_NANOS));
     }
     let expected = ((expected * share) as u64).max(1);
-    Some(Due { wanted: ReadingsRequest { from_nanos, ..wanted }, state_kind: model.kind(), kinds, own, day, expected })
+    let wanted = ReadingsRequest { state: pupil.id, from_nanos };
+    Some(Due { place, wanted, state_kind: model.kind(), kinds, own, day, expected })
 }
 
 /// Number of due states to process together: at least one, if there are any.
@@ -252,7 +272,8 @@ fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
 /// Trains each due model of a state.
 fn train(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<TrainedModel, CannotTrain>> {
     let mut samples = earlier;
-    samples.extend(due.own.iter().filter(|sample| sample.utc_nanos >= due.wanted.from_nanos));
+    let first = due.own.partition_point(|sample| sample.utc_nanos < due.wanted.from_nanos);
+    samples.extend_from_slice(due.own.get(first..).unwrap_or(&[]));
     // Stable: of equal times those of earlier updates come first.
     samples.sort_by_key(|sample| sample.utc_nanos);
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);

@@ -9,8 +9,8 @@
 //!    15. The errors join the decayed sums, the order with the lowest sum is chosen, then the day is learned and the
 //!    model trained again. Older observations are learned without a score. The alternative models that the map enables
 //!    are scored alike; `auto` changes only to one that is lower by 5 %.
-//! 4. Models that need training data are trained again where they are due (`training.rs`). An update for
-//!    [`UpdateCause::PendingLimit`] trains none: its purpose is to free memory.
+//! 4. After each day, models that need training data are trained again where they are due (`training.rs`), so that the
+//!    map does not depend on how many days one update takes (`update/daily_steps.rs`).
 //! 5. The writer publishes the generation, and a snapshot goes to the store. If saving fails, the log still has
 //!    everything.
 //!
@@ -20,13 +20,9 @@
 //! Invariant: the work holds all that it needs; the result depends on nothing but the work and the readings that it is
 //! given. States are processed independently of each other.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicU64, Ordering},
-};
+use std::sync::{Arc, atomic::AtomicU64};
 
-use rayon::prelude::*;
-use tidemap_model::{Sample, StateModel, Surprises, UpdateOutcome, UpdateRules, selector::ModelSelector};
+use tidemap_model::{Sample, StateModel, UpdateOutcome, selector::ModelSelector};
 
 #[cfg(test)]
 use tidemap_grid::update::rules::UpdateLimits;
@@ -39,7 +35,6 @@ use tidemap_grid::{
 };
 
 use crate::{
-    anomaly::learned,
     directory::Directory,
     event::{UpdateCause, UpdateStart},
     history::{HistoryDay, HistoryPiece, origins::Origins},
@@ -49,17 +44,16 @@ use crate::{
     site::Site,
     snapshot::ProducerMark,
     spec::MapSpec,
-    training::{StateReadings, TRAININGS_MAX, TrainingOutcome, train_due},
+    training::{StateReadings, TrainingOutcome},
     view::LiveState,
 };
 
+mod daily_steps;
 mod spectrum_room;
 
+use daily_steps::DailySteps;
 use spectrum_room::RoomInUse;
 pub use spectrum_room::{SpectrumRoom, SpectrumSpill};
-
-/// A state's model after an update.
-type LearnedModel = (StateId, Arc<StateModel>, UpdateOutcome);
 
 /// What an update learns from cannot be read back from the disk.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -104,8 +98,6 @@ pub struct UpdateWork {
     pub(crate) grid: Option<GridWork>,
     pub(crate) readings: Option<Arc<dyn StateReadings>>,
     pub(crate) room: Option<SpectrumRoom>,
-    /// Whether there are too many untrained states to train models day by day; `None`: by their number here.
-    pub(crate) is_crowded: Option<bool>,
 }
 
 /// What an update learned.
@@ -148,8 +140,7 @@ impl UpdateWork {
     }
 
     /// This update, with what earlier updates have learned, so that models are trained again where they are due.
-    /// Without it they stay as they are, and so they do in an update for [`UpdateCause::PendingLimit`]. A repeated
-    /// update must be given the same readings as the first time.
+    /// Without it they stay as they are. A repeated update must be given the same readings as the first time.
     pub fn with_readings(self, readings: Arc<dyn StateReadings>) -> UpdateWork {
         UpdateWork { readings: Some(readings), ..self }
     }
@@ -190,47 +181,18 @@ impl UpdateWork {
         models.extend(self.models.iter().cloned());
         models
             .extend(self.basis.directory.iter().skip(models.len()).map(|info| self.prior_models.of(info.kind).clone()));
-        // An update that makes room must be quick: what is due waits for the next of another cause.
-        let readings = self.readings.filter(|_| self.basis.start.cause != UpdateCause::PendingLimit);
-        let untrained = |(id, _): &&(StateId, Vec<Sample>)| models[id.0 as usize].accumulator().observations() == 0;
-        let is_crowded =
-            self.is_crowded.unwrap_or_else(|| history.states.iter().filter(untrained).count() > TRAININGS_MAX);
         let is_early = self.basis.start.cause == UpdateCause::PendingLimit;
         for origins in &mut history.origins {
-            (origins.is_early, origins.is_crowded) = (is_early, is_crowded);
+            origins.is_early = is_early;
         }
-        let trains_day_by_day = readings.is_some() && !is_crowded;
-        let rules = UpdateRules { trains_day_by_day, ..self.spec.update_rules() };
         let room = RoomInUse::new(self.room, &models);
-        let learn = |(id, samples): &mut (StateId, Vec<Sample>)| {
-            let id = *id;
-            let mut model = StateModel::clone(&models[id.0 as usize]);
-            model.load(&self.spec.periodicities).map_err(|reason| (id, reason))?;
-            // History keeps them in order of arrival.
-            samples.shrink_to_fit();
-            let periodicities = &self.spec.periodicities;
-            let mut judge = |before: &StateModel, of_day: &[Sample], surprises: &mut Surprises| {
-                learned::judge(surprises, before, periodicities, of_day);
-            };
-            let outcome = model.update_judged(periodicities, rules, samples.clone(), &mut judge);
-            room.take_in(&model);
-            progress.fetch_add(1, Ordering::Relaxed);
-            Ok((id, Arc::new(model), outcome))
-        };
-        let learned: Result<Vec<LearnedModel>, (StateId, String)> = history.states.par_iter_mut().map(learn).collect();
-        let learned = learned.map_err(|(id, reason)| {
+        // History keeps them in order of arrival.
+        history.states.iter_mut().for_each(|(_, samples)| samples.shrink_to_fit());
+        let steps = DailySteps { spec: &self.spec, readings: self.readings.as_deref(), room: &room, progress };
+        let (done, training) = steps.learn(&history.states, &mut models).map_err(|(id, reason)| {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }
         })?;
-        let mut done = Vec::with_capacity(learned.len());
-        for (id, model, outcome) in learned {
-            models[id.0 as usize] = model;
-            done.push((id, outcome));
-        }
-        let training = readings.map_or_else(TrainingOutcome::default, |readings| {
-            train_due(&self.spec, self.basis.newest_nanos, &history.states, &mut models, &*readings)
-        });
-        learned::bound(&mut models, learned::MAP_RUNS_MAX);
         // After models were trained again, which may change the choice.
         let named = |(id, outcome): (StateId, UpdateOutcome)| {
             let model = &models[id.0 as usize];

@@ -19,7 +19,6 @@ use crate::{
 
 mod alternatives;
 mod belief_day;
-mod day_by_day;
 mod in_force;
 #[cfg(test)]
 mod kind_tests;
@@ -62,6 +61,19 @@ pub struct UpdateOutcome {
     pub squared_errors: [f64; ORDER_MAX + 1],
     /// Sum of squared errors over the scored observations, each predicted with the model in force on its day.
     pub squared_error_in_force: f64,
+}
+
+impl UpdateOutcome {
+    /// Adds the outcome of an update that followed this one.
+    pub fn add(&mut self, later: &UpdateOutcome) {
+        self.order = later.order;
+        self.observations += later.observations;
+        self.scored += later.scored;
+        for (sum, more) in self.squared_errors.iter_mut().zip(&later.squared_errors) {
+            *sum += more;
+        }
+        self.squared_error_in_force += later.squared_error_in_force;
+    }
 }
 
 impl StateModel {
@@ -256,7 +268,7 @@ impl StateModel {
 
     /// Learns observations, local day by local day: scores those newer than the last learned one with every order and
     /// every enabled model, chooses, learns the day and trains the spectral model again. Models that are trained on
-    /// readings stay as they are, unless the rules ask for training day by day.
+    /// readings stay as they are: the caller trains them between days, with [`StateModel::with_trained`].
     ///
     /// A local day that is split over two updates is scored in two parts, the second against the model that has seen
     /// the first. With a half-life, data is weighted by its age in whole local days, late data too.
@@ -287,7 +299,6 @@ impl StateModel {
             samples.sort_by_key(|sample| sample.utc_nanos);
         }
         let mut outcome = UpdateOutcome { order_before: self.order(), ..UpdateOutcome::default() };
-        let trains_day_by_day = self.trains_day_by_day(rules, &samples);
         if self.load(periodicities).is_err() {
             return outcome;
         }
@@ -310,9 +321,6 @@ impl StateModel {
                 alternatives.support(&self.spectral, periodicities, &self.accumulator);
             }
             rest = later;
-            if trains_day_by_day {
-                self.train_after_day(periodicities, rules, day, &samples[..samples.len() - rest.len()]);
-            }
         }
         self.accumulator.pack();
         outcome.observations = samples.len() as u64;

@@ -5,7 +5,11 @@ use tidemap_client::{
     observe::{Producer, ProducerOptions},
     queries::{EvaluateOptions, ModelDescription, ModelSelector},
 };
-use tidemap_tests::recordings;
+use tidemap_tests::{
+    cli,
+    daemon::{Daemon, Launch},
+    recordings,
+};
 
 use super::Door;
 
@@ -99,4 +103,65 @@ async fn from_the_command_line(door: &Door, client: &Client) -> ModelDescription
 async fn described(client: &Client, map: &str) -> ModelDescription {
     tidemap_tests::oracle::run_update(client, map, None).await;
     client.describe_model(map, "door").await.expect("the door is known")
+}
+
+/// The file in parts of that many lines, as CSV.
+fn parts(rows: &[&str], lines: usize) -> Vec<String> {
+    rows.chunks(lines).map(|rows| format!("time,state,value\n{}\n", rows.join("\n"))).collect()
+}
+
+/// Sends parts, each as a file of its own.
+fn observe_parts(daemon: &Daemon, map: &str, parts: &[String], after_each: &[&str], options: &[&str]) {
+    for (number, part) in parts.iter().enumerate() {
+        let label = number.to_string();
+        let args = ["observe", map, "-", "--producer", "camera", "--label", &label];
+        cli::tidemap_reading(daemon, args.into_iter().chain(options.iter().copied()), part).table();
+        if !after_each.is_empty() {
+            cli::tidemap(daemon, after_each).table();
+        }
+    }
+    cli::tidemap(daemon, ["update", map]).table();
+}
+
+/// The errors of all models, the choice, and the predictions of the next two weeks, with their intervals.
+fn learned(daemon: &Daemon, map: &str) -> [String; 2] {
+    let shown = cli::tidemap(daemon, ["--output", "json", "model", "show", map, "door"]).stdout;
+    let args =
+        ["predict", map, "door", "--from", "2016-02-06T00:00:00Z", "--to", "2016-02-20T00:00:00Z", "--step", "20m"];
+    let predicted = cli::tidemap(daemon, ["--output", "csv"].into_iter().chain(args)).stdout;
+    assert!(predicted.lines().count() > 1000, "{predicted}");
+    [shown, predicted]
+}
+
+#[test]
+fn a_recording_is_learned_alike_at_any_speed_and_in_any_parts() {
+    let Some(door) = Door::new("Europe/London") else { return };
+    let data = tempfile::tempdir().expect("a folder");
+    let small = Launch::on(data.path()).setting("max_pending_observations", 3500).start();
+    cli::tidemap(&small, ["map", "create", "early", "--time-zone", "Europe/London"]).table();
+    for map in ["days", "once", "calls"] {
+        door.tidemap(["map", "create", map, "--time-zone", "Europe/London"]).table();
+    }
+    let text = std::fs::read_to_string(door.file("train.csv")).expect("the recording");
+    // Thirty days of a row each minute.
+    let rows: Vec<&str> = text.lines().skip(1).take(30 * 1440).collect();
+    let (all, days) = (parts(&rows, rows.len()), parts(&rows, 1440));
+    observe_parts(&door.daemon, "days", &days, &["update", "days"], &[]);
+    let expected = learned(&door.daemon, "days");
+    assert!(expected[0].contains("calibrated"), "{}", expected[0]);
+    observe_parts(&door.daemon, "door", &all, &[], &["--nightly"]);
+    observe_parts(&door.daemon, "once", &all, &[], &[]);
+    // In the middle of days.
+    observe_parts(&door.daemon, "calls", &parts(&rows, 10_000), &[], &["--nightly"]);
+    // Updates make room after some days.
+    observe_parts(&small, "early", &all, &[], &[]);
+    for (daemon, map) in [(&door.daemon, "door"), (&door.daemon, "once"), (&door.daemon, "calls"), (&small, "early")] {
+        let found = learned(daemon, map);
+        assert_eq!(found[0], expected[0], "{map}");
+        for (found, expected) in found[1].lines().zip(expected[1].lines()) {
+            assert_eq!(found, expected, "{map}");
+        }
+    }
+    let updates = cli::tidemap(&small, ["map", "show", "early"]).table().number("updates");
+    assert!(updates >= 5.0, "{updates}");
 }

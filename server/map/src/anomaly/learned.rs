@@ -69,12 +69,12 @@ fn judge_probability(sample: &Sample, probability: f64) -> JudgedReading {
     }
 }
 
-/// Drops the runs that ended first until the states have at most `max` together.
-pub(crate) fn bound(models: &mut [Arc<StateModel>], max: usize) {
+/// Drops the runs that ended first until the states have at most `max` together. Gives the number of those that stay.
+pub(crate) fn bound(models: &mut [Arc<StateModel>], max: usize) -> usize {
     let runs = || models.iter().flat_map(|model| model.surprises().runs());
     let count = runs().count();
     if count <= max {
-        return;
+        return count;
     }
     let mut ends: Vec<i64> = runs().map(|run| run.last_nanos).collect();
     let (_, &mut newest_dropped, _) = ends.select_nth_unstable(count - max - 1);
@@ -85,6 +85,7 @@ pub(crate) fn bound(models: &mut [Arc<StateModel>], max: usize) {
         surprises.retain(is_kept);
         *model = Arc::new(StateModel::clone(model).with_surprises(surprises));
     }
+    models.iter().map(|model| model.surprises().runs().len()).sum()
 }
 
 /// What is asked of the unusual observations of states.

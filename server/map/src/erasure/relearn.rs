@@ -151,7 +151,6 @@ impl<'a> Relearning<'a> {
                 grid: None,
                 readings: Some(Arc::<Earlier>::clone(&source)),
                 room: None,
-                is_crowded: Some(lesson.origins.last().is_some_and(|origins| origins.is_crowded)),
             };
             models = work.run(&AtomicU64::new(0))?.models;
             earlier = Arc::try_unwrap(source).unwrap_or_default();

@@ -27,9 +27,9 @@ pub struct Origins {
     pub ahead: u32,
     /// Number of the last observation that had arrived when the update began; 0 where none had waited.
     pub arrived: u64,
-    /// Whether the update ran early, to free memory, and trained no further models.
+    /// Whether the update ran early, to free memory.
     pub is_early: bool,
-    /// Whether the update had too many untrained states to train models day by day.
+    /// Of no meaning any more: updates do not set it.
     pub is_crowded: bool,
 }
 

@@ -84,7 +84,6 @@ impl LiveMap {
             grid: grid_work,
             readings: None,
             room: None,
-            is_crowded: None,
         })
     }
 

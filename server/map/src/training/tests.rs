@@ -83,7 +83,12 @@ impl World {
 
     fn train_due(&mut self, limits: Limits) -> TrainingOutcome {
         let newest = self.own.iter().flat_map(|(_, own)| own).map(|sample| sample.utc_nanos).max().expect("some");
-        train_within(limits, &self.spec, newest, &self.own, &mut self.models, &self.kept)
+        for (_, own) in &mut self.own {
+            own.sort_by_key(|sample| sample.utc_nanos);
+        }
+        let of_state = self.models.iter_mut().zip(&self.own);
+        let mut pupils: Vec<Pupil<'_>> = of_state.map(|(model, (id, own))| Pupil { id: *id, own, model }).collect();
+        train_within(limits, &self.spec, newest, &mut pupils, &self.kept)
     }
 
     fn trained_of(&self, state: usize) -> Option<(&Calibrated, i32)> {
@@ -188,7 +193,6 @@ fn nothing_is_trained_that_is_not_kept() {
     assert!(world.asked().is_empty() && world.trained_of(0).is_none());
     // The map does not ask for history that its retention has dropped; it trains a model on the rest anyway.
     let mut world = World::new(spec(Retention::Duration(5 * DAY)), 1, 20);
-    world.own.push((StateId(7), samples(7, 0..1)));
     assert_eq!(world.train_due(LIMITS).trained, 1);
     let newest = 20 * DAY - HOUR;
     let asked = world.kept.asked.lock().expect("sound").clone();

@@ -42,6 +42,13 @@ impl RoomInUse {
         RoomInUse { room, bytes: AtomicU64::new(bytes) }
     }
 
+    /// The sums of a model that was taken in are about to be replaced.
+    pub(super) fn let_go(&self, model: &StateModel) {
+        if let (Some(_), Some(cell)) = (&self.room, model.accumulator().cell()) {
+            self.bytes.fetch_sub(cell.bytes() as u64, Ordering::Relaxed);
+        }
+    }
+
     /// Moves the sums of a new model out of memory if there is no room for them.
     pub(super) fn take_in(&self, model: &StateModel) {
         let (Some(room), Some(cell)) = (&self.room, model.accumulator().cell()) else { return };

@@ -51,9 +51,6 @@ pub struct UpdateRules {
     pub half_life_days: Option<f64>,
     /// Which models there are to choose among.
     pub models: EnabledModels,
-    /// Whether cheap models are trained after each day while the first observations of a state are learned, if these
-    /// are of few days: as if each day had been learned on its own, so that they are scored by the end.
-    pub trains_day_by_day: bool,
 }
 
 impl From<OrderCriterion> for UpdateRules {

@@ -157,3 +157,29 @@ fn without_an_ensemble_auto_answers_by_the_models_that_predict_best_together() {
     assert_ne!(predicted(ModelSelector { kind: ModelKind::Spectral, ..auto }), expected);
     assert_ne!(predicted(ModelSelector { persistence: true, ..auto }), expected);
 }
+
+#[test]
+fn a_record_is_learned_alike_in_one_update_and_night_by_night() {
+    let learned = |nights: &dyn Fn(i64) -> bool| {
+        let (mut map, mut known) = (LiveMap::new(of_all()), Pieces::default());
+        for number in 0..DAYS {
+            let observed = event(&map, &day(number));
+            apply(&mut map, &observed);
+            if nights(number) || number + 1 == DAYS {
+                let until = Some((number + 1) * 24 * HOUR);
+                let start = Event::UpdateStart(map.plan_update(until, NOW, UpdateCause::Request));
+                let work = apply(&mut map, &start).expect("an update");
+                run(&mut map, work, &mut known);
+            }
+        }
+        map.publish()
+    };
+    let nightly = learned(&|_| true);
+    let others =
+        [learned(&|_| false), learned(&|number| number % 9 == 4), learned(&|number| number < 3 || number == 20)];
+    for other in others {
+        for state in [0, 1].map(StateId) {
+            assert_eq!(other.model(state), nightly.model(state));
+        }
+    }
+}

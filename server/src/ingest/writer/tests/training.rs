@@ -135,30 +135,39 @@ async fn a_map_that_keeps_nothing_has_no_trained_model() {
     );
 }
 
-#[tokio::test]
-async fn an_update_that_makes_room_fits_nothing() {
+/// What a map learns of some days with a limit of pending observations, and how often an update made room. One day has
+/// 48 observations.
+async fn learn_with(limit: u64) -> (StateModel, usize) {
     let dir = tempfile::tempdir().expect("temporary folder");
-    let bench = bench_with(dir.path(), NOON, |context| context.max_pending.observations = 40);
+    let bench = bench_with(dir.path(), NOON, |context| context.max_pending.observations = limit);
     let handle = create(&bench).await;
     let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
-    for (updates, number) in (1..).zip(0..9) {
+    let mut updates = 0;
+    for number in 0..17 {
         observe(&handle, &mut robot, number).await;
-        assert_eq!(ended(&bench, updates).await, vec![UpdateCause::PendingLimit; updates]);
+        if handle.view().pending() > limit || handle.view().generation() > updates as u64 {
+            updates += 1;
+            assert_eq!(ended(&bench, updates).await, vec![UpdateCause::PendingLimit; updates]);
+            assert!(handle.view().pending() <= 48);
+        }
     }
+    update(&bench, &handle, updates + 1).await;
     let learned = model(&handle);
-    assert_eq!(learned.accumulator().observations(), 9 * 48);
-    let calibrated = ModelKind::Calibrated;
-    assert!(
-        learned.is_training_due(calibrated) && learned.alternatives().expect("learned").trained(calibrated).is_none()
-    );
-    // The next update, of another cause, trains them.
-    robot.observe(&handle, NOON - (DAYS - 9) * DAY).await;
-    update(&bench, &handle, 10).await;
-    let learned = model(&handle);
-    let (trained, _) = learned.alternatives().expect("learned").trained(calibrated).expect("trained");
-    assert!(matches!(trained, TrainedModel::Calibrated(model) if model.observations() == 9 * 48 + 1), "{trained:?}");
-    assert!(!learned.is_training_due(calibrated));
     bench.catalog.stop().await;
+    (learned, updates)
+}
+
+#[tokio::test]
+async fn updates_that_make_room_take_whole_days_and_train_as_others() {
+    let (at_once, none) = learn_with(1000).await;
+    assert_eq!(none, 0);
+    let (trained, day) = at_once.alternatives().expect("learned").trained(ModelKind::Calibrated).expect("trained");
+    assert!(matches!(trained, TrainedModel::Calibrated(model) if model.observations() == 14 * 48), "{trained:?}");
+    assert_eq!(at_once.alternatives().and_then(|known| known.learned_day()).map(|newest| newest.0 - day.0), Some(3));
+    // The second has two days at most beside the one that goes on.
+    for (limit, updates) in [(40, 17), (100, 8)] {
+        assert_eq!(learn_with(limit).await, (at_once.clone(), updates), "{limit}");
+    }
 }
 
 #[tokio::test]
