@@ -13,7 +13,7 @@ use tidemap_tests::{
 };
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run.
-const NOT_RUN: [&str; 10] = [
+const NOT_RUN: [&str; 11] = [
     "bench latency",
     "bench predict",
     "bench overload",
@@ -24,6 +24,7 @@ const NOT_RUN: [&str; 10] = [
     "experiment explore",
     "experiment search",
     "experiment routes",
+    "experiment habits",
 ];
 /// Definitions that are no commands.
 const PARTS: [&str; 5] = ["time", "time_or_null", "component", "model_error", "error"];

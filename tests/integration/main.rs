@@ -11,6 +11,7 @@ mod ensembles;
 mod erasures;
 mod evaluation;
 mod examples;
+mod experiments;
 mod exploration;
 mod floods;
 mod grid;

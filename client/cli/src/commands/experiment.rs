@@ -18,6 +18,7 @@ use crate::progress::{Bar, status_line};
 use tidemap_experiment::{
     ModelResult, ProtocolError,
     explore::{self, ExploreProtocol, office},
+    habits::{self, HABITS, Habit, HabitsProtocol},
     routes::{self, RoutesProtocol},
     search,
 };
@@ -42,6 +43,29 @@ enum ExperimentKind {
     Search(CompareArgs),
     /// Sends robots around a simulated building, and reports how often their routes fail, week by week
     Routes(RoutesArgs),
+    /// Predicts simulated habits day by day, and reports how sure predictions are and whether they are right
+    Habits(HabitsArgs),
+}
+
+#[derive(Debug, Args)]
+struct HabitsArgs {
+    /// Number of runs of each habit, each with its own random seed
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000))]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    first_seed: u64,
+    /// The habits, with commas between them; all by default
+    #[arg(long, value_name = "HABIT,…", value_delimiter = ',', value_parser = habit)]
+    habits: Vec<&'static Habit>,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "habits-results")]
+    out: PathBuf,
+}
+
+fn habit(name: &str) -> Result<&'static Habit, String> {
+    let names = || HABITS.each_ref().map(|habit| habit.name).join(", ");
+    Habit::named(name).ok_or_else(|| format!("there is no such habit; the habits are {}", names()))
 }
 
 #[derive(Debug, Args)]
@@ -85,7 +109,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
             "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, \
-             search, routes"
+             search, routes, habits"
                 .to_owned(),
         ),
     }
@@ -97,6 +121,7 @@ pub(crate) fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCo
         (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),
         (Some(ExperimentKind::Search(args)), _) => search(&args, format),
         (Some(ExperimentKind::Routes(args)), _) => routes(args, format),
+        (Some(ExperimentKind::Habits(args)), _) => habits(args, format),
         (None, None) => Err(usage("name a protocol, a file that ends in .yaml or .yml")),
     }
 }
@@ -187,6 +212,19 @@ fn routes(args: RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
         |bar| Ok(routes::run(&protocol, &|done, total| bar.set_of(done, total))?),
         routes::write,
         |outcome, stdout| routes::summary(outcome, format, stdout),
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn habits(args: HabitsArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let HabitsArgs { seeds, first_seed, habits, out } = args;
+    let protocol = HabitsProtocol { seeds, first_seed, habits };
+    conduct(
+        &out,
+        "runs",
+        |bar| Ok(habits::run(&protocol, &|done, total| bar.set_of(done, total))?),
+        habits::write,
+        |outcome, stdout| habits::summary(outcome, format, stdout),
     )?;
     Ok(ExitCode::SUCCESS)
 }

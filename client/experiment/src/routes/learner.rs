@@ -8,14 +8,12 @@ use std::sync::{Arc, atomic::AtomicU64};
 use tidemap_map::{
     edge_forecast::EdgeForecasts,
     event::{Envelope, Event, NewState, Observations, SequenceSpan, UpdateCause},
-    history::HistoryPiece,
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey},
     site::SiteEdit,
     spec::MapSpec,
     topology::Topology,
-    training::{ReadingsRequest, StateReadings},
     traversal::Traversal,
 };
 use tidemap_model::{Sample, selector::ModelSelector};
@@ -24,38 +22,16 @@ use super::{
     RoutesError, START_NANOS,
     building::{self, SPEED_M_PER_S},
 };
+use crate::readings_in_memory::ReadingsInMemory;
 
 /// A map that learns from traversals.
 #[derive(Debug)]
 pub(super) struct Learner {
     map: LiveMap,
     sequence: u64,
-    history: History,
+    history: ReadingsInMemory,
     blend: ModelSelector,
     edges: EdgeForecasts,
-}
-
-/// The readings of earlier updates, as history files contain them.
-#[derive(Clone, Debug, Default)]
-struct History(Vec<Arc<HistoryPiece>>);
-
-impl StateReadings for History {
-    fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
-        let readings_of = |wanted: &ReadingsRequest| {
-            let of_state = |piece: &Arc<HistoryPiece>| {
-                piece
-                    .states
-                    .iter()
-                    .find(|(id, _)| *id == wanted.state)
-                    .map_or_else(Vec::new, |(_, found)| found.clone())
-            };
-            let mut found: Vec<Sample> = self.0.iter().flat_map(of_state).collect();
-            found.retain(|sample| sample.utc_nanos >= wanted.from_nanos);
-            found.sort_by_key(|sample| sample.utc_nanos);
-            found
-        };
-        Ok(wanted.iter().map(readings_of).collect())
-    }
 }
 
 impl Learner {
@@ -69,7 +45,7 @@ impl Learner {
         let load = building::load().map_err(RoutesError::setting)?;
         map.apply(1, &Event::EditSite(SiteEdit::Topology(load)))?;
         let edges = EdgeForecasts::new(Arc::new(map.publish()), SPEED_M_PER_S, blend);
-        Ok(Self { map, sequence: 0, history: History::default(), blend, edges })
+        Ok(Self { map, sequence: 0, history: ReadingsInMemory::default(), blend, edges })
     }
 
     /// The topology of the building.
@@ -127,7 +103,7 @@ impl Learner {
         let work = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))?;
         if let Some(work) = work {
             let learned = work.with_readings(Arc::new(self.history.clone())).run(&AtomicU64::new(0))?;
-            self.history.0.extend(self.map.finish_update(learned).history);
+            self.history.keep(self.map.finish_update(learned).history);
         }
         self.refresh();
         Ok(())

@@ -1,0 +1,108 @@
+//! Predictions that anybody can make with a table: what tidemap has to beat.
+//!
+//! Invariant: a prediction uses looks of earlier days only. Each look counts once.
+
+use super::{calendar::Calendar, world::Look};
+
+/// The names of the baselines, in the order of [`Baselines::predict`].
+pub const BASELINES: [&str; 5] =
+    ["hour of week", "hour of weekday or weekend", "hour of week, fading", "last week", "yesterday"];
+/// After so many days a look counts half in the fading table.
+const HALF_LIFE_DAYS: f64 = 21.0;
+/// Steps of a day and of a week.
+const DAY_STEPS: usize = 144;
+const WEEK_STEPS: usize = 7 * DAY_STEPS;
+/// Where a step was not looked at, these around it are tried in turn.
+const AROUND: [isize; 7] = [0, -1, 1, -2, 2, -3, 3];
+/// What is said of a single look is at least this far from 0 and 1.
+const CERTAIN: f64 = 0.02;
+const WEEK_HOURS: usize = 168;
+
+/// Sum and number of looks.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    sum: f64,
+    looks: f64,
+}
+
+impl Tally {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.looks += 1.0;
+    }
+
+    /// The mean with a look of 0 and one of 1 before all others (Laplace).
+    fn mean(self) -> f64 {
+        (self.sum + 1.0) / (self.looks + 2.0)
+    }
+}
+
+/// The baselines of one state.
+#[derive(Clone, Debug)]
+pub(super) struct Baselines {
+    all: Tally,
+    hours: Vec<Tally>,
+    kinds: Vec<Tally>,
+    fading: Vec<Tally>,
+    /// By step, what was last read in it; steps that were not learned have none.
+    values: Vec<Option<f64>>,
+}
+
+impl Baselines {
+    /// Baselines without looks, for the steps of a calendar.
+    pub(super) fn new(calendar: &Calendar) -> Self {
+        let week = vec![Tally::default(); WEEK_HOURS];
+        Self {
+            all: Tally::default(),
+            hours: week.clone(),
+            kinds: vec![Tally::default(); 48],
+            fading: week,
+            values: vec![None; calendar.steps.len()],
+        }
+    }
+
+    /// The probability of 1 at a step, by each of [`BASELINES`].
+    pub(super) fn predict(&self, calendar: &Calendar, step: usize) -> [f64; BASELINES.len()] {
+        let hour = calendar.hour_of_week(step);
+        let Tally { sum, looks } = self.fading[hour];
+        [
+            self.hours[hour].mean(),
+            self.kinds[kind_of(hour)].mean(),
+            (sum + self.all.mean()) / (looks + 1.0),
+            self.before(step, WEEK_STEPS),
+            self.before(step, DAY_STEPS),
+        ]
+    }
+
+    /// What was seen so many steps before.
+    fn before(&self, step: usize, steps: usize) -> f64 {
+        let Some(then) = step.checked_sub(steps) else { return bounded(self.all.mean()) };
+        let seen = |around: isize| self.values.get(then.checked_add_signed(around)?).copied().flatten();
+        bounded(AROUND.into_iter().find_map(seen).unwrap_or_else(|| self.all.mean()))
+    }
+
+    /// Learns the looks of a day.
+    pub(super) fn learn(&mut self, calendar: &Calendar, looks: &[Look]) {
+        let kept = 0.5_f64.powf(1.0 / HALF_LIFE_DAYS);
+        for tally in &mut self.fading {
+            *tally = Tally { sum: kept * tally.sum, looks: kept * tally.looks };
+        }
+        for look in looks {
+            let (hour, value) = (calendar.hour_of_week(look.step), look.sample.value);
+            for tally in [&mut self.all, &mut self.hours[hour], &mut self.kinds[kind_of(hour)], &mut self.fading[hour]]
+            {
+                tally.add(value);
+            }
+            self.values[look.step] = Some(value);
+        }
+    }
+}
+
+/// The hour of the day, from 24 on of a weekend.
+fn kind_of(hour_of_week: usize) -> usize {
+    hour_of_week % 24 + if hour_of_week >= 5 * 24 { 24 } else { 0 }
+}
+
+fn bounded(p: f64) -> f64 {
+    p.clamp(CERTAIN, 1.0 - CERTAIN)
+}
