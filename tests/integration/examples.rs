@@ -50,6 +50,7 @@ pages! {
     anomalies: "docs/src/anomalies.md",
     api: "docs/src/api.md",
     backup: "docs/src/backup.md",
+    certainty: "docs/src/certainty.md",
     commands: "docs/src/commands.md",
     configuration: "docs/src/configuration.md",
     durability: "docs/src/durability.md",
