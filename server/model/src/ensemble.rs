@@ -29,7 +29,7 @@ mod week_table;
 use std::sync::OnceLock;
 
 use calibration::Calibration;
-use forecast::DayForecast;
+use forecast::{DayForecast, MemberDay};
 use looks::{DayLooks, HOURS, SLOT_NANOS, SLOTS, slot_at};
 use outlook::{FarWeights, Outlook, Profile};
 pub use parts::{ClassParts, EnsembleParts, SaidParts};
@@ -94,6 +94,16 @@ pub struct Ensemble {
     known: KindHours,
     /// Made on demand from the rest.
     far: OnceLock<Box<FarView>>,
+    /// The day that is about to be learned; between updates there is none.
+    prepared: Option<Box<PreparedDay>>,
+}
+
+/// What is predicted for a day before it is learned.
+#[derive(Clone, Debug)]
+struct PreparedDay {
+    day: LocalDay,
+    members: MemberDay,
+    forecast: DayForecast,
 }
 
 impl PartialEq for Ensemble {
@@ -128,6 +138,7 @@ impl Ensemble {
             smooth_looks: 0.0,
             known: [[0.0; HOURS]; 2],
             far: OnceLock::new(),
+            prepared: None,
         }
     }
 
@@ -144,6 +155,22 @@ impl Ensemble {
     /// The mean of all looks, shrunk to 0.5 by one.
     pub fn mean(&self) -> f64 {
         (self.sum + 0.5) / (self.looks + 1.0)
+    }
+
+    /// Predicts a day that is about to be learned, once for all that judge it before. Nothing of a day that is not newer
+    /// than all before. `chosen`: the model that the update had chosen before the day.
+    pub fn prepare(&mut self, day: LocalDay, chosen: &dyn TemporalModel) {
+        let last = self.recall.last();
+        if last.is_some_and(|last| day <= last) || self.prepared.as_ref().is_some_and(|known| known.day == day) {
+            return;
+        }
+        self.far.take();
+        if let Some(last) = last {
+            self.pass(last, day);
+        }
+        let members = self.members(day, chosen);
+        let forecast = self.forecast_of(day, &members);
+        self.prepared = Some(Box::new(PreparedDay { day, members, forecast }));
     }
 
     /// Learns a local day: judges all members by its looks, then adds them. A day that is not newer than all before is
@@ -174,17 +201,14 @@ impl Ensemble {
         if looks.is_empty() {
             return None;
         }
-        self.far.take();
         let last = self.recall.last();
-        if last.is_some_and(|last| day <= last) {
+        self.prepare(day, chosen);
+        self.far.take();
+        let Some(prepared) = self.prepared.take() else {
             self.add_late(day, looks);
             return None;
-        }
-        if let Some(last) = last {
-            self.pass(last, day);
-        }
-        let members = self.members(day, chosen);
-        let forecast = self.forecast_of(day, &members);
+        };
+        let PreparedDay { members, forecast, .. } = *prepared;
         for stack in &mut self.stacks {
             stack.learn(&members.features, looks);
         }

@@ -25,8 +25,20 @@ pub(crate) fn ln_gamma(mut x: f64) -> f64 {
     let inverse = 1.0 / x;
     let square = inverse * inverse;
     let series = inverse * (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)));
-    (x - 0.5) * x.ln() - x + HALF_LN_TAU + series - product.ln()
+    let shifted = if product == 1.0 { 0.0 } else { product.ln() };
+    (x - 0.5) * x.ln() - x + HALF_LN_TAU + series - shifted
 }
+
+/// ln Γ(x + steps) - ln Γ(x), for `x` above 0 and `steps` from 0; to 1e-9. A few whole steps are a product.
+pub(crate) fn ln_rising(x: f64, steps: f64) -> f64 {
+    if steps <= PRODUCT_STEPS && steps.fract() == 0.0 {
+        return (0..steps as u32).fold(1.0, |product, step| product * (x + f64::from(step))).ln();
+    }
+    ln_gamma(x + steps) - ln_gamma(x)
+}
+
+/// So many steps are multiplied: up to here this is faster.
+const PRODUCT_STEPS: f64 = 12.0;
 
 /// The derivative of [`ln_gamma`] for `x` above 0; to 1e-10.
 pub(crate) fn digamma(mut x: f64) -> f64 {

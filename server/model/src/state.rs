@@ -308,6 +308,7 @@ impl StateModel {
             // Clocks set back over midnight return to a date that has already ended: this is not a new day.
             let length = rest.iter().position(|sample| sample.local_day() > day).unwrap_or(rest.len());
             let (of_day, later) = rest.split_at(length);
+            self.with_ensemble(periodicities, rules, |ensemble, chosen| ensemble.prepare(day, chosen));
             let mut surprises = std::mem::take(&mut self.surprises);
             judge(self, of_day, &mut surprises);
             self.surprises = surprises;
@@ -362,19 +363,30 @@ impl StateModel {
         day: LocalDay,
         of_day: &[Sample],
     ) -> Option<f64> {
+        let newer_than = self.accumulator.last_nanos().unwrap_or(i64::MIN);
+        let newer = &of_day[of_day.partition_point(|sample| sample.utc_nanos <= newer_than)..];
+        self.with_ensemble(periodicities, rules, |ensemble, chosen| {
+            let answered = ensemble.last_day().is_some();
+            ensemble.learn_day(day, of_day, newer, chosen).filter(|_| answered)
+        })?
+    }
+
+    /// Changes the ensemble, with the model that was chosen; `None` where there is no ensemble.
+    fn with_ensemble<T>(
+        &mut self,
+        periodicities: &Periodicities,
+        rules: UpdateRules,
+        change: impl FnOnce(&mut Ensemble, &ChosenMember<'_>) -> T,
+    ) -> Option<T> {
         let kind = self.kind();
         let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(kind, rules.models)));
         // Out of the state meanwhile, which has the model that was chosen.
         let mut ensemble = alternatives.ensemble_mut().take().filter(|_| rules.models.has_ensemble())?;
-        let answered = ensemble.last_day().is_some();
-        let newer_than = self.accumulator.last_nanos().unwrap_or(i64::MIN);
-        let newer = &of_day[of_day.partition_point(|sample| sample.utc_nanos <= newer_than)..];
-        let chosen = self.chosen_member(periodicities);
-        let error = Arc::make_mut(&mut ensemble).learn_day(day, of_day, newer, &chosen);
+        let changed = change(Arc::make_mut(&mut ensemble), &self.chosen_member(periodicities));
         if let Some(alternatives) = &mut self.alternatives {
             *alternatives.ensemble_mut() = Some(ensemble);
         }
-        error.filter(|_| answered)
+        Some(changed)
     }
 
     /// Scores the samples of a day that are newer than all earlier ones, and chooses. `in_force`: the squared error of

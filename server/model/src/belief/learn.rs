@@ -6,6 +6,7 @@
 
 use super::{
     Belief, Look, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lag::LagWeights, lag_secs, looks_after, noise,
+    recent::Replay,
 };
 use crate::{Sample, models::markov_chain::likelihood::Transitions};
 
@@ -17,6 +18,8 @@ const KEPT: f64 = 0.98;
 const FIRST_PASSES: usize = 15;
 const PASSES: usize = 2;
 const FIRST_DAYS: u32 = 2;
+/// Sums of rates per second from which those of the first day are searched: there may be more than one maximum.
+const FIRST_RATES: [f64; 6] = [1.0, 0.1, 0.01, 1e-3, 1e-5, 1e-6];
 /// The share of the first day's readings that its rest is judged by.
 const FIRST_SHARE: f64 = 2.0 / 3.0;
 /// At most about this many readings of a day are looked at.
@@ -60,12 +63,14 @@ impl Belief {
 
     /// What is known follows the readings, without learning from them.
     fn take_in(&mut self, samples: &[Sample]) {
+        let mut recent = Replay::new(self.recent);
         for sample in samples {
-            self.recent.observe(sample.utc_nanos, sample.value);
+            recent.observe(sample.utc_nanos, sample.value);
             if self.newest.is_none_or(|(newest, _)| sample.utc_nanos > newest) {
                 self.newest = Some((sample.utc_nanos, sample.value));
             }
         }
+        self.recent = *recent.recent();
     }
 
     /// Learns two thirds of the first day and judges the rest by them, so that a state is not without weights and
@@ -131,9 +136,9 @@ impl Belief {
     /// The readings that the weights are judged by: those ahead of the newest known reading, and of some of the day.
     fn targets(&self, newer: &[Sample]) -> Vec<Target> {
         let mut targets = Vec::new();
-        let (mut recent, mut newest) = (self.recent, self.newest);
+        let (mut recent, mut newest) = (Replay::new(self.recent), self.newest);
         if let Some(newest) = newest {
-            self.targets_from(&recent, newest, newer, &mut targets);
+            self.targets_from(recent.recent(), newest, newer, &mut targets);
         }
         let mut next = 0;
         for (at, sample) in newer.iter().enumerate() {
@@ -144,7 +149,7 @@ impl Belief {
             if at * ORIGINS >= next * newer.len() {
                 next += 1;
                 if let Some(newest) = newest {
-                    self.targets_from(&recent, newest, &newer[at + 1..], &mut targets);
+                    self.targets_from(recent.recent(), newest, &newer[at + 1..], &mut targets);
                 }
             }
         }
@@ -184,7 +189,8 @@ impl Belief {
         if self.seen.is_empty() {
             return;
         }
-        self.seen_rates = most_likely(&self.seen, self.seen_rates, self.days);
+        let starts: &[f64] = if self.days == 0 { &FIRST_RATES } else { &[] };
+        self.seen_rates = most_likely(&self.seen, self.seen_rates, starts);
         let expected = self.learn_noise(looks);
         let gap = self.seen.mean_gap_secs();
         self.dwells.learn(looks, &expected, gap);
@@ -204,7 +210,7 @@ impl Belief {
             (hidden, errors) = (self.hidden.clone(), self.errors);
             hidden.merge(&expected.transitions);
             errors.merge(&expected.errors);
-            self.hidden_rates = most_likely(&hidden, self.hidden_rates, self.days);
+            self.hidden_rates = most_likely(&hidden, self.hidden_rates, &[]);
             self.noise = errors.noise();
         }
         (self.hidden, self.errors) = (hidden, errors);
@@ -212,11 +218,11 @@ impl Belief {
     }
 }
 
-/// The most likely rates; after the first days near those of the day before.
-fn most_likely(transitions: &Transitions, before: Rates, days: u32) -> Rates {
-    let (sum, share) = match days {
-        0 => transitions.most_likely(crate::StopSignal::default()),
-        _ => transitions.most_likely_near(before.sum()),
-    };
+/// The most likely rates, searched from those before and from other sums of rates.
+fn most_likely(transitions: &Transitions, before: Rates, starts: &[f64]) -> Rates {
+    let from = std::iter::once(before.sum()).chain(starts.iter().copied());
+    let found = from.map(|sum| transitions.most_likely_near((sum, before.share())));
+    let best = found.max_by(|(_, one), (_, other)| one.total_cmp(other));
+    let (sum, share) = best.map_or((before.sum(), before.share()), |(rates, _)| rates);
     Rates { rise_per_sec: sum * share, fall_per_sec: sum * (1.0 - share) }
 }

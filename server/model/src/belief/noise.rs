@@ -111,8 +111,13 @@ pub(super) fn expect(looks: &[Look], rates: Rates, noise: SensorNoise) -> Expect
     // Per reading the factor that makes its probabilities add up to 1, and e^(-(α+β)Δ) of the gap before it.
     let mut scales = Vec::with_capacity(looks.len());
     let (mut one, mut last) = (share, None::<i64>);
+    // Most readings come at equal gaps.
+    let (mut gap_secs, mut kept) = (f64::INFINITY, 0.0);
     for &(nanos, is_one) in looks {
-        let kept = last.map_or(0.0, |last| (-rates.sum() * secs(last, nanos)).exp());
+        let gap = last.map_or(f64::INFINITY, |last| secs(last, nanos));
+        if gap != gap_secs {
+            (gap_secs, kept) = (gap, (-rates.sum() * gap).exp());
+        }
         one = share + (one - share) * kept;
         let [low, high] = noise.likelihoods(is_one);
         let total = ((1.0 - one) * low + one * high).max(f64::MIN_POSITIVE);

@@ -5,16 +5,22 @@
 //! and the same readings in the same order always give the same spans. Invariant: spans are ascending and do not
 //! overlap, each has a reading, and the newest is a single reading.
 
+use std::sync::LazyLock;
+
 use crate::InvalidParts;
 
 /// Maximum number of spans of a state.
 pub const SPANS_MAX: usize = 16;
-/// The newest readings, which are not merged.
+/// The newest readings are not merged.
 const SINGLE: usize = 5;
+/// The spans that may be merged.
+const EARLIER: usize = SPANS_MAX - SINGLE;
 /// A boundary that makes the readings on its sides more likely by this many nats is a change, not a wrong reading.
 const CHANGE_NATS: f64 = 6.0;
 /// The weight of a boundary, against that of the next newer one.
 const KEPT_PER_BOUNDARY: f64 = 0.5;
+/// Counts whose x·ln x is in a table: those of a day of minutes.
+const TABLED: usize = 2048;
 /// With this many changes, earlier readings say nothing new.
 const CHANGES: usize = 4;
 
@@ -60,15 +66,25 @@ impl RecentSpan {
 
     /// How much less likely the readings of both spans are with one share of ones instead of two, in nats.
     fn loss(&self, next: &RecentSpan) -> f64 {
-        let log_likelihood = |ones: f64, zeros: f64| {
-            let part = |count: f64| if count > 0.0 { count * (count / (ones + zeros)).ln() } else { 0.0 };
-            part(ones) + part(zeros)
-        };
-        let (ones, zeros) = (f64::from(self.ones), f64::from(self.zeros));
-        let (next_ones, next_zeros) = (f64::from(next.ones), f64::from(next.zeros));
+        if self.ones | next.ones == 0 || self.zeros | next.zeros == 0 {
+            return 0.0;
+        }
+        let log_likelihood = |ones: u32, zeros: u32| x_ln_x(ones) + x_ln_x(zeros) - x_ln_x(ones + zeros);
+        let (ones, zeros) = (u32::from(self.ones), u32::from(self.zeros));
+        let (next_ones, next_zeros) = (u32::from(next.ones), u32::from(next.zeros));
         log_likelihood(ones, zeros) + log_likelihood(next_ones, next_zeros)
             - log_likelihood(ones + next_ones, zeros + next_zeros)
     }
+}
+
+/// x·ln x, from a table where x is small: each reading needs dozens.
+fn x_ln_x(x: u32) -> f64 {
+    static TABLE: LazyLock<[f64; TABLED]> = LazyLock::new(|| std::array::from_fn(|x| exactly(x as u32)));
+    fn exactly(x: u32) -> f64 {
+        let x = f64::from(x);
+        if x > 0.0 { x * x.ln() } else { 0.0 }
+    }
+    TABLE.get(x as usize).copied().unwrap_or_else(|| exactly(x))
 }
 
 /// The recent readings of a state; see the top of the file.
@@ -86,9 +102,14 @@ impl Recent {
             return;
         }
         if usize::from(self.len) == SPANS_MAX {
-            self.make_room();
+            let losses = std::array::from_fn(|index| self.spans[index].loss(&self.spans[index + 1]));
+            self.make_room(&losses);
         }
-        let is_one = value == 1.0;
+        self.push(utc_nanos, value == 1.0);
+    }
+
+    /// Adds a reading where there is room.
+    fn push(&mut self, utc_nanos: i64, is_one: bool) {
         let (ones, zeros) = (u16::from(is_one), u16::from(!is_one));
         if let Some(free) = self.spans.get_mut(usize::from(self.len)) {
             *free = RecentSpan { first_nanos: utc_nanos, length_millis: 0, ones, zeros };
@@ -123,19 +144,19 @@ impl Recent {
     }
 
     /// Frees a place: merges the two neighbours that differ least, or forgets the oldest span where enough changes are
-    /// known without it.
-    fn make_room(&mut self) {
-        let earlier = &self.spans[..SPANS_MAX - SINGLE];
-        let losses = earlier.windows(2).map(|pair| pair[0].loss(&pair[1]));
-        let changes = losses.clone().filter(|&loss| loss >= CHANGE_NATS).count();
-        let faded = |(index, loss): (usize, f64)| loss * KEPT_PER_BOUNDARY.powi((earlier.len() - 2 - index) as i32);
-        let least = losses
-            .enumerate()
-            .map(faded)
-            .enumerate()
-            .min_by(|one, other| one.1.total_cmp(&other.1))
-            .map_or(0, |(index, _)| index);
-        let merged = earlier[least].merged(&earlier[least + 1]).filter(|_| changes < CHANGES);
+    /// known without it. `losses`: of each span that may be merged and the next. Gives the place of the span that has
+    /// changed, if it was merged with the next.
+    fn make_room(&mut self, losses: &[f64; EARLIER - 1]) -> Option<usize> {
+        let changes = losses.iter().filter(|&&loss| loss >= CHANGE_NATS).count();
+        let (mut least, mut least_loss, mut weight) = (0, f64::INFINITY, 1.0);
+        // From the newest boundary on; of two that lose as much, the older one goes.
+        for (index, loss) in losses.iter().enumerate().rev() {
+            if loss * weight <= least_loss {
+                (least, least_loss) = (index, loss * weight);
+            }
+            weight *= KEPT_PER_BOUNDARY;
+        }
+        let merged = self.spans[least].merged(&self.spans[least + 1]).filter(|_| changes < CHANGES);
         let gone = match merged {
             Some(merged) => {
                 self.spans[least] = merged;
@@ -146,5 +167,46 @@ impl Recent {
         self.spans.copy_within(gone + 1.., gone);
         self.spans[SPANS_MAX - 1] = RecentSpan::default();
         self.len -= 1;
+        gone.checked_sub(1)
+    }
+}
+
+/// Takes in many readings, as [`Recent::observe`] does one by one, and keeps the losses of its spans meanwhile.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Replay {
+    recent: Recent,
+    losses: [f64; SPANS_MAX - 1],
+}
+
+impl Replay {
+    pub(super) fn new(recent: Recent) -> Replay {
+        let losses = std::array::from_fn(|index| recent.spans[index].loss(&recent.spans[index + 1]));
+        Replay { recent, losses }
+    }
+
+    /// The readings so far.
+    pub(super) fn recent(&self) -> &Recent {
+        &self.recent
+    }
+
+    /// See [`Recent::observe`].
+    pub(super) fn observe(&mut self, utc_nanos: i64, value: f64) {
+        let recent = &mut self.recent;
+        if recent.newest_nanos().is_some_and(|newest| utc_nanos <= newest) || (value != 0.0 && value != 1.0) {
+            return;
+        }
+        if usize::from(recent.len) == SPANS_MAX
+            && let Some(losses) = self.losses.first_chunk()
+        {
+            let merged = recent.make_room(losses);
+            self.losses.copy_within(merged.map_or(1, |merged| merged + 1).., merged.unwrap_or(0));
+            for changed in merged.into_iter().flat_map(|merged| [merged.checked_sub(1), Some(merged)]).flatten() {
+                self.losses[changed] = recent.spans[changed].loss(&recent.spans[changed + 1]);
+            }
+        }
+        recent.push(utc_nanos, value == 1.0);
+        if let Some(last) = usize::from(recent.len).checked_sub(2) {
+            self.losses[last] = recent.spans[last].loss(&recent.spans[last + 1]);
+        }
     }
 }

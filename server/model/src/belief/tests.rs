@@ -250,6 +250,13 @@ proptest::proptest! {
         let mut recent = Recent::default();
         samples.iter().for_each(|sample| recent.observe(sample.utc_nanos, sample.value));
         proptest::prop_assert_eq!(Recent::from_spans(recent.spans()), Ok(recent));
+        for known in [0, samples.len() / 3] {
+            let mut some = Recent::default();
+            samples[..known].iter().for_each(|sample| some.observe(sample.utc_nanos, sample.value));
+            let mut replay = recent::Replay::new(some);
+            samples.iter().for_each(|sample| replay.observe(sample.utc_nanos, sample.value));
+            proptest::prop_assert_eq!(*replay.recent(), recent);
+        }
         let blended = blended(&learned(&samples), &samples, p, lag);
         proptest::prop_assert!((0.0..=1.0).contains(&blended), "{}", blended);
     }

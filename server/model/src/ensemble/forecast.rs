@@ -191,11 +191,6 @@ impl Ensemble {
         }
     }
 
-    /// The forecast of a day.
-    fn forecast(&self, day: LocalDay, chosen: &dyn TemporalModel) -> DayForecast {
-        self.forecast_of(day, &self.members(day, chosen))
-    }
-
     /// Whether the pool of the next days answers for a day; else it is far ahead, or long ago.
     fn near(&self, day: LocalDay) -> bool {
         self.last_day().is_none_or(|last| (i64::from(day.0) - i64::from(last.0)).abs() <= NEXT_DAYS)
@@ -229,7 +224,10 @@ impl Ensemble {
             }
             let forecast = match of_day.take() {
                 Some((known, forecast)) if known == day => forecast,
-                _ => self.forecast(day, chosen),
+                _ => match &self.prepared {
+                    Some(prepared) if prepared.day == day => prepared.forecast.clone(),
+                    _ => self.forecast_of(day, &self.members(day, chosen)),
+                },
             };
             let predicted = forecast.predictive(at, chosen);
             of_day = Some((day, forecast));

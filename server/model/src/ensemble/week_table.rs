@@ -8,7 +8,7 @@
 //! changes sharply at an hour keeps the edge. Invariant: every value lies strictly between 0 and 1.
 
 use super::looks::{DayLooks, HOURS};
-use crate::special::ln_gamma;
+use crate::special::ln_rising;
 
 /// The strengths of the priors, in looks.
 const STRENGTHS: [f64; 4] = [1.0, 5.0, 25.0, 125.0];
@@ -176,16 +176,20 @@ fn level(
     for (hour, value) in values.iter_mut().enumerate() {
         let near = neighbours(&sums, &looks, hour, coarser[hour]);
         let (sum, number) = (sums[hour], looks[hour]);
+        let zeros = (number - sum).max(0.0);
+        let of_number = STRENGTHS.map(|strength| if number > 0.0 { ln_rising(strength, number) } else { 0.0 });
         let mut evidence = logs;
         let mut means = [0.0; PRIORS];
         for (prior, (evidence, mean)) in evidence.iter_mut().zip(&mut means).enumerate() {
             let strength = STRENGTHS[prior % STRENGTHS.len()];
             let towards = if prior < STRENGTHS.len() { coarser[hour] } else { near }.clamp(EDGE, 1.0 - EDGE);
-            let (ones, zeros) = (strength * towards, strength * (1.0 - towards));
+            let (prior_ones, prior_zeros) = (strength * towards, strength * (1.0 - towards));
             if number > 0.0 {
-                *evidence += log_likelihood(sum, (number - sum).max(0.0), ones, zeros);
+                // The beta-binomial likelihood, but for what is the same for all priors.
+                let of_prior = ln_rising(prior_ones, sum) + ln_rising(prior_zeros, zeros);
+                *evidence += of_prior - of_number[prior % STRENGTHS.len()];
             }
-            *mean = (sum + ones) / (number + strength);
+            *mean = (sum + prior_ones) / (number + strength);
         }
         let highest = evidence.iter().copied().fold(f64::MIN, f64::max);
         let shares = evidence.map(|evidence| (evidence - highest).exp());
@@ -208,14 +212,4 @@ fn neighbours(sums: &Hours, looks: &Hours, hour: usize, coarser: f64) -> f64 {
         share *= 0.5;
     }
     sum / number
-}
-
-/// The log likelihood of looks under a Beta prior, but for what is the same for all priors.
-fn log_likelihood(ones: f64, zeros: f64, prior_ones: f64, prior_zeros: f64) -> f64 {
-    let strength = prior_ones + prior_zeros;
-    ln_gamma(ones + prior_ones) + ln_gamma(zeros + prior_zeros)
-        - ln_gamma(ones + zeros + strength)
-        - ln_gamma(prior_ones)
-        - ln_gamma(prior_zeros)
-        + ln_gamma(strength)
 }

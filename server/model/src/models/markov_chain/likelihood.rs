@@ -16,6 +16,11 @@ const PRIOR_SECS: f64 = 3600.0;
 /// ln λ is searched in this range (λ from one change in 3,000 years to ten a nanosecond), first at this distance.
 const LOG_RATES: (f64, f64) = (-25.0, 23.0);
 const LOG_RATE_STEP: f64 = 0.5;
+/// Fisher scoring: its steps, the longest of them, how often one is halved, and the gain that ends it.
+const SCORINGS_MAX: usize = 40;
+const SCORING_STEP_MAX: f64 = 2.0;
+const SCORING_HALVINGS: usize = 12;
+const SCORING_GAIN_MIN: f64 = 1e-9;
 
 /// Counts of staying and changing over gaps of about the same length.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -27,6 +32,13 @@ pub(crate) struct GapCounts {
     pub(crate) rises: f64,
     pub(crate) falls: f64,
     pub(crate) high: f64,
+}
+
+/// A log posterior at a point, its gradient and its Fisher information.
+struct Slope {
+    value: f64,
+    gradient: [f64; 2],
+    information: [[f64; 2]; 2],
 }
 
 /// Sufficient statistics of successive readings for the rates.
@@ -99,23 +111,71 @@ impl Transitions {
         if weight > 0.0 { secs / weight } else { 0.0 }
     }
 
-    /// (λ, π) of the highest posterior density, searched from a λ that is about right.
-    pub(crate) fn most_likely_near(&self, rate: f64) -> (f64, f64) {
-        let value = |log_rate: f64| self.profile(log_rate).0;
-        let mut at = rate.ln().clamp(LOG_RATES.0, LOG_RATES.1);
-        let mut best = value(at);
-        for direction in [LOG_RATE_STEP, -LOG_RATE_STEP] {
-            loop {
-                let next = at + direction;
-                let there = value(next);
-                if there <= best || !(LOG_RATES.0..=LOG_RATES.1).contains(&next) {
+    /// (λ, π) of the highest posterior density near a pair that is about right, and its logarithm, by Fisher scoring in
+    /// (ln λ, logit π): a few evaluations, where the search over all rates takes thousands.
+    pub(crate) fn most_likely_near(&self, (rate, share): (f64, f64)) -> ((f64, f64), f64) {
+        let mut at = [rate.ln().clamp(LOG_RATES.0, LOG_RATES.1), (share / (1.0 - share)).ln().clamp(-34.0, 34.0)];
+        let mut slope = self.slope(at);
+        for _ in 0..SCORINGS_MAX {
+            let [[ll, ls], [_, ss]] = slope.information;
+            let determinant = (ll * ss - ls * ls).max(f64::MIN_POSITIVE);
+            let [by_rate, by_share] = slope.gradient;
+            let mut step = [(ss * by_rate - ls * by_share) / determinant, (ll * by_share - ls * by_rate) / determinant];
+            step.iter_mut().for_each(|step| *step = step.clamp(-SCORING_STEP_MAX, SCORING_STEP_MAX));
+            let mut better = None;
+            for _ in 0..SCORING_HALVINGS {
+                let next = [(at[0] + step[0]).clamp(LOG_RATES.0, LOG_RATES.1), (at[1] + step[1]).clamp(-34.0, 34.0)];
+                let there = self.slope(next);
+                if there.value > slope.value {
+                    better = Some((next, there));
                     break;
                 }
-                (at, best) = (next, there);
+                step.iter_mut().for_each(|step| *step *= 0.5);
+            }
+            let Some((next, there)) = better else { break };
+            let gained = there.value - slope.value;
+            (at, slope) = (next, there);
+            if gained < SCORING_GAIN_MIN {
+                break;
             }
         }
-        let at = golden_section(at - LOG_RATE_STEP, at + LOG_RATE_STEP, value);
-        (at.exp(), self.profile(at).1)
+        ((at[0].exp(), logistic(at[1])), slope.value)
+    }
+
+    /// The log posterior at (ln λ, logit π), with its first derivatives and the expected second ones.
+    fn slope(&self, [log_rate, logit]: [f64; 2]) -> Slope {
+        let (rate, share) = (log_rate.exp(), logistic(logit));
+        let other = logistic(-logit);
+        let spread = share * other;
+        let (prior, secs) = (2.0 * PRIOR_CHANGES, PRIOR_SECS * rate);
+        let mut slope = Slope {
+            value: PRIOR_CHANGES * spread.max(f64::MIN_POSITIVE).ln() + prior * log_rate - secs,
+            gradient: [prior - secs, PRIOR_CHANGES * (other - share)],
+            information: [[secs, 0.0], [0.0, prior * spread]],
+        };
+        for counts in self.by_gap.values() {
+            let gaps = rate * counts.gap_secs_sum / counts.weight;
+            let (mixed, by_rate) = (-(-gaps).exp_m1(), gaps * (-gaps).exp());
+            // From 0 to 1, then from 1 to 0: changes, stays, and the derivatives of the probability of a change.
+            let rise = (counts.rises, counts.low, share * mixed, [share * by_rate, spread * mixed]);
+            let fall = (counts.falls, counts.high, other * mixed, [other * by_rate, -spread * mixed]);
+            for (changes, stays, probability, [dl, ds]) in [rise, fall] {
+                if changes + stays <= 0.0 {
+                    continue;
+                }
+                let change = probability.max(f64::MIN_POSITIVE);
+                let stay = (1.0 - probability).max(f64::EPSILON);
+                slope.value += changes * change.ln() + stays * (-probability).ln_1p().max(-40.0);
+                let score = changes / change - stays / stay;
+                slope.gradient[0] += score * dl;
+                slope.gradient[1] += score * ds;
+                let weight = (changes + stays) / (change * stay);
+                slope.information[0][0] += weight * dl * dl;
+                slope.information[0][1] += weight * dl * ds;
+                slope.information[1][1] += weight * ds * ds;
+            }
+        }
+        slope
     }
 
     /// (λ, π) of the highest posterior density; not to be used if the signal is set.

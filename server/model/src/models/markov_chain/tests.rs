@@ -5,7 +5,7 @@ use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 
 use super::*;
-use crate::Sample;
+use crate::{Sample, StopSignal};
 
 const HOUR: f64 = 3600.0;
 const TEN_YEARS_SECS: i64 = 315_576_000;
@@ -37,6 +37,32 @@ fn simulated(low_secs: f64, high_secs: f64, gap_secs: std::ops::Range<f64>, coun
         samples.push(sample(secs, value));
     }
     samples
+}
+
+#[test]
+fn scoring_finds_what_the_search_over_all_rates_finds() {
+    for (seed, low, high, gaps) in [
+        (1, 4.0 * HOUR, HOUR, 60.0..120.0),
+        (2, HOUR, 20.0 * HOUR, 600.0..7200.0),
+        (3, 300.0, 300.0, 1800.0..14_400.0),
+        (4, 1e6, 1e3, 10.0..86_400.0),
+    ] {
+        for count in [2, 10, 300, 5000] {
+            let mut transitions = Transitions::default();
+            for pair in simulated(low, high, gaps.clone(), count, seed).windows(2) {
+                let gap = pair[1].utc_nanos.abs_diff(pair[0].utc_nanos);
+                transitions.add(gap, pair[0].value, pair[1].value, 1.0);
+            }
+            let (rate, share) = transitions.most_likely(StopSignal::default());
+            let best = [1e-6, 1e-5, 1e-4, 1e-3, 1e-2]
+                .map(|start| transitions.most_likely_near((start, 0.5)))
+                .into_iter()
+                .max_by(|(_, one), (_, other)| one.total_cmp(other));
+            let ((near_rate, near_share), _) = best.unwrap();
+            let case = format!("{seed} {count}: {near_rate} {near_share} and {rate} {share}");
+            assert!((near_rate / rate - 1.0).abs() < 1e-3 && (near_share - share).abs() < 1e-3, "{case}");
+        }
+    }
 }
 
 /// Log posterior of rates by the transition probabilities of RAS 2017 eq. 6, pair by pair.
