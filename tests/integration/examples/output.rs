@@ -34,20 +34,33 @@ fn line_matches(expected: &str, shown: &str) -> bool {
     rest.ends_with(end)
 }
 
-/// What a page should say instead, with its dots where they still fit: lines that stand for any number of lines stay if
-/// the lines around them do, and a word that ends in dots is as long as before.
+/// What a page should say instead, with its dots: lines that stand for any number of lines stay if the lines around them
+/// are found, and a word that ends in dots is as long as before.
 pub(crate) fn renewed(expected: &str, shown: &str) -> String {
     let (old, new): (Vec<&str>, Vec<&str>) = (expected.lines().collect(), shown.lines().collect());
     let is_gap = |line: &str| line.trim().chars().eq([ANYTHING]);
-    let Some(gap) = old.iter().position(|line| is_gap(line)) else {
-        return lines_renewed(&old, &new);
-    };
-    let after = old.len() - gap - 1;
-    if old[gap + 1..].iter().any(|line| is_gap(line)) || new.len() < gap + after {
+    if !old.iter().any(|line| is_gap(line)) {
         return lines_renewed(&old, &new);
     }
-    let last = lines_renewed(&old[gap + 1..], &new[new.len() - after..]);
-    format!("{}{ANYTHING}\n{last}", lines_renewed(&old[..gap], &new[..gap]))
+    // The lines between gaps are found by what is not a fraction in them.
+    let mut rest = new.as_slice();
+    let mut found = String::new();
+    for line in &old {
+        if is_gap(line) {
+            found.push_str(line);
+            found.push('\n');
+            continue;
+        }
+        let Some(at) = rest.iter().position(|new| key(new) == key(line)) else { return lines_renewed(&old, &new) };
+        found.push_str(&lines_renewed(&[line], &rest[at..=at]));
+        rest = &rest[at + 1..];
+    }
+    found
+}
+
+/// The words of a line that stay if predictions change.
+fn key(line: &str) -> Vec<&str> {
+    line.split_whitespace().filter(|word| !word.contains(['.', ANYTHING]) && *word != "0").collect()
 }
 
 fn lines_renewed(old: &[&str], new: &[&str]) -> String {
@@ -76,7 +89,7 @@ fn line_renewed(old: &str, shown: &str) -> String {
 
 #[test]
 fn a_new_output_keeps_the_dots() {
-    assert_eq!(renewed("a 0.9…\n…\nz\n", "a 0.63\nb\nc\ny\n"), "a 0.6…\n…\ny\n");
+    assert_eq!(renewed("a 0.9…\n…\nz 1.5\n…\n", "a 0.63\nb\nc\nz 1.6\nd\n"), "a 0.6…\n…\nz 1.6\n…\n");
     assert_eq!(renewed("t 12…  5\n", "t 1234 6\n"), "t 12…  6\n");
     assert_eq!(renewed("a\n", "b\nc\n"), "b\nc\n");
 }
