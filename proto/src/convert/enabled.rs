@@ -73,7 +73,8 @@ mod tests {
     #[test]
     fn a_map_that_names_none_has_the_usual_ones() {
         assert_eq!(enabled(&[], Retention::Forever), Ok(EnabledModels::default()));
-        let kept_for_none = EnabledModels::SPECTRAL.with_histograms(true);
+        let kept_for_none =
+            EnabledModels::SPECTRAL.with_histograms(true).with(tidemap_model::catalogue::ModelKind::Ensemble);
         assert_eq!(enabled(&[], Retention::None), Ok(kept_for_none));
     }
 

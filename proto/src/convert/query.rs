@@ -32,6 +32,20 @@ fn interval_level_from_wire(level: f64) -> Result<Option<f64>, InvalidField> {
     Err(InvalidField::new("interval_level", text))
 }
 
+/// The model of a request that plans: if it names none, `auto` with what the newest readings say.
+///
+/// # Errors
+/// As of [`selector_from_wire`].
+pub fn planning_selector_from_wire(
+    field: &str,
+    wire: Option<v1::ModelSelector>,
+) -> Result<ModelSelector, InvalidField> {
+    match wire {
+        None => Ok(ModelSelector { belief: true, ..ModelSelector::default() }),
+        named => selector_from_wire(field, named),
+    }
+}
+
 /// A model of a request.
 ///
 /// # Errors

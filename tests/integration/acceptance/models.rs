@@ -136,8 +136,8 @@ fn a_map_chooses_among_the_models_that_it_was_created_with() {
         made.table();
         door.tidemap(["map", "show", name]).table().column("models")[0].to_owned()
     };
-    assert_eq!(models("usual", &[]), "spectral histogram calibrated poisson");
-    assert_eq!(models("forgetful", &["--retention", "none"]), "spectral histogram");
+    assert_eq!(models("usual", &[]), "spectral histogram calibrated poisson ensemble");
+    assert_eq!(models("forgetful", &["--retention", "none"]), "spectral histogram ensemble");
     assert_eq!(models("few", &["--models", "pergam"]), "spectral pergam");
     let all = "spectral histogram calibrated pergam hypertime-em hypertime-km poisson ensemble";
     assert_eq!(models("rich", &["--models", "all"]), all);

@@ -31,6 +31,9 @@ pub enum RobotKind {
     Tidemap,
     /// As [`Tidemap`](Self::Tidemap), with the last report of each edge while it is recent.
     TidemapPersistence,
+    /// As [`Tidemap`](Self::Tidemap), with the newest reports of each edge as far ahead as they have been right: what the
+    /// server plans by default.
+    TidemapBelief,
     /// As [`TidemapPersistence`](Self::TidemapPersistence), by the rates of a two-state chain.
     TidemapMemory,
     /// The route with the least expected time, including failures, from what was learned until last midnight.
@@ -41,9 +44,10 @@ pub enum RobotKind {
 
 impl RobotKind {
     /// All kinds, the baseline first.
-    pub const ALL: [RobotKind; 6] = [
+    pub const ALL: [RobotKind; 7] = [
         RobotKind::Shortest,
         RobotKind::Tidemap,
+        RobotKind::TidemapBelief,
         RobotKind::TidemapPersistence,
         RobotKind::TidemapMemory,
         RobotKind::TidemapTime,
@@ -55,6 +59,7 @@ impl RobotKind {
         match self {
             RobotKind::Shortest => "shortest",
             RobotKind::Tidemap => "tidemap",
+            RobotKind::TidemapBelief => "tidemap+belief",
             RobotKind::TidemapPersistence => "tidemap+persistence",
             RobotKind::TidemapMemory => "tidemap+memory",
             RobotKind::TidemapTime => "tidemap-time",
@@ -87,6 +92,7 @@ struct RouteRobot<'a> {
 /// Lets a robot drive for all weeks of the protocol.
 pub(super) fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<Week>, RoutesError> {
     let blend = ModelSelector {
+        belief: kind == RobotKind::TidemapBelief,
         persistence: kind == RobotKind::TidemapPersistence,
         memory: kind == RobotKind::TidemapMemory,
         ..ModelSelector::default()
@@ -173,7 +179,11 @@ impl RouteRobot<'_> {
         let now_secs = self.now_secs;
         match self.kind {
             RobotKind::Shortest => self.shortest(goal, is_open),
-            RobotKind::Tidemap | RobotKind::TidemapPersistence | RobotKind::TidemapMemory | RobotKind::TidemapTime => {
+            RobotKind::Tidemap
+            | RobotKind::TidemapBelief
+            | RobotKind::TidemapPersistence
+            | RobotKind::TidemapMemory
+            | RobotKind::TidemapTime => {
                 let edges = self.learner.edges();
                 self.planned(goal, |edge, at_secs| {
                     is_open(edge).then(|| edges.forecast(edge, nanos(now_secs + at_secs)))

@@ -72,7 +72,7 @@ pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuest
     let is_novelty = strategy == v1::SlotStrategy::Novelty;
     let selector = match request.model {
         Some(model) => selector_from_wire("model", Some(model))?,
-        None => ModelSelector { persistence: !is_novelty, ..ModelSelector::default() },
+        None => ModelSelector { belief: !is_novelty, ..ModelSelector::default() },
     };
     if request.exactly_one && request.model.is_some() {
         return Err(InvalidField::new("exactly_one", "it is a model itself: leave out model"));
@@ -128,14 +128,14 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_slot_goes_by_information_with_persistence() {
+    fn a_plain_slot_goes_by_information_with_the_newest_readings() {
         let question = slot_question_from_wire(asked(v1::SlotStrategy::Unspecified)).expect("right");
         assert_eq!(question.choice, LocationChoice::Information);
-        assert!(question.selector.persistence && question.allowance.is_none() && question.locations.is_empty());
+        assert!(question.selector.belief && question.allowance.is_none() && question.locations.is_empty());
         let novel = v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(v1::SlotStrategy::Novelty) };
         let novel = slot_question_from_wire(novel).expect("right");
         assert_eq!(novel.choice, LocationChoice::Novelty { planned: "hall".to_owned() });
-        assert!(!novel.selector.persistence);
+        assert!(!novel.selector.belief);
     }
 
     #[test]

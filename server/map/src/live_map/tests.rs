@@ -94,7 +94,8 @@ fn last_values_change_at_once_and_models_at_the_update() {
     update(&mut map, None);
     let after = map.publish();
     assert_eq!((after.generation(), after.pending(), after.cut_nanos()), (1, 0, Some(2 * HOUR + 1)));
-    assert_eq!(predict(&after, 0, 3 * HOUR), 1.0);
+    // Two looks are not enough to be sure.
+    assert!((0.7..0.95).contains(&predict(&after, 0, 3 * HOUR)));
     assert_eq!(predict(&before, 0, 3 * HOUR), 0.5, "a view never changes");
 }
 

@@ -27,10 +27,10 @@ fn bit(name: &str) -> Option<u32> {
 }
 
 impl Default for EnabledModels {
-    /// Histograms, and the models whose training is cheap.
+    /// Histograms, the models whose training is cheap, and the ensemble.
     fn default() -> EnabledModels {
         let cheap = TRAINED_AT_NIGHT.into_iter().filter(|kind| kind.is_cheap());
-        cheap.fold(EnabledModels(HISTOGRAM_BIT), EnabledModels::with)
+        cheap.fold(EnabledModels(HISTOGRAM_BIT | ENSEMBLE_BIT), EnabledModels::with)
     }
 }
 
@@ -157,9 +157,9 @@ mod tests {
     }
 
     #[test]
-    fn the_cheap_models_are_the_usual_ones() {
+    fn the_cheap_models_and_the_ensemble_are_the_usual_ones() {
         let usual: Vec<&str> = EnabledModels::default().names().collect();
-        assert_eq!(usual, ["spectral", "histogram", "calibrated", "poisson"]);
+        assert_eq!(usual, ["spectral", "histogram", "calibrated", "poisson", "ensemble"]);
         let all = "spectral, histogram, calibrated, poisson, pergam, hypertime-em, hypertime-km and ensemble";
         assert_eq!(EnabledModels::all_names(), all);
     }
