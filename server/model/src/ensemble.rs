@@ -157,8 +157,8 @@ impl Ensemble {
         (self.sum + 0.5) / (self.looks + 1.0)
     }
 
-    /// Predicts a day that is about to be learned, once for all that judge it before. Nothing of a day that is not newer
-    /// than all before. `chosen`: the model that the update had chosen before the day.
+    /// Predicts a day that is about to be learned, once for all that judge it before. A day that is not newer than all
+    /// before is not predicted. `chosen`: the model that the update had chosen before the day.
     pub fn prepare(&mut self, day: LocalDay, chosen: &dyn TemporalModel) {
         let last = self.recall.last();
         if last.is_some_and(|last| day <= last) || self.prepared.as_ref().is_some_and(|known| known.day == day) {

@@ -34,8 +34,8 @@ fn line_matches(expected: &str, shown: &str) -> bool {
     rest.ends_with(end)
 }
 
-/// What a page should say instead, with its dots: lines that stand for any number of lines stay if the lines around them
-/// are found, and a word that ends in dots is as long as before.
+/// What a page should say instead, with its dots: lines that stand for any number of lines stay if the lines around
+/// them are found, and a word that ends in dots is as long as before.
 pub(crate) fn renewed(expected: &str, shown: &str) -> String {
     let (old, new): (Vec<&str>, Vec<&str>) = (expected.lines().collect(), shown.lines().collect());
     let is_gap = |line: &str| line.trim().chars().eq([ANYTHING]);

@@ -31,8 +31,8 @@ pub enum RobotKind {
     Tidemap,
     /// As [`Tidemap`](Self::Tidemap), with the last report of each edge while it is recent.
     TidemapPersistence,
-    /// As [`Tidemap`](Self::Tidemap), with the newest reports of each edge as far ahead as they have been right: what the
-    /// server plans by default.
+    /// As [`Tidemap`](Self::Tidemap), with the newest reports of each edge as far ahead as they have been right: what
+    /// the server plans by default.
     TidemapBelief,
     /// As [`TidemapPersistence`](Self::TidemapPersistence), by the rates of a two-state chain.
     TidemapMemory,

@@ -6,7 +6,7 @@
 
 use super::{
     Belief, Look, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lag::LagWeights, lag_secs, looks_after, noise,
-    recent::Replay,
+    recent::RecentReplay,
 };
 use crate::{Sample, models::markov_chain::likelihood::Transitions};
 
@@ -63,7 +63,7 @@ impl Belief {
 
     /// What is known follows the readings, without learning from them.
     fn take_in(&mut self, samples: &[Sample]) {
-        let mut recent = Replay::new(self.recent);
+        let mut recent = RecentReplay::new(self.recent);
         for sample in samples {
             recent.observe(sample.utc_nanos, sample.value);
             if self.newest.is_none_or(|(newest, _)| sample.utc_nanos > newest) {
@@ -136,7 +136,7 @@ impl Belief {
     /// The readings that the weights are judged by: those ahead of the newest known reading, and of some of the day.
     fn targets(&self, newer: &[Sample]) -> Vec<Target> {
         let mut targets = Vec::new();
-        let (mut recent, mut newest) = (Replay::new(self.recent), self.newest);
+        let (mut recent, mut newest) = (RecentReplay::new(self.recent), self.newest);
         if let Some(newest) = newest {
             self.targets_from(recent.recent(), newest, newer, &mut targets);
         }

@@ -173,15 +173,15 @@ impl Recent {
 
 /// Takes in many readings, as [`Recent::observe`] does one by one, and keeps the losses of its spans meanwhile.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Replay {
+pub(super) struct RecentReplay {
     recent: Recent,
     losses: [f64; SPANS_MAX - 1],
 }
 
-impl Replay {
-    pub(super) fn new(recent: Recent) -> Replay {
+impl RecentReplay {
+    pub(super) fn new(recent: Recent) -> RecentReplay {
         let losses = std::array::from_fn(|index| recent.spans[index].loss(&recent.spans[index + 1]));
-        Replay { recent, losses }
+        RecentReplay { recent, losses }
     }
 
     /// The readings so far.

@@ -253,7 +253,7 @@ proptest::proptest! {
         for known in [0, samples.len() / 3] {
             let mut some = Recent::default();
             samples[..known].iter().for_each(|sample| some.observe(sample.utc_nanos, sample.value));
-            let mut replay = recent::Replay::new(some);
+            let mut replay = recent::RecentReplay::new(some);
             samples.iter().for_each(|sample| replay.observe(sample.utc_nanos, sample.value));
             proptest::prop_assert_eq!(*replay.recent(), recent);
         }

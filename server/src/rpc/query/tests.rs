@@ -12,7 +12,7 @@ use tidemap_map::{
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };
-use tidemap_model::Zone;
+use tidemap_model::{EnabledModels, Zone};
 use tidemap_proto::{
     convert::{
         scans::{ScanLimits, TileTable, batch, split},
@@ -82,6 +82,8 @@ impl Bench {
             zone: Zone::named("Europe/London").expect("known"),
             retention,
             grid,
+            // Predictions are compared with those of cells and of single models.
+            models: EnabledModels::default().without_ensemble(),
             ..MapSpec::new(MapName::new("office").expect("valid"))
         };
         catalog.create(spec).await.expect("created");
