@@ -92,7 +92,15 @@ async fn a_reply_that_lacks_a_history_file_is_data_loss_with_the_interval() {
     let asked = || call(&daemon.http, "QueryService/Reconstruct", &[], &times);
     assert!(!asked().text().contains("error"), "{}", asked().text());
     fs::remove_file(&file).expect("removable");
-    let lacking = asked();
+    // Until the save has ended, the observations are still in memory.
+    let mut lacking = asked();
+    for _ in 0..600 {
+        if !lacking.reason().is_empty() {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        lacking = asked();
+    }
     // The reply is a stream, whose status comes first.
     assert_eq!(lacking.reason(), "HISTORY_MISSING", "{}", lacking.text());
     assert!(
