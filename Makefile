@@ -45,7 +45,7 @@ schemathesis: build
 api-page:
 	@$(ENV); TIDEMAP_WRITE_API_PAGE=1 cargo test --quiet -p tidemapd --lib api_page
 
-## guide-outputs: what the commands of README.md and docs/src show, as they show it now; read the difference before you keep it
+## guide-outputs: writes what the commands of README.md and docs/src show today; read the difference before you keep it
 guide-outputs:
 	@$(ENV); cargo build --workspace --locked $(FEATURES) && \
 		TIDEMAP_WRITE_OUTPUTS=1 cargo test --quiet --workspace --locked $(FEATURES) --test integration examples
