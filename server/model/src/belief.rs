@@ -48,6 +48,11 @@ impl Default for Rates {
 }
 
 impl Rates {
+    /// The rates with a sum α + β and a share π.
+    fn of((sum, share): (f64, f64)) -> Rates {
+        Rates { rise_per_sec: sum * share, fall_per_sec: sum * (1.0 - share) }
+    }
+
     /// α + β: the influence of a known value falls to 1/e in the time 1/(α + β).
     pub fn sum(self) -> f64 {
         self.rise_per_sec + self.fall_per_sec

@@ -8,7 +8,7 @@ use super::{
     Belief, Look, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lag::LagWeights, lag_secs, looks_after, noise,
     recent::RecentReplay,
 };
-use crate::{Sample, models::markov_chain::likelihood::Transitions};
+use crate::{Sample, StopSignal, models::markov_chain::likelihood::Transitions};
 
 /// Sensor noise counts when it has gained this many nats on readings that were not yet learned.
 pub(super) const GAIN_MIN: f64 = 5.0;
@@ -18,8 +18,6 @@ const KEPT: f64 = 0.98;
 const FIRST_PASSES: usize = 15;
 const PASSES: usize = 2;
 const FIRST_DAYS: u32 = 2;
-/// Sums of rates per second from which those of the first day are searched: there may be more than one maximum.
-const FIRST_RATES: [f64; 6] = [1.0, 0.1, 0.01, 1e-3, 1e-5, 1e-6];
 /// The share of the first day's readings that its rest is judged by.
 const FIRST_SHARE: f64 = 2.0 / 3.0;
 /// At most about this many readings of a day are looked at.
@@ -189,8 +187,11 @@ impl Belief {
         if self.seen.is_empty() {
             return;
         }
-        let starts: &[f64] = if self.days == 0 { &FIRST_RATES } else { &[] };
-        self.seen_rates = most_likely(&self.seen, self.seen_rates, starts);
+        self.seen_rates = if self.days == 0 {
+            Rates::of(self.seen.most_likely(StopSignal::NEVER))
+        } else {
+            most_likely_near(&self.seen, self.seen_rates)
+        };
         let expected = self.learn_noise(looks);
         let gap = self.seen.mean_gap_secs();
         self.dwells.learn(looks, &expected, gap);
@@ -210,7 +211,7 @@ impl Belief {
             (hidden, errors) = (self.hidden.clone(), self.errors);
             hidden.merge(&expected.transitions);
             errors.merge(&expected.errors);
-            self.hidden_rates = most_likely(&hidden, self.hidden_rates, &[]);
+            self.hidden_rates = most_likely_near(&hidden, self.hidden_rates);
             self.noise = errors.noise();
         }
         (self.hidden, self.errors) = (hidden, errors);
@@ -218,11 +219,7 @@ impl Belief {
     }
 }
 
-/// The most likely rates, searched from those before and from other sums of rates.
-fn most_likely(transitions: &Transitions, before: Rates, starts: &[f64]) -> Rates {
-    let from = std::iter::once(before.sum()).chain(starts.iter().copied());
-    let found = from.map(|sum| transitions.most_likely_near((sum, before.share())));
-    let best = found.max_by(|(_, one), (_, other)| one.total_cmp(other));
-    let (sum, share) = best.map_or((before.sum(), before.share()), |(rates, _)| rates);
-    Rates { rise_per_sec: sum * share, fall_per_sec: sum * (1.0 - share) }
+/// The most likely rates, near those before.
+fn most_likely_near(transitions: &Transitions, before: Rates) -> Rates {
+    Rates::of(transitions.most_likely_near((before.sum(), before.share())))
 }

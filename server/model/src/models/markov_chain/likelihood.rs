@@ -1,7 +1,8 @@
 //! The likelihood of a two-state chain seen at irregular times, and its maximum.
 //!
-//! Parameters are the sum λ = α + β and the share π = α/λ: for a given λ the logarithm of the likelihood is concave in
-//! π, so that two nested searches in one dimension find the maximum. Invariant: nothing here is NaN.
+//! Parameters are the sum λ = α + β and the share π = α/λ, searched in (ln λ, logit π) by Fisher scoring: steps are the
+//! gradient divided by the expected second derivatives, halved while they make nothing likelier. Invariant: nothing
+//! here is NaN.
 
 use std::collections::BTreeMap;
 
@@ -13,14 +14,17 @@ const LOG_GAP_STEP: f64 = 0.02;
 const PRIOR_CHANGES: f64 = 0.5;
 /// … in this many seconds at each of the two values.
 const PRIOR_SECS: f64 = 3600.0;
-/// ln λ is searched in this range (λ from one change in 3,000 years to ten a nanosecond), first at this distance.
+/// ln λ is in this range: from one change in 3,000 years to ten a nanosecond.
 const LOG_RATES: (f64, f64) = (-25.0, 23.0);
-const LOG_RATE_STEP: f64 = 0.5;
+/// The distance of the ln λ from which all rates are searched, since there may be more than one maximum.
+const LOG_RATE_STEP: f64 = 3.0;
+/// logit π is within this distance of 0.
+const LOGIT_MAX: f64 = 34.0;
 /// Fisher scoring: its steps, the longest of them, how often one is halved, and the gain that ends it.
 const SCORINGS_MAX: usize = 40;
 const SCORING_STEP_MAX: f64 = 2.0;
 const SCORING_HALVINGS: usize = 12;
-const SCORING_GAIN_MIN: f64 = 1e-9;
+const SCORING_GAIN_MIN: f64 = 1e-12;
 
 /// Counts of staying and changing over gaps of about the same length.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -35,8 +39,8 @@ pub(crate) struct GapCounts {
 }
 
 /// A log posterior at a point, its gradient and its Fisher information.
-struct Slope {
-    value: f64,
+pub(super) struct Slope {
+    pub(super) value: f64,
     gradient: [f64; 2],
     information: [[f64; 2]; 2],
 }
@@ -111,10 +115,23 @@ impl Transitions {
         if weight > 0.0 { secs / weight } else { 0.0 }
     }
 
-    /// (λ, π) of the highest posterior density near a pair that is about right, and its logarithm, by Fisher scoring in
-    /// (ln λ, logit π): a few evaluations, where the search over all rates takes thousands.
-    pub(crate) fn most_likely_near(&self, (rate, share): (f64, f64)) -> ((f64, f64), f64) {
-        let mut at = [rate.ln().clamp(LOG_RATES.0, LOG_RATES.1), (share / (1.0 - share)).ln().clamp(-34.0, 34.0)];
+    /// (λ, π) of the highest posterior density; not to be used if the signal is set.
+    pub(crate) fn most_likely(&self, stop: StopSignal<'_>) -> (f64, f64) {
+        let (from, to) = LOG_RATES;
+        let starts = (0..).map(|step| from + f64::from(step) * LOG_RATE_STEP).take_while(|&start| start <= to);
+        let found = starts.take_while(|_| !stop.is_set()).map(|start| self.climb([start, 0.0]));
+        let best = found.max_by(|(_, one), (_, other)| one.total_cmp(other));
+        best.map_or((1.0, 0.5), |(pair, _)| pair)
+    }
+
+    /// (λ, π) of the highest posterior density near a pair that is about right.
+    pub(crate) fn most_likely_near(&self, (rate, share): (f64, f64)) -> (f64, f64) {
+        self.climb([rate.ln(), (share / (1.0 - share)).ln()]).0
+    }
+
+    /// (λ, π) of a maximum of the posterior density, with its logarithm. `from`: ln λ and logit π.
+    fn climb(&self, from: [f64; 2]) -> ((f64, f64), f64) {
+        let mut at = [from[0].clamp(LOG_RATES.0, LOG_RATES.1), from[1].clamp(-LOGIT_MAX, LOGIT_MAX)];
         let mut slope = self.slope(at);
         for _ in 0..SCORINGS_MAX {
             let [[ll, ls], [_, ss]] = slope.information;
@@ -124,7 +141,8 @@ impl Transitions {
             step.iter_mut().for_each(|step| *step = step.clamp(-SCORING_STEP_MAX, SCORING_STEP_MAX));
             let mut better = None;
             for _ in 0..SCORING_HALVINGS {
-                let next = [(at[0] + step[0]).clamp(LOG_RATES.0, LOG_RATES.1), (at[1] + step[1]).clamp(-34.0, 34.0)];
+                let next =
+                    [(at[0] + step[0]).clamp(LOG_RATES.0, LOG_RATES.1), (at[1] + step[1]).clamp(-LOGIT_MAX, LOGIT_MAX)];
                 let there = self.slope(next);
                 if there.value > slope.value {
                     better = Some((next, there));
@@ -143,7 +161,7 @@ impl Transitions {
     }
 
     /// The log posterior at (ln λ, logit π), with its first derivatives and the expected second ones.
-    fn slope(&self, [log_rate, logit]: [f64; 2]) -> Slope {
+    pub(super) fn slope(&self, [log_rate, logit]: [f64; 2]) -> Slope {
         let (rate, share) = (log_rate.exp(), logistic(logit));
         let other = logistic(-logit);
         let spread = share * other;
@@ -177,79 +195,8 @@ impl Transitions {
         }
         slope
     }
-
-    /// (λ, π) of the highest posterior density; not to be used if the signal is set.
-    pub(crate) fn most_likely(&self, stop: StopSignal<'_>) -> (f64, f64) {
-        let (from, to) = LOG_RATES;
-        let steps = ((to - from) / LOG_RATE_STEP) as usize;
-        let value = |log_rate: f64| self.profile(log_rate).0;
-        let grid = (0..=steps).map(|step| from + step as f64 * LOG_RATE_STEP);
-        let best = grid
-            .take_while(|_| !stop.is_set())
-            .map(|at| (value(at), at))
-            .fold((f64::NEG_INFINITY, from), |best, next| if next.0 > best.0 { next } else { best });
-        let at = golden_section(best.1 - LOG_RATE_STEP, best.1 + LOG_RATE_STEP, value);
-        (at.exp(), self.profile(at).1)
-    }
-
-    /// For a sum of rates, the highest log posterior and the share that has it.
-    fn profile(&self, log_rate: f64) -> (f64, f64) {
-        let rate = log_rate.exp();
-        // Per gap the probability 1 - e^(-λΔ) that the reading before is forgotten; exact where it is tiny.
-        let gaps: Vec<(f64, GapCounts)> = self
-            .by_gap
-            .values()
-            .map(|counts| (-(-rate * counts.gap_secs_sum / counts.weight).exp_m1(), *counts))
-            .collect();
-        // The slope in π falls from +∞ to -∞, since the prior has a half of either change.
-        let slope = |share: f64| {
-            let mut slope = PRIOR_CHANGES / share - PRIOR_CHANGES / (1.0 - share);
-            for &(mixed, counts) in &gaps {
-                slope += counts.rises / share - counts.falls / (1.0 - share);
-                slope += counts.high * mixed / (1.0 - (1.0 - share) * mixed);
-                slope -= counts.low * mixed / (1.0 - share * mixed);
-            }
-            slope
-        };
-        // In the logit, so that shares near 0 and 1 are found as precisely as others.
-        let (mut low, mut high) = (-34.0, 34.0);
-        for _ in 0..60 {
-            let middle = 0.5 * (low + high);
-            if slope(logistic(middle)) > 0.0 { low = middle } else { high = middle }
-        }
-        let share = logistic(0.5 * (low + high));
-        // The Gamma densities of α and β, in π and λ.
-        let mut value =
-            PRIOR_CHANGES * (share * (1.0 - share)).ln() + 2.0 * PRIOR_CHANGES * log_rate - PRIOR_SECS * rate;
-        for &(mixed, counts) in &gaps {
-            // λ and Δ are positive, so this is 0 only by underflow, far from the maximum.
-            let log_mixed = mixed.max(f64::MIN_POSITIVE).ln();
-            value += counts.rises * (share.ln() + log_mixed) + counts.falls * ((1.0 - share).ln() + log_mixed);
-            value += counts.low * (-share * mixed).ln_1p() + counts.high * (-(1.0 - share) * mixed).ln_1p();
-        }
-        (value, share)
-    }
 }
 
 fn logistic(x: f64) -> f64 {
     1.0 / (1.0 + (-x).exp())
-}
-
-/// The position of the maximum of a unimodal function between two points, to 1e-7 of the distance.
-fn golden_section(mut low: f64, mut high: f64, value: impl Fn(f64) -> f64) -> f64 {
-    const RATIO: f64 = 0.618_033_988_749_894_9;
-    let (mut left, mut right) = (high - RATIO * (high - low), low + RATIO * (high - low));
-    let (mut at_left, mut at_right) = (value(left), value(right));
-    for _ in 0..34 {
-        if at_left >= at_right {
-            (high, right, at_right) = (right, left, at_left);
-            left = high - RATIO * (high - low);
-            at_left = value(left);
-        } else {
-            (low, left, at_left) = (left, right, at_right);
-            right = low + RATIO * (high - low);
-            at_right = value(right);
-        }
-    }
-    0.5 * (low + high)
 }
