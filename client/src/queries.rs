@@ -25,7 +25,7 @@ pub use reconstruct::Reconstruction;
 pub use surprises::{SurpriseQuery, Surprising};
 pub use tidemap_model::{
     KEPT_CONFIDENCE, ORDER_MAX, StateKind, SurpriseRun,
-    selector::{InvalidModel, ModelKind, ModelSelector},
+    selector::{Blend, InvalidModel, ModelKind, ModelSelector},
 };
 
 use tidemap_proto::{

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 
 use tidemap_client::{
     Client,
-    queries::{ModelKind, ModelSelector},
+    queries::{Blend, ModelKind, ModelSelector},
 };
 
 use crate::{
@@ -71,8 +71,8 @@ async fn predictions(client: &Client, map: &str, state: &str) -> String {
     let mut text = format!("{map} {state}:");
     // The other models are trained on history, which is read only on demand, so its damage is reported only then.
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
-        for persistence in [false, true] {
-            let model = ModelSelector { kind, persistence, ..ModelSelector::default() };
+        for blend in [Blend::None, Blend::Persistence] {
+            let model = ModelSelector { kind, blend, ..ModelSelector::default() };
             let mut runs = client.predict(map, vec![state.to_owned()], TIMES_NANOS.to_vec(), model);
             let _ = write!(text, " {model}");
             match runs.next().await {

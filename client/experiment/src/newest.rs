@@ -65,7 +65,7 @@ impl KnownReadings {
             }
             let own = known.last().and_then(|newest| model.with_newest(newest));
             let own = own.map_or(plain, |model| model.predict(reading.moment()));
-            predictions.push(set.blend().blend(&known, self.basis, own, reading.utc_nanos));
+            predictions.push(set.blend().blend.draw(&known, self.basis, own, reading.utc_nanos));
         }
         predictions
     }

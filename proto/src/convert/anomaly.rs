@@ -158,9 +158,7 @@ pub fn surprise_from_wire(wire: v1::Surprise) -> Option<(String, SurpriseRun)> {
 
 fn cannot_judge(field: &str, error: CannotJudge) -> InvalidField {
     let name = match error {
-        CannotJudge::Persistence => "persistence",
-        CannotJudge::Memory => "memory",
-        CannotJudge::Belief => "belief",
+        CannotJudge::Blended(blend) => blend.name(),
         CannotJudge::Newest(_) | CannotJudge::NeedsTraining(_) => "kind",
     };
     InvalidField::new(format!("{field}.{name}"), error)

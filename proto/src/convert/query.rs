@@ -4,7 +4,7 @@ use tidemap_map::{ids::StateId, view::MapView};
 use tidemap_model::{
     Component, LocalDay, ORDER_MAX, SpectralModel, StateModel,
     models::HistogramCycle,
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
 };
 
 use super::{
@@ -41,7 +41,7 @@ pub fn planning_selector_from_wire(
     wire: Option<v1::ModelSelector>,
 ) -> Result<ModelSelector, InvalidField> {
     match wire {
-        None => Ok(ModelSelector { belief: true, ..ModelSelector::default() }),
+        None => Ok(ModelSelector { blend: Blend::Belief, ..ModelSelector::default() }),
         named => selector_from_wire(field, named),
     }
 }
@@ -90,14 +90,15 @@ pub fn selector_from_wire(field: &str, wire: Option<v1::ModelSelector>) -> Resul
         }
         Some(order) => Some(order_from_wire(&format!("{field}.order"), order)?),
     };
-    if wire.persistence && wire.memory {
-        return Err(wrong("memory", "use either persistence or memory, not both".to_owned()));
-    }
-    if wire.belief && (wire.persistence || wire.memory) {
-        return Err(wrong("belief", "use one of belief, persistence and memory".to_owned()));
-    }
-    let v1::ModelSelector { persistence, memory, belief, .. } = wire;
-    Ok(ModelSelector { kind, order, persistence, memory, belief })
+    let blend = match (wire.persistence, wire.memory, wire.belief) {
+        (false, false, false) => Blend::None,
+        (true, false, false) => Blend::Persistence,
+        (false, true, false) => Blend::Memory,
+        (false, false, true) => Blend::Belief,
+        (true, true, false) => return Err(wrong("memory", "use either persistence or memory, not both".to_owned())),
+        (_, _, true) => return Err(wrong("belief", "use one of belief, persistence and memory".to_owned())),
+    };
+    Ok(ModelSelector { kind, order, blend })
 }
 
 /// Checks that all cells of a grid have the model.
@@ -160,9 +161,9 @@ pub fn selector_to_wire(selector: ModelSelector) -> v1::ModelSelector {
     v1::ModelSelector {
         kind: model_kind_to_wire(kind).into(),
         order: selector.order.map(|order| u32::try_from(order).unwrap_or(u32::MAX)),
-        persistence: selector.persistence,
-        memory: selector.memory && !selector.persistence,
-        belief: selector.belief && !selector.memory && !selector.persistence,
+        persistence: selector.blend == Blend::Persistence,
+        memory: selector.blend == Blend::Memory,
+        belief: selector.blend == Blend::Belief,
         parameter: kind.count(),
         cycle: kind.cycle().map_or(v1::HistogramCycle::Unspecified, cycle_to_wire).into(),
         period: kind.period_nanos().filter(|&nanos| nanos != ModelKind::PERIOD_NANOS).map(duration),

@@ -9,7 +9,7 @@ use tidemap_map::ids::RefusalReason;
 use tidemap_model::{
     ORDER_MAX, OrderCriterion, Periodicities,
     models::HistogramCycle,
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
     time::HALF_LIFE_MIN_NANOS,
 };
 use tidemap_plan::{
@@ -71,9 +71,9 @@ fn grids() -> impl Strategy<Value = GridSpec> {
 
 proptest! {
     #[test]
-    fn models_come_back(kind in kinds(), order in 0..=ORDER_MAX, has_order: bool, blend in 0..4) {
+    fn models_come_back(kind in kinds(), order in 0..=ORDER_MAX, has_order: bool, blend in 0..=Blend::ALL.len()) {
         let order = Some(order).filter(|_| has_order && kind.has_order());
-        let selector = ModelSelector { kind, order, persistence: blend == 1, memory: blend == 2, belief: blend == 3 };
+        let selector = ModelSelector { kind, order, blend: Blend::ALL.get(blend).copied().unwrap_or_default() };
         prop_assert_eq!(selector_from_wire("model", Some(selector_to_wire(selector))), Ok(selector));
     }
 

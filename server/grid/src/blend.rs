@@ -2,14 +2,11 @@
 //!
 //! Invariant: cells blend as named states do, with the same formulas of the model's crate.
 
-use tidemap_model::{MemoryBasis, Persistence, selector::ModelSelector};
+use tidemap_model::{MemoryBasis, Persistence, selector::Blend};
 
-/// A cell's prediction `p` for a time, with its last value blended in; belief is persistence here.
-pub(super) fn blend_cell(persistence: &Persistence, mean: f64, p: f64, utc_nanos: i64, selector: ModelSelector) -> f64 {
-    if selector.persistence || !selector.memory {
-        return persistence.blend(p, utc_nanos);
-    }
-    persistence.remember(memory_basis(mean), p, utc_nanos)
+/// A cell's prediction `p` for a time, with its last value blended in.
+pub(super) fn blend_cell(persistence: &Persistence, mean: f64, p: f64, utc_nanos: i64, blend: Blend) -> f64 {
+    blend.draw(persistence, memory_basis(mean), p, utc_nanos)
 }
 
 /// What the memory of a cell with this mean needs beside its last value. Its first scan is not stored; scans are

@@ -268,7 +268,7 @@ impl GridView {
         let blend = |cell: u16, mean: f64, probability: f32| match live.filter(|_| selector.is_blended()) {
             Some(live) if live.known.contains(cell) => {
                 let persistence = live.persistence(cell, self.run, &self.sensors);
-                blend_cell(&persistence, mean, f64::from(probability), question.utc_nanos, selector) as f32
+                blend_cell(&persistence, mean, f64::from(probability), question.utc_nanos, selector.blend) as f32
             }
             _ => probability,
         };

@@ -231,7 +231,7 @@ impl GridView {
                     let persistence = live.persistence(cell, self.run, &self.sensors);
                     let p = f64::from(*out);
                     let mean = model.cell(cell).map_or(p, |cell| cell.spectral.mean());
-                    *out = crate::blend::blend_cell(&persistence, mean, p, utc_nanos, selector) as f32;
+                    *out = crate::blend::blend_cell(&persistence, mean, p, utc_nanos, selector.blend) as f32;
                 }
             }
         }

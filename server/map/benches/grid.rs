@@ -20,7 +20,7 @@ use tidemap_map::{
 };
 use tidemap_model::{
     InstantPhasors,
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
 };
 
 use crate::office::{CELLS, DAY_NANOS, FLIPS, Office, SCANS, TILES, apply, spec};
@@ -148,10 +148,12 @@ fn predict(c: &mut Criterion, spec: &Arc<MapSpec>, learned: MapSnapshot) {
     let phasors = InstantPhasors::new(&spec.periodicities, at);
     let mut group = c.benchmark_group("grid_predict");
     group.throughput(Throughput::Elements((TILES * 512) as u64));
-    for (name, order, persistence) in
-        [("order_2", Some(2), false), ("order_15", Some(15), false), ("persistence", Some(2), true)]
-    {
-        let selector = ModelSelector { kind: ModelKind::Spectral, order, persistence, memory: false, belief: false };
+    for (name, order, blend) in [
+        ("order_2", Some(2), Blend::None),
+        ("order_15", Some(15), Blend::None),
+        ("persistence", Some(2), Blend::Persistence),
+    ] {
+        let selector = ModelSelector { kind: ModelKind::Spectral, order, blend };
         group.bench_function(name, |b| {
             b.iter(|| {
                 for tile in (0..TILES as u32).map(TileId) {

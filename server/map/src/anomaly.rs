@@ -10,7 +10,7 @@
 //! untrained state has no anomalies.
 
 use tidemap_grid::view::GridView;
-use tidemap_model::selector::{ModelKind, ModelSelector};
+use tidemap_model::selector::{Blend, ModelKind, ModelSelector};
 
 use crate::{history::Reading, view::MapView};
 
@@ -87,14 +87,8 @@ pub enum CannotJudge {
     #[error("{0} answers from the newest value, not from the one before an observation: use a model such as auto")]
     Newest(ModelKind),
     /// The newest value is blended in.
-    #[error("persistence blends in the newest value, not the one before an observation: leave it out")]
-    Persistence,
-    /// The newest value is blended in by the chain.
-    #[error("memory blends in the newest value, not the one before an observation: leave it out")]
-    Memory,
-    /// Likewise.
-    #[error("belief blends in the newest value, not the one before an observation: leave it out")]
-    Belief,
+    #[error("{name} blends in the newest value, not the one before an observation: leave it out", name = .0.name())]
+    Blended(Blend),
     /// The model is trained on request, and observations do not wait for that.
     #[error("{0} must be trained, and a watch does not wait for that: use auto, mean or spectral")]
     NeedsTraining(ModelKind),
@@ -107,9 +101,7 @@ pub enum CannotJudge {
 pub fn can_judge(model: ModelSelector) -> Result<(), CannotJudge> {
     match model.kind {
         kind if kind.takes_newest() => Err(CannotJudge::Newest(model.kind)),
-        _ if model.persistence => Err(CannotJudge::Persistence),
-        _ if model.memory => Err(CannotJudge::Memory),
-        _ if model.belief => Err(CannotJudge::Belief),
+        _ if model.is_blended() => Err(CannotJudge::Blended(model.blend)),
         _ => Ok(()),
     }
 }

@@ -11,7 +11,7 @@ use tidemap_grid::{
 use tidemap_model::{
     InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     models::{Moment, TemporalModel},
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
 };
 
 use crate::{ids::StateId, view::MapView};
@@ -109,10 +109,10 @@ impl MapView {
 
     /// Blends the newest readings of a state into predictions, if the model says so.
     fn blend(&self, id: StateId, moments: &[Moment], selector: ModelSelector, out: &mut [f64]) {
-        if selector.belief {
+        if selector.blend == Blend::Belief {
             return self.believe(id, moments, out);
         }
-        blend(&self.live(id).persistence, self.model(id).memory_basis(), moments, selector, out);
+        blend(&self.live(id).persistence, self.model(id).memory_basis(), moments, selector.blend, out);
     }
 
     /// Draws predictions of a state towards what its newest readings say. Before its first update they count as with
@@ -121,7 +121,7 @@ impl MapView {
         let (live, model) = (self.live(id), self.model(id));
         match model.belief() {
             Some(belief) => belief.blend_into(&live.recent, live.persistence.last(), moments, out),
-            None => blend(&live.persistence, model.memory_basis(), moments, PERSISTENCE, out),
+            None => blend(&live.persistence, model.memory_basis(), moments, Blend::Belief, out),
         }
     }
 
@@ -135,7 +135,7 @@ impl MapView {
     ) {
         let parts = (&cell.spectral, cell.order_for(selector), &cell.persistence);
         predict_state(StateKind::Probability, parts, times, selector, out);
-        blend(&cell.persistence, cell.memory_basis(), &times.moments, selector, out);
+        blend(&cell.persistence, cell.memory_basis(), &times.moments, selector.blend, out);
     }
 
     /// Predicts the probability that a cell is occupied at each moment by a model that was trained on its readings.
@@ -151,7 +151,7 @@ impl MapView {
         for (probability, &moment) in out.iter_mut().zip(moments) {
             *probability = StateKind::Probability.saturate(trained.predict(moment));
         }
-        blend(&cell.persistence, cell.memory_basis(), moments, selector, out);
+        blend(&cell.persistence, cell.memory_basis(), moments, selector.blend, out);
     }
 
     /// The phasors of one time in nanoseconds UTC, for many cells.
@@ -185,16 +185,12 @@ fn predict_state(
     }
 }
 
-/// The blend of states about which nothing else is known, and of cells.
-const PERSISTENCE: ModelSelector =
-    ModelSelector { kind: ModelKind::Auto, order: None, persistence: true, memory: false, belief: false };
-
-/// Blends the last value into predictions, if the model says so. Cells have no belief: with it, they have persistence.
-fn blend(persistence: &Persistence, basis: MemoryBasis, moments: &[Moment], selector: ModelSelector, out: &mut [f64]) {
-    if !selector.is_blended() {
+/// Draws predictions towards the newest value of a state or cell that has no belief.
+fn blend(persistence: &Persistence, basis: MemoryBasis, moments: &[Moment], blend: Blend, out: &mut [f64]) {
+    if blend == Blend::None {
         return;
     }
     for (probability, moment) in out.iter_mut().zip(moments) {
-        *probability = selector.blend(persistence, basis, *probability, moment.utc_nanos);
+        *probability = blend.draw(persistence, basis, *probability, moment.utc_nanos);
     }
 }

@@ -1,12 +1,14 @@
-//! A model as a query names it: its kind and parameters, its order, and whether the last value is blended in.
+//! A model as a query names it: its kind and parameters, its order, and how the newest reading is blended in.
 //!
 //! Invariant: the answering model of a state depends on the query and on what the last update chose alone.
 
 pub use crate::catalogue::ModelKind;
-use crate::{MemoryBasis, ORDER_MAX, Persistence, StateModel};
+use crate::{ORDER_MAX, StateModel};
 
+mod blend;
 mod name;
 
+pub use blend::Blend;
 pub use name::InvalidModel;
 
 /// A model as a query names it.
@@ -17,14 +19,8 @@ pub struct ModelSelector {
     /// Number of spectral components, at most [`ORDER_MAX`]; by default the order that the last update chose. Ignored
     /// by kinds that have no order.
     pub order: Option<usize>,
-    /// Blends the last value in (T-RO eq. 12 and 13).
-    pub persistence: bool,
-    /// Blends the last value in by the rates of a two-state chain, which allow for changes that nobody saw (RAS 2017,
-    /// eq. 6). With [`ModelSelector::persistence`] it is ignored.
-    pub memory: bool,
-    /// Draws the prediction towards what the newest readings say, as far as they have proved right that far ahead: see
-    /// [`Belief`](crate::Belief). With one of the others it is ignored.
-    pub belief: bool,
+    /// How the newest reading is blended in.
+    pub blend: Blend,
 }
 
 impl ModelSelector {
@@ -40,9 +36,7 @@ impl ModelSelector {
     pub fn answering(self, model: &StateModel) -> ModelSelector {
         match (self.kind, self.order) {
             (ModelKind::Auto, None) => {
-                let chosen = ModelSelector::of_choice(model.answers(), model);
-                let ModelSelector { persistence, memory, belief, .. } = self;
-                ModelSelector { persistence, memory, belief, ..chosen }
+                ModelSelector { blend: self.blend, ..ModelSelector::of_choice(model.answers(), model) }
             }
             // A state that has no ensemble is predicted by what the last update chose.
             (ModelKind::Ensemble, _) if model.ensemble().is_none() => {
@@ -75,29 +69,18 @@ impl ModelSelector {
         if self.kind.has_order() && !is_other { self.order_or(model.order()) } else { 0 }
     }
 
-    /// Whether the last value is blended in.
+    /// Whether the newest reading is blended in.
     #[must_use]
     #[inline]
     pub fn is_blended(self) -> bool {
-        self.persistence || self.memory || self.belief
+        self.blend != Blend::None
     }
 
-    /// A prediction `p` for a time, drawn towards the last value as this model does it; `p` itself if it does not. What
-    /// has no [`Belief`](crate::Belief) has persistence in its place.
-    #[must_use]
-    pub fn blend(self, newest: &Persistence, basis: MemoryBasis, p: f64, utc_nanos: i64) -> f64 {
-        match (self.persistence, self.memory, self.belief) {
-            (true, ..) | (false, false, true) => newest.blend_of(basis.usual_change, p, utc_nanos),
-            (false, true, _) => newest.remember(basis, p, utc_nanos),
-            (false, false, false) => p,
-        }
-    }
-
-    /// This model without the last value.
+    /// This model without the newest reading.
     #[must_use]
     #[inline]
     pub fn unblended(self) -> ModelSelector {
-        ModelSelector { persistence: false, memory: false, belief: false, ..self }
+        ModelSelector { blend: Blend::None, ..self }
     }
 
     /// The requested order, or the one that the last update chose; at most [`ORDER_MAX`].

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tidemap_client::queries::{ModelKind, ModelSelector};
+use tidemap_client::queries::{Blend, ModelKind, ModelSelector};
 use tidemap_tests::{
     cli,
     daemon::{Daemon, Launch},
@@ -64,7 +64,7 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
     let (from, to) = (film.time(0), film.time(film.scans() - 1));
     let times = [from, from + (to - from) / 3, to - 3_600_000_000_000, to + 8_000_000_000, to + 400_000_000_000_000];
     let names: Vec<String> = sent.readings.keys().map(|&cell| film.name(cell)).collect();
-    let persistent = ModelSelector { persistence: true, ..ModelSelector::default() };
+    let persistent = ModelSelector { blend: Blend::Persistence, ..ModelSelector::default() };
     let selectors = [
         model(ModelKind::Auto, None),
         model(ModelKind::Mean, None),

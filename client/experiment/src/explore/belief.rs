@@ -6,6 +6,7 @@ use tidemap_model::{
     Sample,
     catalogue::ModelKind,
     models::{CannotTrain, MarkovChain, Moment, Presence, PresenceOptions, Readings, TemporalModel},
+    selector::Blend,
 };
 
 mod learner;
@@ -15,24 +16,12 @@ use learner::{Learner, SHORT_TERM, kinds};
 /// A model of the places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BeliefModel {
-    /// Every place separately, by a model of one state.
+    /// Every place separately, by a model of one state; [`Blend::Memory`] is by the rates of the short-term memory's
+    /// chain, with the model's p(t) for the chain's constant (RAS 2017, eq. 6).
     #[allow(missing_docs, reason = "see the types")]
     Each { kind: ModelKind, blend: Blend },
     /// All places together: the person is at exactly one of them.
     Presence,
-}
-
-/// How predictions of one state are blended with its last observation, by the age of the observation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Blend {
-    /// Not blended.
-    None,
-    /// As in maps: by the mean time between changes (T-RO 2017, eq. 12 and 13), which assumes that a state did not
-    /// change between two equal observations.
-    Persistence,
-    /// By the rates of the short-term memory's chain, which allow for unobserved changes: RAS 2017, eq. 6 with the
-    /// model's p(t) for the chain's constant.
-    Memory,
 }
 
 impl BeliefModel {
@@ -49,9 +38,7 @@ impl BeliefModel {
     /// Its name in protocols.
     pub fn name(self) -> String {
         match self {
-            BeliefModel::Each { kind, blend: Blend::None } => kind.name().to_owned(),
-            BeliefModel::Each { kind, blend: Blend::Persistence } => format!("{}+persistence", kind.name()),
-            BeliefModel::Each { kind, blend: Blend::Memory } => format!("{}+memory", kind.name()),
+            BeliefModel::Each { kind, blend } => format!("{}{}", kind.name(), blend.suffix()),
             BeliefModel::Presence => "presence".to_owned(),
         }
     }

@@ -3,9 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use tidemap_model::catalogue::ModelKind;
+use tidemap_model::{catalogue::ModelKind, selector::Blend};
 
-use super::{belief::Blend, *};
+use super::*;
 use crate::explore::protocol::parse;
 
 const PROTOCOL: &str = "name: flat

@@ -13,7 +13,7 @@ use tidemap_map::{
     spec::MapSpec,
     view::MapView,
 };
-use tidemap_model::{EnabledModels, HeldInterval, Zone, catalogue::ModelKind, selector::ModelSelector};
+use tidemap_model::{HeldInterval, Zone, selector::ModelSelector};
 
 use super::{HabitsError, LEVELS, world::Look};
 use crate::readings_in_memory::ReadingsInMemory;
@@ -39,11 +39,10 @@ pub(super) struct HabitLearner {
 }
 
 impl HabitLearner {
-    /// An untrained map with default properties, an ensemble, and one state.
+    /// An untrained map with default properties and one state.
     pub(super) fn new(zone: Zone, created_nanos: i64) -> Result<Self, HabitsError> {
         let name = MapName::new("habits").map_err(HabitsError::setting)?;
-        let models = EnabledModels::default().with(ModelKind::Ensemble);
-        let spec = MapSpec { zone, created_nanos, models, ..MapSpec::new(name) };
+        let spec = MapSpec { zone, created_nanos, ..MapSpec::new(name) };
         let mut map = LiveMap::new(Arc::new(spec));
         let name = StateName::new("state").map_err(HabitsError::setting)?;
         map.apply(1, &Event::AddState(NewState { id: STATE, name, shape: StateKind::Probability.into() }))?;

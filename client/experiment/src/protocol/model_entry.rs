@@ -9,7 +9,7 @@
 use tidemap_model::{
     StateKind,
     catalogue::{ModelKind, SupportedStates, WrongParameter},
-    selector::ModelSelector,
+    selector::{Blend, ModelSelector},
 };
 
 use super::{
@@ -106,7 +106,7 @@ fn kind(written: &Word, has_newest: bool) -> Result<(ComparableKind, ModelSelect
         let wrong = format!("{name} answers from the newest reading as it is: leave out {suffix}");
         return Err(ProtocolError::model(written.line, written, wrong));
     }
-    if blend.belief {
+    if blend.blend == Blend::Belief {
         let wrong = "+belief is learned by a map: import the files and ask it, or use +memory here".to_owned();
         return Err(ProtocolError::model(written.line, written, wrong));
     }

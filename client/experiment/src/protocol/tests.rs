@@ -4,6 +4,8 @@
 
 use std::path::Path;
 
+use tidemap_model::selector::Blend;
+
 use super::*;
 
 /// A protocol in which each key has a line of its own.
@@ -177,7 +179,9 @@ fn lags_and_blends_are_read() {
     assert_eq!(protocol.ahead.iter().map(Ahead::to_string).collect::<Vec<_>>(), ["next", "90m"]);
     let labels: Vec<&str> = protocol.models.iter().map(|model| model.label.as_str()).collect();
     assert_eq!(labels, ["mean", "mean+memory"]);
-    assert!(!protocol.models[0].sets[0].blend().is_blended() && protocol.models[1].sets[0].blend().memory);
+    assert!(
+        !protocol.models[0].sets[0].blend().is_blended() && protocol.models[1].sets[0].blend().blend == Blend::Memory
+    );
     assert!(parsed(WHOLE).unwrap().ahead.is_empty());
     assert_eq!(parsed(&LAGS.replace("[next, 90m]", "1h")).unwrap().ahead, [Ahead::Nanos(3600 * 1_000_000_000)]);
 }

@@ -16,7 +16,7 @@ use tidemap_map::{
     topology::Topology,
     traversal::Traversal,
 };
-use tidemap_model::{Sample, selector::ModelSelector};
+use tidemap_model::{Sample, selector::Blend};
 
 use super::{
     RoutesError, START_NANOS,
@@ -30,13 +30,13 @@ pub(super) struct Learner {
     map: LiveMap,
     sequence: u64,
     history: ReadingsInMemory,
-    blend: ModelSelector,
+    blend: Blend,
     edges: EdgeForecasts,
 }
 
 impl Learner {
     /// An untrained map of the building, with default properties.
-    pub(super) fn new(blend: ModelSelector) -> Result<Self, RoutesError> {
+    pub(super) fn new(blend: Blend) -> Result<Self, RoutesError> {
         let spec = MapSpec {
             created_nanos: START_NANOS,
             ..MapSpec::new(MapName::new("building").map_err(RoutesError::setting)?)
@@ -91,7 +91,7 @@ impl Learner {
             }
         }
         self.map.apply(self.map.position() + 1, &Event::Observations(envelope, event))?;
-        if self.blend.is_blended() {
+        if self.blend != Blend::None {
             self.refresh();
         }
         Ok(())

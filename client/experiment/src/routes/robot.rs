@@ -8,7 +8,7 @@ use tidemap_map::{
     topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
     traversal::Traversal,
 };
-use tidemap_model::selector::ModelSelector;
+use tidemap_model::selector::Blend;
 use tidemap_plan::route::{EdgeForecast, Objective, PlanRouteError, RouteOptions, SUCCESS_MIN, When, plan_routes};
 
 use super::{
@@ -91,11 +91,11 @@ struct RouteRobot<'a> {
 
 /// Lets a robot drive for all weeks of the protocol.
 pub(super) fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<Week>, RoutesError> {
-    let blend = ModelSelector {
-        belief: kind == RobotKind::TidemapBelief,
-        persistence: kind == RobotKind::TidemapPersistence,
-        memory: kind == RobotKind::TidemapMemory,
-        ..ModelSelector::default()
+    let blend = match kind {
+        RobotKind::TidemapBelief => Blend::Belief,
+        RobotKind::TidemapPersistence => Blend::Persistence,
+        RobotKind::TidemapMemory => Blend::Memory,
+        _ => Blend::None,
     };
     let learner = Learner::new(blend)?;
     let building = Building::new(seed, learner.topology().clone());

@@ -9,7 +9,9 @@ use tidemap_plan::{information::Certainty, strategy::Budget};
 
 use super::{allowance_from_wire, certainty_from_wire, slot_from_wire};
 use crate::{
-    convert::{InvalidField, query::selector_from_wire, site::location_names_from_wire, time::instant_from_wire},
+    convert::{
+        InvalidField, query::planning_selector_from_wire, site::location_names_from_wire, time::instant_from_wire,
+    },
     v1,
 };
 
@@ -71,8 +73,9 @@ pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuest
     let strategy = v1::SlotStrategy::try_from(request.strategy).map_err(unknown)?;
     let is_novelty = strategy == v1::SlotStrategy::Novelty;
     let selector = match request.model {
-        Some(model) => selector_from_wire("model", Some(model))?,
-        None => ModelSelector { belief: !is_novelty, ..ModelSelector::default() },
+        // The plan of the day is compared with what was observed since, which must not be in it.
+        None if is_novelty => ModelSelector::default(),
+        model => planning_selector_from_wire("model", model)?,
     };
     if request.exactly_one && request.model.is_some() {
         return Err(InvalidField::new("exactly_one", "it is a model itself: leave out model"));
@@ -131,11 +134,11 @@ mod tests {
     fn a_plain_slot_goes_by_information_with_the_newest_readings() {
         let question = slot_question_from_wire(asked(v1::SlotStrategy::Unspecified)).expect("right");
         assert_eq!(question.choice, LocationChoice::Information);
-        assert!(question.selector.belief && question.allowance.is_none() && question.locations.is_empty());
+        assert!(question.selector.is_blended() && question.allowance.is_none() && question.locations.is_empty());
         let novel = v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(v1::SlotStrategy::Novelty) };
         let novel = slot_question_from_wire(novel).expect("right");
         assert_eq!(novel.choice, LocationChoice::Novelty { planned: "hall".to_owned() });
-        assert!(!novel.selector.belief);
+        assert!(!novel.selector.is_blended());
     }
 
     #[test]

@@ -109,14 +109,9 @@ fn model_from_wire(wire: Option<v1::ModelSelector>) -> Result<ModelKind, Invalid
         let text = format!("positions have no model {}: use hypertime-em or hypertime-km", selector.kind);
         return Err(InvalidField::new("model.kind", text));
     }
-    if selector.memory {
-        return Err(InvalidField::new("model.memory", "models of positions have no memory"));
-    }
-    if selector.belief {
-        return Err(InvalidField::new("model.belief", "models of positions have no belief"));
-    }
-    if selector.persistence {
-        return Err(InvalidField::new("model.persistence", "models of positions have no persistence"));
+    if selector.is_blended() {
+        let name = selector.blend.name();
+        return Err(InvalidField::new(format!("model.{name}"), format!("models of positions have no {name}")));
     }
     Ok(selector.kind)
 }

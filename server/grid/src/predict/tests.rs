@@ -3,7 +3,7 @@
 use std::{collections::HashMap, sync::Arc};
 
 use proptest::prelude::*;
-use tidemap_model::{Component, OrderErrors, Periodicities, SpectralModel, Zone};
+use tidemap_model::{Component, OrderErrors, Periodicities, SpectralModel, Zone, selector::Blend};
 
 use super::*;
 use crate::{
@@ -226,9 +226,9 @@ proptest! {
         let min = cell(corner.0, corner.1, corner.2);
         let part = CellBox { min, max: cell(min.x + size.0, min.y + size.1, min.z + size.2) };
         for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
-            for persistence in [false, true] {
+            for blend in [Blend::None, Blend::Persistence] {
                 let order = order.filter(|_| matches!(kind, ModelKind::Auto | ModelKind::Spectral));
-                let selector = ModelSelector { kind, order, persistence, memory: false, belief: false };
+                let selector = ModelSelector { kind, order, blend };
                 for region in [None, Some(part)] {
                     for output in [CellOutput::Probability, CellOutput::Entropy] {
                         for project in [false, true] {

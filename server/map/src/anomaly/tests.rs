@@ -48,8 +48,8 @@ fn models_that_answer_from_the_newest_value_judge_nothing() {
     let select = |kind| ModelSelector { kind, ..ModelSelector::default() };
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Spectral] {
         assert_eq!((can_judge(select(kind)), can_watch(select(kind))), (Ok(()), Ok(())));
-        let blended = ModelSelector { persistence: true, ..select(kind) };
-        assert_eq!((can_judge(blended), can_watch(blended)).0, Err(CannotJudge::Persistence));
+        let blended = ModelSelector { blend: Blend::Persistence, ..select(kind) };
+        assert_eq!((can_judge(blended), can_watch(blended)).0, Err(CannotJudge::Blended(Blend::Persistence)));
     }
     for kind in [ModelKind::Latest, ModelKind::Persistence] {
         assert_eq!(can_judge(select(kind)), Err(CannotJudge::Newest(kind)));

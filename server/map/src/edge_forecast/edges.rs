@@ -7,7 +7,7 @@ use std::{
     collections::HashMap,
     sync::{Arc, OnceLock},
 };
-use tidemap_model::selector::ModelSelector;
+use tidemap_model::selector::{Blend, ModelSelector};
 
 use super::{EdgeForecast, EdgePrior, EdgeRecord, EdgeStates, LEARNED_SUCCESS_MIN};
 
@@ -41,7 +41,7 @@ pub struct EdgeForecasts {
     view: Arc<MapView>,
     prior: EdgePrior,
     known: HashMap<EdgeId, ReportedEdge>,
-    blend: ModelSelector,
+    blend: Blend,
 }
 
 impl EdgeForecasts {
@@ -49,7 +49,7 @@ impl EdgeForecasts {
     /// report of an edge still counts: with persistence (T-RO 2017, eq. 12 and 13), with belief, or with memory (the
     /// fading weight of RAS 2017, eq. 6, as that of some reports beside the forecast's evidence);
     /// its kind and order are ignored.
-    pub fn new(view: Arc<MapView>, speed_m_per_s: f64, blend: ModelSelector) -> EdgeForecasts {
+    pub fn new(view: Arc<MapView>, speed_m_per_s: f64, blend: Blend) -> EdgeForecasts {
         let topology = view.site().topology();
         let reported: Vec<(&Edge, EdgeStates)> = topology
             .edges()
@@ -90,20 +90,23 @@ impl EdgeForecasts {
         let success = states.success.map_or(f64::NAN, |id| success(id, &times));
         let travel = states.travel.map_or(f64::NAN, |id| self.predict(id, &times));
         let mut forecast = record.forecast(&self.prior, success, travel, times.moments()[0]);
-        if let Some(id) = states.success.filter(|_| self.blend.is_blended()) {
+        if let Some(id) = states.success.filter(|_| self.blend != Blend::None) {
             let persistence = &self.view.live(id).persistence;
-            let blended = if self.blend.persistence {
-                persistence.blend(forecast.success, time_nanos)
-            } else if self.blend.belief {
-                let mut success = [forecast.success];
-                self.view.believe(id, times.moments(), &mut success);
-                success[0]
-            } else {
-                let basis = self.view.model(id).memory_basis();
-                let weight = persistence.memory_weight(basis, Some(MEMORY_MAX_SECS), time_nanos);
-                let last_value = persistence.last().map_or(0.0, |(_, value)| value);
-                let last = LAST_REPORTS * weight;
-                (last * last_value + forecast.evidence * forecast.success) / (last + forecast.evidence)
+            let blended = match self.blend {
+                Blend::None => forecast.success,
+                Blend::Persistence => persistence.blend(forecast.success, time_nanos),
+                Blend::Belief => {
+                    let mut success = [forecast.success];
+                    self.view.believe(id, times.moments(), &mut success);
+                    success[0]
+                }
+                Blend::Memory => {
+                    let basis = self.view.model(id).memory_basis();
+                    let weight = persistence.memory_weight(basis, Some(MEMORY_MAX_SECS), time_nanos);
+                    let last_value = persistence.last().map_or(0.0, |(_, value)| value);
+                    let last = LAST_REPORTS * weight;
+                    (last * last_value + forecast.evidence * forecast.success) / (last + forecast.evidence)
+                }
             };
             forecast.success = blended.clamp(LEARNED_SUCCESS_MIN, 1.0 - 1e-9);
         }

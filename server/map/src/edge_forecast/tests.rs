@@ -3,7 +3,7 @@
 use std::sync::{Arc, atomic::AtomicU64};
 
 use proptest::prelude::*;
-use tidemap_model::{Periodicities, Sample, selector::ModelSelector};
+use tidemap_model::{Periodicities, Sample, selector::Blend};
 
 use super::*;
 use crate::{
@@ -193,10 +193,8 @@ fn edges_are_expected_to_be_as_they_were_reported() {
         topology.edge_between(id(from), id(to), None).expect("an edge")
     };
     let (there, back) = (edge("a", "b"), edge("b", "a"));
-    let [edges, recent] = [false, true].map(|persistence| {
-        let blend = ModelSelector { persistence, ..ModelSelector::default() };
-        EdgeForecasts::new(Arc::clone(&view), 1.0, blend)
-    });
+    let [edges, recent] =
+        [Blend::None, Blend::Persistence].map(|blend| EdgeForecasts::new(Arc::clone(&view), 1.0, blend));
     let at = |hour: i64| (14 * 24 + hour) * HOUR;
     assert!(edges.forecast(there, at(12)).success > 0.95, "{:?}", edges.forecast(there, at(12)));
     assert!(edges.forecast(there, at(20)).success < 0.2, "{:?}", edges.forecast(there, at(20)));

@@ -4,7 +4,7 @@
 
 use std::{fmt, str::FromStr};
 
-use super::{ModelKind, ModelSelector};
+use super::{Blend, ModelKind, ModelSelector};
 use crate::{
     catalogue::listed,
     models::HistogramCycle,
@@ -14,13 +14,7 @@ use crate::{
 impl fmt::Display for ModelSelector {
     /// As the command line names it; the order is not part of the name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let suffix = match (self.persistence, self.memory, self.belief) {
-            (true, _, _) => "+persistence",
-            (false, true, _) => "+memory",
-            (false, false, true) => "+belief",
-            (false, false, false) => "",
-        };
-        write!(f, "{}{suffix}", self.kind)
+        write!(f, "{}{}", self.kind, self.blend.suffix())
     }
 }
 
@@ -53,12 +47,9 @@ impl FromStr for ModelSelector {
     type Err = InvalidModel;
 
     fn from_str(text: &str) -> Result<Self, InvalidModel> {
-        let (model, [persistence, memory, belief]) = match text.split_once('+') {
-            Some((model, "persistence")) => (model, [true, false, false]),
-            Some((model, "memory")) => (model, [false, true, false]),
-            Some((model, "belief")) => (model, [false, false, true]),
-            Some(_) => return Err(InvalidModel::Suffix(text.to_owned())),
-            None => (text, [false; 3]),
+        let (model, blend) = match text.split_once('+') {
+            Some((model, name)) => (model, Blend::named(name).ok_or_else(|| InvalidModel::Suffix(text.to_owned()))?),
+            None => (text, Blend::None),
         };
         let mut parts = model.split(':').peekable();
         let name = parts.next().unwrap_or_default();
@@ -85,7 +76,7 @@ impl FromStr for ModelSelector {
                 return Err(InvalidModel::TooFine { text: text.to_owned(), kind: kind.name(), max: limit.max, what });
             }
         }
-        Ok(Self { kind, order: None, persistence, memory, belief })
+        Ok(Self { kind, order: None, blend })
     }
 }
 

@@ -21,7 +21,7 @@ use tidemap_map::{
 };
 use tidemap_model::{
     EarlyStop, InstantPhasors, StopSignal, Zone,
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
 };
 
 use super::*;
@@ -91,11 +91,8 @@ fn times() -> Vec<i64> {
     (0..24).map(|hour| (240 + hour) * HOUR + 1).collect()
 }
 
-fn options(kind: ModelKind, persistence: bool) -> PredictOptions {
-    PredictOptions {
-        selector: ModelSelector { kind, order: Some(2), persistence, memory: false, belief: false },
-        ..PredictOptions::default()
-    }
+fn options(kind: ModelKind, blend: Blend) -> PredictOptions {
+    PredictOptions { selector: ModelSelector { kind, order: Some(2), blend }, ..PredictOptions::default() }
 }
 
 #[test]
@@ -103,11 +100,11 @@ fn each_cell_is_what_the_grid_says_at_each_time() {
     let view = learned(spec(false));
     let grid = view.grid().unwrap();
     for kind in [ModelKind::Spectral, ModelKind::Mean, ModelKind::Latest] {
-        for persistence in [false, true] {
-            let options = options(kind, persistence);
+        for blend in [Blend::None, Blend::Persistence] {
+            let options = options(kind, blend);
             let day = PredictedTimes::new(&view, &times(), &options, StopSignal::NEVER).unwrap();
-            let differ = kind == ModelKind::Spectral || (persistence && kind != ModelKind::Latest);
-            assert_eq!(day.varying(), if differ { 3 } else { 0 }, "{kind} {persistence}");
+            let differ = kind == ModelKind::Spectral || (blend == Blend::Persistence && kind != ModelKind::Latest);
+            assert_eq!(day.varying(), if differ { 3 } else { 0 }, "{kind} {blend:?}");
             assert_eq!(day.lattice().size(), [24, 16, 8]);
             for (time, utc_nanos) in times().into_iter().enumerate() {
                 let (alone, at) =
@@ -139,7 +136,7 @@ fn predictions_that_are_told_to_stop_give_nothing() {
     let predict = |after: usize| {
         asked.store(0, Ordering::Relaxed);
         let is_set = || asked.fetch_add(1, Ordering::Relaxed) >= after;
-        let options = options(ModelKind::Spectral, false);
+        let options = options(ModelKind::Spectral, Blend::None);
         PredictedTimes::new(&view, &times(), &options, StopSignal::new(&is_set)).map(|_| ())
     };
     assert_eq!(predict(usize::MAX), Ok(()));
@@ -181,7 +178,7 @@ fn what_is_too_much_is_refused() {
     };
     let few = PredictOptions { max_cells: 1000, ..PredictOptions::default() };
     assert!(ask(few).to_string().contains("at most 1000"));
-    let few = PredictOptions { max_values: 24, ..options(ModelKind::Spectral, false) };
+    let few = PredictOptions { max_values: 24, ..options(ModelKind::Spectral, Blend::None) };
     assert!(matches!(ask(few), PredictError::TooManyValues { times: 24, max: 24 }));
     let none = PredictedTimes::new(&view, &[], &PredictOptions::default(), StopSignal::NEVER);
     assert_eq!(none.map(|_| ()), Err(PredictError::NoTime));

@@ -42,7 +42,8 @@ impl Edges {
         speed_m_per_s: f64,
     ) -> Result<Edges, RpcError> {
         let forecast_view = Arc::clone(view);
-        let edges = routes.run_blocking(move || EdgeForecasts::new(forecast_view, speed_m_per_s, selector)).await?;
+        let edges =
+            routes.run_blocking(move || EdgeForecasts::new(forecast_view, speed_m_per_s, selector.blend)).await?;
         let states: Vec<StateId> = edges.success_states().collect();
         let indices = states.iter().enumerate().map(|(index, &id)| (id, index)).collect();
         let alone = selector.unblended();

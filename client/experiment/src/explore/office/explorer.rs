@@ -26,7 +26,7 @@ use tidemap_map::{
 };
 use tidemap_model::{
     StopSignal,
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
 };
 use tidemap_plan::{
     predicted::{PredictOptions, PredictedGrid},
@@ -71,12 +71,12 @@ impl ExplorerKind {
     }
 
     fn selector(self) -> ModelSelector {
-        let (kind, persistence) = match self {
-            ExplorerKind::Spatial => (ModelKind::Latest, false),
-            ExplorerKind::Temporal => (ModelKind::Auto, false),
-            ExplorerKind::TemporalPersistence => (ModelKind::Auto, true),
+        let (kind, blend) = match self {
+            ExplorerKind::Spatial => (ModelKind::Latest, Blend::None),
+            ExplorerKind::Temporal => (ModelKind::Auto, Blend::None),
+            ExplorerKind::TemporalPersistence => (ModelKind::Auto, Blend::Persistence),
         };
-        ModelSelector { kind, order: None, persistence, memory: false, belief: false }
+        ModelSelector { kind, order: None, blend }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use tidemap_model::{
     models::Moment,
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
 };
 
 use super::*;
@@ -36,8 +36,8 @@ fn a_state_that_was_added_is_there_before_anything_is_observed_of_it() {
     assert_eq!((view.observations(), view.position()), (0, 3));
     for (id, expected) in [(0, 0.5), (1, 0.0), (2, 0.0)] {
         for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
-            for persistence in [false, true] {
-                let selector = ModelSelector { kind, order: None, persistence, memory: false, belief: false };
+            for blend in [Blend::None, Blend::Persistence, Blend::Memory, Blend::Belief] {
+                let selector = ModelSelector { kind, order: None, blend };
                 assert_eq!(predict_by(&view, id, selector, HOUR), expected, "state {id}, {selector:?}");
             }
         }
@@ -82,7 +82,7 @@ fn values_are_learned_restored_and_told_in_their_unit() {
         let latest = ModelSelector { kind: ModelKind::Latest, ..ModelSelector::default() };
         assert_eq!(predict_by(view, 1, latest, 300 * HOUR), -100.0);
         // The last value fades within hours, for it changes twice a day.
-        let mean = ModelSelector { kind: ModelKind::Mean, persistence: true, ..ModelSelector::default() };
+        let mean = ModelSelector { kind: ModelKind::Mean, blend: Blend::Persistence, ..ModelSelector::default() };
         let [soon, late] = [240, 400].map(|hour| predict_by(view, 1, mean, hour * HOUR));
         assert!((soon + 100.0).abs() < 30.0 && (late + 250.0).abs() < 5.0, "{soon} {late}");
         for (state, p) in [(1, at(1, 18)), (2, at(2, 6))] {

@@ -3,7 +3,7 @@
 use tidemap_model::{
     EnabledModels, Sample, StateKind,
     catalogue::{ModelKind, TRAINED_AT_NIGHT},
-    selector::ModelSelector,
+    selector::{Blend, ModelSelector},
 };
 
 use super::*;
@@ -155,7 +155,7 @@ fn without_an_ensemble_auto_answers_by_the_models_that_predict_best_together() {
     // Who asks for an order asks for the spectral model.
     assert_ne!(predicted(ModelSelector { order: Some(2), ..auto }), expected);
     assert_ne!(predicted(ModelSelector { kind: ModelKind::Spectral, ..auto }), expected);
-    assert_ne!(predicted(ModelSelector { persistence: true, ..auto }), expected);
+    assert_ne!(predicted(ModelSelector { blend: Blend::Persistence, ..auto }), expected);
 }
 
 #[test]

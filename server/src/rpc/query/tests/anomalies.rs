@@ -1,7 +1,7 @@
 //! Unexpected observations: found in the past, and reported as they arrive.
 
 use tidemap_map::event::{SequenceSpan, StateKind};
-use tidemap_model::selector::{ModelKind, ModelSelector};
+use tidemap_model::selector::{Blend, ModelKind, ModelSelector};
 use tidemap_proto::convert::query::selector_to_wire;
 use tokio_stream::wrappers::ReceiverStream;
 
@@ -24,7 +24,7 @@ fn wire(kind: ModelKind) -> Option<v1::ModelSelector> {
 }
 
 fn with_persistence() -> Option<v1::ModelSelector> {
-    Some(selector_to_wire(ModelSelector { persistence: true, ..ModelSelector::default() }))
+    Some(selector_to_wire(ModelSelector { blend: Blend::Persistence, ..ModelSelector::default() }))
 }
 
 impl Bench {

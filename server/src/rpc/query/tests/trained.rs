@@ -3,7 +3,7 @@
 use tidemap_model::{
     Sample,
     models::{Calibrated, CalibratedOptions, Histogram, HistogramCycle, HistogramSettings, Readings, TemporalModel},
-    selector::ModelKind,
+    selector::{Blend, ModelKind, ModelSelector},
 };
 use tidemap_proto::convert::{query::selector_to_wire, time::timestamp};
 
@@ -28,13 +28,8 @@ fn door(hours: std::ops::Range<i64>) -> Vec<(i64, f64)> {
 }
 
 fn wire(kind: ModelKind, persistence: bool) -> Option<v1::ModelSelector> {
-    Some(selector_to_wire(tidemap_model::selector::ModelSelector {
-        kind,
-        order: None,
-        persistence,
-        memory: false,
-        belief: false,
-    }))
+    let blend = if persistence { Blend::Persistence } else { Blend::None };
+    Some(selector_to_wire(ModelSelector { kind, order: None, blend }))
 }
 
 impl Bench {

@@ -11,7 +11,7 @@ use tidemap_grid::{
 };
 use tidemap_model::{
     InstantPhasors, ORDER_MAX,
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
 };
 
 use super::{
@@ -23,14 +23,8 @@ fn selectors() -> Vec<ModelSelector> {
     let mut selectors = Vec::new();
     for kind in [ModelKind::Auto, ModelKind::Mean, ModelKind::Latest, ModelKind::Spectral] {
         for order in [None, Some(0), Some(2), Some(ORDER_MAX)] {
-            let blends = [[false, false], [true, false], [false, true]];
-            selectors.extend(blends.map(|[persistence, memory]| ModelSelector {
-                kind,
-                order,
-                persistence,
-                memory,
-                belief: false,
-            }));
+            let blends = [Blend::None, Blend::Persistence, Blend::Memory, Blend::Belief];
+            selectors.extend(blends.map(|blend| ModelSelector { kind, order, blend }));
         }
     }
     selectors

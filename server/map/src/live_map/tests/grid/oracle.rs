@@ -12,7 +12,7 @@ use tidemap_grid::{
 use tidemap_model::{
     AccumulatorParts, EnabledModels, MemoryBasis, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Persistence,
     Sample, SpectralModel, StateModel, UpdateRules,
-    selector::{ModelKind, ModelSelector},
+    selector::{Blend, ModelKind, ModelSelector},
 };
 
 /// A reading: what it counts as, and what it was.
@@ -165,14 +165,15 @@ impl CellOracle {
             ModelKind::Mean => spectral.mean(),
             _ => spectral.predict(omega, selector.order.unwrap_or(self.model.best_order()), civil_nanos),
         };
-        match (selector.persistence, selector.memory) {
-            (true, _) => self.persistence.blend(p, utc_nanos),
-            (false, true) => {
+        match selector.blend {
+            // A cell has no belief.
+            Blend::Persistence | Blend::Belief => self.persistence.blend(p, utc_nanos),
+            Blend::Memory => {
                 let basis =
                     MemoryBasis { usual_change: 1.0, mean: spectral.mean(), first_nanos: None, most_likely_secs: None };
                 self.persistence.remember(basis, p, utc_nanos)
             }
-            (false, false) => p,
+            Blend::None => p,
         }
     }
 
