@@ -40,6 +40,8 @@ pub struct PredictionRun {
     pub lower: Vec<f64>,
     /// Upper end of the credible interval, one per time, or empty.
     pub upper: Vec<f64>,
+    /// The probability that each interval holds, at least the level that was asked for; one per time, or empty.
+    pub masses: Vec<f64>,
     /// Entropy of each prediction.
     pub entropies_bits: Vec<f64>,
     /// Order of the spectral model that predicted.
@@ -191,7 +193,8 @@ fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> 
     let in_order = next.may_be(state, axis, time) && state < piece.states.len();
     let fits = count > 0 && time + count <= piece.times.len();
     let fits_too = |column: &Vec<f64>| column.is_empty() || column.len() == count;
-    if !in_order || !fits || ![&reply.lower, &reply.upper, &reply.entropies_bits].into_iter().all(fits_too) {
+    let columns = [&reply.lower, &reply.upper, &reply.masses, &reply.entropies_bits];
+    if !in_order || !fits || !columns.into_iter().all(fits_too) {
         return Err(Error::Protocol("predictions are not those that were asked for"));
     }
     *next = match time + count {
@@ -205,6 +208,7 @@ fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> 
         probabilities: reply.probabilities,
         lower: reply.lower,
         upper: reply.upper,
+        masses: reply.masses,
         entropies_bits: reply.entropies_bits,
         order: reply.order,
         observations: reply.observations,

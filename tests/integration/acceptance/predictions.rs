@@ -6,7 +6,7 @@ use tidemap_tests::{cli, recordings};
 
 use super::Door;
 
-const COLUMNS: [&str; 11] = [
+const COLUMNS: [&str; 12] = [
     "time",
     "state",
     "probability",
@@ -18,6 +18,7 @@ const COLUMNS: [&str; 11] = [
     "age_secs",
     "model",
     "pending",
+    "mass",
 ];
 
 fn entropy_bits(p: f64) -> f64 {
@@ -38,9 +39,9 @@ fn predictions_follow_from_what_was_learned() {
     assert_eq!(first.number("accepted"), 2.0);
     let unlearned = door.tidemap(["predict", "door", "door", "--at", "1451865720"]).table();
     assert_eq!(unlearned.columns, COLUMNS);
-    assert_eq!(unlearned.rows, [["1451865720", "door", "0.5", "0", "1", "1", "0", "2", "60", "prior", "2"]]);
+    assert_eq!(unlearned.rows, [["1451865720", "door", "0.5", "0", "1", "1", "0", "2", "60", "prior", "2", "1"]]);
     let latest = door.tidemap(["predict", "door", "door", "--at", "1451865720", "--model", "latest"]).table();
-    assert_eq!(latest.rows, [["1451865720", "door", "0", "0", "1", "0", "0", "2", "60", "latest", "2"]]);
+    assert_eq!(latest.rows, [["1451865720", "door", "0", "0", "1", "0", "0", "2", "60", "latest", "2", "1"]]);
     door.tidemap(["map", "delete", "door", "--yes"]);
     let created = door.tidemap(["map", "create", "door", "--time-zone", "Europe/London"]).table();
     assert_eq!(created.number("observations"), 0.0);

@@ -46,7 +46,7 @@ pub(crate) struct PredictArgs {
     #[arg(long, value_name = "KIND", default_value = "auto", help = model_help())]
     model: ModelSelector,
     /// Confidence of the interval from lower to upper for the mean over the hour around the time: 0 (no interval) or
-    /// more, and below 1
+    /// more, and below 1. Column mass: the probability that the interval holds, which can be more
     #[arg(long, value_name = "P", default_value_t = 0.9)]
     interval: f64,
     /// Predict one state at a place, by where a vector was when the state was observed: VECTOR=X,Y[,Z] in metres; may
@@ -64,7 +64,7 @@ fn model_help() -> String {
     format!("Model, optionally with +belief, +persistence or +memory: {}", ModelKind::forms())
 }
 
-const COLUMNS: [&str; 11] = [
+const COLUMNS: [&str; 12] = [
     "time",
     "state",
     "probability",
@@ -76,6 +76,7 @@ const COLUMNS: [&str; 11] = [
     "age_secs",
     "model",
     "pending",
+    "mass",
 ];
 
 pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
@@ -199,6 +200,7 @@ fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl It
             Cell::secs(run.last_nanos.map(|last| time.saturating_sub(last))),
             model_cell(run),
             run.pending.into(),
+            Cell::maybe(run.masses.get(i).copied()),
         ]
     })
 }
