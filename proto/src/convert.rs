@@ -41,6 +41,7 @@ pub mod scans;
 pub mod search;
 pub mod sequences;
 pub mod site;
+pub mod state_sensor;
 pub mod time;
 pub mod topology;
 pub mod traversals;

@@ -24,6 +24,7 @@ mod reports;
 mod routes;
 mod search;
 mod security;
+mod state_sensors;
 mod surprises;
 mod traces;
 mod traversals;

@@ -31,6 +31,9 @@ pub struct NewState {
     /// NAME/x, NAME/y and NAME/z, with this number and those after it; an angle is two, NAME/cos and NAME/sin.
     #[prost(uint32, tag = "3")]
     pub kind: u32,
+    /// The sensor that was stated for it; only of kind 0.
+    #[prost(message, optional, tag = "4")]
+    pub sensor: Option<super::map::Sensor>,
 }
 
 /// The start of an update.

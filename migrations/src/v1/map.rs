@@ -146,7 +146,7 @@ pub struct Snapshot {
     pub has_site: bool,
 }
 
-/// The sensor of a producer, if it differs from the map's own.
+/// The sensor of a producer, if it differs from the map's own; or that of a state, where occupied means 1.
 #[derive(Clone, Copy, PartialEq, prost::Message)]
 pub struct Sensor {
     /// P(reads occupied | is occupied).
@@ -317,6 +317,9 @@ pub struct State {
     /// readings of 1 (2) and of 0 (2).
     #[prost(bytes = "vec", tag = "21")]
     pub recent: Vec<u8>,
+    /// The sensor that was stated for it; only of kind 0.
+    #[prost(message, optional, tag = "22")]
+    pub sensor: Option<Sensor>,
 }
 
 /// Runs of observations of a state that its model did not expect before it learned them.

@@ -16,6 +16,7 @@ use super::{
     enabled::{enabled_from_wire, enabled_to_wire},
     grid::{grid_from_wire, grid_summary_to_wire, grid_to_wire, retention_from_wire, retention_to_wire},
     site::point_to_wire,
+    state_sensor::state_sensor_to_wire,
     time::{duration, nanos_from_duration, timestamp},
 };
 use crate::v1::{self, periodicities::Set};
@@ -160,6 +161,7 @@ pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
         last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
         dimensions,
         pending: view.pending_of(id),
+        sensor: info.sensor.map(state_sensor_to_wire),
     })
 }
 

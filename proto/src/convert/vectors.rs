@@ -4,13 +4,14 @@
 //! checked for each one later.
 
 use tidemap_map::{
-    event::{Dimensions, Position, StateShape},
+    event::{Dimensions, Position, StateSensor, StateShape},
     name::StateName,
 };
 
 use super::{
     InvalidField,
     map::{kind_from_wire, kind_to_wire},
+    state_sensor::state_sensor_from_wire,
 };
 use crate::v1;
 
@@ -41,19 +42,34 @@ pub fn shape_from_wire(
     Ok(shape)
 }
 
-/// The name and the shape of a state to add.
+/// A state to add.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeclaredState {
+    /// Name of the state.
+    pub name: StateName,
+    /// What observations of it are.
+    pub shape: StateShape,
+    /// The sensor that reads it; `None`: not stated.
+    pub sensor: Option<StateSensor>,
+}
+
+/// A state to add.
 ///
 /// # Errors
 /// The invalid field.
-pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<(StateName, StateShape), InvalidField> {
-    let v1::AddStateRequest { state, kind, dimensions, .. } = request;
+pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<DeclaredState, InvalidField> {
+    let v1::AddStateRequest { state, kind, dimensions, sensor, .. } = request;
     let invalid = |error| InvalidField::new("state", error);
     let name = StateName::observed(state).map_err(invalid)?;
     let shape = shape_from_wire(("kind", *kind), ("dimensions", *dimensions))?.unwrap_or_default();
     if let StateShape::Vector(_) | StateShape::Angle = shape {
         name.check_vector().map_err(invalid)?;
     }
-    Ok((name, shape))
+    let sensor = sensor.as_ref().map(state_sensor_from_wire).transpose()?;
+    if sensor.is_some() && !shape.may_have_sensor() {
+        return Err(InvalidField::new("sensor", format!("{} has none: only a probability has", shape.with_article())));
+    }
+    Ok(DeclaredState { name, shape, sensor })
 }
 
 /// A shape for the wire: its kind, and the number of its coordinates, 0 for values.

@@ -66,6 +66,7 @@ fn observe(map: &mut LiveMap, day: i64, step: i64) {
             id: StateId(state),
             name: StateName::new(&format!("state {state}")).expect("valid"),
             shape: StateKind::Probability.into(),
+            sensor: None,
         };
         let envelope = Envelope {
             producer: ProducerId(0),

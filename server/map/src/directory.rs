@@ -10,7 +10,7 @@ use std::{
 };
 
 use crate::{
-    event::{Dimensions, StateKind, StateShape},
+    event::{Dimensions, StateKind, StateSensor, StateShape},
     ids::StateId,
     name::{StateName, asked_for},
 };
@@ -20,13 +20,15 @@ const CHUNK: usize = 256;
 
 type Shard = HashMap<StateName, StateId>;
 
-/// Name and kind of a state.
+/// What is fixed for a state, but for its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StateInfo {
     /// The name of the state, unique within the map.
     pub name: StateName,
     /// The kind of values that the state has; never changes.
     pub kind: StateKind,
+    /// The sensor that reads it, where it is known; never changes.
+    pub sensor: Option<StateSensor>,
 }
 
 /// The states of a map by name and by index.

@@ -10,7 +10,7 @@
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
 use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, Sample, allows_angle, time::FUTURE_MAX_NANOS};
-pub use tidemap_model::{Dimensions, Position, StateKind};
+pub use tidemap_model::{Dimensions, Position, StateKind, StateSensor};
 
 use tidemap_grid::scan::Scans;
 
@@ -125,6 +125,8 @@ pub struct NewState {
     pub name: StateName,
     /// What it is.
     pub shape: StateShape,
+    /// The sensor that reads it, where it is known; only of a shape that may have one.
+    pub sensor: Option<StateSensor>,
 }
 
 impl NewState {
@@ -201,6 +203,12 @@ impl StateShape {
     #[must_use]
     pub fn is_single(self) -> bool {
         !matches!(self, StateShape::Vector(_))
+    }
+
+    /// Whether a sensor of its readings may be stated: they are 0 and 1.
+    #[must_use]
+    pub fn may_have_sensor(self) -> bool {
+        self == StateShape::Scalar(StateKind::Probability)
     }
 
     /// Whether an observation that is one number may have this value.

@@ -11,7 +11,7 @@ use tidemap_model::StateModel;
 
 use crate::{
     directory::{Directory, StateInfo},
-    event::{Event, StateKind, StateShape, UpdateStart},
+    event::{Event, StateKind, StateSensor, StateShape, UpdateStart},
     ids::{ProducerId, StateId},
     name::ProducerKey,
     pending::{Origin, Pending},
@@ -118,7 +118,7 @@ impl LiveMap {
         }
         let mut models = Vec::with_capacity(snapshot.states.len());
         for state in snapshot.states {
-            map.add_state(StateInfo { name: state.name, kind: state.kind });
+            map.add_state(StateInfo { name: state.name, kind: state.kind, sensor: state.model.sensor() });
             if let Some(live) = map.live.last_mut() {
                 *live = LiveState {
                     observations: state.observations,
@@ -179,6 +179,11 @@ impl LiveMap {
     /// Number of producer keys.
     pub fn producers(&self) -> usize {
         self.producers.len()
+    }
+
+    /// The sensor that reads a state, where it is known.
+    pub fn sensor(&self, id: StateId) -> Option<StateSensor> {
+        self.directory.info(id).and_then(|info| info.sensor)
     }
 
     /// Kind of a state.

@@ -9,7 +9,7 @@ use tidemap_grid::{
     view::{CellDescription, GridView},
 };
 use tidemap_model::{
-    InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
+    Belief, InstantPhasors, MemoryBasis, OffsetCache, Persistence, PhasorTable, Sample, SpectralModel, StateKind,
     models::{Moment, TemporalModel},
     selector::{Blend, ModelKind, ModelSelector},
 };
@@ -116,12 +116,14 @@ impl MapView {
     }
 
     /// Draws predictions of a state towards what its newest readings say. Before its first update they count as with
-    /// persistence.
+    /// persistence, unless its sensor is known.
     pub(crate) fn believe(&self, id: StateId, moments: &[Moment], out: &mut [f64]) {
         let (live, model) = (self.live(id), self.model(id));
-        match model.belief() {
-            Some(belief) => belief.blend_into(&live.recent, live.persistence.last(), moments, out),
-            None => blend(&live.persistence, model.memory_basis(), moments, Blend::Belief, out),
+        let newest = live.persistence.last();
+        match (model.belief(), self.info(id).and_then(|info| info.sensor)) {
+            (Some(belief), _) => belief.blend_into(&live.recent, newest, moments, out),
+            (None, Some(sensor)) => Belief::of_sensor(sensor).blend_into(&live.recent, newest, moments, out),
+            (None, None) => blend(&live.persistence, model.memory_basis(), moments, Blend::Belief, out),
         }
     }
 

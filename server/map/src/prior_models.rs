@@ -1,10 +1,11 @@
 //! The models of untrained states.
 //!
-//! Invariant: there is one model of each kind, shared by all states that have learned nothing.
+//! Invariant: there is one model of each kind, shared by all states that have learned nothing and whose sensor is not
+//! known.
 
 use std::sync::Arc;
 
-use tidemap_model::{StateKind, StateModel};
+use tidemap_model::{StateKind, StateModel, StateSensor};
 
 use crate::spec::MapSpec;
 
@@ -32,5 +33,11 @@ impl PriorModels {
             StateKind::Continuous => &self.continuous,
             StateKind::Count => &self.count,
         }
+    }
+
+    /// The model that a state begins to learn with.
+    pub(crate) fn beginning(&self, kind: StateKind, sensor: Option<StateSensor>) -> Arc<StateModel> {
+        let prior = self.of(kind);
+        sensor.map_or_else(|| Arc::clone(prior), |sensor| Arc::new(StateModel::clone(prior).with_sensor(sensor)))
     }
 }

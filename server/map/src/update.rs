@@ -179,8 +179,8 @@ impl UpdateWork {
         }
         let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(self.basis.directory.len());
         models.extend(self.models.iter().cloned());
-        models
-            .extend(self.basis.directory.iter().skip(models.len()).map(|info| self.prior_models.of(info.kind).clone()));
+        let new = self.basis.directory.iter().skip(models.len());
+        models.extend(new.map(|info| self.prior_models.beginning(info.kind, info.sensor)));
         let is_early = self.basis.start.cause == UpdateCause::PendingLimit;
         for origins in &mut history.origins {
             origins.is_early = is_early;

@@ -126,7 +126,7 @@ impl MapView {
         self.directory.shape(name)
     }
 
-    /// Name and kind of a state.
+    /// Name, kind and sensor of a state.
     pub fn info(&self, id: StateId) -> Option<&StateInfo> {
         self.directory.info(id)
     }

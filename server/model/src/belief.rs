@@ -1,12 +1,14 @@
 //! The newest reading: what recent readings say about a state now and a while ahead, and how much that counts.
 //!
 //! A state of two values is a hidden chain that a sensor reads with errors. Its rates, the errors and how long it keeps
-//! a value are learned day by day; a filter over its recent readings then gives the probability that it is 1 now and
-//! ahead. Other values stand for themselves. Either is blended into a prediction with a weight by lag, which is
-//! learned from the errors that both would have made. See [`recent`] for what an observation changes at once.
+//! a value are learned day by day, the errors only if nobody has stated them; a filter over its recent readings then
+//! gives the probability that it is 1 now and ahead. Other values stand for themselves. Either is blended into a
+//! prediction with a weight by lag, which is learned from the errors that both would have made. See [`recent`] for what
+//! an observation changes at once.
 //!
-//! Invariant: what is learned depends on the readings and their times alone, takes constant memory, and each day is
-//! scored before it is learned. A blended probability lies in `[0,1]`, and far ahead it is the prediction itself.
+//! Invariant: what is learned depends on the readings, their times and the stated sensor alone, takes constant memory,
+//! and each day is scored before it is learned. A blended probability lies in `[0,1]`, and far ahead it is the
+//! prediction itself.
 
 use crate::{
     Sample,
@@ -21,6 +23,7 @@ mod learn;
 mod noise;
 mod parts;
 mod recent;
+mod sensor;
 #[cfg(test)]
 mod tests;
 
@@ -30,6 +33,7 @@ use lag::LagWeights;
 pub use noise::SensorNoise;
 pub use parts::{BeliefParts, GapCountParts, OpenDwell};
 pub use recent::{Recent, RecentSpan, SPANS_MAX};
+pub use sensor::{InvalidStateSensor, StateSensor};
 
 /// The rates of a two-state chain.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,6 +81,8 @@ type Newest = (i64, f64);
 pub struct Belief {
     /// Whether every learned reading was 0 or 1.
     has_two_values: bool,
+    /// The sensor, where it is known; its errors are not learned then.
+    sensor: Option<StateSensor>,
     newest: Option<Newest>,
     recent: Recent,
     /// Successive readings, taken as the truth.
@@ -101,6 +107,7 @@ impl Belief {
     pub fn new(can_have_two_values: bool) -> Belief {
         Belief {
             has_two_values: can_have_two_values,
+            sensor: None,
             newest: None,
             recent: Recent::default(),
             seen: Transitions::default(),
@@ -140,13 +147,20 @@ impl Belief {
         if self.is_noisy() { self.hidden_rates } else { self.seen_rates }
     }
 
-    /// The sensor's errors; 0 unless they have made new readings more likely.
+    /// The sensor's errors: those that were stated, else those that were learned, which are 0 unless they have made new
+    /// readings more likely.
     pub fn noise(&self) -> SensorNoise {
-        if self.is_noisy() { self.noise } else { SensorNoise::default() }
+        if self.is_noisy() { self.hidden_noise() } else { SensorNoise::default() }
     }
 
+    /// The errors with which the hidden chain is learned.
+    fn hidden_noise(&self) -> SensorNoise {
+        self.sensor.map_or(self.noise, StateSensor::noise)
+    }
+
+    /// Whether readings are taken for those of a hidden chain.
     fn is_noisy(&self) -> bool {
-        self.gain > learn::GAIN_MIN
+        self.sensor.is_some() || self.gain > learn::GAIN_MIN
     }
 
     /// Whether the times for which it keeps its values are known, beyond rates.

@@ -61,7 +61,10 @@ pub mod time;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
 pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
-pub use belief::{Belief, BeliefParts, GapCountParts, OpenDwell, Rates, Recent, RecentSpan, SPANS_MAX, SensorNoise};
+pub use belief::{
+    Belief, BeliefParts, GapCountParts, InvalidStateSensor, OpenDwell, Rates, Recent, RecentSpan, SPANS_MAX,
+    SensorNoise, StateSensor,
+};
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
 pub use ensemble::{ClassParts, Ensemble, EnsembleParts, SaidParts, TrainedEnsemble};

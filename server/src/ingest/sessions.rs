@@ -10,7 +10,7 @@ use tidemap_grid::{
     sensors::ProducerSensor,
 };
 use tidemap_map::{
-    event::{Envelope, Event, NewState, SequenceSpan, StateKind},
+    event::{Envelope, Event, NewState, SequenceSpan, StateKind, StateSensor},
     ids::{NewProducer, ProducerId, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
@@ -122,6 +122,8 @@ pub(super) struct Sessions {
     sessions: BTreeMap<SessionId, Session>,
     open_by_key: HashMap<ProducerKey, SessionId>,
     states_in_flight: HashMap<StateName, (StateId, StateKind)>,
+    /// Sensors of states in flight, where they are known.
+    sensors_in_flight: HashMap<StateId, StateSensor>,
     /// New names in flight, of states that still have their old names.
     renames_in_flight: HashMap<StateName, (StateId, StateKind)>,
     producers_in_flight: usize,
@@ -144,6 +146,7 @@ impl Sessions {
             sessions: BTreeMap::new(),
             open_by_key: HashMap::new(),
             states_in_flight: HashMap::new(),
+            sensors_in_flight: HashMap::new(),
             renames_in_flight: HashMap::new(),
             producers_in_flight: 0,
             issued: HashMap::new(),
@@ -265,6 +268,7 @@ impl Sessions {
     /// All batches in flight have failed: forgets what they would have added.
     pub(super) fn roll_back(&mut self) {
         self.states_in_flight.clear();
+        self.sensors_in_flight.clear();
         self.renames_in_flight.clear();
         self.producers_in_flight = 0;
         self.tiles_ahead = 0;

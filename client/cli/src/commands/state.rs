@@ -5,7 +5,7 @@
 use std::{process::ExitCode, str::FromStr};
 
 use clap::Subcommand;
-use tidemap_client::maps::{Dimensions, State, StateKind, StateShape};
+use tidemap_client::maps::{Dimensions, State, StateKind, StateSensor, StateShape};
 
 use super::{Session, usage};
 use tidemap_formats::table::Cell;
@@ -17,7 +17,7 @@ pub(crate) enum StateCommand {
         /// Name of the map
         map: String,
     },
-    /// Adds a state before its first observation, to set its kind
+    /// Adds a state before its first observation, to set its kind or its sensor
     Add {
         /// Name of the map
         map: String,
@@ -30,6 +30,14 @@ pub(crate) enum StateCommand {
         /// Number of coordinates of a vector, 2 or 3
         #[arg(long, value_name = "N", required_if_eq("kind", "vector"), value_parser = clap::value_parser!(u32).range(2..=3))]
         dimensions: Option<u32>,
+        /// Probability to read 1 where the state is 1, if you know it: above 0, up to 1 [default: 1 with --false-alarm,
+        /// else updates estimate it]
+        #[arg(long, value_name = "P")]
+        hit: Option<f64>,
+        /// Probability to read 1 where the state is 0, if you know it: 0 or more, less than --hit [default: 0 with
+        /// --hit, else updates estimate it]
+        #[arg(long, value_name = "P")]
+        false_alarm: Option<f64>,
     },
 }
 
@@ -73,7 +81,8 @@ impl FromStr for KindArg {
     }
 }
 
-const COLUMNS: [&str; 7] = ["state", "kind", "observations", "order", "last_time", "dimensions", "pending"];
+const COLUMNS: [&str; 9] =
+    ["state", "kind", "observations", "order", "last_time", "dimensions", "pending", "hit", "false_alarm"];
 
 fn cells(state: State) -> Vec<Cell> {
     vec![
@@ -84,19 +93,34 @@ fn cells(state: State) -> Vec<Cell> {
         Cell::time(state.last_nanos),
         Cell::maybe(state.shape.dimensions().map(|dimensions| dimensions.count() as u64)),
         state.pending.into(),
+        Cell::maybe(state.sensor.map(StateSensor::hit)),
+        Cell::maybe(state.sensor.map(StateSensor::false_alarm)),
     ]
+}
+
+/// The sensor of a state, if anything is said of it; the other number is that of a sensor that is always right.
+fn sensor(shape: StateShape, hit: Option<f64>, false_alarm: Option<f64>) -> anyhow::Result<Option<StateSensor>> {
+    if hit.is_none() && false_alarm.is_none() {
+        return Ok(None);
+    }
+    if !shape.may_have_sensor() {
+        return Err(usage(format!("--hit and --false-alarm go with --kind probability, not {}", shape.name())));
+    }
+    let sensor = StateSensor::new(hit.unwrap_or(1.0), false_alarm.unwrap_or(0.0));
+    sensor.map(Some).map_err(|error| usage(error.to_string()))
 }
 
 pub(crate) async fn run(session: &Session, command: StateCommand) -> anyhow::Result<ExitCode> {
     let map = match command {
         StateCommand::List { map } => map,
-        StateCommand::Add { map, state, kind, dimensions } => {
+        StateCommand::Add { map, state, kind, dimensions, hit, false_alarm } => {
             let shape = match (kind, dimensions.and_then(|count| Dimensions::of(count as usize))) {
                 (KindArg::Vector, Some(dimensions)) => StateShape::Vector(dimensions),
                 (KindArg::Single(shape), None) => shape,
                 _ => return Err(usage(format!("--dimensions goes with --kind vector, not {}", kind.name()))),
             };
-            let added = session.client.add_state(&map, &state, shape).await?;
+            let sensor = sensor(shape, hit, false_alarm)?;
+            let added = session.client.add_state(&map, &state, shape, sensor).await?;
             return session.print(&COLUMNS, [cells(added)]);
         }
     };

@@ -45,7 +45,10 @@ impl HabitLearner {
         let spec = MapSpec { zone, created_nanos, ..MapSpec::new(name) };
         let mut map = LiveMap::new(Arc::new(spec));
         let name = StateName::new("state").map_err(HabitsError::setting)?;
-        map.apply(1, &Event::AddState(NewState { id: STATE, name, shape: StateKind::Probability.into() }))?;
+        map.apply(
+            1,
+            &Event::AddState(NewState { id: STATE, name, shape: StateKind::Probability.into(), sensor: None }),
+        )?;
         Ok(Self { map, sequence: 0, history: ReadingsInMemory::default() })
     }
 

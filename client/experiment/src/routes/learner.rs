@@ -83,7 +83,7 @@ impl Learner {
                     Some(id) => id,
                     None => {
                         let id = StateId((self.map.states() + event.new_states.len()) as u32);
-                        event.new_states.push(NewState { id, name, shape: what.kind().into() });
+                        event.new_states.push(NewState { id, name, shape: what.kind().into(), sensor: None });
                         id
                     }
                 };

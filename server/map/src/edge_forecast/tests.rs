@@ -164,7 +164,7 @@ fn driven(reports: &[(i64, bool)]) -> LiveMap {
             let name = edge.state(what);
             let id = map.find(name.as_str()).unwrap_or_else(|| {
                 let id = StateId(u32::try_from(map.states() + event.new_states.len()).expect("few"));
-                event.new_states.push(NewState { id, name, shape: what.kind().into() });
+                event.new_states.push(NewState { id, name, shape: what.kind().into(), sensor: None });
                 id
             });
             event.push(id, Sample { utc_nanos: start, offset_secs: 0, value });

@@ -132,9 +132,11 @@ impl<'a> Relearning<'a> {
         let mut directory = Directory::new();
         let prior_models = PriorModels::new(&spec);
         for (_, state) in &self.states {
-            directory.push(StateInfo { name: state.name.clone(), kind: state.kind });
+            let sensor = state.model.sensor();
+            directory.push(StateInfo { name: state.name.clone(), kind: state.kind, sensor });
         }
-        let models: Vec<_> = self.states.iter().map(|(_, state)| Arc::clone(prior_models.of(state.kind))).collect();
+        let beginning = |state: &StateSnapshot| prior_models.beginning(state.kind, state.model.sensor());
+        let models: Vec<_> = self.states.iter().map(|(_, state)| beginning(state)).collect();
         let mut models = Arc::new(models);
         let mut arrivals = self.waiting();
         let mut earlier = Earlier::default();

@@ -6,7 +6,7 @@ use tidemap_model::Periodicities;
 
 use super::*;
 use crate::{
-    event::{Dimensions, OffsetRun, SequenceSpan, StateKind, StateShape, UpdateCause},
+    event::{Dimensions, OffsetRun, SequenceSpan, StateKind, StateSensor, StateShape, UpdateCause},
     ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},
@@ -30,12 +30,12 @@ fn named(name: &str) -> StateName {
 
 /// States in order of their ids: a door, a position of two axes, a lamp, and one that appears later.
 fn added() -> [NewState; 4] {
-    let new = |id, name, shape| NewState { id: StateId(id), name: named(name), shape };
+    let new = |id, name, shape| NewState { id: StateId(id), name: named(name), shape, sensor: None };
     let scalar = StateShape::Scalar(StateKind::Probability);
     [
         new(0, "door", scalar),
         new(1, "anna", StateShape::Vector(Dimensions::Two)),
-        new(3, "lamp", scalar),
+        NewState { sensor: StateSensor::new(0.9, 0.05).ok(), ..new(3, "lamp", scalar) },
         new(4, "late", scalar),
     ]
 }

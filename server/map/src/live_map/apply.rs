@@ -82,7 +82,7 @@ impl LiveMap {
             return Err(format!("state {:?} is not new", new.name.as_str()));
         }
         for (_, name, kind) in new.states() {
-            self.add_state(StateInfo { name, kind });
+            self.add_state(StateInfo { name, kind, sensor: new.sensor });
         }
         Ok(())
     }

@@ -37,6 +37,7 @@ fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
             id: StateId(u32::try_from(id).expect("few")),
             name: StateName::new(&format!("s{id}")).expect("valid"),
             shape: StateKind::Probability.into(),
+            sensor: None,
         })
         .collect();
     let first_sequence = known.unwrap_or(0) + 1;

@@ -2,7 +2,8 @@
 //!
 //! The errors of the sensor are found by expectation and maximisation, a few passes over the readings of a day with the
 //! expected counts of earlier days, so that nothing but counts is kept. They count once they have made readings more
-//! likely that were not yet learned. Invariant: a day is scored with what was known before it.
+//! likely that were not yet learned; stated errors count from the first reading on. Invariant: a day is scored with
+//! what was known before it.
 
 use super::{
     Belief, Look, Newest, Rates, Recent, SensorNoise, dwell::Dwells, lag::LagWeights, lag_secs, looks_after, noise,
@@ -85,8 +86,9 @@ impl Belief {
             let (looks, newest) = (looks_after(None, first), judge.newest.take());
             judge.learn_looks(&looks);
             judge.newest = newest;
+            let was_noisy = self.is_noisy();
             self.gain = judge.gained(&looks_after(newest.map(|(nanos, _)| nanos), rest));
-            if self.is_noisy() {
+            if self.is_noisy() != was_noisy {
                 // Its dwells depend on which readings were wrong.
                 let learned = Belief { gain: self.gain, ..self.clone() };
                 let (recent, newest) = (judge.recent, judge.newest);
@@ -99,9 +101,9 @@ impl Belief {
         self.weights = judge.weights;
     }
 
-    /// By how much sensor noise makes readings more likely that were not learned, in nats.
+    /// By how much sensor noise makes readings more likely that were not learned, in nats. Stated noise is not judged.
     fn gained(&self, looks: &[Look]) -> f64 {
-        if self.hidden.is_empty() {
+        if self.hidden.is_empty() || self.sensor.is_some() {
             return 0.0;
         }
         let likelihood = |rates: Rates, noise: SensorNoise| noise::log_likelihood(looks, 1, rates, noise);
@@ -207,12 +209,12 @@ impl Belief {
         self.errors.scale(KEPT);
         let (mut hidden, mut errors) = (self.hidden.clone(), self.errors);
         for _ in 0..passes {
-            let expected = noise::expect(looks, self.hidden_rates, self.noise);
+            let expected = noise::expect(looks, self.hidden_rates, self.hidden_noise());
             (hidden, errors) = (self.hidden.clone(), self.errors);
             hidden.merge(&expected.transitions);
             errors.merge(&expected.errors);
             self.hidden_rates = most_likely_near(&hidden, self.hidden_rates);
-            self.noise = errors.noise();
+            self.noise = if self.sensor.is_some() { SensorNoise::default() } else { errors.noise() };
         }
         (self.hidden, self.errors) = (hidden, errors);
         noise::expect(looks, self.rates(), self.noise())

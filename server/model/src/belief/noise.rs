@@ -9,9 +9,9 @@ use crate::models::markov_chain::likelihood::Transitions;
 /// How often a sensor reads a state of two values wrongly.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct SensorNoise {
-    /// m, the probability to read 0 when the state is 1; 0 to 0.45.
+    /// m, the probability to read 0 when the state is 1; learned ones are at most 0.45.
     pub miss: f64,
-    /// f, the probability to read 1 when the state is 0; 0 to 0.45.
+    /// f, the probability to read 1 when the state is 0; likewise.
     pub false_alarm: f64,
 }
 

@@ -1,6 +1,6 @@
-//! The stored form of a [`Belief`].
+//! The stored form of a [`Belief`], without its sensor.
 //!
-//! Invariant: a round trip gives the same belief; invalid parts are refused.
+//! Invariant: a round trip gives the same belief, to which the sensor is given again; invalid parts are refused.
 
 use super::{
     Belief, Rates, Recent, RecentSpan, SensorNoise,
@@ -133,6 +133,8 @@ impl Belief {
         let open = parts.open.map(|OpenDwell { is_one, since, last_nanos }| UnendedDwell { is_one, since, last_nanos });
         Ok(Belief {
             has_two_values: parts.has_two_values && kind == StateKind::Probability,
+            // The record of the state has it.
+            sensor: None,
             newest: parts.newest,
             recent: Recent::from_spans(&parts.recent)?,
             seen: counts_from_parts(&parts.seen)?,

@@ -36,7 +36,10 @@ fn exponential(mean: f64, random: &mut SmallRng) -> f64 {
 
 /// Learns readings day by day, each predicted by the mean before it.
 fn learned(samples: &[Sample]) -> Belief {
-    let mut belief = Belief::new(true);
+    learned_by(Belief::new(true), samples)
+}
+
+fn learned_by(mut belief: Belief, samples: &[Sample]) -> Belief {
     let (mut sum, mut count) = (0.0, 0.0);
     for day in samples.chunk_by(|one, next| one.local_day() == next.local_day()) {
         let mean = if count > 0.0 { sum / count } else { 0.5 };
@@ -93,6 +96,55 @@ fn a_single_wrong_reading_is_not_believed() {
     assert!(blended(&belief, &ones, 0.4, 0) > 0.7);
     ones.extend((21..24).map(|minute| reading(minute, 0.0)));
     assert!(blended(&belief, &ones, 0.4, 0) < 0.3);
+}
+
+/// The probability to read 1 at the last reading, by the plainest filter there is.
+fn naive_filter(rates: Rates, sensor: StateSensor, samples: &[Sample]) -> f64 {
+    let (hit, false_alarm) = (sensor.hit(), sensor.false_alarm());
+    let share = rates.rise_per_sec / (rates.rise_per_sec + rates.fall_per_sec);
+    let (mut one, mut last) = (share, samples[0].utc_nanos);
+    for sample in samples {
+        let secs = (sample.utc_nanos - last) as f64 / 1e9;
+        one = share + (one - share) * (-(rates.rise_per_sec + rates.fall_per_sec) * secs).exp();
+        let [if_one, if_zero] = if sample.value == 1.0 { [hit, false_alarm] } else { [1.0 - hit, 1.0 - false_alarm] };
+        one = one * if_one / (one * if_one + (1.0 - one) * if_zero);
+        last = sample.utc_nanos;
+    }
+    one * hit + (1.0 - one) * false_alarm
+}
+
+#[test]
+fn a_known_sensor_is_believed_as_bayes_says_from_the_first_reading_on() {
+    let readings = [(0, 1.0), (600, 0.0), (1000, 1.0), (1300, 1.0), (9000, 0.0), (9060, 0.0), (9100, 1.0)];
+    let samples = readings.map(|(secs, value)| Sample { utc_nanos: secs * SEC, offset_secs: 0, value });
+    let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 7200.0 } else { 10_800.0 }, random);
+    // Beyond these, a reading that cannot be still may be one: no evidence counts more than 1000 times.
+    for (hit, false_alarm) in [(0.9, 0.05), (0.99, 0.3), (0.45, 0.01), (0.3, 0.2)] {
+        let sensor = StateSensor::new(hit, false_alarm).unwrap();
+        // One that has learned nothing, and one that has learned readings without any error.
+        let days = simulate(8, 3000, dwell, |_| 28_800.0, 0.0);
+        for belief in [Belief::of_sensor(sensor), learned_by(Belief::of_sensor(sensor), &days)] {
+            assert_eq!(belief.noise(), SensorNoise { miss: 1.0 - hit, false_alarm });
+            assert!(!belief.knows_dwells());
+            for known in 1..=samples.len() {
+                let expected = naive_filter(belief.rates(), sensor, &samples[..known]);
+                let found = blended(&belief, &samples[..known], 0.4, 0);
+                assert!((found - expected).abs() < 1e-12, "{sensor}, {known}: {found} {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_rates_behind_a_known_sensor_are_found() {
+    let dwell = |is_one, random: &mut SmallRng| exponential(if is_one { 7200.0 } else { 10_800.0 }, random);
+    let samples = simulate(9, 20_000, dwell, |random| exponential(60.0, random), 0.1);
+    let belief = learned_by(Belief::of_sensor(StateSensor::new(0.9, 0.1).unwrap()), &samples);
+    let sum = 1.0 / 7200.0 + 1.0 / 10_800.0;
+    assert!((belief.rates().sum() / sum - 1.0).abs() < 0.2, "{:?}", belief.rates());
+    let parts = belief.to_parts();
+    let again = Belief::from_parts_of(StateKind::Probability, parts).unwrap();
+    assert_eq!(again.with_sensor(belief.sensor().unwrap()), belief);
 }
 
 #[test]

@@ -3,13 +3,13 @@
 //! Invariant: the belief is scored against what answered by default before the day.
 
 use super::StateModel;
-use crate::{Belief, MemoryBasis, Periodicities, Sample, StateKind};
+use crate::{Belief, MemoryBasis, Periodicities, Sample, StateKind, StateSensor};
 
 /// Squared distances below this say nothing about a probability.
 const UNIT_MIN: f64 = 0.01;
 
 impl StateModel {
-    /// What is known about its newest reading; `None` while the state is untrained.
+    /// What is known about its newest reading; `None` while the state is untrained, unless its sensor is known.
     pub fn belief(&self) -> Option<&Belief> {
         self.belief.as_deref()
     }
@@ -18,6 +18,21 @@ impl StateModel {
     #[must_use]
     pub fn with_belief(self, belief: Belief) -> StateModel {
         StateModel { belief: Some(Box::new(belief)), ..self }
+    }
+
+    /// This state with a sensor that is known, from before its first observation on; only a probability has one.
+    #[must_use]
+    pub fn with_sensor(self, sensor: StateSensor) -> StateModel {
+        if self.kind() != StateKind::Probability {
+            return self;
+        }
+        let belief = self.belief.as_deref().cloned().unwrap_or_else(|| Belief::new(true));
+        self.with_belief(belief.with_sensor(sensor))
+    }
+
+    /// The sensor that was stated for the state.
+    pub fn sensor(&self) -> Option<StateSensor> {
+        self.belief().and_then(Belief::sensor)
     }
 
     /// What the memory of the state needs beside its last values.

@@ -25,6 +25,7 @@ fn observations(first: i64, count: usize) -> Observations {
             id: StateId(0),
             name: StateName::new("s").expect("valid"),
             shape: StateKind::Probability.into(),
+            sensor: None,
         }],
         states: vec![StateId(0); count],
         times_nanos: (first..).take(count).collect(),

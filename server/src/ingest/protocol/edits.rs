@@ -3,7 +3,7 @@
 //! Invariant: the answer comes after the change is durable and published.
 
 use tidemap_map::{
-    event::StateShape,
+    event::{StateSensor, StateShape},
     name::StateName,
     site::{InvalidEdit, SiteEdit},
 };
@@ -15,6 +15,8 @@ use tokio::sync::oneshot;
 pub(crate) struct AddState {
     pub name: StateName,
     pub shape: StateShape,
+    /// The sensor that reads it; `None`: not stated, which fits any.
+    pub sensor: Option<StateSensor>,
     /// The answer, after the state is durable and published.
     pub reply: oneshot::Sender<Result<(), AddStateError>>,
 }
@@ -23,6 +25,8 @@ pub(crate) struct AddState {
 pub(crate) enum AddStateError {
     #[error("state {name:?} exists and is {found}, not {asked}: the kind of a state never changes", name = .name.as_str(), found = .found.with_article(), asked = .asked.with_article())]
     OtherKind { name: StateName, found: StateShape, asked: StateShape },
+    #[error("state {name:?} exists with {has}, not {asked}: the sensor of a state never changes; add the state before its first observation, or under another name", name = .name.as_str(), has = found.map_or("no stated sensor".to_owned(), |found| found.to_string()))]
+    OtherSensor { name: StateName, found: Option<StateSensor>, asked: StateSensor },
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
     TooMany { max: usize },
     #[error(transparent)]

@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 
 use tidemap_map::{
-    event::{Dimensions, NewState, StateKind, StateShape},
+    event::{Dimensions, NewState, StateKind, StateSensor, StateShape},
     ids::{RefusalReason, StateId},
     live_map::{LiveMap, rename::renamed_states},
     name::StateName,
@@ -146,22 +146,32 @@ impl StateAllocator<'_> {
         if next.saturating_add(shape.states()) > self.max {
             return None;
         }
-        let new = NewState { id: StateId(u32::try_from(next).unwrap_or(u32::MAX)), name: name.clone(), shape };
+        let new =
+            NewState { id: StateId(u32::try_from(next).unwrap_or(u32::MAX)), name: name.clone(), shape, sensor: None };
         self.in_flight.extend(new.states().map(|(id, name, kind)| (name, (id, kind))));
         Some(new)
     }
 }
 
 impl Sessions {
-    /// The event that adds a state; `None` if the map has it with that shape.
+    /// The event that adds a state; `None` if the map has it with that shape and sensor. No sensor fits any.
     pub(crate) fn add_state(
         &mut self,
         name: &StateName,
         shape: StateShape,
+        sensor: Option<StateSensor>,
         map: &LiveMap,
     ) -> Result<Option<NewState>, AddStateError> {
         match known_state(map, &self.states_in_flight, &self.renames_in_flight, name) {
-            Some((_, found)) if found == shape => Ok(None),
+            Some((state, found)) if found == shape => {
+                let found = map.sensor(state).or_else(|| self.sensors_in_flight.get(&state).copied());
+                match sensor {
+                    Some(asked) if found != Some(asked) => {
+                        Err(AddStateError::OtherSensor { name: name.clone(), found, asked })
+                    }
+                    _ => Ok(None),
+                }
+            }
             Some((_, found)) => Err(AddStateError::OtherKind { name: name.clone(), found, asked: shape }),
             None => {
                 let mut allocator = StateAllocator {
@@ -170,8 +180,9 @@ impl Sessions {
                     renames: &self.renames_in_flight,
                     max: self.limits.states,
                 };
-                let new = allocator.add(name, shape);
-                new.map(Some).ok_or(AddStateError::TooMany { max: self.limits.states })
+                let new = allocator.add(name, shape).ok_or(AddStateError::TooMany { max: self.limits.states })?;
+                self.sensors_in_flight.extend(sensor.map(|sensor| (new.id, sensor)));
+                Ok(Some(NewState { sensor, ..new }))
             }
         }
     }
@@ -209,6 +220,7 @@ impl Sessions {
         for (_, name, _) in new.states() {
             self.states_in_flight.remove(&name);
         }
+        self.sensors_in_flight.remove(&new.id);
     }
 }
 

@@ -70,7 +70,7 @@ impl Writer {
         } else if let Some(error) = self.appends.failure() {
             Err(AddStateError::Storage(error.clone()))
         } else {
-            self.sessions.add_state(&add.name, add.shape, &self.map)
+            self.sessions.add_state(&add.name, add.shape, add.sensor, &self.map)
         };
         match event {
             Ok(Some(new)) => {

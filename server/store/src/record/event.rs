@@ -16,7 +16,7 @@ use tidemap_migrations::v1::{event as v1, log::FrameKind, site as v1_site};
 use super::{
     Invalid, columns,
     ids::{decode_kind, decode_new_producer, decode_refused, encode_kind, encode_new_producer, encode_refused},
-    scans, site, traversal,
+    scans, sensors, site, traversal,
 };
 
 /// Kinds of new vector states. The map stores a vector as states of continuous values, one per axis.
@@ -184,7 +184,8 @@ fn encode_new_state(state: &NewState) -> v1::NewState {
         StateShape::Vector(Dimensions::Three) => VECTOR_OF_THREE,
         StateShape::Angle => ANGLE,
     };
-    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind }
+    let sensor = state.sensor.map(sensors::encode_state_sensor);
+    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind, sensor }
 }
 
 fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
@@ -203,5 +204,9 @@ fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
     if let StateShape::Vector(_) | StateShape::Angle = shape {
         name.check_vector().map_err(|_| NAME)?;
     }
-    Ok(NewState { id: StateId(state.id), name, shape })
+    let sensor = state.sensor.as_ref().map(sensors::decode_state_sensor).transpose()?;
+    if sensor.is_some() && !shape.may_have_sensor() {
+        return Err("a state has a sensor, and is no probability");
+    }
+    Ok(NewState { id: StateId(state.id), name, shape, sensor })
 }

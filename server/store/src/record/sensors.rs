@@ -1,10 +1,11 @@
-//! Sensors of producers, and the numbers of the sensors of scans, and back.
+//! Sensors of producers and states, and the numbers of the sensors of scans, and back.
 //!
 //! Invariant: nothing is written if all scans are of the map's own sensor. Numbers fit into a byte; whether a map has
 //! such a sensor is checked elsewhere.
 
 use tidemap_grid::sensors::{ProducerSensor, SensorId};
 use tidemap_migrations::v1::map as v1;
+use tidemap_model::StateSensor;
 
 use super::Invalid;
 
@@ -21,6 +22,15 @@ pub(super) fn decode(message: Option<&v1::Sensor>) -> Result<Option<ProducerSens
     // NaN fails both comparisons.
     let is_sensor = (0.0..1.0).contains(&false_alarm) && hit > false_alarm && hit <= 1.0;
     if is_sensor { Ok(Some(ProducerSensor { hit, false_alarm })) } else { Err("the sensor of a producer is not valid") }
+}
+
+pub(super) fn encode_state_sensor(sensor: StateSensor) -> v1::Sensor {
+    v1::Sensor { hit_bits: sensor.hit().to_bits(), false_alarm_bits: sensor.false_alarm().to_bits() }
+}
+
+pub(super) fn decode_state_sensor(message: &v1::Sensor) -> Result<StateSensor, Invalid> {
+    let (hit, false_alarm) = (f64::from_bits(message.hit_bits), f64::from_bits(message.false_alarm_bits));
+    StateSensor::new(hit, false_alarm).map_err(|_| "the sensor of a state is not valid")
 }
 
 /// The number of a sensor.

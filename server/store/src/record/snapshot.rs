@@ -204,6 +204,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
         surprises: surprises::encode(state.model.surprises()),
         belief: state.model.belief().map(belief::encode),
         recent: belief::encode_recent(state.recent.spans()),
+        sensor: state.model.sensor().map(sensors::encode_state_sensor),
     }
 }
 
@@ -306,6 +307,13 @@ fn decode_model(
     let model = model.with_surprises(surprises::decode(message.surprises.as_ref())?);
     let model = match &message.belief {
         Some(known) => model.with_belief(belief::decode(kind, known)?),
+        None => model,
+    };
+    let model = match &message.sensor {
+        Some(_) if kind != StateKind::Probability => {
+            return Err("a state has a sensor, and is no probability".to_owned());
+        }
+        Some(sensor) => model.with_sensor(sensors::decode_state_sensor(sensor)?),
         None => model,
     };
     Ok(match &message.alternatives {

@@ -67,6 +67,7 @@ pub(crate) fn event(position: u64) -> Event {
                     id: StateId(id),
                     name: StateName::new(&format!("state {id}")).expect("valid"),
                     shape: StateKind::Probability.into(),
+                    sensor: None,
                 })
                 .collect(),
             states: (0..count).map(|_| StateId(random.random_range(0..3))).collect(),

@@ -48,6 +48,7 @@ fn events() -> Vec<Event> {
             id: StateId(0),
             name: StateName::new("Küche").expect("valid"),
             shape: StateKind::Probability.into(),
+            sensor: None,
         }],
         states: vec![StateId(0); 10],
         times_nanos: (0..10).map(|i| 1_700_000_000_000_000_000 + i * 1_000_000_000).collect(),
@@ -66,6 +67,7 @@ fn events() -> Vec<Event> {
             id: StateId(1),
             name: StateName::new("door").expect("valid"),
             shape: StateKind::Probability.into(),
+            sensor: None,
         }],
         states: vec![StateId(1), StateId(0), StateId(300)],
         times_nanos: vec![5, 1_700_000_100_000_000_000, 7],
@@ -90,7 +92,8 @@ fn events() -> Vec<Event> {
         StateShape::Vector(Dimensions::Three),
         StateShape::Angle,
     ];
-    let add = |(id, shape): (u32, StateShape)| NewState { id: StateId(id), name: named(shape.name()), shape };
+    let add =
+        |(id, shape): (u32, StateShape)| NewState { id: StateId(id), name: named(shape.name()), shape, sensor: None };
     events.extend((2..).zip(shapes).map(add).map(Event::AddState));
     events.extend(edits().into_iter().map(Event::EditSite));
     events.extend(

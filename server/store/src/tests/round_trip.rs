@@ -19,7 +19,7 @@ use tidemap_map::{
     traversal::{EdgeFailure, kept_reason},
 };
 use tidemap_migrations::v1::log::FrameKind;
-use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Persistence, Sample, StateModel, Zone};
+use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, Persistence, Sample, StateModel, StateSensor, Zone};
 
 use super::example::{snapshot, spec, state};
 use crate::record;
@@ -98,6 +98,7 @@ fn observations() -> impl Strategy<Value = Event> {
                             id: StateId(id),
                             name: StateName::new(&name).expect("valid"),
                             shape: shape(id as usize),
+                            sensor: None,
                         })
                         .chain(states_of_places())
                         .collect(),
@@ -133,7 +134,7 @@ fn states_of_places() -> impl Iterator<Item = NewState> {
         states.into_iter().chain([("speed/Hall/x", StateKind::Continuous), ("pace/a/b/c", StateKind::Continuous)]);
     states.zip(100..).map(|((name, kind), id)| {
         let name = StateName::stored(name).expect("valid");
-        NewState { id: StateId(id), name, shape: kind.into() }
+        NewState { id: StateId(id), name, shape: kind.into(), sensor: None }
     })
 }
 
@@ -159,10 +160,14 @@ fn shape(number: usize) -> StateShape {
 }
 
 fn add_state() -> impl Strategy<Value = Event> {
-    (any::<u32>(), "[a-zü ]{5,20}", 0..5_usize).prop_map(|(id, name, kind)| {
-        let name = StateName::new(&name).expect("valid");
-        Event::AddState(NewState { id: StateId(id), name, shape: shape(kind) })
-    })
+    (any::<u32>(), "[a-zü ]{5,20}", 0..5_usize, option::of((0.5..=1.0, 0.0..0.5))).prop_map(
+        |(id, name, kind, sensor)| {
+            let (name, shape) = (StateName::new(&name).expect("valid"), shape(kind));
+            let sensor = sensor.and_then(|(hit, false_alarm)| StateSensor::new(hit, false_alarm).ok());
+            let sensor = sensor.filter(|_| shape.may_have_sensor());
+            Event::AddState(NewState { id: StateId(id), name, shape, sensor })
+        },
+    )
 }
 
 fn topology_edit() -> impl Strategy<Value = TopologyEdit> {

@@ -46,6 +46,7 @@ fn events(seed: u64) -> Vec<Event> {
             id: StateId(id),
             name: StateName::new(&format!("door {id}")).expect("valid"),
             shape: StateKind::Probability.into(),
+            sensor: None,
         };
         let first_sequence = sequence + 1;
         sequence += readings.len() as u64;

@@ -9,7 +9,7 @@ use super::*;
 
 fn new_state(id: u32, kind: StateKind) -> Event {
     let name = StateName::new(&format!("s{id}")).expect("valid");
-    Event::AddState(NewState { id: StateId(id), name, shape: kind.into() })
+    Event::AddState(NewState { id: StateId(id), name, shape: kind.into(), sensor: None })
 }
 
 /// A map with one state of each kind: probability, continuous, count.
@@ -48,6 +48,28 @@ fn a_state_that_was_added_is_there_before_anything_is_observed_of_it() {
     let position = map.position() + 1;
     assert!(map.apply(position, &new_state(1, StateKind::Continuous)).is_err(), "it is not new");
     assert!(map.apply(position, &new_state(7, StateKind::Continuous)).is_err(), "a number is left out");
+}
+
+#[test]
+fn a_state_keeps_its_sensor_and_believes_it_before_and_after_an_update() {
+    let sensor = tidemap_model::StateSensor::new(0.9, 0.05).expect("a sensor");
+    let mut map = LiveMap::new(spec());
+    let name = StateName::new("s0").expect("valid");
+    let new = NewState { id: StateId(0), name, shape: StateShape::default(), sensor: Some(sensor) };
+    apply(&mut map, &Event::AddState(new));
+    let read = event(&map, &[(0, HOUR, 1.0)]);
+    apply(&mut map, &read);
+    let belief = ModelSelector { blend: Blend::Belief, ..ModelSelector::default() };
+    // Either value is as likely before it.
+    let expected = 0.05 + 0.85 * 0.9 / 0.95;
+    let now = |map: &mut LiveMap| predict_by(&map.publish(), 0, belief, HOUR);
+    assert!((now(&mut map) - expected).abs() < 1e-12);
+    let snapshot = update(&mut map, None);
+    assert!((now(&mut map) - expected).abs() < 1e-12);
+    let mut restored = LiveMap::restore(spec(), snapshot);
+    assert_eq!(restored.sensor(StateId(0)), Some(sensor));
+    assert!((now(&mut restored) - expected).abs() < 1e-12);
+    assert_eq!(restored.publish().info(StateId(0)).and_then(|info| info.sensor), Some(sensor));
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! States that are added before anything is observed of them, and the effect of a state's kind on its observations.
 
 use tidemap_map::{
-    event::{Dimensions, Position, SequenceSpan, StateKind, StateShape},
+    event::{Dimensions, Position, SequenceSpan, StateKind, StateSensor, StateShape},
     ids::StateId,
 };
 
@@ -11,7 +11,16 @@ use crate::ingest::protocol::{AddState, AddStateError, NewName};
 async fn add(handle: &MapHandle, name: &str, kind: StateKind) -> Result<(), AddStateError> {
     let (reply, answer) = oneshot::channel();
     let name = StateName::new(name).expect("valid");
-    assert!(handle.send(Command::AddState(AddState { name, shape: kind.into(), reply })));
+    assert!(handle.send(Command::AddState(AddState { name, shape: kind.into(), sensor: None, reply })));
+    answer.await.expect("an answer")
+}
+
+/// Adds a state with a sensor of this hit; `None`: not stated.
+async fn add_with(handle: &MapHandle, name: &str, hit: Option<f64>) -> Result<(), AddStateError> {
+    let (reply, answer) = oneshot::channel();
+    let name = StateName::new(name).expect("valid");
+    let sensor = hit.map(|hit| StateSensor::new(hit, 0.05).expect("a sensor"));
+    assert!(handle.send(Command::AddState(AddState { name, shape: StateShape::default(), sensor, reply })));
     answer.await.expect("an answer")
 }
 
@@ -76,6 +85,33 @@ async fn a_state_that_was_added_is_shown_and_survives_a_restart() {
     let kinds: Vec<StateKind> = view.infos().map(|info| info.kind).collect();
     assert_eq!(kinds[..2], [StateKind::Continuous, StateKind::Count]);
     assert_eq!(view.len(), 10);
+}
+
+#[tokio::test]
+async fn the_sensor_of_a_state_never_changes() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    {
+        let bench = bench(dir.path(), NOON);
+        let handle = create(&bench).await;
+        // Three requests for the same state at once.
+        let answers = tokio::join!(
+            add_with(&handle, "door", Some(0.9)),
+            add_with(&handle, "door", Some(0.8)),
+            add_with(&handle, "door", Some(0.9)),
+        );
+        assert!(matches!(answers, (Ok(()), Err(AddStateError::OtherSensor { .. }), Ok(()))), "{answers:?}");
+        assert_eq!(add_with(&handle, "door", None).await, Ok(()), "it has the sensor that it has");
+        let other = add_with(&handle, "door", Some(0.7)).await;
+        assert!(matches!(other, Err(AddStateError::OtherSensor { found: Some(_), .. })), "{other:?}");
+        assert_eq!(add_with(&handle, "gate", None).await, Ok(()));
+        let late = add_with(&handle, "gate", Some(0.9)).await;
+        assert!(matches!(late, Err(AddStateError::OtherSensor { found: None, .. })), "{late:?}");
+        bench.catalog.stop().await;
+        bench.catalog.context().store.close();
+    }
+    let view = bench(dir.path(), NOON).catalog.get("office").expect("there").view();
+    let hits: Vec<Option<f64>> = view.infos().map(|info| info.sensor.map(StateSensor::hit)).collect();
+    assert_eq!(hits, [Some(0.9), None]);
 }
 
 #[tokio::test]

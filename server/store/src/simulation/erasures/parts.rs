@@ -43,6 +43,7 @@ fn observed(half_day: i64, without: &Selection) -> Event {
         id: StateId(id),
         name: StateName::new(&format!("s{id}")).expect("valid"),
         shape: StateKind::Probability.into(),
+        sensor: None,
     };
     Event::Observations(
         Envelope {
