@@ -1,9 +1,9 @@
-//! The ensemble of a state of probabilities.
+//! The ensembles of states.
 //!
 //! Invariant: a list of numbers has the length that the model requires; the reader checks that. Lists of singles are
 //! IEEE 754 singles of four bytes, little-endian.
 
-/// All that an ensemble has learned; absent where it is not enabled.
+/// All that an ensemble of probabilities has learned; absent where it is not enabled.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Ensemble {
     /// Sum and number of all looks.
@@ -117,4 +117,36 @@ pub struct Said {
     /// As [`Ensemble::rhythm_bits`].
     #[prost(fixed64, repeated, tag = "4")]
     pub rhythm_bits: Vec<u64>,
+}
+
+/// All that an ensemble of continuous values or counts has learned.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct NumberEnsemble {
+    /// The last learned day, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "1")]
+    pub last_day: Option<i32>,
+    /// Doubles, little-endian, all values relative to the first look. In turn: the first look; number, mean and summed
+    /// squared deviations of all looks; losses of 11 members, and the looks that they are of; by hour of the day 24 sums
+    /// and 24 numbers of looks for each weekday from Monday on, then of weekdays and of the weekend in tables with
+    /// half-lives of 21, 7 and 2 days; of the slow and of the fast stack 121 sums of squares, 11 of products, 11
+    /// weights; by hour of weekdays, then of the weekend sum of squares and number of errors; of each class of the time
+    /// ahead, the shortest first, 49 sums of squares, 7 of products, 7 weights, losses of 3 members and their looks, sum of
+    /// squares and number of errors, four means of tables at its last turn, and at the one before; of each of 14 days, by its number modulo 14, 48 values
+    /// by half-hour.
+    #[prost(bytes = "vec", tag = "2")]
+    pub numbers: Vec<u8>,
+    /// Of each of the 14 days: bits by half-hour, looked at.
+    #[prost(fixed64, repeated, tag = "3")]
+    pub seen: Vec<u64>,
+    /// The turns of the five classes of the time ahead.
+    #[prost(message, repeated, tag = "4")]
+    pub turns: Vec<Turns>,
+}
+
+/// The last turns of a class of the time ahead.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Turns {
+    /// Their days, the newer first; at most two.
+    #[prost(sint32, repeated, tag = "1")]
+    pub days: Vec<i32>,
 }

@@ -511,9 +511,12 @@ pub struct Alternatives {
     /// Sum of |change of value| between readings.
     #[prost(fixed64, tag = "19")]
     pub changes_bits: u64,
-    /// The ensemble; absent where it is not enabled.
+    /// The ensemble of a probability; absent where it is not enabled.
     #[prost(message, optional, boxed, tag = "20")]
     pub ensemble: Option<Box<super::ensemble::Ensemble>>,
+    /// The ensemble of a state that is no probability; absent where it is not enabled.
+    #[prost(message, optional, boxed, tag = "21")]
+    pub numbers: Option<Box<super::ensemble::NumberEnsemble>>,
 }
 
 /// The calibrated model of a state, as it was last trained.

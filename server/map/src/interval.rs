@@ -1,7 +1,8 @@
 //! Prediction intervals: the band in which the mean over the hour around a moment lies with a given probability.
 //!
-//! Where a state has an ensemble, its predictive distribution gives the band and the probability that it holds;
-//! elsewhere the spread of single hours does, and the band is said to hold its level.
+//! Where a state of probabilities has an ensemble, its predictive distribution gives the band and the probability that
+//! it holds. Where a state of other values has one, its errors so far ahead give the band; elsewhere the spread of
+//! single hours does. These bands are said to hold their level.
 //!
 //! Invariant: a band holds its prediction and lies in the bounds of the state's kind. The band of a probability that
 //! was never observed is [0, 1]; a state of another kind has none then.
@@ -9,7 +10,7 @@
 use tidemap_grid::view::CellDescription;
 use tidemap_model::{
     HeldInterval, StateKind,
-    models::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval},
+    models::{HourMoments, HourTable, Interval, Moment, credible_interval, value_interval, value_interval_of},
 };
 
 use crate::{ids::StateId, view::MapView};
@@ -87,6 +88,10 @@ impl MapView {
         let (kind, folded) = (self.kind(id), self.model(id).accumulator());
         if kind != StateKind::Probability {
             let Some(spreads) = spreads.filter(|_| folded.observations() >= 2) else { return Vec::new() };
+            if let Some(variances) = self.model(id).variances_around(&self.spec.periodicities, moments, probabilities) {
+                let pairs = variances.into_iter().zip(probabilities);
+                return pairs.map(|(variance, &p)| held(value_interval_of(kind, p, variance, level))).collect();
+            }
             let readings = folded.variance();
             let pairs = moments.iter().zip(probabilities);
             return pairs.map(|(&at, &p)| held(spreads.value_interval(kind, p, at, readings, level))).collect();

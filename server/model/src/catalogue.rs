@@ -196,7 +196,7 @@ impl ModelKind {
             Self::HypertimeKm { .. } => row("hypertime-km", All, HIGH, OF_CLUSTERS),
             Self::Poisson => row("poisson", Counts, LOW, &["bin", "period_base", "period_count"]),
             Self::Calibrated => row("calibrated", All, LOW, &[]),
-            Self::Ensemble => row("ensemble", Probabilities, Training::PublishedOfStates, &[]),
+            Self::Ensemble => row("ensemble", All, Training::PublishedOfStates, &[]),
         }
     }
 

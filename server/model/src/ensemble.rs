@@ -11,9 +11,11 @@
 //! Invariant: what an ensemble knows is a function of the looks and their days, as long as days come in order and are
 //! not split; predictions are at least 0.001 away from 0 and 1.
 
+mod any;
 mod calibration;
 mod forecast;
 mod looks;
+mod numbers;
 mod outlook;
 mod parts;
 mod pool;
@@ -28,9 +30,11 @@ mod week_table;
 
 use std::sync::OnceLock;
 
+pub use any::AnyEnsemble;
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
 use looks::{DayLooks, HOURS, SLOT_NANOS, SLOTS, slot_at};
+pub use numbers::{NumberEnsemble, NumberEnsembleParts, Others};
 use outlook::{FarWeights, Outlook, Profile};
 pub use parts::{ClassParts, EnsembleParts, SaidParts};
 use pool::{Member, Pool};

@@ -67,7 +67,10 @@ pub use belief::{
 };
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
-pub use ensemble::{ClassParts, Ensemble, EnsembleParts, SaidParts, TrainedEnsemble};
+pub use ensemble::{
+    AnyEnsemble, ClassParts, Ensemble, EnsembleParts, NumberEnsemble, NumberEnsembleParts, Others, SaidParts,
+    TrainedEnsemble,
+};
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};

@@ -36,7 +36,7 @@ pub use hypertime::{
     FieldReading, Hypertime, HypertimeAxis, HypertimeCluster, HypertimeDistribution, HypertimeField,
     HypertimeFieldParts, HypertimeMethod, HypertimeOddsParts, HypertimeOptions, HypertimeParts, HypertimePeriod,
 };
-pub use interval::{HourMoments, Interval, credible_interval, value_interval, value_tail};
+pub use interval::{HourMoments, Interval, credible_interval, value_interval, value_interval_of, value_tail};
 pub use latest::{Latest, LatestParts};
 pub use markov_chain::{MarkovChain, MarkovChainParts};
 pub use mean::{Mean, MeanParts};

@@ -13,8 +13,8 @@ use crate::catalogue::{ModelKind, TrainedModel};
 use crate::evaluate::score_samples;
 use crate::models::{Moment, OrderGains, TemporalModel as _};
 use crate::{
-    Accumulator, Belief, Ensemble, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities,
-    Predictive, Sample, StateKind, Surprises,
+    Accumulator, AnyEnsemble, Belief, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Others,
+    Periodicities, Predictive, Sample, StateKind, Surprises,
 };
 
 mod alternatives;
@@ -157,7 +157,7 @@ impl StateModel {
     }
 
     /// The ensemble, if it answers: it is enabled, and has looks.
-    pub fn ensemble(&self) -> Option<&Ensemble> {
+    pub fn ensemble(&self) -> Option<&AnyEnsemble> {
         self.alternatives.as_ref()?.ensemble().filter(|ensemble| ensemble.last_day().is_some())
     }
 
@@ -178,13 +178,13 @@ impl StateModel {
     /// The predictive distributions of a probability at moments, which are best in order of time; `None` where no
     /// ensemble answers. `periodicities` are those of its map.
     pub fn predictive(&self, periodicities: &Periodicities, moments: &[Moment]) -> Option<Vec<Predictive>> {
-        Some(self.ensemble()?.predict(moments, &self.chosen_member(periodicities)))
+        Some(self.ensemble()?.of_probability()?.predict(moments, &self.chosen_member(periodicities)))
     }
 
     /// The predictive distributions around predictions of any model of a probability: how many looks speak for an hour,
     /// and how its readings depend on each other, do not depend on the model. `None` where no ensemble answers.
     pub fn predictive_around(&self, moments: &[Moment], probabilities: &[f64]) -> Option<Vec<Predictive>> {
-        let ensemble = self.ensemble()?;
+        let ensemble = self.ensemble()?.of_probability()?;
         let pairs = moments.iter().zip(probabilities);
         Some(pairs.map(|(&at, &probability)| ensemble.around(at, probability)).collect())
     }
@@ -308,7 +308,7 @@ impl StateModel {
             // Clocks set back over midnight return to a date that has already ended: this is not a new day.
             let length = rest.iter().position(|sample| sample.local_day() > day).unwrap_or(rest.len());
             let (of_day, later) = rest.split_at(length);
-            self.with_ensemble(periodicities, rules, |ensemble, chosen| ensemble.prepare(day, chosen));
+            self.with_ensemble(periodicities, rules, |ensemble, others| ensemble.prepare(day, others));
             let mut surprises = std::mem::take(&mut self.surprises);
             judge(self, of_day, &mut surprises);
             self.surprises = surprises;
@@ -365,9 +365,9 @@ impl StateModel {
     ) -> Option<f64> {
         let newer_than = self.accumulator.last_nanos().unwrap_or(i64::MIN);
         let newer = &of_day[of_day.partition_point(|sample| sample.utc_nanos <= newer_than)..];
-        self.with_ensemble(periodicities, rules, |ensemble, chosen| {
+        self.with_ensemble(periodicities, rules, |ensemble, others| {
             let answered = ensemble.last_day().is_some();
-            ensemble.learn_day(day, of_day, newer, chosen).filter(|_| answered)
+            ensemble.learn_day(day, of_day, newer, others).filter(|_| answered)
         })?
     }
 
@@ -376,13 +376,14 @@ impl StateModel {
         &mut self,
         periodicities: &Periodicities,
         rules: UpdateRules,
-        change: impl FnOnce(&mut Ensemble, &ChosenMember<'_>) -> T,
+        change: impl FnOnce(&mut AnyEnsemble, Others<'_>) -> T,
     ) -> Option<T> {
         let kind = self.kind();
         let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(kind, rules.models)));
         // Out of the state meanwhile, which has the model that was chosen.
         let mut ensemble = alternatives.ensemble_mut().take().filter(|_| rules.models.has_ensemble())?;
-        let changed = change(Arc::make_mut(&mut ensemble), &self.chosen_member(periodicities));
+        let chosen = self.chosen_member(periodicities);
+        let changed = change(Arc::make_mut(&mut ensemble), chosen.others());
         if let Some(alternatives) = &mut self.alternatives {
             *alternatives.ensemble_mut() = Some(ensemble);
         }

@@ -14,6 +14,7 @@ mod ensemble;
 pub(crate) mod event;
 pub(crate) mod history;
 mod ids;
+mod numbers;
 mod observation_runs;
 mod offsets;
 pub(crate) mod published;

@@ -88,8 +88,8 @@ fn states_are_supported_by_the_meaning_of_their_values() {
         kinds.map(ModelKind::name).collect::<Vec<_>>()
     };
     assert_eq!(names(StateKind::Probability), ["poisson"]);
-    assert_eq!(names(StateKind::Continuous), ["persistence", "uniform", "pergam", "poisson", "ensemble"]);
-    assert_eq!(names(StateKind::Count), ["persistence", "uniform", "pergam", "ensemble"]);
+    assert_eq!(names(StateKind::Continuous), ["persistence", "uniform", "pergam", "poisson"]);
+    assert_eq!(names(StateKind::Count), ["persistence", "uniform", "pergam"]);
 }
 
 #[test]

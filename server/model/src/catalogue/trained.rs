@@ -119,7 +119,7 @@ impl ModelKind {
                 TrainedModel::Poisson(Box::new(CountRate::train_in_bins(readings, periodicities, bin_nanos)?))
             }
             Self::Calibrated => TrainedModel::Calibrated(Calibrated::train(readings, CalibratedOptions::default())?),
-            Self::Ensemble => TrainedModel::Ensemble(Box::new(TrainedEnsemble::train(readings)?)),
+            Self::Ensemble => TrainedModel::Ensemble(Box::new(TrainedEnsemble::train(readings, kind)?)),
         })
     }
 

@@ -3,9 +3,9 @@
 //! Its chosen model is the calibrated one, trained again on the days on which updates train it. Invariant: each day is
 //! predicted by what was trained on the days before it.
 
-use super::Ensemble;
+use super::{AnyEnsemble, Others};
 use crate::{
-    LocalDay,
+    LocalDay, StateKind,
     models::{Calibrated, CalibratedOptions, CannotTrain, Moment, NIGHTLY_WINDOW_NANOS, Readings, TemporalModel},
 };
 
@@ -17,7 +17,8 @@ const FIRST_DAYS: i64 = 3;
 /// An ensemble with its chosen model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrainedEnsemble {
-    ensemble: Ensemble,
+    kind: StateKind,
+    ensemble: AnyEnsemble,
     chosen: Option<Calibrated>,
 }
 
@@ -30,32 +31,33 @@ impl TemporalModel for MeanAlone {
     }
 }
 
+/// The mean is all that is known of all history.
+fn others<'a>(chosen: Option<&'a Calibrated>, mean: &'a MeanAlone) -> Others<'a> {
+    match chosen {
+        Some(chosen) => Others { chosen, lasting: mean },
+        None => Others { chosen: mean, lasting: mean },
+    }
+}
+
 impl TrainedEnsemble {
-    /// Trains it on the readings of a state of probabilities. A half-life does not apply: the members forget by
-    /// themselves.
+    /// Trains it on the readings of a state whose values are of a kind. A half-life does not apply: the members forget
+    /// by themselves.
     ///
     /// # Errors
     /// [`CannotTrain`] where there are no readings, or it is told to stop.
-    pub fn train(readings: Readings<'_>) -> Result<TrainedEnsemble, CannotTrain> {
+    pub fn train(readings: Readings<'_>, kind: StateKind) -> Result<TrainedEnsemble, CannotTrain> {
         let samples = readings.samples;
         if samples.is_empty() {
             return Err(CannotTrain::NoReadings);
         }
-        let mut trained = TrainedEnsemble { ensemble: Ensemble::new(), chosen: None };
+        let mut trained = TrainedEnsemble { kind, ensemble: AnyEnsemble::new(kind), chosen: None };
         let (mut days, mut trained_on, mut seen) = (0, None::<LocalDay>, 0);
         for of_day in samples.chunk_by(|one, next| one.local_day() == next.local_day()) {
             readings.stop.check()?;
             let (Some(first), Some(newest)) = (of_day.first(), of_day.last()) else { continue };
             let day = first.local_day();
-            match &trained.chosen {
-                Some(chosen) => {
-                    trained.ensemble.learn_day(day, of_day, &[], chosen);
-                }
-                None => {
-                    let mean = MeanAlone(trained.ensemble.mean());
-                    trained.ensemble.learn_day(day, of_day, &[], &mean);
-                }
-            }
+            let mean = MeanAlone(trained.ensemble.mean());
+            trained.ensemble.learn_day(day, of_day, &[], others(trained.chosen.as_ref(), &mean));
             seen += of_day.len();
             days += 1;
             let since = trained_on.map(|last| i64::from(day.0) - i64::from(last.0));
@@ -76,10 +78,7 @@ impl TrainedEnsemble {
 impl TemporalModel for TrainedEnsemble {
     fn predict(&self, at: Moment) -> f64 {
         let mean = MeanAlone(self.ensemble.mean());
-        let chosen: &dyn TemporalModel = match &self.chosen {
-            Some(chosen) => chosen,
-            None => &mean,
-        };
-        self.ensemble.predict(&[at], chosen).first().map_or(mean.0, |predicted| predicted.value())
+        let predicted = self.ensemble.predict(&[at], others(self.chosen.as_ref(), &mean));
+        self.kind.saturate(predicted.first().copied().unwrap_or(mean.0))
     }
 }

@@ -14,7 +14,7 @@ mod values;
 
 pub use beta::credible_interval;
 pub use single::value_tail;
-pub use values::value_interval;
+pub use values::{value_interval, value_interval_of};
 
 #[cfg(test)]
 mod tests;

@@ -9,7 +9,7 @@
 use std::sync::Arc;
 
 use crate::{
-    Accumulator, Ensemble, Gaps, LocalDay, ORDER_MAX, Periodicities, Persistence, Sample, SpectralModel, StateKind,
+    Accumulator, AnyEnsemble, Gaps, LocalDay, ORDER_MAX, Periodicities, Persistence, Sample, SpectralModel, StateKind,
     catalogue::{EnabledModels, HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel},
     models::{
         ChangeAlarm, DependenceSums, Histogram, HourTable, Moment, OrderGains, TemporalModel,
@@ -134,9 +134,9 @@ pub struct Alternatives {
     days: u32,
     /// The first local day of the present routine, by the change alarm.
     since: Option<LocalDay>,
-    /// What answers where it is enabled: probabilities only.
+    /// What answers where it is enabled.
     /// Shared: readers have it too.
-    ensemble: Option<Arc<Ensemble>>,
+    ensemble: Option<Arc<AnyEnsemble>>,
     /// By their places in [`TRAINED_AT_NIGHT`].
     trained: [Option<TrainingRecord>; TRAINED_AT_NIGHT.len()],
 }
@@ -206,18 +206,18 @@ impl Alternatives {
 
     /// Untrained alternatives with these models enabled.
     pub(super) fn new(kind: StateKind, models: EnabledModels) -> Alternatives {
-        let ensemble = Some(Arc::default()).filter(|_| models.has_ensemble() && kind == StateKind::Probability);
+        let ensemble = models.has_ensemble().then(|| Arc::new(AnyEnsemble::new(kind)));
         let parts = Errors { histograms: models.has_histograms().then(Default::default), ..Errors::default() };
         Alternatives { parts, ensemble, ..Alternatives::default() }
     }
 
-    /// The ensemble of the models; `None` where it is not enabled, and of a state that is no probability.
-    pub fn ensemble(&self) -> Option<&Ensemble> {
+    /// The ensemble of the models; `None` where it is not enabled.
+    pub fn ensemble(&self) -> Option<&AnyEnsemble> {
         self.ensemble.as_deref()
     }
 
     /// The ensemble to be changed.
-    pub(super) fn ensemble_mut(&mut self) -> &mut Option<Arc<Ensemble>> {
+    pub(super) fn ensemble_mut(&mut self) -> &mut Option<Arc<AnyEnsemble>> {
         &mut self.ensemble
     }
 

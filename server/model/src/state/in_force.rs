@@ -21,11 +21,12 @@ impl StateModel {
         moments: &[Moment],
         out: &mut [f64],
     ) {
-        if let Some(predicted) = self.predictive(periodicities, moments) {
-            out.iter_mut().zip(&predicted).for_each(|(out, predicted)| *out = predicted.value());
+        let (kind, spectral, order) = (self.kind(), self.spectral(), self.order());
+        if let Some(ensemble) = self.ensemble() {
+            let predicted = ensemble.predict(moments, self.chosen_member(periodicities).others());
+            out.iter_mut().zip(predicted).for_each(|(out, predicted)| *out = kind.saturate(predicted));
             return;
         }
-        let (kind, spectral, order) = (self.kind(), self.spectral(), self.order());
         match self.chosen(periodicities) {
             None => spectral.predict_values_into(kind, order, phasors, out),
             // Faster than [`Combination`](super::Combination)'s own prediction: all times share their phasors.
@@ -44,6 +45,23 @@ impl StateModel {
                 out.iter_mut().zip(moments).for_each(|(out, &moment)| *out = chosen.predict(moment));
             }
         }
+    }
+
+    /// The expected squared distances of the means of the hours around moments from predictions of any model: that of
+    /// the ensemble's own prediction, and how far the two are apart. `None` where no ensemble of numbers answers.
+    /// `periodicities` are those of its map.
+    pub fn variances_around(
+        &self,
+        periodicities: &Periodicities,
+        moments: &[Moment],
+        values: &[f64],
+    ) -> Option<Vec<f64>> {
+        let ensemble = self.ensemble()?.of_number()?;
+        let own = ensemble.predict(moments, self.chosen_member(periodicities).others());
+        let variance = |((&at, own), value): ((&Moment, f64), &f64)| {
+            ensemble.variance(at) + (self.kind().saturate(own) - value).powi(2)
+        };
+        Some(moments.iter().zip(own).zip(values).map(variance).collect())
     }
 
     /// The predictions of what answers by default at the times of samples; `periodicities` are those of its map.

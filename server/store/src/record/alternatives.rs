@@ -9,7 +9,7 @@ use tidemap_model::{
     models::{CalibratedParts, ChangeAlarmParts, DayErrors, HourTableParts, OrderGainsParts},
 };
 
-use super::{Invalid, doubles, ensemble, trained};
+use super::{Invalid, doubles, ensemble, numbers, trained};
 
 /// Hours of a week, with two numbers each.
 const WEEK: usize = 168 * 2;
@@ -45,6 +45,7 @@ pub(crate) fn encode(alternatives: &Alternatives, weight: Option<f64>) -> v1::Al
         gaps: parts.gaps.count,
         changes_bits: parts.changes.to_bits(),
         ensemble: parts.ensemble.as_deref().map(|parts| Box::new(ensemble::encode(parts))),
+        numbers: parts.numbers.as_deref().map(|parts| Box::new(numbers::encode(parts))),
         kept_gaps: parts.gaps.kept.iter().flat_map(|&(number, secs)| [number, u64::from(secs)]).collect(),
     }
 }
@@ -150,6 +151,7 @@ pub(crate) fn decode(
         days: message.days,
         since: message.since.map(LocalDay),
         ensemble: message.ensemble.as_deref().map(ensemble::decode).transpose()?.map(Box::new),
+        numbers: message.numbers.as_deref().map(|own| Box::new(numbers::decode(own))),
         trained: calibrated.into_iter().chain(trained::decode(&message.trained, periodicities)?).collect(),
     };
     Alternatives::from_parts_of(state_kind, parts).map_err(|error| error.to_string())

@@ -61,6 +61,7 @@ pub(super) fn alternatives(calibrated: Option<Option<f64>>) -> Alternatives {
         days: 28,
         since: None,
         ensemble: None,
+        numbers: None,
         trained: Vec::from_iter(calibrated.map(|error_sum| TrainingRecordParts {
             model: TrainedModelParts::Calibrated(CalibratedParts {
                 observations: 40_320,

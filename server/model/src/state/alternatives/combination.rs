@@ -7,7 +7,7 @@
 
 use super::{ActiveModel, Alternatives, CLEARLY_LOWER};
 use crate::{
-    Periodicities, SpectralModel, StateKind,
+    Others, Periodicities, SpectralModel, StateKind,
     catalogue::ModelKind,
     models::{Moment, TemporalModel},
 };
@@ -42,6 +42,13 @@ impl TemporalModel for SpectralAtOrder<'_> {
 pub struct ChosenMember<'a> {
     pub(in crate::state) chosen: Option<ActiveModel<'a>>,
     pub(in crate::state) spectral: SpectralAtOrder<'a>,
+}
+
+impl ChosenMember<'_> {
+    /// What an ensemble needs beside itself.
+    pub fn others(&self) -> Others<'_> {
+        Others { chosen: self, lasting: &self.spectral }
+    }
 }
 
 impl TemporalModel for ChosenMember<'_> {

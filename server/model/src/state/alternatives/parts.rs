@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use super::{Alternatives, Errors, TrainingRecord};
 use crate::{
-    Ensemble, EnsembleParts, Gaps, GapsParts, InvalidParts, LocalDay, Persistence, PersistenceParts, StateKind,
+    AnyEnsemble, Ensemble, EnsembleParts, Gaps, GapsParts, InvalidParts, LocalDay, NumberEnsemble, NumberEnsembleParts,
+    Persistence, PersistenceParts, StateKind,
     catalogue::{HISTOGRAMS, ModelKind, TRAINED_AT_NIGHT, TrainedModel, TrainedModelParts},
     models::{ChangeAlarm, ChangeAlarmParts, HourTable, HourTableParts, OrderGains, OrderGainsParts},
 };
@@ -42,8 +43,10 @@ pub struct AlternativesParts {
     pub since: Option<LocalDay>,
     /// The models that were trained on readings, at most one of a kind.
     pub trained: Vec<TrainingRecordParts>,
-    /// The ensemble, where it is enabled.
+    /// The ensemble of a state of probabilities, where it is enabled.
     pub ensemble: Option<Box<EnsembleParts>>,
+    /// The ensemble of a state of other values, where it is enabled.
+    pub numbers: Option<Box<NumberEnsembleParts>>,
 }
 
 /// The stored form of a model that was trained on readings.
@@ -75,7 +78,8 @@ impl Alternatives {
             days: self.days,
             since: self.since,
             trained: self.trained.iter().flatten().filter_map(TrainingRecord::to_parts).collect(),
-            ensemble: self.ensemble.as_ref().map(|ensemble| Box::new(ensemble.to_parts())),
+            ensemble: self.ensemble().and_then(AnyEnsemble::of_probability).map(|own| Box::new(own.to_parts())),
+            numbers: self.ensemble().and_then(AnyEnsemble::of_number).map(|own| Box::new(own.to_parts())),
         }
     }
 
@@ -104,12 +108,16 @@ impl Alternatives {
             InvalidParts::check("error sum", sum, 0.0..=f64::MAX)?;
         }
         InvalidParts::check("sum of changes", parts.changes, 0.0..=f64::MAX)?;
-        if kind != StateKind::Probability && parts.ensemble.is_some() {
-            return Err(InvalidParts::OutOfRange {
-                field: "ensemble of a state that is no probability",
-                found: f64::NAN,
-            });
+        let is_of_other_kind =
+            if kind == StateKind::Probability { parts.numbers.is_some() } else { parts.ensemble.is_some() };
+        if is_of_other_kind {
+            return Err(InvalidParts::OutOfRange { field: "ensemble of another kind of states", found: f64::NAN });
         }
+        let of_probability = parts.ensemble.map(|parts| Ensemble::from_parts(&parts)).transpose()?;
+        let of_number = parts.numbers.map(|parts| NumberEnsemble::from_parts(&parts)).transpose()?;
+        let ensemble = of_probability
+            .map(|own| AnyEnsemble::Probability(Box::new(own)))
+            .or(of_number.map(|own| AnyEnsemble::Number(Box::new(own))));
         let mut trained = [const { None }; TRAINED_AT_NIGHT.len()];
         for record in parts.trained {
             let model = TrainedModel::from_parts_of(kind, record.model)?;
@@ -142,7 +150,7 @@ impl Alternatives {
             gains: OrderGains::from_parts(parts.gains)?,
             days: parts.days,
             since: parts.since,
-            ensemble: parts.ensemble.map(|parts| Ensemble::from_parts(&parts).map(Arc::new)).transpose()?,
+            ensemble: ensemble.map(Arc::new),
             trained,
         })
     }

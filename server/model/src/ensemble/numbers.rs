@@ -1,0 +1,282 @@
+//! An ensemble of members that predict the looks of one state of continuous values or counts.
+//!
+//! The members are tables by hour of the day, of weekdays or the weekend and of the week, some of which forget within
+//! days; what the readings of the last days left over; the model that the nightly update chose; and two linear stacks
+//! of all of these ([`stack`]). They are weighted by how well each predicted the days before they were learned. Beyond
+//! the next day stacks of the tables alone answer ([`ahead`]), because there are no readings of the days between.
+//!
+//! Invariant: what it knows is a function of the looks and their days, as long as days come in order and are not split.
+//! The unit does not matter: values times a factor, plus a constant, give predictions times the factor, plus the
+//! constant. So values are kept relative to the first look, and nothing is compared but errors with errors.
+
+mod ahead;
+mod members;
+mod parts;
+mod spread;
+mod stack;
+mod table;
+
+use ahead::{Ahead, AheadMembers};
+use members::{DayMembers, MEMBERS, PRIORS, Pool, pooled};
+pub use parts::NumberEnsembleParts;
+use spread::Spread;
+use stack::LinearStack;
+use table::{Levels, Tables};
+
+use super::looks::{DayLooks, SLOTS, slot_at};
+use crate::{LocalDay, Sample, models::Moment, models::TemporalModel};
+
+/// The shares of their sums that the stacks keep after each further observed day.
+const SLOW: f64 = 0.985;
+const FAST: f64 = 0.94;
+/// Days of which the looks are kept.
+const RECALL_DAYS: usize = 14;
+
+/// The models beside the ensemble that it needs.
+#[derive(Clone, Copy)]
+pub struct Others<'a> {
+    /// The model that the update chose.
+    pub chosen: &'a dyn TemporalModel,
+    /// A model of all history, which speaks as well of times far ahead.
+    pub lasting: &'a dyn TemporalModel,
+}
+
+/// What was seen on one day, half-hour by half-hour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct SeenDay {
+    /// Bit by half-hour: looked at.
+    seen: u64,
+    values: [f64; SLOTS],
+}
+
+const UNSEEN: SeenDay = SeenDay { seen: 0, values: [0.0; SLOTS] };
+
+/// Number, mean and sum of the squared deviations of all looks.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Moments {
+    looks: f64,
+    mean: f64,
+    squares: f64,
+}
+
+impl Moments {
+    fn add(&mut self, value: f64) {
+        self.looks += 1.0;
+        let deviation = value - self.mean;
+        self.mean += deviation / self.looks;
+        self.squares += deviation * (value - self.mean);
+    }
+
+    fn variance(&self) -> f64 {
+        self.squares / self.looks.max(1.0)
+    }
+}
+
+/// An ensemble of one state of continuous values or counts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NumberEnsemble {
+    /// The first look; all other values are relative to it.
+    origin: f64,
+    last: Option<LocalDay>,
+    moments: Moments,
+    tables: Tables,
+    /// By the day's number modulo [`RECALL_DAYS`].
+    recall: [SeenDay; RECALL_DAYS],
+    stacks: [LinearStack<{ members::FEATURES }>; 2],
+    pool: Pool<MEMBERS>,
+    spread: Spread,
+    ahead: Ahead,
+    /// The day that is about to be learned; between updates there is none.
+    prepared: Option<Box<PreparedDay>>,
+}
+
+/// What is predicted for a day before it is learned.
+#[derive(Clone, Debug, PartialEq)]
+struct PreparedDay {
+    day: LocalDay,
+    /// Where the day before was learned.
+    members: Option<DayMembers>,
+    forecast: [f64; SLOTS],
+}
+
+impl Default for NumberEnsemble {
+    fn default() -> NumberEnsemble {
+        NumberEnsemble {
+            origin: 0.0,
+            last: None,
+            moments: Moments::default(),
+            tables: Tables::new(),
+            recall: [UNSEEN; RECALL_DAYS],
+            stacks: [SLOW, FAST].map(|kept| LinearStack::new(kept, members::WEIGHTS)),
+            pool: Pool::new(),
+            spread: Spread::new(),
+            ahead: Ahead::new(),
+            prepared: None,
+        }
+    }
+}
+
+impl NumberEnsemble {
+    /// The last learned day.
+    pub fn last_day(&self) -> Option<LocalDay> {
+        self.last
+    }
+
+    /// The mean of all looks; 0 without any.
+    pub fn mean(&self) -> f64 {
+        self.origin + self.moments.mean
+    }
+
+    /// Predicts a day that is about to be learned, once for all that judge it before. The first day, and one that is
+    /// not newer than all before, is not predicted.
+    pub fn prepare(&mut self, day: LocalDay, others: Others<'_>) {
+        let Some(last) = self.last.filter(|&last| day > last) else { return };
+        if self.prepared.as_ref().is_some_and(|known| known.day == day) {
+            return;
+        }
+        self.tables.pass(f64::from(day.0) - f64::from(last.0) - 1.0);
+        let members = (self.days_ahead(day) == 1).then(|| self.members(day, others.chosen));
+        let forecast = match &members {
+            Some(members) => self.pooled(members),
+            None => self.forecast_ahead(day, others),
+        };
+        self.prepared = Some(Box::new(PreparedDay { day, members, forecast }));
+    }
+
+    /// Learns a local day: judges all members by its looks, then adds them. A day that is not newer than all before is
+    /// added without judging. `samples`: its readings in order of time; `others`: as they were before the day. Gives
+    /// the squared error of the predictions for `newer`, those of the samples that no earlier day has; `None` where the
+    /// day was not predicted.
+    pub fn learn_day(
+        &mut self,
+        day: LocalDay,
+        samples: &[Sample],
+        newer: &[Sample],
+        others: Others<'_>,
+    ) -> Option<f64> {
+        let first = samples.first()?;
+        if self.last.is_none() {
+            self.origin = first.value;
+        }
+        self.prepare(day, others);
+        let relative = |sample: &Sample| Sample { value: sample.value - self.origin, ..*sample };
+        let looks = DayLooks::of_samples(&samples.iter().map(relative).collect::<Vec<_>>());
+        let Some(prepared) = self.prepared.take() else {
+            self.add(day, &looks);
+            return None;
+        };
+        let error =
+            |sample: &Sample| (self.origin + prepared.forecast[slot_at(sample.civil_nanos())] - sample.value).powi(2);
+        let error = newer.iter().map(error).sum();
+        let variance = self.moments.variance();
+        if let Some(members) = &prepared.members {
+            for stack in &mut self.stacks {
+                let targets = looks.seen().map(|(slot, value)| (&members.features[slot], value - members.base[slot]));
+                stack.learn(targets, variance);
+            }
+            self.pool.learn(&members.values, &looks);
+            self.spread.learn(day, &looks, &prepared.forecast);
+        }
+        for class in 0..ahead::CLASSES {
+            // What would have been said long before.
+            if let Some((levels, days)) = self.ahead.kept(class, day) {
+                let said = self.said_ahead(class, day, days, levels, others);
+                self.ahead.judge(class, &looks, &said, variance);
+            }
+        }
+        self.add(day, &looks);
+        Some(error)
+    }
+
+    /// Adds looks without judging.
+    fn add(&mut self, day: LocalDay, looks: &DayLooks) {
+        let last = self.last;
+        let age_days = last.map_or(0.0, |last| (f64::from(last.0) - f64::from(day.0)).max(0.0));
+        self.tables.add(day.weekday(), looks, last.is_some_and(|last| day > last), age_days);
+        looks.seen().for_each(|(_, value)| self.moments.add(value));
+        let newest = last.is_none_or(|last| day > last);
+        if newest {
+            // Days between brought no looks.
+            let passed = last.map_or(RECALL_DAYS as i64, |last| i64::from(day.0) - i64::from(last.0));
+            for back in 0..passed.min(RECALL_DAYS as i64) {
+                self.recall[place(day, back as i32)] = UNSEEN;
+            }
+            self.last = Some(day);
+        }
+        if age_days < RECALL_DAYS as f64 {
+            let kept = &mut self.recall[place(day, 0)];
+            for (slot, value) in looks.seen() {
+                kept.seen |= 1 << slot;
+                kept.values[slot] = value;
+            }
+        }
+        if newest {
+            self.ahead.keep(last, day, self.tables.levels());
+        }
+    }
+
+    /// How many days after the last learned one a day is; of days before it, how many before.
+    fn days_ahead(&self, day: LocalDay) -> i64 {
+        self.last.map_or(0, |last| (i64::from(day.0) - i64::from(last.0)).abs())
+    }
+
+    /// What was seen on a day; `None` if it is forgotten.
+    fn seen(&self, day: LocalDay) -> Option<&SeenDay> {
+        let age = i64::from(self.last?.0) - i64::from(day.0);
+        (0..RECALL_DAYS as i64).contains(&age).then(|| &self.recall[place(day, 0)])
+    }
+
+    fn forecast(&self, day: LocalDay, others: Others<'_>) -> [f64; SLOTS] {
+        match &self.prepared {
+            Some(prepared) if prepared.day == day => prepared.forecast,
+            _ if self.days_ahead(day) <= 1 => self.pooled(&self.members(day, others.chosen)),
+            _ => self.forecast_ahead(day, others),
+        }
+    }
+
+    fn pooled(&self, members: &DayMembers) -> [f64; SLOTS] {
+        pooled(&members.values, self.pool.weights(PRIORS, 1.0))
+    }
+
+    /// What the members of a class of the time ahead say of a day that is so many days ahead.
+    fn said_ahead(&self, class: usize, day: LocalDay, days: i64, levels: Levels, others: Others<'_>) -> AheadMembers {
+        let lasting = members::at_slots(day, |at| others.lasting.predict(at) - self.origin);
+        let repeated = self.repeated(day, days);
+        self.ahead.members(class, &self.tables.shapes(day.weekday()), &levels, &lasting, &repeated)
+    }
+
+    fn forecast_ahead(&self, day: LocalDay, others: Others<'_>) -> [f64; SLOTS] {
+        let days = self.days_ahead(day);
+        let class = ahead::class_of(days).unwrap_or(0);
+        let said = self.said_ahead(class, day, days, self.tables.levels(), others);
+        pooled(&said.values, self.ahead.pool_weights(class))
+    }
+
+    /// Predictions at moments, which are best in order of time: a day is forecast once.
+    pub fn predict(&self, moments: &[Moment], others: Others<'_>) -> Vec<f64> {
+        let mut of_day: Option<(LocalDay, [f64; SLOTS])> = None;
+        let predict = |&at: &Moment| {
+            let day = LocalDay::of_civil_nanos(at.civil_nanos());
+            let forecast = match of_day {
+                Some((known, forecast)) if known == day => forecast,
+                _ => self.forecast(day, others),
+            };
+            of_day = Some((day, forecast));
+            self.origin + forecast[slot_at(at.civil_nanos())]
+        };
+        moments.iter().map(predict).collect()
+    }
+
+    /// The expected squared distance of the mean of the hour around a moment from its prediction, at least 0.
+    pub fn variance(&self, at: Moment) -> f64 {
+        let day = LocalDay::of_civil_nanos(at.civil_nanos());
+        let of_all = self.moments.variance();
+        let near = self.spread.variance(day, slot_at(at.civil_nanos()), of_all);
+        near * self.ahead.growth(self.days_ahead(day), &self.spread, of_all)
+    }
+}
+
+/// The place of the day so many days before a day.
+fn place(day: LocalDay, back: i32) -> usize {
+    day.0.saturating_sub(back).rem_euclid(RECALL_DAYS as i32) as usize
+}

@@ -1,0 +1,101 @@
+//! A linear regression whose sums fade: weights that learn each night how much each member deserves.
+//!
+//! Recursive least squares on predictions that were made before their day was learned (T-RO section IV.B), with a ridge
+//! towards the weights before any look. The ridge is a number of looks that differ as the state's do, so the unit of
+//! the values does not matter. Invariant: weights are finite.
+
+use nalgebra::{Cholesky, SMatrix, SVector};
+
+/// How many looks the weights before any look count as.
+const RIDGE_LOOKS: f64 = 12.0;
+
+/// A regression on so many features.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct LinearStack<const N: usize> {
+    /// The share of the sums that remains after each further observed day.
+    kept: f64,
+    /// Σ x xᵀ; symmetric.
+    pub(super) squares: [[f64; N]; N],
+    /// Σ x y.
+    pub(super) products: [f64; N],
+    /// The weights in force.
+    pub(super) weights: [f64; N],
+    at_first: [f64; N],
+}
+
+impl<const N: usize> LinearStack<N> {
+    pub(super) const fn new(kept: f64, at_first: [f64; N]) -> LinearStack<N> {
+        LinearStack { kept, squares: [[0.0; N]; N], products: [0.0; N], weights: at_first, at_first }
+    }
+
+    pub(super) fn predict(&self, features: &[f64; N]) -> f64 {
+        features.iter().zip(&self.weights).map(|(feature, weight)| feature * weight).sum()
+    }
+
+    /// Learns the looks of a day from the features that were known before it. `variance`: of all looks.
+    pub(super) fn learn<'a>(&mut self, looks: impl Iterator<Item = (&'a [f64; N], f64)>, variance: f64) {
+        self.learn_towards(looks, variance, self.at_first, 1.0);
+    }
+
+    /// As [`LinearStack::learn`], towards other weights, and with a ridge so many times as strong, because looks depend
+    /// on each other.
+    pub(super) fn learn_towards<'a>(
+        &mut self,
+        looks: impl Iterator<Item = (&'a [f64; N], f64)>,
+        variance: f64,
+        towards: [f64; N],
+        dependence: f64,
+    ) {
+        let sums = self.squares.as_flattened_mut().iter_mut().chain(&mut self.products);
+        sums.for_each(|sum| *sum *= self.kept);
+        for (x, target) in looks {
+            for (row, &one) in x.iter().enumerate() {
+                self.products[row] += target * one;
+                self.squares[row].iter_mut().zip(x).for_each(|(sum, other)| *sum += one * other);
+            }
+        }
+        let ridge = RIDGE_LOOKS * variance * dependence;
+        let mut matrix = SMatrix::<f64, N, N>::from_fn(|row, column| self.squares[row][column]);
+        let mut vector = SVector::<f64, N>::from(self.products);
+        for row in 0..N {
+            matrix[(row, row)] += ridge;
+            vector[row] += ridge * towards[row];
+        }
+        // With the ridge it is positive definite, unless all looks were the same: then the weights stay.
+        if let Some(factor) = Cholesky::new(matrix) {
+            let solved = factor.solve(&vector);
+            if solved.iter().all(|weight| weight.is_finite()) {
+                self.weights.iter_mut().zip(&solved).for_each(|(weight, &new)| *weight = new);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_member_that_is_right_gets_the_weight() {
+        let mut stack = LinearStack::new(0.985, [1.0, 0.0, 0.0]);
+        let features = |look: i32| {
+            let wave = |pace: f64| (f64::from(look) * pace).sin();
+            [wave(0.7), wave(1.3), wave(2.9)]
+        };
+        assert_eq!(stack.predict(&[2.0, 1.0, 1.0]), 2.0);
+        for day in 0..40 {
+            let looks: Vec<_> = (day * 48..(day + 1) * 48).map(features).collect();
+            stack.learn(looks.iter().map(|x| (x, 3.0 * x[1] - x[2])), 5.0);
+        }
+        for (weight, expected) in stack.weights.into_iter().zip([0.0, 3.0, -1.0]) {
+            assert!((weight - expected).abs() < 0.3, "{:?}", stack.weights);
+        }
+    }
+
+    #[test]
+    fn looks_that_are_all_the_same_leave_the_weights() {
+        let mut stack = LinearStack::new(0.985, [0.5, 0.25]);
+        stack.learn([(&[0.0, 0.0], 0.0)].into_iter(), 0.0);
+        assert_eq!(stack.weights, [0.5, 0.25]);
+    }
+}

@@ -1,0 +1,148 @@
+//! Means of looks by hour: of all history by hour of the week, and of the last days by hour of weekdays or the weekend.
+//!
+//! A table has levels, each shrunk towards the one before as if that were two looks: the mean, the hour of the day, the
+//! hour of the kind of day, the hour of the weekday. Invariant: sums are finite; tables fade by whole days.
+
+use super::super::looks::{DayLooks, HOURS, SLOTS};
+use super::super::week_table::kind_of_day;
+
+/// The days after which a look counts half in the tables that forget.
+pub(super) const HALF_LIVES_DAYS: [f64; RECENT] = [21.0, 7.0, 2.0];
+/// Number of tables that forget.
+pub(super) const RECENT: usize = 3;
+/// How many looks the coarser level counts as.
+const COARSER_LOOKS: f64 = 2.0;
+
+/// Sums and numbers of looks by hour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Cells {
+    pub(super) sums: [f64; HOURS],
+    pub(super) looks: [f64; HOURS],
+}
+
+const EMPTY: Cells = Cells { sums: [0.0; HOURS], looks: [0.0; HOURS] };
+
+impl Cells {
+    fn and(mut self, other: &Cells) -> Cells {
+        self.sums.iter_mut().zip(&other.sums).for_each(|(sum, more)| *sum += more);
+        self.looks.iter_mut().zip(&other.looks).for_each(|(looks, more)| *looks += more);
+        self
+    }
+
+    fn scale(&mut self, factor: f64) {
+        self.sums.iter_mut().chain(&mut self.looks).for_each(|number| *number *= factor);
+    }
+
+    fn add(&mut self, looks: &DayLooks, weight: f64) {
+        for (slot, value) in looks.seen() {
+            self.sums[slot / 2] += weight * value;
+            self.looks[slot / 2] += weight;
+        }
+    }
+
+    fn mean(&self) -> f64 {
+        let looks: f64 = self.looks.iter().sum();
+        if looks > 0.0 { self.sums.iter().sum::<f64>() / looks } else { 0.0 }
+    }
+
+    /// The mean of each hour, shrunk towards a coarser level.
+    fn level(&self, coarser: &[f64; HOURS]) -> [f64; HOURS] {
+        let mut level = *coarser;
+        for (value, (sum, looks)) in level.iter_mut().zip(self.sums.iter().zip(&self.looks)) {
+            *value = (sum + COARSER_LOOKS * *value) / (looks + COARSER_LOOKS);
+        }
+        level
+    }
+}
+
+/// What the tables say of a weekday by half-hour, less the mean of each: how the day goes, not how high.
+#[derive(Clone, Debug)]
+pub(super) struct Shapes {
+    /// By hour of the day, of all history.
+    pub(super) hour: [f64; SLOTS],
+    /// By hour of weekdays or the weekend, of all history.
+    pub(super) kind: [f64; SLOTS],
+    /// By hour of the weekday.
+    pub(super) weekday: [f64; SLOTS],
+    /// Of the tables that forget, by hour of weekdays or the weekend.
+    pub(super) recent: [[f64; SLOTS]; RECENT],
+}
+
+/// The means of the tables: of all history, then of those that forget.
+pub(super) type Levels = [f64; RECENT + 1];
+
+/// The tables of one state.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Tables {
+    /// Of all history, by weekday from Monday.
+    pub(super) week: [Cells; 7],
+    /// Of those that forget: of weekdays, then of the weekend.
+    pub(super) recent: [[Cells; 2]; RECENT],
+}
+
+/// A value by hour as one by half-hour, with straight lines between the middles of hours.
+fn by_half_hour(hours: &[f64; HOURS], less: f64) -> [f64; SLOTS] {
+    let mut slots = [0.0; SLOTS];
+    for (slot, value) in slots.iter_mut().enumerate() {
+        let hour = slot / 2;
+        let beside = if slot % 2 == 0 { (hour + HOURS - 1) % HOURS } else { (hour + 1) % HOURS };
+        *value = 0.75 * hours[hour] + 0.25 * hours[beside] - less;
+    }
+    slots
+}
+
+fn together(cells: &[Cells]) -> Cells {
+    cells.iter().fold(EMPTY, |all, cells| all.and(cells))
+}
+
+impl Tables {
+    pub(super) const fn new() -> Tables {
+        Tables { week: [EMPTY; 7], recent: [[EMPTY; 2]; RECENT] }
+    }
+
+    /// The means of the tables.
+    pub(super) fn levels(&self) -> Levels {
+        let [slow, middle, fast] = self.recent.each_ref().map(|kinds| together(kinds).mean());
+        [together(&self.week).mean(), slow, middle, fast]
+    }
+
+    /// How a weekday goes.
+    pub(super) fn shapes(&self, weekday: usize) -> Shapes {
+        let kind = kind_of_day(weekday);
+        let all = together(&self.week);
+        let of_kind = together(if kind == 0 { &self.week[..5] } else { &self.week[5..] });
+        let mean = all.mean();
+        let hour = all.level(&[mean; HOURS]);
+        let by_kind = of_kind.level(&hour);
+        let weekday = self.week[weekday].level(&by_kind);
+        let recent = self.recent.each_ref().map(|kinds| {
+            let all = together(kinds);
+            let mean = all.mean();
+            by_half_hour(&kinds[kind].level(&all.level(&[mean; HOURS])), mean)
+        });
+        Shapes {
+            hour: by_half_hour(&hour, mean),
+            kind: by_half_hour(&by_kind, mean),
+            weekday: by_half_hour(&weekday, mean),
+            recent,
+        }
+    }
+
+    /// Lets days without looks pass.
+    pub(super) fn pass(&mut self, days: f64) {
+        for (kinds, half_life_days) in self.recent.iter_mut().zip(HALF_LIVES_DAYS) {
+            kinds.iter_mut().for_each(|cells| cells.scale(0.5_f64.powf(days / half_life_days)));
+        }
+    }
+
+    /// Adds a day. `is_next`: it is newer than all before, which fade; else it is `age_days` older than the newest.
+    pub(super) fn add(&mut self, weekday: usize, looks: &DayLooks, is_next: bool, age_days: f64) {
+        if is_next {
+            self.pass(1.0);
+        }
+        self.week[weekday].add(looks, 1.0);
+        for (kinds, half_life_days) in self.recent.iter_mut().zip(HALF_LIVES_DAYS) {
+            kinds[kind_of_day(weekday)].add(looks, 0.5_f64.powf(age_days / half_life_days));
+        }
+    }
+}
