@@ -80,7 +80,7 @@ fn a_half_year_is_predicted_for_the_year_after() {
 }
 
 #[test]
-fn an_ensemble_is_for_named_probabilities_and_left_out_of_others() {
+fn a_map_without_ensembles_answers_by_what_was_chosen() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     tidemap(&daemon, ["map", "create", "plain", "--time-zone", "UTC", "--models", "histogram"]).table();
@@ -88,10 +88,41 @@ fn an_ensemble_is_for_named_probabilities_and_left_out_of_others() {
     learn(&daemon, "plain", &rows("door", (0..48).map(|hour| (hour * HOUR_SECS, hour % 24 > 8))));
     let at = (START_SECS + 3 * DAY_SECS).to_string();
     let asked = |state: &str| tidemap(&daemon, ["predict", "plain", state, "--at", at.as_str(), "--model", "ensemble"]);
-    // A state of a map without ensembles is predicted by what was chosen, and the answer says so.
-    assert_ne!(asked("door").table().column("model"), ["ensemble"]);
-    asked("heat").fails(1, &["ensemble", "heat", "probabilities"]);
-    let evaluated =
-        tidemap_reading(&daemon, ["evaluate", "plain", "-", "--models", "mean,ensemble"], &rows("heat", [(0, true)]));
-    assert!(evaluated.stderr.contains("ensemble is left out of heat"), "{}", evaluated.stderr);
+    // The answer says so.
+    for state in ["door", "heat"] {
+        assert_ne!(asked(state).table().column("model"), ["ensemble"]);
+    }
+}
+
+#[test]
+fn a_temperature_is_known_less_well_far_ahead_also_after_a_restart() {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    tidemap(&daemon, ["map", "create", "home", "--time-zone", "UTC"]).table();
+    tidemap(&daemon, ["state", "add", "home", "heat", "--kind", "continuous"]).table();
+    // By day three degrees more than at night, and weather that comes and goes.
+    let heat = |secs: i64| {
+        let days = secs as f64 / DAY_SECS as f64;
+        20.0 - 3.0 * (std::f64::consts::TAU * days).cos() + 4.0 * (days / 3.7).sin() + 2.0 * (days / 1.9).sin()
+    };
+    let mut readings = "time,state,value\n".to_owned();
+    for secs in (0..60 * DAY_SECS).step_by(1800) {
+        let _ = writeln!(readings, "{},heat,{:.2}", START_SECS + secs, heat(secs));
+    }
+    learn(&daemon, "home", &readings);
+    let ask = |daemon: &Daemon| {
+        let secs: Vec<i64> = [60, 69, 100].iter().map(|day| day * DAY_SECS + 3 * HOUR_SECS).collect();
+        let said = predict(daemon, "home", "heat", &secs);
+        assert_eq!(said.column("model"), ["ensemble"; 3]);
+        (said.numbers("probability"), said.numbers("lower"), said.numbers("upper"))
+    };
+    let before = ask(&daemon);
+    let (value, lower, upper) = &before;
+    assert!((value[0] - heat(60 * DAY_SECS + 3 * HOUR_SECS)).abs() < 2.0, "{before:?}");
+    let widths: Vec<f64> = lower.iter().zip(upper).map(|(lower, upper)| upper - lower).collect();
+    assert!(widths[0] < 8.0 && widths.is_sorted(), "{before:?}");
+    assert!(widths.iter().zip(value).zip(lower).all(|((width, value), lower)| value > lower && value - lower < *width));
+    daemon.stop_in_order();
+    let daemon = Launch::on(data.path()).start();
+    assert_eq!(ask(&daemon), before);
 }

@@ -21,7 +21,7 @@ use members::{DayMembers, MEMBERS, PRIORS, Pool, pooled};
 pub use parts::NumberEnsembleParts;
 use spread::Spread;
 use stack::LinearStack;
-use table::{Levels, Tables};
+use table::{Levels, Shapes, Tables};
 
 use super::looks::{DayLooks, SLOTS, slot_at};
 use crate::{LocalDay, Sample, models::Moment, models::TemporalModel};
@@ -97,6 +97,15 @@ struct PreparedDay {
     /// Where the day before was learned.
     members: Option<DayMembers>,
     forecast: [f64; SLOTS],
+}
+
+/// What is known of a day whatever the time ahead.
+#[derive(Clone, Debug)]
+struct KnownAhead {
+    day: LocalDay,
+    shapes: Shapes,
+    /// What the model of all history says.
+    lasting: [f64; SLOTS],
 }
 
 impl Default for NumberEnsemble {
@@ -177,10 +186,11 @@ impl NumberEnsemble {
             self.pool.learn(&members.values, &looks);
             self.spread.learn(day, &looks, &prepared.forecast);
         }
+        let known = self.known_ahead(day, others);
         for class in 0..ahead::CLASSES {
             // What would have been said long before.
             if let Some((levels, days)) = self.ahead.kept(class, day) {
-                let said = self.said_ahead(class, day, days, levels, others);
+                let said = self.said_ahead(class, &known, days, &levels);
                 self.ahead.judge(class, &looks, &said, variance);
             }
         }
@@ -238,17 +248,22 @@ impl NumberEnsemble {
         pooled(&members.values, self.pool.weights(PRIORS, 1.0))
     }
 
-    /// What the members of a class of the time ahead say of a day that is so many days ahead.
-    fn said_ahead(&self, class: usize, day: LocalDay, days: i64, levels: Levels, others: Others<'_>) -> AheadMembers {
+    fn known_ahead(&self, day: LocalDay, others: Others<'_>) -> KnownAhead {
         let lasting = members::at_slots(day, |at| others.lasting.predict(at) - self.origin);
-        let repeated = self.repeated(day, days);
-        self.ahead.members(class, &self.tables.shapes(day.weekday()), &levels, &lasting, &repeated)
+        KnownAhead { day, shapes: self.tables.shapes(day.weekday()), lasting }
+    }
+
+    /// What the members of a class of the time ahead say of a day that is so many days ahead. `levels`: the means of the
+    /// tables when it is said.
+    fn said_ahead(&self, class: usize, known: &KnownAhead, days: i64, levels: &Levels) -> AheadMembers {
+        let repeated = ahead::knows_repeated(class).then(|| self.repeated(known.day, days));
+        self.ahead.members(class, &known.shapes, levels, &known.lasting, repeated.as_ref())
     }
 
     fn forecast_ahead(&self, day: LocalDay, others: Others<'_>) -> [f64; SLOTS] {
         let days = self.days_ahead(day);
         let class = ahead::class_of(days).unwrap_or(0);
-        let said = self.said_ahead(class, day, days, self.tables.levels(), others);
+        let said = self.said_ahead(class, &self.known_ahead(day, others), days, &self.tables.levels());
         pooled(&said.values, self.ahead.pool_weights(class))
     }
 

@@ -1,10 +1,10 @@
-//! What answers two days ahead, a week, four weeks, a quarter, a year: a stack of tables for each.
+//! What answers two days ahead, a week, four weeks, a quarter, a year: a stack for each.
 //!
-//! The readings of the days between are not known, so tables are joined, and what the same days of the last fortnight
-//! left over. Tables are taken with the means that they
-//! had as long before: so the stacks learn how long a table that forgets is of use, and their errors are those of
-//! predictions so far ahead. What was said within so many days is one piece of evidence. A stack that was not yet judged takes over what the shorter one says, without what has a
-//! window. Invariant: the farther ahead, the wider; a class that was not judged is as wide as the state differs.
+//! The readings of the days between are not known, so a stack joins tables, and what the same days of the last fortnight
+//! left over. Tables are taken with the means that they had as long before: so the stacks learn how long a table that
+//! forgets is of use, and their errors are those of predictions so far ahead. What was said within so many days is one
+//! piece of evidence. A stack that was not yet judged takes over what the shorter one says, without what has a window.
+//! Invariant: the farther ahead, the wider; a class that was not judged is as wide as the values of the state differ.
 
 use super::super::looks::{DayLooks, HOURS, SLOTS};
 use super::SLOW;
@@ -22,7 +22,7 @@ pub(super) const CLASSES: usize = 5;
 pub(super) const FEATURES: usize = RECENT + 4;
 /// Their weights before any look, two days ahead.
 const WEIGHTS: [f64; FEATURES] = [0.0, 0.25, 0.25, 0.0, 0.0, 0.0, 0.0];
-/// So many classes know of the last fortnight; before that, looks are forgotten.
+/// See [`knows_repeated`].
 const REPEATED_CLASSES: usize = 2;
 /// Members of a class, and their weights before any look.
 pub(super) const MEMBERS: usize = 3;
@@ -64,6 +64,11 @@ pub(super) fn class_of(days: i64) -> Option<usize> {
     AHEAD_DAYS.iter().rposition(|&shortest| days >= shortest)
 }
 
+/// Whether a class knows of the last fortnight; before that, looks are forgotten.
+pub(super) fn knows_repeated(class: usize) -> bool {
+    class < REPEATED_CLASSES
+}
+
 impl Ahead {
     pub(super) const fn new() -> Ahead {
         const CLASS: Class = Class {
@@ -103,21 +108,21 @@ impl Ahead {
     }
 
     /// What the members of a class say. `levels`: the means of the tables when it is said; `lasting`: the model of all
-    /// history; `repeated`: what the same days before left over.
+    /// history; `repeated`: what the same days before left over, if [`knows_repeated`].
     pub(super) fn members(
         &self,
         class: usize,
         shapes: &Shapes,
         levels: &Levels,
         lasting: &[f64; SLOTS],
-        repeated: &[[f64; SLOTS]; 2],
+        repeated: Option<&[[f64; SLOTS]; 2]>,
     ) -> AheadMembers {
         let weights = self.weights(class);
         let base = shapes.kind.map(|value| levels[0] + value);
         let mut said = AheadMembers { values: [base, *lasting, base], features: [[0.0; FEATURES]; SLOTS] };
         for (slot, x) in said.features.iter_mut().enumerate() {
             let recent = |table: usize| levels[table + 1] + shapes.recent[table][slot] - base[slot];
-            let repeated = |days: usize| if class < REPEATED_CLASSES { repeated[days][slot] } else { 0.0 };
+            let repeated = |days: usize| repeated.map_or(0.0, |left| left[days][slot]);
             *x = [
                 shapes.weekday[slot] - shapes.kind[slot],
                 recent(0),

@@ -27,7 +27,7 @@ pub(super) const WEIGHTS: [f64; FEATURES] = [0.0, 0.2, 0.2, 0.0, 0.3, 0.0, 0.0, 
 
 /// Members: mean, hour, kind, weekday, tables that forget, yesterday, chosen model, two stacks.
 pub(super) const MEMBERS: usize = 8 + RECENT;
-pub(super) const PRIORS: [f64; MEMBERS] = [0.5, 0.5, 5.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 1.5, 1.5];
+pub(super) const PRIORS: [f64; MEMBERS] = [1.0, 0.5, 5.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 1.5, 1.5];
 /// The share of the losses that remains after each further observed day.
 const KEPT: f64 = 0.97;
 /// How much a look's loss counts, in shares of the least.

@@ -1,6 +1,6 @@
 //! Means of looks by hour: of all history by hour of the week, and of the last days by hour of weekdays or the weekend.
 //!
-//! A table has levels, each shrunk towards the one before as if that were two looks: the mean, the hour of the day, the
+//! A table has levels, each shrunk towards the one before as if that were three looks: the mean, the hour of the day, the
 //! hour of the kind of day, the hour of the weekday. Invariant: sums are finite; tables fade by whole days.
 
 use super::super::looks::{DayLooks, HOURS, SLOTS};
@@ -11,7 +11,7 @@ pub(super) const HALF_LIVES_DAYS: [f64; RECENT] = [21.0, 7.0, 2.0];
 /// Number of tables that forget.
 pub(super) const RECENT: usize = 3;
 /// How many looks the coarser level counts as.
-const COARSER_LOOKS: f64 = 2.0;
+const COARSER_LOOKS: f64 = 3.0;
 
 /// Sums and numbers of looks by hour.
 #[derive(Clone, Copy, Debug, PartialEq)]
