@@ -126,13 +126,13 @@ pub struct NumberEnsemble {
     #[prost(sint32, optional, tag = "1")]
     pub last_day: Option<i32>,
     /// Doubles, little-endian, all values relative to the first look. In turn: the first look; number, mean and summed
-    /// squared deviations of all looks; losses of 11 members, and the looks that they are of; by hour of the day 24 sums
-    /// and 24 numbers of looks for each weekday from Monday on, then of weekdays and of the weekend in tables with
+    /// squared deviations of all looks; losses of 11 members, and the looks that they are of; by hour of the day 24
+    /// sums and 24 numbers of looks for each weekday from Monday on, then of weekdays and of the weekend in tables with
     /// half-lives of 21, 7 and 2 days; of the slow and of the fast stack 121 sums of squares, 11 of products, 11
     /// weights; by hour of weekdays, then of the weekend sum of squares and number of errors; of each class of the time
-    /// ahead, the shortest first, 49 sums of squares, 7 of products, 7 weights, losses of 3 members and their looks, sum of
-    /// squares and number of errors, four means of tables at its last turn, and at the one before; of each of 14 days, by its number modulo 14, 48 values
-    /// by half-hour.
+    /// ahead, the shortest first, 49 sums of squares, 7 of products, 7 weights, losses of 3 members and their looks,
+    /// sum of squares and number of errors, four means of tables at its last turn, and at the one before; of each of 14
+    /// days, by its number modulo 14, 48 values by half-hour.
     #[prost(bytes = "vec", tag = "2")]
     pub numbers: Vec<u8>,
     /// Of each of the 14 days: bits by half-hour, looked at.

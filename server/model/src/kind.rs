@@ -9,8 +9,8 @@
 //!   units of two standard deviations. So a state in millimetres is learned as one in metres.
 //! - **Orders and models are compared by squared error** for other kinds, whatever the criterion: the zero-one error is
 //!   defined for probabilities only.
-//! - **Intervals** are the prediction ± z·σ (`models/interval/values.rs`), where σ is from the errors of the ensemble by
-//!   lag (`ensemble/numbers/spread.rs`) or, without one, between days. Anomalies are tail probabilities
+//! - **Intervals** are the prediction ± z·σ (`models/interval/values.rs`), where σ is from the ensemble's errors by lag
+//!   (`ensemble/numbers/spread.rs`) or, without one, between days. Anomalies are tail probabilities
 //!   (`models/interval/single.rs`). There is no interval before two observations are learned.
 //! - **Models of one kind only**: the Markov chain, Pergam and the uniform variant support probabilities only, Poisson
 //!   supports counts only. Other kinds are refused. Cells of a grid are probabilities.

@@ -16,7 +16,7 @@ mod spread;
 mod stack;
 mod table;
 
-use ahead::{Ahead, AheadMembers};
+use ahead::{AheadMembers, FarStacks};
 use members::{DayMembers, MEMBERS, PRIORS, Pool, pooled};
 pub use parts::NumberEnsembleParts;
 use spread::Spread;
@@ -85,7 +85,7 @@ pub struct NumberEnsemble {
     stacks: [LinearStack<{ members::FEATURES }>; 2],
     pool: Pool<MEMBERS>,
     spread: Spread,
-    ahead: Ahead,
+    ahead: FarStacks,
     /// The day that is about to be learned; between updates there is none.
     prepared: Option<Box<PreparedDay>>,
 }
@@ -119,7 +119,7 @@ impl Default for NumberEnsemble {
             stacks: [SLOW, FAST].map(|kept| LinearStack::new(kept, members::WEIGHTS)),
             pool: Pool::new(),
             spread: Spread::new(),
-            ahead: Ahead::new(),
+            ahead: FarStacks::new(),
             prepared: None,
         }
     }
@@ -253,8 +253,8 @@ impl NumberEnsemble {
         KnownAhead { day, shapes: self.tables.shapes(day.weekday()), lasting }
     }
 
-    /// What the members of a class of the time ahead say of a day that is so many days ahead. `levels`: the means of the
-    /// tables when it is said.
+    /// What the members of a class of the time ahead say of a day that is so many days ahead. `levels`: the means of
+    /// the tables when it is said.
     fn said_ahead(&self, class: usize, known: &KnownAhead, days: i64, levels: &Levels) -> AheadMembers {
         let repeated = ahead::knows_repeated(class).then(|| self.repeated(known.day, days));
         self.ahead.members(class, &known.shapes, levels, &known.lasting, repeated.as_ref())

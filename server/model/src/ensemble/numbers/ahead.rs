@@ -1,10 +1,11 @@
 //! What answers two days ahead, a week, four weeks, a quarter, a year: a stack for each.
 //!
-//! The readings of the days between are not known, so a stack joins tables, and what the same days of the last fortnight
-//! left over. Tables are taken with the means that they had as long before: so the stacks learn how long a table that
-//! forgets is of use, and their errors are those of predictions so far ahead. What was said within so many days is one
-//! piece of evidence. A stack that was not yet judged takes over what the shorter one says, without what has a window.
-//! Invariant: the farther ahead, the wider; a class that was not judged is as wide as the values of the state differ.
+//! The readings of the days between are not known, so a stack joins tables, and what the same days of the last
+//! fortnight left over. Tables are taken with the means that they had as long before: so the stacks learn how long a
+//! table that forgets is of use, and their errors are those of predictions so far ahead. What was said within so many
+//! days is one piece of evidence. A stack that was not yet judged takes over what the shorter one says, without what
+//! has a window. Invariant: the farther ahead, the wider; a class that was not judged is as wide as the values of the
+//! state differ.
 
 use super::super::looks::{DayLooks, HOURS, SLOTS};
 use super::SLOW;
@@ -34,7 +35,7 @@ const FIRST_HOURS: f64 = 48.0;
 
 /// A class of the time ahead.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Class {
+pub(super) struct FarStack {
     pub(super) stack: LinearStack<FEATURES>,
     pub(super) pool: Pool<MEMBERS>,
     /// Of the means of hours.
@@ -47,8 +48,8 @@ pub(super) struct Class {
 
 /// The classes.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Ahead {
-    pub(super) classes: [Class; CLASSES],
+pub(super) struct FarStacks {
+    pub(super) classes: [FarStack; CLASSES],
 }
 
 /// What the members of a class say of a day by half-hour: the table of all history, the model of all history, the
@@ -69,16 +70,16 @@ pub(super) fn knows_repeated(class: usize) -> bool {
     class < REPEATED_CLASSES
 }
 
-impl Ahead {
-    pub(super) const fn new() -> Ahead {
-        const CLASS: Class = Class {
+impl FarStacks {
+    pub(super) const fn new() -> FarStacks {
+        const CLASS: FarStack = FarStack {
             stack: LinearStack::new(SLOW, WEIGHTS),
             pool: Pool::new(),
             errors: [0.0; 2],
             kept_days: [None; 2],
             kept: [[0.0; RECENT + 1]; 2],
         };
-        Ahead { classes: [CLASS; CLASSES] }
+        FarStacks { classes: [CLASS; CLASSES] }
     }
 
     /// The weights of a class that was not judged.
@@ -196,7 +197,7 @@ mod tests {
 
     #[test]
     fn a_table_that_forgets_does_not_speak_far_ahead_unjudged() {
-        let ahead = Ahead::new();
+        let ahead = FarStacks::new();
         let [near, far] = [0, CLASSES - 1].map(|class| ahead.weights(class));
         assert_eq!(near, WEIGHTS);
         assert!(far[1..4].iter().all(|weight| weight.abs() < 0.02), "{far:?}");

@@ -13,9 +13,9 @@ pub struct NumberEnsembleParts {
     /// In turn: the origin; number, mean and squared deviations of all looks; 11 losses and their looks; by hour 24
     /// sums and 24 numbers for each weekday from Monday, then of weekdays and of the weekend in each of three tables;
     /// of two stacks 121 sums of squares, 11 of products, 11 weights; by hour of weekdays and of the weekend sum of
-    /// squares and number of errors; of five classes of the time ahead 49 sums of squares, 7 of products, 7 weights,
-    /// 3 losses and their looks, sum of squares and number of errors, two times four means of tables; of 14 days, by their numbers modulo 14, 48
-    /// values.
+    /// squares and number of errors; of five classes of the time ahead 49 sums of squares, 7 of products, 7 weights, 3
+    /// losses and their looks, sum of squares and number of errors, two times four means of tables; of 14 days, by
+    /// their numbers modulo 14, 48 values.
     pub numbers: Vec<f64>,
     /// Of the 14 days: bits by half-hour.
     pub seen: Vec<u64>,
@@ -64,7 +64,7 @@ impl NumberEnsemble {
 
     /// The parts to store.
     pub fn to_parts(&self) -> NumberEnsembleParts {
-        let days = |class: &super::ahead::Class| class.kept_days.iter().flatten().copied().collect();
+        let days = |class: &super::ahead::FarStack| class.kept_days.iter().flatten().copied().collect();
         let numbers = self.clone().numbers_mut().into_iter().flat_map(|(_, list)| list.to_vec()).collect();
         NumberEnsembleParts {
             last_day: self.last,

@@ -1,7 +1,7 @@
 //! Means of looks by hour: of all history by hour of the week, and of the last days by hour of weekdays or the weekend.
 //!
-//! A table has levels, each shrunk towards the one before as if that were three looks: the mean, the hour of the day, the
-//! hour of the kind of day, the hour of the weekday. Invariant: sums are finite; tables fade by whole days.
+//! A table has levels, each shrunk towards the one before as if that were three looks: the mean, the hour of the day,
+//! the hour of the kind of day, the hour of the weekday. Invariant: sums are finite; tables fade by whole days.
 
 use super::super::looks::{DayLooks, HOURS, SLOTS};
 use super::super::week_table::kind_of_day;
