@@ -2,6 +2,7 @@
 //!
 //! Invariant: information is in bits; a reply that omits a target or a viewpoint is an error.
 
+pub use tidemap_model::InformationMeasure;
 pub use tidemap_plan::{
     strategy::{Budget, Strategy},
     tour::{GOALS_MAX, Tour, TourQuestion, TourStep},
@@ -11,8 +12,8 @@ pub use tidemap_proto::convert::exploration::SlotAllowance;
 use tidemap_proto::{
     convert::{
         exploration::{
-            allowance_to_wire, budget_to_wire, planned_tour_from_wire, sensor_to_wire, strategy_to_wire,
-            viewpoint_to_wire,
+            allowance_to_wire, budget_to_wire, measure_to_wire, planned_tour_from_wire, sensor_to_wire,
+            strategy_to_wire, viewpoint_to_wire,
         },
         query::selector_to_wire,
         site::point_to_wire,
@@ -108,6 +109,8 @@ pub struct DayQuery {
     pub locations: Vec<String>,
     /// The model that predicts.
     pub model: ModelSelector,
+    /// How the worth of a look is measured; for viewpoints, tours and `exactly_one` by RA-L's gain, the default, alone.
+    pub information: InformationMeasure,
     /// Weight of exploration, in [0, 1]; the rest is the weight of the task.
     pub exploration_weight: Option<f64>,
     /// States that a task profits from, one per location.
@@ -163,6 +166,8 @@ pub struct SlotQuery {
     pub locations: Vec<String>,
     /// The model that predicts.
     pub model: Option<ModelSelector>,
+    /// As in [`DayQuery::information`].
+    pub information: InformationMeasure,
     /// As in [`DayQuery::exactly_one`].
     pub exactly_one: bool,
     /// Seed of the random choices.
@@ -179,7 +184,7 @@ pub struct SlotQuery {
 pub struct SlotChoice {
     /// The location; `None`: the allowance says to rest.
     pub location: Option<String>,
-    /// Expected information gain there.
+    /// Worth of a look there, bits.
     pub information_bits: f64,
     /// Information gain if everything is as observed recently; only with [`SlotStrategy::Novelty`].
     pub surprise_bits: Option<f64>,
@@ -192,7 +197,7 @@ pub struct DaySlot {
     pub start_nanos: i64,
     /// The location to observe; `None`: rest.
     pub location: Option<String>,
-    /// Expected information gain there.
+    /// Worth of a look there, bits.
     pub information_bits: f64,
 }
 
@@ -317,6 +322,7 @@ impl Client {
             locations: query.locations,
             model: (!query.exactly_one).then(|| selector_to_wire(query.model)),
             exactly_one: query.exactly_one,
+            information: measure_to_wire(query.information).into(),
             certainty: None,
             exploration_weight: query.exploration_weight,
             task_states: query.task_states,
@@ -362,6 +368,7 @@ impl Client {
             spent: query.allowance.map_or(0, |allowance| u32::try_from(allowance.spent).unwrap_or(u32::MAX)),
             slot: query.slot_nanos.map(duration),
             exactly_one: query.exactly_one,
+            information: measure_to_wire(query.information).into(),
         };
         let answer = self.exploration_service().plan_slot(request).await.map_err(|status| self.error(&status))?;
         let v1::PlanSlotResponse { location, information_bits, surprise_bits } = answer.into_inner();

@@ -13,7 +13,7 @@ use tidemap_map::{
     event::StateKind, history::Subject, ids::StateId, interval::cell_intervals, predict::PreparedTimes, view::MapView,
 };
 use tidemap_model::{
-    HeldInterval, Persistence, Sample,
+    HeldInterval, Persistence, Predictive, Sample,
     models::{Moment, TemporalModel},
     selector::{ModelKind, ModelSelector},
 };
@@ -144,6 +144,22 @@ impl StateOrCell {
                 view.predict_trained_cell_into(&cell.description, moments, trained, selector, out);
             }
         }
+    }
+
+    /// The predictive distributions around its predictions; `None` where looks are not counted: for a cell, and a
+    /// learned state without an ensemble.
+    pub(crate) fn predictive_around(
+        &self,
+        view: &MapView,
+        moments: &[Moment],
+        probabilities: &[f64],
+    ) -> Option<Vec<Predictive>> {
+        let Self::State(id) = self else { return None };
+        if self.learned(view) == 0 {
+            // Nobody has looked.
+            return Some(probabilities.iter().map(|&p| Predictive::new(p, 0.0, 0.0)).collect());
+        }
+        view.model(*id).predictive_around(moments, probabilities)
     }
 
     /// The bands of its predictions; none without a level.

@@ -281,6 +281,10 @@ fn check_slots(daemon: &Daemon) {
     // In the morning the desk is uncertain; the wall never is.
     assert_eq!(slot(daemon, &[]).table().column("location"), ["office"]);
     assert!(slot(daemon, &[]).table().numbers("information_bits")[0] > 0.1);
+    // The published gain by default; both measures add what the look teaches.
+    let bits = |measure: &str| slot(daemon, &["--information", measure]).table().numbers("information_bits")[0];
+    assert_eq!(bits("ral"), slot(daemon, &[]).table().numbers("information_bits")[0]);
+    assert!(bits("both") > bits("ral") && bits("learn") > 0.0, "{} {}", bits("both"), bits("ral"));
     assert_eq!(slot(daemon, &["--online-error"]).table().column("location"), ["office"]);
     // The last visit of the day is not for the morning if the office is as uncertain later; nor is one that was spent.
     assert_eq!(slot(daemon, &["--online-error", "--explore", "96"]).table().column("location"), ["office"]);
@@ -319,6 +323,9 @@ fn check_surprise(daemon: &Daemon) {
 }
 
 fn check_mistakes(daemon: &Daemon) {
+    day(daemon, &["--information", "more"]).fails(2, &["--information", "ral, learn, both"]);
+    day(daemon, &["--information", "both", "--tours", "2"]).fails(2, &["--information", "--tours"]);
+    slot(daemon, &["--information", "both", "--exactly-one"]).fails(2, &["--information", "--exactly-one"]);
     slot(daemon, &["--spent", "2"]).fails(2, &["--spent", "--explore"]);
     slot(daemon, &["--ratio", "0"]).fails(2, &["--ratio 0", "above 0"]);
     slot(daemon, &["--explore", "97"]).fails(1, &["97 visits", "96 slots"]);

@@ -18,6 +18,7 @@ mod info;
 mod job;
 mod location;
 mod map;
+mod measure;
 mod model;
 mod observe;
 mod open;

@@ -49,7 +49,7 @@ use crate::{
 };
 use belief::BeliefModel;
 use office::OfficeProtocol;
-use replay::VisitStrategy;
+use replay::{Explorer, VisitStrategy, VisitWorth};
 
 /// The protocol of an exploration.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,6 +88,8 @@ pub struct StrategyResult {
     pub exploration: f64,
     /// The strategy.
     pub strategy: VisitStrategy,
+    /// How it measures the worth of a visit.
+    pub worth: VisitWorth,
     /// The model.
     pub model: BeliefModel,
     /// Share of wrong states, 0 to 1, of each seed, of each day.
@@ -110,7 +112,8 @@ impl StrategyResult {
 /// The results of an exploration.
 #[derive(Debug)]
 pub struct Exploration {
-    /// Every strategy with every model, in the order of the protocol: by share of slots, then strategy by strategy.
+    /// Every strategy with every model, in the order of the protocol: by share of slots, then strategy by
+    /// strategy, then by worth.
     pub results: Vec<StrategyResult>,
     /// Days of the world.
     pub days: usize,
@@ -132,27 +135,30 @@ fn explore(
     progress: &(impl Fn(u64, u64) + Sync),
 ) -> Result<Exploration, ExploreError> {
     let (seeds, days) = (protocol.seeds as usize, world.days());
-    let mut explorers: Vec<(f64, VisitStrategy, BeliefModel)> = Vec::new();
+    let mut explorers: Vec<Explorer> = Vec::new();
     for &exploration in &protocol.explorations {
         for &strategy in &protocol.strategies {
-            explorers.extend(protocol.models.iter().map(|&model| (exploration, strategy, model)));
+            for &worth in &protocol.worths {
+                let explorer = |&model: &BeliefModel| Explorer { exploration, strategy, worth, model };
+                explorers.extend(protocol.models.iter().map(explorer));
+            }
         }
     }
     let (done, total) = (AtomicU64::new(0), (explorers.len() * seeds) as u64);
     let runs = (0..explorers.len() * seeds)
         .into_par_iter()
         .map(|job| {
-            let (exploration, strategy, model) = explorers[job / seeds];
-            let run = replay::replay(world, exploration, strategy, model, (job % seeds) as u64);
+            let run = replay::replay(world, explorers[job / seeds], (job % seeds) as u64);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
             run
         })
         .collect::<Result<Vec<replay::Run>, ExploreError>>()?;
-    let result = |(&(exploration, strategy, model), runs): (&(f64, VisitStrategy, BeliefModel), &[replay::Run])| {
+    let result = |(&explorer, runs): (&Explorer, &[replay::Run])| {
+        let Explorer { exploration, strategy, worth, model } = explorer;
         let visits: u64 = runs.iter().map(|run| run.visits).sum();
         let visits_per_day = visits as f64 / (runs.len() * days).max(1) as f64;
         let days = runs.iter().map(|run| run.errors.clone()).collect();
-        StrategyResult { exploration, strategy, model, days, visits_per_day }
+        StrategyResult { exploration, strategy, worth, model, days, visits_per_day }
     };
     Ok(Exploration { results: explorers.iter().zip(runs.chunks(seeds.max(1))).map(result).collect(), days })
 }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a zero or absent field has its default; the planner checks the rest.
 
-use tidemap_model::{LocalDay, selector::ModelSelector};
+use tidemap_model::{InformationMeasure, LocalDay, selector::ModelSelector};
 use tidemap_plan::{
     day::SLOT_NANOS,
     information::Certainty,
@@ -266,6 +266,33 @@ pub fn strategy_from_wire(field: &str, strategy: i32) -> Result<Strategy, Invali
         Ok(v1::Strategy::RoundRobin) => Ok(Strategy::RoundRobin { visited: 0 }),
         Ok(v1::Strategy::Random) => Ok(Strategy::Random),
         Err(_) => Err(InvalidField::new(field, format!("{strategy} is not known"))),
+    }
+}
+
+/// A measure of the worth of a look for the wire.
+#[must_use]
+pub fn measure_to_wire(measure: InformationMeasure) -> v1::InformationMeasure {
+    match measure {
+        InformationMeasure::RaL => v1::InformationMeasure::Ral,
+        InformationMeasure::Learn => v1::InformationMeasure::Learn,
+        InformationMeasure::Both => v1::InformationMeasure::Both,
+    }
+}
+
+/// How the worth of a look is measured. `is_counted`: whether looks at what is asked for are counted.
+///
+/// # Errors
+/// The measure is unknown, or needs looks that are not counted.
+pub fn measure_from_wire(field: &str, measure: i32, is_counted: bool) -> Result<InformationMeasure, InvalidField> {
+    let unknown = |_| InvalidField::new(field, format!("{measure} is not known"));
+    match v1::InformationMeasure::try_from(measure).map_err(unknown)? {
+        v1::InformationMeasure::Unspecified | v1::InformationMeasure::Ral => Ok(InformationMeasure::RaL),
+        _ if !is_counted => {
+            let text = "viewpoints, tours and exactly_one have RAL alone: leave it out";
+            Err(InvalidField::new(field, text))
+        }
+        v1::InformationMeasure::Learn => Ok(InformationMeasure::Learn),
+        v1::InformationMeasure::Both => Ok(InformationMeasure::Both),
     }
 }
 

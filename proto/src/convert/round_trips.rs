@@ -7,7 +7,7 @@ use tidemap_grid::{
 };
 use tidemap_map::ids::RefusalReason;
 use tidemap_model::{
-    ORDER_MAX, OrderCriterion, Periodicities,
+    InformationMeasure, ORDER_MAX, OrderCriterion, Periodicities,
     models::HistogramCycle,
     selector::{Blend, ModelKind, ModelSelector},
     time::HALF_LIFE_MIN_NANOS,
@@ -42,6 +42,18 @@ fn every_kind_of_models_has_its_name_on_the_wire() {
     let known = on_wire.filter(|wire| model_kind_from_wire(*wire).is_some()).count();
     assert_eq!(known, ModelKind::ALL.len());
     assert_eq!(model_kind_from_wire(v1::ModelKind::Unspecified), None);
+}
+
+#[test]
+fn every_measure_of_information_has_its_name_on_the_wire() {
+    for measure in InformationMeasure::ALL {
+        let wire = measure_to_wire(measure);
+        assert_ne!(wire, v1::InformationMeasure::Unspecified, "{measure:?}");
+        assert_eq!(measure_from_wire("information", wire.into(), true), Ok(measure));
+    }
+    for is_counted in [true, false] {
+        assert_eq!(measure_from_wire("information", 0, is_counted), Ok(InformationMeasure::default()));
+    }
 }
 
 fn retentions() -> impl Strategy<Value = Retention> {

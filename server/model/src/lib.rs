@@ -40,6 +40,7 @@ mod ensemble;
 mod entropy;
 mod evaluate;
 mod gaps;
+mod information;
 mod kind;
 mod lanes;
 pub mod models;
@@ -74,6 +75,7 @@ pub use ensemble::{
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};
+pub use information::{InformationMeasure, learning_bits};
 pub use kind::{StateKind, VALUE_MAX};
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
 pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};

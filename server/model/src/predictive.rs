@@ -8,11 +8,7 @@
 //! the value lies strictly between 0 and 1; entropy and information are not negative; an interval contains the value
 //! and holds at least its level.
 
-use crate::{
-    entropy::entropy_bits,
-    models::Interval,
-    special::{digamma, ln_gamma},
-};
+use crate::{entropy::entropy_bits, information::learning_bits, models::Interval, special::ln_gamma};
 
 #[cfg(test)]
 mod tests;
@@ -68,10 +64,7 @@ impl Predictive {
 
     /// The mutual information of one look and the habit, in bits: what a look teaches of later ones.
     pub fn learning_bits(self) -> f64 {
-        // Half a look, where nobody has looked.
-        let (v, looks) = (self.value, self.looks.max(0.5));
-        let kept = digamma(looks + 1.0) - v * digamma(v * looks + 1.0) - (1.0 - v) * digamma((1.0 - v) * looks + 1.0);
-        (self.entropy_bits() - kept / std::f64::consts::LN_2).max(0.0)
+        learning_bits(self.value, self.looks)
     }
 
     /// The share of a single reading's variance that the mean of an hour has.

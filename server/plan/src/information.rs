@@ -2,7 +2,7 @@
 //!
 //! Invariant: no result is NaN or negative. A probability that is NaN counts as 0.5 (nothing is known).
 
-use tidemap_model::{INFORMATION_CERTAINTY, entropy_bits};
+use tidemap_model::{INFORMATION_CERTAINTY, InformationMeasure, Predictive, entropy_bits};
 
 #[cfg(test)]
 mod tests;
@@ -56,6 +56,24 @@ impl Certainty {
     #[must_use]
     pub fn most_bits(self) -> f64 {
         self.bits(0.5)
+    }
+}
+
+/// What a look at a state is worth: a measure, and the certainty of a look.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LookWorth {
+    /// The certainty after the look, for the gain of RA-L.
+    pub certainty: Certainty,
+    /// What counts.
+    pub measure: InformationMeasure,
+}
+
+impl LookWorth {
+    /// The worth of a look at a state of probability `p`, in bits. `known`: the predictive distribution around `p`;
+    /// `None` where looks are not counted, so that a look teaches nothing that this would see.
+    #[must_use]
+    pub fn bits(self, p: f64, known: Option<Predictive>) -> f64 {
+        self.measure.bits(self.certainty.bits(p), known.map_or(0.0, Predictive::learning_bits))
     }
 }
 

@@ -33,6 +33,7 @@ mod presence;
 mod slot;
 mod tour;
 mod views;
+mod worth;
 
 /// Maximum number of times at which one request looks at a grid. The phasors of all are held at once: 33 KB per time
 /// with the maximum number of periodicities.

@@ -12,7 +12,7 @@ use tidemap_client::{
     queries::ModelSelector,
 };
 
-use super::{Session, files::DrawingArg, times, usage};
+use super::{Session, files::DrawingArg, measure::MeasureArg, times, usage};
 use tidemap_formats::{
     drawing::{Curve, CurvePlot},
     table::Cell,
@@ -49,6 +49,9 @@ pub(crate) struct DayArgs {
     /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts
     #[arg(long, conflicts_with_all = ["model", "views", "tours", "task_states"])]
     exactly_one: bool,
+    /// How the worth of a look is measured
+    #[arg(long, value_name = "MEASURE", default_value = "ral", conflicts_with_all = ["exactly_one", "views", "tours"])]
+    information: MeasureArg,
     /// Explores the grid from viewpoints with this spacing, in metres; a location is then X,Y
     #[arg(long, value_name = "M", value_parser = spacing, conflicts_with = "locations")]
     views: Option<f64>,
@@ -146,6 +149,7 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
         seed: args.seed,
         locations: args.locations,
         model: args.model,
+        information: args.information.into(),
         exploration_weight: args.exploration_weight,
         task_states: args.task_states,
         viewpoints,

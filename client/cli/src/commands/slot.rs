@@ -10,7 +10,7 @@ use tidemap_client::{
     queries::ModelSelector,
 };
 
-use super::{Session, times, usage};
+use super::{Session, measure::MeasureArg, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -23,7 +23,7 @@ pub(crate) struct SlotArgs {
     /// Location of the day's plan: kept unless something unexpected was observed elsewhere lately
     #[arg(long, value_name = "LOCATION", conflicts_with = "monte_carlo")]
     planned: Option<String>,
-    /// Chooses at random, in proportion to the expected information, instead of the most uncertain location
+    /// Chooses at random, in proportion to the expected information, instead of the location where a look is worth most
     #[arg(long)]
     monte_carlo: bool,
     /// Chooses the location where most states are expected to be predicted wrongly
@@ -50,6 +50,9 @@ pub(crate) struct SlotArgs {
     /// The locations hold one person or object, which is at exactly one of them: a model of all of them predicts
     #[arg(long)]
     exactly_one: bool,
+    /// How the worth of a look is measured
+    #[arg(long, value_name = "MEASURE", default_value = "ral", conflicts_with = "exactly_one")]
+    information: MeasureArg,
     /// Seed of the random numbers
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -75,7 +78,18 @@ pub(crate) async fn run(session: &Session, args: SlotArgs) -> anyhow::Result<Exi
     let (map, at, locations, model, seed) = (args.map, args.at, args.locations, args.model, args.seed);
     let exactly_one = args.exactly_one;
     let slot_nanos = (exactly_one || allowance.is_some()).then_some(args.slot);
-    let query = SlotQuery { map, time_nanos: at, strategy, locations, model, exactly_one, seed, slot_nanos, allowance };
+    let query = SlotQuery {
+        map,
+        time_nanos: at,
+        strategy,
+        locations,
+        model,
+        information: args.information.into(),
+        exactly_one,
+        seed,
+        slot_nanos,
+        allowance,
+    };
     let SlotChoice { location, information_bits, surprise_bits } = session.client.plan_slot(query).await?;
     session.print(
         &["location", "information_bits", "surprise_bits"],

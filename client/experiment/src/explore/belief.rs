@@ -78,8 +78,24 @@ struct PlaceBelief {
     persistence: tidemap_model::Persistence,
     /// The short-term memory of RAS 2017, section 4.2, if it is used.
     chain: Option<MarkovChain>,
-    /// The model's prediction for each slot of the current day.
-    today: Vec<f64>,
+    /// What the model knows of each slot of the current day.
+    today: Vec<Known>,
+}
+
+/// What is known of a place at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Known {
+    /// The probability that the person is there.
+    pub probability: f64,
+    /// The number of looks for which it stands; `None` where the model does not count them.
+    pub looks: Option<f64>,
+}
+
+impl Default for Known {
+    /// Nobody has looked.
+    fn default() -> Known {
+        Known { probability: 0.5, looks: Some(0.0) }
+    }
 }
 
 impl Belief {
@@ -98,7 +114,7 @@ impl Belief {
             readings: Vec::new(),
             persistence: tidemap_model::Persistence::default(),
             chain: None,
-            today: vec![0.5; slots.per_day],
+            today: vec![Known::default(); slots.per_day],
         };
         let remembers = remembers || kind == SHORT_TERM || blend == Blend::Memory;
         let places = (0..places).map(|_| place()).collect();
@@ -113,9 +129,9 @@ impl Belief {
         for place in &mut self.places {
             if self.presence.is_none() {
                 place.learner.learn(&place.readings)?;
-                for (of_day, p) in place.today.iter_mut().enumerate() {
-                    *p = place.learner.probability(self.slots.middle(slot + of_day));
-                }
+                let middles: Vec<Moment> =
+                    (slot..slot + self.slots.per_day).map(|slot| self.slots.middle(slot)).collect();
+                place.today = place.learner.known(&middles);
             }
             if self.remembers && !place.readings.is_empty() {
                 place.chain = Some(MarkovChain::train(Readings::new(&place.readings))?);
@@ -132,33 +148,37 @@ impl Belief {
         }
     }
 
-    /// The probabilities of all places at the middle of the current slot.
-    pub(super) fn now(&self) -> Vec<f64> {
-        let Some(slot) = self.now else { return vec![0.5; self.places.len()] };
+    /// What is known of all places at the middle of the current slot.
+    pub(super) fn now(&self) -> Vec<Known> {
+        let Some(slot) = self.now else { return vec![Known::default(); self.places.len()] };
         match &self.presence {
-            Some(presence) => presence.probabilities().to_vec(),
+            Some(presence) => presence.probabilities().iter().map(together).collect(),
             None => self.places.iter().map(|place| self.each(place, slot)).collect(),
         }
     }
 
-    /// The probabilities of all places at the middle of each slot of the day that starts with a slot, before that slot
-    /// is entered.
-    pub(super) fn ahead(&self, slot: usize) -> Vec<Vec<f64>> {
+    /// What is known of all places at the middle of each slot of the day that starts with a slot, before that slot is
+    /// entered.
+    pub(super) fn ahead(&self, slot: usize) -> Vec<Vec<Known>> {
         match &self.presence {
-            Some(presence) => presence.forecast(0..self.slots.per_day),
+            Some(presence) => {
+                let slots = presence.forecast(0..self.slots.per_day);
+                slots.iter().map(|places| places.iter().map(together).collect()).collect()
+            }
             None => (slot..slot + self.slots.per_day)
                 .map(|slot| self.places.iter().map(|place| self.each(place, slot)).collect())
                 .collect(),
         }
     }
 
-    fn each(&self, place: &PlaceBelief, slot: usize) -> f64 {
+    fn each(&self, place: &PlaceBelief, slot: usize) -> Known {
         let at = self.slots.middle(slot);
+        let known = place.today.get(slot % self.slots.per_day).copied().unwrap_or_default();
         let p = match (&place.chain, place.learner.kind()) {
             (Some(chain), SHORT_TERM) => chain.predict(at),
-            _ => place.today.get(slot % self.slots.per_day).copied().unwrap_or(0.5),
+            _ => known.probability,
         };
-        match (self.blend, &place.chain, place.readings.last()) {
+        let probability = match (self.blend, &place.chain, place.readings.last()) {
             (Blend::Persistence, ..) => place.persistence.blend(p, at.utc_nanos),
             (Blend::Memory, Some(chain), Some(last)) => {
                 let age_secs = at.utc_nanos.abs_diff(last.utc_nanos) as f64 / 1e9;
@@ -166,7 +186,8 @@ impl Belief {
                 last.value * kept + p * (1.0 - kept)
             }
             _ => p,
-        }
+        };
+        Known { probability, ..known }
     }
 
     /// The predictions of the short-term memory at the middle of the current slot; 0.5 where it has no data.
@@ -189,4 +210,9 @@ impl Belief {
             presence.observe(place, there);
         }
     }
+}
+
+/// What the model of all places together knows of one.
+fn together(&probability: &f64) -> Known {
+    Known { probability, looks: None }
 }

@@ -7,7 +7,7 @@ use tidemap_formats::svg::{
     chart::{CHART_WIDTH, FONT_SIZE, HEADING, Panel, Scale, draw_key, series_style},
 };
 
-use super::{Exploration, PlacesProtocol, StrategyResult, WEEK_DAYS};
+use super::{Exploration, PlacesProtocol, StrategyResult, VisitStrategy, WEEK_DAYS};
 
 const COLUMNS: usize = 2;
 const LEFT: f64 = 48.0;
@@ -26,7 +26,11 @@ pub(super) fn draw(protocol: &PlacesProtocol, outcome: &Exploration) -> String {
     let scale = Scale::up_to(all.fold(0.0, f64::max));
     let width = (CHART_WIDTH - LEFT - GAP * COLUMNS as f64) / COLUMNS as f64;
     let several = protocol.explorations.len() > 1;
-    let strategies = |share: &f64| protocol.strategies.iter().map(|strategy| (*share, *strategy)).collect::<Vec<_>>();
+    let worths =
+        |share: f64, strategy: VisitStrategy| protocol.worths.iter().map(move |&worth| (share, strategy, worth));
+    let strategies = |&share: &f64| {
+        protocol.strategies.iter().flat_map(move |&strategy| worths(share, strategy)).collect::<Vec<_>>()
+    };
     let panels: Vec<_> = protocol.explorations.iter().flat_map(strategies).collect();
     let left = |index: usize| LEFT + (index % COLUMNS) as f64 * (width + GAP);
     let legend_top = TOP + panels.len().div_ceil(COLUMNS) as f64 * (HEIGHT + GAP + 16.0);
@@ -34,10 +38,16 @@ pub(super) fn draw(protocol: &PlacesProtocol, outcome: &Exploration) -> String {
     let mut svg = Svg::new([CHART_WIDTH, legend_top + legend_height + 24.0], FONT_SIZE);
     svg.text([16.0, 26.0], &protocol.name, HEADING);
     svg.text([16.0, 46.0], "wrong states, percent of all, by week", "text-anchor=\"start\"");
-    for (index, &(share, strategy)) in panels.iter().enumerate() {
+    for (index, &(share, strategy, worth)) in panels.iter().enumerate() {
         let top = TOP + (index / COLUMNS) as f64 * (HEIGHT + GAP + 16.0);
         let panel = Panel { area: [left(index), top, width, HEIGHT], steps: weeks, scale };
-        let heading = if several { format!("{}, {share}", strategy.name()) } else { strategy.name().to_owned() };
+        let mut heading = strategy.name().to_owned();
+        if protocol.worths.len() > 1 {
+            heading += &format!(", {}", worth.name());
+        }
+        if several {
+            heading += &format!(", {share}");
+        }
         svg.text([left(index), top - 8.0], &heading, HEADING);
         panel.draw_grid(&mut svg);
         for week in (0..weeks).step_by(weeks.div_ceil(12)) {
@@ -45,7 +55,8 @@ pub(super) fn draw(protocol: &PlacesProtocol, outcome: &Exploration) -> String {
         }
         for (index, model) in protocol.models.iter().enumerate() {
             let is_this = |result: &&StrategyResult| {
-                result.exploration == share && result.strategy == strategy && result.model == *model
+                let is_of_panel = result.exploration == share && result.strategy == strategy && result.worth == worth;
+                is_of_panel && result.model == *model
             };
             for result in outcome.results.iter().filter(is_this) {
                 panel.draw_series(&mut svg, (0..weeks).map(|week| Some(percent(result, week))), &series_style(index));

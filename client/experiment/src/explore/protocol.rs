@@ -11,7 +11,7 @@ use super::{
     ExploreProtocol,
     belief::BeliefModel,
     office::{OfficeProtocol, RawOffice},
-    replay::VisitStrategy,
+    replay::{VisitStrategy, VisitWorth},
 };
 use crate::{
     ProtocolError,
@@ -47,6 +47,8 @@ pub struct PlacesProtocol {
     pub weeks: Option<(usize, usize)>,
     /// Strategies, at least one.
     pub strategies: Vec<VisitStrategy>,
+    /// How strategies measure the worth of a visit, at least one way.
+    pub worths: Vec<VisitWorth>,
     /// Models, at least one.
     pub models: Vec<BeliefModel>,
     /// Folder of the results.
@@ -65,6 +67,7 @@ struct RawExploreProtocol {
     seeds: Option<Word>,
     weeks: Option<Words>,
     strategies: Option<Words>,
+    information: Option<Words>,
     models: Option<Words>,
     out: Option<Word>,
 }
@@ -100,6 +103,7 @@ fn of_office(
         ("exploration", written.exploration),
         ("weeks", written.weeks),
         ("strategies", written.strategies),
+        ("information", written.information),
         ("models", written.models),
     ];
     let first = |words: Words| Word {
@@ -123,6 +127,11 @@ fn of_places(written: RawExploreProtocol, name: &str, folder: &Path) -> Result<P
         })
     })?;
     let strategies = VisitStrategy::ALL.into_iter().map(|strategy| (strategy.name().to_owned(), strategy));
+    let worths = VisitWorth::all().map(|worth| (worth.name().to_owned(), worth));
+    let worths = match written.information {
+        Some(information) => named("information", Some(information), &worths.collect::<Vec<_>>())?,
+        None => vec![VisitWorth::Entropy],
+    };
     let models = BeliefModel::all().map(|model| (model.name(), model));
     Ok(PlacesProtocol {
         name: written.name.map_or_else(|| name.to_owned(), |word| word.text),
@@ -132,6 +141,7 @@ fn of_places(written: RawExploreProtocol, name: &str, folder: &Path) -> Result<P
         seeds: seeds(written.seeds)?,
         weeks: written.weeks.as_ref().map(weeks).transpose()?,
         strategies: named("strategies", written.strategies, &strategies.collect::<Vec<_>>())?,
+        worths,
         models: named("models", written.models, &models.collect::<Vec<_>>())?,
         out: folder.join(required(written.out, "out", OUT)?.text),
     })

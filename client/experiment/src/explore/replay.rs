@@ -3,14 +3,16 @@
 //! Invariant: no strategy makes more visits in a day than its budget; strategies that schedule ahead use the whole
 //! budget.
 
+use tidemap_model::{InformationMeasure, Predictive};
 use tidemap_plan::{
+    information::{Certainty, LookWorth},
     location::{error_gain, information_bits, surprise_bits},
     strategy::{self, Allowance, Budget, Gains, Strategy, StrategyError},
 };
 
 use super::{
     ExploreError,
-    belief::{Belief, BeliefModel, Slots},
+    belief::{Belief, BeliefModel, Known, Slots},
 };
 use crate::place_recording::PlaceRecording;
 
@@ -21,13 +23,13 @@ pub enum VisitStrategy {
     RoundRobin,
     /// Any place at any time.
     Random,
-    /// The day's highest entropies.
+    /// The visits of a day that are worth most.
     Greedy,
-    /// Drawn in proportion to entropy.
+    /// Drawn in proportion to what they are worth.
     MonteCarlo,
     /// As Monte Carlo, but changed where the short-term memory contradicts the model.
     NoveltyDriven,
-    /// At each slot the place with the highest entropy.
+    /// At each slot the place whose visit is worth most.
     Online,
     /// At each slot the place whose predicted state is most likely wrong; ties: the most likely place.
     OnlineError,
@@ -70,6 +72,54 @@ impl VisitStrategy {
     }
 }
 
+/// How strategies measure the worth of a visit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum VisitWorth {
+    /// The entropy of the prediction (RAS 2017, eq. 10).
+    Entropy,
+    /// A measure that a map offers.
+    Information(InformationMeasure),
+}
+
+impl VisitWorth {
+    /// All of them.
+    pub fn all() -> impl Iterator<Item = VisitWorth> {
+        std::iter::once(VisitWorth::Entropy).chain(InformationMeasure::ALL.map(VisitWorth::Information))
+    }
+
+    /// Its name in protocols.
+    pub fn name(self) -> &'static str {
+        match self {
+            VisitWorth::Entropy => "entropy",
+            VisitWorth::Information(measure) => measure.name(),
+        }
+    }
+
+    /// The worth of a visit, in bits.
+    fn bits(self, known: Known) -> f64 {
+        match self {
+            VisitWorth::Entropy => information_bits([known.probability]),
+            VisitWorth::Information(measure) => {
+                let around = known.looks.map(|looks| Predictive::new(known.probability, looks, 0.0));
+                LookWorth { certainty: Certainty::default(), measure }.bits(known.probability, around)
+            }
+        }
+    }
+}
+
+/// How an explorer chooses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Explorer {
+    /// The share of slots that may be used for visits, 0 to 1.
+    pub exploration: f64,
+    /// The strategy.
+    pub strategy: VisitStrategy,
+    /// How it measures the worth of a visit.
+    pub worth: VisitWorth,
+    /// The model of the places.
+    pub model: BeliefModel,
+}
+
 /// The result of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Run {
@@ -80,13 +130,8 @@ pub(super) struct Run {
 }
 
 /// Explores a world once.
-pub(super) fn replay(
-    world: &PlaceRecording,
-    exploration: f64,
-    strategy: VisitStrategy,
-    model: BeliefModel,
-    seed: u64,
-) -> Result<Run, ExploreError> {
+pub(super) fn replay(world: &PlaceRecording, explorer: Explorer, seed: u64) -> Result<Run, ExploreError> {
+    let Explorer { exploration, strategy, worth, model } = explorer;
     let cannot_train = |refused| ExploreError::CannotTrain { model: model.name(), refused };
     let cannot_plan = |refused: StrategyError| ExploreError::Strategy { strategy: strategy.name(), refused };
     let (places, per_day) = (world.places.len(), world.slots());
@@ -102,8 +147,8 @@ pub(super) fn replay(
         let schedule = match strategy.ahead(run.visits) {
             Some(ahead_by) => {
                 let ahead = belief.ahead(first);
-                let entropy = |slot: usize, place: usize| information_bits([ahead[slot][place]]);
-                let gains = Gains::of(per_day, places, entropy).map_err(cannot_plan)?;
+                let gain = |slot: usize, place: usize| worth.bits(ahead[slot][place]);
+                let gains = Gains::of(per_day, places, gain).map_err(cannot_plan)?;
                 let budget = Budget::Visits(allowed);
                 strategy::schedule(ahead_by, &gains, budget, mixed(seed, first)).map_err(cannot_plan)?
             }
@@ -112,9 +157,9 @@ pub(super) fn replay(
         let mut wrong = 0_u64;
         for (slot, planned) in (first..).zip(schedule) {
             belief.enter(slot);
-            let p = belief.now();
-            let visit = visit(strategy, planned, &p, &belief, &mut allowance, mixed(seed, slot));
-            wrong += errors(world.slot(slot), &p, visit);
+            let known = belief.now();
+            let visit = visit((strategy, worth), planned, &known, &belief, &mut allowance, mixed(seed, slot));
+            wrong += errors(world.slot(slot), &known, visit);
             if let Some(place) = visit {
                 run.visits += 1;
                 belief.observe(place, world.seen(slot) == place);
@@ -127,9 +172,9 @@ pub(super) fn replay(
 
 /// The place to visit in the current slot; `planned` is the place scheduled ahead.
 fn visit(
-    strategy: VisitStrategy,
+    (strategy, worth): (VisitStrategy, VisitWorth),
     planned: Option<usize>,
-    p: &[f64],
+    known: &[Known],
     belief: &Belief,
     allowance: &mut Allowance,
     seed: u64,
@@ -140,15 +185,17 @@ fn visit(
         }
         VisitStrategy::NoveltyDriven => {
             let expected = belief.expected();
-            let worth = |(&expected, &p): (&f64, &f64)| (surprise_bits([(expected, p)]), information_bits([p]));
-            planned.map(|planned| strategy::novel(expected.iter().zip(p).map(worth)).unwrap_or(planned))
+            let bits = |(&expected, known): (&f64, &Known)| {
+                (surprise_bits([(expected, known.probability)]), information_bits([known.probability]))
+            };
+            planned.map(|planned| strategy::novel(expected.iter().zip(known).map(bits)).unwrap_or(planned))
         }
         VisitStrategy::Online | VisitStrategy::OnlineError => {
-            let gain = |&p: &f64| match strategy {
-                VisitStrategy::Online => information_bits([p]),
-                _ => error_gain([p]),
+            let gain = |&known: &Known| match strategy {
+                VisitStrategy::Online => worth.bits(known),
+                _ => error_gain([known.probability]),
             };
-            let gains: Vec<f64> = p.iter().map(gain).collect();
+            let gains: Vec<f64> = known.iter().map(gain).collect();
             let (place, gain) = strategy::best(&gains, seed)?;
             allowance.grant(gain).then_some(place)
         }
@@ -157,11 +204,11 @@ fn visit(
 
 /// Number of wrong states over the minutes of a slot (RAS 2017, eq. 1 and 2). An unknown state, p = 0.5, counts as off:
 /// one person is in one of ten rooms.
-fn errors(minutes: &[u8], p: &[f64], visit: Option<usize>) -> u64 {
+fn errors(minutes: &[u8], known: &[Known], visit: Option<usize>) -> u64 {
     let mut wrong = 0;
     for &there in minutes {
-        for (place, &p) in p.iter().enumerate() {
-            let is_wrong = (p > 0.5) != (usize::from(there) == place);
+        for (place, known) in known.iter().enumerate() {
+            let is_wrong = (known.probability > 0.5) != (usize::from(there) == place);
             wrong += u64::from(is_wrong && visit != Some(place));
         }
     }

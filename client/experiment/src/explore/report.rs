@@ -13,7 +13,7 @@ use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each strategy and model.
 ///
-/// Columns: exploration (if the protocol lists several), strategy, model, error_percent over the whole world and its
+/// Columns: exploration (if the protocol lists several), strategy, information (likewise), model, error_percent over the whole world and its
 /// standard error over seeds, the same for the weeks that are scored separately, and visits_per_day.
 pub fn summary<W: Write>(
     protocol: &PlacesProtocol,
@@ -45,13 +45,18 @@ pub fn summary<W: Write>(
 /// The columns that name a result.
 fn names(protocol: &PlacesProtocol) -> impl Iterator<Item = &'static str> + use<> {
     let several = (protocol.explorations.len() > 1).then_some("exploration");
-    several.into_iter().chain(["strategy", "model"])
+    let worths = (protocol.worths.len() > 1).then_some("information");
+    several.into_iter().chain(["strategy"]).chain(worths).chain(["model"])
 }
 
 /// What [`names`] are of a result.
 fn named(protocol: &PlacesProtocol, result: &StrategyResult) -> Vec<Cell> {
-    let several = (protocol.explorations.len() > 1).then_some(Cell::Number(result.exploration));
-    several.into_iter().chain([Cell::from(result.strategy.name()), Cell::Text(result.model.name())]).collect()
+    let mut cells = Vec::with_capacity(4);
+    cells.extend((protocol.explorations.len() > 1).then_some(Cell::Number(result.exploration)));
+    cells.push(result.strategy.name().into());
+    cells.extend((protocol.worths.len() > 1).then(|| Cell::from(result.worth.name())));
+    cells.push(Cell::Text(result.model.name()));
+    cells
 }
 
 /// Writes the files of an exploration into its folder, which exists.

@@ -55,7 +55,7 @@ fn a_protocol_is_read_and_has_defaults() {
     assert_eq!(read.models[1], BeliefModel::Each { kind: ModelKind::Spectral, blend: Blend::Persistence });
     let least = protocol("world: w\nstrategies: greedy\nmodels: presence\nout: o\n");
     assert_eq!((least.name.as_str(), least.slot_minutes, least.seeds, least.weeks), ("stem", 10, 5, None));
-    assert_eq!(least.explorations, [0.5]);
+    assert_eq!((least.explorations, least.worths), (vec![0.5], vec![VisitWorth::Entropy]));
 }
 
 #[test]
@@ -86,6 +86,11 @@ fn what_a_protocol_says_wrongly_is_named() {
             "line 7: strategies is \"clever\": it has to be one of: round-robin, random, greedy",
         ),
         ("presence]", "persistence+persistence]", "line 8: models is \"persistence+persistence\""),
+        (
+            "presence]",
+            "presence]\ninformation: [ral, more]",
+            "line 9: information is \"more\": it has to be one of: entropy",
+        ),
         ("presence]", "mean]", "line 8: models is \"mean\": it has to be each once"),
         ("name: flat", "nam: flat", "line 1"),
         ("world: flat.txt\n", "", "key world is missing: write the file of the world"),
@@ -210,6 +215,27 @@ fn several_shares_of_slots_are_compared_in_one_run() {
     assert!(read("results.csv").starts_with("exploration,strategy,model,error_percent,"));
     assert!(read("weeks.csv").contains("\n0.25,online-error,presence,3,"));
     assert!(read("exploration.svg").contains("online-error, 0.25"));
+}
+
+#[test]
+fn measures_of_a_visit_are_compared_in_one_run() {
+    let text = PROTOCOL
+        .replace("models: [mean, spectral+persistence, presence]", "information: [ral, both]\nmodels: [ensemble, mean]")
+        .replace("round-robin, online-error", "greedy")
+        .replace("seeds: 3", "seeds: 1");
+    let protocol = protocol(&text);
+    let outcome = explore(&regular(21), &protocol, &|_, _| ()).unwrap();
+    let [gain, gain_of_mean, both, both_of_mean] = &outcome.results[..] else { panic!("{}", outcome.results.len()) };
+    assert_eq!((gain.worth.name(), both.worth.name()), ("ral", "both"));
+    assert_ne!(gain.days, both.days);
+    // The mean counts no looks, so only a place of which nothing is known is worth more.
+    assert_eq!(gain_of_mean.model, both_of_mean.model);
+    let folder = tempfile::tempdir().unwrap();
+    write(&protocol, &outcome, folder.path()).unwrap();
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    assert!(read("results.csv").starts_with("strategy,information,model,error_percent,"));
+    assert!(read("results.csv").contains("\ngreedy,both,ensemble,"));
+    assert!(read("exploration.svg").contains("greedy, both"));
 }
 
 #[test]

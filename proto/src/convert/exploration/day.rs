@@ -6,14 +6,14 @@ use tidemap_map::name::StateName;
 use tidemap_model::{LocalDay, selector::ModelSelector};
 use tidemap_plan::{
     day::DayRow,
-    information::Certainty,
+    information::LookWorth,
     strategy::{Budget, Strategy},
     view::{SceneOptions, Sensor, Viewpoint},
 };
 
 use super::{
-    TourRequest, budget_from_wire, certainty_from_wire, date_from_wire, scene_from_wire, sensor_from_wire,
-    slot_from_wire, strategy_from_wire, tour_from_wire, viewpoint_from_wire,
+    TourRequest, budget_from_wire, certainty_from_wire, date_from_wire, measure_from_wire, scene_from_wire,
+    sensor_from_wire, slot_from_wire, strategy_from_wire, tour_from_wire, viewpoint_from_wire,
 };
 use crate::{
     convert::{
@@ -57,8 +57,8 @@ pub struct DayQuestion {
     pub strategy: Strategy,
     /// The model; one that cells have, for views and tours.
     pub selector: ModelSelector,
-    /// The certainty after an observation.
-    pub certainty: Certainty,
+    /// What a look at a state is worth.
+    pub worth: LookWorth,
     /// Weight of information against the task, 0 to 1; 1: there is no task.
     pub exploration_weight: f64,
     /// The state of the task at each target; empty without a task.
@@ -78,7 +78,11 @@ pub fn day_from_wire(request: v1::PlanDayRequest) -> Result<DayQuestion, Invalid
     let slot_nanos = slot_from_wire(request.slot)?;
     let (budget, strategy) = (budget_from_wire(request.budget), strategy_from_wire("strategy", request.strategy)?);
     let selector = selector_from_wire("model", request.model)?;
-    let certainty = certainty_from_wire("certainty", request.certainty)?;
+    let is_counted = !request.exactly_one && request.viewpoints.is_empty() && request.tour.is_none();
+    let worth = LookWorth {
+        certainty: certainty_from_wire("certainty", request.certainty)?,
+        measure: measure_from_wire("information", request.information, is_counted)?,
+    };
     let exploration_weight = request.exploration_weight.unwrap_or(1.0);
     if !(0.0..=1.0).contains(&exploration_weight) {
         let text = format!("{exploration_weight} is not between 0 and 1");
@@ -95,7 +99,7 @@ pub fn day_from_wire(request: v1::PlanDayRequest) -> Result<DayQuestion, Invalid
         budget,
         strategy,
         selector,
-        certainty,
+        worth,
         exploration_weight,
         task_states,
         targets,
@@ -148,6 +152,8 @@ pub fn day_to_wire(rows: &[DayRow], names: &[String]) -> v1::PlanDayResponse {
 
 #[cfg(test)]
 mod tests {
+    use tidemap_model::InformationMeasure;
+
     use super::*;
 
     fn asked() -> v1::PlanDayRequest {
@@ -159,6 +165,10 @@ mod tests {
         let question = day_from_wire(asked()).expect("right");
         assert_eq!(question.targets, DayTargets::Locations(Vec::new()));
         assert_eq!((question.exploration_weight, question.strategy), (1.0, Strategy::MonteCarlo));
+        assert_eq!(question.worth.measure, InformationMeasure::RaL);
+        let information = v1::InformationMeasure::Both.into();
+        let both = day_from_wire(v1::PlanDayRequest { information, ..asked() }).expect("right");
+        assert_eq!(both.worth.measure, InformationMeasure::Both);
         let one = day_from_wire(v1::PlanDayRequest { exactly_one: true, ..asked() }).expect("right");
         assert_eq!(one.targets, DayTargets::ExactlyOne(Vec::new()));
     }
@@ -174,6 +184,10 @@ mod tests {
         assert_eq!(field(v1::PlanDayRequest { locations, tour: tour.clone(), ..asked() }), "tour");
         assert_eq!(field(v1::PlanDayRequest { exactly_one: true, viewpoints, ..asked() }), "exactly_one");
         assert_eq!(field(v1::PlanDayRequest { exactly_one: true, tour, ..asked() }), "exactly_one");
+        let information = v1::InformationMeasure::Both.into();
+        let views = vec![v1::Viewpoint::default()];
+        assert_eq!(field(v1::PlanDayRequest { viewpoints: views, information, ..asked() }), "information");
+        assert_eq!(field(v1::PlanDayRequest { information: 9, ..asked() }), "information");
         let task_states = vec!["door".to_owned()];
         assert_eq!(field(v1::PlanDayRequest { task_states, ..asked() }), "task_states");
         assert_eq!(field(v1::PlanDayRequest { exploration_weight: Some(1.5), ..asked() }), "exploration_weight");

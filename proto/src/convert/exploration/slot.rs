@@ -5,9 +5,9 @@
 
 use tidemap_map::name::StateName;
 use tidemap_model::selector::ModelSelector;
-use tidemap_plan::{information::Certainty, strategy::Budget};
+use tidemap_plan::{information::LookWorth, strategy::Budget};
 
-use super::{allowance_from_wire, certainty_from_wire, slot_from_wire};
+use super::{allowance_from_wire, certainty_from_wire, measure_from_wire, slot_from_wire};
 use crate::{
     convert::{
         InvalidField, query::planning_selector_from_wire, site::location_names_from_wire, time::instant_from_wire,
@@ -53,8 +53,8 @@ pub struct SlotQuestion {
     pub selector: ModelSelector,
     /// Whether exactly one location holds the person or object, which replaces the model.
     pub exactly_one: bool,
-    /// The certainty after an observation.
-    pub certainty: Certainty,
+    /// What a look at a state is worth.
+    pub worth: LookWorth,
     /// Locations to choose from; empty: all of the map.
     pub locations: Vec<StateName>,
     /// `None`: every slot may be used.
@@ -80,7 +80,10 @@ pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuest
     if request.exactly_one && request.model.is_some() {
         return Err(InvalidField::new("exactly_one", "it is a model itself: leave out model"));
     }
-    let certainty = certainty_from_wire("certainty", request.certainty)?;
+    let worth = LookWorth {
+        certainty: certainty_from_wire("certainty", request.certainty)?,
+        measure: measure_from_wire("information", request.information, !request.exactly_one)?,
+    };
     if !is_novelty && !request.planned.is_empty() {
         return Err(InvalidField::new("planned", "`planned` needs strategy NOVELTY: leave it empty"));
     }
@@ -96,7 +99,7 @@ pub fn slot_question_from_wire(request: v1::PlanSlotRequest) -> Result<SlotQuest
         },
         selector,
         exactly_one: request.exactly_one,
-        certainty,
+        worth,
         locations: location_names_from_wire("locations", &request.locations)?,
         allowance,
         seed: request.seed,
@@ -123,6 +126,8 @@ fn allowance_of(
 
 #[cfg(test)]
 mod tests {
+    use tidemap_model::InformationMeasure;
+
     use super::*;
     use crate::convert::time::timestamp;
 
@@ -135,6 +140,10 @@ mod tests {
         let question = slot_question_from_wire(asked(v1::SlotStrategy::Unspecified)).expect("right");
         assert_eq!(question.choice, LocationChoice::Information);
         assert!(question.selector.is_blended() && question.allowance.is_none() && question.locations.is_empty());
+        assert_eq!(question.worth.measure, InformationMeasure::RaL);
+        let information = v1::InformationMeasure::Both.into();
+        let both = v1::PlanSlotRequest { information, ..asked(v1::SlotStrategy::Unspecified) };
+        assert_eq!(slot_question_from_wire(both).expect("right").worth.measure, InformationMeasure::Both);
         let novel = v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(v1::SlotStrategy::Novelty) };
         let novel = slot_question_from_wire(novel).expect("right");
         assert_eq!(novel.choice, LocationChoice::Novelty { planned: "hall".to_owned() });
@@ -151,6 +160,9 @@ mod tests {
         assert_eq!(field(v1::PlanSlotRequest { exactly_one: true, model, ..asked(Online) }), "exactly_one");
         assert_eq!(field(v1::PlanSlotRequest { planned: "hall".to_owned(), ..asked(Online) }), "planned");
         assert_eq!(field(v1::PlanSlotRequest { spent: 1, ..asked(Online) }), "allowance");
+        assert_eq!(field(v1::PlanSlotRequest { information: 9, ..asked(Online) }), "information");
+        let information = v1::InformationMeasure::Learn.into();
+        assert_eq!(field(v1::PlanSlotRequest { exactly_one: true, information, ..asked(Online) }), "information");
         let allowance = Some(Allowance::Explore(3));
         assert_eq!(field(v1::PlanSlotRequest { allowance, ..asked(MonteCarlo) }), "allowance");
         assert!(slot_question_from_wire(v1::PlanSlotRequest { allowance, ..asked(OnlineError) }).is_ok());

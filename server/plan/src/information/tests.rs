@@ -14,6 +14,16 @@ fn only_certainties_are_taken() {
 }
 
 #[test]
+fn a_look_teaches_only_where_looks_are_counted() {
+    let (gain, known) = (Certainty::default().bits(0.3), Predictive::new(0.3, 2.0, 0.0));
+    let worth = |measure| LookWorth { measure, ..LookWorth::default() };
+    assert_eq!(worth(InformationMeasure::RaL).bits(0.3, Some(known)), gain);
+    assert_eq!(worth(InformationMeasure::Learn).bits(0.3, Some(known)), known.learning_bits());
+    assert_eq!(worth(InformationMeasure::Both).bits(0.3, Some(known)), gain + 4.0 * known.learning_bits());
+    assert_eq!(InformationMeasure::ALL.map(|measure| worth(measure).bits(0.3, None)), [gain, 0.0, gain]);
+}
+
+#[test]
 fn information_has_its_known_values() {
     let certainty = Certainty::default();
     assert!((certainty.bits(0.5) - (1.0 - 0.286_396_957_115_956_4)).abs() < 1e-12);

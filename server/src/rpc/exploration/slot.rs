@@ -20,6 +20,7 @@ use super::{
     Explorations,
     locations::{Locations, find_locations},
     presence::predict_presence,
+    worth::look_worths,
 };
 use crate::{
     ingest::handle::MapHandle,
@@ -44,7 +45,8 @@ pub(super) async fn plan_slot(
     let slot = Slot { explorations, handle: &handle, view: &view, question: &question, locations: &locations };
     let forecast = slot.predict(visits.as_ref()).await?;
     let now = forecast.at(0);
-    let gain = |_, place: usize| question.certainty.bits_of(now[place].iter().copied());
+    let bits = forecast.bits_at(0);
+    let gain = |_, place: usize| bits[place].iter().sum();
     let gains = Gains::of(1, now.len(), gain).map_err(|error| PlanError::from(DayError::from(error)))?;
     let (place, surprise_bits) = match question.choice {
         LocationChoice::Novelty { .. } => slot.most_novel(&now, planned).await?,
@@ -104,28 +106,38 @@ impl Slot<'_> {
         let mut times = vec![self.question.time_nanos];
         times.extend(visits.into_iter().flat_map(|visits| &visits.later_nanos));
         if !self.question.exactly_one {
-            return self.series(times, self.question.selector).await;
+            let rows = self.series(&times, self.question.selector).await?;
+            return self.forecast(&times, rows).await;
         }
         day_slots(self.view, self.question)?;
         let slot_nanos = self.question.slot_nanos;
-        let slot_times = (slot_nanos, times);
+        let slot_times = (slot_nanos, times.clone());
         let rows = predict_presence(self.explorations, self.handle, self.view, self.locations, slot_times).await?;
-        Ok(SlotForecast { rows, members: &self.locations.members })
+        self.forecast(&times, rows).await
     }
 
-    async fn series(&self, times: Vec<i64>, selector: ModelSelector) -> Result<SlotForecast<'_>, RpcError> {
-        let members = &self.locations.members;
-        let states: Vec<StateOrCell> = members.iter().flatten().cloned().collect();
-        let context = self.explorations.predict_context();
-        let rows = predict_series(context, self.handle, self.view, (states, times), selector).await?;
-        Ok(SlotForecast { rows, members })
+    /// The states and cells of all locations, one after the other.
+    fn states(&self) -> Vec<StateOrCell> {
+        self.locations.members.iter().flatten().cloned().collect()
+    }
+
+    async fn forecast(&self, times: &[i64], rows: Vec<Vec<f64>>) -> Result<SlotForecast<'_>, RpcError> {
+        let asked = (self.states(), times);
+        let bits = look_worths(self.explorations, self.view, asked, &rows, self.question.worth).await?;
+        Ok(SlotForecast { rows, bits, members: &self.locations.members })
+    }
+
+    async fn series(&self, times: &[i64], selector: ModelSelector) -> Result<Vec<Vec<f64>>, RpcError> {
+        let (context, asked) = (self.explorations.predict_context(), (self.states(), times.to_vec()));
+        predict_series(context, self.handle, self.view, asked, selector).await
     }
 
     /// The most surprising location, or the planned one if none is surprising enough, with its surprise in bits. `now`
     /// has the probabilities of the states of each location.
     async fn most_novel(&self, now: &[Vec<f64>], planned: Option<usize>) -> Result<(usize, f64), RpcError> {
         let chain = ModelSelector { kind: ModelKind::Persistence, ..ModelSelector::default() };
-        let expected = self.series(vec![self.question.time_nanos], chain).await?.at(0);
+        let rows = self.series(&[self.question.time_nanos], chain).await?;
+        let expected = of_locations(&rows, &self.locations.members, 0);
         let pairs = |place: usize| expected[place].iter().copied().zip(now[place].iter().copied());
         let worth = |place| (surprise_bits(pairs(place)), information_bits(now[place].iter().copied()));
         let place = strategy::novel((0..now.len()).map(worth)).or(planned).unwrap_or_default();
@@ -133,28 +145,43 @@ impl Slot<'_> {
     }
 }
 
-/// The probabilities of the states of locations at the times of a question.
+/// The predictions of the states of locations at the times of a question.
 struct SlotForecast<'a> {
     /// A row per state, location by location, with a probability per time.
     rows: Vec<Vec<f64>>,
+    /// Likewise, with the worth of a look in bits.
+    bits: Vec<Vec<f64>>,
     members: &'a [Vec<StateOrCell>],
 }
 
 impl SlotForecast<'_> {
     /// The probabilities of each location's states at a time, by its index.
     fn at(&self, time: usize) -> Vec<Vec<f64>> {
-        let mut rest = self.rows.iter().map(|row| row[time]);
-        self.members.iter().map(|states| rest.by_ref().take(states.len()).collect()).collect()
+        of_locations(&self.rows, self.members, time)
     }
+
+    /// The worth of a look at each location's states at a time, by its index.
+    fn bits_at(&self, time: usize) -> Vec<Vec<f64>> {
+        of_locations(&self.bits, self.members, time)
+    }
+}
+
+/// The values of each location's states at a time, by its index. `rows`: a row per state, location by location.
+fn of_locations(rows: &[Vec<f64>], members: &[Vec<StateOrCell>], time: usize) -> Vec<Vec<f64>> {
+    let mut rest = rows.iter().map(|row| row[time]);
+    members.iter().map(|states| rest.by_ref().take(states.len()).collect()).collect()
 }
 
 /// The location that is worth most now; `None` if enough later slots are worth more.
 fn best_now(question: &SlotQuestion, forecast: &SlotForecast<'_>, visits: Option<&VisitsLeft>) -> Option<usize> {
-    let value = |states: &Vec<f64>| match question.choice {
-        LocationChoice::Error => error_gain(states.iter().copied()),
-        _ => question.certainty.bits_of(states.iter().copied()),
+    let values = |time: usize| -> Vec<f64> {
+        match question.choice {
+            LocationChoice::Error => {
+                forecast.at(time).iter().map(|states| error_gain(states.iter().copied())).collect()
+            }
+            _ => forecast.bits_at(time).iter().map(|bits| bits.iter().sum()).collect(),
+        }
     };
-    let values = |time: usize| forecast.at(time).iter().map(value).collect::<Vec<f64>>();
     let Some((place, worth)) = strategy::best(&values(0), question.seed) else { return Some(0) };
     let Some(VisitsLeft { visits, later_nanos }) = visits else { return Some(place) };
     let best_of = |time: usize| values(time).into_iter().fold(0.0, f64::max);

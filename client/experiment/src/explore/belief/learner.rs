@@ -3,10 +3,12 @@
 //! Invariant: a state without readings has probability 0.5.
 
 use tidemap_model::{
-    OrderCriterion, Periodicities, Sample, StateKind, StateModel, TrainedModel,
-    catalogue::{ModelKind, TrainingCost},
+    OrderCriterion, Periodicities, Sample, StateKind, StateModel, TrainedModel, UpdateRules,
+    catalogue::{ModelKind, NIGHTLY_WINDOW_NANOS, TRAINED_AT_NIGHT, TrainingCost},
     models::{CannotTrain, Moment, Readings, TemporalModel},
 };
+
+use super::Known;
 
 /// Maximum number of components of the spectral model.
 const ORDER_MAX: usize = 8;
@@ -36,11 +38,11 @@ pub(super) fn kinds() -> impl Iterator<Item = ModelKind> {
 pub(super) struct Learner {
     kind: ModelKind,
     trained: Option<TrainedModel>,
-    spectral: Option<Spectral>,
+    nightly: Option<Nightly>,
 }
 
-/// The spectral model, which learns incrementally.
-struct Spectral {
+/// A state that learns night by night, as in a map.
+struct Nightly {
     periodicities: Periodicities,
     state: StateModel,
     learned: usize,
@@ -49,7 +51,7 @@ struct Spectral {
 impl Learner {
     /// An untrained model.
     pub(super) fn new(kind: ModelKind) -> Learner {
-        Learner { kind, trained: None, spectral: None }
+        Learner { kind, trained: None, nightly: None }
     }
 
     /// The kind of the model.
@@ -64,7 +66,11 @@ impl Learner {
         }
         self.trained = match self.kind {
             ModelKind::Spectral => {
-                self.learn_spectral(readings)?;
+                self.nightly(readings, OrderCriterion::SquaredError)?;
+                None
+            }
+            ModelKind::Ensemble => {
+                self.nightly(readings, UpdateRules::default())?.train(readings)?;
                 None
             }
             SHORT_TERM => None,
@@ -73,40 +79,72 @@ impl Learner {
         Ok(())
     }
 
-    fn learn_spectral(&mut self, readings: &[Sample]) -> Result<(), CannotTrain> {
-        let mut spectral = match self.spectral.take() {
-            Some(spectral) => spectral,
-            None => {
-                let refused = |_| CannotTrain::Parameter {
-                    parameter: "number of periodicities",
-                    found: f64::from(PERIOD_COUNT),
-                    expected: "1 to 2048",
+    /// The state after it has learned what is new.
+    fn nightly(&mut self, readings: &[Sample], rules: impl Into<UpdateRules>) -> Result<&mut Nightly, CannotTrain> {
+        let nightly = match &mut self.nightly {
+            Some(nightly) => nightly,
+            none => {
+                let periodicities = match self.kind {
+                    ModelKind::Spectral => harmonics()?,
+                    _ => Periodicities::default(),
                 };
-                let periodicities = Periodicities::harmonics(PERIOD_BASE_NANOS, PERIOD_COUNT).map_err(refused)?;
-                Spectral { state: StateModel::new(&periodicities), periodicities, learned: 0 }
+                none.insert(Nightly { state: StateModel::new(&periodicities), periodicities, learned: 0 })
             }
         };
-        let new = readings.get(spectral.learned..).unwrap_or_default().to_vec();
-        spectral.learned = readings.len();
-        spectral.state.update(&spectral.periodicities, OrderCriterion::SquaredError, new);
-        self.spectral = Some(spectral);
-        Ok(())
+        let new = readings.get(nightly.learned..).unwrap_or_default().to_vec();
+        nightly.learned = readings.len();
+        nightly.state.update(&nightly.periodicities, rules, new);
+        Ok(nightly)
     }
 
-    /// The predicted probability at a moment.
-    pub(super) fn probability(&self, at: Moment) -> f64 {
-        match (&self.trained, &self.spectral) {
-            (Some(model), _) => model.predict(at),
-            (None, Some(spectral)) => {
-                let model = spectral.state.spectral();
-                model.predict(&spectral.periodicities, spectral.order(), at.civil_nanos())
-            }
-            (None, None) => 0.5,
+    /// What is known of the state at moments, which are in order of time.
+    pub(super) fn known(&self, moments: &[Moment]) -> Vec<Known> {
+        let plain = |probability: f64| Known { probability, looks: None };
+        match (&self.trained, &self.nightly) {
+            (Some(model), _) => moments.iter().map(|&at| plain(model.predict(at))).collect(),
+            (None, Some(nightly)) => match nightly.state.predictive(&nightly.periodicities, moments) {
+                Some(predicted) if self.kind == ModelKind::Ensemble => {
+                    let known = predicted.into_iter();
+                    known.map(|known| Known { probability: known.value(), looks: Some(known.looks()) }).collect()
+                }
+                _ => moments.iter().map(|&at| plain(nightly.spectral(at))).collect(),
+            },
+            (None, None) => vec![Known::default(); moments.len()],
         }
     }
 }
 
-impl Spectral {
+/// The candidates of RAS 2017.
+fn harmonics() -> Result<Periodicities, CannotTrain> {
+    let refused = |_| CannotTrain::Parameter {
+        parameter: "number of periodicities",
+        found: f64::from(PERIOD_COUNT),
+        expected: "1 to 2048",
+    };
+    Periodicities::harmonics(PERIOD_BASE_NANOS, PERIOD_COUNT).map_err(refused)
+}
+
+impl Nightly {
+    /// Trains the members of the ensemble that are due, as a map does.
+    fn train(&mut self, readings: &[Sample]) -> Result<(), CannotTrain> {
+        let Some(newest) = readings.last() else { return Ok(()) };
+        let oldest_nanos = newest.utc_nanos.saturating_sub(NIGHTLY_WINDOW_NANOS);
+        let from = readings.partition_point(|reading| reading.utc_nanos < oldest_nanos);
+        let window = readings.get(from..).unwrap_or(readings);
+        for kind in TRAINED_AT_NIGHT {
+            if kind.cost() == Some(TrainingCost::Low) && self.state.is_training_due(kind) {
+                let trained = kind.train(Readings::new(window), StateKind::Probability, &self.periodicities)?;
+                self.state = self.state.clone().with_trained(trained, newest.local_day());
+            }
+        }
+        Ok(())
+    }
+
+    /// The probability by the spectral model.
+    fn spectral(&self, at: Moment) -> f64 {
+        self.state.spectral().predict(&self.periodicities, self.order(), at.civil_nanos())
+    }
+
     /// The order up to [`ORDER_MAX`] that predicted best.
     fn order(&self) -> usize {
         let sums = self.state.errors().sums();

@@ -7,7 +7,6 @@ use std::{ops::ControlFlow, sync::Arc};
 use tidemap_model::StopSignal;
 use tidemap_plan::{
     day::DayError,
-    information::Certainty,
     predicted::{PredictOptions, PredictedGrid, PredictedTimes},
     strategy::Gains,
     tour::{NoTour, Tour, plan_tour},
@@ -21,6 +20,7 @@ use super::{
         locations::{Locations, find_locations},
         presence::predict_presence,
         tour::starting_on,
+        worth::look_worths,
     },
     Day,
 };
@@ -47,22 +47,24 @@ impl Day<'_> {
                 let locations = find_locations(self.view, names, self.explorations.limits.predictions).await?;
                 let times = (self.question.slot_nanos, self.middles.clone());
                 let rows = predict_presence(self.explorations, self.handle, self.view, &locations, times).await?;
-                self.location_gains(locations, &rows)
+                self.location_gains(locations, &rows).await
             }
             DayTargets::Locations(names) => {
                 let locations = find_locations(self.view, names, self.explorations.limits.predictions).await?;
                 let states: Vec<StateOrCell> = locations.members.iter().flatten().cloned().collect();
                 let (context, asked) = (self.explorations.predict_context(), (states, self.middles.clone()));
                 let rows = predict_series(context, self.handle, self.view, asked, self.question.selector).await?;
-                self.location_gains(locations, &rows)
+                self.location_gains(locations, &rows).await
             }
         }
     }
 
     /// The expected information of locations. `rows` has their states one after the other.
-    fn location_gains(&self, locations: Locations, rows: &[Vec<f64>]) -> Result<(Vec<String>, Gains), RpcError> {
+    async fn location_gains(&self, locations: Locations, rows: &[Vec<f64>]) -> Result<(Vec<String>, Gains), RpcError> {
         let counts: Vec<usize> = locations.members.iter().map(Vec::len).collect();
-        let gains = gains(rows, &counts, self.middles.len(), self.question.certainty).map_err(PlanError::from)?;
+        let asked = (locations.members.into_iter().flatten().collect(), self.middles.as_slice());
+        let bits = look_worths(self.explorations, self.view, asked, rows, self.question.worth).await?;
+        let gains = gains(&bits, &counts, self.middles.len()).map_err(PlanError::from)?;
         Ok((locations.names, gains))
     }
 
@@ -127,8 +129,9 @@ fn never_possible(tours: &[Tour]) -> Option<NoTour> {
     tours.first().filter(|_| tours.iter().all(is_impossible))?.no_tour
 }
 
-/// The expected information of each location in each slot. `rows` has the states of the locations one after the other.
-fn gains(rows: &[Vec<f64>], counts: &[usize], slots: usize, certainty: Certainty) -> Result<Gains, DayError> {
+/// The expected information of each location in each slot. `rows` has the information of their states, one after the
+/// other.
+fn gains(rows: &[Vec<f64>], counts: &[usize], slots: usize) -> Result<Gains, DayError> {
     let mut begin = 0;
     let of_location: Vec<&[Vec<f64>]> = counts
         .iter()
@@ -137,6 +140,6 @@ fn gains(rows: &[Vec<f64>], counts: &[usize], slots: usize, certainty: Certainty
             &rows[begin - count..begin]
         })
         .collect();
-    let gain = |slot: usize, place: usize| certainty.bits_of(of_location[place].iter().map(|row| row[slot]));
+    let gain = |slot: usize, place: usize| of_location[place].iter().map(|row| row[slot]).sum();
     Ok(Gains::of(slots, counts.len(), gain)?)
 }

@@ -1,0 +1,43 @@
+//! The measure of what a look is worth, as an option.
+//!
+//! Invariant: the names are those of [`InformationMeasure`].
+
+use clap::ValueEnum;
+use tidemap_client::exploration::InformationMeasure;
+
+/// How the worth of a look is measured.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum MeasureArg {
+    /// The gain as published in RA-L 2016: what is known of a state after the look
+    Ral,
+    /// What the look teaches of later ones
+    Learn,
+    /// The gain plus four times what is learned
+    Both,
+}
+
+impl From<MeasureArg> for InformationMeasure {
+    fn from(measure: MeasureArg) -> InformationMeasure {
+        match measure {
+            MeasureArg::Ral => InformationMeasure::RaL,
+            MeasureArg::Learn => InformationMeasure::Learn,
+            MeasureArg::Both => InformationMeasure::Both,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_measure_has_its_name() {
+        let names = MeasureArg::value_variants().iter().map(|&arg| {
+            let value = arg.to_possible_value().expect("none is hidden");
+            (value.get_name().to_owned(), InformationMeasure::from(arg).name())
+        });
+        let names: Vec<_> = names.collect();
+        assert_eq!(names.len(), InformationMeasure::ALL.len());
+        assert!(names.iter().all(|(arg, name)| arg == name), "{names:?}");
+    }
+}

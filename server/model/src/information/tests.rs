@@ -1,0 +1,46 @@
+//! Known values of what is learned, its bounds, and how the measures weigh it.
+
+use proptest::prelude::*;
+
+use super::*;
+
+#[test]
+fn what_a_look_teaches_has_its_known_values() {
+    // Of a habit of which nothing is known but its mean, which is then 0 or 1, one look tells all.
+    assert!((learning_bits(0.5, 0.0) - 1.0).abs() < 1e-9);
+    // Beta(1, 1): E[H] is half a nat.
+    assert!((learning_bits(0.5, 2.0) - (1.0 - 0.5 / std::f64::consts::LN_2)).abs() < 1e-9);
+    // Beta(1, 3): E[H] = ψ(5) - ψ(2) / 4 - 3 ψ(4) / 4 = 1/4 + 3/4 * 1/4 + ... by its harmonic numbers.
+    let harmonic = |n: u32| (1..=n).map(|k| 1.0 / f64::from(k)).sum::<f64>();
+    let kept = harmonic(4) - 0.25 * harmonic(1) - 0.75 * harmonic(3);
+    assert!((learning_bits(0.25, 4.0) - (entropy_bits(0.25) - kept / std::f64::consts::LN_2)).abs() < 1e-9);
+    // With many looks, 1 / (2ν) nats.
+    assert!((learning_bits(0.3, 1e4) * 2e4 * std::f64::consts::LN_2 - 1.0).abs() < 1e-2);
+    for looks in [f64::INFINITY, 1e300, LOOKS_MAX] {
+        assert_eq!(learning_bits(0.5, looks), 0.0);
+    }
+}
+
+#[test]
+fn the_measures_weigh_gain_and_learning() {
+    let bits = InformationMeasure::ALL.map(|measure| measure.bits(0.5, 0.25));
+    assert_eq!(bits, [0.5, 0.25, 1.5]);
+    assert_eq!(InformationMeasure::ALL.map(InformationMeasure::name), ["ral", "learn", "both"]);
+    // A coin that was often thrown is worth less than a state of which little is known.
+    let worth = |v: f64, looks: f64| InformationMeasure::Both.bits(entropy_bits(v), learning_bits(v, looks));
+    assert!(worth(0.5, 200.0) < worth(0.2, 1.0));
+}
+
+proptest! {
+    #[test]
+    fn what_is_learned_lies_between_nothing_and_the_entropy(value in proptest::num::f64::ANY, looks in proptest::num::f64::ANY) {
+        let (bits, entropy) = (learning_bits(value, looks), entropy_bits(value));
+        prop_assert!((0.0..=entropy).contains(&bits), "{bits} of {entropy}");
+    }
+
+    #[test]
+    fn less_is_learned_by_every_look(value in 0.0..=1.0_f64, looks in 0.0..1e3_f64, more in 0.0..100.0_f64) {
+        prop_assert!(learning_bits(value, looks + more) <= learning_bits(value, looks) + 1e-9);
+        prop_assert!((learning_bits(value, looks) - learning_bits(1.0 - value, looks)).abs() < 1e-9);
+    }
+}
