@@ -7,8 +7,8 @@
 //!
 //! > H(v) - E\[H(q)\] = H(v) - (ψ(ν + 1) - v ψ(vν + 1) - (1 - v) ψ((1 - v)ν + 1)) / ln 2,
 //!
-//! with the digamma function ψ. It falls with every look. Invariant: no result is NaN or negative; what is learned is at
-//! most the entropy.
+//! with the digamma function ψ. It falls with every look. Invariant: no result is NaN or negative; what is learned is
+//! at most the entropy.
 
 use crate::{entropy::entropy_bits, special::digamma};
 

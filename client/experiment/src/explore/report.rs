@@ -13,8 +13,9 @@ use tidemap_formats::table::{Cell, Format, write_rows};
 
 /// Writes a row for each strategy and model.
 ///
-/// Columns: exploration (if the protocol lists several), strategy, information (likewise), model, error_percent over the whole world and its
-/// standard error over seeds, the same for the weeks that are scored separately, and visits_per_day.
+/// Columns: exploration (if the protocol lists several), strategy, information (likewise), model,
+/// error_percent over the whole world and its standard error over seeds, the same for the weeks that are scored
+/// separately, and visits_per_day.
 pub fn summary<W: Write>(
     protocol: &PlacesProtocol,
     outcome: &Exploration,
