@@ -136,6 +136,9 @@ pub struct Group {
     /// With a half-life: the latest local day in the sums of the group.
     #[prost(sint32, optional, tag = "9")]
     pub sum_day: Option<i32>,
+    /// How well each hour of weekdays, then of weekends, is known, a byte each. Empty: every hour is known.
+    #[prost(bytes = "vec", tag = "10")]
+    pub seen: Vec<u8>,
 }
 
 /// The model of a cell.
@@ -197,6 +200,10 @@ pub struct GroupTimes {
     /// Number of single hours with an observation.
     #[prost(fixed64, tag = "3")]
     pub hours_bits: u64,
+    /// Number of single hours with an observation by hour of the day, of weekdays, then of weekends. Empty: evenly
+    /// spread.
+    #[prost(float, repeated, tag = "4")]
+    pub by_hour: Vec<f32>,
 }
 
 /// Which components of a cell are supported, and its change alarm.

@@ -55,6 +55,7 @@ pub mod sensor_sums;
 pub mod sensors;
 pub mod snapshot;
 pub mod spec;
+mod tempering;
 pub mod tile;
 pub mod update;
 pub mod view;

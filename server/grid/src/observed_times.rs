@@ -1,21 +1,39 @@
-//! When the cells of an observation group were observed: the times between, and in how many hours.
+//! When the cells of an observation group were observed: the times between, and in which hours.
 //!
 //! Cells that were always observed together share it, as they share their sums. With the changes of a cell it tells
-//! which periods the cell can have, and how much its readings depend on each other. Invariant: it is that of a named
-//! state with the same readings.
+//! which periods the cell can have, how much its readings depend on each other, and at which hours it is known.
+//! Invariant: it is that of a named state with the same readings.
 
-use tidemap_model::GapSample;
+use tidemap_model::{GapSample, HoursSeen};
 
-/// The times at which a group was observed, about 100 bytes.
+/// The times at which a group was observed, about 300 bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct ObservedTimes {
     /// The times between successive observations, each newer than the one before.
     pub gaps: GapSample,
     /// Number of single local hours with an observation; with a half-life, each with the weight of its day.
     pub hours: f64,
+    /// `hours` by hour of the day, of weekdays and of weekends. Single precision is exact for a thousand years.
+    pub by_hour: [[f32; 24]; 2],
 }
 
 impl ObservedTimes {
+    /// The number of hours by hour of the day where only their number is known: spread evenly.
+    pub fn spread(hours: f64) -> [[f32; 24]; 2] {
+        [[(hours / 48.0) as f32; 24]; 2]
+    }
+
+    /// Changes the weight of the hours so far.
+    pub(crate) fn scale(&mut self, factor: f64) {
+        self.hours *= factor;
+        self.by_hour.as_flattened_mut().iter_mut().for_each(|hours| *hours = (f64::from(*hours) * factor) as f32);
+    }
+
+    /// How well each hour of the day is known.
+    pub(crate) fn hours_seen(&self) -> HoursSeen {
+        HoursSeen::of_looks(&self.by_hour.map(|hours| hours.map(f64::from)))
+    }
+
     /// The median gap, and that between regular observations, in nanoseconds; 0 where they are not known.
     pub(crate) fn gap_nanos(&self) -> (u64, u64) {
         (self.gaps.median_nanos(), self.gaps.regular_nanos().unwrap_or(0))

@@ -10,7 +10,7 @@
 
 use std::sync::Arc;
 
-use tidemap_model::{LocalDay, OrderErrors, OrderWatch, PhasorSum, SpectralModel};
+use tidemap_model::{HoursSeen, LocalDay, OrderErrors, OrderWatch, PhasorSum, SpectralModel};
 
 use crate::{
     fade::GroupFade,
@@ -33,6 +33,8 @@ pub struct Group {
     pub first_nanos: i64,
     /// Time of the last, nanoseconds UTC.
     pub last_nanos: i64,
+    /// How well each hour of the day is known.
+    pub seen: HoursSeen,
 }
 
 /// The model of a cell that has changed.

@@ -5,7 +5,8 @@
 use std::{collections::HashMap, sync::Arc};
 
 use tidemap_model::{
-    InstantPhasors, LocalDay, MemoryBasis, Persistence, SpectralModel,
+    HoursSeen, InstantPhasors, LocalDay, MemoryBasis, Persistence, SpectralModel,
+    models::Moment,
     selector::{ModelKind, ModelSelector},
 };
 
@@ -18,6 +19,7 @@ use crate::{
     mask::Mask,
     sensors::Sensors,
     spec::GridSpec,
+    tempering::{Tempering, is_tempered},
     tile::{TileModel, TileUnavailable},
 };
 
@@ -71,12 +73,24 @@ pub struct CellDescription {
     pub observations: u64,
     /// First learned observation, nanoseconds UTC.
     pub first_nanos: Option<i64>,
+    /// How well each hour of the day is known of a changed cell.
+    pub seen: HoursSeen,
 }
 
 impl CellDescription {
     /// Order of the spectral model of this cell that a selector asks for; 0 for a constant model.
     pub fn order_for(&self, selector: ModelSelector) -> usize {
         if selector.kind.has_order() { selector.order_or(self.order) } else { 0 }
+    }
+
+    /// Tempers answers of the cell's model by how well the hours of the moments are known, unless a model was asked for
+    /// by name.
+    pub fn temper(&self, selector: ModelSelector, moments: &[Moment], answers: &mut [f64]) {
+        if is_tempered(selector) && self.changed {
+            for (answer, moment) in answers.iter_mut().zip(moments) {
+                *answer = self.seen.at(moment.civil_nanos()).temper(self.spectral.mean(), *answer);
+            }
+        }
     }
 
     /// What the memory of the cell needs beside its last value.
@@ -213,13 +227,16 @@ impl GridView {
         for cell in known.without(learned).cells() {
             out[usize::from(cell)] = 0.5;
         }
+        let tempering = Tempering::new(&model, selector, phasors.civil_nanos());
         for cell in &model.cells {
             let order = match selector.kind {
                 ModelKind::Mean => 0,
                 _ => selector.order.unwrap_or(usize::from(cell.order)),
             };
             if let Some(out) = out.get_mut(usize::from(cell.cell)) {
-                *out = cell.spectral.predict_at(order, phasors) as f32;
+                let answer = cell.spectral.predict_at(order, phasors);
+                let temper = |tempering: &Tempering| tempering.temper(cell.cell, cell.spectral.mean(), answer);
+                *out = tempering.as_ref().map_or(answer, temper) as f32;
             }
         }
         if selector.is_blended() {
@@ -297,9 +314,11 @@ impl GridView {
             observations: 0,
             first_nanos: group.map(|group| group.first_nanos),
             persistence: Persistence::default(),
+            seen: HoursSeen::default(),
         };
         if let Some(model) = model.cell(place) {
             description.changed = true;
+            description.seen = group.map_or(description.seen, |group| group.seen);
             description.spectral = model.spectral.clone();
             description.order = usize::from(model.order);
             description.errors = Some(*model.errors.sums());

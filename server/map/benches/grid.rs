@@ -148,12 +148,13 @@ fn predict(c: &mut Criterion, spec: &Arc<MapSpec>, learned: MapSnapshot) {
     let phasors = InstantPhasors::new(&spec.periodicities, at);
     let mut group = c.benchmark_group("grid_predict");
     group.throughput(Throughput::Elements((TILES * 512) as u64));
-    for (name, order, blend) in [
-        ("order_2", Some(2), Blend::None),
-        ("order_15", Some(15), Blend::None),
-        ("persistence", Some(2), Blend::Persistence),
+    let spectral = |order, blend| ModelSelector { kind: ModelKind::Spectral, order: Some(order), blend };
+    for (name, selector) in [
+        ("default", ModelSelector::default()),
+        ("order_2", spectral(2, Blend::None)),
+        ("order_15", spectral(15, Blend::None)),
+        ("persistence", spectral(2, Blend::Persistence)),
     ] {
-        let selector = ModelSelector { kind: ModelKind::Spectral, order, blend };
         group.bench_function(name, |b| {
             b.iter(|| {
                 for tile in (0..TILES as u32).map(TileId) {

@@ -133,7 +133,7 @@ fn observed_hours(cell: &CellDescription) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use tidemap_model::{Persistence, PersistenceParts, Sample, SpectralModel};
+    use tidemap_model::{HoursSeen, Persistence, PersistenceParts, Sample, SpectralModel};
 
     use super::*;
 
@@ -183,6 +183,7 @@ mod tests {
             folded: 1000,
             observations: 1000,
             first_nanos: Some(0),
+            seen: HoursSeen::default(),
         };
         let width = |tau_secs| cell_intervals(&cell(tau_secs), &[0.4], Some(0.9))[0].interval.width();
         assert!(width(10.0) < 0.5 * width(36_000.0), "{} {}", width(10.0), width(36_000.0));

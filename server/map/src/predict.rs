@@ -137,6 +137,7 @@ impl MapView {
     ) {
         let parts = (&cell.spectral, cell.order_for(selector), &cell.persistence);
         predict_state(StateKind::Probability, parts, times, selector, out);
+        cell.temper(selector, &times.moments, out);
         blend(&cell.persistence, cell.memory_basis(), &times.moments, selector.blend, out);
     }
 

@@ -22,7 +22,6 @@ mod pool;
 mod recall;
 mod rotation;
 mod season;
-mod seen;
 mod smooth_table;
 mod stack;
 mod trained;
@@ -33,7 +32,7 @@ use std::sync::OnceLock;
 pub use any::AnyEnsemble;
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
-use looks::{DayLooks, HOURS, SLOT_NANOS, SLOTS, slot_at};
+use looks::{DayLooks, SLOT_NANOS, SLOTS, slot_at};
 pub use numbers::{NumberEnsemble, NumberEnsembleParts, Others};
 use outlook::{FarWeights, Outlook, Profile};
 pub use parts::{ClassParts, EnsembleParts, SaidParts};
@@ -41,13 +40,16 @@ use pool::{Member, Pool};
 use recall::Recall;
 use rotation::Rotation;
 use season::Season;
-use seen::equivalent_looks;
 use smooth_table::{KindHours, smooth_table};
 use stack::{Stack, clip};
 pub use trained::TrainedEnsemble;
-use week_table::{WeekTable, kind_of_day};
+use week_table::WeekTable;
 
-use crate::{LocalDay, Sample, models::TemporalModel};
+use crate::{
+    LocalDay, Sample,
+    hours_seen::{HOURS, equivalent_looks, kind_of_day},
+    models::TemporalModel,
+};
 
 /// The half-life of the recent table, in days.
 const RECENT_DAYS: f64 = 7.0;

@@ -40,6 +40,7 @@ mod ensemble;
 mod entropy;
 mod evaluate;
 mod gaps;
+mod hours_seen;
 mod information;
 mod kind;
 mod lanes;
@@ -75,6 +76,7 @@ pub use ensemble::{
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};
 pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};
+pub use hours_seen::{Evidence, HoursSeen, kind_and_hour};
 pub use information::{InformationMeasure, learning_bits};
 pub use kind::{StateKind, VALUE_MAX};
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};

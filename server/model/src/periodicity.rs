@@ -17,6 +17,9 @@ const PERIOD_MIN_NANOS: i64 = NANOS_PER_SEC;
 const PERIOD_MAX_NANOS: i64 = 36_525 * 86_400 * NANOS_PER_SEC;
 const WEEK_NANOS: i64 = 7 * 86_400 * NANOS_PER_SEC;
 const WEEK_HARMONICS: u32 = 168;
+/// Readings are in phase with a period if the mean of their phasors is at least this long: as of looks at the same time
+/// of each day, of up to two and a half hours.
+const IN_PHASE: f64 = 0.98;
 
 /// How candidate periodicities are defined.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -163,6 +166,17 @@ impl Periodicities {
     pub(crate) fn is_resolved(&self, k: usize, gap_nanos: u64) -> bool {
         let Some((period, turns)) = self.period_of_turns(k) else { return false };
         u128::from(period) * 100 >= u128::from(gap_nanos) * 198 * turns
+    }
+
+    /// The longest of the harmonics with which nearly all readings are in phase, in nanoseconds: such readings tell
+    /// apart only periods of at least twice as much, as if they were that far apart (H. Nyquist). 0 without one, and
+    /// for a list of periods, whose differences are none of them. `phasors`: Σ e^(-jω_k t) over the readings, each as
+    /// its squared magnitude; `weight`: number of the readings.
+    pub(crate) fn in_phase_nanos(&self, phasors: impl Iterator<Item = f64>, weight: f64) -> u64 {
+        let Cycles::Harmonics { base, .. } = &self.inner.cycles else { return 0 };
+        let least = IN_PHASE * weight;
+        let first = (1..).zip(phasors).find(|(_, square)| *square >= least * least);
+        first.map_or(0, |(turns, _)| base.period / turns)
     }
 
     /// Periodicity `k` as some nanoseconds and how often it turns in them; `None` where `k` is too large.

@@ -49,14 +49,18 @@ impl SpectralModel {
 
     /// [`SpectralModel::train`] where the gaps between the readings are known. The observed span counts with the median
     /// gap added, since each reading stands for the time until the next: twelve monthly looks hold a year. A period
-    /// that regular readings cannot tell from slower ones is not eligible.
+    /// that the readings cannot tell from slower ones is not eligible: regular gaps are too long for it, or all
+    /// readings are in phase with less than twice that period, as those at the same hour of each day.
     pub fn train_with_gaps(accumulator: &Accumulator, periodicities: &Periodicities, gaps: &Gaps) -> SpectralModel {
         let (mean, observations) = (accumulator.mean(), accumulator.observations());
         let per_observation = if observations == 0 { 1.0 } else { 1.0 / accumulator.weight() };
         let span_nanos = accumulator.span_nanos().saturating_add(gaps.median_nanos());
-        let resolved_nanos = gaps.regular_nanos().unwrap_or(0);
+        let spectrum = accumulator.unpacked_spectrum(periodicities);
+        let squares = spectrum.iter().map(|&[_, _, b_re, b_im]| b_re * b_re + b_im * b_im);
+        let in_phase_nanos = periodicities.in_phase_nanos(squares, accumulator.weight());
+        let resolved_nanos = gaps.regular_nanos().unwrap_or(0).max(in_phase_nanos);
         let mut strongest = Strongest::new();
-        for (k, &[a_re, a_im, b_re, b_im]) in accumulator.unpacked_spectrum(periodicities).iter().enumerate() {
+        for (k, &[a_re, a_im, b_re, b_im]) in spectrum.iter().enumerate() {
             let gamma_re = (a_re - mean * b_re) * per_observation;
             let gamma_im = (a_im - mean * b_im) * per_observation;
             let power = gamma_re * gamma_re + gamma_im * gamma_im;

@@ -97,7 +97,13 @@ fn grid(spec: &MapSpec, seed: u64) -> GridSnapshot {
         sums.push(TileSums { groups: vec![Arc::new(sum())], cells, times, watches, ..TileSums::default() });
     }
     for _ in 0..TILES {
-        let group = Group { cells: Mask([u64::MAX; 8]), observations: 17_200, first_nanos: 1, last_nanos: START_NANOS };
+        let group = Group {
+            cells: Mask([u64::MAX; 8]),
+            observations: 17_200,
+            first_nanos: 1,
+            last_nanos: START_NANOS,
+            ..Group::default()
+        };
         let mut cell = |cell: u16| {
             let component =
                 |periodicity| Component { periodicity, gamma_re: random.random(), gamma_im: random.random() };

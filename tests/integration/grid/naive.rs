@@ -20,6 +20,16 @@ fn civil(utc_nanos: i64) -> i64 {
     if utc_nanos < SUMMER_NANOS { utc_nanos } else { utc_nanos + 3_600 * SECOND_NANOS }
 }
 
+/// The local hour.
+fn hour(utc_nanos: i64) -> i64 {
+    civil(utc_nanos).div_euclid(3_600 * SECOND_NANOS)
+}
+
+/// 1 for a day of the weekend.
+fn kind_of_day(day: i64) -> usize {
+    usize::from((day + 3).rem_euclid(7) >= 5)
+}
+
 fn phasor(harmonic: usize, utc_nanos: i64) -> (f64, f64) {
     let turned = i128::from(civil(utc_nanos)) * (harmonic as i128 + 1) % i128::from(WEEK_NANOS);
     let (sin, cos) = (TAU * turned as f64 / WEEK_NANOS as f64).sin_cos();
@@ -49,6 +59,8 @@ pub(crate) struct Naive {
     pub mean: f64,
     pub folded: u64,
     pub order: usize,
+    /// The order with the lowest error.
+    best: usize,
     pub errors: [f64; ORDERS],
     /// Harmonic and γ, strongest first.
     components: Vec<(usize, f64, f64)>,
@@ -56,6 +68,8 @@ pub(crate) struct Naive {
     pub is_tied: bool,
     pub tau_secs: f64,
     pub last: Option<(i64, f64)>,
+    /// Single hours with a reading, by hour of weekdays and of weekends.
+    hours: [[f64; 24]; 2],
 }
 
 impl Naive {
@@ -88,9 +102,15 @@ impl Naive {
                 sum += value;
             }
             learned.folded += of_day.len() as u64;
+            for of_hour in of_day.chunk_by(|one, next| hour(one.0) == hour(next.0)) {
+                let hour = hour(of_hour[0].0);
+                learned.hours[kind_of_day(hour / 24)][hour as usize % 24] += 1.0;
+            }
             learned.mean = sum / learned.folded as f64;
             if has_changed {
                 learned.train([&a, &b], of_day[of_day.len() - 1].0 - folded[0].0);
+                let hours: f64 = learned.hours.as_flattened().iter().sum();
+                learned.order = learned.best.min((hours / 8.0 - 1.0).max(0.0) as usize);
             }
         }
         learned
@@ -124,7 +144,7 @@ impl Naive {
             }
         }
         let lowest = self.errors.iter().copied().fold(f64::INFINITY, f64::min);
-        self.order = self.errors.iter().position(|&error| error <= lowest * 1.001).expect("one is the lowest");
+        self.best = self.errors.iter().position(|&error| error <= lowest * 1.001).expect("one is the lowest");
     }
 
     fn train(&mut self, [a, b]: [&Sums; 2], span_nanos: i64) {
@@ -155,9 +175,38 @@ impl Naive {
         p.clamp(0.0, 1.0)
     }
 
-    /// The probability with `order` components and the last reading blended in.
-    pub(crate) fn persistent(&self, order: usize, utc_nanos: i64) -> f64 {
-        let p = self.probability(order, utc_nanos);
+    /// The answer by default: near the mean at hours that were hardly observed.
+    pub(crate) fn answer(&self, utc_nanos: i64) -> f64 {
+        let hour = hour(utc_nanos);
+        let looks = self.looks_that_speak(kind_of_day(hour / 24), hour as usize % 24);
+        // As it is stored: in sixteenths of a doubling.
+        let looks = ((((1.0 + 4.0 * looks).log2() * 16.0).min(254.0).floor() / 16.0).exp2() - 1.0) / 4.0;
+        let kept =
+            self.mean + looks * looks / (looks * looks + 0.25) * (self.probability(self.order, utc_nanos) - self.mean);
+        let of_mean = 0.5 / (0.5 + looks);
+        kept.max(self.mean * of_mean).min(1.0 - (1.0 - self.mean) * of_mean)
+    }
+
+    /// The looks at an hour, and what those nearby and of the other kind of day tell of it.
+    fn looks_that_speak(&self, kind: usize, hour: usize) -> f64 {
+        let mut speak = self.hours[kind][hour];
+        for (other_kind, hours) in self.hours.iter().enumerate() {
+            for (other, looks) in hours.iter().enumerate() {
+                let apart = other.abs_diff(hour).min(24 - other.abs_diff(hour));
+                let near = [1.0, 0.4, 0.18, 0.05].get(apart).copied().unwrap_or(0.0);
+                let share = if other_kind == kind { near } else { near * 0.6 };
+                if (other_kind, other) != (kind, hour) {
+                    let share = f64::min(share * looks / (looks + 1.0), 0.95);
+                    speak += share / (1.0 - share);
+                }
+            }
+        }
+        speak
+    }
+
+    /// The answer by default with the last reading blended in.
+    pub(crate) fn persistent(&self, utc_nanos: i64) -> f64 {
+        let p = self.answer(utc_nanos);
         match self.last {
             Some((time, value)) if utc_nanos >= time => {
                 let weight = (-((utc_nanos - time) as f64 / 1e9) / self.tau_secs).exp();

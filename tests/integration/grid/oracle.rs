@@ -103,10 +103,10 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
             if expected.is_tied {
                 continue;
             }
-            near(answer(0), expected.probability(expected.order, time), &what("the prediction"));
+            near(answer(0), expected.answer(time), &what("the prediction"));
             near(answer(2), expected.probability(2, time), &what("the prediction of order 2"));
             near(answer(3), expected.probability(15, time), &what("the prediction of order 15"));
-            near(answer(5), expected.persistent(expected.order, time), &what("the prediction with persistence"));
+            near(answer(5), expected.persistent(time), &what("the prediction with persistence"));
         }
         if expected.is_tied {
             continue;
@@ -120,7 +120,7 @@ async fn compare(daemon: &Daemon, film: &Film, sent: &Sent, cut_nanos: i64) -> u
             assert!(apart <= 1e-3, "an error of {name} is {found}, and not {expected}");
         }
         let value = f64::from(drawn.cell(film.index(cell)).value().expect("a known cell"));
-        near(value, expected.probability(expected.order, times[2]), &format!("{name} in the whole grid"));
+        near(value, expected.answer(times[2]), &format!("{name} in the whole grid"));
     }
     println!("{compared} of {} cells have components that can be told apart; {orders} an order", names.len());
     compared

@@ -83,7 +83,8 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
             errors: OrderErrors::default(),
             alarm_day: None,
         });
-        let group = Group { cells: tile.learned, observations: 9, first_nanos: 0, last_nanos: HOUR };
+        let group =
+            Group { cells: tile.learned, observations: 9, first_nanos: 0, last_nanos: HOUR, ..Group::default() };
         let groups = if tile.learned.is_empty() { Vec::new() } else { vec![group] };
         let weights = tile.learned_others.filter(|_| others > 0).map(|readings| {
             let (mut weights, readings) = (Weights::own(u64::from(9 - readings)), usize::from(readings));

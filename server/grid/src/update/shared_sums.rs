@@ -7,7 +7,7 @@ use std::{
     sync::Arc,
 };
 
-use tidemap_model::PhasorSum;
+use tidemap_model::{PhasorSum, kind_and_hour};
 
 use super::{
     super::{
@@ -32,6 +32,8 @@ pub(super) struct Times {
     pub(super) by_time: Option<Vec<u32>>,
     /// Of each scan, the number of local hours of scans up to its time, less one.
     pub(super) hours: Vec<u32>,
+    /// Of each of these hours, the kind of day and the hour of the day.
+    pub(super) kinds_and_hours: Vec<(usize, usize)>,
     /// The count for all scans.
     pub(super) all: Counted,
     /// The weights of the scans; `None` if all are of the map's own sensor.
@@ -68,14 +70,18 @@ impl Times {
             scans
         });
         let (mut hours, mut hour, mut number) = (vec![0; civil_nanos.len()], None, 0);
+        let mut kinds_and_hours = Vec::new();
         for place in 0..civil_nanos.len() {
             let scan = by_time.as_ref().map_or(place, |scans| scans[place] as usize);
             let of_scan = Some(civil_nanos[scan].div_euclid(HOUR_NANOS));
             number += u32::from(hour.is_some() && hour != of_scan);
+            if hour != of_scan {
+                kinds_and_hours.push(kind_and_hour(civil_nanos[scan]));
+            }
             hour = of_scan;
             hours[scan] = number;
         }
-        Times { utc_nanos, civil_nanos, by_time, hours, all, weighted }
+        Times { utc_nanos, civil_nanos, by_time, hours, kinds_and_hours, all, weighted }
     }
 
     /// Counts the scans at which a bit with these toggles is set, with the times of the first and last.

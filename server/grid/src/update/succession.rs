@@ -57,13 +57,13 @@ impl Times {
                 let earlier = before.map(|before| self.at(before)).or(last_nanos);
                 earlier.map_or(0, |earlier| self.at(scan).abs_diff(earlier))
             });
-            after.hours = before.hours * factors.known + self.hours(observed) as f64 * factors.of_day;
+            self.add_hours(&mut after, self.hours(observed), factors);
             return after;
         }
         let scans = self.by_time(observed);
         let mut hours: Vec<u32> = scans.iter().filter_map(|&scan| self.hours.get(scan).copied()).collect();
         hours.dedup();
-        after.hours = before.hours * factors.known + hours.len() as f64 * factors.of_day;
+        self.add_hours(&mut after, hours, factors);
         let mut last_nanos = last_nanos;
         for nanos in scans.into_iter().map(|scan| self.at(scan)) {
             if last_nanos.is_none_or(|last| nanos > last)
@@ -105,16 +105,28 @@ impl Times {
         is_set
     }
 
-    /// The number of local hours with an observation, where each scan is newer than the one before.
-    fn hours(&self, observed: &[u32]) -> u64 {
-        let mut last = None;
-        let mut hours = 0;
+    /// Adds local hours with an observation, by their numbers.
+    fn add_hours(&self, times: &mut ObservedTimes, numbers: Vec<u32>, factors: DayFactors) {
+        if factors.known != 1.0 {
+            times.scale(factors.known);
+        }
+        for number in numbers {
+            let Some(&(kind, hour)) = self.kinds_and_hours.get(number as usize) else { continue };
+            times.hours += factors.of_day;
+            let by_hour = &mut times.by_hour[kind][hour];
+            *by_hour = (f64::from(*by_hour) + factors.of_day) as f32;
+        }
+    }
+
+    /// The numbers of the local hours with an observation, where each scan is newer than the one before.
+    fn hours(&self, observed: &[u32]) -> Vec<u32> {
+        let mut hours = Vec::new();
         for run in self.runs(observed).filter(|run| !run.is_empty()) {
             let hour = |scan: usize| self.hours.get(scan).copied().unwrap_or(0);
             let (from, to) = (hour(run.start), hour(run.end - 1));
-            hours += u64::from(to - from) + u64::from(last != Some(from));
-            last = Some(to);
+            hours.extend(from..=to);
         }
+        hours.dedup();
         hours
     }
 

@@ -32,6 +32,11 @@ use super::{
 /// alone (T-RO section IV.B). In the simulated office that halves the error after two weeks.
 const SUPPORT_NANOS: u64 = 27 * 86_400_000_000_000;
 
+/// A component needs so many observed hours more: with few looks, noise fits any of them.
+const HOURS_PER_COMPONENT: f64 = 8.0;
+/// The mean needs so many times as much.
+const HOURS_BEFORE: f64 = 1.0;
+
 /// A tile that an update changes.
 #[derive(Debug)]
 pub(super) struct BusyTile {
@@ -200,6 +205,7 @@ impl TileDay {
     /// Replaces the tile's groups by those after the day.
     pub(super) fn regroup(&mut self, gains: &mut Gains, times: &Times, rules: &Rules) {
         let TileData { model, sums } = &mut self.tile.data;
+        let changed = model.changed();
         let mut groups = Vec::with_capacity(self.split.len());
         let mut group_sums = Vec::with_capacity(self.split.len());
         let mut weights = Vec::with_capacity(model.sensors.as_ref().map_or(0, |_| self.split.len()));
@@ -237,6 +243,9 @@ impl TileDay {
                 group.first_nanos = counted.first_nanos.min(known.map_or(i64::MAX, |group| group.first_nanos));
                 group.last_nanos = counted.last_nanos.max(known.map_or(i64::MIN, |group| group.last_nanos));
                 group.observations += counted.observations;
+                if !(split.cells & changed).is_empty() {
+                    group.seen = of_group.hours_seen();
+                }
             }
             if rules.half_life.is_some() {
                 let mut fade = fade_of(model, split).unwrap_or_else(|| GroupFade::new(self.day));
@@ -306,7 +315,7 @@ impl TileDay {
             };
             let span_nanos = group.last_nanos.abs_diff(group.first_nanos);
             if of_day.scored > 0 {
-                of_day.score(self.day, cell, watch, (span_nanos, rules), &mut outcome);
+                of_day.score(self.day, cell, watch, (span_nanos, group_times.hours, rules), &mut outcome);
             }
             cell.occupied += run_length(&of_day.toggles, self.scans);
             watch.fade(group_day.factors.known);
@@ -354,7 +363,7 @@ fn retrain_cell(
         remembered: sums.weight / sums.observations.max(1) as f64,
     };
     watch.support(&cell.spectral, &rules.periodicities, readings);
-    cell.set_order(watch, sums.span_nanos);
+    cell.set_order(watch, sums.span_nanos, group_times.hours);
     cell.alarm_day = watch.alarm().alarm_day();
 }
 
@@ -365,7 +374,7 @@ impl CellDay {
         day: LocalDay,
         cell: &mut CellModel,
         watch: &mut OrderWatch,
-        (span_nanos, rules): (u64, &Rules),
+        (span_nanos, hours, rules): (u64, f64, &Rules),
         outcome: &mut TileOutcome,
     ) {
         let (squared, scored) = (&self.scores.squared, self.scored);
@@ -382,7 +391,7 @@ impl CellDay {
         let order = cell.errors.best().min(watch.supported_order());
         let scores = DayScores { errors, squared, scored, order, unit };
         watch.score(day, &rules.periodicities, &mut cell.errors, scores);
-        cell.set_order(watch, span_nanos);
+        cell.set_order(watch, span_nanos, hours);
         outcome.squared_error_chosen += squared[usize::from(cell.order).min(ORDER_MAX)];
     }
 
@@ -516,9 +525,11 @@ fn begin_spectra(working: &mut TileData, toggles: &DayToggles, rules: &Rules) {
 }
 
 impl CellModel {
-    /// Puts the order in force that has predicted best, limited to the supported components once the record is long.
-    fn set_order(&mut self, watch: &OrderWatch, span_nanos: u64) {
+    /// Puts the order in force that has predicted best, limited to what the number of observed hours allows, and to the
+    /// supported components once the record is long.
+    fn set_order(&mut self, watch: &OrderWatch, span_nanos: u64, hours: f64) {
         let supported = if span_nanos < SUPPORT_NANOS { ORDER_MAX } else { watch.supported_order() };
+        let supported = supported.min((hours / HOURS_PER_COMPONENT - HOURS_BEFORE).max(0.0) as usize);
         self.order = u8::try_from(self.errors.best().min(supported)).unwrap_or(0);
     }
 }

@@ -28,7 +28,8 @@ fn cell_model(cell: u16, order: u8, mean: f64, components: Vec<Component>) -> Ce
 }
 
 fn tile_model(cells: Vec<CellModel>, always_occupied: Mask) -> ModelSlot {
-    let group = Group { cells: Mask::FULL, observations: 100, first_nanos: 0, last_nanos: MIDNIGHT };
+    let group =
+        Group { cells: Mask::FULL, observations: 100, first_nanos: 0, last_nanos: MIDNIGHT, ..Group::default() };
     ModelSlot::Resident(Arc::new(TileModel { groups: vec![group], always_occupied, cells, sensors: None }))
 }
 

@@ -10,8 +10,8 @@ use super::looks::DayLooks;
 
 /// The half-life of the correction, in observed days.
 const HALF_LIFE_DAYS: f64 = 3.0;
-/// How much no correction counts: as much as a day or two of a state that is nearly certain at all hours, so that one odd
-/// day does not make every hour unsure.
+/// How much no correction counts: as much as a day or two of a state that is nearly certain at all hours, so that one
+/// odd day does not make every hour unsure.
 const PRIOR: f64 = 20.0;
 /// The half-life of the dependence, in observed days.
 const DEPENDENCE_DAYS: f64 = 28.0;

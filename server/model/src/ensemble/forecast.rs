@@ -2,15 +2,15 @@
 //!
 //! Invariant: a forecast of a day uses no look of that day but those in the tables.
 
-use super::looks::{HOURS, SLOT_NANOS, SLOTS, slot_at};
+use super::looks::{SLOT_NANOS, SLOTS, slot_at};
 use super::outlook::{CLASSES, class_of};
 use super::pool::{MEMBERS, Member};
-use super::seen::evidence;
 use super::stack::{FEATURES, Features, clip, log_odds};
-use super::week_table::{DayLevels, kind_of_day};
+use super::week_table::DayLevels;
 use super::{Ensemble, FarView};
 use crate::{
     LocalDay, Predictive,
+    hours_seen::{HOURS, evidence, kind_of_day},
     models::{Moment, TemporalModel},
 };
 

@@ -8,8 +8,6 @@ use crate::{Sample, time::NANOS_PER_SEC};
 
 /// Half-hours of a local day.
 pub(crate) const SLOTS: usize = 48;
-/// Hours of a day.
-pub(super) const HOURS: usize = 24;
 /// Length of a half-hour in nanoseconds.
 pub(super) const SLOT_NANOS: i64 = 1800 * NANOS_PER_SEC;
 const DAY_NANOS: i64 = SLOTS as i64 * SLOT_NANOS;

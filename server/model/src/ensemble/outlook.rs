@@ -7,12 +7,14 @@
 //! which the plain mean was as good as the pool is left to the mean. Invariant: predictions lie strictly between 0 and
 //! 1.
 
-use super::looks::{DayLooks, HOURS};
+use super::looks::DayLooks;
 use super::pool::normalised;
 use super::season::{Rhythm, Season};
 use super::stack::{clip, log_odds, probability};
-use super::week_table::Hours;
-use crate::LocalDay;
+use crate::{
+    LocalDay,
+    hours_seen::{HOURS, Hours},
+};
 
 /// The shortest time ahead of each class, in days. Below the first, the pool of the next days answers.
 pub(super) const AHEAD_DAYS: [i64; 4] = [7, 28, 91, 364];

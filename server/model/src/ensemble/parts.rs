@@ -4,7 +4,7 @@
 
 use std::sync::OnceLock;
 
-use super::looks::{HOURS, SLOTS};
+use super::looks::SLOTS;
 use super::outlook::{CLASSES, Class, FAR_MEMBERS, Said};
 use super::pool::MEMBERS;
 use super::recall::{DAYS, SeenDay};
@@ -13,6 +13,7 @@ use super::season::{Bin, GAPS, Rhythm};
 use super::stack::{FEATURES, PAIRS};
 use super::week_table::{LEVELS, PRIORS};
 use super::{Ensemble, Recall, Stack, WeekTable, equivalent_looks};
+use crate::hours_seen::HOURS;
 use crate::{InvalidParts, LocalDay};
 
 /// Hours of a week.

@@ -11,8 +11,8 @@ use std::sync::OnceLock;
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-use super::looks::HOURS;
-use super::week_table::{Hours, WeekTable};
+use super::week_table::WeekTable;
+use crate::hours_seen::{HOURS, Hours};
 
 /// Hours of weekday and weekend.
 const CELLS: usize = 2 * HOURS;

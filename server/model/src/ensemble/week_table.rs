@@ -7,7 +7,8 @@
 //! the cells of its level before (empirical Bayes). So a state without a daily rhythm keeps its mean, and one that
 //! changes sharply at an hour keeps the edge. Invariant: every value lies strictly between 0 and 1.
 
-use super::looks::{DayLooks, HOURS};
+use super::looks::DayLooks;
+use crate::hours_seen::{HOURS, Hours, SATURDAY, kind_of_day};
 use crate::special::ln_rising;
 
 /// The strengths of the priors, in looks.
@@ -34,16 +35,6 @@ const EDGE: f64 = 1e-3;
 
 /// Levels of the table above the mean: hour, hour of the kind of day, hour of the weekday.
 pub(super) const LEVELS: usize = 3;
-/// The first weekday of the weekend; Monday is 0.
-const SATURDAY: usize = 5;
-
-/// Values by hour of the day.
-pub(super) type Hours = [f64; HOURS];
-
-/// Whether a weekday, 0 for Monday, is of the weekend: 1, else 0.
-pub(super) fn kind_of_day(weekday: usize) -> usize {
-    usize::from(weekday >= SATURDAY)
-}
 
 /// Sums over looks by hour of the local week, which fade by age if the table has a half-life.
 #[derive(Clone, Debug, PartialEq)]

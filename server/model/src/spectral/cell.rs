@@ -46,11 +46,15 @@ impl SpectralModel {
             return SpectralModel::default();
         }
         let (free, occupied) = sums.levels;
+        let (b_re, b_im) = sums.b.halves();
+        let squares = b_re.iter().zip(b_im).map(|(re, im)| re * re + im * im);
+        let in_phase_nanos = periodicities.in_phase_nanos(squares, sums.weight);
         let mut strongest = Strongest::new();
         Arch::new().dispatch(CellTraining {
             sums: &sums,
             scale: (occupied - free) / sums.weight,
             span_nanos: sums.span_nanos.saturating_add(sums.gap_nanos.0),
+            resolved_nanos: sums.gap_nanos.1.max(in_phase_nanos),
             periodicities,
             strongest: &mut strongest,
         });
@@ -65,6 +69,8 @@ struct CellTraining<'a> {
     scale: f64,
     /// The observed span with the median gap added.
     span_nanos: u64,
+    /// The readings tell apart only periods of at least twice as much.
+    resolved_nanos: u64,
     periodicities: &'a Periodicities,
     strongest: &'a mut Strongest,
 }
@@ -93,7 +99,7 @@ impl WithSimd for CellTraining<'_> {
                 let k = block * BLOCK + at;
                 if *power > self.strongest.to_beat()
                     && self.periodicities.is_eligible(k, self.span_nanos)
-                    && self.periodicities.is_resolved(k, self.sums.gap_nanos.1)
+                    && self.periodicities.is_resolved(k, self.resolved_nanos)
                 {
                     let component = Component { periodicity: k as u32, gamma_re: re[at], gamma_im: im[at] };
                     self.strongest.offer(*power, component);

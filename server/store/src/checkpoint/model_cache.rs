@@ -58,7 +58,7 @@ mod tests {
 
     #[test]
     fn the_longest_unused_goes_first() {
-        let group = Group { cells: Mask::FULL, observations: 1, first_nanos: 0, last_nanos: 0 };
+        let group = Group { cells: Mask::FULL, observations: 1, first_nanos: 0, last_nanos: 0, ..Group::default() };
         let model = Arc::new(TileModel { groups: vec![group; 10], ..TileModel::default() });
         let mut cache = ModelCache::new(model.bytes() * 2);
         cache.insert(TileId(1), &model);

@@ -22,6 +22,10 @@ pub(super) fn encode_times(times: &ObservedTimes) -> v1::GroupTimes {
         gaps: times.gaps.count(),
         kept_secs: times.gaps.kept_secs().to_vec(),
         hours_bits: times.hours.to_bits(),
+        by_hour: match times.by_hour == ObservedTimes::spread(times.hours) {
+            true => Vec::new(),
+            false => times.by_hour.as_flattened().to_vec(),
+        },
     }
 }
 
@@ -32,7 +36,16 @@ pub(super) fn decode_times(message: &v1::GroupTimes) -> Result<Arc<ObservedTimes
         return Err(TIMES);
     }
     let gaps = GapSample::from_kept(message.gaps, &message.kept_secs).map_err(|_| TIMES)?;
-    Ok(Arc::new(ObservedTimes { gaps, hours }))
+    let by_hour = match message.by_hour.as_slice() {
+        // Earlier versions kept the number alone.
+        [] => ObservedTimes::spread(hours),
+        known => {
+            let (by_hour, rest) = known.as_chunks();
+            let is_valid = rest.is_empty() && known.iter().all(|hours| (0.0..=f32::MAX).contains(hours));
+            by_hour.try_into().ok().filter(|_| is_valid).ok_or(TIMES)?
+        }
+    };
+    Ok(Arc::new(ObservedTimes { gaps, hours, by_hour }))
 }
 
 pub(super) fn encode_watch(watch: &OrderWatch) -> v1::CellWatch {

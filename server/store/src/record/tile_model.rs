@@ -17,8 +17,8 @@ use tidemap_grid::{
 };
 use tidemap_migrations::v1::grid as v1;
 use tidemap_model::{
-    Component, InvalidParts, LocalDay, ORDER_MAX, OrderErrors, OrderErrorsParts, OrderWatch, Periodicities, PhasorSum,
-    SpectralModel,
+    Component, HoursSeen, InvalidParts, LocalDay, ORDER_MAX, OrderErrors, OrderErrorsParts, OrderWatch, Periodicities,
+    PhasorSum, SpectralModel,
 };
 
 use super::{
@@ -44,6 +44,7 @@ pub(crate) fn encode(model: &TileModel) -> v1::TileModel {
             observations: group.observations,
             first_nanos: group.first_nanos,
             last_nanos: group.last_nanos,
+            seen: if group.seen == HoursSeen::default() { Vec::new() } else { group.seen.to_bytes() },
             alpha_bits: weights.map(|weights| weights.alpha.to_bits()),
             beta_bits: weights.map(|weights| weights.beta.to_bits()),
             weight_bits: fade.map(|fade| fade.weight.to_bits()),
@@ -93,7 +94,11 @@ pub(crate) fn decode(message: &v1::TileModel, periodicities: &Periodicities) -> 
         }
         observed |= cells;
         let v1::Group { observations, first_nanos, last_nanos, .. } = *group;
-        groups.push(Group { cells, observations, first_nanos, last_nanos });
+        let seen = match group.seen.as_slice() {
+            [] => HoursSeen::default(),
+            bytes => HoursSeen::from_bytes(bytes).ok_or("the hours at which a group was observed are not 48")?,
+        };
+        groups.push(Group { cells, observations, first_nanos, last_nanos, seen });
     }
     let cells = message.cells.iter().map(|cell| decode_cell(cell, periodicities));
     let cells = cells.collect::<Result<Vec<_>, _>>()?;

@@ -165,7 +165,7 @@ fn runs() -> ObservationRuns {
 fn times() -> Arc<ObservedTimes> {
     let mut gaps = GapSample::default();
     gaps.observe_many(30, |gap| gap * 1_500_000_000);
-    Arc::new(ObservedTimes { gaps, hours: 12.5 })
+    Arc::new(ObservedTimes { gaps, hours: 12.5, by_hour: ObservedTimes::spread(12.5) })
 }
 
 fn watch() -> OrderWatch {
@@ -186,6 +186,7 @@ fn learned() -> (TileModel, TileSums) {
         observations,
         first_nanos: 1_700_000_000_000_000_000,
         last_nanos: 1_700_000_004_500_000_000,
+        ..Group::default()
     };
     let component = Component { periodicity: 1, gamma_re: 0.125, gamma_im: -0.1 };
     let mut sums = [0.0; 16];

@@ -93,7 +93,7 @@ fn a_tile_whose_sums_are_longer_than_a_record_comes_back() {
         errors: OrderErrors::default(),
         alarm_day: None,
     };
-    let group = Group { cells: Mask::FULL, observations: 2, first_nanos: 0, last_nanos: 1 };
+    let group = Group { cells: Mask::FULL, observations: 2, first_nanos: 0, last_nanos: 1, ..Group::default() };
     let model = TileModel {
         groups: vec![group],
         always_occupied: Mask::EMPTY,

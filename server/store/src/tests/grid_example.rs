@@ -30,8 +30,8 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_model::{
-    Component, DayScores, GapSample, LocalDay, OrderErrors, OrderErrorsParts, OrderWatch, Periodicities, PhasorSum,
-    Sample, SpectralModel,
+    Component, DayScores, GapSample, HoursSeen, LocalDay, OrderErrors, OrderErrorsParts, OrderWatch, Periodicities,
+    PhasorSum, Sample, SpectralModel,
 };
 
 use super::example;
@@ -162,6 +162,7 @@ pub(crate) fn learned(
             observations: random.random_range(1..1000),
             first_nanos: random.random(),
             last_nanos: random.random(),
+            seen: HoursSeen::of_looks(&looks(random)),
         });
         sums.groups.push(match shared.get(random.random_range(0..shared.len() + 1)) {
             Some(shared) => Arc::clone(shared),
@@ -225,7 +226,12 @@ pub(crate) fn learned(
 fn times(random: &mut SmallRng) -> ObservedTimes {
     let mut gaps = GapSample::default();
     gaps.observe_many(random.random_range(0..40), |gap| gap * 1_500_000_000);
-    ObservedTimes { gaps, hours: random.random_range(0.0..1e4) }
+    let by_hour = looks(random).map(|hours| hours.map(|looks| looks as f32));
+    ObservedTimes { gaps, hours: random.random_range(0.0..1e4), by_hour }
+}
+
+fn looks(random: &mut SmallRng) -> [[f64; 24]; 2] {
+    [(); 2].map(|()| [(); 24].map(|()| random.random_range(0.0..40.0)))
 }
 
 fn watch(random: &mut SmallRng) -> OrderWatch {

@@ -53,13 +53,19 @@ proptest! {
                 gaps.observe_many(1, |_| nanos.abs_diff(before));
             }
             naive.observe(nanos, f64::from(u8::from(occupied)));
-            hours.push(nanos / 3_600_000_000_000);
+            hours.push(nanos.div_euclid(3_600_000_000_000));
         }
         hours.dedup();
 
         let last_nanos = last.map(|(nanos, _)| nanos);
         let found = times.observe(ObservedTimes::default(), &observed, last_nanos, DayFactors::EQUAL);
-        prop_assert_eq!(found, ObservedTimes { gaps, hours: hours.len() as f64 });
+        let mut by_hour = [[0.0; 24]; 2];
+        for hour in &hours {
+            // 1970-01-01 was a Thursday.
+            let is_weekend = (hour.div_euclid(24) + 3).rem_euclid(7) >= 5;
+            by_hour[usize::from(is_weekend)][hour.rem_euclid(24) as usize] += 1.0;
+        }
+        prop_assert_eq!(found, ObservedTimes { gaps, hours: hours.len() as f64, by_hour });
         let changes = times.changes(&observed, &occupied, last_nanos, last.map(|(_, value)| value));
         prop_assert_eq!(changes.rate_sum.to_bits(), naive.to_parts().change_rate_sum.to_bits());
         prop_assert_eq!(changes.last, naive.last().map(|(_, value)| value > 0.5));

@@ -2,7 +2,9 @@
 //!
 //! Each day is sent and learned as the daemon does it. Invariant: everything is drawn from seeds.
 
-use tidemap_model::{EnabledModels, OrderWatch, Periodicities, Sample, StateModel, UpdateRules};
+use tidemap_model::{
+    EnabledModels, InstantPhasors, OrderWatch, Periodicities, Sample, StateModel, UpdateRules, selector::ModelSelector,
+};
 
 use crate::{
     index::{TileId, TileIndex},
@@ -11,6 +13,7 @@ use crate::{
     tests::{HOUR, SECOND, apply, empty, learn, random},
     tile::CellModel,
     update::rules::UpdateLimits,
+    view::GridView,
 };
 
 const DAY: i64 = 24 * HOUR;
@@ -260,4 +263,47 @@ fn a_cell_is_judged_as_a_named_state_with_its_readings() {
     let rang: Vec<usize> =
         camera.models().iter().filter(|(_, model)| model.alarm_day.is_some()).map(|(cell, _)| *cell).collect();
     assert_eq!(rang, [3, 7, 11], "the cells with a new routine");
+}
+
+/// The predictions of a cell by default, every half-hour of the day after some days.
+fn next_day(camera: &mut Camera, day: i64, cell: usize) -> Vec<f64> {
+    let view = GridView::new(&mut camera.grid);
+    let at = |half_hour: i64| {
+        let nanos = day * DAY + half_hour * 30 * MINUTE;
+        let phasors = InstantPhasors::new(&camera.periodicities, nanos);
+        let tile = view.predict_tile(TileId((cell / TILE) as u32), nanos, &phasors, ModelSelector::default());
+        f64::from(tile.expect("in memory").probabilities[cell % TILE])
+    };
+    (0..48).map(at).collect()
+}
+
+#[test]
+fn a_few_daily_scans_make_no_swings() {
+    for days in [3, 5, 7, 21] {
+        let mut camera = Camera::new(64);
+        let mut rng = 7;
+        for day in 0..days {
+            camera.learn(&[day * DAY + 9 * HOUR], &mut |_, _| random(&mut rng, 2) == 1);
+        }
+        for cell in 0..64 {
+            let answers = next_day(&mut camera, days, cell);
+            let swing = answers.iter().copied().fold(0.0, f64::max) - answers.iter().copied().fold(1.0, f64::min);
+            assert!(swing < 0.5, "{days} days, cell {cell}: {answers:?}");
+        }
+    }
+}
+
+#[test]
+fn hours_without_scans_stay_unknown() {
+    let mut camera = Camera::new(2);
+    for day in 0..42 {
+        let times = [8, 12, 16].map(|hour| day * DAY + hour * HOUR);
+        camera.learn(&times, &mut |_, nanos| nanos % DAY / HOUR == 12);
+    }
+    let answers = next_day(&mut camera, 42, 1);
+    for hour in [3, 4, 20, 21] {
+        assert!((answers[2 * hour] - 1.0 / 3.0).abs() < 0.1, "{hour} h: {answers:?}");
+    }
+    assert!(answers[16] < 0.05 && answers[24] > 0.95 && answers[32] < 0.05, "{answers:?}");
+    assert!(answers.iter().all(|p| (1e-6..1.0 - 1e-6).contains(p)), "{answers:?}");
 }

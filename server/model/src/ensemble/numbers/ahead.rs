@@ -7,13 +7,13 @@
 //! has a window. Invariant: the farther ahead, the wider; a class that was not judged is as wide as the values of the
 //! state differ.
 
-use super::super::looks::{DayLooks, HOURS, SLOTS};
+use super::super::looks::{DayLooks, SLOTS};
 use super::SLOW;
 use super::members::{Pool, pooled};
 use super::spread::{Spread, Squares, hour_errors, shrunk};
 use super::stack::LinearStack;
 use super::table::{HALF_LIVES_DAYS, Levels, RECENT, Shapes};
-use crate::LocalDay;
+use crate::{LocalDay, hours_seen::HOURS};
 
 /// The shortest time ahead of each class, in days.
 const AHEAD_DAYS: [i64; CLASSES] = [2, 7, 28, 91, 364];

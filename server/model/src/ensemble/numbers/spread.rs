@@ -2,9 +2,11 @@
 //!
 //! Invariant: variances are finite and not negative.
 
-use super::super::looks::{DayLooks, HOURS, SLOTS};
-use super::super::week_table::kind_of_day;
-use crate::LocalDay;
+use super::super::looks::{DayLooks, SLOTS};
+use crate::{
+    LocalDay,
+    hours_seen::{HOURS, kind_of_day},
+};
 
 /// The share of the sums that remains after each further observed day.
 const KEPT: f64 = 0.985;

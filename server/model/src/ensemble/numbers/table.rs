@@ -3,8 +3,8 @@
 //! A table has levels, each shrunk towards the one before as if that were three looks: the mean, the hour of the day,
 //! the hour of the kind of day, the hour of the weekday. Invariant: sums are finite; tables fade by whole days.
 
-use super::super::looks::{DayLooks, HOURS, SLOTS};
-use super::super::week_table::kind_of_day;
+use super::super::looks::{DayLooks, SLOTS};
+use crate::hours_seen::{HOURS, kind_of_day};
 
 /// The days after which a look counts half in the tables that forget.
 pub(super) const HALF_LIVES_DAYS: [f64; RECENT] = [21.0, 7.0, 2.0];

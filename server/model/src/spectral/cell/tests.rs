@@ -144,6 +144,7 @@ fn every_instruction_set_chooses_the_same() {
             sums: &sums,
             scale: 0.005,
             span_nanos: u64::MAX,
+            resolved_nanos: 0,
             periodicities: &periodicities,
             strongest: &mut strongest,
         });

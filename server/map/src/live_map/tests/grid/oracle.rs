@@ -10,8 +10,8 @@ use tidemap_grid::{
     view::CellDescription,
 };
 use tidemap_model::{
-    AccumulatorParts, EnabledModels, MemoryBasis, ORDER_MAX, OrderCriterion, OrderErrors, Periodicities, Persistence,
-    Sample, SpectralModel, StateModel, UpdateRules,
+    AccumulatorParts, EnabledModels, HoursSeen, LocalDay, MemoryBasis, ORDER_MAX, OrderCriterion, OrderErrors,
+    Periodicities, Persistence, Sample, SpectralModel, StateModel, UpdateRules, kind_and_hour,
     selector::{Blend, ModelKind, ModelSelector},
 };
 
@@ -34,6 +34,9 @@ pub(crate) struct CellOracle {
     /// Whether two components were as strong as each other, so that another choice is as good, or readings were scored
     /// in one look, which a state scores one by one.
     tied: bool,
+    /// The single local hours with a reading that an update has learned: the day, its kind, and the hour.
+    hours: Vec<(LocalDay, usize, usize)>,
+    half_life_days: Option<f64>,
 }
 
 /// γ of all periodicities.
@@ -53,6 +56,8 @@ impl CellOracle {
             model: StateModel::new(periodicities),
             persistence: Persistence::default(),
             tied: false,
+            hours: Vec::new(),
+            half_life_days: None,
         }
     }
 
@@ -69,6 +74,7 @@ impl CellOracle {
 
     fn learn(&mut self, looks: &Looks, (criterion, half_life_days): (OrderCriterion, Option<f64>)) {
         let periodicities = &looks.periodicities;
+        self.half_life_days = half_life_days;
         let mut taken = std::mem::take(&mut self.taken);
         taken.sort_by_key(|read| read.sample.utc_nanos);
         // Day by day, so that ties of each day's model are found.
@@ -78,6 +84,11 @@ impl CellOracle {
             let rules = UpdateRules { models: EnabledModels::SPECTRAL, ..UpdateRules::from(criterion) };
             self.model.update(periodicities, rules, of_day.iter().map(|read| read.sample).collect());
             self.folded.extend(of_day);
+            let hour = |read: &Read| read.sample.civil_nanos().div_euclid(3_600_000_000_000);
+            for of_hour in of_day.chunk_by(|one, next| hour(one) == hour(next)) {
+                let (kind, hour) = kind_and_hour(of_hour[0].sample.civil_nanos());
+                self.hours.push((of_hour[0].sample.local_day(), kind, hour));
+            }
             if let Some(half_life_days) = half_life_days {
                 self.fade(periodicities, half_life_days);
             }
@@ -160,11 +171,13 @@ impl CellOracle {
         omega: &Periodicities,
     ) -> f64 {
         let spectral = self.model.spectral();
+        let is_default = selector.kind == ModelKind::Auto && selector.order.is_none() && self.has_changed();
         let p = match selector.kind {
             ModelKind::Latest => self.persistence.last().map_or(0.5, |(_, value)| value),
             ModelKind::Mean => spectral.mean(),
             _ => spectral.predict(omega, selector.order.unwrap_or(self.model.best_order()), civil_nanos),
         };
+        let p = if is_default { self.hours_seen().at(civil_nanos).temper(spectral.mean(), p) } else { p };
         match selector.blend {
             // A cell has no belief.
             Blend::Persistence | Blend::Belief => self.persistence.blend(p, utc_nanos),
@@ -175,6 +188,16 @@ impl CellOracle {
             }
             Blend::None => p,
         }
+    }
+
+    /// How well each hour is known.
+    fn hours_seen(&self) -> HoursSeen {
+        let newest = self.hours.iter().map(|(day, ..)| day.0).max().unwrap_or(0);
+        let mut looks = [[0.0; 24]; 2];
+        for &(day, kind, hour) in &self.hours {
+            looks[kind][hour] += self.half_life_days.map_or(1.0, |days| 0.5_f64.powf(f64::from(newest - day.0) / days));
+        }
+        HoursSeen::of_looks(&looks)
     }
 
     /// Compares what a view says of the cell.

@@ -1,0 +1,50 @@
+//! What the looks at an hour leave of the answers for a tile's changed cells.
+//!
+//! Only the model that answers by default is tempered: a model that is asked for by name answers as published.
+//! Invariant: a cell that has never changed is not tempered.
+
+use tidemap_model::{
+    Evidence,
+    selector::{ModelKind, ModelSelector},
+};
+
+use crate::{index::TILE_CELLS, tile::TileModel};
+
+/// Whether answers by this selector are tempered.
+pub(crate) fn is_tempered(selector: ModelSelector) -> bool {
+    selector.kind == ModelKind::Auto && selector.order.is_none()
+}
+
+/// The evidence of a tile's changed cells at one time.
+#[derive(Debug)]
+pub(crate) struct Tempering {
+    of_groups: Vec<Evidence>,
+    group_of: [u16; TILE_CELLS],
+}
+
+impl Tempering {
+    /// At a local civil time, in nanoseconds since 1970-01-01T00:00 local; `None` where all answers stay as they are.
+    pub(crate) fn new(model: &TileModel, selector: ModelSelector, civil_nanos: i64) -> Option<Tempering> {
+        if !is_tempered(selector) || model.cells.is_empty() {
+            return None;
+        }
+        let of_groups: Vec<Evidence> = model.groups.iter().map(|group| group.seen.at(civil_nanos)).collect();
+        if of_groups.iter().all(|evidence| evidence.is_whole()) {
+            return None;
+        }
+        let mut tempering = Tempering { of_groups, group_of: [u16::MAX; TILE_CELLS] };
+        let changed = model.changed();
+        for (number, group) in (0..).zip(&model.groups) {
+            for cell in (group.cells & changed).cells() {
+                tempering.group_of[usize::from(cell)] = number;
+            }
+        }
+        Some(tempering)
+    }
+
+    /// The answer for a cell with this mean of whose model this is the `answer`.
+    pub(crate) fn temper(&self, cell: u16, mean: f64, answer: f64) -> f64 {
+        let group = self.group_of.get(usize::from(cell)).and_then(|&group| self.of_groups.get(usize::from(group)));
+        group.map_or(answer, |evidence| evidence.temper(mean, answer))
+    }
+}

@@ -1,0 +1,181 @@
+//! How many looks speak for each hour of the day: its own, and those nearby by how much they tell of it; and what that
+//! leaves of a model's answer.
+//!
+//! Invariant: more looks never make an hour less known, and no answer is exactly 0 or 1 unless the mean is.
+
+use crate::{LocalDay, civil::NANOS_PER_SEC};
+
+/// Hours of a day.
+pub(crate) const HOURS: usize = 24;
+/// Values by hour of the day.
+pub(crate) type Hours = [f64; HOURS];
+
+const HOUR_NANOS: i64 = 3_600 * NANOS_PER_SEC;
+/// The first weekday of the weekend; Monday is 0.
+pub(crate) const SATURDAY: usize = 5;
+
+/// Whether a weekday, 0 for Monday, is of the weekend: 1, else 0.
+pub(crate) fn kind_of_day(weekday: usize) -> usize {
+    usize::from(weekday >= SATURDAY)
+}
+
+/// The squared correlation of hours that are so many hours apart.
+const NEAR: [f64; 4] = [1.0, 0.4, 0.18, 0.05];
+/// The factor for the other kind of day: weekdays tell of weekends less.
+const OTHER_KIND: f64 = 0.6;
+/// One hour never tells more of another than this share.
+const SHARE_MAX: f64 = 0.95;
+/// The looks with which an answer keeps half of what its model says beyond the mean.
+const HALF_KEPT: f64 = 0.5;
+/// The looks that the mean counts as, where a model is certain.
+const MEAN_LOOKS: f64 = 0.5;
+/// Steps of the stored numbers in a doubling of 1 + 4 looks.
+const STEPS: f64 = 16.0;
+/// The stored number of hours that are known whatever the looks.
+const KNOWN: u8 = u8::MAX;
+
+/// The equivalent looks by hour of weekdays, then of weekends. `looks`: number of looks likewise.
+pub(crate) fn equivalent_looks(looks: &[Hours; 2]) -> [Hours; 2] {
+    let mut equivalent = *looks;
+    for (kind, hours) in equivalent.iter_mut().enumerate() {
+        for (hour, known) in hours.iter_mut().enumerate() {
+            for (other_kind, of_kind) in looks.iter().enumerate() {
+                for (apart, &near) in NEAR.iter().enumerate() {
+                    let share = if other_kind == kind { near } else { near * OTHER_KIND };
+                    let mut add = |number: f64| {
+                        // What so many looks tell of their own hour, and that hour of this one.
+                        let share = (share * number / (number + 1.0)).min(SHARE_MAX);
+                        *known += share / (1.0 - share);
+                    };
+                    match apart {
+                        0 if other_kind == kind => {}
+                        0 => add(of_kind[hour]),
+                        _ => {
+                            add(of_kind[(hour + apart) % HOURS]);
+                            add(of_kind[(hour + HOURS - apart) % HOURS]);
+                        }
+                    }
+                }
+            }
+        }
+    }
+    equivalent
+}
+
+/// The share of the members' answer at an hour for which so many looks speak; the smooth table has the rest.
+pub(crate) fn evidence(equivalent_looks: f64) -> f64 {
+    let square = equivalent_looks * equivalent_looks;
+    square / (square + HALF_KEPT * HALF_KEPT)
+}
+
+/// The kind of day, 0 for weekdays and 1 for weekends, and the hour of a local civil time in nanoseconds since
+/// 1970-01-01T00:00 local.
+pub fn kind_and_hour(civil_nanos: i64) -> (usize, usize) {
+    let kind = kind_of_day(LocalDay::of_civil_nanos(civil_nanos).weekday());
+    // 0 to 23.
+    (kind, civil_nanos.div_euclid(HOUR_NANOS).rem_euclid(HOURS as i64) as usize)
+}
+
+/// The equivalent looks of each hour of weekdays and of weekends, a byte each, to 5 %. By default every hour is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HoursSeen {
+    steps: [[u8; HOURS]; 2],
+}
+
+impl Default for HoursSeen {
+    fn default() -> HoursSeen {
+        HoursSeen { steps: [[KNOWN; HOURS]; 2] }
+    }
+}
+
+impl HoursSeen {
+    /// From the number of looks at each hour of weekdays, then of weekends.
+    pub fn of_looks(looks: &[[f64; 24]; 2]) -> HoursSeen {
+        let steps = |looks: f64| (STEPS * (1.0 + 4.0 * looks.max(0.0)).log2()).min(f64::from(KNOWN - 1)) as u8;
+        HoursSeen { steps: equivalent_looks(looks).map(|hours| hours.map(steps)) }
+    }
+
+    /// What the looks leave of answers for a local civil time, in nanoseconds since 1970-01-01T00:00 local.
+    pub fn at(&self, civil_nanos: i64) -> Evidence {
+        let (kind, hour) = kind_and_hour(civil_nanos);
+        let steps = self.steps[kind][hour];
+        if steps == KNOWN {
+            return Evidence::WHOLE;
+        }
+        let looks = ((f64::from(steps) / STEPS).exp2() - 1.0) / 4.0;
+        Evidence { kept: evidence(looks), of_mean: MEAN_LOOKS / (MEAN_LOOKS + looks) }
+    }
+
+    /// The bytes to store: weekdays, then weekends.
+    pub fn to_bytes(self) -> Vec<u8> {
+        self.steps.as_flattened().to_vec()
+    }
+
+    /// From stored bytes; `None` unless there are 48.
+    pub fn from_bytes(bytes: &[u8]) -> Option<HoursSeen> {
+        let (steps, rest) = bytes.as_chunks::<HOURS>();
+        Some(HoursSeen { steps: steps.try_into().ok().filter(|_| rest.is_empty())? })
+    }
+}
+
+/// What the looks at an hour leave of a model's answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Evidence {
+    /// The share that is kept of the answer's distance from the mean.
+    kept: f64,
+    /// The share of the mean that no answer falls below.
+    of_mean: f64,
+}
+
+impl Evidence {
+    /// Every answer stays as it is.
+    pub const WHOLE: Evidence = Evidence { kept: 1.0, of_mean: 0.0 };
+
+    /// Whether every answer stays as it is.
+    pub fn is_whole(self) -> bool {
+        self == Evidence::WHOLE
+    }
+
+    /// The answer that is left of a model's `answer`: nearer to the `mean` the fewer the looks are, and never nearer to
+    /// 0 or 1 than they allow. Both are in `[0,1]`.
+    #[inline]
+    pub fn temper(self, mean: f64, answer: f64) -> f64 {
+        let kept = mean + self.kept * (answer - mean);
+        kept.max(mean * self.of_mean).min(1.0 - (1.0 - mean) * self.of_mean)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn looks_tell_of_hours_nearby_and_not_of_others() {
+        let mut looks = [[0.0; HOURS]; 2];
+        looks[0][12] = 30.0;
+        let known = equivalent_looks(&looks);
+        assert_eq!((known[0][12], known[0][20], known[1][3]), (30.0, 0.0, 0.0));
+        assert!(known[0][11] > known[0][10] && known[0][10] > known[0][9] && known[0][9] > 0.0);
+        assert_eq!(known[0][11], known[0][13]);
+        assert!(known[1][12] > 0.5 && known[1][12] < known[0][12]);
+        assert!(evidence(0.0) == 0.0 && evidence(0.5) == 0.5 && evidence(5.0) > 0.98);
+    }
+
+    #[test]
+    fn answers_are_tempered_where_few_looks_speak() {
+        let mut looks = [[0.0; HOURS]; 2];
+        looks[0][9] = 40.0;
+        let seen = HoursSeen::of_looks(&looks);
+        // 1970-01-01 was a Thursday.
+        let at = |hour: i64| seen.at(hour * HOUR_NANOS);
+        assert_eq!(at(20).temper(0.3, 1.0), 0.3, "nobody looked nearby");
+        assert!((0.98..1.0).contains(&at(9).temper(0.3, 1.0)) && (1e-4..0.02).contains(&at(9).temper(0.3, 0.0)));
+        assert!(at(10).temper(0.3, 1.0) < at(9).temper(0.3, 1.0));
+        assert_eq!(at(9).temper(1.0, 1.0), 1.0);
+        assert!(HoursSeen::default().at(0).is_whole() && Evidence::WHOLE.temper(0.3, 1.0) == 1.0);
+        let known = equivalent_looks(&looks)[0][9];
+        assert!((at(9).kept - evidence(known)).abs() < 1e-3);
+        assert_eq!(HoursSeen::from_bytes(&seen.to_bytes()), Some(seen));
+        assert_eq!((HoursSeen::from_bytes(&[0; 47]), HoursSeen::from_bytes(&[0; 49])), (None, None));
+    }
+}
