@@ -218,6 +218,15 @@ fn a_few_daily_looks_make_no_swings() {
 }
 
 #[test]
+fn one_odd_day_leaves_the_other_hours_sure() {
+    // Open from 8 to 18 h; on the last day it was the other way round.
+    let state =
+        learned(57, |day| (0..48).map(|slot| (slot * 1800, flag((16..36).contains(&slot) != (day == 56)))).collect());
+    let (open, shut) = (value(&state, 57, 12 * HOUR_SECS), value(&state, 57, 2 * HOUR_SECS));
+    assert!(open > 0.75 && shut < 0.2, "{open} {shut}");
+}
+
+#[test]
 fn a_record_in_one_update_is_learned_as_night_by_night() {
     // Without models that are trained on readings, whose training has its own days.
     let periodicities = Periodicities::default();

@@ -151,8 +151,8 @@ impl NaiveMap {
         kept
     }
 
-    /// 2γ_k of all periods that the observed span with a median gap makes eligible and regular readings resolve:
-    /// γ_k = (1/n) Σ (s_i − μ)·e^(−jω_k t_i).
+    /// 2γ_k of all periods that the observed span with a median gap makes eligible and the readings resolve: they are
+    /// neither regular nor in phase with more than half a period. γ_k = (1/n) Σ (s_i − μ)·e^(−jω_k t_i).
     pub(crate) fn coefficients(&self, state: usize) -> Vec<Coefficient> {
         let folded = self.folded(state);
         let (Some(first), Some(last)) = (folded.iter().map(|o| o.nanos).min(), folded.iter().map(|o| o.nanos).max())
@@ -163,7 +163,14 @@ impl NaiveMap {
         let median = gaps.get(gaps.len().saturating_sub(1) / 2).copied().unwrap_or(0);
         let is_regular = gaps.len() >= 8 && median > 0 && gaps[1] as f64 >= 0.9 * median as f64;
         let span_secs = (last - first) as f64 / 1e9 + median as f64;
-        let resolved_secs = if is_regular { 1.98 * median as f64 } else { 0.0 };
+        let in_phase = |&harmonic: &u32| {
+            let angles = folded.iter().map(|o| self.angle(harmonic, o.nanos));
+            let (re, im) = angles.fold((0.0, 0.0), |(re, im), angle| (re + angle.cos(), im - angle.sin()));
+            f64::hypot(re, im) >= 0.98 * folded.len() as f64
+        };
+        let in_phase_secs = (1..=HARMONICS).find(in_phase).map_or(0.0, |k| WEEK_SECS as f64 / f64::from(k));
+        let regular_secs = if is_regular { median as f64 } else { 0.0 };
+        let resolved_secs = 1.98 * f64::max(regular_secs, in_phase_secs);
         let mean = self.mean(state);
         let eligible = |&harmonic: &u32| {
             let period_secs = WEEK_SECS as f64 / f64::from(harmonic);
