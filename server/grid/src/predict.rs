@@ -14,7 +14,7 @@ use crate::{
     live_tile::LiveTile,
     mask::Mask,
     sensors::Sensors,
-    tempering::Tempering,
+    tempering::answers,
     tile::{ModelSlot, TileModel, TileUnavailable},
     view::GridView,
 };
@@ -286,13 +286,11 @@ impl GridView {
                 values.extend(shape.changed.cells().map(|cell| level(occupied.contains(cell))));
             }
         } else {
-            let tempering = Tempering::new(&model, selector, phasors.civil_nanos());
+            let answer = answers(&model, selector, phasors);
             let changed = model.cells.iter().filter(|cell| shape.changed.contains(cell.cell)).map(|cell| {
                 let order =
                     if selector.kind == ModelKind::Mean { 0 } else { selector.order_or(usize::from(cell.order)) };
-                let answer = cell.spectral.predict_at(order, phasors);
-                let temper = |tempering: &Tempering| tempering.temper(cell.cell, cell.spectral.mean(), answer);
-                (cell, tempering.as_ref().map_or(answer, temper) as f32)
+                (cell, answer(cell, order) as f32)
             });
             if shape.all_values {
                 let constants = model.sensors.as_ref().map(|_| {

@@ -3,17 +3,12 @@
 //! Only the model that answers by default is tempered: a model that is asked for by name answers as published.
 //! Invariant: a cell that has never changed is not tempered.
 
-use tidemap_model::{
-    Evidence,
-    selector::{ModelKind, ModelSelector},
+use tidemap_model::{Evidence, InstantPhasors, selector::ModelSelector};
+
+use crate::{
+    index::TILE_CELLS,
+    tile::{CellModel, TileModel},
 };
-
-use crate::{index::TILE_CELLS, tile::TileModel};
-
-/// Whether answers by this selector are tempered.
-pub(crate) fn is_tempered(selector: ModelSelector) -> bool {
-    selector.kind == ModelKind::Auto && selector.order.is_none()
-}
 
 /// The evidence of a tile's changed cells at one time.
 #[derive(Debug)]
@@ -24,8 +19,8 @@ pub(crate) struct Tempering {
 
 impl Tempering {
     /// At a local civil time, in nanoseconds since 1970-01-01T00:00 local; `None` where all answers stay as they are.
-    pub(crate) fn new(model: &TileModel, selector: ModelSelector, civil_nanos: i64) -> Option<Tempering> {
-        if !is_tempered(selector) || model.cells.is_empty() {
+    fn new(model: &TileModel, selector: ModelSelector, civil_nanos: i64) -> Option<Tempering> {
+        if !selector.leaves_choice() || model.cells.is_empty() {
             return None;
         }
         let of_groups: Vec<Evidence> = model.groups.iter().map(|group| group.seen.at(civil_nanos)).collect();
@@ -42,9 +37,22 @@ impl Tempering {
         Some(tempering)
     }
 
-    /// The answer for a cell with this mean of whose model this is the `answer`.
-    pub(crate) fn temper(&self, cell: u16, mean: f64, answer: f64) -> f64 {
-        let group = self.group_of.get(usize::from(cell)).and_then(|&group| self.of_groups.get(usize::from(group)));
-        group.map_or(answer, |evidence| evidence.temper(mean, answer))
+    fn temper(&self, cell: &CellModel, answer: f64) -> f64 {
+        let group = self.group_of.get(usize::from(cell.cell)).and_then(|&group| self.of_groups.get(usize::from(group)));
+        group.map_or(answer, |evidence| evidence.temper(cell.spectral.mean(), answer))
+    }
+}
+
+/// What answers for the changed cells of a tile at a time, by their spectral models: each cell and its order give the
+/// probability that it is occupied.
+pub(crate) fn answers<'a>(
+    model: &TileModel,
+    selector: ModelSelector,
+    phasors: &'a InstantPhasors,
+) -> impl Fn(&CellModel, usize) -> f64 + use<'a> {
+    let tempering = Tempering::new(model, selector, phasors.civil_nanos());
+    move |cell, order| {
+        let answer = cell.spectral.predict_at(order, phasors);
+        tempering.as_ref().map_or(answer, |tempering| tempering.temper(cell, answer))
     }
 }

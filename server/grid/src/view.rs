@@ -19,7 +19,7 @@ use crate::{
     mask::Mask,
     sensors::Sensors,
     spec::GridSpec,
-    tempering::{Tempering, is_tempered},
+    tempering::answers,
     tile::{TileModel, TileUnavailable},
 };
 
@@ -86,7 +86,7 @@ impl CellDescription {
     /// Tempers answers of the cell's model by how well the hours of the moments are known, unless a model was asked for
     /// by name.
     pub fn temper(&self, selector: ModelSelector, moments: &[Moment], answers: &mut [f64]) {
-        if is_tempered(selector) && self.changed {
+        if selector.leaves_choice() && self.changed {
             for (answer, moment) in answers.iter_mut().zip(moments) {
                 *answer = self.seen.at(moment.civil_nanos()).temper(self.spectral.mean(), *answer);
             }
@@ -227,16 +227,14 @@ impl GridView {
         for cell in known.without(learned).cells() {
             out[usize::from(cell)] = 0.5;
         }
-        let tempering = Tempering::new(&model, selector, phasors.civil_nanos());
+        let answer = answers(&model, selector, phasors);
         for cell in &model.cells {
             let order = match selector.kind {
                 ModelKind::Mean => 0,
                 _ => selector.order.unwrap_or(usize::from(cell.order)),
             };
             if let Some(out) = out.get_mut(usize::from(cell.cell)) {
-                let answer = cell.spectral.predict_at(order, phasors);
-                let temper = |tempering: &Tempering| tempering.temper(cell.cell, cell.spectral.mean(), answer);
-                *out = tempering.as_ref().map_or(answer, temper) as f32;
+                *out = answer(cell, order) as f32;
             }
         }
         if selector.is_blended() {

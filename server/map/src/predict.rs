@@ -89,8 +89,7 @@ impl MapView {
     pub fn predict_into(&self, id: StateId, times: &PreparedTimes, selector: ModelSelector, out: &mut [f64]) {
         let model = self.model(id);
         let live = self.live(id);
-        let is_default =
-            selector.kind == ModelKind::Ensemble || selector.kind == ModelKind::Auto && selector.order.is_none();
+        let is_default = selector.kind == ModelKind::Ensemble || selector.leaves_choice();
         match selector.kind {
             _ if is_default => {
                 model.predict_in_force_into(&self.spec.periodicities, &times.phasors, &times.moments, out);

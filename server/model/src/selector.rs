@@ -65,8 +65,15 @@ impl ModelSelector {
 
     /// Order of the spectral model that predicts this state; 0 for a constant model or another kind.
     pub fn order_for(&self, model: &StateModel) -> usize {
-        let is_other = self.kind == ModelKind::Auto && self.order.is_none() && model.answers() != ModelKind::Spectral;
+        let is_other = self.leaves_choice() && model.answers() != ModelKind::Spectral;
         if self.kind.has_order() && !is_other { self.order_or(model.order()) } else { 0 }
+    }
+
+    /// Whether the query leaves the choice of the model to the updates.
+    #[must_use]
+    #[inline]
+    pub fn leaves_choice(self) -> bool {
+        self.kind == ModelKind::Auto && self.order.is_none()
     }
 
     /// Whether the newest reading is blended in.
