@@ -8,6 +8,8 @@
 //! Invariant: sensor 0 is the map's own, with α = 0 and β = 1; the others are numbered in the order in which their
 //! first producers appear in the log, none twice. Every α and β is finite.
 
+use tidemap_model::StateSensor;
+
 use crate::spec::SensorNoise;
 
 /// Maximum number of sensors of a grid besides the map's own.
@@ -130,7 +132,7 @@ impl Sensors {
 
     fn describe(&self, announced: ProducerSensor) -> Result<Sensor, InvalidSensor> {
         let ProducerSensor { hit, false_alarm } = announced;
-        let is_sensor = (0.0..1.0).contains(&false_alarm) && hit > false_alarm && hit <= 1.0;
+        let is_sensor = StateSensor::new(hit, false_alarm).is_ok();
         let (free, occupied) = SensorNoise { hit, false_alarm, prior: self.noise.prior }.levels();
         // A product of probabilities may underflow.
         if !(is_sensor && (0.0..=1.0).contains(&free) && (0.0..=1.0).contains(&occupied)) {

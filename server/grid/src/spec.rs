@@ -3,7 +3,7 @@
 //! Invariant: a specification that [`GridSpec::check`] accepts keeps every cell of every valid tile at finite
 //! coordinates.
 
-use tidemap_model::time::HALF_LIFE_MIN_NANOS;
+use tidemap_model::{StateSensor, time::HALF_LIFE_MIN_NANOS};
 
 use crate::index::{CellBox, CellIndex, TILE_EDGE, TILE_LIMIT};
 
@@ -143,7 +143,7 @@ impl GridSpec {
             }
         }
         let SensorNoise { hit, false_alarm, prior } = self.sensor;
-        let is_sensor = (0.0..1.0).contains(&false_alarm) && hit > false_alarm && hit <= 1.0;
+        let is_sensor = StateSensor::new(hit, false_alarm).is_ok();
         if !(is_sensor && prior > 0.0 && prior < 1.0) {
             return Err(InvalidGrid::Sensor(self.sensor));
         }
