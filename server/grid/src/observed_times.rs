@@ -13,7 +13,7 @@ pub struct ObservedTimes {
     pub gaps: GapSample,
     /// Number of single local hours with an observation; with a half-life, each with the weight of its day.
     pub hours: f64,
-    /// `hours` by hour of the day, of weekdays and of weekends. Single precision is exact for a thousand years.
+    /// `hours` by hour of the day, of weekdays and of weekends. Single precision counts them exactly.
     pub by_hour: [[f32; 24]; 2],
 }
 

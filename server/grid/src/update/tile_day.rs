@@ -34,8 +34,8 @@ const SUPPORT_NANOS: u64 = 27 * 86_400_000_000_000;
 
 /// A component needs so many observed hours more: with few looks, noise fits any of them.
 const HOURS_PER_COMPONENT: f64 = 8.0;
-/// The mean needs so many times as much.
-const HOURS_BEFORE: f64 = 1.0;
+/// Without so many observed hours there is only the mean.
+const HOURS_OF_MEAN: f64 = 8.0;
 
 /// A tile that an update changes.
 #[derive(Debug)]
@@ -529,7 +529,7 @@ impl CellModel {
     /// supported components once the record is long.
     fn set_order(&mut self, watch: &OrderWatch, span_nanos: u64, hours: f64) {
         let supported = if span_nanos < SUPPORT_NANOS { ORDER_MAX } else { watch.supported_order() };
-        let supported = supported.min((hours / HOURS_PER_COMPONENT - HOURS_BEFORE).max(0.0) as usize);
+        let supported = supported.min(((hours - HOURS_OF_MEAN) / HOURS_PER_COMPONENT).max(0.0) as usize);
         self.order = u8::try_from(self.errors.best().min(supported)).unwrap_or(0);
     }
 }
