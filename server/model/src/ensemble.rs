@@ -33,7 +33,7 @@ pub use any::AnyEnsemble;
 use calibration::Calibration;
 use forecast::{DayForecast, MemberDay};
 use looks::{DayLooks, SLOT_NANOS, SLOTS, slot_at};
-pub use numbers::{NumberEnsemble, NumberEnsembleParts, Others};
+pub use numbers::{NumberEnsemble, NumberEnsembleParts, OtherModels};
 use outlook::{FarWeights, Outlook, Profile};
 pub use parts::{ClassParts, EnsembleParts, SaidParts};
 use pool::{Member, Pool};

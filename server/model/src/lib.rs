@@ -70,7 +70,7 @@ pub use belief::{
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
 pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
 pub use ensemble::{
-    AnyEnsemble, ClassParts, Ensemble, EnsembleParts, NumberEnsemble, NumberEnsembleParts, Others, SaidParts,
+    AnyEnsemble, ClassParts, Ensemble, EnsembleParts, NumberEnsemble, NumberEnsembleParts, OtherModels, SaidParts,
     TrainedEnsemble,
 };
 pub use entropy::{INFORMATION_CERTAINTY, entropy_bits};

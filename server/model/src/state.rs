@@ -13,7 +13,7 @@ use crate::catalogue::{ModelKind, TrainedModel};
 use crate::evaluate::score_samples;
 use crate::models::{Moment, OrderGains, TemporalModel as _};
 use crate::{
-    Accumulator, AnyEnsemble, Belief, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, Others,
+    Accumulator, AnyEnsemble, Belief, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, OtherModels,
     Periodicities, Predictive, Sample, StateKind, Surprises,
 };
 
@@ -376,7 +376,7 @@ impl StateModel {
         &mut self,
         periodicities: &Periodicities,
         rules: UpdateRules,
-        change: impl FnOnce(&mut AnyEnsemble, Others<'_>) -> T,
+        change: impl FnOnce(&mut AnyEnsemble, OtherModels<'_>) -> T,
     ) -> Option<T> {
         let kind = self.kind();
         let alternatives = self.alternatives.get_or_insert_with(|| Box::new(Alternatives::new(kind, rules.models)));

@@ -343,6 +343,7 @@ fn a_stored_ensemble_is_the_same() {
         assert!(wrong(&|parts| parts.numbers[2] = f64::NAN) && wrong(&|parts| parts.numbers[1] = -1.0));
         assert!(wrong(&|parts| parts.seen.truncate(3)) && wrong(&|parts| parts.kept_days.truncate(3)));
         assert!(wrong(&|parts| parts.kept_days[0] = vec![LocalDay(2), LocalDay(3)]));
+        assert!(wrong(&|parts| parts.last_day = None), "looks of no day");
         parts.last_day = Some(LocalDay(5));
         assert!(&NumberEnsemble::from_parts(&parts).unwrap() != ensemble);
     }

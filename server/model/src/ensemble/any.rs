@@ -2,7 +2,7 @@
 //!
 //! Invariant: a state of probabilities has an [`Ensemble`], any other a [`NumberEnsemble`].
 
-use super::{Ensemble, NumberEnsemble, Others};
+use super::{Ensemble, NumberEnsemble, OtherModels};
 use crate::{LocalDay, Sample, StateKind, models::Moment};
 
 /// The ensemble of a state.
@@ -40,7 +40,7 @@ impl AnyEnsemble {
     }
 
     /// As [`Ensemble::prepare`].
-    pub fn prepare(&mut self, day: LocalDay, others: Others<'_>) {
+    pub fn prepare(&mut self, day: LocalDay, others: OtherModels<'_>) {
         match self {
             AnyEnsemble::Probability(ensemble) => ensemble.prepare(day, others.chosen),
             AnyEnsemble::Number(ensemble) => ensemble.prepare(day, others),
@@ -53,7 +53,7 @@ impl AnyEnsemble {
         day: LocalDay,
         samples: &[Sample],
         newer: &[Sample],
-        others: Others<'_>,
+        others: OtherModels<'_>,
     ) -> Option<f64> {
         match self {
             AnyEnsemble::Probability(ensemble) => ensemble.learn_day(day, samples, newer, others.chosen),
@@ -62,7 +62,7 @@ impl AnyEnsemble {
     }
 
     /// Predicted values at moments, which are best in order of time.
-    pub fn predict(&self, moments: &[Moment], others: Others<'_>) -> Vec<f64> {
+    pub fn predict(&self, moments: &[Moment], others: OtherModels<'_>) -> Vec<f64> {
         match self {
             AnyEnsemble::Probability(ensemble) => {
                 ensemble.predict(moments, others.chosen).iter().map(|predicted| predicted.value()).collect()

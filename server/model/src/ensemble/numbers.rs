@@ -34,7 +34,7 @@ const RECALL_DAYS: usize = 14;
 
 /// The models beside the ensemble that it needs.
 #[derive(Clone, Copy)]
-pub struct Others<'a> {
+pub struct OtherModels<'a> {
     /// The model that the update chose.
     pub chosen: &'a dyn TemporalModel,
     /// A model of all history, which speaks as well of times far ahead.
@@ -53,13 +53,13 @@ const UNSEEN: SeenDay = SeenDay { seen: 0, values: [0.0; SLOTS] };
 
 /// Number, mean and sum of the squared deviations of all looks.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Moments {
+struct LookScatter {
     looks: f64,
     mean: f64,
     squares: f64,
 }
 
-impl Moments {
+impl LookScatter {
     fn add(&mut self, value: f64) {
         self.looks += 1.0;
         let deviation = value - self.mean;
@@ -78,7 +78,7 @@ pub struct NumberEnsemble {
     /// The first look; all other values are relative to it.
     origin: f64,
     last: Option<LocalDay>,
-    moments: Moments,
+    scatter: LookScatter,
     tables: Tables,
     /// By the day's number modulo [`RECALL_DAYS`].
     recall: [SeenDay; RECALL_DAYS],
@@ -113,7 +113,7 @@ impl Default for NumberEnsemble {
         NumberEnsemble {
             origin: 0.0,
             last: None,
-            moments: Moments::default(),
+            scatter: LookScatter::default(),
             tables: Tables::new(),
             recall: [UNSEEN; RECALL_DAYS],
             stacks: [SLOW, FAST].map(|kept| LinearStack::new(kept, members::WEIGHTS)),
@@ -133,12 +133,12 @@ impl NumberEnsemble {
 
     /// The mean of all looks; 0 without any.
     pub fn mean(&self) -> f64 {
-        self.origin + self.moments.mean
+        self.origin + self.scatter.mean
     }
 
     /// Predicts a day that is about to be learned, once for all that judge it before. The first day, and one that is
     /// not newer than all before, is not predicted.
-    pub fn prepare(&mut self, day: LocalDay, others: Others<'_>) {
+    pub fn prepare(&mut self, day: LocalDay, others: OtherModels<'_>) {
         let Some(last) = self.last.filter(|&last| day > last) else { return };
         if self.prepared.as_ref().is_some_and(|known| known.day == day) {
             return;
@@ -161,7 +161,7 @@ impl NumberEnsemble {
         day: LocalDay,
         samples: &[Sample],
         newer: &[Sample],
-        others: Others<'_>,
+        others: OtherModels<'_>,
     ) -> Option<f64> {
         let first = samples.first()?;
         if self.last.is_none() {
@@ -177,7 +177,7 @@ impl NumberEnsemble {
         let error =
             |sample: &Sample| (self.origin + prepared.forecast[slot_at(sample.civil_nanos())] - sample.value).powi(2);
         let error = newer.iter().map(error).sum();
-        let variance = self.moments.variance();
+        let variance = self.scatter.variance();
         if let Some(members) = &prepared.members {
             for stack in &mut self.stacks {
                 let targets = looks.seen().map(|(slot, value)| (&members.features[slot], value - members.base[slot]));
@@ -203,7 +203,7 @@ impl NumberEnsemble {
         let last = self.last;
         let age_days = last.map_or(0.0, |last| (f64::from(last.0) - f64::from(day.0)).max(0.0));
         self.tables.add(day.weekday(), looks, last.is_some_and(|last| day > last), age_days);
-        looks.seen().for_each(|(_, value)| self.moments.add(value));
+        looks.seen().for_each(|(_, value)| self.scatter.add(value));
         let newest = last.is_none_or(|last| day > last);
         if newest {
             // Days between brought no looks.
@@ -236,7 +236,7 @@ impl NumberEnsemble {
         (0..RECALL_DAYS as i64).contains(&age).then(|| &self.recall[place(day, 0)])
     }
 
-    fn forecast(&self, day: LocalDay, others: Others<'_>) -> [f64; SLOTS] {
+    fn forecast(&self, day: LocalDay, others: OtherModels<'_>) -> [f64; SLOTS] {
         match &self.prepared {
             Some(prepared) if prepared.day == day => prepared.forecast,
             _ if self.days_ahead(day) <= 1 => self.pooled(&self.members(day, others.chosen)),
@@ -248,7 +248,7 @@ impl NumberEnsemble {
         pooled(&members.values, self.pool.weights(PRIORS, 1.0))
     }
 
-    fn known_ahead(&self, day: LocalDay, others: Others<'_>) -> KnownAhead {
+    fn known_ahead(&self, day: LocalDay, others: OtherModels<'_>) -> KnownAhead {
         let lasting = members::at_slots(day, |at| others.lasting.predict(at) - self.origin);
         KnownAhead { day, shapes: self.tables.shapes(day.weekday()), lasting }
     }
@@ -260,7 +260,7 @@ impl NumberEnsemble {
         self.ahead.members(class, &known.shapes, levels, &known.lasting, repeated.as_ref())
     }
 
-    fn forecast_ahead(&self, day: LocalDay, others: Others<'_>) -> [f64; SLOTS] {
+    fn forecast_ahead(&self, day: LocalDay, others: OtherModels<'_>) -> [f64; SLOTS] {
         let days = self.days_ahead(day);
         let class = ahead::class_of(days).unwrap_or(0);
         let said = self.said_ahead(class, &self.known_ahead(day, others), days, &self.tables.levels());
@@ -268,7 +268,7 @@ impl NumberEnsemble {
     }
 
     /// Predictions at moments, which are best in order of time: a day is forecast once.
-    pub fn predict(&self, moments: &[Moment], others: Others<'_>) -> Vec<f64> {
+    pub fn predict(&self, moments: &[Moment], others: OtherModels<'_>) -> Vec<f64> {
         let mut of_day: Option<(LocalDay, [f64; SLOTS])> = None;
         let predict = |&at: &Moment| {
             let day = LocalDay::of_civil_nanos(at.civil_nanos());
@@ -285,7 +285,7 @@ impl NumberEnsemble {
     /// The expected squared distance of the mean of the hour around a moment from its prediction, at least 0.
     pub fn variance(&self, at: Moment) -> f64 {
         let day = LocalDay::of_civil_nanos(at.civil_nanos());
-        let of_all = self.moments.variance();
+        let of_all = self.scatter.variance();
         let near = self.spread.variance(day, slot_at(at.civil_nanos()), of_all);
         near * self.ahead.growth(self.days_ahead(day), &self.spread, of_all)
     }

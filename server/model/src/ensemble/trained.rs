@@ -3,7 +3,7 @@
 //! Its chosen model is the calibrated one, trained again on the days on which updates train it. Invariant: each day is
 //! predicted by what was trained on the days before it.
 
-use super::{AnyEnsemble, Others};
+use super::{AnyEnsemble, OtherModels};
 use crate::{
     LocalDay, StateKind,
     models::{Calibrated, CalibratedOptions, CannotTrain, Moment, NIGHTLY_WINDOW_NANOS, Readings, TemporalModel},
@@ -32,10 +32,10 @@ impl TemporalModel for MeanAlone {
 }
 
 /// The mean is all that is known of all history.
-fn others<'a>(chosen: Option<&'a Calibrated>, mean: &'a MeanAlone) -> Others<'a> {
+fn others<'a>(chosen: Option<&'a Calibrated>, mean: &'a MeanAlone) -> OtherModels<'a> {
     match chosen {
-        Some(chosen) => Others { chosen, lasting: mean },
-        None => Others { chosen: mean, lasting: mean },
+        Some(chosen) => OtherModels { chosen, lasting: mean },
+        None => OtherModels { chosen: mean, lasting: mean },
     }
 }
 

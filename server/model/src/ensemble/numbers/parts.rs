@@ -36,9 +36,9 @@ impl NumberEnsemble {
         use Sign::{Any, NotNegative};
         let mut lists: Vec<(Sign, &mut [f64])> = vec![
             (Any, std::slice::from_mut(&mut self.origin)),
-            (NotNegative, std::slice::from_mut(&mut self.moments.looks)),
-            (Any, std::slice::from_mut(&mut self.moments.mean)),
-            (NotNegative, std::slice::from_mut(&mut self.moments.squares)),
+            (NotNegative, std::slice::from_mut(&mut self.scatter.looks)),
+            (Any, std::slice::from_mut(&mut self.scatter.mean)),
+            (NotNegative, std::slice::from_mut(&mut self.scatter.squares)),
             (NotNegative, &mut self.pool.losses),
             (NotNegative, std::slice::from_mut(&mut self.pool.looks)),
         ];
@@ -97,7 +97,9 @@ impl NumberEnsemble {
         for (day, &seen) in ensemble.recall.iter_mut().zip(&parts.seen) {
             day.seen = seen;
         }
-        debug_assert!(ensemble.last.is_some() || ensemble.recall == [UNSEEN; RECALL_DAYS]);
+        if ensemble.last.is_none() && ensemble.recall != [UNSEEN; RECALL_DAYS] {
+            return Err(InvalidParts::OutOfRange { field: "looks of an ensemble without a day", found: 0.0 });
+        }
         for (class, days) in ensemble.ahead.classes.iter_mut().zip(&parts.kept_days) {
             if days.len() > class.kept_days.len() || !days.is_sorted_by(|newer, older| newer > older) {
                 return Err(wrong(days.len()));

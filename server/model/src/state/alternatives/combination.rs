@@ -7,7 +7,7 @@
 
 use super::{ActiveModel, Alternatives, CLEARLY_LOWER};
 use crate::{
-    Others, Periodicities, SpectralModel, StateKind,
+    OtherModels, Periodicities, SpectralModel, StateKind,
     catalogue::ModelKind,
     models::{Moment, TemporalModel},
 };
@@ -46,8 +46,8 @@ pub struct ChosenMember<'a> {
 
 impl ChosenMember<'_> {
     /// What an ensemble needs beside itself.
-    pub fn others(&self) -> Others<'_> {
-        Others { chosen: self, lasting: &self.spectral }
+    pub fn others(&self) -> OtherModels<'_> {
+        OtherModels { chosen: self, lasting: &self.spectral }
     }
 }
 
