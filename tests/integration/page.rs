@@ -22,7 +22,7 @@ fn tools() -> Result<PathBuf, &'static str> {
     if !runs(OsStr::new("node")) {
         return Err("there is no node");
     }
-    if !web.join("node_modules/playwright-core").is_dir() {
+    if !["playwright-core", "axe-core"].iter().all(|name| web.join("node_modules").join(name).is_dir()) {
         return Err("client/web/node_modules is not installed: deploy/setup.sh test");
     }
     if !runs(&chromium) {
@@ -51,4 +51,4 @@ fn the_page_shows_an_office_in_a_browser() {
 }
 
 /// Number of checks that the script makes.
-const CHECKS: usize = 14;
+const CHECKS: usize = 21;

@@ -6,10 +6,11 @@
 // written into FOLDER.
 
 import assert from 'node:assert/strict';
-import { writeFileSync } from 'node:fs';
+import { readFileSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 
 import { Daemon, launch, open, pixels, slideTo } from './stage.mjs';
+import { lookAtViews } from './views.mjs';
 
 const [program, cli, folder] = process.argv.slice(2);
 const HOSTILE = '<img src=x onerror="window.broken = 1"> <script>window.broken = 1';
@@ -28,18 +29,95 @@ async function check(what, body) {
     console.log(`ok  ${what}`);
 }
 
+/** Makes a map of 30 doors: each is open at an hour of its own, and door-13 was open in a night, too. */
+function doors() {
+    const rows = ['time,state,value'];
+    const start = Date.UTC(2025, 1, 24);
+    for (let slot = 0; slot < 18 * 48 + 47; slot++) {
+        const [time, hour, day] = [new Date(start + slot * 1_800_000).toISOString(), (slot % 48) / 2, Math.floor(slot / 48)];
+        for (let door = 0; door < 30; door++) {
+            const isOpen = hour >= 5 + (door % 12) && hour < 9 + (door % 12);
+            const isNight = door === 13 && day === 15 && hour < 5;
+            rows.push(`${time},door-${String(door).padStart(2, '0')},${Number(isOpen || isNight)}`);
+        }
+    }
+    const file = join(folder, 'doors.csv');
+    writeFileSync(file, `${rows.join('\n')}\n`);
+    daemon.run('map', 'create', 'doors', '--time-zone', 'UTC');
+    daemon.run('observe', 'doors', file, '--producer', 'hub', '--nightly');
+    daemon.run('update', 'doors');
+}
+
 try {
     await daemon.furnish();
     await daemon.call('MapService/AddState', { map: 'office', state: HOSTILE });
     browser = await launch();
     page = await open(browser, daemon.http);
     const at = (hour) => `2025-03-18T${String(hour).padStart(2, '0')}:00:00.000Z`;
-    const tuesday = `${daemon.http}/maps/office?at=2025-03-18T03:00:00Z`;
+    const tuesday = `${daemon.http}/maps/office?at=2025-03-18T03:00:00Z&list=0`;
 
     await check('the maps are listed, and one opens', async () => {
         await page.getByTestId('maps').getByRole('link').first().click();
         await page.getByTestId('map-canvas').waitFor();
         assert.equal(new URL(page.url()).pathname, '/maps/office');
+    });
+
+    await check('a map opens at its newest data, and says so', async () => {
+        await page.getByTestId('newest').waitFor();
+        assert.match(await page.getByTestId('time-text').innerText(), /^Sun 16 Mar 2025, 23:5/);
+        assert.match(await page.getByTestId('newest').getAttribute('title'), /^Newest data: Sun 16 Mar 2025/);
+    });
+
+    await check('a map without a grid opens on its states: the unusual one, and what changes soon', async () => {
+        doors();
+        await page.goto(`${daemon.http}/maps/doors`);
+        const rows = page.getByTestId('overview-rows');
+        await rows.getByText('door-07', { exact: true }).waitFor();
+        assert.match(await page.getByTestId('unusual').getByRole('listitem').first().innerText(), /^door-13 was 1 on Tue 11 Mar 00:00 – 04:30, predicted 0/);
+        await page.getByTestId('sort').selectOption('unusual');
+        await page.waitForFunction(() => document.querySelector('[data-testid=overview-rows] li button')?.textContent === 'door-13');
+        await page.getByTestId('sort').selectOption('soon');
+        const first = rows.getByRole('listitem').first();
+        // At 23:00 on Friday: the first door of Saturday opens at 05:00.
+        await first.getByText('likely 1 from 05:').waitFor();
+        assert.match(await first.innerText(), /^door-00/);
+        await page.screenshot({ path: join(folder, 'overview.png') });
+        await page.getByLabel('Search states').fill('door-2');
+        await page.getByLabel('Search states').press('Enter');
+        await page.getByTestId('today').waitFor();
+        await page.waitForURL(/select=door-2/);
+    });
+
+    await check('rows of hours are saved as they are shown', async () => {
+        const saved = async (format) => {
+            await page.getByTestId('overview').getByTestId('export').locator('summary').click();
+            const coming = page.waitForEvent('download');
+            await page.getByTestId('overview').getByRole('button', { name: format, exact: true }).click();
+            return readFileSync(await (await coming).path());
+        };
+        await page.getByLabel('Search states').fill('door-13');
+        const csv = (await saved('CSV')).toString();
+        assert.match(csv, /^time,state,predicted\r\n2025-03-14T00:30:00\+00:00,door-13,0\.\d+\r\n/);
+        assert.equal(csv.trim().split('\r\n').length, 25);
+        assert.match((await saved('SVG')).toString(), /^<svg .*door-13/s);
+        assert.equal((await saved('PNG')).subarray(1, 4).toString(), 'PNG');
+    });
+
+    await check('a name that does not exist is told once, with those that do', async () => {
+        await page.goto(`${daemon.http}/maps/ofice`);
+        await page.getByTestId('unknown').getByRole('link', { name: 'office' }).waitFor();
+        assert.equal(await page.getByRole('alert').count(), 1);
+        await page.goto(`${daemon.http}/maps/office?select=kitchn`);
+        await page.getByTestId('unknown').getByRole('link', { name: 'kitchen', exact: true }).click();
+        await page.getByTestId('state-week').waitFor();
+        assert.equal(await page.getByRole('alert').count(), 0);
+    });
+
+    await check('the keys are listed', async () => {
+        await page.keyboard.press('?');
+        await page.getByTestId('keys').getByText('plays or pauses').waitFor();
+        await page.keyboard.press('Escape');
+        await page.getByTestId('keys').waitFor({ state: 'detached' });
     });
 
     await check('the slider from 03:00 to 10:00 changes the pixels of the map, and back again', async () => {
@@ -104,7 +182,7 @@ try {
     });
 
     await check("a route's probability is that of the command line", async () => {
-        await page.goto(`${daemon.http}/maps/office?at=2025-03-18T10:00:00Z&tool=route`);
+        await page.goto(`${daemon.http}/maps/office?at=2025-03-18T10:00:00Z&list=0&tool=route`);
         await page.getByTestId('route-from').selectOption('entrance');
         await page.getByTestId('route-to').selectOption('kitchen');
         const shown = page.getByTestId('route-probability');
@@ -171,6 +249,17 @@ try {
         await page.getByTestId('away').waitFor({ state: 'detached' });
         await page.waitForFunction((iso) => document.querySelector('[data-testid=map-canvas]')?.dataset.at === iso, at(16));
     });
+
+    await check('a daemon that goes away is told where nothing is asked, too', async () => {
+        await page.goto(`${daemon.http}/states/office?select=kitchen`);
+        await page.getByTestId('state-week').locator('canvas').waitFor();
+        await daemon.stop();
+        await page.getByTestId('away').waitFor();
+        await daemon.start();
+        await page.getByTestId('away').waitFor({ state: 'detached' });
+    });
+
+    await check('all views are whole and readable in each size and scheme', () => lookAtViews(browser, daemon, folder));
 
     await check('a phone shows it without scrolling sideways', async () => {
         const phone = await open(browser, `${daemon.http}/maps/office?at=2025-03-18T10:00:00Z&select=kitchen`, {

@@ -124,12 +124,17 @@ suite('texts of times', () => {
     });
 
     test('of fields are read as they were written', () => {
-        assert.equal(fieldText(noon, 'Asia/Tokyo'), '2025-03-04T19:05');
-        for (const zone of ['UTC', 'Asia/Tokyo', 'America/New_York']) assert.equal(fromField(fieldText(noon, zone), zone), noon);
+        assert.equal(fieldText(noon, 'Asia/Tokyo'), '2025-03-04 19:05');
+        for (const zone of ['UTC', 'Asia/Tokyo', 'America/New_York']) assert.equal(fromField(fieldText(noon, zone), 0, zone), noon);
+    });
+
+    test('of fields may be a date or a time alone, which keeps the other', () => {
+        assert.equal(fromField('2025-03-05', noon, 'UTC'), noon + DAY);
+        assert.equal(fromField('11:05', noon, 'UTC'), noon + HOUR);
     });
 
     test('of fields that are empty or no times are not a number', () => {
-        for (const text of ['', 'soon', '2025-03-04', '10:05']) assert.ok(Number.isNaN(fromField(text, 'UTC')), text);
+        for (const text of ['', 'soon', '2025-13-04', '25:05', '2025-03-04 10:5']) assert.ok(Number.isNaN(fromField(text, noon, 'UTC')), text);
     });
 
     test('of lengths have one unit, and a digit more where they are short', () => {

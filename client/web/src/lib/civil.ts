@@ -117,16 +117,20 @@ export function rfc3339(ms: number, zone: string): string {
     return `${wall}${offset < 0 ? '-' : '+'}${two(Math.floor(minutes / 60))}:${two(minutes % 60)}`;
 }
 
-/** The text of a field for a local date and time. */
+/** The text of a field for a local date and time, as `2025-03-04 10:00`. */
 export function fieldText(ms: number, zone: string): string {
-    return new Date(wallTime(ms, zone)).toISOString().slice(0, 16);
+    return new Date(wallTime(ms, zone)).toISOString().slice(0, 16).replace('T', ' ');
 }
 
-/** Reads such a field; NaN if it is empty. */
-export function fromField(text: string, zone: string): number {
-    const [, year, month, day, hour, minute] = /^(\d+)-(\d+)-(\d+)T(\d+):(\d+)/.exec(text) ?? [];
-    if (!year) return Number.NaN;
-    return instant(Number(year), Number(month), Number(day), Number(hour), Number(minute), zone);
+/** Reads such a field; a date alone keeps the time of the day of `ms`, a time alone its date. NaN if it is neither. */
+export function fromField(text: string, ms: number, zone: string): number {
+    const [, date, time] = /^\s*(\d{4}-\d{1,2}-\d{1,2})?[T\s]*(\d{1,2}:\d{2})?\s*$/.exec(text) ?? [];
+    if (!date && !time) return Number.NaN;
+    const at = civil(ms, zone);
+    const [year, month, day] = date ? date.split('-').map(Number) : [at.year, at.month, at.day];
+    const [hour, minute] = time ? time.split(':').map(Number) : [at.hour, at.minute];
+    if ((month ?? 0) > 12 || (day ?? 0) > 31 || (hour ?? 0) > 23 || (minute ?? 0) > 59) return Number.NaN;
+    return instant(year ?? 0, month ?? 1, day ?? 1, hour ?? 0, minute ?? 0, zone);
 }
 
 /** A length of time for people, as `3 min`. */

@@ -10,7 +10,7 @@ export const UNKNOWN = 255;
 /** The byte that stands for 1. */
 export const FULL = 254;
 
-export type Layer = 'probability' | 'entropy' | 'difference' | 'seen';
+export type Layer = 'probability' | 'entropy' | 'difference' | 'seen' | 'look';
 
 /** The probabilities after a free and after an occupied reading of the map's sensor. */
 export interface Levels {
@@ -56,6 +56,8 @@ export function entropyBits(probability: number): number {
 
 /** The colour of what a layer shows of a cell, over the map with this share of the way from free to occupied. */
 export function colourOf(layer: Layer, value: number, beneath: number): Colour {
+    // What looking teaches lies over the map.
+    if (layer === 'look') return mix(MUTED, beneath);
     if (layer === 'entropy') return blend(mix(MUTED, beneath), UNCERTAIN, within(value));
     if (layer === 'difference') return blend(mix(MUTED, beneath), value < 0 ? FREER : FULLER, within(Math.abs(value)));
     return mix(OCCUPANCY, beneath);
@@ -103,9 +105,15 @@ export function paletteOf(layer: Layer, levels: Levels): Palette {
     return Uint32Array.from({ length: 1 << 16 }, (_, index) => paint(layer, levels, index & 255, index >> 8));
 }
 
+/** The colour of what looking teaches, over the map, for styles; the most there is is 1. */
+export function gain(value: number): string {
+    return `rgb(26 79 163 / ${(0.08 + 0.72 * within(value)).toFixed(3)})`;
+}
+
 /** The colours of a layer from its lowest value to its highest over free cells, as a gradient for a legend. */
 export function gradient(layer: Layer): string {
     const steps = Array.from({ length: 33 }, (_, step) => step / 32);
+    if (layer === 'look') return `linear-gradient(to right, ${gain(0)}, ${gain(1)})`;
     const colour = (share: number) => {
         if (layer === 'difference') return colourOf(layer, 2 * share - 1, 0);
         return colourOf(layer, share, layer === 'entropy' ? 0 : share);

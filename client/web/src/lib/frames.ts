@@ -153,3 +153,13 @@ export function valueAt(frame: Frame, x: number, y: number): number | undefined 
     const [now, before] = [frame.cells[index] ?? UNKNOWN, frame.before ? (frame.before[index] ?? UNKNOWN) : 0];
     return now === UNKNOWN || before === UNKNOWN ? undefined : (now - before) / FULL;
 }
+
+/** Gives each known column of a frame to `take`, with what `valueAt` says of it. */
+export function eachKnown(frame: Frame, take: (x: number, y: number, value: number) => void): void {
+    for (let y = frame.minY; y < frame.maxY; y++) {
+        for (let x = frame.minX; x < frame.maxX; x++) {
+            const value = valueAt(frame, x, y);
+            if (value !== undefined) take(x, y, value);
+        }
+    }
+}

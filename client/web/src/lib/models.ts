@@ -35,6 +35,11 @@ export const COMPARED = [
     ModelKind.POISSON,
 ];
 
+/** Whether a kind can be asked for with an order. */
+export function hasOrders(kind: ModelKind): boolean {
+    return kind === ModelKind.AUTO || kind === ModelKind.SPECTRAL;
+}
+
 /** The name of a kind. */
 export function kindName(kind: ModelKind): string {
     return NAMES[kind] ?? `model ${kind}`;

@@ -105,7 +105,7 @@ suite('a frame', () => {
 suite('a plan', () => {
     const style = { text: 'text', ground: 'ground', accent: 'accent' };
     const nodes = [{ name: 'hall', x: 0, y: 0 }, { name: 'lab', x: 3, y: 2, presence: 0.5 }];
-    const empty: Plan = { nodes: [], edges: [], paths: [] };
+    const empty: Plan = { nodes: [], edges: [], paths: [], squares: [] };
 
     function paint(plan: Partial<Plan>, chosen: string[] = [], scale = 10, marked?: { x: number; y: number; size: number }): void {
         paintPlan(drawn(), { ...empty, ...plan }, marked, chosen, { x: 0, y: 0, scale }, 1, style);
@@ -133,7 +133,7 @@ suite('a plan', () => {
     });
 
     test('has edges in the colour of their share, dashed where nobody has reported', () => {
-        const edge = { from: 'hall', to: 'lab', title: '' };
+        const edge = { from: 'hall', to: 'lab', title: '', state: 'edge/a/b' };
         paint({ nodes, edges: [{ ...edge, share: 0.25, reports: 3 }, { ...edge, reports: 0 }] });
         const lines = canvas.named('stroke').filter(({ brush }) => brush.lineWidth === 3.5).map(({ brush }) => brush.strokeStyle);
         assert.deepEqual(lines, [mark(0.25), 'text']);
@@ -142,7 +142,7 @@ suite('a plan', () => {
     });
 
     test('leaves out edges of nodes that are not there', () => {
-        paint({ nodes, edges: [{ from: 'hall', to: 'attic', reports: 1, title: '' }] });
+        paint({ nodes, edges: [{ from: 'hall', to: 'attic', reports: 1, title: '', state: 'edge/a/b' }] });
         assert.equal(canvas.named('lineTo').length, 0);
     });
 

@@ -1,6 +1,6 @@
 // Draws a frame and a plan on canvases.
 
-import { mark, type Palette } from './colours';
+import { gain, mark, type Palette } from './colours';
 import type { Frame } from './frames';
 import type { Camera, Plan } from './plan';
 
@@ -84,6 +84,12 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         (point.x - camera.x) * camera.scale + width / 2,
         height / 2 - (point.y - camera.y) * camera.scale,
     ];
+    for (const square of plan.squares) {
+        const [x, y] = at(square);
+        const edge = square.size * camera.scale;
+        brush.fillStyle = gain(square.share);
+        brush.fillRect(x - edge / 2, y - edge / 2, edge, edge);
+    }
     const places = new Map(plan.nodes.map((node) => [node.name, node]));
     for (const edge of plan.edges) {
         const [from, to] = [places.get(edge.from), places.get(edge.to)];

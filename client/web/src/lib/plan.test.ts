@@ -1,9 +1,9 @@
-// Places of a plan that have no position.
+// What lies on a plan: places without a position, what is at a point, and its scale bar.
 
 import assert from 'node:assert/strict';
-import { test } from 'node:test';
+import { suite, test } from 'node:test';
 
-import { placeNodes } from './plan';
+import { placeNodes, planAt, scaleBar, type Plan } from './plan';
 
 const near = (found: number, expected: number) => assert.ok(Math.abs(found - expected) < 1e-9, `${found}, not ${expected}`);
 
@@ -34,4 +34,21 @@ test('a map without any position is a circle around its origin', () => {
     for (const node of placed) near(Math.hypot(node.x, node.y), 20);
     assert.equal(new Set(placed.map((node) => `${node.x.toFixed(3)} ${node.y.toFixed(3)}`)).size, 20);
     assert.equal(placeNodes([{ name: 'only' }])[0]?.y, 6);
+});
+
+suite('what lies at a point', () => {
+    const edge = { from: 'a', to: 'b', reports: 1, title: '', state: 'edge/a/b' };
+    const plan: Plan = { nodes: [{ name: 'a', x: 0, y: 0 }, { name: 'b', x: 10, y: 0 }], edges: [edge, { ...edge, to: 'attic' }], paths: [], squares: [] };
+    const at = (x: number, y: number) => {
+        const found = planAt(plan, x, y, 1, 0.5);
+        return found && ('node' in found ? found.node.name : found.edge.state);
+    };
+
+    test('is the nearest node, else the edge beside it, else nothing', () => {
+        assert.deepEqual([at(0.4, 0.2), at(9.5, 0), at(5, 0.4), at(5, 0.6), at(-2, 0)], ['a', 'b', 'edge/a/b', undefined, undefined]);
+    });
+});
+
+test('the scale bar is 1, 2 or 5 of a power of ten, and not longer than asked', () => {
+    assert.deepEqual([10, 11, 25, 60, 0.02, 400].map((scale) => scaleBar(scale, 110)), [10, 10, 2, 1, 5000, 0.2]);
 });

@@ -18,6 +18,8 @@ export interface PlanEdge {
     /** Number of reported traversals. */
     reports: number;
     title: string;
+    /** The state of its success, of the worse direction. */
+    state: string;
 }
 
 /** A way over the plan. */
@@ -26,10 +28,20 @@ export interface PlanPath {
     points: { x: number; y: number; label?: string }[];
 }
 
+/** A square that stands out the more, the more looking teaches there. */
+export interface PlanSquare {
+    x: number;
+    y: number;
+    size: number;
+    /** 0 to 1. */
+    share: number;
+}
+
 export interface Plan {
     nodes: PlanNode[];
     edges: PlanEdge[];
     paths: PlanPath[];
+    squares: PlanSquare[];
 }
 
 /** The part of the plane that a canvas shows: its middle in metres, and pixels of the screen for a metre. */
@@ -37,6 +49,34 @@ export interface Camera {
     x: number;
     y: number;
     scale: number;
+}
+
+/** What lies at a point of the map. */
+export type Found = { node: PlanNode } | { edge: PlanEdge } | undefined;
+
+/** The node or the edge at a point, in metres, if one is near enough: nodes before edges. */
+export function planAt(plan: Plan, x: number, y: number, nearNodeM: number, nearEdgeM: number): Found {
+    const distance = (node: { x: number; y: number }) => Math.hypot(node.x - x, node.y - y);
+    const [node] = plan.nodes.filter((one) => distance(one) < nearNodeM).sort((a, b) => distance(a) - distance(b));
+    if (node) return { node };
+    const places = new Map(plan.nodes.map((one) => [one.name, one]));
+    let best: { edge: PlanEdge; away: number } | undefined;
+    for (const edge of plan.edges) {
+        const [from, to] = [places.get(edge.from), places.get(edge.to)];
+        if (!from || !to) continue;
+        const [dx, dy] = [to.x - from.x, to.y - from.y];
+        const share = Math.max(0, Math.min(1, ((x - from.x) * dx + (y - from.y) * dy) / (dx * dx + dy * dy || 1)));
+        const away = Math.hypot(from.x + share * dx - x, from.y + share * dy - y);
+        if (away < nearEdgeM && away < (best?.away ?? Infinity)) best = { edge, away };
+    }
+    return best && { edge: best.edge };
+}
+
+/** The length of a scale bar, metres, of at most so many pixels: 1, 2 or 5 of a power of ten. */
+export function scaleBar(scale: number, mostPx = 110): number {
+    const most = mostPx / scale;
+    const power = 10 ** Math.floor(Math.log10(most));
+    return ([5, 2, 1].find((step) => step * power <= most) ?? 1) * power;
 }
 
 /** Places nodes without a position on a circle around the others. */

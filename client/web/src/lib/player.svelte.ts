@@ -24,8 +24,10 @@ export class Player {
         this.#onmove = onmove;
     }
 
-    start(at: number, span: SpanName, zone: string): void {
-        const { frameMs, pace } = SPANS[span];
+    /** Plays from a time on; `speed` is how many times as fast as the span's own pace. */
+    start(at: number, span: SpanName, zone: string, speed = 1): void {
+        const { frameMs } = SPANS[span];
+        const pace = SPANS[span].pace * speed;
         const step = (ms: number, count: number) => (frameMs === DAY ? addDays(ms, count, zone) : ms + count * frameMs);
         this.isPlaying = true;
         this.ms = at;

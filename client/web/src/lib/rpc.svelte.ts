@@ -63,6 +63,21 @@ async function probe(): Promise<void> {
     link.epoch++;
 }
 
+/** Between two questions whether the daemon is there, where nothing else asks. */
+const BEAT_EVERY_MS = 3000;
+
+/** Asks now and then whether the daemon is there, so that each view tells it; the answer stops it. */
+export function heartbeat(): () => void {
+    const timer = setInterval(() => {
+        if (document.hidden || link.isAway) return;
+        fetch('/readyz', { cache: 'no-store' }).catch(() => {
+            link.isAway = true;
+            void probe();
+        });
+    }, BEAT_EVERY_MS);
+    return () => clearInterval(timer);
+}
+
 const watchful: Interceptor = (next) => async (request) => {
     if (token) request.header.set('authorization', `Bearer ${token}`);
     try {

@@ -11,8 +11,8 @@ const at = (text: string) => Date.parse(text);
 const iso = (ms: number) => new Date(ms).toISOString().replace('.000Z', 'Z');
 
 /** Start and end of the span around a time. */
-function ends(span: SpanName, text: string): [string, string] {
-    const start = SPANS[span].start(at(text), ZONE);
+function ends(span: SpanName, text: string, anchor = text): [string, string] {
+    const start = SPANS[span].start(at(text), ZONE, at(anchor));
     return [iso(start), iso(SPANS[span].end(start, ZONE))];
 }
 
@@ -23,17 +23,26 @@ suite('spans', () => {
         assert.deepEqual(ends('week', '2025-03-30T22:00Z'), ['2025-03-30T22:00:00Z', '2025-04-06T22:00:00Z']);
     });
 
+    test('of the last seven days end with the day of the anchor, and are whole weeks from there', () => {
+        const anchor = '2025-03-12T15:00Z';
+        const last: [string, string] = ['2025-03-05T23:00:00Z', '2025-03-12T23:00:00Z'];
+        assert.deepEqual(ends('last', '2025-03-12T15:00Z', anchor), last);
+        assert.deepEqual(ends('last', '2025-03-05T23:00Z', anchor), last);
+        assert.deepEqual(ends('last', '2025-03-05T22:59Z', anchor), ['2025-02-26T23:00:00Z', '2025-03-05T23:00:00Z']);
+        assert.deepEqual(ends('last', '2025-03-31T12:00Z', anchor), ['2025-03-26T23:00:00Z', '2025-04-02T22:00:00Z']);
+    });
+
     test('are whole years at the time of the day, also leap years', () => {
         assert.deepEqual(ends('year', '2025-07-01T10:30Z'), ['2025-01-01T11:30:00Z', '2026-01-01T11:30:00Z']);
         assert.deepEqual(ends('year', '2024-07-01T10:30Z'), ['2024-01-01T11:30:00Z', '2025-01-01T11:30:00Z']);
-        const start = SPANS.year.start(at('2024-07-01T10:30Z'), ZONE);
+        const start = SPANS.year.start(at('2024-07-01T10:30Z'), ZONE, 0);
         assert.equal(position('year', start, SPANS.year.end(start, ZONE), ZONE), 366 * DAY);
     });
 
     test('hold every time from their start to their end', () => {
         for (const span of Object.keys(SPANS) as SpanName[]) {
             for (const text of ['2025-01-01T00:30Z', '2025-03-30T01:00Z', '2025-10-26T00:30Z', '2024-02-29T12:00Z', '2024-12-31T12:00Z']) {
-                const start = SPANS[span].start(at(text), ZONE);
+                const start = SPANS[span].start(at(text), ZONE, at(text));
                 assert.ok(start <= at(text) && at(text) < SPANS[span].end(start, ZONE), `${span} ${text}`);
             }
         }
@@ -41,20 +50,20 @@ suite('spans', () => {
 });
 
 suite('positions', () => {
-    const week = SPANS.week.start(at('2025-03-30T12:00Z'), ZONE);
+    const week = SPANS.week.start(at('2025-03-30T12:00Z'), ZONE, 0);
 
     test('of a week and a year are those of the clock, also after a change', () => {
         assert.equal(iso(positionTime('week', week, 6 * DAY + 12 * HOUR, ZONE)), '2025-03-30T10:00:00Z');
         assert.equal(position('week', week, at('2025-03-30T10:00Z'), ZONE), 6 * DAY + 12 * HOUR);
-        const autumn = SPANS.week.start(at('2025-10-26T12:00Z'), ZONE);
+        const autumn = SPANS.week.start(at('2025-10-26T12:00Z'), ZONE, 0);
         assert.equal(iso(positionTime('week', autumn, 6 * DAY + 23 * HOUR, ZONE)), '2025-10-26T22:00:00Z');
-        const year = SPANS.year.start(at('2025-07-01T10:30Z'), ZONE);
+        const year = SPANS.year.start(at('2025-07-01T10:30Z'), ZONE, 0);
         assert.equal(iso(positionTime('year', year, 181 * DAY, ZONE)), '2025-07-01T10:30:00Z');
         assert.equal(position('year', year, at('2025-07-01T10:30Z'), ZONE), 181 * DAY);
     });
 
     test('of a day are the time that has passed, so that no time of it is missed', () => {
-        const day = SPANS.day.start(at('2025-10-26T12:00Z'), ZONE);
+        const day = SPANS.day.start(at('2025-10-26T12:00Z'), ZONE, 0);
         assert.equal(SPANS.day.end(day, ZONE) - day, 25 * HOUR);
         for (let elapsed = 0; elapsed < 25 * HOUR; elapsed += SPANS.day.stepMs) {
             const ms = positionTime('day', day, elapsed, ZONE);
@@ -65,7 +74,7 @@ suite('positions', () => {
 
     test('never leave the span, and are found again', () => {
         for (const text of ['2025-03-30T12:00Z', '2025-10-26T12:00Z', '2025-06-10T12:00Z']) {
-            const start = SPANS.week.start(at(text), ZONE);
+            const start = SPANS.week.start(at(text), ZONE, 0);
             const end = SPANS.week.end(start, ZONE);
             for (let elapsed = 0; elapsed < 7 * DAY; elapsed += SPANS.week.stepMs) {
                 const ms = positionTime('week', start, elapsed, ZONE);

@@ -1,8 +1,8 @@
-// The spans of the time slider: a day, a week and a year, each from a local midnight on.
+// The spans of the time slider: a day, a week, the last seven days and a year, each from a local midnight on.
 
 import { addDays, civil, DAY, fromWall, HOUR, instant, midnight, MINUTE, monday, wallTime } from './civil';
 
-export type SpanName = 'day' | 'week' | 'year';
+export type SpanName = 'day' | 'week' | 'last' | 'year';
 
 interface Span {
     /** Between two positions of the slider. */
@@ -11,7 +11,8 @@ interface Span {
     frameMs: number;
     /** How much time a second of playing shows. */
     pace: number;
-    start: (ms: number, zone: string) => number;
+    /** `anchor`: the time that spans without a beginning of their own end with the day of. */
+    start: (ms: number, zone: string, anchor: number) => number;
     end: (start: number, zone: string) => number;
 }
 
@@ -24,6 +25,16 @@ export const SPANS: Record<SpanName, Span> = {
     week: {
         stepMs: 30 * MINUTE, frameMs: HOUR, pace: 8 * HOUR,
         start: monday,
+        end: (start, zone) => addDays(start, 7, zone),
+    },
+    last: {
+        stepMs: 30 * MINUTE, frameMs: HOUR, pace: 8 * HOUR,
+        // Seven days that end with the day of the anchor, or as many weeks before or after it as it takes.
+        start: (ms, zone, anchor) => {
+            const first = addDays(midnight(anchor, zone), -6, zone);
+            const weeks = Math.floor((wallTime(ms, zone) - wallTime(first, zone)) / (7 * DAY));
+            return addDays(first, 7 * weeks, zone);
+        },
         end: (start, zone) => addDays(start, 7, zone),
     },
     year: {

@@ -25,7 +25,8 @@ export class PlanFeed {
     #next: (() => Promise<void>) | undefined;
 
     readonly hasNodes = $derived(this.#nodes.length > 0);
-    readonly plan: Plan = $derived({ nodes: this.#shownNodes(), edges: this.#shownEdges(), paths: [] });
+    readonly hasPresence = $derived(this.#presence.size > 0);
+    readonly plan: Plan = $derived({ nodes: this.#shownNodes(), edges: this.#shownEdges(), paths: [], squares: [] });
     readonly extent = $derived.by(() => {
         const [xs, ys] = [this.#nodes.map((node) => node.x), this.#nodes.map((node) => node.y)];
         if (xs.length === 0) return undefined;
@@ -41,9 +42,9 @@ export class PlanFeed {
         }
     }
 
-    /** Asks for the forecasts of a time, once it is the time for a moment. `epoch` only says when to ask again. */
-    predict(map: string, ms: number, colour: EdgeColour, epoch: number): void {
-        void epoch;
+    /** Asks for the forecasts of a time, once it is the time for a moment. `generation` only says when to ask again. */
+    predict(map: string, ms: number, colour: EdgeColour, generation: string): void {
+        void generation;
         this.#colour = colour;
         if (!this.hasNodes) return;
         this.#next = () => this.#ask(map, ms);
@@ -101,9 +102,11 @@ export class PlanFeed {
             // Two directions are drawn as one line, by the worse of them.
             const [worst, longest] = [Math.min(success, other?.success ?? 1), Math.max(durationSecs, other?.secs ?? 0)];
             const title = `${from} – ${to}: success ${worst.toFixed(2)}, ${longest.toFixed(0)} s`;
+            const isWorst = success <= (other?.success ?? 1);
+            const state = other && !isWorst ? other.state : `edge/${from}/${to}`;
             // Darker is worse: less likely to be passed, or longer.
             const share = this.#colour === 'success' ? 1 - worst : longest / slowest;
-            both.set(key, { from, to, title, share, reports: Number(reports) + (other?.reports ?? 0), success: worst, secs: longest });
+            both.set(key, { from, to, title, share, state, reports: Number(reports) + (other?.reports ?? 0), success: worst, secs: longest });
         }
         return [...both.values()];
     }

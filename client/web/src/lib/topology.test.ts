@@ -40,7 +40,7 @@ const rest = () => new Promise((done) => setTimeout(done, 150));
 async function loaded(colour: EdgeColour): Promise<PlanFeed> {
     const feed = new PlanFeed();
     await feed.load('home');
-    feed.predict('home', 5000, colour, 0);
+    feed.predict('home', 5000, colour, '');
     await rest();
     return feed;
 }
@@ -69,7 +69,7 @@ suite('a plan', () => {
     test('asks once the slider rests, for the last time it was at', async () => {
         const feed = new PlanFeed();
         await feed.load('home');
-        for (const ms of [1000, 2000, 3000]) feed.predict('home', ms, 'success', 0);
+        for (const ms of [1000, 2000, 3000]) feed.predict('home', ms, 'success', '');
         await rest();
         assert.deepEqual(asked, [3]);
     });

@@ -20,6 +20,15 @@ export interface Series {
     values: number[];
     lower: number[];
     upper: number[];
+    /** The probability that each interval holds; empty without intervals. */
+    masses?: number[];
+}
+
+/** A model to ask, instead of the one that the last update chose. */
+export interface Asked {
+    kind: ModelKind;
+    order?: number;
+    belief?: boolean;
 }
 
 export interface Week {
@@ -59,12 +68,11 @@ export async function observed(map: string, state: string, from: number, to: num
 }
 
 /** Everything that the panel of a state shows. */
-export async function loadWeek(map: string, state: string, start: number, zone: string, kind: ModelKind | undefined): Promise<Week> {
+export async function loadWeek(map: string, state: string, start: number, zone: string, model: Asked | undefined): Promise<Week> {
     const end = addDays(start, 7, zone);
     const times: number[] = [];
     for (let ms = start; ms <= end; ms += STEP_MS) times.push(ms);
     const isCell = state.startsWith('cell/');
-    const model = kind === undefined ? undefined : { kind };
     const answers: Series[] = [];
     let observations = 0;
     const predict = async () => {
@@ -72,11 +80,12 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
         for await (const piece of queries.predictStates(request)) {
             const at = piece.axis;
             const name = at === 0 ? state : `${state}/${'xyz'[at - 1] ?? at}`;
-            const found = answers.find((series) => series.name === name) ?? { name, values: [], lower: [], upper: [] };
+            const found = answers.find((series) => series.name === name) ?? { name, values: [], lower: [], upper: [], masses: [] };
             if (found.values.length === 0) answers.push(found);
             found.values.push(...piece.probabilities);
             found.lower.push(...piece.lower);
             found.upper.push(...piece.upper);
+            found.masses?.push(...piece.masses);
             observations = Number(piece.observations);
         }
     };
@@ -97,6 +106,20 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
         times, series: answers, seenTimes: kept(seen.times), seenValues: kept(seen.values), seenNote: seen.note,
         observations, model: described, isProbability,
     };
+}
+
+/** The mean of what was observed from each time on until half an hour later; NaN where nothing was. */
+export function meansOf(seen: { times: number[]; values: number[] }, times: number[]): number[] {
+    const [sums, counts] = [new Float64Array(times.length), new Uint32Array(times.length)];
+    let at = 0;
+    for (const [index, ms] of seen.times.entries()) {
+        while (at > 0 && ms < (times[at] ?? 0)) at--;
+        while (at + 1 < times.length && ms >= (times[at + 1] ?? Infinity)) at++;
+        if (ms < (times[at] ?? Infinity) || ms >= (times[at] ?? 0) + STEP_MS) continue;
+        sums[at] = (sums[at] ?? 0) + (seen.values[index] ?? 0);
+        counts[at] = (counts[at] ?? 0) + 1;
+    }
+    return times.map((_, index) => (sums[index] ?? 0) / (counts[index] || Number.NaN));
 }
 
 /** A period for people, as `24 h` or `7 d`. */

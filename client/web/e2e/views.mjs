@@ -1,0 +1,64 @@
+// All views of the page at three sizes and in two schemes: pictures, contrast by axe-core, and nothing beside the edge.
+//
+// Invariant: a picture is `view-NAME-SIZE-SCHEME.png` in the folder of the test.
+
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import { join } from 'node:path';
+
+import { open } from './stage.mjs';
+
+const AXE = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
+const SIZES = {
+    wide: { viewport: { width: 1440, height: 900 } },
+    laptop: { viewport: { width: 1024, height: 700 } },
+    phone: { viewport: { width: 390, height: 800 }, deviceScaleFactor: 2, hasTouch: true, isMobile: true },
+};
+const AT = 'at=2025-03-18T10:00:00Z';
+/** The views, and what is there once they are whole. */
+const VIEWS = {
+    maps: ['/', 'maps'],
+    map: [`/maps/office?${AT}`, 'map-canvas'],
+    overview: [`/maps/office?${AT}&list=1&sort=unusual`, 'overview-rows'],
+    select: [`/maps/office?${AT}&list=0&select=kitchen`, 'state-week'],
+    week: [`/maps/doors?rows=week&sort=soon`, 'overview-rows'],
+    look: [`/maps/office?${AT}&list=0&layer=look&tool=explore&start=10,8.4`, 'information'],
+    states: [`/states/office?${AT}&select=kitchen`, 'state-week'],
+    operations: ['/operations', 'jobs'],
+};
+
+/** What axe-core finds against WCAG 2 A and AA, as lines. */
+export async function violations(page) {
+    await page.evaluate(AXE);
+    const found = await page.evaluate(async () => {
+        const rules = { type: 'tag', values: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa'] };
+        const { violations } = await globalThis.axe.run(document, { runOnly: rules });
+        return violations.map(({ id, nodes }) => `${id}: ${nodes.slice(0, 4).map((node) => `${node.target} (${node.any[0]?.message ?? ''})`).join('; ')}`);
+    });
+    return found;
+}
+
+/** Looks at each view in each size and scheme. */
+export async function lookAtViews(browser, daemon, folder) {
+    const problems = [];
+    for (const [size, options] of Object.entries(SIZES)) {
+        for (const colorScheme of ['light', 'dark']) {
+            const page = await open(browser, daemon.http, { ...options, colorScheme });
+            for (const [view, [path, there]] of Object.entries(VIEWS)) {
+                const where = `${view}, ${size}, ${colorScheme}`;
+                await page.goto(`${daemon.http}${path}`);
+                await page.getByTestId(there).waitFor();
+                await page.waitForLoadState('networkidle').catch(() => {});
+                await page.waitForTimeout(250);
+                await page.screenshot({ path: join(folder, `view-${view}-${size}-${colorScheme}.png`) });
+                for (const found of await violations(page)) problems.push(`${where}: ${found}`);
+                const beside = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+                if (beside > 0) problems.push(`${where}: ${beside} pixels lie beside the edge`);
+            }
+            assert.deepEqual(page.problems, []);
+            await page.context().close();
+        }
+    }
+    assert.deepEqual(problems, []);
+}

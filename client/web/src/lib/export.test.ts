@@ -1,0 +1,34 @@
+// Files of what is shown.
+
+import assert from 'node:assert/strict';
+import { suite, test } from 'node:test';
+
+import { csvRow, escaped, stripsSvg } from './export';
+import { weekCsv, weekSvg } from './picture';
+import type { Week } from './week';
+
+suite('files', () => {
+    test('of CSV quote what needs it', () => {
+        assert.equal(csvRow(['a', 1.5, 'b,c', 'say "no"', 'two\nlines']), 'a,1.5,"b,c","say ""no""","two\nlines"\r\n');
+    });
+
+    test('of SVG have names as text, whatever these are', () => {
+        assert.equal(escaped('<a href="x">&'), '&lt;a href=&quot;x&quot;&gt;&amp;');
+        const svg = stripsSvg({ title: 'home & yard', ticks: [{ share: 0.5, text: '12:00' }], rows: [{ name: '<script>', colours: ['rgb(1 2 3)', '#fff'], note: 'now' }] });
+        assert.ok(svg.includes('home &amp; yard') && svg.includes('&lt;script&gt;') && !svg.includes('<script>'));
+        assert.equal(svg.match(/<rect [^>]*fill="(rgb\(1 2 3\)|#fff)"/g)?.length, 3);
+    });
+
+    test('of a week have predictions with their interval, and observations', () => {
+        const week: Week = {
+            times: [0, 1_800_000], series: [{ name: 'door', values: [0.25, 0.5], lower: [0.1, 0.2], upper: [0.4, 0.6] }],
+            seenTimes: [60_000], seenValues: [1], seenNote: '', observations: 1, model: undefined, isProbability: true,
+        };
+        assert.deepEqual(weekCsv(week, 'UTC').split('\r\n'), [
+            'time,state,kind,value,lower,upper', '1970-01-01T00:00:00+00:00,door,predicted,0.25,0.1,0.4',
+            '1970-01-01T00:30:00+00:00,door,predicted,0.5,0.2,0.6', '1970-01-01T00:01:00+00:00,door,observed,1,,', '',
+        ]);
+        const svg = weekSvg('a < b', week, 'UTC', ['#123456']);
+        assert.ok(svg.includes('a &lt; b') && svg.includes('<polygon') && svg.includes('<circle'));
+    });
+});

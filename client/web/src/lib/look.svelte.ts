@@ -1,0 +1,78 @@
+// Where looking pays: what one look around would teach, from places all over the visible part of the grid.
+//
+// Invariant: the parameters are those of `PlanTour` and of the command line: a sensor of 4 m, all around.
+
+import { message, exploration } from './rpc.svelte';
+import { toNanos } from './times';
+
+/** Places that are asked for at a time. */
+const PLACES_MAX = 400;
+/** The nearest that two places are, metres. */
+const SPACING_MIN_M = 1;
+const REST_MS = 150;
+
+export interface Look {
+    x: number;
+    y: number;
+    /** Edge of the square that the place stands for, metres. */
+    size: number;
+    bits: number;
+}
+
+interface Box {
+    minX: number;
+    minY: number;
+    maxX: number;
+    maxY: number;
+}
+
+/** The places of a lattice over a box in metres, and the edge of its squares. */
+export function placesOf({ minX, minY, maxX, maxY }: Box): { size: number; places: { x: number; y: number }[] } {
+    const [width, height] = [Math.max(0, maxX - minX), Math.max(0, maxY - minY)];
+    let size = Math.max(SPACING_MIN_M, Math.sqrt((width * height) / PLACES_MAX));
+    while (Math.ceil(width / size) * Math.ceil(height / size) > PLACES_MAX) size *= 1.1;
+    const places = [];
+    for (let y = minY + size / 2; y < maxY; y += size) {
+        for (let x = minX + size / 2; x < maxX; x += size) places.push({ x, y });
+    }
+    return { size, places };
+}
+
+export class LookFeed {
+    looks: Look[] = $state.raw([]);
+    problem = $state('');
+    #timer: ReturnType<typeof setTimeout> | undefined;
+    #stop: AbortController | undefined;
+
+    /** Asks for what is visible at a time; without a box there is nothing to show. */
+    ask(map: string, box: Box | undefined, at: number): void {
+        this.stop();
+        if (!box) {
+            this.looks = [];
+            return;
+        }
+        this.#timer = setTimeout(() => void this.#answer(map, box, at), REST_MS);
+    }
+
+    stop(): void {
+        clearTimeout(this.#timer);
+        this.#stop?.abort();
+    }
+
+    async #answer(map: string, box: Box, at: number): Promise<void> {
+        const { size, places } = placesOf(box);
+        const stop = (this.#stop = new AbortController());
+        const viewpoints = places.map(({ x, y }) => ({ xM: x, yM: y }));
+        const found: Look[] = [];
+        try {
+            for await (const answer of exploration.evaluateViews({ map, viewpoints, timesNanos: [toNanos(at)] }, { signal: stop.signal })) {
+                const place = places[answer.viewpoint];
+                const bits = answer.informationBits[0] ?? Number.NaN;
+                if (place && Number.isFinite(bits)) found.push({ ...place, size, bits });
+            }
+            if (!stop.signal.aborted) [this.looks, this.problem] = [found, ''];
+        } catch (error) {
+            if (!stop.signal.aborted) this.problem = message(error);
+        }
+    }
+}

@@ -1,0 +1,146 @@
+// A map and its states, asked for again while a view shows them.
+//
+// Invariant: a map that does not exist is known as such, with those that do; states are listed again only when the
+// counters of the map say that something came.
+
+import { Code, ConnectError } from '@connectrpc/connect';
+
+import type { Map as WireMap, State } from '../wire/tidemap/v1/map_pb';
+import { DAY, MINUTE } from './civil';
+import { link, maps, message } from './rpc.svelte';
+import { fromTimestamp } from './times';
+
+/** Between two looks at the counters of the map. */
+const EVERY_MS = 4000;
+/** Listing the states takes at most about this share of the time. */
+const LISTING_SHARE = 0.1;
+const PAGE = 10_000;
+/** A step of the clock that a view opens at. */
+const STEP_MS = 5 * MINUTE;
+
+/** The time that a view opens at: now, or that of the newest data if they are older than a day. */
+export function openingTime(newest: number | undefined, now: number): number {
+    const at = newest !== undefined && now - newest > DAY ? newest : now;
+    return Math.floor(at / STEP_MS) * STEP_MS;
+}
+
+/** The time of the newest observation, milliseconds; one ahead of the clock does not count. */
+export function newestTime(states: { lastTime?: { seconds: bigint; nanos: number } }[], cut: number | undefined, now: number): number | undefined {
+    let newest: number | undefined;
+    for (const { lastTime } of states) {
+        const ms = lastTime && Number(lastTime.seconds) * 1000 + lastTime.nanos / 1e6;
+        if (ms !== undefined && ms <= now && ms > (newest ?? 0)) newest = ms;
+    }
+    // Scans have no times here; what was learned of them ends with the update.
+    return newest ?? (cut !== undefined && cut <= now ? cut : undefined);
+}
+
+export class MapFeed {
+    info: WireMap | undefined = $state.raw();
+    states: State[] = $state.raw([]);
+    /** Whether all states are here. */
+    isListed = $state(false);
+    /** Whether some states, or the lack of any, are known: enough to open. */
+    isReady = $state(false);
+    /** Names of the maps that exist, if this one does not. */
+    others: string[] | undefined = $state.raw();
+    problem = $state('');
+    /** Milliseconds; when the view opens. */
+    opening = $state(Number.NaN);
+    newest: number | undefined = $state();
+    #map: string;
+    #counters = '';
+    #listAfter = 0;
+    #isBusy = false;
+
+    constructor(map: string) {
+        this.#map = map;
+    }
+
+    /** Asks now and then; the answer stops it. For an effect. */
+    follow(): () => void {
+        void link.epoch;
+        void this.load();
+        const timer = setInterval(() => document.hidden || link.isAway || void this.load(), EVERY_MS);
+        return () => clearInterval(timer);
+    }
+
+    async load(): Promise<void> {
+        if (this.#isBusy) return;
+        this.#isBusy = true;
+        try {
+            this.info = (await maps.getMap({ name: this.#map })).map;
+            const info = this.info;
+            const counters = `${info?.states} ${info?.observations} ${info?.pendingObservations} ${info?.lastUpdate?.generation}`;
+            if (counters !== this.#counters && performance.now() >= this.#listAfter) {
+                await this.#list();
+                this.#counters = counters;
+            }
+            [this.problem, this.others] = ['', undefined];
+        } catch (error) {
+            await this.#explain(error);
+        }
+        this.#isBusy = false;
+    }
+
+    async #list(): Promise<void> {
+        const begun = performance.now();
+        const all: State[] = [];
+        for (let pageToken = ''; ; ) {
+            const answer = await maps.listStates({ map: this.#map, pageSize: PAGE, pageToken });
+            all.push(...answer.states);
+            pageToken = answer.nextPageToken;
+            if (!this.isReady) this.#open(all);
+            if (!pageToken) break;
+            if (!this.isListed) this.states = [...all];
+        }
+        this.states = byName(all);
+        this.newest = newestTime(all, fromTimestamp(this.info?.lastUpdate?.cut), Date.now());
+        this.isListed = true;
+        this.#listAfter = performance.now() + (performance.now() - begun) / LISTING_SHARE;
+    }
+
+    #open(states: State[]): void {
+        const now = Date.now();
+        this.newest = newestTime(states, fromTimestamp(this.info?.lastUpdate?.cut), now);
+        this.opening = openingTime(this.newest, now);
+        this.isReady = true;
+    }
+
+    async #explain(error: unknown): Promise<void> {
+        if (ConnectError.from(error).code !== Code.NotFound) {
+            this.problem = message(error);
+            return;
+        }
+        try {
+            this.others = (await maps.listMaps({ pageSize: 1000 })).maps.map((map) => map.name);
+        } catch (other) {
+            this.problem = message(other);
+        }
+    }
+}
+
+const collator = new Intl.Collator('en', { numeric: true });
+
+/** States by name; what the daemon derives from traversals comes after what robots named. */
+export function byName(states: State[]): State[] {
+    return [...states].sort((a, b) => Number(a.name.includes('/')) - Number(b.name.includes('/')) || collator.compare(a.name, b.name));
+}
+
+/** Names that are like one that does not exist, the likest first. */
+export function likeNames(name: string, names: string[], most = 5): string[] {
+    const pairs = (text: string) => new Set(Array.from({ length: Math.max(0, text.length - 1) }, (_, at) => text.slice(at, at + 2)));
+    const wanted = pairs(name.toLowerCase());
+    const likeness = (other: string) => {
+        const theirs = pairs(other.toLowerCase());
+        let both = 0;
+        for (const pair of wanted) if (theirs.has(pair)) both++;
+        return (2 * both) / Math.max(1, wanted.size + theirs.size);
+    };
+    return names
+        .map((other) => ({ other, share: likeness(other) }))
+        .filter(({ share }) => share > 0.2)
+        .sort((a, b) => b.share - a.share)
+        .slice(0, most)
+        .map(({ other }) => other);
+}

@@ -1,0 +1,96 @@
+// Rows of the overview: the hours of a day or a week of a state, and when its prediction crosses one half.
+//
+// Invariant: columns are hours as they pass, so the day of a clock change has 23 or 25.
+
+import { addDays, clock, dayName, HOUR, midnight, monday } from './civil';
+import { occupancy } from './colours';
+
+export type RowSpan = 'day' | 'week';
+
+/** The columns of rows: where each begins, and where the last one ends, milliseconds. */
+export interface Columns {
+    span: RowSpan;
+    starts: number[];
+    end: number;
+}
+
+export function columnsOf(span: RowSpan, at: number, zone: string): Columns {
+    const start = span === 'day' ? midnight(at, zone) : monday(at, zone);
+    const end = addDays(start, span === 'day' ? 1 : 7, zone);
+    return { span, starts: Array.from({ length: Math.round((end - start) / HOUR) }, (_, hour) => start + hour * HOUR), end };
+}
+
+/** Where labels stand above columns: shares of the width. */
+export function ticksOf({ span, starts, end }: Columns, zone: string): { share: number; text: string }[] {
+    const start = starts[0] ?? end;
+    const share = (ms: number) => (ms - start) / (end - start);
+    if (span === 'week') {
+        return Array.from({ length: 7 }, (_, day) => addDays(start, day, zone)).map((ms) => ({ share: share(ms), text: dayName(ms, zone) }));
+    }
+    return starts.filter((ms) => ['00:00', '06:00', '12:00', '18:00'].includes(clock(ms, zone))).map((ms) => ({ share: share(ms), text: clock(ms, zone) }));
+}
+
+/** The range of values that is drawn from none to full. */
+export function rangeOf(values: number[], isProbability: boolean): { low: number; high: number } {
+    if (isProbability || values.length === 0) return { low: 0, high: 1 };
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    return high > low ? { low, high } : { low: low - 0.5, high: low + 0.5 };
+}
+
+/** The colour of a value; probabilities have the colours of the map, other values shades of grey. */
+export function rowColour(value: number, { low, high }: { low: number; high: number }, isProbability: boolean): string {
+    if (isProbability) return occupancy(value);
+    const share = Math.max(0, Math.min(1, (value - low) / Math.max(1e-12, high - low)));
+    const grey = Math.round(235 - 170 * share);
+    return `rgb(${grey} ${grey + 4} ${Math.min(255, grey + 12)})`;
+}
+
+/** Colours side by side, as an image of a style. */
+export function bandsOf(colours: string[]): string {
+    const part = (index: number) => `${((index / colours.length) * 100).toFixed(3)}%`;
+    return `linear-gradient(to right, ${colours.map((colour, index) => `${colour} ${part(index)} ${part(index + 1)}`).join(', ')})`;
+}
+
+/** Points of a line through the middles of columns, in a box of 100 by 20. */
+export function linePoints(values: number[], { low, high }: { low: number; high: number }): string {
+    const y = (value: number) => (19 - 18 * Math.max(0, Math.min(1, (value - low) / (high - low)))).toFixed(1);
+    return values.map((value, index) => `${(((index + 0.5) / values.length) * 100).toFixed(1)},${y(value)}`).join(' ');
+}
+
+/** When a prediction crosses one half. */
+export interface Change {
+    ms: number;
+    /** Whether it is above one half from then on. */
+    isUp: boolean;
+}
+
+/** A greater difference between two predictions is a jump, which lies at the later one. */
+const JUMP = 0.5;
+
+/** The crossings of one half: between two times by a straight line, or at the later one if the prediction jumps. */
+export function changesOf(times: number[], values: number[]): Change[] {
+    const found: Change[] = [];
+    for (let index = 1; index < Math.min(times.length, values.length); index++) {
+        const [before, now] = [values[index - 1] ?? 0, values[index] ?? 0];
+        if (before < 0.5 === now < 0.5) continue;
+        const [from, to] = [times[index - 1] ?? 0, times[index] ?? 0];
+        const share = Math.abs(now - before) > JUMP ? 1 : (0.5 - before) / (now - before);
+        found.push({ ms: from + share * (to - from), isUp: now >= 0.5 });
+    }
+    return found;
+}
+
+/** The parts of a time in which a probability is at least one half. */
+export function likelyParts(times: number[], values: number[], end: number): { from: number; to: number }[] {
+    const parts: { from: number; to: number }[] = [];
+    let from = (values[0] ?? 0) >= 0.5 ? times[0] : undefined;
+    for (const { ms, isUp } of changesOf(times, values)) {
+        if (isUp) from = ms;
+        else if (from !== undefined) {
+            parts.push({ from, to: ms });
+            from = undefined;
+        }
+    }
+    if (from !== undefined) parts.push({ from, to: end });
+    return parts;
+}

@@ -1,0 +1,84 @@
+// What was unusual before it was learned, and what changes soon.
+
+import type { Surprise } from '../wire/tidemap/v1/query_pb';
+import { clock, DAY, dayName, HOUR, MINUTE } from './civil';
+import { changesOf, type Change } from './rows';
+import { queries } from './rpc.svelte';
+import { fromTimestamp, toNanos, toTimestamp } from './times';
+
+/** Days that "lately" looks back on. */
+export const LATELY_DAYS = 7;
+/** Runs that are asked for. */
+const RUNS_MAX = 10_000;
+/** Runs begin with an observation that the model held for at most this improbable: 1 minus it. */
+const CONFIDENCE = 0.9;
+
+export interface Unusual {
+    state: string;
+    from: number;
+    to: number;
+    observations: number;
+    isAbove: boolean;
+    value: number;
+    probability: number;
+    bits: number;
+}
+
+function read(run: Surprise): Unusual {
+    const from = fromTimestamp(run.firstTime) ?? 0;
+    return {
+        state: run.state, from, to: fromTimestamp(run.lastTime) ?? from, observations: Number(run.observations),
+        isAbove: run.above, value: run.value, probability: run.probability, bits: run.bits,
+    };
+}
+
+/** Runs of unusual observations in the days before the newest data, the most surprising first. */
+export async function unusualLately(map: string, newest: number, days = LATELY_DAYS, states: string[] = []): Promise<Unusual[]> {
+    const [fromTime, toTime] = [toTimestamp(Math.max(0, newest - days * DAY)), toTimestamp(newest + 1)];
+    const answer = await queries.listSurprises({ map, states, fromTime, toTime, confidence: CONFIDENCE, top: RUNS_MAX });
+    return answer.surprises.map(read);
+}
+
+/** A number as people write it: no digits that say nothing. */
+export function plain(value: number, digits = 3): string {
+    if (!Number.isFinite(value)) return '–';
+    return Number.isInteger(value) && Math.abs(value) < 1e6 ? String(value) : String(Number(value.toPrecision(digits)));
+}
+
+/** As `Tue 24 Nov 01:00 – 05:30`. */
+export function rangeText(from: number, to: number, zone: string): string {
+    const [first, last] = [`${dayName(from, zone)} ${clock(from, zone)}`, clock(to, zone)];
+    if (to - from < MINUTE) return first;
+    return dayName(from, zone) === dayName(to, zone) ? `${first} – ${last}` : `${first} – ${dayName(to, zone)} ${last}`;
+}
+
+/** What was seen, in words: `was 1 on Tue 24 Nov 01:00 – 05:30, predicted 0.03`. */
+export function runText(run: Unusual, zone: string, isProbability: boolean): string {
+    const expected = isProbability ? `, predicted ${plain(run.probability, 2)}` : `, ${run.isAbove ? 'above' : 'below'} what was predicted`;
+    return `was ${plain(run.value)} on ${rangeText(run.from, run.to, zone)}${expected}`;
+}
+
+/** States that "changes soon" looks at. */
+export const SOON_STATES_MAX = 2000;
+/** How far it looks ahead. */
+export const SOON_HOURS = 24;
+const SOON_STEP_MS = 15 * MINUTE;
+
+/** The next change of each state within a day; states without one are left out. */
+export async function changesSoon(map: string, states: string[], at: number): Promise<Map<string, Change>> {
+    const times = Array.from({ length: (SOON_HOURS * HOUR) / SOON_STEP_MS + 1 }, (_, index) => at + index * SOON_STEP_MS);
+    const found = new Map<string, Change>();
+    const asked = states.slice(0, SOON_STATES_MAX);
+    const values = new Map<number, number[]>();
+    for await (const piece of queries.predictStates({ map, states: asked, timesNanos: times.map(toNanos) })) {
+        const row = values.get(piece.stateIndex) ?? [];
+        row.push(...piece.probabilities);
+        values.set(piece.stateIndex, row);
+    }
+    for (const [index, row] of values) {
+        const [next] = changesOf(times, row);
+        const name = asked[index];
+        if (next && name !== undefined) found.set(name, next);
+    }
+    return found;
+}
