@@ -1,4 +1,4 @@
-//! Point clouds of the Point Cloud Library: PCD files, version 0.7, with text, binary or compressed data.
+//! Point clouds of the Point Cloud Library: PCD files, versions 0.5 to 0.7, with text, binary or compressed data.
 //!
 //! The reader takes the fields x, y and z, of any type, and VIEWPOINT as the sensor's pose; it skips other fields.
 //! Binary data is little-endian. Zeros after binary data are padding.
@@ -42,14 +42,14 @@ pub fn read_pose(bytes: &[u8]) -> Result<Option<Isometry3<f64>>, FormatError> {
 fn ascii(header: &PcdHeader, mut lines: Lines<'_>) -> Result<PointFile, FormatError> {
     let row = header.row(true);
     let room = lines.rest().len() as u64;
-    // Each value takes at least a character and a space or line end.
+    // Each value takes at least a character and a space or line end; the last line end may be missing.
     let needs = header.points * 2 * row.values as u64;
-    if needs > room {
+    if needs > room + 1 {
         return Err(FormatError::cut_off(lines.at(), format!("data of {} points", header.points), needs, room));
     }
     let mut file = PointFile::with_capacity(header.points, header.pose);
     let mut points = 0;
-    while let Some(line) = lines.next_full()? {
+    while let Some(line) = lines.next_data(points + 1 == header.points)? {
         if points == header.points {
             return Err(FormatError::value(
                 line.place(),

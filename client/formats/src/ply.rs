@@ -28,8 +28,9 @@ pub fn read(bytes: &[u8]) -> Result<PointFile, FormatError> {
     let mut file = PointFile::default();
     match header.encoding {
         Encoding::Ascii => {
-            for element in &header.elements {
-                ascii(element, &mut lines, &mut file)?;
+            let last = header.elements.iter().rposition(|element| element.count > 0);
+            for (index, element) in header.elements.iter().enumerate() {
+                ascii(element, Some(index) == last, &mut lines, &mut file)?;
             }
             if let Some(line) = lines.next_full()? {
                 return Err(line.wrong("the line", line.text, "absent: all elements of the header are there already"));
@@ -61,11 +62,12 @@ fn room_for(element: &Element, min_bytes: u64, at: u64, room: u64, file: &mut Po
     Ok(())
 }
 
-fn ascii(element: &Element, lines: &mut Lines<'_>, file: &mut PointFile) -> Result<(), FormatError> {
-    // Each value takes at least a character and a space or line end.
-    room_for(element, 2 * element.properties.len() as u64, lines.at(), lines.rest().len() as u64, file)?;
+fn ascii(element: &Element, is_last: bool, lines: &mut Lines<'_>, file: &mut PointFile) -> Result<(), FormatError> {
+    // Each value takes at least a character and a space or line end; the last line end may be missing.
+    room_for(element, 2 * element.properties.len() as u64, lines.at(), lines.rest().len() as u64 + 1, file)?;
     for taken in 0..element.count {
-        let line = lines.next_full()?.ok_or_else(|| {
+        let is_last = is_last && taken + 1 == element.count;
+        let line = lines.next_data(is_last)?.ok_or_else(|| {
             FormatError::lines_cut_off(lines.number(), format!("element {}", element.name), element.count, taken)
         })?;
         let point = ascii_row(element, line)?;

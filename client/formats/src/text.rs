@@ -1,7 +1,8 @@
 //! The lines of text files, and of binary files that start with text.
 //!
-//! Invariant: a line without a line end is an error, because a truncated number still looks like a number. Bytes after
-//! the lines read so far are untouched, so that binary data can follow.
+//! Invariant: a line without a line end is an error, because a truncated number still looks like a number; except for
+//! the last line of the announced data, whose end some writers leave out. Bytes after the lines read so far are
+//! untouched, so that binary data can follow.
 
 use std::str::FromStr;
 
@@ -31,14 +32,20 @@ impl<'a> Lines<'a> {
 
     /// The next line; none at the end of the file.
     pub(crate) fn next_line(&mut self) -> Result<Option<Line<'a>>, FormatError> {
+        self.next(false)
+    }
+
+    fn next(&mut self, may_lack_end: bool) -> Result<Option<Line<'a>>, FormatError> {
         let rest = self.rest();
         if rest.is_empty() {
             return Ok(None);
         }
         self.number += 1;
         let place = FilePlace::Line(self.number);
-        let Some(length) = rest.iter().position(|&byte| byte == b'\n') else {
-            return Err(FormatError { place, problem: FormatProblem::NoLineEnd });
+        let length = match rest.iter().position(|&byte| byte == b'\n') {
+            Some(length) => length,
+            None if may_lack_end => rest.len(),
+            None => return Err(FormatError { place, problem: FormatProblem::NoLineEnd }),
         };
         self.at += length + 1;
         match std::str::from_utf8(&rest[..length]) {
@@ -49,7 +56,12 @@ impl<'a> Lines<'a> {
 
     /// The next line that is not blank.
     pub(crate) fn next_full(&mut self) -> Result<Option<Line<'a>>, FormatError> {
-        while let Some(line) = self.next_line()? {
+        self.next_data(false)
+    }
+
+    /// The next line that is not blank. If `is_last`, its line end may be missing.
+    pub(crate) fn next_data(&mut self, is_last: bool) -> Result<Option<Line<'a>>, FormatError> {
+        while let Some(line) = self.next(is_last)? {
             if line.words().next().is_some() {
                 return Ok(Some(line));
             }

@@ -17,6 +17,8 @@ use crate::{
 /// Maximum length of a point with all its fields.
 const POINT_BYTES_MAX: usize = 1 << 20;
 
+const AXES: [&str; 3] = ["x", "y", "z"];
+
 const KEYS: [&str; 10] =
     ["VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"];
 
@@ -44,6 +46,8 @@ pub(super) enum Data {
 
 struct Field<'a> {
     name: &'a str,
+    /// The coordinate that it is.
+    axis: Option<usize>,
     scalar: Scalar,
     count: usize,
 }
@@ -67,7 +71,7 @@ impl PcdHeader<'_> {
     pub(super) fn row(&self, padding: bool) -> PointLayout {
         let mut row = PointLayout { bytes: 0, values: 0, scalar: [Scalar::F32; 3], byte: [0; 3], value: [0; 3] };
         for field in self.fields.iter().filter(|field| padding || field.name != "_") {
-            if let Some(axis) = ["x", "y", "z"].iter().position(|&name| name == field.name) {
+            if let Some(axis) = field.axis {
                 (row.scalar[axis], row.byte[axis], row.value[axis]) = (field.scalar, row.bytes, row.values);
             }
             row.bytes += field.scalar.bytes() * field.count;
@@ -120,8 +124,8 @@ fn missing(key: &str, line: u64) -> FormatError {
 
 fn version(line: Line<'_>) -> Result<(), FormatError> {
     match line.words().nth(1) {
-        Some("0.7" | ".7") => Ok(()),
-        other => Err(line.wrong("VERSION", other.unwrap_or(""), "0.7")),
+        Some("0.7" | ".7" | "0.6" | ".6" | "0.5" | ".5") => Ok(()),
+        other => Err(line.wrong("VERSION", other.unwrap_or(""), "0.5, 0.6 or 0.7")),
     }
 }
 
@@ -152,9 +156,9 @@ fn fields<'a>(
             None => 1,
             Some(line) => line.parse("COUNT", counted.next(), "a number from 1")?,
         };
-        let coordinate = ["x", "y", "z"].contains(&name);
-        if count == 0 || (coordinate && count != 1) {
-            let right = if coordinate { "1 for x, y and z" } else { "at least 1" };
+        let axis = axis_of(name, names);
+        if count == 0 || (axis.is_some() && count != 1) {
+            let right = if axis.is_some() { "1 for x, y and z" } else { "at least 1" };
             return Err(FormatError::value(counts.unwrap_or(names).place(), "COUNT", count, right));
         }
         bytes = scalar.bytes().saturating_mul(count).saturating_add(bytes);
@@ -162,16 +166,26 @@ fn fields<'a>(
             let place = counts.unwrap_or(names).place();
             return Err(FormatError::too_many(place, "the length of a point", bytes as u64, POINT_BYTES_MAX as u64));
         }
-        fields.push(Field { name, scalar, count });
+        fields.push(Field { name, axis, scalar, count });
     }
-    for axis in ["x", "y", "z"] {
-        match fields.iter().filter(|field| field.name == axis).count() {
+    for (axis, name) in AXES.iter().enumerate() {
+        match fields.iter().filter(|field| field.axis == Some(axis)).count() {
             1 => {}
-            0 => return Err(FormatError::missing(names.place(), format!("the field {axis}"), "add it to FIELDS")),
-            _ => return Err(names.wrong("a field's name", axis, "there once")),
+            0 => {
+                let has = names.words().skip(1).collect::<Vec<_>>().join(" ");
+                let right = format!("points have the fields x, y and z, and this file has {has}");
+                return Err(FormatError::missing(names.place(), format!("the field {name}"), right));
+            }
+            _ => return Err(names.wrong("a field's name", name, "there once")),
         }
     }
     Ok(fields)
+}
+
+/// The coordinate that a field is. Some writers use capital letters; these count where the small letter is absent.
+fn axis_of(name: &str, names: Line<'_>) -> Option<usize> {
+    let axis = AXES.iter().position(|axis| axis.eq_ignore_ascii_case(name))?;
+    (name == AXES[axis] || !names.words().skip(1).any(|other| other == AXES[axis])).then_some(axis)
 }
 
 fn scalar(size: &str, kind: &str) -> Option<Scalar> {

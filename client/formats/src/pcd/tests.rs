@@ -112,7 +112,9 @@ fn the_viewpoint_is_the_pose() -> Result<(), FormatError> {
 fn errors_say_where_and_what_would_be_right() {
     refused("", "the file is empty");
     refused("ply\n", "the start of the file is \"ply\"");
-    refused(ascii_file().replace("0.7\nF", "0.6\nF"), "line 2: VERSION is \"0.6\"; it has to be 0.7");
+    refused(ascii_file().replace("0.7\nF", "0.8\nF"), "line 2: VERSION is \"0.8\"; it has to be 0.5, 0.6 or 0.7");
+    refused(ascii_file().replace("x y z\n", "X Y Q\n"), "the field z is missing");
+    refused(ascii_file().replace("x y z\n", "X Y Z Z\n").replace("4\n", "4 4\n"), "the number of values of TYPE");
     refused(ascii_file().replace("FIELDS x y z", "FIELDS x y q"), "line 3: the field z is missing");
     refused(ascii_file().replace("FIELDS x y z", "FIELDS x y y"), "line 3: a field's name is \"y\"");
     refused(ascii_file().replace("SIZE 4 4 4", "SIZE 4 4"), "line 4: the number of values of SIZE is 2");
@@ -127,7 +129,22 @@ fn errors_say_where_and_what_would_be_right() {
     refused(ascii_file().replace("1 2 3\n", "1 2\n"), "line 12: the line is 2 values; it has to be 3 values");
     refused(ascii_file().replace("1 2 3\n", "1 2 b\n"), "line 12: z is \"b\"; it has to be a number");
     refused(ascii_file() + "1 2 3\n", "line 15: the number of points is more than 3");
-    refused(ascii_file().trim_end(), "line 14: the last line has no line end");
+    refused(&ascii_file()[..ascii_file().len() - 16], "line 13: the last line has no line end");
+}
+
+#[test]
+fn files_of_other_writers_are_read() -> Result<(), FormatError> {
+    let expected = read(ascii_file().as_bytes())?;
+    let capitals = ascii_file().replace("x y z", "X Y Z");
+    assert_eq!(read(capitals.as_bytes())?, expected);
+    for version in [".5", "0.5", ".6", ".7"] {
+        let older = capitals.replace("VERSION 0.7", &format!("VERSION {version}"));
+        assert_eq!(read(older.replace("VIEWPOINT 0 0 0 1 0 0 0\n", "").trim_end().as_bytes())?, expected);
+    }
+    // A field that is only spelt like a coordinate.
+    let both = header("x y z X", "4 4 4 4", "F F F F", 1, "ascii") + "1 2 3 9";
+    assert_eq!(read(both.as_bytes())?.points, [[1.0, 2.0, 3.0]]);
+    Ok(())
 }
 
 #[test]
@@ -148,7 +165,8 @@ fn no_memory_is_taken_for_what_a_header_only_claims() {
 
 #[test]
 fn a_cut_file_is_refused_wherever_it_is_cut() {
-    every_cut_is_refused(ascii_file().as_bytes(), read);
+    // The end of the last line may be missing.
+    every_cut_is_refused(ascii_file().trim_end().as_bytes(), read);
     every_cut_is_refused(&binary_file(), read);
     every_cut_is_refused(&compressed_file(true), read);
     no_change_panics(ascii_file().as_bytes(), read);

@@ -184,7 +184,13 @@ fn check(element: &mut Element<'_>) -> Result<(), FormatError> {
     }
     let mut points = [0; 3];
     for (axis, name) in points.iter_mut().zip(["x", "y", "z"]) {
-        let mut found = element.properties.iter().enumerate().filter(|(_, property)| property.name == name);
+        // Some writers use capital letters.
+        let has_small = element.properties.iter().any(|property| property.name == name);
+        let is_axis = |property: &Property<'_>| match has_small {
+            true => property.name == name,
+            false => property.name.eq_ignore_ascii_case(name),
+        };
+        let mut found = element.properties.iter().enumerate().filter(|(_, property)| is_axis(property));
         match (found.next(), found.next()) {
             (Some((index, Property { kind: PropertyKind::Scalar(_), .. })), None) => *axis = index,
             (None, _) => {

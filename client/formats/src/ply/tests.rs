@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use super::{
     super::{
         cuts::{every_cut_is_refused, no_change_panics},
-        picture::samples,
+        picture::{MapPicture, samples},
     },
     *,
 };
@@ -64,6 +64,8 @@ fn every_encoding_gives_the_same_points() -> Result<(), FormatError> {
     assert_eq!(read(&binary_file(false))?, expected);
     assert_eq!(read(&binary_file(true))?, expected);
     assert_eq!(read(&[binary_file(true), vec![b'\n']].concat())?, expected);
+    let capitals = ascii_file().replace("float x", "float X").replace("double y", "double Y");
+    assert_eq!(read(capitals.trim_end().as_bytes())?, expected, "capital letters, and no line end");
     Ok(())
 }
 
@@ -97,7 +99,7 @@ fn no_memory_is_taken_for_what_a_header_only_claims() {
     let claims = |count: &str| ascii_file().replace("element vertex 3", &format!("element vertex {count}"));
     refused(claims("50000000"), "element vertex of 50000000 at 10 bytes or more takes 500000000 bytes");
     refused(claims("18446744073709551615"), "at most 50000000 can be read");
-    refused(ascii_file().replace("face 2", "face 18446744073709551615"), "takes 18446744073709551615 bytes and 10");
+    refused(ascii_file().replace("face 2", "face 18446744073709551615"), "takes 18446744073709551615 bytes and 11");
     let nothing = ascii_file().replace("element face 2\n", "element nothing 9999999999\nelement face 2\n");
     refused(nothing, "a property of element \"nothing\" is missing");
     refused(ascii_file().replace("255 0 2 1 3", "255 99999999999 2 1 3"), "line 17");
@@ -109,12 +111,33 @@ fn no_memory_is_taken_for_what_a_header_only_claims() {
 
 #[test]
 fn a_cut_file_is_refused_wherever_it_is_cut() {
-    every_cut_is_refused(ascii_file().as_bytes(), read);
+    // The end of the last line may be missing.
+    every_cut_is_refused(ascii_file().trim_end().as_bytes(), read);
     every_cut_is_refused(&binary_file(false), read);
     every_cut_is_refused(&binary_file(true), read);
     no_change_panics(ascii_file().as_bytes(), read);
     no_change_panics(&binary_file(false), read);
     no_change_panics(&binary_file(true), read);
+}
+
+#[test]
+fn coordinates_far_from_the_origin_are_doubles() -> Result<(), Box<dyn std::error::Error>> {
+    let near = MapPicture { origin_m: [4_000.0, 0.0, 0.0], ..samples::flat() };
+    assert!(String::from_utf8_lossy(&write(&near)?).contains("property float x"));
+    // A float next to 5548000 has steps of half a metre.
+    let far = MapPicture { origin_m: [458_000.0, 5_548_000.0, 0.0], ..samples::flat() };
+    let file = write(&far)?;
+    let header = b"property double z\nproperty float probability\n";
+    assert!(file.windows(header.len()).any(|bytes| bytes == header));
+    let end = b"end_header\n";
+    let at = file.windows(end.len()).position(|bytes| bytes == end).ok_or("no header")? + end.len();
+    let vertices: Vec<[f64; 3]> = file[at..]
+        .chunks_exact(3 * 8 + 4 + 3)
+        .map(|vertex| std::array::from_fn(|axis| Scalar::F64.read(vertex, 8 * axis, Endian::Little)))
+        .collect();
+    assert_eq!(vertices, far.known().map(|(centre, _)| centre).collect::<Vec<_>>());
+    assert_eq!(read(&file)?.points.len(), vertices.len());
+    Ok(())
 }
 
 #[test]
