@@ -1,11 +1,11 @@
 //! Files of topological maps: lines of nodes and links, and the YAML of ROS topological maps.
 //!
-//! Invariant: an error names the invalid line or node. In files of lines, the daemon checks that the nodes of links
-//! exist.
+//! Invariant: the content says which of them a file is, not its name. An error names the invalid line or node. In files
+//! of lines, the daemon checks that the nodes of links exist.
 
-use std::collections::HashMap;
+mod yaml;
 
-use serde::Deserialize;
+pub use yaml::read_yaml;
 
 /// A node of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -39,6 +39,8 @@ pub struct EdgeEntry {
 pub struct TopologyFile {
     pub nodes: Vec<NodeEntry>,
     pub edges: Vec<EdgeEntry>,
+    /// What the file has and is not used, in words.
+    pub notes: Vec<String>,
 }
 
 /// Why a file of a topological map is invalid.
@@ -46,7 +48,10 @@ pub struct TopologyFile {
 #[allow(missing_docs, reason = "the message of each variant names its fields")]
 pub enum TopologyFileError {
     /// An invalid line.
-    #[error("line {line}: {text:?} is not understood: write `node NAME`, `link A B SECONDS` or `edge A B SECONDS`")]
+    #[error(
+        "line {line}: {text:?} is not understood: write `node NAME`, `link A B SECONDS` or `edge A B SECONDS`, or give a \
+         ROS topological map in YAML"
+    )]
     Line { line: usize, text: String },
     /// An invalid time.
     #[error("line {line}: {text:?} is no time in seconds")]
@@ -54,9 +59,29 @@ pub enum TopologyFileError {
     /// Invalid YAML.
     #[error("{0}")]
     Yaml(String),
+    /// A node without a name or a pose.
+    #[error("node number {number} has no {what}: a node of a topological map has name, pose and edges")]
+    Incomplete { number: usize, what: &'static str },
     /// An edge leads to an unknown node.
     #[error("node {from:?} has an edge to {to:?}, which the file does not have")]
     UnknownNode { from: String, to: String },
+}
+
+/// Reads a file of either kind: lines, or YAML.
+///
+/// # Errors
+/// [`TopologyFileError`]
+pub fn read(text: &str) -> Result<TopologyFile, TopologyFileError> {
+    if is_yaml(text) { read_yaml(text) } else { read_lines(text) }
+}
+
+/// Whether a text is YAML (JSON is YAML, too): a list, or a mapping. Lines of this format begin with a word that no
+/// colon follows.
+fn is_yaml(text: &str) -> bool {
+    let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim_start);
+    let first =
+        lines.filter(|line| !line.is_empty() && !line.starts_with('#')).map(|line| line.split_whitespace().next());
+    first.flatten().next().is_some_and(|word| word.starts_with(['-', '[', '{', '%']) || word.contains(':'))
 }
 
 /// Reads lines: `node NAME`, `link A B SECONDS` (both directions), `edge A B SECONDS` (one direction); `#` starts a
@@ -84,92 +109,6 @@ fn shown(text: &str) -> String {
     text.chars().take(60).collect()
 }
 
-#[derive(Deserialize)]
-struct YamlItem {
-    node: YamlNode,
-}
-
-#[derive(Deserialize)]
-struct YamlNode {
-    name: String,
-    pose: YamlPose,
-    #[serde(default)]
-    edges: Vec<YamlEdge>,
-}
-
-#[derive(Deserialize)]
-struct YamlPose {
-    position: Position,
-    #[serde(default)]
-    orientation: Orientation,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-struct Position {
-    x: f64,
-    y: f64,
-    #[serde(default)]
-    z: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(default)]
-struct Orientation {
-    x: f64,
-    y: f64,
-    z: f64,
-    w: f64,
-}
-
-impl Default for Orientation {
-    fn default() -> Self {
-        Self { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
-    }
-}
-
-impl Orientation {
-    fn yaw_rad(&self) -> f64 {
-        let Self { x, y, z, w } = self;
-        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
-    }
-}
-
-#[derive(Deserialize)]
-struct YamlEdge {
-    node: String,
-    #[serde(default)]
-    action: String,
-    /// Seconds; not part of the ROS format.
-    #[serde(default)]
-    duration: Option<f64>,
-}
-
-/// Reads the YAML of a ROS topological map: a list of `node`s with `name`, `pose` and `edges`. The length of an edge is
-/// the distance of its nodes; `duration` is its nominal time in seconds.
-pub fn read_yaml(text: &str) -> Result<TopologyFile, TopologyFileError> {
-    let written: Vec<YamlItem> =
-        serde_saphyr::from_str(text).map_err(|error| TopologyFileError::Yaml(error.to_string()))?;
-    let places: HashMap<&str, Position> =
-        written.iter().map(|YamlItem { node }| (node.name.as_str(), node.pose.position)).collect();
-    let mut topology = TopologyFile::default();
-    for YamlItem { node } in &written {
-        let at = node.pose.position;
-        let pose = Some([at.x, at.y, node.pose.orientation.yaw_rad()]);
-        topology.nodes.push(NodeEntry { name: node.name.clone(), pose });
-        for edge in &node.edges {
-            let unknown = || TopologyFileError::UnknownNode { from: node.name.clone(), to: edge.node.clone() };
-            let to = places.get(edge.node.as_str()).ok_or_else(unknown)?;
-            let length_m = (to.x - at.x).hypot(to.y - at.y).hypot(to.z - at.z);
-            let (from, to, action) = (node.name.clone(), edge.node.clone(), edge.action.clone());
-            // An edge between nodes at the same place has no length if it has a duration.
-            let length_m = Some(length_m).filter(|&length_m| length_m != 0.0 || edge.duration.is_none());
-            let nominal_secs = edge.duration;
-            topology.edges.push(EdgeEntry { from, to, action, both_ways: false, length_m, nominal_secs });
-        }
-    }
-    Ok(topology)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -192,35 +131,22 @@ mod tests {
         }
     }
 
-    const YAML: &str = "
-- meta: {map: flat, node: Hall, pointset: flat}
-  node:
-    edges:
-    - {action: move_base, edge_id: Hall_Bath, node: Bath, top_vel: 0.55}
-    name: Hall
-    pose:
-      orientation: {w: 0.7071067811865476, x: 0.0, y: 0.0, z: 0.7071067811865476}
-      position: {x: 1.0, y: 2.0, z: 0.0}
-    verts: [{x: 1.0, y: 0.5}]
-- meta: {map: flat}
-  node:
-    edges:
-    - {action: doorPassing, edge_id: Bath_Hall, node: Hall, duration: 12}
-    name: Bath
-    pose: {position: {x: 4.0, y: 6.0, z: 0.0}}
-";
-
     #[test]
-    fn edges_of_yaml_are_as_long_as_their_ends_are_apart() {
-        let topology = read_yaml(YAML).expect("right");
-        let [x, y, yaw] = topology.nodes[0].pose.expect("a pose");
-        assert!((x, y) == (1.0, 2.0) && (yaw - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
-        assert_eq!((topology.edges[0].length_m, topology.edges[0].nominal_secs), (Some(5.0), None));
-        assert_eq!((topology.edges[0].action.as_str(), topology.edges[0].both_ways), ("move_base", false));
-        assert_eq!(topology.edges[1].nominal_secs, Some(12.0));
-        let error = read_yaml(&YAML.replace("node: Bath,", "node: Attic,")).expect_err("wrong").to_string();
-        assert!(error.contains("\"Hall\"") && error.contains("\"Attic\""), "{error}");
-        assert!(read_yaml("- node: {name: A}").expect_err("wrong").to_string().contains("pose"));
-        assert!(read_yaml("- {").is_err());
+    fn the_content_says_which_kind_of_file_it_is() {
+        for yaml in [
+            "- node: {}",
+            "# saved by hand\n---\n- meta:",
+            "\u{feff}meta:\n  last_updated: 2022\nnodes: []\n",
+            "{\"nodes\": []}",
+            "[]",
+            "%YAML 1.1\n---\n",
+            "nodes: []",
+        ] {
+            assert!(is_yaml(yaml), "{yaml}");
+        }
+        for lines in ["node A\nlink A B: 3", "# a - b\n\n  link A B 3", "", "<xml>"] {
+            assert!(!is_yaml(lines), "{lines}");
+        }
+        assert!(read("<launch>").expect_err("wrong").to_string().contains("ROS topological map in YAML"));
     }
 }

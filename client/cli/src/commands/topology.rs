@@ -22,17 +22,18 @@ use super::{
     topology_picture::{self, Overlay},
     usage,
 };
+use crate::progress::status_line;
 use tidemap_formats::{
     table::Cell,
-    topology::{EdgeEntry, NodeEntry, TopologyFile, read_lines, read_yaml},
+    topology::{self, EdgeEntry, NodeEntry, TopologyFile},
 };
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum TopologyCommand {
     /// Replaces the nodes and edges with those of a file; those with the same names keep their numbers
     ///
-    /// A file that ends in .yaml or .yml is a ROS topological map. Any other file has lines `node A`, `link A B
-    /// SECONDS` (both ways) and `edge A B SECONDS` (one way); - is stdin.
+    /// The content says what a file is, whatever its name: a ROS topological map in YAML (.yaml, .tmap, .tplg, .tmap2),
+    /// or lines `node A`, `link A B SECONDS` (both ways) and `edge A B SECONDS` (one way); - is stdin.
     Load {
         /// Name of the map
         map: String,
@@ -215,12 +216,13 @@ fn edge_of(text: &str) -> Result<EdgeName, String> {
     EdgeName::parse(text).map_err(|_| format!("{text:?} is not an edge: use FROM/TO or FROM/TO/ACTION"))
 }
 
-/// Reads a file in the format of its ending.
+/// Reads a file; tells what of it is not used.
 fn read(path: &Path) -> anyhow::Result<(Vec<NewNode>, Vec<NewEdge>)> {
     let text = files::read_text(path)?;
-    let is_yaml = matches!(files::ending(path).as_deref(), Some("yaml" | "yml"));
-    let topology = if is_yaml { read_yaml(&text) } else { read_lines(&text) };
-    topology.map_err(anyhow::Error::from).and_then(from_file).with_context(|| path.display().to_string())
+    let shown = || path.display().to_string();
+    let topology = topology::read(&text).with_context(shown)?;
+    topology.notes.iter().for_each(|note| status_line(&format!("{}: {note}", shown())));
+    from_file(topology).with_context(shown)
 }
 
 /// The nodes and edges that a file describes.
@@ -242,7 +244,7 @@ pub(crate) async fn run(session: &Session, command: TopologyCommand) -> anyhow::
         TopologyCommand::Load { map, file, add } => {
             let (nodes, edges) = read(&file)?;
             if nodes.is_empty() && !add {
-                return Err(usage(format!("{}: it has no nodes: write a line `node NAME` for each", file.display())));
+                return Err(usage(format!("{}: it has no nodes", file.display())));
             }
             session.client.load_topology(&map, &nodes, &edges, add).await?
         }

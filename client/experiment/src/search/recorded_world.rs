@@ -5,7 +5,7 @@
 
 use std::fs;
 
-use tidemap_formats::topology::{TopologyFile, read_lines, read_yaml};
+use tidemap_formats::topology::{self, TopologyFile};
 use tidemap_map::{
     name::StateName,
     topology::{Extent, NodeId, Roads, ShortestTimes, Topology},
@@ -42,9 +42,7 @@ impl RecordedWorld {
         let text = fs::read_to_string(path).map_err(|error| {
             wrong(format!("the topology cannot be read: {error}; paths are relative to the protocol's folder"))
         })?;
-        let is_yaml = path.extension().is_some_and(|ending| ending == "yaml" || ending == "yml");
-        let written = if is_yaml { read_yaml(&text) } else { read_lines(&text) };
-        let written = written.map_err(|error| wrong(error.to_string()))?;
+        let written = topology::read(&text).map_err(|error| wrong(error.to_string()))?;
         let world = PlaceRecording::read(&protocol.world, 1)?;
         RecordedWorld::new(&written, &world, protocol).map_err(wrong)
     }
