@@ -5,6 +5,7 @@
 
 pub(crate) mod feed;
 pub(crate) mod kinds;
+mod opening;
 pub(crate) mod refused;
 pub(crate) mod transfer;
 
@@ -29,7 +30,7 @@ use self::{
     refused::RefusedRows,
     transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
 };
-use super::{Session, erase, files, job, producer_id, state::KindArg, times, usage};
+use super::{Session, erase, job, producer_id, state::KindArg, times, usage};
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::{Layout, ObservationColumns},
@@ -100,14 +101,8 @@ const LAST_FLUSH: Duration = Duration::from_secs(5);
 const NIGHT_PAUSE: Duration = Duration::from_millis(50);
 pub(super) const INTERRUPTED: u8 = 130;
 
-/// Endings of files of scans, which have a command of their own.
-const SCANS: [&str; 6] = ["pcd", "ply", "tms", "bt", "ot", "pgm"];
-
 pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::display_name(&args.file);
-    if let Some(ending) = files::ending(&args.file).filter(|ending| SCANS.contains(&ending.as_str())) {
-        return Err(usage(format!("{shown}: a .{ending} file has scans: tidemap grid observe sends it")));
-    }
     let refused = args.refused.as_deref().map(|target| RefusedRows::new(&args.file, target)).transpose()?;
     let feed = feed::open::<ObservationColumns>(&args.file)?;
     let has_positions = feed.layout.has_positions();

@@ -4,8 +4,7 @@
 //! passed on at once.
 
 use std::{
-    fs::File,
-    io::{self, BufReader, Read},
+    io::{BufReader, Read},
     path::Path,
     thread,
 };
@@ -13,11 +12,11 @@ use std::{
 use anyhow::Context as _;
 use tokio::sync::mpsc;
 
-use super::refused::RefusedRows;
+pub(crate) use super::opening::display_name;
+use super::{opening, refused::RefusedRows};
 use crate::progress::Bar;
 use tidemap_formats::observation_file::{Layout, ObservationColumns, ObservationRow, RowError, RowItem, RowReader};
 
-const BUFFER_BYTES: usize = 256 * 1024;
 const CHUNK_ROWS: usize = 1024;
 const CHUNKS_AHEAD: usize = 4;
 /// Refusals that are reported one by one.
@@ -53,27 +52,14 @@ pub(crate) struct Feed<L: Layout = ObservationColumns> {
 
 pub(crate) type RowChunks<T> = mpsc::Receiver<Result<RowChunk<T>, RowError>>;
 
-/// Name of the file for messages.
-pub(crate) fn display_name(path: &Path) -> String {
-    if path.as_os_str() == "-" { "stdin".to_owned() } else { path.display().to_string() }
-}
-
 /// Opens a file, or stdin if the path is `-`, and reads its header.
 pub(crate) fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
 where
     L: Layout<Item: Send> + Copy + Send + 'static,
 {
-    let stdin = path.as_os_str() == "-";
-    let (source, total_bytes): (Box<dyn Read + Send>, _) = if stdin {
-        (Box::new(io::stdin()), None)
-    } else {
-        let file = File::open(path).with_context(|| display_name(path))?;
-        let total_bytes = file.metadata().ok().filter(|metadata| metadata.is_file()).map(|metadata| metadata.len());
-        (Box::new(file), total_bytes)
-    };
-    let mut rows =
-        RowReader::<_, L>::open(BufReader::with_capacity(BUFFER_BYTES, source)).with_context(|| display_name(path))?;
-    if stdin {
+    let (source, total_bytes) = opening::open(path)?;
+    let mut rows = RowReader::<_, L>::open(source).with_context(|| display_name(path))?;
+    if path.as_os_str() == "-" {
         // The writer of a pipe may be killed in the middle of a line. A file without its last line end was probably
         // saved that way.
         rows = rows.lines_must_end();

@@ -6,12 +6,13 @@
 use std::{
     collections::BTreeMap,
     fs::File,
-    io::{BufRead as _, BufReader, BufWriter, Write as _},
+    io::{BufRead as _, BufWriter, Write as _},
     path::{Path, PathBuf},
 };
 
 use anyhow::Context as _;
 
+use super::opening;
 use crate::commands::usage;
 
 /// Maximum number of rows; a file with more of them is probably another kind of file.
@@ -85,7 +86,7 @@ impl RefusedRows {
     }
 
     fn copy(&self) -> anyhow::Result<()> {
-        let mut source = BufReader::new(File::open(&self.source)?);
+        let (mut source, _) = opening::open(&self.source)?;
         let mut target = BufWriter::new(File::create_new(&self.target)?);
         let (mut number, mut line, mut has_notes) = (0_u64, Vec::new(), false);
         loop {
