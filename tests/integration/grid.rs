@@ -12,6 +12,7 @@ mod half_life;
 mod history;
 mod kill;
 mod map_file;
+mod map_series;
 mod naive;
 mod oracle;
 mod rays;

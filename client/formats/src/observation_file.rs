@@ -10,7 +10,7 @@ pub mod traversals;
 
 use std::io::{self, BufRead};
 
-use fields::split;
+pub use fields::split as split_row;
 use tidemap_map::name::StateName;
 use tidemap_model::{Dimensions, Position, StateKind, time::parse_time};
 
@@ -194,7 +194,7 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
         end.ok_or(RowError::Empty(L::HEADER))?;
         let text = String::from_utf8_lossy(&buffer);
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
-        let names = split(text).unwrap_or_default().iter().map(|name| name.to_lowercase()).collect();
+        let names = split_row(text).unwrap_or_default().iter().map(|name| name.to_lowercase()).collect();
         let header = CsvHeader { text, names };
         let (layout, used) = L::new(&header)?;
         let ignored = (0..).zip(&header.names).filter(|(place, _)| !used.contains(place));
@@ -301,7 +301,7 @@ fn fields(line: &[u8], count: usize) -> Result<Vec<std::borrow::Cow<'_, str>>, S
         return Err(format!("the line is longer than {LINE_BYTES_MAX} bytes"));
     }
     let text = str::from_utf8(line).map_err(|_| format!("{:?} is not UTF-8", shown(&String::from_utf8_lossy(line))))?;
-    let fields = split(text).map_err(|wrong| format!("{:?}: {wrong}", shown(text)))?;
+    let fields = split_row(text).map_err(|wrong| format!("{:?}: {wrong}", shown(text)))?;
     if fields.len() != count {
         return Err(format!("{:?} has {} fields, the header has {count}", shown(text), fields.len()));
     }

@@ -4,6 +4,7 @@
 
 mod cell_masks;
 mod changed;
+mod file_times;
 mod observe;
 pub(super) mod place;
 pub(crate) mod predict;
@@ -13,7 +14,7 @@ mod sensor;
 use std::process::ExitCode;
 
 use clap::Subcommand;
-use tidemap_client::maps::GridSpec;
+use tidemap_client::maps::{GridSpec, Map};
 
 use super::Session;
 
@@ -47,7 +48,10 @@ pub(crate) async fn run(session: &Session, command: GridCommand) -> anyhow::Resu
 
 /// The grid of a map, and the number of its cell observations.
 async fn grid_of(session: &Session, map: &str) -> anyhow::Result<(GridSpec, u64)> {
-    let map = session.client.map(map).await?;
+    grid_of_map(session.client.map(map).await?)
+}
+
+fn grid_of_map(map: Map) -> anyhow::Result<(GridSpec, u64)> {
     let cells = map.grid_summary.map_or(0, |summary| summary.cell_observations);
     match map.grid {
         Some(grid) => Ok((grid, cells)),

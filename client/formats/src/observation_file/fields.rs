@@ -6,7 +6,10 @@
 use std::borrow::Cow;
 
 /// The fields of a line. Blanks around a field are ignored, except within quotes.
-pub(super) fn split(line: &str) -> Result<Vec<Cow<'_, str>>, &'static str> {
+///
+/// # Errors
+/// What is wrong with its quotes.
+pub fn split(line: &str) -> Result<Vec<Cow<'_, str>>, &'static str> {
     let mut fields = Vec::with_capacity(4);
     let mut rest = line;
     loop {

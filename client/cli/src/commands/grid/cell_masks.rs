@@ -1,20 +1,32 @@
 //! Imported maps (OctoMap, Nav2) as masks of a grid's cells.
 //!
-//! Invariant: unknown space counts as not observed; if two parts of a map share a cell, occupied wins. The number of
-//! tiles is checked before they are allocated.
+//! A reading of a cell is free or occupied, nothing between: a probability of a map is rounded, or left out.
+//!
+//! Invariant: unknown space counts as not observed; if two parts of a map share a cell, occupied wins. What is rounded
+//! or left out is counted. The number of tiles is checked before they are allocated.
 
-use std::collections::HashMap;
+mod counts;
+
+use std::{collections::HashMap, str::FromStr};
 
 use tidemap_client::{
     maps::{CellBox, GridSpec},
     observe::tiles::{Mask, TileIndex, TileMasks},
 };
 
-use tidemap_formats::{nav2, octomap::OctoMap};
+pub(crate) use counts::CellCounts;
+use tidemap_formats::{
+    nav2::{self, GridMode},
+    octomap::{Leaf, OctoMap},
+};
 
 /// Maximum number of tiles of one map: 33 million cells.
 const TILES_MAX: u64 = 1 << 16;
 const EDGE: i32 = 8;
+/// Cells of a grid lie within this many cells of its origin, along each axis.
+const REACH_CELLS: f64 = (1_u32 << 23) as f64;
+/// Origins that are proposed are whole multiples of this, metres.
+const ORIGIN_STEP_M: f64 = 100.0;
 /// Maximum misalignment without a notice, in cells.
 const OFF_MAX: f64 = 0.01;
 
@@ -24,6 +36,58 @@ pub(crate) struct GridMasks {
     pub(crate) tiles: Vec<(TileIndex, TileMasks)>,
     /// A notice about the alignment, if there is one.
     pub(crate) notice: Option<String>,
+    pub(crate) counts: CellCounts,
+}
+
+/// What becomes of a cell that a map gives a probability between free and occupied.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Between {
+    /// It is occupied from this probability on, and free below it.
+    OccupiedFrom(f64),
+    /// It is not used.
+    Leave,
+}
+
+impl Default for Between {
+    fn default() -> Self {
+        Self::OccupiedFrom(0.5)
+    }
+}
+
+impl FromStr for Between {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            _ if text == "leave" => Ok(Self::Leave),
+            Ok(from) if from > 0.0 && from <= 1.0 => Ok(Self::OccupiedFrom(from)),
+            _ => {
+                Err(format!("{text:?}: use a probability above 0, at most 1, from which a cell is occupied; or leave"))
+            }
+        }
+    }
+}
+
+/// Checks that the corners of something are cells that a grid can have.
+///
+/// # Errors
+/// They are too far from the origin of the grid; the message proposes another.
+pub(crate) fn check_reach(grid: &GridSpec, low_m: [f64; 3], high_m: [f64; 3]) -> anyhow::Result<()> {
+    let cells = |at_m: f64, axis: usize| ((at_m - grid.origin_m[axis]) / grid.resolution_m).abs();
+    if (0..3).all(|axis| cells(low_m[axis], axis).max(cells(high_m[axis], axis)) < REACH_CELLS) {
+        return Ok(());
+    }
+    let origin =
+        low_m.map(|low| if low.abs() < ORIGIN_STEP_M { 0.0 } else { (low / ORIGIN_STEP_M).floor() * ORIGIN_STEP_M });
+    let [x, y, z] = origin;
+    let [low_x, low_y, _] = low_m;
+    anyhow::bail!(
+        "it lies at {low_x}, {low_y} m, and the cells of a grid of {} m lie within {:.0} m of its origin: create the map \
+         with an origin near the data, such as --grid resolution={},origin={x}:{y}:{z}",
+        grid.resolution_m,
+        REACH_CELLS * grid.resolution_m,
+        grid.resolution_m,
+    )
 }
 
 /// The alignment of a map's cells with those of the grid.
@@ -71,6 +135,7 @@ struct TileFill {
     tiles: HashMap<TileIndex, [Mask; 2]>,
     /// The box of the allowed cells.
     allowed: ([i64; 3], [i64; 3]),
+    counts: CellCounts,
 }
 
 impl TileFill {
@@ -83,13 +148,16 @@ impl TileFill {
         if grid.is_flat {
             (min[2], max[2]) = (0, 1);
         }
-        Self { tiles: HashMap::new(), allowed: (min, max) }
+        Self { tiles: HashMap::new(), allowed: (min, max), counts: CellCounts::default() }
     }
 
     fn fill(&mut self, (from, to): ([i64; 3], [i64; 3]), occupied: bool) -> anyhow::Result<()> {
         let min: [i64; 3] = std::array::from_fn(|axis| from[axis].max(self.allowed.0[axis]));
         let max: [i64; 3] = std::array::from_fn(|axis| to[axis].min(self.allowed.1[axis]));
-        if (0..3).any(|axis| min[axis] >= max[axis]) {
+        let whole: i64 = (0..3).map(|axis| to[axis] - from[axis]).product();
+        let within: i64 = (0..3).map(|axis| (max[axis] - min[axis]).max(0)).product();
+        self.counts.outside += (whole - within).unsigned_abs();
+        if within == 0 {
             return Ok(());
         }
         let edge = i64::from(EDGE);
@@ -145,17 +213,28 @@ fn row_bits(from: u32, to: u32) -> u64 {
 pub(crate) fn of_octomap(map: &OctoMap, grid: &GridSpec) -> anyhow::Result<GridMasks> {
     let alignment = CellAlignment::new(map.resolution_m, [0.0; 3], grid)?;
     let mut tiles = TileFill::new(grid);
+    let corner = |leaf: &Leaf, beyond: i32| leaf.min_cell.map(|cell| f64::from(cell + beyond) * map.resolution_m);
     for leaf in &map.leaves {
+        check_reach(grid, corner(leaf, 0), corner(leaf, leaf.size_cells.try_into().unwrap_or(i32::MAX / 2)))?;
         let cells = alignment.cells(leaf.min_cell.map(i64::from), [i64::from(leaf.size_cells); 3]);
         tiles.fill(cells, leaf.occupied)?;
     }
     let also = grid.is_flat.then_some("the grid is flat: only the layer z = 0 is used");
-    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also) })
+    let counts = tiles.counts;
+    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also), counts })
 }
 
-/// The known cells of a 2D grid.
-pub(crate) fn of_plane(map: &nav2::Grid, grid: &GridSpec) -> anyhow::Result<GridMasks> {
+/// The known cells of a 2D grid of a mode. In mode trinary, map servers show cells between the thresholds as unknown.
+pub(crate) fn of_plane(
+    map: &nav2::Grid,
+    mode: GridMode,
+    between: Option<Between>,
+    grid: &GridSpec,
+) -> anyhow::Result<GridMasks> {
     let [x_m, y_m] = map.origin_m;
+    let length = |cells: u32| f64::from(cells) * map.resolution_m;
+    let [width_m, height_m] = map.size_cells.map(length);
+    check_reach(grid, [x_m, y_m, grid.origin_m[2]], [x_m + width_m, y_m + height_m, grid.origin_m[2]])?;
     let alignment = CellAlignment::new(map.resolution_m, [x_m, y_m, grid.origin_m[2]], grid)?;
     let mut tiles = TileFill::new(grid);
     // A 2D map is one layer of the grid, whatever the size of its cells.
@@ -163,18 +242,21 @@ pub(crate) fn of_plane(map: &nav2::Grid, grid: &GridSpec) -> anyhow::Result<Grid
     tiles.allowed.1[2] = tiles.allowed.1[2].min(1);
     let width = i64::from(map.size_cells[0]).max(1);
     for (index, cell) in (0_i64..).zip(&map.cells) {
-        if let Some(occupied) = cell.occupied() {
-            tiles.fill(alignment.cells([index % width, index / width, 0], [1; 3]), occupied)?;
+        if let Some(occupied) = tiles.counts.reading(*cell, mode, between.unwrap_or_default()) {
+            // The layers that a wider cell of a flat map would also fill are none of its own.
+            let (from, to) = alignment.cells([index % width, index / width, 0], [1; 3]);
+            tiles.fill((from, [to[0], to[1], from[2] + 1]), occupied)?;
         }
     }
     let also = (!grid.is_flat).then_some("the map is flat: its cells become the layer z = 0");
-    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also) })
+    let counts = tiles.counts;
+    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also), counts })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tidemap_formats::{nav2::GridCell, octomap::Leaf};
+    use tidemap_formats::nav2::GridCell;
 
     fn grid() -> GridSpec {
         GridSpec { origin_m: [-0.8, 0.0, 0.0], ..GridSpec::new(0.1) }
@@ -213,11 +295,56 @@ mod tests {
     fn a_plane_is_one_layer_and_leaves_out_what_it_does_not_know() -> anyhow::Result<()> {
         let cells = vec![GridCell::Free, GridCell::Occupied, GridCell::Unknown, GridCell::Between { percent: 40 }];
         let map = nav2::Grid { resolution_m: 0.2, origin_m: [-0.83, 0.0], size_cells: [2, 2], cells };
-        let on = of_plane(&map, &grid())?;
+        let on = of_plane(&map, GridMode::Raw, Some(Between::Leave), &grid())?;
         assert_eq!(count(&on.tiles), (8, 4));
+        assert_eq!(on.counts, CellCounts { all: 4, unknown: 1, left: 1, ..CellCounts::default() });
         assert!(on.notice.is_some_and(|notice| notice.contains("moved by 0.30") && notice.contains("z = 0")));
         assert_eq!(on.tiles.iter().map(|(tile, _)| *tile).collect::<Vec<_>>(), [TileIndex { x: 0, y: 0, z: 0 }]);
         Ok(())
+    }
+
+    #[test]
+    fn cells_between_free_and_occupied_are_rounded_and_counted() -> anyhow::Result<()> {
+        let percents = [20, 49, 50, 80].map(|percent| GridCell::Between { percent });
+        let map = nav2::Grid { resolution_m: 0.1, origin_m: [0.0; 2], size_cells: [4, 1], cells: percents.to_vec() };
+        let on = of_plane(&map, GridMode::Scale, None, &grid())?;
+        assert_eq!(count(&on.tiles), (4, 2));
+        assert_eq!(
+            on.counts,
+            CellCounts { all: 4, as_free: 2, as_occupied: 2, from: Some(0.5), ..CellCounts::default() }
+        );
+        let on = of_plane(&map, GridMode::Scale, Some(Between::OccupiedFrom(0.8)), &grid())?;
+        assert_eq!((count(&on.tiles), on.counts.as_free), ((4, 1), 3));
+        for (text, between) in [("leave", Ok(Between::Leave)), ("0.65", Ok(Between::OccupiedFrom(0.65)))] {
+            assert_eq!(text.parse::<Between>(), between);
+        }
+        assert!(["0", "1.1", "all", "NaN"].iter().all(|text| text.parse::<Between>().is_err()));
+        Ok(())
+    }
+
+    #[test]
+    fn cells_outside_of_the_grid_are_counted() -> anyhow::Result<()> {
+        let cells = vec![GridCell::Free; 6];
+        let map = nav2::Grid { resolution_m: 0.1, origin_m: [0.0; 2], size_cells: [3, 2], cells };
+        let extent = Some(CellBox { min: [8, 0, 0].into(), max: [10, 2, 4].into() });
+        let on = of_plane(&map, GridMode::Trinary, None, &GridSpec { extent, ..grid() })?;
+        assert_eq!((count(&on.tiles), on.counts.outside), ((4, 0), 2));
+        Ok(())
+    }
+
+    #[test]
+    fn a_map_far_from_the_origin_is_told_which_origin_would_do() {
+        let cells = vec![GridCell::Free];
+        let map = nav2::Grid { resolution_m: 0.1, origin_m: [458_123.4, 5_548_061.0], size_cells: [1, 1], cells };
+        let error =
+            |grid: &GridSpec| of_plane(&map, GridMode::Trinary, None, grid).err().map(|error| error.to_string());
+        let far = error(&grid()).unwrap_or_default();
+        assert!(far.contains("458123.4, 5548061 m") && far.contains("within 838861 m"), "{far}");
+        assert!(far.contains("--grid resolution=0.1,origin=458100:5548000:0"), "{far}");
+        assert_eq!(error(&GridSpec { origin_m: [458_100.0, 5_548_000.0, 0.0], ..grid() }), None);
+        let leaves = vec![Leaf { min_cell: [4_581_000, 55_480_000, 2], size_cells: 1, occupied: true, log_odds: 1.0 }];
+        let octomap = of_octomap(&OctoMap { resolution_m: 0.1, leaves }, &grid()).err().map(|error| error.to_string());
+        assert!(octomap.is_some_and(|error| error.contains("origin=458100:5548000:0")));
     }
 
     #[test]

@@ -11,7 +11,13 @@ use clap::Args;
 use tidemap_client::observe::{ProducerOptions, ProducerSensor, scan::Isometry3};
 
 use self::transfer::ScanTransfer;
-use super::{grid_of, place, scans, sensor};
+use super::{
+    cell_masks::Between,
+    file_times::FileTimeArgs,
+    grid_of, grid_of_map, place,
+    scans::{self, ScanPlan},
+    sensor,
+};
 use crate::{
     commands::{
         Session,
@@ -19,7 +25,6 @@ use crate::{
             SenderArgs, base_name, exit_code, feed::RefusalReport, free_label, open_stream, run_transfer,
             transfer::TransferEnd,
         },
-        times,
     },
     progress::status_line,
 };
@@ -31,12 +36,8 @@ pub(crate) struct GridObserveArgs {
     /// Files; each is one scan, unless it ends in .tms
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Time of the scan, or of the first scan if there are several files; not for .tms files
-    #[arg(long, value_name = "TIME", value_parser = times::time)]
-    at: Option<i64>,
-    /// Time from one file to the next
-    #[arg(long, value_name = "DURATION", value_parser = times::duration)]
-    every: Option<i64>,
+    #[command(flatten)]
+    times: FileTimeArgs,
     /// Pose of the sensor: metres and a unit quaternion [default: the pose in the file]
     #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = place::pose, allow_hyphen_values = true)]
     pose: Option<Isometry3<f64>>,
@@ -46,6 +47,10 @@ pub(crate) struct GridObserveArgs {
     /// Beyond this range a point only says that the space up to it is free [default: the daemon's limit]
     #[arg(long, value_name = "METRES", value_parser = range)]
     max_range: Option<f32>,
+    /// Pixels of a Nav2 map of mode scale or raw that are between free and occupied: they count as occupied from this
+    /// probability on and as free below it, or leave, which leaves them out [default: 0.5]
+    #[arg(long, value_name = "P|leave")]
+    between: Option<Between>,
     #[command(flatten)]
     sender: SenderArgs,
     /// Noise of the sensor, if it differs from the map's: P(reads occupied | is occupied) [default: 1] and P(reads
@@ -61,15 +66,20 @@ fn range(text: &str) -> Result<f32, String> {
 
 pub(crate) async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Result<ExitCode> {
     let scan_options = scans::ScanOptions {
-        at_nanos: args.at,
-        every_nanos: args.every,
         pose: args.pose,
         min_range_m: args.min_range,
         max_range_m: args.max_range,
+        between: args.between,
     };
-    let plan = scans::plan(&args.files, &scan_options)?;
-    let (grid, cells_before) = grid_of(session, &args.map).await?;
-    let (chunks, bar) = scans::open(plan, &grid)?;
+    let plan = scans::plan(&args.files, args.times.is_given(), &scan_options)?;
+    let times = match &plan {
+        ScanPlan::Each(..) => Some(args.times.of(&args.files)?),
+        ScanPlan::Scans(_) => None,
+    };
+    let map = session.client.map(&args.map).await?;
+    let (zone, (grid, cells_before)) = (map.time_zone.clone(), grid_of_map(map)?);
+    let timed = |files| times.map_or_else(|| Ok(Vec::new()), |times| times.resolve(&zone, files));
+    let (chunks, bar) = scans::open(plan, timed, &grid)?;
     let default_label = args.files.first().map(|file| base_name(file)).unwrap_or_default();
     let options = args.sender.options(&args.map, &default_label)?;
     let options = ProducerOptions { sensor: args.sensor, ..options };

@@ -6,6 +6,7 @@
 mod plan;
 
 use std::{
+    collections::HashSet,
     fs::{self, File},
     io::BufReader,
     path::{Path, PathBuf},
@@ -23,7 +24,7 @@ use tokio::sync::mpsc;
 
 use self::plan::FileKind;
 pub(super) use self::plan::{ScanOptions, ScanPlan, plan};
-use super::cell_masks::{GridMasks, of_octomap, of_plane};
+use super::cell_masks::{CellCounts, GridMasks, check_reach, of_octomap, of_plane};
 use crate::progress::Bar;
 use tidemap_formats::{PointFile, nav2, octomap, pcd, ply};
 
@@ -48,11 +49,18 @@ pub(super) struct ScanChunk {
 
 pub(super) type ScanChunks = mpsc::Receiver<anyhow::Result<ScanChunk>>;
 
-/// Starts to read the files; returns their scans and a progress bar.
-pub(super) fn open(plan: ScanPlan, grid: &GridSpec) -> anyhow::Result<(ScanChunks, Bar)> {
+/// Files of one scan each, and their times in nanoseconds UTC.
+type TimedFiles = Vec<(PathBuf, FileKind, i64)>;
+
+/// Starts to read the files; returns their scans and a progress bar. `timed` gives files of one scan their times.
+pub(super) fn open(
+    plan: ScanPlan,
+    timed: impl FnOnce(Vec<(PathBuf, FileKind)>) -> anyhow::Result<TimedFiles>,
+    grid: &GridSpec,
+) -> anyhow::Result<(ScanChunks, Bar)> {
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     let (each, options) = match plan {
-        ScanPlan::Each(each, options) => (each, options),
+        ScanPlan::Each(each, options) => (timed(each)?, options),
         ScanPlan::Scans(file) => {
             let (scans, total) = scan_file(&file).with_context(|| file.display().to_string())?;
             fits(scans.header(), grid).with_context(|| file.display().to_string())?;
@@ -63,16 +71,17 @@ pub(super) fn open(plan: ScanPlan, grid: &GridSpec) -> anyhow::Result<(ScanChunk
     };
     let bar = Bar::count("files");
     bar.set_of(0, each.len() as u64);
-    let (grid, notices) = (grid.clone(), bar.clone());
+    let mut reader = FileReader::new(options, grid.clone(), bar.clone());
     spawn(move || {
         for ((file, kind, time_nanos), position) in each.into_iter().zip(1..) {
-            let scan = one_scan(&file, kind, &options, &grid, &notices).with_context(|| file.display().to_string());
+            let scan = reader.scan(&file, kind).with_context(|| file.display().to_string());
             let failed = scan.is_err();
             let chunk = scan.map(|scan| ScanChunk { scans: vec![ScanInput::Single { time_nanos, scan }], position });
             if sender.blocking_send(chunk).is_err() || failed {
-                return;
+                break;
             }
         }
+        reader.tell_counts();
     })?;
     Ok((receiver, bar))
 }
@@ -141,47 +150,81 @@ fn spell_out_layers(scan: &mut FileScan) {
     }
 }
 
-/// Reads a file as one scan.
-fn one_scan(file: &Path, kind: FileKind, options: &ScanOptions, grid: &GridSpec, bar: &Bar) -> anyhow::Result<Scan> {
-    let tiles = |on: GridMasks| {
-        if let Some(notice) = on.notice {
-            bar.status_line(&format!("{}: {notice}", file.display()));
+/// Reads files of one scan each, and says what of them is not used.
+struct FileReader {
+    options: ScanOptions,
+    grid: GridSpec,
+    bar: Bar,
+    /// Notices so far: each is said once, about the first file that it is true of.
+    said: HashSet<String>,
+    counts: CellCounts,
+}
+
+impl FileReader {
+    fn new(options: ScanOptions, grid: GridSpec, bar: Bar) -> Self {
+        Self { options, grid, bar, said: HashSet::new(), counts: CellCounts::default() }
+    }
+
+    /// Reads a file as one scan.
+    fn scan(&mut self, file: &Path, kind: FileKind) -> anyhow::Result<Scan> {
+        match kind {
+            FileKind::Pcd => self.cloud(file, pcd::read(&fs::read(file)?)?),
+            FileKind::Ply => self.cloud(file, ply::read(&fs::read(file)?)?),
+            FileKind::OctoMap => {
+                let on = of_octomap(&octomap::read(&fs::read(file)?)?, &self.grid)?;
+                Ok(self.tiles(file, on))
+            }
+            FileKind::Plane => {
+                let (map, mode) = plane(file)?;
+                let on = of_plane(&map, mode, self.options.between, &self.grid)?;
+                Ok(self.tiles(file, on))
+            }
+            FileKind::Scans => anyhow::bail!("a file of scans is not one scan"),
         }
-        Scan::Tiles(on.tiles)
-    };
-    let some_finite = |points: PointFile| {
+    }
+
+    fn cloud(&self, file: &Path, points: PointFile) -> anyhow::Result<Scan> {
         if points.points.is_empty() && points.not_finite > 0 {
             let text = format!("it has no finite points: {} points are left out", points.not_finite);
-            bar.status_line(&format!("{}: {text}", file.display()));
+            self.bar.status_line(&format!("{}: {text}", file.display()));
         }
-        points
-    };
-    match kind {
-        FileKind::Pcd => cloud(some_finite(pcd::read(&fs::read(file)?)?), options),
-        FileKind::Ply => cloud(some_finite(ply::read(&fs::read(file)?)?), options),
-        FileKind::OctoMap => of_octomap(&octomap::read(&fs::read(file)?)?, grid).map(tiles),
-        FileKind::Plane => of_plane(&plane(file)?, grid).map(tiles),
-        FileKind::Scans => anyhow::bail!("a file of scans is not one scan"),
+        let cloud = cloud(points, &self.options)?;
+        let at_m = cloud.pose.translation.vector.into();
+        check_reach(&self.grid, at_m, at_m)?;
+        Ok(Scan::Cloud(cloud))
+    }
+
+    fn tiles(&mut self, file: &Path, on: GridMasks) -> Scan {
+        if let Some(notice) = on.notice.filter(|notice| self.said.insert(notice.clone())) {
+            self.bar.status_line(&format!("{}: {notice}", file.display()));
+        }
+        self.counts.add(&on.counts);
+        Scan::Tiles(on.tiles)
+    }
+
+    /// Says what of all files together is not used, or not as it is.
+    fn tell_counts(&self) {
+        self.counts.notices().iter().for_each(|notice| self.bar.status_line(notice));
     }
 }
 
-fn cloud(points: PointFile, options: &ScanOptions) -> anyhow::Result<Scan> {
+fn cloud(points: PointFile, options: &ScanOptions) -> anyhow::Result<PointCloud> {
     let pose = options.pose.or(points.pose).context("the file has no sensor pose: give one with --pose")?;
-    Ok(Scan::Cloud(PointCloud {
+    Ok(PointCloud {
         pose,
         frame_id: String::new(),
         xyz_m: points.points.into_flattened(),
         min_range_m: options.min_range_m.unwrap_or(0.0),
         max_range_m: options.max_range_m.unwrap_or(0.0),
-    }))
+    })
 }
 
-/// A 2D grid from its YAML file, or from its image with the YAML file of the same name beside it. An error names the
-/// file if it is not `file`.
-fn plane(file: &Path) -> anyhow::Result<nav2::Grid> {
+/// A 2D grid from its YAML file, or from its image with the YAML file of the same name beside it; and its mode. An
+/// error names the file if it is not `file`.
+fn plane(file: &Path) -> anyhow::Result<(nav2::Grid, nav2::GridMode)> {
     let (settings, image_path) = plane_files(file)?;
     let read = || Ok(nav2::read(&settings, &fs::read(&image_path)?)?);
-    of_file(read(), &image_path, file)
+    of_file(read(), &image_path, file).map(|grid| (grid, settings.mode))
 }
 
 /// The settings of a 2D grid, and the path of its image.

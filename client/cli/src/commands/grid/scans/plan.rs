@@ -1,7 +1,7 @@
 //! The plan for sending files as scans, with its checks.
 //!
-//! Invariant: in a plan every file exists, every scan has a time, every point cloud has a pose, and every option
-//! applies to a file. The plan is complete before the daemon is contacted.
+//! Invariant: in a plan every file exists, every point cloud has a pose, and every option applies to a file. The plan
+//! is complete before the daemon is contacted.
 
 use std::{
     fs::File,
@@ -12,7 +12,7 @@ use std::{
 use anyhow::Context as _;
 use tidemap_client::observe::scan::Isometry3;
 
-use super::plane_files;
+use super::{super::cell_masks::Between, plane_files};
 use crate::commands::{UsageError, files, usage};
 use tidemap_formats::pcd;
 
@@ -22,11 +22,10 @@ const HEADER_BYTES: u64 = 64 * 1024;
 /// The options that describe the scans.
 #[derive(Clone, Debug)]
 pub(in crate::commands::grid) struct ScanOptions {
-    pub(in crate::commands::grid) at_nanos: Option<i64>,
-    pub(in crate::commands::grid) every_nanos: Option<i64>,
     pub(in crate::commands::grid) pose: Option<Isometry3<f64>>,
     pub(in crate::commands::grid) min_range_m: Option<f32>,
     pub(in crate::commands::grid) max_range_m: Option<f32>,
+    pub(in crate::commands::grid) between: Option<Between>,
 }
 
 /// The format of a file, by its ending.
@@ -44,37 +43,50 @@ pub(in crate::commands::grid) enum FileKind {
 pub(in crate::commands::grid) enum ScanPlan {
     /// A file of scans.
     Scans(PathBuf),
-    /// Files of one scan each, with their times.
-    Each(Vec<(PathBuf, FileKind, i64)>, ScanOptions),
+    /// Files of one scan each.
+    Each(Vec<(PathBuf, FileKind)>, ScanOptions),
 }
 
-/// Plans how to send files.
-pub(in crate::commands::grid) fn plan(files: &[PathBuf], options: &ScanOptions) -> anyhow::Result<ScanPlan> {
+/// Plans how to send files. `has_times`: options give them times.
+pub(in crate::commands::grid) fn plan(
+    files: &[PathBuf],
+    has_times: bool,
+    options: &ScanOptions,
+) -> anyhow::Result<ScanPlan> {
     let kinds = files.iter().map(|file| kind(file)).collect::<Result<Vec<FileKind>, UsageError>>()?;
     if kinds.contains(&FileKind::Scans) {
         let [file] = files else {
             return Err(usage("a .tms file is sent alone: give one file per command"));
         };
-        if options.at_nanos.is_some() || options.every_nanos.is_some() || options.has_sensor() {
-            let text = "a .tms file has its own times, poses and ranges: leave out --at, --every, --pose, --min-range \
-                        and --max-range";
+        if has_times || options.has_sensor() {
+            let text = "a .tms file has its own times, poses and ranges: leave out --at, --every, --times-from, \
+                        --times-file, --pose, --min-range and --max-range";
             return Err(usage(text));
         }
+        options.check_between(&kinds)?;
         return Ok(ScanPlan::Scans(file.clone()));
     }
     options.check_ranges()?;
-    let times = times(options, files.len())?;
+    options.check_between(&kinds)?;
     for (file, kind) in files.iter().zip(&kinds) {
         check(file, *kind, options)?;
     }
-    let each = files.iter().cloned().zip(kinds).zip(times).map(|((file, kind), time)| (file, kind, time));
-    Ok(ScanPlan::Each(each.collect(), options.clone()))
+    Ok(ScanPlan::Each(files.iter().cloned().zip(kinds).collect(), options.clone()))
 }
 
 impl ScanOptions {
     /// Whether an option describes the sensor.
     fn has_sensor(&self) -> bool {
         self.pose.is_some() || self.min_range_m.is_some() || self.max_range_m.is_some()
+    }
+
+    fn check_between(&self, kinds: &[FileKind]) -> Result<(), UsageError> {
+        match self.between {
+            Some(_) if !kinds.contains(&FileKind::Plane) => {
+                Err(UsageError("--between is for maps of Nav2, .yaml or .pgm: leave it out".to_owned()))
+            }
+            _ => Ok(()),
+        }
     }
 
     fn check_ranges(&self) -> Result<(), UsageError> {
@@ -100,21 +112,6 @@ fn kind(path: &Path) -> Result<FileKind, UsageError> {
             path.display()
         ))),
     }
-}
-
-/// The time of each file.
-fn times(options: &ScanOptions, files: usize) -> anyhow::Result<Vec<i64>> {
-    let at = options.at_nanos.ok_or_else(|| UsageError("give the time of the scan with --at".to_owned()))?;
-    let every = match options.every_nanos {
-        Some(every) => every,
-        None if files == 1 => 0,
-        None => {
-            return Err(usage(format!("{files} files are {files} scans: give the time between them with --every")));
-        }
-    };
-    let time = |index: i64| every.checked_mul(index).and_then(|after| at.checked_add(after));
-    let times = (0..).take(files).map(time).collect::<Option<Vec<i64>>>();
-    times.ok_or_else(|| usage("--at and --every lead past the year 2262"))
 }
 
 /// Checks that a file exists and that the sensor options fit it.
@@ -152,11 +149,11 @@ mod tests {
     use super::*;
 
     fn options() -> ScanOptions {
-        ScanOptions { at_nanos: Some(100), every_nanos: None, pose: None, min_range_m: None, max_range_m: None }
+        ScanOptions { pose: None, min_range_m: None, max_range_m: None, between: None }
     }
 
     fn message(file: &Path, options: &ScanOptions) -> (String, bool) {
-        let error = plan(&[file.to_path_buf()], options).err();
+        let error = plan(&[file.to_path_buf()], true, options).err();
         error.map(|error| (format!("{error:#}"), error.is::<UsageError>())).unwrap_or_default()
     }
 
@@ -167,19 +164,6 @@ mod tests {
         for unknown in ["scan", "scan.las", "-"] {
             assert!(kind(Path::new(unknown)).is_err_and(|error| error.0.contains(".tms, .pcd")), "{unknown}");
         }
-    }
-
-    #[test]
-    fn each_file_has_a_time() -> anyhow::Result<()> {
-        assert_eq!(times(&options(), 1)?, [100]);
-        assert_eq!(times(&ScanOptions { every_nanos: Some(5), ..options() }, 3)?, [100, 105, 110]);
-        let message = |options: &ScanOptions, files| {
-            times(options, files).err().map(|error| error.to_string()).unwrap_or_default()
-        };
-        assert!(message(&options(), 2).contains("--every"));
-        assert!(message(&ScanOptions { at_nanos: None, ..options() }, 1).contains("--at"));
-        assert!(message(&ScanOptions { every_nanos: Some(i64::MAX), ..options() }, 3).contains("2262"));
-        Ok(())
     }
 
     #[test]
@@ -210,6 +194,10 @@ mod tests {
         assert_eq!(message(&turned, &ranges(5.0, 0.0)), (String::new(), false));
         let (error, is_usage) = message(&turned, &ranges(5.0, 3.0));
         assert!(is_usage && error.contains("--min-range 5 is above --max-range 3"), "{error}");
+        let (error, is_usage) = message(&octomap, &ScanOptions { between: Some(Between::Leave), ..options() });
+        assert!(is_usage && error.contains("--between"), "{error}");
+        let (error, is_usage) = message(Path::new("office.tms"), &options());
+        assert!(is_usage && error.contains("leave out --at"), "{error}");
         let (error, is_usage) = message(&folder.path().join("absent.pcd"), &options());
         assert!(!is_usage && error.contains("absent.pcd"), "{error}");
         Ok(())

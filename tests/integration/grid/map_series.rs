@@ -1,0 +1,138 @@
+//! Maps of real robots on the command line: series of Nav2 maps, their probabilities, and files of other kinds.
+//!
+//! Invariant: the files are made by hand, as map savers write them.
+
+use std::{fs, io::Write as _, path::Path};
+
+use flate2::{Compression, write::GzEncoder};
+use tempfile::TempDir;
+use tidemap_client::maps::{GridSpec, NewMap, Retention};
+use tidemap_tests::{
+    cli::{self, Outcome},
+    daemon::{Daemon, Launch},
+};
+
+/// The map of these tests.
+const MAP: &str = "hall";
+
+/// A daemon with a flat grid of 0.05 m that keeps its scans, in Berlin.
+async fn hall() -> (TempDir, Daemon) {
+    let data = tempfile::tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let grid = GridSpec { is_flat: true, retention: Retention::Forever, ..GridSpec::new(0.05) };
+    let zone = Some("Europe/Berlin".to_owned());
+    let map = NewMap { name: MAP.to_owned(), time_zone: zone, grid: Some(grid), ..NewMap::default() };
+    daemon.client().create_map(map).await.expect("a new map");
+    (data, daemon)
+}
+
+/// Writes a map of 4 x 2 pixels of this mode, and returns the path of its YAML file.
+fn saved(folder: &Path, name: &str, mode: &str, pixels: [u8; 8]) -> String {
+    let image = [&b"P5\n4 2\n255\n"[..], &pixels].concat();
+    fs::write(folder.join(format!("{name}.pgm")), image).expect("an image");
+    let thresholds = if mode == "scale" { "1.0\nfree_thresh: 0.0" } else { "0.65\nfree_thresh: 0.196" };
+    let yaml = format!(
+        "image: {name}.pgm\nmode: {mode}\nresolution: 0.05\norigin: [-15.2, 3.05, 0.0]\nnegate: 0\n\
+         occupied_thresh: {thresholds}\n"
+    );
+    let path = folder.join(format!("{name}.yaml"));
+    fs::write(&path, yaml).expect("a file of settings");
+    path.to_str().expect("a path of text").to_owned()
+}
+
+fn observe(daemon: &Daemon, files: &[String], more: &[&str]) -> Outcome {
+    let words = ["grid", "observe", MAP, "--producer", "robot"];
+    cli::tidemap(daemon, words.into_iter().chain(files.iter().map(String::as_str)).chain(more.iter().copied()))
+}
+
+const TRINARY: [u8; 8] = [0, 254, 254, 205, 0, 0, 254, 205];
+
+#[tokio::test(flavor = "multi_thread")]
+async fn maps_of_a_series_have_the_times_of_their_names() {
+    let (data, daemon) = hall().await;
+    let names = ["hall_20250310_100000", "hall_20250310_110000", "hall_20250310_090000"];
+    let files = names.map(|name| saved(data.path(), name, "trinary", TRINARY));
+    let pattern = ["--times-from", "hall_%Y%m%d_%H%M%S.yaml"];
+    observe(&daemon, &files, &pattern).fails(2, &["hall_20250310_100000.yaml", "--local", "--utc"]);
+    observe(&daemon, &files, &["--times-from", "map_%s.yaml"]).fails(2, &["hall_20250310_100000.yaml", "map_%s.yaml"]);
+    observe(&daemon, &files, &["--at", "2025-03-10T09:00:00Z"]).fails(2, &["--every", "--times-from"]);
+    let sent = observe(&daemon, &files, &[&pattern[..], &["--local"]].concat());
+    assert_eq!((sent.table().number("scans"), sent.table().number("cells")), (3.0, 18.0));
+    assert!(sent.stderr.contains("6 of 24 pixels are unknown"), "{}", sent.stderr);
+    // Nine in Berlin is eight UTC. The cell at -15.2, 3.05 is cell -304, 61.
+    let words =
+        ["reconstruct", MAP, "cell/-304/61/0", "--from", "2025-03-10T00:00:00Z", "--to", "2025-03-11T00:00:00Z"];
+    let kept = cli::tidemap(&daemon, words).table();
+    assert_eq!(kept.column("time"), ["1741593600", "1741597200", "1741600800"]);
+
+    let list = data.path().join("times.csv");
+    fs::write(&list, "file,time\nhall_20250310_090000.yaml,2025-03-11T09:00:00+01:00\n").expect("a list");
+    let list = list.to_str().expect("a path of text");
+    observe(&daemon, &files, &["--times-file", list, "--label", "b"])
+        .fails(1, &["times.csv", "no time for \"hall_2025"]);
+    let one = observe(&daemon, &files[2..], &["--times-file", list, "--label", "b"]).table();
+    assert_eq!(one.number("scans"), 1.0);
+    let numbered = ["m_1", "m_2", "m_4"].map(|name| saved(data.path(), name, "trinary", TRINARY));
+    let every = ["--at", "2025-03-12T09:00:00Z", "--every", "1h", "--label", "c"];
+    let gap = observe(&daemon, &numbered, &every);
+    assert_eq!(gap.table().number("scans"), 3.0);
+    assert!(gap.stderr.contains("gap from m_2.yaml to m_4.yaml"), "{}", gap.stderr);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn probabilities_of_a_map_are_rounded_or_left_out_and_counted() {
+    let (data, daemon) = hall().await;
+    let at = ["--at", "2025-03-10T09:00:00Z"];
+    // 1 - pixel / 255: occupied, .8, .6, .5, .4, .2, free, free.
+    let file = [saved(data.path(), "scale", "scale", [0, 51, 102, 127, 153, 204, 255, 255])];
+    let sent = observe(&daemon, &file, &at);
+    assert_eq!(sent.table().number("cells"), 8.0, "nothing is dropped");
+    assert!(sent.stderr.contains("5 of 8 pixels are between free and occupied"), "{}", sent.stderr);
+    assert!(sent.stderr.contains("3 count as occupied, from 0.5 on, and 2 as free"), "{}", sent.stderr);
+    let left = observe(&daemon, &file, &[&at[..], &["--between", "leave", "--label", "left"]].concat());
+    assert_eq!(left.table().number("cells"), 3.0);
+    assert!(left.stderr.contains("5 of 8 pixels") && left.stderr.contains("not used"), "{}", left.stderr);
+    let raw = [saved(data.path(), "raw", "raw", [0, 100, 30, 70, 255, 101, 50, 49])];
+    let sent = observe(&daemon, &raw, &[&at[..], &["--between", "0.65", "--label", "raw"]].concat());
+    assert_eq!(sent.table().number("cells"), 6.0);
+    for words in ["2 of 8 pixels are unknown", "4 of 8 pixels", "1 count as occupied, from 0.65 on, and 3 as free"] {
+        assert!(sent.stderr.contains(words), "{words}: {}", sent.stderr);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn other_files_name_the_command_that_takes_them() {
+    let (data, daemon) = hall().await;
+    let file = |name: &str, bytes: &[u8]| {
+        let path = data.path().join(name);
+        fs::write(&path, bytes).expect("a file");
+        path.to_str().expect("a path of text").to_owned()
+    };
+    let yaml = saved(data.path(), "hall", "trinary", TRINARY);
+    let sends = |file: &str| cli::tidemap(&daemon, ["observe", MAP, file, "--producer", "robot"]);
+    for image in [&yaml, &yaml.replace(".yaml", ".pgm"), &file("scan", b"# .PCD v0.7 - Point Cloud Data\n")] {
+        sends(image).fails(2, &["tidemap grid observe sends it"]);
+    }
+    sends(&file("run.mcap", b"\x89MCAP0\r\n\x01\x00")).fails(2, &["run.mcap", "recording of ROS"]);
+    let tmap2 = "meta: {last_updated: 2022-03-02_10-07-31}\nname: halls\nnodes:\n- meta: {node: A}\n  node:\n    edges:\n    \
+                 - {action: NavigateToPose, edge_id: A_B, node: B}\n    name: A\n    pose: {position: {x: 0, y: 0, z: 0}}\n\
+                 - node: {name: B, edges: [], pose: {position: {x: 3, y: 4, z: 0}}}\n";
+    let tmap2 = file("halls.tmap2", tmap2.as_bytes());
+    sends(&tmap2).fails(2, &["halls.tmap2", "tidemap topology load"]);
+    let loaded = cli::tidemap(&daemon, ["topology", "load", MAP, &tmap2]).table();
+    assert_eq!((loaded.number("nodes"), loaded.number("edges")), (2.0, 1.0));
+
+    let rows = "time,state,value\n2025-03-10T09:00:00Z,door,1\n2025-03-10T10:00:00Z,door,2\n";
+    let wide: Vec<u8> = rows.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    sends(&file("wide.csv", &[&[0xff, 0xfe][..], &wide].concat())).fails(2, &["wide.csv", "UTF-16LE", "iconv"]);
+    let mut packer = GzEncoder::new(Vec::new(), Compression::fast());
+    packer.write_all(rows.as_bytes()).expect("room");
+    let packed = file("log.csv.gz", &packer.finish().expect("room"));
+    let refused = data.path().join("refused.csv");
+    let refused = refused.to_str().expect("a path of text");
+    let sent = cli::tidemap(&daemon, ["observe", MAP, &packed, "--producer", "robot", "--refused", refused]);
+    let counts = sent.table_with(1);
+    assert_eq!((counts.number("accepted"), counts.number("refused")), (1.0, 1.0));
+    let kept = fs::read_to_string(refused).expect("the refused row");
+    assert!(kept.contains("2025-03-10T10:00:00Z,door,2"), "{kept}");
+}
