@@ -4,33 +4,75 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray4, ndarray::Array2};
+use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray4, ndarray::Array2};
 use pyo3::{prelude::*, types::PyDict};
 use tidemap_client::{
     Client,
     connection::Credentials,
-    observe::{Producer, ProducerOptions},
-    queries::{GridOutput, GridQuery},
+    observe::{Producer, ProducerOptions, TraversalReport},
+    queries::{GridOutput, GridQuery, PredictionRun},
 };
 
 use crate::{
     failure, grids,
-    observe::{Columns, Outcome, SentCounts, kind_named, send},
+    observe::{Columns, Outcome, Rows, SentCounts, kind_named, send},
     rpc::{self, Replies, model_named},
     waiting::{runtime, wait},
 };
 
-/// Predicted values, bounds of the intervals if asked for, entropies.
+/// Predicted values, bounds of the intervals if asked for, entropies, and what stands behind each state.
 type PredictedArrays<'py> = (
     Bound<'py, PyArray2<f64>>,
     Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>,
     Bound<'py, PyArray2<f64>>,
+    Vec<Evidence>,
 );
+
+/// What stands behind the predictions of a state: the model that answered, its order, the number of observations and of
+/// those that no update has learned, and the time of the newest.
+type Evidence = (Option<String>, u32, u64, u64, Option<i64>);
+
+fn evidence(run: &PredictionRun) -> Evidence {
+    let model = run.answered_by.map(|model| model.to_string());
+    (model, run.order, run.observations, run.pending, run.last_nanos)
+}
+
+/// An edge that was driven: from, to, action, start, end, whether it succeeded, reason.
+type Driven = (String, String, String, i64, i64, bool, String);
 
 /// A client of a daemon.
 #[pyclass(frozen)]
 pub(crate) struct NativeClient {
     client: Client,
+}
+
+impl NativeClient {
+    /// The client of the library.
+    pub(crate) fn client(&self) -> &Client {
+        &self.client
+    }
+
+    /// Sends rows and waits until they are durable; `progress` as of `observe`.
+    fn send_rows<'py>(
+        &self,
+        py: Python<'py>,
+        options: ProducerOptions,
+        rows: Rows,
+        progress: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let all = rows.len();
+        let counts = Arc::new(Mutex::new(SentCounts::default()));
+        let sent = send(self.client.clone(), options, rows, Arc::clone(&counts));
+        let outcome = wait(py, sent, |_| {
+            let durable = counts.lock().unwrap_or_else(PoisonError::into_inner).durable;
+            progress.map_or(Ok(()), |progress| progress.call1((durable, all)).map(|_| ()))
+        })?;
+        let report = report(py, all, outcome)?;
+        if let Some(progress) = progress {
+            progress.call1((all, all))?;
+        }
+        Ok(report)
+    }
 }
 
 /// What became of what was sent, or the exception.
@@ -90,9 +132,12 @@ impl NativeClient {
         }
     }
 
-    /// Sends observations, each exactly once; those that the daemon has are compared. `progress` is called with the
-    /// number of durable ones and of all.
-    #[pyo3(signature = (map, states, state_indices, times_nanos, values, producer, label, kind, nightly, progress=None))]
+    /// Sends observations, each exactly once; those that the daemon has are compared. `positions` has the coordinates
+    /// of vectors, one row each, in the place of the values. `progress` is called with the number of durable ones and
+    /// of all.
+    #[pyo3(signature = (
+        map, states, state_indices, times_nanos, values, producer, label, kind, nightly, positions=None, progress=None
+    ))]
     #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn observe<'py>(
         &self,
@@ -106,29 +151,45 @@ impl NativeClient {
         label: &str,
         kind: Option<&str>,
         nightly: bool,
+        positions: Option<PyReadonlyArray2<'py, f64>>,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let kind = kind.map(|name| kind_named(py, name)).transpose()?;
         let options = ProducerOptions { kind, nightly, ..ProducerOptions::new(producer, label, map) };
-        let columns = Columns {
-            states,
-            state_indices: state_indices.as_array().to_vec(),
-            times_nanos: times_nanos.as_array().to_vec(),
-            values: values.as_array().to_vec(),
-        };
+        let columns = Columns::of(states, &state_indices, &times_nanos, &values);
         columns.check(py)?;
-        let all = columns.times_nanos.len();
-        let counts = Arc::new(Mutex::new(SentCounts::default()));
-        let sent = send(self.client.clone(), options, columns, Arc::clone(&counts));
-        let outcome = wait(py, sent, |_| {
-            let durable = counts.lock().unwrap_or_else(PoisonError::into_inner).durable;
-            progress.as_ref().map_or(Ok(()), |progress| progress.call1((durable, all)).map(|_| ()))
-        })?;
-        let report = report(py, all, outcome)?;
-        if let Some(progress) = &progress {
-            progress.call1((all, all))?;
-        }
-        Ok(report)
+        let rows = match positions {
+            Some(places) if places.as_array().nrows() != columns.times_nanos.len() => {
+                let message = format!("{} positions, {} times", places.as_array().nrows(), columns.times_nanos.len());
+                return Err(failure::invalid(py, &message));
+            }
+            Some(places) => Rows::Positions(columns, places.as_array().to_owned()),
+            None => Rows::Values(columns),
+        };
+        self.send_rows(py, options, rows, progress.as_ref())
+    }
+
+    /// Sends traversals of edges, each exactly once.
+    fn traverse<'py>(
+        &self,
+        py: Python<'py>,
+        map: &str,
+        driven: Vec<Driven>,
+        producer: &str,
+        label: &str,
+        nightly: bool,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let options = ProducerOptions { nightly, ..ProducerOptions::new(producer, label, map) };
+        let report = |(from, to, action, start_nanos, end_nanos, success, reason)| TraversalReport {
+            from,
+            to,
+            action,
+            start_nanos,
+            end_nanos,
+            success,
+            reason,
+        };
+        self.send_rows(py, options, Rows::Traversals(driven.into_iter().map(report).collect()), None)
     }
 
     /// Sends grids that were seen, each exactly once; axes time, z, y, x; below 0 not seen, 0 free, above 0 occupied.
@@ -172,6 +233,7 @@ impl NativeClient {
         let model = model_named(py, model)?;
         let times = times_nanos.as_array().to_vec();
         let shape = (states.len(), times.len());
+        let mut behind: Vec<Evidence> = vec![Evidence::default(); states.len()];
         let mut predictions = self.client.predict(map, states, times, model);
         if let Some(level) = interval {
             predictions = predictions.with_intervals(level);
@@ -190,23 +252,24 @@ impl NativeClient {
                             into[(run.state, run.first_time + index)] = *number;
                         }
                     };
+                    behind[run.state] = evidence(&run);
                     put(&run.probabilities, &mut values);
                     put(&run.lower, &mut lower);
                     put(&run.upper, &mut upper);
                     put(&run.entropies_bits, &mut entropies);
                 }
-                Ok::<_, tidemap_client::Error>(Ok((values, lower, upper, entropies)))
+                Ok::<_, tidemap_client::Error>(Ok((values, lower, upper, entropies, behind)))
             },
             |_| Ok(()),
         )?;
         let predicted = predicted.map_err(|error| failure::request(py, &error))?;
-        let (values, lower, upper, entropies) = predicted.map_err(|name| {
+        let (values, lower, upper, entropies, behind) = predicted.map_err(|name| {
             let message = format!("{name} is a position: ask QueryService/PredictPositions with call()");
             failure::invalid(py, &message)
         })?;
         let array = |numbers: Array2<f64>| PyArray2::from_owned_array(py, numbers);
         let bounds = interval.map(|_| (array(lower), array(upper)));
-        Ok((array(values), bounds, array(entropies)))
+        Ok((array(values), bounds, array(entropies), behind))
     }
 
     /// A grid at one time.

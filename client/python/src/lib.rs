@@ -5,6 +5,7 @@
 
 use pyo3::prelude::*;
 
+mod answers;
 mod client;
 mod failure;
 mod grids;
@@ -12,6 +13,7 @@ mod models;
 mod observe;
 mod rpc;
 mod waiting;
+mod zones;
 
 #[pymodule]
 fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -21,5 +23,8 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<models::NativeModel>()?;
     module.add_function(wrap_pyfunction!(rpc::model_request, module)?)?;
     module.add_function(wrap_pyfunction!(models::model_parameters, module)?)?;
+    module.add_function(wrap_pyfunction!(answers::evaluate, module)?)?;
+    module.add_function(wrap_pyfunction!(answers::history, module)?)?;
+    module.add_function(wrap_pyfunction!(zones::zone_offsets, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))
 }

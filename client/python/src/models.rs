@@ -3,21 +3,33 @@
 //! Invariant: a model gives the numbers that the same model gives in the daemon for the same readings.
 
 use numpy::{PyArray1, PyReadonlyArray1};
-use pyo3::{prelude::*, types::PyDict};
+use pyo3::{
+    prelude::*,
+    types::{PyDict, PyTuple},
+};
 use tidemap_model::{
     Sample, StateKind, TrainedModel, Zone,
     catalogue::{ModelKind, ParameterSet},
     models::{Moment, TemporalModel as _},
 };
 
-use crate::failure;
+use crate::{failure, zones::zone_named};
 
-/// A model that was trained on readings.
-#[pyclass(frozen)]
+/// A model that was trained on readings. It keeps them: a copy of the model, in another process or from a file, is
+/// trained anew on the same readings, and so gives the same numbers in every version of the package.
+#[pyclass(frozen, module = "tidemap._native")]
 pub(crate) struct NativeModel {
     model: TrainedModel,
     zone: Zone,
+    kind: String,
+    parameters: Vec<(String, String)>,
+    state_kind: String,
+    times_nanos: Vec<i64>,
+    values: Vec<f64>,
 }
+
+/// The mean, and period in seconds, amplitude and phase in radians of each rhythm.
+type Rhythms = (f64, Vec<(f64, f64, f64)>);
 
 /// The kinds that can be trained: all but `auto`.
 fn kinds() -> impl Iterator<Item = ModelKind> {
@@ -29,10 +41,6 @@ fn kind_of(py: Python<'_>, name: &str) -> PyResult<ModelKind> {
         let names: Vec<&str> = kinds().map(ModelKind::name).collect();
         failure::invalid(py, &format!("model {name:?}: one of {}", names.join(", ")))
     })
-}
-
-fn zone_named(py: Python<'_>, name: &str) -> PyResult<Zone> {
-    Zone::named(name).map_err(|error| failure::invalid(py, &error.to_string()))
 }
 
 /// The parameters of each kind of model, by its name.
@@ -70,11 +78,12 @@ impl NativeModel {
                 }
             }
         }
-        let set = ParameterSet::new(model_kind, &given)
-            .map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
-        let state_kind = StateKind::ALL.into_iter().find(|kind| kind.name() == state_kind).ok_or_else(|| {
-            failure::invalid(py, &format!("kind {state_kind:?}: probability, continuous or count"))
-        })?;
+        let set =
+            ParameterSet::new(model_kind, &given).map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
+        let state_kind = StateKind::ALL
+            .into_iter()
+            .find(|kind| kind.name() == state_kind)
+            .ok_or_else(|| failure::invalid(py, &format!("kind {state_kind:?}: probability, continuous or count")))?;
         let zone = zone_named(py, time_zone)?;
         let (times, values) = (times_nanos.as_array().to_vec(), values.as_array().to_vec());
         if times.len() != values.len() {
@@ -97,7 +106,41 @@ impl NativeModel {
             set.train(&samples, state_kind)
         });
         let model = trained.map_err(|error| failure::invalid(py, &format!("{kind}: {error}")))?;
-        Ok(Self { model, zone })
+        let (kind, state_kind) = (kind.to_owned(), state_kind.name().to_owned());
+        Ok(Self { model, zone, kind, parameters, state_kind, times_nanos: times, values })
+    }
+
+    /// How pickle makes it: by training.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let (py, this) = (slf.py(), slf.get());
+        let arguments = (
+            &this.kind,
+            this.parameters.clone(),
+            PyArray1::from_slice(py, &this.times_nanos),
+            PyArray1::from_slice(py, &this.values),
+            &this.state_kind,
+            this.zone.name(),
+        );
+        // Pickle finds functions of Python by their names.
+        Ok((py.import("tidemap.models")?.getattr("trained_anew")?, arguments.into_pyobject(py)?))
+    }
+
+    /// It never changes.
+    fn __copy__(slf: Bound<'_, Self>) -> Bound<'_, Self> {
+        slf
+    }
+
+    /// It never changes.
+    fn __deepcopy__<'py>(slf: Bound<'py, Self>, _memo: &Bound<'py, PyAny>) -> Bound<'py, Self> {
+        slf
+    }
+
+    /// The rhythms that predict, the strongest first; `None` of other models than the spectral one.
+    fn rhythms(&self) -> Option<Rhythms> {
+        match &self.model {
+            TrainedModel::Spectral(model) => Some((model.mean(), model.rhythms())),
+            _ => None,
+        }
     }
 
     /// The prediction at each time.

@@ -5,11 +5,12 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use numpy::{PyReadonlyArray1, ndarray::Array2};
 use pyo3::prelude::*;
 use tidemap_client::{
     Client,
     maps::{StateKind, StateShape},
-    observe::{Producer, ProducerError, ProducerOptions, content::ContentCrc},
+    observe::{Producer, ProducerError, ProducerOptions, TraversalReport, content::ContentCrc},
 };
 
 use crate::failure;
@@ -28,6 +29,21 @@ pub(crate) struct Columns {
 }
 
 impl Columns {
+    /// The columns of arrays.
+    pub(crate) fn of(
+        states: Vec<String>,
+        state_indices: &PyReadonlyArray1<'_, u32>,
+        times_nanos: &PyReadonlyArray1<'_, i64>,
+        values: &PyReadonlyArray1<'_, f64>,
+    ) -> Self {
+        Self {
+            states,
+            state_indices: state_indices.as_array().to_vec(),
+            times_nanos: times_nanos.as_array().to_vec(),
+            values: values.as_array().to_vec(),
+        }
+    }
+
     /// Checks that the columns are of one length, and that states are there.
     pub(crate) fn check(&self, py: Python<'_>) -> PyResult<()> {
         let rows = self.times_nanos.len();
@@ -47,8 +63,53 @@ impl Columns {
         }
     }
 
-    fn row(&self, row: usize) -> (&str, i64, f64) {
+    pub(crate) fn row(&self, row: usize) -> (&str, i64, f64) {
         (&self.states[self.state_indices[row] as usize], self.times_nanos[row], self.values[row])
+    }
+}
+
+/// What is sent, one number of the sequence each.
+pub(crate) enum Rows {
+    Values(Columns),
+    /// Coordinates in metres, one row each, in the place of the values.
+    Positions(Columns, Array2<f64>),
+    Traversals(Vec<TraversalReport>),
+}
+
+impl Rows {
+    pub(crate) fn len(&self) -> usize {
+        match self {
+            Self::Values(columns) | Self::Positions(columns, _) => columns.times_nanos.len(),
+            Self::Traversals(reports) => reports.len(),
+        }
+    }
+
+    fn add_to(&self, crc: &mut ContentCrc, row: usize) {
+        match self {
+            Self::Values(columns) => {
+                let (state, time_nanos, value) = columns.row(row);
+                crc.add(state, time_nanos, value);
+            }
+            Self::Positions(columns, places) => {
+                let (state, time_nanos, _) = columns.row(row);
+                crc.add_position(state, time_nanos, &places.row(row).to_vec());
+            }
+            Self::Traversals(reports) => crc.add_traversal(&reports[row]),
+        }
+    }
+
+    async fn send(&self, producer: &mut Producer, row: usize) -> Result<u64, ProducerError> {
+        match self {
+            Self::Values(columns) => {
+                let (state, time_nanos, value) = columns.row(row);
+                producer.send(state, time_nanos, value).await
+            }
+            Self::Positions(columns, places) => {
+                let (state, time_nanos, _) = columns.row(row);
+                producer.send_position(state, time_nanos, &places.row(row).to_vec()).await
+            }
+            Self::Traversals(reports) => producer.send_traversal(&reports[row]).await,
+        }
     }
 }
 
@@ -84,7 +145,7 @@ pub(crate) fn kind_named(py: Python<'_>, name: &str) -> PyResult<StateShape> {
 pub(crate) async fn send(
     client: Client,
     options: ProducerOptions,
-    columns: Columns,
+    content: Rows,
     shared: Arc<Mutex<SentCounts>>,
 ) -> Outcome {
     let (name, label) = (options.producer.clone(), options.label.clone());
@@ -94,15 +155,14 @@ pub(crate) async fn send(
     };
     let progress = producer.progress();
     let (before, dropped_before) = (progress.resumed_at, progress.dropped_refusals);
-    let rows = columns.times_nanos.len();
-    if let Err(how) = compare(&columns, before, progress.content_crc) {
+    let rows = content.len();
+    if let Err(how) = compare(&content, before, progress.content_crc) {
         return differs(&name, &label, &how);
     }
     let first = usize::try_from(before).unwrap_or(usize::MAX).min(rows);
     let mut counts = SentCounts { durable: before, duplicate: before.min(rows as u64), ..SentCounts::default() };
     for row in first..rows {
-        let (state, time_nanos, value) = columns.row(row);
-        if let Err(error) = producer.send(state, time_nanos, value).await {
+        if let Err(error) = content.send(&mut producer, row).await {
             return Outcome::Stopped(error);
         }
         if row % CHUNK == 0 {
@@ -132,15 +192,14 @@ pub(crate) fn differs(producer: &str, label: &str, how: &str) -> Outcome {
 }
 
 /// Compares the rows that the daemon has with the first of these.
-fn compare(columns: &Columns, before: u64, content_crc: u32) -> Result<(), String> {
-    let rows = columns.times_nanos.len();
+fn compare(content: &Rows, before: u64, content_crc: u32) -> Result<(), String> {
+    let rows = content.len();
     if before > rows as u64 {
         return Err(format!("there are {rows} rows, but {before} were sent before"));
     }
     let mut crc = ContentCrc::default();
     for row in 0..before as usize {
-        let (state, time_nanos, value) = columns.row(row);
-        crc.add(state, time_nanos, value);
+        content.add_to(&mut crc, row);
     }
     if before > 0 && crc.value() != content_crc {
         return Err(format!("the first {before} rows are not the {before} that were sent before"));

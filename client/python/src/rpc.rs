@@ -12,7 +12,7 @@ use prost_reflect::{
 use pyo3::prelude::*;
 use tidemap_client::{Client, queries::ModelSelector};
 use tidemap_proto::bytes_codec::BytesCodec;
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, watch};
 use tonic::{Code, Status, Streaming, client::Grpc, codegen::http::uri::PathAndQuery};
 
 use crate::{failure, waiting::wait};
@@ -90,12 +90,14 @@ pub(crate) struct Replies {
     server: String,
     kind: MessageDescriptor,
     replies: Arc<Mutex<Streaming<Bytes>>>,
+    /// Set where no further reply is wanted.
+    ended: Arc<watch::Sender<bool>>,
 }
 
 impl Replies {
     /// Replies of a server, of the type `kind`.
     pub(crate) fn new(server: String, kind: MessageDescriptor, replies: Streaming<Bytes>) -> Self {
-        Self { server, kind, replies: Arc::new(Mutex::new(replies)) }
+        Self { server, kind, replies: Arc::new(Mutex::new(replies)), ended: Arc::new(watch::Sender::new(false)) }
     }
 }
 
@@ -106,12 +108,22 @@ impl Replies {
     }
 
     fn __next__(&self, py: Python<'_>) -> PyResult<Option<String>> {
-        let (replies, kind) = (Arc::clone(&self.replies), self.kind.clone());
+        let (replies, kind, mut ended) = (Arc::clone(&self.replies), self.kind.clone(), self.ended.subscribe());
         let next = async move {
-            let Some(bytes) = replies.lock().await.message().await? else { return Ok(None) };
+            let mut replies = replies.lock().await;
+            let message = tokio::select! {
+                _ = ended.wait_for(|ended| *ended) => return Ok(None),
+                message = replies.message() => message?,
+            };
+            let Some(bytes) = message else { return Ok(None) };
             let message = DynamicMessage::decode(kind, bytes).map_err(|error| Status::internal(error.to_string()))?;
             text(&message).map(Some)
         };
         wait(py, next, |_| Ok(()))?.map_err(|status| raised(py, &self.server, &status))
+    }
+
+    /// Wants no further reply: a thread that waits for one gets the end.
+    fn cancel(&self) {
+        self.ended.send_replace(true);
     }
 }

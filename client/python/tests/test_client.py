@@ -14,22 +14,6 @@ MONDAY = np.datetime64("2026-01-05T00:00:00", "ns")
 SECOND = np.timedelta64(1_000_000_000, "ns")
 
 
-@pytest.fixture(scope="module")
-def daemon():
-    with tidemap.serve() as daemon:
-        yield daemon
-
-
-@pytest.fixture
-def client(daemon, request):
-    client = daemon.connect()
-    name = request.node.name[:60].replace("[", "-").replace("]", "")
-    client.create_map(name)
-    client.name = name
-    yield client
-    client.delete_map(name)
-
-
 def door(days: int = 14) -> tuple[np.ndarray, np.ndarray]:
     seconds = np.arange(days * 144) * 600
     hour = seconds // 3600 % 24
@@ -87,8 +71,9 @@ def test_frames(client):
     zoned = pandas.DatetimeIndex(when).tz_localize("UTC").tz_convert("Europe/Prague")
     frame = pandas.DataFrame({"time": zoned, "state": ["a", "b"] * (len(when) // 2), "value": value})
     assert client.observe(client.name, frame).accepted == len(when)
-    assert sorted(state["name"] for state in client.states(client.name)) == ["a", "b"]
-    assert client.states(client.name)[0]["last_time"].startswith("2026-01-06T23:")
+    states = client.states(client.name)
+    assert states["state"].tolist() == ["a", "b"] and states["observations"].tolist() == [len(when) // 2] * 2
+    assert str(states["last_time"][0]).startswith("2026-01-06 23:")
     with pytest.raises(tidemap.InvalidArgument, match="no value"):
         client.observe(client.name, frame.rename(columns={"value": "worth"}))
 
@@ -121,7 +106,8 @@ def test_observations_as_they_come(client):
 
 def test_refused_rows_are_told(client):
     when = MONDAY + np.arange(3) * SECOND
-    report = client.observe(client.name, states="door", times=when, values=[1, 7, 0])
+    with pytest.warns(tidemap.ObservationWarning, match="1 of 3 rows were refused: row 1: value 7"):
+        report = client.observe(client.name, states="door", times=when, values=[1, 7, 0])
     assert (report.accepted, report.refused) == (2, 1)
     row, why = report.refusals[0]
     assert row == 1 and "7" in why

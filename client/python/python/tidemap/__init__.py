@@ -1,11 +1,14 @@
 """tidemap: the map service that learns when.
 
-``connect()`` gives a client of a daemon, ``serve()`` starts one, and ``tidemap.models`` has the temporal models in
-process. Times are ``datetime64``, ``datetime``, ISO 8601 texts, or integers of nanoseconds UTC.
+``connect()`` gives a client of a daemon, ``serve()`` starts one, ``tidemap.aio.connect()`` gives a client for asyncio,
+and ``tidemap.models`` has the temporal models in process. Times are ``datetime64``, ``datetime``, ISO 8601 texts,
+integers of nanoseconds or floats of seconds since 1970 UTC; those without a zone need a word: see ``tidemap.times``.
 """
 
+from tidemap import aio
 from tidemap._native import __version__
-from tidemap.client import Client, Grid, Observed, Predictions, Producer, connect
+from tidemap.answers import Grid, Map, ObservationWarning, Observed, Predictions, Topology
+from tidemap.client import Client, connect
 from tidemap.daemon import Daemon, serve
 from tidemap.errors import (
     AlreadyExists,
@@ -18,6 +21,7 @@ from tidemap.errors import (
     Unauthenticated,
     Unavailable,
 )
+from tidemap.producer import Producer
 
 __all__ = [
     "AlreadyExists",
@@ -26,16 +30,20 @@ __all__ = [
     "FailedPrecondition",
     "Grid",
     "InvalidArgument",
+    "Map",
     "NotFound",
+    "ObservationWarning",
     "Observed",
     "PermissionDenied",
     "Predictions",
     "Producer",
     "ResourceExhausted",
     "TidemapError",
+    "Topology",
     "Unauthenticated",
     "Unavailable",
     "__version__",
+    "aio",
     "connect",
     "serve",
 ]

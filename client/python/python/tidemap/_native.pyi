@@ -11,6 +11,7 @@ __version__: str
 class Replies(Iterator[str]):
     def __iter__(self) -> Replies: ...
     def __next__(self) -> str: ...
+    def cancel(self) -> None: ...
 
 class OpenProducer:
     def send(self, state: str, time_nanos: int, value: float) -> int: ...
@@ -40,6 +41,7 @@ class NativeClient:
         label: str,
         kind: str | None,
         nightly: bool,
+        positions: npt.NDArray[np.float64] | None = None,
         progress: Callable[[int, int], object] | None = None,
     ) -> dict[str, Any]: ...
     def predict(
@@ -53,7 +55,16 @@ class NativeClient:
         npt.NDArray[np.float64],
         tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
         npt.NDArray[np.float64],
+        list[tuple[str | None, int, int, int, int | None]],
     ]: ...
+    def traverse(
+        self,
+        map: str,
+        driven: list[tuple[str, str, str, int, int, bool, str]],
+        producer: str,
+        label: str,
+        nightly: bool,
+    ) -> dict[str, Any]: ...
     def predict_grid(
         self,
         map: str,
@@ -87,6 +98,21 @@ class NativeModel:
         time_zone: str,
     ) -> NativeModel: ...
     def predict(self, times_nanos: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]: ...
+    def rhythms(self) -> tuple[float, list[tuple[float, float, float]]] | None: ...
 
 def model_request(name: str) -> str: ...
 def model_parameters() -> dict[str, list[str]]: ...
+def zone_offsets(zone: str, times_nanos: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]: ...
+def evaluate(
+    client: NativeClient,
+    map: str,
+    states: list[str],
+    state_indices: npt.NDArray[np.uint32],
+    times_nanos: npt.NDArray[np.int64],
+    values: npt.NDArray[np.float64],
+    models: list[str],
+    max_order: int | None,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]: ...
+def history(
+    client: NativeClient, map: str, state: str, from_nanos: int, to_nanos: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]: ...

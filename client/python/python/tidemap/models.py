@@ -1,16 +1,18 @@
 """The temporal models of tidemap in process, as estimators of scikit-learn.
 
-``X`` is one column of times: ``datetime64``, or float seconds since 1970 UTC. Classifiers (``FreMEn``, ``Histogram``,
-…) learn a state that is 0 or 1 and give ``predict_proba``; regressors (``FreMEnRegressor``, …) learn any number.
-``time_zone`` gives the rhythms their local day and week.
+``X`` is the times, as one column or without columns, in any form of :mod:`tidemap.times`. Classifiers such as
+``FreMEn`` learn a state of two values and give ``predict_proba``; regressors such as ``FreMEnRegressor`` learn any
+number. ``time_zone`` gives the rhythms their local day and week; ``zone`` says what times without a zone are in:
+``"local"`` for ``time_zone``, or the name of another zone. Without it they are refused, unless ``time_zone`` is UTC.
 
-Invariant: a model gives the numbers that the same model gives in the daemon for the same readings. scikit-learn is not
-needed; where it is installed, the classes are its estimators and work in GridSearchCV and in pipelines.
+Invariant: a model gives the numbers that the same model gives in the daemon for the same readings, also after it was
+pickled or copied. scikit-learn is not needed; where it is installed, the classes are its estimators.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import warnings
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     class _Estimator:
         def get_params(self, deep: bool = True) -> dict[str, Any]: ...
         def set_params(self, **params: Any) -> Any: ...
+        def __sklearn_tags__(self) -> Any: ...
 
     class _ClassifierMixin: ...
 
@@ -31,11 +34,14 @@ if TYPE_CHECKING:
 
     class _NotFittedError(ValueError, AttributeError): ...
 
+    class _DataConversionWarning(UserWarning): ...
+
 else:
     try:
         from sklearn.base import BaseEstimator as _Estimator
         from sklearn.base import ClassifierMixin as _ClassifierMixin
         from sklearn.base import RegressorMixin as _RegressorMixin
+        from sklearn.exceptions import DataConversionWarning as _DataConversionWarning
         from sklearn.exceptions import NotFittedError as _NotFittedError
     except ImportError:
         import inspect
@@ -66,34 +72,67 @@ else:
         class _NotFittedError(ValueError, AttributeError):
             pass
 
+        class _DataConversionWarning(UserWarning):
+            pass
+
 
 Floats = npt.NDArray[np.float64]
 
 
-def _column(X: Any) -> npt.NDArray[np.int64]:
-    """Times as nanoseconds, from one column."""
+class Rhythm(NamedTuple):
+    """A term amplitude · cos(2π t / period + phase); t is local civil time in seconds since 1970-01-01T00:00."""
+
+    period_secs: float
+    amplitude: float
+    """In the unit of the values."""
+    phase_rad: float
+
+
+def _times_of(X: Any) -> tuple[Any, list[str] | None]:
+    """The one column of X, and its name as a list if it has one."""
+    if hasattr(X, "toarray"):
+        raise TypeError("X is sparse: a model of time needs the times, dense (X.toarray())")
+    names = None
     if hasattr(X, "columns") and hasattr(X, "shape") and len(X.shape) == 2:
         if X.shape[1] != 1:
             raise ValueError(f"X has {X.shape[1]} columns: a model of time needs one, the times")
+        names = [name for name in X.columns if isinstance(name, str)] or None
         X = X.iloc[:, 0] if hasattr(X, "iloc") else X.to_series(0)
-    if getattr(X, "ndim", 1) == 2:
+    if getattr(X, "ndim", None) is None and not hasattr(X, "dt"):
+        X = X if hasattr(X, "__array__") else list(X) if hasattr(X, "__iter__") else X
+        X = np.asarray(X) if not isinstance(X, list) or any(isinstance(row, (list, tuple)) for row in X) else X
+    dimensions = getattr(X, "ndim", 1)
+    if dimensions == 0:
+        raise ValueError("X is one number: a model of time needs an array of times; Reshape your data")
+    if dimensions > 2:
+        raise ValueError(f"X has {dimensions} axes: a model of time needs one column, the times")
+    if dimensions == 2:
         if X.shape[1] != 1:
             raise ValueError(f"X has {X.shape[1]} columns: a model of time needs one, the times")
         X = X[:, 0]
-    array = X if hasattr(X, "dt") or hasattr(X, "tz") else np.asarray(X)
-    kind = getattr(getattr(array, "dtype", None), "kind", "O")
-    if kind == "f":
-        seconds = np.asarray(array, dtype=np.float64).ravel()
-        if not np.isfinite(seconds).all():
-            raise ValueError("times must be finite: X has NaN or infinity")
-        whole = np.floor(seconds)
-        nanos: npt.NDArray[np.int64] = whole.astype(np.int64) * 1_000_000_000
-        nanos += np.rint((seconds - whole) * 1e9).astype(np.int64)
-        return nanos
-    if kind in "iu":
-        whole_seconds: npt.NDArray[np.int64] = np.asarray(array).ravel().astype(np.int64)
-        return np.multiply(whole_seconds, 1_000_000_000, dtype=np.int64)
-    return _times.all_nanos(array)
+    if getattr(getattr(X, "dtype", None), "kind", "") == "c":
+        raise ValueError("Complex data not supported: X needs times")
+    return X, names
+
+
+def _numbers_of(y: Any, what: str) -> npt.NDArray[Any]:
+    """The values, without columns."""
+    if y is None:
+        raise ValueError(f"{what} requires y to be passed, but the target y is None")
+    values = np.asarray(y)
+    if values.dtype.kind == "c":
+        raise ValueError("Complex data not supported: y needs numbers or labels")
+    if values.ndim == 2 and values.shape[1] == 1:
+        warnings.warn(
+            "A column-vector y was passed when a 1d array was expected: use y.ravel()", _DataConversionWarning,
+            stacklevel=4,
+        )
+        values = values.ravel()
+    if values.ndim != 1:
+        raise ValueError(f"y has the shape {values.shape}: it needs one value for each time")
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        raise ValueError(f"y has NaN or infinity in row {int(np.argmax(~np.isfinite(values)))}")
+    return values
 
 
 class _Model(_Estimator):
@@ -102,16 +141,40 @@ class _Model(_Estimator):
     _kind = ""
     _state_kind = "probability"
 
+    def __repr__(self, N_CHAR_MAX: int = 700) -> str:  # noqa: N803 scikit-learn passes it by this name
+        parameters = ", ".join(f"{name}={value!r}" for name, value in self.get_params(deep=False).items())
+        return f"{type(self).__name__}({parameters})"
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        # As IsotonicRegression has them, which also takes one column. check_estimator then has no data to try.
+        tags.input_tags.one_d_array = True
+        tags.input_tags.two_d_array = False
+        tags.target_tags.required = True
+        return tags
+
+    def _more_tags(self) -> dict[str, Any]:
+        # Of scikit-learn before 1.6.
+        return {"X_types": ["1darray"], "binary_only": True, "requires_y": True}
+
     def _parameters(self) -> dict[str, Any]:
         """Parameters of the model itself."""
-        return {name: value for name, value in self.get_params(deep=False).items() if name != "time_zone"}
+        own = self.get_params(deep=False).items()
+        return {name: value for name, value in own if name not in ("time_zone", "zone")}
+
+    def _nanos(self, X: Any) -> tuple[npt.NDArray[np.int64], list[str] | None]:
+        """The times, and the name of their column as a list if it has one."""
+        column, names = _times_of(X)
+        own_zone = getattr(self, "time_zone", "UTC")
+        zone: str | None = getattr(self, "zone", None)
+        return _times.resolve(_times.read(column), zone, lambda: own_zone), names
 
     def _fitted(self, X: Any, y: Floats) -> None:
-        nanos = _column(X)
+        nanos, names = self._nanos(X)
         if len(nanos) != len(y):
             raise ValueError(f"{len(nanos)} times and {len(y)} values: X and y must be as many")
         if len(nanos) == 0:
-            raise ValueError("no readings: X is empty")
+            raise ValueError("no readings: X is empty, with 0 sample(s) (shape=(0,)) while a minimum of 1 is required")
         order = np.argsort(nanos, kind="stable")
         given = [(name, _text(value)) for name, value in self._parameters().items() if value is not None]
         try:
@@ -122,6 +185,14 @@ class _Model(_Estimator):
         except TidemapError as error:
             raise ValueError(str(error)) from error
         self.n_features_in_ = 1
+        if names is not None:
+            self.feature_names_in_ = np.array(names, dtype=object)
+        elif hasattr(self, "feature_names_in_"):
+            del self.feature_names_in_
+        rhythms = self.model_.rhythms()
+        if rhythms is not None:
+            self.mean_ = rhythms[0]
+            self.rhythms_ = [Rhythm(*rhythm) for rhythm in rhythms[1]]
 
     def _kind_of(self) -> str:
         return self._kind
@@ -129,7 +200,19 @@ class _Model(_Estimator):
     def _values(self, X: Any) -> Floats:
         if not hasattr(self, "model_"):
             raise _NotFittedError(f"this {type(self).__name__} is not fitted: call fit() first")
-        return self.model_.predict(_column(X))
+        return self.model_.predict(self._nanos(X)[0])
+
+
+def trained_anew(
+    kind: str,
+    parameters: list[tuple[str, str]],
+    times: npt.NDArray[np.int64],
+    values: Floats,
+    state_kind: str,
+    zone: str,
+) -> NativeModel:
+    """A model as pickle makes it."""
+    return NativeModel.fit(kind, parameters, times, values, state_kind, zone)
 
 
 def _text(value: Any) -> str:
@@ -139,17 +222,33 @@ def _text(value: Any) -> str:
 
 
 class _Classifier(_ClassifierMixin, _Model):
-    """A state that is 0 or 1."""
+    """A state of two values."""
+
+    classes_: npt.NDArray[Any]
+    """Both values, in order."""
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.classifier_tags.multi_class = False
+        # What scikit-learn tries has no rhythms.
+        tags.classifier_tags.poor_score = True
+        return tags
 
     def fit(self, X: Any, y: Any) -> Any:
-        """Learns readings: times, and whether the state was 1. Returns itself."""
-        labels = np.asarray(y)
-        self.classes_ = np.unique(labels)
-        if len(self.classes_) > 2:
-            raise ValueError(f"y has {len(self.classes_)} classes: a state has two; use a regressor for numbers")
-        if set(self.classes_.tolist()) <= {0, 1}:
-            self.classes_ = np.array([0, 1], dtype=labels.dtype)
-        self._fitted(X, np.asarray(labels == self.classes_[-1], dtype=np.float64).ravel())
+        """Learns readings: times, and which of the two values the state had. Returns itself."""
+        labels = _numbers_of(y, type(self).__name__)
+        classes = np.unique(labels)
+        if len(classes) > 2:
+            if labels.dtype.kind == "f" and (labels != np.floor(labels)).any():
+                raise ValueError("Unknown label type: y has fractions, and a state has two values; use a regressor")
+            raise ValueError(
+                f"Only binary classification is supported: y has {len(classes)} classes, and a state has two values; "
+                "use a regressor for numbers"
+            )
+        if set(classes.tolist()) <= {0, 1}:
+            classes = np.array([0, 1], dtype=labels.dtype)
+        self._fitted(X, np.asarray(labels == classes[-1], dtype=np.float64))
+        self.classes_ = classes
         return self
 
     def predict_proba(self, X: Any) -> Floats:
@@ -174,9 +273,15 @@ class _Regressor(_RegressorMixin, _Model):
 
     _state_kind = "continuous"
 
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.regressor_tags.poor_score = True
+        return tags
+
     def fit(self, X: Any, y: Any) -> Any:
         """Learns readings: times and values. Returns itself."""
-        self._fitted(X, np.asarray(y, dtype=np.float64).ravel())
+        values = _numbers_of(y, type(self).__name__)
+        self._fitted(X, np.ascontiguousarray(values, dtype=np.float64))
         return self
 
     def predict(self, X: Any) -> Floats:
@@ -208,12 +313,18 @@ class _OfRhythms(_Model):
     _kind = "spectral"
 
     def __init__(
-        self, order: int = 2, period_base: str = "7d", period_count: int = 168, time_zone: str = "UTC"
+        self,
+        order: int = 2,
+        period_base: str = "7d",
+        period_count: int = 168,
+        time_zone: str = "UTC",
+        zone: str | None = None,
     ) -> None:
         self.order = order
         self.period_base = period_base
         self.period_count = period_count
         self.time_zone = time_zone
+        self.zone = zone
 
 
 class _OfBins(_Model):
@@ -221,10 +332,13 @@ class _OfBins(_Model):
 
     _kind = "histogram"
 
-    def __init__(self, bins: int = 24, cycle: str = "day", time_zone: str = "UTC") -> None:
+    def __init__(
+        self, bins: int = 24, cycle: str = "day", time_zone: str = "UTC", zone: str | None = None
+    ) -> None:
         self.bins = bins
         self.cycle = cycle
         self.time_zone = time_zone
+        self.zone = zone
 
 
 class _OfWeek(_Model):
@@ -232,8 +346,9 @@ class _OfWeek(_Model):
 
     _kind = "calibrated"
 
-    def __init__(self, time_zone: str = "UTC") -> None:
+    def __init__(self, time_zone: str = "UTC", zone: str | None = None) -> None:
         self.time_zone = time_zone
+        self.zone = zone
 
 
 class _OfClusters(_Model):
@@ -247,6 +362,7 @@ class _OfClusters(_Model):
         period_base: str = "7d",
         period_count: int = 168,
         time_zone: str = "UTC",
+        zone: str | None = None,
     ) -> None:
         self.clusters = clusters
         self.method = method
@@ -254,6 +370,7 @@ class _OfClusters(_Model):
         self.period_base = period_base
         self.period_count = period_count
         self.time_zone = time_zone
+        self.zone = zone
 
     def _kind_of(self) -> str:
         return f"hypertime-{self.method}"
@@ -265,7 +382,8 @@ class _OfClusters(_Model):
 class FreMEn(_OfRhythms, _Classifier):
     """Frequency Map Enhancement (T-RO 2017): the mean and the strongest rhythms.
 
-    ``order``: number of rhythms, 0 to 15. ``period_base``, ``period_count``: candidates base/1 … base/count.
+    ``order``: number of rhythms, 0 to 15. ``period_base``, ``period_count``: candidates base/1 … base/count. Once
+    fitted, ``mean_`` and ``rhythms_`` are what it has learned, the strongest rhythm first.
     """
 
 
@@ -294,8 +412,9 @@ class Ensemble(_Classifier):
 
     _kind = "ensemble"
 
-    def __init__(self, time_zone: str = "UTC") -> None:
+    def __init__(self, time_zone: str = "UTC", zone: str | None = None) -> None:
         self.time_zone = time_zone
+        self.zone = zone
 
 
 class Hypertime(_OfClusters, _Classifier):
@@ -311,11 +430,19 @@ class PerGaM(_Classifier):
 
     _kind = "pergam"
 
-    def __init__(self, gaussians: int = 3, period: str = "1d", seed: int = 0, time_zone: str = "UTC") -> None:
+    def __init__(
+        self,
+        gaussians: int = 3,
+        period: str = "1d",
+        seed: int = 0,
+        time_zone: str = "UTC",
+        zone: str | None = None,
+    ) -> None:
         self.gaussians = gaussians
         self.period = period
         self.seed = seed
         self.time_zone = time_zone
+        self.zone = zone
 
 
 class Poisson(_Regressor):
@@ -324,7 +451,15 @@ class Poisson(_Regressor):
     _kind = "poisson"
     _state_kind = "count"
 
-    def __init__(self, period_base: str = "7d", period_count: int = 168, time_zone: str = "UTC") -> None:
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.target_tags.positive_only = True
+        return tags
+
+    def __init__(
+        self, period_base: str = "7d", period_count: int = 168, time_zone: str = "UTC", zone: str | None = None
+    ) -> None:
         self.period_base = period_base
         self.period_count = period_count
         self.time_zone = time_zone
+        self.zone = zone

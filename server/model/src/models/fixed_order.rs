@@ -3,7 +3,7 @@
 //! Invariant: a prediction lies in the bounds of the state's kind.
 
 use super::{CannotTrain, Moment, Readings, TemporalModel};
-use crate::{Accumulator, Periodicities, SpectralModel, StateKind};
+use crate::{Accumulator, Component, Periodicities, SpectralModel, StateKind};
 
 /// The mean and the strongest components of the readings, of one order (T-RO 2017, section III).
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +33,21 @@ impl FixedOrder {
         accumulator.add(periodicities, readings.samples);
         let model = SpectralModel::train(&accumulator, periodicities);
         Ok(FixedOrder { model, kind, order, periodicities: periodicities.clone() })
+    }
+
+    /// The mean of the readings, in the unit of their values.
+    pub fn mean(&self) -> f64 {
+        self.model.mean()
+    }
+
+    /// Period in seconds, amplitude in the unit of the values and phase in radians of each component that predicts, the
+    /// strongest first.
+    pub fn rhythms(&self) -> Vec<(f64, f64, f64)> {
+        let rhythm = |component: &Component| {
+            let period_secs = self.periodicities.period_secs(component.periodicity as usize);
+            (period_secs, component.amplitude(), component.phase_rad())
+        };
+        self.model.components().iter().take(self.order).map(rhythm).collect()
     }
 }
 

@@ -1,0 +1,130 @@
+"""The same client for asyncio: every call of :class:`tidemap.Client`, with ``await``.
+
+    async with await tidemap.aio.connect("127.0.0.1:7435") as client:
+        await client.observe("home", frame)
+        async for reply in client.watch_anomalies("home"): ...
+
+Invariant: a call waits in a thread of its own, and the loop runs meanwhile. A call whose ``await`` is cancelled
+goes on in its thread; what it sends counts once all the same.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import AsyncIterator, Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, ParamSpec, TypeVar
+
+from tidemap.client import Client
+from tidemap.connection import Stream
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_THREADS = 32
+
+
+class AsyncStream(AsyncIterator[dict[str, Any]]):
+    """Replies of the daemon, one by one, as they come."""
+
+    def __init__(self, client: AsyncClient, begin: Callable[[], Stream]) -> None:
+        self._client = client
+        self._begin = begin
+        self._stream: Stream | None = None
+
+    async def __anext__(self) -> dict[str, Any]:
+        if self._stream is None:
+            self._stream = await self._client._run(self._begin)
+            self._client._streams.add(self._stream)
+        stream = self._stream
+        try:
+            reply = await self._client._run(lambda: next(stream, None))
+        except asyncio.CancelledError:
+            self.close()
+            raise
+        if reply is None:
+            self.close()
+            raise StopAsyncIteration
+        return reply
+
+    def close(self) -> None:
+        """Wants no further reply."""
+        if self._stream is not None:
+            self._stream.close()
+            self._client._streams.discard(self._stream)
+
+
+class AsyncClient:
+    """A client of a daemon, for asyncio. ``client`` is the same one without."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+        self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="tidemap")
+        self._streams: set[Stream] = set()
+        self.call = self._awaited(client.call)
+        self.maps = self._awaited(client.maps)
+        self.map = self._awaited(client.map)
+        self.create_map = self._awaited(client.create_map)
+        self.delete_map = self._awaited(client.delete_map)
+        self.add_state = self._awaited(client.add_state)
+        self.states = self._awaited(client.states)
+        self.observe = self._awaited(client.observe)
+        self.observe_grids = self._awaited(client.observe_grids)
+        self.update = self._awaited(client.update)
+        self.jobs = self._awaited(client.jobs)
+        self.predict = self._awaited(client.predict)
+        self.evaluate = self._awaited(client.evaluate)
+        self.history = self._awaited(client.history)
+        self.anomalies = self._awaited(client.anomalies)
+        self.position = self._awaited(client.position)
+        self.describe = self._awaited(client.describe)
+        self.changed_cells = self._awaited(client.changed_cells)
+        self.grid = self._awaited(client.grid)
+        self.grids = self._awaited(client.grids)
+        self.topology = self._awaited(client.topology)
+        self.load_topology = self._awaited(client.load_topology)
+        self.traverse = self._awaited(client.traverse)
+        self.route = self._awaited(client.route)
+        self.policy = self._awaited(client.policy)
+        self.search = self._awaited(client.search)
+        self.information = self._awaited(client.information)
+        self.tour = self._awaited(client.tour)
+        self.day = self._awaited(client.day)
+
+    def _awaited(self, call: Callable[P, R]) -> Callable[P, Coroutine[Any, Any, R]]:
+        @functools.wraps(call)
+        async def waiting(*args: P.args, **kwargs: P.kwargs) -> R:
+            return await self._run(functools.partial(call, *args, **kwargs))
+
+        return waiting
+
+    async def _run(self, call: Callable[[], R]) -> R:
+        return await asyncio.get_running_loop().run_in_executor(self._threads, call)
+
+    def close(self) -> None:
+        """Ends all streams; calls that wait go on to their end."""
+        for stream in list(self._streams):
+            stream.close()
+        self._threads.shutdown(wait=False)
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+    def stream(self, method: str, request: dict[str, Any] | None = None, *, zone: str | None = None) -> AsyncStream:
+        """The replies of ``SERVICE/METHOD``, for ``async for``."""
+        return AsyncStream(self, lambda: self.client.stream(method, request, zone=zone))
+
+    def watch_anomalies(self, map: str, **request: Any) -> AsyncStream:
+        """Observations that the model did not expect, live as they come, for ``async for``."""
+        return AsyncStream(self, lambda: self.client.watch_anomalies(map, **request))
+
+
+async def connect(server: str = "127.0.0.1:7435", **credentials: Any) -> AsyncClient:
+    """A client of the daemon at ``server``, checked; arguments as of :func:`tidemap.connect`."""
+    client = AsyncClient(Client(server, **credentials))
+    await client.maps()
+    return client

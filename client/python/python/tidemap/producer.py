@@ -1,0 +1,45 @@
+"""Observations as they come.
+
+Invariant: what was taken is sent in order, and durable after a flush.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tidemap import frames
+from tidemap import times as _times
+from tidemap._native import OpenProducer
+from tidemap.errors import InvalidArgument
+from tidemap.times import Time
+
+
+class Producer:
+    """Observations as they come; use it as a context manager. What it has taken is durable after ``flush()``."""
+
+    def __init__(self, native: OpenProducer, zone: str | None, zone_of_map: Callable[[], str]) -> None:
+        self._native = native
+        self._zone = zone
+        self._zone_of_map = zone_of_map
+
+    def send(self, state: str, time: Time, value: float | bool | str) -> int:
+        """Takes an observation and returns its number; it is sent in the background. ``value`` may be a word."""
+        nanos = int(_times.resolve(_times.read(time), self._zone, self._zone_of_map)[0])
+        number = float(value) if isinstance(value, (int, float)) else float(frames.numbers([value])[0][0])
+        if number != number:
+            raise InvalidArgument(f"{value!r} is no value: nothing was measured", "INVALID_ARGUMENT")
+        return self._native.send(state, nanos, number)
+
+    def flush(self) -> int:
+        """Waits until everything that was taken is durable, and returns the number of the last."""
+        return self._native.flush()
+
+    def close(self) -> None:
+        """Waits until everything is durable, and ends."""
+        self._native.close()
+
+    def __enter__(self) -> Producer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,176 @@
+"""Questions about places: topologies, routes, searches, and where to explore.
+
+Invariant: nothing is computed here; the daemon plans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tidemap import frames, tables
+from tidemap import times as _times
+from tidemap.answers import Observed, Topology, observed
+from tidemap.connection import Connection
+from tidemap.errors import InvalidArgument
+from tidemap.times import Time
+
+if TYPE_CHECKING:
+    import pandas
+
+
+def _wrong(message: str) -> InvalidArgument:
+    return InvalidArgument(message, "INVALID_ARGUMENT")
+
+
+def _records(frame: Any, needed: tuple[str, ...], known: tuple[str, ...]) -> list[dict[str, Any]]:
+    """The rows of a frame with these columns; cells without a value are left out."""
+    names = [str(name) for name in (frame.columns if hasattr(frame, "columns") else frame.keys())]
+    missing = [name for name in needed if name not in names]
+    if missing:
+        raise _wrong(f"the frame has the columns {', '.join(names)}, but no {' and no '.join(missing)}")
+    strange = [name for name in names if name not in known]
+    if strange:
+        raise _wrong(f"the frame has a column {strange[0]!r}; columns are {', '.join(known)}")
+    columns = [np.asarray(frame[name], dtype=object).tolist() for name in names]
+    rows = [dict(zip(names, row)) for row in zip(*columns)]
+    return [{name: cell for name, cell in row.items() if cell is not None and cell == cell} for row in rows]
+
+
+class Routes(Connection):
+    """Topologies, routes, searches and exploration."""
+
+    def topology(self, map: str) -> Topology:
+        """Nodes (``name, x_m, y_m, yaw_rad, dwell_secs``) and edges (``from, to, action, length_m, nominal_secs``)."""
+        reply = self.call("TopologyService/GetTopology", {"map": map})
+        return Topology(tables.of_nodes(reply["nodes"]), tables.of_edges(reply["edges"]))
+
+    def load_topology(self, map: str, edges: Any, nodes: Any = None, *, adds: bool = False) -> dict[str, Any]:
+        """Loads nodes and edges, frames with the columns of :meth:`topology`; an edge needs a length or a nominal time.
+
+        A column ``both_ways`` of the edges also makes the opposite edge. Without ``nodes``, they are the ends of the
+        edges. ``adds``: the map keeps the nodes and edges that it has.
+        """
+        ends = ("from", "to", "action", "both_ways")
+        rows = _records(edges, ("from", "to"), (*ends, "length_m", "nominal_secs"))
+        if nodes is None:
+            names = dict.fromkeys(str(row[end]) for row in rows for end in ("from", "to"))
+            places: list[dict[str, Any]] = [{"name": name} for name in names]
+        else:
+            pose = ("x_m", "y_m", "yaw_rad")
+            places = []
+            for row in _records(nodes, ("name",), ("name", *pose, "dwell_secs")):
+                place = {name: cell for name, cell in row.items() if name not in pose}
+                if "x_m" in row or "y_m" in row:
+                    place["pose"] = {name: row[name] for name in pose if name in row}
+                places.append(place)
+        request = {
+            "map": map, "nodes": places, "adds": adds,
+            "edges": [
+                {"ends": {name: row[name] for name in ends if name in row},
+                 **{name: cell for name, cell in row.items() if name not in ends}}
+                for row in rows
+            ],
+        }
+        return self.call("TopologyService/LoadTopology", request)
+
+    def traverse(
+        self,
+        map: str,
+        frame: Any,
+        *,
+        times: str | None = None,
+        columns: Mapping[str, Any] | None = None,
+        producer: str = "python",
+        label: str = "",
+        nightly: bool = False,
+    ) -> Observed:
+        """Reports traversals of edges, and waits until they are durable; the same rows again add nothing.
+
+        ``frame`` has the columns ``from``, ``to``, ``start``, ``end`` and ``success``, and may have ``action`` and
+        ``reason``; ``columns`` gives the frame's own names for them. ``times``: as of :meth:`Client.observe`.
+        """
+        own = {name: name for name in ("from", "to", "start", "end", "success", "action", "reason")}
+        own.update(columns or {})
+        names = list(frame.columns if hasattr(frame, "columns") else frame.keys())
+        missing = [own[name] for name in ("from", "to", "start", "end", "success") if own[name] not in names]
+        if missing:
+            present = ", ".join(str(name) for name in names)
+            raise _wrong(f"the frame has the columns {present}, but no {' and no '.join(missing)}")
+        start, end = (self._nanos(map, _times.read(frame[own[name]]), times) for name in ("start", "end"))
+        success, bare = frames.numbers(frame[own["success"]], where="success")
+        if bare:
+            raise _wrong(f"success of row {int(np.argmax(np.isnan(success)))} is missing")
+
+        def texts(name: str) -> list[str]:
+            if own[name] not in names:
+                return [""] * len(start)
+            cells = np.asarray(frame[own[name]], dtype=object).tolist()
+            return ["" if cell is None or cell != cell else str(cell) for cell in cells]
+
+        driven = list(zip(
+            texts("from"), texts("to"), texts("action"), start.tolist(), end.tolist(), (success >= 0.5).tolist(),
+            texts("reason"),
+        ))
+        return observed(self._native.traverse(map, driven, producer, label, nightly))
+
+    def route(
+        self,
+        map: str,
+        start: str,
+        goal: str,
+        depart: Time | None = None,
+        *,
+        arrive_by: Time | None = None,
+        zone: str | None = None,
+        **request: Any,
+    ) -> pandas.DataFrame:
+        """The way from a node to another one: a row an edge, with ``route`` 0 for the best and more for alternatives.
+
+        It leaves at ``depart``, or arrives by ``arrive_by``. ``attrs["routes"]`` has success, departure, arrival and
+        cost of each route. Further fields of ``PlanRouteRequest``: ``alternatives=1``, ``objective=…``.
+        """
+        asked: dict[str, Any] = {"map": map, "from": start, "to": goal, **request}
+        for name, time in (("depart_time", depart), ("arrive_by_time", arrive_by)):
+            if time is not None:
+                asked[name] = _times.timestamp(self._moment(map, time, zone))
+        return tables.of_routes(self.call("RouteService/PlanRoute", asked, zone=zone), self._zone(map))
+
+    def policy(
+        self, map: str, goal: str, start_time: Time, *, zone: str | None = None, **request: Any
+    ) -> dict[str, Any]:
+        """What to do at each node and time to reach a node; fields of ``PlanPolicyRequest``."""
+        asked = {"map": map, "to": goal, "start_time": self._text(map, start_time, zone), **request}
+        return self.call("RouteService/PlanPolicy", asked, zone=zone)
+
+    def search(
+        self, map: str, start: str, object: str, start_time: Time, *, zone: str | None = None, **request: Any
+    ) -> dict[str, Any]:
+        """Where to look for something, in which order; fields of ``PlanSearchRequest``."""
+        asked = {
+            "map": map, "start": start, "object": object, "start_time": self._text(map, start_time, zone), **request
+        }
+        return self.call("SearchService/PlanSearch", asked, zone=zone)
+
+    def information(
+        self, map: str, time: Time, *, zone: str | None = None, **request: Any
+    ) -> list[dict[str, Any]]:
+        """What observing each location at a time teaches; fields of ``GetInformationRequest``."""
+        asked = {"map": map, "time": self._text(map, time, zone), **request}
+        return list(self.stream("ExplorationService/GetInformation", asked, zone=zone))
+
+    def tour(
+        self, map: str, time: Time, count: int, *, zone: str | None = None, **request: Any
+    ) -> dict[str, Any]:
+        """A tour to the ``count`` places where looking teaches most; fields of ``PlanTourRequest``."""
+        asked = {"map": map, "time": self._text(map, time, zone), "count": count, **request}
+        return self.call("ExplorationService/PlanTour", asked, zone=zone)
+
+    def day(self, map: str, date: str, **request: Any) -> dict[str, Any]:
+        """When to explore on a day (``2026-01-05``) and where; fields of ``PlanDayRequest``."""
+        return self.call("ExplorationService/PlanDay", {"map": map, "date": str(date), **request})
+
+    def _text(self, map: str, time: Time, zone: str | None) -> str:
+        return _times.timestamp(self._moment(map, time, zone))

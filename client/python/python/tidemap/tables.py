@@ -1,0 +1,170 @@
+"""Answers of the daemon as DataFrames of pandas.
+
+Invariant: times are in the zone of the map and keep their nanoseconds; numbers are those of the wire.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tidemap import times as _times
+from tidemap.errors import TidemapError
+
+if TYPE_CHECKING:
+    import pandas
+
+
+def pandas_needed() -> Any:
+    """The module pandas, or an error in words."""
+    try:
+        import pandas
+    except ImportError as error:
+        raise TidemapError(
+            "this answer is a DataFrame: install pandas (pip install pandas), or ask call() and stream(), which give "
+            "dictionaries", "FAILED_PRECONDITION",
+        ) from error
+    return pandas
+
+
+def frame(data: Any, **options: Any) -> pandas.DataFrame:
+    """A DataFrame of data."""
+    made: pandas.DataFrame = pandas_needed().DataFrame(data, **options)
+    return made
+
+
+def zoned(nanos: Any, zone: str) -> Any:
+    """Times as a DatetimeIndex in a zone."""
+    pd = pandas_needed()
+    index = pd.DatetimeIndex(np.asarray(nanos, dtype=np.int64).astype("datetime64[ns]")).tz_localize("UTC")
+    if _times.is_utc(zone):
+        return index
+    try:
+        return index.tz_convert(zone)
+    except Exception:  # noqa: BLE001 the machine has no database of zones: pip install tzdata
+        return index
+
+
+def moments(texts: Sequence[str | None], zone: str) -> Any:
+    """Timestamps of JSON as a DatetimeIndex in a zone; ``None`` is NaT."""
+    least = np.iinfo(np.int64).min
+    return zoned([least if not text else _times.from_timestamp(text) for text in texts], zone)
+
+
+def _or(value: Any, otherwise: float) -> float:
+    """A number of the wire, where it is given."""
+    return otherwise if value is None else float(value)
+
+
+def name_of(value: Any, prefix: str) -> str:
+    """A value of an enum in lower case: ``STATE_KIND_COUNT`` is ``count``."""
+    return str(value).removeprefix(prefix).lower().replace("_", "-")
+
+
+def of_states(states: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
+    """States: a row each."""
+    sensors = [state.get("sensor") or {} for state in states]
+    return frame({
+        "state": [state["name"] for state in states],
+        "kind": [name_of(state["kind"], "STATE_KIND_") for state in states],
+        "observations": [state["observations"] for state in states],
+        "order": [state["order"] for state in states],
+        "pending": [state["pending"] for state in states],
+        "last_time": moments([state.get("last_time") for state in states], zone),
+        "hit": [_or(sensor.get("hit"), 1.0 if sensor else np.nan) for sensor in sensors],
+        "false_alarm": [_or(sensor.get("false_alarm"), 0.0 if sensor else np.nan) for sensor in sensors],
+    })
+
+
+def of_surprises(found: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
+    """Runs of unusual observations: a row each."""
+    return frame({
+        "from": moments([run["first_time"] for run in found], zone),
+        "to": moments([run["last_time"] for run in found], zone),
+        "state": [run["state"] for run in found],
+        "observations": [run["observations"] for run in found],
+        "surprise_bits": [run["bits"] for run in found],
+        "above": [run["above"] for run in found],
+        "value": [run["value"] for run in found],
+        "probability": [run["probability"] for run in found],
+    })
+
+
+def of_series(times: Any, zone: str, **columns: Any) -> pandas.DataFrame:
+    """A row a time."""
+    return frame({"time": zoned(times, zone), **columns})
+
+
+def of_routes(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
+    """Routes: a row an edge; ``route`` 0 is the best. ``attrs`` has what holds for whole routes."""
+    steps = [
+        (number, place, step) for number, route in enumerate(reply["routes"])
+        for place, step in enumerate(route["steps"], start=1)
+    ]
+    table = frame({
+        "route": [number for number, _, _ in steps],
+        "step": [place for _, place, _ in steps],
+        "from": [step["edge"]["from"] for _, _, step in steps],
+        "to": [step["edge"]["to"] for _, _, step in steps],
+        "action": [step["edge"]["action"] for _, _, step in steps],
+        "time": zoned([step["start_nanos"] for _, _, step in steps], zone),
+        "probability": [step["success"] for _, _, step in steps],
+        "lower": [step["success_lower"] for _, _, step in steps],
+        "upper": [step["success_upper"] for _, _, step in steps],
+        "duration_secs": [step["duration_secs"] for _, _, step in steps],
+        "reports": [step["reports"] for _, _, step in steps],
+    })
+    whole = ("success", "success_lower", "success_upper", "expected_secs", "cost")
+    table.attrs["routes"] = [
+        {**{name: route[name] for name in whole}, "departure": zoned([route["departure_nanos"]], zone)[0],
+         "arrival": zoned([route["arrival_nanos"]], zone)[0]}
+        for route in reply["routes"]
+    ]
+    table.attrs["certainty"] = name_of(reply["certainty"], "ROUTE_CERTAINTY_")
+    return table
+
+
+def of_nodes(nodes: list[dict[str, Any]]) -> pandas.DataFrame:
+    """Nodes of a topology: a row each."""
+    poses = [node.get("pose") or {} for node in nodes]
+    return frame({
+        "name": [node["name"] for node in nodes],
+        **{axis: [_or(pose.get(axis), np.nan) for pose in poses] for axis in ("x_m", "y_m", "yaw_rad")},
+        "dwell_secs": [_or(node.get("dwell_secs"), 0.0) for node in nodes],
+    })
+
+
+def of_edges(edges: list[dict[str, Any]]) -> pandas.DataFrame:
+    """Edges of a topology: a row each direction."""
+    return frame({
+        **{name: [edge["ends"][name] for edge in edges] for name in ("from", "to", "action")},
+        **{name: [_or(edge.get(name), np.nan) for edge in edges] for name in ("length_m", "nominal_secs")},
+    })
+
+
+def of_positions(
+    header: dict[str, Any], cells: list[dict[str, Any]], times: npt.NDArray[np.int64], zone: str
+) -> pandas.DataFrame:
+    """Positions: a row for each cell of each time, the most probable first; coordinates are middles of cells, metres.
+    """
+    counts, low_m, edge_m = header["counts"], header["low_m"], header["resolution_m"]
+    axes = ["x", "y", "z"][: len(counts)]
+    empty = [np.zeros(0, dtype=np.int64)]
+    indices = np.concatenate([np.asarray(piece["indices"], dtype=np.int64) for piece in cells] or empty)
+    lengths = [len(piece["indices"]) for piece in cells]
+    table: dict[str, Any] = {"time": zoned(np.repeat([times[piece["time_index"]] for piece in cells], lengths), zone)}
+    rest = indices
+    for axis, count, low in zip(axes, counts, low_m):
+        table[axis] = low + (rest % count + 0.5) * edge_m
+        rest = rest // count
+    table["probability"] = np.concatenate([np.asarray(piece["probabilities"]) for piece in cells] or empty)
+    first = {piece["time_index"]: piece for piece in reversed(cells)}
+    for place, axis in enumerate(axes):
+        expected = [first[piece["time_index"]]["expected_m"][place] for piece in cells]
+        table[f"expected_{axis}"] = np.repeat(expected, lengths)
+    for name in ("outside", "expected_count"):
+        table[name] = np.repeat([first[piece["time_index"]][name] for piece in cells], lengths)
+    return frame(table)
