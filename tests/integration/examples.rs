@@ -63,6 +63,7 @@ pages! {
     kinds: "docs/src/kinds.md",
     limits: "docs/src/limits.md",
     models: "docs/src/models.md",
+    notebooks: "docs/src/notebooks.md",
     page: "docs/src/page.md",
     people: "docs/src/people.md",
     python: "docs/src/python.md",

@@ -1,13 +1,15 @@
-"""The examples of the guide's page run as a reader would type them."""
+"""The examples of the guide's page and of the README run as a reader would type them."""
 
 from __future__ import annotations
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[3] / "docs" / "src" / "python.md"
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs" / "src" / "python.md"
 
 
 def test_the_examples_of_the_guide_run():
@@ -21,3 +23,16 @@ def test_the_examples_of_the_guide_run():
     prediction = names["prediction"]
     assert prediction.to_pandas().shape == (144, 3)
     assert prediction.values.max() > 0.8 > 0.2 > prediction.values.min()
+
+
+def test_the_first_example_of_the_readme_runs(tmp_path, monkeypatch):
+    pytest.importorskip("pandas")
+    text = (ROOT / "README.md").read_text()
+    made = next(block for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL) if "door.csv" in block)
+    monkeypatch.chdir(tmp_path)
+    subprocess.run(["sh", "-c", made], check=True)
+    (block,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(block, "README.md", "exec"), names)  # noqa: S102
+    door = names["forecast"]["door"]["value"]
+    assert door.idxmax().hour == 12 and door.max() > 0.9 > 0.1 > door.iloc[0]

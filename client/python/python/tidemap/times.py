@@ -125,8 +125,9 @@ def _of_numbers(array: npt.NDArray[Any]) -> Nanos:
             )
             raise InvalidArgument(
                 f"{greatest} is ambiguous: integers are nanoseconds since 1970, and this would be "
-                f"{np.datetime64(greatest, 'ns')}. If the unit is {unit}, write "
-                f"np.asarray(times).astype('datetime64[{unit}]') and zone=\"UTC\"; seconds may also be floats",
+                f"{np.datetime64(greatest, 'ns')}. If the unit is {unit}, write pd.to_datetime(times, unit=\"{unit}\", "
+                f"utc=True), or np.asarray(times).astype('datetime64[{unit}]') with zone=\"UTC\"; seconds may also be "
+                "floats",
                 "INVALID_ARGUMENT",
             )
         return whole
@@ -138,7 +139,7 @@ def _of_numbers(array: npt.NDArray[Any]) -> Nanos:
     if greatest_secs > LAST / SECOND:
         raise InvalidArgument(
             f"{greatest_secs:g} is not a time: floats are seconds since 1970, and this is after 2262; for another unit "
-            "write np.asarray(times, dtype='int64').astype('datetime64[ms]'), or us or ns, and zone=\"UTC\"",
+            "write pd.to_datetime(times, unit=\"ms\", utc=True)",
             "INVALID_ARGUMENT",
         )
     floor = np.floor(seconds)
