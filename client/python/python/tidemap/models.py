@@ -48,8 +48,11 @@ else:
 
         class _Estimator:
             def get_params(self, deep=True):
-                names = inspect.signature(type(self).__init__).parameters
-                return {name: getattr(self, name) for name in names if name != "self"}
+                # Models without parameters have the __init__ of object.
+                named = inspect.Parameter.POSITIONAL_OR_KEYWORD
+                parameters = inspect.signature(type(self).__init__).parameters.values()
+                names = [known.name for known in parameters if known.kind == named and known.name != "self"]
+                return {name: getattr(self, name) for name in names}
 
             def set_params(self, **params):
                 known = self.get_params()
