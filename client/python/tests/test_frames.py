@@ -56,7 +56,7 @@ def test_columns_and_words_of_a_smart_home(daemon):
     columns = {"time": "last_changed", "state": "entity_id", "value": "state"}
     with pytest.raises(tidemap.InvalidArgument, match="columns=.*no time|no time.*columns"):
         client.observe("smart-home", frame)
-    with pytest.raises(tidemap.InvalidArgument, match="'ajar' \\(1 rows\\).*values="):
+    with pytest.raises(tidemap.InvalidArgument, match="'ajar' \\(1 row\\).*values="):
         client.observe("smart-home", frame, columns=columns, times="local")
     with pytest.raises(tidemap.InvalidArgument, match="Europe/Prague"):
         client.observe("smart-home", frame, columns=columns, values={"ajar": 1})
@@ -90,6 +90,15 @@ def test_refused_rows_name_the_row_of_the_frame(client):
     with pytest.warns(tidemap.ObservationWarning, match="1 of 4 rows were refused: row 2: value 7"):
         sent = client.observe(client.name, frame)
     assert sent.refusals[0][0] == 2 and sent.accepted == 2
+
+
+def test_a_time_that_does_not_exist_names_the_row_of_the_frame(daemon):
+    client = daemon.connect()
+    client.create_map("spring", time_zone="Europe/Prague")
+    frame = {"time": ["2026-03-29T01:00", "2026-03-29T01:30", "2026-03-29T02:30"], "state": "door", "value": ["unknown", 0, 1]}
+    with pytest.raises(tidemap.InvalidArgument, match="row 2: 2026-03-29T02:30:00 does not exist"):
+        client.observe("spring", pandas.DataFrame(frame), times="local")
+    client.delete_map("spring")
 
 
 def test_times_that_were_rounded_are_told(client):

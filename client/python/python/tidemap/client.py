@@ -125,7 +125,7 @@ class Client(Questions, Routes):
         update follows the time of the data.
         """
         rows, given_zone = self._rows(frame, states, times, values, columns, zone)
-        nanos = self._nanos(map, rows.times, given_zone, rows.indices)
+        nanos = self._nanos(map, rows.times, given_zone, rows.indices, rows.source)
         _warn_of_one_time(rows, nanos)
         shown, done = _shown(progress)
         try:

@@ -85,10 +85,15 @@ class Connection:
         return self._zones.get(map) or self._zone_now(map)
 
     def _nanos(
-        self, map: str, times: Any, zone: str | None, states: npt.NDArray[np.uint32] | None = None
+        self,
+        map: str,
+        times: Any,
+        zone: str | None,
+        states: npt.NDArray[np.uint32] | None = None,
+        source: npt.NDArray[np.intp] | None = None,
     ) -> npt.NDArray[np.int64]:
         given = times if isinstance(times, _times.Read) else _times.read(times)
-        return _times.resolve(given, zone, lambda: self._zone_now(map), states)
+        return _times.resolve(given, zone, lambda: self._zone_now(map), states, source)
 
     def _moment(self, map: str, time: Time, zone: str | None) -> int:
         nanos = self._nanos(map, time, zone)

@@ -87,12 +87,12 @@ def numbers(
         found[row] = number
     if strange:
         first = list(strange.items())[:_NAMED]
-        told = ", ".join(f"{word!r} ({count} rows)" for word, count in first)
+        told = ", ".join(f"{word!r} ({count} row{'s' if count > 1 else ''})" for word, count in first)
         more = f", and {len(strange) - len(first)} more" if len(strange) > len(first) else ""
         example = first[0][0]
         raise _wrong(
-            f"{where}: {told}{more} are no numbers and no words that are known (on, off, open, closed, true, false, "
-            f"yes, no). Say what they are: values={{{example!r}: 1}}, or None for \"nothing measured\""
+            f"{where}: {told}{more}: neither a number nor a word that is known (on, off, open, closed, true, false, "
+            f"yes, no). Say what it means: values={{{example!r}: 1}}, or None for \"nothing measured\""
         )
     return found, missing
 

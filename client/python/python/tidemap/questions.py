@@ -118,7 +118,7 @@ class Questions(Connection):
         """
         tables.pandas_needed()
         rows, given_zone = self._rows(frame, states, times, values, columns, zone)
-        nanos = self._nanos(map, rows.times, given_zone, rows.indices)
+        nanos = self._nanos(map, rows.times, given_zone, rows.indices, rows.source)
         wanted = [models] if isinstance(models, str) else list(models)
         if wanted == ["all"]:
             wanted = list(model_parameters())

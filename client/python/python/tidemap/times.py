@@ -203,11 +203,13 @@ def resolve(
     zone: str | None,
     zone_of_map: Callable[[], str],
     states: npt.NDArray[np.uint32] | None = None,
+    source: npt.NDArray[np.intp] | None = None,
 ) -> Nanos:
     """Nanoseconds UTC of times.
 
     ``zone`` is the zone of those that have none: ``"local"`` for that of the map, or a name. ``None``: they are
-    refused, unless the map is in UTC. ``states`` tells the states of the rows, for the hour that exists twice.
+    refused, unless the map is in UTC. ``states`` tells the states of the rows, for the hour that exists twice, and
+    ``source`` their numbers in errors.
     """
     if given.local is None or not given.local.any():
         return given.nanos
@@ -222,8 +224,10 @@ def resolve(
     else:
         name = zone_of_map() if zone == "local" else zone
     nanos = given.nanos.copy()
+    rows = np.flatnonzero(given.local)
     nanos[given.local] = from_clock(
-        given.nanos[given.local], name, None if states is None else states[given.local], np.flatnonzero(given.local)
+        given.nanos[given.local], name, None if states is None else states[given.local],
+        rows if source is None else source[rows],
     )
     return nanos
 
