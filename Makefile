@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts schemathesis api-page palette web web-check demo test python docs lint sbom bench soak fuzz durability install deb clean
+.PHONY: help build texts schemathesis api-page palette web web-check demo test wheel python docs lint sbom bench soak fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -82,10 +82,14 @@ test:
 		echo "SKIPPED: the tests of client/web/src; client/web/node_modules is not installed: npm ci" >&2; \
 	fi
 
-## python: the Python wheel with the daemon in it, in target/wheels, and its tests
-python: build
+## wheel: the Python wheel with the daemon in it, for glibc 2.28 and later, in target/wheels
+wheel:
 	@$(SETUP) python
-	@$(ENV); deploy/python.sh "$(BUILT)" $(PYTHONS)
+	@$(ENV); deploy/wheel.sh
+
+## python: the wheel, and its tests with each of PYTHONS (default: python3)
+python: wheel
+	@$(ENV); deploy/python.sh $(PYTHONS)
 
 ## docs: the guide, as pages of HTML in target/docs
 docs:
