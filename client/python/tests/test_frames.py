@@ -29,8 +29,8 @@ def test_a_wide_frame_has_a_column_for_each_state(client):
     assert sent.without_value == {"NaN": len(HOURS) - lamp}
     assert client.states(client.name)["observations"].tolist() == [len(HOURS), lamp]
     # More rows behind them are added; the time may be a column, too.
-    more = pandas.concat([wide, wide[-2:].set_axis(HOURS[-2:] + pandas.Timedelta("1D"))]).rename_axis("time").reset_index()
-    again = client.observe(client.name, more)
+    longer = pandas.concat([wide, wide[-2:].set_axis(HOURS[-2:] + pandas.Timedelta("1D"))])
+    again = client.observe(client.name, longer.rename_axis("time").reset_index())
     assert (again.accepted, again.duplicate) == (4, sent.accepted)
     only = client.observe(client.name, wide, states=["lamp"], label="lamp alone")
     assert only.accepted == lamp
@@ -38,9 +38,10 @@ def test_a_wide_frame_has_a_column_for_each_state(client):
 
 def test_a_series_is_one_state(client):
     assert client.observe(client.name, pandas.Series(OPEN, index=HOURS, name="door")).accepted == len(HOURS)
-    assert client.observe(client.name, pandas.Series(OPEN, index=HOURS), states="hatch", label="b").accepted == len(HOURS)
+    nameless = pandas.Series(OPEN, index=HOURS)
+    assert client.observe(client.name, nameless, states="hatch", label="b").accepted == len(HOURS)
     with pytest.raises(tidemap.InvalidArgument, match="no name"):
-        client.observe(client.name, pandas.Series(OPEN, index=HOURS), label="c")
+        client.observe(client.name, nameless, label="c")
 
 
 def test_columns_and_words_of_a_smart_home(daemon):
@@ -95,7 +96,8 @@ def test_refused_rows_name_the_row_of_the_frame(client):
 def test_a_time_that_does_not_exist_names_the_row_of_the_frame(daemon):
     client = daemon.connect()
     client.create_map("spring", time_zone="Europe/Prague")
-    frame = {"time": ["2026-03-29T01:00", "2026-03-29T01:30", "2026-03-29T02:30"], "state": "door", "value": ["unknown", 0, 1]}
+    clock = ["2026-03-29T01:00", "2026-03-29T01:30", "2026-03-29T02:30"]
+    frame = {"time": clock, "state": "door", "value": ["unknown", 0, 1]}
     with pytest.raises(tidemap.InvalidArgument, match="row 2: 2026-03-29T02:30:00 does not exist"):
         client.observe("spring", pandas.DataFrame(frame), times="local")
     client.delete_map("spring")
@@ -152,8 +154,8 @@ def test_frames_of_polars_and_dictionaries(client):
 
 def test_positions(client):
     rng = np.random.default_rng(7)
-    frame = pandas.DataFrame({"time": HOURS, "state": "anna", "x": np.where(OPEN, 8, 1) + rng.normal(0, 0.1, len(HOURS)),
-                              "y": 2 + rng.normal(0, 0.1, len(HOURS))})
+    x = np.where(OPEN, 8, 1) + rng.normal(0, 0.1, len(HOURS))
+    frame = pandas.DataFrame({"time": HOURS, "state": "anna", "x": x, "y": 2 + rng.normal(0, 0.1, len(HOURS))})
     sent = client.observe(client.name, frame)
     assert sent.accepted == len(HOURS)
     assert client.observe(client.name, frame).duplicate == len(HOURS)

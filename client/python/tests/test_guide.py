@@ -28,7 +28,8 @@ def test_the_examples_of_the_guide_run():
 def test_the_first_example_of_the_readme_runs(tmp_path, monkeypatch):
     pytest.importorskip("pandas")
     text = (ROOT / "README.md").read_text()
-    made = next(block for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL) if "door.csv" in block)
+    scripts = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    made = next(script for script in scripts if "door.csv" in script)
     monkeypatch.chdir(tmp_path)
     subprocess.run(["sh", "-c", made], check=True)
     (block,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)

@@ -136,7 +136,8 @@ def test_routes_over_a_topology(client):
     # The direct way is closed at night.
     start = HOURS[:14 * 24]
     runs = pandas.DataFrame({"from": "Lab", "to": "Office", "start": start, "end": start + pandas.Timedelta("20s"),
-                             "success": OPEN[: len(start)], "reason": np.where(OPEN[: len(start)], None, "door closed")})
+                             "success": OPEN[: len(start)],
+                             "reason": np.where(OPEN[: len(start)], None, "door closed")})
     sent = client.traverse(client.name, runs)
     assert sent.accepted == len(runs) and client.traverse(client.name, runs).duplicate == len(runs)
     client.update(client.name)

@@ -210,9 +210,8 @@ def _warn_of_one_time(rows: frames.Rows, nanos: Any) -> None:
     if len(nanos) < _ROWS_AT_ONCE:
         return
     counts = np.bincount(rows.indices, minlength=len(rows.names))
-    order = np.argsort(rows.indices, kind="stable") if len(rows.names) > 1 else np.arange(len(nanos))
+    sorted_nanos = nanos if len(rows.names) == 1 else nanos[np.argsort(rows.indices, kind="stable")]
     begins = np.concatenate([[0], np.cumsum(counts)[:-1]])[counts > 0]
-    sorted_nanos = nanos[order]
     same = np.minimum.reduceat(sorted_nanos, begins) == np.maximum.reduceat(sorted_nanos, begins)
     numbers = np.flatnonzero(counts)[same]
     numbers = numbers[counts[numbers] >= _ROWS_AT_ONCE]
