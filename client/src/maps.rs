@@ -128,6 +128,8 @@ pub struct GridSummary {
     pub cell_observations: u64,
     /// The smallest box of whole tiles that contains every tile.
     pub bounds: Option<CellBox>,
+    /// The cells of a picture of the whole grid.
+    pub region: Option<CellBox>,
     /// Number of the pending scans that wait because their time is ahead of the daemon's clock.
     pub ahead_scans: u64,
 }
@@ -308,6 +310,7 @@ fn summary_from_wire(summary: &v1::GridSummary) -> GridSummary {
         pending_scans: summary.pending_scans,
         cell_observations: summary.cell_observations,
         bounds: summary.bounds.as_ref().map(cell_box_from_wire),
+        region: summary.region.as_ref().map(cell_box_from_wire),
         ahead_scans: summary.ahead_scans,
     }
 }

@@ -5,8 +5,10 @@
 
 use std::collections::VecDeque;
 
+use tidemap_grid::index::CellBox;
 use tidemap_proto::{
     convert::{
+        grid::cell_box_to_wire,
         traversals::{BATCH_TEXT_BYTES_MAX, wire_bytes},
         vectors::shape_to_wire,
     },
@@ -22,7 +24,7 @@ use super::{
 use crate::maps::StateShape;
 
 /// Maximum number of bytes of a request in addition to its batch.
-const REQUEST_BYTES_EXTRA: usize = 16;
+const REQUEST_BYTES_EXTRA: usize = 64;
 
 /// Limits of one message.
 #[derive(Clone, Copy, Debug)]
@@ -135,8 +137,13 @@ impl Outgoing {
         // Before the first scan of a connection everything else must be acknowledged.
         let stream = self.scans.get_or_insert_with(|| ScanStream::new(window.base()));
         let (count, messages) = stream.pack(waiting, window.tiles(), first_sequence, limits);
+        let sent = window.scans_to_send(limits.scans, limits.bytes, urgent).take(count);
+        let shown = sent.fold(CellBox::default(), |all, scan| all.union(&scan.shown()));
         window.sent(count);
         self.parts = messages.into();
+        if let Some(first) = self.parts.front_mut().filter(|_| !shown.is_empty()) {
+            first.shown = Some(cell_box_to_wire(&shown));
+        }
         self.parts.pop_front().map(Message::Scans)
     }
 }

@@ -3,7 +3,10 @@
 //! Invariant: a scan is sent as given; the daemon checks whether it is valid for the map.
 
 pub use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use tidemap_grid::{index::TileIndex, mask::TileMasks};
+use tidemap_grid::{
+    index::{CellBox, TileIndex},
+    mask::TileMasks,
+};
 use tidemap_proto::{
     convert::grid::pose_to_wire,
     v1::{self, scan::Content},
@@ -51,6 +54,13 @@ pub struct RangeScan {
 pub enum Scan {
     /// The tiles that were seen, none twice. Only the difference to the previous scan of the producer is sent.
     Tiles(Vec<(TileIndex, TileMasks)>),
+    /// A map: tiles, and the cells that it is a picture of, known and unknown ones, whose size the daemon remembers.
+    Map {
+        /// The tiles with known cells, none twice.
+        tiles: Vec<(TileIndex, TileMasks)>,
+        /// The size of the map.
+        shown: CellBox,
+    },
     /// A point cloud.
     Cloud(PointCloud),
     /// A planar range scan.

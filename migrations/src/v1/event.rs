@@ -190,4 +190,7 @@ pub struct Scans {
     /// frame.
     #[prost(uint32, repeated, tag = "22")]
     pub refused_reasons: Vec<u32>,
+    /// The cells that its scans are pictures of; absent if none said so.
+    #[prost(message, optional, tag = "23")]
+    pub shown: Option<super::map::CellBox>,
 }

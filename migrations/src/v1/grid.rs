@@ -35,6 +35,9 @@ pub struct Grid {
     /// When the first of the scans in `days` and `ahead` was received, or earlier; absent if there are none.
     #[prost(sint64, optional, tag = "8")]
     pub received_nanos: Option<i64>,
+    /// The cells that its scans are pictures of; absent if none said so.
+    #[prost(message, optional, tag = "9")]
+    pub shown: Option<super::map::CellBox>,
 }
 
 /// The current state of a tile, after the newest scans.

@@ -63,7 +63,7 @@ pub struct Total {
 }
 
 /// What a generation publishes of a grid besides its tiles.
-#[derive(Clone, Copy, PartialEq, Eq, prost::Message)]
+#[derive(Clone, PartialEq, prost::Message)]
 pub struct GridMark {
     /// Number of tiles.
     #[prost(uint32, tag = "1")]
@@ -77,6 +77,9 @@ pub struct GridMark {
     /// Observations of single cells in them.
     #[prost(uint64, tag = "4")]
     pub cell_observations: u64,
+    /// The cells that its scans are pictures of; absent if none said so.
+    #[prost(message, optional, tag = "5")]
+    pub shown: Option<super::map::CellBox>,
 }
 
 /// The generation of a map that the rows make up.

@@ -80,7 +80,7 @@ pub fn grid_to_wire(spec: &GridSpec) -> v1::Grid {
 /// Counters of a grid, for the wire.
 #[must_use]
 pub fn grid_summary_to_wire(grid: &GridView) -> v1::GridSummary {
-    let bounds = grid.bounds();
+    let (bounds, region) = (grid.bounds(), grid.region());
     v1::GridSummary {
         tiles: grid.tiles() as u64,
         scans: grid.scans(),
@@ -88,6 +88,7 @@ pub fn grid_summary_to_wire(grid: &GridView) -> v1::GridSummary {
         cell_observations: grid.cell_observations(),
         bounds: (!bounds.is_empty()).then(|| cell_box_to_wire(&bounds)),
         ahead_scans: grid.scans_ahead(),
+        region: (!region.is_empty()).then(|| cell_box_to_wire(&region)),
     }
 }
 

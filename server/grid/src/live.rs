@@ -11,7 +11,7 @@ use crate::{
     day::GridDay,
     fade::HalfLife,
     generation::Generation,
-    index::{TileId, TileIndex},
+    index::{CellBox, TileId, TileIndex},
     live_tile::{LiveTile, ScanRun},
     mask::TileMasks,
     sensors::{InvalidSensor, ProducerSensor, SensorId, Sensors},
@@ -53,6 +53,7 @@ pub struct GridBasis {
     future: Vec<FutureScan>,
     scans: u64,
     cell_observations: u64,
+    shown: CellBox,
     /// When the first of the scans that stay pending was received, or earlier; nanoseconds UTC. `None` until the map
     /// sets it.
     pub received_nanos: Option<i64>,
@@ -86,6 +87,8 @@ pub struct LiveGrid {
     dirty: Vec<bool>,
     pub(crate) scans: u64,
     pub(crate) cell_observations: u64,
+    /// The smallest box of all that scans said to show.
+    pub(crate) shown: CellBox,
 }
 
 impl LiveGrid {
@@ -112,6 +115,7 @@ impl LiveGrid {
             dirty: Vec::new(),
             scans: 0,
             cell_observations: 0,
+            shown: CellBox::default(),
         }
     }
 
@@ -128,6 +132,7 @@ impl LiveGrid {
         grid.future = snapshot.future;
         grid.scans = snapshot.scans;
         grid.cell_observations = snapshot.cell_observations;
+        grid.shown = snapshot.shown;
         grid.count_pending();
         grid
     }
@@ -158,6 +163,7 @@ impl LiveGrid {
             future: self.future.clone(),
             scans: self.scans,
             cell_observations: self.cell_observations,
+            shown: self.shown,
             received_nanos: None,
         };
         (work, basis, newest_future)
@@ -167,7 +173,7 @@ impl LiveGrid {
     pub fn finish_update(&mut self, basis: GridBasis, generation: Generation, sums: Vec<SumsSlot>) -> GridSnapshot {
         self.generation = Arc::new(generation);
         self.sums = sums;
-        let GridBasis { tiles, last_seen, days, future, scans, cell_observations, received_nanos } = basis;
+        let GridBasis { tiles, last_seen, days, future, scans, cell_observations, shown, received_nanos } = basis;
         GridSnapshot {
             tiles,
             models: self.generation.models.clone(),
@@ -177,6 +183,7 @@ impl LiveGrid {
             future,
             scans,
             cell_observations,
+            shown,
             received_nanos,
         }
     }

@@ -67,11 +67,11 @@ pub struct GridQuestion {
 /// The tiles that overlap the region of a query.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GridSelection {
-    /// The region cut to the existing tiles; with projection, the layer z = 0.
+    /// The region cut to [`GridView::region`]; with projection, the layer z = 0.
     pub region: CellBox,
     /// The tiles, in the order of the answer.
     pub tiles: Vec<(TileIndex, TileId)>,
-    /// Cells of these tiles.
+    /// Cells of these tiles within the region; with projection, of all its layers.
     pub cells: u64,
     /// Tiles of the answer: fewer than `tiles` where projected.
     pub tile_count: u64,
@@ -178,28 +178,22 @@ impl Shape {
 impl GridView {
     /// The tiles of a query.
     pub fn select(&self, question: &GridQuestion) -> GridSelection {
+        let whole = self.region();
+        let mut region = question.region.map_or(whole, |region| region.intersection(&whole));
         let mut tiles = match &question.region {
             None => self.ids.iter().map(|(&index, &id)| (index, id)).collect(),
-            Some(region) => self.tiles_reaching(region),
+            Some(_) => self.tiles_reaching(&region),
         };
         tiles.sort_unstable_by_key(|&(index, _)| match question.project {
             false => (index.z, index.y, index.x),
             true => (index.y, index.x, index.z),
         });
         let none = CellBox { min: CellIndex::default(), max: CellIndex::default() };
-        let bounds = tiles.iter().fold(none, |bounds, (index, _)| bounds.union(&index.cells()));
-        let mut region = question.region.map_or(bounds, |region| region.intersection(&bounds));
-        if self.spec.is_flat {
-            region = region.intersection(&CellBox {
-                min: CellIndex { z: 0, ..region.min },
-                max: CellIndex { z: 1, ..region.max },
-            });
-        }
-        if region.is_empty() {
+        if region.is_empty() || tiles.is_empty() {
             (region, tiles) = (none, Vec::new());
         }
-        let layers = if self.spec.is_flat { 1 } else { TILE_EDGE as u64 };
-        let cells = tiles.len() as u64 * layers * (TILE_EDGE * TILE_EDGE) as u64;
+        let within = |(index, _): &(TileIndex, TileId)| index.cells().intersection(&region).count() as u64;
+        let cells = tiles.iter().map(within).sum();
         let (values_at_most, tile_count) = if question.project {
             let columns = tiles.chunk_by(|(one, _), (next, _)| same_column(*one, *next)).count() as u64;
             (region.min.z, region.max.z) = if tiles.is_empty() { (0, 0) } else { (0, 1) };

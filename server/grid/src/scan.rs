@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 
-use crate::index::{TILE_CELLS, TileId, TileIndex};
+use crate::index::{CellBox, TILE_CELLS, TileId, TileIndex};
 
 /// A cell of a map: tile and place there as one number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -56,4 +56,6 @@ pub struct Scans {
     pub new_tiles: Vec<TileIndex>,
     /// The accepted scans.
     pub scans: Vec<LoggedScan>,
+    /// The cells that they are pictures of, known and unknown ones; empty if they do not say.
+    pub shown: CellBox,
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::{
     day::{GridDay, ScanTime},
-    index::TileId,
+    index::{CellBox, TileId},
     live_tile::LiveTile,
     mask::TileMasks,
     tile::{ModelSlot, SumsSlot},
@@ -40,6 +40,8 @@ pub struct GridSnapshot {
     pub scans: u64,
     /// Observations of single cells in them.
     pub cell_observations: u64,
+    /// The smallest box of all that scans said to show; empty if none did.
+    pub shown: CellBox,
     /// When the first of the pending scans was received, or earlier; nanoseconds UTC of the server's clock.
     pub received_nanos: Option<i64>,
 }
@@ -57,6 +59,7 @@ impl GridSnapshot {
             future: Vec::new(),
             scans: self.scans,
             cell_observations: self.cell_observations,
+            shown: self.shown,
             received_nanos: None,
         }
     }

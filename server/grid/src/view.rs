@@ -20,8 +20,11 @@ use crate::{
     sensors::Sensors,
     spec::GridSpec,
     tempering::answers,
-    tile::{TileModel, TileUnavailable},
+    tile::{ModelSlot, TileModel, TileUnavailable},
 };
+
+/// Largest extent of a grid whose pictures always have its size.
+pub const EXTENT_CELLS_MAX: u128 = 1 << 24;
 
 /// An immutable picture of a grid.
 #[derive(Clone, Debug)]
@@ -37,6 +40,7 @@ pub struct GridView {
     pub(crate) pending_scans: u64,
     pub(crate) scans_ahead: u64,
     pub(crate) cell_observations: u64,
+    pub(crate) shown: CellBox,
 }
 
 /// The prediction of one tile at one time.
@@ -114,6 +118,7 @@ impl GridView {
             pending_scans: grid.pending_scans() + grid.future(),
             scans_ahead: grid.future(),
             cell_observations: grid.cell_observations,
+            shown: grid.shown,
         }
     }
 
@@ -175,6 +180,34 @@ impl GridView {
         self.ids.keys().fold(empty, |bounds, index| bounds.union(&index.cells()))
     }
 
+    /// The cells of a picture of the whole grid: the extent, where the grid has one of at most [`EXTENT_CELLS_MAX`];
+    /// else the smallest box of all known cells and of what scans said to show. Empty if no cell is known.
+    pub fn region(&self) -> CellBox {
+        let empty = CellBox { min: CellIndex::default(), max: CellIndex::default() };
+        let known = self.ids.iter().fold(empty, |known, (index, &id)| {
+            let tile = index.cells();
+            if known.intersection(&tile) == tile {
+                return known;
+            }
+            known.union(&self.known_of(id).map_or(tile, |cells| known_box(*index, cells)))
+        });
+        match self.spec.extent {
+            _ if known.is_empty() => empty,
+            Some(extent) if extent.count() <= EXTENT_CELLS_MAX => extent,
+            _ => known.union(&self.shown).intersection(&self.spec.allowed()),
+        }
+    }
+
+    /// The known cells of a tile; `None` where only the disk knows them.
+    fn known_of(&self, id: TileId) -> Option<Mask> {
+        let live = self.live(id).map(|live| live.known);
+        match self.generation.model(id) {
+            Some(ModelSlot::Cold(_)) => live,
+            Some(ModelSlot::Resident(model)) => Some(live.unwrap_or(Mask::EMPTY) | model.observed()),
+            None => Some(live.unwrap_or(Mask::EMPTY)),
+        }
+    }
+
     /// The tiles that reach into a box, by place: z, then y, then x ascending.
     pub fn tiles_in(&self, region: &CellBox) -> Vec<(TileIndex, TileId)> {
         let reaches = |index: &&TileIndex| !index.cells().intersection(region).is_empty();
@@ -189,7 +222,7 @@ impl GridView {
     /// # Errors
     /// [`TileUnavailable`] where it cannot be read from the disk.
     pub fn model(&self, tile: TileId) -> Result<Arc<TileModel>, TileUnavailable> {
-        self.generation.model(tile).map_or_else(|| Ok(Arc::default()), crate::tile::ModelSlot::get)
+        self.generation.model(tile).map_or_else(|| Ok(Arc::default()), ModelSlot::get)
     }
 
     /// The probability of each cell of a tile at one time, given in nanoseconds UTC and as phasors on the map's civil
@@ -327,6 +360,26 @@ impl GridView {
             description.spectral = SpectralModel::from_parts(level, group.observations, Vec::new()).unwrap_or_default();
         }
         description
+    }
+}
+
+/// The smallest box of some cells of a tile.
+fn known_box(index: TileIndex, known: Mask) -> CellBox {
+    let layer = known.0.iter().fold(0, |all, layer| all | layer);
+    // The bits of all rows of a layer in one byte.
+    let columns = layer.to_le_bytes().into_iter().fold(0, |all, row| all | row);
+    let (mut rows, mut layers) = (0_u8, 0_u8);
+    for bit in 0..8 {
+        rows |= u8::from(layer >> (8 * bit) & 0xff != 0) << bit;
+        layers |= u8::from(known.0[bit as usize] != 0) << bit;
+    }
+    let cells = index.cells();
+    let first = |bits: u8| bits.trailing_zeros().min(8) as i32;
+    let beyond = |bits: u8| 8 - bits.leading_zeros() as i32;
+    let at = |x: i32, y: i32, z: i32| CellIndex { x: cells.min.x + x, y: cells.min.y + y, z: cells.min.z + z };
+    CellBox {
+        min: at(first(columns), first(rows), first(layers)),
+        max: at(beyond(columns), beyond(rows), beyond(layers)),
     }
 }
 

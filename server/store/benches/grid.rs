@@ -80,6 +80,7 @@ fn events(random: &mut SmallRng, flips_per_scan: usize) -> Vec<Event> {
                     Vec::new()
                 },
                 scans,
+                ..Scans::default()
             },
         ));
     }

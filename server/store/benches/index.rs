@@ -130,6 +130,7 @@ fn grid(spec: &MapSpec, seed: u64) -> GridSnapshot {
         future: Vec::new(),
         scans: 17_200,
         cell_observations: 17_200 * 213_504,
+        shown: tidemap_grid::index::CellBox::default(),
         received_nanos: None,
     }
 }

@@ -40,7 +40,7 @@ pub(crate) fn message(first_sequence: u64, new_tiles: &[i32], scans: Vec<Content
         first_time_nanos: NOON_NANOS + first_sequence.cast_signed() * 1_000_000_000,
         time_deltas,
         scans: scans.into_iter().map(|content| Scan { content: Some(content) }).collect(),
-        continues: false,
+        ..ScanBatch::default()
     }
 }
 

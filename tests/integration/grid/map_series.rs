@@ -100,6 +100,76 @@ async fn probabilities_of_a_map_are_rounded_or_left_out_and_counted() {
     }
 }
 
+/// The map at a time, as written: size, origin line, and pixels.
+fn written(daemon: &Daemon, folder: &Path, more: &[&str]) -> ([usize; 2], String, Vec<u8>) {
+    let out = folder.join("out.pgm");
+    let path = out.to_str().expect("a path of text");
+    let words = ["grid", "predict", MAP, "--at", "2025-03-10T09:00:00Z", "--out", path];
+    cli::tidemap(daemon, words.iter().chain(more)).table();
+    let image = fs::read(&out).expect("an image");
+    let header: Vec<&[u8]> = image.splitn(4, |&byte| byte == b'\n').collect();
+    let size = std::str::from_utf8(header[1]).expect("text").split(' ').map(|text| text.parse().expect("a number"));
+    let yaml = fs::read_to_string(folder.join("out.yaml")).expect("settings");
+    let origin = yaml.lines().find(|line| line.starts_with("origin")).unwrap_or_default().to_owned();
+    (size.collect::<Vec<usize>>().try_into().expect("two numbers"), origin, header[3].to_vec())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_comes_out_as_it_came_in() {
+    let (data, daemon) = hall().await;
+    // Unknown cells all around, so that no known cell says how large the map is.
+    let pixels = [205, 205, 205, 205, 205, 0, 254, 205];
+    let file = [saved(data.path(), "hall", "trinary", pixels)];
+    let at = ["--at", "2025-03-10T09:00:00Z"];
+    observe(&daemon, &file, &at).table();
+    let latest = ["--model", "latest"];
+    let expected = ([4, 2], "origin: [-15.2, 3.05, 0.0]".to_owned(), pixels.to_vec());
+    assert_eq!(written(&daemon, data.path(), &latest), expected);
+    cli::tidemap(&daemon, ["update", MAP]).table();
+    assert_eq!(written(&daemon, data.path(), &[]), expected, "after an update");
+    let shown = cli::tidemap(&daemon, ["map", "show", MAP]);
+    assert_eq!(shown.code, Some(0), "{}", shown.stderr);
+    daemon.stop_in_order();
+    let daemon = Launch::on(data.path()).start();
+    assert_eq!(written(&daemon, data.path(), &[]), expected, "after a restart");
+    // Probabilities: what is between is rounded, and nothing else changes.
+    let file = [saved(data.path(), "scale", "scale", [0, 255, 0, 255, 0, 0, 255, 255])];
+    observe(&daemon, &file, &["--at", "2025-03-10T10:00:00Z", "--label", "scale"]).table();
+    let (_, origin, pixels) = written(&daemon, data.path(), &["--model", "latest", "--pgm-mode", "scale"]);
+    assert_eq!((origin, pixels), (expected.1, vec![0, 255, 0, 255, 0, 0, 255, 255]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_the_cells_that_are_asked_for_are_counted() {
+    let data = tempfile::tempdir().expect("a folder");
+    // Tiles of a grid that is not flat have 512 cells; the map has one layer of them.
+    let daemon = Launch::on(data.path()).setting("max_predictions", 100_000).start();
+    let map = NewMap { name: MAP.to_owned(), grid: Some(GridSpec::new(0.05)), ..NewMap::default() };
+    daemon.client().create_map(map).await.expect("a new map");
+    let (width, height) = (403, 302);
+    let saved = |name: &str, height: usize| {
+        let image = [format!("P5\n{width} {height}\n255\n").into_bytes(), vec![254; width * height]].concat();
+        fs::write(data.path().join(format!("{name}.pgm")), image).expect("an image");
+        let yaml = format!(
+            "image: {name}.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+        );
+        let path = data.path().join(format!("{name}.yaml"));
+        fs::write(&path, yaml).expect("a file of settings");
+        path.to_str().expect("a path of text").to_owned()
+    };
+    let at = ["--at", "2025-03-10T09:00:00Z"];
+    observe(&daemon, &[saved("part", 200)], &at).table();
+    let (size, _, _) = written(&daemon, data.path(), &[]);
+    assert_eq!(size, [width, 200], "80,600 cells are less than 100,000");
+    observe(&daemon, &[saved("whole", height)], &[&at[..], &["--label", "whole"]].concat()).table();
+    let out = data.path().join("all.pgm");
+    let words = ["grid", "predict", MAP, "--at", "2025-03-10T09:00:00Z", "--out", out.to_str().expect("text")];
+    let refused = cli::tidemap(&daemon, words);
+    refused.fails(1, &["121706", "100000", "--region X0:X1,Y0:Y1", "--z MIN:MAX", "flat"]);
+    let part = written(&daemon, data.path(), &["--region", "0:5,0:5"]);
+    assert_eq!(part.0, [100, 100]);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn other_files_name_the_command_that_takes_them() {
     let (data, daemon) = hall().await;

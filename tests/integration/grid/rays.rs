@@ -145,7 +145,7 @@ fn question(map: &str) -> GridQuery {
 async fn grid_questions_that_make_no_sense_are_refused_by_name() {
     use tidemap_client::{maps::NewMap, queries::GridOutput};
     let data = tempfile::tempdir().expect("a folder");
-    let daemon = tidemap_tests::daemon::Launch::on(data.path()).setting("max_predictions", 700).start();
+    let daemon = tidemap_tests::daemon::Launch::on(data.path()).setting("max_predictions", 9).start();
     let client = daemon.client();
     for (name, grid) in [(MAP, Some(coarse())), ("bare", None)] {
         let map = NewMap { name: name.to_owned(), grid, ..NewMap::default() };
@@ -165,13 +165,13 @@ async fn grid_questions_that_make_no_sense_are_refused_by_name() {
             Code::InvalidArgument,
             ["order", "16"],
         ),
-        // Two tiles.
-        (question(MAP), Code::ResourceExhausted, ["1024", "max_predictions"]),
+        // Nine cells up to the end of the ray, and this one.
+        (question(MAP), Code::ResourceExhausted, ["10", "max_predictions"]),
     ] {
         refused(&client, &query, code, &words).await;
     }
     let estimate = client.estimate_grid(&question(MAP)).await.expect("an estimate is cheap");
-    assert_eq!((estimate.tiles, estimate.cells), (2, 1024));
+    assert_eq!((estimate.tiles, estimate.cells), (2, 10));
     for (cell, code) in [
         ("cell/0/9/0", None),
         ("cell/0/90/0", Some(Code::NotFound)),

@@ -8,7 +8,7 @@ use prost::Message as _;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 use tidemap_client::{
-    maps::{GridSpec, NewMap},
+    maps::{CellBox, GridSpec, NewMap},
     observe::{
         Producer, ProducerOptions,
         scan::Scan,
@@ -40,7 +40,8 @@ fn get(daemon: &Daemon, path: &str, headers: &[(&str, &str)]) -> Answer {
     request(&daemon.http, "GET", &format!("/api/v1/maps/{path}"), headers, b"")
 }
 
-/// A flat grid of 0.5 m, with one tile at x = 4 m: its lowest row free, the next one occupied, the others unknown.
+/// A flat grid of 0.5 m, with a map of one tile at x = 4 m: its lowest row free, the next one occupied, the others
+/// unknown.
 async fn daemon_with_a_grid() -> (TempDir, Daemon) {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
@@ -50,7 +51,9 @@ async fn daemon_with_a_grid() -> (TempDir, Daemon) {
     let options = ProducerOptions::new("robot", "", "yard");
     let mut producer = Producer::open(&daemon.client(), options).await.expect("a Welcome");
     let masks = TileMasks::clipped(Mask([0xFFFF, 0, 0, 0, 0, 0, 0, 0]), Mask([0xFF00, 0, 0, 0, 0, 0, 0, 0]));
-    let scan = Scan::Tiles(vec![(TileIndex { x: 1, y: 0, z: 0 }, masks)]);
+    let index = TileIndex { x: 1, y: 0, z: 0 };
+    let shown = CellBox { min: [8, 0, 0].into(), max: [16, 8, 1].into() };
+    let scan = Scan::Map { tiles: vec![(index, masks)], shown };
     producer.send_scan(NOON_SECS * 1_000_000_000, scan).await.expect("taken");
     producer.flush().await.expect("durable");
     assert_eq!(producer.take_refusals(), []);
@@ -85,7 +88,7 @@ async fn heights_of_a_grid_are_selected() {
     assert_eq!(pixels(&get("&z=0.5:1")), (8, 8, vec![FREE; 64]));
     assert_eq!(pixels(&get("")), (8, 8, vec![OCCUPIED; 64]), "from 0.1 m, which is within the floor's cells");
     let none = get("&z=9:10");
-    assert!(none.code == 400 && none.text().contains("0.00 m to 4.00 m"), "{none:?}");
+    assert!(none.code == 400 && none.text().contains("0.00 m to 1.50 m"), "{none:?}");
 }
 
 /// Width, height and pixels.

@@ -3,7 +3,7 @@
 //! Invariant: a scan of tiles is kept as its difference to the previous scan of tiles of the producer; each of its
 //! slots is among the first [`KeptScan::tiles`] of the table of the producer.
 
-use tidemap_grid::index::TileIndex;
+use tidemap_grid::index::{CellBox, TileIndex};
 use tidemap_proto::{
     convert::scans::{EncodedScan, TileError, TilePicture, TileTable, content_digest},
     v1::{self, scan::Content},
@@ -19,6 +19,7 @@ pub struct KeptScan {
     digest: u64,
     tiles: usize,
     content: Content,
+    shown: CellBox,
 }
 
 impl KeptScan {
@@ -46,6 +47,12 @@ impl KeptScan {
         &self.content
     }
 
+    /// The cells that it is a picture of; empty if it does not say.
+    #[must_use]
+    pub fn shown(&self) -> CellBox {
+        self.shown
+    }
+
     /// Maximum number of bytes on the wire, without tiles that must be sent again.
     #[must_use]
     pub fn bytes(&self) -> usize {
@@ -67,15 +74,16 @@ impl Window {
     /// # Errors
     /// [`TileError`]; it is then not accepted.
     pub fn push_scan(&mut self, time_nanos: i64, scan: Scan) -> Result<u64, TileError> {
+        let shown = if let Scan::Map { shown, .. } = &scan { *shown } else { CellBox::default() };
         let (content, digest) = match scan {
-            Scan::Tiles(seen) => {
-                let EncodedScan { scan, digest, .. } = self.tiles.encode(&seen)?;
+            Scan::Tiles(tiles) | Scan::Map { tiles, .. } => {
+                let EncodedScan { scan, digest, .. } = self.tiles.encode(&tiles)?;
                 (Content::Tiles(scan), digest)
             }
             Scan::Cloud(cloud) => digested(Content::Cloud(cloud.into())),
             Scan::Ranges(ranges) => digested(Content::Ranges(ranges.into())),
         };
-        Ok(self.keep(time_nanos, digest, content))
+        Ok(self.keep(time_nanos, digest, content, shown))
     }
 
     /// Pushes a scan as on the wire; its slots are those of the tiles so far, including `new_tiles`.
@@ -92,12 +100,12 @@ impl Window {
             }
             points => digested(points),
         };
-        Ok(self.keep(time_nanos, digest, content))
+        Ok(self.keep(time_nanos, digest, content, CellBox::default()))
     }
 
-    fn keep(&mut self, time_nanos: i64, digest: u64, content: Content) -> u64 {
+    fn keep(&mut self, time_nanos: i64, digest: u64, content: Content, shown: CellBox) -> u64 {
         let tiles = self.tiles.tiles().len();
-        self.take(Item::Scan(Box::new(KeptScan { time_nanos, digest, tiles, content })))
+        self.take(Item::Scan(Box::new(KeptScan { time_nanos, digest, tiles, content, shown })))
     }
 
     /// Continues from the table of tiles after the last scan that the daemon has.

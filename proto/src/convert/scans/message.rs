@@ -4,8 +4,10 @@
 
 use std::ops::RangeInclusive;
 
+use tidemap_grid::index::CellBox;
+
 use crate::{
-    convert::{InvalidField, sequences::sequences_from_wire},
+    convert::{InvalidField, grid::cell_box_from_wire, sequences::sequences_from_wire},
     v1::{self, scan::Content},
 };
 
@@ -54,6 +56,12 @@ impl ScanMessage {
     #[must_use]
     pub fn continues(&self) -> bool {
         self.batch.continues
+    }
+
+    /// The cells that its scans are pictures of, as sent; empty if it does not say.
+    #[must_use]
+    pub fn shown(&self) -> CellBox {
+        self.batch.shown.as_ref().map(cell_box_from_wire).unwrap_or_default()
     }
 
     /// The rays of each scan; `None`: it has none, because it is of tiles.

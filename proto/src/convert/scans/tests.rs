@@ -49,7 +49,7 @@ fn message(first: u64, new_tiles: &[i32], scans: Vec<Content>) -> v1::ScanBatch 
         first_time_nanos: 1_000_000_000 * i64::try_from(first).expect("small"),
         time_deltas: (0..scans.len()).map(|i| i64::from(i > 0)).collect(),
         scans,
-        continues: false,
+        ..v1::ScanBatch::default()
     }
 }
 

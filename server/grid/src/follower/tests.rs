@@ -53,7 +53,7 @@ proptest! {
         let mut shown = [[Mask::EMPTY; 2]; TILES as usize];
         let mut grid = empty();
         let before = scans[..begin].iter().enumerate().map(|(number, scan)| logged(number, scan, &mut shown)).collect();
-        apply(&mut grid, &Scans { new_tiles: (0..TILES - 1).map(index).collect(), scans: before });
+        apply(&mut grid, &Scans { new_tiles: (0..TILES - 1).map(index).collect(), scans: before, ..Scans::default() });
         let view = GridView::new(&mut grid);
         let cells = wanted.iter().map(|&(tile, cell)| index(tile).cell(cell));
         let mut follower = CellFollower::new(&view, cells);
@@ -71,7 +71,7 @@ proptest! {
         }
         let mut found = Vec::new();
         if !after.is_empty() {
-            let after = Scans { new_tiles: vec![index(TILES - 1)], scans: after };
+            let after = Scans { new_tiles: vec![index(TILES - 1)], scans: after, ..Scans::default() };
             apply(&mut grid, &after);
             follower.pass(&after, |scan, reading| found.push((scan, reading)));
         }

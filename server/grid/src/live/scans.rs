@@ -130,6 +130,7 @@ impl LiveGrid {
         for &index in &event.new_tiles {
             self.add_tile(Arc::new(LiveTile::new(index)));
         }
+        self.shown = self.shown.union(&event.shown);
         let mut newest = None;
         for scan in &event.scans {
             if self.take_in_scan(scan, sensor, plausible_nanos) {

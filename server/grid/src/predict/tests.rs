@@ -126,6 +126,7 @@ fn view(tiles: &[(TileIndex, Tile)], sensor: SensorNoise, others: usize, is_flat
         pending_scans: 0,
         scans_ahead: 0,
         cell_observations: 0,
+        shown: CellBox::default(),
     }
 }
 
@@ -277,6 +278,42 @@ fn a_flat_grid_has_64_cells_a_tile() {
     assert_eq!((all.cells, all.region.count(), all.values_at_most), (64, 64, 1));
     let above = CellBox { min: cell(0, 0, 1), max: cell(8, 8, 8) };
     assert!(grid.select(&GridQuestion { region: Some(above), ..GridQuestion::default() }).tiles.is_empty());
+}
+
+#[test]
+fn a_picture_has_the_size_of_what_is_known_and_of_what_was_shown() {
+    let mut some = Mask::EMPTY;
+    some.insert(2 + 8 * 3);
+    some.insert(5 + 8 * 4 + 64);
+    let tile = |learned| Tile {
+        learned,
+        always: Mask::EMPTY,
+        cells: Vec::new(),
+        seen: vec![(some, Mask::EMPTY, 0)],
+        learned_others: None,
+    };
+    let at = |x, y| TileIndex { x, y, z: 0 };
+    let select = |grid: &GridView, region| grid.select(&GridQuestion { region, ..GridQuestion::default() });
+    let mut grid = view(&[(at(0, 0), tile(Mask::EMPTY))], SensorNoise::default(), 0, false);
+    let known = CellBox { min: cell(2, 3, 0), max: cell(6, 5, 2) };
+    assert_eq!(grid.region(), known, "the cells that were seen");
+    // Four columns, two rows and two layers.
+    assert_eq!((select(&grid, None).region, select(&grid, None).cells), (known, 16));
+    grid.shown = CellBox { min: cell(-30, 0, 0), max: cell(5, 40, 1) };
+    let both = CellBox { min: cell(-30, 0, 0), max: cell(6, 40, 2) };
+    assert_eq!(grid.region(), both);
+    assert_eq!((select(&grid, None).region, select(&grid, None).cells), (both, 6 * 8 * 2));
+    let part = CellBox { min: cell(-10, 0, 0), max: cell(3, 99, 1) };
+    assert_eq!(select(&grid, Some(part)).region, CellBox { max: cell(3, 40, 1), ..part }, "unknown cells as well");
+    let extent = CellBox { min: cell(-100, -100, 0), max: cell(100, 100, 4) };
+    grid.spec = Arc::new(GridSpec { extent: Some(extent), ..GridSpec::clone(&grid.spec) });
+    assert_eq!(grid.region(), extent, "a grid with a size always has this size");
+    let wide = CellBox { min: cell(-10_000, -10_000, 0), max: cell(10_000, 10_000, 4) };
+    grid.spec = Arc::new(GridSpec { extent: Some(wide), ..GridSpec::clone(&grid.spec) });
+    assert_eq!(grid.region(), both, "unless it is too large");
+    let mut none = view(&[], SensorNoise::default(), 0, false);
+    none.shown = both;
+    assert!(none.region().is_empty() && select(&none, None).tiles.is_empty(), "nothing is known");
 }
 
 #[test]

@@ -30,7 +30,11 @@ fn fixed_day(day: i64, tiles: u32) -> Scans {
         occupied_flips: (0..tiles).map(|tile| CellRef(tile * 512 + u32::try_from(number).expect("small"))).collect(),
     };
     let new_tiles = (0..i32::try_from(tiles).expect("few")).map(|x| TileIndex { x, y: 0, z: 0 });
-    Scans { new_tiles: if day == 0 { new_tiles.collect() } else { Vec::new() }, scans: (0..8).map(scan).collect() }
+    Scans {
+        new_tiles: if day == 0 { new_tiles.collect() } else { Vec::new() },
+        scans: (0..8).map(scan).collect(),
+        ..Scans::default()
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use tidemap_grid::{
-    index::TileIndex,
+    index::{CellBox, TileIndex},
     mask::TileMasks,
     raycast::{CastError, CastLimits, Readings, cast},
     spec::GridSpec,
@@ -49,6 +49,8 @@ pub(super) struct ScanIntake {
     limits: ScanLimits,
     /// Tiles that the current message adds to the stream's table, until they are handed over.
     new_tiles: Vec<TileIndex>,
+    /// What the scans of the current message are pictures of, until it is handed over.
+    shown: CellBox,
     /// The cost of rays; `None` without a grid.
     ray_cells: Option<RayCells>,
     /// Cells of an unfinished scan.
@@ -67,6 +69,7 @@ impl ScanIntake {
             cast_table: CastTable::new(limits.tiles),
             limits,
             new_tiles: Vec::new(),
+            shown: CellBox::default(),
             ray_cells: grid.map(RayCells::new),
             open_cells: 0,
             is_much_work: false,
@@ -156,6 +159,10 @@ impl Intake {
         let all = self.scans.take_open_cells().saturating_add(self.scans.cells_of(&message));
         self.scans.open_cells = if message.continues() { all } else { 0 };
         self.scans.is_much_work = all > CELLS_AT_ONCE;
+        self.scans.shown = self.scans.spec.as_ref().map_or_else(CellBox::default, |spec| {
+            let shown = message.shown().intersection(&spec.allowed());
+            if shown.is_empty() { CellBox::default() } else { shown }
+        });
         self.scans.new_tiles = self.scans.decoder.begin(message)?;
         if self.scans.spec.is_none() {
             // Without a grid no scans are handed over, so that nobody needs the tiles.
@@ -171,7 +178,8 @@ impl Intake {
     pub(crate) fn next_scans(&mut self) -> Result<Option<ScanBatch>, IntakeError> {
         let new_tiles = std::mem::take(&mut self.scans.new_tiles);
         let span = SequenceSpan { first: self.next_sequence, ..SequenceSpan::default() };
-        let mut batch = ScanBatch { span, new_tiles, ..ScanBatch::default() };
+        let shown = std::mem::take(&mut self.scans.shown);
+        let mut batch = ScanBatch { span, new_tiles, shown, ..ScanBatch::default() };
         batch.bytes = 4 * SCAN_BYTES + batch.new_tiles.len() * SCAN_BYTES;
         let mut is_empty = batch.new_tiles.is_empty();
         let permit = self.scans.is_much_work.then(effort::permit);

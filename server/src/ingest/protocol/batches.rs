@@ -4,7 +4,10 @@
 
 use std::sync::Arc;
 
-use tidemap_grid::{index::TileIndex, log_head::StreamScan};
+use tidemap_grid::{
+    index::{CellBox, TileIndex},
+    log_head::StreamScan,
+};
 use tidemap_map::{
     event::{Position, SequenceSpan, StateShape},
     ids::RefusalReason,
@@ -104,6 +107,8 @@ pub(crate) struct ScanBatch {
     pub new_tiles: Vec<TileIndex>,
     /// The scans, in order.
     pub scans: Vec<CheckedScan>,
+    /// The cells that they are pictures of, within those that the grid may have; empty if they do not say.
+    pub shown: CellBox,
     /// The refused scans among the new ones.
     pub refused: Vec<RefusedObservation>,
     /// Memory of the batch, about.

@@ -4,7 +4,7 @@
 //! spread over several events if needed, in their order.
 
 use tidemap_grid::{
-    index::TileIndex,
+    index::{CellBox, TileIndex},
     log_head::{LogHead, ScanDelta, StreamTiles},
     scan::{LoggedScan, Scans},
 };
@@ -59,7 +59,7 @@ impl Sessions {
     /// Converts scans to events; adds refusals if the map has no room for more tiles. Empty: the stream is closed, or
     /// there is nothing to log.
     pub(crate) fn scan_events(&mut self, id: SessionId, batch: ScanBatch, map: &LiveMap, now: i64) -> Vec<StreamEvent> {
-        let ScanBatch { span, new_tiles, scans, mut refused, .. } = batch;
+        let ScanBatch { span, new_tiles, scans, mut shown, mut refused, .. } = batch;
         let Some(mut session) = self.sessions.remove(&id) else { return Vec::new() };
         let mut portions: Vec<(Portion, u64, u32)> = Vec::new();
         if session.open {
@@ -96,7 +96,11 @@ impl Sessions {
             let Portion { scans, new_tiles, tiles_ahead, .. } = portion;
             // A map without a grid has no events of scans; their refusals are reported as an event of observations.
             let event = match map.grid() {
-                Some(_) => Event::Scans(envelope, Scans { new_tiles, scans }),
+                Some(_) => {
+                    // Refused scans show nothing.
+                    let shown = if scans.is_empty() { CellBox::default() } else { std::mem::take(&mut shown) };
+                    Event::Scans(envelope, Scans { new_tiles, scans, shown })
+                }
                 None => Event::Observations(envelope, Observations::default()),
             };
             events.push(StreamEvent { event, refused: of_portion, tiles_ahead });

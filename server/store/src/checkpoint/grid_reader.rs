@@ -17,7 +17,7 @@ use tidemap_model::{Periodicities, PhasorSum};
 use super::tiles::{CheckpointTiles, TileOffset, TileOffsets};
 use crate::{
     record::{
-        day, tile,
+        day, spec, tile,
         tile_model::{self, EncodedSums},
         tile_set,
     },
@@ -100,6 +100,7 @@ pub(super) fn read(reader: &mut RecordReader, periodicities: &Periodicities, kee
         future: Vec::new(),
         scans: head.scans,
         cell_observations: head.cell_observations,
+        shown: spec::decode_shown(head.shown.as_ref())?,
         received_nanos: head.received_nanos,
     };
     let room = match keep {

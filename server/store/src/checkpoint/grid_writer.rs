@@ -20,7 +20,7 @@ use tidemap_model::{Periodicities, PhasorSum};
 use super::tiles::CheckpointTiles;
 use crate::{
     record::{
-        Invalid, day, doubles, tile,
+        Invalid, day, doubles, spec, tile,
         tile_model::{self, EncodedSums},
         tile_set,
     },
@@ -81,6 +81,7 @@ pub(super) fn write(
         cell_observations: grid.cell_observations,
         received_nanos: grid.received_nanos,
         last_seen,
+        shown: spec::encode_shown(&grid.shown),
     };
     writer.long(RecordKind::Grid, &head.encode_to_vec())?;
     let mut tiles = TileWriter::new(writer, periodicities, Shared::default());

@@ -29,7 +29,7 @@ use super::{
     cells::IndexedCells,
     rows::{self, ItemRows, Kind, Sum},
 };
-use crate::record::{published, site as record_site, snapshot as record, tile};
+use crate::record::{published, site as record_site, snapshot as record, spec, tile};
 
 /// States are decoded by this many threads at most.
 const THREADS_MAX: usize = 4;
@@ -61,7 +61,7 @@ pub(super) fn mark(trees: &Trees, map: u32) -> Result<MarkState, Damage> {
 /// How many items of a kind there may be.
 fn limit(mark: &Mark, kind: Kind) -> u32 {
     let snapshot = mark.snapshot.unwrap_or_default();
-    let grid = mark.grid.unwrap_or_default();
+    let grid = mark.grid.clone().unwrap_or_default();
     match kind {
         Kind::States => snapshot.states,
         Kind::Producers => snapshot.producers,
@@ -189,7 +189,7 @@ fn read_range(
 }
 
 fn read_grid(trees: &Trees, map: u32, spec: &MapSpec, mark: &Mark, raw: sled::IVec) -> Result<GridSnapshot, Damage> {
-    let of_grid = mark.grid.unwrap_or_default();
+    let of_grid = mark.grid.clone().unwrap_or_default();
     let mut tiles = Vec::new();
     each(trees, map, mark, Kind::Tiles, |item| {
         let message: v1_grid::Tile = item.message(Kind::Tiles)?;
@@ -211,6 +211,7 @@ fn read_grid(trees: &Trees, map: u32, spec: &MapSpec, mark: &Mark, raw: sled::IV
         future: Vec::new(),
         scans: of_grid.scans,
         cell_observations: of_grid.cell_observations,
+        shown: spec::decode_shown(of_grid.shown.as_ref())?,
         received_nanos: None,
     })
 }

@@ -13,7 +13,7 @@ use super::{
     Damage, KnownRows, Trees,
     rows::{self, IndexRow, Kind, Sum},
 };
-use crate::record::snapshot as record;
+use crate::record::{snapshot as record, spec};
 
 /// Rows in one batch of sled; larger batches hold its lock for too long.
 const BATCH_ROWS: usize = 32;
@@ -174,6 +174,7 @@ pub(super) fn save(
         models: grid.models.len() as u32,
         scans: grid.scans,
         cell_observations: grid.cell_observations,
+        shown: spec::encode_shown(&grid.shown),
     });
     let snapshot = Some(record::encode(snapshot));
     set_mark(trees, map, &Mark { dirty: false, snapshot, grid, totals: before.totals() })?;

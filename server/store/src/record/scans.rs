@@ -19,7 +19,7 @@ use tidemap_migrations::v1::event as v1;
 use super::{
     Invalid, columns,
     ids::{decode_new_producer, decode_refused, encode_new_producer, encode_refused},
-    offsets,
+    offsets, spec,
     tile_set::{push_set, take_set},
     varint::{CUT, push_varint, take_varint, unzigzag, zigzag},
 };
@@ -133,6 +133,7 @@ pub(super) fn encode(envelope: &Envelope, event: &Scans) -> Result<v1::Scans, In
         observed_tiles: encode_whole(&observed)?,
         refused_sequences,
         refused_reasons,
+        shown: spec::encode_shown(&event.shown),
     })
 }
 
@@ -191,7 +192,11 @@ pub(super) fn decode(message: &v1::Scans) -> Result<(Envelope, Scans), Invalid> 
             received_nanos: message.received_nanos,
             refused: decode_refused(&message.refused_sequences, &message.refused_reasons)?,
         },
-        Scans { new_tiles: decode_tiles(&message.new_tiles)?, scans },
+        Scans {
+            new_tiles: decode_tiles(&message.new_tiles)?,
+            scans,
+            shown: spec::decode_shown(message.shown.as_ref())?,
+        },
     ))
 }
 
@@ -315,7 +320,7 @@ mod tests {
             received_nanos: 0,
             refused: Vec::new(),
         };
-        let event = Scans { new_tiles: Vec::new(), scans };
+        let event = Scans { new_tiles: Vec::new(), scans, ..Scans::default() };
         let message = encode(&envelope, &event).expect("a good event");
         assert_eq!(message.observed_flips.len(), 1 + 2 + 510);
         assert!(message.observed_tiles.len() < 16);

@@ -10,6 +10,8 @@ use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_migrations::v1::map as v1;
 use tidemap_model::{EnabledModels, OrderCriterion, Periodicities, PeriodicityDefinition, Zone};
 
+use super::Invalid;
+
 /// The record of a map.
 pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
     let (harmonics_base_nanos, harmonics_count, period_nanos) = match spec.periodicities.definition() {
@@ -88,13 +90,12 @@ fn decode_retention(message: v1::Retention) -> Result<Retention, String> {
 }
 
 fn encode_grid(grid: &GridSpec) -> v1::GridSpec {
-    let corner = |cell: CellIndex| vec![cell.x, cell.y, cell.z];
     v1::GridSpec {
         frame_id: grid.frame_id.clone(),
         is_flat: grid.is_flat,
         resolution_bits: grid.resolution_m.to_bits(),
         origin_bits: grid.origin_m.iter().map(|origin| origin.to_bits()).collect(),
-        extent: grid.extent.map(|extent| v1::CellBox { min: corner(extent.min), max: corner(extent.max) }),
+        extent: grid.extent.as_ref().map(encode_box),
         hit_bits: grid.sensor.hit.to_bits(),
         false_alarm_bits: grid.sensor.false_alarm.to_bits(),
         prior_bits: grid.sensor.prior.to_bits(),
@@ -123,10 +124,46 @@ fn decode_grid(message: v1::GridSpec) -> Result<GridSpec, String> {
     Ok(grid)
 }
 
-fn decode_box(message: &v1::CellBox) -> Result<CellBox, String> {
+fn encode_box(cells: &CellBox) -> v1::CellBox {
+    let corner = |cell: CellIndex| vec![cell.x, cell.y, cell.z];
+    v1::CellBox { min: corner(cells.min), max: corner(cells.max) }
+}
+
+/// What scans said to show; `None` for nothing.
+pub(crate) fn encode_shown(cells: &CellBox) -> Option<v1::CellBox> {
+    (!cells.is_empty()).then(|| encode_box(cells))
+}
+
+/// What scans said to show, if they did.
+pub(crate) fn decode_shown(message: Option<&v1::CellBox>) -> Result<CellBox, Invalid> {
+    message.map_or(Ok(CellBox::default()), decode_box)
+}
+
+fn decode_box(message: &v1::CellBox) -> Result<CellBox, Invalid> {
     let corner = |cell: &[i32]| match *cell {
         [x, y, z] => Ok(CellIndex { x, y, z }),
-        _ => Err("a corner of the grid is not three numbers".to_owned()),
+        _ => Err("a corner of the grid is not three numbers"),
     };
     Ok(CellBox { min: corner(&message.min)?, max: corner(&message.max)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use prost::Message as _;
+
+    use super::*;
+
+    #[test]
+    fn what_scans_show_has_these_bytes() {
+        let shown = CellBox { min: CellIndex { x: -304, y: 61, z: 0 }, max: CellIndex { x: 96, y: 361, z: 1 } };
+        let message = encode_shown(&shown).expect("some cells");
+        // Two lists of zigzag varints.
+        let bytes = [0x0a, 4, 0xdf, 0x04, 0x7a, 0, 0x12, 5, 0xc0, 0x01, 0xd2, 0x05, 2];
+        assert_eq!(message.encode_to_vec(), bytes);
+        assert_eq!(decode_shown(Some(&message)), Ok(shown));
+        assert_eq!(encode_shown(&CellBox::default()), None);
+        assert_eq!(decode_shown(None), Ok(CellBox::default()), "records from before say nothing");
+        let cut = v1::CellBox { min: vec![1, 2], max: vec![3, 4, 5] };
+        assert!(decode_shown(Some(&cut)).is_err());
+    }
 }

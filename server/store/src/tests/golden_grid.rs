@@ -102,6 +102,7 @@ fn events() -> Vec<Event> {
             scan(3_000_000_000, None, vec![], [refs(0, 4..6), refs(1, 20..21)].concat()),
             scan(4_500_000_000, Some(&[1]), refs(1, 30..31), vec![]),
         ],
+        ..Scans::default()
     };
     let cut_nanos = 1_700_000_050_000_000_000;
     let other = Envelope {
@@ -117,6 +118,7 @@ fn events() -> Vec<Event> {
     let of_other = Scans {
         new_tiles: vec![TileIndex { x: 9, y: 9, z: 0 }],
         scans: vec![scan(5_000_000_000, Some(&[2]), refs(2, 0..512), vec![])],
+        ..Scans::default()
     };
     vec![
         Event::Scans(envelope, scans),
@@ -261,6 +263,7 @@ fn grid() -> GridSnapshot {
         }],
         scans: 9,
         cell_observations: 321,
+        shown: CellBox::default(),
         received_nanos: Some(1_700_000_001_000_000_000),
     }
 }

@@ -6,7 +6,7 @@ use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_grid::{
     day::{GridDay, ScanTime},
     fade::GroupFade,
-    index::{TileId, TileIndex},
+    index::{CellBox, TileId, TileIndex},
     live_tile::{Away, LiveTile},
     mask::{Mask, TileMasks},
     observation_runs::{CellRuns, DayRuns, ObservationRuns},
@@ -104,8 +104,16 @@ pub(crate) fn scans(number: u64, random: &mut SmallRng) -> Event {
                 .map(|_| TileIndex { x: random.random(), y: random.random_range(-3..3), z: 0 })
                 .collect(),
             scans,
+            shown: shown(random),
         },
     )
+}
+
+/// What scans said to show: sometimes nothing.
+fn shown(random: &mut SmallRng) -> CellBox {
+    let min: [i32; 3] = std::array::from_fn(|_| random.random_range(-4_000_000..4_000_000));
+    let size = if random.random_bool(0.5) { 0 } else { 400 };
+    CellBox { min: min.into(), max: min.map(|cell| cell + size).into() }.union(&CellBox::default())
 }
 
 /// The highest number of a sensor of a map: mostly 0, its own.
@@ -313,6 +321,7 @@ pub(crate) fn grid(spec: &MapSpec, tiles: u32, random: &mut SmallRng) -> GridSna
         future: Vec::new(),
         scans: random.random(),
         cell_observations: random.random(),
+        shown: shown(random),
         received_nanos: random.random::<bool>().then(|| random.random()),
     };
     for id in 0..tiles {

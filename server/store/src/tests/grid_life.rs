@@ -61,6 +61,7 @@ fn events() -> Vec<Event> {
             Scans {
                 new_tiles: if is_first { tiles.collect() } else { Vec::new() },
                 scans: (first..first + PER_EVENT).map(scan).collect(),
+                ..Scans::default()
             },
         ));
         if number % 2 == 1 {

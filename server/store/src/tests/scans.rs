@@ -32,7 +32,7 @@ fn event_of(scans: Vec<LoggedScan>) -> Event {
             received_nanos: 1_700_000_000_000_000_000,
             refused: Vec::new(),
         },
-        Scans { new_tiles: Vec::new(), scans },
+        Scans { new_tiles: Vec::new(), scans, ..Scans::default() },
     )
 }
 

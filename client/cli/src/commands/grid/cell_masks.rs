@@ -10,7 +10,7 @@ mod counts;
 use std::{collections::HashMap, str::FromStr};
 
 use tidemap_client::{
-    maps::{CellBox, GridSpec},
+    maps::{CellBox, CellIndex, GridSpec},
     observe::tiles::{Mask, TileIndex, TileMasks},
 };
 
@@ -37,6 +37,8 @@ pub(crate) struct GridMasks {
     /// A notice about the alignment, if there is one.
     pub(crate) notice: Option<String>,
     pub(crate) counts: CellCounts,
+    /// The cells that the map is a picture of, where it has a size.
+    pub(crate) shown: Option<CellBox>,
 }
 
 /// What becomes of a cell that a map gives a probability between free and occupied.
@@ -221,7 +223,7 @@ pub(crate) fn of_octomap(map: &OctoMap, grid: &GridSpec) -> anyhow::Result<GridM
     }
     let also = grid.is_flat.then_some("the grid is flat: only the layer z = 0 is used");
     let counts = tiles.counts;
-    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also), counts })
+    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also), counts, shown: None })
 }
 
 /// The known cells of a 2D grid of a mode. In mode trinary, map servers show cells between the thresholds as unknown.
@@ -250,7 +252,11 @@ pub(crate) fn of_plane(
     }
     let also = (!grid.is_flat).then_some("the map is flat: its cells become the layer z = 0");
     let counts = tiles.counts;
-    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also), counts })
+    let (from, to) = alignment.cells([0; 3], [i64::from(map.size_cells[0]), i64::from(map.size_cells[1]), 0]);
+    // Within the reach of the grid, as checked above.
+    let corner = |cell: [i64; 3], z: i32| CellIndex { x: cell[0] as i32, y: cell[1] as i32, z };
+    let shown = Some(CellBox { min: corner(from, 0), max: corner(to, 1) });
+    Ok(GridMasks { tiles: tiles.into_seen(), notice: alignment.notice(also), counts, shown })
 }
 
 #[cfg(test)]
@@ -298,6 +304,7 @@ mod tests {
         let on = of_plane(&map, GridMode::Raw, Some(Between::Leave), &grid())?;
         assert_eq!(count(&on.tiles), (8, 4));
         assert_eq!(on.counts, CellCounts { all: 4, unknown: 1, left: 1, ..CellCounts::default() });
+        assert_eq!(on.shown, Some(CellBox { min: [0, 0, 0].into(), max: [4, 4, 1].into() }));
         assert!(on.notice.is_some_and(|notice| notice.contains("moved by 0.30") && notice.contains("z = 0")));
         assert_eq!(on.tiles.iter().map(|(tile, _)| *tile).collect::<Vec<_>>(), [TileIndex { x: 0, y: 0, z: 0 }]);
         Ok(())

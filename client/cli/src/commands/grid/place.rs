@@ -83,6 +83,16 @@ impl FromStr for Rectangle {
     }
 }
 
+/// Where a cell begins along an axis, metres: without the rounding error of the sum, so that -15.2 stays -15.2.
+pub(crate) fn corner_m(origin_m: f64, cell: i32, resolution_m: f64) -> f64 {
+    const NANOMETRES: f64 = 1e9;
+    let sum = origin_m + f64::from(cell) * resolution_m;
+    let short = (sum * NANOMETRES).round() / NANOMETRES;
+    let error = f64::EPSILON * (origin_m.abs() + (f64::from(cell) * resolution_m).abs());
+    // Adding zero turns -0 into 0.
+    (if (short - sum).abs() <= error { short } else { sum }) + 0.0
+}
+
 /// The cells that overlap a region; all cells of `all` along axes without limits.
 pub(crate) fn cells(
     grid: &GridSpec,
@@ -133,6 +143,22 @@ mod tests {
         assert!(pose("0,0,0,0,0,1,1").is_err_and(|error| error.contains("length 1.4142")));
         for text in ["", "1,2", "1,2,3,4", "1,2,inf", "a,b,c"] {
             assert!(pose(text).is_err_and(|error| error.contains("X,Y,Z")), "{text}");
+        }
+    }
+
+    #[test]
+    fn corners_are_as_short_as_they_were_written() {
+        for (origin, cell, resolution, corner) in [
+            (0.0, -304, 0.05, "-15.2"),
+            (0.0, -152, 0.1, "-15.2"),
+            (-15.2, 0, 0.05, "-15.2"),
+            (-51.224998, 0, 0.05, "-51.224998"),
+            (0.0, 0, 0.05, "0"),
+            (458_000.0, 3, 0.1, "458000.3"),
+            (5_548_000.7, -7, 0.1, "5548000"),
+            (0.0, 3, 0.050000000745058, "0.150000002235174"),
+        ] {
+            assert_eq!(corner_m(origin, cell, resolution).to_string(), corner);
         }
     }
 

@@ -11,11 +11,14 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use tidemap_client::{
+    Error,
     maps::{CellBox, CellIndex, GridSpec, Map},
     queries::{CellPrediction, GridOutput, GridQuery, ModelSelector, ORDER_MAX, WholeGrid},
 };
 
-use super::place::{AxisRange, Rectangle, cells};
+use tonic::Code;
+
+use super::place::{AxisRange, Rectangle, cells, corner_m};
 use crate::{
     commands::{Session, UsageError, files, predict::check_for_cells, times, usage},
     progress::status_line,
@@ -27,6 +30,12 @@ use tidemap_formats::{
 
 /// Heights that matter to a robot, metres: without the floor and the ceiling, which are always occupied.
 const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
+
+/// A prediction of fewer cells than this is not refused for their number.
+const MANY_CELLS: u64 = 100_000;
+/// What to do about too many cells.
+const PART: &str = "Choose a part with --region X0:X1,Y0:Y1 or --z MIN:MAX; a map that has one layer takes fewest cells in \
+                    a flat grid (map create --grid …,flat)";
 
 #[derive(Debug, Args)]
 pub(crate) struct GridPredictArgs {
@@ -183,13 +192,16 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
             PictureValue::Entropy | PictureValue::Probability => GridOutput::Probability,
         },
     };
-    let predicted = session.client.predict_grid(&query).await?;
+    let predicted = match session.client.predict_grid(&query).await {
+        Ok(predicted) => predicted,
+        Err(error) => return Err(explained(session, &query, error).await),
+    };
     let region = predicted.header().region;
     anyhow::ensure!(region.count() > 0, "map {:?} has no observed cells in the region", args.map);
     let cells = region.count();
     anyhow::ensure!(
         cells <= u128::from(CELLS_MAX),
-        "the region has {cells} cells, and a file takes at most {CELLS_MAX}: choose a part with --region or --z"
+        "the region has {cells} cells, and a file takes at most {CELLS_MAX}. {PART}"
     );
     let predicted = predicted.whole().await?;
     let picture = picture(&predicted, args.value());
@@ -226,6 +238,15 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     )
 }
 
+/// An error of the daemon; where much was asked for, with what to do.
+async fn explained(session: &Session, query: &GridQuery, error: Error) -> anyhow::Error {
+    let is_limit = matches!(&error, Error::Server(server) if server.code == Code::ResourceExhausted);
+    match session.client.estimate_grid(query).await {
+        Ok(header) if is_limit && header.cells >= MANY_CELLS => anyhow::anyhow!("{error}. {PART}"),
+        _ => error.into(),
+    }
+}
+
 /// The requested cells; `None` for all.
 async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Option<CellBox>> {
     let is_for_people = args.out.is_none();
@@ -238,7 +259,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
         return Err(usage(format!("--z: the grid of map {:?} is flat, it has one layer", args.map)));
     }
     // Without observations the prediction is empty, whatever the region.
-    let Some(bounds) = map.grid_summary.and_then(|summary| summary.bounds) else { return Ok(None) };
+    let Some(bounds) = map.grid_summary.and_then(|summary| summary.region) else { return Ok(None) };
     let has_layers = |region: &CellBox| region.min.z < bounds.max.z && region.max.z > bounds.min.z;
     let usual = Some(cells(&grid, &bounds, args.region, Some(AxisRange::new(HEIGHTS_M.0, HEIGHTS_M.1))))
         .filter(|region| is_for_people && !grid.is_flat && args.z.is_none() && has_layers(region));
@@ -253,7 +274,7 @@ async fn region(session: &Session, args: &GridPredictArgs) -> anyhow::Result<Opt
 /// The cells of a map between two heights, metres; `None` for a flat or an empty grid.
 pub(crate) fn heights(map: &Map, from_m: f64, to_m: f64) -> Option<CellBox> {
     let grid = map.grid.as_ref().filter(|grid| !grid.is_flat)?;
-    let bounds = map.grid_summary.as_ref()?.bounds.as_ref()?;
+    let bounds = map.grid_summary.as_ref()?.region.as_ref()?;
     Some(cells(grid, bounds, None, Some(AxisRange::new(from_m, to_m))))
 }
 
@@ -295,10 +316,9 @@ pub(crate) fn picture(predicted: &WholeGrid, value: PictureValue) -> MapPicture 
             };
         }
     }
-    let corner = |axis: usize| grid.origin_m[axis] + f64::from(min[axis]) * grid.resolution_m;
     MapPicture {
         resolution_m: grid.resolution_m,
-        origin_m: std::array::from_fn(corner),
+        origin_m: std::array::from_fn(|axis| corner_m(grid.origin_m[axis], min[axis], grid.resolution_m)),
         min_cell: min,
         size_cells,
         cells: picture,

@@ -199,7 +199,10 @@ impl FileReader {
             self.bar.status_line(&format!("{}: {notice}", file.display()));
         }
         self.counts.add(&on.counts);
-        Scan::Tiles(on.tiles)
+        match on.shown {
+            Some(shown) => Scan::Map { tiles: on.tiles, shown },
+            None => Scan::Tiles(on.tiles),
+        }
     }
 
     /// Says what of all files together is not used, or not as it is.

@@ -316,7 +316,7 @@ impl Explorer {
             received_nanos: utc_nanos,
             refused: Vec::new(),
         };
-        let scans = Scans { new_tiles: taken.new_tiles, scans: vec![taken.scan] };
+        let scans = Scans { new_tiles: taken.new_tiles, scans: vec![taken.scan], ..Scans::default() };
         self.map.apply(self.map.position() + 1, &Event::Scans(envelope, scans))?;
         Ok(())
     }

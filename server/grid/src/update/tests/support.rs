@@ -74,7 +74,7 @@ impl Camera {
         let cut_nanos = times.last().map_or(0, |last| (last / DAY + 1) * DAY);
         let new_tiles = (0..tiles as i32).map(|x| TileIndex { x, y: 0, z: 0 });
         let new_tiles = if is_first { new_tiles.collect() } else { Vec::new() };
-        apply(&mut self.grid, &Scans { new_tiles, scans });
+        apply(&mut self.grid, &Scans { new_tiles, scans, ..Scans::default() });
         learn(&mut self.grid, cut_nanos, &self.periodicities, UpdateLimits::default());
     }
 

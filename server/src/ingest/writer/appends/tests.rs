@@ -45,7 +45,7 @@ fn scans(new_tiles: usize) -> InFlight {
             received_nanos: 0,
             refused: Vec::new(),
         },
-        Scans { new_tiles: vec![TileIndex::default(); new_tiles], scans: Vec::new() },
+        Scans { new_tiles: vec![TileIndex::default(); new_tiles], scans: Vec::new(), ..Scans::default() },
     );
     let permit = || Arc::new(tokio::sync::Semaphore::new(1)).try_acquire_owned().expect("free");
     let _budget = Arc::new([permit(), permit()]);

@@ -88,8 +88,8 @@ async fn a_grid_is_told_tile_by_tile() {
     bench.update().await;
 
     let (header, pages) = bench.grid(at(NOON + 90 * MINUTE)).await.expect("a grid");
-    assert_eq!((header.tiles, header.cells, header.generation), (3, 1536, 1));
-    assert_eq!(header.region, box_of([-8, 0, 0], [8, 24, 32]));
+    assert_eq!((header.tiles, header.cells, header.generation), (3, 1280, 1));
+    assert_eq!(header.region, box_of([-8, 0, 0], [4, 24, 32]), "four columns of the tile are known");
     let tiles: Vec<_> = pages.into_iter().flat_map(|page| page.tiles).collect();
     assert_eq!(
         tiles.iter().map(|tile| (tile.x, tile.y, tile.z)).collect::<Vec<_>>(),
@@ -106,7 +106,7 @@ async fn a_grid_is_told_tile_by_tile() {
     let all = box_of([i32::MIN; 3], [i32::MAX; 3]);
     let (header, pages) =
         bench.grid(v1::PredictGridRequest { region: all, project: true, ..at(NOON) }).await.expect("a grid");
-    assert_eq!((header.tiles, header.cells, header.region), (2, 1536, box_of([-8, 0, 0], [8, 24, 1])));
+    assert_eq!((header.tiles, header.cells, header.region), (2, 1280, box_of([-8, 0, 0], [4, 24, 1])));
     assert_eq!(pages[0].tiles[1].high, [0b0010_0001, 0, 0, 0, 0, 0, 0, 0]);
     for (min, max) in [([100, 0, 0], [200, 9, 9]), ([3, 3, 3], [3, 3, 3]), ([5, 5, 5], [1, 1, 1])] {
         let (header, pages) =
@@ -120,11 +120,11 @@ async fn questions_that_cannot_be_answered_say_why() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bench = Bench::new(dir.path(), Retention::None, Some(Retention::None)).await;
     bench.robot("r").await.show(&bench, &minutes(3)).await;
-    bench.queries.max_predictions = 511;
-    check_refused(bench.grid(at(NOON)).await, Code::ResourceExhausted, &["512", "511", "max_predictions"]);
+    bench.queries.max_predictions = 3;
+    check_refused(bench.grid(at(NOON)).await, Code::ResourceExhausted, &["4 is", "the 3", "max_predictions"]);
     let estimate = v1::PredictGridRequest { estimate_only: true, ..at(NOON) };
-    assert_eq!(bench.grid(estimate).await.expect("costs nothing").0.cells, 512);
-    bench.queries.max_predictions = 512;
+    assert_eq!(bench.grid(estimate).await.expect("costs nothing").0.cells, 4);
+    bench.queries.max_predictions = 4;
     bench.grid(at(NOON)).await.expect("as many as may be");
     check_refused(bench.grid(at(-1)).await, Code::InvalidArgument, &["time", "1970"]);
     let threshold = v1::PredictGridRequest { output: v1::GridOutput::Threshold.into(), threshold: 1.5, ..at(NOON) };

@@ -18,7 +18,7 @@ use crate::{
 };
 
 fn scans(new_tiles: &[i32], scans: Vec<LoggedScan>) -> Scans {
-    Scans { new_tiles: new_tiles.iter().map(|&x| TileIndex { x, y: 0, z: 0 }).collect(), scans }
+    Scans { new_tiles: new_tiles.iter().map(|&x| TileIndex { x, y: 0, z: 0 }).collect(), scans, ..Scans::default() }
 }
 
 /// The first event of a producer.
