@@ -4,6 +4,7 @@
 
 pub use tidemap_model::InformationMeasure;
 pub use tidemap_plan::{
+    information::Certainty,
     strategy::{Budget, Strategy},
     tour::{GOALS_MAX, Tour, TourQuestion, TourStep},
     view::{Sensor, Viewpoint},

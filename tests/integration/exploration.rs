@@ -190,7 +190,15 @@ async fn views_regions_and_mistakes_are_answered() {
     info(&["--view", "1,1,0,0"]).fails(2, &["1,1,0,0"]);
     info(&["--view", "1,1,0,1e9"]).fails(1, &["1000000000", "range"]);
     info(&["--state", "cell/900/0/0"]).fails(1, &["never observed"]);
-    info(&[]).fails(2, &["--state"]);
+    // Without targets: where on the grid looking pays, best first. Unknown cells are in no area.
+    let areas = info(&[]).table();
+    let bits = areas.numbers("information_bits");
+    assert!(bits.len() > 3 && bits.is_sorted_by(|one, next| one >= next) && bits[0] > 0.0, "{:?}", areas.rows);
+    let one = info(&["--area", "1000", "--count", "1"]).table();
+    assert!(one.column("target")[0] == "0:1000,0:1000", "{:?}", one.rows);
+    assert!((one.numbers("information_bits")[0] - bits.iter().sum::<f64>()).abs() < 1e-6, "the same cells");
+    info(&["--area", "0"]).fails(2, &["\"0\"", "metres"]);
+    info(&["--area", "2", "--view", "1,1,0"]).fails(2, &["--area", "--view"]);
     tour(&daemon, nine, &["--start", "0.05,0.05", "--count", "101"]).fails(2, &["101"]);
     let blocked = tour(&daemon, nine, &["--start", "4.05,0.5", "--robot-radius", "0.6"]);
     assert!(blocked.table().rows.is_empty() && blocked.stderr.contains("no tour"), "{}", blocked.stderr);

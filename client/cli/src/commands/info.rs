@@ -1,6 +1,9 @@
 //! `tidemap info`.
 //!
-//! Invariant: one row per target and time, by target and then by time.
+//! Invariant: one row per target and time, by target and then by time; areas of the grid by time and then by what they
+//! teach.
+
+mod areas;
 
 use std::process::ExitCode;
 
@@ -10,7 +13,7 @@ use tidemap_client::{
     queries::ModelSelector,
 };
 
-use super::{Session, point::ViewArg, times, usage};
+use super::{Session, point::ViewArg, times};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Args)]
@@ -30,6 +33,12 @@ pub(crate) struct InfoArgs {
     #[arg(long = "view", value_name = "X,Y,Z[,RANGE]", allow_hyphen_values = true,
           conflicts_with_all = ["states", "locations"])]
     views: Vec<ViewArg>,
+    /// Without other targets: the side of the areas of the grid, metres
+    #[arg(long, value_name = "METRES", default_value = "2", conflicts_with_all = ["states", "locations", "views"])]
+    area: areas::Side,
+    /// Without other targets: how many areas are shown
+    #[arg(long, value_name = "N", default_value_t = 20, conflicts_with_all = ["states", "locations", "views"])]
+    count: usize,
     /// Model: those of predict, each optionally with +belief, +persistence or +memory
     #[arg(long, value_name = "KIND", default_value = "auto")]
     model: ModelSelector,
@@ -38,9 +47,9 @@ pub(crate) struct InfoArgs {
 const COLUMNS: [&str; 4] = ["target", "entropy_bits", "information_bits", "time"];
 
 pub(crate) async fn run(session: &Session, args: InfoArgs) -> anyhow::Result<ExitCode> {
-    let InfoArgs { map, at, states, locations, views, model } = args;
+    let InfoArgs { map, at, states, locations, views, area, count, model } = args;
     if states.is_empty() && locations.is_empty() && views.is_empty() {
-        return Err(usage("name targets with --state, --location or --view"));
+        return session.print(&COLUMNS, areas::rows(session, (&map, &at, model), area, count).await?);
     }
     let mut rows = Vec::new();
     if views.is_empty() {

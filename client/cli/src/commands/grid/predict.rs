@@ -293,6 +293,19 @@ fn is_full(picture: &MapPicture) -> bool {
     values.peek().is_some() && values.all(|probability| probability >= 0.5)
 }
 
+/// The known cells of a prediction: their centres in metres, and their values.
+pub(crate) fn known_centres(predicted: &WholeGrid) -> impl Iterator<Item = ([f64; 3], f64)> + '_ {
+    let grid = &predicted.header.grid;
+    predicted.tiles.iter().flat_map(move |tile| {
+        tile.cells.iter().enumerate().filter_map(move |(place, cell)| {
+            let at = [place % 8, place / 8 % 8, place / 64];
+            let index = |axis: usize| f64::from(tile.place[axis] * 8 + at[axis] as i32) + 0.5;
+            let centre = std::array::from_fn(|axis| grid.origin_m[axis] + index(axis) * grid.resolution_m);
+            cell.value().map(|value| (centre, f64::from(value)))
+        })
+    })
+}
+
 /// The region cell by cell, as files show it.
 pub(crate) fn picture(predicted: &WholeGrid, value: PictureValue) -> MapPicture {
     let CellBox { min, max } = predicted.header.region;
