@@ -1,6 +1,6 @@
 //! A tour over a predicted map as SVG: cells as in the pictures of maps, goals as numbered discs.
 //!
-//! The lines between goals show the order of the goals, not the robot's path around obstacles.
+//! The line is the path of the robot around obstacles.
 //! Invariant: the same tour and map give the same bytes; y points upwards as in the map.
 
 use crate::{
@@ -13,12 +13,12 @@ const SIDE: f64 = 900.0;
 /// Radius of a goal in pixels.
 const DISC: f64 = 10.0;
 
-/// Draws the cells, then the path from the start through the goals, and back to the start unless `is_open`.
+/// Draws the cells, then the path, the start and the goals, all in metres of the map's frame.
 pub fn write(
     picture: &MapPicture,
     start: Option<[f64; 2]>,
     goals: &[[f64; 2]],
-    is_open: bool,
+    path: &[[f64; 2]],
 ) -> Result<String, PictureError> {
     picture.check_flat()?;
     let [width, height, _] = picture.size_cells.map(f64::from);
@@ -39,12 +39,8 @@ pub fn write(
             column += run.len();
         }
     }
-    let mut path: Vec<[f64; 2]> = start.into_iter().chain(goals.iter().copied()).map(place).collect();
-    if !is_open && start.is_some() && path.len() > 1 {
-        path.extend(path.first().copied());
-    }
     let dashed = "stroke=\"#1a4fa3\" stroke-width=\"2\" stroke-dasharray=\"6 4\" shape-rendering=\"auto\"";
-    svg.polyline(path, dashed);
+    svg.polyline(path.iter().copied().map(place).collect::<Vec<_>>(), dashed);
     if let Some([x, y]) = start.map(place) {
         let area = [x - DISC, y - DISC, 2.0 * DISC, 2.0 * DISC];
         svg.rectangle(area, "fill=\"#0a7a3c\" stroke=\"#ffffff\"");
@@ -68,13 +64,12 @@ mod tests {
         let side = picture.resolution_m;
         let low = [x + 0.5 * side, y + 0.5 * side];
         let high = [x + 2.5 * side, y + 1.5 * side];
-        let svg = write(&picture, Some(low), &[high, low], false)?;
+        let corner = [low[0], high[1]];
+        let svg = write(&picture, Some(low), &[high, low], &[low, corner, high])?;
         assert_eq!(svg.matches("<circle").count(), 2);
         assert!(svg.contains(">1</text>") && svg.contains(">2</text>"));
-        // 3 cells of 300 pixels: the first goal is in the upper row, the start in the lower one; the path returns.
-        assert!(svg.contains("points=\"150.0,450.0 750.0,150.0 150.0,450.0 150.0,450.0\""), "{svg}");
-        let open = write(&picture, Some(low), &[high], true)?;
-        assert!(open.contains("points=\"150.0,450.0 750.0,150.0\""), "{open}");
+        // 3 cells of 300 pixels: the first goal is in the upper row, the start in the lower one.
+        assert!(svg.contains("points=\"150.0,450.0 150.0,150.0 750.0,150.0\""), "{svg}");
         Ok(())
     }
 }

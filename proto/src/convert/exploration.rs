@@ -164,6 +164,7 @@ pub fn tour_to_wire(tour: &Tour) -> v1::PlanTourResponse {
         expected_bits: tour.expected_bits,
         candidates: u32::try_from(tour.candidates).unwrap_or(u32::MAX),
         reason: tour.no_tour.map_or_else(String::new, |reason| reason.to_string()),
+        path: tour.path_m.iter().copied().map(point_to_wire).collect(),
     }
 }
 
@@ -178,7 +179,9 @@ pub fn planned_tour_from_wire(reply: v1::PlanTourResponse) -> Result<Tour<String
         let at_m = point_from_wire(&field, at.ok_or_else(|| InvalidField::new(&*field, "it is missing"))?)?;
         Ok(TourStep { at_m, information_bits, reachability, arrival_secs })
     };
+    let path_point = |(i, at): (usize, v1::Point)| point_from_wire(&format!("path[{i}]"), at);
     Ok(Tour {
+        path_m: reply.path.into_iter().enumerate().map(path_point).collect::<Result<_, _>>()?,
         steps: reply.steps.into_iter().enumerate().map(step).collect::<Result<_, _>>()?,
         information_bits: reply.information_bits,
         expected_bits: reply.expected_bits,
@@ -338,6 +341,7 @@ mod tests {
             steps: vec![step],
             information_bits: 3.0,
             expected_bits: 1.5,
+            path_m: vec![[0.0, 0.5], [1.0, -2.5]],
             length_m: 12.0,
             duration_secs: 84.0,
             candidates: 7,
@@ -346,6 +350,7 @@ mod tests {
         let whole = planned_tour_from_wire(tour_to_wire(&tour(None))).expect("right");
         assert_eq!((whole.steps, whole.no_tour), (vec![step], None));
         assert_eq!((whole.expected_bits, whole.length_m, whole.candidates), (1.5, 12.0, 7));
+        assert_eq!(whole.path_m, [[0.0, 0.5], [1.0, -2.5]]);
         let none = planned_tour_from_wire(tour_to_wire(&tour(Some(NoTour::NothingToLearn)))).expect("right");
         assert_eq!(none.no_tour, Some(NoTour::NothingToLearn.to_string()));
         let nowhere = v1::PlanTourResponse { steps: vec![v1::TourStep::default()], ..Default::default() };

@@ -20,6 +20,7 @@ use crate::{
 mod budget;
 mod choose;
 mod order;
+mod path;
 mod question;
 
 #[cfg(test)]
@@ -28,6 +29,7 @@ mod tests;
 use budget::TourBudget;
 use choose::{GoalSelection, TourGoal};
 use order::Ways;
+use path::TourPaths;
 use question::TourCandidate;
 pub use question::{GOALS_MAX, START_TOLERANCE_M, TourEnd, TourError, TourQuestion};
 
@@ -72,6 +74,9 @@ pub struct Tour<R = NoTour> {
     /// Sum of their information times the probability of reaching them, bits: E_G of RA-L, section III.E, with the new
     /// information at each goal.
     pub expected_bits: f64,
+    /// The drive around obstacles, from the start to the end: points between which it is straight, x and y in the map's
+    /// frame, metres. Empty without a goal.
+    pub path_m: Vec<[f64; 2]>,
     /// Length of the drive, metres.
     pub length_m: f64,
     /// Duration, observations included, seconds.
@@ -88,6 +93,7 @@ impl Tour {
             steps: Vec::new(),
             information_bits: 0.0,
             expected_bits: 0.0,
+            path_m: Vec::new(),
             length_m: 0.0,
             duration_secs: 0.0,
             candidates,
@@ -184,7 +190,9 @@ fn find_tour(
         let (budget_secs, least_secs) = (budget.budget_secs, budget.least_secs());
         return Ok(Tour::none(Some(NoTour::Budget { budget_secs, least_secs }), candidates.len()));
     }
-    Ok(tour_of(&scene, &candidates, &chosen, &order, &budget))
+    let paths = TourPaths { travel: &travel, start, from_start: &from_start, goals: &goals, between: &between };
+    let path_m = paths.path_m(question.start_m, &order, question.end);
+    Ok(Tour { path_m, ..tour_of(&scene, &candidates, &chosen, &order, &budget) })
 }
 
 /// The tour through goals in an order.

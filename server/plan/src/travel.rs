@@ -280,6 +280,39 @@ impl TravelGrid {
         Distances { width, metres }
     }
 
+    /// A shortest way from a column to the one that distances are from, both included; ties: the lowest y, then x.
+    /// Empty if there is none.
+    pub(crate) fn way(&self, from: Column, to: &Distances) -> Vec<Column> {
+        let mut way = Vec::new();
+        let mut next = to.to(from).map(|_| from);
+        while let Some(at) = next {
+            way.push(at);
+            // Each step is nearer, so that the way ends.
+            let nearer = self.steps(at).into_iter().filter(|(column, _)| to.to(*column) < to.to(at));
+            let length = |(column, by): &(Column, f64)| to.to(*column).unwrap_or(f64::INFINITY) + by;
+            next = nearer.min_by(|one, other| length(one).total_cmp(&length(other))).map(|(column, _)| column);
+        }
+        way
+    }
+
+    /// The columns that the robot can reach from a column in one step, by y, then x, and the lengths of the steps in
+    /// metres. It does not cut corners.
+    fn steps(&self, Column { x, y }: Column) -> Vec<(Column, f64)> {
+        let side_m = self.lattice.resolution_m();
+        let mut steps = Vec::with_capacity(8);
+        for to_y in y.saturating_sub(1)..=y + 1 {
+            for to_x in x.saturating_sub(1)..=x + 1 {
+                let is_across = to_x != x && to_y != y;
+                let corners = [Column { x: to_x, y }, Column { x, y: to_y }, Column { x: to_x, y: to_y }];
+                if (to_x, to_y) != (x, y) && corners.into_iter().all(|column| self.is_passable(column)) {
+                    let length_m = if is_across { std::f64::consts::SQRT_2 * side_m } else { side_m };
+                    steps.push((Column { x: to_x, y: to_y }, length_m));
+                }
+            }
+        }
+        steps
+    }
+
     /// The neighbours of a column: towards lower and higher x, lower and higher y.
     fn sides(&self, at: usize) -> [Option<usize>; 4] {
         let [width, depth] = self.size;

@@ -120,7 +120,7 @@ async fn draw(session: &Session, query: &TourQuery, height_m: f64, tour: &Tour<S
     let predicted = session.client.predict_grid(&grid).await?.whole().await?;
     let picture = grid::predict::picture(&predicted, PictureValue::Probability);
     let goals: Vec<[f64; 2]> = tour.steps.iter().map(|step| step.at_m).collect();
-    Ok(tour_svg::write(&picture, start, &goals, query.is_open)?)
+    Ok(tour_svg::write(&picture, start, &goals, &tour.path_m)?)
 }
 
 #[cfg(test)]

@@ -410,3 +410,46 @@ proptest! {
         }
     }
 }
+
+/// Length of a path, metres.
+fn length_m(path_m: &[[f64; 2]]) -> f64 {
+    path_m.windows(2).map(|legs| (legs[1][0] - legs[0][0]).hypot(legs[1][1] - legs[0][1])).sum()
+}
+
+#[test]
+fn the_path_goes_around_obstacles_and_is_as_long_as_the_tour() {
+    // A wall across the room with a gap at its end.
+    let grid = room(60, 30, |x, y| match (x, y) {
+        (30, ..25) => 1.0,
+        (45.., ..12) => 0.5,
+        _ => 0.0,
+    });
+    for end in [TourEnd::Start, TourEnd::LastGoal] {
+        let question = TourQuestion { goals: 2, end, ..question(&grid, 10, 5) };
+        let plan = tour(&grid, &question);
+        assert_eq!(plan.steps.len(), 2);
+        assert_eq!(plan.path_m.first(), Some(&question.start_m));
+        assert!((length_m(&plan.path_m) - plan.length_m).abs() < 1e-9, "{plan:?}");
+        for step in &plan.steps {
+            assert!(plan.path_m.contains(&step.at_m), "{plan:?}");
+        }
+        let last = plan.path_m.last();
+        let expected = if end == TourEnd::Start { question.start_m } else { plan.steps[1].at_m };
+        assert_eq!(last, Some(&expected));
+        // No point between two corners is in the wall.
+        let travel = TravelGrid::new(&grid, &question.travel).unwrap();
+        for legs in plan.path_m.windows(2) {
+            for share in 0..=20 {
+                let along = |axis: usize| legs[0][axis] + f64::from(share) / 20.0 * (legs[1][axis] - legs[0][axis]);
+                let column = travel.column_at(along(0), along(1)).unwrap();
+                assert!(travel.is_passable(column), "{legs:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_tour_without_goals_has_no_path() {
+    let grid = room(20, 20, |_, _| 0.0);
+    assert_eq!(tour(&grid, &question(&grid, 10, 10)).path_m, Vec::<[f64; 2]>::new());
+}
