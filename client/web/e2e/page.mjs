@@ -201,6 +201,27 @@ try {
         await page.getByTestId('plan-tour').click();
         await page.getByTestId('tour').getByRole('row').nth(1).waitFor();
         await page.screenshot({ path: join(folder, 'explore.png') });
+        // The same bits as the command line says.
+        const [start] = /\d+\.\d+,\d+\.\d+/.exec(decodeURIComponent(page.url())) ?? [];
+        const rows = JSON.parse(daemon.run('tour', 'office', '--at', at(10), '--start', start, '--output', 'json'));
+        const said = await page.getByTestId('tour').getByRole('row').nth(1).getByRole('cell').nth(2).innerText();
+        assert.ok(Math.abs(parseFloat(said) - Number(rows[0].information_bits)) < 0.01, `${said} is not ${rows[0].information_bits}`);
+        await page.getByTestId('layer').selectOption('look');
+        await page.getByTestId('legend').getByText('What one look around (4 m) teaches').waitFor();
+        await page.waitForFunction(() => !document.querySelector('[data-testid=legend]').textContent.includes('0 bits'));
+    });
+
+    await check('the map is saved as it is shown', async () => {
+        const saved = async (format) => {
+            const menu = page.getByTestId('export').first();
+            await menu.locator('summary').click();
+            const coming = page.waitForEvent('download');
+            await menu.getByRole('button', { name: format, exact: true }).click();
+            return readFileSync(await (await coming).path());
+        };
+        const csv = (await saved('CSV')).toString();
+        for (const line of [/^kind,name,x,y,value\r$/m, /^place,kitchen,/m, /^edge,edge\//m, /^look,,/m, /^cell,\d+\/\d+,/m]) assert.match(csv, line);
+        assert.equal((await saved('PNG')).subarray(1, 4).toString(), 'PNG');
     });
 
     await check('states are searched, and text stays text', async () => {
@@ -218,6 +239,21 @@ try {
         await page.getByTestId('state-week').locator('canvas').waitFor();
         await page.getByTestId('compare').locator('canvas').waitFor();
         await page.screenshot({ path: join(folder, 'states.png') });
+    });
+
+    await check('several states are in one plot, with a model of choice and the week before', async () => {
+        await page.goto(`${daemon.http}/states/office?at=2025-03-12T12:30:00Z&select=kitchen`);
+        await page.getByTestId('plot-add').fill('lab');
+        await page.getByTestId('plot-add').press('Enter');
+        await page.getByRole('button', { name: 'Leave out lab' }).waitFor();
+        await page.waitForURL(/with=lab/);
+        await page.getByTestId('week-before').check();
+        await page.getByTestId('state-week').getByText('observed a week before').waitFor();
+        const before = await page.getByTestId('state-value').first().innerText();
+        await page.getByTestId('model').selectOption('mean');
+        await page.waitForFunction((value) => document.querySelector('[data-testid=state-value]')?.textContent !== value, before);
+        const rows = JSON.parse(daemon.run('predict', 'office', 'kitchen', '--at', '2025-03-12T12:30:00Z', '--model', 'mean', '--output', 'json'));
+        assert.equal(await page.getByTestId('state-value').first().innerText(), Number(rows[0].probability).toFixed(2));
     });
 
     await check('an anomaly is shown as it comes', async () => {

@@ -29,12 +29,16 @@ interface Box {
 /** The places of a lattice over a box in metres, and the edge of its squares. */
 export function placesOf({ minX, minY, maxX, maxY }: Box): { size: number; places: { x: number; y: number }[] } {
     const [width, height] = [Math.max(0, maxX - minX), Math.max(0, maxY - minY)];
+    const count = (length: number, edge: number) => Math.max(1, Math.ceil(length / edge - 1e-9));
     let size = Math.max(SPACING_MIN_M, Math.sqrt((width * height) / PLACES_MAX));
-    while (Math.ceil(width / size) * Math.ceil(height / size) > PLACES_MAX) size *= 1.1;
-    const places = [];
-    for (let y = minY + size / 2; y < maxY; y += size) {
-        for (let x = minX + size / 2; x < maxX; x += size) places.push({ x, y });
-    }
+    while (count(width, size) * count(height, size) > PLACES_MAX) size *= 1.1;
+    // The squares cover the box evenly: what is too much lies on both sides.
+    const along = (from: number, length: number) => {
+        const squares = count(length, size);
+        return Array.from({ length: squares }, (_, index) => from + (length - squares * size) / 2 + (index + 0.5) * size);
+    };
+    const columns = along(minX, width);
+    const places = along(minY, height).flatMap((y) => columns.map((x) => ({ x, y })));
     return { size, places };
 }
 

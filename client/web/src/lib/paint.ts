@@ -14,6 +14,9 @@ export interface GridPlace {
 /** Ways and what was chosen: blue, which no probability is. */
 const WAY = '#1a4fa3';
 
+/** A shorter piece of a way has no arrow. */
+const ARROW_PX = 18;
+
 let sheet: HTMLCanvasElement | undefined;
 let image: ImageData | undefined;
 
@@ -116,7 +119,7 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
             brush.moveTo(x1, y1);
             brush.lineTo(x2, y2);
             brush.stroke();
-            arrow(brush, x1, y1, x2, y2);
+            if (Math.hypot(x2 - x1, y2 - y1) > ARROW_PX) arrow(brush, x1, y1, x2, y2);
         }
     }
     brush.font = '600 11px system-ui, sans-serif';

@@ -25,7 +25,7 @@ export interface PlanEdge {
 /** A way over the plan. */
 export interface PlanPath {
     kind: 'route' | 'tour';
-    points: { x: number; y: number; label?: string }[];
+    points: { x: number; y: number; label?: string | undefined }[];
 }
 
 /** A square that stands out the more, the more looking teaches there. */

@@ -1,8 +1,9 @@
-// The predictions of the rows that are visible: their hours, and the value at the time of the slider.
+// The predictions of the rows that are visible: their hours, the value at the time of the slider, and the last reading.
 //
 // Invariant: only rows that were asked for are predicted, one request at a time; what was asked before is not waited
 // for. At most `KEPT_MAX` rows are kept.
 
+import { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { HOUR } from './civil';
 import type { Columns } from './rows';
 import { message, queries } from './rpc.svelte';
@@ -26,10 +27,10 @@ export interface StripQuestion {
     against: number;
 }
 
-async function predict(map: string, states: string[], times: number[]): Promise<number[][]> {
+async function predict(map: string, states: string[], times: number[], model?: { kind: ModelKind }): Promise<number[][]> {
     const found: number[][] = states.map(() => []);
     const timesNanos = times.map(toNanos);
-    for await (const piece of queries.predictStates({ map, states, timesNanos })) {
+    for await (const piece of queries.predictStates({ map, states, timesNanos, model })) {
         // The first axis of a vector stands for it.
         if (piece.axis <= 1) found[piece.stateIndex]?.push(...piece.probabilities);
     }
@@ -40,7 +41,10 @@ export class StripFeed {
     rows: ReadonlyMap<string, number[]> = $state.raw(new Map());
     before: ReadonlyMap<string, number[]> = $state.raw(new Map());
     now: ReadonlyMap<string, number> = $state.raw(new Map());
+    /** The newest readings. */
+    last: ReadonlyMap<string, number> = $state.raw(new Map());
     problem = $state('');
+    #lastKey = '';
     #key = '';
     #nowKey = '';
     #wanted: StripQuestion | undefined;
@@ -87,6 +91,15 @@ export class StripFeed {
             const now = new Map(known);
             for (const [index, name] of moments.entries()) now.set(name, values[index]?.[0] ?? Number.NaN);
             [this.now, this.#nowKey] = [now, nowKey];
+        }
+        const lastKey = JSON.stringify([map, generation]);
+        const read = lastKey === this.#lastKey ? this.last : new Map<string, number>();
+        const unread = asked.filter((name) => !read.has(name));
+        if (unread.length) {
+            const values = await predict(map, unread, [at], { kind: ModelKind.LATEST });
+            const last = new Map(read);
+            for (const [index, name] of unread.entries()) last.set(name, values[index]?.[0] ?? Number.NaN);
+            [this.last, this.#lastKey] = [last, lastKey];
         }
         const missing = asked.filter((name) => !this.rows.has(name));
         if (missing.length === 0) return;

@@ -33,9 +33,9 @@ function read(run: Surprise): Unusual {
 }
 
 /** Runs of unusual observations in the days before the newest data, the most surprising first. */
-export async function unusualLately(map: string, newest: number, days = LATELY_DAYS, states: string[] = []): Promise<Unusual[]> {
+export async function unusualLately(map: string, newest: number, days = LATELY_DAYS, states: string[] = [], top = RUNS_MAX): Promise<Unusual[]> {
     const [fromTime, toTime] = [toTimestamp(Math.max(0, newest - days * DAY)), toTimestamp(newest + 1)];
-    const answer = await queries.listSurprises({ map, states, fromTime, toTime, confidence: CONFIDENCE, top: RUNS_MAX });
+    const answer = await queries.listSurprises({ map, states, fromTime, toTime, confidence: CONFIDENCE, top });
     return answer.surprises.map(read);
 }
 
@@ -54,6 +54,7 @@ export function rangeText(from: number, to: number, zone: string): string {
 
 /** What was seen, in words: `was 1 on Tue 24 Nov 01:00 – 05:30, predicted 0.03`. */
 export function runText(run: Unusual, zone: string, isProbability: boolean): string {
+    // Of other kinds than probabilities, `probability` is that of a value so far from what was predicted.
     const expected = isProbability ? `, predicted ${plain(run.probability, 2)}` : `, ${run.isAbove ? 'above' : 'below'} what was predicted`;
     return `was ${plain(run.value)} on ${rangeText(run.from, run.to, zone)}${expected}`;
 }

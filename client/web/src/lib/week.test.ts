@@ -12,7 +12,7 @@ import { DAY, HOUR, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
 import { loadStrip, STRIP_DAYS } from './strip';
 import { fromNanos, toNanos } from './times';
-import { loadWeek, observed, periodText } from './week';
+import { loadWeek, meansOf, momentOf, observed, periodText } from './week';
 
 const ZONE = 'Europe/Berlin';
 const MONDAY = Date.parse('2025-03-23T23:00Z');
@@ -169,4 +169,17 @@ suite('a strip', () => {
 test('periods have the unit that people use', () => {
     const hours = [0.5, 1, 4.8, 12, 24, 47, 48, 60, 168];
     assert.deepEqual(hours.map((length) => periodText(length * 3600)), ['30 min', '1 h', '4.8 h', '12 h', '24 h', '47 h', '2 d', '2.5 d', '7 d']);
+});
+
+test('observations become the means of half-hours; where there are none is no number', () => {
+    const times = [0, 1, 2, 3].map((half) => half * 30 * MINUTE);
+    const seen = { times: [5 * MINUTE, 29 * MINUTE, 60 * MINUTE, -MINUTE, 125 * MINUTE], values: [1, 0, 0.25, 9, 9] };
+    assert.deepEqual(meansOf(seen, times), [0.5, Number.NaN, 0.25, Number.NaN]);
+});
+
+test('a moment has the exact time, each axis of a vector, and its interval', async () => {
+    predict([0, 1], (ms, axis) => ms + axis);
+    const found = await momentOf('home', ['door'], MONDAY + 7 * MINUTE, undefined);
+    assert.deepEqual(found.map(({ name, value }) => [name, value]), [['door', MONDAY + 7 * MINUTE], ['door/x', MONDAY + 7 * MINUTE + 1]]);
+    assert.equal(found[0]?.lower, MONDAY + 7 * MINUTE - 1);
 });

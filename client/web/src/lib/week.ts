@@ -46,6 +46,33 @@ export interface Week {
     isProbability: boolean;
 }
 
+/** A prediction of a state, or of an axis of it, for one time. */
+export interface Moment {
+    name: string;
+    value: number;
+    lower: number | undefined;
+    upper: number | undefined;
+    /** The probability that the interval holds. */
+    mass: number | undefined;
+}
+
+function axisName(state: string, axis: number): string {
+    return axis === 0 ? state : `${state}/${'xyz'[axis - 1] ?? axis}`;
+}
+
+/** The predictions of states for a time. */
+export async function momentOf(map: string, states: string[], at: number, model: Asked | undefined): Promise<Moment[]> {
+    const found: Moment[] = [];
+    for await (const piece of queries.predictStates({ map, states, timesNanos: [toNanos(at)], model, intervalLevel: LEVEL })) {
+        if (piece.probabilities.length === 0) continue;
+        found.push({
+            name: axisName(states[piece.stateIndex] ?? '', piece.axis), value: piece.probabilities[0] ?? Number.NaN,
+            lower: piece.lower[0], upper: piece.upper[0], mass: piece.masses[0],
+        });
+    }
+    return found;
+}
+
 /** The observations between two times; an explanation where they are not kept. */
 export async function observed(map: string, state: string, from: number, to: number): Promise<{ times: number[]; values: number[]; note: string }> {
     const [times, values]: [number[], number[]] = [[], []];
@@ -78,8 +105,7 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
     const predict = async () => {
         const request = { map, states: [state], timesNanos: times.map(toNanos), model, intervalLevel: LEVEL };
         for await (const piece of queries.predictStates(request)) {
-            const at = piece.axis;
-            const name = at === 0 ? state : `${state}/${'xyz'[at - 1] ?? at}`;
+            const name = axisName(state, piece.axis);
             const found = answers.find((series) => series.name === name) ?? { name, values: [], lower: [], upper: [], masses: [] };
             if (found.values.length === 0) answers.push(found);
             found.values.push(...piece.probabilities);

@@ -1,0 +1,88 @@
+// The rows that are visible: what is asked for, and what is kept.
+
+import assert from 'node:assert/strict';
+import { afterEach, beforeEach, suite, test } from 'node:test';
+
+import { ModelKind } from '../wire/tidemap/v1/types_pb';
+import { DAY, HOUR } from './civil';
+import { columnsOf } from './rows';
+import { queries } from './rpc.svelte';
+import { StripFeed, type StripQuestion } from './strips.svelte';
+import { fromNanos } from './times';
+
+interface Asked {
+    states: string[];
+    timesNanos: bigint[];
+    model?: { kind: ModelKind };
+}
+
+const AT = Date.parse('2025-03-12T10:00Z');
+const { predictStates } = queries;
+let asked: Asked[];
+
+beforeEach(() => {
+    asked = [];
+    Object.assign(queries, {
+        predictStates: async function* (request: Asked) {
+            asked.push(request);
+            await Promise.resolve();
+            for (const stateIndex of request.states.keys()) {
+                const probabilities = request.timesNanos.map((nanos) => (request.model ? -1 : fromNanos(nanos)));
+                yield { stateIndex, axis: 0, probabilities };
+                yield { stateIndex, axis: 2, probabilities: [7] };
+            }
+        },
+    });
+});
+afterEach(() => void Object.assign(queries, { predictStates }));
+
+async function rest(feed: StripFeed, question: Partial<StripQuestion>): Promise<void> {
+    feed.ask({ map: 'home', names: ['a'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', against: 0, ...question });
+    await new Promise((done) => setTimeout(done, 90));
+}
+
+suite('visible rows', () => {
+    test('have the middles of their hours, the value of the clock and the last reading', async () => {
+        const feed = new StripFeed();
+        await rest(feed, {});
+        const row = feed.rows.get('a');
+        assert.deepEqual([row?.length, row?.[0], row?.[23]], [24, AT - 10 * HOUR + HOUR / 2, AT + 13.5 * HOUR]);
+        assert.deepEqual([feed.now.get('a'), feed.last.get('a'), feed.problem], [AT, -1, '']);
+    });
+
+    test('are asked for once; a step of the clock asks for its values alone', async () => {
+        const feed = new StripFeed();
+        await rest(feed, {});
+        asked = [];
+        await rest(feed, { names: ['a', 'b'] });
+        assert.deepEqual(asked.map(({ states, timesNanos }) => [states, timesNanos.length]), [[['b'], 1], [['b'], 1], [['b'], 24]]);
+        asked = [];
+        await rest(feed, { names: ['a', 'b'], at: AT + 1 });
+        assert.deepEqual(asked.map(({ states, timesNanos }) => [states, timesNanos.length]), [[['a', 'b'], 1]]);
+    });
+
+    test('are asked for anew when something was learned', async () => {
+        const feed = new StripFeed();
+        await rest(feed, {});
+        asked = [];
+        await rest(feed, { generation: '2' });
+        assert.deepEqual(asked.map(({ timesNanos }) => timesNanos.length), [1, 1, 24]);
+    });
+
+    test('have those of a week before, to compare with', async () => {
+        const feed = new StripFeed();
+        await rest(feed, { against: 7 * DAY });
+        assert.equal((feed.rows.get('a')?.[3] ?? 0) - (feed.before.get('a')?.[3] ?? 0), 7 * DAY);
+    });
+
+    test('are asked for at the last rest only', async () => {
+        const feed = new StripFeed();
+        for (const name of ['x', 'y']) feed.ask({ map: 'home', names: [name], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', against: 0 });
+        await rest(feed, {});
+        assert.deepEqual([...feed.rows.keys()], ['a']);
+        feed.ask({ map: 'home', names: ['z'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', against: 0 });
+        feed.stop();
+        await new Promise((done) => setTimeout(done, 90));
+        assert.deepEqual([...feed.rows.keys()], ['a']);
+    });
+});
