@@ -4,8 +4,8 @@ import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';
 
 import { HOUR } from './civil';
-import { occupancy } from './colours';
-import { bandsOf, changesOf, columnsOf, likelyParts, linePoints, rangeOf, rowColour, ticksOf } from './rows';
+import { occupancy, UNKNOWN_STYLE } from './colours';
+import { bandsOf, changesOf, columnsOf, hourMeans, likelyParts, linePoints, rangeOf, rowColour, ticksOf } from './rows';
 
 const ZONE = 'Europe/Berlin';
 
@@ -30,6 +30,15 @@ suite('colours', () => {
         assert.equal(rowColour(0.3, { low: 0, high: 1 }, true), occupancy(0.3));
         assert.equal(rowColour(20, { low: 20, high: 30 }, false), 'rgb(235 239 247)');
         assert.equal(rowColour(99, { low: 20, high: 30 }, false), 'rgb(65 69 77)');
+    });
+
+    test('of hours without observations are those of what is unknown', () => {
+        const { starts } = columnsOf('day', Date.parse('2025-03-30T12:00Z'), ZONE);
+        const at = (hours: number) => (starts[0] ?? 0) + hours * HOUR;
+        const means = hourMeans({ times: [at(0), at(0.9), at(22.5), at(23), at(-1)], values: [1, 0, 0.25, 9, 9] }, starts);
+        assert.deepEqual([means.length, means[0], means[1], means[22]], [23, 0.5, Number.NaN, 0.25]);
+        assert.equal(rowColour(Number.NaN, { low: 0, high: 1 }, true), UNKNOWN_STYLE);
+        assert.equal(linePoints([0, Number.NaN, 1], { low: 0, high: 1 }).split(' ').length, 2);
     });
 
     test('lie side by side without gaps', () => {

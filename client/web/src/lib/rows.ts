@@ -3,7 +3,7 @@
 // Invariant: columns are hours as they pass, so the day of a clock change has 23 or 25.
 
 import { addDays, clock, dayName, HOUR, midnight, monday } from './civil';
-import { occupancy } from './colours';
+import { occupancy, UNKNOWN_STYLE } from './colours';
 
 export type RowSpan = 'day' | 'week';
 
@@ -20,6 +20,18 @@ export function columnsOf(span: RowSpan, at: number, zone: string): Columns {
     return { span, starts: Array.from({ length: Math.round((end - start) / HOUR) }, (_, hour) => start + hour * HOUR), end };
 }
 
+/** The means of observations in each hour, which begin at `starts`; NaN where there are none. */
+export function hourMeans(seen: { times: number[]; values: number[] }, starts: number[]): number[] {
+    const [first, sums, counts] = [starts[0] ?? 0, new Float64Array(starts.length), new Uint32Array(starts.length)];
+    for (const [index, ms] of seen.times.entries()) {
+        const hour = Math.floor((ms - first) / HOUR);
+        if (hour < 0 || hour >= starts.length) continue;
+        sums[hour] = (sums[hour] ?? 0) + (seen.values[index] ?? 0);
+        counts[hour] = (counts[hour] ?? 0) + 1;
+    }
+    return starts.map((_, hour) => (sums[hour] ?? 0) / (counts[hour] || Number.NaN));
+}
+
 /** Where labels stand above columns: shares of the width. */
 export function ticksOf({ span, starts, end }: Columns, zone: string): { share: number; text: string }[] {
     const start = starts[0] ?? end;
@@ -32,13 +44,15 @@ export function ticksOf({ span, starts, end }: Columns, zone: string): { share: 
 
 /** The range of values that is drawn from none to full. */
 export function rangeOf(values: number[], isProbability: boolean): { low: number; high: number } {
-    if (isProbability || values.length === 0) return { low: 0, high: 1 };
-    const [low, high] = [Math.min(...values), Math.max(...values)];
+    const known = values.filter(Number.isFinite);
+    if (isProbability || known.length === 0) return { low: 0, high: 1 };
+    const [low, high] = [Math.min(...known), Math.max(...known)];
     return high > low ? { low, high } : { low: low - 0.5, high: low + 0.5 };
 }
 
 /** The colour of a value; probabilities have the colours of the map, other values shades of grey. */
 export function rowColour(value: number, { low, high }: { low: number; high: number }, isProbability: boolean): string {
+    if (Number.isNaN(value)) return UNKNOWN_STYLE;
     if (isProbability) return occupancy(value);
     const share = Math.max(0, Math.min(1, (value - low) / Math.max(1e-12, high - low)));
     const grey = Math.round(235 - 170 * share);
@@ -54,7 +68,8 @@ export function bandsOf(colours: string[]): string {
 /** Points of a line through the middles of columns, in a box of 100 by 20. */
 export function linePoints(values: number[], { low, high }: { low: number; high: number }): string {
     const y = (value: number) => (19 - 18 * Math.max(0, Math.min(1, (value - low) / (high - low)))).toFixed(1);
-    return values.map((value, index) => `${(((index + 0.5) / values.length) * 100).toFixed(1)},${y(value)}`).join(' ');
+    const points = values.map((value, index) => [index, value] as const).filter(([, value]) => Number.isFinite(value));
+    return points.map(([index, value]) => `${(((index + 0.5) / values.length) * 100).toFixed(1)},${y(value)}`).join(' ');
 }
 
 /** When a prediction crosses one half. */

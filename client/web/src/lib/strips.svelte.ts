@@ -1,13 +1,15 @@
-// The predictions of the rows that are visible: their hours, the value at the time of the slider, and the last reading.
+// The rows that are visible: their hours as predicted or as observed, the value at the time of the slider, and the last
+// reading.
 //
 // Invariant: only rows that were asked for are predicted, one request at a time; what was asked before is not waited
 // for. At most `KEPT_MAX` rows are kept.
 
 import { ModelKind } from '../wire/tidemap/v1/types_pb';
-import { HOUR } from './civil';
-import type { Columns } from './rows';
+import { DAY, HOUR } from './civil';
+import { hourMeans, type Columns } from './rows';
 import { message, queries } from './rpc.svelte';
 import { toNanos } from './times';
+import { observed } from './week';
 
 /** Rows that are kept. */
 const KEPT_MAX = 4000;
@@ -23,8 +25,24 @@ export interface StripQuestion {
     at: number;
     /** Changes when predictions do. */
     generation: string;
-    /** Milliseconds to subtract for the rows to compare with; 0 for none. */
-    against: number;
+    /** What the hours show. */
+    show: 'predicted' | 'observed' | 'week';
+}
+
+/** Requests for observations that run at the same time: each is of one state. */
+const READ_AT_ONCE = 6;
+
+/** The means of the hours that were observed; NaN where nothing was, or is kept. */
+async function hoursSeen(map: string, states: string[], { starts, end }: Columns): Promise<number[][]> {
+    const found: number[][] = states.map(() => []);
+    let next = 0;
+    const work = async () => {
+        for (let at = next++; at < states.length; at = next++) {
+            found[at] = hourMeans(await observed(map, states[at] ?? '', starts[0] ?? end, end), starts);
+        }
+    };
+    await Promise.all(Array.from({ length: READ_AT_ONCE }, work));
+    return found;
 }
 
 async function predict(map: string, states: string[], times: number[], model?: { kind: ModelKind }): Promise<number[][]> {
@@ -35,6 +53,15 @@ async function predict(map: string, states: string[], times: number[], model?: {
         if (piece.axis <= 1) found[piece.stateIndex]?.push(...piece.probabilities);
     }
     return found;
+}
+
+/** The hours of rows, and with `week` those of a week before. */
+export async function hoursOf(map: string, names: string[], columns: Columns, show: StripQuestion['show']): Promise<{ values: number[][]; before: number[][] | undefined }> {
+    if (show === 'observed') return { values: await hoursSeen(map, names, columns), before: undefined };
+    const middles = columns.starts.map((start) => start + HOUR / 2);
+    const values = await predict(map, names, middles);
+    const before = show === 'week' ? await predict(map, names, middles.map((ms) => ms - 7 * DAY)) : undefined;
+    return { values, before };
 }
 
 export class StripFeed {
@@ -77,8 +104,8 @@ export class StripFeed {
         this.#isAsking = false;
     }
 
-    async #answer({ map, names, columns, at, generation, against }: StripQuestion): Promise<void> {
-        const key = JSON.stringify([map, columns.starts[0], columns.span, generation, against]);
+    async #answer({ map, names, columns, at, generation, show }: StripQuestion): Promise<void> {
+        const key = JSON.stringify([map, columns.starts[0], columns.span, generation, show]);
         if (key !== this.#key) {
             [this.#key, this.rows, this.before] = [key, new Map(), new Map()];
         }
@@ -103,20 +130,14 @@ export class StripFeed {
         }
         const missing = asked.filter((name) => !this.rows.has(name));
         if (missing.length === 0) return;
-        const middles = columns.starts.map((start) => start + HOUR / 2);
         const rows = new Map(this.rows);
-        const values = await predict(map, missing, middles);
+        const { values, before } = await hoursOf(map, missing, columns, show);
         for (const [index, name] of missing.entries()) rows.set(name, values[index] ?? []);
         for (const name of rows.keys()) {
             if (rows.size <= KEPT_MAX) break;
             rows.delete(name);
         }
-        if (against) {
-            const before = new Map(this.before);
-            const earlier = await predict(map, missing, middles.map((ms) => ms - against));
-            for (const [index, name] of missing.entries()) before.set(name, earlier[index] ?? []);
-            this.before = before;
-        }
+        if (before) this.before = new Map([...this.before, ...missing.map((name, index) => [name, before[index] ?? []] as const)]);
         this.rows = rows;
     }
 }

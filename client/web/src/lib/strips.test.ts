@@ -8,7 +8,7 @@ import { DAY, HOUR } from './civil';
 import { columnsOf } from './rows';
 import { queries } from './rpc.svelte';
 import { StripFeed, type StripQuestion } from './strips.svelte';
-import { fromNanos } from './times';
+import { fromNanos, toNanos } from './times';
 
 interface Asked {
     states: string[];
@@ -37,7 +37,7 @@ beforeEach(() => {
 afterEach(() => void Object.assign(queries, { predictStates }));
 
 async function rest(feed: StripFeed, question: Partial<StripQuestion>): Promise<void> {
-    feed.ask({ map: 'home', names: ['a'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', against: 0, ...question });
+    feed.ask({ map: 'home', names: ['a'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', show: 'predicted', ...question });
     await new Promise((done) => setTimeout(done, 90));
 }
 
@@ -71,16 +71,30 @@ suite('visible rows', () => {
 
     test('have those of a week before, to compare with', async () => {
         const feed = new StripFeed();
-        await rest(feed, { against: 7 * DAY });
+        await rest(feed, { show: 'week' });
         assert.equal((feed.rows.get('a')?.[3] ?? 0) - (feed.before.get('a')?.[3] ?? 0), 7 * DAY);
+    });
+
+    test('have what was observed, where that is wanted', async () => {
+        const { reconstruct } = queries;
+        Object.assign(queries, {
+            reconstruct: async function* () {
+                await Promise.resolve();
+                yield { timesNanos: [toNanos(AT), toNanos(AT + HOUR / 2)], values: [1, 0] };
+            },
+        });
+        const feed = new StripFeed();
+        await rest(feed, { show: 'observed' });
+        Object.assign(queries, { reconstruct });
+        assert.deepEqual([feed.rows.get('a')?.[10], feed.rows.get('a')?.[9]], [0.5, Number.NaN]);
     });
 
     test('are asked for at the last rest only', async () => {
         const feed = new StripFeed();
-        for (const name of ['x', 'y']) feed.ask({ map: 'home', names: [name], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', against: 0 });
+        for (const name of ['x', 'y']) feed.ask({ map: 'home', names: [name], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', show: 'predicted' });
         await rest(feed, {});
         assert.deepEqual([...feed.rows.keys()], ['a']);
-        feed.ask({ map: 'home', names: ['z'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', against: 0 });
+        feed.ask({ map: 'home', names: ['z'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', show: 'predicted' });
         feed.stop();
         await new Promise((done) => setTimeout(done, 90));
         assert.deepEqual([...feed.rows.keys()], ['a']);
