@@ -100,6 +100,8 @@ struct CellAlignment {
     /// Grid cell where the map's cell (0, 0, 0) begins.
     offset: [i64; 3],
     off_cells: f64,
+    /// The origin with which a grid's cells would line up.
+    origin_m: [f64; 3],
 }
 
 impl CellAlignment {
@@ -113,7 +115,7 @@ impl CellAlignment {
         );
         let exact: [f64; 3] = std::array::from_fn(|axis| (origin_m[axis] - grid.origin_m[axis]) / grid.resolution_m);
         let off = exact.iter().map(|exact| (exact - exact.round()).abs()).fold(0.0, f64::max);
-        Ok(Self { times: times as i64, offset: exact.map(|exact| exact.round() as i64), off_cells: off })
+        Ok(Self { times: times as i64, offset: exact.map(|exact| exact.round() as i64), off_cells: off, origin_m })
     }
 
     /// The grid cells that a box of map cells covers.
@@ -124,7 +126,13 @@ impl CellAlignment {
 
     fn notice(&self, also: Option<&str>) -> Option<String> {
         let off = (self.off_cells > OFF_MAX)
-            .then(|| format!("its cells do not line up with the grid's: moved by {:.2} of a cell", self.off_cells));
+            .then(|| {
+                let ([x, y, z], off) = (self.origin_m, self.off_cells);
+                format!(
+                    "its cells do not line up with the grid's: moved by {off:.2} of a cell. A grid with --grid …,origin={x}:{y}:{z} \
+                     has the same cells"
+                )
+            });
         let all: Vec<String> = off.into_iter().chain(also.map(str::to_owned)).collect();
         (!all.is_empty()).then(|| all.join("; "))
     }
@@ -305,7 +313,7 @@ mod tests {
         assert_eq!(count(&on.tiles), (8, 4));
         assert_eq!(on.counts, CellCounts { all: 4, unknown: 1, left: 1, ..CellCounts::default() });
         assert_eq!(on.shown, Some(CellBox { min: [0, 0, 0].into(), max: [4, 4, 1].into() }));
-        assert!(on.notice.is_some_and(|notice| notice.contains("moved by 0.30") && notice.contains("z = 0")));
+        assert!(on.notice.is_some_and(|notice| notice.contains("moved by 0.30") && notice.contains("origin=-0.83:0:0")));
         assert_eq!(on.tiles.iter().map(|(tile, _)| *tile).collect::<Vec<_>>(), [TileIndex { x: 0, y: 0, z: 0 }]);
         Ok(())
     }

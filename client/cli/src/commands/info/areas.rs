@@ -57,7 +57,9 @@ pub(super) async fn rows(
     if known.grid.is_none() {
         return Err(UsageError("name targets with --state, --location or --view".to_owned()).into());
     }
-    let region = heights(&known, HEIGHTS_M.0, HEIGHTS_M.1);
+    // A map of one layer may lie below these heights.
+    let layers = known.grid_summary.and_then(|summary| summary.region).unwrap_or_default();
+    let region = heights(&known, HEIGHTS_M.0, HEIGHTS_M.1).filter(|region| !region.intersection(&layers).is_empty());
     let mut rows = Vec::new();
     let mut left = 0;
     for &time_nanos in times {
