@@ -12,13 +12,15 @@ pub use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
 };
-pub use tidemap_map::event::{Dimensions, StateKind, StateSensor, StateShape};
+pub use tidemap_map::event::{Dimensions, RowKind, StateKind, StateSensor, StateShape, StatedReporting};
 pub use tidemap_model::{EnabledModels, OrderCriterion, PeriodicityDefinition};
+pub use tidemap_model::{InvalidReporting, Reporting};
 use tidemap_proto::convert::time::{duration, instant, span};
 use tidemap_proto::convert::{
     enabled::{enabled_from_wire, enabled_to_wire},
     grid::{cell_box_from_wire, grid_from_wire, grid_to_wire, retention_from_wire, retention_to_wire},
     map::{criterion_from_wire, criterion_to_wire, periodicities_from_wire, periodicities_to_wire},
+    reporting::{reporting_from_wire, stated_reporting_to_wire},
     state_sensor::{state_sensor_from_wire, state_sensor_to_wire},
     vectors::{shape_from_wire, shape_to_wire},
 };
@@ -151,6 +153,8 @@ pub struct State {
     pub pending: u64,
     /// The sensor that reads it, if one was stated.
     pub sensor: Option<StateSensor>,
+    /// How it is reported, with its durations.
+    pub reporting: StatedReporting,
 }
 
 impl Client {
@@ -231,7 +235,7 @@ impl Client {
 
     /// Adds a state or a vector before its first observation; it is durable when this returns. Succeeds if it exists
     /// with the same shape, and with the same sensor if one is stated. `sensor`: how reliable the readings of a
-    /// probability are; `None`: not known.
+    /// probability are; `None`: not known. `reporting`: how it is reported; `None`: by samples.
     ///
     /// # Errors
     /// [`Error`]; the code is `ALREADY_EXISTS` if it exists with another shape or sensor, `NOT_FOUND` if the map does
@@ -242,10 +246,12 @@ impl Client {
         state: &str,
         shape: StateShape,
         sensor: Option<StateSensor>,
+        reporting: Option<StatedReporting>,
     ) -> Result<State, Error> {
         let ((kind, dimensions), map, state) = (shape_to_wire(shape), map.to_owned(), state.to_owned());
         let sensor = sensor.map(state_sensor_to_wire);
-        let request = v1::AddStateRequest { map, state, kind: kind.into(), dimensions, sensor };
+        let reporting = reporting.map(stated_reporting_to_wire);
+        let request = v1::AddStateRequest { map, state, kind: kind.into(), dimensions, sensor, reporting };
         let response = self.map_service().add_state(request).await.map_err(|status| self.error(&status))?;
         response.into_inner().state.map_or(Err(Error::Protocol("no state in the answer")), state_from_wire)
     }
@@ -318,6 +324,7 @@ fn summary_from_wire(summary: &v1::GridSummary) -> GridSummary {
 fn state_from_wire(state: v1::State) -> Result<State, Error> {
     let shape = shape_from_wire(("kind", state.kind), ("dimensions", state.dimensions)).ok().flatten();
     let sensor = state.sensor.as_ref().map(state_sensor_from_wire).transpose();
+    let reporting = state.reporting.as_ref().map(|wire| reporting_from_wire("reporting", wire)).transpose();
     Ok(State {
         shape: shape.ok_or(Error::Protocol("a state of a kind that this version does not know"))?,
         name: state.name,
@@ -326,5 +333,8 @@ fn state_from_wire(state: v1::State) -> Result<State, Error> {
         last_nanos: instant(state.last_time),
         pending: state.pending,
         sensor: sensor.map_err(|_| Error::Protocol("a sensor that cannot be"))?,
+        reporting: reporting
+            .map_err(|_| Error::Protocol("a way to report that cannot be"))?
+            .unwrap_or_else(|| Reporting::Samples.into()),
     })
 }

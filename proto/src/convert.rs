@@ -34,6 +34,7 @@ mod model_kind;
 pub mod observe;
 pub mod page;
 pub mod query;
+pub mod reporting;
 #[cfg(test)]
 mod round_trips;
 pub mod route;

@@ -160,7 +160,7 @@ impl Catalog {
                     let generation = published.generation;
                     let view = LiveMap::restore(Arc::clone(&spec), published).publish();
                     info!(map = %name, states = view.len(), generation, "map served from the index");
-                    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), view);
+                    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), view, &context.clock);
                     rest.push(UnopenedMap { id, spec, endpoints });
                     Arc::new(handle)
                 }

@@ -10,7 +10,12 @@ use tidemap_grid::{
     view::CellDescription,
 };
 use tidemap_map::{
-    event::StateKind, history::Subject, ids::StateId, interval::cell_intervals, predict::PreparedTimes, view::MapView,
+    event::{Reporting, StateKind},
+    history::Subject,
+    ids::StateId,
+    interval::cell_intervals,
+    predict::PreparedTimes,
+    view::MapView,
 };
 use tidemap_model::{
     HeldInterval, Persistence, Predictive, Sample,
@@ -69,10 +74,18 @@ impl StateOrCell {
         }
     }
 
+    /// How its observations come about.
+    pub(crate) fn reporting(&self, view: &MapView) -> Reporting {
+        match self {
+            Self::State(id) => view.info(*id).map_or(Reporting::Samples, |info| info.reporting),
+            Self::Cell(_) => Reporting::Samples,
+        }
+    }
+
     /// Number of observations that updates have learned.
     pub(crate) fn learned(&self, view: &MapView) -> u64 {
         match self {
-            Self::State(id) => view.model(*id).accumulator().observations(),
+            Self::State(id) => view.model(*id).learned_observations(),
             Self::Cell(cell) => cell.description.folded,
         }
     }
@@ -80,7 +93,7 @@ impl StateOrCell {
     /// Number of observations acknowledged.
     pub(crate) fn observations(&self, view: &MapView) -> u64 {
         match self {
-            Self::State(id) => view.live(*id).observations,
+            Self::State(id) => view.as_observed(*id).observations,
             Self::Cell(cell) => cell.description.observations,
         }
     }

@@ -38,7 +38,10 @@ async fn guarded(change: impl FnOnce(Launch) -> Launch) -> (TempDir, Daemon, Str
     let map = NewMap { name: "office".to_owned(), ..NewMap::default() };
     let admin = client(&daemon, &token);
     admin.create_map(map).await.expect("a new map");
-    admin.add_state("office", "door", StateShape::Scalar(StateKind::Probability), None).await.expect("a new state");
+    admin
+        .add_state("office", "door", StateShape::Scalar(StateKind::Probability), None, None)
+        .await
+        .expect("a new state");
     (work, daemon, token)
 }
 

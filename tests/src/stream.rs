@@ -179,6 +179,7 @@ pub fn hello(producer: &str, map: &str) -> Hello {
         incarnation: 0,
         nightly: false,
         sensor: None,
+        reporting: None,
         answers_probes: false,
     }
 }

@@ -6,13 +6,17 @@
 //! reader does not read on, even if the file grows.
 
 mod fields;
+mod rules;
 pub mod traversals;
 
 use std::io::{self, BufRead};
 
 pub use fields::split as split_row;
+pub use rules::{InvalidRule, Meaning, RowRules};
+
+use rules::FileTimes;
 use tidemap_map::name::StateName;
-use tidemap_model::{Dimensions, Position, StateKind, time::parse_time};
+use tidemap_model::{Dimensions, Position, RowKind, StateKind};
 
 /// Maximum length of a line. Three fields need far less; a file without line ends must not fill the memory.
 const LINE_BYTES_MAX: usize = 64 * 1024;
@@ -29,10 +33,10 @@ pub enum RowError {
     Empty(&'static str),
     /// A column is missing.
     #[error("column {column:?} is missing: the header must name {}, but is {header:?}", needed(.column))]
-    MissingColumn { column: &'static str, header: String },
+    MissingColumn { column: String, header: String },
     /// A column appears twice.
     #[error("column {column:?} appears twice in the header {header:?}")]
-    DoubleColumn { column: &'static str, header: String },
+    DoubleColumn { column: String, header: String },
     /// Positions instead of values.
     #[error(
         "it has positions, columns x and y: use a file of single values, where each axis is a state, NAME/x and so on"
@@ -69,12 +73,12 @@ pub struct CsvHeader<'a> {
 
 impl CsvHeader<'_> {
     /// The index of a required column, which must be unique.
-    fn column(&self, column: &'static str) -> Result<usize, RowError> {
+    fn column(&self, column: &str) -> Result<usize, RowError> {
         let mut places = self.names.iter().enumerate().filter(|(_, name)| *name == column).map(|(place, _)| place);
         match (places.next(), places.next()) {
             (Some(place), None) => Ok(place),
-            (None, _) => Err(RowError::MissingColumn { column, header: shown(self.text) }),
-            (Some(_), Some(_)) => Err(RowError::DoubleColumn { column, header: shown(self.text) }),
+            (None, _) => Err(RowError::MissingColumn { column: column.to_owned(), header: shown(self.text) }),
+            (Some(_), Some(_)) => Err(RowError::DoubleColumn { column: column.to_owned(), header: shown(self.text) }),
         }
     }
 
@@ -91,10 +95,10 @@ pub trait Layout: Sized {
     type Item: std::fmt::Debug;
 
     /// The layout of a header, with the indices of the columns that it uses.
-    fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError>;
+    fn new(header: &CsvHeader<'_>, rules: &RowRules) -> Result<(Self, Vec<usize>), RowError>;
 
     /// The row of a line, and whether it could be read completely.
-    fn row(&self, line: &[u8], at: RowPlace) -> (Self::Item, bool);
+    fn row(&mut self, line: &[u8], at: RowPlace) -> (Self::Item, bool);
 
     /// The place of a row.
     fn at(row: &Self::Item) -> RowPlace;
@@ -111,9 +115,11 @@ pub struct ObservationRow {
     pub state: String,
     /// Time; 0 if it could not be read.
     pub time_nanos: i64,
-    /// Value; NaN, which the daemon refuses, if any part of the row could not be read. A value out of range is kept:
-    /// the transfer and its checksum must match the file.
+    /// Value; NaN, which the daemon refuses, if any part of the row could not be read, or if the row says that none is
+    /// known. A value out of range is kept: the transfer and its checksum must match the file.
     pub value: f64,
+    /// The value was a word.
+    pub is_word: bool,
     /// The position, in a file of positions; its coordinates are NaN if any part of the row could not be read.
     pub position: Option<Position>,
     /// Why the row could not be read, or is no valid observation of a probability.
@@ -141,15 +147,18 @@ pub enum RowItem<T = ObservationRow> {
 }
 
 /// The columns of observations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct ObservationColumns {
     time: usize,
     state: usize,
-    value: usize,
+    /// `None`: each row is one event.
+    value: Option<usize>,
     axes: [usize; 3],
     /// The dimensions of positions; none for values.
     dimensions: Option<Dimensions>,
     count: usize,
+    rules: RowRules,
+    times: FileTimes,
 }
 
 /// Reads a file row by row.
@@ -188,7 +197,12 @@ impl<R: BufRead> RowReader<R> {
 
 impl<R: BufRead, L: Layout> RowReader<R, L> {
     /// Reads the header.
-    pub fn open(mut reader: R) -> Result<Self, RowError> {
+    pub fn open(reader: R) -> Result<Self, RowError> {
+        Self::open_with(reader, &RowRules::default())
+    }
+
+    /// Reads the header of a file whose rows are read by these rules.
+    pub fn open_with(mut reader: R, rules: &RowRules) -> Result<Self, RowError> {
         let mut buffer = Vec::new();
         let (end, bytes) = read_line(&mut reader, &mut buffer)?;
         end.ok_or(RowError::Empty(L::HEADER))?;
@@ -196,7 +210,7 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let names = split_row(text).unwrap_or_default().iter().map(|name| name.to_lowercase()).collect();
         let header = CsvHeader { text, names };
-        let (layout, used) = L::new(&header)?;
+        let (layout, used) = L::new(&header, rules)?;
         let ignored = (0..).zip(&header.names).filter(|(place, _)| !used.contains(place));
         let ignored = ignored.map(|(_, name)| name.clone()).collect();
         let ended = end == Some(LineEnd::EndOfFile);
@@ -312,19 +326,26 @@ impl Layout for ObservationColumns {
     const HEADER: &'static str = "time,state,value";
     type Item = ObservationRow;
 
-    fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError> {
-        let (time, state) = (header.column("time")?, header.column("state")?);
-        let dimensions = (!header.has("value") && (header.has("x") || header.has("y"))).then_some(if header.has("z") {
+    fn new(header: &CsvHeader<'_>, rules: &RowRules) -> Result<(Self, Vec<usize>), RowError> {
+        let [time_name, state_name, value_name] = &rules.columns;
+        let value_name = value_name.as_deref();
+        let time = header.column(time_name.as_deref().unwrap_or("time"))?;
+        let state = header.column(state_name.as_deref().unwrap_or("state"))?;
+        let has_value = value_name.is_some() || header.has("value");
+        let dimensions = (!has_value && (header.has("x") || header.has("y"))).then_some(if header.has("z") {
             Dimensions::Three
         } else {
             Dimensions::Two
         });
-        let (mut value, mut axes) = (0, [0; 3]);
+        let (mut value, mut axes) = (None, [0; 3]);
         let mut used = vec![time, state];
         match dimensions {
+            // Without a value, an event is one.
+            None if rules.kind == RowKind::Events && !has_value => {}
             None => {
-                value = header.column("value")?;
-                used.push(value);
+                let place = header.column(value_name.unwrap_or("value"))?;
+                value = Some(place);
+                used.push(place);
             }
             Some(dimensions) => {
                 for (place, axis) in axes.iter_mut().zip(dimensions.axes()) {
@@ -333,16 +354,22 @@ impl Layout for ObservationColumns {
                 }
             }
         }
-        Ok((Self { time, state, value, axes, dimensions, count: header.names.len() }, used))
+        let (count, rules, times) = (header.names.len(), rules.clone(), FileTimes::default());
+        Ok((Self { time, state, value, axes, dimensions, count, rules, times }, used))
     }
 
-    fn row(&self, line: &[u8], RowPlace { number, line: line_number, has_end }: RowPlace) -> (ObservationRow, bool) {
+    fn row(
+        &mut self,
+        line: &[u8],
+        RowPlace { number, line: line_number, has_end }: RowPlace,
+    ) -> (ObservationRow, bool) {
         let mut row = ObservationRow {
             number,
             line: line_number,
             state: String::new(),
             time_nanos: 0,
             value: f64::NAN,
+            is_word: false,
             position: self.dimensions.and_then(|dimensions| Position::of(&[f64::NAN; 3][..dimensions.count()])),
             wrong: None,
             is_read: false,
@@ -368,15 +395,15 @@ impl ObservationColumns {
 
     /// Fills in the fields that can be read, the value last, so that it stays NaN if any other field is invalid.
     /// Returns why a readable row is no valid observation.
-    fn fill(&self, line: &[u8], row: &mut ObservationRow) -> Result<Option<String>, String> {
-        let ObservationColumns { time, state, value, axes, dimensions, count } = *self;
+    fn fill(&mut self, line: &[u8], row: &mut ObservationRow) -> Result<Option<String>, String> {
+        let ObservationColumns { time, state, value, axes, dimensions, count, .. } = *self;
         let fields = fields(line, count)?;
         let (chars, chars_max) = (fields[state].chars().count(), StateName::chars_max(&fields[state]));
         // A longer name does not fit into a message.
         if chars <= chars_max {
             row.state = fields[state].to_string();
         }
-        row.time_nanos = parse_time(&fields[time]).map_err(|wrong| format!("time {wrong}"))?;
+        row.time_nanos = self.times.read(self.rules.zone.as_ref(), &fields[state], &fields[time])?;
         if chars > chars_max {
             let name = shown(&fields[state]);
             return Err(format!("state {name:?} has {chars} characters: at most {chars_max} are allowed"));
@@ -393,14 +420,43 @@ impl ObservationColumns {
             return Ok(invalid_coordinate
                 .map(|(axis, number)| format!("{axis} {number} is not {}", StateKind::Continuous.expected())));
         }
-        let number: f64 = fields[value]
-            .parse()
-            .map_err(|_| format!("value {:?} is not a number: use 0, 1 or anything between", shown(&fields[value])))?;
+        let Some(value) = value else {
+            row.value = 1.0;
+            return Ok(None);
+        };
+        let Some(number) = self.number(&fields[value], row)? else { return Ok(None) };
         // Minus zero would change the checksum.
         row.value = number + 0.0;
         // The daemon refuses it, too, but its refusals are lost if the connection breaks.
         let in_range = (0.0..=1.0).contains(&number);
         Ok((!in_range).then(|| format!("value {} is not between 0 and 1", shown(&fields[value]))))
+    }
+}
+
+impl ObservationColumns {
+    /// The number that a text is or stands for; `None`: no value is known.
+    fn number(&self, text: &str, row: &mut ObservationRow) -> Result<Option<f64>, String> {
+        let number: Option<f64> = text.parse().ok();
+        if let Some(number) = number.filter(|number| !number.is_nan() || self.rules.kind == RowKind::Samples) {
+            return Ok(Some(number));
+        }
+        match self.rules.meaning(text) {
+            Some(Meaning::Value(number)) => {
+                row.is_word = true;
+                Ok(Some(number))
+            }
+            Some(Meaning::NoValue) if self.rules.kind != RowKind::Samples => Ok(None),
+            Some(Meaning::NoValue) => Err(format!(
+                "value {:?} says that none is known: only rows of changes and events may (--changes, --events)",
+                shown(text)
+            )),
+            None => Err(format!(
+                "value {:?} is not a number: use 0, 1 or anything between, or say what the word stands for, as in \
+                 --values {}=1",
+                shown(text),
+                shown(text)
+            )),
+        }
     }
 }
 

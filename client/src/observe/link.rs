@@ -10,7 +10,7 @@ use std::{
 };
 
 use tidemap_proto::{
-    convert::map::refusal_from_wire,
+    convert::{map::refusal_from_wire, reporting::stated_reporting_to_wire},
     v1::{
         Ack, Alive, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, ProducerSensor, Welcome,
         observation_service_client::ObservationServiceClient, observe_request, observe_response,
@@ -293,6 +293,7 @@ fn hello(shared: &Shared, incarnation: u64) -> ObserveRequest {
             .sensor
             .map(|sensor| ProducerSensor { hit: Some(sensor.hit), false_alarm: Some(sensor.false_alarm) }),
         answers_probes: true,
+        reporting: options.reporting.map(stated_reporting_to_wire),
     };
     ObserveRequest { message: Some(observe_request::Message::Hello(hello)) }
 }

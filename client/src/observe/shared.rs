@@ -13,7 +13,10 @@ use super::{
     ProducerError, ProducerSensor, Refusal,
     window::{WINDOW_BYTES, Window},
 };
-use crate::{error::Error, maps::StateShape};
+use crate::{
+    error::Error,
+    maps::{StateShape, StatedReporting},
+};
 
 /// Producer, label, map and options of a stream.
 #[derive(Clone, Debug)]
@@ -29,6 +32,9 @@ pub struct ProducerOptions {
     /// Kind of its values: new states are created with it, and observations of states of another kind are refused.
     /// `None`: existing kinds apply, and new states are probabilities.
     pub kind: Option<StateShape>,
+    /// How its states are reported: new states get it, and observations of states that are reported otherwise are
+    /// refused. `None`: each state is reported as it is, and new ones by samples.
+    pub reporting: Option<StatedReporting>,
     /// Sensor of its scans. `None`: the sensor that the daemon knows for this producer and label, or the sensor of the
     /// map for a new one. The sensor is fixed once known: announcing another one is refused.
     pub sensor: Option<ProducerSensor>,
@@ -53,6 +59,7 @@ impl ProducerOptions {
             map: map.to_owned(),
             nightly: false,
             kind: None,
+            reporting: None,
             sensor: None,
             window: 65_536,
             window_bytes: WINDOW_BYTES,

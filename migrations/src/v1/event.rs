@@ -34,6 +34,9 @@ pub struct NewState {
     /// The sensor that was stated for it; only of kind 0.
     #[prost(message, optional, tag = "4")]
     pub sensor: Option<super::map::Sensor>,
+    /// How its rows come about; absent: each is a reading.
+    #[prost(message, optional, tag = "5")]
+    pub reporting: Option<super::map::Reporting>,
 }
 
 /// The start of an update.

@@ -15,6 +15,7 @@ use super::{
     InvalidField,
     enabled::{enabled_from_wire, enabled_to_wire},
     grid::{grid_from_wire, grid_summary_to_wire, grid_to_wire, retention_from_wire, retention_to_wire},
+    reporting::reporting_to_wire,
     site::point_to_wire,
     state_sensor::state_sensor_to_wire,
     time::{duration, nanos_from_duration, timestamp},
@@ -138,7 +139,7 @@ pub fn update_to_wire(generation: u64, cut_nanos: Option<i64>) -> v1::UpdateSumm
 #[must_use]
 pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
     let info = view.info(id)?;
-    let live = view.live(id);
+    let live = view.as_observed(id);
     let (name, kind, order, dimensions) = match (info.name.as_axis(), info.name.as_angle_axis()) {
         (None, None) => {
             let order = u32::try_from(view.model(id).order()).unwrap_or(u32::MAX);
@@ -158,10 +159,11 @@ pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
         kind: kind.into(),
         observations: live.observations,
         order,
-        last_time: live.persistence.last().map(|(nanos, _)| timestamp(nanos)),
+        last_time: live.last_nanos().map(timestamp),
         dimensions,
         pending: view.pending_of(id),
         sensor: info.sensor.map(state_sensor_to_wire),
+        reporting: reporting_to_wire(info.reporting),
     })
 }
 

@@ -6,11 +6,15 @@
 use std::ops::RangeInclusive;
 
 use tidemap_grid::sensors::ProducerSensor;
-use tidemap_map::{event::StateShape, name::ProducerKey};
+use tidemap_map::{
+    event::{StateShape, StatedReporting},
+    name::ProducerKey,
+};
 
 use super::{
     InvalidField,
     columns::PackedColumns,
+    reporting::reporting_from_wire,
     scans::{ScanMessage, scans_from_wire},
     sequences::sequences_from_wire,
     traversals::{TraversalMessage, traversals_from_wire},
@@ -35,6 +39,8 @@ pub struct StreamStart {
     pub is_nightly: bool,
     /// The announced sensor, which the map's writer checks.
     pub sensor: Option<ProducerSensor>,
+    /// What is said about how its states are reported.
+    pub reporting: Option<StatedReporting>,
 }
 
 /// The hello in the first message of a stream.
@@ -51,7 +57,7 @@ pub fn hello_of(first: v1::ObserveRequest) -> Result<v1::Hello, InvalidField> {
 /// How a stream begins.
 ///
 /// # Errors
-/// An invalid name of the producer, or label.
+/// An invalid name of the producer, or label; or states that cannot be reported like that.
 pub fn hello_from_wire(hello: &v1::Hello) -> Result<StreamStart, InvalidField> {
     // One after the other, to name the invalid field.
     ProducerKey::new(&hello.producer, "").map_err(|error| InvalidField::new("hello.producer", error))?;
@@ -66,6 +72,7 @@ pub fn hello_from_wire(hello: &v1::Hello) -> Result<StreamStart, InvalidField> {
         answers_probes: hello.answers_probes,
         is_nightly: hello.nightly,
         sensor: hello.sensor.as_ref().map(sensor),
+        reporting: hello.reporting.as_ref().map(|wire| reporting_from_wire("hello.reporting", wire)).transpose()?,
     })
 }
 

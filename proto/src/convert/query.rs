@@ -181,7 +181,7 @@ pub fn description_to_wire(view: &MapView, id: StateId) -> Option<v1::DescribeMo
         state: info.name.as_str().to_owned(),
         kind: kind_to_wire(info.kind).into(),
         mean: spectral.mean(),
-        learned_observations: model.accumulator().observations(),
+        learned_observations: model.learned_observations(),
         observations: live.observations,
         order: u32::try_from(model.order()).unwrap_or(u32::MAX),
         components: components_to_wire(view, spectral),

@@ -4,13 +4,14 @@
 //! checked for each one later.
 
 use tidemap_map::{
-    event::{Dimensions, Position, StateSensor, StateShape},
+    event::{Dimensions, Position, RowKind, StateKind, StateSensor, StateShape, StatedReporting},
     name::StateName,
 };
 
 use super::{
     InvalidField,
     map::{kind_from_wire, kind_to_wire},
+    reporting::reporting_from_wire,
     state_sensor::state_sensor_from_wire,
 };
 use crate::v1;
@@ -51,6 +52,8 @@ pub struct DeclaredState {
     pub shape: StateShape,
     /// The sensor that reads it; `None`: not stated.
     pub sensor: Option<StateSensor>,
+    /// How it is reported; `None`: not stated.
+    pub reporting: Option<StatedReporting>,
 }
 
 /// A state to add.
@@ -58,10 +61,12 @@ pub struct DeclaredState {
 /// # Errors
 /// The invalid field.
 pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<DeclaredState, InvalidField> {
-    let v1::AddStateRequest { state, kind, dimensions, sensor, .. } = request;
+    let v1::AddStateRequest { state, kind, dimensions, sensor, reporting, .. } = request;
     let invalid = |error| InvalidField::new("state", error);
     let name = StateName::observed(state).map_err(invalid)?;
-    let shape = shape_from_wire(("kind", *kind), ("dimensions", *dimensions))?.unwrap_or_default();
+    let has_events = reporting.as_ref().is_some_and(|reporting| reporting.kind == i32::from(v1::RowKind::Events));
+    let shape = shape_from_wire(("kind", *kind), ("dimensions", *dimensions))?;
+    let shape = shape.unwrap_or_else(|| if has_events { StateKind::Count.into() } else { StateShape::default() });
     if let StateShape::Vector(_) | StateShape::Angle = shape {
         name.check_vector().map_err(invalid)?;
     }
@@ -69,7 +74,21 @@ pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<Declare
     if sensor.is_some() && !shape.may_have_sensor() {
         return Err(InvalidField::new("sensor", format!("{} has none: only a probability has", shape.with_article())));
     }
-    Ok(DeclaredState { name, shape, sensor })
+    let reporting = reporting.as_ref().map(|wire| reporting_from_wire("reporting", wire)).transpose()?;
+    if let Some(reporting) = reporting.filter(|reporting| !shape.may_report(reporting.for_new())) {
+        return Err(InvalidField::new("reporting", cannot_report(shape, reporting.kind())));
+    }
+    Ok(DeclaredState { name, shape, sensor, reporting })
+}
+
+/// Why a state of a shape is not reported like that.
+#[must_use]
+pub fn cannot_report(shape: StateShape, kind: RowKind) -> String {
+    let rule = match kind {
+        RowKind::Events => "only a count has events",
+        RowKind::Changes | RowKind::Samples => "positions and angles have samples only",
+    };
+    format!("{} is not reported by {}: {rule}", shape.with_article(), kind.name())
 }
 
 /// A shape for the wire: its kind, and the number of its coordinates, 0 for values.

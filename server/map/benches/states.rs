@@ -11,7 +11,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, UpdateCause},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
@@ -67,6 +67,7 @@ fn observe(map: &mut LiveMap, day: i64, step: i64) {
             name: StateName::new(&format!("state {state}")).expect("valid"),
             shape: StateKind::Probability.into(),
             sensor: None,
+            reporting: Reporting::Samples,
         };
         let envelope = Envelope {
             producer: ProducerId(0),

@@ -10,7 +10,7 @@ use std::{
 };
 
 use crate::{
-    event::{Dimensions, StateKind, StateSensor, StateShape},
+    event::{Dimensions, Reporting, StateKind, StateSensor, StateShape},
     ids::StateId,
     name::{StateName, asked_for},
 };
@@ -29,6 +29,8 @@ pub struct StateInfo {
     pub kind: StateKind,
     /// The sensor that reads it, where it is known; never changes.
     pub sensor: Option<StateSensor>,
+    /// How its rows come about; never changes.
+    pub reporting: Reporting,
 }
 
 /// The states of a map by name and by index.

@@ -10,7 +10,7 @@
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
 use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, Sample, allows_angle, time::FUTURE_MAX_NANOS};
-pub use tidemap_model::{Dimensions, Position, StateKind, StateSensor};
+pub use tidemap_model::{Dimensions, Hold, Position, Reporting, RowKind, StateKind, StateSensor, StatedReporting};
 
 use tidemap_grid::scan::Scans;
 
@@ -83,7 +83,8 @@ pub struct Observations {
     pub states: Vec<StateId>,
     /// Per accepted observation: time in nanoseconds UTC, at least 0.
     pub times_nanos: Vec<i64>,
-    /// Per accepted observation: a value that the state's kind allows.
+    /// Per accepted observation: a value that the state's kind allows. NaN of a state that does not report samples: its
+    /// sensor knows no value from then on.
     pub values: Vec<f64>,
     /// UTC offsets of the accepted observations; the counts add up to their number.
     pub offsets: Vec<OffsetRun>,
@@ -127,6 +128,8 @@ pub struct NewState {
     pub shape: StateShape,
     /// The sensor that reads it, where it is known; only of a shape that may have one.
     pub sensor: Option<StateSensor>,
+    /// How its rows come about; only what its shape allows.
+    pub reporting: Reporting,
 }
 
 impl NewState {
@@ -209,6 +212,16 @@ impl StateShape {
     #[must_use]
     pub fn may_have_sensor(self) -> bool {
         self == StateShape::Scalar(StateKind::Probability)
+    }
+
+    /// Whether its rows may come about like this: positions and angles are sampled, and only counts have events.
+    #[must_use]
+    pub fn may_report(self, reporting: Reporting) -> bool {
+        match reporting {
+            Reporting::Samples => true,
+            Reporting::Changes(_) => matches!(self, StateShape::Scalar(_)),
+            Reporting::Events(_) => self == StateShape::Scalar(StateKind::Count),
+        }
     }
 
     /// Whether an observation that is one number may have this value.

@@ -11,7 +11,7 @@ use tidemap_model::StateModel;
 
 use crate::{
     directory::{Directory, StateInfo},
-    event::{Event, StateKind, StateSensor, StateShape, UpdateStart},
+    event::{Event, Reporting, StateKind, StateSensor, StateShape, UpdateStart},
     ids::{ProducerId, StateId},
     name::ProducerKey,
     pending::{Origin, Pending},
@@ -66,6 +66,8 @@ pub struct LiveMap {
     live: Vec<LiveState>,
     live_published: Vec<Arc<[LiveState]>>,
     live_dirty: Vec<bool>,
+    /// The states that report changes or events, ascending.
+    with_rows: Vec<StateId>,
     models: Arc<Vec<Arc<StateModel>>>,
     prior_models: PriorModels,
     pending: Pending,
@@ -95,6 +97,7 @@ impl LiveMap {
             live: Vec::new(),
             live_published: Vec::new(),
             live_dirty: Vec::new(),
+            with_rows: Vec::new(),
             models: Arc::new(Vec::new()),
             prior_models,
             pending: Pending::default(),
@@ -118,12 +121,14 @@ impl LiveMap {
         }
         let mut models = Vec::with_capacity(snapshot.states.len());
         for state in snapshot.states {
-            map.add_state(StateInfo { name: state.name, kind: state.kind, sensor: state.model.sensor() });
+            let (sensor, reporting) = (state.model.sensor(), state.model.reporting());
+            map.add_state(StateInfo { name: state.name, kind: state.kind, sensor, reporting });
             if let Some(live) = map.live.last_mut() {
                 *live = LiveState {
                     observations: state.observations,
                     persistence: state.persistence,
                     recent: state.recent,
+                    newest_row: state.newest_row,
                 };
             }
             map.observations += state.observations;
@@ -184,6 +189,11 @@ impl LiveMap {
     /// The sensor that reads a state, where it is known.
     pub fn sensor(&self, id: StateId) -> Option<StateSensor> {
         self.directory.info(id).and_then(|info| info.sensor)
+    }
+
+    /// How the rows of a state come about.
+    pub fn reporting(&self, id: StateId) -> Reporting {
+        self.directory.info(id).map_or(Reporting::Samples, |info| info.reporting)
     }
 
     /// Kind of a state.
@@ -349,6 +359,9 @@ impl LiveMap {
             observations: self.observations,
             pending: self.pending.total() + self.pending.future() + self.updating(),
             ahead: self.pending.future(),
+            newest_nanos: self.newest_nanos,
+            has_rows: !self.with_rows.is_empty(),
+            now_nanos: None,
             directory: self.directory.clone(),
             live: self.live_published.clone(),
             models: Arc::clone(&self.models),

@@ -78,7 +78,7 @@ pub(crate) struct Taken {
     /// Of each entry of `by_state`.
     pub origins: Vec<Origins>,
     /// Those that had waited apart, ascending by time.
-    pub were_ahead: Vec<(StateId, Sample)>,
+    pub were_ahead: Vec<(StateId, Sample, ProducerId)>,
 }
 
 impl Pending {
@@ -190,7 +190,7 @@ impl Pending {
             }
         }
         ended.sort_by_key(|ahead| ahead.sample.utc_nanos);
-        let were_ahead = ended.into_iter().map(|ahead| (ahead.state, ahead.sample)).collect();
+        let were_ahead = ended.into_iter().map(|ahead| (ahead.state, ahead.sample, ahead.producer)).collect();
         if self.total == 0 && self.future.is_empty() {
             self.days.clear();
         } else {

@@ -3,6 +3,8 @@
 //! Invariant: a prediction lies in the bounds of its state's kind, a probability in [0, 1]. The phasors of a set of
 //! times are computed once and shared by all states.
 
+use std::borrow::Cow;
+
 use tidemap_grid::{
     predict::{GridQuestion, GridSelection, TileCells},
     tile::TileUnavailable,
@@ -14,7 +16,10 @@ use tidemap_model::{
     selector::{Blend, ModelKind, ModelSelector},
 };
 
-use crate::{ids::StateId, view::MapView};
+use crate::{
+    ids::StateId,
+    view::{LiveState, MapView},
+};
 
 /// Times with their phasors, ready for any number of states of one map.
 #[derive(Debug)]
@@ -111,7 +116,24 @@ impl MapView {
         if selector.blend == Blend::Belief {
             return self.believe(id, moments, out);
         }
-        blend(&self.live(id).persistence, self.model(id).memory_basis(), moments, selector.blend, out);
+        let live = self.live(id);
+        let moments = self.held_moments(id, &live, moments);
+        blend(&live.persistence, self.model(id).memory_basis(), &moments, selector.blend, out);
+    }
+
+    /// The moments, those since the newest row of a state that reports changes as the last at which its value is known:
+    /// it has held all the time.
+    fn held_moments<'a>(&self, id: StateId, live: &LiveState, moments: &'a [Moment]) -> Cow<'a, [Moment]> {
+        let Some((until, _)) = live.persistence.last() else { return Cow::Borrowed(moments) };
+        let since = self.as_observed(id).newest_row.filter(|row| row.has_value).map_or(until, |row| row.nanos);
+        if since >= until || !moments.iter().any(|moment| (since..until).contains(&moment.utc_nanos)) {
+            return Cow::Borrowed(moments);
+        }
+        let held = |moment: &Moment| match (since..until).contains(&moment.utc_nanos) {
+            true => Moment { utc_nanos: until, ..*moment },
+            false => *moment,
+        };
+        Cow::Owned(moments.iter().map(held).collect())
     }
 
     /// Draws predictions of a state towards what its newest readings say. Before its first update they count as with
@@ -119,6 +141,7 @@ impl MapView {
     pub(crate) fn believe(&self, id: StateId, moments: &[Moment], out: &mut [f64]) {
         let (live, model) = (self.live(id), self.model(id));
         let newest = live.persistence.last();
+        let moments = &*self.held_moments(id, &live, moments);
         match (model.belief(), self.info(id).and_then(|info| info.sensor)) {
             (Some(belief), _) => belief.blend_into(&live.recent, newest, moments, out),
             (None, Some(sensor)) => Belief::of_sensor(sensor).blend_into(&live.recent, newest, moments, out),

@@ -1,13 +1,13 @@
 //! The models of untrained states.
 //!
-//! Invariant: there is one model of each kind, shared by all states that have learned nothing and whose sensor is not
-//! known.
+//! Invariant: there is one model of each kind, shared by all states that have learned nothing, are reported by samples,
+//! and whose sensor is not known.
 
 use std::sync::Arc;
 
-use tidemap_model::{StateKind, StateModel, StateSensor};
+use tidemap_model::{LearnedRows, Reporting, StateKind, StateModel};
 
-use crate::spec::MapSpec;
+use crate::{directory::StateInfo, spec::MapSpec};
 
 /// An untrained model of each kind.
 #[derive(Clone, Debug)]
@@ -36,8 +36,15 @@ impl PriorModels {
     }
 
     /// The model that a state begins to learn with.
-    pub(crate) fn beginning(&self, kind: StateKind, sensor: Option<StateSensor>) -> Arc<StateModel> {
-        let prior = self.of(kind);
-        sensor.map_or_else(|| Arc::clone(prior), |sensor| Arc::new(StateModel::clone(prior).with_sensor(sensor)))
+    pub(crate) fn beginning(&self, info: &StateInfo) -> Arc<StateModel> {
+        let prior = self.of(info.kind);
+        if info.sensor.is_none() && info.reporting == Reporting::Samples {
+            return Arc::clone(prior);
+        }
+        let model = StateModel::clone(prior).with_reporting(info.reporting, LearnedRows::default());
+        Arc::new(match info.sensor {
+            Some(sensor) => model.with_sensor(sensor),
+            None => model,
+        })
     }
 }

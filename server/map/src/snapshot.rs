@@ -13,6 +13,7 @@ use crate::{
     event::StateKind,
     history::HistoryPiece,
     name::{ProducerKey, StateName},
+    newest_row::NewestRow,
     site::Site,
 };
 
@@ -90,6 +91,9 @@ pub struct ProducerMark {
     pub sensor: Option<ProducerSensor>,
     /// When the daemon received the newest of them, nanoseconds UTC.
     pub received_nanos: i64,
+    /// Latest time of its observations that did not have to wait, nanoseconds UTC; 0 in a map without states that report
+    /// changes or events.
+    pub newest_nanos: i64,
     /// The running CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
     pub recent: Vec<ContentMark>,
     /// Whether any of them was a scan.
@@ -118,6 +122,8 @@ pub struct StateSnapshot {
     pub persistence: Persistence,
     /// The recent readings.
     pub recent: Recent,
+    /// The newest row, where rows are changes or events.
+    pub newest_row: Option<NewestRow>,
     /// Its model, shared with the view that is in force.
     pub model: Arc<StateModel>,
 }

@@ -16,12 +16,12 @@ use std::{collections::BTreeMap, fmt, sync::Arc};
 use rayon::prelude::*;
 use tidemap_grid::spec::Retention;
 use tidemap_model::{
-    LocalDay, OffsetCache, Sample, StateModel, TrainedModel,
+    Hold, LocalDay, OffsetCache, Reporting, Sample, StateModel, TrainedModel,
     catalogue::{ModelKind, NIGHTLY_WINDOW_NANOS, TrainingCost},
     models::{CannotTrain, Readings},
 };
 
-use crate::{event::StateKind, ids::StateId, spec::MapSpec};
+use crate::{event::StateKind, ids::StateId, row_samples::samples_of, spec::MapSpec};
 
 #[cfg(test)]
 mod tests;
@@ -91,10 +91,27 @@ impl TrainingOutcome {
 /// A state of which a day was learned.
 pub(crate) struct Pupil<'a> {
     pub(crate) id: StateId,
-    /// What this update has learned of it up to the day, in order of time.
-    pub(crate) own: &'a [Sample],
+    /// What this update has learned of it up to the day.
+    pub(crate) own: Taught<'a>,
     /// What was learned of it, from all days.
     pub(crate) model: &'a mut Arc<StateModel>,
+}
+
+/// What an update has learned of a state.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Taught<'a> {
+    /// In order of time; rows, if the state reports changes or events.
+    pub(crate) samples: &'a [Sample],
+    pub(crate) reporting: Reporting,
+    /// Rows are learned up to there.
+    pub(crate) horizon_nanos: i64,
+}
+
+impl<'a> Taught<'a> {
+    /// Of a state that reports samples.
+    pub(crate) fn samples(samples: &'a [Sample]) -> Taught<'a> {
+        Taught { samples, reporting: Reporting::Samples, horizon_nanos: i64::MIN }
+    }
 }
 
 /// Limits of a round of training.
@@ -116,8 +133,10 @@ struct Due<'a> {
     state_kind: StateKind,
     /// The models to train.
     kinds: Vec<ModelKind>,
-    /// What this update has learned, in order of time.
-    own: &'a [Sample],
+    /// What this update has learned.
+    own: Taught<'a>,
+    /// The first instant to train on.
+    from_nanos: i64,
     /// The last learned day.
     day: LocalDay,
     /// Expected number of readings, at least one.
@@ -255,8 +274,10 @@ fn due<'a>(
             from_nanos.max(civil_nanos.saturating_sub(i64::from(offsets.offset_secs(civil_nanos)) * SEC_NANOS));
     }
     let expected = ((expected * share) as u64).max(1);
-    let wanted = ReadingsRequest { state: pupil.id, from_nanos };
-    Some(Due { place, wanted, state_kind: model.kind(), kinds, own, day, expected })
+    // A row may hold up to there.
+    let hold_nanos = own.reporting.hold().map_or(0, Hold::max_nanos);
+    let wanted = ReadingsRequest { state: pupil.id, from_nanos: from_nanos.saturating_sub(hold_nanos).max(kept_from) };
+    Some(Due { place, wanted, from_nanos, state_kind: model.kind(), kinds, own, day, expected })
 }
 
 /// Number of due states to process together: at least one, if there are any.
@@ -272,10 +293,15 @@ fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
 /// Trains each due model of a state.
 fn train(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<TrainedModel, CannotTrain>> {
     let mut samples = earlier;
-    let first = due.own.partition_point(|sample| sample.utc_nanos < due.wanted.from_nanos);
-    samples.extend_from_slice(due.own.get(first..).unwrap_or(&[]));
+    let own = due.own.samples;
+    let first = own.partition_point(|sample| sample.utc_nanos < due.wanted.from_nanos);
+    samples.extend_from_slice(own.get(first..).unwrap_or(&[]));
     // Stable: of equal times those of earlier updates come first.
     samples.sort_by_key(|sample| sample.utc_nanos);
+    if due.own.reporting.may_end() {
+        samples = samples_of(due.own.reporting, &samples, due.own.horizon_nanos, &mut spec.zone.offset_cache());
+        samples.drain(..samples.partition_point(|sample| sample.utc_nanos < due.from_nanos));
+    }
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
     let readings = Readings { half_life_secs, ..Readings::new(&samples) };
     due.kinds.par_iter().map(|&kind| kind.train(readings, due.state_kind, &spec.periodicities)).collect()

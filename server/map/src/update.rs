@@ -20,7 +20,10 @@
 //! Invariant: the work holds all that it needs; the result depends on nothing but the work and the readings that it is
 //! given. States are processed independently of each other.
 
-use std::sync::{Arc, atomic::AtomicU64};
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, atomic::AtomicU64},
+};
 
 use tidemap_model::{Sample, StateModel, UpdateOutcome, selector::ModelSelector};
 
@@ -95,6 +98,8 @@ pub struct UpdateWork {
     pub(crate) samples: Vec<(StateId, Vec<Sample>)>,
     /// Of each entry of `samples`.
     pub(crate) origins: Vec<Origins>,
+    /// Of each state that reports changes or events: where its rows are known to be complete, nanoseconds UTC.
+    pub(crate) horizons: BTreeMap<StateId, i64>,
     pub(crate) grid: Option<GridWork>,
     pub(crate) readings: Option<Arc<dyn StateReadings>>,
     pub(crate) room: Option<SpectrumRoom>,
@@ -130,7 +135,8 @@ impl UpdateWork {
 
     /// Number of states and tiles with observations to learn.
     pub fn states(&self) -> u64 {
-        self.samples.len() as u64 + self.grid.as_ref().map_or(0, GridWork::busy_tiles)
+        let silent = self.horizons.keys().filter(|id| self.samples.binary_search_by_key(id, |(id, _)| id).is_err());
+        (self.samples.len() + silent.count()) as u64 + self.grid.as_ref().map_or(0, GridWork::busy_tiles)
     }
 
     /// Number of observations and scans to learn.
@@ -180,7 +186,7 @@ impl UpdateWork {
         let mut models: Vec<Arc<StateModel>> = Vec::with_capacity(self.basis.directory.len());
         models.extend(self.models.iter().cloned());
         let new = self.basis.directory.iter().skip(models.len());
-        models.extend(new.map(|info| self.prior_models.beginning(info.kind, info.sensor)));
+        models.extend(new.map(|info| self.prior_models.beginning(info)));
         let is_early = self.basis.start.cause == UpdateCause::PendingLimit;
         for origins in &mut history.origins {
             origins.is_early = is_early;
@@ -188,7 +194,8 @@ impl UpdateWork {
         let room = RoomInUse::new(self.room, &models);
         // History keeps them in order of arrival.
         history.states.iter_mut().for_each(|(_, samples)| samples.shrink_to_fit());
-        let steps = DailySteps { spec: &self.spec, readings: self.readings.as_deref(), room: &room, progress };
+        let readings = self.readings.as_deref();
+        let steps = DailySteps { spec: &self.spec, readings, horizons: &self.horizons, room: &room, progress };
         let (done, training) = steps.learn(&history.states, &mut models).map_err(|(id, reason)| {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }

@@ -14,6 +14,7 @@ use crate::{
     directory::Directory,
     event::{StateKind, StateShape},
     ids::StateId,
+    newest_row::NewestRow,
     prior_models::PriorModels,
     site::Site,
     spec::MapSpec,
@@ -31,9 +32,18 @@ pub struct LiveState {
     pub persistence: Persistence,
     /// The recent readings.
     pub recent: Recent,
+    /// The newest row, where rows are changes or events.
+    pub newest_row: Option<NewestRow>,
 }
 
 impl LiveState {
+    /// Time of the newest observation, nanoseconds UTC.
+    #[must_use]
+    pub fn last_nanos(&self) -> Option<i64> {
+        let last = self.persistence.last().map(|(nanos, _)| nanos);
+        self.newest_row.map(|newest| newest.nanos).or(last)
+    }
+
     /// Takes in an observation whose time has come.
     pub(crate) fn observe(&mut self, sample: &Sample) {
         self.persistence.observe(sample.utc_nanos, sample.value);
@@ -51,6 +61,12 @@ pub struct MapView {
     pub(crate) observations: u64,
     pub(crate) pending: u64,
     pub(crate) ahead: u64,
+    /// Latest time of the observations that did not have to wait.
+    pub(crate) newest_nanos: i64,
+    /// Whether any state reports changes or events.
+    pub(crate) has_rows: bool,
+    /// When it is looked at, if that is known.
+    pub(crate) now_nanos: Option<i64>,
     pub(crate) directory: Directory,
     pub(crate) live: Vec<Arc<[LiveState]>>,
     pub(crate) models: Arc<Vec<Arc<StateModel>>>,
@@ -106,6 +122,17 @@ impl MapView {
         self.ahead
     }
 
+    /// Whether what a state is now depends on the time of now: some report changes or events.
+    pub fn depends_on_now(&self) -> bool {
+        self.has_rows
+    }
+
+    /// This view as it is at a time: values that were reported as changes hold up to then.
+    #[must_use]
+    pub fn as_of(&self, now_nanos: i64) -> MapView {
+        MapView { now_nanos: Some(now_nanos), ..self.clone() }
+    }
+
     /// Number of states.
     pub fn len(&self) -> usize {
         self.directory.len()
@@ -136,15 +163,25 @@ impl MapView {
         self.directory.iter()
     }
 
-    /// Last value, persistence and number of observations of a state.
+    /// Last value, persistence and number of observations of a state: as its newest row, where it reports changes or
+    /// events, says that it is now.
     pub fn live(&self, id: StateId) -> LiveState {
+        let live = self.as_observed(id);
+        match self.info(id) {
+            Some(info) if live.newest_row.is_some() => live.at(info.reporting, self.now_nanos, self.newest_nanos),
+            _ => live,
+        }
+    }
+
+    /// Last value, persistence and number of observations of a state as its observations left it.
+    pub fn as_observed(&self, id: StateId) -> LiveState {
         let index = id.0 as usize;
         self.live.get(index / LIVE_CHUNK).and_then(|chunk| chunk.get(index % LIVE_CHUNK)).copied().unwrap_or_default()
     }
 
     /// Number of acknowledged observations of a state that no update has learned yet.
     pub fn pending_of(&self, id: StateId) -> u64 {
-        self.live(id).observations.saturating_sub(self.model(id).accumulator().observations())
+        self.as_observed(id).observations.saturating_sub(self.model(id).learned_observations())
     }
 
     /// Kind of a state; probability for an unknown state.

@@ -74,6 +74,17 @@ pub struct UnknownZone {
     pub name: String,
 }
 
+/// When a civil time is: nanoseconds UTC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LocalInstant {
+    /// At this instant.
+    Once(i64),
+    /// At both of these, because clocks were set back between them.
+    Twice(i64, i64),
+    /// Never, because clocks were set forward over it.
+    Never,
+}
+
 /// An IANA time zone; equal where the names are.
 #[derive(Clone)]
 pub struct Zone {
@@ -109,6 +120,22 @@ impl Zone {
     /// The UTC offset at a moment, in seconds, east positive.
     pub fn offset_secs(&self, utc_nanos: i64) -> i32 {
         self.rules.to_offset(timestamp(utc_nanos)).seconds()
+    }
+
+    /// When a civil time of the zone is, such as `2025-03-30T02:30` or `2025-03-30 02:30:00`; a date alone is its
+    /// midnight. `None`: the text is none, or it is before 1970 or after 2262.
+    pub fn local_instant(&self, text: &str) -> Option<LocalInstant> {
+        let date = || text.parse::<jiff::civil::Date>().ok().map(|date| date.to_datetime(Time::midnight()));
+        let civil = text.parse::<jiff::civil::DateTime>().ok().or_else(date)?;
+        let nanos = |offset: Offset| {
+            let timestamp = offset.to_timestamp(civil).ok()?;
+            i64::try_from(timestamp.as_nanosecond()).ok().filter(|nanos| *nanos >= 0)
+        };
+        Some(match self.rules.to_ambiguous_timestamp(civil).offset() {
+            AmbiguousOffset::Unambiguous { offset } => LocalInstant::Once(nanos(offset)?),
+            AmbiguousOffset::Fold { before, after } => LocalInstant::Twice(nanos(before)?, nanos(after)?),
+            AmbiguousOffset::Gap { .. } => LocalInstant::Never,
+        })
     }
 
     /// The local date of a moment.

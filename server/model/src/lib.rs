@@ -52,6 +52,7 @@ mod phasor;
 mod phasor_sum;
 mod position;
 mod predictive;
+mod reporting;
 mod sample;
 pub mod selector;
 pub mod special;
@@ -68,7 +69,7 @@ pub use belief::{
     SensorNoise, StateSensor,
 };
 pub use catalogue::{EnabledModels, TrainedModel, TrainedModelParts};
-pub use civil::{LocalDay, OffsetCache, UnknownZone, Zone};
+pub use civil::{LocalDay, LocalInstant, OffsetCache, UnknownZone, Zone};
 pub use ensemble::{
     AnyEnsemble, ClassParts, Ensemble, EnsembleParts, NumberEnsemble, NumberEnsembleParts, OtherModels, SaidParts,
     TrainedEnsemble,
@@ -86,6 +87,9 @@ pub use phasor::PhasorTable;
 pub use phasor_sum::{PhasorSum, RunningSums};
 pub use position::{Dimensions, Position};
 pub use predictive::{HeldInterval, Predictive};
+pub use reporting::{
+    Hold, InvalidHold, InvalidReporting, LearnedRows, Reporting, Row, RowKind, RowReadings, StatedReporting,
+};
 pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ReadingSums, ScoreSums, SpectralModel};
 pub use state::{

@@ -47,6 +47,15 @@ impl Persistence {
         self.parts.last = Some((utc_nanos, value));
     }
 
+    /// The newest value has held up to a time, as if it had been observed every `step_nanos` until then. A time that is
+    /// not newer changes nothing.
+    pub fn hold(&mut self, until_nanos: i64, step_nanos: i64) {
+        let Some((last_nanos, value)) = self.parts.last.filter(|(last, _)| *last < until_nanos) else { return };
+        let steps = until_nanos.abs_diff(last_nanos).div_ceil(step_nanos.unsigned_abs().max(1));
+        self.parts.pairs = self.parts.pairs.saturating_add(steps);
+        self.parts.last = Some((until_nanos, value));
+    }
+
     /// UTC nanoseconds and value of the newest observation.
     pub fn last(&self) -> Option<(i64, f64)> {
         self.parts.last

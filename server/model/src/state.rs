@@ -13,8 +13,8 @@ use crate::catalogue::{ModelKind, TrainedModel};
 use crate::evaluate::score_samples;
 use crate::models::{Moment, OrderGains, TemporalModel as _};
 use crate::{
-    Accumulator, AnyEnsemble, Belief, InvalidParts, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, OtherModels,
-    Periodicities, Predictive, Sample, StateKind, Surprises,
+    Accumulator, AnyEnsemble, Belief, InvalidParts, LearnedRows, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors,
+    OtherModels, Periodicities, Predictive, Reporting, Sample, StateKind, Surprises,
 };
 
 mod alternatives;
@@ -44,6 +44,8 @@ pub struct StateModel {
     /// Likewise.
     belief: Option<Box<Belief>>,
     surprises: Surprises,
+    /// How it is reported, and what of its rows is learned; `None` if each row is a reading.
+    reported: Option<Box<(Reporting, LearnedRows)>>,
 }
 
 /// The outcome of an update.
@@ -87,7 +89,16 @@ impl StateModel {
         let accumulator = Accumulator::of_kind(kind);
         let spectral = SpectralModel::from_parts_of(kind, kind.untrained(), 0, Vec::new()).unwrap_or_default();
         let (errors, surprises) = (OrderErrors::default(), Surprises::default());
-        StateModel { accumulator, spectral, order: 0, errors, alternatives: None, belief: None, surprises }
+        StateModel {
+            accumulator,
+            spectral,
+            order: 0,
+            errors,
+            alternatives: None,
+            belief: None,
+            surprises,
+            reported: None,
+        }
     }
 
     /// An untrained probability with a prior in `[0,1]`; a prior outside of it counts as 0.5.
@@ -111,7 +122,16 @@ impl StateModel {
         }
         accumulator.pack();
         let surprises = Surprises::default();
-        Ok(StateModel { accumulator, spectral, order, errors, alternatives: None, belief: None, surprises })
+        Ok(StateModel {
+            accumulator,
+            spectral,
+            order,
+            errors,
+            alternatives: None,
+            belief: None,
+            surprises,
+            reported: None,
+        })
     }
 
     /// Adds the stored alternatives.
@@ -132,7 +152,29 @@ impl StateModel {
             alternatives: self.alternatives.as_ref().map(|known| Box::new(known.published())),
             surprises: self.surprises.clone(),
             belief: self.belief.as_ref().map(|known| Box::new(known.published())),
+            reported: self.reported.clone(),
         }
+    }
+
+    /// This state as one that is reported otherwise than by samples, with what of its rows is learned.
+    #[must_use]
+    pub fn with_reporting(self, reporting: Reporting, learned: LearnedRows) -> StateModel {
+        StateModel { reported: reporting.may_end().then(|| Box::new((reporting, learned))), ..self }
+    }
+
+    /// How its rows come about.
+    pub fn reporting(&self) -> Reporting {
+        self.reported.as_ref().map_or(Reporting::Samples, |known| known.0)
+    }
+
+    /// What of its rows is learned; `None` if each row is a reading.
+    pub fn learned_rows(&self) -> Option<&LearnedRows> {
+        self.reported.as_ref().map(|known| &known.1)
+    }
+
+    /// Number of its observations that are learned: rows, of which one may stand for many readings.
+    pub fn learned_observations(&self) -> u64 {
+        self.learned_rows().map_or(self.accumulator.observations(), |learned| learned.rows)
     }
 
     /// This state with other unusual observations.

@@ -93,10 +93,24 @@ fn parse_rfc3339(text: &str) -> Result<i64, InvalidTime> {
         return Err(if civil { InvalidTime::NoOffset(shown(text)) } else { InvalidTime::Malformed(shown(text)) });
     };
     let nanos = timestamp.as_nanosecond();
+    if is_beyond_clock(text, timestamp) {
+        return Err(InvalidTime::Malformed(shown(text)));
+    }
     if nanos < 0 {
         return Err(InvalidTime::TooEarly(shown(text)));
     }
     i64::try_from(nanos).map_err(|_| InvalidTime::TooLate(shown(text)))
+}
+
+/// Whether a text that jiff reads has a second 60 that is no leap second, or an offset of a day or more.
+fn is_beyond_clock(text: &str, timestamp: jiff::Timestamp) -> bool {
+    let Some((_, clock)) = text.split_once(['T', 't', ' ']) else { return false };
+    let (clock, offset) = clock.split_at(clock.find(['+', '-', 'Z', 'z']).unwrap_or(clock.len()));
+    let offset_hours = offset.get(1..3).and_then(|hours| hours.parse::<u8>().ok()).unwrap_or(0);
+    let has_second_60 = clock.split(':').nth(2).is_some_and(|seconds| seconds.starts_with("60"));
+    // Read as the second before; leap seconds are the last of a day in UTC.
+    let is_last_of_day = timestamp.as_second().rem_euclid(86_400) == 86_399;
+    offset_hours > 23 || (has_second_60 && !is_last_of_day)
 }
 
 /// Unix seconds in the shortest exact form: `1458518400`, `1458518400.25`.

@@ -117,7 +117,7 @@ impl Catalog {
         job.step("stop the writer");
         job.start(states.as_ref().map_or(0, |states| states.len() as u64), 0);
         let shown = LiveMap::new(Arc::clone(&spec)).publish();
-        let (new, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), shown);
+        let (new, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), shown, &self.context.clock);
         let new = Arc::new(new);
         self.maps.rcu(|all| {
             let mut maps = ByName::clone(all);

@@ -3,7 +3,7 @@
 use std::{path::Path, time::Duration};
 
 use tidemap_map::{
-    event::{Event, NewState, StateKind, UpdateCause, UpdateStart},
+    event::{Event, NewState, Reporting, StateKind, UpdateCause, UpdateStart},
     ids::StateId,
     name::StateName,
 };
@@ -117,7 +117,13 @@ async fn a_large_map_shows_what_the_index_publishes_until_it_is_restored() {
         let mut map = LiveMap::new(Arc::new(spec()));
         let log = store.open_map(id, &spec()).expect("opened").log;
         let door = StateName::new("door").expect("valid");
-        let new = NewState { id: StateId(0), name: door, shape: StateKind::Probability.into(), sensor: None };
+        let new = NewState {
+            id: StateId(0),
+            name: door,
+            shape: StateKind::Probability.into(),
+            sensor: None,
+            reporting: Reporting::Samples,
+        };
         let cut_nanos = 1_700_000_000_000_000_000;
         let start = UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::Request };
         let events = [Event::AddState(new), Event::UpdateStart(start)];
@@ -134,7 +140,13 @@ async fn a_large_map_shows_what_the_index_publishes_until_it_is_restored() {
         store.save(id, &saved.expect("an update")).expect("saved");
         // The log has one state more than the index.
         let hatch = StateName::new("hatch").expect("valid");
-        let new = NewState { id: StateId(1), name: hatch, shape: StateKind::Probability.into(), sensor: None };
+        let new = NewState {
+            id: StateId(1),
+            name: hatch,
+            shape: StateKind::Probability.into(),
+            sensor: None,
+            reporting: Reporting::Samples,
+        };
         let (sender, receiver) = std::sync::mpsc::channel();
         let done: tidemap_store::Done = Box::new(move |result| sender.send(result).expect("waiting"));
         log.append(&Event::AddState(new), done).expect("queued");
@@ -165,7 +177,7 @@ async fn a_stop_does_not_wait_for_a_map_that_is_never_restored() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let catalog = catalog(store(dir.path())).expect("no maps");
     let map = LiveMap::new(Arc::new(spec())).publish();
-    let (handle, endpoints) = MapHandle::with_endpoints(MapId(1), Arc::new(spec()), map);
+    let (handle, endpoints) = MapHandle::with_endpoints(MapId(1), Arc::new(spec()), map, &catalog.context().clock);
     drop(endpoints);
     assert!(!handle.opened().await);
     catalog.stop().await;

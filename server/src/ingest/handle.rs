@@ -17,6 +17,7 @@ use tidemap_store::MapId;
 use tokio::sync::{oneshot, watch};
 
 use super::{ending::Ending, protocol::Command, tile_totals::TileTotals};
+use crate::clock::Clock;
 
 /// Numbers of handles.
 static HANDLES: AtomicU64 = AtomicU64::new(1);
@@ -55,6 +56,7 @@ pub(crate) struct MapHandle {
     /// The fixed properties of the map.
     pub spec: Arc<MapSpec>,
     view: Arc<ArcSwap<MapView>>,
+    clock: Arc<dyn Clock>,
     commands: mpsc::Sender<Command>,
     saturated: watch::Receiver<bool>,
     tile_bytes: Arc<AtomicU64>,
@@ -67,7 +69,12 @@ pub(crate) struct MapHandle {
 
 impl MapHandle {
     /// The handle of a map that shows `view`, and the endpoints of its writer.
-    pub(crate) fn with_endpoints(id: MapId, spec: Arc<MapSpec>, view: MapView) -> (Self, WriterEndpoints) {
+    pub(crate) fn with_endpoints(
+        id: MapId,
+        spec: Arc<MapSpec>,
+        view: MapView,
+        clock: &Arc<dyn Clock>,
+    ) -> (Self, WriterEndpoints) {
         let view = Arc::new(ArcSwap::from_pointee(view));
         let (commands, inbox) = mpsc::channel();
         let (saturated_sender, saturated) = watch::channel(false);
@@ -84,7 +91,10 @@ impl MapHandle {
         let tile_totals = Mutex::new(None);
         let number = HANDLES.fetch_add(1, Ordering::Relaxed);
         let replaced = AtomicBool::new(false);
-        (Self { id, number, spec, view, commands, saturated, tile_bytes, opening, replaced, tile_totals }, endpoints)
+        let clock = Arc::clone(clock);
+        let handle =
+            Self { id, number, spec, view, clock, commands, saturated, tile_bytes, opening, replaced, tile_totals };
+        (handle, endpoints)
     }
 
     /// Another handle takes the place of this one.
@@ -126,9 +136,10 @@ impl MapHandle {
         }
     }
 
-    /// The current view; never waits.
+    /// The current view; never waits. What states that report changes are now, it says as of the clock.
     pub(crate) fn view(&self) -> Arc<MapView> {
-        self.view.load_full()
+        let view = self.view.load_full();
+        if view.depends_on_now() { Arc::new(view.as_of(self.clock.now_nanos())) } else { view }
     }
 
     /// Sends the writer a command. `false`: the writer has stopped.

@@ -9,7 +9,7 @@ use std::ops::RangeInclusive;
 
 use tidemap_grid::spec::GridSpec;
 use tidemap_map::{
-    event::{Dimensions, Position, SequenceSpan, StateKind, StateShape},
+    event::{Dimensions, Position, SequenceSpan, StateKind, StateShape, StatedReporting},
     ids::RefusalReason,
     name::StateName,
     snapshot::ContentMark,
@@ -88,10 +88,12 @@ struct TableEntry {
 }
 
 impl TableEntry {
-    /// Whether the state may have the position, or the value if there is no position, as far as is known here.
-    fn may_have(&self, value: f64, position: Option<Position>) -> bool {
+    /// Whether the state may have the position, or the value if there is no position, as far as is known here. NaN is
+    /// that of a state that reports changes or events.
+    fn may_have(&self, value: f64, position: Option<Position>, reporting: Option<StatedReporting>) -> bool {
         match position {
             Some(position) => position.invalid_coordinate().is_none(),
+            None if value.is_nan() => reporting.is_none_or(|stated| stated.for_new().may_end()),
             None => self.expected_shape().allows(value),
         }
     }
@@ -122,6 +124,8 @@ pub(crate) struct Intake {
     limits: IntakeLimits,
     /// Earlier times are refused.
     earliest_nanos: i64,
+    /// What the stream says about how its states are reported.
+    reporting: Option<StatedReporting>,
     rows: Vec<u8>,
     scans: ScanIntake,
 }
@@ -138,6 +142,7 @@ impl Intake {
             known: KnownContent::default(),
             limits,
             earliest_nanos: 0,
+            reporting: None,
             rows: Vec::new(),
             scans: ScanIntake::new(grid, limits.scans),
         }
@@ -153,6 +158,12 @@ impl Intake {
     /// This stream, which refuses observations before this time, nanoseconds UTC.
     pub(crate) fn with_earliest_time(mut self, earliest_nanos: i64) -> Self {
         self.earliest_nanos = earliest_nanos;
+        self
+    }
+
+    /// This stream, which says this about how its states are reported.
+    pub(crate) fn with_reporting(mut self, reporting: Option<StatedReporting>) -> Self {
+        self.reporting = reporting;
         self
     }
 
@@ -263,7 +274,7 @@ impl Intake {
             let name = StateName::observed(&raw)
                 .and_then(|name| if has_axes { name.check_vector().map(|()| name) } else { Ok(name) });
             let (name, refusal) = match name {
-                Ok(name) => (Some(NewName { name, shape }), None),
+                Ok(name) => (Some(NewName { name, shape, reporting: self.reporting }), None),
                 Err(error) => (None, Some(format!("state {error}"))),
             };
             self.table_bytes += raw.len();
@@ -308,7 +319,11 @@ impl Intake {
                 Some(TableEntry { refusal: None, .. }) if (0..self.earliest_nanos).contains(&time) => {
                     Some((RefusalReason::Time, early::refusal(time)))
                 }
-                Some(entry) if entry.refusal.is_none() && time >= 0 && entry.may_have(value, position) => None,
+                Some(entry)
+                    if entry.refusal.is_none() && time >= 0 && entry.may_have(value, position, self.reporting) =>
+                {
+                    None
+                }
                 _ => Some(refuse(entry, index, self.table.len(), time, (value, position))),
             };
             let offset = i - skip;
@@ -323,6 +338,8 @@ impl Intake {
                     }
                     batch.table_indices.push(index);
                     batch.times_nanos.push(time);
+                    // All that is no number is one.
+                    let value = if value.is_nan() { f64::NAN } else { value };
                     batch.values.push(if position.is_some() { 0.0 } else { value });
                 }
                 Some((reason, detail)) => {

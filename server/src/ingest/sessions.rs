@@ -10,7 +10,7 @@ use tidemap_grid::{
     sensors::ProducerSensor,
 };
 use tidemap_map::{
-    event::{Envelope, Event, NewState, SequenceSpan, StateKind, StateSensor},
+    event::{Envelope, Event, NewState, Reporting, SequenceSpan, StateKind, StateSensor},
     ids::{NewProducer, ProducerId, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
@@ -124,6 +124,8 @@ pub(super) struct Sessions {
     states_in_flight: HashMap<StateName, (StateId, StateKind)>,
     /// Sensors of states in flight, where they are known.
     sensors_in_flight: HashMap<StateId, StateSensor>,
+    /// How states in flight are reported that do not report samples.
+    reportings_in_flight: HashMap<StateId, Reporting>,
     /// New names in flight, of states that still have their old names.
     renames_in_flight: HashMap<StateName, (StateId, StateKind)>,
     producers_in_flight: usize,
@@ -147,6 +149,7 @@ impl Sessions {
             open_by_key: HashMap::new(),
             states_in_flight: HashMap::new(),
             sensors_in_flight: HashMap::new(),
+            reportings_in_flight: HashMap::new(),
             renames_in_flight: HashMap::new(),
             producers_in_flight: 0,
             issued: HashMap::new(),
@@ -235,8 +238,9 @@ impl Sessions {
         let plausible = envelope.plausible_nanos();
         let newest = match event {
             Event::Observations(_, event) => {
-                for (_, name, _) in event.new_states.iter().flat_map(NewState::states) {
+                for (id, name, _) in event.new_states.iter().flat_map(NewState::states) {
                     self.states_in_flight.remove(&name);
+                    self.reportings_in_flight.remove(&id);
                 }
                 event.times_nanos.iter().copied().filter(|time| *time <= plausible).max()
             }
@@ -269,6 +273,7 @@ impl Sessions {
     pub(super) fn roll_back(&mut self) {
         self.states_in_flight.clear();
         self.sensors_in_flight.clear();
+        self.reportings_in_flight.clear();
         self.renames_in_flight.clear();
         self.producers_in_flight = 0;
         self.tiles_ahead = 0;

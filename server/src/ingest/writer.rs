@@ -107,7 +107,8 @@ pub(crate) struct RestoredMap {
 /// # Errors
 /// The thread cannot be started.
 pub(crate) fn start(context: Context, id: MapId, mut restored: RestoredMap) -> std::io::Result<Arc<MapHandle>> {
-    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(restored.map.spec()), restored.map.publish());
+    let (spec, view) = (Arc::clone(restored.map.spec()), restored.map.publish());
+    let (handle, endpoints) = MapHandle::with_endpoints(id, spec, view, &context.clock);
     start_in(endpoints, context, id, restored)?;
     Ok(Arc::new(handle))
 }

@@ -112,6 +112,11 @@ fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
     }
 }
 
+/// The sum of squared errors of what predicts a state from now on, as it was on the day of each observation.
+fn squared_error(StateOutcome { outcome, chosen, .. }: &StateOutcome) -> f64 {
+    if chosen.kind == ModelKind::Spectral { outcome.squared_errors[outcome.order] } else { outcome.squared_error_in_force }
+}
+
 fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
     let outcome = &entry.outcome;
     let scored = (outcome.scored > 0).then_some(outcome.scored as f64);
@@ -119,8 +124,8 @@ fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {
         state: entry.name.as_str().to_owned(),
         order_before: u32::try_from(outcome.order_before).unwrap_or(u32::MAX),
         order: u32::try_from(outcome.order).unwrap_or(u32::MAX),
-        mean_squared_error_before: scored.map(|scored| outcome.squared_error_in_force / scored),
-        mean_squared_error: scored.map(|scored| outcome.squared_errors[outcome.order] / scored),
+        mean_squared_error_before: scored.map(|scored| outcome.squared_errors[outcome.order_before] / scored),
+        mean_squared_error: scored.map(|scored| squared_error(entry) / scored),
         observations: outcome.observations,
         scored: outcome.scored,
         model: Some(selector_to_wire(entry.chosen)),

@@ -11,7 +11,7 @@ use tidemap_proto::{
         map::{map_to_wire, spec_from_request, state_to_wire},
         page::page_from_wire,
         site::{NamedLocation, location_from_wire, location_name_from_wire, location_to_wire, point_from_wire},
-        vectors::{DeclaredState, declared_state_from_wire},
+        vectors::declared_state_from_wire,
     },
     v1::{self, map_service_server::MapService},
 };
@@ -97,9 +97,9 @@ impl MapService for Maps {
     async fn add_state(&self, request: Request<v1::AddStateRequest>) -> RpcReply<v1::AddStateResponse> {
         let request = request.into_inner();
         let handle = find_map(&self.catalog, &request.map).await?;
-        let DeclaredState { name, shape, sensor } = declared_state_from_wire(&request).map_err(RpcError::from)?;
+        let state = declared_state_from_wire(&request).map_err(RpcError::from)?;
         let (reply, answer) = oneshot::channel();
-        let add = AddState { name, shape, sensor, reply };
+        let add = AddState { state, reply };
         let answer = if handle.send(Command::AddState(add)) { answer.await.ok() } else { None };
         answer.unwrap_or(Err(AddStateError::Closing)).map_err(RpcError::from)?;
         let view = handle.view();

@@ -292,9 +292,9 @@ impl RpcError {
                 (Code::ResourceExhausted, "LIMIT")
             }
             Self::AddState(error) => match error {
-                AddStateError::OtherKind { .. } | AddStateError::OtherSensor { .. } => {
-                    (Code::AlreadyExists, "STATE_EXISTS")
-                }
+                AddStateError::OtherKind { .. }
+                | AddStateError::OtherSensor { .. }
+                | AddStateError::OtherReporting { .. } => (Code::AlreadyExists, "STATE_EXISTS"),
                 AddStateError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 AddStateError::Storage(error) => append_code(error),
                 AddStateError::Closing => (Code::Unavailable, "STOPPING"),

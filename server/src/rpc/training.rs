@@ -279,7 +279,13 @@ impl ModelTrainer {
             not_replaced(&learned.handle)?;
             match lacking(readings.len() as u64, max) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),
-                None => Ok(learned.target.samples(&learned.view, readings).into()),
+                None => {
+                    let readings = match learned.target {
+                        StateOrCell::State(id) => learned.view.readings_of(id, readings),
+                        StateOrCell::Cell(_) => readings,
+                    };
+                    Ok(learned.target.samples(&learned.view, readings).into())
+                }
             }
         };
         crate::task::blocking(gather).await.map_err(|_| RpcError::Stopping)?

@@ -79,6 +79,7 @@ fn states(spec: &MapSpec, seed: u64) -> Vec<StateSnapshot> {
         observations: 672,
         persistence,
         recent: Recent::default(),
+        newest_row: None,
         model: Arc::clone(&models[id % models.len()]),
     };
     (0..STATES).map(state).collect()

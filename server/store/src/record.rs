@@ -18,6 +18,7 @@ mod numbers;
 mod observation_runs;
 mod offsets;
 pub(crate) mod published;
+mod rows;
 pub(crate) mod scans;
 mod sensors;
 pub(crate) mod site;

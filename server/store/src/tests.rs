@@ -9,6 +9,7 @@ mod golden_belief;
 mod golden_events;
 mod golden_grid;
 mod golden_numbers;
+mod golden_rows;
 mod golden_sensor;
 mod golden_states;
 mod golden_trained;

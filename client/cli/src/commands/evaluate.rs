@@ -15,6 +15,7 @@ use super::{
     observe::{
         feed::{self, Feed, RefusalReport},
         kinds::Kinds,
+        rows::{FileArgs, RowKindArgs},
     },
 };
 use crate::progress::{Bar, status_line};
@@ -34,6 +35,10 @@ pub(crate) struct EvaluateArgs {
     max_order: Option<u32>,
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', default_value = "spectral", help = models_help())]
     models: Vec<ModelArg>,
+    #[command(flatten)]
+    rows: RowKindArgs,
+    #[command(flatten)]
+    written: FileArgs,
 }
 
 fn models_help() -> String {
@@ -91,7 +96,9 @@ fn missing(unavailable: &Unavailable) -> String {
 
 pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::display_name(&args.file);
-    let Feed { mut rows, total_bytes, layout } = feed::open::<ObservationColumns>(&args.file)?;
+    // How a state holds its values, the daemon knows.
+    let rules = args.written.rules(session, &args.map, args.rows.kind()).await?;
+    let Feed { mut rows, total_bytes, layout } = feed::open::<ObservationColumns>(&args.file, &rules)?;
     if layout.has_positions() {
         return Err(anyhow::Error::new(RowError::Positions).context(feed::display_name(&args.file)));
     }

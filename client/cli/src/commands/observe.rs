@@ -3,10 +3,12 @@
 //! Invariant: a row's number in its file is its sequence number. A file can be sent any number of times, in any number
 //! of pieces, and is learned once. The rows that the daemon has are compared with the file before anything is sent.
 
+mod advice;
 pub(crate) mod feed;
 pub(crate) mod kinds;
 mod opening;
 pub(crate) mod refused;
+pub(crate) mod rows;
 pub(crate) mod transfer;
 
 use std::{
@@ -19,6 +21,7 @@ use std::{
 use anyhow::Context as _;
 use clap::Args;
 use tidemap_client::{
+    maps::{RowKind, StateKind},
     observe::{Phase, Producer, ProducerError, ProducerOptions, Progress},
     updates::{Erasure, Job, JobCause, JobState},
 };
@@ -28,6 +31,7 @@ use self::{
     feed::{Feed, RefusalReport},
     kinds::Kinds,
     refused::RefusedRows,
+    rows::{FileArgs, ReportArgs},
     transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
 };
 use super::{Session, erase, job, producer_id, state::KindArg, times, usage};
@@ -45,6 +49,10 @@ pub(crate) struct ObserveArgs {
     file: PathBuf,
     #[command(flatten)]
     sender: SenderArgs,
+    #[command(flatten)]
+    reports: ReportArgs,
+    #[command(flatten)]
+    written: FileArgs,
     /// Kind of the file's states: probability, continuous, count or angle (radians); new states get it, and rows of
     /// states of another kind are refused; a file with columns x and y has kind vector [default: each state keeps its
     /// kind; new states are probabilities]
@@ -104,14 +112,25 @@ pub(super) const INTERRUPTED: u8 = 130;
 pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::display_name(&args.file);
     let refused = args.refused.as_deref().map(|target| RefusedRows::new(&args.file, target)).transpose()?;
-    let feed = feed::open::<ObservationColumns>(&args.file)?;
+    let stated = args.reports.stated()?;
+    let rules = args.written.rules(session, &args.map, args.reports.kind()).await?;
+    let feed = feed::open::<ObservationColumns>(&args.file, &rules)?;
     let has_positions = feed.layout.has_positions();
     if let Some(kind) = args.kind.filter(|kind| (*kind == KindArg::Vector) != has_positions) {
         let columns = if has_positions { "positions, columns x and y" } else { "single values, column value" };
         return Err(usage(format!("--kind {} does not go with {shown}, which has {columns}", kind.name())));
     }
     let options = args.sender.options(&args.map, &base_name(&args.file))?;
-    let options = ProducerOptions { kind: args.kind.and_then(KindArg::single), ..options };
+    let mut kind = args.kind.and_then(KindArg::single);
+    if args.reports.kind() == RowKind::Events {
+        kind = kind.or(Some(StateKind::Count.into()));
+    }
+    if let (Some(kind), Some(stated)) = (kind, stated)
+        && !kind.may_report(stated.for_new())
+    {
+        return Err(usage(format!("--kind {} does not go with --{}", kind.name(), stated.kind().name())));
+    }
+    let options = ProducerOptions { kind, reporting: stated, ..options };
     if args.replace {
         withdraw(session, &options).await?;
     }
@@ -163,9 +182,15 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
     let end = run_transfer(session, &mut transfer, &options, &bar, "rows").await?;
     let counts = transfer.counts();
     if !matches!(end, TransferEnd::Differs(_)) {
-        let cells = [counts.read, counts.accepted, counts.duplicate, counts.refused].map(Cell::from).to_vec();
-        session.print(&["read", "accepted", "duplicate", "refused"], [cells])?;
+        let mut columns = vec!["read", "accepted", "duplicate", "refused"];
+        let mut cells = [counts.read, counts.accepted, counts.duplicate, counts.refused].map(Cell::from).to_vec();
+        if options.reporting.is_some() || counts.mapped > 0 {
+            columns.extend(["mapped", "without_value"]);
+            cells.extend([counts.mapped, counts.without_value].map(Cell::from));
+        }
+        session.print(&columns, [cells])?;
     }
+    transfer.advice(options.reporting.is_none()).iter().for_each(|line| status_line(line));
     transfer.report.conclude();
     let again = format!("tidemap {command} {} --producer {}", options.map, options.producer);
     // The label where it is not that of the file.

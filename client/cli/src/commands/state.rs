@@ -5,9 +5,9 @@
 use std::{process::ExitCode, str::FromStr};
 
 use clap::Subcommand;
-use tidemap_client::maps::{Dimensions, State, StateKind, StateSensor, StateShape};
+use tidemap_client::maps::{Dimensions, RowKind, State, StateKind, StateSensor, StateShape};
 
-use super::{Session, usage};
+use super::{Session, observe::rows::stated, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]
@@ -24,9 +24,9 @@ pub(crate) enum StateCommand {
         /// Name of the state
         state: String,
         /// Kind of its values: probability (0 to 1), continuous (any number), count (0, 1, 2, …), vector, or
-        /// angle (radians)
-        #[arg(long, value_name = "KIND", default_value = "probability")]
-        kind: KindArg,
+        /// angle (radians) [default: probability; count for events]
+        #[arg(long, value_name = "KIND")]
+        kind: Option<KindArg>,
         /// Number of coordinates of a vector, 2 or 3
         #[arg(long, value_name = "N", required_if_eq("kind", "vector"), value_parser = clap::value_parser!(u32).range(2..=3))]
         dimensions: Option<u32>,
@@ -38,7 +38,23 @@ pub(crate) enum StateCommand {
         /// --hit, else updates estimate it]
         #[arg(long, value_name = "P")]
         false_alarm: Option<f64>,
+        /// How the state is reported: samples (each observation is a reading), changes (a value holds until the next
+        /// one), or events (each observation is a number of events, of kind count)
+        #[arg(long, value_name = "HOW", default_value = "samples", value_parser = row_kind)]
+        reports: RowKind,
+        /// With changes or events: the longest time for which an observation says something [default: 7d]
+        #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+        hold_max: Option<i64>,
+        /// With changes or events: the time between two readings that are learned [default: 5m, 1h for events]
+        #[arg(long, value_name = "DURATION", value_parser = times::duration)]
+        hold_step: Option<i64>,
     },
+}
+
+/// How a state is reported, on the command line.
+fn row_kind(text: &str) -> Result<RowKind, String> {
+    let kind = RowKind::ALL.into_iter().find(|kind| kind.name() == text);
+    kind.ok_or_else(|| format!("{text:?} is not a way to report: use samples, changes or events"))
 }
 
 /// A kind on the command line.
@@ -81,8 +97,20 @@ impl FromStr for KindArg {
     }
 }
 
-const COLUMNS: [&str; 9] =
-    ["state", "kind", "observations", "order", "last_time", "dimensions", "pending", "hit", "false_alarm"];
+const COLUMNS: [&str; 12] = [
+    "state",
+    "kind",
+    "observations",
+    "order",
+    "last_time",
+    "dimensions",
+    "pending",
+    "hit",
+    "false_alarm",
+    "reports",
+    "hold_max_secs",
+    "hold_step_secs",
+];
 
 fn cells(state: State) -> Vec<Cell> {
     vec![
@@ -95,6 +123,9 @@ fn cells(state: State) -> Vec<Cell> {
         state.pending.into(),
         Cell::maybe(state.sensor.map(StateSensor::hit)),
         Cell::maybe(state.sensor.map(StateSensor::false_alarm)),
+        state.reporting.kind().name().into(),
+        Cell::maybe(state.reporting.max_secs().map(u64::from)),
+        Cell::maybe(state.reporting.step_secs().map(u64::from)),
     ]
 }
 
@@ -113,14 +144,17 @@ fn sensor(shape: StateShape, hit: Option<f64>, false_alarm: Option<f64>) -> anyh
 pub(crate) async fn run(session: &Session, command: StateCommand) -> anyhow::Result<ExitCode> {
     let map = match command {
         StateCommand::List { map } => map,
-        StateCommand::Add { map, state, kind, dimensions, hit, false_alarm } => {
+        StateCommand::Add { map, state, kind, dimensions, hit, false_alarm, reports, hold_max, hold_step } => {
+            let usual = if reports == RowKind::Events { StateKind::Count } else { StateKind::Probability };
+            let kind = kind.unwrap_or(KindArg::Single(usual.into()));
+            let reporting = stated(reports, hold_max, hold_step)?;
             let shape = match (kind, dimensions.and_then(|count| Dimensions::of(count as usize))) {
                 (KindArg::Vector, Some(dimensions)) => StateShape::Vector(dimensions),
                 (KindArg::Single(shape), None) => shape,
                 _ => return Err(usage(format!("--dimensions goes with --kind vector, not {}", kind.name()))),
             };
             let sensor = sensor(shape, hit, false_alarm)?;
-            let added = session.client.add_state(&map, &state, shape, sensor).await?;
+            let added = session.client.add_state(&map, &state, shape, sensor, reporting).await?;
             return session.print(&COLUMNS, [cells(added)]);
         }
     };

@@ -15,7 +15,10 @@ use super::{
 };
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{
-    observation_file::traversals::{TraversalColumns, parse_success},
+    observation_file::{
+        RowRules,
+        traversals::{TraversalColumns, parse_success},
+    },
     table::Cell,
 };
 
@@ -81,7 +84,7 @@ impl TraverseArgs {
 pub(crate) async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Result<ExitCode> {
     if let Some(file) = &args.file {
         let refused = args.refused.as_deref().map(|target| RefusedRows::new(file, target)).transpose()?;
-        let feed = feed::open::<TraversalColumns>(file)?;
+        let feed = feed::open::<TraversalColumns>(file, &RowRules::default())?;
         let sent = FileSent { shown: &feed::display_name(file), command: "traverse", refused };
         return observe::send(session, args.options()?, feed, sent).await;
     }

@@ -26,8 +26,8 @@ const COLUMNS: [&str; 8] = ["state", "order_before", "order", "mse_before", "mse
 /// What the columns mean, for people.
 const EXPLANATION: [&str; 3] = [
     "model: what predicts the state from now on; order: the number of rhythms of its spectral model",
-    "scored: learned observations that the model of their day had predicted; mse_before and mse: the mean squared error",
-    "on them, with the order before and the order now; empty where nothing was scored",
+    "scored: learned observations that the model of their day had predicted; mse: the mean squared error of this model on",
+    "them, mse_before: of the spectral model with the order before; empty where nothing was scored",
 ];
 
 pub(crate) async fn run(session: &Session, args: &UpdateArgs) -> anyhow::Result<ExitCode> {

@@ -6,7 +6,7 @@
 use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, SequenceSpan, StateKind, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, Reporting, SequenceSpan, StateKind, UpdateCause},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
@@ -47,7 +47,13 @@ impl HabitLearner {
         let name = StateName::new("state").map_err(HabitsError::setting)?;
         map.apply(
             1,
-            &Event::AddState(NewState { id: STATE, name, shape: StateKind::Probability.into(), sensor: None }),
+            &Event::AddState(NewState {
+                id: STATE,
+                name,
+                shape: StateKind::Probability.into(),
+                sensor: None,
+                reporting: Reporting::Samples,
+            }),
         )?;
         Ok(Self { map, sequence: 0, history: ReadingsInMemory::default() })
     }

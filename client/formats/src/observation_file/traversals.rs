@@ -6,7 +6,7 @@
 use tidemap_map::name::NAME_CHARS_MAX;
 use tidemap_model::time::parse_time;
 
-use super::{CsvHeader, Layout, RowError, RowPlace, fields, shown};
+use super::{CsvHeader, Layout, RowError, RowPlace, RowRules, fields, shown};
 
 /// A row of traversals.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,7 +57,7 @@ impl Layout for TraversalColumns {
     const HEADER: &'static str = "from,to,start,end,success";
     type Item = TraversalRow;
 
-    fn new(header: &CsvHeader<'_>) -> Result<(Self, Vec<usize>), RowError> {
+    fn new(header: &CsvHeader<'_>, _: &RowRules) -> Result<(Self, Vec<usize>), RowError> {
         let maybe = |column: &'static str| header.has(column).then(|| header.column(column)).transpose();
         let columns = Self {
             from: header.column("from")?,
@@ -74,7 +74,7 @@ impl Layout for TraversalColumns {
         Ok((columns, used))
     }
 
-    fn row(&self, line: &[u8], at: RowPlace) -> (TraversalRow, bool) {
+    fn row(&mut self, line: &[u8], at: RowPlace) -> (TraversalRow, bool) {
         match self.read(line, at) {
             Ok(row) => (row, true),
             Err(wrong) => {

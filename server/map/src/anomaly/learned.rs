@@ -132,6 +132,7 @@ impl MapView {
         let mut surprises = model.surprises().clone();
         if !pending.is_empty() {
             let mut sample = self.sample_maker();
+            let pending = self.pending_readings_of(state, pending.to_vec());
             let mut samples: Vec<Sample> = pending.iter().map(|&(nanos, value)| sample(nanos, value)).collect();
             samples.sort_by_key(|sample| sample.utc_nanos);
             judge(&mut surprises, model, &self.spec().periodicities, &samples);

@@ -19,7 +19,8 @@ use crate::{
     directory::{Directory, StateInfo},
     event::{UpdateCause, UpdateStart},
     history::{HistoryPiece, origins::Origins},
-    ids::StateId,
+    ids::{ProducerId, StateId},
+    newest_row::Delivery,
     prior_models::PriorModels,
     site::Site,
     snapshot::StateSnapshot,
@@ -132,11 +133,15 @@ impl<'a> Relearning<'a> {
         let mut directory = Directory::new();
         let prior_models = PriorModels::new(&spec);
         for (_, state) in &self.states {
-            let sensor = state.model.sensor();
-            directory.push(StateInfo { name: state.name.clone(), kind: state.kind, sensor });
+            let (sensor, reporting) = (state.model.sensor(), state.model.reporting());
+            directory.push(StateInfo { name: state.name.clone(), kind: state.kind, sensor, reporting });
         }
-        let beginning = |state: &StateSnapshot| prior_models.beginning(state.kind, state.model.sensor());
-        let models: Vec<_> = self.states.iter().map(|(_, state)| beginning(state)).collect();
+        let models: Vec<_> = directory.iter().map(|info| prior_models.beginning(info)).collect();
+        let with_rows: Vec<StateId> = (0..)
+            .map(StateId)
+            .zip(directory.iter())
+            .filter_map(|(id, info)| info.reporting.may_end().then_some(id))
+            .collect();
         let mut models = Arc::new(models);
         let mut arrivals = self.waiting();
         let mut earlier = Earlier::default();
@@ -150,6 +155,7 @@ impl<'a> Relearning<'a> {
                 prior_models: prior_models.clone(),
                 samples: lesson.samples.clone(),
                 origins: Vec::new(),
+                horizons: with_rows.iter().map(|&id| (id, lesson.newest_nanos)).collect(),
                 grid: None,
                 readings: Some(Arc::<Earlier>::clone(&source)),
                 room: None,
@@ -167,7 +173,7 @@ impl<'a> Relearning<'a> {
     fn waiting(&self) -> Vec<Vec<Step>> {
         let of_state = |id: &StateId| {
             let waiting = self.decision.waiting.get(id).into_iter().flatten().filter(|waiting| waiting.is_plausible);
-            waiting.map(|waiting| Step::arrived(waiting.number, waiting.sample)).collect()
+            waiting.map(|waiting| Step::arrived(waiting.number, waiting.sample, waiting.producer)).collect()
         };
         self.states.iter().map(|(id, _)| of_state(id)).collect()
     }
@@ -178,8 +184,12 @@ impl<'a> Relearning<'a> {
         for ((at, (id, state)), mut arrivals) in states.iter_mut().enumerate().zip(arrivals) {
             arrivals.sort_by_key(|step| step.place);
             let mut live = LiveState::default();
-            arrivals.iter().for_each(|Step { sample, .. }| live.observe(sample));
-            (state.persistence, state.recent) = (live.persistence, live.recent);
+            let reporting = state.model.reporting();
+            for Step { sample, producer, .. } in &arrivals {
+                // Whether it was live is not kept: it is taken for a recording.
+                live.observe_row(reporting, sample, Delivery { producer: *producer, received_nanos: i64::MAX });
+            }
+            (state.persistence, state.recent, state.newest_row) = (live.persistence, live.recent, live.newest_row);
             let erased = decision.numbers.get(id).map_or(0, |numbers| numbers.len() as u64);
             state.observations = state.observations.saturating_sub(erased);
             if decision.unlearned.contains(id)
@@ -198,10 +208,10 @@ impl Lesson {
         for ((index, samples), origins) in self.samples.iter().zip(&self.origins) {
             let Some(arrivals) = arrivals.get_mut(index.0 as usize) else { continue };
             let first_ahead = samples.len().saturating_sub(origins.ahead as usize);
-            for (at, (sample, (_, number))) in samples.iter().zip(origins.each()).enumerate() {
+            for (at, (sample, (producer, number))) in samples.iter().zip(origins.each()).enumerate() {
                 arrivals.push(match at < first_ahead {
-                    true => Step::arrived(number, *sample),
-                    false => Step::waited(origins.arrived, self.generation, *sample),
+                    true => Step::arrived(number, *sample, producer),
+                    false => Step::waited(origins.arrived, self.generation, *sample, producer),
                 });
             }
         }
@@ -231,14 +241,15 @@ struct Step {
     /// Number of the last that had arrived, the generation that took it after waiting, and its time then.
     place: (u64, u64, i64),
     sample: Sample,
+    producer: ProducerId,
 }
 
 impl Step {
-    fn arrived(number: u64, sample: Sample) -> Self {
-        Self { place: (number, 0, 0), sample }
+    fn arrived(number: u64, sample: Sample, producer: ProducerId) -> Self {
+        Self { place: (number, 0, 0), sample, producer }
     }
 
-    fn waited(arrived: u64, generation: u64, sample: Sample) -> Self {
-        Self { place: (arrived, generation, sample.utc_nanos), sample }
+    fn waited(arrived: u64, generation: u64, sample: Sample, producer: ProducerId) -> Self {
+        Self { place: (arrived, generation, sample.utc_nanos), sample, producer }
     }
 }

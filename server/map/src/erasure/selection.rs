@@ -23,6 +23,8 @@ pub(crate) struct Arrival {
     pub number: u64,
     /// The observation.
     pub sample: Sample,
+    /// Who sent it.
+    pub producer: ProducerId,
     /// Whether it did not have to wait.
     pub is_plausible: bool,
 }
@@ -238,7 +240,9 @@ impl Survey {
         of_state.pending.0 += 1;
         of_state.pending.1 += u64::from(is_taken);
         let is_plausible = sample.utc_nanos <= envelope.plausible_nanos();
-        of_state.waiting.push((Arrival { number: of_state.read, sample, is_plausible }, is_taken));
+        of_state
+            .waiting
+            .push((Arrival { number: of_state.read, sample, producer: envelope.producer, is_plausible }, is_taken));
         if is_taken
             && let Some((name, ..)) = self.known.get(state.0 as usize)
             && self.failures.contains(&(name.clone(), sample.utc_nanos))

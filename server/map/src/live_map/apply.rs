@@ -9,8 +9,9 @@ use tidemap_grid::scan::Scans;
 use super::LiveMap;
 use crate::{
     directory::StateInfo,
-    event::{Envelope, NewState, Observations, StateKind},
+    event::{Envelope, NewState, Observations, Reporting, StateKind},
     ids::{NewProducer, ProducerId},
+    newest_row::Delivery,
     pending::Origin,
     snapshot::{CONTENT_MARKS_MAX, ContentMark, ProducerMark},
     view::{LIVE_CHUNK, LiveState},
@@ -27,7 +28,11 @@ impl LiveMap {
     }
 
     pub(super) fn add_state(&mut self, info: StateInfo) {
-        self.directory.push(info);
+        let reports_rows = info.reporting.may_end();
+        let id = self.directory.push(info);
+        if reports_rows {
+            self.with_rows.push(id);
+        }
         self.live.push(LiveState::default());
         self.live_dirty.resize(self.live.len().div_ceil(LIVE_CHUNK), true);
         if let Some(dirty) = self.live_dirty.last_mut() {
@@ -54,6 +59,7 @@ impl LiveMap {
                 content_crc: 0,
                 sensor,
                 received_nanos: event.received_nanos,
+                newest_nanos: 0,
                 recent: Vec::new(),
                 has_scans: false,
             });
@@ -77,12 +83,19 @@ impl LiveMap {
         Ok(())
     }
 
+    /// A producer has sent an observation of a time; kept only where it tells up to when rows are complete.
+    pub(super) fn heard_of(&mut self, producer: ProducerId, nanos: i64) {
+        if let Some(mark) = self.producers.get_mut(producer.0 as usize).filter(|_| !self.with_rows.is_empty()) {
+            mark.newest_nanos = mark.newest_nanos.max(nanos);
+        }
+    }
+
     pub(super) fn add_new_state(&mut self, new: &NewState) -> Result<(), String> {
         if new.id.0 as usize != self.directory.len() || self.directory.shape(new.name.as_str()).is_some() {
             return Err(format!("state {:?} is not new", new.name.as_str()));
         }
         for (_, name, kind) in new.states() {
-            self.add_state(StateInfo { name, kind, sensor: new.sensor });
+            self.add_state(StateInfo { name, kind, sensor: new.sensor, reporting: new.reporting });
         }
         Ok(())
     }
@@ -96,7 +109,8 @@ impl LiveMap {
         }
         for (&state, value) in event.states.iter().zip(&event.values) {
             let kind = self.kind(state).unwrap_or_default();
-            if !kind.bounds().contains(value) {
+            let is_end = value.is_nan() && self.reporting(state).may_end();
+            if !is_end && !kind.bounds().contains(value) {
                 return Err(format!("value {value} of state {} is not {}", state.0, kind.expected()));
             }
         }
@@ -132,20 +146,25 @@ impl LiveMap {
         }
         self.check_values(event)?;
         let plausible = envelope.plausible_nanos();
+        let arrival = Delivery { producer: envelope.producer, received_nanos: envelope.received_nanos };
+        let mut newest = 0;
         for (state, sample) in event.samples() {
             let index = state.0 as usize;
+            let reporting = if self.with_rows.is_empty() { Reporting::Samples } else { self.reporting(state) };
             let live = self.live.get_mut(index).ok_or_else(|| format!("state {index} is unknown"))?;
             live.observations += 1;
             let from = Origin { position, producer: envelope.producer, number: live.observations };
             self.live_dirty[index / LIVE_CHUNK] = true;
             if sample.utc_nanos <= plausible {
-                live.observe(&sample);
-                self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
+                live.observe_row(reporting, &sample, arrival);
+                newest = newest.max(sample.utc_nanos);
                 self.pending.push(state, sample, from);
             } else {
                 self.pending.push_future(state, sample, from);
             }
         }
+        self.newest_nanos = self.newest_nanos.max(newest);
+        self.heard_of(envelope.producer, newest);
         if !event.states.is_empty() {
             self.pending.received(envelope.received_nanos);
         }

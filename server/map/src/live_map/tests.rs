@@ -7,13 +7,14 @@ use tidemap_model::{Periodicities, selector::ModelSelector, time::FUTURE_MAX_NAN
 
 use super::*;
 use crate::{
-    event::{Envelope, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause},
+    event::{Envelope, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, UpdateCause},
     name::{MapName, StateName},
 };
 
 mod grid;
 mod kinds;
 mod rename;
+mod rows;
 mod training;
 mod vectors;
 
@@ -38,6 +39,7 @@ fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
             name: StateName::new(&format!("s{id}")).expect("valid"),
             shape: StateKind::Probability.into(),
             sensor: None,
+            reporting: Reporting::Samples,
         })
         .collect();
     let first_sequence = known.unwrap_or(0) + 1;

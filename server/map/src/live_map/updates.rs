@@ -2,12 +2,15 @@
 //!
 //! Invariant: the log position of its start and its cut determine what an update takes.
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
+
 use tidemap_model::time::FUTURE_MAX_NANOS;
 
 use super::{LiveMap, PendingLimits};
 use crate::{
     event::{UpdateCause, UpdateStart},
+    ids::StateId,
+    newest_row::Delivery,
     pending::Taken,
     snapshot::{MapSnapshot, StateSnapshot},
     update::{MapAtUpdate, UpdateResult, UpdateWork},
@@ -37,14 +40,16 @@ impl LiveMap {
         for ((state, _), origins) in samples.iter().zip(&mut origins).filter(|(_, origins)| origins.ahead > 0) {
             origins.arrived = self.live.get(state.0 as usize).map_or(0, |live| live.observations);
         }
-        for (state, sample) in were_ahead {
+        for (state, sample, producer) in were_ahead {
             // Their time has come: from here on they are like all others.
-            let index = state.0 as usize;
+            let (index, reporting) = (state.0 as usize, self.reporting(state));
             if let Some(live) = self.live.get_mut(index) {
-                live.observe(&sample);
+                let arrival = Delivery { producer, received_nanos: sample.utc_nanos };
+                live.observe_row(reporting, &sample, arrival);
                 self.live_dirty[index / LIVE_CHUNK] = true;
             }
             self.newest_nanos = self.newest_nanos.max(sample.utc_nanos);
+            self.heard_of(producer, sample.utc_nanos);
         }
         let grid = self.grid.as_mut().map(|grid| {
             let before = grid.pending_changes();
@@ -63,6 +68,7 @@ impl LiveMap {
         if let Some(basis) = &mut grid_basis {
             basis.received_nanos = self.pending.received_nanos();
         }
+        let horizons = self.horizons(start.cut_nanos);
         let basis = MapAtUpdate {
             start,
             position,
@@ -81,10 +87,22 @@ impl LiveMap {
             prior_models: self.prior_models.clone(),
             samples,
             origins,
+            horizons,
             grid: grid_work,
             readings: None,
             room: None,
         })
+    }
+
+    /// By state that reports changes or events: its rows are known to be complete up to there, exclusive, because its
+    /// producer has sent something as late, of this or another state.
+    fn horizons(&self, cut_nanos: i64) -> BTreeMap<StateId, i64> {
+        let horizon = |&id: &StateId| {
+            let newest = self.live.get(id.0 as usize)?.newest_row?;
+            let mark = self.producers.get(newest.producer.0 as usize)?;
+            Some((id, mark.newest_nanos.min(cut_nanos)))
+        };
+        self.with_rows.iter().filter_map(horizon).collect()
     }
 
     /// Publishes what an update learned as the new generation. Returns the snapshot for the store.
@@ -105,6 +123,7 @@ impl LiveMap {
                 observations: live.observations,
                 persistence: live.persistence,
                 recent: live.recent,
+                newest_row: live.newest_row,
                 model: Arc::clone(model),
             })
             .collect();

@@ -87,7 +87,8 @@ impl World {
             own.sort_by_key(|sample| sample.utc_nanos);
         }
         let of_state = self.models.iter_mut().zip(&self.own);
-        let mut pupils: Vec<Pupil<'_>> = of_state.map(|(model, (id, own))| Pupil { id: *id, own, model }).collect();
+        let mut pupils: Vec<Pupil<'_>> =
+            of_state.map(|(model, (id, own))| Pupil { id: *id, own: Taught::samples(own), model }).collect();
         train_within(limits, &self.spec, newest, &mut pupils, &self.kept)
     }
 

@@ -9,6 +9,7 @@
 
 use std::{
     borrow::Cow,
+    collections::BTreeMap,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
@@ -16,14 +17,17 @@ use std::{
 };
 
 use rayon::prelude::*;
-use tidemap_model::{LocalDay, Sample, StateModel, Surprises, UpdateOutcome};
+use tidemap_model::{
+    LearnedRows, LocalDay, OffsetCache, Reporting, RowReadings, Sample, StateModel, Surprises, UpdateOutcome,
+};
 
 use super::RoomInUse;
 use crate::{
     anomaly::learned,
     ids::StateId,
+    row_samples::{rows_of, sample_at},
     spec::MapSpec,
-    training::{Pupil, StateReadings, TrainingOutcome, train_due},
+    training::{Pupil, StateReadings, Taught, TrainingOutcome, train_due},
 };
 
 /// What each state was taught, and what was trained.
@@ -34,6 +38,8 @@ pub(super) struct DailySteps<'a> {
     pub(super) spec: &'a MapSpec,
     /// What earlier updates have learned; `None`: nothing is trained.
     pub(super) readings: Option<&'a dyn StateReadings>,
+    /// Of each state that reports changes or events: where its rows are known to be complete.
+    pub(super) horizons: &'a BTreeMap<StateId, i64>,
     pub(super) room: &'a RoomInUse,
     /// Counts the states that are done.
     pub(super) progress: &'a AtomicU64,
@@ -46,29 +52,56 @@ struct Lesson<'a> {
     samples: Cow<'a, [Sample]>,
     /// How many of them are learned.
     learned: usize,
+    /// What the samples stand for, if they are rows of changes or events.
+    rows: Option<Rows>,
     outcome: Option<UpdateOutcome>,
+}
+
+/// The readings of rows that are left to learn.
+struct Rows {
+    reporting: Reporting,
+    readings: RowReadings,
+    /// What is learned when all of them are.
+    after: LearnedRows,
+    offsets: OffsetCache,
+    horizon_nanos: i64,
 }
 
 /// The lessons of a day, each with the model of its state.
 type Class<'a, 'b> = Vec<(&'b mut Lesson<'a>, &'b mut Arc<StateModel>)>;
 
 impl<'a> Lesson<'a> {
-    fn new((id, samples): &'a (StateId, Vec<Sample>)) -> Lesson<'a> {
-        let mut samples = Cow::Borrowed(samples.as_slice());
+    fn new(id: StateId, samples: &'a [Sample]) -> Lesson<'a> {
+        let mut samples = Cow::Borrowed(samples);
         if !samples.is_sorted_by_key(|sample| sample.utc_nanos) {
             samples.to_mut().sort_by_key(|sample| sample.utc_nanos);
         }
-        Lesson { id: *id, samples, learned: 0, outcome: None }
+        Lesson { id, samples, learned: 0, rows: None, outcome: None }
+    }
+
+    /// The samples as rows that stand for readings, where the state reports changes or events.
+    fn with_rows(self, model: &StateModel, horizon_nanos: i64, spec: &MapSpec) -> Lesson<'a> {
+        let Some(&learned) = model.learned_rows() else { return self };
+        let reporting = model.reporting();
+        let (readings, after) = learned.learn(reporting, rows_of(&self.samples), horizon_nanos);
+        let offsets = spec.zone.offset_cache();
+        Lesson { rows: Some(Rows { reporting, readings, after, offsets, horizon_nanos }), ..self }
     }
 
     /// The next day that it learns.
-    fn day(&self) -> Option<LocalDay> {
-        self.samples.get(self.learned).map(Sample::local_day)
+    fn day(&mut self) -> Option<LocalDay> {
+        match &mut self.rows {
+            None => self.samples.get(self.learned).map(Sample::local_day),
+            Some(rows) => rows.next_day(),
+        }
     }
 
     /// Takes the samples of the next day. Clocks set back over midnight return to a date that has already ended: this
     /// is not a new day.
     fn take(&mut self, day: LocalDay) -> Vec<Sample> {
+        if let Some(rows) = &mut self.rows {
+            return rows.take(day);
+        }
         let rest = self.samples.get(self.learned..).unwrap_or(&[]);
         let length = rest.iter().position(|sample| sample.local_day() > day).unwrap_or(rest.len());
         self.learned += length;
@@ -76,7 +109,38 @@ impl<'a> Lesson<'a> {
     }
 
     fn is_done(&self) -> bool {
-        self.learned == self.samples.len()
+        match &self.rows {
+            None => self.learned == self.samples.len(),
+            Some(rows) => rows.readings.next_nanos().is_none(),
+        }
+    }
+
+    /// What it has taught up to a day that ends at this instant.
+    fn taught(&self, end_nanos: i64) -> Taught<'_> {
+        match &self.rows {
+            None => Taught::samples(self.samples.get(..self.learned).unwrap_or(&[])),
+            Some(rows) => {
+                let count = self.samples.partition_point(|sample| sample.utc_nanos < end_nanos);
+                let horizon_nanos = rows.horizon_nanos.min(end_nanos);
+                Taught { samples: self.samples.get(..count).unwrap_or(&[]), reporting: rows.reporting, horizon_nanos }
+            }
+        }
+    }
+}
+
+impl Rows {
+    fn next_day(&mut self) -> Option<LocalDay> {
+        let nanos = self.readings.next_nanos()?;
+        Some(sample_at(&mut self.offsets, (nanos, 0.0)).local_day())
+    }
+
+    fn take(&mut self, day: LocalDay) -> Vec<Sample> {
+        let mut of_day = Vec::new();
+        while self.next_day().is_some_and(|next| next <= day) {
+            let reading = self.readings.next();
+            of_day.extend(reading.map(|reading| sample_at(&mut self.offsets, reading)));
+        }
+        of_day
     }
 }
 
@@ -89,7 +153,11 @@ fn of_day<'a, 'b>(day: LocalDay, lessons: &'b mut [Lesson<'a>], models: &'b mut 
         passed = index + 1;
         Some((lesson, model))
     };
-    lessons.iter_mut().filter(|lesson| lesson.day() == Some(day)).filter_map(with_model).collect()
+    lessons
+        .iter_mut()
+        .filter_map(|lesson| (lesson.day() == Some(day)).then_some(lesson))
+        .filter_map(with_model)
+        .collect()
 }
 
 impl DailySteps<'_> {
@@ -102,10 +170,10 @@ impl DailySteps<'_> {
         states: &[(StateId, Vec<Sample>)],
         models: &mut [Arc<StateModel>],
     ) -> Result<Done, (StateId, String)> {
-        let mut lessons: Vec<Lesson<'_>> = states.par_iter().map(Lesson::new).collect();
+        let mut lessons = self.lessons(states, models);
         let mut training = TrainingOutcome::default();
         let mut runs: usize = models.iter().map(|model| model.surprises().runs().len()).sum();
-        while let Some(day) = lessons.iter().filter_map(Lesson::day).min() {
+        while let Some(day) = lessons.iter_mut().filter_map(Lesson::day).min() {
             let mut class = of_day(day, &mut lessons, models);
             let runs_of = |class: &Class<'_, '_>| class.iter().map(|(_, model)| model.surprises().runs().len()).sum();
             let runs_before: usize = runs_of(&class);
@@ -119,8 +187,44 @@ impl DailySteps<'_> {
                 runs = learned::bound(models, learned::MAP_RUNS_MAX);
             }
         }
+        self.rows_are_learned(&mut lessons, models);
         let done = lessons.into_iter().filter_map(|lesson| Some((lesson.id, lesson.outcome?))).collect();
         Ok((done, training))
+    }
+
+    /// A lesson for each state with observations, and for each whose rows hold; ascending.
+    fn lessons<'b>(&self, states: &'b [(StateId, Vec<Sample>)], models: &[Arc<StateModel>]) -> Vec<Lesson<'b>> {
+        let with_rows = |lesson: Lesson<'b>| match self.horizons.get(&lesson.id).zip(models.get(lesson.id.0 as usize)) {
+            Some((&horizon_nanos, model)) => lesson.with_rows(model, horizon_nanos, self.spec),
+            None => lesson,
+        };
+        let observed = states.par_iter().map(|(id, samples)| with_rows(Lesson::new(*id, samples)));
+        let mut lessons: Vec<Lesson<'b>> = observed.collect();
+        let has_observations = |id: &StateId| states.binary_search_by_key(id, |(state, _)| *state).is_ok();
+        let silent = self.horizons.keys().filter(|id| !has_observations(id));
+        lessons.extend(silent.map(|&id| with_rows(Lesson::new(id, &[]))));
+        lessons.sort_by_key(|lesson| lesson.id);
+        lessons
+    }
+
+    /// Stores how far the rows of each state are learned. Rows count as observations, not the readings that they stand
+    /// for.
+    fn rows_are_learned(&self, lessons: &mut [Lesson<'_>], models: &mut [Arc<StateModel>]) {
+        for lesson in lessons {
+            let (Some(rows), Some(model)) = (&lesson.rows, models.get_mut(lesson.id.0 as usize)) else { continue };
+            if model.learned_rows() != Some(&rows.after) {
+                *model = Arc::new(StateModel::clone(model).with_reporting(rows.reporting, rows.after));
+            }
+            if lesson.outcome.is_none() {
+                // Nothing that a reading would be learned of, so far.
+                self.progress.fetch_add(1, Ordering::Relaxed);
+            }
+            if !lesson.samples.is_empty() {
+                let order = model.order();
+                let before = UpdateOutcome { order_before: order, order, ..UpdateOutcome::default() };
+                lesson.outcome.get_or_insert(before).observations = lesson.samples.len() as u64;
+            }
+        }
     }
 
     fn learn_day(
@@ -152,12 +256,12 @@ impl DailySteps<'_> {
     }
 
     fn train_after(&self, day: LocalDay, class: Class<'_, '_>, readings: &dyn StateReadings) -> TrainingOutcome {
-        let mut pupils: Vec<Pupil<'_>> = Vec::with_capacity(class.len());
-        for (lesson, model) in class {
-            pupils.push(Pupil { id: lesson.id, own: lesson.samples.get(..lesson.learned).unwrap_or(&[]), model });
-        }
         // Also of a day that has not ended: which readings are kept must not depend on the hour of the update.
         let end_nanos = self.spec.zone.midnight_nanos(LocalDay(day.0.saturating_add(1)));
+        let mut pupils: Vec<Pupil<'_>> = Vec::with_capacity(class.len());
+        for (lesson, model) in class {
+            pupils.push(Pupil { id: lesson.id, own: lesson.taught(end_nanos), model });
+        }
         train_due(self.spec, end_nanos, &mut pupils, readings)
     }
 }

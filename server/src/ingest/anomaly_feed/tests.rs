@@ -2,7 +2,7 @@
 
 use tidemap_grid::spec::Retention;
 use tidemap_map::{
-    event::{NewState, OffsetRun, StateKind},
+    event::{NewState, OffsetRun, Reporting, StateKind},
     live_map::LiveMap,
     name::{MapName, StateName},
     spec::MapSpec,
@@ -26,6 +26,7 @@ fn observations(first: i64, count: usize) -> Observations {
             name: StateName::new("s").expect("valid"),
             shape: StateKind::Probability.into(),
             sensor: None,
+            reporting: Reporting::Samples,
         }],
         states: vec![StateId(0); count],
         times_nanos: (first..).take(count).collect(),

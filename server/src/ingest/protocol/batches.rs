@@ -9,7 +9,7 @@ use tidemap_grid::{
     log_head::StreamScan,
 };
 use tidemap_map::{
-    event::{Position, SequenceSpan, StateShape},
+    event::{Position, SequenceSpan, StateShape, StatedReporting},
     ids::RefusalReason,
     name::StateName,
     traversal::Traversal,
@@ -31,12 +31,14 @@ pub(crate) struct NewName {
     pub name: StateName,
     /// The shape that the message declares for the state; `None`: not declared.
     pub shape: Option<StateShape>,
+    /// What the stream says about how it is reported.
+    pub reporting: Option<StatedReporting>,
 }
 
 impl From<StateName> for NewName {
     /// A name without a declared shape.
     fn from(name: StateName) -> Self {
-        Self { name, shape: None }
+        Self { name, shape: None, reporting: None }
     }
 }
 
@@ -53,8 +55,8 @@ pub(crate) struct ObservationBatch {
     pub table_indices: Vec<u32>,
     /// Per accepted observation: nanoseconds UTC.
     pub times_nanos: Vec<i64>,
-    /// Per accepted observation: a value that the declared kind allows, or any kind if none is declared; 0 for a
-    /// position.
+    /// Per accepted observation: a value that the declared kind allows, or any kind if none is declared; NaN of a state
+    /// that may report changes or events; 0 for a position.
     pub values: Vec<f64>,
     /// The positions, ascending, each with the index of its observation among the accepted ones, and with the declared
     /// number of coordinates.

@@ -3,20 +3,18 @@
 //! Invariant: the answer comes after the change is durable and published.
 
 use tidemap_map::{
-    event::{StateSensor, StateShape},
+    event::{Reporting, StateSensor, StateShape, StatedReporting},
     name::StateName,
     site::{InvalidEdit, SiteEdit},
 };
+use tidemap_proto::convert::vectors::DeclaredState;
 use tidemap_store::AppendError;
 use tokio::sync::oneshot;
 
 /// A state to add.
 #[derive(Debug)]
 pub(crate) struct AddState {
-    pub name: StateName,
-    pub shape: StateShape,
-    /// The sensor that reads it; `None`: not stated, which fits any.
-    pub sensor: Option<StateSensor>,
+    pub state: DeclaredState,
     /// The answer, after the state is durable and published.
     pub reply: oneshot::Sender<Result<(), AddStateError>>,
 }
@@ -27,6 +25,8 @@ pub(crate) enum AddStateError {
     OtherKind { name: StateName, found: StateShape, asked: StateShape },
     #[error("state {name:?} exists with {has}, not {asked}: the sensor of a state never changes; add the state before its first observation, or under another name", name = .name.as_str(), has = found.map_or("no stated sensor".to_owned(), |found| found.to_string()))]
     OtherSensor { name: StateName, found: Option<StateSensor>, asked: StateSensor },
+    #[error("state {name:?} exists and is reported by {found}, not by {asked}: how a state is reported never changes; add the state before its first observation, or under another name", name = .name.as_str())]
+    OtherReporting { name: StateName, found: Reporting, asked: StatedReporting },
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
     TooMany { max: usize },
     #[error(transparent)]

@@ -6,12 +6,13 @@
 use std::collections::HashMap;
 
 use tidemap_map::{
-    event::{Dimensions, NewState, StateKind, StateSensor, StateShape},
+    event::{Dimensions, NewState, Reporting, RowKind, StateKind, StateShape, StatedReporting},
     ids::{RefusalReason, StateId},
     live_map::{LiveMap, rename::renamed_states},
     name::StateName,
     site::{InvalidEdit, SiteEdit},
 };
+use tidemap_proto::convert::vectors::{DeclaredState, cannot_report};
 
 use super::{
     super::{
@@ -28,9 +29,11 @@ pub(super) type Refusal = (RefusalReason, String);
 #[derive(Debug)]
 pub(super) enum StreamState {
     /// A state of the map, or of a batch in flight; for a vector its first axis.
-    State(StateId, StateShape),
+    State(StateId, StateShape, Reporting),
     /// A state whose shape differs from the declared one: its shape, and the declared one.
     OtherShape(StateName, StateShape, Option<StateShape>),
+    /// A state that is reported otherwise than the stream says.
+    OtherReporting(StateName, Reporting, StatedReporting),
     /// A name that no observation has used yet.
     Unused(NewName),
     /// An invalid name; intake refuses its observations.
@@ -42,6 +45,8 @@ pub(super) struct StateAllocator<'a> {
     pub(super) map: &'a LiveMap,
     pub(super) in_flight: &'a mut HashMap<StateName, (StateId, StateKind)>,
     pub(super) renames: &'a HashMap<StateName, (StateId, StateKind)>,
+    /// Of states in flight that do not report samples.
+    pub(super) reportings: &'a mut HashMap<StateId, Reporting>,
     pub(super) max: usize,
 }
 
@@ -60,10 +65,15 @@ impl StreamState {
         }
         match self {
             // Intake passes a position only if a vector was declared.
-            StreamState::State(state, shape @ StateShape::Vector(_)) if is_position => Ok((*state, *shape)),
-            StreamState::State(state, shape) if !is_position && shape.allows(value) => Ok((*state, *shape)),
-            StreamState::State(_, shape) => Err(Some(refuse_value(value, *shape))),
+            StreamState::State(state, shape @ StateShape::Vector(_), _) if is_position => Ok((*state, *shape)),
+            StreamState::State(state, shape, reporting)
+                if !is_position && (shape.allows(value) || (value.is_nan() && reporting.may_end())) =>
+            {
+                Ok((*state, *shape))
+            }
+            StreamState::State(_, shape, _) => Err(Some(refuse_value(value, *shape))),
             StreamState::OtherShape(name, found, said) => Err(Some(other_shape(name, *found, *said))),
+            StreamState::OtherReporting(name, found, said) => Err(Some(other_reporting(name, *found, *said))),
             StreamState::Unused(_) | StreamState::Invalid => Err(None),
         }
     }
@@ -71,25 +81,37 @@ impl StreamState {
 
 /// Looks the name up at its first observation.
 fn used(
-    NewName { name, shape: said }: &NewName,
+    NewName { name, shape: said, reporting: stated }: &NewName,
     value: f64,
     allocator: &mut StateAllocator<'_>,
     new_states: &mut Vec<NewState>,
 ) -> Result<StreamState, Refusal> {
-    let shape = said.unwrap_or_default();
+    let has_events = stated.is_some_and(|stated| stated.kind() == RowKind::Events);
+    let usual = if has_events { StateKind::Count.into() } else { StateShape::default() };
+    let shape = said.unwrap_or(usual);
+    let reporting = stated.map_or(Reporting::Samples, StatedReporting::for_new);
     match known_state(allocator.map, allocator.in_flight, allocator.renames, name) {
         // A name without a declared shape has single values.
         Some((state, found)) if *said == Some(found) || (said.is_none() && found.is_single()) => {
-            Ok(StreamState::State(state, found))
+            let reporting = allocator.reporting(state);
+            Ok(match stated {
+                Some(stated) if !stated.fits(reporting) => {
+                    StreamState::OtherReporting(name.clone(), reporting, *stated)
+                }
+                _ => StreamState::State(state, found, reporting),
+            })
         }
         Some((_, found)) => Ok(StreamState::OtherShape(name.clone(), found, *said)),
+        None if !shape.may_report(reporting) => Err((RefusalReason::StateKind, cannot_report(shape, reporting.kind()))),
         // An invalid value does not create a state. Intake has checked positions.
-        None if shape.is_single() && !shape.allows(value) => Err(refuse_value(value, shape)),
-        None => match allocator.add(name, shape) {
+        None if shape.is_single() && !shape.allows(value) && !(value.is_nan() && reporting.may_end()) => {
+            Err(refuse_value(value, shape))
+        }
+        None => match allocator.add(name, shape, reporting) {
             Some(new) => {
                 let state = new.id;
                 new_states.push(new);
-                Ok(StreamState::State(state, shape))
+                Ok(StreamState::State(state, shape, reporting))
             }
             None => Err(allocator.is_full(name)),
         },
@@ -119,7 +141,8 @@ impl StateAllocator<'_> {
             states.push(match known {
                 Some(state) => state,
                 None => {
-                    let added = if new <= room { self.add(name, StateShape::Scalar(*kind)) } else { None };
+                    let shape = StateShape::Scalar(*kind);
+                    let added = if new <= room { self.add(name, shape, Reporting::Samples) } else { None };
                     let added = added.ok_or_else(|| self.is_full(name))?;
                     let state = added.id;
                     new_states.push(added);
@@ -140,30 +163,48 @@ impl StateAllocator<'_> {
         (RefusalReason::StateLimit, text)
     }
 
+    /// How a state of the map, or in flight, is reported.
+    fn reporting(&self, state: StateId) -> Reporting {
+        self.reportings.get(&state).copied().unwrap_or_else(|| self.map.reporting(state))
+    }
+
     /// Allocates a state, or all axes of a vector; `None` if the limit allows no more.
-    fn add(&mut self, name: &StateName, shape: StateShape) -> Option<NewState> {
+    fn add(&mut self, name: &StateName, shape: StateShape, reporting: Reporting) -> Option<NewState> {
         let next = self.map.states() + self.in_flight.len();
         if next.saturating_add(shape.states()) > self.max {
             return None;
         }
-        let new =
-            NewState { id: StateId(u32::try_from(next).unwrap_or(u32::MAX)), name: name.clone(), shape, sensor: None };
+        let new = NewState {
+            id: StateId(u32::try_from(next).unwrap_or(u32::MAX)),
+            name: name.clone(),
+            shape,
+            sensor: None,
+            reporting,
+        };
+        if reporting.may_end() {
+            self.reportings.insert(new.id, reporting);
+        }
         self.in_flight.extend(new.states().map(|(id, name, kind)| (name, (id, kind))));
         Some(new)
     }
 }
 
 impl Sessions {
-    /// The event that adds a state; `None` if the map has it with that shape and sensor. No sensor fits any.
+    /// The event that adds a state; `None` if the map has it with that shape, sensor and reporting. What is not stated
+    /// fits any.
     pub(crate) fn add_state(
         &mut self,
-        name: &StateName,
-        shape: StateShape,
-        sensor: Option<StateSensor>,
+        DeclaredState { name, shape, sensor, reporting: stated }: &DeclaredState,
         map: &LiveMap,
     ) -> Result<Option<NewState>, AddStateError> {
+        let (shape, sensor) = (*shape, *sensor);
         match known_state(map, &self.states_in_flight, &self.renames_in_flight, name) {
             Some((state, found)) if found == shape => {
+                let reporting = self.reportings_in_flight.get(&state).copied();
+                let reporting = reporting.unwrap_or_else(|| map.reporting(state));
+                if let Some(asked) = stated.filter(|stated| !stated.fits(reporting)) {
+                    return Err(AddStateError::OtherReporting { name: name.clone(), found: reporting, asked });
+                }
                 let found = map.sensor(state).or_else(|| self.sensors_in_flight.get(&state).copied());
                 match sensor {
                     Some(asked) if found != Some(asked) => {
@@ -178,9 +219,12 @@ impl Sessions {
                     map,
                     in_flight: &mut self.states_in_flight,
                     renames: &self.renames_in_flight,
+                    reportings: &mut self.reportings_in_flight,
                     max: self.limits.states,
                 };
-                let new = allocator.add(name, shape).ok_or(AddStateError::TooMany { max: self.limits.states })?;
+                let reporting = stated.map_or(Reporting::Samples, StatedReporting::for_new);
+                let new =
+                    allocator.add(name, shape, reporting).ok_or(AddStateError::TooMany { max: self.limits.states })?;
                 self.sensors_in_flight.extend(sensor.map(|sensor| (new.id, sensor)));
                 Ok(Some(NewState { sensor, ..new }))
             }
@@ -221,6 +265,7 @@ impl Sessions {
             self.states_in_flight.remove(&name);
         }
         self.sensors_in_flight.remove(&new.id);
+        self.reportings_in_flight.remove(&new.id);
     }
 }
 
@@ -254,5 +299,15 @@ fn other_shape(name: &StateName, found: StateShape, said: Option<StateShape>) ->
     let name = name.as_str().chars().take(60).collect::<String>();
     let said = said.map_or("a single value".to_owned(), StateShape::with_article);
     let text = format!("state {name:?} exists and is {}, not {said}", found.with_article());
+    (RefusalReason::StateKind, text)
+}
+
+/// The refusal of a state that is reported otherwise than the stream says.
+fn other_reporting(name: &StateName, found: Reporting, said: StatedReporting) -> Refusal {
+    let name = name.as_str().chars().take(60).collect::<String>();
+    let text = format!(
+        "state {name:?} exists and is reported by {found}, not by {said}: this never changes; send its observations as \
+         they are, or under another name"
+    );
     (RefusalReason::StateKind, text)
 }

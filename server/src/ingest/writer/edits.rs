@@ -70,13 +70,13 @@ impl Writer {
         } else if let Some(error) = self.appends.failure() {
             Err(AddStateError::Storage(error.clone()))
         } else {
-            self.sessions.add_state(&add.name, add.shape, add.sensor, &self.map)
+            self.sessions.add_state(&add.state, &self.map)
         };
         match event {
             Ok(Some(new)) => {
                 self.append(InFlight::AddState { event: Event::AddState(new), reply: add.reply });
             }
-            Ok(None) if self.map.shape(add.name.as_str()).is_some() => self.edits.added.push(add.reply),
+            Ok(None) if self.map.shape(add.state.name.as_str()).is_some() => self.edits.added.push(add.reply),
             // In flight for another client, and the append may fail.
             Ok(None) => self.edits.waiting_states.push(add),
             // The client may have gone away.

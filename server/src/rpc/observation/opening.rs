@@ -52,7 +52,7 @@ pub(super) async fn open_and_serve(
     let (probe, probed, questions) = probe();
     let (opened, events) = open_session(&handle, &start, start.answers_probes.then_some(probe)).await?;
     entry.mark_active();
-    let mut stream = Stream::new(service, handle, (opened, events), replies, (probed, entry));
+    let mut stream = Stream::new(service, handle, (opened, events), start.reporting, replies, (probed, entry));
     let result = tokio::select! {
         result = stream.serve(requests) => result,
         never = pass_on_questions(questions, replies) => match never {},

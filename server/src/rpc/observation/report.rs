@@ -55,6 +55,7 @@ impl Observations {
             producer: request.producer.clone(),
             label: request.label.clone(),
             map: request.map.clone(),
+            reporting: request.reporting,
             ..Default::default()
         };
         // The channel has room for both messages.

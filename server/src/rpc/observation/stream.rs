@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use tidemap_model::time::FUTURE_MAX_NANOS;
+use tidemap_model::{StatedReporting, time::FUTURE_MAX_NANOS};
 use tidemap_proto::{
     convert::{
         OverLimit,
@@ -70,13 +70,15 @@ impl<'a> Stream<'a> {
         service: &'a Observations,
         handle: Arc<MapHandle>,
         (opened, events): (Welcome, mpsc::UnboundedReceiver<SessionEvent>),
+        reporting: Option<StatedReporting>,
         replies: &'a Replies,
         (probed, entry): (Probed, &'a mut StreamEntry),
     ) -> Self {
         let (durable, limits) = (opened.durable_sequence, service.limits);
         let intake = Intake::new(durable, opened.content_crc, limits.intake, handle.spec.grid.as_ref())
             .with_known_content(opened.content_marks.clone())
-            .with_earliest_time(handle.spec.earliest_nanos());
+            .with_earliest_time(handle.spec.earliest_nanos())
+            .with_reporting(reporting);
         Self {
             intake: Some(intake),
             own_buffer: Arc::new(Semaphore::new(limits.max_stream_buffer)),

@@ -79,11 +79,16 @@ pub(super) async fn find_anomalies(
 ) -> Result<Replies<v1::FindAnomaliesResponse>, RpcError> {
     let v1::FindAnomaliesRequest { map, state: name, from_time, to_time, confidence, model } = request;
     let handle = find_map(&queries.catalog, &map).await?;
-    let asked = PastQuery { name: name.clone(), within_nanos: interval_from_wire(from_time, to_time)? };
+    let within_nanos = interval_from_wire(from_time, to_time)?;
+    let mut asked = PastQuery { name: name.clone(), within_nanos: within_nanos.clone() };
     let confidence = confidence_from_wire("confidence", confidence)?;
     let selector = judge_from_wire("model", model)?;
     let view = handle.view();
     let subject = find_all(&view, |_| "state".to_owned(), vec![name]).await?.pop().ok_or(RpcError::Stopping)?;
+    if let Some(hold) = subject.reporting(&view).hold() {
+        // A change before the interval may hold into it.
+        asked.within_nanos.start = asked.within_nanos.start.saturating_sub(hold.max_nanos());
+    }
     // Before the permits to look up are taken: training has its own permits, and may take long.
     let trained = if selector.kind.needs_readings() {
         let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), subject.clone());
@@ -95,7 +100,12 @@ pub(super) async fn find_anomalies(
     Ok(compute_replies(permits, move |sink| {
         let judge = Judge { subject, trained };
         let is_left = || sink.is_closed();
-        for readings in gather(StopSignal::new(&is_left))?.chunks(READINGS_PER_REPLY) {
+        let mut readings = gather(StopSignal::new(&is_left))?;
+        if let StateOrCell::State(id) = judge.subject {
+            readings = view.observed_readings_of(id, readings);
+            readings.retain(|(nanos, _)| within_nanos.contains(nanos));
+        }
+        for readings in readings.chunks(READINGS_PER_REPLY) {
             let mut reply = v1::FindAnomaliesResponse::default();
             for Anomaly { utc_nanos, value, probability } in judge.unexpected(&view, readings, selector, confidence) {
                 reply.times_nanos.push(utc_nanos);

@@ -14,7 +14,7 @@ use tidemap_map::{
     ids::StateId,
     view::MapView,
 };
-use tidemap_model::{EarlyStop, Sample, StopSignal};
+use tidemap_model::{EarlyStop, LearnedRows, Sample, StopSignal};
 use tidemap_proto::{
     convert::{
         columns::DecodedColumns,
@@ -56,6 +56,7 @@ pub(super) async fn evaluate_states(
     let mut evaluator = Evaluator::new(Arc::clone(&view), question.models, question.max_order);
     let mut table: Vec<TableEntry> = Vec::new();
     let mut waiting = WaitingObservations::default();
+    let mut held = HeldRows::default();
     while let Some(request) = stream.message().await? {
         let mut packed = evaluated_from_wire(request).map_err(RpcError::from)?;
         extend_table(&mut table, packed.take_names(), &view, &evaluator).await?;
@@ -65,10 +66,11 @@ pub(super) async fn evaluate_states(
         take_observations(&columns, &table, &view, &mut evaluator, &mut waiting).map_err(RpcError::from)?;
         // Without models to fit nothing is gained by waiting.
         if waiting.count >= WAITING_MAX || evaluator.kinds_to_train().next().is_none() {
-            evaluator = compare(queries, &handle, &view, std::mem::take(&mut waiting), evaluator).await?;
+            let taken = held.readings(std::mem::take(&mut waiting), &view, 0);
+            evaluator = compare(queries, &handle, &view, taken, evaluator).await?;
         }
     }
-    let evaluator = compare(queries, &handle, &view, waiting, evaluator).await?;
+    let evaluator = compare(queries, &handle, &view, held.readings(waiting, &view, 1), evaluator).await?;
     Ok(answer(&evaluator, &view))
 }
 
@@ -104,6 +106,7 @@ fn take_observations(
         let Some(entry) = table.get(index as usize) else { continue };
         let shape = entry.shape(view);
         let is_allowed = if entry.is_angle { shape.allows(value) } else { shape.kind().bounds().contains(&value) };
+        let is_allowed = is_allowed || (value.is_nan() && entry.state.reporting(view).may_end());
         if !is_allowed {
             return Err(Problem::Value { value, shape }.of("observations.values"));
         }
@@ -147,6 +150,40 @@ impl WaitingObservations {
         });
         samples.push(sample);
         self.count += 1;
+    }
+}
+
+/// What is known of the states that report changes or events, from the observations so far.
+#[derive(Debug, Default)]
+struct HeldRows {
+    learned: HashMap<Subject, (TableEntry, LearnedRows)>,
+    newest_nanos: i64,
+}
+
+impl HeldRows {
+    /// The readings that observations stand for, up to `after_nanos` after the newest of all of them: more of its time
+    /// may come.
+    fn readings(&mut self, mut waiting: WaitingObservations, view: &MapView, after_nanos: i64) -> WaitingObservations {
+        let newest = waiting.by_state.values().flatten().map(|sample| sample.utc_nanos).max();
+        self.newest_nanos = self.newest_nanos.max(newest.unwrap_or(0));
+        for entry in waiting.entries.iter().filter(|entry| entry.state.reporting(view).may_end()) {
+            self.learned.entry(entry.state.subject()).or_insert_with(|| (entry.clone(), LearnedRows::default()));
+        }
+        let mut make = view.sample_maker();
+        for (subject, (entry, learned)) in &mut self.learned {
+            let is_new = !waiting.by_state.contains_key(subject);
+            let samples = waiting.by_state.entry(*subject).or_default();
+            samples.sort_by_key(|sample| sample.utc_nanos);
+            let row = |sample: &Sample| (sample.utc_nanos, (!sample.value.is_nan()).then_some(sample.value));
+            let rows = samples.iter().map(row).collect();
+            let (readings, after) = learned.learn(entry.state.reporting(view), rows, self.newest_nanos + after_nanos);
+            *learned = after;
+            *samples = readings.map(|(nanos, value)| make(nanos, value)).collect();
+            if is_new {
+                waiting.entries.push(entry.clone());
+            }
+        }
+        waiting
     }
 }
 

@@ -22,6 +22,7 @@ use tidemap_grid::{
 };
 use tidemap_map::{
     anomaly::{Anomaly, Confidence},
+    event::Reporting,
     history::Reading,
     ids::StateId,
     view::MapView,
@@ -372,6 +373,13 @@ fn unexpected(
     let mut found = Vec::new();
     for places in by_state.chunk_by(|&a, &b| observed[a].0 == observed[b].0) {
         let state = observed[places[0]].0;
+        let reporting = models.info(state).map_or(Reporting::Samples, |info| info.reporting);
+        if matches!(reporting, Reporting::Events(_)) {
+            // One event is no number of events in a step.
+            continue;
+        }
+        // A row that says that nothing is known is none.
+        let places: Vec<usize> = places.iter().copied().filter(|&i| !observed[i].1.1.is_nan()).collect();
         let readings: Vec<Reading> = places.iter().map(|&i| observed[i].1).collect();
         let times: Vec<i64> = readings.iter().map(|(nanos, _)| *nanos).collect();
         let mut expected = vec![0.0; times.len()];

@@ -124,7 +124,12 @@ const RANGE: Invalid = "a value is not a number from -1e12 to 1e12";
 
 /// Whether a state of any kind may have the value. Callers check the state's own kind.
 fn is_value(value: &f64) -> bool {
-    value.abs() <= VALUE_MAX
+    value.abs() <= VALUE_MAX || is_end(value)
+}
+
+/// Whether it is what a row has instead of a value, if its sensor knows none from then on.
+fn is_end(value: &f64) -> bool {
+    value.to_bits() == f64::NAN.to_bits()
 }
 
 /// Values, in the smallest lossless encoding.

@@ -16,7 +16,7 @@ use tidemap_migrations::v1::{event as v1, log::FrameKind, site as v1_site};
 use super::{
     Invalid, columns,
     ids::{decode_kind, decode_new_producer, decode_refused, encode_kind, encode_new_producer, encode_refused},
-    scans, sensors, site, traversal,
+    rows, scans, sensors, site, traversal,
 };
 
 /// Kinds of new vector states. The map stores a vector as states of continuous values, one per axis.
@@ -185,7 +185,8 @@ fn encode_new_state(state: &NewState) -> v1::NewState {
         StateShape::Angle => ANGLE,
     };
     let sensor = state.sensor.map(sensors::encode_state_sensor);
-    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind, sensor }
+    let reporting = rows::encode_reporting(state.reporting);
+    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind, sensor, reporting }
 }
 
 fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
@@ -208,5 +209,6 @@ fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
     if sensor.is_some() && !shape.may_have_sensor() {
         return Err("a state has a sensor, and is no probability");
     }
-    Ok(NewState { id: StateId(state.id), name, shape, sensor })
+    let reporting = rows::decode_reporting(state.reporting.as_ref(), shape)?;
+    Ok(NewState { id: StateId(state.id), name, shape, sensor, reporting })
 }

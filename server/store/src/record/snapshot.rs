@@ -17,7 +17,7 @@ use tidemap_model::{
 use super::{
     Invalid, alternatives, belief,
     ids::{decode_kind, decode_producer_key, decode_state_name, encode_kind, encode_producer_key},
-    sensors, surprises,
+    rows, sensors, surprises,
 };
 
 /// The counters of a snapshot. The counts must fit; [`check`] makes sure of that.
@@ -120,6 +120,7 @@ pub(crate) fn encode_producer(id: u32, mark: &ProducerMark) -> v1::Producer {
         recent_crcs: mark.recent.iter().map(|recent| recent.crc).collect(),
         received_nanos: mark.received_nanos,
         has_scans: mark.has_scans,
+        newest_nanos: mark.newest_nanos,
     }
 }
 
@@ -146,6 +147,7 @@ pub(crate) fn decode_producer(id: usize, message: &v1::Producer) -> Result<Produ
         content_crc: message.content_crc,
         sensor: sensors::decode(message.sensor.as_ref())?,
         received_nanos: message.received_nanos,
+        newest_nanos: message.newest_nanos,
         recent,
         has_scans: message.has_scans,
     })
@@ -205,6 +207,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
         belief: state.model.belief().map(belief::encode),
         recent: belief::encode_recent(state.recent.spans()),
         sensor: state.model.sensor().map(sensors::encode_state_sensor),
+        rows: rows::encode(&state.model, state.newest_row),
     }
 }
 
@@ -251,6 +254,7 @@ pub(crate) fn decode_state(
         observations: message.observations,
         persistence: Persistence::from_parts_of(kind, persistence).map_err(|error| error.to_string())?,
         recent: belief::decode_recent(&message.recent)?,
+        newest_row: rows::decode_newest(message.rows.as_ref())?,
         model: Arc::new(decode_model(kind, message, periodicities, spectrum)?),
     })
 }
@@ -316,6 +320,7 @@ fn decode_model(
         Some(sensor) => model.with_sensor(sensors::decode_state_sensor(sensor)?),
         None => model,
     };
+    let model = rows::decode(model, message.rows.as_ref())?;
     Ok(match &message.alternatives {
         Some(known) => model.with_alternatives(alternatives::decode(kind, known, periodicities)?),
         None => model,

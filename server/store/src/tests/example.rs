@@ -8,7 +8,10 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
+    event::{
+        Envelope, Event, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, UpdateCause,
+        UpdateStart,
+    },
     ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
@@ -68,6 +71,7 @@ pub(crate) fn event(position: u64) -> Event {
                     name: StateName::new(&format!("state {id}")).expect("valid"),
                     shape: StateKind::Probability.into(),
                     sensor: None,
+                    reporting: Reporting::Samples,
                 })
                 .collect(),
             states: (0..count).map(|_| StateId(random.random_range(0..3))).collect(),
@@ -131,6 +135,7 @@ pub(crate) fn snapshot(spec: &MapSpec, position: u64, states: usize) -> MapSnaps
             sensor: (position % 3 == 1)
                 .then_some(tidemap_grid::sensors::ProducerSensor { hit: 0.75, false_alarm: 0.0625 }),
             received_nanos: position as i64 * 7_000_000_000 - 3,
+            newest_nanos: position as i64 * 5_000_000_000,
             recent: (0..position % 4)
                 .map(|i| ContentMark { sequence: position * 10 + i, crc: i as u32 * 77 })
                 .collect(),
@@ -204,6 +209,7 @@ pub(crate) fn state(spec: &MapSpec, name: &str, random: &mut SmallRng) -> StateS
         observations: random.random(),
         persistence: Persistence::from_parts(persistence).expect("valid"),
         recent,
+        newest_row: None,
         model: Arc::new(model.expect("valid")),
     }
 }

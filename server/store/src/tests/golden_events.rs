@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tidemap_grid::index::CellIndex;
 use tidemap_map::{
     event::{
-        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, StateShape,
+        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, StateShape,
         UpdateCause, UpdateStart,
     },
     ids::{ProducerId, RefusalReason, StateId},
@@ -49,6 +49,7 @@ fn events() -> Vec<Event> {
             name: StateName::new("Küche").expect("valid"),
             shape: StateKind::Probability.into(),
             sensor: None,
+            reporting: Reporting::Samples,
         }],
         states: vec![StateId(0); 10],
         times_nanos: (0..10).map(|i| 1_700_000_000_000_000_000 + i * 1_000_000_000).collect(),
@@ -68,6 +69,7 @@ fn events() -> Vec<Event> {
             name: StateName::new("door").expect("valid"),
             shape: StateKind::Probability.into(),
             sensor: None,
+            reporting: Reporting::Samples,
         }],
         states: vec![StateId(1), StateId(0), StateId(300)],
         times_nanos: vec![5, 1_700_000_100_000_000_000, 7],
@@ -92,8 +94,13 @@ fn events() -> Vec<Event> {
         StateShape::Vector(Dimensions::Three),
         StateShape::Angle,
     ];
-    let add =
-        |(id, shape): (u32, StateShape)| NewState { id: StateId(id), name: named(shape.name()), shape, sensor: None };
+    let add = |(id, shape): (u32, StateShape)| NewState {
+        id: StateId(id),
+        name: named(shape.name()),
+        shape,
+        sensor: None,
+        reporting: Reporting::Samples,
+    };
     events.extend((2..).zip(shapes).map(add).map(Event::AddState));
     events.extend(edits().into_iter().map(Event::EditSite));
     events.extend(
@@ -197,6 +204,7 @@ fn snapshot() -> MapSnapshot {
         observations: 10,
         persistence,
         recent: Recent::default(),
+        newest_row: None,
         model: Arc::new(model),
     };
     MapSnapshot {
@@ -212,6 +220,7 @@ fn snapshot() -> MapSnapshot {
             content_crc: 0x1234_5678,
             sensor: None,
             received_nanos: 1_700_000_001_000_000_000,
+            newest_nanos: 0,
             recent: vec![ContentMark { sequence: 12, crc: 0x9ABC_DEF0 }],
             has_scans: false,
         }],

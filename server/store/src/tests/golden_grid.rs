@@ -319,6 +319,7 @@ fn snapshot() -> MapSnapshot {
                 content_crc: 0x1234_5678,
                 sensor,
                 received_nanos: 1_700_000_001_000_000_000,
+                newest_nanos: 0,
                 recent: Vec::new(),
                 has_scans: true,
             })

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use prost::Message as _;
 use tidemap_map::{
-    event::{Event, NewState, StateShape},
+    event::{Event, NewState, Reporting, StateShape},
     ids::StateId,
     name::StateName,
     snapshot::StateSnapshot,
@@ -59,7 +59,13 @@ fn sensors_in_checkpoints_are_written_as_they_always_were_and_come_back() {
 #[test]
 fn sensors_in_the_log_are_written_as_they_always_were_and_come_back() {
     let name = StateName::new("door").expect("valid");
-    let new = NewState { id: StateId(3), name, shape: StateShape::default(), sensor: Some(sensor()) };
+    let new = NewState {
+        id: StateId(3),
+        name,
+        shape: StateShape::default(),
+        sensor: Some(sensor()),
+        reporting: Reporting::Samples,
+    };
     let added = Event::AddState(new);
     let (kind, payload) = event::encode(&added).expect("valid");
     assert_eq!(crc32c::crc32c(&payload), 0xF2DD_F452, "a sensor is written in another way");

@@ -108,6 +108,7 @@ pub(super) fn state_of(kind: StateKind, name: &str, alternatives: Alternatives) 
         observations: 10,
         persistence: Persistence::default(),
         recent: Recent::default(),
+        newest_row: None,
         model: Arc::new(model.expect("valid").with_alternatives(alternatives)),
     }
 }

@@ -229,7 +229,7 @@ fn an_event_that_could_not_be_read_back_is_not_written() {
     let map = store.create_map(&spec).expect("creates");
     let log = store.open_map(map, &spec).expect("opens").log;
     let tidemap_map::event::Event::Observations(envelope, good) = event(1) else { panic!("observations") };
-    for value in [f64::NAN, -1.1e12, 1e300, f64::INFINITY] {
+    for value in [-f64::NAN, -1.1e12, 1e300, f64::INFINITY] {
         let mut bad = good.clone();
         bad.values[0] = value;
         let error = append(&log, &tidemap_map::event::Event::Observations(envelope.clone(), bad));

@@ -7,8 +7,8 @@ use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_grid::{index::CellIndex, sensors::ProducerSensor};
 use tidemap_map::{
     event::{
-        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, StateShape,
-        UpdateCause, UpdateStart,
+        Dimensions, Envelope, Event, Hold, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind,
+        StateShape, UpdateCause, UpdateStart,
     },
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::{EdgeName, MapName, ProducerKey, StateName},
@@ -99,6 +99,7 @@ fn observations() -> impl Strategy<Value = Event> {
                             name: StateName::new(&name).expect("valid"),
                             shape: shape(id as usize),
                             sensor: None,
+                            reporting: Reporting::Samples,
                         })
                         .chain(states_of_places())
                         .collect(),
@@ -134,7 +135,7 @@ fn states_of_places() -> impl Iterator<Item = NewState> {
         states.into_iter().chain([("speed/Hall/x", StateKind::Continuous), ("pace/a/b/c", StateKind::Continuous)]);
     states.zip(100..).map(|((name, kind), id)| {
         let name = StateName::stored(name).expect("valid");
-        NewState { id: StateId(id), name, shape: kind.into(), sensor: None }
+        NewState { id: StateId(id), name, shape: kind.into(), sensor: None, reporting: Reporting::Samples }
     })
 }
 
@@ -160,12 +161,21 @@ fn shape(number: usize) -> StateShape {
 }
 
 fn add_state() -> impl Strategy<Value = Event> {
-    (any::<u32>(), "[a-zü ]{5,20}", 0..5_usize, option::of((0.5..=1.0, 0.0..0.5))).prop_map(
-        |(id, name, kind, sensor)| {
+    let durations = option::of((1_u32..86_400, 0_u32..31_536_000, any::<bool>()));
+    (any::<u32>(), "[a-zü ]{5,20}", 0..5_usize, option::of((0.5..=1.0, 0.0..0.5)), durations).prop_map(
+        |(id, name, kind, sensor, durations)| {
             let (name, shape) = (StateName::new(&name).expect("valid"), shape(kind));
             let sensor = sensor.and_then(|(hit, false_alarm)| StateSensor::new(hit, false_alarm).ok());
             let sensor = sensor.filter(|_| shape.may_have_sensor());
-            Event::AddState(NewState { id: StateId(id), name, shape, sensor })
+            let hold =
+                durations.map(|(step, more, are_events)| (Hold::new(step + more, step).expect("valid"), are_events));
+            let reporting = match hold {
+                Some((hold, true)) => Reporting::Events(hold),
+                Some((hold, false)) => Reporting::Changes(hold),
+                None => Reporting::Samples,
+            };
+            let reporting = if shape.may_report(reporting) { reporting } else { Reporting::Samples };
+            Event::AddState(NewState { id: StateId(id), name, shape, sensor, reporting })
         },
     )
 }

@@ -4,7 +4,10 @@ use std::{collections::VecDeque, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
+    event::{
+        Envelope, Event, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, UpdateCause,
+        UpdateStart,
+    },
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
@@ -47,6 +50,7 @@ fn events(seed: u64) -> Vec<Event> {
             name: StateName::new(&format!("door {id}")).expect("valid"),
             shape: StateKind::Probability.into(),
             sensor: None,
+            reporting: Reporting::Samples,
         };
         let first_sequence = sequence + 1;
         sequence += readings.len() as u64;

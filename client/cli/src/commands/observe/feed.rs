@@ -15,7 +15,9 @@ use tokio::sync::mpsc;
 pub(crate) use super::opening::display_name;
 use super::{opening, refused::RefusedRows};
 use crate::progress::Bar;
-use tidemap_formats::observation_file::{Layout, ObservationColumns, ObservationRow, RowError, RowItem, RowReader};
+use tidemap_formats::observation_file::{
+    Layout, ObservationColumns, ObservationRow, RowError, RowItem, RowReader, RowRules,
+};
 
 const CHUNK_ROWS: usize = 1024;
 const CHUNKS_AHEAD: usize = 4;
@@ -53,12 +55,12 @@ pub(crate) struct Feed<L: Layout = ObservationColumns> {
 pub(crate) type RowChunks<T> = mpsc::Receiver<Result<RowChunk<T>, RowError>>;
 
 /// Opens a file, or stdin if the path is `-`, and reads its header.
-pub(crate) fn open<L>(path: &Path) -> anyhow::Result<Feed<L>>
+pub(crate) fn open<L>(path: &Path, rules: &RowRules) -> anyhow::Result<Feed<L>>
 where
-    L: Layout<Item: Send> + Copy + Send + 'static,
+    L: Layout<Item: Send> + Clone + Send + 'static,
 {
     let (source, total_bytes) = opening::open(path)?;
-    let mut rows = RowReader::<_, L>::open(source).with_context(|| display_name(path))?;
+    let mut rows = RowReader::<_, L>::open_with(source, rules).with_context(|| display_name(path))?;
     if path.as_os_str() == "-" {
         // The writer of a pipe may be killed in the middle of a line. A file without its last line end was probably
         // saved that way.
@@ -71,7 +73,7 @@ where
             rows.ignored().join(", ")
         ));
     }
-    let layout = *rows.layout();
+    let layout = rows.layout().clone();
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     thread::Builder::new().name("rows".to_owned()).spawn(move || read(rows, &sender)).context("thread")?;
     Ok(Feed { rows: receiver, total_bytes, layout })

@@ -42,6 +42,8 @@ impl Kinds {
         };
         match kind {
             _ if kind.allows(row.value) => None,
+            // The row says that no value is known.
+            _ if row.value.is_nan() && row.wrong.is_none() => None,
             // The reader's message quotes the file.
             StateShape::Scalar(StateKind::Probability) => row.wrong.clone(),
             _ => Some(format!("value {} is not {}", row.value, kind.expected())),

@@ -9,6 +9,7 @@ use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, Traversa
 use tokio::{sync::watch, task::JoinHandle};
 
 use super::{
+    advice::RowAdvice,
     feed::{RefusalReport, RowChunk, RowChunks},
     kinds::Kinds,
 };
@@ -25,6 +26,8 @@ pub(crate) trait Sendable {
     fn send(&self, producer: &mut Producer) -> impl Future<Output = Result<u64, ProducerError>>;
     /// Why the row is invalid, as far as the client can tell.
     fn wrong(&self, kinds: &mut Kinds) -> impl Future<Output = Option<String>>;
+    /// The row as an observation of a state.
+    fn observation(&self) -> Option<&ObservationRow>;
 }
 
 impl Sendable for ObservationRow {
@@ -49,6 +52,10 @@ impl Sendable for ObservationRow {
     async fn wrong(&self, kinds: &mut Kinds) -> Option<String> {
         kinds.wrong(self).await
     }
+
+    fn observation(&self) -> Option<&ObservationRow> {
+        Some(self)
+    }
 }
 
 impl Sendable for TraversalRow {
@@ -66,6 +73,10 @@ impl Sendable for TraversalRow {
 
     async fn wrong(&self, _: &mut Kinds) -> Option<String> {
         self.wrong.clone().or_else(|| report(self).wrong())
+    }
+
+    fn observation(&self) -> Option<&ObservationRow> {
+        None
     }
 }
 
@@ -106,6 +117,10 @@ pub(super) struct RowCounts {
     pub(super) accepted: u64,
     pub(super) duplicate: u64,
     pub(super) refused: u64,
+    /// Sent rows whose value is a word.
+    pub(super) mapped: u64,
+    /// Sent rows that say that no value is known.
+    pub(super) without_value: u64,
 }
 
 pub(super) struct RowTransfer<T> {
@@ -123,6 +138,9 @@ pub(super) struct RowTransfer<T> {
     read: u64,
     duplicate: u64,
     refused: u64,
+    mapped: u64,
+    without_value: u64,
+    seen: RowAdvice,
     /// Numbers of the invalid rows, until the daemon confirms them.
     wrong: BTreeSet<u64>,
     /// Line minus number of the rows from a number on: blank lines have no number.
@@ -154,6 +172,9 @@ impl<T: Sendable> RowTransfer<T> {
             read: 0,
             duplicate: 0,
             refused: 0,
+            mapped: 0,
+            without_value: 0,
+            seen: RowAdvice::default(),
             wrong: BTreeSet::new(),
             lines: BTreeMap::new(),
             dropped: progress.dropped_refusals,
@@ -204,8 +225,17 @@ impl<T: Sendable> RowTransfer<T> {
             self.refused += 1;
             self.wrong.insert(number);
             self.report.refused(number, Some(line), &wrong);
+        } else if let Some(row) = row.observation() {
+            self.mapped += u64::from(row.is_word);
+            self.without_value += u64::from(row.position.is_none() && row.value.is_nan());
+            self.seen.see(row);
         }
         Ok(())
+    }
+
+    /// What the rows look like. `are_samples`: they were sent as readings.
+    pub(super) fn advice(&self, are_samples: bool) -> Vec<String> {
+        self.seen.lines(are_samples)
     }
 
     /// Stores the line of a row, unless it follows from the row before.
@@ -259,7 +289,14 @@ impl<T: Sendable> RowTransfer<T> {
         let durable = progress.durable_sequence.saturating_sub(self.sent_before);
         // Invalid rows that are not durable yet are not refused yet.
         let refused = self.refused.saturating_sub(self.wrong.len() as u64);
-        RowCounts { read: self.read, accepted: durable.saturating_sub(refused), duplicate: self.duplicate, refused }
+        RowCounts {
+            read: self.read,
+            accepted: durable.saturating_sub(refused),
+            duplicate: self.duplicate,
+            refused,
+            mapped: self.mapped,
+            without_value: self.without_value,
+        }
     }
 }
 

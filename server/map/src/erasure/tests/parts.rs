@@ -62,7 +62,13 @@ fn story(steps: &[Step]) -> Vec<Event> {
         let count = u32::try_from(step.rows.len()).expect("few");
         let new = |id: u32| {
             let shape = StateShape::Scalar(StateKind::Probability);
-            NewState { id: StateId(id), name: named(&format!("s{id}")), shape, sensor: None }
+            NewState {
+                id: StateId(id),
+                name: named(&format!("s{id}")),
+                shape,
+                sensor: None,
+                reporting: Reporting::Samples,
+            }
         };
         let key = ProducerKey::new(&format!("robot-{producer}"), "").expect("valid");
         events.push(Event::Observations(

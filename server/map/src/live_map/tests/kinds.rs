@@ -9,7 +9,7 @@ use super::*;
 
 fn new_state(id: u32, kind: StateKind) -> Event {
     let name = StateName::new(&format!("s{id}")).expect("valid");
-    Event::AddState(NewState { id: StateId(id), name, shape: kind.into(), sensor: None })
+    Event::AddState(NewState { id: StateId(id), name, shape: kind.into(), sensor: None, reporting: Reporting::Samples })
 }
 
 /// A map with one state of each kind: probability, continuous, count.
@@ -55,7 +55,13 @@ fn a_state_keeps_its_sensor_and_believes_it_before_and_after_an_update() {
     let sensor = tidemap_model::StateSensor::new(0.9, 0.05).expect("a sensor");
     let mut map = LiveMap::new(spec());
     let name = StateName::new("s0").expect("valid");
-    let new = NewState { id: StateId(0), name, shape: StateShape::default(), sensor: Some(sensor) };
+    let new = NewState {
+        id: StateId(0),
+        name,
+        shape: StateShape::default(),
+        sensor: Some(sensor),
+        reporting: Reporting::Samples,
+    };
     apply(&mut map, &Event::AddState(new));
     let read = event(&map, &[(0, HOUR, 1.0)]);
     apply(&mut map, &read);

@@ -22,7 +22,7 @@ pub(super) fn bare(dir: &Path, now: i64, grid: Option<GridSpec>) -> Bare {
     let id = context.store.create_map(&spec).expect("created");
     let log = context.store.open_map(id, &spec).expect("opened").log;
     let mut map = LiveMap::new(Arc::new(spec));
-    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(map.spec()), map.publish());
+    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(map.spec()), map.publish(), &context.clock);
     let (writer, inbox) = build(endpoints, context, id, map, log, None);
     Bare { bench, writer, inbox, handle: Arc::new(handle), kept: Vec::new() }
 }

@@ -5,13 +5,18 @@ use tidemap_map::{
     ids::StateId,
 };
 
+use tidemap_proto::convert::vectors::DeclaredState;
+
 use super::*;
 use crate::ingest::protocol::{AddState, AddStateError, NewName};
 
 async fn add(handle: &MapHandle, name: &str, kind: StateKind) -> Result<(), AddStateError> {
     let (reply, answer) = oneshot::channel();
     let name = StateName::new(name).expect("valid");
-    assert!(handle.send(Command::AddState(AddState { name, shape: kind.into(), sensor: None, reply })));
+    assert!(handle.send(Command::AddState(AddState {
+        state: DeclaredState { name, shape: kind.into(), sensor: None, reporting: None },
+        reply
+    })));
     answer.await.expect("an answer")
 }
 
@@ -20,7 +25,10 @@ async fn add_with(handle: &MapHandle, name: &str, hit: Option<f64>) -> Result<()
     let (reply, answer) = oneshot::channel();
     let name = StateName::new(name).expect("valid");
     let sensor = hit.map(|hit| StateSensor::new(hit, 0.05).expect("a sensor"));
-    assert!(handle.send(Command::AddState(AddState { name, shape: StateShape::default(), sensor, reply })));
+    assert!(handle.send(Command::AddState(AddState {
+        state: DeclaredState { name, shape: StateShape::default(), sensor, reporting: None },
+        reply
+    })));
     answer.await.expect("an answer")
 }
 
@@ -32,7 +40,8 @@ async fn send(
     values: &[f64],
 ) -> Vec<(u64, RefusalReason)> {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
-    let name = NewName { name: StateName::new("s").expect("valid"), shape: said.map(StateShape::from) };
+    let name =
+        NewName { name: StateName::new("s").expect("valid"), shape: said.map(StateShape::from), reporting: None };
     let first_sequence = robot.sent + 1;
     robot.sent += values.len() as u64;
     let batch = ObservationBatch {
@@ -154,7 +163,11 @@ async fn a_position_is_one_observation_of_one_record_and_of_all_its_axes() {
     let mut robot = hello(&handle, "r", 0, false).await.expect("accepted");
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
     let vector = |name: &str, dimensions| {
-        Some(NewName { name: StateName::new(name).expect("valid"), shape: Some(StateShape::Vector(dimensions)) })
+        Some(NewName {
+            name: StateName::new(name).expect("valid"),
+            shape: Some(StateShape::Vector(dimensions)),
+            reporting: None,
+        })
     };
     let position = |coordinates: &[f64]| Position::of(coordinates).expect("2 or 3");
     // The last one needs three states, and the limit is ten.

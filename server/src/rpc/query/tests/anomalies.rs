@@ -315,7 +315,7 @@ async fn numbers_are_anomalous_by_how_far_they_lie_from_what_is_expected() {
     };
     // An untrained state has no anomalies.
     let usual: Vec<(i64, f64)> = (0..400).map(|i| (NOON + i * HOUR, f64::from((i % 3) as u8) + 3.0)).collect();
-    batch(1, &usual, vec![Some(NewName { name: people, shape: Some(StateKind::Count.into()) })]);
+    batch(1, &usual, vec![Some(NewName { name: people, shape: Some(StateKind::Count.into()), reporting: None })]);
     counter.sent = 400;
     counter.settled().await;
     bench.update().await;

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicU64;
 use tidemap_grid::spec::Retention;
 use tidemap_map::{
     erasure::{NotErasable, Selection},
-    event::{Envelope, NewState, Observations, OffsetRun, SequenceSpan, UpdateCause},
+    event::{Envelope, NewState, Observations, OffsetRun, Reporting, SequenceSpan, UpdateCause},
     ids::ProducerId,
     live_map::LiveMap,
     name::{ProducerKey, StateName},
@@ -44,6 +44,7 @@ fn observed(half_day: i64, without: &Selection) -> Event {
         name: StateName::new(&format!("s{id}")).expect("valid"),
         shape: StateKind::Probability.into(),
         sensor: None,
+        reporting: Reporting::Samples,
     };
     Event::Observations(
         Envelope {

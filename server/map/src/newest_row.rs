@@ -1,0 +1,119 @@
+//! What the newest row of a state that reports changes or events says now, before any update.
+//!
+//! Invariant: a state of samples has none. What is said depends on the rows and their order of arrival, and on the time
+//! up to which they are asked to hold.
+
+use tidemap_model::{Hold, Reporting, Sample};
+
+use crate::{ids::ProducerId, view::LiveState};
+
+/// A row that arrives this long after its time, nanoseconds, still tells of now: its sensor is connected.
+const LIVE_NANOS: i64 = 3_600_000_000_000;
+
+/// The newest row of a state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NewestRow {
+    /// Its time, nanoseconds UTC.
+    pub nanos: i64,
+    /// Whether it has a value; else none is known from then on.
+    pub has_value: bool,
+    /// Whether it arrived when it was made, not with a recording: then nothing newer means that nothing changed.
+    pub is_live: bool,
+    /// Who sent it.
+    pub producer: ProducerId,
+    /// Of events: how many there were in its step.
+    pub events: f64,
+}
+
+/// How a row arrives.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Delivery {
+    pub(crate) producer: ProducerId,
+    pub(crate) received_nanos: i64,
+}
+
+impl LiveState {
+    /// Takes in a row whose time has come.
+    pub(crate) fn observe_row(&mut self, reporting: Reporting, sample: &Sample, arrival: Delivery) {
+        let Some(hold) = reporting.hold() else { return self.observe(sample) };
+        if self.newest_row.is_some_and(|newest| newest.nanos > sample.utc_nanos) {
+            return;
+        }
+        let mut events = sample.value;
+        match reporting {
+            Reporting::Events(_) => {
+                let step = step_of(hold, sample.utc_nanos);
+                match self.newest_row {
+                    Some(newest) if step_of(hold, newest.nanos) == step => {
+                        events = newest.events + if events.is_nan() { 0.0 } else { events };
+                    }
+                    _ => self.count_to(hold, step),
+                }
+            }
+            _ => {
+                self.hold_to(hold, sample.utc_nanos.saturating_sub(hold.step_nanos()));
+                if sample.value.is_nan() {
+                    self.hold_to(hold, sample.utc_nanos);
+                } else {
+                    self.observe(sample);
+                }
+            }
+        }
+        self.newest_row = Some(NewestRow {
+            nanos: sample.utc_nanos,
+            has_value: !sample.value.is_nan(),
+            is_live: arrival.received_nanos.saturating_sub(sample.utc_nanos) <= LIVE_NANOS,
+            producer: arrival.producer,
+            events: if events.is_nan() { 0.0 } else { events },
+        });
+    }
+
+    /// The state as its newest row says it is at a time. `now_nanos`: nothing newer is known at that time; `data_nanos`:
+    /// the latest time of all data of the map, which is what is known of a recording.
+    pub(crate) fn at(mut self, reporting: Reporting, now_nanos: Option<i64>, data_nanos: i64) -> LiveState {
+        let (Some(hold), Some(newest)) = (reporting.hold(), self.newest_row) else { return self };
+        let until = now_nanos.filter(|_| newest.is_live).unwrap_or(data_nanos);
+        match reporting {
+            Reporting::Events(_) => self.count_to(hold, step_of(hold, until)),
+            _ => self.hold_to(hold, until),
+        }
+        self
+    }
+
+    /// The value of the newest row holds up to a time, if it may.
+    fn hold_to(&mut self, hold: Hold, until_nanos: i64) {
+        let (Some(newest), Some((_, value))) = (self.newest_row, self.persistence.last()) else { return };
+        let until = until_nanos.min(newest.nanos.saturating_add(hold.max_nanos()));
+        if newest.has_value {
+            self.persistence.hold(until, hold.step_nanos());
+            self.recent.observe(until, value);
+        }
+    }
+
+    /// The steps before one have ended.
+    fn count_to(&mut self, hold: Hold, step: i64) {
+        let Some(newest) = self.newest_row else { return };
+        let (of_newest, middle) = (step_of(hold, newest.nanos), hold.step_nanos() / 2);
+        if of_newest >= step {
+            return;
+        }
+        let mut ended = |nanos: i64, events: f64| {
+            self.persistence.observe(nanos.saturating_add(middle), events);
+            self.recent.observe(nanos.saturating_add(middle), events);
+        };
+        if newest.has_value || newest.events > 0.0 {
+            ended(of_newest, newest.events);
+        }
+        // The last step that ended without an event.
+        let last =
+            step.saturating_sub(hold.step_nanos()).min(step_of(hold, newest.nanos.saturating_add(hold.max_nanos())));
+        if newest.has_value && last > of_newest {
+            ended(last, 0.0);
+        }
+    }
+}
+
+/// The beginning of the step that a time is in.
+fn step_of(hold: Hold, nanos: i64) -> i64 {
+    nanos - nanos.rem_euclid(hold.step_nanos())
+}

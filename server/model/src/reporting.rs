@@ -1,0 +1,171 @@
+//! How a state is reported, and which readings its rows stand for.
+//!
+//! A robot that looks at a door reports **samples**: each row is a reading. A door contact reports **changes**: a row
+//! says which value the door has from then on, and no row means that nothing changed. A button or a light barrier
+//! reports **events**: a row is one of them, and no row means that there was none. If changes were learned as samples,
+//! a door that is open from nine to five would be one that is open and closed equally often.
+//!
+//! Rows are stored as they come. What is learned is what the rows stand for, at instants that are a step apart: of
+//! changes the value that holds there, of events their number in each step. So the cost of storage follows change, and
+//! models need not know how a state is reported.
+//!
+//! Invariant: readings depend on the rows, their times and the horizon alone. Rows in order of time give the same
+//! readings, however they are divided over updates. No reading is later than the horizon.
+
+use crate::time::NANOS_PER_SEC;
+
+mod learned;
+mod readings;
+mod stated;
+#[cfg(test)]
+mod tests;
+
+pub use learned::LearnedRows;
+pub use readings::RowReadings;
+pub use stated::{InvalidReporting, RowKind, StatedReporting};
+
+/// The longest and the shortest step, in seconds.
+const STEP_SECS: std::ops::RangeInclusive<u32> = 1..=86_400;
+/// The longest time for which a value may hold without a row: a year and a day.
+const HOLD_MAX_SECS: u32 = 366 * 86_400;
+
+/// A row: nanoseconds UTC, and the value from then on or the number of events; `None`: the sensor knows no value from
+/// then on.
+pub type Row = (i64, Option<f64>);
+
+/// How the rows of a state come about. It is fixed when the state is created.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Reporting {
+    /// Each row is a reading of the state at that time.
+    #[default]
+    Samples,
+    /// Each row is a change: its value holds until the next row.
+    Changes(Hold),
+    /// Each row is a number of events, usually one, of a state that counts them.
+    Events(Hold),
+}
+
+/// For how long rows hold, and at which instants they are learned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Hold {
+    max_secs: u32,
+    step_secs: u32,
+}
+
+/// Durations that no state can be reported with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidHold {
+    /// The step is too short or too long.
+    #[error("a step of {0} s: it must be 1 s to 1d")]
+    Step(u32),
+    /// Values would hold for less than a step, or for too long.
+    #[error("values hold for {max_secs} s at most: it must be one step ({step_secs} s) to 366d")]
+    Max {
+        /// The longest time for which a value holds, in seconds.
+        max_secs: u32,
+        /// The step, in seconds.
+        step_secs: u32,
+    },
+}
+
+impl Hold {
+    /// Of changes, if nothing else is said: values hold for a week, and are learned every five minutes.
+    pub const OF_CHANGES: Hold = Hold { max_secs: 7 * 86_400, step_secs: 300 };
+    /// Of events, if nothing else is said: they are counted by the hour, and a week without one is no evidence.
+    pub const OF_EVENTS: Hold = Hold { max_secs: 7 * 86_400, step_secs: 3_600 };
+
+    /// Rows hold for `max_secs` seconds at most, and are learned every `step_secs` seconds.
+    ///
+    /// # Errors
+    /// [`InvalidHold`] where a duration is outside its range.
+    pub fn new(max_secs: u32, step_secs: u32) -> Result<Hold, InvalidHold> {
+        if !STEP_SECS.contains(&step_secs) {
+            return Err(InvalidHold::Step(step_secs));
+        }
+        if !(step_secs..=HOLD_MAX_SECS).contains(&max_secs) {
+            return Err(InvalidHold::Max { max_secs, step_secs });
+        }
+        Ok(Hold { max_secs, step_secs })
+    }
+
+    /// The longest time for which a row says something, in seconds.
+    pub fn max_secs(self) -> u32 {
+        self.max_secs
+    }
+
+    /// The time from one reading to the next, in seconds.
+    pub fn step_secs(self) -> u32 {
+        self.step_secs
+    }
+
+    /// The longest time for which a row says something, in nanoseconds.
+    pub fn max_nanos(self) -> i64 {
+        i64::from(self.max_secs) * NANOS_PER_SEC
+    }
+
+    /// The time from one reading to the next, in nanoseconds.
+    pub fn step_nanos(self) -> i64 {
+        i64::from(self.step_secs) * NANOS_PER_SEC
+    }
+
+    /// The last multiple of the step at or before a time.
+    fn floor(self, nanos: i64) -> i64 {
+        nanos - nanos.rem_euclid(self.step_nanos())
+    }
+
+    /// The first multiple of the step at or after a time; saturates.
+    fn ceil(self, nanos: i64) -> i64 {
+        let floor = self.floor(nanos);
+        if floor == nanos { floor } else { floor.saturating_add(self.step_nanos()) }
+    }
+
+    /// Whether a row still holds at a time.
+    fn reaches(self, row_nanos: i64, nanos: i64) -> bool {
+        nanos.saturating_sub(row_nanos) <= self.max_nanos()
+    }
+}
+
+impl Reporting {
+    /// What its rows are.
+    pub fn kind(self) -> RowKind {
+        match self {
+            Reporting::Samples => RowKind::Samples,
+            Reporting::Changes(_) => RowKind::Changes,
+            Reporting::Events(_) => RowKind::Events,
+        }
+    }
+
+    /// For how long rows hold; `None` of samples, which do not.
+    pub fn hold(self) -> Option<Hold> {
+        match self {
+            Reporting::Samples => None,
+            Reporting::Changes(hold) | Reporting::Events(hold) => Some(hold),
+        }
+    }
+
+    fn is_changes(self) -> bool {
+        matches!(self, Reporting::Changes(_))
+    }
+
+    /// Whether a row may say that no value is known from then on.
+    pub fn may_end(self) -> bool {
+        self != Reporting::Samples
+    }
+
+    /// The readings that all rows of a state stand for, in order of time. The rows ascend by time; the last of equal
+    /// times counts. `horizon_nanos`: no reading is at or after it. Samples are readings themselves.
+    pub fn readings(self, rows: Vec<Row>, horizon_nanos: i64) -> RowReadings {
+        LearnedRows::default().learn(self, rows, horizon_nanos).0
+    }
+}
+
+impl std::fmt::Display for Reporting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.hold() {
+            None => f.write_str(self.kind().name()),
+            Some(Hold { max_secs, step_secs }) => {
+                write!(f, "{} that hold for {max_secs} s at most, every {step_secs} s", self.kind().name())
+            }
+        }
+    }
+}

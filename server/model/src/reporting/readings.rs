@@ -1,0 +1,155 @@
+//! The readings that rows stand for, one after the other.
+//!
+//! Invariant: they ascend by time, and need no more memory than the rows.
+
+use super::{Hold, Reporting, Row};
+
+/// A run of readings: rows, and the instants between which they are read off.
+#[derive(Clone, Debug)]
+pub(super) struct Span {
+    /// How its rows are read: as the state reports, or as the readings that they are.
+    pub(super) reporting: Reporting,
+    /// Ascending by time.
+    pub(super) rows: Vec<Row>,
+    /// The row before them that still holds.
+    pub(super) held: Option<Row>,
+    /// The first instant, a multiple of the step.
+    pub(super) from_nanos: i64,
+    /// The end, exclusive.
+    pub(super) end_nanos: i64,
+    /// Events since the first instant that are not among the rows; `None`: there was no such row.
+    pub(super) open_events: Option<f64>,
+}
+
+/// The readings that rows stand for: nanoseconds UTC and value, ascending. See the top of the file.
+#[derive(Clone, Debug)]
+pub struct RowReadings {
+    /// Last first.
+    spans: Vec<Walk>,
+    next: Option<(i64, f64)>,
+}
+
+/// Where a span is read.
+#[derive(Clone, Debug)]
+struct Walk {
+    span: Span,
+    next_row: usize,
+    at_nanos: i64,
+}
+
+impl Span {
+    /// Rows from an instant on; the end is to be set.
+    pub(super) fn of(reporting: Reporting, rows: Vec<Row>, from_nanos: i64) -> Span {
+        Span { reporting, rows, held: None, from_nanos, end_nanos: i64::MIN, open_events: None }
+    }
+}
+
+impl RowReadings {
+    /// Of spans in order of time that do not overlap.
+    pub(super) fn new(spans: impl IntoIterator<Item = Span>) -> RowReadings {
+        let mut spans: Vec<Walk> =
+            spans.into_iter().map(|span| Walk { next_row: 0, at_nanos: span.from_nanos, span }).collect();
+        spans.reverse();
+        let mut readings = RowReadings { spans, next: None };
+        readings.next = readings.step();
+        readings
+    }
+
+    /// Time of the next reading.
+    pub fn next_nanos(&self) -> Option<i64> {
+        self.next.map(|(nanos, _)| nanos)
+    }
+
+    fn step(&mut self) -> Option<(i64, f64)> {
+        while let Some(walk) = self.spans.last_mut() {
+            let next = match walk.span.reporting {
+                Reporting::Samples => walk.next_sample(),
+                Reporting::Changes(hold) => walk.next_held(hold),
+                Reporting::Events(hold) => walk.next_count(hold),
+            };
+            if next.is_some() {
+                return next;
+            }
+            self.spans.pop();
+        }
+        None
+    }
+}
+
+impl Iterator for RowReadings {
+    type Item = (i64, f64);
+
+    fn next(&mut self) -> Option<(i64, f64)> {
+        let next = self.next.take();
+        if next.is_some() {
+            self.next = self.step();
+        }
+        next
+    }
+}
+
+impl Walk {
+    fn row(&self) -> Option<Row> {
+        self.span.rows.get(self.next_row).copied()
+    }
+
+    fn next_sample(&mut self) -> Option<(i64, f64)> {
+        loop {
+            let (nanos, value) = self.row().filter(|(nanos, _)| *nanos < self.span.end_nanos)?;
+            self.next_row += 1;
+            if let Some(value) = value {
+                return Some((nanos, value));
+            }
+        }
+    }
+
+    /// The next instant at which a value holds.
+    fn next_held(&mut self, hold: Hold) -> Option<(i64, f64)> {
+        while self.at_nanos < self.span.end_nanos {
+            let at = self.at_nanos;
+            while let Some(row) = self.row().filter(|(nanos, _)| *nanos <= at) {
+                self.span.held = Some(row);
+                self.next_row += 1;
+            }
+            match self.span.held {
+                Some((nanos, Some(value))) if hold.reaches(nanos, at) => {
+                    self.at_nanos = at.saturating_add(hold.step_nanos());
+                    return Some((at, value));
+                }
+                _ => self.at_nanos = hold.ceil(self.row()?.0).max(at),
+            }
+        }
+        None
+    }
+
+    /// The number of events in the next step of which the sensor knows, in its middle.
+    fn next_count(&mut self, hold: Hold) -> Option<(i64, f64)> {
+        while self.at_nanos < self.span.end_nanos {
+            let at = self.at_nanos;
+            let end = at.saturating_add(hold.step_nanos());
+            let holds =
+                |held: Option<Row>| held.is_some_and(|(nanos, value)| value.is_some() && hold.reaches(nanos, at));
+            let was_known = holds(self.span.held);
+            let mut count = self.span.open_events.take();
+            while let Some((nanos, events)) = self.row().filter(|(nanos, _)| *nanos < end) {
+                count = sum(count, events);
+                self.span.held = Some((nanos, events));
+                self.next_row += 1;
+            }
+            if count.is_some() || (was_known && holds(self.span.held)) {
+                self.at_nanos = end;
+                return Some((at.saturating_add(hold.step_nanos() / 2), count.unwrap_or(0.0)));
+            }
+            self.at_nanos = hold.floor(self.row()?.0).max(end);
+        }
+        None
+    }
+}
+
+/// Events with those of another row; a row that says that nothing is known has none.
+pub(super) fn sum(events: Option<f64>, more: Option<f64>) -> Option<f64> {
+    match (events, more) {
+        (Some(events), Some(more)) => Some(events + more),
+        (one, other) => one.or(other),
+    }
+}
