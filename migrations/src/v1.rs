@@ -42,6 +42,7 @@ pub mod index;
 pub mod lists;
 pub mod log;
 pub mod map;
+pub mod rows;
 pub mod site;
 pub mod topology;
 pub mod trained;

@@ -57,6 +57,7 @@ pages! {
     experiments: "docs/src/experiments.md",
     exploration: "docs/src/exploration.md",
     first_map: "docs/src/first-map.md",
+    own_data: "docs/src/own-data.md",
     grids: "docs/src/grids.md",
     install: "docs/src/install.md",
     introduction: "docs/src/introduction.md",

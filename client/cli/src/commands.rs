@@ -30,6 +30,7 @@ mod producer;
 mod producer_id;
 mod reconstruct;
 mod route;
+mod rows;
 mod sample;
 mod schema;
 mod search;
@@ -86,25 +87,25 @@ fn usage(text: impl Into<String>) -> anyhow::Error {
 #[command(name = "tidemap", version = env!("TIDEMAP_VERSION"), max_term_width = 110, arg_required_else_help = true)]
 pub(crate) struct CommandLine {
     /// Address of the daemon, HOST:PORT, http://HOST:PORT, https://HOST:PORT or unix:PATH
-    #[arg(long, global = true, help_heading = GLOBAL, display_order = 100, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
+    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 100, env = "TIDEMAP_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7435")]
     server: String,
     /// File that holds the token to present to the daemon
-    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, env = "TIDEMAP_TOKEN_FILE", value_name = "FILE")]
+    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TOKEN_FILE", value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// Certificates of the authorities that the daemon's certificate may come from (PEM); https:// needs them
-    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, env = "TIDEMAP_TLS_CA", value_name = "FILE")]
+    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TLS_CA", value_name = "FILE")]
     tls_ca: Option<PathBuf>,
     /// Certificate of this client (PEM), for a daemon that asks for one
-    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, env = "TIDEMAP_TLS_CERT", value_name = "FILE", requires = "tls_key")]
+    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TLS_CERT", value_name = "FILE", requires = "tls_key")]
     tls_cert: Option<PathBuf>,
     /// Private key of --tls-cert (PEM)
-    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, env = "TIDEMAP_TLS_KEY", value_name = "FILE", requires = "tls_cert")]
+    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, env = "TIDEMAP_TLS_KEY", value_name = "FILE", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
     /// Format of the results [default: table on a terminal, csv otherwise]
-    #[arg(long, global = true, help_heading = GLOBAL, display_order = 101, value_name = "FORMAT", value_parser = format_parser())]
+    #[arg(long, global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, value_name = "FORMAT", value_parser = format_parser())]
     output: Option<Format>,
     /// How tables show times; CSV and JSON always have Unix seconds
-    #[arg(id = "time_style", long = "time", global = true, help_heading = GLOBAL, display_order = 101, value_name = "STYLE", default_value = "local")]
+    #[arg(id = "time_style", long = "time", global = true, help_heading = GLOBAL, hide_short_help = true, display_order = 101, value_name = "STYLE", default_value = "local")]
     time: TimeArg,
     #[command(subcommand)]
     command: Command,

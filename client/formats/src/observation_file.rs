@@ -115,8 +115,8 @@ pub struct ObservationRow {
     pub state: String,
     /// Time; 0 if it could not be read.
     pub time_nanos: i64,
-    /// Value; NaN, which the daemon refuses, if any part of the row could not be read, or if the row says that none is
-    /// known. A value out of range is kept: the transfer and its checksum must match the file.
+    /// Value; one that the daemon refuses, if any part of the row could not be read: NaN, or infinity where NaN says
+    /// that no value is known. A value out of range is kept: the transfer and its checksum must match the file.
     pub value: f64,
     /// The value was a word.
     pub is_word: bool,
@@ -368,7 +368,7 @@ impl Layout for ObservationColumns {
             line: line_number,
             state: String::new(),
             time_nanos: 0,
-            value: f64::NAN,
+            value: if self.rules.kind == RowKind::Samples { f64::NAN } else { f64::INFINITY },
             is_word: false,
             position: self.dimensions.and_then(|dimensions| Position::of(&[f64::NAN; 3][..dimensions.count()])),
             wrong: None,
@@ -424,7 +424,10 @@ impl ObservationColumns {
             row.value = 1.0;
             return Ok(None);
         };
-        let Some(number) = self.number(&fields[value], row)? else { return Ok(None) };
+        let Some(number) = self.number(&fields[value], row)? else {
+            row.value = f64::NAN;
+            return Ok(None);
+        };
         // Minus zero would change the checksum.
         row.value = number + 0.0;
         // The daemon refuses it, too, but its refusals are lost if the connection breaks.

@@ -14,6 +14,7 @@ pub(crate) enum DrawTopic {
     Cleaner,
     StorageDoor,
     Patrol,
+    Sensor,
 }
 
 /// The generator for the `index`-th thing of a topic on a date.

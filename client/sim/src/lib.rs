@@ -1,6 +1,7 @@
 //! Simulated offices for the demo, the benchmarks and the tests. [`Office`] has doors and rooms, people with daily and
 //! weekly routines on local civil time, and robots that stop irregularly. [`GridOffice`] is a stream of occupancy
-//! grids, [`ExploredOffice`] a small floor for exploration experiments.
+//! grids, [`ExploredOffice`] a small floor for exploration experiments, [`Home`] a home whose
+//! sensors report changes.
 //!
 //! Invariant: pure. No I/O, no clock; the seed is an argument, and the truth at a time depends on the seed, the zone
 //! and that time only, so that queries can come in any order. Draws may change with the version of this crate.
@@ -19,6 +20,7 @@ mod day;
 mod draw;
 mod explored_office;
 mod grid_office;
+mod home;
 mod patrol;
 mod people;
 mod place;
@@ -32,6 +34,7 @@ use jiff::{
 
 pub use self::explored_office::ExploredOffice;
 pub use self::grid_office::{DayScans, GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
+pub use self::home::{Home, SensorChange};
 pub use self::zone::UnknownZone;
 use crate::{
     civil_day::{CivilDay, midnight_nanos},

@@ -36,7 +36,7 @@ pub struct NewState {
     pub sensor: Option<super::map::Sensor>,
     /// How its rows come about; absent: each is a reading.
     #[prost(message, optional, tag = "5")]
-    pub reporting: Option<super::map::Reporting>,
+    pub reporting: Option<super::rows::Reporting>,
 }
 
 /// The start of an update.

@@ -12,8 +12,8 @@ use tidemap_model::{Persistence, Recent, StateModel};
 use crate::{
     event::StateKind,
     history::HistoryPiece,
+    live_state::NewestRow,
     name::{ProducerKey, StateName},
-    newest_row::NewestRow,
     site::Site,
 };
 
@@ -91,8 +91,8 @@ pub struct ProducerMark {
     pub sensor: Option<ProducerSensor>,
     /// When the daemon received the newest of them, nanoseconds UTC.
     pub received_nanos: i64,
-    /// Latest time of its observations that did not have to wait, nanoseconds UTC; 0 in a map without states that report
-    /// changes or events.
+    /// Latest time of its observations that did not have to wait, nanoseconds UTC; 0 in a map without states that
+    /// report changes or events.
     pub newest_nanos: i64,
     /// The running CRC after each of the newest events before the last, ascending; fewer than [`CONTENT_MARKS_MAX`].
     pub recent: Vec<ContentMark>,

@@ -6,15 +6,14 @@
 use std::sync::Arc;
 
 use tidemap_grid::view::GridView;
-use tidemap_model::{Persistence, Recent, Sample, StateModel};
+use tidemap_model::StateModel;
 
-pub use crate::directory::StateInfo;
+pub use crate::{directory::StateInfo, live_state::LiveState};
 
 use crate::{
     directory::Directory,
     event::{StateKind, StateShape},
     ids::StateId,
-    newest_row::NewestRow,
     prior_models::PriorModels,
     site::Site,
     spec::MapSpec,
@@ -22,34 +21,6 @@ use crate::{
 
 /// Live values are copied on publication in pieces of this many states.
 pub(crate) const LIVE_CHUNK: usize = 128;
-
-/// What every acknowledged observation changes at once.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LiveState {
-    /// Observations acknowledged.
-    pub observations: u64,
-    /// Last value and persistence.
-    pub persistence: Persistence,
-    /// The recent readings.
-    pub recent: Recent,
-    /// The newest row, where rows are changes or events.
-    pub newest_row: Option<NewestRow>,
-}
-
-impl LiveState {
-    /// Time of the newest observation, nanoseconds UTC.
-    #[must_use]
-    pub fn last_nanos(&self) -> Option<i64> {
-        let last = self.persistence.last().map(|(nanos, _)| nanos);
-        self.newest_row.map(|newest| newest.nanos).or(last)
-    }
-
-    /// Takes in an observation whose time has come.
-    pub(crate) fn observe(&mut self, sample: &Sample) {
-        self.persistence.observe(sample.utc_nanos, sample.value);
-        self.recent.observe(sample.utc_nanos, sample.value);
-    }
-}
 
 /// An immutable picture of a map.
 #[derive(Clone, Debug)]

@@ -6,8 +6,8 @@
 //! a door that is open from nine to five would be one that is open and closed equally often.
 //!
 //! Rows are stored as they come. What is learned is what the rows stand for, at instants that are a step apart: of
-//! changes the value that holds there, of events their number in each step. So the cost of storage follows change, and
-//! models need not know how a state is reported.
+//! changes the value that holds there, of events their number in each step, at its beginning. So the cost of storage
+//! follows change, and models need not know how a state is reported.
 //!
 //! Invariant: readings depend on the rows, their times and the horizon alone. Rows in order of time give the same
 //! readings, however they are divided over updates. No reading is later than the horizon.

@@ -8,7 +8,7 @@ use std::{
 
 use tidemap_grid::outcome::GridOutcome;
 use tidemap_map::{erasure::RequestedPart, event::UpdateCause, update::StateOutcome};
-use tidemap_model::selector::ModelSelector;
+use tidemap_model::selector::{ModelKind, ModelSelector};
 use tidemap_proto::{
     convert::{
         erasure::erasure_from_wire,
@@ -114,7 +114,11 @@ fn cells_to_wire(grid: &GridOutcome) -> v1::StateUpdate {
 
 /// The sum of squared errors of what predicts a state from now on, as it was on the day of each observation.
 fn squared_error(StateOutcome { outcome, chosen, .. }: &StateOutcome) -> f64 {
-    if chosen.kind == ModelKind::Spectral { outcome.squared_errors[outcome.order] } else { outcome.squared_error_in_force }
+    if chosen.kind == ModelKind::Spectral {
+        outcome.squared_errors[outcome.order]
+    } else {
+        outcome.squared_error_in_force
+    }
 }
 
 fn state_update_to_wire(entry: &StateOutcome) -> v1::StateUpdate {

@@ -35,7 +35,7 @@ async fn rows_that_are_wrong_are_refused_one_by_one() {
         ("1451865720,door,NaN", "NaN"),
         ("1451865780,door,inf", "inf"),
         ("1451865840,door,-0.25", "-0.25"),
-        ("1451865900,door,open", "open"),
+        ("1451865900,door,ajar", "ajar"),
         ("-1,door,1", "-1"),
         ("9223372037,door,1", "9223372037"),
         ("1451865600000,door,1", "milliseconds"),

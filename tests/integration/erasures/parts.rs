@@ -139,7 +139,7 @@ async fn a_corrected_file_is_sent_in_place_of_the_one_before() {
             text
         })
     };
-    fs::write(&file, rows("open")).expect("written");
+    fs::write(&file, rows("ajar")).expect("written");
     let shown = file.display().to_string();
     let send = |more: &[&str]| {
         let args = ["observe", "home", shown.as_str(), "--producer", "robot"];

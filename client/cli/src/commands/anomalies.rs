@@ -18,28 +18,34 @@ use super::{
     Session,
     grid::place::{self, AxisRange, Rectangle},
     observe::INTERRUPTED,
-    times, usage,
+    predict::names,
+    times::{self, When},
+    usage,
 };
 use crate::progress::status_line;
 use tidemap_formats::table::Cell;
+use tidemap_model::Zone;
 
 #[derive(Debug, Args)]
 pub(crate) struct AnomaliesArgs {
     /// Name of the map
     map: String,
-    /// Names of states, none for all named states; with --model one name, or cell/X/Y/Z
+    /// Names of states, or patterns such as 'door-*'; none for all named states; with --model one name, or cell/X/Y/Z
     #[arg(value_name = "STATE")]
     states: Vec<String>,
     /// How sure the model has to be of the opposite value, above 0.5 and at most 1; from 0.9 on without --model and
     /// --watch. For other kinds of states: the confidence of the interval that a value has to lie outside of
     #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = confidence)]
     confidence: f64,
-    /// First time
-    #[arg(long, value_name = "TIME", value_parser = times::time, requires = "to")]
-    from: Option<i64>,
+    /// First time [default: a week before the newest observation]
+    #[arg(long, value_name = "TIME", value_parser = times::when, requires = "to")]
+    from: Option<When>,
     /// End of the times, not included
-    #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
-    to: Option<i64>,
+    #[arg(long, value_name = "TIME", value_parser = times::when, requires = "from")]
+    to: Option<When>,
+    /// Reads times without a time zone in the map's zone
+    #[arg(long)]
+    local: bool,
     /// Judges every observation that the map keeps by this model as it is now, and not as it was before it learned
     /// them: those of predict except latest, persistence and those with a suffix; with --watch auto (the default), mean
     /// or spectral
@@ -69,7 +75,7 @@ fn confidence(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitCode> {
-    let AnomaliesArgs { map, states, confidence, from, to, model, top, watch, region, z, location } = args;
+    let AnomaliesArgs { map, states, confidence, from, to, local, model, top, watch, region, z, location } = args;
     let judgement = Judgement { confidence, model: model.unwrap_or_default() };
     if watch {
         let region = match region {
@@ -80,8 +86,15 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
         let watch = session.client.watch_anomalies(&map, places, judgement).await?;
         return watched(session, watch).await;
     }
-    let (Some(from), Some(to)) = (from, to) else {
-        return Err(usage("give the times with --from and --to, or wait for anomalies with --watch"));
+    let (from, to) = match (from, to) {
+        (Some(from), Some(to)) => {
+            let zone = match local {
+                true => Some(Zone::named(&session.client.map(&map).await?.time_zone)?),
+                false => None,
+            };
+            (from.resolve(zone.as_ref())?, to.resolve(zone.as_ref())?)
+        }
+        _ => last_week(session, &map).await?,
     };
     if from >= to {
         return Err(usage("--from must be before --to, which is not included"));
@@ -89,6 +102,7 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     // Cells keep nothing of what was unusual: the model in force looks at one.
     let is_of_cell = matches!(&states[..], [name] if name.starts_with("cell/"));
     if model.is_none() && !is_of_cell {
+        let states = if states.is_empty() { states } else { names::meant(session, &map, states).await? };
         let query = SurpriseQuery { states, from_nanos: from, to_nanos: to, confidence, top };
         return surprises(session, &map, query).await;
     }
@@ -97,6 +111,22 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
     };
     look_back(session, &map, state, from..to, judgement).await
 }
+
+/// The week before the newest observation of a map.
+async fn last_week(session: &Session, map: &str) -> anyhow::Result<(i64, i64)> {
+    let mut newest: Option<i64> = None;
+    let mut token = Some(String::new());
+    while let Some(page_token) = token {
+        let (states, next) = session.client.states(map, &page_token).await?;
+        newest = newest.max(states.iter().filter_map(|state| state.last_nanos).max());
+        token = next;
+    }
+    let newest = newest.ok_or_else(|| usage(format!("map {map:?} has no observations of states yet")))?;
+    status_line(&format!("the week up to the newest observation, {}", session.times.heading(newest)));
+    Ok((newest.saturating_sub(WEEK_NANOS).max(0), newest.saturating_add(1)))
+}
+
+const WEEK_NANOS: i64 = 7 * 86_400_000_000_000;
 
 /// What was unusual before it was learned.
 async fn surprises(session: &Session, map: &str, query: SurpriseQuery) -> anyhow::Result<ExitCode> {

@@ -15,8 +15,8 @@ use super::{
     observe::{
         feed::{self, Feed, RefusalReport},
         kinds::Kinds,
-        rows::{FileArgs, RowKindArgs},
     },
+    rows::{FileArgs, RowKindArgs},
 };
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{

@@ -8,7 +8,6 @@ pub(crate) mod feed;
 pub(crate) mod kinds;
 mod opening;
 pub(crate) mod refused;
-pub(crate) mod rows;
 pub(crate) mod transfer;
 
 use std::{
@@ -31,10 +30,14 @@ use self::{
     feed::{Feed, RefusalReport},
     kinds::Kinds,
     refused::RefusedRows,
-    rows::{FileArgs, ReportArgs},
     transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
 };
-use super::{Session, erase, job, producer_id, state::KindArg, times, usage};
+use super::{
+    Session, erase, job, producer_id,
+    rows::{FileArgs, ReportArgs},
+    state::KindArg,
+    times, usage,
+};
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{
     observation_file::{Layout, ObservationColumns},

@@ -6,39 +6,50 @@ use std::{borrow::Cow, path::PathBuf, process::ExitCode};
 
 use clap::{ArgGroup, Args};
 use tidemap_client::queries::{ModelKind, ModelSelector, ORDER_MAX, PredictionRun};
-use tidemap_model::Dimensions;
+use tidemap_model::{Dimensions, Zone};
 
-use super::{Session, UsageError, files::DrawingArg, times, usage};
-use tidemap_formats::{
-    drawing::{Curve, CurvePlot},
-    table::Cell,
+use super::{
+    Session, UsageError,
+    files::DrawingArg,
+    times::{self, When},
+    usage,
 };
+use picture::Drawn;
+use tidemap_formats::table::Cell;
 
+pub(super) mod names;
+mod picture;
 mod places;
 
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new("when").required(true).args(["at", "times", "from"]))]
+#[command(group = ArgGroup::new("when").required(true).args(["at", "times", "from", "date"]))]
 pub(crate) struct PredictArgs {
     /// Name of the map
     map: String,
-    /// Names of the states; a vector gives one row per axis, NAME/x and so on, an angle one row in radians; a cell of
-    /// the grid is cell/X/Y/Z
-    #[arg(required = true, value_name = "STATE")]
+    /// Names of states, or patterns such as 'door-*'; none for all states. A vector gives one row per axis, NAME/x and
+    /// so on, an angle one row in radians; a cell of the grid is cell/X/Y/Z
+    #[arg(value_name = "STATE")]
     states: Vec<String>,
     /// Times, separated by commas
-    #[arg(long, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',')]
-    at: Option<Vec<i64>>,
+    #[arg(long, value_name = "TIME,…", value_parser = times::when, value_delimiter = ',')]
+    at: Option<Vec<When>>,
+    /// A whole day of the map's zone, hour by hour: today, tomorrow, yesterday or a date
+    #[arg(long, value_name = "DAY")]
+    date: Option<String>,
+    /// Reads times without a time zone in the map's zone
+    #[arg(long)]
+    local: bool,
     /// File of times, one a line or in a column `time`; - is stdin
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
     /// First time
-    #[arg(long, value_name = "TIME", value_parser = times::time, requires_all = ["to", "step"])]
-    from: Option<i64>,
+    #[arg(long, value_name = "TIME", value_parser = times::when, requires_all = ["to", "step"])]
+    from: Option<When>,
     /// End of the times, not included
-    #[arg(long, value_name = "TIME", value_parser = times::time, requires = "from")]
-    to: Option<i64>,
-    /// Step between the times
-    #[arg(long, value_name = "DURATION", value_parser = times::duration, requires = "from")]
+    #[arg(long, value_name = "TIME", value_parser = times::when, requires = "from")]
+    to: Option<When>,
+    /// Step between the times [default with --date: 1h]
+    #[arg(long, value_name = "DURATION", value_parser = times::duration, conflicts_with_all = ["at", "times"])]
     step: Option<i64>,
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
@@ -56,6 +67,9 @@ pub(crate) struct PredictArgs {
     /// With --where: values whose probability density to show
     #[arg(long, value_name = "VALUE,…", value_delimiter = ',', requires = "places", allow_hyphen_values = true)]
     density: Vec<f64>,
+    /// Shows a row for each time and a column for each state, with the predictions alone
+    #[arg(long, conflicts_with_all = ["places", "picture"])]
+    wide: bool,
     #[command(flatten)]
     drawing: DrawingArg,
 }
@@ -86,13 +100,8 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
             args.model
         )));
     }
-    let times = match (&args.at, &args.times, args.from, args.to, args.step) {
-        (Some(at), ..) => at.clone(),
-        (None, Some(path), ..) => times::from_file(path)?,
-        (None, None, Some(from), Some(to), Some(step)) => times::steps(from, to, step)?,
-        _ => return Err(usage("give the times with --at, --times, or --from with --to and --step")),
-    };
     args.drawing.check()?;
+    let times = args.asked_times(session).await?;
     if !args.places.is_empty() {
         if args.drawing.is_wanted() {
             return Err(usage("--picture draws values over time: it does not go with --where"));
@@ -100,9 +109,13 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
         return places::run(session, args, times).await;
     }
     let model = ModelSelector { order: args.order.map(|order| order as usize), ..args.model };
-    let mut predictions = session.client.predict(&args.map, args.states, times, model).with_intervals(args.interval);
-    let mut table = (!args.drawing.is_in_terminal()).then(|| session.table(&COLUMNS));
-    let mut drawn = Drawn { session, plot: CurvePlot::default(), order: Vec::new() };
+    let states = names::meant(session, &args.map, args.states).await?;
+    // Neither shows intervals.
+    let interval = if args.wide { 0.0 } else { args.interval };
+    let mut predictions = session.client.predict(&args.map, states, times, model).with_intervals(interval);
+    let mut table = (!args.drawing.is_in_terminal() && !args.wide).then(|| session.table(&COLUMNS));
+    let mut drawn = Drawn::new(session);
+    let mut wide = Wide::default();
     while let Some(run) = predictions.next().await? {
         let (states, times) = (predictions.states(), predictions.times());
         let name = match run.axis.and_then(|axis| Dimensions::Three.axes().get(axis)) {
@@ -111,6 +124,9 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
         };
         if args.drawing.is_wanted() {
             drawn.add(&run, &name, times)?;
+        }
+        if args.wide {
+            wide.add(&run, &name, times);
         }
         if let Some(table) = &mut table {
             for cells in rows(&run, &name, &times[run.first_time..]) {
@@ -121,57 +137,66 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     if let Some(table) = table {
         table.finish()?;
     }
-    args.drawing.put(|| drawn.plot.text(), || drawn.plot.svg())?;
+    if args.wide {
+        return wide.print(session);
+    }
+    args.drawing.put(|| drawn.text(), || drawn.svg())?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// Maximum number of states, and of values, of a drawing.
-const CURVES_MAX: usize = 30;
-const DRAWN_MAX: usize = 200_000;
-
-/// Predictions that are drawn: a curve for each state.
-struct Drawn<'a> {
-    session: &'a Session,
-    plot: CurvePlot,
-    /// Places of the times in their order.
-    order: Vec<usize>,
+impl PredictArgs {
+    /// The times that are asked for.
+    async fn asked_times(&self, session: &Session) -> anyhow::Result<Vec<i64>> {
+        let zone = match self.local || self.date.is_some() {
+            true => Some(Zone::named(&session.client.map(&self.map).await?.time_zone)?),
+            false => None,
+        };
+        let local = zone.as_ref().filter(|_| self.local);
+        if let (Some(date), Some(zone)) = (&self.date, &zone) {
+            let (from, to) = times::day(date, zone)?;
+            return Ok(times::steps(from, to, self.step.unwrap_or(HOUR_NANOS))?);
+        }
+        Ok(match (&self.at, &self.times, &self.from, &self.to, self.step) {
+            (Some(at), ..) => at.iter().map(|when| when.resolve(local)).collect::<Result<_, _>>()?,
+            (None, Some(path), ..) => times::from_file(path)?,
+            (None, None, Some(from), Some(to), Some(step)) => {
+                times::steps(from.resolve(local)?, to.resolve(local)?, step)?
+            }
+            _ => return Err(usage("give the times with --at, --times, --date, or --from with --to and --step")),
+        })
+    }
 }
 
-impl Drawn<'_> {
-    fn add(&mut self, run: &PredictionRun, name: &str, times: &[i64]) -> anyhow::Result<()> {
-        if self.order.is_empty() {
-            self.order = (0..times.len()).collect();
-            self.order.sort_by_key(|&at| times[at]);
-            self.plot.labels = self.order.iter().map(|&at| self.session.times.label(times[at])).collect();
-            let ends =
-                [self.order.first(), self.order.last()].map(|at| at.map(|&at| self.session.times.heading(times[at])));
-            if let [Some(first), Some(last)] = ends {
-                self.plot.title = format!("predicted from {first} to {last}");
-            }
+const HOUR_NANOS: i64 = 3_600_000_000_000;
+
+/// Predictions as a table with a column for each state.
+#[derive(Debug, Default)]
+struct Wide {
+    times: Vec<i64>,
+    columns: Vec<(String, Vec<Option<f64>>)>,
+}
+
+impl Wide {
+    fn add(&mut self, run: &PredictionRun, name: &str, times: &[i64]) {
+        if self.times.is_empty() {
+            self.times = times.to_vec();
         }
-        if self.plot.curves.last().is_none_or(|curve| curve.name != name) {
-            self.plot.curves.push(Curve {
-                name: name.to_owned(),
-                values: vec![None; times.len()],
-                band: vec![None; times.len()],
-                marks: Vec::new(),
-            });
+        if self.columns.last().is_none_or(|(known, _)| known != name) {
+            self.columns.push((name.to_owned(), vec![None; times.len()]));
         }
-        if self.plot.curves.len() > CURVES_MAX || self.plot.curves.len() * times.len() > DRAWN_MAX {
-            return Err(usage(format!(
-                "--picture draws at most {CURVES_MAX} states and {DRAWN_MAX} values: name fewer states, or a longer --step"
-            )));
+        let Some((_, values)) = self.columns.last_mut() else { return };
+        for (place, &value) in values.iter_mut().skip(run.first_time).zip(&run.probabilities) {
+            *place = Some(value);
         }
-        let mut places = vec![0; times.len()];
-        self.order.iter().enumerate().for_each(|(place, &at)| places[at] = place);
-        if let Some(curve) = self.plot.curves.last_mut() {
-            for (i, &value) in run.probabilities.iter().enumerate() {
-                let Some(&place) = places.get(run.first_time + i) else { continue };
-                curve.values[place] = Some(value);
-                curve.band[place] = run.lower.get(i).zip(run.upper.get(i)).map(|(&lower, &upper)| [lower, upper]);
-            }
-        }
-        Ok(())
+    }
+
+    fn print(&self, session: &Session) -> anyhow::Result<ExitCode> {
+        let names: Vec<&str> = ["time"].into_iter().chain(self.columns.iter().map(|(name, _)| name.as_str())).collect();
+        let row = |(at, &time): (usize, &i64)| {
+            let values = self.columns.iter().map(|(_, values)| Cell::maybe(values.get(at).copied().flatten()));
+            [Cell::Time(time)].into_iter().chain(values).collect()
+        };
+        session.print(&names, self.times.iter().enumerate().map(row))
     }
 }
 

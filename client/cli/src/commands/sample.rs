@@ -4,6 +4,7 @@
 
 mod door;
 mod grid;
+mod home;
 mod office;
 
 use std::{
@@ -41,6 +42,8 @@ enum Sample {
     Door,
     /// Six weeks of an office: doors and rooms seen by three robots, its topological map, and their traversals
     Office,
+    /// Twelve weeks of forty sensors of a home, as a hub exports them: changes only, local times, its own columns
+    Home,
     /// Two weeks of scans of an office of real size, 213,000 cells of 0.1 m
     Grid,
 }
@@ -57,6 +60,7 @@ impl Sample {
         match self {
             Self::Door => "door",
             Self::Office => "office",
+            Self::Home => "home",
             Self::Grid => "grid",
         }
     }
@@ -65,6 +69,7 @@ impl Sample {
         match self {
             Self::Door => "three weeks of one door",
             Self::Office => "six weeks of an office: states, topological map, traversals, and the week after",
+            Self::Home => "twelve weeks of forty sensors of a home that report changes, and the week after",
             Self::Grid => "two weeks of scans of an office of real size, 213,000 cells of 0.1 m",
         }
     }
@@ -73,6 +78,7 @@ impl Sample {
         match self {
             Self::Door => door::write(folder),
             Self::Office => office::write(folder),
+            Self::Home => home::write(folder),
             Self::Grid => grid::write(folder),
         }
     }
@@ -120,7 +126,7 @@ mod tests {
     #[test]
     fn samples_are_the_same_each_time() -> anyhow::Result<()> {
         let folder = tempfile::tempdir()?;
-        for sample in [Sample::Door, Sample::Office] {
+        for sample in [Sample::Door, Sample::Office, Sample::Home] {
             let mut contents = Vec::new();
             for name in ["a", "b"] {
                 let folder = folder.path().join(sample.name().to_owned() + name);

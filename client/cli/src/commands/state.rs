@@ -7,7 +7,7 @@ use std::{process::ExitCode, str::FromStr};
 use clap::Subcommand;
 use tidemap_client::maps::{Dimensions, RowKind, State, StateKind, StateSensor, StateShape};
 
-use super::{Session, observe::rows::stated, times, usage};
+use super::{Session, rows::stated, times, usage};
 use tidemap_formats::table::Cell;
 
 #[derive(Debug, Subcommand)]

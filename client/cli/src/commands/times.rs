@@ -6,7 +6,10 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use tidemap_client::clock;
-use tidemap_model::time::{InvalidDuration, InvalidTime, parse_duration, parse_time};
+use tidemap_model::{
+    LocalDay, LocalInstant, Zone,
+    time::{InvalidDuration, InvalidTime, parse_duration, parse_time},
+};
 
 use super::{UsageError, files};
 
@@ -16,6 +19,67 @@ const STEPS_MAX: i64 = 10_000_000;
 /// A time, or `now`.
 pub(crate) fn time(text: &str) -> Result<i64, InvalidTime> {
     if text == "now" { Ok(clock::now_nanos()) } else { parse_time(text) }
+}
+
+/// A time of the command line, which may lack a time zone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum When {
+    /// Nanoseconds UTC.
+    At(i64),
+    /// A civil time.
+    Civil(String),
+}
+
+/// A time, `now`, or a civil time such as 2026-11-26T09:00, which needs a zone.
+pub(crate) fn when(text: &str) -> Result<When, InvalidTime> {
+    match time(text) {
+        Err(InvalidTime::NoOffset(_)) => Ok(When::Civil(text.to_owned())),
+        known => known.map(When::At),
+    }
+}
+
+impl When {
+    /// The time; a civil one in this zone, the first of two. `None`: civil times are refused.
+    pub(crate) fn resolve(&self, zone: Option<&Zone>) -> Result<i64, UsageError> {
+        let text = match self {
+            Self::At(nanos) => return Ok(*nanos),
+            Self::Civil(text) => text,
+        };
+        let Some(zone) = zone else {
+            let error = InvalidTime::NoOffset(text.clone());
+            return Err(UsageError(format!("{error}, or --local to read it in the map's zone")));
+        };
+        match zone.local_instant(text) {
+            Some(LocalInstant::Once(nanos) | LocalInstant::Twice(nanos, _)) => Ok(nanos),
+            Some(LocalInstant::Never) => {
+                let zone = zone.name();
+                Err(UsageError(format!("{text:?} does not exist in {zone}: clocks were set forward over it")))
+            }
+            None => Err(UsageError(format!("{text:?} is before 1970 or after 2262"))),
+        }
+    }
+}
+
+/// A local day: today, tomorrow, yesterday, or a date such as 2026-11-26. Gives its first instant and that of the next.
+pub(crate) fn day(text: &str, zone: &Zone) -> Result<(i64, i64), UsageError> {
+    let today = zone.day_of(clock::now_nanos()).0;
+    let day = match text {
+        "today" => LocalDay(today),
+        "tomorrow" => LocalDay(today.saturating_add(1)),
+        "yesterday" => LocalDay(today.saturating_sub(1)),
+        date => {
+            let is_date = date.len() == 10 && zone.local_instant(date).is_some();
+            let noon = if is_date { zone.local_instant(&format!("{date}T12:00")) } else { None };
+            match noon {
+                Some(LocalInstant::Once(nanos) | LocalInstant::Twice(nanos, _)) => zone.day_of(nanos),
+                _ => {
+                    let text = format!("{date:?} is not a day: use today, tomorrow, yesterday or a date, 2026-11-26");
+                    return Err(UsageError(text));
+                }
+            }
+        }
+    };
+    Ok((zone.midnight_nanos(day), zone.midnight_nanos(LocalDay(day.0.saturating_add(1)))))
 }
 
 /// A duration.

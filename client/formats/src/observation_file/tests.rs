@@ -81,8 +81,8 @@ fn what_cannot_be_read_uses_up_its_number_and_says_why() -> Result<(), RowError>
     for (line, state, time_nanos, reason) in [
         ("soon,door,0", "door", 0, "time \"soon\" is not a time"),
         ("-5,door,0", "door", 0, "time \"-5\" is before 1970"),
-        ("1,door,open", "door", SECOND, "value \"open\" is not a number"),
-        ("1,door,", "door", SECOND, "value \"\" is not a number"),
+        ("1,door,ajar", "door", SECOND, "value \"ajar\" is not a number"),
+        ("1,door,", "door", SECOND, "value \"\" says that none is known"),
         ("1,door", "", 0, "\"1,door\" has 2 fields, the header has 3"),
         ("1,door,0,5", "", 0, "\"1,door,0,5\" has 4 fields, the header has 3"),
         ("1,\"door,0", "", 0, "\"1,\\\"door,0\": a quote is not closed"),
@@ -213,5 +213,65 @@ fn positions_have_two_coordinates_or_three_in_any_order() -> Result<(), RowError
     );
     assert!(message("time,state,x,y,x\n").starts_with("column \"x\" appears twice"));
     assert!(matches!(RowReader::new(b"time,state,x,y\n".as_slice())?.values_only(), Err(RowError::Positions)));
+    Ok(())
+}
+
+fn read_by(rules: &RowRules, text: &str) -> Result<Vec<ObservationRow>, RowError> {
+    let mut rows = RowReader::<_, ObservationColumns>::open_with(text.as_bytes(), rules)?;
+    let mut found = Vec::new();
+    while let Some(item) = rows.next_item()? {
+        if let RowItem::Row(row) = item {
+            found.push(row);
+        }
+    }
+    Ok(found)
+}
+
+#[test]
+fn columns_words_and_times_of_the_file_are_read_by_its_rules() -> Result<(), RowError> {
+    let rules = RowRules {
+        columns: RowRules::parse_columns("time=When,state=entity,value=what").expect("columns"),
+        words: RowRules::parse_words("half=0.5,jammed=none").expect("words"),
+        zone: Some(tidemap_model::Zone::named("Europe/Berlin").expect("a zone")),
+        kind: RowKind::Changes,
+    };
+    // Clocks go back on 26 October at three: the hour from two comes twice. On 30 March it does not come at all.
+    let text = "entity,what,when\nlamp,on,2025-10-26 01:30:00\nlamp,half,2025-10-26T02:30\nlamp,OFF,2025-10-26T02:10\n\
+                lamp,unavailable,2025-10-26T03:00:00\nlamp,jammed,1761447600\nlamp,on,2025-03-30T02:30\nlamp,?,2025-10-27\n";
+    let rows = read_by(&rules, text)?;
+    let secs: Vec<i64> = rows.iter().take(5).map(|row| row.time_nanos / SECOND).collect();
+    assert_eq!(secs, [1_761_435_000, 1_761_438_600, 1_761_441_000, 1_761_444_000, 1_761_447_600]);
+    let values: Vec<f64> = rows.iter().take(3).map(|row| row.value).collect();
+    assert_eq!(values, [1.0, 0.5, 0.0]);
+    assert!(rows[3..5].iter().all(|row| row.value.is_nan() && row.wrong.is_none()));
+    let wrong = |row: &ObservationRow| row.wrong.clone().unwrap_or_default();
+    assert!(wrong(&rows[5]).contains("does not exist in Europe/Berlin"), "{}", wrong(&rows[5]));
+    assert!(wrong(&rows[6]).contains("--values ?=1"), "{}", wrong(&rows[6]));
+    // The daemon takes NaN as a row without a value, and refuses these.
+    assert!(rows[5..].iter().all(|row| row.value == f64::INFINITY));
+    Ok(())
+}
+
+#[test]
+fn rules_that_are_none_are_refused() {
+    for (text, words) in [("time", "time=last_changed"), ("clock=x", "\"clock=x\""), ("time=a,time=b", "named twice")] {
+        let error = RowRules::parse_columns(text).expect_err("no columns").to_string();
+        assert!(error.contains(words), "{text}: {error}");
+    }
+    for (text, words) in [("on", "on=1"), ("on=much", "\"much\""), ("on=1,ON=0", "twice"), ("on=inf", "\"inf\"")] {
+        let error = RowRules::parse_words(text).expect_err("no words").to_string();
+        assert!(error.contains(words), "{error}");
+    }
+}
+
+#[test]
+fn events_need_no_value() -> Result<(), RowError> {
+    let rules = RowRules { kind: RowKind::Events, ..RowRules::default() };
+    let values =
+        |text: &str| -> Result<Vec<f64>, RowError> { Ok(read_by(&rules, text)?.iter().map(|row| row.value).collect()) };
+    assert_eq!(values("time,state\n1,gate\n2,gate\n")?, [1.0, 1.0]);
+    assert_eq!(values("time,state,value\n1,gate,pressed\n2,gate,3\n")?, [1.0, 3.0]);
+    assert!(values("time,state,value\n1,gate,unavailable\n")?[0].is_nan());
+    assert!(matches!(read_by(&RowRules::default(), "time,state\n1,gate\n"), Err(RowError::MissingColumn { .. })));
     Ok(())
 }

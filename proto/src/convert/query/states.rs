@@ -3,7 +3,7 @@
 //! Invariant: a question has at least one name and one time; whether the map has the names is not checked.
 
 use tidemap_map::event::StateKind;
-use tidemap_model::{HeldInterval, Persistence, entropy_bits, selector::ModelSelector};
+use tidemap_model::{HeldInterval, entropy_bits, selector::ModelSelector};
 
 use super::{interval_level_from_wire, selector_from_wire, selector_to_wire};
 use crate::{
@@ -55,8 +55,8 @@ pub struct StateFacts {
     pub pending: u64,
     /// The model that answers; `None`: nothing was learned, and the prior predicts.
     pub answered_by: Option<ModelSelector>,
-    /// Its last value, and how long it lasts.
-    pub persistence: Persistence,
+    /// Time of its newest value, nanoseconds UTC.
+    pub last_nanos: Option<i64>,
 }
 
 /// Predictions of one state, or of one axis of a vector, at successive times of a question.
@@ -79,7 +79,7 @@ pub fn forecast_to_wire(
     first_time_index: usize,
     StateForecast { values, intervals, facts }: StateForecast,
 ) -> v1::PredictStatesResponse {
-    let StateFacts { kind, order, observations, pending, answered_by, persistence } = facts;
+    let StateFacts { kind, order, observations, pending, answered_by, last_nanos } = facts;
     v1::PredictStatesResponse {
         state_index: u32::try_from(state_index).unwrap_or(u32::MAX),
         first_time_index: u32::try_from(first_time_index).unwrap_or(u32::MAX),
@@ -93,7 +93,7 @@ pub fn forecast_to_wire(
         masses: intervals.iter().map(|held| held.mass).collect(),
         order: u32::try_from(order).unwrap_or(u32::MAX),
         observations,
-        last_time: persistence.last().map(|(nanos, _)| timestamp(nanos)),
+        last_time: last_nanos.map(timestamp),
         axis,
         pending,
         answered_by: answered_by.map(selector_to_wire),

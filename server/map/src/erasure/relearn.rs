@@ -20,7 +20,7 @@ use crate::{
     event::{UpdateCause, UpdateStart},
     history::{HistoryPiece, origins::Origins},
     ids::{ProducerId, StateId},
-    newest_row::Delivery,
+    live_state::Delivery,
     prior_models::PriorModels,
     site::Site,
     snapshot::StateSnapshot,

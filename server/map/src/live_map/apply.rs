@@ -11,7 +11,7 @@ use crate::{
     directory::StateInfo,
     event::{Envelope, NewState, Observations, Reporting, StateKind},
     ids::{NewProducer, ProducerId},
-    newest_row::Delivery,
+    live_state::Delivery,
     pending::Origin,
     snapshot::{CONTENT_MARKS_MAX, ContentMark, ProducerMark},
     view::{LIVE_CHUNK, LiveState},

@@ -10,7 +10,7 @@ use super::{LiveMap, PendingLimits};
 use crate::{
     event::{UpdateCause, UpdateStart},
     ids::StateId,
-    newest_row::Delivery,
+    live_state::Delivery,
     pending::Taken,
     snapshot::{MapSnapshot, StateSnapshot},
     update::{MapAtUpdate, UpdateResult, UpdateWork},

@@ -5,7 +5,7 @@
 
 use super::{
     Hold, Reporting, Row,
-    readings::{RowReadings, Span, sum},
+    readings::{RowReadings, RowSpan, sum},
 };
 
 /// How far the rows of a state have been learned.
@@ -32,7 +32,7 @@ impl LearnedRows {
         let horizon_nanos = horizon_nanos.max(after_rows);
         let after = LearnedRows { rows: self.rows + rows.len() as u64, ..self };
         let Some(hold) = reporting.hold() else {
-            let readings = Span { end_nanos: horizon_nanos, ..Span::of(reporting, rows, i64::MIN) };
+            let readings = RowSpan { end_nanos: horizon_nanos, ..RowSpan::of(reporting, rows, i64::MIN) };
             return (RowReadings::new([readings]), after);
         };
         let Some(first_nanos) = self.first_nanos else {
@@ -50,7 +50,7 @@ impl LearnedRows {
         let mut spans = Vec::new();
         if let Some(from_nanos) = early.first().map(|row| start(reporting, hold, row)) {
             learned.first_nanos = Some(from_nanos.min(first_nanos));
-            spans.push(Span { end_nanos: first_nanos, ..Span::of(reporting, early, from_nanos) });
+            spans.push(RowSpan { end_nanos: first_nanos, ..RowSpan::of(reporting, early, from_nanos) });
         }
         if let Some(&last) = late.last() {
             // A change between the newest row and the last instant that was learned says what holds from there on.
@@ -58,7 +58,7 @@ impl LearnedRows {
                 learned.newest = Some(last);
             }
             let late = if reporting.is_changes() { late } else { by_step(hold, &late) };
-            spans.push(Span { end_nanos: self.next_nanos, ..Span::of(Reporting::Samples, late, i64::MIN) });
+            spans.push(RowSpan { end_nanos: self.next_nanos, ..RowSpan::of(Reporting::Samples, late, i64::MIN) });
         }
         let (span, learned) = learned.go_on(reporting, hold, new, horizon_nanos);
         spans.push(span);
@@ -66,7 +66,7 @@ impl LearnedRows {
     }
 
     /// The readings from the next instant on.
-    fn go_on(self, reporting: Reporting, hold: Hold, rows: Vec<Row>, horizon_nanos: i64) -> (Span, LearnedRows) {
+    fn go_on(self, reporting: Reporting, hold: Hold, rows: Vec<Row>, horizon_nanos: i64) -> (RowSpan, LearnedRows) {
         let end_nanos = if reporting.is_changes() { hold.ceil(horizon_nanos) } else { hold.floor(horizon_nanos) };
         let end_nanos = end_nanos.max(self.next_nanos);
         let first_open = rows.partition_point(|(nanos, _)| *nanos < end_nanos);
@@ -81,7 +81,12 @@ impl LearnedRows {
             ..self
         };
         (
-            Span { end_nanos, held: self.newest, open_events: ended, ..Span::of(reporting, rows, self.next_nanos) },
+            RowSpan {
+                end_nanos,
+                held: self.newest,
+                open_events: ended,
+                ..RowSpan::of(reporting, rows, self.next_nanos)
+            },
             learned,
         )
     }
@@ -101,14 +106,14 @@ fn start(reporting: Reporting, hold: Hold, (nanos, _): &Row) -> i64 {
     if reporting.is_changes() { hold.ceil(*nanos) } else { hold.floor(*nanos) }
 }
 
-/// The number of events of each step that has any, in its middle.
+/// The number of events of each step that has any, at its beginning.
 fn by_step(hold: Hold, rows: &[Row]) -> Vec<Row> {
     let mut steps: Vec<(i64, Option<f64>)> = Vec::new();
     for (nanos, events) in rows.iter().filter_map(|(nanos, events)| Some((*nanos, (*events)?))) {
-        let middle = hold.floor(nanos).saturating_add(hold.step_nanos() / 2);
+        let step = hold.floor(nanos);
         match steps.last_mut() {
-            Some((known, Some(sum))) if *known == middle => *sum += events,
-            _ => steps.push((middle, Some(events))),
+            Some((known, Some(sum))) if *known == step => *sum += events,
+            _ => steps.push((step, Some(events))),
         }
     }
     steps

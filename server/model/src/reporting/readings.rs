@@ -6,7 +6,7 @@ use super::{Hold, Reporting, Row};
 
 /// A run of readings: rows, and the instants between which they are read off.
 #[derive(Clone, Debug)]
-pub(super) struct Span {
+pub(super) struct RowSpan {
     /// How its rows are read: as the state reports, or as the readings that they are.
     pub(super) reporting: Reporting,
     /// Ascending by time.
@@ -32,21 +32,21 @@ pub struct RowReadings {
 /// Where a span is read.
 #[derive(Clone, Debug)]
 struct Walk {
-    span: Span,
+    span: RowSpan,
     next_row: usize,
     at_nanos: i64,
 }
 
-impl Span {
+impl RowSpan {
     /// Rows from an instant on; the end is to be set.
-    pub(super) fn of(reporting: Reporting, rows: Vec<Row>, from_nanos: i64) -> Span {
-        Span { reporting, rows, held: None, from_nanos, end_nanos: i64::MIN, open_events: None }
+    pub(super) fn of(reporting: Reporting, rows: Vec<Row>, from_nanos: i64) -> RowSpan {
+        RowSpan { reporting, rows, held: None, from_nanos, end_nanos: i64::MIN, open_events: None }
     }
 }
 
 impl RowReadings {
     /// Of spans in order of time that do not overlap.
-    pub(super) fn new(spans: impl IntoIterator<Item = Span>) -> RowReadings {
+    pub(super) fn new(spans: impl IntoIterator<Item = RowSpan>) -> RowReadings {
         let mut spans: Vec<Walk> =
             spans.into_iter().map(|span| Walk { next_row: 0, at_nanos: span.from_nanos, span }).collect();
         spans.reverse();
@@ -122,7 +122,7 @@ impl Walk {
         None
     }
 
-    /// The number of events in the next step of which the sensor knows, in its middle.
+    /// The number of events in the next step of which the sensor knows, at its beginning.
     fn next_count(&mut self, hold: Hold) -> Option<(i64, f64)> {
         while self.at_nanos < self.span.end_nanos {
             let at = self.at_nanos;
@@ -138,7 +138,7 @@ impl Walk {
             }
             if count.is_some() || (was_known && holds(self.span.held)) {
                 self.at_nanos = end;
-                return Some((at.saturating_add(hold.step_nanos() / 2), count.unwrap_or(0.0)));
+                return Some((at, count.unwrap_or(0.0)));
             }
             self.at_nanos = hold.floor(self.row()?.0).max(end);
         }

@@ -18,8 +18,8 @@ fn rows(rows: &[(i64, Option<f64>)]) -> Vec<Row> {
     rows.iter().map(|&(secs, value)| (secs * S, value)).collect()
 }
 
-fn read(reporting: Reporting, of: &[(i64, Option<f64>)], horizon_secs: i64) -> Vec<(i64, f64)> {
-    reporting.readings(rows(of), horizon_secs * S).map(|(nanos, value)| (nanos / S, value)).collect()
+fn read(reporting: Reporting, given: &[(i64, Option<f64>)], horizon_secs: i64) -> Vec<(i64, f64)> {
+    reporting.readings(rows(given), horizon_secs * S).map(|(nanos, value)| (nanos / S, value)).collect()
 }
 
 #[test]
@@ -37,11 +37,11 @@ fn a_value_holds_no_longer_than_it_may() {
 #[test]
 fn events_are_counted_by_step_and_their_absence_counts_too() {
     let rows = [(30, Some(1.0)), (70, Some(1.0)), (130, Some(2.0)), (450, None), (700, Some(1.0))];
-    let expected = [(50, 2.0), (150, 2.0), (250, 0.0), (350, 0.0), (750, 1.0)];
+    let expected = [(0, 2.0), (100, 2.0), (200, 0.0), (300, 0.0), (700, 1.0)];
     assert_eq!(read(events(1_000, 100), &rows, 820), expected);
     // After the longest hold nothing is known; a step that has not ended is not counted.
-    assert_eq!(read(events(100, 100), &[(10, Some(1.0))], 1_000), [(50, 1.0), (150, 0.0)]);
-    assert_eq!(read(events(1_000, 100), &[(10, Some(1.0)), (110, Some(1.0))], 150), [(50, 1.0)]);
+    assert_eq!(read(events(100, 100), &[(10, Some(1.0))], 1_000), [(0, 1.0), (100, 0.0)]);
+    assert_eq!(read(events(1_000, 100), &[(10, Some(1.0)), (110, Some(1.0))], 150), [(0, 1.0)]);
 }
 
 #[test]
@@ -114,7 +114,7 @@ proptest! {
             let known = |at| Some((at, naive_change(&rows, hold.max_nanos(), at)?));
             instants.skip_while(|at| *at < first).filter_map(known).collect()
         } else {
-            let known = |at| Some((at + step / 2, naive_count(&rows, hold.max_nanos(), at, step)?));
+            let known = |at| Some((at, naive_count(&rows, hold.max_nanos(), at, step)?));
             instants.take_while(|at| at + step <= horizon).filter_map(known).collect()
         };
         prop_assert_eq!(found, expected);

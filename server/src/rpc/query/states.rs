@@ -179,7 +179,7 @@ fn predict_one(
             }
             let level = interval_level.filter(|_| !axis.is_angle);
             let intervals = subject.intervals(view, moments, &values, level);
-            StateForecast { values, intervals, facts: facts(view, subject, selector) }
+            StateForecast { values, intervals, facts: facts(view, subject, selector, moments) }
         });
         let Some(forecast) = forecast.reduce(angle) else { return false };
         sink.send(forecast_to_wire(axis.state_index, axis.axis, block * TIMES_PER_BLOCK, forecast))
@@ -225,7 +225,7 @@ fn forecast(
     let mut values = vec![0.0; prepared.moments().len()];
     subject.predict_into(view, prepared, selector, &mut values);
     let intervals = subject.intervals(view, prepared.moments(), &values, level);
-    StateForecast { values, intervals, facts: facts(view, subject, selector) }
+    StateForecast { values, intervals, facts: facts(view, subject, selector, prepared.moments()) }
 }
 
 /// Blocks of times.
@@ -233,14 +233,19 @@ fn blocks(times: usize) -> Vec<Range<usize>> {
     (0..times).step_by(TIMES_PER_BLOCK).map(|start| start..times.min(start + TIMES_PER_BLOCK)).collect()
 }
 
-fn facts(view: &MapView, subject: &StateOrCell, selector: ModelSelector) -> StateFacts {
+fn facts(view: &MapView, subject: &StateOrCell, selector: ModelSelector, moments: &[Moment]) -> StateFacts {
+    let mut last_nanos = subject.persistence(view).last().map(|(nanos, _)| nanos);
+    if subject.reporting(view).may_end() {
+        // A value that holds is never newer than what is asked for, and so never of an age below 0.
+        last_nanos = last_nanos.min(moments.iter().map(|moment| moment.utc_nanos).max());
+    }
     StateFacts {
         kind: subject.kind(view),
         order: subject.order(view, selector),
         observations: subject.observations(view),
         pending: subject.observations(view).saturating_sub(subject.learned(view)),
         answered_by: subject.answered_by(view, selector),
-        persistence: subject.persistence(view),
+        last_nanos,
     }
 }
 

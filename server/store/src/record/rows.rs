@@ -5,9 +5,9 @@
 use tidemap_map::{
     event::{Hold, Reporting, StateShape},
     ids::ProducerId,
-    newest_row::NewestRow,
+    live_state::NewestRow,
 };
-use tidemap_migrations::v1::map as v1;
+use tidemap_migrations::v1::rows as v1;
 use tidemap_model::{LearnedRows, Row, StateModel};
 
 use super::Invalid;

@@ -7,13 +7,14 @@ use prost::Message as _;
 use tidemap_map::{
     event::{Event, Hold, NewState, Reporting, StateKind, StateShape},
     ids::{ProducerId, StateId},
+    live_state::NewestRow,
     name::StateName,
-    newest_row::NewestRow,
     snapshot::StateSnapshot,
 };
 use tidemap_migrations::v1::{
     event::NewState as NewStateRecord,
-    map::{Reporting as ReportingRecord, Rows, State},
+    map::State,
+    rows::{Reporting as ReportingRecord, Rows},
 };
 use tidemap_model::{LearnedRows, StateModel};
 

@@ -74,7 +74,10 @@ impl NamePattern {
 
 fn file_time(read: &BrokenDownTime) -> Option<FileTime> {
     if read.offset().is_some() || read.timestamp().is_some() || read.iana_time_zone().is_some() {
-        return nanos_of(read.to_timestamp().ok()?.as_nanosecond()).map(FileTime::Utc);
+        let nanos = read.to_timestamp().ok()?.as_nanosecond();
+        // Of seconds since 1970, jiff leaves the fraction out.
+        let fraction = read.subsec_nanosecond().filter(|_| read.timestamp().is_some() && nanos % 1_000_000_000 == 0);
+        return nanos_of(nanos + i128::from(fraction.unwrap_or(0))).map(FileTime::Utc);
     }
     read.to_datetime().ok().map(FileTime::Clock)
 }

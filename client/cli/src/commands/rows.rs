@@ -7,7 +7,7 @@ use tidemap_client::maps::{RowKind, StatedReporting};
 use tidemap_formats::observation_file::RowRules;
 use tidemap_model::{Zone, time::NANOS_PER_SEC};
 
-use crate::commands::{Session, times, usage};
+use super::{Session, times, usage};
 
 /// How a file is written.
 #[derive(Debug, Args)]
@@ -17,14 +17,14 @@ pub(crate) struct FileArgs {
     local: bool,
     /// Names of the file's columns, where they are not time, state and value: time=last_changed,state=entity_id
     #[arg(long, value_name = "COLUMN=NAME,…", value_parser = RowRules::parse_columns)]
-    columns: Option<Columns>,
+    columns: Option<ColumnNames>,
     /// What words of the file stand for, beside usual ones such as on, open and unavailable: ajar=1,jammed=none; none:
     /// the sensor knows no value
     #[arg(long, value_name = "WORD=NUMBER,…")]
     values: Option<String>,
 }
 
-type Columns = [Option<String>; 3];
+type ColumnNames = [Option<String>; 3];
 
 /// What the rows of a file are.
 #[derive(Debug, Args)]

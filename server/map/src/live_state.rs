@@ -1,11 +1,12 @@
-//! What the newest row of a state that reports changes or events says now, before any update.
+//! What every acknowledged observation changes at once, before any update: the last value of a state, and for a state
+//! that reports changes or events what its newest row says now.
 //!
-//! Invariant: a state of samples has none. What is said depends on the rows and their order of arrival, and on the time
-//! up to which they are asked to hold.
+//! Invariant: a state of samples has no newest row. What is said depends on the observations and their order of
+//! arrival, and on the time up to which rows are asked to hold.
 
-use tidemap_model::{Hold, Reporting, Sample};
+use tidemap_model::{Hold, Persistence, Recent, Reporting, Sample};
 
-use crate::{ids::ProducerId, view::LiveState};
+use crate::ids::ProducerId;
 
 /// A row that arrives this long after its time, nanoseconds, still tells of now: its sensor is connected.
 const LIVE_NANOS: i64 = 3_600_000_000_000;
@@ -23,6 +24,34 @@ pub struct NewestRow {
     pub producer: ProducerId,
     /// Of events: how many there were in its step.
     pub events: f64,
+}
+
+/// What every acknowledged observation changes at once.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LiveState {
+    /// Observations acknowledged.
+    pub observations: u64,
+    /// Last value and persistence.
+    pub persistence: Persistence,
+    /// The recent readings.
+    pub recent: Recent,
+    /// The newest row, where rows are changes or events.
+    pub newest_row: Option<NewestRow>,
+}
+
+impl LiveState {
+    /// Time of the newest observation, nanoseconds UTC.
+    #[must_use]
+    pub fn last_nanos(&self) -> Option<i64> {
+        let last = self.persistence.last().map(|(nanos, _)| nanos);
+        self.newest_row.map(|newest| newest.nanos).or(last)
+    }
+
+    /// Takes in an observation whose time has come.
+    pub(crate) fn observe(&mut self, sample: &Sample) {
+        self.persistence.observe(sample.utc_nanos, sample.value);
+        self.recent.observe(sample.utc_nanos, sample.value);
+    }
 }
 
 /// How a row arrives.
@@ -68,8 +97,8 @@ impl LiveState {
         });
     }
 
-    /// The state as its newest row says it is at a time. `now_nanos`: nothing newer is known at that time; `data_nanos`:
-    /// the latest time of all data of the map, which is what is known of a recording.
+    /// The state as its newest row says it is at a time. `now_nanos`: nothing newer is known at that time;
+    /// `data_nanos`: the latest time of all data of the map, which is what is known of a recording.
     pub(crate) fn at(mut self, reporting: Reporting, now_nanos: Option<i64>, data_nanos: i64) -> LiveState {
         let (Some(hold), Some(newest)) = (reporting.hold(), self.newest_row) else { return self };
         let until = now_nanos.filter(|_| newest.is_live).unwrap_or(data_nanos);
@@ -93,13 +122,13 @@ impl LiveState {
     /// The steps before one have ended.
     fn count_to(&mut self, hold: Hold, step: i64) {
         let Some(newest) = self.newest_row else { return };
-        let (of_newest, middle) = (step_of(hold, newest.nanos), hold.step_nanos() / 2);
+        let of_newest = step_of(hold, newest.nanos);
         if of_newest >= step {
             return;
         }
         let mut ended = |nanos: i64, events: f64| {
-            self.persistence.observe(nanos.saturating_add(middle), events);
-            self.recent.observe(nanos.saturating_add(middle), events);
+            self.persistence.observe(nanos, events);
+            self.recent.observe(nanos, events);
         };
         if newest.has_value || newest.events > 0.0 {
             ended(of_newest, newest.events);

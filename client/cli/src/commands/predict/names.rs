@@ -1,0 +1,89 @@
+//! The states that a command means: names, patterns of names, or all.
+//!
+//! Invariant: a pattern that no name fits is told, with names that exist.
+
+use crate::commands::{Session, usage};
+
+/// Whether a name may be a pattern.
+fn is_pattern(name: &str) -> bool {
+    name.contains(['*', '?'])
+}
+
+/// Whether a name matches a pattern: `*` stands for any characters, `?` for one.
+fn matches(pattern: &[char], name: &[char]) -> bool {
+    match pattern.split_first() {
+        None => name.is_empty(),
+        Some(('*', rest)) => (0..=name.len()).any(|from| name.get(from..).is_some_and(|left| matches(rest, left))),
+        Some((one, rest)) => {
+            name.split_first().is_some_and(|(first, left)| (*one == '?' || one == first) && matches(rest, left))
+        }
+    }
+}
+
+/// All names of a map, in the order of their first observation.
+pub(crate) async fn all(session: &Session, map: &str) -> anyhow::Result<Vec<String>> {
+    let mut names = Vec::new();
+    let mut token = Some(String::new());
+    while let Some(page_token) = token {
+        let (states, next) = session.client.states(map, &page_token).await?;
+        names.extend(states.into_iter().map(|state| state.name));
+        token = next;
+    }
+    Ok(names)
+}
+
+/// The names that are meant: patterns are replaced by the names that fit, in their order; without any, all names.
+pub(crate) async fn meant(session: &Session, map: &str, names: Vec<String>) -> anyhow::Result<Vec<String>> {
+    if !names.is_empty() && !names.iter().any(|name| is_pattern(name)) {
+        return Ok(names);
+    }
+    let known = all(session, map).await?;
+    if names.is_empty() {
+        return if known.is_empty() { Err(usage(format!("map {map:?} has no states yet"))) } else { Ok(known) };
+    }
+    let mut meant: Vec<String> = Vec::new();
+    for name in names {
+        // A name may have the characters of a pattern.
+        if !is_pattern(&name) || known.contains(&name) {
+            meant.push(name);
+            continue;
+        }
+        let pattern: Vec<char> = name.chars().collect();
+        let found = known.iter().filter(|known| matches(&pattern, &known.chars().collect::<Vec<_>>()));
+        let before = meant.len();
+        meant.extend(found.cloned());
+        if meant.len() == before {
+            let some: Vec<&str> = known.iter().take(5).map(String::as_str).collect();
+            let more = if known.len() > some.len() { ", …" } else { "" };
+            return Err(usage(format!("no state of map {map:?} fits {name:?}; there are {}{more}", some.join(", "))));
+        }
+    }
+    let mut seen = std::collections::HashSet::new();
+    meant.retain(|name| seen.insert(name.clone()));
+    Ok(meant)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_stand_for_any_characters_or_one() {
+        let is_match = |pattern: &str, name: &str| {
+            matches(&pattern.chars().collect::<Vec<_>>(), &name.chars().collect::<Vec<_>>())
+        };
+        for (pattern, name, expected) in [
+            ("door-*", "door-1", true),
+            ("door-*", "door-", true),
+            ("door-*", "floor-1", false),
+            ("*kitchen*", "the kitchen door", true),
+            ("s?", "s1", true),
+            ("s?", "s12", false),
+            ("*", "", true),
+            ("a*b*c", "a-b-b-c", true),
+            ("a*b*c", "a-c-b", false),
+        ] {
+            assert_eq!(is_match(pattern, name), expected, "{pattern} {name}");
+        }
+    }
+}
