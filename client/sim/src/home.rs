@@ -185,7 +185,7 @@ mod tests {
         let home = Home::new(1, "Europe/London").expect("a zone");
         let changes = home.changes(date(2025, 3, 28), 5);
         assert_eq!(Home::sensors().len(), 40);
-        let mut is_on = vec![None; 40];
+        let mut is_on = [None; 40];
         for change in &changes {
             assert_ne!(is_on[change.sensor], Some(change.is_on), "{change:?}");
             is_on[change.sensor] = Some(change.is_on);

@@ -313,7 +313,9 @@ mod tests {
         assert_eq!(count(&on.tiles), (8, 4));
         assert_eq!(on.counts, CellCounts { all: 4, unknown: 1, left: 1, ..CellCounts::default() });
         assert_eq!(on.shown, Some(CellBox { min: [0, 0, 0].into(), max: [4, 4, 1].into() }));
-        assert!(on.notice.is_some_and(|notice| notice.contains("moved by 0.30") && notice.contains("origin=-0.83:0:0")));
+        assert!(
+            on.notice.is_some_and(|notice| notice.contains("moved by 0.30") && notice.contains("origin=-0.83:0:0"))
+        );
         assert_eq!(on.tiles.iter().map(|(tile, _)| *tile).collect::<Vec<_>>(), [TileIndex { x: 0, y: 0, z: 0 }]);
         Ok(())
     }

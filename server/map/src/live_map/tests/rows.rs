@@ -42,7 +42,7 @@ impl Home {
         let key = ProducerKey::new("gateway", "").expect("valid");
         let envelope = Envelope {
             producer: ProducerId(0),
-            new_producer: (first == 1).then(|| NewProducer { key, sensor: None }),
+            new_producer: (first == 1).then_some(NewProducer { key, sensor: None }),
             incarnation: 1,
             span: SequenceSpan { first, last: self.sequence, content_crc: 1 },
             received_nanos: newest + late,
