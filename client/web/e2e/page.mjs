@@ -202,8 +202,10 @@ try {
         await page.getByTestId('tour').getByRole('row').nth(1).waitFor();
         await page.screenshot({ path: join(folder, 'explore.png') });
         // The same bits as the command line says.
-        const [start] = /\d+\.\d+,\d+\.\d+/.exec(decodeURIComponent(page.url())) ?? [];
-        const rows = JSON.parse(daemon.run('tour', 'office', '--at', at(10), '--start', start, '--output', 'json'));
+// The address follows a little later.
+        await page.waitForURL((url) => url.searchParams.has('start'));
+        const start = new URL(page.url()).searchParams.get('start');
+        const rows = JSON.parse(daemon.run('tour', 'office', '--at', at(10), `--start=${start}`, '--output', 'json'));
         const said = await page.getByTestId('tour').getByRole('row').nth(1).getByRole('cell').nth(2).innerText();
         assert.ok(Math.abs(parseFloat(said) - Number(rows[0].information_bits)) < 0.01, `${said} is not ${rows[0].information_bits}`);
         await page.getByTestId('layer').selectOption('look');
