@@ -55,7 +55,7 @@ struct ErrorSums {
 }
 
 /// The sine of an angle, whose state is its cosine, with its answer sources.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Sine {
     /// The state.
     pub(crate) state: StateId,

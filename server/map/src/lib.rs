@@ -28,4 +28,4 @@ pub mod view;
 mod directory;
 mod pending;
 mod prior_models;
-mod row_samples;
+pub mod row_samples;

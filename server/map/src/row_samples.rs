@@ -1,14 +1,17 @@
 //! The samples that rows of changes and events stand for, on a map's civil time.
 //!
-//! Invariant: a sample without a value is a row that ends a hold; no reading is one.
+//! Invariant: a sample without a value is a row that ends a hold; no reading is one. No more readings are made than are
+//! asked for, however many the rows stand for.
 
-use tidemap_model::{OffsetCache, Reporting, Row, Sample};
+use std::ops::Range;
+
+use tidemap_model::{LearnedRows, OffsetCache, Reporting, Row, Sample};
 
 use crate::{history::Reading, ids::StateId, view::MapView};
 
 /// Samples of a state that reports changes or events as rows.
 pub(crate) fn rows_of(samples: &[Sample]) -> Vec<Row> {
-    samples.iter().map(|sample| row((sample.utc_nanos, sample.value))).collect()
+    samples.iter().map(Sample::row).collect()
 }
 
 /// A reading as a sample.
@@ -26,42 +29,76 @@ pub(crate) fn samples_of(
     reporting.readings(rows_of(rows), horizon_nanos).map(|reading| sample_at(offsets, reading)).collect()
 }
 
-fn row((nanos, value): Reading) -> Row {
-    (nanos, (!value.is_nan()).then_some(value))
+/// Which readings are asked for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AskedReadings {
+    /// From the first instant up to but not including the last, nanoseconds UTC.
+    pub within_nanos: Range<i64>,
+    /// The first of them at most.
+    pub at_most: usize,
+}
+
+impl AskedReadings {
+    /// What rows stand for, if `learned` has been learned before them.
+    fn read(&self, learned: LearnedRows, reporting: Reporting, rows: Vec<Reading>, horizon_nanos: i64) -> Vec<Reading> {
+        let rows = rows.into_iter().map(|(nanos, value)| (nanos, (!value.is_nan()).then_some(value))).collect();
+        let readings = learned.learn(reporting, rows, horizon_nanos).0;
+        let readings = readings.skip_while(|(nanos, _)| *nanos < self.within_nanos.start);
+        readings.take_while(|(nanos, _)| *nanos < self.within_nanos.end).take(self.at_most).collect()
+    }
+
+    /// Observations that are readings themselves.
+    fn keep(&self, mut readings: Vec<Reading>) -> Vec<Reading> {
+        readings.retain(|(nanos, _)| self.within_nanos.contains(nanos));
+        readings.truncate(self.at_most);
+        readings
+    }
 }
 
 impl MapView {
-    /// What observations of a state that updates have learned stand for: the observations themselves, or the readings
-    /// that rows of changes and events stand for. They ascend by time.
+    /// For how long before an instant observations of a state may say what it was then, in nanoseconds; 0 for samples.
     #[must_use]
-    pub fn readings_of(&self, id: StateId, observed: Vec<Reading>) -> Vec<Reading> {
-        let Some(learned) = self.model(id).learned_rows() else { return observed };
-        let rows = observed.into_iter().map(row).collect();
-        self.model(id).reporting().readings(rows, learned.next_nanos).collect()
+    pub fn hold_nanos(&self, id: StateId) -> i64 {
+        self.reporting(id).hold().map_or(0, tidemap_model::Hold::max_nanos)
     }
 
-    /// What all observations of a state stand for, learned or not; ascending by time.
+    /// What observations of a state that updates have learned stand for: the observations themselves, or the readings
+    /// that rows of changes and events stand for. Both ascend by time.
     #[must_use]
-    pub fn observed_readings_of(&self, id: StateId, observed: Vec<Reading>) -> Vec<Reading> {
-        let reporting = self.info(id).map_or(Reporting::Samples, |info| info.reporting);
-        if !reporting.may_end() {
-            return observed;
+    pub fn learned_readings(&self, id: StateId, observed: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
+        match self.model(id).learned_rows() {
+            None => asked.keep(observed),
+            Some(rows) => asked.read(LearnedRows::default(), self.reporting(id), observed, rows.next_nanos),
         }
-        let rows = observed.into_iter().map(row).collect();
-        reporting.readings(rows, self.known_to(id)).collect()
+    }
+
+    /// What all observations of a state stand for, learned or not. Both ascend by time. Readings need the observations
+    /// of [`MapView::hold_nanos`] before the interval.
+    #[must_use]
+    pub fn observed_readings(&self, id: StateId, observed: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
+        if !self.reporting(id).may_end() {
+            return asked.keep(observed);
+        }
+        asked.read(LearnedRows::default(), self.reporting(id), observed, self.known_to(id))
+    }
+
+    /// What pending observations of a state stand for, which no update has learned; ascending by time.
+    #[must_use]
+    pub fn pending_readings(&self, id: StateId, mut pending: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
+        pending.sort_by_key(|(nanos, _)| *nanos);
+        if !self.reporting(id).may_end() {
+            return asked.keep(pending);
+        }
+        let learned = self.model(id).learned_rows().copied().unwrap_or_default();
+        asked.read(learned, self.reporting(id), pending, self.known_to(id))
+    }
+
+    fn reporting(&self, id: StateId) -> Reporting {
+        self.info(id).map_or(Reporting::Samples, |info| info.reporting)
     }
 
     /// Nothing is known of a state that reports changes or events from then on.
     fn known_to(&self, id: StateId) -> i64 {
         self.live(id).persistence.last().map_or(0, |(nanos, _)| nanos.saturating_add(1))
-    }
-
-    /// What pending observations of a state stand for, which no update has learned; ascending by time.
-    #[must_use]
-    pub fn pending_readings_of(&self, id: StateId, mut pending: Vec<Reading>) -> Vec<Reading> {
-        pending.sort_by_key(|(nanos, _)| *nanos);
-        let Some(info) = self.info(id).filter(|info| info.reporting.may_end()) else { return pending };
-        let learned = self.model(id).learned_rows().copied().unwrap_or_default();
-        learned.learn(info.reporting, pending.into_iter().map(row).collect(), self.known_to(id)).0.collect()
     }
 }

@@ -28,6 +28,8 @@ pub use stated::{InvalidReporting, RowKind, StatedReporting};
 const STEP_SECS: std::ops::RangeInclusive<u32> = 1..=86_400;
 /// The longest time for which a value may hold without a row: a year and a day.
 const HOLD_MAX_SECS: u32 = 366 * 86_400;
+/// Most readings that one row stands for: 11 days at a step of a second, 366 days at one of 32 s.
+const READINGS_PER_ROW: u32 = 1_000_000;
 
 /// A row: nanoseconds UTC, and the value from then on or the number of events; `None`: the sensor knows no value from
 /// then on.
@@ -66,6 +68,18 @@ pub enum InvalidHold {
         /// The step, in seconds.
         step_secs: u32,
     },
+    /// One row would stand for too many readings.
+    #[error(
+        "values that hold for {max_secs} s at most and are learned every {step_secs} s: one row would stand for {} \
+         readings, the maximum is {READINGS_PER_ROW}; choose a longer step or a shorter hold",
+        max_secs / step_secs
+    )]
+    Readings {
+        /// The longest time for which a value holds, in seconds.
+        max_secs: u32,
+        /// The step, in seconds.
+        step_secs: u32,
+    },
 }
 
 impl Hold {
@@ -84,6 +98,9 @@ impl Hold {
         }
         if !(step_secs..=HOLD_MAX_SECS).contains(&max_secs) {
             return Err(InvalidHold::Max { max_secs, step_secs });
+        }
+        if max_secs / step_secs > READINGS_PER_ROW {
+            return Err(InvalidHold::Readings { max_secs, step_secs });
         }
         Ok(Hold { max_secs, step_secs })
     }

@@ -3,6 +3,7 @@
 //! Invariant: the caller guarantees a value that the state's kind allows; nothing here checks it again.
 
 use crate::LocalDay;
+use crate::Row;
 use crate::civil::NANOS_PER_SEC;
 
 /// One observation of a state's value.
@@ -20,6 +21,11 @@ impl Sample {
     /// Local civil time, nanoseconds since 1970-01-01T00:00 local; saturates at the ends of `i64`.
     pub fn civil_nanos(&self) -> i64 {
         self.utc_nanos.saturating_add(i64::from(self.offset_secs) * NANOS_PER_SEC)
+    }
+
+    /// The observation as a row of a state that reports changes or events; without a value: NaN.
+    pub fn row(&self) -> Row {
+        (self.utc_nanos, (!self.value.is_nan()).then_some(self.value))
     }
 
     /// The local date of the observation.

@@ -30,6 +30,7 @@ use tidemap_grid::spec::Retention;
 use tidemap_map::{
     history::{Reading, Subject},
     ids::StateId,
+    row_samples::AskedReadings,
     view::MapView,
 };
 use tidemap_model::{Sample, StopSignal, catalogue::TrainingCost, selector::ModelKind};
@@ -85,6 +86,20 @@ impl LearnedState {
 
     fn observations(&self) -> u64 {
         self.target.learned(&self.view)
+    }
+
+    /// The samples that observations stand for, of which there are at most `max`.
+    fn samples_of(&self, kind: ModelKind, observed: Vec<Reading>, max: u64) -> Result<Arc<[Sample]>, RpcError> {
+        let mut readings = observed;
+        if let StateOrCell::State(id) = self.target {
+            let at_most = usize::try_from(max).unwrap_or(usize::MAX).saturating_add(1);
+            let asked = AskedReadings { within_nanos: i64::MIN..i64::MAX, at_most };
+            readings = self.view.learned_readings(id, readings, &asked);
+        }
+        match lacking(readings.len() as u64, max) {
+            Some(reason) => Err(self.unavailable(kind, reason)),
+            None => Ok(self.target.samples(&self.view, readings).into()),
+        }
     }
 
     fn unavailable(&self, model: ModelKind, reason: impl Into<ModelUnavailable>) -> RpcError {
@@ -170,13 +185,15 @@ impl ModelTrainer {
         trained
     }
 
-    /// The readings of states within an interval, learned or pending: a list per state, ascending by time.
+    /// What the observations of states stand for within an interval, learned or pending: a list per state, ascending by
+    /// time.
     ///
     /// # Errors
     /// The map keeps no history, or it cannot be read; too many readings.
     pub(super) async fn readings(
         &self,
         handle: &Arc<MapHandle>,
+        view: &Arc<MapView>,
         states: &[StateId],
         within_nanos: Range<i64>,
     ) -> Result<Vec<Vec<Reading>>, RpcError> {
@@ -189,12 +206,16 @@ impl ModelTrainer {
                 return Err(RpcError::NoHistory { map, what: "states", option: "--retention" });
             }
             let enough = usize::try_from(left).unwrap_or(usize::MAX);
-            let wanted = ReadingsQuery { subject, within_nanos: within_nanos.clone(), enough };
+            let from_nanos = within_nanos.start.saturating_sub(view.hold_nanos(state));
+            let wanted = ReadingsQuery { subject, within_nanos: from_nanos..within_nanos.end, enough };
             let tail = read(handle, &wanted).await?;
             let history = self.catalog.context().store.history(handle.id)?.before(tail.stored_before);
             let (permit, handle) = (self.permits.take().await?, Arc::clone(handle));
             let read = move |stop: StopSignal<'_>| gather(&history, &handle.spec, tail, &wanted, stop);
             let readings = run_while_awaited(permit, None, read).await??;
+            check_limit("readings of the locations", readings.len() as u64, left, "setting max_training_readings")?;
+            let asked = AskedReadings { within_nanos: within_nanos.clone(), at_most: enough.saturating_add(1) };
+            let readings = view.observed_readings(state, readings, &asked);
             let got = readings.len() as u64;
             check_limit("readings of the locations", got, left, "setting max_training_readings")?;
             left -= got;
@@ -279,13 +300,7 @@ impl ModelTrainer {
             not_replaced(&learned.handle)?;
             match lacking(readings.len() as u64, max) {
                 Some(reason) => Err(learned.unavailable(kind, reason)),
-                None => {
-                    let readings = match learned.target {
-                        StateOrCell::State(id) => learned.view.readings_of(id, readings),
-                        StateOrCell::Cell(_) => readings,
-                    };
-                    Ok(learned.target.samples(&learned.view, readings).into())
-                }
+                None => learned.samples_of(kind, readings, max),
             }
         };
         crate::task::blocking(gather).await.map_err(|_| RpcError::Stopping)?

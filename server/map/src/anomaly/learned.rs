@@ -102,7 +102,8 @@ pub struct SurpriseQuestion {
 
 impl MapView {
     /// The unusual observations of states, the most surprising first: those that updates have learned, as they were
-    /// before that, and the pending ones that are given of each state, in any order, judged by the model in force.
+    /// before that, and what the pending ones stand for, ascending by time (see [`MapView::pending_readings`]), judged
+    /// by the model in force.
     #[must_use]
     pub fn surprises(&self, states: &[(StateId, Vec<Reading>)], question: &SurpriseQuestion) -> Vec<StateSurprise> {
         let mut found: Vec<StateSurprise> = Vec::new();
@@ -132,9 +133,7 @@ impl MapView {
         let mut surprises = model.surprises().clone();
         if !pending.is_empty() {
             let mut sample = self.sample_maker();
-            let pending = self.pending_readings_of(state, pending.to_vec());
-            let mut samples: Vec<Sample> = pending.iter().map(|&(nanos, value)| sample(nanos, value)).collect();
-            samples.sort_by_key(|sample| sample.utc_nanos);
+            let samples: Vec<Sample> = pending.iter().map(|&(nanos, value)| sample(nanos, value)).collect();
             judge(&mut surprises, model, &self.spec().periodicities, &samples);
         }
         surprises

@@ -68,8 +68,10 @@ fn durations_that_make_no_sense_are_refused() {
     assert_eq!(Hold::new(3_600, 0), Err(InvalidHold::Step(0)));
     assert_eq!(Hold::new(86_401 * 2, 86_401), Err(InvalidHold::Step(86_401)));
     assert_eq!(Hold::new(299, 300), Err(InvalidHold::Max { max_secs: 299, step_secs: 300 }));
-    assert!(Hold::new(366 * 86_400, 1).is_ok());
-    assert!(Hold::new(366 * 86_400 + 1, 1).is_err());
+    assert!(Hold::new(366 * 86_400, 60).is_ok());
+    assert!(Hold::new(366 * 86_400 + 1, 60).is_err());
+    assert!(Hold::new(1_000_000, 1).is_ok());
+    assert_eq!(Hold::new(1_000_001, 1), Err(InvalidHold::Readings { max_secs: 1_000_001, step_secs: 1 }));
 }
 
 /// The value of changes at an instant, looked up among all rows.

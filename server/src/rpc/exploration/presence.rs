@@ -38,7 +38,7 @@ pub(super) async fn predict_presence(
     let states = locations.names.iter().zip(&locations.members).map(state_of).collect::<Result<Vec<_>, _>>()?;
     let first_nanos = times_nanos.first().copied().unwrap_or_default();
     let within_nanos = first_nanos.saturating_sub(READINGS_MAX_NANOS)..first_nanos.saturating_add(1);
-    let readings = explorations.trainer.readings(handle, &states, within_nanos).await?;
+    let readings = explorations.trainer.readings(handle, view, &states, within_nanos).await?;
     let view = Arc::clone(view);
     let predict = move |stop: StopSignal<'_>| {
         let of_place = |(place, readings): (usize, &Vec<(i64, f64)>)| {

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use tidemap_map::{
     anomaly::{Anomaly, Confidence, anomalies},
     history::Reading,
+    row_samples::AskedReadings,
     view::MapView,
 };
 use tidemap_model::{StopSignal, selector::ModelSelector};
@@ -25,7 +26,7 @@ use super::{
 use crate::{
     model_cache::CachedModel,
     rpc::{
-        lookup::{find_all, find_map},
+        lookup::{check_limit, find_all, find_map},
         replies::{Replies, compute_replies},
         status::RpcError,
         training::LearnedState,
@@ -85,10 +86,11 @@ pub(super) async fn find_anomalies(
     let selector = judge_from_wire("model", model)?;
     let view = handle.view();
     let subject = find_all(&view, |_| "state".to_owned(), vec![name]).await?.pop().ok_or(RpcError::Stopping)?;
-    if let Some(hold) = subject.reporting(&view).hold() {
+    if let StateOrCell::State(id) = subject {
         // A change before the interval may hold into it.
-        asked.within_nanos.start = asked.within_nanos.start.saturating_sub(hold.max_nanos());
+        asked.within_nanos.start = asked.within_nanos.start.saturating_sub(view.hold_nanos(id));
     }
+    let max = queries.max_predictions;
     // Before the permits to look up are taken: training has its own permits, and may take long.
     let trained = if selector.kind.needs_readings() {
         let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), subject.clone());
@@ -102,8 +104,9 @@ pub(super) async fn find_anomalies(
         let is_left = || sink.is_closed();
         let mut readings = gather(StopSignal::new(&is_left))?;
         if let StateOrCell::State(id) = judge.subject {
-            readings = view.observed_readings_of(id, readings);
-            readings.retain(|(nanos, _)| within_nanos.contains(nanos));
+            let at_most = usize::try_from(max).unwrap_or(usize::MAX).saturating_add(1);
+            readings = view.observed_readings(id, readings, &AskedReadings { within_nanos, at_most });
+            check_limit("readings of the interval", readings.len() as u64, max, "setting max_predictions")?;
         }
         for readings in readings.chunks(READINGS_PER_REPLY) {
             let mut reply = v1::FindAnomaliesResponse::default();

@@ -14,7 +14,7 @@ use tidemap_map::{
     ids::StateId,
     view::MapView,
 };
-use tidemap_model::{EarlyStop, LearnedRows, Sample, StopSignal};
+use tidemap_model::{LearnedRows, RowReadings, Sample, StopSignal};
 use tidemap_proto::{
     convert::{
         columns::DecodedColumns,
@@ -43,6 +43,11 @@ const SUMS_MAX: usize = 1_000_000;
 /// Observations that wait to be compared, 12 MB: with fewer, models that the cache does not keep are trained more
 /// often.
 const WAITING_MAX: usize = 500_000;
+/// Readings that rows of changes and events may stand for in one evaluation: a hundred sensors for nine years at steps
+/// of five minutes.
+const READINGS_MAX: u64 = 100_000_000;
+/// Readings of rows that are made and compared at once.
+const READINGS_PER_BLOCK: usize = 65_536;
 
 pub(super) async fn evaluate_states(
     queries: &Queries,
@@ -66,11 +71,12 @@ pub(super) async fn evaluate_states(
         take_observations(&columns, &table, &view, &mut evaluator, &mut waiting).map_err(RpcError::from)?;
         // Without models to fit nothing is gained by waiting.
         if waiting.count >= WAITING_MAX || evaluator.kinds_to_train().next().is_none() {
-            let taken = held.readings(std::mem::take(&mut waiting), &view, 0);
-            evaluator = compare(queries, &handle, &view, taken, evaluator).await?;
+            let taken = held.take(std::mem::take(&mut waiting), &view, 0);
+            (evaluator, held.readings) = compare(queries, &handle, &view, taken, (evaluator, held.readings)).await?;
         }
     }
-    let evaluator = compare(queries, &handle, &view, held.readings(waiting, &view, 1), evaluator).await?;
+    let taken = held.take(waiting, &view, 1);
+    let (evaluator, _) = compare(queries, &handle, &view, taken, (evaluator, held.readings)).await?;
     Ok(answer(&evaluator, &view))
 }
 
@@ -158,53 +164,68 @@ impl WaitingObservations {
 struct HeldRows {
     learned: HashMap<Subject, (TableEntry, LearnedRows)>,
     newest_nanos: i64,
+    /// Number of readings so far.
+    readings: u64,
+}
+
+/// What is to be compared of a state.
+#[derive(Debug)]
+enum TakenReadings {
+    Samples(Vec<Sample>),
+    /// What rows stand for, which may be far more.
+    Rows(RowReadings),
 }
 
 impl HeldRows {
-    /// The readings that observations stand for, up to `after_nanos` after the newest of all of them: more of its time
-    /// may come.
-    fn readings(&mut self, mut waiting: WaitingObservations, view: &MapView, after_nanos: i64) -> WaitingObservations {
-        let newest = waiting.by_state.values().flatten().map(|sample| sample.utc_nanos).max();
+    /// What observations stand for, up to `after_nanos` after the newest of all of them: more of its time may come.
+    fn take(
+        &mut self,
+        waiting: WaitingObservations,
+        view: &MapView,
+        after_nanos: i64,
+    ) -> Vec<(TableEntry, TakenReadings)> {
+        let WaitingObservations { mut by_state, mut entries, .. } = waiting;
+        let newest = by_state.values().flatten().map(|sample| sample.utc_nanos).max();
         self.newest_nanos = self.newest_nanos.max(newest.unwrap_or(0));
-        for entry in waiting.entries.iter().filter(|entry| entry.state.reporting(view).may_end()) {
+        for entry in entries.iter().filter(|entry| entry.state.reporting(view).may_end()) {
             self.learned.entry(entry.state.subject()).or_insert_with(|| (entry.clone(), LearnedRows::default()));
         }
-        let mut make = view.sample_maker();
-        for (subject, (entry, learned)) in &mut self.learned {
-            let is_new = !waiting.by_state.contains_key(subject);
-            let samples = waiting.by_state.entry(*subject).or_default();
+        // What holds from rows of earlier messages goes on.
+        let without_rows = self.learned.iter().filter(|(subject, _)| !by_state.contains_key(subject));
+        entries.extend(without_rows.map(|(_, (entry, _))| entry.clone()));
+        let horizon_nanos = self.newest_nanos + after_nanos;
+        let readings = |entry: TableEntry| {
+            let mut samples = by_state.remove(&entry.state.subject()).unwrap_or_default();
+            let Some((_, learned)) = self.learned.get_mut(&entry.state.subject()) else {
+                return (entry, TakenReadings::Samples(samples));
+            };
             samples.sort_by_key(|sample| sample.utc_nanos);
-            let row = |sample: &Sample| (sample.utc_nanos, (!sample.value.is_nan()).then_some(sample.value));
-            let rows = samples.iter().map(row).collect();
-            let (readings, after) = learned.learn(entry.state.reporting(view), rows, self.newest_nanos + after_nanos);
+            let rows = samples.iter().map(Sample::row).collect();
+            let (readings, after) = learned.learn(entry.state.reporting(view), rows, horizon_nanos);
             *learned = after;
-            *samples = readings.map(|(nanos, value)| make(nanos, value)).collect();
-            if is_new {
-                waiting.entries.push(entry.clone());
-            }
-        }
-        waiting
+            (entry, TakenReadings::Rows(readings))
+        };
+        entries.into_iter().map(readings).collect()
     }
 }
 
-/// Compares observations, and holds the models of one state at a time.
+/// Compares observations, and holds the models of one state at a time. Takes and gives the sums and the number of
+/// readings of rows.
 async fn compare(
     queries: &Queries,
     handle: &Arc<MapHandle>,
     view: &Arc<MapView>,
-    waiting: WaitingObservations,
-    mut evaluator: Evaluator,
-) -> Result<Evaluator, Status> {
-    let WaitingObservations { mut by_state, entries, .. } = waiting;
+    taken: Vec<(TableEntry, TakenReadings)>,
+    (mut evaluator, mut readings): (Evaluator, u64),
+) -> Result<(Evaluator, u64), Status> {
     let mut work: Vec<SubjectWork> = Vec::new();
-    let last = entries.len().saturating_sub(1);
-    for (index, TableEntry { state, is_angle }) in entries.into_iter().enumerate() {
+    let last = taken.len().saturating_sub(1);
+    for (index, (TableEntry { state, is_angle }, taken)) in taken.into_iter().enumerate() {
         let subject = state.subject();
         let sine = match state {
             StateOrCell::State(cosine) if is_angle => Some(sine_of(cosine)),
             _ => None,
         };
-        let samples = by_state.remove(&subject).unwrap_or_default();
         let mut trained = Vec::with_capacity(2);
         let axes = [state].into_iter().chain(sine.map(StateOrCell::from));
         let mut held = queries.trainer.reserve(0)?;
@@ -222,30 +243,58 @@ async fn compare(
         let mut trained = trained.into_iter();
         let own = trained.next().unwrap_or_default();
         let sine = sine.map(|state| Sine { state, trained: trained.next().unwrap_or_default() });
-        work.push(SubjectWork { subject, samples, own, sine });
+        work.push(SubjectWork { subject, taken, own, sine });
         // States that the view answers by itself hold nothing: they are compared together.
         if needs_models || index == last {
-            let work = std::mem::take(&mut work);
+            let (work, view) = (std::mem::take(&mut work), Arc::clone(view));
             let add = move |stop: StopSignal<'_>| {
-                for SubjectWork { subject, samples, own, sine } in work {
-                    evaluator.add(subject, &samples, own, sine, stop)?;
+                for work in work {
+                    work.add_to(&mut evaluator, &view, &mut readings, stop)?;
                 }
-                Ok::<_, EarlyStop>(evaluator)
+                Ok::<_, RpcError>((evaluator, readings))
             };
-            evaluator = run_while_awaited((), None, add).await?.map_err(RpcError::from)?;
+            (evaluator, readings) = run_while_awaited((), None, add).await??;
         }
         drop(held);
     }
-    Ok(evaluator)
+    Ok((evaluator, readings))
 }
 
 /// The observations of a state with what predicts them.
 #[derive(Debug)]
 struct SubjectWork {
     subject: Subject,
-    samples: Vec<Sample>,
+    taken: TakenReadings,
     own: Vec<AnswerSource>,
     sine: Option<Sine>,
+}
+
+impl SubjectWork {
+    /// Adds the observations to the sums, and the number of readings that rows stand for to `readings`.
+    fn add_to(
+        self,
+        evaluator: &mut Evaluator,
+        view: &MapView,
+        readings: &mut u64,
+        stop: StopSignal<'_>,
+    ) -> Result<(), RpcError> {
+        let SubjectWork { subject, taken, own, sine } = self;
+        let mut rows = match taken {
+            TakenReadings::Samples(samples) => return Ok(evaluator.add(subject, &samples, own, sine, stop)?),
+            TakenReadings::Rows(rows) => rows,
+        };
+        let mut make = view.sample_maker();
+        loop {
+            let block: Vec<Sample> =
+                rows.by_ref().take(READINGS_PER_BLOCK).map(|(nanos, value)| make(nanos, value)).collect();
+            *readings += block.len() as u64;
+            check_limit("readings that rows stand for", *readings, READINGS_MAX, "one evaluation")?;
+            evaluator.add(subject, &block, own.clone(), sine.clone(), stop)?;
+            if block.len() < READINGS_PER_BLOCK {
+                return Ok(());
+            }
+        }
+    }
 }
 
 /// What observations of a name are compared with.

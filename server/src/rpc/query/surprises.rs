@@ -8,6 +8,7 @@ use tidemap_map::{
     anomaly::SurpriseQuestion,
     history::{Reading, Subject},
     ids::StateId,
+    row_samples::AskedReadings,
     view::MapView,
 };
 use tidemap_proto::{
@@ -87,8 +88,13 @@ async fn pending(
         if view.pending_of(state) > 0 {
             let enough = usize::try_from(max).unwrap_or(usize::MAX);
             let within_nanos = question.within_nanos.clone();
-            readings =
-                read(handle, &ReadingsQuery { subject: Subject::State(state), within_nanos, enough }).await?.pending;
+            let from_nanos = within_nanos.start.saturating_sub(view.hold_nanos(state));
+            let wanted =
+                ReadingsQuery { subject: Subject::State(state), within_nanos: from_nanos..within_nanos.end, enough };
+            readings = read(handle, &wanted).await?.pending;
+            check_limit("observations to judge", readings.len() as u64, max, "setting max_predictions")?;
+            let at_most = enough.saturating_add(1);
+            readings = view.pending_readings(state, readings, &AskedReadings { within_nanos, at_most });
         }
         total += readings.len() as u64;
         check_limit("observations to judge", total, max, "setting max_predictions")?;

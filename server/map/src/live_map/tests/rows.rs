@@ -3,7 +3,7 @@
 use tidemap_model::{Hold, Sample};
 
 use super::*;
-use crate::ids::NewProducer;
+use crate::{ids::NewProducer, row_samples::AskedReadings};
 
 const MINUTE: i64 = 60_000_000_000;
 const DAY: i64 = 24 * HOUR;
@@ -184,4 +184,24 @@ fn events_are_learned_as_their_number_in_each_step() {
     // From the first noon to the last, whose hour has not ended.
     assert_eq!(view.model(StateId(0)).accumulator().observations(), 13 * 24);
     assert_eq!((view.live(StateId(0)).observations, view.pending_of(StateId(0))), (56, 0));
+}
+
+#[test]
+fn no_more_readings_are_made_of_rows_than_are_asked_for() {
+    let mut home = Home::new(StateKind::Probability, Reporting::Changes(hold(7 * DAY, MINUTE)));
+    home.observe(&office_hours(3), HOUR);
+    let view = home.map.publish();
+    let rows = office_hours(3);
+    let within = |hours: std::ops::Range<i64>, at_most| AskedReadings {
+        within_nanos: MONDAY + hours.start * HOUR..MONDAY + hours.end * HOUR,
+        at_most,
+    };
+    let open = |minute: i64| (MONDAY + 16 * HOUR + minute * MINUTE, if minute < 60 { 1.0 } else { 0.0 });
+    let two_hours: Vec<(i64, f64)> = (0..120).map(open).collect();
+    assert_eq!(view.observed_readings(StateId(0), rows.clone(), &within(16..18, 1_000)), two_hours);
+    assert_eq!(view.observed_readings(StateId(0), rows.clone(), &within(16..18, 7)), two_hours[..7]);
+    assert_eq!(view.pending_readings(StateId(0), rows.clone(), &within(16..18, 7)), two_hours[..7]);
+    home.update(MONDAY + 4 * DAY);
+    let view = home.map.publish();
+    assert_eq!(view.learned_readings(StateId(0), rows, &within(16..18, 7)), two_hours[..7]);
 }
