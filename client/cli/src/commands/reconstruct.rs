@@ -32,7 +32,8 @@ pub(crate) async fn run(session: &Session, args: &ReconstructArgs) -> anyhow::Re
     let mut table = session.table(&["time", "value"]);
     while let Some(seen) = observations.next().await? {
         for (time, value) in seen {
-            table.row(vec![Cell::Time(time), value.into()])?;
+            // A sensor that reports changes or events may know no value from then on.
+            table.row(vec![Cell::Time(time), Cell::maybe((!value.is_nan()).then_some(value))])?;
         }
     }
     table.finish()?;
