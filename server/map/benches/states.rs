@@ -11,7 +11,7 @@ use std::{
 };
 
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
@@ -62,13 +62,11 @@ fn observe(map: &mut LiveMap, day: i64, step: i64) {
         let is_new = map.states() as u32 <= state;
         let samples = samples(state, (day * 1440..(day + 1) * 1440).step_by(step as usize));
         let first_sequence = known.unwrap_or(0) + 1;
-        let new = NewState {
-            id: StateId(state),
-            name: StateName::new(&format!("state {state}")).expect("valid"),
-            shape: StateKind::Probability.into(),
-            sensor: None,
-            reporting: Reporting::Samples,
-        };
+        let new = NewState::sampled(
+            StateId(state),
+            StateName::new(&format!("state {state}")).expect("valid"),
+            StateKind::Probability,
+        );
         let envelope = Envelope {
             producer: ProducerId(0),
             new_producer: known.is_none().then(|| key.into()),

@@ -133,6 +133,11 @@ pub struct NewState {
 }
 
 impl NewState {
+    /// A state that reports samples, of a sensor about which nothing is known.
+    pub fn sampled(id: StateId, name: StateName, shape: impl Into<StateShape>) -> NewState {
+        NewState { id, name, shape: shape.into(), sensor: None, reporting: Reporting::Samples }
+    }
+
     /// The states that it adds to a map: the state itself, or one continuous state per axis.
     pub fn states(&self) -> impl Iterator<Item = (StateId, StateName, StateKind)> + use<'_> {
         let (count, kind) = (self.shape.states(), self.shape.kind());

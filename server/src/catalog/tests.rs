@@ -3,7 +3,7 @@
 use std::{path::Path, time::Duration};
 
 use tidemap_map::{
-    event::{Event, NewState, Reporting, StateKind, UpdateCause, UpdateStart},
+    event::{Event, NewState, StateKind, UpdateCause, UpdateStart},
     ids::StateId,
     name::StateName,
 };
@@ -117,13 +117,7 @@ async fn a_large_map_shows_what_the_index_publishes_until_it_is_restored() {
         let mut map = LiveMap::new(Arc::new(spec()));
         let log = store.open_map(id, &spec()).expect("opened").log;
         let door = StateName::new("door").expect("valid");
-        let new = NewState {
-            id: StateId(0),
-            name: door,
-            shape: StateKind::Probability.into(),
-            sensor: None,
-            reporting: Reporting::Samples,
-        };
+        let new = NewState::sampled(StateId(0), door, StateKind::Probability);
         let cut_nanos = 1_700_000_000_000_000_000;
         let start = UpdateStart { generation: 1, cut_nanos, cause: UpdateCause::Request };
         let events = [Event::AddState(new), Event::UpdateStart(start)];
@@ -140,13 +134,7 @@ async fn a_large_map_shows_what_the_index_publishes_until_it_is_restored() {
         store.save(id, &saved.expect("an update")).expect("saved");
         // The log has one state more than the index.
         let hatch = StateName::new("hatch").expect("valid");
-        let new = NewState {
-            id: StateId(1),
-            name: hatch,
-            shape: StateKind::Probability.into(),
-            sensor: None,
-            reporting: Reporting::Samples,
-        };
+        let new = NewState::sampled(StateId(1), hatch, StateKind::Probability);
         let (sender, receiver) = std::sync::mpsc::channel();
         let done: tidemap_store::Done = Box::new(move |result| sender.send(result).expect("waiting"));
         log.append(&Event::AddState(new), done).expect("queued");

@@ -6,7 +6,7 @@
 use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, Reporting, SequenceSpan, StateKind, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, SequenceSpan, StateKind, UpdateCause},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
@@ -45,16 +45,7 @@ impl HabitLearner {
         let spec = MapSpec { zone, created_nanos, ..MapSpec::new(name) };
         let mut map = LiveMap::new(Arc::new(spec));
         let name = StateName::new("state").map_err(HabitsError::setting)?;
-        map.apply(
-            1,
-            &Event::AddState(NewState {
-                id: STATE,
-                name,
-                shape: StateKind::Probability.into(),
-                sensor: None,
-                reporting: Reporting::Samples,
-            }),
-        )?;
+        map.apply(1, &Event::AddState(NewState::sampled(STATE, name, StateKind::Probability)))?;
         Ok(Self { map, sequence: 0, history: ReadingsInMemory::default() })
     }
 

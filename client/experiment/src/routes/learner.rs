@@ -7,7 +7,7 @@ use std::sync::{Arc, atomic::AtomicU64};
 
 use tidemap_map::{
     edge_forecast::EdgeForecasts,
-    event::{Envelope, Event, NewState, Observations, Reporting, SequenceSpan, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, SequenceSpan, UpdateCause},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey},
@@ -83,13 +83,7 @@ impl Learner {
                     Some(id) => id,
                     None => {
                         let id = StateId((self.map.states() + event.new_states.len()) as u32);
-                        event.new_states.push(NewState {
-                            id,
-                            name,
-                            shape: what.kind().into(),
-                            sensor: None,
-                            reporting: Reporting::Samples,
-                        });
+                        event.new_states.push(NewState::sampled(id, name, what.kind()));
                         id
                     }
                 };

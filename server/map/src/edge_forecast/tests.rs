@@ -7,7 +7,7 @@ use tidemap_model::{Periodicities, Sample, selector::Blend};
 
 use super::*;
 use crate::{
-    event::{Envelope, Event, NewState, Observations, Reporting, SequenceSpan, UpdateCause},
+    event::{Envelope, Event, NewState, Observations, SequenceSpan, UpdateCause},
     ids::ProducerId,
     live_map::LiveMap,
     name::{EdgeName, MapName, ProducerKey, StateName},
@@ -164,13 +164,7 @@ fn driven(reports: &[(i64, bool)]) -> LiveMap {
             let name = edge.state(what);
             let id = map.find(name.as_str()).unwrap_or_else(|| {
                 let id = StateId(u32::try_from(map.states() + event.new_states.len()).expect("few"));
-                event.new_states.push(NewState {
-                    id,
-                    name,
-                    shape: what.kind().into(),
-                    sensor: None,
-                    reporting: Reporting::Samples,
-                });
+                event.new_states.push(NewState::sampled(id, name, what.kind()));
                 id
             });
             event.push(id, Sample { utc_nanos: start, offset_secs: 0, value });

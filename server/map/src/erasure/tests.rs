@@ -6,7 +6,7 @@ use tidemap_model::Periodicities;
 
 use super::*;
 use crate::{
-    event::{Dimensions, OffsetRun, Reporting, SequenceSpan, StateKind, StateSensor, StateShape, UpdateCause},
+    event::{Dimensions, OffsetRun, SequenceSpan, StateKind, StateSensor, StateShape, UpdateCause},
     ids::ProducerId,
     live_map::LiveMap,
     name::{MapName, ProducerKey},
@@ -30,13 +30,7 @@ fn named(name: &str) -> StateName {
 
 /// States in order of their ids: a door, a position of two axes, a lamp, and one that appears later.
 fn added() -> [NewState; 4] {
-    let new = |id, name, shape| NewState {
-        id: StateId(id),
-        name: named(name),
-        shape,
-        sensor: None,
-        reporting: Reporting::Samples,
-    };
+    let new = |id, name, shape| NewState::sampled(StateId(id), named(name), shape);
     let scalar = StateShape::Scalar(StateKind::Probability);
     [
         new(0, "door", scalar),

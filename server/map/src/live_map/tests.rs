@@ -34,12 +34,12 @@ fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
     let known = map.producer(&key).map(|(_, mark)| mark.durable_sequence);
     let state_count = observations.iter().map(|(state, ..)| *state as usize + 1).max().unwrap_or(0);
     let new_states = (map.states()..state_count)
-        .map(|id| NewState {
-            id: StateId(u32::try_from(id).expect("few")),
-            name: StateName::new(&format!("s{id}")).expect("valid"),
-            shape: StateKind::Probability.into(),
-            sensor: None,
-            reporting: Reporting::Samples,
+        .map(|id| {
+            NewState::sampled(
+                StateId(u32::try_from(id).expect("few")),
+                StateName::new(&format!("s{id}")).expect("valid"),
+                StateKind::Probability,
+            )
         })
         .collect();
     let first_sequence = known.unwrap_or(0) + 1;

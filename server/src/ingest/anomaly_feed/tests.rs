@@ -2,7 +2,7 @@
 
 use tidemap_grid::spec::Retention;
 use tidemap_map::{
-    event::{NewState, OffsetRun, Reporting, StateKind},
+    event::{NewState, OffsetRun, StateKind},
     live_map::LiveMap,
     name::{MapName, StateName},
     spec::MapSpec,
@@ -21,13 +21,7 @@ fn map() -> LiveMap {
 /// `count` observations of one state, the first of them at this time.
 fn observations(first: i64, count: usize) -> Observations {
     Observations {
-        new_states: vec![NewState {
-            id: StateId(0),
-            name: StateName::new("s").expect("valid"),
-            shape: StateKind::Probability.into(),
-            sensor: None,
-            reporting: Reporting::Samples,
-        }],
+        new_states: vec![NewState::sampled(StateId(0), StateName::new("s").expect("valid"), StateKind::Probability)],
         states: vec![StateId(0); count],
         times_nanos: (first..).take(count).collect(),
         values: vec![1.0; count],

@@ -8,10 +8,7 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{
-        Envelope, Event, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, UpdateCause,
-        UpdateStart,
-    },
+    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
     ids::{ProducerId, RefusalReason, StateId},
     name::{MapName, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
@@ -66,12 +63,12 @@ pub(crate) fn event(position: u64) -> Event {
         },
         Observations {
             new_states: (0..if is_first { 3 } else { 0 })
-                .map(|id| NewState {
-                    id: StateId(id),
-                    name: StateName::new(&format!("state {id}")).expect("valid"),
-                    shape: StateKind::Probability.into(),
-                    sensor: None,
-                    reporting: Reporting::Samples,
+                .map(|id| {
+                    NewState::sampled(
+                        StateId(id),
+                        StateName::new(&format!("state {id}")).expect("valid"),
+                        StateKind::Probability,
+                    )
                 })
                 .collect(),
             states: (0..count).map(|_| StateId(random.random_range(0..3))).collect(),

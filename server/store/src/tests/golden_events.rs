@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tidemap_grid::index::CellIndex;
 use tidemap_map::{
     event::{
-        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, StateShape,
+        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, StateShape,
         UpdateCause, UpdateStart,
     },
     ids::{ProducerId, RefusalReason, StateId},
@@ -44,13 +44,11 @@ fn events() -> Vec<Event> {
         refused: vec![(3, RefusalReason::Value), (12, RefusalReason::StateKind)],
     };
     let first = Observations {
-        new_states: vec![NewState {
-            id: StateId(0),
-            name: StateName::new("Küche").expect("valid"),
-            shape: StateKind::Probability.into(),
-            sensor: None,
-            reporting: Reporting::Samples,
-        }],
+        new_states: vec![NewState::sampled(
+            StateId(0),
+            StateName::new("Küche").expect("valid"),
+            StateKind::Probability,
+        )],
         states: vec![StateId(0); 10],
         times_nanos: (0..10).map(|i| 1_700_000_000_000_000_000 + i * 1_000_000_000).collect(),
         values: vec![0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
@@ -64,13 +62,7 @@ fn events() -> Vec<Event> {
         ..envelope.clone()
     };
     let second = Observations {
-        new_states: vec![NewState {
-            id: StateId(1),
-            name: StateName::new("door").expect("valid"),
-            shape: StateKind::Probability.into(),
-            sensor: None,
-            reporting: Reporting::Samples,
-        }],
+        new_states: vec![NewState::sampled(StateId(1), StateName::new("door").expect("valid"), StateKind::Probability)],
         states: vec![StateId(1), StateId(0), StateId(300)],
         times_nanos: vec![5, 1_700_000_100_000_000_000, 7],
         values: vec![0.1, 1.0, -0.0],
@@ -94,13 +86,7 @@ fn events() -> Vec<Event> {
         StateShape::Vector(Dimensions::Three),
         StateShape::Angle,
     ];
-    let add = |(id, shape): (u32, StateShape)| NewState {
-        id: StateId(id),
-        name: named(shape.name()),
-        shape,
-        sensor: None,
-        reporting: Reporting::Samples,
-    };
+    let add = |(id, shape): (u32, StateShape)| NewState::sampled(StateId(id), named(shape.name()), shape);
     events.extend((2..).zip(shapes).map(add).map(Event::AddState));
     events.extend(edits().into_iter().map(Event::EditSite));
     events.extend(

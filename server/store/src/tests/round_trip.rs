@@ -94,12 +94,8 @@ fn observations() -> impl Strategy<Value = Event> {
                 Observations {
                     new_states: (0..)
                         .zip(names)
-                        .map(|(id, name)| NewState {
-                            id: StateId(id),
-                            name: StateName::new(&name).expect("valid"),
-                            shape: shape(id as usize),
-                            sensor: None,
-                            reporting: Reporting::Samples,
+                        .map(|(id, name)| {
+                            NewState::sampled(StateId(id), StateName::new(&name).expect("valid"), shape(id as usize))
                         })
                         .chain(states_of_places())
                         .collect(),
@@ -135,7 +131,7 @@ fn states_of_places() -> impl Iterator<Item = NewState> {
         states.into_iter().chain([("speed/Hall/x", StateKind::Continuous), ("pace/a/b/c", StateKind::Continuous)]);
     states.zip(100..).map(|((name, kind), id)| {
         let name = StateName::stored(name).expect("valid");
-        NewState { id: StateId(id), name, shape: kind.into(), sensor: None, reporting: Reporting::Samples }
+        NewState::sampled(StateId(id), name, kind)
     })
 }
 
@@ -168,7 +164,7 @@ fn add_state() -> impl Strategy<Value = Event> {
             let sensor = sensor.and_then(|(hit, false_alarm)| StateSensor::new(hit, false_alarm).ok());
             let sensor = sensor.filter(|_| shape.may_have_sensor());
             let hold =
-                durations.map(|(step, more, are_events)| (Hold::new(step + more, step).expect("valid"), are_events));
+                durations.and_then(|(step, more, are_events)| Some((Hold::new(step + more, step).ok()?, are_events)));
             let reporting = match hold {
                 Some((hold, true)) => Reporting::Events(hold),
                 Some((hold, false)) => Reporting::Changes(hold),

@@ -4,10 +4,7 @@ use std::{collections::VecDeque, sync::Arc};
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{
-        Envelope, Event, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind, UpdateCause,
-        UpdateStart,
-    },
+    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{ProducerKey, StateName},
@@ -45,12 +42,12 @@ fn events(seed: u64) -> Vec<Event> {
             }));
         }
         // Every state is there from the first day on.
-        let new = |id| NewState {
-            id: StateId(id),
-            name: StateName::new(&format!("door {id}")).expect("valid"),
-            shape: StateKind::Probability.into(),
-            sensor: None,
-            reporting: Reporting::Samples,
+        let new = |id| {
+            NewState::sampled(
+                StateId(id),
+                StateName::new(&format!("door {id}")).expect("valid"),
+                StateKind::Probability,
+            )
         };
         let first_sequence = sequence + 1;
         sequence += readings.len() as u64;

@@ -62,13 +62,7 @@ fn story(steps: &[Step]) -> Vec<Event> {
         let count = u32::try_from(step.rows.len()).expect("few");
         let new = |id: u32| {
             let shape = StateShape::Scalar(StateKind::Probability);
-            NewState {
-                id: StateId(id),
-                name: named(&format!("s{id}")),
-                shape,
-                sensor: None,
-                reporting: Reporting::Samples,
-            }
+            NewState::sampled(StateId(id), named(&format!("s{id}")), shape)
         };
         let key = ProducerKey::new(&format!("robot-{producer}"), "").expect("valid");
         events.push(Event::Observations(

@@ -9,7 +9,7 @@ use super::*;
 
 fn new_state(id: u32, kind: StateKind) -> Event {
     let name = StateName::new(&format!("s{id}")).expect("valid");
-    Event::AddState(NewState { id: StateId(id), name, shape: kind.into(), sensor: None, reporting: Reporting::Samples })
+    Event::AddState(NewState::sampled(StateId(id), name, kind))
 }
 
 /// A map with one state of each kind: probability, continuous, count.

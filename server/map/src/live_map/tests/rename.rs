@@ -23,13 +23,7 @@ fn what_was_learned_of_a_node_is_found_under_its_new_name() {
     let mut map = LiveMap::new(spec());
     apply(&mut map, &node("lobby"));
     for (id, state) in ["lobby", "door", "node/lobby/anna"].into_iter().enumerate() {
-        let new = NewState {
-            id: StateId(id as u32),
-            name: name(state),
-            shape: StateShape::default(),
-            sensor: None,
-            reporting: Reporting::Samples,
-        };
+        let new = NewState::sampled(StateId(id as u32), name(state), StateShape::default());
         apply(&mut map, &Event::AddState(new));
     }
     let observed = event(&map, &[(0, HOUR, 1.0), (1, HOUR, 0.0), (2, HOUR, 1.0)]);
@@ -45,13 +39,7 @@ fn what_was_learned_of_a_node_is_found_under_its_new_name() {
     let restored = LiveMap::restore(spec(), snapshot);
     assert_eq!(restored.find("node/hall/anna"), Some(StateId(2)));
     // A name that is free again is given anew.
-    let new = NewState {
-        id: StateId(3),
-        name: name("lobby"),
-        shape: StateShape::default(),
-        sensor: None,
-        reporting: Reporting::Samples,
-    };
+    let new = NewState::sampled(StateId(3), name("lobby"), StateShape::default());
     apply(&mut map, &Event::AddState(new));
     assert_eq!(map.find("lobby"), Some(StateId(3)));
 }
@@ -61,13 +49,7 @@ fn a_state_whose_new_name_is_taken_keeps_its_own() {
     let mut map = LiveMap::new(spec());
     apply(&mut map, &node("lobby"));
     for (id, state) in ["lobby", "hall", "node/lobby/anna"].into_iter().enumerate() {
-        let new = NewState {
-            id: StateId(id as u32),
-            name: name(state),
-            shape: StateShape::default(),
-            sensor: None,
-            reporting: Reporting::Samples,
-        };
+        let new = NewState::sampled(StateId(id as u32), name(state), StateShape::default());
         apply(&mut map, &Event::AddState(new));
     }
     apply(&mut map, &edit(TopologyEdit::RenameNode { from: name("lobby"), to: name("hall") }));

@@ -5,24 +5,12 @@ use crate::event::{Dimensions, StateShape};
 
 fn vector(id: u32, name: &str, dimensions: Dimensions) -> Event {
     let name = StateName::new(name).expect("valid");
-    Event::AddState(NewState {
-        id: StateId(id),
-        name,
-        shape: StateShape::Vector(dimensions),
-        sensor: None,
-        reporting: Reporting::Samples,
-    })
+    Event::AddState(NewState::sampled(StateId(id), name, StateShape::Vector(dimensions)))
 }
 
 fn scalar(id: u32, name: &str) -> Event {
     let name = StateName::new(name).expect("valid");
-    Event::AddState(NewState {
-        id: StateId(id),
-        name,
-        shape: StateShape::default(),
-        sensor: None,
-        reporting: Reporting::Samples,
-    })
+    Event::AddState(NewState::sampled(StateId(id), name, StateShape::default()))
 }
 
 #[test]
@@ -59,13 +47,7 @@ fn an_angle_is_there_with_its_cosine_and_its_sine() {
     let mut map = LiveMap::new(spec());
     let angle = |id: u32, name: &str| {
         let name = StateName::new(name).expect("valid");
-        Event::AddState(NewState {
-            id: StateId(id),
-            name,
-            shape: StateShape::Angle,
-            sensor: None,
-            reporting: Reporting::Samples,
-        })
+        Event::AddState(NewState::sampled(StateId(id), name, StateShape::Angle))
     };
     apply(&mut map, &angle(0, "heading"));
     apply(&mut map, &vector(2, "anna", Dimensions::Two));

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicU64;
 use tidemap_grid::spec::Retention;
 use tidemap_map::{
     erasure::{NotErasable, Selection},
-    event::{Envelope, NewState, Observations, OffsetRun, Reporting, SequenceSpan, UpdateCause},
+    event::{Envelope, NewState, Observations, OffsetRun, SequenceSpan, UpdateCause},
     ids::ProducerId,
     live_map::LiveMap,
     name::{ProducerKey, StateName},
@@ -39,13 +39,8 @@ fn observed(half_day: i64, without: &Selection) -> Event {
     let number = half_day / 2;
     let key = ProducerKey::new(&format!("robot-{}", producer.0), "").expect("valid");
     let count = u32::try_from(left.len()).expect("few");
-    let new = |id| NewState {
-        id: StateId(id),
-        name: StateName::new(&format!("s{id}")).expect("valid"),
-        shape: StateKind::Probability.into(),
-        sensor: None,
-        reporting: Reporting::Samples,
-    };
+    let new =
+        |id| NewState::sampled(StateId(id), StateName::new(&format!("s{id}")).expect("valid"), StateKind::Probability);
     Event::Observations(
         Envelope {
             producer,
