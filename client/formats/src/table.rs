@@ -1,8 +1,9 @@
 //! Tables of results: aligned columns for people, CSV and JSON for programs.
 //!
-//! Invariant: the same columns in each form. Programs get numbers in full and times in Unix seconds; only the aligned
-//! form rounds, and shows times as people read them.
+//! Invariant: programs get all columns, numbers in full, and times and durations in seconds. The aligned form is for
+//! people: it rounds, shows times and durations as people read them, and leaves out columns that say nothing.
 
+pub mod numbers;
 mod times;
 
 use std::io::{self, Write};
@@ -34,7 +35,7 @@ pub enum Cell {
     Count(u64),
     /// Any number.
     Number(f64),
-    /// A duration in nanoseconds, shown as seconds.
+    /// A duration in nanoseconds: seconds for programs; for people in a unit of its own.
     Secs(i64),
     /// A time, nanoseconds since 1970 UTC.
     Time(i64),
@@ -103,7 +104,8 @@ impl Cell {
 
     fn rounded(&self) -> String {
         match self {
-            Self::Number(number) => six_digits(*number),
+            Self::Number(number) => numbers::number(*number),
+            Self::Secs(nanos) => numbers::period(*nanos as f64 / 1e9),
             Self::Flag(flag) => if *flag { "yes" } else { "no" }.to_owned(),
             _ => self.exact(),
         }
@@ -125,15 +127,6 @@ impl Cell {
     }
 }
 
-/// Smaller numbers have an exponent.
-const SMALL: f64 = 1e-6;
-
-/// Six significant digits, without zeros at the end.
-fn six_digits(number: f64) -> String {
-    let rounded: f64 = format!("{number:.5e}").parse().unwrap_or(number);
-    if rounded != 0.0 && rounded.abs() < SMALL { format!("{rounded:e}") } else { rounded.to_string() }
-}
-
 /// Maximum number of rows that are aligned together; a longer result is printed as several tables.
 const TABLE_ROWS_MAX: usize = 10_000;
 
@@ -149,6 +142,8 @@ pub struct TableWriter<W: Write> {
     waiting: Vec<Vec<Cell>>,
     live: bool,
     times: TimeStyle,
+    /// Columns that the aligned form leaves out.
+    hidden: &'static [&'static str],
 }
 
 /// Writes a table whose rows are at hand.
@@ -194,6 +189,7 @@ pub fn write_upright<W: Write, S: AsRef<str>>(
     for (column, cell) in columns.iter().zip(row).filter(|(_, cell)| !cell.exact().is_empty()) {
         let mut header = column.as_ref().to_owned();
         let shown = times.column(&mut header, &[cell]).and_then(|texts| texts.into_iter().next());
+        let header = if matches!(cell, Cell::Secs(_)) { without_unit(header) } else { header };
         lines.push((header, shown.unwrap_or_else(|| cell.rounded())));
     }
     let width = lines.iter().map(|(header, _)| header.chars().count()).max().unwrap_or(0);
@@ -204,12 +200,17 @@ impl<W: Write> TableWriter<W> {
     /// A table that is written to `writer`.
     pub fn new<S: AsRef<str>>(format: Format, columns: &[S], writer: W) -> Self {
         let columns = columns.iter().map(|column| column.as_ref().to_owned()).collect();
-        Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false, times: TimeStyle::Unix }
+        Self { format, columns, writer, rows: 0, waiting: Vec::new(), live: false, times: TimeStyle::Unix, hidden: &[] }
     }
 
     /// Shows the times of an aligned table in a style.
     pub fn with_times(self, times: &TimeStyle) -> Self {
         Self { times: times.clone(), ..self }
+    }
+
+    /// Leaves columns out of the aligned form.
+    pub fn hiding(self, hidden: &'static [&'static str]) -> Self {
+        Self { hidden, ..self }
     }
 
     /// A live table: the header is written at once and each row immediately. Columns are not aligned as a whole then,
@@ -299,16 +300,21 @@ impl<W: Write> TableWriter<W> {
         let mut table = Table::new();
         table.load_preset(presets::NOTHING);
         let rows: Vec<Vec<Cell>> = self.waiting.drain(..).collect();
-        let mut header = self.columns.clone();
-        let mut texts: Vec<Vec<String>> = vec![Vec::with_capacity(header.len()); rows.len()];
-        let mut numeric = vec![false; header.len()];
-        for column in 0..header.len() {
+        let mut header = Vec::with_capacity(self.columns.len());
+        let mut texts: Vec<Vec<String>> = vec![Vec::with_capacity(self.columns.len()); rows.len()];
+        let mut numeric = Vec::with_capacity(self.columns.len());
+        for (column, name) in self.columns.iter().enumerate() {
             let cells: Vec<&Cell> = rows.iter().map(|row| &row[column]).collect();
-            let shown = self.times.column(&mut header[column], &cells).unwrap_or_else(|| {
-                numeric[column] = cells.iter().any(|cell| cell.is_numeric());
-                at_the_point(&cells)
-            });
-            add_unit(&mut header[column]);
+            let is_empty = !cells.is_empty() && cells.iter().all(|cell| **cell == Cell::Empty);
+            if is_empty || self.hidden.contains(&name.as_str()) {
+                continue;
+            }
+            let mut name = name.clone();
+            let times = self.times.column(&mut name, &cells);
+            numeric.push(times.is_none() && cells.iter().any(|cell| cell.is_numeric()));
+            let shown = times.unwrap_or_else(|| at_the_point(&cells));
+            add_unit(&mut name);
+            header.push(if cells.iter().any(|cell| matches!(cell, Cell::Secs(_))) { without_unit(name) } else { name });
             texts.iter_mut().zip(shown).for_each(|(row, text)| row.push(text));
         }
         table.set_header(&header);
@@ -331,12 +337,17 @@ fn add_unit(header: &mut String) {
     }
 }
 
+/// The name of a column of durations, which have their units.
+fn without_unit(header: String) -> String {
+    header.strip_suffix("_secs").map_or_else(|| header.clone(), str::to_owned)
+}
+
 /// The cells of a column as texts whose decimal points are one below the other, once they are aligned to the right.
 fn at_the_point(cells: &[&Cell]) -> Vec<String> {
     let mut texts: Vec<String> = cells.iter().map(|cell| cell.rounded()).collect();
     // An exponent stands apart.
     let places_after_point = |(cell, text): (&&Cell, &String)| {
-        let is_decimal = matches!(cell, Cell::Number(_) | Cell::Secs(_)) && !text.contains('e');
+        let is_decimal = matches!(cell, Cell::Number(_)) && !text.contains('e');
         is_decimal.then(|| text.find('.').map_or(0, |point| text.len() - point))
     };
     let places: Vec<Option<usize>> = cells.iter().zip(&texts).map(places_after_point).collect();

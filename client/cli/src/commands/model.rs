@@ -15,10 +15,10 @@ use tidemap_client::{
 };
 
 use super::{Session, files::DrawingArg};
-use crate::output::{period, stdout};
+use crate::output::stdout;
 use tidemap_formats::{
     drawing::HeatMap,
-    table::{Cell, Format, TimeStyle, object, write_rows},
+    table::{Cell, Format, TimeStyle, numbers::period, object, write_rows},
 };
 use tidemap_model::{LocalDay, Zone};
 

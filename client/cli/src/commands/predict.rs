@@ -70,6 +70,9 @@ pub(crate) struct PredictArgs {
     /// Shows a row for each time and a column for each state, with the predictions alone
     #[arg(long, conflicts_with_all = ["places", "picture"])]
     wide: bool,
+    /// Shows all columns in a table, as CSV and JSON have them
+    #[arg(long, conflicts_with_all = ["places", "picture", "wide"])]
+    full: bool,
     #[command(flatten)]
     drawing: DrawingArg,
 }
@@ -93,6 +96,9 @@ const COLUMNS: [&str; 12] = [
     "mass",
 ];
 
+/// What a table shows only where it is asked for.
+const DETAILS: &[&str] = &["entropy_bits", "order", "model", "pending", "mass"];
+
 pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
     if args.order.is_some() && !args.model.kind.has_order() {
         return Err(usage(format!(
@@ -113,7 +119,8 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     // Neither shows intervals.
     let interval = if args.wide { 0.0 } else { args.interval };
     let mut predictions = session.client.predict(&args.map, states, times, model).with_intervals(interval);
-    let mut table = (!args.drawing.is_in_terminal() && !args.wide).then(|| session.table(&COLUMNS));
+    let hidden = if args.full { &[] } else { DETAILS };
+    let mut table = (!args.drawing.is_in_terminal() && !args.wide).then(|| session.table(&COLUMNS).hiding(hidden));
     let mut drawn = Drawn::new(session);
     let mut wide = Wide::default();
     while let Some(run) = predictions.next().await? {

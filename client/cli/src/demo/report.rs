@@ -8,8 +8,7 @@ use std::{
 };
 
 use tidemap_client::queries::{ModelDescription, ModelKind};
-
-use crate::output;
+use tidemap_formats::table::numbers::period;
 
 use super::{
     MAP,
@@ -144,7 +143,7 @@ fn rhythms(model: &ModelDescription) -> String {
     }
     let listed: Vec<String> = model.components[..used.min(COMPONENTS_LISTED)]
         .iter()
-        .map(|component| format!("{} ±{:.2}", output::period(component.period_secs), component.amplitude))
+        .map(|component| format!("{} ±{:.2}", period(component.period_secs), component.amplitude))
         .collect();
     let more = match used.saturating_sub(COMPONENTS_LISTED) {
         0 => String::new(),

@@ -3,7 +3,10 @@
 //! Invariant: a column shows as much of the clock as its times need, the same for all of them, and its header says in
 //! which zone they are.
 
-use tidemap_model::{Zone, time::format_rfc3339};
+use tidemap_model::{
+    Zone,
+    time::{format_rfc3339, format_secs},
+};
 
 use super::Cell;
 
@@ -80,7 +83,7 @@ impl TimeStyle {
 
     fn text(&self, nanos: i64, precision: Precision) -> String {
         match self {
-            Self::Unix => Cell::Secs(nanos).rounded(),
+            Self::Unix => format_secs(nanos),
             Self::Nanos => nanos.to_string(),
             Self::Clock(zone) => clock(zone, nanos, precision),
         }
