@@ -172,6 +172,17 @@ pub struct StateUpdate {
     pub model: Option<ModelSelector>,
 }
 
+/// The HTTP port of a daemon, which serves its page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PagePort {
+    /// Number of the port.
+    pub port: u16,
+    /// Whether it takes connections from the daemon's own machine alone.
+    pub is_loopback: bool,
+    /// Whether it speaks HTTPS.
+    pub has_tls: bool,
+}
+
 /// One counter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Statistic {
@@ -362,11 +373,29 @@ impl Client {
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
     pub async fn statistics(&self, map: &str) -> Result<Vec<Statistic>, Error> {
-        let request = v1::GetStatisticsRequest { map: map.to_owned() };
-        let answer = self.maintenance_service().get_statistics(request).await;
-        let statistics = answer.map_err(|status| self.error(&status))?.into_inner().statistics;
+        let statistics = self.all_statistics(map).await?.statistics;
         let statistic = |s: v1::Statistic| Statistic { name: s.name, value: s.value, unit: s.unit };
         Ok(statistics.into_iter().map(statistic).collect())
+    }
+
+    /// Where the daemon serves its page, for who may ask for this map, or for all maps (empty); `None`: the daemon is
+    /// too old to say.
+    ///
+    /// # Errors
+    /// The daemon cannot be reached, or has no such map.
+    pub async fn page_port(&self, map: &str) -> Result<Option<PagePort>, Error> {
+        let page = self.all_statistics(map).await?.page;
+        let port = |page: v1::PagePort| {
+            let port = u16::try_from(page.port).map_err(|_| Error::Protocol("a port that is none"))?;
+            Ok(PagePort { port, is_loopback: page.is_loopback, has_tls: page.has_tls })
+        };
+        page.map(port).transpose()
+    }
+
+    async fn all_statistics(&self, map: &str) -> Result<v1::GetStatisticsResponse, Error> {
+        let request = v1::GetStatisticsRequest { map: map.to_owned() };
+        let answer = self.maintenance_service().get_statistics(request).await;
+        Ok(answer.map_err(|status| self.error(&status))?.into_inner())
     }
 }
 

@@ -372,9 +372,6 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
     if let Command::Demo(args) = &line.command {
         return demo::run(args).await;
     }
-    if let Command::Open(args) = &line.command {
-        return open::run(args, &line.server);
-    }
     if let Command::Sample(args) = &line.command {
         return sample::run(args, line.output.unwrap_or_else(default_format));
     }
@@ -390,6 +387,9 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
     }
     let client = Client::with_credentials(&line.server, &credentials(&line)?);
     let client = client.map_err(|error| UsageError(error.to_string()))?;
+    if let Command::Open(args) = &line.command {
+        return open::run(&client, args, &line.server).await;
+    }
     let format = line.output.unwrap_or_else(default_format);
     let times = time_style(&client, format, line.time, subject).await;
     let session = Session { client, format, times };

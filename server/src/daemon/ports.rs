@@ -25,7 +25,7 @@ use crate::{
     },
     http,
     reload::FileWatch,
-    rpc::{self, guard::Access, serve::Services},
+    rpc::{self, guard::Access, maintenance::PageAddress, serve::Services},
     storage_watch,
     web::{self, KnownHosts},
 };
@@ -146,16 +146,18 @@ impl Ports {
         let [grpc_address, http_address] = addresses.map(|address| address.map_err(anyhow::Error::from));
         let (grpc_address, http_address) = (grpc_address?, http_address?);
         let (stop, ports_stopping) = watch::channel(false);
-        let services = rpc::serve::services(Arc::clone(catalog), settings, stopping.clone()).await;
+        let is_local = http_address.ip().is_loopback();
+        let has_tls = http_tls.is_some() && !is_local;
+        let page = PageAddress { address: http_address, has_tls };
+        let services = rpc::serve::services(Arc::clone(catalog), settings, page, stopping.clone()).await;
         services.health().tell(http::readiness(catalog, false).0).await;
         let watched = Arc::downgrade(catalog);
         crate::task::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
         let web = web(&services, &access, settings)?;
         let connections = accept_grpc(settings, grpc, grpc_tls.clone())?;
-        let is_local = grpc_address.ip().is_loopback();
-        let grpc = rpc::serve::serve(connections, access.clone(), services, is_local, ports_stopping.clone());
-        let is_local = http_address.ip().is_loopback();
-        let listeners = accept_http(http, http_address, http_tls.clone().filter(|_| !is_local));
+        let grpc_is_local = grpc_address.ip().is_loopback();
+        let grpc = rpc::serve::serve(connections, access.clone(), services, grpc_is_local, ports_stopping.clone());
+        let listeners = accept_http(http, http_address, http_tls.clone().filter(|_| has_tls));
         let access = if is_local { Access::Anybody } else { access };
         let http = http::serve(listeners, Arc::clone(catalog), metrics, access, web, stopping, ports_stopping);
         let (grpc, http) = (tokio::spawn(grpc), tokio::spawn(http));

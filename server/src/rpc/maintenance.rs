@@ -1,6 +1,7 @@
 //! `MaintenanceService`: updates as jobs, and counters.
 
 use std::{
+    net::SocketAddr,
     path::{Path, PathBuf},
     sync::{Arc, atomic::Ordering},
     time::Duration,
@@ -44,6 +45,23 @@ pub(crate) struct Maintenance {
     pub catalog: Arc<Catalog>,
     /// The folder below which requests may make backups; empty: none is set.
     pub backup_dir: PathBuf,
+    /// Where the daemon serves its page.
+    pub page: PageAddress,
+}
+
+/// Where the daemon serves its page.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PageAddress {
+    pub address: SocketAddr,
+    /// Whether it speaks HTTPS.
+    pub has_tls: bool,
+}
+
+impl PageAddress {
+    fn to_wire(self) -> v1::PagePort {
+        let PageAddress { address, has_tls } = self;
+        v1::PagePort { port: address.port().into(), is_loopback: address.ip().is_loopback(), has_tls }
+    }
 }
 
 fn job_to_wire(catalog: &Catalog, job: &UpdateJob) -> v1::Job {
@@ -318,7 +336,7 @@ impl MaintenanceService for Maintenance {
             .into_iter()
             .map(|(name, value, unit)| v1::Statistic { name: name.to_owned(), value, unit: unit.to_owned() })
             .collect();
-        Ok(Response::new(v1::GetStatisticsResponse { statistics }))
+        Ok(Response::new(v1::GetStatisticsResponse { statistics, page: Some(self.page.to_wire()) }))
     }
 }
 

@@ -22,7 +22,7 @@ use super::{
     admission::{Admission, AdmittedService, RequestLimits},
     exploration::{Explorations, PlanLimits},
     guard::{Access, serve_caller},
-    maintenance::Maintenance,
+    maintenance::{Maintenance, PageAddress},
     map::Maps,
     observation::{Observations, StreamLimits, open_streams::OpenStreams},
     query::{Queries, QueryLimits},
@@ -91,8 +91,13 @@ impl Services {
     }
 }
 
-/// Makes the services.
-pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stopping: watch::Receiver<bool>) -> Services {
+/// Makes the services of a daemon that serves its page there.
+pub(crate) async fn services(
+    catalog: Arc<Catalog>,
+    settings: &Settings,
+    page: PageAddress,
+    stopping: watch::Receiver<bool>,
+) -> Services {
     let (health, health_service) = tonic_health::server::health_reporter();
     let health = Health(health);
     health.tell(false).await;
@@ -150,7 +155,7 @@ pub(crate) async fn services(catalog: Arc<Catalog>, settings: &Settings, stoppin
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
         .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
         .add_service(
-            MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone() })
+            MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone(), page })
                 .max_decoding_message_size(REQUEST_BYTES),
         );
     Services { routes, queries, admission, health }
