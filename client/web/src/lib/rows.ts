@@ -20,18 +20,6 @@ export function columnsOf(span: RowSpan, at: number, zone: string): Columns {
     return { span, starts: Array.from({ length: Math.round((end - start) / HOUR) }, (_, hour) => start + hour * HOUR), end };
 }
 
-/** The means of observations in each hour, which begin at `starts`; NaN where there are none. */
-export function hourMeans(seen: { times: number[]; values: number[] }, starts: number[]): number[] {
-    const [first, sums, counts] = [starts[0] ?? 0, new Float64Array(starts.length), new Uint32Array(starts.length)];
-    for (const [index, ms] of seen.times.entries()) {
-        const hour = Math.floor((ms - first) / HOUR);
-        if (hour < 0 || hour >= starts.length) continue;
-        sums[hour] = (sums[hour] ?? 0) + (seen.values[index] ?? 0);
-        counts[hour] = (counts[hour] ?? 0) + 1;
-    }
-    return starts.map((_, hour) => (sums[hour] ?? 0) / (counts[hour] || Number.NaN));
-}
-
 /** Where labels stand above columns: shares of the width. */
 export function ticksOf({ span, starts, end }: Columns, zone: string): { share: number; text: string }[] {
     const start = starts[0] ?? end;
