@@ -31,7 +31,7 @@ suite('files', () => {
         const svg = weekSvg('a < b', week, 'UTC', ['#123456']);
         assert.ok(svg.includes('a &lt; b') && svg.includes('<polygon') && svg.includes('<circle'));
 
-        const pieces = [{ from: 0, to: 60_000, value: 1 }, { from: 60_000, to: 90_000, value: 0 }, { from: 120_000, to: 130_000, value: 0 }];
+        const pieces = [[0, 60_000, 1], [60_000, 90_000, 0], [120_000, 130_000, 0]].map(([from = 0, to = 0, value = 0]) => ({ from, to, value, since: from }));
         const changes = { ...week, seen: { times: [60_000, 90_000], values: [0, Number.NaN], note: '', pieces } };
         assert.deepEqual(weekCsv(changes, 'UTC').split('\r\n').slice(3, 5), ['1970-01-01T00:01:00+00:00,door,reported,0,,', '1970-01-01T00:01:30+00:00,door,reported,,,']);
         assert.ok(!weekSvg('steps', changes, 'UTC', ['#123456']).includes('<circle'));

@@ -5,7 +5,7 @@ import { suite, test } from 'node:test';
 
 import { HOUR } from './civil';
 import { occupancy, UNKNOWN_STYLE } from './colours';
-import { bandsOf, changesOf, columnsOf, likelyParts, linePoints, rangeOf, rowColour, ticksOf } from './rows';
+import { bandsOf, changesOf, columnsOf, likelyParts, linePoints, nameParts, rangeOf, rowColour, ticksOf } from './rows';
 
 const ZONE = 'Europe/Berlin';
 
@@ -62,4 +62,12 @@ suite('crossings of one half', () => {
         assert.deepEqual(likelyParts(times, [0, 0, 0, 0], 4 * HOUR), []);
         assert.deepEqual(likelyParts([], [], 4 * HOUR), []);
     });
+});
+
+test('a long name is parted, so that its end is kept whole', () => {
+    const parts = (name: string) => Object.values(nameParts(name));
+    assert.deepEqual(parts('kitchen'), ['kitchen', '']);
+    assert.deepEqual(parts('binary_sensor.living_room_window'), ['binary_sensor.living_', 'room_window']);
+    assert.deepEqual(parts('abcdefghijklmnopqrstuvwxyz'), ['abcdefghij', 'klmnopqrstuvwxyz']);
+    for (const name of ['a-name-with-many-words', 'ääääääääääääääää_ö', '📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷']) assert.equal(parts(name).join(''), name);
 });

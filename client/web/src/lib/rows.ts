@@ -97,3 +97,18 @@ export function likelyParts(times: number[], values: number[], end: number): { f
     if (from !== undefined) parts.push({ from, to: end });
     return parts;
 }
+
+/** So much of the end of a name is kept. */
+const TAIL_MOST = 16;
+/** A shorter name is not parted. */
+const PARTED_LEAST = 18;
+
+/** A name in two: what may be cut, and the end that is kept, from a separator on where there is one. */
+export function nameParts(name: string): { head: string; tail: string } {
+    const letters = [...name];
+    if (letters.length < PARTED_LEAST) return { head: name, tail: '' };
+    const end = letters.slice(-TAIL_MOST);
+    const from = end.findIndex((letter, index) => index > 0 && /[._/ -]/.test(end[index - 1] ?? '') && !/[._/ -]/.test(letter));
+    const tail = end.slice(Math.max(0, from)).join('');
+    return { head: name.slice(0, name.length - tail.length), tail };
+}

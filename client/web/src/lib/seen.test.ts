@@ -10,7 +10,7 @@ import { ReconstructResponseSchema } from '../wire/tidemap/v1/query_pb';
 import { RowKind, StateReportingSchema } from '../wire/tidemap/v1/types_pb';
 import { DAY, HOUR, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
-import { averages, errorOf, heldText, observed, reportedAs, reportedText, seenOf, seenText, type Reported } from './seen';
+import { averages, errorOf, heldAt, heldText, observed, reportedAs, reportedText, seenOf, seenText, type Reported } from './seen';
 import { fromTimestamp, toNanos } from './times';
 
 const CHANGES: Reported = { rows: RowKind.CHANGES, holdMs: 2 * HOUR, stepMs: 5 * MINUTE };
@@ -85,6 +85,13 @@ suite('observations', () => {
 suite('changes', () => {
     test('hold until the next row, and no longer than they may', () => {
         assert.deepEqual(pieces([[1, 1], [2, 0], [6, 1]], CHANGES, 0, 24, 7), [[1, 2, 1], [2, 4, 0], [6, 7, 1]]);
+    });
+
+    test('that say the same again are one piece, since the first of them', () => {
+        assert.deepEqual(pieces([[1, 1], [2, 1], [5, 1]], CHANGES, 0, 24, 6), [[1, 4, 1], [5, 6, 1]]);
+        const seen = seenOf({ times: [0, HOUR], values: [1, 1], note: '' }, CHANGES, HOUR / 2, DAY, 2 * HOUR);
+        assert.equal(heldAt(seen, 1.5 * HOUR)?.since, 0);
+        assert.equal(heldAt(seen, 2.5 * HOUR), undefined);
     });
 
     test('without a value say that nothing is known', () => {

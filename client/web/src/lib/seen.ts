@@ -27,6 +27,8 @@ export interface Piece {
     from: number;
     to: number;
     value: number;
+    /** When the row came that says so. */
+    since: number;
 }
 
 export interface Rows {
@@ -80,6 +82,11 @@ export function heldText(reported: Reported, value: string, row: number, until: 
     return until > row ? `its value ${value} ${isNow ? 'holds now' : `held until ${end}, the newest data of its producer`}` : `its value is ${value}`;
 }
 
+/** What changes say of a time: the value, and since when; `undefined` where nothing was known. */
+export function heldAt({ pieces }: Seen, ms: number): Piece | undefined {
+    return pieces?.find(({ from, to }) => ms >= from && ms <= to);
+}
+
 /** How many rows there are, and how they are drawn. */
 export function seenText({ times, note, pieces }: Seen, reported: Reported | undefined): string {
     if (note) return note;
@@ -127,9 +134,15 @@ export async function observed(map: string, state: string, from: number, to: num
 
 /** From when to when the value of each row of changes holds. `until`: nothing is known from then on. */
 function held(rows: Rows, { holdMs }: Reported, until: number): Piece[] {
-    return rows.times.map((from, index) => ({
-        from, to: Math.min(rows.times[index + 1] ?? Math.max(from, until), from + holdMs), value: rows.values[index] ?? Number.NaN,
-    }));
+    const pieces: Piece[] = [];
+    for (const [index, from] of rows.times.entries()) {
+        const [value, before] = [rows.values[index] ?? Number.NaN, pieces.at(-1)];
+        const to = Math.min(rows.times[index + 1] ?? Math.max(from, until), from + holdMs);
+        // A row that says again what is known is no change.
+        if (before?.to === from && before.value === value) before.to = to;
+        else pieces.push({ from, to, value, since: from });
+    }
+    return pieces;
 }
 
 /** The number of events of each step, with pieces of 0 between them. */
@@ -145,7 +158,7 @@ function counted(rows: Rows, { holdMs, stepMs }: Reported, until: number): Piece
     const starts = [...steps.keys()];
     return [...steps].flatMap(([from, { count, last, isKnown }], index) => {
         const end = Math.min(starts[index + 1] ?? floor(until), floor(last + holdMs) + stepMs);
-        return [{ from, to: from + stepMs, value: count }, { from: from + stepMs, to: isKnown ? end : from, value: 0 }];
+        return [{ from, to: from + stepMs, value: count, since: from }, { from: from + stepMs, to: isKnown ? end : from, value: 0, since: last }];
     });
 }
 
