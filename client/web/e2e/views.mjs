@@ -25,8 +25,35 @@ const VIEWS = {
     week: [`/maps/doors?rows=week&sort=soon`, 'overview-rows'],
     look: [`/maps/office?${AT}&list=0&layer=look&tool=explore&start=10,8.4`, 'information'],
     states: [`/states/office?${AT}&select=kitchen`, 'state-week'],
+    changes: ['/states/contacts?at=2025-03-20T10:00:00Z&select=contact', 'reported-then'],
     operations: ['/operations', 'jobs'],
 };
+
+/** Requests that last as long as the view, or come whatever it shows. */
+const LASTING = /WatchAnomalies|readyz/;
+const QUIET_MS = 200;
+const QUIET_WITHIN_MS = 10_000;
+
+/** Follows the requests of a page; the answer waits until it has what it asked for, and asks for no more. */
+function quietly(page) {
+    const open = new Set();
+    let last = Date.now();
+    const note = (request, isOpen) => {
+        if (LASTING.test(request.url())) return;
+        last = Date.now();
+        if (isOpen) open.add(request);
+        else open.delete(request);
+    };
+    page.on('request', (request) => note(request, true));
+    for (const end of ['requestfinished', 'requestfailed']) page.on(end, (request) => note(request, false));
+    return async () => {
+        const begun = Date.now();
+        while (open.size || Date.now() - last < QUIET_MS) {
+            if (Date.now() - begun > QUIET_WITHIN_MS) throw new Error(`still waits for ${[...open].map((request) => request.url())}`);
+            await page.waitForTimeout(20);
+        }
+    };
+}
 
 /** What axe-core finds against WCAG 2 A and AA, as lines. */
 export async function violations(page) {
@@ -43,14 +70,16 @@ export async function violations(page) {
 export async function lookAtViews(browser, daemon, folder) {
     const problems = [];
     for (const [size, options] of Object.entries(SIZES)) {
-        for (const colorScheme of ['light', 'dark']) {
-            const page = await open(browser, daemon.http, { ...options, colorScheme });
+        const look = async (colorScheme) => {
+            const page = await open(browser, 'about:blank', { ...options, colorScheme });
+            const isQuiet = quietly(page);
             for (const [view, [path, there]] of Object.entries(VIEWS)) {
                 const where = `${view}, ${size}, ${colorScheme}`;
                 await page.goto(`${daemon.http}${path}`);
-                await page.getByTestId(there).waitFor();
-                await page.waitForLoadState('networkidle').catch(() => {});
-                await page.waitForTimeout(250);
+                await page.getByTestId(there).first().waitFor().then(isQuiet).catch(async (error) => {
+                    await page.screenshot({ path: join(folder, 'failed-view.png') });
+                    throw new Error(`${where}: ${error.message}`, { cause: error });
+                });
                 await page.screenshot({ path: join(folder, `view-${view}-${size}-${colorScheme}.png`) });
                 for (const found of await violations(page)) problems.push(`${where}: ${found}`);
                 const beside = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
@@ -58,7 +87,8 @@ export async function lookAtViews(browser, daemon, folder) {
             }
             assert.deepEqual(page.problems, []);
             await page.context().close();
-        }
+        };
+        await Promise.all(['light', 'dark'].map(look));
     }
     assert.deepEqual(problems, []);
 }
