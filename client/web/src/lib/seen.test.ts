@@ -10,7 +10,7 @@ import { ReconstructResponseSchema } from '../wire/tidemap/v1/query_pb';
 import { RowKind, StateReportingSchema } from '../wire/tidemap/v1/types_pb';
 import { DAY, HOUR, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
-import { averages, errorOf, heldAt, heldText, observed, reportedAs, reportedText, seenOf, seenText, type Reported } from './seen';
+import { averages, errorOf, heldAt, heldText, newestText, observed, reportedAs, reportedText, seenOf, seenText, type Reported } from './seen';
 import { fromTimestamp, toNanos } from './times';
 
 const CHANGES: Reported = { rows: RowKind.CHANGES, holdMs: 2 * HOUR, stepMs: 5 * MINUTE };
@@ -143,10 +143,22 @@ suite('in words', () => {
 
     test('the newest row says how long it holds', () => {
         const now = Date.now();
-        assert.equal(heldText(CHANGES, '1', now - HOUR, now, 'UTC'), 'its value 1 holds now');
-        assert.match(heldText(CHANGES, '1', 0, 2 * HOUR, 'UTC'), /^its value 1 held until Thu 1 Jan 1970, 02:00, and is unknown since$/);
-        assert.match(heldText(CHANGES, '1', 0, HOUR, 'UTC'), /^its value 1 held until Thu 1 Jan 1970, 01:00, the newest data/);
-        assert.match(heldText(EVENTS, '0', 0, HOUR, 'UTC'), /^complete until Thu 1 Jan/);
+        const text = (reported: Reported, row: number, until: number, newest = until) => heldText(reported, '1', { row, until, newest }, 'UTC');
+        assert.equal(text(CHANGES, now - HOUR, now), 'its value 1 holds now');
+        assert.match(text(CHANGES, 0, 2 * HOUR), /^its value 1 held until Thu 1 Jan 1970, 02:00, and is unknown since$/);
+        assert.match(text(CHANGES, 0, HOUR), /^its value 1 held until Thu 1 Jan 1970, 01:00, the newest data/);
+        assert.equal(text(CHANGES, HOUR, HOUR, 2 * HOUR), 'its sensor knows no value since');
+        assert.equal(text(CHANGES, HOUR, HOUR), 'its value is 1');
+        assert.match(text(EVENTS, 0, HOUR), /^complete until Thu 1 Jan/);
+    });
+
+    test('the newest value says in short since when, or when it came', () => {
+        const [now, here] = [Date.now(), { zone: 'UTC', isNarrow: false }];
+        const text = (row: number, until: number, reported?: Reported, where = here) => newestText(1, { row, until, newest: now }, reported, where);
+        assert.deepEqual([text(now - 2 * HOUR, now, CHANGES), text(now - 2 * HOUR, now - 2 * HOUR)], ['1 for 2.0 h', '1, 2.0 h ago']);
+        assert.equal(text(now - 2 * HOUR, now - 2 * HOUR, CHANGES), 'unknown for 2.0 h');
+        assert.deepEqual([text(HOUR, 2 * HOUR, CHANGES), text(HOUR, HOUR)], ['1 since 1 Jan 01:00', '1, 1 Jan 01:00']);
+        assert.equal(text(HOUR, 2 * HOUR, CHANGES, { zone: 'UTC', isNarrow: true }), '1, 1 Jan');
     });
 
     test('rows are counted as what they are', () => {

@@ -6,9 +6,10 @@
 import { Code, ConnectError } from '@connectrpc/connect';
 
 import { RowKind, type StateReporting } from '../wire/tidemap/v1/types_pb';
-import { DAY, HOUR, longTime, MINUTE } from './civil';
+import { ago, clock, DAY, dayName, HOUR, longTime, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
 import { fromNanos, toTimestamp } from './times';
+import { plain } from './unusual';
 
 /** What is known up to so short a time ago is known now: the page asks again every few seconds. */
 const NOW_MS = MINUTE;
@@ -73,13 +74,35 @@ export function reportedText(reported: Reported | undefined): string {
     return `as events, which are counted every ${every}; silence counts as 0, for ${hold} at most`;
 }
 
-/** What the newest row of changes or events says, and up to when. `until`: it is known to hold up to then. */
-export function heldText(reported: Reported, value: string, row: number, until: number, zone: string): string {
+/** The newest row of a state, milliseconds. */
+export interface NewestRow {
+    row: number;
+    /** Up to when its value is known to hold. */
+    until: number;
+    /** Up to when the map is known. */
+    newest: number;
+}
+
+/** A row that ends what was known: its value holds no longer than itself, although there are newer data. */
+const hasNoValue = ({ row, until, newest }: NewestRow) => until <= row && row < newest;
+
+/** What the newest row of changes or events says, and up to when. */
+export function heldText(reported: Reported, value: string, { row, until, newest }: NewestRow, zone: string): string {
     const isNow = Date.now() - until < NOW_MS;
     const end = isNow ? 'now' : longTime(until, zone);
     if (reported.rows === RowKind.EVENTS) return until > row ? `complete until ${end}` : 'nothing is known after it';
+    if (hasNoValue({ row, until, newest })) return 'its sensor knows no value since';
     if (until - row >= reported.holdMs) return `its value ${value} held until ${end}, and is unknown since`;
     return until > row ? `its value ${value} ${isNow ? 'holds now' : `held until ${end}, the newest data of its producer`}` : `its value is ${value}`;
+}
+
+/** The newest value in few words: since when a change holds, and of readings when they came. */
+export function newestText(value: number | undefined, { row, until, newest }: NewestRow, reported: Reported | undefined, { zone, isNarrow }: { zone: string; isNarrow: boolean }): string {
+    const isChange = reported?.rows === RowKind.CHANGES;
+    const said = isChange && hasNoValue({ row, until, newest }) ? 'unknown' : value === undefined || Number.isNaN(value) ? '' : plain(value);
+    const [age, day] = [ago(Date.now() - row), dayName(row, zone).replace(/^\S+ /, '')];
+    if (Date.now() - row < DAY) return isChange && said ? `${said} for ${age}` : `${said && `${said}, `}${age} ago`;
+    return `${said && `${said}${isChange && !isNarrow ? ' since ' : ', '}`}${day}${isNarrow ? '' : ` ${clock(row, zone)}`}`;
 }
 
 /** What changes say of a time: the value, and since when; `undefined` where nothing was known. */

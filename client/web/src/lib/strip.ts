@@ -31,12 +31,13 @@ export async function loadStrip(map: string, state: string, ms: number, zone: st
         for await (const piece of queries.predictStates({ map, states: [state], timesNanos: times.map(toNanos) })) {
             // The first axis of a vector stands for it.
             if (piece.axis <= 1) predicted.push(...piece.probabilities);
-            knownUntil = fromTimestamp(piece.lastTime) ?? knownUntil;
+            knownUntil = Math.max(knownUntil, fromTimestamp(piece.lastTime) ?? 0);
         }
     };
     const [first, end] = [days[0] ?? last, addDays(last, 1, zone)];
     const [, rows] = await Promise.all([predict(), observed(map, state, first, end, reported)]);
-    const seen = seenOf(rows, reported, first, end, knownUntil);
+    // It is told up to the last of the times that are asked for.
+    const seen = seenOf(rows, reported, first, end, knownUntil >= (times.at(-1) ?? 0) ? end : knownUntil);
     // The hour that comes twice is a part of the last one of its day.
     const starts = days.flatMap((day) => Array.from({ length: HOURS }, (_, hour) => day + hour * HOUR));
     const means = averages(seen, starts, end).map((value) => (Number.isNaN(value) ? undefined : value));

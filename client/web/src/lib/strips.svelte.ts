@@ -48,7 +48,7 @@ export function allReported(states: Pick<State, 'name' | 'reporting'>[]): AllRep
 async function hoursSeen(map: string, states: string[], { starts, end }: Columns, reported: AllReported): Promise<number[][]> {
     const found: number[][] = states.map(() => []);
     const first = starts[0] ?? end;
-    const { untils } = states.some((name) => reported.has(name)) ? await predict(map, states, [first], { kind: ModelKind.LATEST }) : { untils: [] };
+    const { untils } = states.some((name) => reported.has(name)) ? await predict(map, states, [end], { kind: ModelKind.LATEST }) : { untils: [] };
     let next = 0;
     const work = async () => {
         for (let at = next++; at < states.length; at = next++) {
@@ -94,8 +94,8 @@ export class StripFeed {
     rows: ReadonlyMap<string, number[]> = $state.raw(new Map());
     before: ReadonlyMap<string, number[]> = $state.raw(new Map());
     now: ReadonlyMap<string, number> = $state.raw(new Map());
-    /** The newest readings. */
-    last: ReadonlyMap<string, number> = $state.raw(new Map());
+    /** The newest values, and up to when they are known. */
+    last: ReadonlyMap<string, { value: number; until: number }> = $state.raw(new Map());
     problem = $state('');
     #lastKey = '';
     #key = '';
@@ -146,12 +146,13 @@ export class StripFeed {
             [this.now, this.#nowKey] = [now, nowKey];
         }
         const lastKey = JSON.stringify([map, generation]);
-        const read = lastKey === this.#lastKey ? this.last : new Map<string, number>();
+        const read = lastKey === this.#lastKey ? this.last : new Map<string, { value: number; until: number }>();
         const unread = asked.filter((name) => !read.has(name));
         if (unread.length) {
-            const { values } = await predict(map, unread, [at], { kind: ModelKind.LATEST });
+            // A value is known at most up to the time that is asked for.
+            const { values, untils } = await predict(map, unread, [Math.max(at, Date.now())], { kind: ModelKind.LATEST });
             const last = new Map(read);
-            for (const [index, name] of unread.entries()) last.set(name, values[index]?.[0] ?? Number.NaN);
+            for (const [index, name] of unread.entries()) last.set(name, { value: values[index]?.[0] ?? Number.NaN, until: untils[index] ?? 0 });
             [this.last, this.#lastKey] = [last, lastKey];
         }
         const missing = asked.filter((name) => !this.rows.has(name));

@@ -39,7 +39,7 @@ export interface Week {
     series: Series[];
     /** What was observed; readings are thinned out to those that can be drawn. */
     seen: Seen;
-    /** Up to when what was observed is known, milliseconds. */
+    /** Up to when what was observed is known, at most the end of the week, milliseconds. */
     knownUntil: number;
     observations: number;
     /** By which model; only known for a single state. */
@@ -93,7 +93,7 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
             found.upper.push(...piece.upper);
             found.masses?.push(...piece.masses);
             observations = Number(piece.observations);
-            knownUntil = fromTimestamp(piece.lastTime) ?? knownUntil;
+            knownUntil = Math.max(knownUntil, fromTimestamp(piece.lastTime) ?? 0);
         }
     };
     const describe = async () => {
