@@ -1,4 +1,4 @@
-// All views of the page at three sizes and in two schemes: pictures, contrast by axe-core, and nothing beside the edge.
+// All views of the page at four sizes and in two schemes: pictures, contrast by axe-core, and nothing beside the edge.
 //
 // Invariant: a picture is `view-NAME-SIZE-SCHEME.png` in the folder of the test.
 
@@ -12,6 +12,7 @@ import { open } from './stage.mjs';
 const AXE = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8');
 const SIZES = {
     wide: { viewport: { width: 1440, height: 900 } },
+    tablet: { viewport: { width: 820, height: 1180 }, hasTouch: true },
     laptop: { viewport: { width: 1024, height: 700 } },
     phone: { viewport: { width: 390, height: 800 }, deviceScaleFactor: 2, hasTouch: true, isMobile: true },
 };
@@ -23,6 +24,7 @@ const VIEWS = {
     overview: [`/maps/office?${AT}&list=1&sort=unusual`, 'overview-rows'],
     select: [`/maps/office?${AT}&list=0&select=kitchen`, 'state-week'],
     week: [`/maps/doors?rows=week&sort=soon`, 'overview-rows'],
+    three: [`/maps/office?${AT}&list=1&select=kitchen`, 'state-week'],
     look: [`/maps/office?${AT}&list=0&layer=look&tool=explore&start=10,8.4`, 'information'],
     states: [`/states/office?${AT}&select=kitchen`, 'state-week'],
     changes: ['/states/contacts?at=2025-03-20T10:00:00Z&select=contact', 'reported-then'],
@@ -82,7 +84,11 @@ export async function lookAtViews(browser, daemon, folder) {
                 });
                 await page.screenshot({ path: join(folder, `view-${view}-${size}-${colorScheme}.png`) });
                 for (const found of await violations(page)) problems.push(`${where}: ${found}`);
-                const beside = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
+                const beside = await page.evaluate(() => {
+                    const parts = [document.documentElement, ...document.querySelectorAll('main, section, aside, canvas, .list')];
+                    const isIn = (part) => part.closest('.wide') === null && part.getClientRects().length > 0;
+                    return Math.round(Math.max(...parts.filter(isIn).map((part) => part.getBoundingClientRect().right)) - document.documentElement.clientWidth);
+                });
                 if (beside > 0) problems.push(`${where}: ${beside} pixels lie beside the edge`);
             }
             assert.deepEqual(page.problems, []);
