@@ -75,7 +75,7 @@ export function reportedText(reported: Reported | undefined): string {
 }
 
 /** The newest row of a state, milliseconds. */
-export interface NewestRow {
+export interface LastReport {
     row: number;
     /** Up to when its value is known to hold. */
     until: number;
@@ -84,10 +84,10 @@ export interface NewestRow {
 }
 
 /** A row that ends what was known: its value holds no longer than itself, although there are newer data. */
-const hasNoValue = ({ row, until, newest }: NewestRow) => until <= row && row < newest;
+const hasNoValue = ({ row, until, newest }: LastReport) => until <= row && row < newest;
 
 /** What the newest row of changes or events says, and up to when. */
-export function heldText(reported: Reported, value: string, { row, until, newest }: NewestRow, zone: string): string {
+export function heldText(reported: Reported, value: string, { row, until, newest }: LastReport, zone: string): string {
     const isNow = Date.now() - until < NOW_MS;
     const end = isNow ? 'now' : longTime(until, zone);
     if (reported.rows === RowKind.EVENTS) return until > row ? `complete until ${end}` : 'nothing is known after it';
@@ -97,7 +97,7 @@ export function heldText(reported: Reported, value: string, { row, until, newest
 }
 
 /** The newest value in few words: since when a change holds, and of readings when they came. */
-export function newestText(value: number | undefined, { row, until, newest }: NewestRow, reported: Reported | undefined, { zone, isNarrow }: { zone: string; isNarrow: boolean }): string {
+export function newestText(value: number | undefined, { row, until, newest }: LastReport, reported: Reported | undefined, { zone, isNarrow }: { zone: string; isNarrow: boolean }): string {
     const isChange = reported?.rows === RowKind.CHANGES;
     const said = isChange && hasNoValue({ row, until, newest }) ? 'unknown' : value === undefined || Number.isNaN(value) ? '' : plain(value);
     const [age, day] = [ago(Date.now() - row), dayName(row, zone).replace(/^\S+ /, '')];
