@@ -102,6 +102,8 @@ try {
         // At 23:00 on Friday: the first door of Saturday opens at 05:00.
         await first.getByText('likely 1 from 05:').waitFor();
         assert.match(await first.innerText(), /^door-00/);
+        // Every row that is seen has its course.
+        await page.waitForFunction(() => [...document.querySelectorAll('[data-testid=overview-rows] li')].every((row) => row.querySelector('polyline')));
         await page.screenshot({ path: join(folder, 'overview.png') });
         await page.getByLabel('Search states').fill('door-2');
         await page.getByLabel('Search states').press('Enter');
