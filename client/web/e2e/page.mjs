@@ -48,6 +48,27 @@ function doors() {
     daemon.run('update', 'doors');
 }
 
+/** Makes a map of a contact that reports changes, open from 9 to 17, and of a light barrier, with 4 events at 8. */
+function contacts() {
+    const [changes, events] = [['time,state,value'], ['time,state']];
+    for (let day = 0; day < 22; day++) {
+        const at = (hour, minute = 0) => new Date(Date.UTC(2025, 2, 3 + day, hour, minute)).toISOString();
+        if (day % 7 < 5) changes.push(`${at(9)},contact,1`, `${at(17)},contact,0`);
+        changes.push(`${at(12)},hub,1`);
+        // The contact knows nothing from Thursday of the third week on, until Friday.
+        if (day === 17) changes.push(`${at(12, 30)},contact,unavailable`);
+        for (let event = 0; event < 4; event++) events.push(`${at(8, event * 10)},gate`);
+    }
+    const files = { changes, events };
+    daemon.run('map', 'create', 'contacts', '--time-zone', 'UTC');
+    for (const [kind, rows] of Object.entries(files)) {
+        const file = join(folder, `${kind}.csv`);
+        writeFileSync(file, `${rows.join('\n')}\n`);
+        daemon.run('observe', 'contacts', file, '--producer', kind, `--${kind}`);
+    }
+    daemon.run('update', 'contacts');
+}
+
 try {
     await daemon.furnish();
     await daemon.call('MapService/AddState', { map: 'office', state: HOSTILE });
@@ -81,6 +102,8 @@ try {
         // At 23:00 on Friday: the first door of Saturday opens at 05:00.
         await first.getByText('likely 1 from 05:').waitFor();
         assert.match(await first.innerText(), /^door-00/);
+        // Every row that is seen has its course.
+        await page.waitForFunction(() => [...document.querySelectorAll('[data-testid=overview-rows] li')].every((row) => row.querySelector('polyline')));
         await page.screenshot({ path: join(folder, 'overview.png') });
         await page.getByLabel('Search states').fill('door-2');
         await page.getByLabel('Search states').press('Enter');
@@ -201,8 +224,7 @@ try {
         await page.getByTestId('plan-tour').click();
         await page.getByTestId('tour').getByRole('row').nth(1).waitFor();
         await page.screenshot({ path: join(folder, 'explore.png') });
-        // The same bits as the command line says.
-// The address follows a little later.
+        // As many bits as the command line says. The address follows a little later.
         await page.waitForURL((url) => url.searchParams.has('start'));
         const start = new URL(page.url()).searchParams.get('start');
         const rows = JSON.parse(daemon.run('tour', 'office', '--at', at(10), `--start=${start}`, '--output', 'json'));
@@ -241,6 +263,32 @@ try {
         await page.getByTestId('state-week').locator('canvas').waitFor();
         await page.getByTestId('compare').locator('canvas').waitFor();
         await page.screenshot({ path: join(folder, 'states.png') });
+    });
+
+    await check('rows of changes and events are shown as what they stand for', async () => {
+        contacts();
+        await page.goto(`${daemon.http}/states/contacts?at=2025-03-20T10:00:00Z&select=contact`);
+        const text = (name) => page.getByTestId(name).innerText();
+        await page.getByTestId('state-week').locator('canvas').waitFor();
+        assert.equal(await text('reported'), 'as changes: a value holds until the next row, for 7 days at most; it is learned every 5 minutes');
+        assert.match(await text('reported-then'), /^Reported: 1 since Thu 20 Mar 2025, 09:00, 1\.0 h before\.$/);
+        await page.getByTestId('heat-strip').locator('canvas').first().waitFor();
+        await page.screenshot({ path: join(folder, 'changes.png') });
+        await page.goto(`${daemon.http}/states/contacts?at=2025-03-20T14:00:00Z&select=contact`);
+        await page.getByText('No value was known then.').waitFor();
+        // The hours of the strip: all of 10:00, half of 12:00, then nothing.
+        await page.goto(`${daemon.http}/maps/contacts?at=2025-03-20T10:00:00Z&hours=observed`);
+        await page.getByLabel('Search states').fill('contact');
+        await page.getByTestId('overview').getByTestId('export').locator('summary').click();
+        const coming = page.waitForEvent('download');
+        await page.getByTestId('overview').getByRole('button', { name: 'CSV', exact: true }).click();
+        const hours = readFileSync(await (await coming).path(), 'utf8').trim().split('\r\n').slice(1).map((line) => line.split(',')[2]);
+        assert.deepEqual(hours.slice(7, 15), ['0', '0', '1', '1', '1', '1', '', '']);
+        await page.goto(`${daemon.http}/states/contacts?at=2025-03-20T08:00:00Z&select=gate`);
+        await page.getByText('events in 1 hour').waitFor();
+        assert.match(await text('reported'), /^as events, which are counted every hour/);
+        assert.match(await text('today'), /^Thu 20 Mar: about [34](\.\d)? events are expected in all\.$/);
+        await page.getByTestId('state-week').getByText('28 events, drawn as steps').waitFor();
     });
 
     await check('several states are in one plot, with a model of choice and the week before', async () => {

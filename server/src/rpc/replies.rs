@@ -54,8 +54,10 @@ impl<T> ReplySink<T> {
             Ok(()) => {
                 if self.any_permit(Permit::is_due) {
                     free();
+                    // All of them: who waited for one and held another would wait for those who hold the one.
+                    self.with_permits(Permit::pause);
+                    self.with_permits(Permit::resume);
                 }
-                self.with_permits(Permit::offer);
                 true
             }
             Err(mpsc::error::TrySendError::Full(reply)) => {
@@ -253,6 +255,25 @@ mod tests {
         let (first, second) = (times(first), times(second));
         assert_eq!((first.len(), second.len()), (4, 4));
         assert!(second[0] < first[3], "the second did not wait for the end of the first");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn who_gives_others_a_turn_gives_all_permits() {
+        let (past, large) = (Permits::new(1), Permits::new(1));
+        let take = || async { vec![past.take().await.expect("a permit"), large.take().await.expect("a permit")] };
+        let counting = |permits| {
+            compute_replies(permits, |sink| {
+                for number in 0..4 {
+                    std::thread::sleep(Duration::from_millis(60));
+                    assert!(sink.send(number));
+                }
+                Ok(())
+            })
+        };
+        let first = tokio::spawn(counting(take().await).collect::<Vec<_>>());
+        let both = async { (counting(take().await).collect::<Vec<_>>().await, first.await.expect("no panic")) };
+        let (second, first) = tokio::time::timeout(Duration::from_secs(20), both).await.expect("nobody waits for ever");
+        assert_eq!((first.len(), second.len()), (4, 4));
     }
 
     #[tokio::test(flavor = "multi_thread")]

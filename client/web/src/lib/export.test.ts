@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';
 
 import { csvRow, escaped, stripsSvg } from './export';
-import { weekCsv, weekSvg } from './picture';
+import { stepPath, weekCsv, weekSvg } from './picture';
 import type { Week } from './week';
 
 suite('files', () => {
@@ -22,7 +22,7 @@ suite('files', () => {
     test('of a week have predictions with their interval, and observations', () => {
         const week: Week = {
             times: [0, 1_800_000], series: [{ name: 'door', values: [0.25, 0.5], lower: [0.1, 0.2], upper: [0.4, 0.6] }],
-            seenTimes: [60_000], seenValues: [1], seenNote: '', observations: 1, model: undefined, isProbability: true,
+            seen: { times: [60_000], values: [1], note: '', pieces: undefined }, knownUntil: 60_000, observations: 1, model: undefined, isProbability: true,
         };
         assert.deepEqual(weekCsv(week, 'UTC').split('\r\n'), [
             'time,state,kind,value,lower,upper', '1970-01-01T00:00:00+00:00,door,predicted,0.25,0.1,0.4',
@@ -30,5 +30,11 @@ suite('files', () => {
         ]);
         const svg = weekSvg('a < b', week, 'UTC', ['#123456']);
         assert.ok(svg.includes('a &lt; b') && svg.includes('<polygon') && svg.includes('<circle'));
+
+        const pieces = [[0, 60_000, 1], [60_000, 90_000, 0], [120_000, 130_000, 0]].map(([from = 0, to = 0, value = 0]) => ({ from, to, value, since: from }));
+        const changes = { ...week, seen: { times: [60_000, 90_000], values: [0, Number.NaN], note: '', pieces } };
+        assert.deepEqual(weekCsv(changes, 'UTC').split('\r\n').slice(3, 5), ['1970-01-01T00:01:00+00:00,door,reported,0,,', '1970-01-01T00:01:30+00:00,door,reported,,,']);
+        assert.ok(!weekSvg('steps', changes, 'UTC', ['#123456']).includes('<circle'));
+        assert.equal(stepPath(pieces, (ms) => ms / 1000, (value) => value), 'M0 1L60 1L60 0L90 0M120 0L130 0');
     });
 });

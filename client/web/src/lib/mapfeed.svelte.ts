@@ -6,7 +6,7 @@
 import { Code, ConnectError } from '@connectrpc/connect';
 
 import type { Map as WireMap, State } from '../wire/tidemap/v1/map_pb';
-import { DAY, MINUTE } from './civil';
+import { DAY, HOUR, MINUTE } from './civil';
 import { link, maps, message } from './rpc.svelte';
 import { fromTimestamp } from './times';
 
@@ -33,6 +33,14 @@ export function newestTime(states: { lastTime?: { seconds: bigint; nanos: number
     }
     // Scans have no times here; what was learned of them ends with the update.
     return newest ?? (cut !== undefined && cut <= now ? cut : undefined);
+}
+
+/** Rows that came so lately say that more come. */
+const LIVE_MS = HOUR;
+
+/** Up to when a map can be known: now while data come, else the time of the newest. */
+export function horizonOf(newest: number | undefined, now = Date.now()): number {
+    return newest !== undefined && now - newest < LIVE_MS ? now : (newest ?? 0);
 }
 
 export class MapFeed {

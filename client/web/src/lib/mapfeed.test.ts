@@ -5,8 +5,8 @@ import { afterEach, beforeEach, suite, test } from 'node:test';
 
 import { Code, ConnectError } from '@connectrpc/connect';
 
-import { DAY } from './civil';
-import { byName, likeNames, MapFeed, newestTime, openingTime } from './mapfeed.svelte';
+import { DAY, HOUR } from './civil';
+import { byName, horizonOf, likeNames, MapFeed, newestTime, openingTime } from './mapfeed.svelte';
 import { maps } from './rpc.svelte';
 
 const NOON = Date.parse('2025-03-12T12:03Z');
@@ -72,4 +72,8 @@ test('names that are like another come first', () => {
     const names = ['kitchen-door', 'garage-door', 'kitchen-window', 'attic'];
     assert.deepEqual(likeNames('kitchen', names), ['kitchen-door', 'kitchen-window']);
     assert.deepEqual(likeNames('zzz', names), []);
+});
+
+test('a map is known up to now while data come, else up to the newest', () => {
+    assert.deepEqual([undefined, 0, 1].map((newest) => horizonOf(newest, HOUR)), [0, 0, HOUR]);
 });

@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';
 
 import { mark, paletteOf, SURE } from './colours';
-import { paintFrame, paintPlan } from './paint';
+import { apart, paintFrame, paintPlan } from './paint';
 import type { Plan } from './plan';
 
 interface Call {
@@ -20,7 +20,10 @@ class Canvas {
     height = 100;
     calls: Call[] = [];
     #brush = new Proxy({} as Record<string, unknown>, {
-        get: (brush, name: string) => brush[name] ?? ((...values: unknown[]) => void this.calls.push({ name, values, brush: { ...brush } })),
+        get: (brush, name: string) => brush[name] ?? ((...values: unknown[]) => {
+            this.calls.push({ name, values, brush: { ...brush } });
+            return name === 'measureText' ? { width: 6 * String(values[0]).length } : undefined;
+        }),
     });
 
     getContext(): unknown {
@@ -125,7 +128,7 @@ suite('a plan', () => {
     });
 
     test('has no names where many nodes are small', () => {
-        const many = Array.from({ length: 40 }, (_, index) => ({ name: `${index}`, x: index, y: 0 }));
+        const many = Array.from({ length: 40 }, (_, index) => ({ name: `${index}`, x: 2 * (index % 5), y: 2 * (4 - Math.floor(index / 5)) }));
         paint({ nodes: many }, [], 9);
         assert.equal(canvas.named('fillText').length, 0);
         paint({ nodes: many }, [], 9.1);
@@ -136,7 +139,7 @@ suite('a plan', () => {
         const edge = { from: 'hall', to: 'lab', title: '', state: 'edge/a/b' };
         paint({ nodes, edges: [{ ...edge, share: 0.25, reports: 3 }, { ...edge, reports: 0 }] });
         const lines = canvas.named('stroke').filter(({ brush }) => brush.lineWidth === 3.5).map(({ brush }) => brush.strokeStyle);
-        assert.deepEqual(lines, [mark(0.25), 'text']);
+        assert.deepEqual(lines, [mark(0.25), '#17202b']);
         assert.deepEqual(canvas.named('setLineDash').map(({ values }) => (values[0] as number[]).length), [0, 0, 0, 2, 0]);
         assert.deepEqual([canvas.named('moveTo')[0]?.values, canvas.named('lineTo')[0]?.values], [[100, 50], [130, 30]]);
     });
@@ -159,4 +162,9 @@ suite('a plan', () => {
         paint({}, [], 1, { x: 0, y: 0, size: 2 });
         assert.deepEqual(canvas.named('strokeRect').at(-1)?.values, [97, 47, 6, 6]);
     });
+});
+
+test('a label that would cover one before it is left out', () => {
+    const label = (text: string, x: number, y = 0) => ({ text, x, y, width: 10 });
+    assert.deepEqual(apart([label('a', 0), label('b', 9), label('c', 11), label('d', 9, 14)]).map(({ text }) => text), ['a', 'c', 'd']);
 });

@@ -14,6 +14,29 @@ export interface GridPlace {
 /** Ways and what was chosen: blue, which no probability is. */
 const WAY = '#1a4fa3';
 
+/** Around lines, whose colours are made for white, and what a line is drawn with that stands for no value. */
+const [RIM, INK] = ['#fff', '#17202b'];
+
+/** A name, the middle of its base line, and its width, in pixels. */
+export interface Label {
+    text: string;
+    x: number;
+    y: number;
+    width: number;
+}
+
+const LABEL_PX = 13;
+/** A name whose place is further outside cannot be seen. */
+const LABEL_EDGE_PX = 150;
+
+/** The labels that cover none before them. */
+export function apart<T extends Label>(labels: T[]): T[] {
+    const kept: T[] = [];
+    const covers = (one: Label, other: Label) => Math.abs(one.x - other.x) < (one.width + other.width) / 2 && Math.abs(one.y - other.y) < LABEL_PX;
+    for (const label of labels) if (!kept.some((other) => covers(label, other))) kept.push(label);
+    return kept;
+}
+
 /** A shorter piece of a way has no arrow. */
 const ARROW_PX = 18;
 
@@ -102,7 +125,7 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
             brush.moveTo(...at(from));
             brush.lineTo(...at(to));
             brush.lineWidth = isRim ? 6 : 3.5;
-            brush.strokeStyle = isRim ? style.ground : edge.share === undefined ? style.text : mark(edge.share);
+            brush.strokeStyle = isRim ? RIM : edge.share === undefined ? INK : mark(edge.share);
             brush.setLineDash(!isRim && edge.reports === 0 ? [5, 5] : []);
             brush.stroke();
         }
@@ -148,10 +171,14 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         brush.stroke();
     }
     if (camera.scale > 9 || plan.nodes.length < 40) {
-        for (const node of plan.nodes) {
+        // What was chosen has its name whatever is beside it.
+        const nodes = [...plan.nodes].sort((a, b) => Number(chosen.includes(b.name)) - Number(chosen.includes(a.name)));
+        const labels = nodes.flatMap((node) => {
             const [x, y] = at(node);
-            label(node.name, x, y + 20);
-        }
+            const isInside = x > -LABEL_EDGE_PX && x < width + LABEL_EDGE_PX && y > -LABEL_EDGE_PX && y < height + LABEL_EDGE_PX;
+            return isInside ? [{ text: node.name, x, y: y + 20, width: brush.measureText(node.name).width + 4 }] : [];
+        });
+        for (const { text, x, y } of apart(labels)) label(text, x, y);
     }
     for (const path of plan.paths) {
         for (const point of path.points) {

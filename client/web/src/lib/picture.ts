@@ -2,6 +2,7 @@
 
 import { addDays, dayName, rfc3339 } from './civil';
 import { csvRow, escaped } from './export';
+import type { Piece } from './seen';
 import type { Week } from './week';
 
 /** The predictions of all series and what was observed, a row for each value. */
@@ -13,16 +14,27 @@ export function weekCsv(week: Week, zone: string): string {
         }
     }
     const [first] = week.series;
-    for (const [index, ms] of week.seenTimes.entries()) rows.push(csvRow([rfc3339(ms, zone), first?.name ?? '', 'observed', week.seenValues[index] ?? '', '', '']));
+    const { times, values, pieces } = week.seen;
+    for (const [index, ms] of times.entries()) {
+        // A row without a value says that none is known from then on.
+        const value = values[index] ?? Number.NaN;
+        rows.push(csvRow([rfc3339(ms, zone), first?.name ?? '', pieces ? 'reported' : 'observed', Number.isNaN(value) ? '' : value, '', '']));
+    }
     return rows.join('');
 }
 
 const [WIDTH, HEIGHT, LEFT, TOP, BOTTOM] = [900, 300, 50, 34, 24];
 
+/** Pieces of time as steps, which are joined where one follows the other. */
+export function stepPath(pieces: Piece[], x: (ms: number) => string | number, y: (value: number) => string | number): string {
+    return pieces.map(({ from, to, value }, index) => `${pieces[index - 1]?.to === from ? 'L' : 'M'}${x(from)} ${y(value)}L${x(to)} ${y(value)}`).join('');
+}
+
 /** The chart of a week. */
 export function weekSvg(title: string, week: Week, zone: string, colours: string[]): string {
     const [start, end] = [week.times[0] ?? 0, week.times.at(-1) ?? 1];
-    const all = [...week.seenValues, ...week.series.flatMap((one) => [...one.values, ...one.lower, ...one.upper])].filter(Number.isFinite);
+    const { times, values, pieces } = week.seen;
+    const all = [...values, ...(pieces ?? []).map((piece) => piece.value), ...week.series.flatMap((one) => [...one.values, ...one.lower, ...one.upper])].filter(Number.isFinite);
     const [low, high] = week.isProbability || all.length === 0 ? [0, 1] : [all.reduce((a, b) => Math.min(a, b)), all.reduce((a, b) => Math.max(a, b))];
     const x = (ms: number) => (LEFT + ((ms - start) / (end - start)) * (WIDTH - LEFT - 12)).toFixed(1);
     const y = (value: number) => (HEIGHT - BOTTOM - ((value - low) / Math.max(1e-12, high - low)) * (HEIGHT - TOP - BOTTOM)).toFixed(1);
@@ -48,6 +60,7 @@ export function weekSvg(title: string, week: Week, zone: string, colours: string
         parts.push(`<polyline points="${line(one.values)}" fill="none" stroke="${colour}" stroke-width="1.6"/>`);
         parts.push(`<text x="${WIDTH - 12}" y="${16 + 13 * index}" text-anchor="end" fill="${colour}">${escaped(one.name)}</text>`);
     }
-    for (const [index, ms] of week.seenTimes.entries()) parts.push(`<circle cx="${x(ms)}" cy="${y(week.seenValues[index] ?? low)}" r="1.6" fill="#17202b" fill-opacity="0.5"/>`);
+    if (pieces) parts.push(`<path d="${stepPath(pieces, x, y)}" fill="none" stroke="#17202b" stroke-opacity="0.6"/>`);
+    else for (const [index, ms] of times.entries()) parts.push(`<circle cx="${x(ms)}" cy="${y(values[index] ?? low)}" r="1.6" fill="#17202b" fill-opacity="0.5"/>`);
     return `${parts.join('\n')}\n</svg>\n`;
 }

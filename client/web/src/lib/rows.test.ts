@@ -5,7 +5,7 @@ import { suite, test } from 'node:test';
 
 import { HOUR } from './civil';
 import { occupancy, UNKNOWN_STYLE } from './colours';
-import { bandsOf, changesOf, columnsOf, hourMeans, likelyParts, linePoints, rangeOf, rowColour, ticksOf } from './rows';
+import { bandsOf, changesOf, columnsOf, likelyParts, linePoints, nameParts, rangeOf, rowColour, ticksOf } from './rows';
 
 const ZONE = 'Europe/Berlin';
 
@@ -33,10 +33,6 @@ suite('colours', () => {
     });
 
     test('of hours without observations are those of what is unknown', () => {
-        const { starts } = columnsOf('day', Date.parse('2025-03-30T12:00Z'), ZONE);
-        const at = (hours: number) => (starts[0] ?? 0) + hours * HOUR;
-        const means = hourMeans({ times: [at(0), at(0.9), at(22.5), at(23), at(-1)], values: [1, 0, 0.25, 9, 9] }, starts);
-        assert.deepEqual([means.length, means[0], means[1], means[22]], [23, 0.5, Number.NaN, 0.25]);
         assert.equal(rowColour(Number.NaN, { low: 0, high: 1 }, true), UNKNOWN_STYLE);
         assert.equal(linePoints([0, Number.NaN, 1], { low: 0, high: 1 }).split(' ').length, 2);
     });
@@ -66,4 +62,12 @@ suite('crossings of one half', () => {
         assert.deepEqual(likelyParts(times, [0, 0, 0, 0], 4 * HOUR), []);
         assert.deepEqual(likelyParts([], [], 4 * HOUR), []);
     });
+});
+
+test('a long name is parted, so that its end is kept whole', () => {
+    const parts = (name: string) => Object.values(nameParts(name));
+    assert.deepEqual(parts('kitchen'), ['kitchen', '']);
+    assert.deepEqual(parts('binary_sensor.living_room_window'), ['binary_sensor.living_', 'room_window']);
+    assert.deepEqual(parts('abcdefghijklmnopqrstuvwxyz'), ['abcdefghij', 'klmnopqrstuvwxyz']);
+    for (const name of ['a-name-with-many-words', 'ääääääääääääääää_ö', '📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷📷']) assert.equal(parts(name).join(''), name);
 });

@@ -20,18 +20,6 @@ export function columnsOf(span: RowSpan, at: number, zone: string): Columns {
     return { span, starts: Array.from({ length: Math.round((end - start) / HOUR) }, (_, hour) => start + hour * HOUR), end };
 }
 
-/** The means of observations in each hour, which begin at `starts`; NaN where there are none. */
-export function hourMeans(seen: { times: number[]; values: number[] }, starts: number[]): number[] {
-    const [first, sums, counts] = [starts[0] ?? 0, new Float64Array(starts.length), new Uint32Array(starts.length)];
-    for (const [index, ms] of seen.times.entries()) {
-        const hour = Math.floor((ms - first) / HOUR);
-        if (hour < 0 || hour >= starts.length) continue;
-        sums[hour] = (sums[hour] ?? 0) + (seen.values[index] ?? 0);
-        counts[hour] = (counts[hour] ?? 0) + 1;
-    }
-    return starts.map((_, hour) => (sums[hour] ?? 0) / (counts[hour] || Number.NaN));
-}
-
 /** Where labels stand above columns: shares of the width. */
 export function ticksOf({ span, starts, end }: Columns, zone: string): { share: number; text: string }[] {
     const start = starts[0] ?? end;
@@ -108,4 +96,19 @@ export function likelyParts(times: number[], values: number[], end: number): { f
     }
     if (from !== undefined) parts.push({ from, to: end });
     return parts;
+}
+
+/** So much of the end of a name is kept. */
+const TAIL_MOST = 16;
+/** A shorter name is not parted. */
+const PARTED_LEAST = 18;
+
+/** A name in two: what may be cut, and the end that is kept, from a separator on where there is one. */
+export function nameParts(name: string): { head: string; tail: string } {
+    const letters = [...name];
+    if (letters.length < PARTED_LEAST) return { head: name, tail: '' };
+    const end = letters.slice(-TAIL_MOST);
+    const from = end.findIndex((letter, index) => index > 0 && /[._/ -]/.test(end[index - 1] ?? '') && !/[._/ -]/.test(letter));
+    const tail = end.slice(Math.max(0, from)).join('');
+    return { head: name.slice(0, name.length - tail.length), tail };
 }

@@ -2,8 +2,8 @@
 
 import { addDays, HOUR, midnight, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
-import { toNanos } from './times';
-import { observed } from './week';
+import { averages, observed, seenOf, type Reported } from './seen';
+import { fromTimestamp, toNanos } from './times';
 
 /** Days of a strip. */
 export const STRIP_DAYS = 28;
@@ -21,31 +21,26 @@ export interface Strip {
 }
 
 /** The strip that ends with the day of a time. */
-export async function loadStrip(map: string, state: string, ms: number, zone: string): Promise<Strip> {
+export async function loadStrip(map: string, state: string, ms: number, zone: string, reported?: Reported): Promise<Strip> {
     const last = midnight(ms, zone);
     const days = Array.from({ length: STRIP_DAYS }, (_, index) => addDays(last, index + 1 - STRIP_DAYS, zone));
     const times = days.flatMap((day) => Array.from({ length: HOURS }, (_, hour) => day + hour * HOUR + 30 * MINUTE));
     const predicted: (number | undefined)[] = [];
+    let knownUntil = 0;
     const predict = async () => {
         for await (const piece of queries.predictStates({ map, states: [state], timesNanos: times.map(toNanos) })) {
             // The first axis of a vector stands for it.
             if (piece.axis <= 1) predicted.push(...piece.probabilities);
+            knownUntil = Math.max(knownUntil, fromTimestamp(piece.lastTime) ?? 0);
         }
     };
-    const first = days[0] ?? last;
-    const [, seen] = await Promise.all([predict(), observed(map, state, first, addDays(last, 1, zone))]);
-    const sums = new Float64Array(times.length);
-    const counts = new Uint32Array(times.length);
-    let day = 0;
-    for (const [index, time] of seen.times.entries()) {
-        while (day > 0 && time < (days[day] ?? 0)) day--;
-        while (day + 1 < days.length && time >= (days[day + 1] ?? Infinity)) day++;
-        const hour = Math.min(HOURS - 1, Math.floor((time - (days[day] ?? 0)) / HOUR));
-        const at = day * HOURS + hour;
-        sums[at] = (sums[at] ?? 0) + (seen.values[index] ?? 0);
-        counts[at] = (counts[at] ?? 0) + 1;
-    }
-    const means = times.map((_, at) => (counts[at] ? (sums[at] ?? 0) / (counts[at] ?? 1) : undefined));
+    const [first, end] = [days[0] ?? last, addDays(last, 1, zone)];
+    const [, rows] = await Promise.all([predict(), observed(map, state, first, end, reported)]);
+    // It is told up to the last of the times that are asked for.
+    const seen = seenOf(rows, reported, first, end, knownUntil >= (times.at(-1) ?? 0) ? end : knownUntil);
+    // The hour that comes twice is a part of the last one of its day.
+    const starts = days.flatMap((day) => Array.from({ length: HOURS }, (_, hour) => day + hour * HOUR));
+    const means = averages(seen, starts, end).map((value) => (Number.isNaN(value) ? undefined : value));
     const values = [...predicted, ...means].filter((value) => value !== undefined);
     const inUnit = values.every((value) => value >= 0 && value <= 1);
     return {

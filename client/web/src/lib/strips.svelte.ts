@@ -4,12 +4,13 @@
 // Invariant: only rows that were asked for are predicted, one request at a time; what was asked before is not waited
 // for. At most `KEPT_MAX` rows are kept.
 
+import type { State } from '../wire/tidemap/v1/map_pb';
 import { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { DAY, HOUR } from './civil';
-import { hourMeans, type Columns } from './rows';
 import { message, queries } from './rpc.svelte';
-import { toNanos } from './times';
-import { observed } from './week';
+import type { Columns } from './rows';
+import { averages, observed, reportedAs, seenOf, type Reported } from './seen';
+import { fromTimestamp, toNanos } from './times';
 
 /** Rows that are kept. */
 const KEPT_MAX = 4000;
@@ -25,6 +26,7 @@ export interface StripQuestion {
     at: number;
     /** Changes when predictions do. */
     generation: string;
+    reported: AllReported;
     /** What the hours show. */
     show: 'predicted' | 'observed' | 'week';
 }
@@ -32,35 +34,59 @@ export interface StripQuestion {
 /** Requests for observations that run at the same time: each is of one state. */
 const READ_AT_ONCE = 6;
 
+/** How states are reported that are not reported by samples, by name. */
+export type AllReported = ReadonlyMap<string, Reported>;
+
+export function allReported(states: Pick<State, 'name' | 'reporting'>[]): AllReported {
+    return new Map(states.flatMap(({ name, reporting }) => {
+        const reported = reportedAs(reporting);
+        return reported ? [[name, reported] as const] : [];
+    }));
+}
+
 /** The means of the hours that were observed; NaN where nothing was, or is kept. */
-async function hoursSeen(map: string, states: string[], { starts, end }: Columns): Promise<number[][]> {
+async function hoursSeen(map: string, states: string[], { starts, end }: Columns, reported: AllReported): Promise<number[][]> {
     const found: number[][] = states.map(() => []);
+    const first = starts[0] ?? end;
+    const { untils } = states.some((name) => reported.has(name)) ? await predict(map, states, [end], { kind: ModelKind.LATEST }) : { untils: [] };
     let next = 0;
     const work = async () => {
         for (let at = next++; at < states.length; at = next++) {
-            found[at] = hourMeans(await observed(map, states[at] ?? '', starts[0] ?? end, end), starts);
+            const name = states[at] ?? '';
+            const rows = await observed(map, name, first, end, reported.get(name));
+            found[at] = averages(seenOf(rows, reported.get(name), first, end, untils[at] ?? 0), starts, end);
         }
     };
     await Promise.all(Array.from({ length: READ_AT_ONCE }, work));
     return found;
 }
 
-async function predict(map: string, states: string[], times: number[], model?: { kind: ModelKind }): Promise<number[][]> {
-    const found: number[][] = states.map(() => []);
+interface Predicted {
+    values: number[][];
+    /** Up to when each state is known, milliseconds. */
+    untils: number[];
+}
+
+async function predict(map: string, states: string[], times: number[], model?: { kind: ModelKind }): Promise<Predicted> {
+    const found: Predicted = { values: states.map(() => []), untils: states.map(() => 0) };
     const timesNanos = times.map(toNanos);
     for await (const piece of queries.predictStates({ map, states, timesNanos, model })) {
         // The first axis of a vector stands for it.
-        if (piece.axis <= 1) found[piece.stateIndex]?.push(...piece.probabilities);
+        if (piece.axis <= 1) found.values[piece.stateIndex]?.push(...piece.probabilities);
+        found.untils[piece.stateIndex] = fromTimestamp(piece.lastTime) ?? 0;
     }
     return found;
 }
 
+/** What hours are asked for: of which states, and what they show. */
+export type HoursQuestion = Pick<StripQuestion, 'map' | 'names' | 'columns' | 'show' | 'reported'>;
+
 /** The hours of rows, and with `week` those of a week before. */
-export async function hoursOf(map: string, names: string[], columns: Columns, show: StripQuestion['show']): Promise<{ values: number[][]; before: number[][] | undefined }> {
-    if (show === 'observed') return { values: await hoursSeen(map, names, columns), before: undefined };
+export async function hoursOf({ map, names, columns, show, reported }: HoursQuestion): Promise<{ values: number[][]; before: number[][] | undefined }> {
+    if (show === 'observed') return { values: await hoursSeen(map, names, columns, reported), before: undefined };
     const middles = columns.starts.map((start) => start + HOUR / 2);
-    const values = await predict(map, names, middles);
-    const before = show === 'week' ? await predict(map, names, middles.map((ms) => ms - 7 * DAY)) : undefined;
+    const { values } = await predict(map, names, middles);
+    const before = show === 'week' ? (await predict(map, names, middles.map((ms) => ms - 7 * DAY))).values : undefined;
     return { values, before };
 }
 
@@ -68,8 +94,8 @@ export class StripFeed {
     rows: ReadonlyMap<string, number[]> = $state.raw(new Map());
     before: ReadonlyMap<string, number[]> = $state.raw(new Map());
     now: ReadonlyMap<string, number> = $state.raw(new Map());
-    /** The newest readings. */
-    last: ReadonlyMap<string, number> = $state.raw(new Map());
+    /** The newest values, and up to when they are known. */
+    last: ReadonlyMap<string, { value: number; until: number }> = $state.raw(new Map());
     problem = $state('');
     #lastKey = '';
     #key = '';
@@ -104,7 +130,7 @@ export class StripFeed {
         this.#isAsking = false;
     }
 
-    async #answer({ map, names, columns, at, generation, show }: StripQuestion): Promise<void> {
+    async #answer({ map, names, columns, at, generation, reported, show }: StripQuestion): Promise<void> {
         const key = JSON.stringify([map, columns.starts[0], columns.span, generation, show]);
         if (key !== this.#key) {
             [this.#key, this.rows, this.before] = [key, new Map(), new Map()];
@@ -114,24 +140,25 @@ export class StripFeed {
         const known = nowKey === this.#nowKey ? this.now : new Map<string, number>();
         const moments = asked.filter((name) => !known.has(name));
         if (moments.length) {
-            const values = await predict(map, moments, [at]);
+            const { values } = await predict(map, moments, [at]);
             const now = new Map(known);
             for (const [index, name] of moments.entries()) now.set(name, values[index]?.[0] ?? Number.NaN);
             [this.now, this.#nowKey] = [now, nowKey];
         }
         const lastKey = JSON.stringify([map, generation]);
-        const read = lastKey === this.#lastKey ? this.last : new Map<string, number>();
+        const read = lastKey === this.#lastKey ? this.last : new Map<string, { value: number; until: number }>();
         const unread = asked.filter((name) => !read.has(name));
         if (unread.length) {
-            const values = await predict(map, unread, [at], { kind: ModelKind.LATEST });
+            // A value is known at most up to the time that is asked for.
+            const { values, untils } = await predict(map, unread, [Math.max(at, Date.now())], { kind: ModelKind.LATEST });
             const last = new Map(read);
-            for (const [index, name] of unread.entries()) last.set(name, values[index]?.[0] ?? Number.NaN);
+            for (const [index, name] of unread.entries()) last.set(name, { value: values[index]?.[0] ?? Number.NaN, until: untils[index] ?? 0 });
             [this.last, this.#lastKey] = [last, lastKey];
         }
         const missing = asked.filter((name) => !this.rows.has(name));
         if (missing.length === 0) return;
         const rows = new Map(this.rows);
-        const { values, before } = await hoursOf(map, missing, columns, show);
+        const { values, before } = await hoursOf({ map, names: missing, columns, show, reported });
         for (const [index, name] of missing.entries()) rows.set(name, values[index] ?? []);
         for (const name of rows.keys()) {
             if (rows.size <= KEPT_MAX) break;

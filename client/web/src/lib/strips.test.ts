@@ -3,12 +3,12 @@
 import assert from 'node:assert/strict';
 import { afterEach, beforeEach, suite, test } from 'node:test';
 
-import { ModelKind } from '../wire/tidemap/v1/types_pb';
+import { ModelKind, RowKind } from '../wire/tidemap/v1/types_pb';
 import { DAY, HOUR } from './civil';
 import { columnsOf } from './rows';
 import { queries } from './rpc.svelte';
 import { StripFeed, type StripQuestion } from './strips.svelte';
-import { fromNanos, toNanos } from './times';
+import { fromNanos, toNanos, toTimestamp } from './times';
 
 interface Asked {
     states: string[];
@@ -37,7 +37,7 @@ beforeEach(() => {
 afterEach(() => void Object.assign(queries, { predictStates }));
 
 async function rest(feed: StripFeed, question: Partial<StripQuestion>): Promise<void> {
-    feed.ask({ map: 'home', names: ['a'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', show: 'predicted', ...question });
+    feed.ask({ map: 'home', names: ['a'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', reported: new Map(), show: 'predicted', ...question });
     await new Promise((done) => setTimeout(done, 90));
 }
 
@@ -47,7 +47,7 @@ suite('visible rows', () => {
         await rest(feed, {});
         const row = feed.rows.get('a');
         assert.deepEqual([row?.length, row?.[0], row?.[23]], [24, AT - 10 * HOUR + HOUR / 2, AT + 13.5 * HOUR]);
-        assert.deepEqual([feed.now.get('a'), feed.last.get('a'), feed.problem], [AT, -1, '']);
+        assert.deepEqual([feed.now.get('a'), feed.last.get('a')?.value, feed.problem], [AT, -1, '']);
     });
 
     test('are asked for once; a step of the clock asks for its values alone', async () => {
@@ -89,12 +89,33 @@ suite('visible rows', () => {
         assert.deepEqual([feed.rows.get('a')?.[10], feed.rows.get('a')?.[9]], [0.5, Number.NaN]);
     });
 
+    test('have what rows of changes stand for, up to when they are known', async () => {
+        const { reconstruct } = queries;
+        Object.assign(queries, {
+            predictStates: async function* ({ timesNanos }: Asked) {
+                await Promise.resolve();
+                // As the daemon tells it: never newer than what is asked for.
+                const newest = Math.min(AT + 2.5 * HOUR, fromNanos(timesNanos.at(-1) ?? 0n));
+                yield { stateIndex: 0, axis: 0, probabilities: timesNanos.map(() => 0), lastTime: toTimestamp(newest) };
+            },
+            reconstruct: async function* ({ toTime }: { toTime: { seconds: bigint } }) {
+                await Promise.resolve();
+                if (Number(toTime.seconds) * 1000 > AT) yield { timesNanos: [toNanos(AT + HOUR / 4)], values: [1] };
+            },
+        });
+        const feed = new StripFeed();
+        await rest(feed, { show: 'observed', reported: new Map([['a', { rows: RowKind.CHANGES, holdMs: DAY, stepMs: HOUR / 12 }]]) });
+        while (!feed.rows.has('a')) await new Promise((done) => setTimeout(done, 5));
+        Object.assign(queries, { reconstruct });
+        assert.deepEqual(feed.rows.get('a')?.slice(9, 14), [Number.NaN, 1, 1, 1, Number.NaN]);
+    });
+
     test('are asked for at the last rest only', async () => {
         const feed = new StripFeed();
-        for (const name of ['x', 'y']) feed.ask({ map: 'home', names: [name], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', show: 'predicted' });
+        for (const name of ['x', 'y']) feed.ask({ map: 'home', names: [name], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', reported: new Map(), show: 'predicted' });
         await rest(feed, {});
         assert.deepEqual([...feed.rows.keys()], ['a']);
-        feed.ask({ map: 'home', names: ['z'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', show: 'predicted' });
+        feed.ask({ map: 'home', names: ['z'], columns: columnsOf('day', AT, 'UTC'), at: AT, generation: '1', reported: new Map(), show: 'predicted' });
         feed.stop();
         await new Promise((done) => setTimeout(done, 90));
         assert.deepEqual([...feed.rows.keys()], ['a']);

@@ -5,7 +5,7 @@ import { afterEach, suite, test } from 'node:test';
 
 import { HOUR, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
-import { changesSoon, plain, rangeText, runText, unusualLately, type Unusual } from './unusual';
+import { changesSoon, intervalText, plain, rangeText, runText, strongestOf, unusualLately, type Unusual } from './unusual';
 
 const NIGHT = Date.parse('2025-03-12T01:00Z');
 const { listSurprises, predictStates } = queries;
@@ -22,11 +22,23 @@ suite('words', () => {
         assert.equal(rangeText(NIGHT, NIGHT + 24 * HOUR, 'UTC'), 'Wed 12 Mar 01:00 – Thu 13 Mar 01:00');
     });
 
+    test('for an interval never say that it is certain', () => {
+        assert.deepEqual([[0.1234, 0.9, 0.9], [0.00123, 1, 0.9981]].map(([lower = 0, upper = 0, mass = 0]) => intervalText(lower, upper, mass)), ['90 % interval 0.12 – 0.9', 'over 99 % interval 0.0012 – 1']);
+    });
+
     test('for a run say what was seen and what was predicted', () => {
         const run: Unusual = { state: 'door', from: NIGHT, to: NIGHT + HOUR, observations: 3, isAbove: true, value: 1, probability: 0.031, bits: 9 };
         assert.equal(runText(run, 'UTC', true), 'was 1 on Wed 12 Mar 01:00 – 02:00, predicted 0.031');
+        assert.match(runText({ ...run, value: 0, probability: 0.9998 }, 'UTC', true), /, predicted over 0.99$/);
+        assert.match(runText({ ...run, probability: 0.00002 }, 'UTC', true), /, predicted under 0.001$/);
         assert.equal(runText({ ...run, value: 22.5 }, 'UTC', false), 'was 22.5 on Wed 12 Mar 01:00 – 02:00, above what was predicted');
     });
+});
+
+test('each state has its strongest run, and a number of others', () => {
+    const run = (state: string, bits: number): Unusual => ({ state, bits, from: 0, to: 0, observations: 1, isAbove: true, value: 1, probability: 0 });
+    const found = strongestOf([run('door', 9), run('lamp', 8), run('door', 7), run('door', 6)]);
+    assert.deepEqual(found.map(({ run, more }) => [run.state, run.bits, more]), [['door', 9, 2], ['lamp', 8, 0]]);
 });
 
 test('lately is the week before the newest data, both included', async () => {

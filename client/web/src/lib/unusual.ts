@@ -55,7 +55,8 @@ export function rangeText(from: number, to: number, zone: string): string {
 /** What was seen, in words: `was 1 on Tue 24 Nov 01:00 – 05:30, predicted 0.03`. */
 export function runText(run: Unusual, zone: string, isProbability: boolean): string {
     // Of other kinds than probabilities, `probability` is that of a value so far from what was predicted.
-    const expected = isProbability ? `, predicted ${plain(run.probability, 2)}` : `, ${run.isAbove ? 'above' : 'below'} what was predicted`;
+    const predicted = run.probability > 0.99 ? 'over 0.99' : run.probability < 0.001 ? 'under 0.001' : plain(run.probability, 2);
+    const expected = isProbability ? `, predicted ${predicted}` : `, ${run.isAbove ? 'above' : 'below'} what was predicted`;
     return `was ${plain(run.value)} on ${rangeText(run.from, run.to, zone)}${expected}`;
 }
 
@@ -82,4 +83,21 @@ export async function changesSoon(map: string, states: string[], at: number): Pr
         if (next && name !== undefined) found.set(name, next);
     }
     return found;
+}
+
+/** The strongest run of each state, in the order of the runs, and how many more it has. */
+export function strongestOf(runs: Unusual[]): { run: Unusual; more: number }[] {
+    const found = new Map<string, { run: Unusual; more: number }>();
+    for (const run of runs) {
+        const known = found.get(run.state);
+        if (known) known.more++;
+        else found.set(run.state, { run, more: 0 });
+    }
+    return [...found.values()];
+}
+
+/** An interval and the probability that it holds, without digits that say nothing. */
+export function intervalText(lower: number, upper: number, mass: number): string {
+    const share = mass > 0.99 ? 'over 99' : (mass * 100).toFixed(0);
+    return `${share} % interval ${plain(lower, 2)} – ${plain(upper, 2)}`;
 }

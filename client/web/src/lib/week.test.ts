@@ -12,7 +12,7 @@ import { DAY, HOUR, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
 import { loadStrip, STRIP_DAYS } from './strip';
 import { fromNanos, toNanos } from './times';
-import { loadWeek, meansOf, momentOf, observed, periodText } from './week';
+import { loadWeek, momentOf, periodText } from './week';
 
 const ZONE = 'Europe/Berlin';
 const MONDAY = Date.parse('2025-03-23T23:00Z');
@@ -54,34 +54,10 @@ function describe(kind: StateKind | Code): void {
     });
 }
 
-/** Lets the daemon refuse to say what was observed. */
-function refuse(code: Code): void {
-    mock.method(queries, 'reconstruct', () => {
-        throw new ConnectError('not kept', code);
-    });
-}
-
 beforeEach(() => {
     observe([]);
     predict([0], () => 0.5);
     describe(StateKind.PROBABILITY);
-});
-
-suite('observations', () => {
-    test('come in the order of all pieces', async () => {
-        observe([[1000, 1], [2000, 0], [3000, 1]]);
-        assert.deepEqual(await observed('home', 'door', 0, 4000), { times: [1000, 2000, 3000], values: [1, 0, 1], note: '' });
-    });
-
-    test('that are not kept are explained, and other errors go on', async () => {
-        assert.match((await observed('home', 'door', 0, 1)).note, /No observations/);
-        for (const code of [Code.FailedPrecondition, Code.OutOfRange, Code.InvalidArgument, Code.ResourceExhausted]) {
-            refuse(code);
-            assert.deepEqual(await observed('home', 'door', 0, 1), { times: [], values: [], note: 'not kept' });
-        }
-        refuse(Code.Unavailable);
-        await assert.rejects(observed('home', 'door', 0, 1), /not kept/);
-    });
 });
 
 suite('a week', () => {
@@ -117,8 +93,8 @@ suite('a week', () => {
 
     test('thins out observations that are too many to draw', async () => {
         observe(Array.from({ length: 8002 }, (_, index) => [index, index % 2]));
-        const { seenTimes, seenValues } = await loadWeek('home', 'door', MONDAY, ZONE, undefined);
-        assert.deepEqual([seenTimes.length, seenValues.length, seenTimes[1]], [2668, 2668, 3]);
+        const { seen: { times, values } } = await loadWeek('home', 'door', MONDAY, ZONE, undefined);
+        assert.deepEqual([times.length, values.length, times[1]], [2668, 2668, 3]);
     });
 });
 
@@ -169,12 +145,6 @@ suite('a strip', () => {
 test('periods have the unit that people use', () => {
     const hours = [0.5, 1, 4.8, 12, 24, 47, 48, 60, 168];
     assert.deepEqual(hours.map((length) => periodText(length * 3600)), ['30 min', '1 h', '4.8 h', '12 h', '24 h', '47 h', '2 d', '2.5 d', '7 d']);
-});
-
-test('observations become the means of half-hours; where there are none is no number', () => {
-    const times = [0, 1, 2, 3].map((half) => half * 30 * MINUTE);
-    const seen = { times: [5 * MINUTE, 29 * MINUTE, 60 * MINUTE, -MINUTE, 125 * MINUTE], values: [1, 0, 0.25, 9, 9] };
-    assert.deepEqual(meansOf(seen, times), [0.5, Number.NaN, 0.25, Number.NaN]);
 });
 
 test('a moment has the exact time, each axis of a vector, and its interval', async () => {

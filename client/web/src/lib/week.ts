@@ -7,9 +7,11 @@ import type { DescribeModelResponse } from '../wire/tidemap/v1/query_pb';
 import type { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { addDays, HOUR, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
-import { fromNanos, toNanos, toTimestamp } from './times';
+import { observed, seenOf, type Reported, type Seen } from './seen';
+import { fromTimestamp, toNanos } from './times';
 
-const STEP_MS = 30 * MINUTE;
+/** Between two predictions of a week. */
+export const STEP_MS = 30 * MINUTE;
 const LEVEL = 0.9;
 /** More observations than this are not drawn one by one. */
 const DOTS_MAX = 4000;
@@ -35,11 +37,10 @@ export interface Week {
     /** Times of the predictions, milliseconds. */
     times: number[];
     series: Series[];
-    /** Observations. */
-    seenTimes: number[];
-    seenValues: number[];
-    /** Why there are no observations, if there are none. */
-    seenNote: string;
+    /** What was observed; readings are thinned out to those that can be drawn. */
+    seen: Seen;
+    /** Up to when what was observed is known, at most the end of the week, milliseconds. */
+    knownUntil: number;
     observations: number;
     /** By which model; only known for a single state. */
     model: DescribeModelResponse | undefined;
@@ -73,35 +74,14 @@ export async function momentOf(map: string, states: string[], at: number, model:
     return found;
 }
 
-/** The observations between two times; an explanation where they are not kept. */
-export async function observed(map: string, state: string, from: number, to: number): Promise<{ times: number[]; values: number[]; note: string }> {
-    const [times, values]: [number[], number[]] = [[], []];
-    try {
-        const request = { map, state, fromTime: toTimestamp(Math.max(0, from)), toTime: toTimestamp(to) };
-        for await (const piece of queries.reconstruct(request)) {
-            for (const [index, nanos] of piece.timesNanos.entries()) {
-                times.push(fromNanos(nanos));
-                values.push(piece.values[index] ?? 0);
-            }
-        }
-    } catch (error) {
-        const found = ConnectError.from(error);
-        if ([Code.FailedPrecondition, Code.OutOfRange, Code.InvalidArgument, Code.ResourceExhausted].includes(found.code)) {
-            return { times: [], values: [], note: found.rawMessage };
-        }
-        throw error;
-    }
-    return { times, values, note: times.length ? '' : 'No observations in this week.' };
-}
-
 /** Everything that the panel of a state shows. */
-export async function loadWeek(map: string, state: string, start: number, zone: string, model: Asked | undefined): Promise<Week> {
+export async function loadWeek(map: string, state: string, start: number, zone: string, model: Asked | undefined, reported?: Reported): Promise<Week> {
     const end = addDays(start, 7, zone);
     const times: number[] = [];
     for (let ms = start; ms <= end; ms += STEP_MS) times.push(ms);
     const isCell = state.startsWith('cell/');
     const answers: Series[] = [];
-    let observations = 0;
+    let [observations, knownUntil] = [0, 0];
     const predict = async () => {
         const request = { map, states: [state], timesNanos: times.map(toNanos), model, intervalLevel: LEVEL };
         for await (const piece of queries.predictStates(request)) {
@@ -113,6 +93,7 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
             found.upper.push(...piece.upper);
             found.masses?.push(...piece.masses);
             observations = Number(piece.observations);
+            knownUntil = Math.max(knownUntil, fromTimestamp(piece.lastTime) ?? 0);
         }
     };
     const describe = async () => {
@@ -124,28 +105,15 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
             throw error;
         }
     };
-    const [, seen, described] = await Promise.all([predict(), observed(map, state, start, end), describe()]);
+    const [, rows, described] = await Promise.all([predict(), observed(map, state, start, end, reported), describe()]);
     const isProbability = isCell || described?.kind === StateKind.PROBABILITY;
-    const every = Math.ceil(seen.times.length / DOTS_MAX);
+    const seen = seenOf(rows, reported, start, end, knownUntil);
+    const every = seen.pieces ? 1 : Math.ceil(seen.times.length / DOTS_MAX);
     const kept = <T>(list: T[]) => list.filter((_, index) => index % every === 0);
     return {
-        times, series: answers, seenTimes: kept(seen.times), seenValues: kept(seen.values), seenNote: seen.note,
+        times, series: answers, seen: { ...seen, times: kept(seen.times), values: kept(seen.values) }, knownUntil,
         observations, model: described, isProbability,
     };
-}
-
-/** The mean of what was observed from each time on until half an hour later; NaN where nothing was. */
-export function meansOf(seen: { times: number[]; values: number[] }, times: number[]): number[] {
-    const [sums, counts] = [new Float64Array(times.length), new Uint32Array(times.length)];
-    let at = 0;
-    for (const [index, ms] of seen.times.entries()) {
-        while (at > 0 && ms < (times[at] ?? 0)) at--;
-        while (at + 1 < times.length && ms >= (times[at + 1] ?? Infinity)) at++;
-        if (ms < (times[at] ?? Infinity) || ms >= (times[at] ?? 0) + STEP_MS) continue;
-        sums[at] = (sums[at] ?? 0) + (seen.values[index] ?? 0);
-        counts[at] = (counts[at] ?? 0) + 1;
-    }
-    return times.map((_, index) => (sums[index] ?? 0) / (counts[index] || Number.NaN));
 }
 
 /** A period for people, as `24 h` or `7 d`. */

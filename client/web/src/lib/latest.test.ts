@@ -1,0 +1,72 @@
+// Answers to the newest question: older ones are dropped, whatever they say and whenever they come.
+
+import assert from 'node:assert/strict';
+import { beforeEach, suite, test } from 'node:test';
+
+import { latest } from './latest';
+
+/** A question whose answer the test gives. */
+function question(): { ask: () => Promise<string>; answer: (text: string) => void; fail: (error: Error) => void } {
+    let [answer, fail]: [(text: string) => void, (error: Error) => void] = [() => {}, () => {}];
+    const promise = new Promise<string>((resolve, reject) => ([answer, fail] = [resolve, reject]));
+    return { ask: () => promise, answer, fail };
+}
+
+let heard: string[];
+const got = (answer: string) => void heard.push(answer);
+const failed = (problem: string) => void heard.push(`problem: ${problem}`);
+/** Lets what was answered arrive. */
+const settle = () => new Promise((done) => setTimeout(done));
+
+beforeEach(() => {
+    heard = [];
+});
+
+suite('the newest question', () => {
+    test('has its answer', async () => {
+        const { ask, answer } = question();
+        latest(ask, got, failed);
+        answer('open');
+        await settle();
+        assert.deepEqual(heard, ['open']);
+    });
+
+    test('has its problem in words', async () => {
+        const { ask, fail } = question();
+        latest(ask, got, failed);
+        fail(new Error('there is no door'));
+        await settle();
+        assert.deepEqual(heard, ['problem: there is no door']);
+    });
+
+    test('is asked after a rest', async () => {
+        let asked = 0;
+        latest(() => Promise.resolve(String(++asked)), got, failed, 5);
+        assert.equal(asked, 0);
+        while (heard.length === 0) await settle();
+        assert.deepEqual(heard, ['1']);
+    });
+});
+
+suite('an older question', () => {
+    test('has no answer, and no problem', async () => {
+        const [first, second] = [question(), question()];
+        const drops = [first, second].map(({ ask }) => latest(ask, got, failed));
+        for (const drop of drops) drop();
+        const newest = question();
+        latest(newest.ask, got, failed);
+        newest.answer('newest');
+        first.answer('oldest');
+        second.fail(new Error('too late'));
+        await settle();
+        assert.deepEqual(heard, ['newest']);
+    });
+
+    test('that still rests is not asked', async () => {
+        let asked = 0;
+        latest(() => Promise.resolve(String(++asked)), got, failed, 1)();
+        latest(() => Promise.resolve('newest'), got, failed, 10);
+        while (heard.length === 0) await settle();
+        assert.equal(asked, 0);
+    });
+});
