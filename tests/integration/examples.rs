@@ -1,6 +1,6 @@
 //! Runs the shell examples of the README and of the guide, as a reader would type them.
 //!
-//! Every page has a folder and a daemon of its own. Its ```` ```sh ```` blocks run in order and must end with status 0;
+//! Every page has a folder and a daemon of its own, and all of them are read in order with one. Its ```` ```sh ```` blocks run in order and must end with status 0;
 //! an ```` ```output ```` block directly behind one must be what that block showed. In it `…` stands for any text, and
 //! a line with `…` alone for any number of lines; the number of spaces between words does not matter. Commands that a
 //! test cannot run, such as installation, are ```` ```console ````.
@@ -13,6 +13,7 @@ mod page;
 
 use std::{
     fs,
+    ops::Range,
     os::unix::{fs::PermissionsExt as _, process::CommandExt as _},
     path::{Path, PathBuf},
     process::{Command, ExitStatus, Stdio},
@@ -89,39 +90,49 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate is in a workspace").to_path_buf()
 }
 
-fn run(path: &str) {
+/// The blocks of a page.
+fn read(path: &str) -> (String, Vec<Block>) {
     let text = fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"));
     let blocks = page::blocks(&text).unwrap_or_else(|(line, problem)| panic!("{path}:{line}: {problem}"));
+    (text, blocks)
+}
+
+fn run(path: &str) {
+    let (text, blocks) = read(path);
     if blocks.is_empty() {
         return;
     }
     let reader = Reader::new();
+    let renewed = reader.follow_all(path, &blocks);
+    reader.daemon.stop_in_order();
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     // From the last block on, so that the lines of those before stay where they are.
-    let mut renewed = Vec::new();
-    for block in &blocks {
-        let problem = match reader.follow(block) {
-            Ok(shown) => match &block.output {
-                Some(expected) if !output::matches(expected, &shown) && is_writing() => {
-                    renewed.push((block.output_lines.clone(), output::renewed(expected, &shown)));
-                    continue;
-                }
-                Some(expected) if !output::matches(expected, &shown) => {
-                    format!("the block showed other output than the page says:\n{shown}--- the page\n{expected}")
-                }
-                _ => continue,
-            },
-            Err(problem) => problem,
-        };
-        panic!("{path}:{}: {problem}\n--- the daemon\n{}", block.line, reader.daemon.process().stderr());
-    }
-    reader.daemon.stop_in_order();
     for (place, output) in renewed.iter().rev() {
         lines.splice(place.clone(), output.lines().map(str::to_owned));
     }
     if !renewed.is_empty() {
         fs::write(root().join(path), lines.join("\n") + "\n").unwrap_or_else(|error| panic!("{path}: {error}"));
     }
+}
+
+/// Each page has maps of its own, so that a reader needs one daemon and one folder for all of them.
+#[test]
+fn the_guide_is_read_in_order_with_one_daemon() {
+    let summary = fs::read_to_string(root().join("docs/src/SUMMARY.md")).expect("the summary");
+    let pages = summary.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+    let reader = Reader::new();
+    let mut pages_with_maps = 0;
+    for page in pages {
+        let path = format!("docs/src/{page}");
+        let (_, blocks) = read(&path);
+        // The others need neither a daemon nor what was done before.
+        if blocks.iter().any(|block| block.script.contains("tidemap map create")) {
+            reader.follow_all(&path, &blocks);
+            pages_with_maps += 1;
+        }
+    }
+    assert!(pages_with_maps > 10, "{pages_with_maps} pages");
+    reader.daemon.stop_in_order();
 }
 
 /// Whether the pages are to be written with the outputs of today: `make guide-outputs`.
@@ -147,6 +158,31 @@ impl Reader {
         std::os::unix::fs::symlink(binaries::tidemapd(), programs.join("tidemapd")).expect("a link to the daemon");
         let daemon = Launch::on(&folder.path().join("data")).start();
         Self { folder, daemon }
+    }
+
+    /// Runs the blocks of a page. Returns the lines of outputs that are to be written, and what they are today.
+    ///
+    /// # Panics
+    /// A block fails, or shows something else than the page.
+    fn follow_all(&self, path: &str, blocks: &[Block]) -> Vec<(Range<usize>, String)> {
+        let mut renewed = Vec::new();
+        for block in blocks {
+            let problem = match self.follow(block) {
+                Ok(shown) => match &block.output {
+                    Some(expected) if !output::matches(expected, &shown) && is_writing() => {
+                        renewed.push((block.output_lines.clone(), output::renewed(expected, &shown)));
+                        continue;
+                    }
+                    Some(expected) if !output::matches(expected, &shown) => {
+                        format!("the block showed other output than the page says:\n{shown}--- the page\n{expected}")
+                    }
+                    _ => continue,
+                },
+                Err(problem) => problem,
+            };
+            panic!("{path}:{}: {problem}\n--- the daemon\n{}", block.line, self.daemon.process().stderr());
+        }
+        renewed
     }
 
     /// Runs a block. Returns what it shows.

@@ -51,7 +51,9 @@ pub(crate) fn renewed(expected: &str, shown: &str) -> String {
             found.push('\n');
             continue;
         }
-        let Some(at) = rest.iter().position(|new| key(new) == key(line)) else { return lines_renewed(&old, &new) };
+        let found_by = |is_line: &dyn Fn(&str) -> bool| rest.iter().position(|new| is_line(new));
+        let at = found_by(&|new| key(new) == key(line)).or_else(|| found_by(&|new| first(new) == first(line)));
+        let Some(at) = at else { return lines_renewed(&old, &new) };
         found.push_str(&lines_renewed(&[line], &rest[at..=at]));
         rest = &rest[at + 1..];
     }
@@ -61,6 +63,11 @@ pub(crate) fn renewed(expected: &str, shown: &str) -> String {
 /// The words of a line that stay if predictions change.
 fn key(line: &str) -> Vec<&str> {
     line.split_whitespace().filter(|word| !word.contains(['.', ANYTHING]) && *word != "0").collect()
+}
+
+/// The word that says what a line is about, where its columns have changed.
+fn first(line: &str) -> Option<&str> {
+    line.split_whitespace().next()
 }
 
 fn lines_renewed(old: &[&str], new: &[&str]) -> String {
@@ -92,6 +99,7 @@ fn a_new_output_keeps_the_dots() {
     assert_eq!(renewed("a 0.9…\n…\nz 1.5\n…\n", "a 0.63\nb\nc\nz 1.6\nd\n"), "a 0.6…\n…\nz 1.6\n…\n");
     assert_eq!(renewed("t 12…  5\n", "t 1234 6\n"), "t 12…  6\n");
     assert_eq!(renewed("a\n", "b\nc\n"), "b\nc\n");
+    assert_eq!(renewed("…\nx y 1\nz 2\n", "a\nx w\nz 2\n"), "…\nx w\nz 2\n");
 }
 
 #[test]
