@@ -303,9 +303,9 @@ impl NativeClient {
             is_projected: project,
             output,
         };
-        let client = self.client.clone();
-        let answer = wait(py, async move { client.predict_grid(&query).await?.whole().await }, |_| Ok(()))?;
-        grids::arrays(py, &answer.map_err(|error| failure::request(py, &error))?)
+        let (client, asked) = (self.client.clone(), query.clone());
+        let answer = wait(py, async move { client.predict_grid(&asked).await?.whole().await }, |_| Ok(()))?;
+        grids::arrays(py, &answer.map_err(|error| failure::request(py, &error))?, &query)
     }
 
     /// A producer that stays open, for observations as they come.
