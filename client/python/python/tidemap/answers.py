@@ -42,7 +42,10 @@ class Observed:
     refusals: list[tuple[int, str]] = field(default_factory=list)
     """Row, counted from 0, and why it was refused; the first hundred."""
     without_value: dict[str, int] = field(default_factory=dict)
-    """Rows in which nothing was measured, and which were not sent: how many of each marker, such as ``unavailable``."""
+    """Rows in which nothing was measured: how many of each marker, such as ``unavailable``. Of samples they are not
+    sent. Of changes and events they are, as "no value is known from then on", but for empty cells of a wide frame."""
+    mapped: int = 0
+    """Rows whose value was a word."""
 
 
 class Map(dict[str, Any]):
@@ -226,14 +229,16 @@ class Grid:
         return plots.grid(ax, self.values, extent, title)
 
 
-def observed(report: dict[str, Any], source: npt.NDArray[np.intp] | None = None, read: int | None = None,
-             without_value: dict[str, int] | None = None) -> Observed:
+def observed(
+    report: dict[str, Any], source: npt.NDArray[np.intp] | None = None, read: int | None = None,
+    without_value: dict[str, int] | None = None, mapped: int = 0,
+) -> Observed:
     """What became of rows, with their numbers in the frame ``source``; warns of those that were refused."""
     known = () if source is None else source
     told = [(int(known[row]) if row < len(known) else row, why) for row, why in report["refusals"]]
     found = Observed(
         **{**report, "refusals": told, "read": report["read"] if read is None else read},
-        without_value=without_value or {},
+        without_value=without_value or {}, mapped=mapped,
     )
     if found.refused:
         first = "; ".join(f"row {row}: {why}" for row, why in found.refusals[:3])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tidemap import frames, tables
+from tidemap import reports as _reports
 from tidemap import times as _times
 from tidemap._native import evaluate as _evaluate
 from tidemap._native import history as _history
@@ -20,6 +21,7 @@ from tidemap._native import model_parameters
 from tidemap.answers import Grid, ObservationWarning, Predictions
 from tidemap.connection import Connection, Stream
 from tidemap.errors import InvalidArgument, NotFound
+from tidemap.reports import Reports
 from tidemap.times import Time
 
 if TYPE_CHECKING:
@@ -44,7 +46,9 @@ class Questions(Connection):
                 return found
 
     def states(self, map: str) -> pandas.DataFrame:
-        """All states of a map: ``state, kind, observations, order, pending, last_time, hit, false_alarm``."""
+        """All states of a map: ``state, kind, observations, order, pending, last_time, hit, false_alarm``, and how they
+        are reported: ``reports, hold_max, hold_step``.
+        """
         tables.pandas_needed()
         return tables.of_states(self._states(map), self._zone(map))
 
@@ -109,15 +113,18 @@ class Questions(Connection):
         models: str | Sequence[str] = "auto",
         max_order: int | None = None,
         zone: str | None = None,
+        reports: Reports = "samples",
     ) -> pandas.DataFrame:
         """Compares predictions with observations that are not learned; a row for each state, model and order.
 
-        Observations as of :meth:`Client.observe`. ``models``: names as on the command line, or ``"all"``. The columns
+        Observations and ``reports`` as of :meth:`Client.observe`. Of a state that reports changes or events, the daemon
+        compares with the readings that the rows stand for. ``models``: names as on the command line, or ``"all"``. The columns
         are ``state, model, order, n, mse, error_rate``. What could not be compared is in ``attrs["unavailable"]``, and
         a warning says it.
         """
         tables.pandas_needed()
-        rows, given_zone = self._rows(frame, states, times, values, columns, zone)
+        _reports.stated(reports, None, None)
+        rows, given_zone = self._rows(frame, states, times, values, columns, zone, reports)
         nanos = self._nanos(map, rows.times, given_zone, rows.indices, rows.source)
         wanted = [models] if isinstance(models, str) else list(models)
         if wanted == ["all"]:
@@ -134,7 +141,8 @@ class Questions(Connection):
         return table
 
     def _rows(
-        self, frame: Any, states: Any, times: Any, values: Any, columns: Mapping[str, Any] | None, zone: str | None
+        self, frame: Any, states: Any, times: Any, values: Any, columns: Mapping[str, Any] | None, zone: str | None,
+        reports: str = "samples",
     ) -> tuple[frames.Rows, str | None]:
         """Rows as they were given, and the zone of times that have none."""
         if frame is not None:
@@ -149,10 +157,10 @@ class Questions(Connection):
                 raise InvalidArgument(
                     "with a frame, values says what words mean: values={\"on\": 1, \"off\": 0}", "INVALID_ARGUMENT"
                 )
-            return frames.of_frame(frame, states, columns, values), zone
-        if states is None or times is None or values is None:
+            return frames.of_frame(frame, states, columns, values, reports), zone
+        if states is None or times is None or (values is None and reports != "events"):
             raise InvalidArgument("give a frame, or states, times and values", "INVALID_ARGUMENT")
-        return frames.of_arrays(states, times, values), zone
+        return frames.of_arrays(states, times, values, reports), zone
 
     def history(
         self,
@@ -165,7 +173,8 @@ class Questions(Connection):
     ) -> pandas.DataFrame:
         """What was observed, exactly, where the map keeps it: the columns ``time, state, value``, as ``observe`` takes.
 
-        Without ``states`` all, without times everything; ``to_time`` is not included.
+        Without ``states`` all, without times everything; ``to_time`` is not included. Of states that report changes or
+        events these are their rows, NaN where one says that no value is known from then on.
         """
         tables.pandas_needed()
         begin, end = self._span(map, from_time, to_time, zone)

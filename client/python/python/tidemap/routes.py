@@ -100,7 +100,7 @@ class Routes(Connection):
             present = ", ".join(str(name) for name in names)
             raise _wrong(f"the frame has the columns {present}, but no {' and no '.join(missing)}")
         start, end = (self._nanos(map, _times.read(frame[own[name]]), times) for name in ("start", "end"))
-        success, bare = frames.numbers(frame[own["success"]], where="success")
+        success, bare, *_ = frames.numbers(frame[own["success"]], where="success")
         if bare:
             raise _wrong(f"success of row {int(np.argmax(np.isnan(success)))} is missing")
 

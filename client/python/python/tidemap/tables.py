@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from tidemap import reports
 from tidemap import times as _times
 from tidemap.errors import TidemapError
 
@@ -67,6 +68,7 @@ def name_of(value: Any, prefix: str) -> str:
 def of_states(states: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
     """States: a row each."""
     sensors = [state.get("sensor") or {} for state in states]
+    said = [reports.of_state(state) for state in states]
     return frame({
         "state": [state["name"] for state in states],
         "kind": [name_of(state["kind"], "STATE_KIND_") for state in states],
@@ -76,7 +78,16 @@ def of_states(states: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
         "last_time": moments([state.get("last_time") for state in states], zone),
         "hit": [_or(sensor.get("hit"), 1.0 if sensor else np.nan) for sensor in sensors],
         "false_alarm": [_or(sensor.get("false_alarm"), 0.0 if sensor else np.nan) for sensor in sensors],
+        "reports": [one.kind for one in said],
+        "hold_max": _durations([one.max_secs for one in said]),
+        "hold_step": _durations([one.step_secs for one in said]),
     })
+
+
+def _durations(secs: list[int | None]) -> npt.NDArray[np.timedelta64]:
+    """Seconds as durations; ``None`` is NaT."""
+    known = [np.timedelta64("NaT") if one is None else np.timedelta64(one, "s") for one in secs]
+    return np.array(known, dtype="timedelta64[ns]")
 
 
 def of_surprises(found: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
