@@ -22,7 +22,7 @@ use crate::v1;
 pub const BATCH_TEXT_BYTES_MAX: usize = 4 << 20;
 
 /// How to find a valid edge.
-const WAY_OUT: &str = "`tidemap topology show --edges` lists those there are, `tidemap topology load` loads others";
+const WAY_OUT: &str = "the map's topology has those there are, and can be loaded anew";
 
 /// Bytes of a traversal's texts.
 fn text_bytes(traversal: &v1::Traversal) -> usize {
