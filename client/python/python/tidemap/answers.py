@@ -80,7 +80,7 @@ class Topology(NamedTuple):
     edges: pandas.DataFrame
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Predictions:
     """Predicted values of states at times: one row a state, one column a time."""
 
@@ -146,12 +146,19 @@ class Predictions:
         bounds = None if self.lower is None or self.upper is None else (self.lower, self.upper)
         return plots.states(ax, self.states, self._nanos, self.values, bounds, self.time_zone)
 
-    def _repr_html_(self) -> str:
+    def _span(self) -> str:
         nanos = self._nanos
-        span = ""
-        if len(nanos):
-            first, last = _times.to_clock(np.array([nanos.min(), nanos.max()]), self.time_zone).astype("datetime64[m]")
-            span = f", {first} to {last} ({self.time_zone})".replace("T", " ")
+        if not len(nanos):
+            return ""
+        first, last = _times.to_clock(np.array([nanos.min(), nanos.max()]), self.time_zone).astype("datetime64[m]")
+        return f", {first} to {last} ({self.time_zone})".replace("T", " ")
+
+    def __repr__(self) -> str:
+        named = ", ".join(self.states[:3]) + (", …" if len(self.states) > 3 else "")
+        return f"<tidemap.Predictions: {len(self.states)} states × {len(self.times)} times{self._span()}: {named}>"
+
+    def _repr_html_(self) -> str:
+        nanos, span = self._nanos, self._span()
         rows = "".join(
             f"<tr><td style='text-align:left'>{escape(name)}</td><td>{_film(self.values[row])}</td>"
             f"<td>{np.nanmin(self.values[row]):.3g}</td><td>{np.nanmean(self.values[row]):.3g}</td>"

@@ -153,6 +153,15 @@ def _unknown_words(strange: dict[str, int], where: str) -> InvalidArgument:
     )
 
 
+def is_empty(cell: Any) -> bool:
+    """Whether a cell of a frame has no value: ``None``, NaN, NaT or the NA of pandas."""
+    if cell is None:
+        return True
+    # NA is equal to nothing, and says so by no answer.
+    equal = cell == cell
+    return equal is not True and str(equal) in ("False", "<NA>")
+
+
 def numbered(states: Any, rows: int) -> tuple[list[str], npt.NDArray[np.uint32]]:
     """Names, and the index of each row's."""
     if isinstance(states, str):
@@ -162,7 +171,7 @@ def numbered(states: Any, rows: int) -> tuple[list[str], npt.NDArray[np.uint32]]
     known: dict[str, int] = {}
     count = 0
     for count, name in enumerate(listed, start=1):
-        if name is None or name != name:
+        if is_empty(name):
             raise _wrong(f"row {count - 1} has no state")
         if count <= rows:
             indices[count - 1] = known.setdefault(str(name), len(known))

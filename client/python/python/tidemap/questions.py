@@ -113,7 +113,7 @@ class Questions(Connection):
         models: str | Sequence[str] = "auto",
         max_order: int | None = None,
         zone: str | None = None,
-        reports: Reports = "samples",
+        reports: Reports | None = None,
     ) -> pandas.DataFrame:
         """Compares predictions with observations that are not learned; a row for each state, model and order.
 
@@ -123,8 +123,11 @@ class Questions(Connection):
         a warning says it.
         """
         tables.pandas_needed()
-        _reports.stated(reports, None, None)
-        rows, given_zone = self._rows(frame, states, times, values, columns, zone, reports)
+        stated = _reports.stated(reports, None, None)
+        said = "samples" if stated is None else stated.kind
+        rows, given_zone = self._rows(frame, states, times, values, columns, zone, said)
+        if stated is None and rows.without_value:
+            _reports.check_values(rows.names, self._states(map))
         nanos = self._nanos(map, rows.times, given_zone, rows.indices, rows.source)
         wanted = [models] if isinstance(models, str) else list(models)
         if wanted == ["all"]:
@@ -262,6 +265,31 @@ class Questions(Connection):
         table = tables.of_positions(header, cells, nanos, self._zone(map))
         table.attrs.update({name: header[name] for name in ("resolution_m", "observations", "trained_observations")})
         return table
+
+    def information(
+        self,
+        map: str,
+        times: Any,
+        states: str | Sequence[str] | None = None,
+        *,
+        locations: Sequence[str] = (),
+        zone: str | None = None,
+        **request: Any,
+    ) -> pandas.DataFrame:
+        """What looking at states, locations or a region teaches: ``time, target, information_bits, entropy_bits``.
+
+        Without ``states``, ``locations`` and ``region`` all states that are probabilities. ``request`` has further
+        fields of ``GetInformationRequest``.
+        """
+        tables.pandas_needed()
+        nanos = self._nanos(map, times, zone)
+        if states is None and not locations and "region" not in request:
+            names = [state["name"] for state in self._states(map) if state["kind"] == "STATE_KIND_PROBABILITY"]
+        else:
+            names = [] if states is None else self._named(map, states)
+        asked = {"map": map, "times_nanos": nanos, "states": names, "locations": list(locations), **request}
+        replies = list(self.stream("ExplorationService/GetInformation", asked, zone=zone))
+        return tables.of_information(replies, nanos, self._zone(map))
 
     def describe(self, map: str, state: str) -> dict[str, Any]:
         """What a state's model consists of: kind, order, rhythms, errors lately."""
