@@ -209,7 +209,7 @@ pub(crate) fn differs(producer: &str, label: &str, how: &str) -> Outcome {
     let label = if label.is_empty() { String::new() } else { format!(", label {label:?},") };
     Outcome::Differs(format!(
         "this does not continue what producer {producer:?}{label} has sent to the map: {how}. Send everything from the \
-         first, or give the data a label of its own (label=\"…\")"
+         first, give the data a label of its own (label=\"…\"), or replace what was sent (replace=True)"
     ))
 }
 

@@ -110,6 +110,7 @@ class AsyncClient:
         self.observe = self._awaited(client.observe)
         self.observe_grids = self._awaited(client.observe_grids)
         self.update = self._awaited(client.update)
+        self.erase = self._awaited(client.erase)
         self.jobs = self._awaited(client.jobs)
         self.predict = self._awaited(client.predict)
         self.evaluate = self._awaited(client.evaluate)

@@ -117,6 +117,7 @@ class Client(Questions, Routes):
         reports: Reports | None = None,
         hold_max: Duration | None = None,
         hold_step: Duration | None = None,
+        replace: bool = False,
     ) -> Observed:
         """Sends observations and waits until they are durable.
 
@@ -140,8 +141,9 @@ class Client(Questions, Routes):
         it is, and new ones by samples.
 
         The rows of a producer and label are counted from the first: the same rows sent again add nothing, and more rows
-        behind them are added. Data that is not a continuation needs a ``label`` of its own. ``nightly``: the nightly
-        update follows the time of the data.
+        behind them are added. Data that is not a continuation needs a ``label`` of its own, or ``replace=True``, which
+        withdraws what the producer has sent with the label before. ``nightly``: the nightly update follows the time of
+        the data.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         said = "samples" if stated is None else stated.kind
@@ -152,6 +154,8 @@ class Client(Questions, Routes):
         elif rows.without_value:
             _reports.check_values(rows.names, self._states(map))
         advice.of_one_time(rows, nanos)
+        if replace:
+            self._withdraw(map, producer, label)
         shown, done = _shown(progress)
         try:
             report = self._native.observe(
@@ -221,11 +225,51 @@ class Client(Questions, Routes):
         request: dict[str, Any] = {"map": map}
         if until is not None:
             request["until"] = _times.timestamp(self._moment(map, until, zone))
-        job = self.call("MaintenanceService/RunUpdate", request)["job"]
+        return self._ended(self.call("MaintenanceService/RunUpdate", request)["job"], f"the update of {map}")
+
+    def erase(
+        self,
+        map: str,
+        state: str | None = None,
+        from_time: Time | None = None,
+        to_time: Time | None = None,
+        *,
+        producer: str | None = None,
+        label: str | None = None,
+        zone: str | None = None,
+    ) -> dict[str, Any]:
+        """Erases a state, or what a producer observed, or an interval, as if it had never been observed.
+
+        It is gone from history, models, log and later backups when this returns; ``to_time`` is not included. Returns
+        the job, whose ``observations`` were erased. What cannot be erased exactly is refused, with nothing changed.
+        """
+        request: dict[str, Any] = {"map": map, "state": state or "", "producer": producer or ""}
+        if label is not None:
+            request["label"] = label
+        for name, time in (("from_time", from_time), ("to_time", to_time)):
+            if time is not None:
+                request[name] = _times.timestamp(self._moment(map, time, zone))
+        return self._ended(self.call("MaintenanceService/Erase", request)["job"], f"the erasure in {map}")
+
+    def _withdraw(self, map: str, producer: str, label: str) -> None:
+        """Erases what a producer has sent with a label, if it has, so that it counts when it is sent again."""
+        token = ""
+        while True:
+            page = self.call("MaintenanceService/ListProducers", {"map": map, "page_size": 10_000, "page_token": token})
+            if any((known["producer"], known["label"]) == (producer, label) for known in page["producers"]):
+                break
+            token = page["next_page_token"]
+            if not token:
+                return
+        request = {"map": map, "producer": producer, "label": label, "forget_sequence": True}
+        self._ended(self.call("MaintenanceService/Erase", request)["job"], f"the erasure in {map}")
+
+    def _ended(self, job: dict[str, Any], what: str) -> dict[str, Any]:
+        """A job when it has ended."""
         for reply in self.stream("MaintenanceService/WatchJob", {"id": job["id"]}):
             job = reply["job"]
         if job.get("state") == "JOB_STATE_FAILED":
-            raise TidemapError(f"the update of {map} failed: {job.get('error', '')}", "INTERNAL")
+            raise TidemapError(f"{what} failed: {job.get('error', '')}", "INTERNAL")
         return dict(job)
 
     def jobs(self, map: str = "") -> list[dict[str, Any]]:
