@@ -218,6 +218,13 @@ def test_a_cell_without_a_value_may_be_any_of_pandas(client):
         client.observe(client.name, {"time": HOURS[:2], "state": ["a", pandas.NA], "value": [0, 1]})
 
 
+def test_every_call_is_there_with_await(daemon):
+    waiting = tidemap.aio.AsyncClient(daemon.connect())
+    calls = {name for name in dir(tidemap.Client) if not name.startswith("_")} - {"server"}
+    assert calls - {name for name in dir(waiting) if not name.startswith("_")} == set()
+    waiting.close()
+
+
 def test_the_same_calls_with_await(daemon):
     async def use() -> None:
         async with await tidemap.aio.connect(daemon.grpc) as client:
