@@ -130,7 +130,8 @@ pub(crate) async fn send(client: Client, options: ProducerOptions, grids: SeenGr
     let progress = producer.progress();
     let (before, count) = (progress.resumed_at, grids.times_nanos.len());
     if before > count as u64 {
-        return differs(&name, &label, &format!("there are {count} grids, but {before} were sent before"));
+        let how = format!("there are {count} grids, but {before} were sent before");
+        return differs(&name, &label, &how, false);
     }
     let first = usize::try_from(before).unwrap_or(usize::MAX).min(count);
     let mut replay = Replay::default();
@@ -142,7 +143,7 @@ pub(crate) async fn send(client: Client, options: ProducerOptions, grids: SeenGr
     if before > 0 {
         if replay.content_crc() != progress.content_crc {
             let how = format!("the first {before} grids are not the {before} that were sent before");
-            return differs(&name, &label, &how);
+            return differs(&name, &label, &how, false);
         }
         if let Err(error) = producer.go_on_from(replay.into_tiles()).await {
             return Outcome::Stopped(error);

@@ -179,7 +179,8 @@ pub(crate) async fn send(
     let (before, dropped_before) = (progress.resumed_at, progress.dropped_refusals);
     let rows = content.len();
     if let Err(how) = compare(&content, before, progress.content_crc) {
-        return differs(&name, &label, &how);
+        let may_replace = !matches!(content, Rows::Traversals(_));
+        return differs(&name, &label, &how, may_replace);
     }
     let first = usize::try_from(before).unwrap_or(usize::MAX).min(rows);
     let mut counts = SentCounts { durable: before, duplicate: before.min(rows as u64), ..SentCounts::default() };
@@ -205,11 +206,12 @@ pub(crate) async fn send(
 }
 
 /// What was sent before is not the beginning of this.
-pub(crate) fn differs(producer: &str, label: &str, how: &str) -> Outcome {
+pub(crate) fn differs(producer: &str, label: &str, how: &str, may_replace: bool) -> Outcome {
     let label = if label.is_empty() { String::new() } else { format!(", label {label:?},") };
+    let replace = if may_replace { ", or replace what was sent (replace=True)" } else { "" };
     Outcome::Differs(format!(
         "this does not continue what producer {producer:?}{label} has sent to the map: {how}. Send everything from the \
-         first, give the data a label of its own (label=\"…\"), or replace what was sent (replace=True)"
+         first, or give the data a label of its own (label=\"…\"){replace}"
     ))
 }
 

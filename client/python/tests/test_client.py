@@ -133,6 +133,17 @@ def test_refused_rows_are_told(client):
     assert row == 1 and "7" in why
 
 
+def test_rows_that_were_refused_before_are_told(client):
+    when = MONDAY + np.arange(3) * SECOND
+    warm = {"states": "room", "times": when, "values": [20, 21, 22]}
+    with pytest.warns(tidemap.ObservationWarning, match="kind=\"continuous\".*replace=True"):
+        client.observe(client.name, **warm)
+    with pytest.warns(tidemap.ObservationWarning, match="nothing of 'room'.*replace=True"):
+        assert client.observe(client.name, **warm, kind="continuous").accepted == 0
+    assert client.observe(client.name, **warm, kind="continuous", replace=True).accepted == 3
+    assert client.observe(client.name, **warm, kind="continuous").duplicate == 3
+
+
 def test_no_daemon_is_said_plainly():
     with pytest.raises(tidemap.Unavailable, match="no daemon answers at"):
         tidemap.connect("127.0.0.1:9")

@@ -49,7 +49,7 @@ def test_an_empty_cell_of_a_wide_frame_is_no_row(client):
 
 
 def test_events_are_counted(client):
-    rings = pandas.DataFrame({"time": [day + 8 * HOUR + n * pandas.Timedelta("7min") for day in DAYS for n in range(6)]})
+    rings = pandas.DataFrame({"time": [day + 8 * HOUR + n * HOUR / 8 for day in DAYS for n in range(6)]})
     sent = client.observe(client.name, rings, states="bell", reports="events")
     assert sent.accepted == 126
     words = rings.assign(state="gate", value="ring")

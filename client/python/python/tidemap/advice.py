@@ -80,3 +80,16 @@ def of_changes(rows: frames.Rows, states: Callable[[], list[dict[str, Any]]]) ->
             "readings, say reports=\"samples\"",
             ObservationWarning, stacklevel=_LEVEL,
         )
+
+
+def of_refused_before(rows: frames.Rows, states: list[dict[str, Any]]) -> None:
+    """Warns of rows that were sent before and of which the map has nothing: they were refused then, or erased since."""
+    known = {state["name"] for state in states}
+    absent = [name for name in rows.names if name not in known and "/" not in name]
+    if absent:
+        more = f" and {len(absent) - 1} more states" if len(absent) > 1 else ""
+        warnings.warn(
+            f"the map has nothing of {absent[0]!r}{more}: these rows were sent before, and were refused then or erased "
+            "since. To send them anew, say replace=True, or give them a label of their own",
+            ObservationWarning, stacklevel=_LEVEL,
+        )

@@ -75,7 +75,9 @@ class AsyncProducer:
 
     def _opened(self) -> Producer:
         if self._producer is None:
-            raise FailedPrecondition("the producer is not open: use async with client.producer(map)", "FAILED_PRECONDITION")
+            raise FailedPrecondition(
+                "the producer is not open: use async with client.producer(map)", "FAILED_PRECONDITION"
+            )
         return self._producer
 
     async def send(self, state: str, time: Time, value: float | bool | str | None) -> int:

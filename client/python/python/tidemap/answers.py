@@ -238,7 +238,7 @@ class Grid:
 
 def observed(
     report: dict[str, Any], source: npt.NDArray[np.intp] | None = None, read: int | None = None,
-    without_value: dict[str, int] | None = None, mapped: int = 0,
+    without_value: dict[str, int] | None = None, mapped: int = 0, may_replace: bool = False,
 ) -> Observed:
     """What became of rows, with their numbers in the frame ``source``; warns of those that were refused."""
     known = () if source is None else source
@@ -250,8 +250,11 @@ def observed(
     if found.refused:
         first = "; ".join(f"row {row}: {why}" for row, why in found.refusals[:3])
         more = ", …" if found.refused > 3 else ""
+        kind = any("not between 0 and 1" in why for _, why in found.refusals)
+        hint = "; values that are no probabilities need kind=\"continuous\" or kind=\"count\"" if kind else ""
         warnings.warn(
-            f"{found.refused} of {found.read} rows were refused: {first}{more} (all in .refusals)", ObservationWarning,
-            stacklevel=3,
+            f"{found.refused} of {found.read} rows were refused: {first}{more} (all in .refusals){hint}. Corrected "
+            f"rows need {'replace=True, or ' if may_replace else ''}a label of their own",
+            ObservationWarning, stacklevel=3,
         )
     return found

@@ -80,8 +80,9 @@ class Client(Questions, Routes):
 
         ``kind``: ``probability``, ``continuous``, ``count``, ``vector`` (with ``dimensions`` 2 or 3) or ``angle``; by
         default ``probability``, and of events ``count``. ``reports``, ``hold_max`` and ``hold_step`` as of
-        :meth:`observe`; by default samples. ``hit`` and ``false_alarm`` are the sensor of a state that is 0 or 1: the probability that it reads 1 when the
-        state is 1, and when it is 0. Without them the daemon estimates how often the sensor errs.
+        :meth:`observe`; by default samples. ``hit`` and ``false_alarm`` are the sensor of a state that is 0 or 1: the
+        probability that it reads 1 when the state is 1, and when it is 0. Without them the daemon estimates how often
+        the sensor errs.
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         if kind is None:
@@ -159,14 +160,16 @@ class Client(Questions, Routes):
         shown, done = _shown(progress)
         try:
             report = self._native.observe(
-                map, rows.names, rows.indices, nanos, rows.values, producer, label, kind, nightly, rows.positions, shown,
-                None if stated is None else stated.native(),
+                map, rows.names, rows.indices, nanos, rows.values, producer, label, kind, nightly, rows.positions,
+                shown, None if stated is None else stated.native(),
             )
         finally:
             done()
         if stated is None:
             advice.of_changes(rows, lambda: self._states(map))
-        return observed(report, rows.source, rows.read, rows.without_value, rows.mapped)
+        if report["duplicate"] and not report["accepted"]:
+            advice.of_refused_before(rows, self._states(map))
+        return observed(report, rows.source, rows.read, rows.without_value, rows.mapped, may_replace=True)
 
     def observe_grids(
         self,

@@ -117,10 +117,10 @@ class Questions(Connection):
     ) -> pandas.DataFrame:
         """Compares predictions with observations that are not learned; a row for each state, model and order.
 
-        Observations and ``reports`` as of :meth:`Client.observe`. Of a state that reports changes or events, the daemon
-        compares with the readings that the rows stand for. ``models``: names as on the command line, or ``"all"``. The columns
-        are ``state, model, order, n, mse, error_rate``. What could not be compared is in ``attrs["unavailable"]``, and
-        a warning says it.
+        Observations and ``reports`` as of :meth:`Client.observe`. Of a state that reports changes or events, the
+        daemon compares with the readings that the rows stand for. ``models``: names as on the command line, or
+        ``"all"``. The columns are ``state, model, order, n, mse, error_rate``. What could not be compared is in
+        ``attrs["unavailable"]``, and a warning says it.
         """
         tables.pandas_needed()
         stated = _reports.stated(reports, None, None)

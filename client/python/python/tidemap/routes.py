@@ -189,8 +189,8 @@ class Routes(Connection):
     def day(self, map: str, date: Any, **request: Any) -> pandas.DataFrame:
         """When to explore on a local day (``2026-01-05``) and where: ``slot, start, location, information_bits``.
 
-        Where ``location`` is empty, the robot rests. How much is explored needs ``explore`` (slots) or ``ratio``, fields
-        of ``PlanDayRequest``; ``request`` has further ones.
+        Where ``location`` is empty, the robot rests. How much is explored needs ``explore`` (slots) or ``ratio``,
+        fields of ``PlanDayRequest``; ``request`` has further ones.
         """
         tables.pandas_needed()
         asked = {"map": map, "date": str(date)[:10], **request}

@@ -180,7 +180,10 @@ def of_tour(reply: dict[str, Any]) -> pandas.DataFrame:
     table = frame({
         "step": np.arange(1, len(steps) + 1),
         **{axis: [float(place.get(f"{axis}_m", 0.0)) for place in places] for axis in ("x", "y")},
-        **{name: [float(step[name]) for step in steps] for name in ("information_bits", "reachability", "arrival_secs")},
+        **{
+            name: [float(step[name]) for step in steps]
+            for name in ("information_bits", "reachability", "arrival_secs")
+        },
     })
     table.attrs.update({name: value for name, value in reply.items() if name not in ("steps", "path")})
     table.attrs["path"] = [(float(point.get("x_m", 0.0)), float(point.get("y_m", 0.0))) for point in reply["path"]]
