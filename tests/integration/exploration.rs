@@ -95,7 +95,7 @@ async fn a_tour_goes_where_the_room_changes_and_avoids_what_is_not_reached() {
     let (launch, daemon) = room(data.path()).await;
     // The Monday after, at nine: somebody may be there or not.
     let nine = START_SECS + 7 * 86_400 + 9 * HOUR_SECS;
-    tour(&daemon, nine, &["--count", "1"]).fails(1, &["charger", "--charger"]);
+    tour(&daemon, nine, &["--count", "1"]).fails(1, &["charger", "give a start"]);
     let shown = tidemap(&daemon, ["map", "set", MAP, "--charger", "1,7"]).table();
     assert_eq!(shown.column("charger"), ["1,7"]);
     let picture = data.path().join("tour.svg");

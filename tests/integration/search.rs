@@ -292,7 +292,7 @@ fn what_is_looked_for_may_be_of_a_kind() {
 #[test]
 fn what_cannot_be_is_refused_by_name() {
     let (_data, _launch, daemon) = started();
-    search(&daemon, "flat", "hall", START_SECS, &[]).fails(1, &["no nodes", "topology load"]);
+    search(&daemon, "flat", "hall", START_SECS, &[]).fails(1, &["no nodes", "topological map"]);
     load(&daemon, "flat", FLAT, &[]).table();
     let shown = tidemap(&daemon, ["topology", "show", "flat", "--edges"]).table();
     for (text, words) in [

@@ -15,7 +15,8 @@ use tidemap_client::{
 
 use crate::{
     failure, grids,
-    observe::{Columns, Outcome, Rows, SentCounts, kind_named, send},
+    observe::{Columns, Outcome, Rows, SentCounts, send, states_of},
+    reports::SaidReporting,
     rpc::{self, Replies, model_named},
     waiting::{runtime, wait},
 };
@@ -134,9 +135,10 @@ impl NativeClient {
 
     /// Sends observations, each exactly once; those that the daemon has are compared. `positions` has the coordinates
     /// of vectors, one row each, in the place of the values. `progress` is called with the number of durable ones and
-    /// of all.
+    /// of all. NaN of changes and events: no value is known from then on.
     #[pyo3(signature = (
-        map, states, state_indices, times_nanos, values, producer, label, kind, nightly, positions=None, progress=None
+        map, states, state_indices, times_nanos, values, producer, label, kind, nightly, positions=None, progress=None,
+        reporting=None
     ))]
     #[expect(clippy::too_many_arguments, reason = "Python names them")]
     fn observe<'py>(
@@ -153,9 +155,10 @@ impl NativeClient {
         nightly: bool,
         positions: Option<PyReadonlyArray2<'py, f64>>,
         progress: Option<Bound<'py, PyAny>>,
+        reporting: Option<SaidReporting>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let kind = kind.map(|name| kind_named(py, name)).transpose()?;
-        let options = ProducerOptions { kind, nightly, ..ProducerOptions::new(producer, label, map) };
+        let (kind, reporting) = states_of(py, kind, reporting)?;
+        let options = ProducerOptions { kind, reporting, nightly, ..ProducerOptions::new(producer, label, map) };
         let columns = Columns::of(states, &state_indices, &times_nanos, &values);
         columns.check(py)?;
         let rows = match positions {
@@ -303,14 +306,25 @@ impl NativeClient {
             is_projected: project,
             output,
         };
-        let client = self.client.clone();
-        let answer = wait(py, async move { client.predict_grid(&query).await?.whole().await }, |_| Ok(()))?;
-        grids::arrays(py, &answer.map_err(|error| failure::request(py, &error))?)
+        let (client, asked) = (self.client.clone(), query.clone());
+        let answer = wait(py, async move { client.predict_grid(&asked).await?.whole().await }, |_| Ok(()))?;
+        grids::arrays(py, &answer.map_err(|error| failure::request(py, &error))?, &query)
     }
 
     /// A producer that stays open, for observations as they come.
-    fn open_producer(&self, py: Python<'_>, map: &str, producer: &str, label: &str) -> PyResult<OpenProducer> {
-        let (client, options) = (self.client.clone(), ProducerOptions::new(producer, label, map));
+    #[pyo3(signature = (map, producer, label, kind=None, reporting=None))]
+    fn open_producer(
+        &self,
+        py: Python<'_>,
+        map: &str,
+        producer: &str,
+        label: &str,
+        kind: Option<&str>,
+        reporting: Option<SaidReporting>,
+    ) -> PyResult<OpenProducer> {
+        let (kind, reporting) = states_of(py, kind, reporting)?;
+        let options = ProducerOptions { kind, reporting, ..ProducerOptions::new(producer, label, map) };
+        let client = self.client.clone();
         let opened = wait(py, async move { Producer::open(&client, options).await }, |_| Ok(()))?;
         let producer = opened.map_err(|error| failure::producer(py, &error))?;
         Ok(OpenProducer { producer: Arc::new(tokio::sync::Mutex::new(Some(producer))) })

@@ -17,20 +17,42 @@ use tidemap_client::{
         scan::Scan,
         tiles::{Mask, TileIndex, TileMasks},
     },
-    queries::{CellPrediction, WholeGrid},
+    queries::{CellPrediction, GridQuery, WholeGrid},
 };
 
-use crate::observe::{Outcome, SentCounts, collect, differs};
+use crate::{
+    failure,
+    observe::{Outcome, SentCounts, collect, differs},
+};
+
+/// Maximum number of cells of an array, 5 GB of values and whether they change.
+const CELLS_MAX: usize = 1 << 30;
 
 /// The cells from the first three indices up to but not including the last three.
 pub(crate) fn cell_box([x, y, z, to_x, to_y, to_z]: [i32; 6]) -> CellBox {
     CellBox { min: CellIndex { x, y, z }, max: CellIndex { x: to_x, y: to_y, z: to_z } }
 }
 
+/// The cells of an array: those that were asked for, also where nothing was ever seen. A projected grid has one layer.
+fn cells_of(answer: &WholeGrid, query: &GridQuery) -> CellBox {
+    let known = answer.header.region;
+    let asked = query.region.unwrap_or(known);
+    if query.is_projected {
+        let layer = |asked: CellIndex, known: CellIndex| CellIndex { z: known.z, ..asked };
+        return CellBox { min: layer(asked.min, known.min), max: layer(asked.max, known.max) };
+    }
+    asked
+}
+
 /// The values, whether each cell has changed, and where the cells are.
-pub(crate) fn arrays<'py>(py: Python<'py>, answer: &WholeGrid) -> PyResult<Bound<'py, PyDict>> {
-    let region = answer.header.region;
+pub(crate) fn arrays<'py>(py: Python<'py>, answer: &WholeGrid, query: &GridQuery) -> PyResult<Bound<'py, PyDict>> {
+    let region = cells_of(answer, query);
     let [width, height, depth] = region.size().map(|cells| usize::try_from(cells).unwrap_or(usize::MAX));
+    let cells = [width, height, depth].into_iter().try_fold(1_usize, usize::checked_mul);
+    if cells.is_none_or(|cells| cells > CELLS_MAX) {
+        let message = format!("a region of {width} x {height} x {depth} cells is too large for an array: ask for less");
+        return Err(failure::invalid(py, &message));
+    }
     let mut values = Array3::from_elem((depth, height, width), f32::NAN);
     let mut changing = Array3::from_elem((depth, height, width), false);
     let min = [region.min.x, region.min.y, region.min.z];
@@ -108,7 +130,8 @@ pub(crate) async fn send(client: Client, options: ProducerOptions, grids: SeenGr
     let progress = producer.progress();
     let (before, count) = (progress.resumed_at, grids.times_nanos.len());
     if before > count as u64 {
-        return differs(&name, &label, &format!("there are {count} grids, but {before} were sent before"));
+        let how = format!("there are {count} grids, but {before} were sent before");
+        return differs(&name, &label, &how, false);
     }
     let first = usize::try_from(before).unwrap_or(usize::MAX).min(count);
     let mut replay = Replay::default();
@@ -120,7 +143,7 @@ pub(crate) async fn send(client: Client, options: ProducerOptions, grids: SeenGr
     if before > 0 {
         if replay.content_crc() != progress.content_crc {
             let how = format!("the first {before} grids are not the {before} that were sent before");
-            return differs(&name, &label, &how);
+            return differs(&name, &label, &how, false);
         }
         if let Err(error) = producer.go_on_from(replay.into_tiles()).await {
             return Outcome::Stopped(error);

@@ -11,6 +11,7 @@ mod failure;
 mod grids;
 mod models;
 mod observe;
+mod reports;
 mod rpc;
 mod waiting;
 mod zones;
@@ -26,5 +27,8 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(answers::evaluate, module)?)?;
     module.add_function(wrap_pyfunction!(answers::history, module)?)?;
     module.add_function(wrap_pyfunction!(zones::zone_offsets, module)?)?;
+    module.add_function(wrap_pyfunction!(reports::stated_reporting, module)?)?;
+    module.add_function(wrap_pyfunction!(reports::duration_nanos, module)?)?;
+    module.add_function(wrap_pyfunction!(reports::usual_words, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))
 }

@@ -9,11 +9,14 @@ use numpy::{PyReadonlyArray1, ndarray::Array2};
 use pyo3::prelude::*;
 use tidemap_client::{
     Client,
-    maps::{StateKind, StateShape},
+    maps::{RowKind, StateKind, StateShape, StatedReporting},
     observe::{Producer, ProducerError, ProducerOptions, TraversalReport, content::ContentCrc},
 };
 
-use crate::failure;
+use crate::{
+    failure,
+    reports::{SaidReporting, stated},
+};
 
 /// Refusals that are told in words.
 const REFUSALS_TOLD: usize = 100;
@@ -134,11 +137,30 @@ pub(crate) enum Outcome {
 }
 
 /// The kind of that name.
-pub(crate) fn kind_named(py: Python<'_>, name: &str) -> PyResult<StateShape> {
+fn kind_named(py: Python<'_>, name: &str) -> PyResult<StateShape> {
     let mut kinds = StateKind::ALL.into_iter().map(StateShape::from).chain([StateShape::Angle]);
     kinds
         .find(|kind| kind.name() == name)
         .ok_or_else(|| failure::invalid(py, &format!("kind {name:?}: probability, continuous, count or angle")))
+}
+
+/// What a producer says of its states: their kind and how they are reported, which go together.
+pub(crate) fn states_of(
+    py: Python<'_>,
+    kind: Option<&str>,
+    said: Option<SaidReporting>,
+) -> PyResult<(Option<StateShape>, Option<StatedReporting>)> {
+    let kind = kind.map(|name| kind_named(py, name)).transpose()?;
+    let reporting = said.map(|said| stated(py, said)).transpose()?;
+    if let (Some(kind), Some(reporting)) = (kind, reporting)
+        && !kind.may_report(reporting.for_new())
+    {
+        let advice = if reporting.kind() == RowKind::Events { ": events are of kind \"count\"" } else { "" };
+        let (kind, reports) = (kind.name(), reporting.kind().name());
+        let message = format!("kind={kind:?} does not go with reports={reports:?}{advice}");
+        return Err(failure::invalid(py, &message));
+    }
+    Ok((kind, reporting))
 }
 
 /// Sends all rows and waits until they are durable.
@@ -157,7 +179,8 @@ pub(crate) async fn send(
     let (before, dropped_before) = (progress.resumed_at, progress.dropped_refusals);
     let rows = content.len();
     if let Err(how) = compare(&content, before, progress.content_crc) {
-        return differs(&name, &label, &how);
+        let may_replace = !matches!(content, Rows::Traversals(_));
+        return differs(&name, &label, &how, may_replace);
     }
     let first = usize::try_from(before).unwrap_or(usize::MAX).min(rows);
     let mut counts = SentCounts { durable: before, duplicate: before.min(rows as u64), ..SentCounts::default() };
@@ -183,11 +206,12 @@ pub(crate) async fn send(
 }
 
 /// What was sent before is not the beginning of this.
-pub(crate) fn differs(producer: &str, label: &str, how: &str) -> Outcome {
+pub(crate) fn differs(producer: &str, label: &str, how: &str, may_replace: bool) -> Outcome {
     let label = if label.is_empty() { String::new() } else { format!(", label {label:?},") };
+    let replace = if may_replace { ", or replace what was sent (replace=True)" } else { "" };
     Outcome::Differs(format!(
         "this does not continue what producer {producer:?}{label} has sent to the map: {how}. Send everything from the \
-         first, or give the data a label of its own (label=\"…\")"
+         first, or give the data a label of its own (label=\"…\"){replace}"
     ))
 }
 

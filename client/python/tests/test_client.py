@@ -35,6 +35,26 @@ def test_the_same_rows_again_add_nothing(client):
     assert client.map(client.name)["observations"] == 2 * len(when) + 1
 
 
+def test_what_was_sent_can_be_replaced_or_erased(client):
+    when, value = door(4)
+    client.observe(client.name, states="door", times=when, values=value)
+    client.update(client.name)
+    with pytest.raises(tidemap.FailedPrecondition, match="replace=True"):
+        client.observe(client.name, states="door", times=when[:-1], values=1 - value[:-1])
+    again = client.observe(client.name, states="door", times=when[:-1], values=1 - value[:-1], replace=True)
+    assert again.accepted == len(when) - 1
+    # Where nothing was sent, nothing is withdrawn.
+    other = client.observe(client.name, states="hatch", times=when, values=value, label="b", replace=True)
+    assert other.accepted == len(when)
+    assert client.history(client.name, "door")["value"].tolist() == (1 - value[:-1]).tolist()
+    job = client.erase(client.name, producer="python", label="b", to_time=when[100])
+    assert job["observations"] == 100
+    client.erase(client.name, "hatch")
+    assert client.states(client.name)["state"].tolist() == ["door"]
+    with pytest.raises(tidemap.NotFound, match="hatch"):
+        client.erase(client.name, "hatch")
+
+
 def test_kill_9_in_between_loses_and_doubles_nothing(tmp_path):
     rows = 400_000
     when = MONDAY + np.arange(rows) * SECOND
@@ -111,6 +131,17 @@ def test_refused_rows_are_told(client):
     assert (report.accepted, report.refused) == (2, 1)
     row, why = report.refusals[0]
     assert row == 1 and "7" in why
+
+
+def test_rows_that_were_refused_before_are_told(client):
+    when = MONDAY + np.arange(3) * SECOND
+    warm = {"states": "room", "times": when, "values": [20, 21, 22]}
+    with pytest.warns(tidemap.ObservationWarning, match="kind=\"continuous\".*replace=True"):
+        client.observe(client.name, **warm)
+    with pytest.warns(tidemap.ObservationWarning, match="nothing of 'room'.*replace=True"):
+        assert client.observe(client.name, **warm, kind="continuous").accepted == 0
+    assert client.observe(client.name, **warm, kind="continuous", replace=True).accepted == 3
+    assert client.observe(client.name, **warm, kind="continuous").duplicate == 3
 
 
 def test_no_daemon_is_said_plainly():

@@ -75,15 +75,20 @@ def test_columns_and_words_of_a_smart_home(daemon):
 
 
 def test_words_and_numbers():
-    found, missing = frames.numbers(["on", "OFF", True, "21.5", 3, None, "unknown", " closed ", float("nan")])
-    assert np.array_equal(found, [1, 0, 1, 21.5, 3, np.nan, np.nan, 0, np.nan], equal_nan=True)
-    assert missing == {"none": 1, "unknown": 1, "NaN": 1}
-    found, missing = frames.numbers(["home", "away", "lost"], {"home": 1, "away": 0, "lost": None})
-    assert np.array_equal(found, [1, 0, np.nan], equal_nan=True) and missing == {"lost": 1}
+    found = frames.numbers(["on", "OFF", True, "21.5", 3, None, "unknown", " closed ", float("nan")])
+    assert np.array_equal(found.values, [1, 0, 1, 21.5, 3, np.nan, np.nan, 0, np.nan], equal_nan=True)
+    assert found.missing == {"none": 1, "unknown": 1, "NaN": 1} and found.mapped == 3
+    # Only a word says that no value is known; None and NaN are empty cells of a wide frame.
+    assert np.flatnonzero(found.said).tolist() == [6]
+    found = frames.numbers(["home", "away", "lost"], {"home": 1, "away": 0, "lost": None})
+    assert np.array_equal(found.values, [1, 0, np.nan], equal_nan=True) and found.missing == {"lost": 1}
     # A word of one's own comes before the usual ones.
-    assert frames.numbers(["closed"], {"closed": 1})[0].tolist() == [1]
+    assert frames.numbers(["closed"], {"closed": 1}).values.tolist() == [1]
+    assert frames.numbers(np.array([True, 1], dtype=object), {"true": 0}).values.tolist() == [0, 1]
     with pytest.raises(tidemap.InvalidArgument, match="number or a word"):
         frames.numbers(np.array([[1], {}], dtype=object))
+    # Any word is an event, but for those that say that nothing is known.
+    assert frames.numbers(["ring", "off", "unavailable"], reports="events").values[:2].tolist() == [1, 1]
 
 
 def test_refused_rows_name_the_row_of_the_frame(client):

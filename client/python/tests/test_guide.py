@@ -25,6 +25,32 @@ def test_the_examples_of_the_guide_run():
     assert prediction.values.max() > 0.8 > 0.2 > prediction.values.min()
 
 
+def test_the_example_of_ones_own_data_runs(tmp_path, monkeypatch):
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("matplotlib").use("Agg")
+    # As the sample of a home is written, with fewer sensors.
+    rows = [
+        (day + pandas.Timedelta(hour, "h"), sensor, word)
+        for day in pandas.date_range("2025-02-01", "2025-04-24")
+        for sensor, on, off in (("light.hall", 18, 22), ("binary_sensor.office_door", 9, 17))
+        for hour, word in ((on, "on"), (off, "off"))
+    ]
+    rows.append((pandas.Timestamp("2025-04-22 03:00"), "light.hall", "on"))
+    export = pandas.DataFrame(sorted(rows), columns=["last_changed", "entity_id", "state"])
+    (tmp_path / "sample-home").mkdir()
+    export.to_csv(tmp_path / "sample-home" / "export.csv", index=False)
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "src" / "own-data.md").read_text()
+    (block,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(block, "own-data.md", "exec"), names)  # noqa: S102
+    assert names["sent"].accepted == len(export)
+    noon = names["forecast"].to_pandas().loc["2025-04-25 12:00"]
+    assert noon["binary_sensor.office_door"] > 0.9 > 0.1 > noon["light.hall"]
+    unusual = names["unusual"]
+    assert unusual["state"][0] == "light.hall" and str(unusual["from"][0]).startswith("2025-04-22 03:")
+
+
 def test_the_first_example_of_the_readme_runs(tmp_path, monkeypatch):
     pytest.importorskip("pandas")
     text = (ROOT / "README.md").read_text()

@@ -64,7 +64,18 @@ def test_pictures_are_in_the_zone_of_the_map(home):
     assert lines.lines[0].get_xdata(orig=True)[0] == np.datetime64("2026-01-27T00:00")
     heat = home.predict("doors", times=DAY).plot()
     assert not heat.lines and [label.get_text() for label in heat.get_yticklabels()] == [*DOORS, "lamp"]
+    people = home.predict("doors", "lamp", DAY)
+    people.values[:] += 3
+    assert people.plot().get_ylabel() == "expected value" and lines.get_ylabel() == "probability"
     matplotlib.pyplot.close("all")
+
+
+def test_predictions_say_what_they_are(home):
+    shown = repr(home.predict("doors", times=DAY))
+    assert shown == (
+        "<tidemap.Predictions: 15 states × 24 times, 2026-01-27 00:00 to 2026-01-27 23:00 (Europe/Prague): "
+        "door00, door01, door02, …>"
+    )
 
 
 def test_notebooks_show_tables(home):
@@ -152,6 +163,66 @@ def test_routes_over_a_topology(client):
         client.traverse(client.name, runs.drop(columns="end"))
     with pytest.raises(tidemap.InvalidArgument, match="'lenght_m'"):
         client.load_topology(client.name, edges.rename(columns={"length_m": "lenght_m"}))
+
+
+def test_where_to_look_and_what_to_do_are_tables(client):
+    edges = pandas.DataFrame({"from": ["Lab", "Hall"], "to": ["Hall", "Office"], "nominal_secs": [20.0, 30.0],
+                              "both_ways": True, "action": [None, "elevator"]})
+    client.load_topology(client.name, edges.convert_dtypes())
+    looks = pandas.DataFrame({"Hall": OPEN, "Office": ~OPEN, "Lab": 0}, index=HOURS)
+    client.observe(client.name, looks)
+    client.update(client.name)
+    found = client.search(client.name, "Lab", "", HOURS[-1] + pandas.Timedelta("13h"))
+    assert list(found) == ["step", "node", "arrival_secs", "probability"]
+    assert found["probability"].idxmax() == found["node"].tolist().index("Hall")
+    assert found.attrs["expected_secs"] > 0
+    policy = client.policy(client.name, "Office", HOURS[-1])
+    assert list(policy) == ["slot", "node", "next", "action", "expected_secs", "probability"]
+    at_lab, at_hall = (policy[policy["node"] == node].iloc[0] for node in ("Lab", "Hall"))
+    assert (at_lab["next"], at_lab["action"]) == ("Hall", "take") and at_hall["action"] == "take:elevator"
+    assert policy[policy["node"] == "Office"]["action"].unique().tolist() == ["arrived"]
+    assert policy["slot"][0] == HOURS[-1] and len(policy) == 3 * policy["slot"].nunique()
+    bits = client.information(client.name, HOURS[-48:])
+    assert list(bits) == ["time", "target", "information_bits", "entropy_bits"] and len(bits) == 3 * 48
+    assert (bits["entropy_bits"] >= 0).all() and set(bits["target"]) == {"Hall", "Office", "Lab"}
+    assert set(client.information(client.name, HOURS[:1], "Of*")["target"]) == {"Office"}
+    day = client.day(client.name, "2026-01-27", explore=4)
+    assert list(day) == ["slot", "start", "location", "information_bits"] and len(day) == 96
+    assert (day["location"] != "").sum() == 4 and str(day["start"][0]) == "2026-01-27 00:00:00+00:00"
+
+
+def test_a_tour_is_a_table(client):
+    name = f"{client.name}-grid"
+    client.create_map(name, grid_resolution_m=0.5)
+    seen = np.zeros((7 * 24, 16, 16), dtype=np.int8)
+    seen[:, 8, 8] = OPEN[: 7 * 24]
+    client.observe_grids(name, HOURS[: 7 * 24], seen)
+    client.update(name)
+    tour = client.tour(name, HOURS[7 * 24], 2, start=(1.0, 1.0))
+    assert list(tour) == ["step", "x", "y", "information_bits", "reachability", "arrival_secs"]
+    assert len(tour) > 0 and tour["x"].between(0, 8).all() and tour.attrs["length_m"] > 0
+    assert tour.attrs["path"][0] == (1.0, 1.0)
+    with pytest.raises(tidemap.FailedPrecondition, match="no start was given"):
+        client.tour(name, HOURS[7 * 24], 2)
+    client.delete_map(name)
+
+
+def test_a_cell_without_a_value_may_be_any_of_pandas(client):
+    edges = pandas.DataFrame({"from": ["a"], "to": ["b"], "length_m": [5.0], "action": [pandas.NA]})
+    assert client.load_topology(client.name, edges)["edges"] == 1
+    runs = pandas.DataFrame({"from": "a", "to": "b", "start": HOURS[:3], "end": HOURS[:3] + pandas.Timedelta("9s"),
+                             "success": [True, False, True], "reason": [None, "door", pandas.NA]})
+    assert client.traverse(client.name, runs).accepted == 3
+    assert client.traverse(client.name, runs.convert_dtypes()).duplicate == 3
+    with pytest.raises(tidemap.InvalidArgument, match="row 1 has no state"):
+        client.observe(client.name, {"time": HOURS[:2], "state": ["a", pandas.NA], "value": [0, 1]})
+
+
+def test_every_call_is_there_with_await(daemon):
+    waiting = tidemap.aio.AsyncClient(daemon.connect())
+    calls = {name for name in dir(tidemap.Client) if not name.startswith("_")} - {"server"}
+    assert calls - {name for name in dir(waiting) if not name.startswith("_")} == set()
+    waiting.close()
 
 
 def test_the_same_calls_with_await(daemon):

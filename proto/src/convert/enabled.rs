@@ -33,8 +33,8 @@ pub fn enabled_from_wire(field: &str, wanted: &[i32], retention: Retention) -> R
         };
         if !keeps && with_kind.without_trained() != with_kind {
             let text = format!(
-                "{} is trained on stored observations, and this map keeps none: keep them, as with --retention \
-                 90d, or leave it out",
+                "{} is trained on stored observations, and this map keeps none: keep them, with a retention such \
+                 as 90d, or leave it out",
                 kind.name()
             );
             return Err(InvalidField::new(field, text));
@@ -87,6 +87,6 @@ mod tests {
         let error = enabled_from_wire("models", &[99], Retention::Forever).expect_err("unknown").to_string();
         assert!(error.contains("99") && error.contains(&EnabledModels::all_names()), "{error}");
         let error = enabled(&[ModelKind::Pergam], Retention::None).expect_err("nothing kept");
-        assert!(error.contains("pergam") && error.contains("--retention"), "{error}");
+        assert!(error.contains("pergam") && error.contains("retention"), "{error}");
     }
 }

@@ -22,7 +22,7 @@ use crate::v1;
 pub const BATCH_TEXT_BYTES_MAX: usize = 4 << 20;
 
 /// How to find a valid edge.
-const WAY_OUT: &str = "`tidemap topology show --edges` lists those there are, `tidemap topology load` loads others";
+const WAY_OUT: &str = "the map's topology has those there are, and can be loaded anew";
 
 /// Bytes of a traversal's texts.
 fn text_bytes(traversal: &v1::Traversal) -> usize {
@@ -247,7 +247,7 @@ mod tests {
     fn what_is_wrong_has_a_reason() {
         for (wrong, reason, words) in [
             (v1::Traversal { from: "a/b".to_owned(), ..wire() }, RefusalReason::Edge, "\"a/b\""),
-            (v1::Traversal { to: String::new(), ..wire() }, RefusalReason::Edge, "tidemap topology"),
+            (v1::Traversal { to: String::new(), ..wire() }, RefusalReason::Edge, "the map's topology"),
             (v1::Traversal { start_nanos: -1, ..wire() }, RefusalReason::Time, "before 1970"),
             (v1::Traversal { end_nanos: 4, ..wire() }, RefusalReason::Time, "before start"),
             (v1::Traversal { end_nanos: i64::MAX, ..wire() }, RefusalReason::Time, "a day"),

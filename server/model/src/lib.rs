@@ -61,6 +61,7 @@ mod state;
 mod stop_signal;
 mod surprise;
 pub mod time;
+pub mod words;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
 pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};

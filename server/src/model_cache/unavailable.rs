@@ -10,11 +10,9 @@ use crate::state_or_cell::StateOrCell;
 /// Why a model cannot answer for a state.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum ModelUnavailable {
-    #[error("it must be trained on observations, and the map, created with {option} none, keeps none")]
+    #[error("it must be trained on observations, and the map, created with {option} \"none\", keeps none")]
     NotKept { option: &'static str },
-    #[error(
-        "it must be trained on observations, and the map no longer keeps those of this state: see --retention and --grid-retention"
-    )]
+    #[error("it must be trained on observations, and the map no longer keeps those of this state: see its retention")]
     Forgotten,
     #[error("it would be trained on {got} observations or more, and setting max_training_readings allows {max}")]
     TooMany { got: u64, max: u64 },
@@ -22,7 +20,7 @@ pub(crate) enum ModelUnavailable {
     OtherKind { expected: &'static str, found: StateKind },
     #[error("only named states have it: use auto, mean, latest or spectral for a cell")]
     StatesOnly,
-    #[error("no update has learned any observation of it yet: see tidemap update")]
+    #[error("no update has learned any observation of it yet: run an update")]
     Unlearned,
     #[error("it was never observed at the same time as a position of that vector: send both with equal times")]
     NoPlaces,

@@ -60,13 +60,13 @@ pub(crate) enum RpcError {
     UnknownState { map: String, name: String, known: Vec<String> },
     #[error("state {name:?} of map {map:?} is {}: use its axes, {}", .shape.with_article(), .axes.join(", "))]
     IsVector { map: String, name: String, shape: StateShape, axes: Vec<String> },
-    #[error("map {map:?} has no grid: create a map with one, with option --grid")]
+    #[error("map {map:?} has no grid: a map gets one when it is created")]
     NoGrid { map: String },
     #[error("{name} of map {map:?} was never observed")]
     UnknownCell { map: String, name: String },
     #[error(transparent)]
     Tile(#[from] TileUnavailable),
-    #[error("map {map:?} keeps no history of {what}: create it with {option}")]
+    #[error("map {map:?} keeps no history of {what}: create it with {option}, such as 90d or forever")]
     NoHistory { map: String, what: &'static str, option: &'static str },
     #[error("model {model} of state {state:?} in map {map:?}: {reason}")]
     ModelUnavailable { model: ModelKind, map: String, state: String, reason: ModelUnavailable },
@@ -136,7 +136,7 @@ pub(crate) enum RpcError {
     #[error("the daemon is stopping; connect again later")]
     Stopping,
     #[error("{}", match .0 {
-        Denial::Missing => "this daemon asks for a token: send `authorization: Bearer TOKEN` (tidemap --token-file FILE)",
+        Denial::Missing => "this daemon asks for a token: send `authorization: Bearer TOKEN` (tidemap --token-file, Python token=)",
         Denial::Unknown => "the token is not valid here, or was revoked",
         Denial::Expired => "the token has expired: ask an admin for a new one (tidemapd token create)",
     })]

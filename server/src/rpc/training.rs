@@ -203,7 +203,7 @@ impl ModelTrainer {
             let subject = Subject::State(state);
             if retention(&handle.spec, subject).is_none() {
                 let map = handle.spec.name.as_str().to_owned();
-                return Err(RpcError::NoHistory { map, what: "states", option: "--retention" });
+                return Err(RpcError::NoHistory { map, what: "states", option: "a retention" });
             }
             let enough = usize::try_from(left).unwrap_or(usize::MAX);
             let from_nanos = within_nanos.start.saturating_sub(view.hold_nanos(state));
@@ -240,8 +240,7 @@ impl ModelTrainer {
     fn check(&self, learned: &LearnedState, kind: ModelKind) -> Result<(), RpcError> {
         let retention = retention(&learned.handle.spec, learned.target.subject());
         let retention = retention.ok_or_else(|| {
-            let option =
-                if matches!(learned.target, StateOrCell::Cell(_)) { "--grid-retention" } else { "--retention" };
+            let option = if matches!(learned.target, StateOrCell::Cell(_)) { "grid retention" } else { "retention" };
             learned.unavailable(kind, ModelUnavailable::NotKept { option })
         })?;
         ModelUnavailable::check(&learned.target, &learned.view, kind)

@@ -123,9 +123,9 @@ fn a_model_that_is_not_there_is_left_out_and_said_so() {
     for model in ["persistence", "histogram:24", "pergam:3", "hypertime-em:3", "hypertime-km:3", "calibrated"] {
         assert!(all.stderr.contains(&format!("{model} is left out of a")), "{model}: {}", all.stderr);
     }
-    evaluate(&door, "short", &states[..1], "pergam,mean").fails(1, &["pergam:3", "keeps none", "--retention"]);
+    evaluate(&door, "short", &states[..1], "pergam,mean").fails(1, &["pergam:3", "keeps none", "retention"]);
     let asked = door.tidemap(["predict", "short", "a", "--at", "1460000000", "--model", "calibrated"]);
-    asked.fails(1, &["calibrated", "\"a\"", "\"short\"", "keeps none", "--retention"]);
+    asked.fails(1, &["calibrated", "\"a\"", "\"short\"", "keeps none", "retention"]);
 }
 
 #[test]
@@ -143,7 +143,7 @@ fn a_map_chooses_among_the_models_that_it_was_created_with() {
     assert_eq!(models("rich", &["--models", "all"]), all);
     let refused = |more: &[&str]| door.tidemap([&["map", "create", "other"][..], more].concat());
     refused(&["--models", "spectral,fremen"]).fails(2, &["fremen", "hypertime-km", "all"]);
-    refused(&["--models", "all", "--retention", "none"]).fails(1, &["calibrated", "keeps none", "--retention"]);
+    refused(&["--models", "all", "--retention", "none"]).fails(1, &["calibrated", "keeps none", "retention"]);
 
     // A week of ten minutes: models are trained once, and scored by the next day.
     observe(&door, "rich", &["a"]);

@@ -250,7 +250,7 @@ fn times_of_a_clock_that_is_not_set_are_refused_unless_the_map_is_of_a_simulatio
     cli::tidemap(&daemon, ["map", "create", "real"]).table();
     cli::tidemap(&daemon, ["map", "create", "simulated", "--clock", "simulated"]).table();
     let outcome = observe(&daemon, "real", "12.5,door,1\n1451865960,door,1\n1451865.96,door,0\n");
-    outcome.fails(1, &["row 1 (line 2)", "robot's clock", "--clock simulated", "row 3", "in microseconds"]);
+    outcome.fails(1, &["row 1 (line 2)", "robot's clock", "clock is simulated", "row 3", "in microseconds"]);
     assert_eq!(outcome.table_with(1).rows, [["3", "1", "0", "2"]]);
     assert_eq!(observe(&daemon, "simulated", "12.5,door,1\n").table().rows, [["1", "1", "0", "0"]]);
     // The choice survives a restart.

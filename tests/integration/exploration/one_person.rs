@@ -91,6 +91,6 @@ fn a_map_without_history_says_so() {
     let daemon = Launch::on(data.path()).start();
     tidemap(&daemon, ["map", "create", "flat", "--retention", "none"]).table();
     observe(&daemon, "day", "time,state,value\n1704067200,kitchen,1\n1704067200,study,0\n");
-    slot(&daemon, START_SECS + 60, &["--exactly-one"]).fails(1, &["flat", "--retention"]);
+    slot(&daemon, START_SECS + 60, &["--exactly-one"]).fails(1, &["flat", "retention"]);
     daemon.stop_in_order();
 }

@@ -8,18 +8,10 @@ use std::collections::HashMap;
 use tidemap_model::{
     LocalInstant, RowKind, Zone,
     time::{InvalidTime, parse_time},
+    words::{NO_VALUE, ONES, ZEROS},
 };
 
 use super::shown;
-
-/// Words for 1.
-const ONES: [&str; 12] =
-    ["on", "open", "opened", "true", "yes", "detected", "occupied", "home", "active", "motion", "pressed", "present"];
-/// Words for 0.
-const ZEROS: [&str; 12] =
-    ["off", "closed", "close", "false", "no", "clear", "free", "not_home", "inactive", "away", "released", "absent"];
-/// Words of a sensor that knows no value.
-const UNKNOWN: [&str; 8] = ["", "unavailable", "unknown", "none", "null", "nan", "n/a", "offline"];
 
 /// What a word says.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,7 +98,7 @@ impl RowRules {
             let number = value.parse().ok().filter(|number: &f64| number.is_finite());
             let meaning = match number {
                 Some(number) => Meaning::Value(number),
-                None if UNKNOWN.contains(&value.to_lowercase().as_str()) && !value.is_empty() => Meaning::NoValue,
+                None if NO_VALUE.contains(&value.to_lowercase().as_str()) && !value.is_empty() => Meaning::NoValue,
                 None => return Err(InvalidRule::Value { word, value: value.to_owned() }),
             };
             if words.contains_key(&word) {
@@ -123,7 +115,7 @@ impl RowRules {
         if let Some(meaning) = self.words.get(&word) {
             return Some(*meaning);
         }
-        if UNKNOWN.contains(&word.as_str()) {
+        if NO_VALUE.contains(&word.as_str()) {
             return Some(Meaning::NoValue);
         }
         if self.kind == RowKind::Events {

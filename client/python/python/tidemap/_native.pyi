@@ -43,6 +43,7 @@ class NativeClient:
         nightly: bool,
         positions: npt.NDArray[np.float64] | None = None,
         progress: Callable[[int, int], object] | None = None,
+        reporting: tuple[str, int | None, int | None] | None = None,
     ) -> dict[str, Any]: ...
     def predict(
         self,
@@ -85,7 +86,14 @@ class NativeClient:
         label: str,
         nightly: bool,
     ) -> dict[str, Any]: ...
-    def open_producer(self, map: str, producer: str, label: str) -> OpenProducer: ...
+    def open_producer(
+        self,
+        map: str,
+        producer: str,
+        label: str,
+        kind: str | None = None,
+        reporting: tuple[str, int | None, int | None] | None = None,
+    ) -> OpenProducer: ...
 
 class NativeModel:
     @staticmethod
@@ -103,6 +111,11 @@ class NativeModel:
 def model_request(name: str) -> str: ...
 def model_parameters() -> dict[str, list[str]]: ...
 def zone_offsets(zone: str, times_nanos: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]: ...
+def stated_reporting(
+    reports: str, hold_max_nanos: int | None = None, hold_step_nanos: int | None = None
+) -> tuple[str, int | None, int | None]: ...
+def duration_nanos(text: str) -> int: ...
+def usual_words() -> tuple[list[str], list[str], list[str]]: ...
 def evaluate(
     client: NativeClient,
     map: str,

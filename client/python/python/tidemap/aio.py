@@ -18,6 +18,9 @@ from typing import Any, ParamSpec, TypeVar
 
 from tidemap.client import Client
 from tidemap.connection import Stream
+from tidemap.errors import FailedPrecondition
+from tidemap.producer import Producer
+from tidemap.times import Time
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -55,6 +58,43 @@ class AsyncStream(AsyncIterator[dict[str, Any]]):
             self._client._streams.discard(self._stream)
 
 
+class AsyncProducer:
+    """Observations as they come; use it with ``async with``. What it has taken is durable after ``flush()``."""
+
+    def __init__(self, client: AsyncClient, begin: Callable[[], Producer]) -> None:
+        self._client = client
+        self._begin = begin
+        self._producer: Producer | None = None
+
+    async def __aenter__(self) -> AsyncProducer:
+        self._producer = await self._client._run(self._begin)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    def _opened(self) -> Producer:
+        if self._producer is None:
+            raise FailedPrecondition(
+                "the producer is not open: use async with client.producer(map)", "FAILED_PRECONDITION"
+            )
+        return self._producer
+
+    async def send(self, state: str, time: Time, value: float | bool | str | None) -> int:
+        """Takes an observation and returns its number, as :meth:`tidemap.Producer.send`."""
+        producer = self._opened()
+        return await self._client._run(lambda: producer.send(state, time, value))
+
+    async def flush(self) -> int:
+        """Waits until everything that was taken is durable, and returns the number of the last."""
+        return await self._client._run(self._opened().flush)
+
+    async def close(self) -> None:
+        """Waits until everything is durable, and ends."""
+        if self._producer is not None:
+            await self._client._run(self._producer.close)
+
+
 class AsyncClient:
     """A client of a daemon, for asyncio. ``client`` is the same one without."""
 
@@ -72,6 +112,7 @@ class AsyncClient:
         self.observe = self._awaited(client.observe)
         self.observe_grids = self._awaited(client.observe_grids)
         self.update = self._awaited(client.update)
+        self.erase = self._awaited(client.erase)
         self.jobs = self._awaited(client.jobs)
         self.predict = self._awaited(client.predict)
         self.evaluate = self._awaited(client.evaluate)
@@ -117,6 +158,10 @@ class AsyncClient:
     def stream(self, method: str, request: dict[str, Any] | None = None, *, zone: str | None = None) -> AsyncStream:
         """The replies of ``SERVICE/METHOD``, for ``async for``."""
         return AsyncStream(self, lambda: self.client.stream(method, request, zone=zone))
+
+    def producer(self, map: str, producer: str = "python", label: str = "live", **options: Any) -> AsyncProducer:
+        """A producer that stays open, for ``async with``; arguments as of :meth:`tidemap.Client.producer`."""
+        return AsyncProducer(self, lambda: self.client.producer(map, producer, label, **options))
 
     def watch_anomalies(self, map: str, **request: Any) -> AsyncStream:
         """Observations that the model did not expect, live as they come, for ``async for``."""

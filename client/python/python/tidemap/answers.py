@@ -42,7 +42,10 @@ class Observed:
     refusals: list[tuple[int, str]] = field(default_factory=list)
     """Row, counted from 0, and why it was refused; the first hundred."""
     without_value: dict[str, int] = field(default_factory=dict)
-    """Rows in which nothing was measured, and which were not sent: how many of each marker, such as ``unavailable``."""
+    """Rows in which nothing was measured: how many of each marker, such as ``unavailable``. Of samples they are not
+    sent. Of changes and events they are, as "no value is known from then on", but for empty cells of a wide frame."""
+    mapped: int = 0
+    """Rows whose value was a word."""
 
 
 class Map(dict[str, Any]):
@@ -77,7 +80,7 @@ class Topology(NamedTuple):
     edges: pandas.DataFrame
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Predictions:
     """Predicted values of states at times: one row a state, one column a time."""
 
@@ -143,12 +146,19 @@ class Predictions:
         bounds = None if self.lower is None or self.upper is None else (self.lower, self.upper)
         return plots.states(ax, self.states, self._nanos, self.values, bounds, self.time_zone)
 
-    def _repr_html_(self) -> str:
+    def _span(self) -> str:
         nanos = self._nanos
-        span = ""
-        if len(nanos):
-            first, last = _times.to_clock(np.array([nanos.min(), nanos.max()]), self.time_zone).astype("datetime64[m]")
-            span = f", {first} to {last} ({self.time_zone})".replace("T", " ")
+        if not len(nanos):
+            return ""
+        first, last = _times.to_clock(np.array([nanos.min(), nanos.max()]), self.time_zone).astype("datetime64[m]")
+        return f", {first} to {last} ({self.time_zone})".replace("T", " ")
+
+    def __repr__(self) -> str:
+        named = ", ".join(self.states[:3]) + (", …" if len(self.states) > 3 else "")
+        return f"<tidemap.Predictions: {len(self.states)} states × {len(self.times)} times{self._span()}: {named}>"
+
+    def _repr_html_(self) -> str:
+        nanos, span = self._nanos, self._span()
         rows = "".join(
             f"<tr><td style='text-align:left'>{escape(name)}</td><td>{_film(self.values[row])}</td>"
             f"<td>{np.nanmin(self.values[row]):.3g}</td><td>{np.nanmean(self.values[row]):.3g}</td>"
@@ -226,20 +236,25 @@ class Grid:
         return plots.grid(ax, self.values, extent, title)
 
 
-def observed(report: dict[str, Any], source: npt.NDArray[np.intp] | None = None, read: int | None = None,
-             without_value: dict[str, int] | None = None) -> Observed:
+def observed(
+    report: dict[str, Any], source: npt.NDArray[np.intp] | None = None, read: int | None = None,
+    without_value: dict[str, int] | None = None, mapped: int = 0, may_replace: bool = False,
+) -> Observed:
     """What became of rows, with their numbers in the frame ``source``; warns of those that were refused."""
     known = () if source is None else source
     told = [(int(known[row]) if row < len(known) else row, why) for row, why in report["refusals"]]
     found = Observed(
         **{**report, "refusals": told, "read": report["read"] if read is None else read},
-        without_value=without_value or {},
+        without_value=without_value or {}, mapped=mapped,
     )
     if found.refused:
         first = "; ".join(f"row {row}: {why}" for row, why in found.refusals[:3])
         more = ", …" if found.refused > 3 else ""
+        kind = any("not between 0 and 1" in why for _, why in found.refusals)
+        hint = "; values that are no probabilities need kind=\"continuous\" or kind=\"count\"" if kind else ""
         warnings.warn(
-            f"{found.refused} of {found.read} rows were refused: {first}{more} (all in .refusals)", ObservationWarning,
-            stacklevel=3,
+            f"{found.refused} of {found.read} rows were refused: {first}{more} (all in .refusals){hint}. Corrected "
+            f"rows need {'replace=True, or ' if may_replace else ''}a label of their own",
+            ObservationWarning, stacklevel=3,
         )
     return found

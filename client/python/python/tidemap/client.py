@@ -6,23 +6,21 @@ daemon's words.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from tidemap import frames
+from tidemap import advice, frames
+from tidemap import reports as _reports
 from tidemap import times as _times
-from tidemap.answers import Map, ObservationWarning, Observed, observed
+from tidemap.answers import Map, Observed, observed
 from tidemap.errors import InvalidArgument, TidemapError
 from tidemap.producer import Producer
 from tidemap.questions import Questions
+from tidemap.reports import Duration, Reports
 from tidemap.routes import Routes
 from tidemap.times import Time
-
-# As many rows of a state at one time look like rounded times.
-_ROWS_AT_ONCE = 10
 
 
 class Client(Questions, Routes):
@@ -70,20 +68,30 @@ class Client(Questions, Routes):
         map: str,
         state: str,
         *,
-        kind: str = "probability",
+        kind: str | None = None,
         dimensions: int = 0,
         hit: float | None = None,
         false_alarm: float | None = None,
+        reports: Reports | None = None,
+        hold_max: Duration | None = None,
+        hold_step: Duration | None = None,
     ) -> dict[str, Any]:
         """Adds a state before its first observation; the same again changes nothing.
 
-        ``kind``: ``probability``, ``continuous``, ``count``, ``vector`` (with ``dimensions`` 2 or 3) or ``angle``.
-        ``hit`` and ``false_alarm`` are the sensor of a state that is 0 or 1: the probability that it reads 1 when the
-        state is 1, and when it is 0. Without them the daemon estimates how often the sensor errs.
+        ``kind``: ``probability``, ``continuous``, ``count``, ``vector`` (with ``dimensions`` 2 or 3) or ``angle``; by
+        default ``probability``, and of events ``count``. ``reports``, ``hold_max`` and ``hold_step`` as of
+        :meth:`observe`; by default samples. ``hit`` and ``false_alarm`` are the sensor of a state that is 0 or 1: the
+        probability that it reads 1 when the state is 1, and when it is 0. Without them the daemon estimates how often
+        the sensor errs.
         """
+        stated = _reports.stated(reports, hold_max, hold_step)
+        if kind is None:
+            kind = "count" if stated is not None and stated.kind == "events" else "probability"
         request: dict[str, Any] = {
             "map": map, "state": state, "kind": f"STATE_KIND_{kind.upper()}", "dimensions": dimensions
         }
+        if stated is not None:
+            request["reporting"] = stated.request()
         sensor = {name: number for name, number in (("hit", hit), ("false_alarm", false_alarm)) if number is not None}
         if sensor:
             request["sensor"] = sensor
@@ -107,6 +115,10 @@ class Client(Questions, Routes):
         nightly: bool = False,
         zone: str | None = None,
         progress: bool | Callable[[int, int], object] = False,
+        reports: Reports | None = None,
+        hold_max: Duration | None = None,
+        hold_step: Duration | None = None,
+        replace: bool = False,
     ) -> Observed:
         """Sends observations and waits until they are durable.
 
@@ -114,27 +126,50 @@ class Client(Questions, Routes):
         observation, with ``time``, ``state`` and ``value`` (or ``x``, ``y``, ``z`` in metres); a wide one has a row for
         each time and a column for each state. The time may be the index. ``columns={"time": "last_changed"}`` gives the
         frame's own names. With a frame, ``times="local"`` is the same as ``zone="local"``, and ``values={"ajar": 1}``
-        says what words mean, besides ``on/off``, ``open/closed``, ``true/false`` and ``yes/no``. Rows without a
+        says what words mean, besides ``on/off``, ``open/closed``, ``home/away`` and other usual ones. Rows without a
         measurement (NaN, ``unavailable``, ``unknown``) are counted and not sent.
 
         Or give ``states`` (one name, or one for each row), ``times`` and ``values``; positions are values with two or
         three columns.
 
+        ``reports`` says what a row is. ``"samples"``: a reading, as of a robot that looks. ``"changes"``: the value
+        from then on, as of a door contact or a smart home; a row without a value says that none is known from then on,
+        and an empty cell of a wide frame is no row. ``"events"``: one event, or a number of them, as of a light
+        barrier; values may be left out. ``hold_max`` is the longest time for which a row of changes or events says
+        something (a week), ``hold_step`` the time between two readings that are learned of them (five minutes, and an
+        hour for events): texts such as ``"7d"``, or a timedelta. New states keep what is said of them; rows of states
+        that are reported otherwise are refused before anything is sent. Without ``reports`` each state is reported as
+        it is, and new ones by samples.
+
         The rows of a producer and label are counted from the first: the same rows sent again add nothing, and more rows
-        behind them are added. Data that is not a continuation needs a ``label`` of its own. ``nightly``: the nightly
-        update follows the time of the data.
+        behind them are added. Data that is not a continuation needs a ``label`` of its own, or ``replace=True``, which
+        withdraws what the producer has sent with the label before. ``nightly``: the nightly update follows the time of
+        the data.
         """
-        rows, given_zone = self._rows(frame, states, times, values, columns, zone)
+        stated = _reports.stated(reports, hold_max, hold_step)
+        said = "samples" if stated is None else stated.kind
+        rows, given_zone = self._rows(frame, states, times, values, columns, zone, said)
         nanos = self._nanos(map, rows.times, given_zone, rows.indices, rows.source)
-        _warn_of_one_time(rows, nanos)
+        if stated is not None:
+            _reports.check(stated, rows.names, self._states(map))
+        elif rows.without_value:
+            _reports.check_values(rows.names, self._states(map))
+        advice.of_one_time(rows, nanos)
+        if replace:
+            self._withdraw(map, producer, label)
         shown, done = _shown(progress)
         try:
             report = self._native.observe(
-                map, rows.names, rows.indices, nanos, rows.values, producer, label, kind, nightly, rows.positions, shown
+                map, rows.names, rows.indices, nanos, rows.values, producer, label, kind, nightly, rows.positions,
+                shown, None if stated is None else stated.native(),
             )
         finally:
             done()
-        return observed(report, rows.source, rows.read, rows.without_value)
+        if stated is None:
+            advice.of_changes(rows, lambda: self._states(map))
+        if report["duplicate"] and not report["accepted"]:
+            advice.of_refused_before(rows, self._states(map))
+        return observed(report, rows.source, rows.read, rows.without_value, rows.mapped, may_replace=True)
 
     def observe_grids(
         self,
@@ -172,21 +207,72 @@ class Client(Questions, Routes):
         return observed(self._native.observe_grids(map, nanos, cells, first_cell, producer, label, nightly))
 
     def producer(
-        self, map: str, producer: str = "python", label: str = "live", *, zone: str | None = None
+        self,
+        map: str,
+        producer: str = "python",
+        label: str = "live",
+        *,
+        kind: str | None = None,
+        zone: str | None = None,
+        reports: Reports | None = None,
+        hold_max: Duration | None = None,
+        hold_step: Duration | None = None,
     ) -> Producer:
-        """A producer that stays open, for observations as they come."""
-        return Producer(self._native.open_producer(map, producer, label), zone, lambda: self._zone(map))
+        """A producer that stays open, for observations as they come; ``kind`` and ``reports`` as of :meth:`observe`."""
+        stated = _reports.stated(reports, hold_max, hold_step)
+        native = self._native.open_producer(map, producer, label, kind, None if stated is None else stated.native())
+        return Producer(native, zone, lambda: self._zone(map), "samples" if stated is None else stated.kind)
 
     def update(self, map: str, until: Time | None = None, *, zone: str | None = None) -> dict[str, Any]:
         """Learns what was observed, as the nightly update does, and waits for it; returns the job."""
         request: dict[str, Any] = {"map": map}
         if until is not None:
             request["until"] = _times.timestamp(self._moment(map, until, zone))
-        job = self.call("MaintenanceService/RunUpdate", request)["job"]
+        return self._ended(self.call("MaintenanceService/RunUpdate", request)["job"], f"the update of {map}")
+
+    def erase(
+        self,
+        map: str,
+        state: str | None = None,
+        from_time: Time | None = None,
+        to_time: Time | None = None,
+        *,
+        producer: str | None = None,
+        label: str | None = None,
+        zone: str | None = None,
+    ) -> dict[str, Any]:
+        """Erases a state, or what a producer observed, or an interval, as if it had never been observed.
+
+        It is gone from history, models, log and later backups when this returns; ``to_time`` is not included. Returns
+        the job, whose ``observations`` were erased. What cannot be erased exactly is refused, with nothing changed.
+        """
+        request: dict[str, Any] = {"map": map, "state": state or "", "producer": producer or ""}
+        if label is not None:
+            request["label"] = label
+        for name, time in (("from_time", from_time), ("to_time", to_time)):
+            if time is not None:
+                request[name] = _times.timestamp(self._moment(map, time, zone))
+        return self._ended(self.call("MaintenanceService/Erase", request)["job"], f"the erasure in {map}")
+
+    def _withdraw(self, map: str, producer: str, label: str) -> None:
+        """Erases what a producer has sent with a label, if it has, so that it counts when it is sent again."""
+        token = ""
+        while True:
+            page = self.call("MaintenanceService/ListProducers", {"map": map, "page_size": 10_000, "page_token": token})
+            if any((known["producer"], known["label"]) == (producer, label) for known in page["producers"]):
+                break
+            token = page["next_page_token"]
+            if not token:
+                return
+        request = {"map": map, "producer": producer, "label": label, "forget_sequence": True}
+        self._ended(self.call("MaintenanceService/Erase", request)["job"], f"the erasure in {map}")
+
+    def _ended(self, job: dict[str, Any], what: str) -> dict[str, Any]:
+        """A job when it has ended."""
         for reply in self.stream("MaintenanceService/WatchJob", {"id": job["id"]}):
             job = reply["job"]
         if job.get("state") == "JOB_STATE_FAILED":
-            raise TidemapError(f"the update of {map} failed: {job.get('error', '')}", "INTERNAL")
+            raise TidemapError(f"{what} failed: {job.get('error', '')}", "INTERNAL")
         return dict(job)
 
     def jobs(self, map: str = "") -> list[dict[str, Any]]:
@@ -203,25 +289,6 @@ def connect(server: str = "127.0.0.1:7435", **credentials: Any) -> Client:
     client = Client(server, **credentials)
     client.maps()
     return client
-
-
-def _warn_of_one_time(rows: frames.Rows, nanos: Any) -> None:
-    """Warns of states all of whose rows have one time."""
-    if len(nanos) < _ROWS_AT_ONCE:
-        return
-    counts = np.bincount(rows.indices, minlength=len(rows.names))
-    sorted_nanos = nanos if len(rows.names) == 1 else nanos[np.argsort(rows.indices, kind="stable")]
-    begins = np.concatenate([[0], np.cumsum(counts)[:-1]])[counts > 0]
-    same = np.minimum.reduceat(sorted_nanos, begins) == np.maximum.reduceat(sorted_nanos, begins)
-    numbers = np.flatnonzero(counts)[same]
-    numbers = numbers[counts[numbers] >= _ROWS_AT_ONCE]
-    if len(numbers):
-        name = rows.names[int(numbers[0])]
-        more = f", and of {len(numbers) - 1} more states" if len(numbers) > 1 else ""
-        warnings.warn(
-            f"all {counts[numbers[0]]} rows of {name!r} have one time{more}: were the times rounded, as in 1.736e+09?",
-            ObservationWarning, stacklevel=3,
-        )
 
 
 def _shown(

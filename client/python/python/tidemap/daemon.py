@@ -108,6 +108,10 @@ class Daemon:
                 self._process.wait(timeout=_STOPS_WITHIN_SECS)
             except subprocess.TimeoutExpired:
                 self.kill()
+        self._reader.join(timeout=1)
+        for stream in (self._process.stdout, self._process.stderr):
+            if stream is not None:
+                stream.close()
         if self._own is not None:
             self._own.cleanup()
             self._own = None

@@ -4,28 +4,29 @@ A long frame has a row for each observation, with the columns ``time``, ``state`
 ``z`` for positions). A wide frame has a row for each time and a column for each state. The time may be the index.
 
 Invariant: rows keep their order, and every row is read, dropped with its reason counted, or named in an error. A marker
-for "nothing measured" (NaN, ``None``, ``unavailable``, ``unknown``) is not a measurement.
+for "nothing measured" (NaN, ``None``, ``unavailable``, ``unknown``) is not a measurement: of samples it is dropped, of
+changes and events it says that no value is known from then on. An empty cell of a wide frame is no row.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tidemap import times as _times
+from tidemap._native import usual_words
 from tidemap.errors import InvalidArgument
 
 Floats = npt.NDArray[np.float64]
 
-WORDS: dict[str, float] = {
-    "on": 1, "off": 0, "open": 1, "opened": 1, "closed": 0, "close": 0, "true": 1, "false": 0, "yes": 1, "no": 0,
-}
-"""Words that are values, in any case."""
-NO_VALUE = frozenset({"", "unavailable", "unknown", "none", "null", "nan", "na", "n/a"})
+_ONES, _ZEROS, _NO_VALUE = usual_words()
+WORDS: dict[str, float] = {**dict.fromkeys(_ONES, 1.0), **dict.fromkeys(_ZEROS, 0.0)}
+"""Words that are values, in any case; the command line has the same ones."""
+NO_VALUE = frozenset(_NO_VALUE)
 """Words for "nothing measured", in any case."""
 _NAMED = 5
 
@@ -46,6 +47,21 @@ class Rows:
     """Values of the frame, those without a measurement included."""
     without_value: dict[str, int] = field(default_factory=dict)
     """How many had each marker for "nothing measured"."""
+    mapped: int = 0
+    """How many had a word for a value."""
+
+
+class Numbers(NamedTuple):
+    """Values as numbers."""
+
+    values: Floats
+    """NaN where nothing was measured."""
+    missing: dict[str, int]
+    """How often each marker for "nothing measured" was there."""
+    mapped: int
+    """How many were words for values."""
+    said: npt.NDArray[np.bool_]
+    """Where a word says that nothing was measured; elsewhere NaN is an empty cell."""
 
 
 def _wrong(message: str) -> InvalidArgument:
@@ -53,68 +69,97 @@ def _wrong(message: str) -> InvalidArgument:
 
 
 def numbers(
-    values: Any, words: Mapping[Any, float | None] | None = None, where: str = "value"
-) -> tuple[Floats, dict[str, int]]:
-    """Values as numbers, NaN where nothing was measured, and how often each marker for that was there.
+    values: Any, words: Mapping[Any, float | None] | None = None, where: str = "value", reports: str = "samples"
+) -> Numbers:
+    """Values as numbers.
 
-    ``words`` has values of further words; ``None`` stands for "nothing measured".
+    ``words`` has values of further words; ``None`` stands for "nothing measured". Of events any word is one event.
     """
     array = values if isinstance(values, np.ndarray) else np.asarray(values)
     array = array.ravel()
     own = {str(word).strip().lower(): value for word, value in (words or {}).items()}
     if array.dtype.kind in "biuf" and not own:
-        found = np.ascontiguousarray(array, dtype=np.float64)
-        empty = int(np.isnan(found).sum())
-        return found, {"NaN": empty} if empty else {}
-    known: dict[Any, float] = {}
-    missing: dict[str, int] = {}
-    strange: dict[str, int] = {}
+        found = np.array(array, dtype=np.float64)
+        bare = np.isnan(found)
+        # One NaN of the many, so that the same rows are the same bytes; and no minus zero.
+        found[bare] = np.nan
+        found += 0.0
+        return Numbers(found, {"NaN": int(bare.sum())} if bare.any() else {}, 0, np.zeros(len(found), dtype=np.bool_))
+    known: dict[Any, _Meaning] = {}
+    counts: dict[str, dict[str, int]] = {"missing": {}, "strange": {}}
     found = np.empty(len(array), dtype=np.float64)
+    said = np.zeros(len(array), dtype=np.bool_)
+    mapped = 0
     for row, value in enumerate(array.tolist()):
+        # True is equal to 1, and may have a word of its own.
+        key = (value.__class__, value)
         try:
-            number = known.get(value)
+            meaning = known.get(key)
         except TypeError:
             raise _wrong(f"{where} of row {row} is {value!r}: a value is a number or a word") from None
-        if number is None:
-            number, marker = _number(value, own)
-            if number is None:
-                strange[str(value)] = strange.get(str(value), 0) + 1
-                number = np.nan
-            elif marker is not None:
-                missing[marker] = missing.get(marker, 0) + 1
-            else:
-                known[value] = number
-        found[row] = number
-    if strange:
-        first = list(strange.items())[:_NAMED]
-        told = ", ".join(f"{word!r} ({count} row{'s' if count > 1 else ''})" for word, count in first)
-        more = f", and {len(strange) - len(first)} more" if len(strange) > len(first) else ""
-        example = first[0][0]
-        raise _wrong(
-            f"{where}: {told}{more}: neither a number nor a word that is known (on, off, open, closed, true, false, "
-            f"yes, no). Say what it means: values={{{example!r}: 1}}, or None for \"nothing measured\""
-        )
-    return found, missing
+        if meaning is None:
+            meaning = _meaning(value, own, reports)
+            if meaning.marker != "NaN":
+                known[key] = meaning
+        found[row] = meaning.number
+        mapped += meaning.is_word
+        if meaning.marker is not None:
+            said[row] = meaning.is_said
+            kind = counts["strange" if meaning.is_strange else "missing"]
+            kind[meaning.marker] = kind.get(meaning.marker, 0) + 1
+    if counts["strange"]:
+        raise _unknown_words(counts["strange"], where)
+    return Numbers(found, counts["missing"], mapped, said)
 
 
-def _number(value: Any, own: Mapping[str, float | None]) -> tuple[float | None, str | None]:
-    """A number, and the marker if it stands for nothing measured; no number for a word that is not known."""
+class _Meaning(NamedTuple):
+    """What a value of a frame says."""
+
+    number: float
+    is_word: bool = False
+    marker: str | None = None
+    """What stands for "nothing measured", or for nothing that is known."""
+    is_said: bool = False
+    """It is a word, and no empty cell."""
+    is_strange: bool = False
+
+
+def _meaning(value: Any, own: Mapping[str, float | None], reports: str) -> _Meaning:
     word = str(value).strip().lower()
     if word in own:
         number = own[word]
-        return (np.nan, word) if number is None else (float(number), None)
+        return _Meaning(np.nan, marker=word, is_said=True) if number is None else _Meaning(float(number) + 0.0, True)
     if isinstance(value, (int, float)):
-        return (np.nan, "NaN") if value != value else (float(value), None)
+        return _Meaning(np.nan, marker="NaN") if value != value else _Meaning(float(value) + 0.0)
     if value is None or word in ("<na>", "nat"):
-        return np.nan, "none"
-    if word in WORDS:
-        return WORDS[word], None
+        return _Meaning(np.nan, marker="none")
     if word in NO_VALUE:
-        return np.nan, word or "empty"
+        return _Meaning(np.nan, marker=word or "empty", is_said=word not in ("", "nan"))
     try:
-        return float(word), None
+        return _Meaning(float(word) + 0.0)
     except ValueError:
-        return None, None
+        if reports == "events":
+            return _Meaning(1.0, True)
+        return _Meaning(WORDS[word], True) if word in WORDS else _Meaning(np.nan, marker=str(value), is_strange=True)
+
+
+def _unknown_words(strange: dict[str, int], where: str) -> InvalidArgument:
+    first = list(strange.items())[:_NAMED]
+    listed = ", ".join(f"{word!r} ({count} row{'s' if count > 1 else ''})" for word, count in first)
+    more = f", and {len(strange) - len(first)} more" if len(strange) > len(first) else ""
+    return _wrong(
+        f"{where}: {listed}{more}: neither a number nor a usual word such as on, off, open, closed, home or away. Say "
+        f"what it means: values={{{first[0][0]!r}: 1}}, or None for \"nothing measured\""
+    )
+
+
+def is_empty(cell: Any) -> bool:
+    """Whether a cell of a frame has no value: ``None``, NaN, NaT or the NA of pandas."""
+    if cell is None:
+        return True
+    # NA is equal to nothing, and says so by no answer.
+    equal = cell == cell
+    return equal is not True and str(equal) in ("False", "<NA>")
 
 
 def numbered(states: Any, rows: int) -> tuple[list[str], npt.NDArray[np.uint32]]:
@@ -126,7 +171,7 @@ def numbered(states: Any, rows: int) -> tuple[list[str], npt.NDArray[np.uint32]]
     known: dict[str, int] = {}
     count = 0
     for count, name in enumerate(listed, start=1):
-        if name is None or name != name:
+        if is_empty(name):
             raise _wrong(f"row {count - 1} has no state")
         if count <= rows:
             indices[count - 1] = known.setdefault(str(name), len(known))
@@ -135,35 +180,49 @@ def numbered(states: Any, rows: int) -> tuple[list[str], npt.NDArray[np.uint32]]
     return list(known), indices
 
 
-def of_arrays(states: Any, times: Any, values: Any) -> Rows:
-    """Rows of columns; ``values`` of positions have two axes."""
-    given = _times.read(times)
+def of_arrays(states: Any, times: Any, values: Any, reports: str = "samples") -> Rows:
+    """Rows of columns; ``values`` of positions have two axes. Events without values are one each."""
+    given = times if isinstance(times, _times.Read) else _times.read(times)
     names, indices = numbered(states, len(given.nanos))
-    return _rows(names, indices, given, values, None)
+    if values is None and reports == "events":
+        values = np.ones(len(given.nanos))
+    return _rows(names, indices, given, values, None, reports)
 
 
 def _rows(
-    names: list[str], indices: npt.NDArray[np.uint32], given: _times.Read, values: Any, words: Mapping[Any, Any] | None
+    names: list[str], indices: npt.NDArray[np.uint32], given: _times.Read, values: Any,
+    words: Mapping[Any, Any] | None, reports: str,
 ) -> Rows:
     count = len(given.nanos)
     places = np.asarray(values) if getattr(values, "ndim", 1) == 2 else None
-    if places is not None and places.shape[1] not in (2, 3):
-        raise _wrong(f"values have {places.shape[1]} columns: a position has two or three coordinates")
     if places is not None:
-        positions = np.ascontiguousarray(places, dtype=np.float64)
-        bare = np.isnan(positions).any(axis=1)
-        found, missing = np.where(bare, np.nan, 0.0), {"NaN": int(bare.sum())} if bare.any() else {}
-    else:
-        positions = None
-        found, missing = numbers(values, words)
-    if len(found) != count:
-        raise _wrong(f"{count} times, {len(found)} values: they must be as many")
-    kept = np.flatnonzero(~np.isnan(found))
+        return _positions(names, indices, given, places, reports)
+    found = numbers(values, words, reports=reports)
+    if len(found.values) != count:
+        raise _wrong(f"{count} times, {len(found.values)} values: they must be as many")
+    kept = np.arange(count) if reports != "samples" else np.flatnonzero(~np.isnan(found.values))
     if len(kept) == count:
-        return Rows(names, indices, given, found, positions, kept, count, missing)
+        return Rows(names, indices, given, found.values, None, kept, count, found.missing, found.mapped)
     return Rows(
-        names, indices[kept], _picked(given, kept), found[kept],
-        None if positions is None else np.ascontiguousarray(positions[kept]), kept, count, missing,
+        names, indices[kept], _picked(given, kept), found.values[kept], None, kept, count, found.missing, found.mapped
+    )
+
+
+def _positions(
+    names: list[str], indices: npt.NDArray[np.uint32], given: _times.Read, places: Any, reports: str
+) -> Rows:
+    if places.shape[1] not in (2, 3):
+        raise _wrong(f"values have {places.shape[1]} columns: a position has two or three coordinates")
+    if reports != "samples":
+        raise _wrong(f"positions are reported by samples, not by {reports}")
+    count, positions = len(given.nanos), np.ascontiguousarray(places, dtype=np.float64)
+    if len(positions) != count:
+        raise _wrong(f"{count} times, {len(positions)} values: they must be as many")
+    bare = np.isnan(positions).any(axis=1)
+    kept = np.flatnonzero(~bare)
+    return Rows(
+        names, indices[kept], _picked(given, kept), np.zeros(len(kept)), np.ascontiguousarray(positions[kept]), kept,
+        count, {"NaN": int(bare.sum())} if bare.any() else {},
     )
 
 
@@ -172,12 +231,14 @@ def _picked(given: _times.Read, kept: npt.NDArray[np.intp]) -> _times.Read:
 
 
 def of_frame(
-    frame: Any, states: Any = None, columns: Mapping[str, Any] | None = None, words: Mapping[Any, Any] | None = None
+    frame: Any, states: Any = None, columns: Mapping[str, Any] | None = None, words: Mapping[Any, Any] | None = None,
+    reports: str = "samples",
 ) -> Rows:
     """Rows of a frame: of pandas, of polars, or a dictionary of columns.
 
     ``columns`` gives the frame's own names for ``time``, ``state``, ``value``, ``x``, ``y`` and ``z``. ``states``: the
     state of a frame that has no such column; of a wide frame, the columns to take. ``words``: see :func:`numbers`.
+    ``reports``: what rows are; a frame of events needs no values, and each row is one event.
     """
     if hasattr(frame, "to_frame") and not hasattr(frame, "columns"):
         name = states if isinstance(states, str) else getattr(frame, "name", None)
@@ -203,34 +264,42 @@ def of_frame(
             raise _wrong(f"the frame has the columns {_list(present)}, but no state: say states=\"door\"")
         names, indices = numbered(states if states is not None else frame[own["state"]], len(given.nanos))
         if own["value"] in present:
-            return _rows(names, indices, given, frame[own["value"]], words)
+            return _rows(names, indices, given, frame[own["value"]], words, reports)
         places = np.column_stack([np.asarray(frame[axis], dtype=np.float64) for axis in axes])
-        return _rows(names, indices, given, places, None)
+        return _rows(names, indices, given, places, None, reports)
+    if reports == "events" and (own["state"] in present or (isinstance(states, str) and states not in present)):
+        return of_arrays(frame[own["state"]] if states is None else states, given, None, reports)
     if own["state"] in present:
         raise _wrong(f"the frame has the columns {_list(present)}, but no value: say columns={{\"value\": …}}")
     wanted = [name for name in present if name != own["time"]] if states is None else (
         [states] if isinstance(states, str) else list(states)
     )
-    return _of_wide(frame, wanted, given, words, present)
+    return _of_wide(frame, wanted, given, words, present, reports)
 
 
 def _of_wide(
-    frame: Any, wanted: list[Any], given: _times.Read, words: Mapping[Any, Any] | None, present: list[Any]
+    frame: Any, wanted: list[Any], given: _times.Read, words: Mapping[Any, Any] | None, present: list[Any],
+    reports: str,
 ) -> Rows:
     if not wanted:
         raise _wrong("the frame has no column but the time")
     missing: dict[str, int] = {}
+    mapped = 0
     table = np.empty((len(given.nanos), len(wanted)), dtype=np.float64)
+    is_row = np.ones(table.shape, dtype=np.bool_)
     for place, name in enumerate(wanted):
         if name not in present:
             raise _wrong(f"the frame has no column {name!r}; it has {_list(present)}")
-        table[:, place], bare = numbers(frame[name], words, f"column {name!r}")
-        for marker, count in bare.items():
+        found = numbers(frame[name], words, f"column {name!r}", reports)
+        table[:, place] = found.values
+        is_row[:, place] = ~np.isnan(found.values) | (found.said if reports != "samples" else False)
+        mapped += found.mapped
+        for marker, count in found.missing.items():
             missing[marker] = missing.get(marker, 0) + count
-    rows, places = np.nonzero(~np.isnan(table))
+    rows, places = np.nonzero(is_row)
     return Rows(
         [str(name) for name in wanted], places.astype(np.uint32), _picked(given, rows), table[rows, places], None, rows,
-        table.size, missing,
+        table.size, missing, mapped,
     )
 
 

@@ -38,7 +38,7 @@ def states(
             (line,) = ax.plot(clock, values[row], label=name)
             if bounds is not None:
                 ax.fill_between(clock, bounds[0][row], bounds[1][row], alpha=0.2, color=line.get_color())
-        ax.set_ylabel("probability")
+        ax.set_ylabel(_label(values))
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     locator = dates.AutoDateLocator()
     ax.xaxis.set_major_locator(locator)
@@ -47,16 +47,22 @@ def states(
     return ax
 
 
+def _label(values: Floats) -> str:
+    known = values[~np.isnan(values)]
+    return "probability" if known.size == 0 or (known.min() >= 0 and known.max() <= 1) else "expected value"
+
+
 def _heat(ax: Any, names: list[str], clock: Any, nanos: npt.NDArray[np.int64], values: Floats) -> None:
     order = np.argsort(nanos, kind="stable")
-    bounded = np.nanmin(values) >= 0 and np.nanmax(values) <= 1
+    label = _label(values)
+    bounded = label == "probability"
     mesh = ax.pcolormesh(
         clock[order], np.arange(len(names)), values[:, order], cmap="viridis", shading="nearest",
         vmin=0 if bounded else None, vmax=1 if bounded else None,
     )
     ax.set_yticks(np.arange(len(names)), names, fontsize="small")
     ax.invert_yaxis()
-    ax.figure.colorbar(mesh, ax=ax, label="probability" if bounded else "expected value", pad=0.01)
+    ax.figure.colorbar(mesh, ax=ax, label=label, pad=0.01)
 
 
 def grid(ax: Any, values: npt.NDArray[np.float32], extent: tuple[float, float, float, float], title: str) -> Any:

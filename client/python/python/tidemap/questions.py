@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tidemap import frames, tables
+from tidemap import reports as _reports
 from tidemap import times as _times
 from tidemap._native import evaluate as _evaluate
 from tidemap._native import history as _history
@@ -20,6 +21,7 @@ from tidemap._native import model_parameters
 from tidemap.answers import Grid, ObservationWarning, Predictions
 from tidemap.connection import Connection, Stream
 from tidemap.errors import InvalidArgument, NotFound
+from tidemap.reports import Reports
 from tidemap.times import Time
 
 if TYPE_CHECKING:
@@ -44,7 +46,9 @@ class Questions(Connection):
                 return found
 
     def states(self, map: str) -> pandas.DataFrame:
-        """All states of a map: ``state, kind, observations, order, pending, last_time, hit, false_alarm``."""
+        """All states of a map: ``state, kind, observations, order, pending, last_time, hit, false_alarm``, and how they
+        are reported: ``reports, hold_max, hold_step``.
+        """
         tables.pandas_needed()
         return tables.of_states(self._states(map), self._zone(map))
 
@@ -109,15 +113,21 @@ class Questions(Connection):
         models: str | Sequence[str] = "auto",
         max_order: int | None = None,
         zone: str | None = None,
+        reports: Reports | None = None,
     ) -> pandas.DataFrame:
         """Compares predictions with observations that are not learned; a row for each state, model and order.
 
-        Observations as of :meth:`Client.observe`. ``models``: names as on the command line, or ``"all"``. The columns
-        are ``state, model, order, n, mse, error_rate``. What could not be compared is in ``attrs["unavailable"]``, and
-        a warning says it.
+        Observations and ``reports`` as of :meth:`Client.observe`. Of a state that reports changes or events, the
+        daemon compares with the readings that the rows stand for. ``models``: names as on the command line, or
+        ``"all"``. The columns are ``state, model, order, n, mse, error_rate``. What could not be compared is in
+        ``attrs["unavailable"]``, and a warning says it.
         """
         tables.pandas_needed()
-        rows, given_zone = self._rows(frame, states, times, values, columns, zone)
+        stated = _reports.stated(reports, None, None)
+        said = "samples" if stated is None else stated.kind
+        rows, given_zone = self._rows(frame, states, times, values, columns, zone, said)
+        if stated is None and rows.without_value:
+            _reports.check_values(rows.names, self._states(map))
         nanos = self._nanos(map, rows.times, given_zone, rows.indices, rows.source)
         wanted = [models] if isinstance(models, str) else list(models)
         if wanted == ["all"]:
@@ -134,7 +144,8 @@ class Questions(Connection):
         return table
 
     def _rows(
-        self, frame: Any, states: Any, times: Any, values: Any, columns: Mapping[str, Any] | None, zone: str | None
+        self, frame: Any, states: Any, times: Any, values: Any, columns: Mapping[str, Any] | None, zone: str | None,
+        reports: str = "samples",
     ) -> tuple[frames.Rows, str | None]:
         """Rows as they were given, and the zone of times that have none."""
         if frame is not None:
@@ -149,10 +160,10 @@ class Questions(Connection):
                 raise InvalidArgument(
                     "with a frame, values says what words mean: values={\"on\": 1, \"off\": 0}", "INVALID_ARGUMENT"
                 )
-            return frames.of_frame(frame, states, columns, values), zone
-        if states is None or times is None or values is None:
+            return frames.of_frame(frame, states, columns, values, reports), zone
+        if states is None or times is None or (values is None and reports != "events"):
             raise InvalidArgument("give a frame, or states, times and values", "INVALID_ARGUMENT")
-        return frames.of_arrays(states, times, values), zone
+        return frames.of_arrays(states, times, values, reports), zone
 
     def history(
         self,
@@ -165,7 +176,8 @@ class Questions(Connection):
     ) -> pandas.DataFrame:
         """What was observed, exactly, where the map keeps it: the columns ``time, state, value``, as ``observe`` takes.
 
-        Without ``states`` all, without times everything; ``to_time`` is not included.
+        Without ``states`` all, without times everything; ``to_time`` is not included. Of states that report changes or
+        events these are their rows, NaN where one says that no value is known from then on.
         """
         tables.pandas_needed()
         begin, end = self._span(map, from_time, to_time, zone)
@@ -253,6 +265,31 @@ class Questions(Connection):
         table = tables.of_positions(header, cells, nanos, self._zone(map))
         table.attrs.update({name: header[name] for name in ("resolution_m", "observations", "trained_observations")})
         return table
+
+    def information(
+        self,
+        map: str,
+        times: Any,
+        states: str | Sequence[str] | None = None,
+        *,
+        locations: Sequence[str] = (),
+        zone: str | None = None,
+        **request: Any,
+    ) -> pandas.DataFrame:
+        """What looking at states, locations or a region teaches: ``time, target, information_bits, entropy_bits``.
+
+        Without ``states``, ``locations`` and ``region`` all states that are probabilities. ``request`` has further
+        fields of ``GetInformationRequest``.
+        """
+        tables.pandas_needed()
+        nanos = self._nanos(map, times, zone)
+        if states is None and not locations and "region" not in request:
+            names = [state["name"] for state in self._states(map) if state["kind"] == "STATE_KIND_PROBABILITY"]
+        else:
+            names = [] if states is None else self._named(map, states)
+        asked = {"map": map, "times_nanos": nanos, "states": names, "locations": list(locations), **request}
+        replies = list(self.stream("ExplorationService/GetInformation", asked, zone=zone))
+        return tables.of_information(replies, nanos, self._zone(map))
 
     def describe(self, map: str, state: str) -> dict[str, Any]:
         """What a state's model consists of: kind, order, rhythms, errors lately."""

@@ -36,7 +36,7 @@ def _records(frame: Any, needed: tuple[str, ...], known: tuple[str, ...]) -> lis
         raise _wrong(f"the frame has a column {strange[0]!r}; columns are {', '.join(known)}")
     columns = [np.asarray(frame[name], dtype=object).tolist() for name in names]
     rows = [dict(zip(names, row)) for row in zip(*columns)]
-    return [{name: cell for name, cell in row.items() if cell is not None and cell == cell} for row in rows]
+    return [{name: cell for name, cell in row.items() if not frames.is_empty(cell)} for row in rows]
 
 
 class Routes(Connection):
@@ -100,7 +100,7 @@ class Routes(Connection):
             present = ", ".join(str(name) for name in names)
             raise _wrong(f"the frame has the columns {present}, but no {' and no '.join(missing)}")
         start, end = (self._nanos(map, _times.read(frame[own[name]]), times) for name in ("start", "end"))
-        success, bare = frames.numbers(frame[own["success"]], where="success")
+        success, bare, *_ = frames.numbers(frame[own["success"]], where="success")
         if bare:
             raise _wrong(f"success of row {int(np.argmax(np.isnan(success)))} is missing")
 
@@ -108,7 +108,7 @@ class Routes(Connection):
             if own[name] not in names:
                 return [""] * len(start)
             cells = np.asarray(frame[own[name]], dtype=object).tolist()
-            return ["" if cell is None or cell != cell else str(cell) for cell in cells]
+            return ["" if frames.is_empty(cell) else str(cell) for cell in cells]
 
         driven = list(zip(
             texts("from"), texts("to"), texts("action"), start.tolist(), end.tolist(), (success >= 0.5).tolist(),
@@ -140,37 +140,61 @@ class Routes(Connection):
 
     def policy(
         self, map: str, goal: str, start_time: Time, *, zone: str | None = None, **request: Any
-    ) -> dict[str, Any]:
-        """What to do at each node and time to reach a node; fields of ``PlanPolicyRequest``."""
+    ) -> pandas.DataFrame:
+        """What to do at each node and time to reach a node: ``slot, node, next, action, expected_secs, probability``.
+
+        ``action`` is ``take`` (the edge to ``next``, with its action as in ``take:elevator``), ``wait``, ``nothing`` or
+        ``arrived``. ``request`` has further fields of ``PlanPolicyRequest``.
+        """
+        tables.pandas_needed()
         asked = {"map": map, "to": goal, "start_time": self._text(map, start_time, zone), **request}
-        return self.call("RouteService/PlanPolicy", asked, zone=zone)
+        return tables.of_policy(self.call("RouteService/PlanPolicy", asked, zone=zone), self._zone(map))
 
     def search(
         self, map: str, start: str, object: str, start_time: Time, *, zone: str | None = None, **request: Any
-    ) -> dict[str, Any]:
-        """Where to look for something, in which order; fields of ``PlanSearchRequest``."""
+    ) -> pandas.DataFrame:
+        """Where to look for something, in which order: ``step, node, arrival_secs, probability``.
+
+        ``attrs`` has what holds for the whole search, such as ``expected_secs``. ``request`` has further fields of
+        ``PlanSearchRequest``.
+        """
+        tables.pandas_needed()
         asked = {
             "map": map, "start": start, "object": object, "start_time": self._text(map, start_time, zone), **request
         }
-        return self.call("SearchService/PlanSearch", asked, zone=zone)
-
-    def information(
-        self, map: str, time: Time, *, zone: str | None = None, **request: Any
-    ) -> list[dict[str, Any]]:
-        """What observing each location at a time teaches; fields of ``GetInformationRequest``."""
-        asked = {"map": map, "time": self._text(map, time, zone), **request}
-        return list(self.stream("ExplorationService/GetInformation", asked, zone=zone))
+        return tables.of_search(self.call("SearchService/PlanSearch", asked, zone=zone))
 
     def tour(
-        self, map: str, time: Time, count: int, *, zone: str | None = None, **request: Any
-    ) -> dict[str, Any]:
-        """A tour to the ``count`` places where looking teaches most; fields of ``PlanTourRequest``."""
-        asked = {"map": map, "time": self._text(map, time, zone), "count": count, **request}
-        return self.call("ExplorationService/PlanTour", asked, zone=zone)
+        self,
+        map: str,
+        time: Time,
+        count: int,
+        *,
+        start: tuple[float, float] | Mapping[str, float] | None = None,
+        zone: str | None = None,
+        **request: Any,
+    ) -> pandas.DataFrame:
+        """A tour to the ``count`` places where looking teaches most, in driving order.
 
-    def day(self, map: str, date: str, **request: Any) -> dict[str, Any]:
-        """When to explore on a day (``2026-01-05``) and where; fields of ``PlanDayRequest``."""
-        return self.call("ExplorationService/PlanDay", {"map": map, "date": str(date), **request})
+        The columns are ``step, x, y, information_bits, reachability, arrival_secs``; ``attrs`` has what holds for the
+        whole tour: its ``path``, ``length_m``, ``expected_bits`` and so on. ``start`` is x and y in metres; without it
+        the tour starts at the charger. ``request`` has further fields of ``PlanTourRequest``.
+        """
+        tables.pandas_needed()
+        asked = {"map": map, "time": self._text(map, time, zone), "count": count, **request}
+        if start is not None:
+            asked["start"] = dict(start) if isinstance(start, Mapping) else {"x_m": start[0], "y_m": start[1]}
+        return tables.of_tour(self.call("ExplorationService/PlanTour", asked, zone=zone))
+
+    def day(self, map: str, date: Any, **request: Any) -> pandas.DataFrame:
+        """When to explore on a local day (``2026-01-05``) and where: ``slot, start, location, information_bits``.
+
+        Where ``location`` is empty, the robot rests. How much is explored needs ``explore`` (slots) or ``ratio``,
+        fields of ``PlanDayRequest``; ``request`` has further ones.
+        """
+        tables.pandas_needed()
+        asked = {"map": map, "date": str(date)[:10], **request}
+        return tables.of_day(self.call("ExplorationService/PlanDay", asked), self._zone(map))
 
     def _text(self, map: str, time: Time, zone: str | None) -> str:
         return _times.timestamp(self._moment(map, time, zone))

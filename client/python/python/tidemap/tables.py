@@ -5,12 +5,13 @@ Invariant: times are in the zone of the map and keep their nanoseconds; numbers 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from tidemap import reports
 from tidemap import times as _times
 from tidemap.errors import TidemapError
 
@@ -67,6 +68,7 @@ def name_of(value: Any, prefix: str) -> str:
 def of_states(states: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
     """States: a row each."""
     sensors = [state.get("sensor") or {} for state in states]
+    said = [reports.of_state(state) for state in states]
     return frame({
         "state": [state["name"] for state in states],
         "kind": [name_of(state["kind"], "STATE_KIND_") for state in states],
@@ -76,7 +78,16 @@ def of_states(states: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
         "last_time": moments([state.get("last_time") for state in states], zone),
         "hit": [_or(sensor.get("hit"), 1.0 if sensor else np.nan) for sensor in sensors],
         "false_alarm": [_or(sensor.get("false_alarm"), 0.0 if sensor else np.nan) for sensor in sensors],
+        "reports": [one.kind for one in said],
+        "hold_max": _durations([one.max_secs for one in said]),
+        "hold_step": _durations([one.step_secs for one in said]),
     })
+
+
+def _durations(secs: list[int | None]) -> npt.NDArray[np.timedelta64]:
+    """Seconds as durations; ``None`` is NaT."""
+    known = [np.timedelta64("NaT") if one is None else np.timedelta64(one, "s") for one in secs]
+    return np.array(known, dtype="timedelta64[ns]")
 
 
 def of_surprises(found: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
@@ -125,6 +136,83 @@ def of_routes(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
     ]
     table.attrs["certainty"] = name_of(reply["certainty"], "ROUTE_CERTAINTY_")
     return table
+
+
+_ACTIONS = {"edge": "take", "none": "nothing"}
+
+
+def of_policy(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
+    """A policy: a row for each node and slot."""
+    begin = _times.from_timestamp(reply["start_time"])
+    step, slots = round(float(reply["slot"].removesuffix("s")) * _times.SECOND), reply["slots"]
+    entries = [entry for node in reply["nodes"] for entry in _entries(node)]
+    return frame({
+        "slot": zoned(np.tile(begin + step * np.arange(slots), len(reply["nodes"])), zone),
+        "node": np.repeat(np.array([node["node"] for node in reply["nodes"]], dtype=object), slots),
+        **dict(zip(("next", "action", "expected_secs", "probability"), zip(*entries) if entries else [[]] * 4)),
+    })
+
+
+def _entries(node: dict[str, Any]) -> Iterator[tuple[str | None, str, float, float]]:
+    """What to do at a node in each slot: the next node, the action, seconds and probability."""
+    for action, place, secs, reach in zip(node["actions"], node["edge_indices"], node["expected_secs"], node["reach"]):
+        word = name_of(action, "POLICY_ACTION_")
+        edge = node["edges"][place] if word == "edge" else {}
+        word = ":".join([_ACTIONS.get(word, word), *filter(None, [edge.get("action")])])
+        yield edge.get("to"), word, float(secs), float(reach)
+
+
+def of_search(reply: dict[str, Any]) -> pandas.DataFrame:
+    """A search: a row a place to look at."""
+    steps = reply["steps"]
+    table = frame({
+        "step": np.arange(1, len(steps) + 1),
+        **{name: [step[name] for step in steps] for name in ("node", "arrival_secs", "probability")},
+    })
+    table.attrs.update({name: value for name, value in reply.items() if name != "steps"})
+    return table
+
+
+def of_tour(reply: dict[str, Any]) -> pandas.DataFrame:
+    """A tour: a row a place to look from."""
+    steps = reply["steps"]
+    places = [step.get("at") or {} for step in steps]
+    table = frame({
+        "step": np.arange(1, len(steps) + 1),
+        **{axis: [float(place.get(f"{axis}_m", 0.0)) for place in places] for axis in ("x", "y")},
+        **{
+            name: [float(step[name]) for step in steps]
+            for name in ("information_bits", "reachability", "arrival_secs")
+        },
+    })
+    table.attrs.update({name: value for name, value in reply.items() if name not in ("steps", "path")})
+    table.attrs["path"] = [(float(point.get("x_m", 0.0)), float(point.get("y_m", 0.0))) for point in reply["path"]]
+    return table
+
+
+def of_day(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
+    """A day of exploration: a row a slot."""
+    slots = reply["slots"]
+    return frame({
+        "slot": np.arange(1, len(slots) + 1),
+        "start": zoned([slot["start_nanos"] for slot in slots], zone),
+        "location": [slot["location"] for slot in slots],
+        "information_bits": [float(slot["information_bits"]) for slot in slots],
+    })
+
+
+def of_information(
+    replies: list[dict[str, Any]], times: npt.NDArray[np.int64], zone: str
+) -> pandas.DataFrame:
+    """What looking teaches: a row for each target and time."""
+    return frame({
+        "time": zoned(np.tile(times, len(replies)), zone),
+        "target": np.repeat(np.array([reply["target"] for reply in replies], dtype=object), len(times)),
+        **{
+            name: np.array([number for reply in replies for number in reply[name]], dtype=np.float64)
+            for name in ("information_bits", "entropy_bits")
+        },
+    })
 
 
 def of_nodes(nodes: list[dict[str, Any]]) -> pandas.DataFrame:

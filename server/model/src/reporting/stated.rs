@@ -86,8 +86,8 @@ impl StatedReporting {
 
     fn hold(self) -> Hold {
         let usual = if self.kind == RowKind::Events { Hold::OF_EVENTS } else { Hold::OF_CHANGES };
-        let step_secs = self.step_secs.unwrap_or(usual.step_secs);
-        Hold { max_secs: self.max_secs.unwrap_or(usual.max_secs).max(step_secs), step_secs }
+        let max_secs = self.max_secs.unwrap_or(usual.max_secs);
+        Hold { max_secs, step_secs: self.step_secs.unwrap_or(usual.step_secs.min(max_secs).max(1)) }
     }
 
     /// How a new state is reported.

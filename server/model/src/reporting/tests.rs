@@ -23,6 +23,18 @@ fn read(reporting: Reporting, given: &[(i64, Option<f64>)], horizon_secs: i64) -
 }
 
 #[test]
+fn a_stated_hold_is_never_lengthened() {
+    let said = |max, step| StatedReporting::new(RowKind::Changes, max, step);
+    let found = |max, step| said(max, step).map(StatedReporting::for_new);
+    assert_eq!(found(None, None), Ok(Reporting::Changes(Hold::OF_CHANGES)));
+    // Values that hold for less than the usual step are learned as often as they hold.
+    assert_eq!(found(Some(60), None), Ok(changes(60, 60)));
+    assert!(said(Some(60), None).is_ok_and(|said| said.fits(said.for_new())));
+    assert_eq!(found(Some(60), Some(300)), Err(InvalidHold::Max { max_secs: 60, step_secs: 300 }.into()));
+    assert_eq!(found(Some(0), None), Err(InvalidHold::Max { max_secs: 0, step_secs: 1 }.into()));
+}
+
+#[test]
 fn a_value_holds_until_the_next_row() {
     let door = [(95, Some(0.0)), (310, Some(1.0)), (405, None), (600, Some(1.0))];
     let expected = [(100, 0.0), (200, 0.0), (300, 0.0), (400, 1.0), (600, 1.0), (700, 1.0)];

@@ -114,8 +114,8 @@ async fn find_subject(view: &Arc<MapView>, name: &str) -> Result<Subject, RpcErr
 /// The retention of the subject.
 fn retention(spec: &MapSpec, subject: Subject) -> Result<Retention, RpcError> {
     let (what, option) = match subject {
-        Subject::State(_) => ("states", "--retention"),
-        Subject::Cell(..) => ("its grid", "--grid-retention"),
+        Subject::State(_) => ("states", "a retention"),
+        Subject::Cell(..) => ("its grid", "a grid retention"),
     };
     let no_history = || RpcError::NoHistory { map: spec.name.as_str().to_owned(), what, option };
     readings::retention(spec, subject).ok_or_else(no_history)

@@ -28,9 +28,7 @@ pub(crate) enum PlanError {
     Presence(#[from] PresenceError),
     #[error("no slot of the day has a tour: {0}")]
     NoTour(NoTour),
-    #[error(
-        "the map has no charger, and no start was given: give one, or set the charger with `tidemap map set --charger`"
-    )]
+    #[error("the map has no charger, and no start was given: give a start, or set the charger of the map")]
     NoStart,
 }
 

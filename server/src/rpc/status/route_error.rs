@@ -13,7 +13,7 @@ use tonic::Code;
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum RouteError {
-    #[error("map {0:?} has no nodes: load a topological map, with `tidemap topology load`")]
+    #[error("map {0:?} has no nodes: load a topological map first")]
     NoNodes(String),
     #[error("there is no node {name:?}; nodes here: {known}")]
     UnknownNode { name: String, known: String },
