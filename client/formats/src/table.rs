@@ -189,7 +189,7 @@ pub fn write_upright<W: Write, S: AsRef<str>>(
     for (column, cell) in columns.iter().zip(row).filter(|(_, cell)| !cell.exact().is_empty()) {
         let mut header = column.as_ref().to_owned();
         let shown = times.column(&mut header, &[cell]).and_then(|texts| texts.into_iter().next());
-        let header = if matches!(cell, Cell::Secs(_)) { without_unit(header) } else { header };
+        let header = if matches!(cell, Cell::Secs(_)) { without_unit(&header).to_owned() } else { header };
         lines.push((header, shown.unwrap_or_else(|| cell.rounded())));
     }
     let width = lines.iter().map(|(header, _)| header.chars().count()).max().unwrap_or(0);
@@ -314,7 +314,8 @@ impl<W: Write> TableWriter<W> {
             numeric.push(times.is_none() && cells.iter().any(|cell| cell.is_numeric()));
             let shown = times.unwrap_or_else(|| at_the_point(&cells));
             add_unit(&mut name);
-            header.push(if cells.iter().any(|cell| matches!(cell, Cell::Secs(_))) { without_unit(name) } else { name });
+            let are_durations = cells.iter().any(|cell| matches!(cell, Cell::Secs(_)));
+            header.push(if are_durations { without_unit(&name).to_owned() } else { name });
             texts.iter_mut().zip(shown).for_each(|(row, text)| row.push(text));
         }
         table.set_header(&header);
@@ -338,8 +339,8 @@ fn add_unit(header: &mut String) {
 }
 
 /// The name of a column of durations, which have their units.
-fn without_unit(header: String) -> String {
-    header.strip_suffix("_secs").map_or_else(|| header.clone(), str::to_owned)
+fn without_unit(header: &str) -> &str {
+    header.strip_suffix("_secs").unwrap_or(header)
 }
 
 /// The cells of a column as texts whose decimal points are one below the other, once they are aligned to the right.
