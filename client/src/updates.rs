@@ -173,7 +173,7 @@ pub struct StateUpdate {
 }
 
 /// The HTTP port of a daemon, which serves its page.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PagePort {
     /// Number of the port.
     pub port: u16,
@@ -181,6 +181,8 @@ pub struct PagePort {
     pub is_loopback: bool,
     /// Whether it speaks HTTPS.
     pub has_tls: bool,
+    /// The address that it is bound to; empty: all addresses of the machine, or the loopback one.
+    pub host: String,
 }
 
 /// One counter.
@@ -387,7 +389,7 @@ impl Client {
         let page = self.all_statistics(map).await?.page;
         let port = |page: v1::PagePort| {
             let port = u16::try_from(page.port).map_err(|_| Error::Protocol("a port that is none"))?;
-            Ok(PagePort { port, is_loopback: page.is_loopback, has_tls: page.has_tls })
+            Ok(PagePort { port, is_loopback: page.is_loopback, has_tls: page.has_tls, host: page.host })
         };
         page.map(port).transpose()
     }

@@ -141,6 +141,20 @@ fn how_a_state_is_reported_never_changes() {
     assert_eq!((sent.numbers("accepted"), sent.numbers("without_value")), (vec![2.0], vec![1.0]));
     let other = send(&["--changes", "--hold-step", "10m"], "two", rows);
     other.fails(1, &["exists and is reported by changes that hold for 86400 s"]);
+    // A file is looked at before anything is sent or withdrawn.
+    let file = data.path().join("plain.csv");
+    fs::write(&file, "time,state,value\n1738537200,lamp,0\n1738540800,lamp,1\n").expect("written");
+    let path = file.display().to_string();
+    tidemap(&daemon, ["observe", "home", &path, "--producer", "hub"]).table();
+    for more in [&["--changes"][..], &["--changes", "--replace"]] {
+        let all = ["observe", "home", &path, "--producer", "hub"].into_iter().chain(more.iter().copied());
+        tidemap(&daemon, all.collect::<Vec<_>>()).fails(1, &["lamp", "Nothing was sent", "tidemap erase home --state"]);
+    }
+    let kept = ["reconstruct", "home", "lamp", "--from", "1738537200", "--to", "1738540801"];
+    assert_eq!(tidemap(&daemon, kept).table().numbers("value"), [0.0, 1.0]);
+    tidemap(&daemon, ["erase", "home", "--state", "lamp"]).table();
+    let all = ["observe", "home", &path, "--producer", "hub", "--changes", "--replace"];
+    assert_eq!(tidemap(&daemon, all).table().numbers("accepted"), [2.0]);
     send(&["--events"], "three", "time,state\n1738537200,door\n").fails(1, &["door", "a count"]);
     // A state of samples takes no row without a value.
     tidemap(&daemon, ["state", "add", "home", "plain"]).table();
@@ -174,4 +188,27 @@ fn events_are_counted_and_changes_sent_as_readings_are_told() {
     }
     let sent = tidemap_reading(&daemon, ["observe", "home", "-", "--producer", "robot"], &rows);
     assert!(sent.stderr.contains("nearly every row differs"), "{}", sent.stderr);
+}
+
+#[test]
+fn an_evaluation_does_not_depend_on_whether_rows_are_in_order_of_time_or_of_state() {
+    let data = tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    map(&daemon, "home");
+    let add =
+        |state| tidemap(&daemon, ["state", "add", "home", state, "--reports", "changes", "--hold-max", "1d"]).table();
+    (add("a"), add("b"));
+    // More than fit into one message. Two hours of every day are without rows, and the last value holds.
+    let changes = (0..30 * 1440).filter(|minute| minute % 1440 < 1320);
+    let row = |minute: i64, state: &str| format!("{},{state},{}\n", START_SECS + minute * 60, minute / 60 % 3 % 2);
+    let by_time: String = changes.clone().flat_map(|minute| [row(minute, "a"), row(minute, "b")]).collect();
+    let by_state: String =
+        ["a", "b"].map(|state| changes.clone().map(|minute| row(minute, state)).collect::<String>()).concat();
+    let evaluated = |rows: &str| {
+        let rows = format!("time,state,value\n{rows}");
+        let found = tidemap_reading(&daemon, ["evaluate", "home", "-", "--models", "mean"], &rows).table();
+        (found.numbers("n"), found.numbers("mse"))
+    };
+    assert_eq!(evaluated(&by_time), evaluated(&by_state));
+    assert_eq!(evaluated(&by_time).0, [30.0 * 288.0 - 24.0; 2]);
 }

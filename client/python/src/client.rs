@@ -133,6 +133,13 @@ impl NativeClient {
         }
     }
 
+    /// Checks that a kind exists and goes with how states are reported, before anything is withdrawn or sent.
+    #[pyo3(signature = (kind, reporting=None))]
+    #[expect(clippy::unused_self, reason = "Python has the client at hand")]
+    fn check_states(&self, py: Python<'_>, kind: Option<&str>, reporting: Option<SaidReporting>) -> PyResult<()> {
+        states_of(py, kind, reporting).map(drop)
+    }
+
     /// Sends observations, each exactly once; those that the daemon has are compared. `positions` has the coordinates
     /// of vectors, one row each, in the place of the values. `progress` is called with the number of durable ones and
     /// of all. NaN of changes and events: no value is known from then on.

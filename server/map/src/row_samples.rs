@@ -56,10 +56,16 @@ impl AskedReadings {
 }
 
 impl MapView {
-    /// For how long before an instant observations of a state may say what it was then, in nanoseconds; 0 for samples.
+    /// The times of the observations that say what a state was within an interval, nanoseconds UTC: a row may hold into
+    /// it, and events are counted up to the end of a step.
     #[must_use]
-    pub fn hold_nanos(&self, id: StateId) -> i64 {
-        self.reporting(id).hold().map_or(0, tidemap_model::Hold::max_nanos)
+    pub fn rows_about(&self, id: StateId, within_nanos: &Range<i64>) -> Range<i64> {
+        let Range { start, end } = *within_nanos;
+        match self.reporting(id) {
+            Reporting::Samples => start..end,
+            Reporting::Changes(hold) => start.saturating_sub(hold.max_nanos())..end,
+            Reporting::Events(hold) => start.saturating_sub(hold.max_nanos())..end.saturating_add(hold.step_nanos()),
+        }
     }
 
     /// What observations of a state that updates have learned stand for: the observations themselves, or the readings
@@ -73,7 +79,7 @@ impl MapView {
     }
 
     /// What all observations of a state stand for, learned or not. Both ascend by time. Readings need the observations
-    /// of [`MapView::hold_nanos`] before the interval.
+    /// of [`MapView::rows_about`] the interval.
     #[must_use]
     pub fn observed_readings(&self, id: StateId, observed: Vec<Reading>, asked: &AskedReadings) -> Vec<Reading> {
         if !self.reporting(id).may_end() {

@@ -57,13 +57,6 @@ pub(crate) struct PageAddress {
     pub has_tls: bool,
 }
 
-impl PageAddress {
-    fn to_wire(self) -> v1::PagePort {
-        let PageAddress { address, has_tls } = self;
-        v1::PagePort { port: address.port().into(), is_loopback: address.ip().is_loopback(), has_tls }
-    }
-}
-
 fn job_to_wire(catalog: &Catalog, job: &UpdateJob) -> v1::Job {
     let status = job.status();
     let (state, elapsed, error) = match status.phase {
@@ -336,7 +329,11 @@ impl MaintenanceService for Maintenance {
             .into_iter()
             .map(|(name, value, unit)| v1::Statistic { name: name.to_owned(), value, unit: unit.to_owned() })
             .collect();
-        Ok(Response::new(v1::GetStatisticsResponse { statistics, page: Some(self.page.to_wire()) }))
+        let PageAddress { address, has_tls } = self.page;
+        let (ip, is_loopback) = (address.ip(), address.ip().is_loopback());
+        let host = if is_loopback || ip.is_unspecified() { String::new() } else { ip.to_string() };
+        let page = v1::PagePort { port: address.port().into(), is_loopback, has_tls, host };
+        Ok(Response::new(v1::GetStatisticsResponse { statistics, page: Some(page) }))
     }
 }
 

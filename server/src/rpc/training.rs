@@ -206,19 +206,25 @@ impl ModelTrainer {
                 return Err(RpcError::NoHistory { map, what: "states", option: "a retention" });
             }
             let enough = usize::try_from(left).unwrap_or(usize::MAX);
-            let from_nanos = within_nanos.start.saturating_sub(view.hold_nanos(state));
-            let wanted = ReadingsQuery { subject, within_nanos: from_nanos..within_nanos.end, enough };
+            let wanted = ReadingsQuery { subject, within_nanos: view.rows_about(state, &within_nanos), enough };
             let tail = read(handle, &wanted).await?;
             let history = self.catalog.context().store.history(handle.id)?.before(tail.stored_before);
             let (permit, handle) = (self.permits.take().await?, Arc::clone(handle));
-            let read = move |stop: StopSignal<'_>| gather(&history, &handle.spec, tail, &wanted, stop);
-            let readings = run_while_awaited(permit, None, read).await??;
-            check_limit("readings of the locations", readings.len() as u64, left, "setting max_training_readings")?;
             let asked = AskedReadings { within_nanos: within_nanos.clone(), at_most: enough.saturating_add(1) };
-            let readings = view.observed_readings(state, readings, &asked);
-            let got = readings.len() as u64;
-            check_limit("readings of the locations", got, left, "setting max_training_readings")?;
-            left -= got;
+            let (view, max) = (Arc::clone(view), self.max_readings);
+            let check = move |readings: &[Reading]| {
+                let got = (max - left).saturating_add(readings.len() as u64);
+                check_limit("readings of the locations", got, max, "setting max_training_readings")
+            };
+            let read = move |stop: StopSignal<'_>| {
+                let rows = gather(&history, &handle.spec, tail, &wanted, stop)?;
+                check(&rows)?;
+                let readings = view.observed_readings(state, rows, &asked);
+                check(&readings)?;
+                Ok::<_, RpcError>(readings)
+            };
+            let readings = run_while_awaited(permit, None, read).await??;
+            left -= readings.len() as u64;
             found.push(readings);
         }
         Ok(found)

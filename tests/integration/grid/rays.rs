@@ -156,7 +156,7 @@ async fn grid_questions_that_make_no_sense_are_refused_by_name() {
     let with = |output| GridQuery { output, ..question(MAP) };
     for (query, code, words) in [
         (question("attic"), Code::NotFound, ["attic", "bare"]),
-        (question("bare"), Code::FailedPrecondition, ["bare", "--grid"]),
+        (question("bare"), Code::FailedPrecondition, ["bare", "when it is created"]),
         (GridQuery { time_nanos: -7, ..question(MAP) }, Code::InvalidArgument, ["time", "1970"]),
         (with(GridOutput::Threshold(1.5)), Code::InvalidArgument, ["threshold", "1.5"]),
         (with(GridOutput::Threshold(-0.5)), Code::InvalidArgument, ["threshold", "-0.5"]),

@@ -8,6 +8,7 @@ pub(crate) mod feed;
 pub(crate) mod kinds;
 mod opening;
 pub(crate) mod refused;
+mod reporting;
 pub(crate) mod transfer;
 
 use std::{
@@ -134,6 +135,9 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
         return Err(usage(format!("--kind {} does not go with --{}", kind.name(), stated.kind().name())));
     }
     let options = ProducerOptions { kind, reporting: stated, ..options };
+    if let Some(stated) = stated {
+        reporting::check(session, (&options.map, &args.file), &rules, stated).await?;
+    }
     if args.replace {
         withdraw(session, &options).await?;
     }

@@ -5,12 +5,17 @@
 use std::{
     env,
     ffi::OsString,
+    net::{ToSocketAddrs as _, UdpSocket},
     process::{Command, ExitCode, Stdio},
 };
 
-use tidemap_client::{Client, updates::PagePort};
+use tidemap_client::{Client, Error, updates::PagePort};
+use tonic::Code;
 
 use super::{UsageError, usage};
+
+/// The HTTP port that a daemon has by default.
+const HTTP_PORT: u16 = 7436;
 
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct OpenArgs {
@@ -37,24 +42,48 @@ fn host(server: &str) -> Option<&str> {
     })
 }
 
+/// Whether a name or an address is this machine.
+fn is_here(host: &str) -> bool {
+    let resolved = (host.trim_matches(['[', ']']), 0).to_socket_addrs();
+    // Only own addresses can be bound.
+    resolved.is_ok_and(|mut found| found.any(|address| UdpSocket::bind(address).is_ok()))
+}
+
 /// The address of the page of a daemon.
 ///
 /// # Errors
 /// The page is served to the daemon's own machine alone, which is another one.
-fn served(server: &str, port: PagePort) -> Result<String, UsageError> {
-    let host = host(server);
-    let is_here = host.is_none_or(|host| ["127.0.0.1", "localhost", "[::1]"].contains(&host));
-    let PagePort { port, is_loopback, has_tls } = port;
-    if is_loopback && !is_here {
-        let host = host.unwrap_or_default();
+fn served(server: &str, page: &PagePort) -> Result<String, UsageError> {
+    let PagePort { port, is_loopback, has_tls, host: bound } = page;
+    let asked = host(server).unwrap_or("127.0.0.1");
+    let is_name_of_loopback = ["127.0.0.1", "localhost", "[::1]"].contains(&asked);
+    if *is_loopback && !is_name_of_loopback && !is_here(asked) {
         return Err(UsageError(format!(
-            "the page of {host} is served to that machine alone, on port {port}. Start the daemon with --http-listen \
-             0.0.0.0:{port} (docs: access), or forward the port: ssh -L {port}:127.0.0.1:{port} {host}, and then \
-             tidemap open --page 127.0.0.1:{port}"
+            "the page of {asked} is served to that machine alone, on port {port}. Forward the port with ssh -L \
+             {port}:127.0.0.1:{port} {asked}, and then open it with tidemap open --page 127.0.0.1:{port}; or let the \
+             daemon serve it to others, with TLS and tokens (docs/src/security.md)"
         )));
     }
-    let scheme = if has_tls { "https" } else { "http" };
-    Ok(format!("{scheme}://{}:{port}", host.unwrap_or("127.0.0.1")))
+    let host = match (bound.as_str(), is_loopback) {
+        ("", true) if !is_name_of_loopback => "127.0.0.1".to_owned(),
+        ("", _) => asked.to_owned(),
+        (address, _) if address.contains(':') => format!("[{address}]"),
+        (address, _) => address.to_owned(),
+    };
+    Ok(format!("{}://{host}:{port}", if *has_tls { "https" } else { "http" }))
+}
+
+/// What the daemon says, or the port that it has by default where the token may not ask.
+async fn page_of(client: &Client, map: &str) -> anyhow::Result<PagePort> {
+    match client.page_port(map).await {
+        Ok(Some(page)) => Ok(page),
+        Ok(None) => Err(usage("the daemon is too old to say where its page is: name it with --page HOST:PORT")),
+        Err(Error::Server(error)) if error.code == Code::PermissionDenied => {
+            eprintln!("the token may not ask where the page is: this is the port that it has by default");
+            Ok(PagePort { port: HTTP_PORT, is_loopback: false, has_tls: true, host: String::new() })
+        }
+        Err(error) => Err(error.into()),
+    }
 }
 
 /// The page at an address that was named.
@@ -88,10 +117,7 @@ pub(crate) async fn run(client: &Client, args: &OpenArgs, server: &str) -> anyho
     }
     let page = match &args.page {
         Some(page) => named(page),
-        None => match client.page_port(map.unwrap_or_default()).await? {
-            Some(port) => served(server, port)?,
-            None => return Err(usage("the daemon is too old to say where its page is: name it with --page HOST:PORT")),
-        },
+        None => served(server, &page_of(client, map.unwrap_or_default()).await?)?,
     };
     let address = address(&page, map);
     println!("{address}");
@@ -111,19 +137,23 @@ pub(crate) async fn run(client: &Client, args: &OpenArgs, server: &str) -> anyho
 mod tests {
     use super::*;
 
-    const HERE: PagePort = PagePort { port: 7436, is_loopback: true, has_tls: false };
+    fn page(port: u16, is_loopback: bool, host: &str) -> PagePort {
+        PagePort { port, is_loopback, has_tls: !is_loopback, host: host.to_owned() }
+    }
 
     #[test]
     fn the_page_is_on_the_machine_of_the_server() {
-        let everywhere = PagePort { port: 443, is_loopback: false, has_tls: true };
-        for (server, port, page) in [
-            ("http://127.0.0.1:7435", HERE, "http://127.0.0.1:7436"),
-            ("http://localhost:7435", HERE, "http://localhost:7436"),
-            ("[::1]:7435", HERE, "http://[::1]:7436"),
-            ("unix:/run/tidemap.sock", HERE, "http://127.0.0.1:7436"),
-            ("https://robots.example:7435/", everywhere, "https://robots.example:443"),
+        for (server, page, expected) in [
+            ("http://127.0.0.1:7435", page(7436, true, ""), "http://127.0.0.1:7436"),
+            ("http://localhost:7435", page(7436, true, ""), "http://localhost:7436"),
+            ("[::1]:7435", page(7436, true, ""), "http://[::1]:7436"),
+            ("unix:/run/tidemap.sock", page(7436, true, ""), "http://127.0.0.1:7436"),
+            ("127.0.0.2:7435", page(7436, true, ""), "http://127.0.0.1:7436"),
+            ("https://robots.example:7435/", page(443, false, ""), "https://robots.example:443"),
+            ("127.0.0.1:7435", page(443, false, "192.168.1.5"), "https://192.168.1.5:443"),
+            ("127.0.0.1:7435", page(443, false, "fe80::1"), "https://[fe80::1]:443"),
         ] {
-            assert_eq!(served(server, port).expect("a page"), page);
+            assert_eq!(served(server, &page).expect("a page"), expected);
         }
         assert_eq!(address("http://h:1", Some("home")), "http://h:1/maps/home");
         assert_eq!(address("http://h:1", None), "http://h:1/");
@@ -131,8 +161,8 @@ mod tests {
 
     #[test]
     fn a_page_of_another_machine_alone_is_refused_with_what_to_do() {
-        let message = served("https://robots.example:7435", HERE).expect_err("not here").to_string();
-        assert!(message.contains("ssh -L 7436:127.0.0.1:7436 robots.example"), "{message}");
+        let message = served("https://192.0.2.7:7435", &page(7436, true, "")).expect_err("not here").to_string();
+        assert!(message.contains("ssh -L 7436:127.0.0.1:7436 192.0.2.7"), "{message}");
     }
 
     #[test]

@@ -15,7 +15,8 @@ use super::{
     usage,
 };
 use picture::Drawn;
-use tidemap_formats::table::Cell;
+use crate::progress::status_line;
+use tidemap_formats::table::{Cell, Format};
 
 pub(super) mod names;
 mod picture;
@@ -96,8 +97,9 @@ const COLUMNS: [&str; 12] = [
     "mass",
 ];
 
-/// What a table shows only where it is asked for.
-const DETAILS: &[&str] = &["entropy_bits", "order", "model", "pending", "mass"];
+/// What a table shows only where it is asked for, and less of it where a model or an order is.
+const DETAILS: &[&str] = &["entropy_bits", "order", "model", "mass"];
+const DETAILS_BESIDE_MODEL: &[&str] = &["entropy_bits", "mass"];
 
 pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<ExitCode> {
     if args.order.is_some() && !args.model.kind.has_order() {
@@ -119,9 +121,15 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     // Neither shows intervals.
     let interval = if args.wide { 0.0 } else { args.interval };
     let mut predictions = session.client.predict(&args.map, states, times, model).with_intervals(interval);
-    let hidden = if args.full { &[] } else { DETAILS };
+    let is_chosen = args.order.is_some() || args.model != ModelSelector::default();
+    let hidden = match (args.full, is_chosen) {
+        (true, _) => &[],
+        (false, true) => DETAILS_BESIDE_MODEL,
+        (false, false) => DETAILS,
+    };
     let mut table = (!args.drawing.is_in_terminal() && !args.wide).then(|| session.table(&COLUMNS).hiding(hidden));
     let mut drawn = Drawn::new(session);
+    let mut unlearned: Vec<String> = Vec::new();
     let mut wide = Wide::default();
     while let Some(run) = predictions.next().await? {
         let (states, times) = (predictions.states(), predictions.times());
@@ -136,10 +144,22 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
             wide.add(&run, &name, times);
         }
         if let Some(table) = &mut table {
-            for cells in rows(&run, &name, &times[run.first_time..]) {
+            // People see how many observations wait, where there are such.
+            let shows_pending = session.format != Format::Table || args.full || run.pending > 0;
+            for cells in rows(&run, &name, &times[run.first_time..], shows_pending) {
                 table.row(cells)?;
             }
         }
+        if is_prior(&run) && unlearned.last().is_none_or(|last| *last != name) {
+            unlearned.push(name.into_owned());
+        }
+    }
+    if let Some(first) = unlearned.first().filter(|_| session.format == Format::Table) {
+        let more = if unlearned.len() > 1 { format!(" and of {} more", unlearned.len() - 1) } else { String::new() };
+        status_line(&format!(
+            "nothing is learned yet of {first}{more}: this is what the map expects of any state; tidemap update {} learns",
+            args.map
+        ));
     }
     if let Some(table) = table {
         table.finish()?;
@@ -218,7 +238,12 @@ pub(super) fn check_for_cells(model: ModelSelector) -> Result<(), UsageError> {
     )))
 }
 
-fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl Iterator<Item = Vec<Cell>> + 'a {
+fn rows<'a>(
+    run: &'a PredictionRun,
+    state: &'a str,
+    times: &'a [i64],
+    shows_pending: bool,
+) -> impl Iterator<Item = Vec<Cell>> + 'a {
     times.iter().zip(&run.probabilities).enumerate().map(move |(i, (&time, &probability))| {
         vec![
             Cell::Time(time),
@@ -231,17 +256,22 @@ fn rows<'a>(run: &'a PredictionRun, state: &'a str, times: &'a [i64]) -> impl It
             run.observations.into(),
             Cell::secs(run.last_nanos.map(|last| time.saturating_sub(last))),
             model_cell(run),
-            run.pending.into(),
+            Cell::maybe(shows_pending.then_some(run.pending)),
             Cell::maybe(run.masses.get(i).copied()),
         ]
     })
+}
+
+/// Whether no update has learned anything of the state.
+fn is_prior(run: &PredictionRun) -> bool {
+    run.answered_by.is_none() && run.pending == run.observations
 }
 
 /// The model that predicted. `prior`: nothing was learned. Nothing: the daemon is too old to name it.
 fn model_cell(run: &PredictionRun) -> Cell {
     match run.answered_by {
         Some(model) => Cell::Text(model.to_string()),
-        None if run.pending == run.observations => "prior".into(),
+        None if is_prior(run) => "prior".into(),
         None => Cell::Empty,
     }
 }

@@ -46,7 +46,8 @@ pub(crate) struct ReportArgs {
     /// With --changes or --events: the longest time for which a row says something [default: 7d]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     hold_max: Option<i64>,
-    /// With --changes or --events: the time between two readings that are learned [default: 5m, 1h for events]
+    /// With --changes or --events: the time between two readings that are learned [default: 5m, 1h for
+    /// events, or --hold-max where that is shorter]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     hold_step: Option<i64>,
 }

@@ -1,7 +1,7 @@
 //! Numbers and durations as people read them.
 //!
-//! Invariant: three decimals at most, but never so few that a number looks like 0, or a probability like 1, that it is
-//! not.
+//! Invariant: a number has three decimals or three digits, but never so few that it looks like 0 or 1 and is not. A
+//! number that needs more than six decimals has an exponent near 0, and an inequality near 1.
 
 /// Numbers of less than this have an exponent.
 const SMALL: f64 = 1e-6;
@@ -20,6 +20,9 @@ pub fn number(number: f64) -> String {
     }
     if size < SMALL {
         return trimmed_exponent(number);
+    }
+    if size < 1.0 && 1.0 - size < SMALL {
+        return format!("{}0.999999", if number < 0.0 { "<-" } else { ">" });
     }
     let needed = places(size, DIGITS).max(if size < 1.0 { places(1.0 - size, DIGITS_FROM_ONE) } else { 0 });
     let text = format!("{number:.*}", usize::try_from(needed.max(3)).unwrap_or(3));
@@ -45,10 +48,14 @@ pub fn period(secs: f64) -> String {
         size if size > 36.0 * 3600.0 => (size / 86_400.0, "d"),
         size if size >= 3600.0 => (size / 3600.0, "h"),
         size if size >= 60.0 => (size / 60.0, "min"),
-        size => (size, "s"),
+        size if size >= 1.0 || size == 0.0 => (size, "s"),
+        size => (size * 1e3, "ms"),
     };
     let decimals = usize::from(value < 100.0) + usize::from(value < 10.0);
     let text = format!("{value:.decimals$}");
+    if value < 0.005 && value > 0.0 {
+        return "<0.01 ms".to_owned();
+    }
     let text = if decimals > 0 { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     format!("{}{text} {unit}", if secs < 0.0 && text != "0" { "-" } else { "" })
 }
@@ -67,7 +74,8 @@ mod tests {
             (0.012_345_678, "0.0123"),
             (0.000_412_3, "0.000412"),
             (0.999_51, "0.9995"),
-            (0.999_999_2, "0.9999992"),
+            (0.999_998_2, "0.999998"),
+            (0.999_999_2, ">0.999999"),
             (86_400.0, "86400"),
             (458_123.25, "458123.25"),
             (21.456_78, "21.457"),
@@ -96,6 +104,9 @@ mod tests {
             (1_800.0, "30 min"),
             (90.0, "1.5 min"),
             (30.0, "30 s"),
+            (0.25, "250 ms"),
+            (0.004_21, "4.21 ms"),
+            (0.000_001, "<0.01 ms"),
             (0.0, "0 s"),
             (-3.0 * 86_400.0, "-3 d"),
         ] {

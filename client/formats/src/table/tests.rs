@@ -82,7 +82,7 @@ fn people_see_no_columns_that_say_nothing_to_them() -> io::Result<()> {
         table.finish()?;
         String::from_utf8(bytes).map_err(io::Error::other)
     };
-    assert_eq!(text(Format::Table)?, "state  age\ndoor   24.4 h\n");
+    assert_eq!(text(Format::Table)?, "state     age\ndoor   24.4 h\n");
     assert_eq!(text(Format::Csv)?, "state,age_secs,lower,order\ndoor,87720,,3\n");
     Ok(())
 }
@@ -173,7 +173,7 @@ fn a_list_is_a_list_in_json_and_words_elsewhere() {
 
 #[test]
 fn people_see_the_unit_of_coordinates() -> io::Result<()> {
-    let row = || [vec![1.5.into(), Cell::Empty]];
+    let row = || [vec![1.5.into(), 2_u64.into()]];
     for (format, header) in [(Format::Table, "x (m)  states"), (Format::Csv, "x,states")] {
         let mut bytes = Vec::new();
         write_rows(format, &["x", "states"], row(), &mut bytes)?;

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tidemap import frames, reports
 from tidemap.answers import ObservationWarning
 
-ROWS_AT_ONCE = 10
+ROWS_AT_ONCE = 20
 """As many rows of a state at one time look like rounded times."""
 ROWS_LEAST = 20
 """With fewer rows a state looks like nothing."""
@@ -76,8 +76,8 @@ def of_changes(rows: frames.Rows, states: Callable[[], list[dict[str, Any]]]) ->
         name, more = _named(rows, numbers)
         warnings.warn(
             f"nearly every row of {name} differs from the row before{more}. If the sensor reports changes only, these "
-            "rows say something wrong as they are: send them to a new map with reports=\"changes\". If they are "
-            "readings, say reports=\"samples\"",
+            "rows say something wrong as they are: erase the state (client.erase), and send them with "
+            "reports=\"changes\" and a label of its own. If they are readings, say reports=\"samples\"",
             ObservationWarning, stacklevel=_LEVEL,
         )
 

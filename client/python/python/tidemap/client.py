@@ -154,6 +154,7 @@ class Client(Questions, Routes):
             _reports.check(stated, rows.names, self._states(map))
         elif rows.without_value:
             _reports.check_values(rows.names, self._states(map))
+        self._native.check_states(kind, None if stated is None else stated.native())
         advice.of_one_time(rows, nanos)
         if replace:
             self._withdraw(map, producer, label)

@@ -116,7 +116,7 @@ def check(stated: Stated, names: Iterable[str], states: list[dict[str, Any]]) ->
         more = f", and {len(others) - 1} more states are reported otherwise" if len(others) > 1 else ""
         raise FailedPrecondition(
             f"state {name!r} exists and is reported by {found}, not by {stated}{more}. How a state is reported never "
-            "changes: use other names, or a new map. Nothing was sent",
+            "changes: erase the state first (client.erase), and send with a label of its own. Nothing was sent",
             "FAILED_PRECONDITION",
         )
 

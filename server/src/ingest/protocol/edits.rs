@@ -25,7 +25,7 @@ pub(crate) enum AddStateError {
     OtherKind { name: StateName, found: StateShape, asked: StateShape },
     #[error("state {name:?} exists with {has}, not {asked}: the sensor of a state never changes; add the state before its first observation, or under another name", name = .name.as_str(), has = found.map_or("no stated sensor".to_owned(), |found| found.to_string()))]
     OtherSensor { name: StateName, found: Option<StateSensor>, asked: StateSensor },
-    #[error("state {name:?} exists and is reported by {found}, not by {asked}: how a state is reported never changes; add the state before its first observation, or under another name", name = .name.as_str())]
+    #[error("state {name:?} exists and is reported by {found}, not by {asked}: how a state is reported never changes; add the state before its first observation, or erase it first", name = .name.as_str())]
     OtherReporting { name: StateName, found: Reporting, asked: StatedReporting },
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
     TooMany { max: usize },

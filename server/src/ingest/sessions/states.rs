@@ -307,7 +307,7 @@ fn other_reporting(name: &StateName, found: Reporting, said: StatedReporting) ->
     let name = name.as_str().chars().take(60).collect::<String>();
     let text = format!(
         "state {name:?} exists and is reported by {found}, not by {said}: this never changes; send its observations as \
-         they are, or under another name"
+         they are, or erase the state first, and send them as a new producer"
     );
     (RefusalReason::StateKind, text)
 }

@@ -87,8 +87,7 @@ pub(super) async fn find_anomalies(
     let view = handle.view();
     let subject = find_all(&view, |_| "state".to_owned(), vec![name]).await?.pop().ok_or(RpcError::Stopping)?;
     if let StateOrCell::State(id) = subject {
-        // A change before the interval may hold into it.
-        asked.within_nanos.start = asked.within_nanos.start.saturating_sub(view.hold_nanos(id));
+        asked.within_nanos = view.rows_about(id, &within_nanos);
     }
     let max = queries.max_predictions;
     // Before the permits to look up are taken: training has its own permits, and may take long.

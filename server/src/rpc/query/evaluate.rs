@@ -71,11 +71,11 @@ pub(super) async fn evaluate_states(
         take_observations(&columns, &table, &view, &mut evaluator, &mut waiting).map_err(RpcError::from)?;
         // Without models to fit nothing is gained by waiting.
         if waiting.count >= WAITING_MAX || evaluator.kinds_to_train().next().is_none() {
-            let taken = held.take(std::mem::take(&mut waiting), &view, 0);
+            let taken = held.take(std::mem::take(&mut waiting), &view, false);
             (evaluator, held.readings) = compare(queries, &handle, &view, taken, (evaluator, held.readings)).await?;
         }
     }
-    let taken = held.take(waiting, &view, 1);
+    let taken = held.take(waiting, &view, true);
     let (evaluator, _) = compare(queries, &handle, &view, taken, (evaluator, held.readings)).await?;
     Ok(answer(&evaluator, &view))
 }
@@ -177,12 +177,13 @@ enum TakenReadings {
 }
 
 impl HeldRows {
-    /// What observations stand for, up to `after_nanos` after the newest of all of them: more of its time may come.
+    /// What observations stand for, each state's up to its own newest row: more of its rows may come. The last
+    /// observations: up to the newest of all states.
     fn take(
         &mut self,
         waiting: WaitingObservations,
         view: &MapView,
-        after_nanos: i64,
+        are_last: bool,
     ) -> Vec<(TableEntry, TakenReadings)> {
         let WaitingObservations { mut by_state, mut entries, .. } = waiting;
         let newest = by_state.values().flatten().map(|sample| sample.utc_nanos).max();
@@ -190,10 +191,12 @@ impl HeldRows {
         for entry in entries.iter().filter(|entry| entry.state.reporting(view).may_end()) {
             self.learned.entry(entry.state.subject()).or_insert_with(|| (entry.clone(), LearnedRows::default()));
         }
-        // What holds from rows of earlier messages goes on.
-        let without_rows = self.learned.iter().filter(|(subject, _)| !by_state.contains_key(subject));
-        entries.extend(without_rows.map(|(_, (entry, _))| entry.clone()));
-        let horizon_nanos = self.newest_nanos + after_nanos;
+        if are_last {
+            // What holds from rows of earlier messages goes on.
+            let without_rows = self.learned.iter().filter(|(subject, _)| !by_state.contains_key(subject));
+            entries.extend(without_rows.map(|(_, (entry, _))| entry.clone()));
+        }
+        let horizon_nanos = if are_last { self.newest_nanos.saturating_add(1) } else { i64::MIN };
         let readings = |entry: TableEntry| {
             let mut samples = by_state.remove(&entry.state.subject()).unwrap_or_default();
             let Some((_, learned)) = self.learned.get_mut(&entry.state.subject()) else {

@@ -46,13 +46,14 @@ pub(super) async fn list_surprises(
             continue;
         }
         not_replaced(&handle)?;
-        let readings = found.iter().map(|(_, pending)| pending.len() as u64).sum();
-        let permit = queries.permit_for(readings).await?;
+        let rows = found.iter().map(|(_, pending)| pending.len() as u64).sum();
+        let (permit, max) = (queries.permit_for(rows).await?, queries.max_predictions);
         let answer = crate::task::blocking(move || {
             let _permit = permit;
-            reply(&view, &found, &question)
+            let found = stand_for(&view, found, &question, max)?;
+            Ok(reply(&view, &found, &question))
         });
-        return answer.await.map_err(|_| RpcError::Stopping);
+        return answer.await.map_err(|_| RpcError::Stopping)?;
     }
     Err(RpcError::Updating(UPDATE_WITHIN.as_secs()))
 }
@@ -88,19 +89,37 @@ async fn pending(
         if view.pending_of(state) > 0 {
             let enough = usize::try_from(max).unwrap_or(usize::MAX);
             let within_nanos = question.within_nanos.clone();
-            let from_nanos = within_nanos.start.saturating_sub(view.hold_nanos(state));
-            let wanted =
-                ReadingsQuery { subject: Subject::State(state), within_nanos: from_nanos..within_nanos.end, enough };
-            readings = read(handle, &wanted).await?.pending;
-            check_limit("observations to judge", readings.len() as u64, max, "setting max_predictions")?;
-            let at_most = enough.saturating_add(1);
-            readings = view.pending_readings(state, readings, &AskedReadings { within_nanos, at_most });
+            let within_nanos = view.rows_about(state, &within_nanos);
+            readings =
+                read(handle, &ReadingsQuery { subject: Subject::State(state), within_nanos, enough }).await?.pending;
         }
         total += readings.len() as u64;
         check_limit("observations to judge", total, max, "setting max_predictions")?;
         found.push((state, readings));
     }
     Ok(found)
+}
+
+/// What the pending observations of states stand for.
+///
+/// # Errors
+/// More than `max` readings together.
+fn stand_for(
+    view: &MapView,
+    found: Vec<(StateId, Vec<Reading>)>,
+    question: &SurpriseQuestion,
+    max: u64,
+) -> Result<Vec<(StateId, Vec<Reading>)>, RpcError> {
+    let mut total = 0_u64;
+    let readings = |(state, pending)| {
+        let at_most = usize::try_from(max - total).unwrap_or(usize::MAX).saturating_add(1);
+        let asked = AskedReadings { within_nanos: question.within_nanos.clone(), at_most };
+        let readings = view.pending_readings(state, pending, &asked);
+        total += readings.len() as u64;
+        check_limit("observations to judge", total, max, "setting max_predictions")?;
+        Ok((state, readings))
+    };
+    found.into_iter().map(readings).collect()
 }
 
 fn reply(view: &MapView, states: &[(StateId, Vec<Reading>)], question: &SurpriseQuestion) -> v1::ListSurprisesResponse {

@@ -62,7 +62,8 @@ impl RowAdvice {
         if let Some(states) = self.states_that(looks_like).filter(|_| are_samples) {
             lines.push(format!(
                 "{states}: nearly every row differs from the row before. If the sensor reports changes only, these rows \
-                 say something wrong as they are: send the file to a new map with --changes"
+                 say something wrong as they are: erase the state (tidemap erase MAP --state NAME), and send the file with \
+                 --changes and a --producer or --label of its own"
             ));
         }
         let is_at_once = |seen: &Seen| seen.rows >= ROWS_MIN && seen.at_first == seen.rows;

@@ -59,8 +59,7 @@ pub(crate) fn open<L>(path: &Path, rules: &RowRules) -> anyhow::Result<Feed<L>>
 where
     L: Layout<Item: Send> + Clone + Send + 'static,
 {
-    let (source, total_bytes) = opening::open(path)?;
-    let mut rows = RowReader::<_, L>::open_with(source, rules).with_context(|| display_name(path))?;
+    let (mut rows, total_bytes) = reader::<L>(path, rules)?;
     if path.as_os_str() == "-" {
         // The writer of a pipe may be killed in the middle of a line. A file without its last line end was probably
         // saved that way.
@@ -77,6 +76,12 @@ where
     let (sender, receiver) = mpsc::channel(CHUNKS_AHEAD);
     thread::Builder::new().name("rows".to_owned()).spawn(move || read(rows, &sender)).context("thread")?;
     Ok(Feed { rows: receiver, total_bytes, layout })
+}
+
+/// The rows of a file, and its size.
+pub(crate) fn reader<L: Layout>(path: &Path, rules: &RowRules) -> anyhow::Result<(FileRows<L>, Option<u64>)> {
+    let (source, total_bytes) = opening::open(path)?;
+    Ok((RowReader::open_with(source, rules).with_context(|| display_name(path))?, total_bytes))
 }
 
 /// Reads until the end, an error, or until the receiver is closed.

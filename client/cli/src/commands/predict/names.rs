@@ -2,6 +2,8 @@
 //!
 //! Invariant: a pattern that no name fits is told, with names that exist.
 
+use tidemap_client::maps::State;
+
 use crate::commands::{Session, usage};
 
 /// Whether a name may be a pattern.
@@ -11,25 +13,41 @@ fn is_pattern(name: &str) -> bool {
 
 /// Whether a name matches a pattern: `*` stands for any characters, `?` for one.
 fn matches(pattern: &[char], name: &[char]) -> bool {
-    match pattern.split_first() {
-        None => name.is_empty(),
-        Some(('*', rest)) => (0..=name.len()).any(|from| name.get(from..).is_some_and(|left| matches(rest, left))),
-        Some((one, rest)) => {
-            name.split_first().is_some_and(|(first, left)| (*one == '?' || one == first) && matches(rest, left))
+    let (mut at, mut read) = (0, 0);
+    // After the last `*`, and how far that one reaches.
+    let mut star: Option<(usize, usize)> = None;
+    while let Some(&letter) = name.get(read) {
+        match pattern.get(at) {
+            Some('*') => {
+                at += 1;
+                star = Some((at, read));
+            }
+            Some(&one) if one == '?' || one == letter => (at, read) = (at + 1, read + 1),
+            _ => {
+                let Some((after, reach)) = star else { return false };
+                star = Some((after, reach + 1));
+                (at, read) = (after, reach + 1);
+            }
         }
     }
+    pattern.get(at..).is_some_and(|rest| rest.iter().all(|one| *one == '*'))
+}
+
+/// All states of a map, in the order of their first observation.
+pub(crate) async fn states(session: &Session, map: &str) -> anyhow::Result<Vec<State>> {
+    let mut all = Vec::new();
+    let mut token = Some(String::new());
+    while let Some(page_token) = token {
+        let (states, next) = session.client.states(map, &page_token).await?;
+        all.extend(states);
+        token = next;
+    }
+    Ok(all)
 }
 
 /// All names of a map, in the order of their first observation.
 pub(crate) async fn all(session: &Session, map: &str) -> anyhow::Result<Vec<String>> {
-    let mut names = Vec::new();
-    let mut token = Some(String::new());
-    while let Some(page_token) = token {
-        let (states, next) = session.client.states(map, &page_token).await?;
-        names.extend(states.into_iter().map(|state| state.name));
-        token = next;
-    }
-    Ok(names)
+    Ok(states(session, map).await?.into_iter().map(|state| state.name).collect())
 }
 
 /// The names that are meant: patterns are replaced by the names that fit, in their order; without any, all names.

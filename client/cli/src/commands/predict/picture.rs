@@ -3,7 +3,10 @@
 //! Invariant: every state is drawn; of more times than fit, neighbours are averaged.
 
 use tidemap_client::queries::PredictionRun;
-use tidemap_formats::drawing::{Curve, CurvePlot, HeatMap};
+use tidemap_formats::{
+    drawing::{Curve, CurvePlot, HeatMap},
+    table::numbers::number,
+};
 
 use crate::commands::{Session, usage};
 
@@ -84,18 +87,44 @@ impl<'a> Drawn<'a> {
             let known: Vec<f64> = values.iter().flatten().copied().collect();
             (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
         };
-        let values: Vec<Vec<Option<f64>>> =
-            self.plot.curves.iter().map(|curve| curve.values.chunks(step).map(mean).collect()).collect();
-        let all = || values.iter().flatten().flatten().copied();
-        let is_probability = all().all(|value| (0.0..=1.0).contains(&value));
+        let rows = self.plot.curves.iter().map(|curve| {
+            let values: Vec<Option<f64>> = curve.values.chunks(step).map(mean).collect();
+            strip(&curve.name, values)
+        });
+        let (rows, values): (Vec<String>, Vec<Vec<Option<f64>>>) = rows.unzip();
+        let are_probabilities = self.plot.curves.iter().zip(&rows).all(|(curve, row)| curve.name == *row);
+        let unit = if are_probabilities { "probability" } else { "probability, or within the range beside the name" };
         HeatMap {
             title: self.plot.title.clone(),
-            rows: self.plot.curves.iter().map(|curve| curve.name.clone()).collect(),
+            rows,
             columns: self.plot.labels.iter().step_by(step).cloned().collect(),
-            range: if is_probability { [0.0, 1.0] } else { [all().fold(0.0, f64::min), all().fold(0.0, f64::max)] },
-            unit: if is_probability { "probability" } else { "expected value" }.to_owned(),
+            range: [0.0, 1.0],
+            unit: unit.to_owned(),
             values,
             cell_m: None,
         }
     }
+}
+
+/// The row of a state: probabilities as they are, other numbers from the least to the greatest, which the name shows.
+/// With one scale for all, a temperature would make every door look shut.
+fn strip(name: &str, values: Vec<Option<f64>>) -> (String, Vec<Option<f64>>) {
+    let known = || values.iter().flatten().copied();
+    if known().all(|value| (0.0..=1.0).contains(&value)) {
+        return (name.to_owned(), values);
+    }
+    let (least, greatest) = (known().fold(f64::INFINITY, f64::min), known().fold(f64::NEG_INFINITY, f64::max));
+    let span = greatest - least;
+    let scaled = |value: f64| if span > 0.0 { (value - least) / span } else { 0.5 };
+    let name = format!("{name} ({}..{})", number(least), number(greatest));
+    (name, values.into_iter().map(|value| value.map(scaled)).collect())
+}
+
+#[test]
+fn numbers_beside_doors_have_a_scale_of_their_own() {
+    let door = vec![Some(0.0), Some(0.9), None];
+    assert_eq!(strip("door", door.clone()), ("door".to_owned(), door));
+    let (name, values) = strip("hall", vec![Some(17.5), Some(21.25), Some(19.375)]);
+    assert_eq!((name.as_str(), values), ("hall (17.5..21.25)", vec![Some(0.0), Some(1.0), Some(0.5)]));
+    assert_eq!(strip("x", vec![Some(3.0)]).1, [Some(0.5)]);
 }

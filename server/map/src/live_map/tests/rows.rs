@@ -205,3 +205,16 @@ fn no_more_readings_are_made_of_rows_than_are_asked_for() {
     let view = home.map.publish();
     assert_eq!(view.learned_readings(StateId(0), rows, &within(16..18, 7)), two_hours[..7]);
 }
+
+#[test]
+fn an_interval_that_cuts_a_step_sees_all_its_events() {
+    let mut home = Home::new(StateKind::Count, Reporting::Events(hold(DAY, HOUR)));
+    let rows: Vec<(i64, f64)> = (0..30).map(|n| (MONDAY + n * 10 * MINUTE, 1.0)).collect();
+    home.observe(&rows, HOUR);
+    let view = home.map.publish();
+    let within_nanos = MONDAY + 2 * HOUR..MONDAY + 3 * HOUR + 10 * MINUTE;
+    let about = view.rows_about(StateId(0), &within_nanos);
+    let rows = rows.into_iter().filter(|(nanos, _)| about.contains(nanos)).collect();
+    let found = view.observed_readings(StateId(0), rows, &AskedReadings { within_nanos, at_most: 9 });
+    assert_eq!(found, [(MONDAY + 2 * HOUR, 6.0), (MONDAY + 3 * HOUR, 6.0)]);
+}

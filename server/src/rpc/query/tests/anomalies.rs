@@ -120,7 +120,7 @@ async fn what_cannot_be_judged_is_refused() {
     check_refused(bench.find(about("door", (-1, 5))).await, invalid, &["from_time"]);
     check_refused(bench.find(about("window", (0, 5))).await, Code::NotFound, &["window", "door"]);
     check_refused(bench.find(about("cell/9/9/9", (0, 5))).await, Code::NotFound, &["cell/9/9/9"]);
-    let words = ["keeps no history of states", "--retention"];
+    let words = ["keeps no history of states", "with a retention"];
     check_refused(bench.find(about("door", (0, 5))).await, Code::FailedPrecondition, &words);
     bench.queries.max_predictions = 49;
     check_refused(bench.find(ask(None)).await, Code::ResourceExhausted, &["max_predictions"]);

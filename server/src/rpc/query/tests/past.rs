@@ -68,9 +68,9 @@ async fn what_is_not_kept_is_said_to_be_not_kept() {
     let bench = Bench::new(dir.path(), Retention::None, Some(Retention::None)).await;
     bench.robot("r").await.observe(&bench, &door(5)).await;
     bench.robot("s").await.show(&bench, &minutes(5)).await;
-    let words = ["\"office\" keeps no history of states", "--retention"];
+    let words = ["\"office\" keeps no history of states", "with a retention"];
     check_refused(bench.past("door", 0, 1).await, Code::FailedPrecondition, &words);
-    let words = ["history of its grid", "--grid-retention"];
+    let words = ["history of its grid", "grid retention"];
     check_refused(bench.past("cell/0/0/0", 0, 1).await, Code::FailedPrecondition, &words);
     check_refused(bench.past("window", 0, 1).await, Code::NotFound, &["window", "door"]);
     check_refused(bench.past("cell/7/0/0", 0, 1).await, Code::NotFound, &["cell/7/0/0"]);

@@ -144,7 +144,7 @@ async fn what_a_model_cannot_be_trained_on_is_said() {
             bench.update().await;
         }
         for kind in KINDS {
-            let words = [&*kind.to_string(), "\"door\"", "\"office\"", "keeps none", "--retention"];
+            let words = [&*kind.to_string(), "\"door\"", "\"office\"", "keeps none", "retention \"none\""];
             check_refused(bench.ask(kind, &[NOON]).await, Code::FailedPrecondition, &words);
             let words = [&*kind.to_string(), "cells", "auto, mean, latest or spectral"];
             let model = wire(kind, false);
@@ -236,7 +236,7 @@ async fn a_cell_whose_readings_are_not_kept_has_no_trained_model() {
     bench.robot("s").await.show(&bench, &minutes(5)).await;
     bench.update().await;
     for kind in KINDS {
-        let words = [&*kind.to_string(), "\"cell/1/0/0\"", "keeps none", "--grid-retention"];
+        let words = [&*kind.to_string(), "\"cell/1/0/0\"", "keeps none", "grid retention \"none\""];
         let found = bench.predict(&["cell/1/0/0"], &[NOON], wire(kind, false)).await;
         check_refused(found, Code::FailedPrecondition, &words);
     }
