@@ -197,7 +197,9 @@ fn an_evaluation_does_not_depend_on_whether_rows_are_in_order_of_time_or_of_stat
     map(&daemon, "home");
     let add =
         |state| tidemap(&daemon, ["state", "add", "home", state, "--reports", "changes", "--hold-max", "1d"]).table();
-    (add("a"), add("b"));
+    for state in ["a", "b"] {
+        add(state);
+    }
     // More than fit into one message. Two hours of every day are without rows, and the last value holds.
     let changes = (0..30 * 1440).filter(|minute| minute % 1440 < 1320);
     let row = |minute: i64, state: &str| format!("{},{state},{}\n", START_SECS + minute * 60, minute / 60 % 3 % 2);

@@ -14,8 +14,8 @@ use super::{
     times::{self, When},
     usage,
 };
-use picture::Drawn;
 use crate::progress::status_line;
+use picture::Drawn;
 use tidemap_formats::table::{Cell, Format};
 
 pub(super) mod names;

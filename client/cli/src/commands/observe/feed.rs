@@ -79,7 +79,10 @@ where
 }
 
 /// The rows of a file, and its size.
-pub(crate) fn reader<L: Layout>(path: &Path, rules: &RowRules) -> anyhow::Result<(FileRows<L>, Option<u64>)> {
+pub(crate) fn reader<L: Layout>(
+    path: &Path,
+    rules: &RowRules,
+) -> anyhow::Result<(RowReader<opening::RowSource, L>, Option<u64>)> {
     let (source, total_bytes) = opening::open(path)?;
     Ok((RowReader::open_with(source, rules).with_context(|| display_name(path))?, total_bytes))
 }
