@@ -84,6 +84,13 @@ export function monday(ms: number, zone: string): number {
     return instant(at.year, at.month, at.day - weekday, 0, 0, zone);
 }
 
+/** The instants of a local day at which the clock shows these hours; those that a clock change leaves out are left out. */
+export function clockHours(day: number, hours: number[], zone: string): number[] {
+    const at = civil(day, zone);
+    const found = hours.map((hour) => ({ hour, ms: instant(at.year, at.month, at.day, hour, 0, zone) }));
+    return found.filter(({ hour, ms }) => clock(ms, zone) === `${String(hour).padStart(2, '0')}:00`).map(({ ms }) => ms);
+}
+
 /** The instant so many local days later, at the same time of the day. */
 export function addDays(ms: number, days: number, zone: string): number {
     return fromWall(wallTime(ms, zone) + days * DAY, zone);
