@@ -48,6 +48,11 @@ export const SPANS: Record<SpanName, Span> = {
     },
 };
 
+/** The span of a name in the address. */
+export function spanOf(name: string | undefined): SpanName {
+    return name !== undefined && name in SPANS ? (name as SpanName) : 'day';
+}
+
 /**
  * The time of a position of the slider, in milliseconds after its start: of a day as they pass, of a week and a year as
  * the clock shows them.
