@@ -102,7 +102,7 @@ export function longTime(ms: number, zone: string): string {
         weekday: 'short', day: 'numeric', month: 'short', year: 'numeric', hour: '2-digit', minute: '2-digit', hourCycle: 'h23',
     }).formatToParts(ms);
     const of = (type: string) => parts.find((part) => part.type === type)?.value ?? '';
-    return `${of('weekday')} ${of('day')} ${of('month')} ${of('year')}, ${of('hour')}:${of('minute')}`;
+    return `${of('weekday')} ${of('day')} ${of('month').slice(0, 3)} ${of('year')}, ${of('hour')}:${of('minute')}`;
 }
 
 /** As `10:00`. */
@@ -112,7 +112,7 @@ export function clock(ms: number, zone: string): string {
 
 /** As `Tue 4 Mar`. */
 export function dayName(ms: number, zone: string): string {
-    return format(zone, 'day', { weekday: 'short', day: 'numeric', month: 'short' }).format(ms).replace(',', '');
+    return format(zone, 'day', { weekday: 'short', day: 'numeric', month: 'short' }).format(ms).replace(',', '').replace('Sept', 'Sep');
 }
 
 /** As `2025-03-04T10:00:00+00:00`. */
