@@ -84,7 +84,7 @@ export function monday(ms: number, zone: string): number {
     return instant(at.year, at.month, at.day - weekday, 0, 0, zone);
 }
 
-/** The instants of a local day at which the clock shows these hours; those that a clock change leaves out are left out. */
+/** The instants of a local day at which the clock shows these hours, without those that a clock change leaves out. */
 export function clockHours(day: number, hours: number[], zone: string): number[] {
     const at = civil(day, zone);
     const found = hours.map((hour) => ({ hour, ms: instant(at.year, at.month, at.day, hour, 0, zone) }));

@@ -1,7 +1,7 @@
 // Answers to the newest question of a view.
 //
-// Invariant of `latest`: after an effect has asked anew, or has ended, nothing of an older question arrives, neither its answer nor
-// its problem.
+// Invariant of `latest`: after an effect has asked anew or has ended, nothing of an older question arrives, neither its
+// answer nor its problem.
 
 import { message } from './rpc.svelte';
 

@@ -49,7 +49,7 @@ export class LookFeed {
     #stop: AbortController | undefined;
     #key = '';
 
-    /** Asks for what is visible at a time; without a box there is nothing to show. `generation` changes when it does. */
+    /** Asks for what is visible at a time; without a box there is nothing. `generation` changes when the answer may. */
     ask(map: string, box: Box | undefined, at: number, generation = ''): void {
         const key = JSON.stringify([map, box, at, generation]);
         if (key === this.#key) return;

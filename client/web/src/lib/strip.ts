@@ -25,7 +25,7 @@ export interface Strip {
     note: string;
 }
 
-/** When each hour of the clock begins on the day of a midnight; an hour that the clock leaves out begins as the next one. */
+/** When each hour of the clock begins on a day, by its midnight; one that the clock leaves out begins as the next. */
 export function hoursOfDay(day: number, zone: string): number[] {
     // Where a clock change leaves out midnight, the day begins later.
     const first = Math.floor(wallTime(day, zone) / DAY) * DAY;

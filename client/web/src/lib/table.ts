@@ -34,7 +34,7 @@ export function tableSvg({ title, head, rows: all }: Table): string {
     const rows = left > 0 ? [...all.slice(0, DRAWN_MAX), [`${left} more rows`]] : all;
     const cut = (cell: string | number | undefined) => (String(cell ?? '').length > LONGEST ? `${String(cell).slice(0, LONGEST - 1)}…` : String(cell ?? ''));
     const count = Math.max(head.length, ...rows.map((row) => row.length));
-    const widths = Array.from({ length: count }, (_, column) => [head, ...rows].reduce((most, row) => Math.max(most, cut(row[column]).length), 0) * LETTER + GAP);
+    const widths = Array.from({ length: count }, (_, column) => [head, ...rows].reduce((longest, row) => Math.max(longest, cut(row[column]).length), 0) * LETTER + GAP);
     const lefts = widths.map((_, column) => widths.slice(0, column).reduce((sum, width) => sum + width, 10));
     const width = Math.ceil(Math.max(title.length * 8 + 20, (lefts.at(-1) ?? 0) + (widths.at(-1) ?? 0)));
     const height = TOP + rows.length * ROW + 8;
