@@ -113,7 +113,7 @@ try {
 
     await check('rows of hours are saved as they are shown', async () => {
         const saved = async (format) => {
-            await page.getByTestId('overview').getByTestId('export').locator('summary').click();
+            await page.getByTitle('Save the rows as a file').click();
             const coming = page.waitForEvent('download');
             await page.getByTestId('overview').getByRole('button', { name: format, exact: true }).click();
             return readFileSync(await (await coming).path());
@@ -235,6 +235,18 @@ try {
         await page.getByTestId('legend').getByText(/^\d+\.\d bits$/).waitFor();
     });
 
+    await check('a tour says what it was planned for, and when that is old', async () => {
+        const said = page.getByTestId('tour-of');
+        assert.match(await said.innerText(), /^Planned for Tue 18 Mar 2025, 10:00, from .* m\.$/);
+        await slideTo(page, 180, at(3));
+        await page.waitForFunction(() => /^Planned for Tue 18 Mar 2025, 10:00.* Plan anew/.test(document.querySelector('[data-testid=tour-of]')?.textContent ?? ''));
+        await slideTo(page, 600, at(10));
+        await page.getByTitle('Save the tour as a file').click();
+        const coming = page.waitForEvent('download');
+        await page.getByRole('button', { name: 'CSV', exact: true }).click();
+        assert.match(readFileSync(await (await coming).path(), 'utf8'), /^Goal,At,Information,Reached\r\n1,"[0-9., -]+",[0-9.]+ bits,\d+ %\r\n/);
+    });
+
     await check('the map is saved as it is shown', async () => {
         const saved = async (format) => {
             const menu = page.getByTestId('export').first();
@@ -265,6 +277,22 @@ try {
         await page.screenshot({ path: join(folder, 'states.png') });
     });
 
+    await check('the states have the clock of the map, and their hours and tables are saved', async () => {
+        assert.equal(await page.getByTestId('time-text').innerText(), 'Tue 11 Mar 2025, 12:30');
+        await page.getByTestId('newest').waitFor();
+        await page.getByTestId('play').click();
+        await page.waitForFunction(() => !document.querySelector('[data-testid=time-text]')?.textContent.endsWith('12:30'));
+        await page.getByTestId('play').click();
+        const saved = async (what) => {
+            await page.getByTitle(`Save ${what} as a file`).click();
+            const coming = page.waitForEvent('download');
+            await page.getByRole('button', { name: 'CSV', exact: true }).click();
+            return readFileSync(await (await coming).path(), 'utf8').trim().split('\r\n');
+        };
+        assert.equal((await saved('the four weeks')).length, 1 + 28 * 24);
+        assert.match((await saved('the comparison'))[1] ?? '', /,kitchen: chosen,predicted,/);
+    });
+
     await check('rows of changes and events are shown as what they stand for', async () => {
         contacts();
         await page.goto(`${daemon.http}/states/contacts?at=2025-03-20T10:00:00Z&select=contact`);
@@ -279,7 +307,7 @@ try {
         // The hours of the strip: all of 10:00, half of 12:00, then nothing.
         await page.goto(`${daemon.http}/maps/contacts?at=2025-03-20T10:00:00Z&hours=observed`);
         await page.getByLabel('Search states').fill('contact');
-        await page.getByTestId('overview').getByTestId('export').locator('summary').click();
+        await page.getByTitle('Save the rows as a file').click();
         const coming = page.waitForEvent('download');
         await page.getByTestId('overview').getByRole('button', { name: 'CSV', exact: true }).click();
         const hours = readFileSync(await (await coming).path(), 'utf8').trim().split('\r\n').slice(1).map((line) => line.split(',')[2]);
@@ -342,6 +370,13 @@ try {
         await daemon.stop();
         await page.getByTestId('away').waitFor();
         await daemon.start();
+        await page.getByTestId('away').waitFor({ state: 'detached' });
+    });
+
+    await check('a daemon that hangs is told, and the page recovers', async () => {
+        daemon.process.kill('SIGSTOP');
+        await page.getByTestId('away').waitFor();
+        daemon.process.kill('SIGCONT');
         await page.getByTestId('away').waitFor({ state: 'detached' });
     });
 

@@ -2,6 +2,8 @@
 //
 // Invariant: the address alone brings a view back. Names are written with percent signs where needed.
 
+import { MINUTE, rfc3339 } from './civil';
+
 export type ViewName = 'maps' | 'states' | 'operations';
 
 interface Address {
@@ -68,4 +70,9 @@ export function setParams(changes: Record<string, string | undefined>): void {
         const text = new URLSearchParams(address.params).toString();
         window.history.replaceState(null, '', text ? `${path}?${text}` : path);
     }, 400);
+}
+
+/** Changes the time of the view, to the minute. */
+export function setTime(ms: number, zone: string): void {
+    setParams({ at: rfc3339(Math.round(ms / MINUTE) * MINUTE, zone) });
 }

@@ -112,6 +112,8 @@ suite('texts of times', () => {
     test('are in the zone', () => {
         assert.equal(longTime(noon, 'UTC'), 'Tue 4 Mar 2025, 10:05');
         assert.equal(longTime(noon, 'Asia/Tokyo'), 'Tue 4 Mar 2025, 19:05');
+        const autumn = at('2025-09-04T10:05:00Z');
+        assert.deepEqual([longTime(autumn, 'UTC'), dayName(autumn, 'UTC')], ['Thu 4 Sep 2025, 10:05', 'Thu 4 Sep']);
         assert.equal(clock(noon, 'America/New_York'), '05:05');
         assert.equal(dayName(at('2025-03-04T20:00:00Z'), 'Asia/Tokyo'), 'Wed 5 Mar');
     });

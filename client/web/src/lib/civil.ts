@@ -84,6 +84,13 @@ export function monday(ms: number, zone: string): number {
     return instant(at.year, at.month, at.day - weekday, 0, 0, zone);
 }
 
+/** The instants of a local day at which the clock shows these hours, without those that a clock change leaves out. */
+export function clockHours(day: number, hours: number[], zone: string): number[] {
+    const at = civil(day, zone);
+    const found = hours.map((hour) => ({ hour, ms: instant(at.year, at.month, at.day, hour, 0, zone) }));
+    return found.filter(({ hour, ms }) => clock(ms, zone) === `${String(hour).padStart(2, '0')}:00`).map(({ ms }) => ms);
+}
+
 /** The instant so many local days later, at the same time of the day. */
 export function addDays(ms: number, days: number, zone: string): number {
     return fromWall(wallTime(ms, zone) + days * DAY, zone);
@@ -95,7 +102,7 @@ export function longTime(ms: number, zone: string): string {
         weekday: 'short', day: 'numeric', month: 'short', year: 'numeric', hour: '2-digit', minute: '2-digit', hourCycle: 'h23',
     }).formatToParts(ms);
     const of = (type: string) => parts.find((part) => part.type === type)?.value ?? '';
-    return `${of('weekday')} ${of('day')} ${of('month')} ${of('year')}, ${of('hour')}:${of('minute')}`;
+    return `${of('weekday')} ${of('day')} ${of('month').slice(0, 3)} ${of('year')}, ${of('hour')}:${of('minute')}`;
 }
 
 /** As `10:00`. */
@@ -105,7 +112,7 @@ export function clock(ms: number, zone: string): string {
 
 /** As `Tue 4 Mar`. */
 export function dayName(ms: number, zone: string): string {
-    return format(zone, 'day', { weekday: 'short', day: 'numeric', month: 'short' }).format(ms).replace(',', '');
+    return format(zone, 'day', { weekday: 'short', day: 'numeric', month: 'short' }).format(ms).replace(',', '').replace('Sept', 'Sep');
 }
 
 /** As `2025-03-04T10:00:00+00:00`. */

@@ -2,6 +2,8 @@
 //
 // Invariant: a file says the map, the time and the zone; text in it is escaped.
 
+export type Format = 'png' | 'svg' | 'csv';
+
 /** Offers a file to be saved. */
 export function save(name: string, content: Blob | string, type = 'text/plain'): void {
     const url = URL.createObjectURL(typeof content === 'string' ? new Blob([content], { type }) : content);

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';
 
-import { latest } from './latest';
+import { latest, oneAtATime } from './latest';
 
 /** A question whose answer the test gives. */
 function question(): { ask: () => Promise<string>; answer: (text: string) => void; fail: (error: Error) => void } {
@@ -69,4 +69,23 @@ suite('an older question', () => {
         while (heard.length === 0) await settle();
         assert.equal(asked, 0);
     });
+});
+
+test('one question runs at a time, and of those that wait the newest', async () => {
+    const asked: number[] = [];
+    let answer: () => void = () => {};
+    const ask = oneAtATime();
+    const question = (number: number) => () => {
+        asked.push(number);
+        return new Promise<void>((done) => (answer = done));
+    };
+    for (const number of [1, 2, 3]) ask(question(number));
+    assert.deepEqual(asked, [1]);
+    answer();
+    await new Promise((done) => setTimeout(done));
+    assert.deepEqual(asked, [1, 3]);
+    answer();
+    await new Promise((done) => setTimeout(done));
+    ask(question(4));
+    assert.deepEqual(asked, [1, 3, 4]);
 });

@@ -1,7 +1,7 @@
 // Answers to the newest question of a view.
 //
-// Invariant: after an effect has asked anew, or has ended, nothing of an older question arrives, neither its answer nor
-// its problem.
+// Invariant of `latest`: after an effect has asked anew or has ended, nothing of an older question arrives, neither its
+// answer nor its problem.
 
 import { message } from './rpc.svelte';
 
@@ -26,5 +26,23 @@ export function latest<T>(ask: () => Promise<T>, got: (answer: T) => void, faile
     return () => {
         isDropped = true;
         clearTimeout(timer);
+    };
+}
+
+/**
+ * Runs one question at a time; while it waits, the newest of further ones is kept, and the others are never asked. For
+ * what changes all the time: `latest` would drop each answer before it comes.
+ */
+export function oneAtATime(): (ask: () => Promise<void>) => void {
+    const waiting: (() => Promise<void>)[] = [];
+    let isAsking = false;
+    const runAll = async () => {
+        isAsking = true;
+        for (let run = waiting.pop(); run; run = waiting.pop()) await run();
+        isAsking = false;
+    };
+    return (ask) => {
+        waiting.splice(0, 1, ask);
+        if (!isAsking) void runAll();
     };
 }

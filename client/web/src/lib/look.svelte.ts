@@ -47,10 +47,14 @@ export class LookFeed {
     problem = $state('');
     #timer: ReturnType<typeof setTimeout> | undefined;
     #stop: AbortController | undefined;
+    #key = '';
 
-    /** Asks for what is visible at a time; without a box there is nothing to show. */
-    ask(map: string, box: Box | undefined, at: number): void {
+    /** Asks for what is visible at a time; without a box there is nothing. `generation` changes when the answer may. */
+    ask(map: string, box: Box | undefined, at: number, generation = ''): void {
+        const key = JSON.stringify([map, box, at, generation]);
+        if (key === this.#key) return;
         this.stop();
+        this.#key = key;
         if (!box) {
             this.looks = [];
             return;
@@ -59,6 +63,7 @@ export class LookFeed {
     }
 
     stop(): void {
+        this.#key = '';
         clearTimeout(this.#timer);
         this.#stop?.abort();
     }

@@ -39,4 +39,22 @@ suite('looks', () => {
         feed.ask('home', undefined, 5000);
         assert.deepEqual(feed.looks, []);
     });
+
+    test('are asked for again when the map has learned, and not before', async () => {
+        let asked = 0;
+        Object.assign(exploration, {
+            evaluateViews: async function* () {
+                asked++;
+                await Promise.resolve();
+                yield { viewpoint: 0, informationBits: [asked], reason: '' };
+            },
+        });
+        const feed = new LookFeed();
+        const ask = async (generation: string) => {
+            feed.ask('home', { minX: 0, minY: 0, maxX: 1, maxY: 1 }, 5000, generation);
+            await new Promise((done) => setTimeout(done, 200));
+            return feed.looks.map((look) => look.bits);
+        };
+        assert.deepEqual([await ask('1'), await ask('1'), await ask('2')], [[1], [1], [2]]);
+    });
 });

@@ -6,19 +6,18 @@ import type { Piece } from './seen';
 import type { Week } from './week';
 
 /** The predictions of all series and what was observed, a row for each value. */
-export function weekCsv(week: Week, zone: string): string {
+export function weekCsv(week: Week, zone: string, state = week.series[0]?.name ?? ''): string {
     const rows = [csvRow(['time', 'state', 'kind', 'value', 'lower', 'upper'])];
     for (const one of week.series) {
         for (const [index, ms] of week.times.entries()) {
             rows.push(csvRow([rfc3339(ms, zone), one.name, 'predicted', one.values[index] ?? '', one.lower[index] ?? '', one.upper[index] ?? '']));
         }
     }
-    const [first] = week.series;
     const { times, values, pieces } = week.seen;
     for (const [index, ms] of times.entries()) {
         // A row without a value says that none is known from then on.
         const value = values[index] ?? Number.NaN;
-        rows.push(csvRow([rfc3339(ms, zone), first?.name ?? '', pieces ? 'reported' : 'observed', Number.isNaN(value) ? '' : value, '', '']));
+        rows.push(csvRow([rfc3339(ms, zone), state, pieces ? 'reported' : 'observed', Number.isNaN(value) ? '' : value, '', '']));
     }
     return rows.join('');
 }

@@ -2,7 +2,7 @@
 //
 // Invariant: columns are hours as they pass, so the day of a clock change has 23 or 25.
 
-import { addDays, clock, dayName, HOUR, midnight, monday } from './civil';
+import { addDays, clock, clockHours, dayName, HOUR, midnight, monday } from './civil';
 import { occupancy, UNKNOWN_STYLE } from './colours';
 
 export type RowSpan = 'day' | 'week';
@@ -27,7 +27,7 @@ export function ticksOf({ span, starts, end }: Columns, zone: string): { share: 
     if (span === 'week') {
         return Array.from({ length: 7 }, (_, day) => addDays(start, day, zone)).map((ms) => ({ share: share(ms), text: dayName(ms, zone) }));
     }
-    return starts.filter((ms) => ['00:00', '06:00', '12:00', '18:00'].includes(clock(ms, zone))).map((ms) => ({ share: share(ms), text: clock(ms, zone) }));
+    return clockHours(start, [0, 6, 12, 18], zone).map((ms) => ({ share: share(ms), text: clock(ms, zone) }));
 }
 
 /** The range of values that is drawn from none to full. */

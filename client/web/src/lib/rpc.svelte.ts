@@ -43,6 +43,23 @@ export function setToken(given: string): void {
     link.epoch++;
 }
 
+/** Calls of a daemon that has fallen silent are given up together. */
+let calls = new AbortController();
+/** When something was heard last. */
+let heardAt = 0;
+
+/** An answer of a proxy in front of a daemon that is away. */
+const AWAY_STATUS = [502, 504];
+/** A daemon that says nothing for so long is away. */
+const SILENT_MS = 10_000;
+
+async function ready(silentMs: number): Promise<Response> {
+    const answer = await fetch('/readyz', { cache: 'no-store', signal: AbortSignal.timeout(silentMs) });
+    if (AWAY_STATUS.includes(answer.status)) throw new TypeError(answer.statusText);
+    heardAt = performance.now();
+    return answer;
+}
+
 let probing = false;
 
 /** Asks until the daemon is back. */
@@ -52,8 +69,7 @@ async function probe(): Promise<void> {
     for (let wait = FIRST_RETRY_MS; ; wait = Math.min(wait * 1.5, RETRY_MAX_MS)) {
         await new Promise((done) => setTimeout(done, wait));
         try {
-            const answer = await fetch('/readyz', { cache: 'no-store' });
-            if (answer.ok) break;
+            if ((await ready(SILENT_MS)).ok) break;
         } catch {
             // Still away.
         }
@@ -66,22 +82,40 @@ async function probe(): Promise<void> {
 /** Between two questions whether the daemon is there, where nothing else asks. */
 const BEAT_EVERY_MS = 3000;
 
-/** Asks now and then whether the daemon is there, so that each view tells it; the answer stops it. */
-export function heartbeat(): () => void {
-    const timer = setInterval(() => {
-        if (document.hidden || link.isAway) return;
-        fetch('/readyz', { cache: 'no-store' }).catch(() => {
-            link.isAway = true;
-            void probe();
-        });
-    }, BEAT_EVERY_MS);
+/**
+ * Asks now and then whether the daemon is there, so that each view tells it; the answer stops it. A daemon that hangs,
+ * or a network that is gone, breaks no connection: what still waits for it is given up, and asked again later.
+ */
+export function heartbeat(everyMs = BEAT_EVERY_MS, silentMs = SILENT_MS): () => void {
+    let isWaiting = false;
+    const beat = async () => {
+        const begun = performance.now();
+        isWaiting = true;
+        try {
+            await ready(silentMs);
+        } catch {
+            // Where other calls are answered, this one only waits for a free connection.
+            if (heardAt < begun) {
+                link.isAway = true;
+                calls.abort();
+                calls = new AbortController();
+                void probe();
+            }
+        }
+        isWaiting = false;
+    };
+    const timer = setInterval(() => document.hidden || link.isAway || isWaiting || void beat(), everyMs);
     return () => clearInterval(timer);
 }
 
 const watchful: Interceptor = (next) => async (request) => {
     if (token) request.header.set('authorization', `Bearer ${token}`);
     try {
-        return await next(request);
+        // Old browsers wait.
+        const signal = 'any' in AbortSignal ? AbortSignal.any([request.signal, calls.signal]) : request.signal;
+        const answer = await next({ ...request, signal });
+        heardAt = performance.now();
+        return answer;
     } catch (error) {
         notice(error);
         throw error;

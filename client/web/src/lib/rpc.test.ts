@@ -5,7 +5,7 @@ import { beforeEach, suite, test } from 'node:test';
 
 import { Code, ConnectError } from '@connectrpc/connect';
 
-import { link, maps, message, setToken } from './rpc.svelte';
+import { heartbeat, link, maps, message, setToken } from './rpc.svelte';
 
 let headers: Headers[];
 let isReady: boolean;
@@ -60,4 +60,38 @@ test('calls carry the token as it was given, without the space around it', async
     setToken('');
     await assert.rejects(maps.listMaps({}));
     assert.deepEqual(headers.map((given) => given.get('authorization')), ['Bearer secret', null]);
+});
+
+suite('a daemon that hangs', () => {
+    let canAnswer: boolean;
+    beforeEach(() => {
+        canAnswer = false;
+        Object.assign(globalThis, { document: { hidden: false } });
+        globalThis.fetch = (input, init) =>
+            new Promise((done, failed) => {
+                if (input === '/readyz' && canAnswer) done(new Response('ok'));
+                init?.signal?.addEventListener('abort', () => failed(init.signal?.reason as Error));
+            });
+    });
+
+    test('is away, and nothing waits for it, until it answers', async () => {
+        const { epoch } = link;
+        const stop = heartbeat(5, 20);
+        const call = maps.listMaps({});
+        await assert.rejects(call, (error) => message(error) === '');
+        assert.ok(link.isAway);
+        canAnswer = true;
+        while (link.isAway) await new Promise((done) => setTimeout(done, 20));
+        assert.equal(link.epoch, epoch + 1);
+        stop();
+    });
+
+    test('behind a proxy is away, too', async () => {
+        globalThis.fetch = () => Promise.resolve(new Response(null, { status: 502 }));
+        const stop = heartbeat(5, 20);
+        while (!link.isAway) await new Promise((done) => setTimeout(done, 5));
+        stop();
+        globalThis.fetch = () => Promise.resolve(new Response('ok'));
+        while (link.isAway) await new Promise((done) => setTimeout(done, 20));
+    });
 });

@@ -10,7 +10,7 @@ import { ReconstructResponseSchema } from '../wire/tidemap/v1/query_pb';
 import { RowKind, StateReportingSchema } from '../wire/tidemap/v1/types_pb';
 import { DAY, HOUR, MINUTE } from './civil';
 import { queries } from './rpc.svelte';
-import { averages, errorOf, heldAt, heldText, newestText, observed, reportedAs, reportedText, seenOf, seenText, type Reported } from './seen';
+import { averages, hasValueAt, errorOf, heldAt, heldText, isDoubtful, newestText, observed, reportedAs, reportedText, seenOf, seenText, type Reported } from './seen';
 import { fromTimestamp, toNanos } from './times';
 
 const CHANGES: Reported = { rows: RowKind.CHANGES, holdMs: 2 * HOUR, stepMs: 5 * MINUTE };
@@ -149,7 +149,23 @@ suite('in words', () => {
         assert.match(text(CHANGES, 0, HOUR), /^its value 1 held until Thu 1 Jan 1970, 01:00, the newest data/);
         assert.equal(text(CHANGES, HOUR, HOUR, 2 * HOUR), 'its sensor knows no value since');
         assert.equal(text(CHANGES, HOUR, HOUR), 'its value is 1');
+        assert.equal(heldText(CHANGES, '1', { row: HOUR, until: HOUR, newest: HOUR, hasValue: false }, 'UTC'), 'its sensor knows no value since');
         assert.match(text(EVENTS, 0, HOUR), /^complete until Thu 1 Jan/);
+    });
+
+    test('whether the newest row of all has a value is asked for', async () => {
+        assert.deepEqual([HOUR, 2 * HOUR].map((newest) => isDoubtful({ row: HOUR, until: HOUR, newest })), [true, false]);
+        const { reconstruct } = queries;
+        const has = async (values: number[]) => {
+            Object.assign(queries, {
+                reconstruct: async function* () {
+                    yield { timesNanos: values.map(() => BigInt(HOUR) * 1_000_000n), values };
+                },
+            });
+            return hasValueAt('home', 'door', HOUR);
+        };
+        assert.deepEqual([await has([0]), await has([Number.NaN]), await has([])], [true, false, undefined]);
+        Object.assign(queries, { reconstruct });
     });
 
     test('the newest value says in short since when, or when it came', () => {

@@ -81,25 +81,32 @@ export interface LastReport {
     until: number;
     /** Up to when the map is known. */
     newest: number;
+    /** Whether the row has a value, where that was asked for. */
+    hasValue?: boolean | undefined;
 }
 
 /** A row that ends what was known: its value holds no longer than itself, although there are newer data. */
-const hasNoValue = ({ row, until, newest }: LastReport) => until <= row && row < newest;
+const hasNoValue = ({ row, until, newest, hasValue = row >= newest }: LastReport) => until <= row && !hasValue;
+
+/** Of a row that ends what was known nothing else says whether it has a value, if it is the newest of all. */
+export const isDoubtful = ({ row, until, newest }: LastReport) => until <= row && row >= newest;
 
 /** What the newest row of changes or events says, and up to when. */
-export function heldText(reported: Reported, value: string, { row, until, newest }: LastReport, zone: string): string {
+export function heldText(reported: Reported, value: string, report: LastReport, zone: string): string {
+    const { row, until } = report;
     const isNow = Date.now() - until < NOW_MS;
     const end = isNow ? 'now' : longTime(until, zone);
     if (reported.rows === RowKind.EVENTS) return until > row ? `complete until ${end}` : 'nothing is known after it';
-    if (hasNoValue({ row, until, newest })) return 'its sensor knows no value since';
+    if (hasNoValue(report)) return 'its sensor knows no value since';
     if (until - row >= reported.holdMs) return `its value ${value} held until ${end}, and is unknown since`;
-    return until > row ? `its value ${value} ${isNow ? 'holds now' : `held until ${end}, the newest data of its producer`}` : `its value is ${value}`;
+    return until > row ? `its value ${value} ${isNow ? 'holds now' : `held until ${end}, the newest data`}` : `its value is ${value}`;
 }
 
 /** The newest value in few words: since when a change holds, and of readings when they came. */
-export function newestText(value: number | undefined, { row, until, newest }: LastReport, reported: Reported | undefined, { zone, isNarrow }: { zone: string; isNarrow: boolean }): string {
+export function newestText(value: number | undefined, report: LastReport, reported: Reported | undefined, { zone, isNarrow }: { zone: string; isNarrow: boolean }): string {
     const isChange = reported?.rows === RowKind.CHANGES;
-    const said = isChange && hasNoValue({ row, until, newest }) ? 'unknown' : value === undefined || Number.isNaN(value) ? '' : plain(value);
+    const { row } = report;
+    const said = isChange && hasNoValue(report) ? 'unknown' : value === undefined || Number.isNaN(value) ? '' : plain(value);
     const [age, day] = [ago(Date.now() - row), dayName(row, zone).replace(/^\S+ /, '')];
     if (Date.now() - row < DAY) return isChange && said ? `${said} for ${age}` : `${said && `${said}, `}${age} ago`;
     return `${said && `${said}${isChange && !isNarrow ? ' since ' : ', '}`}${day}${isNarrow ? '' : ` ${clock(row, zone)}`}`;
@@ -137,6 +144,13 @@ async function read(map: string, state: string, from: number, to: number): Promi
         throw error;
     }
     return { times, values, note: times.length ? '' : 'No observations in this week.' };
+}
+
+/** Whether the row of a time has a value; `undefined` where rows are not kept. */
+export async function hasValueAt(map: string, state: string, row: number): Promise<boolean | undefined> {
+    const { values } = await read(map, state, Math.floor(row), Math.floor(row) + 1);
+    const value = values.at(-1);
+    return value === undefined ? undefined : !Number.isNaN(value);
 }
 
 /** The rows between two times, with those before them that still say something; an explanation where they are not kept. */

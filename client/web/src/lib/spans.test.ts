@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';
 
 import { civil, DAY, HOUR, MINUTE } from './civil';
-import { jump, position, positionTime, SPANS, type SpanName } from './spans';
+import { jump, position, positionTime, SPANS, spanTicks, type SpanName } from './spans';
 
 const ZONE = 'Europe/Berlin';
 const at = (text: string) => Date.parse(text);
@@ -46,6 +46,27 @@ suite('spans', () => {
                 assert.ok(start <= at(text) && at(text) < SPANS[span].end(start, ZONE), `${span} ${text}`);
             }
         }
+    });
+});
+
+suite('ticks', () => {
+    const texts = (span: SpanName, text: string, zone = ZONE) => spanTicks(span, SPANS[span].start(at(text), zone, at(text)), zone);
+
+    test('of a day stand where the clock shows the hour, also after a change of half an hour', () => {
+        assert.deepEqual(texts('day', '2025-03-30T12:00Z').map(({ ms, text }) => [iso(ms).slice(11, 16), text]).slice(0, 3), [['23:00', '00:00'], ['01:00', '03:00'], ['04:00', '06:00']]);
+        assert.deepEqual(texts('day', '2025-10-26T12:00Z').map(({ ms }) => iso(ms).slice(11, 16)).slice(0, 3), ['22:00', '02:00', '05:00']);
+        const island = texts('day', '2025-10-05T03:00Z', 'Australia/Lord_Howe');
+        assert.deepEqual(island.map(({ text }) => text), ['00:00', '03:00', '06:00', '09:00', '12:00', '15:00', '18:00', '21:00']);
+    });
+
+    test('leave out a midnight that the clock leaves out', () => {
+        assert.deepEqual(texts('day', '2025-09-07T12:00Z', 'America/Santiago').slice(0, 2).map(({ text }) => text), ['03:00', '06:00']);
+    });
+
+    test('of a year stand at the first days of months', () => {
+        const [january, , march] = texts('year', '2025-07-01T10:30Z');
+        assert.deepEqual([january?.text, march?.text], ['Jan', 'Mar']);
+        assert.equal(position('year', january?.ms ?? 0, march?.ms ?? 0, ZONE), 59 * DAY);
     });
 });
 

@@ -1,6 +1,6 @@
 // The spans of the time slider: a day, a week, the last seven days and a year, each from a local midnight on.
 
-import { addDays, civil, DAY, fromWall, HOUR, instant, midnight, MINUTE, monday, wallTime } from './civil';
+import { addDays, civil, clock, clockHours, DAY, dayName, fromWall, HOUR, instant, midnight, MINUTE, monday, wallTime } from './civil';
 
 export type SpanName = 'day' | 'week' | 'last' | 'year';
 
@@ -48,6 +48,11 @@ export const SPANS: Record<SpanName, Span> = {
     },
 };
 
+/** The span of a name in the address. */
+export function spanOf(name: string | undefined): SpanName {
+    return name !== undefined && name in SPANS ? (name as SpanName) : 'day';
+}
+
 /**
  * The time of a position of the slider, in milliseconds after its start: of a day as they pass, of a week and a year as
  * the clock shows them.
@@ -59,6 +64,17 @@ export function positionTime(span: SpanName, start: number, elapsed: number, zon
 /** The position of a time: the inverse of `positionTime`. */
 export function position(span: SpanName, start: number, ms: number, zone: string): number {
     return span === 'day' ? ms - start : wallTime(ms, zone) - wallTime(start, zone);
+}
+
+const DAY_TICKS = [0, 3, 6, 9, 12, 15, 18, 21];
+const MONTHS = ['Jan', 'Feb', 'Mar', 'Apr', 'May', 'Jun', 'Jul', 'Aug', 'Sep', 'Oct', 'Nov', 'Dec'];
+
+/** What stands below the slider, and where: hours of the clock, days, or the first days of months. */
+export function spanTicks(span: SpanName, start: number, zone: string): { ms: number; text: string }[] {
+    if (span === 'day') return clockHours(start, DAY_TICKS, zone).map((ms) => ({ ms, text: clock(ms, zone) }));
+    if (span !== 'year') return [0, 1, 2, 3, 4, 5, 6].map((day) => addDays(start, day, zone)).map((ms) => ({ ms, text: dayName(ms, zone) }));
+    const { year, hour, minute } = civil(start, zone);
+    return MONTHS.map((text, month) => ({ ms: instant(year, month + 1, 1, hour, minute, zone), text }));
 }
 
 /** Moves a time by whole days, weeks or years. */

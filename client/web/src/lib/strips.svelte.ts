@@ -9,7 +9,7 @@ import { ModelKind } from '../wire/tidemap/v1/types_pb';
 import { DAY, HOUR } from './civil';
 import { message, queries } from './rpc.svelte';
 import type { Columns } from './rows';
-import { averages, observed, reportedAs, seenOf, type Reported } from './seen';
+import { averages, hasValueAt, isDoubtful, observed, reportedAs, seenOf, type Reported } from './seen';
 import { fromTimestamp, toNanos } from './times';
 
 /** Rows that are kept. */
@@ -27,6 +27,9 @@ export interface StripQuestion {
     /** Changes when predictions do. */
     generation: string;
     reported: AllReported;
+    /** The times of the newest rows of these states, and up to when the map is known. */
+    newestRows?: ReadonlyMap<string, number>;
+    newest?: number;
     /** What the hours show. */
     show: 'predicted' | 'observed' | 'week';
 }
@@ -95,7 +98,7 @@ export class StripFeed {
     before: ReadonlyMap<string, number[]> = $state.raw(new Map());
     now: ReadonlyMap<string, number> = $state.raw(new Map());
     /** The newest values, and up to when they are known. */
-    last: ReadonlyMap<string, { value: number; until: number }> = $state.raw(new Map());
+    last: ReadonlyMap<string, { value: number; until: number; hasValue?: boolean | undefined }> = $state.raw(new Map());
     problem = $state('');
     #lastKey = '';
     #key = '';
@@ -130,7 +133,7 @@ export class StripFeed {
         this.#isAsking = false;
     }
 
-    async #answer({ map, names, columns, at, generation, reported, show }: StripQuestion): Promise<void> {
+    async #answer({ map, names, columns, at, generation, reported, show, newestRows, newest = 0 }: StripQuestion): Promise<void> {
         const key = JSON.stringify([map, columns.starts[0], columns.span, generation, show]);
         if (key !== this.#key) {
             [this.#key, this.rows, this.before] = [key, new Map(), new Map()];
@@ -146,13 +149,17 @@ export class StripFeed {
             [this.now, this.#nowKey] = [now, nowKey];
         }
         const lastKey = JSON.stringify([map, generation]);
-        const read = lastKey === this.#lastKey ? this.last : new Map<string, { value: number; until: number }>();
+        const read = lastKey === this.#lastKey ? this.last : new Map<string, { value: number; until: number; hasValue?: boolean | undefined }>();
         const unread = asked.filter((name) => !read.has(name));
         if (unread.length) {
             // A value is known at most up to the time that is asked for.
             const { values, untils } = await predict(map, unread, [Math.max(at, Date.now())], { kind: ModelKind.LATEST });
             const last = new Map(read);
-            for (const [index, name] of unread.entries()) last.set(name, { value: values[index]?.[0] ?? Number.NaN, until: untils[index] ?? 0 });
+            for (const [index, name] of unread.entries()) {
+                const [until, row] = [untils[index] ?? 0, newestRows?.get(name)];
+                const isAsked = row !== undefined && reported.has(name) && isDoubtful({ row, until, newest });
+                last.set(name, { value: values[index]?.[0] ?? Number.NaN, until, hasValue: isAsked ? await hasValueAt(map, name, row) : undefined });
+            }
             [this.last, this.#lastKey] = [last, lastKey];
         }
         const missing = asked.filter((name) => !this.rows.has(name));

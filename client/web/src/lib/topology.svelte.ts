@@ -3,6 +3,7 @@
 import { ConnectError, Code } from '@connectrpc/connect';
 
 import type { PredictedEdge } from '../wire/tidemap/v1/route_pb';
+import { oneAtATime } from './latest';
 import { placeNodes, type Plan, type PlanEdge, type PlanNode, type PlanPath } from './plan';
 import { message, routes, searches, topologies } from './rpc.svelte';
 import { toNanos, toTimestamp } from './times';
@@ -21,8 +22,7 @@ export class PlanFeed {
     paths: PlanPath[] = $state.raw([]);
     problem = $state('');
     #timer: ReturnType<typeof setTimeout> | undefined;
-    #isAsking = false;
-    #next: (() => Promise<void>) | undefined;
+    readonly #run = oneAtATime();
 
     readonly hasNodes = $derived(this.#nodes.length > 0);
     readonly hasPresence = $derived(this.#presence.size > 0);
@@ -47,19 +47,8 @@ export class PlanFeed {
         void generation;
         this.#colour = colour;
         if (!this.hasNodes) return;
-        this.#next = () => this.#ask(map, ms);
         clearTimeout(this.#timer);
-        this.#timer = setTimeout(() => void this.#run(), REST_MS);
-    }
-
-    async #run(): Promise<void> {
-        if (this.#isAsking) return;
-        this.#isAsking = true;
-        for (let next = this.#next; next; next = this.#next) {
-            this.#next = undefined;
-            await next();
-        }
-        this.#isAsking = false;
+        this.#timer = setTimeout(() => this.#run(() => this.#ask(map, ms)), REST_MS);
     }
 
     async #ask(map: string, ms: number): Promise<void> {

@@ -34,7 +34,12 @@ function read(run: Surprise): Unusual {
 
 /** Runs of unusual observations in the days before the newest data, the most surprising first. */
 export async function unusualLately(map: string, newest: number, days = LATELY_DAYS, states: string[] = [], top = RUNS_MAX): Promise<Unusual[]> {
-    const [fromTime, toTime] = [toTimestamp(Math.max(0, newest - days * DAY)), toTimestamp(newest + 1)];
+    return unusualBetween(map, newest - days * DAY, newest + 1, states, top);
+}
+
+/** Runs of unusual observations between two times, the most surprising first. */
+export async function unusualBetween(map: string, from: number, to: number, states: string[] = [], top = RUNS_MAX): Promise<Unusual[]> {
+    const [fromTime, toTime] = [toTimestamp(Math.max(0, from)), toTimestamp(to)];
     const answer = await queries.listSurprises({ map, states, fromTime, toTime, confidence: CONFIDENCE, top });
     return answer.surprises.map(read);
 }
