@@ -60,7 +60,7 @@ suite('observations', () => {
         assert.match((await observed('home', 'door', 0, 1)).note, /No observations/);
         for (const code of [Code.FailedPrecondition, Code.OutOfRange, Code.InvalidArgument, Code.ResourceExhausted]) {
             refuse(code);
-            assert.deepEqual(await observed('home', 'door', 0, 1), { times: [], values: [], note: 'not kept' });
+            assert.deepEqual(await observed('home', 'door', 0, 1), { times: [], values: [], note: 'not kept', isRefused: true });
         }
         refuse(Code.Unavailable);
         await assert.rejects(observed('home', 'door', 0, 1), /not kept/);
@@ -92,6 +92,8 @@ suite('changes', () => {
         const seen = seenOf({ times: [0, HOUR], values: [1, 1], note: '' }, CHANGES, HOUR / 2, DAY, 2 * HOUR);
         assert.equal(heldAt(seen, 1.5 * HOUR)?.since, 0);
         assert.equal(heldAt(seen, 2.5 * HOUR), undefined);
+        const changed = seenOf({ times: [0, HOUR], values: [1, 0], note: '' }, CHANGES, 0, DAY, 2 * HOUR);
+        assert.equal(heldAt(changed, HOUR)?.value, 0, 'at the time of a change its new value holds');
     });
 
     test('without a value say that nothing is known', () => {

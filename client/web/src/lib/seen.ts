@@ -38,6 +38,8 @@ export interface Rows {
     values: number[];
     /** Why there are none, if there are none. */
     note: string;
+    /** The daemon keeps none, or gives out no more of them. */
+    isRefused?: boolean;
 }
 
 export interface Seen extends Rows {
@@ -114,7 +116,9 @@ export function newestText(value: number | undefined, report: LastReport, report
 
 /** What changes say of a time: the value, and since when; `undefined` where nothing was known. */
 export function heldAt({ pieces }: Seen, ms: number): Piece | undefined {
-    return pieces?.find(({ from, to }) => ms >= from && ms <= to);
+    // At the time of a change its new value holds.
+    const piece = pieces?.filter(({ from }) => from <= ms).at(-1);
+    return piece && ms <= piece.to ? piece : undefined;
 }
 
 /** How many rows there are, and how they are drawn. */
@@ -139,7 +143,7 @@ async function read(map: string, state: string, from: number, to: number): Promi
     } catch (error) {
         const found = ConnectError.from(error);
         if ([Code.FailedPrecondition, Code.OutOfRange, Code.InvalidArgument, Code.ResourceExhausted].includes(found.code)) {
-            return { times: [], values: [], note: found.rawMessage };
+            return { times: [], values: [], note: found.rawMessage, isRefused: true };
         }
         throw error;
     }
@@ -156,7 +160,7 @@ export async function hasValueAt(map: string, state: string, row: number): Promi
 /** The rows between two times, with those before them that still say something; an explanation where they are not kept. */
 export async function observed(map: string, state: string, from: number, to: number, reported?: Reported): Promise<Rows> {
     const rows = await read(map, state, from, to);
-    if (!reported) return rows;
+    if (!reported || rows.isRefused) return rows;
     // Most states report something in a day; few are asked for all that their rows may say.
     let end = from;
     for (const back of [DAY, 7 * DAY, Infinity]) {
