@@ -126,7 +126,9 @@ proptest::proptest! {
                 let today = zone.day_of(utc_nanos);
                 let midnight = zone.midnight_nanos(today);
                 proptest::prop_assert!(midnight <= utc_nanos);
-                proptest::prop_assert!(zone.midnight_nanos(LocalDay(today.0 + 1)) > utc_nanos || utc_nanos == i64::MAX);
+                // Civil time saturates in the last day of i64, in the year 2262.
+                let is_last_day = utc_nanos > i64::MAX - 24 * HOUR_NANOS;
+                proptest::prop_assert!(zone.midnight_nanos(LocalDay(today.0 + 1)) > utc_nanos || is_last_day);
                 if midnight > 0 {
                     proptest::prop_assert_eq!(zone.day_of(midnight), today);
                     proptest::prop_assert!(zone.day_of(midnight - 1) < today);
