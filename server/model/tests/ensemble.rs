@@ -226,6 +226,34 @@ fn one_odd_day_leaves_the_other_hours_sure() {
     assert!(open > 0.75 && shut < 0.2, "{open} {shut}");
 }
 
+/// A door that is open on weekdays from 9 to 17 h, and holds another value for some hours; read every ten minutes.
+fn door_with_exception(days: i64, exception: std::ops::Range<i64>, held: f64) -> StateModel {
+    learned(days, |day| {
+        let value = |hour: i64| {
+            if exception.contains(&(day * 24 + hour)) { held } else { flag(day % 7 < 5 && (9..17).contains(&hour)) }
+        };
+        (0..144).map(|step| (step * 600, value(step / 6))).collect()
+    })
+}
+
+#[test]
+fn a_long_exception_does_not_turn_the_next_days_around() {
+    for weeks in [4, 8, 12, 16] {
+        for (from_day, hours, held) in [(4, 80, 1.0), (1, 56, 1.0), (0, 104, 1.0), (4, 80, 0.0), (0, 56, 0.0)] {
+            let from = (weeks * 7 + from_day) * 24 + 9;
+            let end = (from + hours) / 24 + 1;
+            let state = door_with_exception(end, from..from + hours, held);
+            for day in (end..end + 6).filter(|day| day % 7 < 5) {
+                let [night, noon] = [3, 12].map(|hour| value(&state, day, hour * HOUR_SECS));
+                let case = format!("{weeks} weeks, {hours} h at {held}, {} days later: {night} {noon}", day - end);
+                assert!(night < noon, "{case}");
+                // Left open from Friday to Monday.
+                assert!((from_day, held) != (4, 1.0) || (night < 0.3 && noon > 0.7), "{case}");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_record_in_one_update_is_learned_as_night_by_night() {
     // Without models that are trained on readings, whose training has its own days.

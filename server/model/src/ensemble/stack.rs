@@ -3,7 +3,8 @@
 //!
 //! A logistic regression on the log odds of some members and on what the last days left over, trained on predictions
 //! that were made before their day was learned. One step of iteratively reweighted least squares a look, with sums that
-//! fade, and a ridge towards the average of the weekday tables. Invariant: weights are finite.
+//! fade, and a ridge towards the average of the weekday tables. A look that was predicted surely holds the weights, too
+//! ([`curvature`]), so that a few odd days do not outweigh weeks of usual ones. Invariant: weights are finite.
 
 use nalgebra::{Cholesky, SMatrix, SVector};
 
@@ -24,6 +25,14 @@ const WEIGHTS: [f64; MEMBERS] = [0.335, 0.335, 0.0, 0.0, 0.0, 0.0, 0.33];
 const RIDGE: f64 = 20.0;
 const RIDGE_CONSTANT: f64 = 300.0;
 
+/// The least curvature of a look.
+const CURVATURE_MIN: f64 = 1e-3;
+/// The log odds of the bounds of [`clip`].
+const LOG_ODDS_MAX: f64 = 6.906_754_778_648_554;
+/// The curvature of a look that was predicted as surely as [`clip`] allows: the slope of the chord of the logistic
+/// function between its bounds. The local one is seventy times less.
+const CURVATURE_OF_SURE: f64 = 0.998 / (2.0 * LOG_ODDS_MAX);
+
 /// The features of each half-hour of a day.
 pub(super) type Features = [[f64; FEATURES]; SLOTS];
 
@@ -40,6 +49,18 @@ pub(super) fn probability(log_odds: f64) -> f64 {
 /// No member is surer than one in a thousand.
 pub(super) fn clip(p: f64) -> f64 {
     p.clamp(1e-3, 1.0 - 1e-3)
+}
+
+/// How strongly a look holds the log odds that were predicted for it, as the curvature of its loss. Where predictions
+/// are sure, the local curvature p (1 - p) is nearly 0, though the loss is steep farther on: a step by it would count
+/// usual days for nothing, and answer a surprise with hundreds in log odds. So a surprise has the slope of the chord to
+/// what was seen, and a sure prediction more of [`CURVATURE_OF_SURE`] the surer it was.
+fn curvature(predicted: f64, value: f64) -> f64 {
+    let (p, seen) = (probability(predicted), clip(value));
+    let sureness = predicted.abs().min(LOG_ODDS_MAX) / LOG_ODDS_MAX;
+    let distance = log_odds(seen) - predicted;
+    let chord = if distance.abs() > CURVATURE_MIN { (seen - p) / distance } else { 0.0 };
+    (p * (1.0 - p) + CURVATURE_MIN).max(chord).max(CURVATURE_OF_SURE * sureness * sureness)
 }
 
 /// A logistic regression with fading sums.
@@ -82,7 +103,7 @@ impl Stack {
             let x = &features[slot];
             let log_odds = self.sum(x);
             let p = probability(log_odds);
-            let weight = p * (1.0 - p) + 1e-3;
+            let weight = curvature(log_odds, value);
             let target = weight * log_odds + value - p;
             let mut pairs = squares.iter_mut();
             for (row, &one) in x.iter().enumerate() {
@@ -120,6 +141,45 @@ impl Stack {
 mod tests {
     use super::*;
     use crate::Sample;
+
+    #[test]
+    fn a_surprise_asks_for_no_more_than_what_was_seen() {
+        for predicted in [-12.0, -6.9, -4.0, -1.0, 0.0, 2.0, 6.9, 30.0] {
+            for value in [0.0, 0.3, 1.0] {
+                let curvature = curvature(predicted, value);
+                assert!((1e-3..=0.2511).contains(&curvature), "{predicted} {value}: {curvature}");
+                let asked = predicted + (clip(value) - probability(predicted)) / curvature;
+                assert!(asked.abs() <= predicted.abs().max(LOG_ODDS_MAX) + 1e-9, "{predicted} {value}: {asked}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_odd_day_does_not_turn_what_weeks_have_taught() {
+        let looks = |is_odd: bool| {
+            let sample = |slot: i64| Sample {
+                utc_nanos: slot * 1_800_000_000_000,
+                offset_secs: 0,
+                value: f64::from(u8::from((18..34).contains(&slot) || is_odd)),
+            };
+            DayLooks::of_samples(&(0..SLOTS as i64).map(sample).collect::<Vec<_>>())
+        };
+        // All members are sure, and know the usual day.
+        let x = |sign: f64| {
+            let mut x = [sign * log_odds(0.999); FEATURES];
+            x[MEMBERS..].fill(0.0);
+            x[FEATURES - 1] = 1.0;
+            x
+        };
+        let features: [_; SLOTS] = std::array::from_fn(|slot| x(if (18..34).contains(&slot) { 1.0 } else { -1.0 }));
+        for kept in [0.985, 0.94] {
+            let mut stack = Stack::new(kept);
+            (0..60).for_each(|_| stack.learn(&features, &looks(false)));
+            stack.learn(&features, &looks(true));
+            let (open, shut) = (stack.predict(&x(1.0)), stack.predict(&x(-1.0)));
+            assert!(open > 0.9 && shut < 0.5, "{kept}: {open} {shut}");
+        }
+    }
 
     #[test]
     fn the_member_that_is_right_gets_the_weight() {
