@@ -41,9 +41,10 @@ def test_what_was_sent_can_be_replaced_or_erased(client):
     client.update(client.name)
     with pytest.raises(tidemap.FailedPrecondition, match="replace=True"):
         client.observe(client.name, states="door", times=when[:-1], values=1 - value[:-1])
-    for wrong in ({"kind": "contiuous"}, {"kind": "probability", "reports": "events"}):
-        with pytest.raises(tidemap.InvalidArgument, match="kind"):
-            client.observe(client.name, states="door", times=when, values=value, replace=True, **wrong)
+    with pytest.raises(tidemap.InvalidArgument, match="contiuous"):
+        client.observe(client.name, states="door", times=when, values=value, replace=True, kind="contiuous")
+    with pytest.raises(tidemap.FailedPrecondition, match="Nothing was sent"):
+        client.observe(client.name, states="door", times=when, values=value, replace=True, reports="events")
     assert len(client.history(client.name, "door")["value"]) == len(when), "nothing is withdrawn for a mistake"
     again = client.observe(client.name, states="door", times=when[:-1], values=1 - value[:-1], replace=True)
     assert again.accepted == len(when) - 1
