@@ -88,8 +88,7 @@ async fn pending(
         let mut readings = Vec::new();
         if view.pending_of(state) > 0 {
             let enough = usize::try_from(max).unwrap_or(usize::MAX);
-            let within_nanos = question.within_nanos.clone();
-            let within_nanos = view.rows_about(state, &within_nanos);
+            let within_nanos = view.rows_about(state, &question.within_nanos);
             readings =
                 read(handle, &ReadingsQuery { subject: Subject::State(state), within_nanos, enough }).await?.pending;
         }
