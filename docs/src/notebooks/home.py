@@ -29,8 +29,8 @@ log = pd.DataFrame(sorted(rows), columns=["last_changed", "entity_id", "state"])
 log.head()
 
 # %% [markdown]
-# A row is a change: the value holds until the next one. `reports="changes"` says so, and then the log needs no more work:
-# its columns are named, its words are known, and `times="local"` reads the clock on the wall.
+# A row is a change: the value holds until the next one. `reports="changes"` says so, and then the log needs no more
+# work: its columns are named, its words are known, and `times="local"` reads the clock on the wall.
 
 # %%
 columns = {"time": "last_changed", "state": "entity_id", "value": "state"}
