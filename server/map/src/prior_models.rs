@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use tidemap_model::{LearnedRows, Reporting, StateKind, StateModel};
 
-use crate::{directory::StateInfo, spec::MapSpec};
+use crate::{directory::StateInfo, event::StateSensor, spec::MapSpec};
 
 /// An untrained model of each kind.
 #[derive(Clone, Debug)]
@@ -37,12 +37,21 @@ impl PriorModels {
 
     /// The model that a state begins to learn with.
     pub(crate) fn beginning(&self, info: &StateInfo) -> Arc<StateModel> {
-        let prior = self.of(info.kind);
-        if info.sensor.is_none() && info.reporting == Reporting::Samples {
+        self.with(info.kind, info.sensor, info.reporting)
+    }
+
+    /// The model that the state of a model began to learn with.
+    pub(crate) fn beginning_of(&self, model: &StateModel) -> Arc<StateModel> {
+        self.with(model.kind(), model.sensor(), model.reporting())
+    }
+
+    fn with(&self, kind: StateKind, sensor: Option<StateSensor>, reporting: Reporting) -> Arc<StateModel> {
+        let prior = self.of(kind);
+        if sensor.is_none() && reporting == Reporting::Samples {
             return Arc::clone(prior);
         }
-        let model = StateModel::clone(prior).with_reporting(info.reporting, LearnedRows::default());
-        Arc::new(match info.sensor {
+        let model = StateModel::clone(prior).with_reporting(reporting, LearnedRows::default());
+        Arc::new(match sensor {
             Some(sensor) => model.with_sensor(sensor),
             None => model,
         })

@@ -74,8 +74,12 @@ pub struct TrainingOutcome {
     pub waiting: u64,
     /// States that keep their models, because their readings could not be read.
     pub failed: u64,
-    /// Why the first of these could not be read.
+    /// Why the first of these, or of the states with late rows, could not be read.
     pub failure: Option<String>,
+    /// States that were learned anew, because rows of changes or events came late.
+    pub learned_anew: u64,
+    /// States whose late rows were learned as single readings, because history does not have all their rows.
+    pub learned_singly: u64,
 }
 
 impl TrainingOutcome {
@@ -85,6 +89,8 @@ impl TrainingOutcome {
         self.waiting = later.waiting;
         self.failed += later.failed;
         self.failure = self.failure.take().or(later.failure);
+        self.learned_anew += later.learned_anew;
+        self.learned_singly += later.learned_singly;
     }
 }
 
@@ -102,6 +108,8 @@ pub(crate) struct Pupil<'a> {
 pub(crate) struct Taught<'a> {
     /// In order of time; rows, if the state reports changes or events.
     pub(crate) samples: &'a [Sample],
+    /// Earlier updates have learned nothing else of it.
+    pub(crate) is_all: bool,
     pub(crate) reporting: Reporting,
     /// Rows are learned up to there.
     pub(crate) horizon_nanos: i64,
@@ -110,7 +118,7 @@ pub(crate) struct Taught<'a> {
 impl<'a> Taught<'a> {
     /// Of a state that reports samples.
     pub(crate) fn samples(samples: &'a [Sample]) -> Taught<'a> {
-        Taught { samples, reporting: Reporting::Samples, horizon_nanos: i64::MIN }
+        Taught { samples, is_all: false, reporting: Reporting::Samples, horizon_nanos: i64::MIN }
     }
 }
 
@@ -292,7 +300,7 @@ fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
 
 /// Trains each due model of a state.
 fn train(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<TrainedModel, CannotTrain>> {
-    let mut samples = earlier;
+    let mut samples = if due.own.is_all { Vec::new() } else { earlier };
     let own = due.own.samples;
     let first = own.partition_point(|sample| sample.utc_nanos < due.wanted.from_nanos);
     samples.extend_from_slice(own.get(first..).unwrap_or(&[]));

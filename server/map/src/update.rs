@@ -52,9 +52,11 @@ use crate::{
 };
 
 mod daily_steps;
+mod late_rows;
 mod spectrum_room;
 
 use daily_steps::DailySteps;
+use late_rows::LateRows;
 use spectrum_room::RoomInUse;
 pub use spectrum_room::{SpectrumRoom, SpectrumSpill};
 
@@ -195,7 +197,10 @@ impl UpdateWork {
         // History keeps them in order of arrival.
         history.states.iter_mut().for_each(|(_, samples)| samples.shrink_to_fit());
         let readings = self.readings.as_deref();
-        let steps = DailySteps { spec: &self.spec, readings, horizons: &self.horizons, room: &room, progress };
+        let late_rows =
+            LateRows { spec: &self.spec, prior_models: &self.prior_models, newest_nanos: self.basis.newest_nanos };
+        let anew = late_rows.begin(&history.states, &mut models, readings);
+        let steps = DailySteps { spec: &self.spec, readings, horizons: &self.horizons, anew, room: &room, progress };
         let (done, training) = steps.learn(&history.states, &mut models).map_err(|(id, reason)| {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }

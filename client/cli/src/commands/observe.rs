@@ -220,13 +220,6 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
              sends nothing twice{replaced}"
         ));
     }
-    if counts.refused > 0 && options.reporting.is_some() {
-        status_line(&format!(
-            "send corrected rows before the next update: rows that come after it are learned as single readings. \
-             Afterwards erase the state, with tidemap erase {} --state NAME, and send the file with --replace",
-            options.map
-        ));
-    }
     if let TransferEnd::Stopped(_) = end {
         let durable = counts.accepted + counts.duplicate + counts.refused;
         status_line(&format!(

@@ -21,7 +21,7 @@ use tidemap_model::{
     LearnedRows, LocalDay, OffsetCache, Reporting, RowReadings, Sample, StateModel, Surprises, UpdateOutcome,
 };
 
-use super::RoomInUse;
+use super::{RoomInUse, late_rows::LearnedAnew};
 use crate::{
     anomaly::learned,
     ids::StateId,
@@ -40,6 +40,8 @@ pub(super) struct DailySteps<'a> {
     pub(super) readings: Option<&'a dyn StateReadings>,
     /// Of each state that reports changes or events: where its rows are known to be complete.
     pub(super) horizons: &'a BTreeMap<StateId, i64>,
+    /// States that are learned anew.
+    pub(super) anew: LearnedAnew,
     pub(super) room: &'a RoomInUse,
     /// Counts the states that are done.
     pub(super) progress: &'a AtomicU64,
@@ -52,6 +54,8 @@ struct Lesson<'a> {
     samples: Cow<'a, [Sample]>,
     /// How many of them are learned.
     learned: usize,
+    /// How many this update brings; the others were learned before.
+    new: usize,
     /// What the samples stand for, if they are rows of changes or events.
     rows: Option<Rows>,
     outcome: Option<UpdateOutcome>,
@@ -76,7 +80,13 @@ impl<'a> Lesson<'a> {
         if !samples.is_sorted_by_key(|sample| sample.utc_nanos) {
             samples.to_mut().sort_by_key(|sample| sample.utc_nanos);
         }
-        Lesson { id, samples, learned: 0, rows: None, outcome: None }
+        let new = samples.len();
+        Lesson { id, samples, learned: 0, new, rows: None, outcome: None }
+    }
+
+    /// A lesson of all rows of a state, the new ones among them.
+    fn anew(id: StateId, rows: &'a [Sample], new: usize) -> Lesson<'a> {
+        Lesson { new, ..Lesson::new(id, rows) }
     }
 
     /// The samples as rows that stand for readings, where the state reports changes or events.
@@ -122,7 +132,9 @@ impl<'a> Lesson<'a> {
             Some(rows) => {
                 let count = self.samples.partition_point(|sample| sample.utc_nanos < end_nanos);
                 let horizon_nanos = rows.horizon_nanos.min(end_nanos);
-                Taught { samples: self.samples.get(..count).unwrap_or(&[]), reporting: rows.reporting, horizon_nanos }
+                let is_all = self.new < self.samples.len();
+                let samples = self.samples.get(..count).unwrap_or(&[]);
+                Taught { samples, is_all, reporting: rows.reporting, horizon_nanos }
             }
         }
     }
@@ -171,7 +183,13 @@ impl DailySteps<'_> {
         models: &mut [Arc<StateModel>],
     ) -> Result<Done, (StateId, String)> {
         let mut lessons = self.lessons(states, models);
-        let mut training = TrainingOutcome::default();
+        let LearnedAnew { rows, singly, failure } = &self.anew;
+        let mut training = TrainingOutcome {
+            learned_anew: rows.len() as u64,
+            learned_singly: *singly,
+            failure: failure.clone(),
+            ..TrainingOutcome::default()
+        };
         let mut runs: usize = models.iter().map(|model| model.surprises().runs().len()).sum();
         while let Some(day) = lessons.iter_mut().filter_map(Lesson::day).min() {
             let mut class = of_day(day, &mut lessons, models);
@@ -193,12 +211,15 @@ impl DailySteps<'_> {
     }
 
     /// A lesson for each state with observations, and for each whose rows hold; ascending.
-    fn lessons<'b>(&self, states: &'b [(StateId, Vec<Sample>)], models: &[Arc<StateModel>]) -> Vec<Lesson<'b>> {
+    fn lessons<'b>(&'b self, states: &'b [(StateId, Vec<Sample>)], models: &[Arc<StateModel>]) -> Vec<Lesson<'b>> {
         let with_rows = |lesson: Lesson<'b>| match self.horizons.get(&lesson.id).zip(models.get(lesson.id.0 as usize)) {
             Some((&horizon_nanos, model)) => lesson.with_rows(model, horizon_nanos, self.spec),
             None => lesson,
         };
-        let observed = states.par_iter().map(|(id, samples)| with_rows(Lesson::new(*id, samples)));
+        let observed = states.par_iter().map(|(id, samples)| match self.anew.rows.get(id) {
+            Some(rows) => with_rows(Lesson::anew(*id, rows, samples.len())),
+            None => with_rows(Lesson::new(*id, samples)),
+        });
         let mut lessons: Vec<Lesson<'b>> = observed.collect();
         let has_observations = |id: &StateId| states.binary_search_by_key(id, |(state, _)| *state).is_ok();
         let silent = self.horizons.keys().filter(|id| !has_observations(id));
@@ -219,10 +240,10 @@ impl DailySteps<'_> {
                 // Nothing that a reading would be learned of, so far.
                 self.progress.fetch_add(1, Ordering::Relaxed);
             }
-            if !lesson.samples.is_empty() {
+            if lesson.new > 0 {
                 let order = model.order();
                 let before = UpdateOutcome { order_before: order, order, ..UpdateOutcome::default() };
-                lesson.outcome.get_or_insert(before).observations = lesson.samples.len() as u64;
+                lesson.outcome.get_or_insert(before).observations = lesson.new as u64;
             }
         }
     }

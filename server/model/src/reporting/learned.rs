@@ -1,7 +1,8 @@
 //! How far the rows of a state have been learned.
 //!
 //! Invariant: an instant is learned once. Rows that come late, about instants that were learned without them, are
-//! learned as the readings that they are; rows from before everything that was learned hold up to there.
+//! learned as the readings that they are, unless all rows are learned anew; rows from before everything that was learned
+//! hold up to there.
 
 use super::{
     Hold, Reporting, Row,
@@ -89,6 +90,13 @@ impl LearnedRows {
             },
             learned,
         )
+    }
+
+    /// Whether a row of this time changes readings that have been learned.
+    #[must_use]
+    pub fn is_late(&self, reporting: Reporting, nanos: i64) -> bool {
+        let Some(hold) = reporting.hold() else { return false };
+        self.first_nanos.is_some() && nanos < self.in_time_nanos(reporting, hold)
     }
 
     /// Rows at this time or later are about instants that were not learned.

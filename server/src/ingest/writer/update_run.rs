@@ -141,6 +141,16 @@ impl Context {
         if let Some(reason) = &outcome.failure {
             warn!(%map, states = outcome.failed, reason, "models are not trained again, because history cannot be read");
         }
+        if outcome.learned_anew > 0 {
+            info!(%map, states = outcome.learned_anew, "states are learned anew, because rows of theirs came late");
+        }
+        if outcome.learned_singly > 0 {
+            warn!(
+                %map,
+                states = outcome.learned_singly,
+                "late rows are learned as single readings, because history does not have all rows of their states"
+            );
+        }
         if outcome.waiting > 0 {
             info!(%map, trained = outcome.trained, waiting = outcome.waiting, "models wait to be trained at a later update");
         }

@@ -5,6 +5,8 @@ use tidemap_model::{Hold, Sample};
 use super::*;
 use crate::{ids::NewProducer, row_samples::AskedReadings};
 
+mod late;
+
 const MINUTE: i64 = 60_000_000_000;
 const DAY: i64 = 24 * HOUR;
 /// A Monday.

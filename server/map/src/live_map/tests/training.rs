@@ -16,7 +16,7 @@ const DAYS: i64 = 40;
 
 /// What updates have folded in so far.
 #[derive(Clone, Debug, Default)]
-struct Pieces(Vec<Arc<HistoryPiece>>);
+pub(super) struct Pieces(pub(super) Vec<Arc<HistoryPiece>>);
 
 impl StateReadings for Pieces {
     fn readings(&self, wanted: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {

@@ -1,0 +1,157 @@
+//! Rows that come after an update has learned their time: their states are learned anew.
+
+use tidemap_grid::spec::Retention;
+
+use super::*;
+use crate::live_map::tests::training::Pieces;
+
+const DOOR: StateId = StateId(0);
+
+/// A home with the history of its updates.
+struct KeptHome {
+    home: Home,
+    known: Pieces,
+}
+
+impl KeptHome {
+    fn new(kind: StateKind, reporting: Reporting, retention: Retention) -> KeptHome {
+        let mut home = Home::new(kind, reporting);
+        let spec = MapSpec { retention, ..MapSpec::clone(home.map.spec()) };
+        home.map = LiveMap::new(Arc::new(spec));
+        let name = StateName::new("door").expect("valid");
+        let new = NewState { id: DOOR, name, shape: kind.into(), sensor: None, reporting };
+        home.map.apply(1, &Event::AddState(new)).expect("fits");
+        KeptHome { home, known: Pieces::default() }
+    }
+
+    /// Learns what has arrived. Returns how many states were learned anew, and how many with single readings.
+    fn update(&mut self, until: i64) -> (u64, u64) {
+        let start = self.home.map.plan_update(Some(until), until, UpdateCause::Request);
+        self.home.position += 1;
+        let work = self.home.map.apply(self.home.position, &Event::UpdateStart(start)).expect("fits").expect("work");
+        let result = work.with_readings(Arc::new(self.known.clone())).run(&AtomicU64::new(0)).expect("in memory");
+        let outcome = result.training_outcome().clone();
+        let snapshot = self.home.map.finish_update(result);
+        self.known.0.extend(snapshot.history);
+        (outcome.learned_anew, outcome.learned_singly)
+    }
+
+    fn model(&mut self) -> StateModel {
+        StateModel::clone(self.home.map.publish().model(DOOR))
+    }
+}
+
+fn changes() -> Reporting {
+    Reporting::Changes(hold(7 * DAY, 5 * MINUTE))
+}
+
+#[test]
+fn a_state_whose_refused_rows_come_after_an_update_is_learned_anew() {
+    let mut home = KeptHome::new(StateKind::Probability, changes(), Retention::Forever);
+    let (on, off): (Vec<_>, Vec<_>) = office_hours(14).into_iter().partition(|(_, value)| *value == 1.0);
+    // The words for "off" were not known at first: the door is always open.
+    home.home.observe(&on, HOUR);
+    assert_eq!(home.update(MONDAY + 14 * DAY), (0, 0));
+    assert!(home.home.predict(None, MONDAY + 14 * DAY + 3 * HOUR, "auto") > 0.9);
+    home.home.observe(&off, HOUR);
+    assert_eq!(home.update(MONDAY + 14 * DAY), (1, 0));
+    let mut in_order = KeptHome::new(StateKind::Probability, changes(), Retention::Forever);
+    in_order.home.observe(&office_hours(14), HOUR);
+    in_order.update(MONDAY + 14 * DAY);
+    assert_eq!(home.model(), in_order.model());
+    assert!(home.home.predict(None, MONDAY + 14 * DAY + 3 * HOUR, "auto") < 0.1);
+    // The last value is not changed by rows that are older.
+    assert_eq!(
+        home.home.map.publish().live(DOOR).persistence.last(),
+        in_order.home.map.publish().live(DOOR).persistence.last()
+    );
+}
+
+#[test]
+fn a_row_that_comes_again_corrects_the_first() {
+    let mut home = KeptHome::new(StateKind::Probability, changes(), Retention::Forever);
+    let mut rows = office_hours(7);
+    let right = rows[4];
+    rows[4].1 = 0.0;
+    home.home.observe(&rows, HOUR);
+    home.update(MONDAY + 7 * DAY);
+    home.home.observe(&[right], HOUR);
+    assert_eq!(home.update(MONDAY + 7 * DAY), (1, 0));
+    let mut in_order = KeptHome::new(StateKind::Probability, changes(), Retention::Forever);
+    in_order.home.observe(&office_hours(7), HOUR);
+    in_order.update(MONDAY + 7 * DAY);
+    assert_eq!(home.model().accumulator(), in_order.model().accumulator());
+}
+
+#[test]
+fn rows_of_older_files_are_learned_before_those_that_are_known() {
+    let reporting = Reporting::Events(hold(7 * DAY, HOUR));
+    let events = |days: std::ops::Range<i64>| -> Vec<(i64, f64)> {
+        days.flat_map(|day| (0..4).map(move |n| (MONDAY + day * DAY + 12 * HOUR + n * 10 * MINUTE, 1.0))).collect()
+    };
+    let mut home = KeptHome::new(StateKind::Count, reporting, Retention::Forever);
+    home.home.observe(&events(7..14), HOUR);
+    home.update(MONDAY + 14 * DAY);
+    home.home.observe(&events(0..7), HOUR);
+    assert_eq!(home.update(MONDAY + 14 * DAY), (1, 0));
+    let mut in_order = KeptHome::new(StateKind::Count, reporting, Retention::Forever);
+    in_order.home.observe(&events(0..14), HOUR);
+    in_order.update(MONDAY + 14 * DAY);
+    assert_eq!(home.model(), in_order.model());
+}
+
+#[test]
+fn late_rows_are_single_readings_where_history_is_not_kept() {
+    for retention in [Retention::None, Retention::Duration(5 * DAY)] {
+        let mut home = KeptHome::new(StateKind::Probability, changes(), retention);
+        home.home.observe(&office_hours(14), HOUR);
+        home.update(MONDAY + 14 * DAY);
+        let before = home.model().accumulator().observations();
+        home.home.observe(&[(MONDAY + 12 * HOUR, 0.0)], HOUR);
+        assert_eq!(home.update(MONDAY + 14 * DAY), (0, 1));
+        assert_eq!(home.model().accumulator().observations(), before + 1);
+    }
+    // All its rows are younger than what is kept.
+    let mut home = KeptHome::new(StateKind::Probability, changes(), Retention::Duration(30 * DAY));
+    home.home.observe(&office_hours(14), HOUR);
+    home.update(MONDAY + 14 * DAY);
+    home.home.observe(&[(MONDAY + 12 * HOUR, 0.0)], HOUR);
+    assert_eq!(home.update(MONDAY + 14 * DAY), (1, 0));
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(40))]
+    #[test]
+    fn the_order_of_arrival_changes_nothing(
+        minutes in proptest::collection::btree_set(0_i64..14 * 1_440, 2..60),
+        values in proptest::collection::vec(proptest::option::weighted(0.9, proptest::bool::ANY), 60),
+        shuffled in proptest::collection::vec(0_usize..5, 60),
+        is_changes: bool,
+    ) {
+        let (kind, reporting) = match is_changes {
+            true => (StateKind::Probability, Reporting::Changes(hold(2 * DAY, 5 * MINUTE))),
+            false => (StateKind::Count, Reporting::Events(hold(2 * DAY, HOUR))),
+        };
+        let value = |value: Option<bool>| value.map_or(f64::NAN, |value| f64::from(u8::from(value)));
+        let rows: Vec<(i64, f64)> =
+            minutes.iter().zip(&values).map(|(minute, of_row)| (MONDAY + minute * MINUTE, value(*of_row))).collect();
+        let end = MONDAY + 15 * DAY;
+        let mut in_order = KeptHome::new(kind, reporting, Retention::Forever);
+        in_order.home.observe(&rows, HOUR);
+        in_order.update(end);
+        let mut home = KeptHome::new(kind, reporting, Retention::Forever);
+        // The newest row comes first, so that all others are late.
+        let (newest, others) = rows.split_last().expect("two at least");
+        home.home.observe(&[*newest], HOUR);
+        home.update(end);
+        for part in 0..5 {
+            let arrived: Vec<_> =
+                others.iter().zip(&shuffled).filter_map(|(row, of_row)| (*of_row == part).then_some(*row)).collect();
+            if !arrived.is_empty() {
+                home.home.observe(&arrived, HOUR);
+                home.update(end);
+            }
+        }
+        proptest::prop_assert_eq!(home.model(), in_order.model());
+    }
+}
