@@ -15,6 +15,10 @@ pub(crate) enum DrawTopic {
     StorageDoor,
     Patrol,
     Sensor,
+    BuildingUse,
+    BuildingReading,
+    BuildingDrive,
+    BuildingFloor,
 }
 
 /// The generator for the `index`-th thing of a topic on a date.

@@ -1,7 +1,7 @@
 //! Simulated offices for the demo, the benchmarks and the tests. [`Office`] has doors and rooms, people with daily and
 //! weekly routines on local civil time, and robots that stop irregularly. [`GridOffice`] is a stream of occupancy
 //! grids, [`ExploredOffice`] a small floor for exploration experiments, [`Home`] a home whose
-//! sensors report changes.
+//! sensors report changes, and [`BuildingDay`] a day of a building with a floor, rooms, doors and drives.
 //!
 //! Invariant: pure. No I/O, no clock; the seed is an argument, and the truth at a time depends on the seed, the zone
 //! and that time only, so that queries can come in any order. Draws may change with the version of this crate.
@@ -14,6 +14,7 @@
 //! # Ok::<(), tidemap_sim::UnknownZone>(())
 //! ```
 
+mod building;
 mod civil_day;
 mod cleaner;
 mod day;
@@ -32,6 +33,9 @@ use jiff::{
     tz::{TimeZone, TimeZoneDatabase},
 };
 
+pub use self::building::{
+    BuildingDay, BuildingDrive, BuildingPlace, BuildingReading, FloorPlan, building_places, building_ways,
+};
 pub use self::explored_office::ExploredOffice;
 pub use self::grid_office::{DayScans, GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
 pub use self::home::{Home, SensorChange};

@@ -7,7 +7,6 @@
 import { existsSync, mkdirSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 
-import { write } from './office.mjs';
 import { Daemon, launch, open } from './stage.mjs';
 
 const [program, cli, folder, cell = '0.05'] = process.argv.slice(2);
@@ -21,20 +20,19 @@ const figure = (name, value, unit) => console.log(`${name}\t${typeof value === '
 
 /** Observes and learns two days, with four scans a day of each building. */
 function furnish() {
-    const plans = join(folder, 'plans');
-    const { scans, every } = write(plans, { cell: Number(cell), days: 2, scansPerDay: 4 });
+    const plans = daemon.building(join(folder, 'plans'), { cell, days: 2, scansPerDay: 4 });
     const placed = join(folder, 'campus');
     mkdirSync(placed, { recursive: true });
     daemon.run('map', 'create', 'campus', '--time-zone', 'Europe/London', '--grid', `resolution=${cell},flat`);
     for (let building = 0; building < SIDE * SIDE; building++) {
         const [x, y] = [(building % SIDE) * 32, Math.floor(building / SIDE) * 16.8];
-        const names = Array.from({ length: scans }, (_, scan) => join(placed, `scan-${building}-${scan}.yaml`));
+        const names = plans.map((_, scan) => join(placed, `scan-${building}-${scan}.yaml`));
         names.forEach((name, scan) => {
-            const image = join(plans, `scan-${String(scan).padStart(5, '0')}.pgm`);
+            const image = plans[scan].replace(/yaml$/, 'pgm');
             const text = [`image: ${image}`, `resolution: ${cell}`, `origin: [${x.toFixed(1)}, ${y.toFixed(1)}, 0.0]`];
             writeFileSync(name, `${[...text, 'negate: 0', 'occupied_thresh: 0.65', 'free_thresh: 0.196'].join('\n')}\n`);
         });
-        daemon.run('grid', 'observe', 'campus', ...names, '--at', '2025-03-03T00:00:00Z', '--every', `${every}s`, '--producer', `scanner-${building}`);
+        daemon.run('grid', 'observe', 'campus', ...names, '--at', '2025-03-03T00:00:00Z', '--every', '6h', '--producer', `scanner-${building}`);
     }
     daemon.run('update', 'campus');
 }

@@ -1,15 +1,13 @@
-// A daemon with the office of `office.mjs`, and a browser in front of it.
+// A daemon with the building of `tidemap sample`, and a browser in front of it.
 //
 // Invariant: every process that is started here ends with `stop`; everything is written into one folder.
 
 import { execFileSync, spawn } from 'node:child_process';
-import { openSync } from 'node:fs';
+import { openSync, readdirSync } from 'node:fs';
 import { createServer } from 'node:net';
 import { join } from 'node:path';
 
 import { chromium } from 'playwright-core';
-
-import { topology, write } from './office.mjs';
 
 const CHROMIUM = process.env.TIDEMAP_CHROMIUM ?? '/usr/bin/chromium';
 // A browser for tests: no window, no sandbox (tests may run as root), and no calls home.
@@ -76,17 +74,24 @@ export class Daemon {
         return answer.json();
     }
 
-    /** Makes the map `office` of what `office.mjs` writes. */
-    async furnish({ cell = 0.2, days = 14, scansPerDay = 24 } = {}) {
+    /** Makes the map `office` of `tidemap sample building`. */
+    furnish({ cell = 0.2, days = 14, scansPerDay = 24 } = {}) {
         const files = join(this.folder, 'office');
-        const { scans, every } = write(files, { cell, days, scansPerDay });
+        const maps = this.building(files, { cell, days, scansPerDay });
         this.run('map', 'create', 'office', '--time-zone', 'Europe/London', '--grid', `resolution=${cell},flat`, '--grid-retention', 'forever');
-        const names = Array.from({ length: scans }, (_, index) => join(files, `scan-${String(index).padStart(5, '0')}.yaml`));
-        this.run('grid', 'observe', 'office', ...names, '--at', '2025-03-03T00:00:00Z', '--every', `${every}s`, '--producer', 'scanner', '--label', 'scans');
-        this.run('observe', 'office', join(files, 'seen.csv'), '--producer', 'robot-1');
-        await this.call('TopologyService/LoadTopology', topology('office'));
-        this.run('traverse', 'office', join(files, 'runs.csv'), '--producer', 'robot-1');
+        const times = ['--times-from', 'map_%Y-%m-%d_%H-%M.yaml', '--utc'];
+        this.run('grid', 'observe', 'office', ...maps, ...times, '--producer', 'scanner', '--label', 'scans');
+        this.run('observe', 'office', join(files, 'rooms.csv'), '--producer', 'robot-1');
+        this.run('topology', 'load', 'office', join(files, 'topology.yaml'));
+        this.run('traverse', 'office', join(files, 'drives.csv'), '--producer', 'robot-1');
         this.run('update', 'office');
+    }
+
+    /** Writes the building; the files of its maps in order of time. */
+    building(folder, { cell, days, scansPerDay }) {
+        this.run('sample', 'building', folder, '--cell', String(cell), '--days', String(days), '--scans-per-day', String(scansPerDay));
+        const names = readdirSync(join(folder, 'maps')).filter((name) => name.endsWith('.yaml'));
+        return names.sort().map((name) => join(folder, 'maps', name));
     }
 }
 

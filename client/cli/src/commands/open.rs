@@ -9,10 +9,11 @@ use std::{
     process::{Command, ExitCode, Stdio},
 };
 
+use jiff::Timestamp;
 use tidemap_client::{Client, Error, updates::PagePort};
 use tonic::Code;
 
-use super::{UsageError, usage};
+use super::{UsageError, times::time, usage};
 
 /// The HTTP port that a daemon has by default.
 const HTTP_PORT: u16 = 7436;
@@ -22,6 +23,9 @@ pub(crate) struct OpenArgs {
     /// Name of a map [default: the list of maps]
     #[arg(value_name = "MAP")]
     map: Option<String>,
+    /// Time that the page shows [default: now, or the newest data where these are old]
+    #[arg(long, value_name = "TIME", value_parser = time, requires = "map")]
+    at: Option<i64>,
     /// Address of the daemon's HTTP port, without asking the daemon for it
     #[arg(long, value_name = "URL", env = "TIDEMAP_PAGE")]
     page: Option<String>,
@@ -95,8 +99,10 @@ fn named(page: &str) -> String {
 }
 
 /// Names of maps have no characters that an address would have to escape.
-fn address(page: &str, map: Option<&str>) -> String {
-    map.map_or_else(|| format!("{page}/"), |map| format!("{page}/maps/{map}"))
+fn address(page: &str, map: Option<&str>, at: Option<i64>) -> String {
+    let Some(map) = map else { return format!("{page}/") };
+    let shown = at.and_then(|nanos| Timestamp::from_nanosecond(i128::from(nanos)).ok());
+    shown.map_or_else(|| format!("{page}/maps/{map}"), |time| format!("{page}/maps/{map}?at={time}"))
 }
 
 /// The program that opens addresses here: `$BROWSER`, or that of the desktop.
@@ -119,7 +125,7 @@ pub(crate) async fn run(client: &Client, args: &OpenArgs, server: &str) -> anyho
         Some(page) => named(page),
         None => served(server, &page_of(client, map.unwrap_or_default()).await?)?,
     };
-    let address = address(&page, map);
+    let address = address(&page, map, args.at);
     println!("{address}");
     if args.print {
         return Ok(ExitCode::SUCCESS);
@@ -155,8 +161,10 @@ mod tests {
         ] {
             assert_eq!(served(server, &page).expect("a page"), expected);
         }
-        assert_eq!(address("http://h:1", Some("home")), "http://h:1/maps/home");
-        assert_eq!(address("http://h:1", None), "http://h:1/");
+        assert_eq!(address("http://h:1", Some("home"), None), "http://h:1/maps/home");
+        let noon = 1_741_348_800_000_000_000;
+        assert_eq!(address("http://h:1", Some("home"), Some(noon)), "http://h:1/maps/home?at=2025-03-07T12:00:00Z");
+        assert_eq!(address("http://h:1", None, None), "http://h:1/");
     }
 
     #[test]
