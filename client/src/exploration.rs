@@ -18,7 +18,7 @@ use tidemap_proto::{
         },
         query::selector_to_wire,
         site::point_to_wire,
-        time::{duration, timestamp},
+        time::{duration, instant, timestamp},
     },
     v1::{self, exploration_service_client::ExplorationServiceClient},
 };
@@ -189,6 +189,19 @@ pub struct SlotChoice {
     pub information_bits: f64,
     /// Information gain if everything is as observed recently; only with [`SlotStrategy::Novelty`].
     pub surprise_bits: Option<f64>,
+}
+
+/// A square of 0.5 m that robots tried to reach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReachedPlace {
+    /// Its centre: x, y in metres.
+    pub at_m: [f64; 2],
+    /// Share of the last five attempts that succeeded.
+    pub reachability: f64,
+    /// Number of attempts counted, 1 to 5.
+    pub attempts: u32,
+    /// Time of the newest attempt, nanoseconds UTC.
+    pub last_nanos: i64,
 }
 
 /// A slot of a plan.
@@ -399,5 +412,25 @@ impl Client {
         let answer = self.exploration_service().report_visit(request).await.map_err(|status| self.error(&status))?;
         let v1::ReportVisitResponse { reachability, attempts } = answer.into_inner();
         Ok((reachability, attempts))
+    }
+
+    /// The places that robots tried to reach, by x and then by y.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
+    pub async fn reachability(&self, map: &str) -> Result<Vec<ReachedPlace>, Error> {
+        let request = v1::ListReachabilityRequest { map: map.to_owned() };
+        let replies = self.exploration_service().list_reachability(request).await;
+        let mut replies = replies.map_err(|status| self.error(&status))?.into_inner();
+        let mut places = Vec::new();
+        while let Some(reply) = replies.message().await.map_err(|status| self.error(&status))? {
+            places.extend(reply.places.into_iter().map(|place| ReachedPlace {
+                at_m: place.at.map_or([0.0; 2], |at| [at.x_m, at.y_m]),
+                reachability: place.reachability,
+                attempts: place.attempts,
+                last_nanos: instant(place.last_time).unwrap_or_default(),
+            }));
+        }
+        Ok(places)
     }
 }

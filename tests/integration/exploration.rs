@@ -120,6 +120,13 @@ async fn a_tour_goes_where_the_room_changes_and_avoids_what_is_not_reached() {
         let reply = tidemap(&daemon, ["visit", MAP, &place, "--reached", "false", "--at", "1452470400"]).table();
         assert_eq!((reply.number("reachability"), reply.number("attempts")), (0.0, f64::from(attempt)));
     }
+    let tried = tidemap(&daemon, ["reachability", "list", MAP]).table();
+    assert_eq!(
+        (tried.rows.len(), tried.number("attempts"), tried.number("last_time")),
+        (1, 5.0, 1_452_470_400.0),
+        "{tried:?}"
+    );
+    assert!((tried.number("x") - best[0]).abs() <= 0.25 && (tried.number("y") - best[1]).abs() <= 0.25, "{tried:?}");
     let elsewhere = goals(&tour(&daemon, nine, &["--count", "1"]).table())[0];
     assert!(elsewhere != best && sees_seat(elsewhere), "{elsewhere:?}");
     // A budget that is too short says so; several goals come in driving order.

@@ -239,6 +239,8 @@ fn check_grid_and_exploration(checked: &mut Checked, folder: &str) {
     let changed = checked.run("grid changed", "home");
     assert_eq!(changed, serde_json::json!([]));
     checked.run("visit", &format!("home 1,1 --reached true --at {NOON}"));
+    let places = checked.run("reachability list", "home");
+    assert_eq!((&places[0]["x"], &places[0]["reachability"]), (&1.25.into(), &1.into()), "{places}");
     checked.run("tour", &format!("home --at {NOON} --count 2 --start 0,0"));
     checked.run("info", &format!("home --at {NOON} --state door"));
     checked.run("info", &format!("home --at {NOON} --view 0,0,0.2"));

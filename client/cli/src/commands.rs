@@ -209,6 +209,9 @@ enum Command {
     Location(location::LocationCommand),
     /// Reports whether a robot reached its goal
     Visit(visit::VisitArgs),
+    /// Lists the places that robots tried to reach
+    #[command(subcommand)]
+    Reachability(visit::ReachabilityCommand),
     /// Plans one exploration tour over the grid: viewpoints in driving order
     Tour(tour::TourArgs),
     /// Plans which slots of a day to explore, and where
@@ -408,6 +411,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Info(args) => info::run(&session, args).await,
         Command::Location(command) => location::run(&session, command).await,
         Command::Visit(args) => visit::run(&session, &args).await,
+        Command::Reachability(command) => visit::list(&session, &command).await,
         Command::Tour(args) => tour::run(&session, args).await,
         Command::Day(args) => day::run(&session, args).await,
         Command::Topology(command) => topology::run(&session, command).await,

@@ -25,8 +25,8 @@ mod slot;
 
 pub use day::{DayQuestion, DayTargets, day_from_wire, day_to_wire};
 pub use information::{
-    InformationQuestion, InformationTargets, ViewsQuestion, VisitReport, information_from_wire, views_from_wire,
-    visit_from_wire,
+    InformationQuestion, InformationTargets, ViewsQuestion, VisitReport, information_from_wire, reached_places_to_wire,
+    views_from_wire, visit_from_wire,
 };
 pub use slot::{LocationChoice, SlotAllowance, SlotQuestion, slot_question_from_wire};
 

@@ -42,6 +42,12 @@ impl ReachabilityCell {
         Ok(ReachabilityCell { x: along(x_m), y: along(y_m) })
     }
 
+    /// Its centre in the map's frame, metres.
+    #[must_use]
+    pub fn centre_m(self) -> [f64; 2] {
+        [self.x, self.y].map(|along| (f64::from(along) + 0.5) * REACHABILITY_CELL_M)
+    }
+
     fn is_valid(self) -> bool {
         let limit = (REACHABILITY_LIMIT_M / REACHABILITY_CELL_M) as i32;
         [self.x, self.y].iter().all(|along| (-limit..=limit).contains(along))

@@ -58,6 +58,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.ExplorationService/PlanDay", role(Planner)),
     ("/tidemap.v1.ExplorationService/PlanSlot", role(Planner)),
     ("/tidemap.v1.ExplorationService/ReportVisit", role(Observer)),
+    ("/tidemap.v1.ExplorationService/ListReachability", role(Planner)),
     ("/tidemap.v1.TopologyService/LoadTopology", role(Operator)),
     ("/tidemap.v1.TopologyService/EditTopology", role(Operator)),
     ("/tidemap.v1.TopologyService/GetTopology", role(Planner)),

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tidemap_map::site::SiteEdit;
 use tidemap_plan::{predicted::PredictOptions, view::ViewLimits};
 use tidemap_proto::{
-    convert::exploration::{VisitReport, visit_from_wire},
+    convert::exploration::{VisitReport, reached_places_to_wire, visit_from_wire},
     v1::{self, exploration_service_server::ExplorationService},
 };
 use tonic::{Request, Response};
@@ -19,12 +19,12 @@ use super::{
     map::edit_site,
     permits::{Permits, processors},
     query::Queries,
-    replies::Replies,
+    replies::{Replies, compute_replies},
     series::PredictContext,
     status::RpcError,
     training::ModelTrainer,
 };
-use crate::catalog::Catalog;
+use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
 mod day;
 mod information;
@@ -38,6 +38,9 @@ mod worth;
 /// Maximum number of times at which one request looks at a grid. The phasors of all are held at once: 33 KB per time
 /// with the maximum number of periodicities.
 const GRID_TIMES_MAX: u64 = 2_000;
+
+/// Places of one reply.
+const PLACES_PER_REPLY: usize = 1_000;
 
 /// Limits of plans.
 #[derive(Clone, Copy, Debug)]
@@ -94,10 +97,22 @@ impl Explorations {
     }
 }
 
+/// Sends the places that were tried.
+fn reached_places(handle: &MapHandle) -> Replies<v1::ListReachabilityResponse> {
+    let view = handle.view();
+    compute_replies(Vec::new(), move |sink| {
+        let places: Vec<_> = view.site().reachability().parts().collect();
+        // A client that is gone gets no more.
+        places.chunks(PLACES_PER_REPLY).all(|places| sink.send(reached_places_to_wire(places)));
+        Ok(())
+    })
+}
+
 #[tonic::async_trait]
 impl ExplorationService for Explorations {
     type GetInformationStream = Replies<v1::GetInformationResponse>;
     type EvaluateViewsStream = Replies<v1::EvaluateViewsResponse>;
+    type ListReachabilityStream = Replies<v1::ListReachabilityResponse>;
 
     async fn get_information(
         &self,
@@ -124,5 +139,13 @@ impl ExplorationService for Explorations {
 
     async fn report_visit(&self, request: Request<v1::ReportVisitRequest>) -> RpcReply<v1::ReportVisitResponse> {
         Ok(Response::new(self.visited(request.into_inner()).await?))
+    }
+
+    async fn list_reachability(
+        &self,
+        request: Request<v1::ListReachabilityRequest>,
+    ) -> RpcReply<Self::ListReachabilityStream> {
+        let handle = find_map(&self.catalog, &request.into_inner().map).await?;
+        Ok(Response::new(reached_places(&handle)))
     }
 }

@@ -13,7 +13,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Send what robots see and do", &["observe", "grid", "traverse", "visit"]),
     ("Learn, and look at models", &["update", "model", "evaluate", "experiment"]),
     ("Predict, and look back", &["predict", "position", "presence", "joint", "reconstruct", "anomalies"]),
-    ("Explore", &["info", "slot", "day", "tour"]),
+    ("Explore", &["info", "slot", "day", "tour", "reachability"]),
     ("Drive and search", &["topology", "route", "policy", "search"]),
     ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "schema", "bench"]),
 ];
@@ -39,6 +39,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("grid changed", "tidemap grid changed office --region=-5:5,0:8 --z 0.1:1.8"),
     ("traverse", "tidemap traverse office runs.csv --producer robot-1"),
     ("visit", "tidemap visit office 1,-1 --reached false"),
+    ("reachability list", "tidemap reachability list office"),
     ("update", "tidemap update office"),
     ("model show", "tidemap model show office kitchen --picture"),
     ("evaluate", "tidemap evaluate office next-week.csv --models auto,mean,latest"),

@@ -52,7 +52,7 @@ impl Curve {
             return [0.0, 1.0];
         }
         let [low, high] = [-low, high].map(|end| if end > 0.0 { Scale::up_to(end).end() } else { 0.0 });
-        if high + low > 0.0 { [-low, high] } else { [0.0, 1.0] }
+        if high + low > 0.0 { [0.0 - low, high] } else { [0.0, 1.0] }
     }
 
     /// The mean of the values of a column, and the upper end of its band.

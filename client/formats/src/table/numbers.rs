@@ -16,7 +16,8 @@ const DIGITS_FROM_ONE: i32 = 1;
 pub fn number(number: f64) -> String {
     let size = number.abs();
     if !number.is_finite() || size == 0.0 {
-        return number.to_string();
+        // A zero has no sign.
+        return (number + 0.0).to_string();
     }
     if size < SMALL {
         return trimmed_exponent(number);
@@ -68,6 +69,7 @@ mod tests {
     fn numbers_have_three_decimals_and_look_like_no_other() {
         for (value, text) in [
             (0.0, "0"),
+            (-0.0, "0"),
             (1.0, "1"),
             (0.976_902, "0.977"),
             (0.5, "0.5"),

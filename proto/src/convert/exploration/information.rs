@@ -3,7 +3,10 @@
 //! Invariant: what is checked here needs no map; whether the map has what is named is checked by who answers.
 
 use tidemap_grid::index::CellBox;
-use tidemap_map::name::StateName;
+use tidemap_map::{
+    name::StateName,
+    reachability::{Attempts, ReachabilityCell},
+};
 use tidemap_model::selector::ModelSelector;
 use tidemap_plan::{
     information::Certainty,
@@ -16,8 +19,8 @@ use crate::{
         InvalidField,
         grid::cell_box_from_wire,
         query::{check_for_cells, selector_from_wire},
-        site::{location_names_from_wire, point_from_wire},
-        time::{nanos_from_timestamp, times_from_wire},
+        site::{location_names_from_wire, point_from_wire, point_to_wire},
+        time::{nanos_from_timestamp, times_from_wire, timestamp},
     },
     v1,
 };
@@ -132,6 +135,18 @@ pub fn visit_from_wire(request: &v1::ReportVisitRequest) -> Result<VisitReport, 
     let at_m = point_from_wire("at", request.at.ok_or_else(missing)?)?;
     let utc_nanos = request.time.map(|time| nanos_from_timestamp("time", time)).transpose()?;
     Ok(VisitReport { at_m, reached: request.reached, utc_nanos })
+}
+
+/// The places of a reply.
+#[must_use]
+pub fn reached_places_to_wire(places: &[(ReachabilityCell, Attempts)]) -> v1::ListReachabilityResponse {
+    let place = |(cell, attempts): &(ReachabilityCell, Attempts)| v1::ReachedPlace {
+        at: Some(point_to_wire(cell.centre_m())),
+        reachability: attempts.rate(),
+        attempts: attempts.count.into(),
+        last_time: Some(timestamp(attempts.last_nanos)),
+    };
+    v1::ListReachabilityResponse { places: places.iter().map(place).collect() }
 }
 
 #[cfg(test)]
