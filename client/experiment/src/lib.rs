@@ -29,6 +29,7 @@ mod compared;
 mod data;
 pub mod explore;
 pub mod habits;
+pub mod localise;
 mod newest;
 mod paired;
 mod picture;

@@ -7,6 +7,7 @@
 
 pub mod day;
 pub mod information;
+pub mod localise;
 pub mod location;
 pub mod policy;
 pub mod predicted;

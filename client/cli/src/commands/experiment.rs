@@ -19,6 +19,7 @@ use tidemap_experiment::{
     ModelResult, ProtocolError,
     explore::{self, ExploreProtocol, office},
     habits::{self, HABITS, Habit, HabitsProtocol},
+    localise::{self, LandmarkRecording},
     routes::{self, RoutesProtocol},
     search,
 };
@@ -43,8 +44,20 @@ enum ExperimentKind {
     Search(CompareArgs),
     /// Sends robots around a simulated building, and reports how often their routes fail, week by week
     Routes(RoutesArgs),
+    /// Finds the place and heading of pictures by landmarks that come and go, from a recording
+    Localise(LocaliseArgs),
     /// Predicts simulated habits day by day, and reports how sure predictions are and whether they are right
     Habits(HabitsArgs),
+}
+
+#[derive(Debug, Args)]
+struct LocaliseArgs {
+    /// Folder of the recording: images.csv, features.csv.gz, offsets.csv and landmarks.csv.gz
+    #[arg(value_name = "FOLDER")]
+    recording: PathBuf,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "localise-results")]
+    out: PathBuf,
 }
 
 #[derive(Debug, Args)]
@@ -109,7 +122,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
             "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, \
-             search, routes, habits"
+             search, routes, habits, localise"
                 .to_owned(),
         ),
     }
@@ -122,6 +135,7 @@ pub(crate) fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCo
         (Some(ExperimentKind::Search(args)), _) => search(&args, format),
         (Some(ExperimentKind::Routes(args)), _) => routes(args, format),
         (Some(ExperimentKind::Habits(args)), _) => habits(args, format),
+        (Some(ExperimentKind::Localise(args)), _) => localise(&args, format),
         (None, None) => Err(usage("name a protocol, a file that ends in .yaml or .yml")),
     }
 }
@@ -212,6 +226,18 @@ fn routes(args: RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
         |bar| Ok(routes::run(&protocol, &|done, total| bar.set_of(done, total))?),
         routes::write,
         |outcome, stdout| routes::summary(outcome, format, stdout),
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn localise(args: &LocaliseArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let recording = LandmarkRecording::read(&args.recording)?;
+    conduct(
+        &args.out,
+        "months",
+        |bar| Ok(localise::run(&recording, &|done, total| bar.set_of(done, total))?),
+        localise::write,
+        |outcome, stdout| localise::summary(outcome, format, stdout),
     )?;
     Ok(ExitCode::SUCCESS)
 }

@@ -1,0 +1,1 @@
+//! The recording of Stromovka gives the published figures.

@@ -1,0 +1,83 @@
+//! What landmarks look like: binary descriptors of image features, and where they are in the image.
+//!
+//! Invariant: a descriptor has 1 to 64 bytes; descriptors of different lengths are never compared.
+
+use std::fmt;
+
+#[cfg(test)]
+mod tests;
+
+/// Maximum number of bytes of a descriptor.
+pub const DESCRIPTOR_BYTES_MAX: usize = 64;
+const WORDS: usize = DESCRIPTOR_BYTES_MAX / 8;
+
+/// The binary descriptor of an image feature, as a detector such as BRIEF, ORB, TEBLID or GRIEF computes it. Two of one
+/// length are compared by the number of bits in which they differ (Hamming distance).
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Descriptor {
+    /// The bytes in little-endian words, padded with zeros.
+    words: [u64; WORDS],
+    length: u8,
+}
+
+/// Why bytes are no descriptor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a descriptor of {found} bytes: it must have 1 to {DESCRIPTOR_BYTES_MAX}")]
+pub struct DescriptorError {
+    /// Number of bytes.
+    pub found: usize,
+}
+
+impl Descriptor {
+    /// A descriptor of 1 to 64 bytes.
+    ///
+    /// # Errors
+    /// [`DescriptorError`]
+    pub fn new(bytes: &[u8]) -> Result<Descriptor, DescriptorError> {
+        let found = bytes.len();
+        let Some(length) = u8::try_from(found).ok().filter(|_| (1..=DESCRIPTOR_BYTES_MAX).contains(&found)) else {
+            return Err(DescriptorError { found });
+        };
+        let mut words = [0; WORDS];
+        for (word, bytes) in words.iter_mut().zip(bytes.chunks(8)) {
+            *word = bytes.iter().rev().fold(0, |word, &byte| word << 8 | u64::from(byte));
+        }
+        Ok(Descriptor { words, length })
+    }
+
+    /// Its bytes.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        self.words.iter().flat_map(|word| word.to_le_bytes()).take(self.len()).collect()
+    }
+
+    /// Number of bytes.
+    #[must_use]
+    #[allow(clippy::len_without_is_empty)] // It is never empty.
+    pub fn len(&self) -> usize {
+        self.length.into()
+    }
+
+    /// Its words, padded with zeros: the distance of two descriptors is the number of bits in which these differ.
+    #[must_use]
+    pub fn words(&self) -> &[u64] {
+        self.words.get(..self.len().div_ceil(8)).unwrap_or(&self.words)
+    }
+}
+
+impl fmt::Debug for Descriptor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.to_bytes().iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+/// An image feature: where it is in an image, and what it looks like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImageFeature {
+    /// Pixels to the right.
+    pub u_px: f64,
+    /// Pixels down.
+    pub v_px: f64,
+    /// What it looks like.
+    pub descriptor: Descriptor,
+}
