@@ -179,6 +179,11 @@ impl Ensemble {
         self.prepared = Some(Box::new(PreparedDay { day, members, forecast }));
     }
 
+    /// Whether the map names the year as a period: then a rhythm of the year needs no evidence that there is one.
+    pub fn expect_year(&mut self, is_expected: bool) {
+        self.season.is_expected = is_expected;
+    }
+
     /// Learns a local day: judges all members by its looks, then adds them. A day that is not newer than all before is
     /// added without judging. `samples`: its readings in order of time; `chosen`: the model that the update had chosen
     /// before the day. Gives the squared error of the predictions for `newer`, those of the samples that no earlier

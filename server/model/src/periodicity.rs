@@ -17,6 +17,9 @@ const PERIOD_MIN_NANOS: i64 = NANOS_PER_SEC;
 const PERIOD_MAX_NANOS: i64 = 36_525 * 86_400 * NANOS_PER_SEC;
 const WEEK_NANOS: i64 = 7 * 86_400 * NANOS_PER_SEC;
 const WEEK_HARMONICS: u32 = 168;
+/// Periods that are a year.
+const YEAR_NANOS: std::ops::RangeInclusive<u64> = 365 * DAY_NANOS..=366 * DAY_NANOS;
+const DAY_NANOS: u64 = 86_400 * NANOS_PER_SEC as u64;
 /// Readings are in phase with a period if the mean of their phasors is at least this long: as of looks at the same time
 /// of each day, of up to two and a half hours.
 const IN_PHASE: f64 = 0.98;
@@ -155,10 +158,18 @@ impl Periodicities {
         i64::try_from(shortest / 60).unwrap_or(i64::MAX).max(1)
     }
 
-    /// Whether a span of observation holds at least 0.99 of periodicity `k`, in exact integers.
+    /// Whether the year is one of a list of periods.
+    pub(crate) fn names_year(&self) -> bool {
+        let is_year = |cycle: &Cycle| YEAR_NANOS.contains(&cycle.period);
+        matches!(&self.inner.cycles, Cycles::List(list) if list.iter().any(is_year))
+    }
+
+    /// Whether a span of observation holds at least 0.99 of periodicity `k`, in exact integers; of a year that a list
+    /// names 0.9.
     pub(crate) fn is_eligible(&self, k: usize, span_nanos: u64) -> bool {
         let Some((period, turns)) = self.period_of_turns(k) else { return false };
-        u128::from(span_nanos) * 100 * turns >= u128::from(period) * 99
+        let is_named_year = matches!(self.inner.cycles, Cycles::List(_)) && YEAR_NANOS.contains(&period);
+        u128::from(span_nanos) * 100 * turns >= u128::from(period) * if is_named_year { 90 } else { 99 }
     }
 
     /// Whether readings that are this far apart tell periodicity `k` from slower ones: its period is at least twice the

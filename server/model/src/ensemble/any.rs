@@ -56,7 +56,10 @@ impl AnyEnsemble {
         others: OtherModels<'_>,
     ) -> Option<f64> {
         match self {
-            AnyEnsemble::Probability(ensemble) => ensemble.learn_day(day, samples, newer, others.chosen),
+            AnyEnsemble::Probability(ensemble) => {
+                ensemble.expect_year(others.expects_year);
+                ensemble.learn_day(day, samples, newer, others.chosen)
+            }
             AnyEnsemble::Number(ensemble) => ensemble.learn_day(day, samples, newer, others),
         }
     }

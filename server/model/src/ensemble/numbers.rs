@@ -39,6 +39,8 @@ pub struct OtherModels<'a> {
     pub chosen: &'a dyn TemporalModel,
     /// A model of all history, which speaks as well of times far ahead.
     pub lasting: &'a dyn TemporalModel,
+    /// The map names the year as a period.
+    pub expects_year: bool,
 }
 
 /// What was seen on one day, half-hour by half-hour.

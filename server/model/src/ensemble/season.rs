@@ -3,7 +3,9 @@
 //! The looks of five days each are one mean. A rhythm of up to three harmonics of the year is solved by least squares
 //! as soon as the record spans a year; each order is weighted by how well it explains the means, in independent ones,
 //! and its amplitude is lowered by what noise would show. So on noise it is the mean. Beside it stands the plain memory
-//! of the same days a year ago, which keeps sharp edges. Invariant: predictions lie strictly between 0 and 1.
+//! of the same days a year ago, which keeps sharp edges. Where the map names the year as a period, nine tenths of it are
+//! enough, and one harmonic needs no evidence: its amplitude is lowered all the same. Invariant: predictions lie strictly
+//! between 0 and 1.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
@@ -19,6 +21,8 @@ const YEAR_DAYS: f64 = 365.25;
 const ORDERS: usize = 3;
 /// A record must span this share of a year, with one more of its usual gaps.
 const YEAR_SEEN: f64 = 0.99;
+/// The share where the map names the year as a period.
+const EXPECTED_YEAR_SEEN: f64 = 0.9;
 /// Squared error that every order has.
 const ERROR_MIN: f64 = 0.02;
 /// The log of the evidence that each further harmonic must bring, per log of the number of means.
@@ -61,6 +65,8 @@ pub(super) struct Season {
     /// How often each class of gaps between observed days occurred; see [`GAPS`].
     pub(super) gaps: [u32; GAPS.len()],
     pub(super) rhythm: Rhythm,
+    /// The map names the year as a period. Not stored: each update says it before it learns.
+    pub(super) is_expected: bool,
 }
 
 /// The longest gap of each class, in days. Longer ones are of the last class: a record with a hole of months does not
@@ -108,7 +114,14 @@ impl Rhythm {
 
 impl Season {
     pub(super) const fn new() -> Season {
-        Season { bins: Vec::new(), first: None, last: None, gaps: [0; GAPS.len()], rhythm: Rhythm::UNKNOWN }
+        Season {
+            bins: Vec::new(),
+            first: None,
+            last: None,
+            gaps: [0; GAPS.len()],
+            rhythm: Rhythm::UNKNOWN,
+            is_expected: false,
+        }
     }
 
     /// Learns the looks of a day: their sum and number, above 0.
@@ -161,7 +174,8 @@ impl Season {
         let mean = (sum + 0.5) / (looks + 1.0);
         let flat = Rhythm { mean, waves: [[0.0; 2]; ORDERS] };
         let span = self.first.zip(self.last).map_or(0.0, |(first, last)| f64::from(last.0) - f64::from(first.0));
-        if self.bins.len() < 6 || span + self.usual_gap() < YEAR_SEEN * YEAR_DAYS {
+        let year_seen = if self.is_expected { EXPECTED_YEAR_SEEN } else { YEAR_SEEN };
+        if self.bins.len() < 6 || span + self.usual_gap() < year_seen * YEAR_DAYS {
             return flat;
         }
         let number = self.bins.len() as f64;
@@ -172,7 +186,11 @@ impl Season {
             (1..=ORDERS).filter_map(|order| self.solve_order(order, &values, flat_error)).collect();
         let Some(independent) = solved.iter().map(|solved| solved.independent).reduce(f64::min) else { return flat };
         let evidence = |order: usize, error: f64| {
-            let cost = COST * order as f64 * independent.max(2.0).ln() + if order > 0 { COST_OF_ANY } else { 0.0 };
+            let (costly, of_any) = match self.is_expected {
+                true => (order.saturating_sub(1), 0.0),
+                false => (order, if order > 0 { COST_OF_ANY } else { 0.0 }),
+            };
+            let cost = COST * costly as f64 * independent.max(2.0).ln() + of_any;
             -0.5 * independent * (error / number + ERROR_MIN).ln() - cost
         };
         let of_flat = evidence(0, flat_error);

@@ -34,8 +34,8 @@ impl TemporalModel for MeanAlone {
 /// The mean is all that is known of all history.
 fn others<'a>(chosen: Option<&'a Calibrated>, mean: &'a MeanAlone) -> OtherModels<'a> {
     match chosen {
-        Some(chosen) => OtherModels { chosen, lasting: mean },
-        None => OtherModels { chosen: mean, lasting: mean },
+        Some(chosen) => OtherModels { chosen, lasting: mean, expects_year: false },
+        None => OtherModels { chosen: mean, lasting: mean, expects_year: false },
     }
 }
 

@@ -47,7 +47,8 @@ pub struct ChosenMember<'a> {
 impl ChosenMember<'_> {
     /// What an ensemble needs beside itself.
     pub fn others(&self) -> OtherModels<'_> {
-        OtherModels { chosen: self, lasting: &self.spectral }
+        let expects_year = self.spectral.periodicities.names_year();
+        OtherModels { chosen: self, lasting: &self.spectral, expects_year }
     }
 }
 
