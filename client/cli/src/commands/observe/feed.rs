@@ -170,6 +170,15 @@ impl RefusalReport {
         }
     }
 
+    /// Reports a file that was not sent, because it cannot be used.
+    pub(crate) fn left_out(&mut self, file: &Path, why: &str) {
+        self.wrong += 1;
+        if self.reported < REPORTED_MAX {
+            self.reported += 1;
+            self.bar.status_line(&format!("{} {}: {why}", file.display(), self.verb));
+        }
+    }
+
     /// Counts refused rows whose details are lost.
     pub(crate) fn count_refused(&mut self, rows: u64) {
         self.wrong += rows;

@@ -64,8 +64,13 @@ pub(super) async fn run(
     if let [(before, first), (after, second)] = &panels[..] {
         status_line(&changed(first, second, [before, after]));
     }
-    let Some((_, first)) = panels.first() else { return Ok(ExitCode::SUCCESS) };
-    put(session, path, first, generation)
+    match (panels.first(), path) {
+        (Some((_, first)), Some(_)) => put(session, path, first, generation),
+        _ => {
+            status_line("--picture FILE.png draws them in a file");
+            Ok(ExitCode::SUCCESS)
+        }
+    }
 }
 
 /// How many cells differ between two times.
@@ -76,5 +81,5 @@ fn changed(before: &MapPicture, after: &MapPicture, [from, to]: [&str; 2]) -> St
         fuller += u64::from(difference >= DIFFERENT);
         freer += u64::from(difference <= -DIFFERENT);
     }
-    format!("from {from} to {to}, {fuller} cells become fuller by {DIFFERENT} or more, and {freer} become freer")
+    format!("from {from} to {to}, cells that become fuller by {DIFFERENT} or more: {fuller}, and freer: {freer}")
 }
