@@ -5,6 +5,7 @@
 
 mod advice;
 pub(crate) mod feed;
+mod kind_patterns;
 pub(crate) mod kinds;
 mod opening;
 pub(crate) mod refused;
@@ -29,6 +30,7 @@ use tokio::{sync::watch, task::JoinHandle};
 
 use self::{
     feed::{Feed, RefusalReport},
+    kind_patterns::KindPatterns,
     kinds::Kinds,
     refused::RefusedRows,
     transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
@@ -62,6 +64,10 @@ pub(crate) struct ObserveArgs {
     /// kind; new states are probabilities]
     #[arg(long, value_name = "KIND")]
     kind: Option<KindArg>,
+    /// Kinds of some states of the file, by patterns of their names, such as 'temperature.*=continuous,visits-?=count'; the
+    /// first that fits decides, and other states are as without this
+    #[arg(long, value_name = "PATTERN=KIND,…", conflicts_with = "kind")]
+    kinds: Option<KindPatterns>,
     /// Writes the refused rows to this new file, to be corrected there and sent
     #[arg(long, value_name = "FILE")]
     refused: Option<PathBuf>,
@@ -126,7 +132,7 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     }
     let options = args.sender.options(&args.map, &base_name(&args.file))?;
     let mut kind = args.kind.and_then(KindArg::single);
-    if args.reports.kind() == RowKind::Events {
+    if args.reports.kind() == RowKind::Events && args.kinds.is_none() {
         kind = kind.or(Some(StateKind::Count.into()));
     }
     if let (Some(kind), Some(stated)) = (kind, stated)
@@ -138,8 +144,18 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     if let Some(stated) = stated {
         reporting::check(session, (&options.map, &args.file), &rules, stated).await?;
     }
+    let plan = match &args.kinds {
+        Some(_) if has_positions => {
+            return Err(usage(format!("--kinds does not go with {shown}, which has positions")));
+        }
+        Some(kinds) => Some(kinds.plan(session, (&options.map, &args.file), &rules, stated).await?),
+        None => None,
+    };
     if args.replace {
         withdraw(session, &options).await?;
+    }
+    if let Some(plan) = plan {
+        plan.add(session, &options.map, stated).await?;
     }
     send(session, options, feed, FileSent { shown: &shown, command: "observe", refused }).await
 }
