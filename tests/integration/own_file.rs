@@ -83,3 +83,63 @@ fn one_file_of_all_sensors_goes_in_with_one_command() {
     }
     home.observe(&file, &["--kinds", "door=count", "--kind", "count"]).fails(2, &["--kind"]);
 }
+
+/// The command after the last of these words, up to the end of its line or to a word in brackets.
+fn advised(outcome: &Outcome, before: &str) -> Vec<String> {
+    let line = outcome.stderr.lines().rev().find_map(|line| Some(line.split_once(before)?.1));
+    let line = line.unwrap_or_else(|| panic!("{before:?} is not in:\n{}", outcome.stderr));
+    let words = line.split_whitespace().take_while(|word| !word.ends_with(')'));
+    words.map(|word| word.trim_end_matches([';', ',']).to_owned()).collect()
+}
+
+#[test]
+fn rows_of_an_erased_state_are_sent_anew_by_the_advised_command() {
+    let home = Home::new();
+    let file = home.file("log.csv", "when,name,value\n2025-02-03 08:00:00,door,open\n2025-02-03 09:00:00,lamp,on\n");
+    let options = ["--changes", "--local", "--columns", "time=when,state=name", "--hold-max", "1d"];
+    assert_eq!(home.observe(&file, &options).table().numbers("accepted"), [2.0]);
+    let again = home.observe(&file, &options);
+    assert!(!again.stderr.contains("the map has nothing of"), "{}", again.stderr);
+    home.run(&["erase", "home", "--state", "door"]).table();
+    let erased = home.observe(&file, &options);
+    assert_eq!(erased.table().numbers("duplicate"), [2.0]);
+    assert!(erased.stderr.contains("the map has nothing of \"door\":"), "{}", erased.stderr);
+    let command = advised(&erased, "To send them anew: tidemap ");
+    for word in ["--changes", "--local", "time=when,state=name", "86400s", "--replace"] {
+        assert!(command.iter().any(|part| part == word), "{word}: {command:?}");
+    }
+    let sent = home.run(&command.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(sent.table().numbers("accepted"), [2.0]);
+    assert_eq!(home.kinds().len(), 2);
+}
+
+#[test]
+fn rows_that_do_not_say_what_their_sender_thinks_are_told() {
+    let home = Home::new();
+    let (mut words, mut events) = ("time,state,value\n".to_owned(), "time,state,value\n".to_owned());
+    for row in 0..30 {
+        let value = if row % 2 == 0 { "on" } else { "aus" };
+        let _ = writeln!(words, "{},door,{value}", 1_738_537_200 + row * 600);
+        let _ = writeln!(events, "{},gate,1", 1_738_537_200 + row * 600);
+    }
+    // Half of the words are unknown: each is told once.
+    let sent = home.observe(&home.file("words.csv", &words), &["--changes"]);
+    sent.fails(1, &["have only one value, 1 for the first", "state \"door\"", "--values WORD=0"]);
+    assert_eq!(sent.stderr.matches("value \"aus\" is not a number").count(), 1, "{}", sent.stderr);
+    assert!(sent.stderr.contains("and 14 more rows for the reasons above"), "{}", sent.stderr);
+    assert!(!sent.stderr.contains("If each row is an event"), "{}", sent.stderr);
+    // Events that were sent as changes.
+    let sent = home.observe(&home.file("gate.csv", &events), &["--changes"]);
+    assert!(sent.stderr.contains("state \"gate\": all rows have one value"), "{}", sent.stderr);
+    home.run(&["erase", "home", "--state", "gate"]).table();
+    let command = advised(&sent, "and send the file anew: tidemap ");
+    let anew = home.run(&command.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(anew.table().numbers("accepted"), [30.0]);
+    // Numbers of another kind, a word for one, another separator, another date.
+    let file = home.file("warm.csv", "time,state,value\n1738537200,hall,21.5\n1738537200,hatch,ajar\n");
+    let sent = home.observe(&file, &["--values", "ajar=5"]);
+    sent.fails(1, &["\"ajar\" stands for 5", "21.5 is not between 0 and 1", "--kinds 'PATTERN=continuous'"]);
+    home.observe(&home.file("semi.csv", "time;state;value\n1;door;0\n"), &[]).fails(1, &["separated by semicolons"]);
+    let dated = home.file("dated.csv", "time,state,value\n03.02.2025 08:00,door,1\n03.02.2025 09:00,door,0\n");
+    home.observe(&dated, &["--local"]).fails(1, &["\"03.02.2025 08:00\" is a date as day.month.year"]);
+}

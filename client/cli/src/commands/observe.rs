@@ -7,6 +7,7 @@ mod advice;
 pub(crate) mod feed;
 mod kind_patterns;
 pub(crate) mod kinds;
+pub(crate) mod next_steps;
 mod opening;
 pub(crate) mod refused;
 mod reporting;
@@ -32,11 +33,14 @@ use self::{
     feed::{Feed, RefusalReport},
     kind_patterns::KindPatterns,
     kinds::Kinds,
+    next_steps::{NextSteps, quoted},
     refused::RefusedRows,
-    transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
+    transfer::{RowCounts, RowTransfer, Sendable, Transfer, TransferEnd},
 };
 use super::{
-    Session, erase, job, producer_id,
+    Session, erase, job,
+    predict::names,
+    producer_id,
     rows::{FileArgs, ReportArgs},
     state::KindArg,
     times, usage,
@@ -157,7 +161,23 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     if let Some(plan) = plan {
         plan.add(session, &options.map, stated).await?;
     }
-    send(session, options, feed, FileSent { shown: &shown, command: "observe", refused }).await
+    let words = words(&args);
+    send(session, options, feed, FileSent { shown: &shown, command: "observe", words, refused }).await
+}
+
+/// The options that say how the file is read and what its rows are, each with a blank before it.
+fn words(args: &ObserveArgs) -> String {
+    let mut words = args.reports.words() + &args.written.words();
+    if let Some(kind) = args.kind {
+        words += &format!(" --kind {}", kind.name());
+    }
+    if let Some(kinds) = &args.kinds {
+        words += &format!(" --kinds {}", quoted(&kinds.to_string()));
+    }
+    if args.sender.nightly {
+        words += " --nightly";
+    }
+    words
 }
 
 /// Erases what the options' producer has sent with their label.
@@ -186,6 +206,8 @@ pub(super) struct FileSent<'a> {
     pub(super) shown: &'a str,
     /// Name of the command.
     pub(super) command: &'static str,
+    /// The options that say how it is read and what its rows are, each with a blank before it.
+    pub(super) words: String,
     /// Where its refused rows go.
     pub(super) refused: Option<RefusedRows>,
 }
@@ -195,7 +217,7 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
     session: &Session,
     options: ProducerOptions,
     Feed { rows, total_bytes, .. }: Feed<L>,
-    FileSent { shown, command, refused }: FileSent<'_>,
+    FileSent { shown, command, words, refused }: FileSent<'_>,
 ) -> anyhow::Result<ExitCode> {
     let bar = Bar::bytes(total_bytes);
     let (producer, notices) = open_stream(session, options.clone(), &bar).await?;
@@ -213,36 +235,12 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
         }
         session.print(&columns, [cells])?;
     }
-    transfer.advice(options.reporting.is_none()).iter().for_each(|line| status_line(line));
+    let steps = NextSteps::new(&options, command, &words, shown);
+    let rows_are = options.reporting.map_or(RowKind::Samples, |stated| stated.kind());
+    transfer.advice(rows_are, &steps).iter().for_each(|line| status_line(line));
     transfer.report.conclude();
-    let again = format!("tidemap {command} {} --producer {}", options.map, options.producer);
-    // The label where it is not that of the file.
-    let label = if base_name(Path::new(shown)) == options.label {
-        String::new()
-    } else {
-        format!(" --label {}", options.label)
-    };
-    let replace = (command == "observe" && shown != "stdin").then(|| format!("{again} {shown}{label} --replace"));
-    if let Some(refused) = transfer.report.kept() {
-        // A file that differs was not sent, and what is wrong with it says nothing about what was.
-        let advice = if matches!(end, TransferEnd::Differs(_)) { None } else { refused.write(&again)? };
-        advice.iter().for_each(|advice| status_line(advice));
-    } else if counts.refused > 0 && shown != "stdin" {
-        let replaced = replace.as_ref().map_or_else(String::new, |replace| {
-            format!("; or correct them in {shown}, and send all of it anew in place of this: {replace}")
-        });
-        status_line(&format!(
-            "to correct the refused rows: {again} {shown}{label} --refused FILE writes them to a file of their own, and \
-             sends nothing twice{replaced}"
-        ));
-    }
-    if counts.refused > 0 && options.reporting.is_some() {
-        status_line(&format!(
-            "send corrected rows before the next update: rows that come after it are learned as single readings. \
-             Afterwards erase the state, with tidemap erase {} --state NAME, and send the file with --replace",
-            options.map
-        ));
-    }
+    let is_sent = !matches!(end, TransferEnd::Differs(_));
+    tell_next(session, &transfer, counts, (&steps, options.reporting.is_some() && is_sent, is_sent), &options).await?;
     if let TransferEnd::Stopped(_) = end {
         let durable = counts.accepted + counts.duplicate + counts.refused;
         status_line(&format!(
@@ -254,27 +252,44 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
         TransferEnd::Unreadable(error) => TransferEnd::Unreadable(error.context(shown.to_owned())),
         end => end,
     };
-    let differs = matches!(end, TransferEnd::Differs(_));
-    let another = if differs { free_label(session, &options).await } else { String::new() };
-    exit_code(
-        end,
-        &transfer.report,
-        &options,
-        shown,
-        &format!(
-            "{} Another file needs another label, such as --label {}",
-            replace.map_or_else(
-                || "Corrected rows of the same file go into a file of their own (--refused FILE writes them); with another \
-                    label, all rows would count again."
-                    .to_owned(),
-                |replace| format!(
-                    "If it was corrected, this withdraws what was sent, and sends it anew: {replace}. (Rows that are only \
-                     added at the end are sent without that; with another label, all rows would count again.)"
-                ),
-            ),
-            another
-        ),
-    )
+    let another = if is_sent { String::new() } else { free_label(session, &options).await };
+    exit_code(end, &transfer.report, &options, shown, &steps.differs(&another))
+}
+
+/// Says what to do about rows that were refused, or that were sent before and are gone.
+async fn tell_next<T: Sendable>(
+    session: &Session,
+    transfer: &RowTransfer<T>,
+    counts: RowCounts,
+    (steps, is_of_sensor, is_sent): (&NextSteps<'_>, bool, bool),
+    options: &ProducerOptions,
+) -> anyhow::Result<()> {
+    if let Some(refused) = transfer.report.kept() {
+        // A file that differs was not sent, and what is wrong with it says nothing about what was.
+        let advice = if is_sent { refused.write(steps.again())? } else { None };
+        advice.iter().for_each(|advice| status_line(advice));
+    } else if counts.refused > 0 {
+        steps.refused().iter().for_each(|advice| status_line(advice));
+    }
+    if counts.refused > 0 && is_of_sensor {
+        status_line(&steps.refused_of_sensor());
+    }
+    if options.kind.is_none() && transfer.report.has_reason("not between 0 and 1") {
+        status_line(&steps.no_probabilities());
+    }
+    if is_sent && !transfer.sent_before_states().is_empty() {
+        let known: HashSet<String> = names::all(session, &options.map).await?.into_iter().collect();
+        let absent: Vec<&String> = transfer.sent_before_states().iter().filter(|name| !known.contains(*name)).collect();
+        if let Some((first, others)) = absent.split_first() {
+            let more = match others.len() {
+                0 => String::new(),
+                1 => " and of one more state".to_owned(),
+                count => format!(" and of {count} more states"),
+            };
+            status_line(&steps.absent(&format!("{first:?}{more}")));
+        }
+    }
+    Ok(())
 }
 
 /// Runs a transfer until it ends or Ctrl-C, then waits for nightly updates if the options announce them.

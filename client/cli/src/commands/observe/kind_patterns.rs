@@ -5,6 +5,7 @@
 
 use std::{
     collections::{BTreeSet, HashMap},
+    fmt,
     path::Path,
     str::FromStr,
 };
@@ -46,6 +47,13 @@ impl FromStr for KindPatterns {
             Ok((pattern.to_owned(), shape))
         };
         text.split(',').map(pair).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+impl fmt::Display for KindPatterns {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let pairs: Vec<String> = self.0.iter().map(|(pattern, shape)| format!("{pattern}={}", shape.name())).collect();
+        to.write_str(&pairs.join(","))
     }
 }
 
@@ -161,6 +169,7 @@ mod tests {
         assert_eq!(shape("temperature.hall"), Some(StateKind::Continuous.into()));
         assert_eq!(shape("visits-1"), Some(StateKind::Count.into()));
         assert_eq!(shape("visits-12"), Some(StateKind::Probability.into()));
+        assert_eq!(kinds.to_string().parse(), Ok(kinds.clone()), "{kinds}");
         assert_eq!(kinds.0[3], ("a=b".to_owned(), StateShape::Angle), "a name may have the sign");
         let only: KindPatterns = "temp*=continuous".parse()?;
         assert_eq!(only.position("door"), None);
