@@ -143,3 +143,38 @@ fn rows_that_do_not_say_what_their_sender_thinks_are_told() {
     let dated = home.file("dated.csv", "time,state,value\n03.02.2025 08:00,door,1\n03.02.2025 09:00,door,0\n");
     home.observe(&dated, &["--local"]).fails(1, &["\"03.02.2025 08:00\" is a date as day.month.year"]);
 }
+
+#[test]
+fn the_night_in_which_an_hour_comes_twice_is_told() {
+    let home = Home::new();
+    // 2025-10-26T00:00:00Z is 02:00 in Berlin for the first time.
+    let first = 1_761_436_800;
+    let rows: String = (-24..24).map(|hour| format!("{},door,{}\n", first + hour * 3_600, hour & 1)).collect();
+    home.observe(&home.file("night.csv", &format!("time,state,value\n{rows}")), &[]).table();
+    home.run(&["update", "home"]).table();
+    let predict = |more: &[&str]| home.run(&[&["predict", "home", "door"], more].concat());
+    let asked = predict(&["--at", "2025-10-26T02:30", "--local"]);
+    assert_eq!(asked.table().column("time"), [(first + 1_800).to_string()]);
+    assert!(asked.stderr.contains("comes twice in Europe/Berlin"), "{}", asked.stderr);
+    assert!(asked.stderr.contains("The second is 2025-10-26T02:30+01:00"), "{}", asked.stderr);
+    let second = predict(&["--at", "2025-10-26T02:30+01:00"]);
+    assert_eq!(second.table().column("time"), [(first + 5_400).to_string()]);
+    let table = predict(&["--date", "2025-10-26", "--output", "table"]);
+    for shown in ["Sun 2025-10-26 02:00+02:00", "Sun 2025-10-26 02:00+01:00", "Sun 2025-10-26 03:00 "] {
+        assert!(table.stdout.contains(shown), "{shown}: {}", table.stdout);
+    }
+    let steps = predict(&["--date", "2025-10-26", "--step", "6h"]).table().numbers("time");
+    assert_eq!(steps, [-2.0, 5.0, 11.0, 17.0].map(|hours| f64::from(first) + hours * 3_600.0));
+    let kept = ["reconstruct", "home", "door", "--from", "2025-10-26T03:00", "--to", "2025-10-26T05:00", "--local"];
+    assert_eq!(home.run(&kept).table().numbers("time"), [2.0, 3.0].map(|hours| f64::from(first) + hours * 3_600.0));
+    home.run(&kept[..7]).fails(2, &["--local"]);
+    let anomalies = home.run(&["anomalies", "home", "door", "--date", "2025-10-26", "--model", "mean"]);
+    assert!(anomalies.table().numbers("time").iter().all(|time| *time >= f64::from(first - 7_200)));
+    home.run(&["anomalies", "home", "--confidence", "0.6"]).fails(2, &["--confidence 0.6", "use 0.9 to 1"]);
+    let loose = ["anomalies", "home", "door", "--model", "mean", "--confidence", "0.5"];
+    home.run(&loose).fails(2, &["--confidence 0.5", "above 0.5 and at most 1"]);
+    // What auto answers with is named as predictions name it.
+    let shown = home.run(&["model", "show", "home", "door"]).table();
+    let answered = predict(&["--at", "2025-10-26T12:00:00Z"]).table();
+    assert_eq!(shown.column("auto").first(), answered.column("model").first());
+}

@@ -127,6 +127,11 @@ fn named_day(text: &str, zone: &Zone) -> Result<LocalDay, UsageError> {
     })
 }
 
+/// A local day by its name: its first instant, and that of the next.
+pub(crate) fn day(text: &str, zone: &Zone) -> Result<(i64, i64), UsageError> {
+    Ok(ends(named_day(text, zone)?, zone))
+}
+
 /// The first instant of a day, and that of the next.
 fn ends(day: LocalDay, zone: &Zone) -> (i64, i64) {
     (zone.midnight_nanos(day), zone.midnight_nanos(LocalDay(day.0.saturating_add(1))))
