@@ -1,8 +1,13 @@
 //! Files of one's own on the command line: kinds by patterns, refusals that repeat, what to do next.
 //!
-//! Invariant: every advised command is run as it was printed, or its words are compared with the options that were given.
+//! Invariant: every advised command is run as it was printed, or its words are compared with the options that were
+//! given.
 
-use std::{fmt::Write as _, fs, path::PathBuf};
+use std::{
+    fmt::Write as _,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use tempfile::{TempDir, tempdir};
 use tidemap_tests::{
@@ -30,7 +35,7 @@ impl Home {
         path
     }
 
-    fn observe(&self, file: &PathBuf, more: &[&str]) -> Outcome {
+    fn observe(&self, file: &Path, more: &[&str]) -> Outcome {
         let path = file.display().to_string();
         let words = ["observe", "home", &path, "--producer", "hub"].into_iter().chain(more.iter().copied());
         tidemap(&self.daemon, words.collect::<Vec<_>>())

@@ -81,7 +81,8 @@ impl Blocks {
         Self { across, down: 2 * across, times: 1, width }
     }
 
-    /// The lines of rows of values; a character shows the value of its block that differs from 0 by the greatest number.
+    /// The lines of rows of values; a character shows the value of its block that differs from 0 by the greatest
+    /// number.
     fn lines(&self, rows: &[Vec<Option<f32>>], character: fn(Option<f32>) -> char) -> Vec<String> {
         let line = |block: &[Vec<Option<f32>>]| {
             let strongest = |left: usize| {

@@ -78,14 +78,15 @@ fn number(text: &str) -> Result<f64, String> {
 
 /// Refuses a confidence that the question does not allow. `is_kept`: it is for what was unusual before it was learned.
 fn check_confidence(confidence: f64, is_kept: bool) -> Result<(), UsageError> {
-    match is_kept {
-        true if confidence < KEPT_CONFIDENCE || confidence > 1.0 || confidence.is_nan() => Err(UsageError(format!(
-            "--confidence {confidence}: what was unusual is kept from a confidence of {KEPT_CONFIDENCE} on, so use {KEPT_CONFIDENCE} to 1; \
-             with a model that judges the past, as in --model auto, it has to be above 0.5"
-        ))),
-        false if confidence > 0.5 && confidence <= 1.0 => Ok(()),
-        false => Err(UsageError(format!("--confidence {confidence}: it has to be above 0.5 and at most 1, as 0.99"))),
+    if is_kept && !(KEPT_CONFIDENCE..=1.0).contains(&confidence) {
+        return Err(UsageError(format!(
+            "--confidence {confidence}: what was unusual is kept from a confidence of {KEPT_CONFIDENCE} on, so use \
+             {KEPT_CONFIDENCE} to 1; with a model that judges the past, as in --model auto, it has to be above 0.5"
+        )));
+    }
+    match confidence > 0.5 && confidence <= 1.0 {
         true => Ok(()),
+        false => Err(UsageError(format!("--confidence {confidence}: it has to be above 0.5 and at most 1, as 0.99"))),
     }
 }
 

@@ -7,7 +7,7 @@ mod advice;
 pub(crate) mod feed;
 mod kind_patterns;
 pub(crate) mod kinds;
-pub(crate) mod next_steps;
+mod next_steps;
 mod opening;
 pub(crate) mod refused;
 mod reporting;
@@ -33,7 +33,7 @@ use self::{
     feed::{Feed, RefusalReport},
     kind_patterns::KindPatterns,
     kinds::Kinds,
-    next_steps::{NextSteps, quoted},
+    next_steps::NextSteps,
     refused::RefusedRows,
     transfer::{RowCounts, RowTransfer, Sendable, Transfer, TransferEnd},
 };
@@ -42,6 +42,7 @@ use super::{
     predict::names,
     producer_id,
     rows::{FileArgs, ReportArgs},
+    shell_word::quoted,
     state::KindArg,
     times, usage,
 };
@@ -68,8 +69,8 @@ pub(crate) struct ObserveArgs {
     /// kind; new states are probabilities]
     #[arg(long, value_name = "KIND")]
     kind: Option<KindArg>,
-    /// Kinds of some states of the file, by patterns of their names, such as 'temperature.*=continuous,visits-?=count'; the
-    /// first that fits decides, and other states are as without this
+    /// Kinds of some states of the file, by patterns of their names, such as
+    /// 'temperature.*=continuous,visits-?=count'; the first that fits decides, and other states are as without this
     #[arg(long, value_name = "PATTERN=KIND,…", conflicts_with = "kind")]
     kinds: Option<KindPatterns>,
     /// Writes the refused rows to this new file, to be corrected there and sent

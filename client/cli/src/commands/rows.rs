@@ -7,7 +7,7 @@ use tidemap_client::maps::{RowKind, StatedReporting};
 use tidemap_formats::observation_file::RowRules;
 use tidemap_model::{Zone, time::NANOS_PER_SEC};
 
-use super::{Session, observe::next_steps::quoted, times, usage};
+use super::{Session, shell_word::quoted, times, usage};
 
 /// How a file is written.
 #[derive(Debug, Args)]

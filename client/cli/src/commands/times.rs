@@ -40,7 +40,8 @@ pub(crate) enum When {
     Clock(String),
 }
 
-/// A time, `now`, a civil time such as 2026-11-26T09:00, which needs a zone, or a clock such as 09:00, which needs a day.
+/// A time, `now`, a civil time such as 2026-11-26T09:00, which needs a zone, or a clock such as 09:00, which needs a
+/// day.
 pub(crate) fn when(text: &str) -> Result<When, InvalidTime> {
     match time(text) {
         Err(InvalidTime::NoOffset(_)) => Ok(When::Civil(text.to_owned())),

@@ -130,9 +130,9 @@ impl FileTimeArgs {
 }
 
 impl FileTimes {
-    /// The files with their times, in nanoseconds UTC, and those whose time does not exist in the zone, with the reason.
-    /// Files that say themselves when they were made are put in the order of their times. `zone`: the map's time zone,
-    /// by name.
+    /// The files with their times, in nanoseconds UTC, and those whose time does not exist in the zone, with the
+    /// reason. Files that say themselves when they were made are put in the order of their times. `zone`: the map's
+    /// time zone, by name.
     ///
     /// # Errors
     /// The zone is unknown.

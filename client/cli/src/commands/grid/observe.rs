@@ -51,8 +51,8 @@ pub(crate) struct GridObserveArgs {
     /// probability on and as free below it, or leave, which leaves them out [default: 0.5]
     #[arg(long, value_name = "P|leave")]
     between: Option<Between>,
-    /// Pixels of value 205, which map savers write for unknown, are unknown in Nav2 maps of mode trinary; without this they
-    /// count as free with free_thresh 0.25, as in Nav2's map server
+    /// Pixels of value 205, which map savers write for unknown, are unknown in Nav2 maps of mode trinary; without
+    /// this they count as free with free_thresh 0.25, as in Nav2's map server
     #[arg(long)]
     unknown_205: bool,
     #[command(flatten)]

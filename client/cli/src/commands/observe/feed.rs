@@ -126,8 +126,8 @@ fn read<R: Read, L: Layout>(
     }
 }
 
-/// Reports invalid rows or scans: each reason once, of reasons that differ in their numbers only the first ones, then the
-/// number of the others.
+/// Reports invalid rows or scans: each reason once, of reasons that differ in their numbers only the first ones, then
+/// the number of the others.
 #[derive(Debug)]
 pub(crate) struct RefusalReport {
     bar: Bar,

@@ -70,7 +70,8 @@ impl KindPatterns {
     /// Which kinds the states of a file get. A pattern that no state fits is told.
     ///
     /// # Errors
-    /// A state exists with another kind, or its kind does not go with how it is reported; the file cannot be read twice.
+    /// A state exists with another kind, or its kind does not go with how it is reported; the file cannot be read
+    /// twice.
     pub(super) async fn plan(
         &self,
         session: &Session,

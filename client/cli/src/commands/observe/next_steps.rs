@@ -6,7 +6,7 @@ use std::path::Path;
 
 use tidemap_client::observe::ProducerOptions;
 
-use super::base_name;
+use super::{super::shell_word::quoted, base_name};
 
 /// The commands that send a file again.
 #[derive(Clone, Debug)]
@@ -127,16 +127,6 @@ impl<'a> NextSteps<'a> {
     }
 }
 
-/// A word as a shell takes it.
-pub(crate) fn quoted(word: &str) -> String {
-    let is_plain = |letter: char| letter.is_alphanumeric() || "-_./:=,+@%".contains(letter);
-    if !word.is_empty() && word.chars().all(is_plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', "'\\''"))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -159,6 +149,5 @@ mod tests {
         );
         let piped = NextSteps::new(&options, "observe", "", "stdin");
         assert!(piped.refused().is_none() && piped.absent("x").contains("another --label"));
-        assert_eq!(quoted("it's"), r"'it'\''s'");
     }
 }
