@@ -146,14 +146,16 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
         return Err(usage(format!("--kind {} does not go with --{}", kind.name(), stated.kind().name())));
     }
     let options = ProducerOptions { kind, reporting: stated, ..options };
+    let words = words(&args);
+    let steps = NextSteps::new(&options, "observe", &words, &shown);
     if let Some(stated) = stated {
-        reporting::check(session, (&options.map, &args.file), &rules, stated).await?;
+        reporting::check(session, (&options.map, &args.file), &rules, stated, &steps).await?;
     }
     let plan = match &args.kinds {
         Some(_) if has_positions => {
             return Err(usage(format!("--kinds does not go with {shown}, which has positions")));
         }
-        Some(kinds) => Some(kinds.plan(session, (&options.map, &args.file), &rules, stated).await?),
+        Some(kinds) => Some(kinds.plan(session, (&options.map, &args.file), &rules, stated, &steps).await?),
         None => None,
     };
     if args.replace {
@@ -162,7 +164,6 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     if let Some(plan) = plan {
         plan.add(session, &options.map, stated).await?;
     }
-    let words = words(&args);
     send(session, options, feed, FileSent { shown: &shown, command: "observe", words, refused }).await
 }
 

@@ -21,6 +21,7 @@ use super::{
         usage,
     },
     feed,
+    next_steps::NextSteps,
 };
 use crate::progress::status_line;
 
@@ -78,6 +79,7 @@ impl KindPatterns {
         (map, file): (&str, &Path),
         rules: &RowRules,
         stated: Option<StatedReporting>,
+        steps: &NextSteps<'_>,
     ) -> anyhow::Result<KindPlan> {
         if !file.is_file() {
             return Err(usage(
@@ -101,7 +103,15 @@ impl KindPatterns {
             status_line(&format!("--kinds: no state of {} fits '{pattern}'", feed::display_name(file)));
         }
         let plan = KindPlan(kinds);
-        plan.missing(session, map).await?;
+        if let Some((name, shape, found)) = plan.other(&known_shapes(session, map).await?) {
+            anyhow::bail!(
+                "state {name:?} exists and is of kind {}, not {}. Nothing was sent. A kind never changes: leave the state \
+                 out of --kinds, or {}",
+                found.name(),
+                shape.name(),
+                steps.erase_first(name)
+            );
+        }
         Ok(plan)
     }
 }
@@ -114,30 +124,25 @@ impl KindPlan {
         map: &str,
         stated: Option<StatedReporting>,
     ) -> anyhow::Result<()> {
-        for (name, shape) in self.missing(session, map).await? {
+        let known = known_shapes(session, map).await?;
+        for (name, shape) in self.0.iter().filter(|(name, _)| !known.contains_key(name)) {
             session.client.add_state(map, name, *shape, None, stated).await?;
         }
         Ok(())
     }
 
-    /// The states that do not exist yet.
-    async fn missing(&self, session: &Session, map: &str) -> anyhow::Result<Vec<&(String, StateShape)>> {
-        let known: HashMap<String, StateShape> =
-            names::states(session, map).await?.into_iter().map(|state| (state.name, state.shape)).collect();
-        if let Some((name, shape, found)) = self
-            .0
-            .iter()
-            .find_map(|(name, shape)| Some((name, shape, known.get(name).filter(|found| *found != shape)?)))
-        {
-            anyhow::bail!(
-                "state {name:?} exists and is of kind {}, not {}. Nothing was sent. A kind never changes: leave the state \
-                 out of --kinds, or erase it first, with tidemap erase {map} --state {name}",
-                found.name(),
-                shape.name()
-            );
-        }
-        Ok(self.0.iter().filter(|(name, _)| !known.contains_key(name)).collect())
+    /// A state that exists with another kind: its name, the kind that it should have and the one that it has.
+    fn other(&self, known: &HashMap<String, StateShape>) -> Option<(&str, StateShape, StateShape)> {
+        self.0.iter().find_map(|(name, shape)| {
+            let found = known.get(name).filter(|found| *found != shape)?;
+            Some((name.as_str(), *shape, *found))
+        })
     }
+}
+
+/// The states of a map with their kinds.
+async fn known_shapes(session: &Session, map: &str) -> anyhow::Result<HashMap<String, StateShape>> {
+    Ok(names::states(session, map).await?.into_iter().map(|state| (state.name, state.shape)).collect())
 }
 
 /// The names of the states of a file.

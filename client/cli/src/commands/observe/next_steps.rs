@@ -73,6 +73,12 @@ impl<'a> NextSteps<'a> {
         )
     }
 
+    /// Before a state can be reported otherwise, or be of another kind.
+    pub(super) fn erase_first(&self, name: &str) -> String {
+        let erase = format!("erase it first, with tidemap erase {} --state {}", quoted(self.map), quoted(name));
+        format!("{erase}, and send the file anew: {}", self.replace.as_deref().unwrap_or("with another --label"))
+    }
+
     /// After rows were sent as readings that look like changes.
     pub(super) fn as_changes(&self, first: &str) -> String {
         self.otherwise(first, "--changes")
