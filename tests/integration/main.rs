@@ -19,6 +19,7 @@ mod grid;
 mod json_output;
 mod kinds;
 mod lifecycle;
+mod own_file;
 mod page;
 mod random_operations;
 mod reports;

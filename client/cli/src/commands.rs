@@ -34,6 +34,7 @@ mod rows;
 mod sample;
 mod schema;
 mod search;
+mod shell_word;
 mod slot;
 mod state;
 mod stats;

@@ -11,6 +11,9 @@
 //! The writer uses `trinary`, the mode that every tool understands, and for probabilities `raw`, the only mode in which
 //! a PGM file can have both probabilities and unknown cells. It writes `scale` for grids without unknown cells.
 //!
+//! Map savers write 205 for unknown, also with a `free_thresh` of 0.25. The map servers then read such a pixel as free,
+//! and so does this reader, which counts them, unless [`GridSettings::is_205_unknown`] is set.
+//!
 //! In trinary files a cell is free up to 25 % and occupied from 65 %, and the pixels are 254, 0, and 205 for unknown,
 //! as map savers write them; but `free_thresh` is 0.196 instead of 0.25, because `occ` of the pixel 205 is 0.1961,
 //! which would be read back as free.
@@ -39,6 +42,8 @@ pub struct Grid {
     pub size_cells: [u32; 2],
     /// The cells: x fastest, then y, both upwards.
     pub cells: Vec<GridCell>,
+    /// How many of them are free although their pixel is 205, which map savers write for unknown.
+    pub free_205: u64,
 }
 
 /// The value of a cell in a map server.
@@ -83,13 +88,22 @@ pub fn read(settings: &GridSettings, image: &[u8]) -> Result<Grid, FormatError> 
     let rows = image.values.chunks_exact(width).rev();
     // No value is above the image's maximum.
     let cells = rows.flatten().map(|&value| cells_by_value[usize::from(value)]).collect();
+    let is_free_205 = settings.mode == GridMode::Trinary
+        && image.max == 255
+        && cells_by_value.get(usize::from(SAVED_UNKNOWN)) == Some(&GridCell::Free);
+    let free_205 =
+        if is_free_205 { image.values.iter().filter(|&&value| value == SAVED_UNKNOWN).count() as u64 } else { 0 };
     Ok(Grid {
         resolution_m: settings.resolution_m,
         origin_m: settings.origin_m,
         size_cells: [image.width, image.height],
         cells,
+        free_205,
     })
 }
+
+/// The pixel that map savers write for an unknown cell.
+const SAVED_UNKNOWN: u16 = 205;
 
 /// The cell of a pixel.
 fn cell(settings: &GridSettings, value: u16, max: u16) -> GridCell {
@@ -101,6 +115,7 @@ fn cell(settings: &GridSettings, value: u16, max: u16) -> GridCell {
             percent if percent <= 100.0 => GridCell::from_percent(percent),
             _ => GridCell::Unknown,
         },
+        GridMode::Trinary if settings.is_205_unknown && value == SAVED_UNKNOWN && max == 255 => GridCell::Unknown,
         _ if enough < occupied => GridCell::Occupied,
         _ if occupied < free => GridCell::Free,
         GridMode::Trinary => GridCell::Unknown,

@@ -34,6 +34,13 @@ pub enum RowError {
     /// A column is missing.
     #[error("column {column:?} is missing: the header must name {}, but is {header:?}", needed(.column))]
     MissingColumn { column: String, header: String },
+    /// Columns that are not separated by commas.
+    #[error(
+        "its columns are separated by {}, not by commas, in the header {header:?}: write it with commas, for example with \
+         tr '{}' ',' < FILE > NEW, where numbers have no comma (0.5, not 0,5)",
+        separator_name(*.separator), separator.escape_default()
+    )]
+    Separator { separator: char, header: String },
     /// A column appears twice.
     #[error("column {column:?} appears twice in the header {header:?}")]
     DoubleColumn { column: String, header: String },
@@ -42,6 +49,20 @@ pub enum RowError {
         "it has positions, columns x and y: use a file of single values, where each axis is a state, NAME/x and so on"
     )]
     Positions,
+}
+
+fn separator_name(separator: char) -> &'static str {
+    match separator {
+        ';' => "semicolons",
+        '\t' => "tabs",
+        _ => "bars",
+    }
+}
+
+/// What separates the columns of a header that has no commas; `None`: it has one column.
+fn other_separator(header: &str) -> Option<char> {
+    let others = || [';', '\t', '|'].into_iter();
+    others().find(|&separator| !header.contains(',') && header.contains(separator))
 }
 
 /// The columns that a header needs together with this one.
@@ -210,7 +231,10 @@ impl<R: BufRead, L: Layout> RowReader<R, L> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let names = split_row(text).unwrap_or_default().iter().map(|name| name.to_lowercase()).collect();
         let header = CsvHeader { text, names };
-        let (layout, used) = L::new(&header, rules)?;
+        let (layout, used) = L::new(&header, rules).map_err(|error| match (&error, other_separator(text)) {
+            (RowError::MissingColumn { .. }, Some(separator)) => RowError::Separator { separator, header: shown(text) },
+            _ => error,
+        })?;
         let ignored = (0..).zip(&header.names).filter(|(place, _)| !used.contains(place));
         let ignored = ignored.map(|(_, name)| name.clone()).collect();
         let ended = end == Some(LineEnd::EndOfFile);
@@ -431,8 +455,14 @@ impl ObservationColumns {
         // Minus zero would change the checksum.
         row.value = number + 0.0;
         // The daemon refuses it, too, but its refusals are lost if the connection breaks.
-        let in_range = (0.0..=1.0).contains(&number);
-        Ok((!in_range).then(|| format!("value {} is not between 0 and 1", shown(&fields[value]))))
+        if (0.0..=1.0).contains(&number) {
+            return Ok(None);
+        }
+        let text = shown(&fields[value]);
+        Ok(Some(match row.is_word {
+            true => format!("value {text:?} stands for {number}, which is not between 0 and 1"),
+            false => format!("value {text} is not between 0 and 1"),
+        }))
     }
 }
 

@@ -81,6 +81,9 @@ pub enum PictureError {
     /// An invalid origin.
     #[error("the map's origin is {0:?}: it must be three finite numbers")]
     Origin([f64; 3]),
+    /// Pictures that are compared and have different sizes.
+    #[error("the maps that are compared have different sizes, {0:?} and {1:?} cells: ask again")]
+    Sizes([u32; 3], [u32; 3]),
     /// A value outside 0 to 1.
     #[error("the value of cell {cell} is {value}: it must be within 0 and 1")]
     Value { cell: usize, value: f32 },
@@ -109,6 +112,26 @@ impl PictureCell {
             Self::Static { probability } | Self::Changing { probability } => Some(probability),
         }
     }
+
+    /// The probability of a later cell minus that of this one; none if one of them is unknown.
+    pub fn difference(self, later: PictureCell) -> Option<f32> {
+        Some(later.probability()? - self.probability()?)
+    }
+}
+
+/// The first of pictures that are compared.
+///
+/// # Errors
+/// There is none, one is invalid or has several layers, or their sizes differ.
+pub(crate) fn same_size(panels: &[(String, MapPicture)]) -> Result<&MapPicture, PictureError> {
+    let (_, first) = panels.first().ok_or(PictureError::Empty([0; 3]))?;
+    for (_, picture) in panels {
+        picture.check_flat()?;
+        if picture.size_cells != first.size_cells {
+            return Err(PictureError::Sizes(first.size_cells, picture.size_cells));
+        }
+    }
+    Ok(first)
 }
 
 impl MapPicture {

@@ -4,9 +4,17 @@
 //!
 //! Invariant: the colours are those of [`tidemap_picture::Painter`]; the file has no metadata such as time or name.
 
-use tidemap_picture::{Canvas, CanvasError, Legend, LegendRow, fitting_scale, palette::occupancy};
+use tidemap_picture::{
+    Canvas, CanvasError, CellPaint, Colour, LETTER_HEIGHT, Layer, Legend, LegendRow, Painter, fitting_scale,
+    palette::occupancy, text_width,
+};
 
-use super::{CELLS_MAX, MapPicture, PictureError, PictureValue};
+use super::{CELLS_MAX, MapPicture, PictureError, PictureValue, picture::same_size};
+
+/// Pixels between pictures that stand beside each other, and around their titles.
+const GAP: u32 = 8;
+const PAPER: Colour = [255; 3];
+const INK: Colour = [17; 3];
 
 impl From<CanvasError> for PictureError {
     fn from(error: CanvasError) -> Self {
@@ -31,13 +39,78 @@ pub fn write_for_people(picture: &MapPicture, scale: Option<u32>, caption: &str)
     let [width, height, _] = picture.size_cells;
     let scale = scale.unwrap_or_else(|| fitting_scale(width, height));
     let drawn = canvas(picture, scale)?;
+    let (caption, rows) = (caption.to_owned(), legend_rows(picture));
+    let legend = Legend { caption, rows, metres_per_pixel: picture.resolution_m / f64::from(scale) };
+    Ok(legend.below(&drawn).png()?)
+}
+
+/// Pictures of one map at several times beside each other, each below its title, with one legend; of two pictures also
+/// the difference, the second minus the first. `scale` and `caption`: as in [`write_for_people`].
+///
+/// # Errors
+/// As those of [`write`], or the sizes of the pictures differ.
+pub fn write_compared(
+    panels: &[(String, MapPicture)],
+    scale: Option<u32>,
+    caption: &str,
+) -> Result<Vec<u8>, PictureError> {
+    let first = same_size(panels)?;
+    let [width, height, _] = first.size_cells;
+    let pair = if let [(_, before), (_, after)] = panels { Some((before, after)) } else { None };
+    let count = u32::try_from(panels.len()).unwrap_or(u32::MAX).saturating_add(u32::from(pair.is_some()));
+    // As many columns as make the picture least long, and two at least.
+    let longer = |columns: u32| (width.saturating_mul(columns)).max(height.saturating_mul(count.div_ceil(columns)));
+    let columns = (2..=count).rev().min_by_key(|&columns| longer(columns)).unwrap_or(1);
+    let scale = scale.unwrap_or_else(|| {
+        fitting_scale(width.saturating_mul(columns), height.saturating_mul(count.div_ceil(columns)))
+    });
+    let pixels = first.cells.len() as u128 * u128::from(scale).pow(2) * u128::from(count);
+    if pixels > u128::from(CELLS_MAX) {
+        return Err(PictureError::TooLarge { found: pixels });
+    }
+    let mut drawn = Vec::new();
+    for (title, picture) in panels {
+        drawn.push((title.as_str(), canvas(picture, scale)?));
+    }
+    let mut rows = legend_rows(first);
+    if let Some((before, after)) = pair {
+        let painter = Painter::new(Layer::Difference, first.levels);
+        let cells = before.rows_from_top().flatten().zip(after.rows_from_top().flatten()).map(|(before, after)| {
+            let known = after.probability().zip(before.difference(*after));
+            painter.colour(known.map(|(after, value)| CellPaint { probability: after.into(), value: value.into() }))
+        });
+        drawn.push(("second minus first", Canvas::of_cells(width as usize, cells, scale)));
+        // What is unknown stands there already.
+        let differences = painter.legend();
+        let known = differences.len().saturating_sub(1);
+        rows.splice(rows.len().saturating_sub(1)..rows.len().saturating_sub(1), differences.into_iter().take(known));
+    }
+    let legend = Legend { caption: caption.to_owned(), rows, metres_per_pixel: first.resolution_m / f64::from(scale) };
+    Ok(legend.below(&side_by_side(&drawn, columns)).png()?)
+}
+
+/// Canvases of one size in rows, each below its title.
+fn side_by_side(panels: &[(&str, Canvas)], columns: u32) -> Canvas {
+    let [width, height] = panels.first().map_or([0; 2], |(_, canvas)| canvas.size());
+    let widest = panels.iter().map(|(title, _)| text_width(title)).max().unwrap_or(0).max(width);
+    let (across, down) = (widest + GAP, GAP + LETTER_HEIGHT + GAP + height);
+    let rows = u32::try_from(panels.len()).unwrap_or(u32::MAX).div_ceil(columns.max(1));
+    let mut sheet = Canvas::new(columns * across + GAP, rows * down + GAP, PAPER);
+    for ((title, panel), at) in panels.iter().zip(0..) {
+        let [x, y] = [GAP + at % columns * across, GAP + at / columns * down];
+        sheet.text([x, y], title, INK);
+        sheet.put([x, y + LETTER_HEIGHT + GAP], panel);
+    }
+    sheet
+}
+
+/// What the colours of a picture mean.
+fn legend_rows(picture: &MapPicture) -> Vec<LegendRow> {
     let mut rows = picture.painter().legend();
     if let (PictureValue::AtLeast(_), Some(first)) = (picture.value, rows.first_mut()) {
         *first = LegendRow::new([0.0, 1.0].map(occupancy).to_vec(), &format!("0, 1: {}", picture.value.text()));
     }
-    let legend =
-        Legend { caption: caption.to_owned(), rows, metres_per_pixel: picture.resolution_m / f64::from(scale) };
-    Ok(legend.below(&drawn).png()?)
+    rows
 }
 
 /// The cells in their colours.
@@ -123,5 +196,30 @@ mod tests {
         let mut picture = samples::flat();
         picture.size_cells = [3, 1, 2];
         assert_eq!(write(&picture, 1), Err(PictureError::Layers(2)));
+    }
+
+    #[test]
+    fn two_times_stand_beside_each_other_with_their_difference() -> Result<(), Box<dyn std::error::Error>> {
+        let before = samples::flat();
+        let mut after = samples::flat();
+        after.cells[3] = super::super::PictureCell::Changing { probability: 1.0 };
+        let panels = [("ten".to_owned(), before), ("noon".to_owned(), after)];
+        let read = |file: &[u8]| -> Result<([u32; 2], Vec<u8>), Box<dyn std::error::Error>> {
+            let mut reader = ::png::Decoder::new(std::io::Cursor::new(file)).read_info()?;
+            let mut pixels = vec![0; reader.output_buffer_size().ok_or("too large")?];
+            let frame = reader.next_frame(&mut pixels)?;
+            Ok(([frame.width, frame.height], pixels))
+        };
+        let ([width, height], pixels) = read(&write_compared(&panels, Some(16), "office")?)?;
+        let count = |colour: Colour| pixels.chunks_exact(3).filter(|pixel| *pixel == colour).count();
+        // The cell that became occupied is orange in the difference only, as the end of its legend.
+        let orange =
+            Painter::new(Layer::Difference, (0.0, 1.0)).colour(Some(CellPaint { probability: 1.0, value: 1.0 }));
+        assert!((16 * 16..16 * 16 + 200).contains(&count(orange)), "{}", count(orange));
+        assert!(count(UNKNOWN) >= 3 * 16 * 16, "unknown in all three");
+        let ([_, three], _) = read(&write_compared(&[&panels[..], &panels[..1]].concat(), Some(16), "office")?)?;
+        assert!(width > 3 * 16 && height > three, "only two times have a difference with a legend");
+        assert!(write_compared(&[], None, "office").is_err());
+        Ok(())
     }
 }

@@ -11,7 +11,7 @@ use std::io::{self, Write};
 use comfy_table::{CellAlignment, Table, presets};
 use tidemap_model::time::format_secs;
 
-pub use times::TimeStyle;
+pub use times::{TimeStyle, offset_text};
 
 /// How results are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

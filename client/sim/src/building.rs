@@ -117,7 +117,7 @@ pub struct FloorPlan {
 /// A place of the topological map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BuildingPlace {
-    /// Its name.
+    /// Name of the place.
     pub name: &'static str,
     /// Metres from the western end.
     pub x_m: f64,

@@ -206,3 +206,60 @@ async fn other_files_name_the_command_that_takes_them() {
     let kept = fs::read_to_string(refused).expect("the refused row");
     assert!(kept.contains("2025-03-10T10:00:00Z,door,2"), "{kept}");
 }
+
+/// The thresholds that map savers of Nav2 write.
+fn with_a_quarter(path: &str) {
+    let text = fs::read_to_string(path).expect("settings").replace("free_thresh: 0.196", "free_thresh: 0.25");
+    fs::write(path, text).expect("settings");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_folder_of_maps_is_compared_at_two_times_in_three_commands() {
+    let (data, daemon) = hall().await;
+    let folder = data.path().join("saved-maps");
+    fs::create_dir(&folder).expect("a folder");
+    // Free at night, occupied by day; a map of each hour of two days, images and settings in one folder.
+    for (day, hour) in (10..12).flat_map(|day| (0..24).map(move |hour| (day, hour))) {
+        let middle = if (8..20).contains(&hour) { 0 } else { 254 };
+        let pixels = [0, 254, middle, 205, 0, 0, 254, 205];
+        with_a_quarter(&saved(&folder, &format!("hall_202503{day}_{hour:02}0000"), "trinary", pixels));
+    }
+    let maps = [folder.to_str().expect("a path of text").to_owned()];
+    let pattern = ["--times-from", "hall_%Y%m%d_%H%M%S.yaml", "--local"];
+    let sent = observe(&daemon, &maps, &pattern);
+    assert_eq!((sent.table().number("scans"), sent.table().number("cells")), (48.0, 48.0 * 8.0));
+    assert!(sent.stderr.contains("48 images of maps are left out"), "{}", sent.stderr);
+    assert!(sent.stderr.contains("96 of 384 pixels have the value 205"), "{}", sent.stderr);
+    assert!(sent.stderr.contains("count as free with free_thresh 0.25"), "{}", sent.stderr);
+    let unknown = observe(&daemon, &maps, &[&pattern[..], &["--unknown-205", "--label", "b"]].concat());
+    assert_eq!(unknown.table().number("cells"), 48.0 * 6.0);
+    assert!(unknown.stderr.contains("96 of 384 pixels are unknown"), "{}", unknown.stderr);
+
+    let predict = ["grid", "predict", MAP, "--model", "latest"];
+    let ask = |more: &[&str]| cli::tidemap(&daemon, predict.iter().chain(more).copied());
+    let day = ["--date", "2025-03-11", "--at", "10:00", "--at", "22:00", "--picture"];
+    let drawn = ask(&day);
+    assert!(drawn.stdout.contains("Tue 2025-03-11 10:00") && drawn.stdout.contains("22:00"), "{}", drawn.stdout);
+    assert!(drawn.stdout.contains("difference, the second minus the first"), "{}", drawn.stdout);
+    let picture = data.path().join("both.png");
+    let picture = picture.to_str().expect("a path of text");
+    let written = ask(&[&day[..], &[picture]].concat());
+    assert_eq!(written.table().number("cells"), 8.0);
+    assert!(fs::read(picture).is_ok_and(|file| file.starts_with(b"\x89PNG")));
+    ask(&["--at", "2025-03-11T10:00", "--out", "x.pgm"]).fails(2, &["--local"]);
+    ask(&["--date", "2025-03-11", "--out", picture]).fails(2, &["--out takes one time, and there are 24"]);
+    ask(&["--at", "10:00", "--picture"]).fails(2, &["--date today --at 10:00"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_map_at_a_time_that_does_not_exist_is_refused_alone() {
+    let (data, daemon) = hall().await;
+    let names = ["hall_20250330_013000", "hall_20250330_023000", "hall_20250330_033000"];
+    let files = names.map(|name| saved(data.path(), name, "trinary", TRINARY));
+    let sent = observe(&daemon, &files, &["--times-from", "hall_%Y%m%d_%H%M%S.yaml", "--local"]);
+    let counts = sent.table_with(1);
+    assert_eq!(["scans", "cells", "refused"].map(|column| counts.number(column)), [2.0, 12.0, 1.0]);
+    for words in ["hall_20250330_023000.yaml is refused", "does not exist in Europe/Berlin"] {
+        assert!(sent.stderr.contains(words), "{words}: {}", sent.stderr);
+    }
+}

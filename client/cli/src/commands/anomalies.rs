@@ -15,7 +15,7 @@ use tidemap_client::queries::{
 };
 
 use super::{
-    Session,
+    Session, UsageError,
     grid::place::{self, AxisRange, Rectangle},
     observe::INTERRUPTED,
     predict::names,
@@ -35,7 +35,7 @@ pub(crate) struct AnomaliesArgs {
     states: Vec<String>,
     /// How sure the model has to be of the opposite value, above 0.5 and at most 1; from 0.9 on without --model and
     /// --watch. For other kinds of states: the confidence of the interval that a value has to lie outside of
-    #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = confidence)]
+    #[arg(long, value_name = "C", default_value_t = Judgement::default().confidence, value_parser = number)]
     confidence: f64,
     /// First time [default: a week before the newest observation]
     #[arg(long, value_name = "TIME", value_parser = times::when, requires = "to")]
@@ -43,6 +43,9 @@ pub(crate) struct AnomaliesArgs {
     /// End of the times, not included
     #[arg(long, value_name = "TIME", value_parser = times::when, requires = "from")]
     to: Option<When>,
+    /// A whole day of the map's zone: today, tomorrow, yesterday or a date
+    #[arg(long, value_name = "DAY", conflicts_with_all = ["from", "to", "watch"])]
+    date: Option<String>,
     /// Reads times without a time zone in the map's zone
     #[arg(long)]
     local: bool,
@@ -69,13 +72,30 @@ pub(crate) struct AnomaliesArgs {
     location: Option<String>,
 }
 
-fn confidence(text: &str) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|&number: &f64| number > 0.5 && number <= 1.0);
-    number.ok_or_else(|| "a confidence is above 0.5 and at most 1, for example 0.99".to_owned())
+fn number(text: &str) -> Result<f64, String> {
+    text.parse().map_err(|_| "a confidence is a number above 0.5 and at most 1, for example 0.99".to_owned())
+}
+
+/// Refuses a confidence that the question does not allow. `is_kept`: it is for what was unusual before it was learned.
+fn check_confidence(confidence: f64, is_kept: bool) -> Result<(), UsageError> {
+    if is_kept && !(KEPT_CONFIDENCE..=1.0).contains(&confidence) {
+        return Err(UsageError(format!(
+            "--confidence {confidence}: what was unusual is kept from a confidence of {KEPT_CONFIDENCE} on, so use \
+             {KEPT_CONFIDENCE} to 1; with a model that judges the past, as in --model auto, it has to be above 0.5"
+        )));
+    }
+    match confidence > 0.5 && confidence <= 1.0 {
+        true => Ok(()),
+        false => Err(UsageError(format!("--confidence {confidence}: it has to be above 0.5 and at most 1, as 0.99"))),
+    }
 }
 
 pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Result<ExitCode> {
-    let AnomaliesArgs { map, states, confidence, from, to, local, model, top, watch, region, z, location } = args;
+    let AnomaliesArgs { map, states, confidence, from, to, date, local, model, top, watch, region, z, location } = args;
+    // Cells keep nothing of what was unusual: the model in force looks at one.
+    let is_of_cell = matches!(&states[..], [name] if name.starts_with("cell/"));
+    let is_kept = !watch && model.is_none() && !is_of_cell;
+    check_confidence(confidence, is_kept)?;
     let judgement = Judgement { confidence, model: model.unwrap_or_default() };
     if watch {
         let region = match region {
@@ -86,22 +106,19 @@ pub(crate) async fn run(session: &Session, args: AnomaliesArgs) -> anyhow::Resul
         let watch = session.client.watch_anomalies(&map, places, judgement).await?;
         return watched(session, watch).await;
     }
-    let (from, to) = match (from, to) {
-        (Some(from), Some(to)) => {
-            let zone = match local {
-                true => Some(Zone::named(&session.client.map(&map).await?.time_zone)?),
-                false => None,
-            };
-            (from.resolve(zone.as_ref())?, to.resolve(zone.as_ref())?)
-        }
+    let zone = match local || date.is_some() {
+        true => Some(Zone::named(&session.client.map(&map).await?.time_zone)?),
+        false => None,
+    };
+    let (from, to) = match (from, to, &date, &zone) {
+        (Some(from), Some(to), ..) => (from.resolve(zone.as_ref())?, to.resolve(zone.as_ref())?),
+        (_, _, Some(date), Some(zone)) => times::day(date, zone)?,
         _ => last_week(session, &map).await?,
     };
     if from >= to {
         return Err(usage("--from must be before --to, which is not included"));
     }
-    // Cells keep nothing of what was unusual: the model in force looks at one.
-    let is_of_cell = matches!(&states[..], [name] if name.starts_with("cell/"));
-    if model.is_none() && !is_of_cell {
+    if is_kept {
         let states = if states.is_empty() { states } else { names::meant(session, &map, states).await? };
         let query = SurpriseQuery { states, from_nanos: from, to_nanos: to, confidence, top };
         return surprises(session, &map, query).await;
@@ -130,12 +147,6 @@ const WEEK_NANOS: i64 = 7 * 86_400_000_000_000;
 
 /// What was unusual before it was learned.
 async fn surprises(session: &Session, map: &str, query: SurpriseQuery) -> anyhow::Result<ExitCode> {
-    if query.confidence < KEPT_CONFIDENCE {
-        return Err(usage(format!(
-            "what was unusual is kept from a confidence of {KEPT_CONFIDENCE} on: name a model that judges the past by \
-             less, as in --model auto"
-        )));
-    }
     let found = session.client.surprises(map, query).await?;
     let mut table = session.table(&["state", "first", "last", "observations", "value", "probability", "surprise_bits"]);
     for (state, run) in found.runs {
@@ -207,5 +218,20 @@ async fn watched(session: &Session, mut watch: AnomalyWatch) -> anyhow::Result<E
         for (state, Anomaly { utc_nanos: time_nanos, value, probability }) in batch.anomalies {
             table.row(vec![Cell::Time(time_nanos), Cell::Text(state), value.into(), probability.into()])?;
         }
+    }
+}
+
+#[test]
+fn a_confidence_out_of_range_names_the_bound_of_its_question() {
+    let error = |confidence, is_kept| check_confidence(confidence, is_kept).err().map(|error| error.0);
+    for kept in [0.9, 0.99, 1.0] {
+        assert_eq!((error(kept, true), error(kept, false)), (None, None));
+    }
+    assert_eq!(error(0.6, false), None);
+    for wrong in [0.5, 0.6, 1.1, f64::NAN] {
+        assert!(error(wrong, true).is_some_and(|text| text.contains("use 0.9 to 1")), "{wrong}");
+    }
+    for wrong in [0.5, 0.3, 1.1, f64::NAN] {
+        assert!(error(wrong, false).is_some_and(|text| text.contains("above 0.5 and at most 1")), "{wrong}");
     }
 }

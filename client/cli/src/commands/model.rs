@@ -39,25 +39,50 @@ pub(crate) async fn run(session: &Session, command: &ModelCommand) -> anyhow::Re
     let ModelCommand::Show { map, state, drawing } = command;
     drawing.check()?;
     let model = session.client.describe_model(map, state).await?;
+    let shown = ShownModel { answers: answering(session, map, &model).await?, model };
     if drawing.is_wanted() {
-        let week = week(session, map, state, &model).await?;
-        drawing.put(|| week.text() + &amplitudes(&model), || week.svg())?;
+        let week = week(session, map, state, &shown).await?;
+        drawing.put(|| week.text() + &amplitudes(&shown.model), || week.svg())?;
     }
     if drawing.is_in_terminal() {
         return Ok(ExitCode::SUCCESS);
     }
     match session.format {
-        Format::Table => table(&model)?,
-        Format::Json => json(&model)?,
-        Format::Csv => csv(&model)?,
+        Format::Table => table(&shown)?,
+        Format::Json => json(&shown)?,
+        Format::Csv => csv(&shown)?,
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The models of a state, and the name of that with which `auto` answers: the selected one, or the ensemble of several.
+struct ShownModel {
+    model: ModelDescription,
+    answers: String,
+}
+
+impl ShownModel {
+    /// Whether `auto` answers with the selected model alone.
+    fn is_alone(&self) -> bool {
+        self.answers == self.model.chosen.to_string()
+    }
+}
+
+/// The name of the model with which `auto` answers. Before anything is learned it is the selected one.
+async fn answering(session: &Session, map: &str, model: &ModelDescription) -> anyhow::Result<String> {
+    let (selected, auto) = (model.chosen.to_string(), ModelSelector::default());
+    let Some(last) = model.last_nanos else { return Ok(selected) };
+    let mut predicted = session.client.predict(map, vec![model.state.clone()], vec![last], auto);
+    let answered_by = predicted.next().await?.and_then(|run| run.answered_by);
+    let is_selected = answered_by.is_none_or(|answered| answered.kind == model.chosen.kind);
+    Ok(answered_by.filter(|_| !is_selected).map_or(selected, |answered| answered.to_string()))
 }
 
 const HOUR_NANOS: i64 = 3_600_000_000_000;
 
 /// The week after the newest observation, hour by hour, as the model predicts it: a row for each local day.
-async fn week(session: &Session, map: &str, state: &str, model: &ModelDescription) -> anyhow::Result<HeatMap> {
+async fn week(session: &Session, map: &str, state: &str, shown: &ShownModel) -> anyhow::Result<HeatMap> {
+    let model = &shown.model;
     let zone = Zone::named(&session.client.map(map).await?.time_zone).unwrap_or_else(|_| Zone::utc());
     let last = model.last_nanos.context("nothing was observed yet: there is nothing to draw")?;
     let first = zone.day_of(last).0 + 1;
@@ -79,7 +104,7 @@ async fn week(session: &Session, map: &str, state: &str, model: &ModelDescriptio
     let (low, high) = (all().fold(0.0, f64::min), all().fold(0.0, f64::max));
     let is_probability = model.kind == StateKind::Probability;
     Ok(HeatMap {
-        title: format!("{state}: a week as {} predicts it, hour by hour ({})", model.chosen, zone.name()),
+        title: format!("{state}: a week as {} predicts it, hour by hour ({})", shown.answers, zone.name()),
         rows,
         columns: (0..24).map(|hour| format!("{hour:02}")).collect(),
         values: values.chunks(24).map(<[Option<f64>]>::to_vec).collect(),
@@ -108,7 +133,7 @@ fn used(model: &ModelDescription, index: usize) -> bool {
     index < model.order as usize
 }
 
-fn summary(model: &ModelDescription) -> [(&'static str, Cell); 10] {
+fn summary(ShownModel { model, answers }: &ShownModel) -> [(&'static str, Cell); 11] {
     [
         ("mean", model.mean.into()),
         ("n", model.learned_observations.into()),
@@ -119,6 +144,7 @@ fn summary(model: &ModelDescription) -> [(&'static str, Cell); 10] {
         ("last_value", Cell::maybe(model.last_value)),
         ("persistence_tau_secs", model.persistence_tau_secs.into()),
         ("model", Cell::Text(model.chosen.to_string())),
+        ("auto", Cell::Text(answers.clone())),
         ("change_date", model.change_date.clone().map_or(Cell::Empty, Cell::Text)),
     ]
 }
@@ -133,11 +159,16 @@ fn component_cells(component: &SpectralComponent, used: bool) -> [(&'static str,
 }
 
 /// Two tables: the state, then its components.
-fn table(model: &ModelDescription) -> io::Result<()> {
+fn table(shown: &ShownModel) -> io::Result<()> {
+    let model = &shown.model;
     let print = |columns: &[&str], rows: Vec<Vec<Cell>>| write_rows(Format::Table, columns, rows, stdout());
-    let (state, chosen) = (Cell::Text(model.state.clone()), Cell::Text(model.chosen.to_string()));
-    let row = vec![state, model.mean.into(), model.learned_observations.into(), model.order.into(), chosen];
-    print(&["state", "mean", "n", "order", "model"], vec![row])?;
+    let names = [model.chosen.to_string(), shown.answers.clone()].map(Cell::Text);
+    let row =
+        [Cell::Text(model.state.clone()), model.mean.into(), model.learned_observations.into(), model.order.into()]
+            .into_iter()
+            .chain(names)
+            .collect();
+    print(&["state", "mean", "n", "order", "model", "auto"], vec![row])?;
     if let Some(date) = &model.change_date {
         writeln!(io::stdout(), "\nThe routine seems to have changed: predictions have been worse since about {date}.")?;
     }
@@ -147,7 +178,8 @@ fn table(model: &ModelDescription) -> io::Result<()> {
             let order = Cell::maybe(tried.order.map(|order| order as u64));
             vec![Cell::Text(tried.to_string()), order, (*error).into(), Cell::Flag(tried.kind == model.chosen.kind)]
         };
-        print(&["model", "order", "recent_error", "used"], model.model_errors.iter().map(row).collect())?;
+        let column = if shown.is_alone() { "used" } else { "best" };
+        print(&["model", "order", "recent_error", column], model.model_errors.iter().map(row).collect())?;
     }
     if model.components.is_empty() {
         return writeln!(
@@ -165,13 +197,14 @@ fn table(model: &ModelDescription) -> io::Result<()> {
 }
 
 /// One table for programs, a row per component. The columns of the state are repeated in each row; a state without
-/// components has one row. The model in use and the recent errors of all models are the last columns.
-fn csv(model: &ModelDescription) -> io::Result<()> {
-    let summary = summary(model);
-    let columns = ["period_secs", "amplitude", "phase_rad", "used", "model", "recent_errors"];
+/// components has one row. The selected model, the recent errors of all models, and
+/// what `auto` answers with are the last columns.
+fn csv(shown: &ShownModel) -> io::Result<()> {
+    let (model, summary) = (&shown.model, summary(shown));
+    let columns = ["period_secs", "amplitude", "phase_rad", "used", "model", "recent_errors", "auto"];
     let columns: Vec<&'static str> = summary[..3].iter().map(|(name, _)| *name).chain(columns).collect();
     let errors = model.model_errors.iter().map(|(tried, error)| format!("{tried}={error}"));
-    let tried = [Cell::Text(model.chosen.to_string()), Cell::Text(errors.collect::<Vec<_>>().join(" "))];
+    let tried = [model.chosen.to_string(), errors.collect::<Vec<_>>().join(" "), shown.answers.clone()].map(Cell::Text);
     let row = |component: [Cell; 4]| {
         let state = summary[..3].iter().map(|(_, cell)| cell.clone());
         state.chain(component).chain(tried.clone()).collect()
@@ -183,12 +216,13 @@ fn csv(model: &ModelDescription) -> io::Result<()> {
     write_rows(Format::Csv, &columns, without.into_iter().chain(components).map(row), stdout())
 }
 
-fn json(model: &ModelDescription) -> io::Result<()> {
+fn json(shown: &ShownModel) -> io::Result<()> {
+    let model = &shown.model;
     let component = |(index, component)| {
         object(component_cells(component, used(model, index)).iter().map(|(name, cell)| (*name, cell.json())))
     };
     let components: Vec<String> = model.components.iter().enumerate().map(component).collect();
-    let summary = summary(model).map(|(name, cell)| (name, cell.json()));
+    let summary = summary(shown).map(|(name, cell)| (name, cell.json()));
     let state = ("state", Cell::Text(model.state.clone()).json());
     let components = ("components", format!("[{}]", components.join(",")));
     let error = |(model, error): &(ModelSelector, f64)| {

@@ -5,7 +5,9 @@
 
 mod advice;
 pub(crate) mod feed;
+mod kind_patterns;
 pub(crate) mod kinds;
+mod next_steps;
 mod opening;
 pub(crate) mod refused;
 mod reporting;
@@ -29,13 +31,18 @@ use tokio::{sync::watch, task::JoinHandle};
 
 use self::{
     feed::{Feed, RefusalReport},
+    kind_patterns::KindPatterns,
     kinds::Kinds,
+    next_steps::NextSteps,
     refused::RefusedRows,
-    transfer::{RowTransfer, Sendable, Transfer, TransferEnd},
+    transfer::{RowCounts, RowTransfer, Sendable, Transfer, TransferEnd},
 };
 use super::{
-    Session, erase, job, producer_id,
+    Session, erase, job,
+    predict::names,
+    producer_id,
     rows::{FileArgs, ReportArgs},
+    shell_word::quoted,
     state::KindArg,
     times, usage,
 };
@@ -62,6 +69,10 @@ pub(crate) struct ObserveArgs {
     /// kind; new states are probabilities]
     #[arg(long, value_name = "KIND")]
     kind: Option<KindArg>,
+    /// Kinds of some states of the file, by patterns of their names, such as
+    /// 'temperature.*=continuous,visits-?=count'; the first that fits decides, and other states are as without this
+    #[arg(long, value_name = "PATTERN=KIND,…", conflicts_with = "kind")]
+    kinds: Option<KindPatterns>,
     /// Writes the refused rows to this new file, to be corrected there and sent
     #[arg(long, value_name = "FILE")]
     refused: Option<PathBuf>,
@@ -126,7 +137,7 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     }
     let options = args.sender.options(&args.map, &base_name(&args.file))?;
     let mut kind = args.kind.and_then(KindArg::single);
-    if args.reports.kind() == RowKind::Events {
+    if args.reports.kind() == RowKind::Events && args.kinds.is_none() {
         kind = kind.or(Some(StateKind::Count.into()));
     }
     if let (Some(kind), Some(stated)) = (kind, stated)
@@ -135,13 +146,40 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
         return Err(usage(format!("--kind {} does not go with --{}", kind.name(), stated.kind().name())));
     }
     let options = ProducerOptions { kind, reporting: stated, ..options };
+    let words = words(&args);
+    let steps = NextSteps::new(&options, "observe", &words, &shown);
     if let Some(stated) = stated {
-        reporting::check(session, (&options.map, &args.file), &rules, stated).await?;
+        reporting::check(session, (&options.map, &args.file), &rules, stated, &steps).await?;
     }
+    let plan = match &args.kinds {
+        Some(_) if has_positions => {
+            return Err(usage(format!("--kinds does not go with {shown}, which has positions")));
+        }
+        Some(kinds) => Some(kinds.plan(session, (&options.map, &args.file), &rules, stated, &steps).await?),
+        None => None,
+    };
     if args.replace {
         withdraw(session, &options).await?;
     }
-    send(session, options, feed, FileSent { shown: &shown, command: "observe", refused }).await
+    if let Some(plan) = plan {
+        plan.add(session, &options.map, stated).await?;
+    }
+    send(session, options, feed, FileSent { shown: &shown, command: "observe", words, refused }).await
+}
+
+/// The options that say how the file is read and what its rows are, each with a blank before it.
+fn words(args: &ObserveArgs) -> String {
+    let mut words = args.reports.words() + &args.written.words();
+    if let Some(kind) = args.kind {
+        words += &format!(" --kind {}", kind.name());
+    }
+    if let Some(kinds) = &args.kinds {
+        words += &format!(" --kinds {}", quoted(&kinds.to_string()));
+    }
+    if args.sender.nightly {
+        words += " --nightly";
+    }
+    words
 }
 
 /// Erases what the options' producer has sent with their label.
@@ -170,6 +208,8 @@ pub(super) struct FileSent<'a> {
     pub(super) shown: &'a str,
     /// Name of the command.
     pub(super) command: &'static str,
+    /// The options that say how it is read and what its rows are, each with a blank before it.
+    pub(super) words: String,
     /// Where its refused rows go.
     pub(super) refused: Option<RefusedRows>,
 }
@@ -179,7 +219,7 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
     session: &Session,
     options: ProducerOptions,
     Feed { rows, total_bytes, .. }: Feed<L>,
-    FileSent { shown, command, refused }: FileSent<'_>,
+    FileSent { shown, command, words, refused }: FileSent<'_>,
 ) -> anyhow::Result<ExitCode> {
     let bar = Bar::bytes(total_bytes);
     let (producer, notices) = open_stream(session, options.clone(), &bar).await?;
@@ -197,29 +237,12 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
         }
         session.print(&columns, [cells])?;
     }
-    transfer.advice(options.reporting.is_none()).iter().for_each(|line| status_line(line));
+    let steps = NextSteps::new(&options, command, &words, shown);
+    let rows_are = options.reporting.map_or(RowKind::Samples, |stated| stated.kind());
+    transfer.advice(rows_are, &steps).iter().for_each(|line| status_line(line));
     transfer.report.conclude();
-    let again = format!("tidemap {command} {} --producer {}", options.map, options.producer);
-    // The label where it is not that of the file.
-    let label = if base_name(Path::new(shown)) == options.label {
-        String::new()
-    } else {
-        format!(" --label {}", options.label)
-    };
-    let replace = (command == "observe" && shown != "stdin").then(|| format!("{again} {shown}{label} --replace"));
-    if let Some(refused) = transfer.report.kept() {
-        // A file that differs was not sent, and what is wrong with it says nothing about what was.
-        let advice = if matches!(end, TransferEnd::Differs(_)) { None } else { refused.write(&again)? };
-        advice.iter().for_each(|advice| status_line(advice));
-    } else if counts.refused > 0 && shown != "stdin" {
-        let replaced = replace.as_ref().map_or_else(String::new, |replace| {
-            format!("; or correct them in {shown}, and send all of it anew in place of this: {replace}")
-        });
-        status_line(&format!(
-            "to correct the refused rows: {again} {shown}{label} --refused FILE writes them to a file of their own, and \
-             sends nothing twice{replaced}"
-        ));
-    }
+    let is_sent = !matches!(end, TransferEnd::Differs(_));
+    tell_next(session, &transfer, counts, (&steps, is_sent), &options).await?;
     if let TransferEnd::Stopped(_) = end {
         let durable = counts.accepted + counts.duplicate + counts.refused;
         status_line(&format!(
@@ -231,27 +254,41 @@ pub(super) async fn send<L: Layout<Item: Sendable>>(
         TransferEnd::Unreadable(error) => TransferEnd::Unreadable(error.context(shown.to_owned())),
         end => end,
     };
-    let differs = matches!(end, TransferEnd::Differs(_));
-    let another = if differs { free_label(session, &options).await } else { String::new() };
-    exit_code(
-        end,
-        &transfer.report,
-        &options,
-        shown,
-        &format!(
-            "{} Another file needs another label, such as --label {}",
-            replace.map_or_else(
-                || "Corrected rows of the same file go into a file of their own (--refused FILE writes them); with another \
-                    label, all rows would count again."
-                    .to_owned(),
-                |replace| format!(
-                    "If it was corrected, this withdraws what was sent, and sends it anew: {replace}. (Rows that are only \
-                     added at the end are sent without that; with another label, all rows would count again.)"
-                ),
-            ),
-            another
-        ),
-    )
+    let another = if is_sent { String::new() } else { free_label(session, &options).await };
+    exit_code(end, &transfer.report, &options, shown, &steps.differs(&another))
+}
+
+/// Says what to do about rows that were refused, or that were sent before and are gone.
+async fn tell_next<T: Sendable>(
+    session: &Session,
+    transfer: &RowTransfer<T>,
+    counts: RowCounts,
+    (steps, is_sent): (&NextSteps<'_>, bool),
+    options: &ProducerOptions,
+) -> anyhow::Result<()> {
+    if let Some(refused) = transfer.report.kept() {
+        // A file that differs was not sent, and what is wrong with it says nothing about what was.
+        let advice = if is_sent { refused.write(steps.again())? } else { None };
+        advice.iter().for_each(|advice| status_line(advice));
+    } else if counts.refused > 0 {
+        steps.refused().iter().for_each(|advice| status_line(advice));
+    }
+    if options.kind.is_none() && transfer.report.has_reason("not between 0 and 1") {
+        status_line(&steps.no_probabilities());
+    }
+    if is_sent && !transfer.sent_before_states().is_empty() {
+        let known: HashSet<String> = names::all(session, &options.map).await?.into_iter().collect();
+        let absent: Vec<&String> = transfer.sent_before_states().iter().filter(|name| !known.contains(*name)).collect();
+        if let Some((first, others)) = absent.split_first() {
+            let more = match others.len() {
+                0 => String::new(),
+                1 => " and of one more state".to_owned(),
+                count => format!(" and of {count} more states"),
+            };
+            status_line(&steps.absent(&format!("{first:?}{more}")));
+        }
+    }
+    Ok(())
 }
 
 /// Runs a transfer until it ends or Ctrl-C, then waits for nightly updates if the options announce them.

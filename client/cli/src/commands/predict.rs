@@ -2,18 +2,13 @@
 //!
 //! Invariant: rows are in the order of the states, then of the times; each is written as soon as it arrives.
 
-use std::{borrow::Cow, path::PathBuf, process::ExitCode};
+use std::{borrow::Cow, process::ExitCode};
 
-use clap::{ArgGroup, Args};
+use clap::Args;
 use tidemap_client::queries::{ModelKind, ModelSelector, ORDER_MAX, PredictionRun};
-use tidemap_model::{Dimensions, Zone};
+use tidemap_model::Dimensions;
 
-use super::{
-    Session, UsageError,
-    files::DrawingArg,
-    times::{self, When},
-    usage,
-};
+use super::{Session, UsageError, files::DrawingArg, times::AskedTimesArgs, usage};
 use crate::progress::status_line;
 use picture::Drawn;
 use tidemap_formats::table::{Cell, Format};
@@ -23,7 +18,6 @@ mod picture;
 mod places;
 
 #[derive(Debug, Args)]
-#[command(group = ArgGroup::new("when").required(true).args(["at", "times", "from", "date"]))]
 pub(crate) struct PredictArgs {
     /// Name of the map
     map: String,
@@ -31,27 +25,8 @@ pub(crate) struct PredictArgs {
     /// so on, an angle one row in radians; a cell of the grid is cell/X/Y/Z
     #[arg(value_name = "STATE")]
     states: Vec<String>,
-    /// Times, separated by commas
-    #[arg(long, value_name = "TIME,…", value_parser = times::when, value_delimiter = ',')]
-    at: Option<Vec<When>>,
-    /// A whole day of the map's zone, hour by hour: today, tomorrow, yesterday or a date
-    #[arg(long, value_name = "DAY")]
-    date: Option<String>,
-    /// Reads times without a time zone in the map's zone
-    #[arg(long)]
-    local: bool,
-    /// File of times, one a line or in a column `time`; - is stdin
-    #[arg(long, value_name = "FILE")]
-    times: Option<PathBuf>,
-    /// First time
-    #[arg(long, value_name = "TIME", value_parser = times::when, requires_all = ["to", "step"])]
-    from: Option<When>,
-    /// End of the times, not included
-    #[arg(long, value_name = "TIME", value_parser = times::when, requires = "from")]
-    to: Option<When>,
-    /// Step between the times [default with --date: 1h]
-    #[arg(long, value_name = "DURATION", value_parser = times::duration, conflicts_with_all = ["at", "times"])]
-    step: Option<i64>,
+    #[command(flatten)]
+    times: AskedTimesArgs,
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=ORDER_MAX as i64))]
     order: Option<u32>,
@@ -109,7 +84,7 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
         )));
     }
     args.drawing.check()?;
-    let times = args.asked_times(session).await?;
+    let times = args.times.asked(session, &args.map).await?;
     if !args.places.is_empty() {
         if args.drawing.is_wanted() {
             return Err(usage("--picture draws values over time: it does not go with --where"));
@@ -170,31 +145,6 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     args.drawing.put(|| drawn.text(), || drawn.svg())?;
     Ok(ExitCode::SUCCESS)
 }
-
-impl PredictArgs {
-    /// The times that are asked for.
-    async fn asked_times(&self, session: &Session) -> anyhow::Result<Vec<i64>> {
-        let zone = match self.local || self.date.is_some() {
-            true => Some(Zone::named(&session.client.map(&self.map).await?.time_zone)?),
-            false => None,
-        };
-        let local = zone.as_ref().filter(|_| self.local);
-        if let (Some(date), Some(zone)) = (&self.date, &zone) {
-            let (from, to) = times::day(date, zone)?;
-            return Ok(times::steps(from, to, self.step.unwrap_or(HOUR_NANOS))?);
-        }
-        Ok(match (&self.at, &self.times, &self.from, &self.to, self.step) {
-            (Some(at), ..) => at.iter().map(|when| when.resolve(local)).collect::<Result<_, _>>()?,
-            (None, Some(path), ..) => times::from_file(path)?,
-            (None, None, Some(from), Some(to), Some(step)) => {
-                times::steps(from.resolve(local)?, to.resolve(local)?, step)?
-            }
-            _ => return Err(usage("give the times with --at, --times, --date, or --from with --to and --step")),
-        })
-    }
-}
-
-const HOUR_NANOS: i64 = 3_600_000_000_000;
 
 /// Predictions as a table with a column for each state.
 #[derive(Debug, Default)]

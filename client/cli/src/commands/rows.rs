@@ -7,7 +7,7 @@ use tidemap_client::maps::{RowKind, StatedReporting};
 use tidemap_formats::observation_file::RowRules;
 use tidemap_model::{Zone, time::NANOS_PER_SEC};
 
-use super::{Session, times, usage};
+use super::{Session, shell_word::quoted, times, usage};
 
 /// How a file is written.
 #[derive(Debug, Args)]
@@ -53,6 +53,20 @@ pub(crate) struct ReportArgs {
 }
 
 impl FileArgs {
+    /// The options as they are given, each with a blank before it.
+    pub(crate) fn words(&self) -> String {
+        let mut words = if self.local { " --local".to_owned() } else { String::new() };
+        if let Some(columns) = &self.columns {
+            let named = ["time", "state", "value"].iter().zip(columns);
+            let pairs = named.filter_map(|(column, name)| Some(format!("{column}={}", name.as_ref()?)));
+            words += &format!(" --columns {}", quoted(&pairs.collect::<Vec<_>>().join(",")));
+        }
+        if let Some(values) = &self.values {
+            words += &format!(" --values {}", quoted(values));
+        }
+        words
+    }
+
     /// The rules of the file's rows.
     pub(crate) async fn rules(&self, session: &Session, map: &str, kind: RowKind) -> anyhow::Result<RowRules> {
         let zone = match self.local {
@@ -77,6 +91,19 @@ impl RowKindArgs {
 }
 
 impl ReportArgs {
+    /// The options as they are given, each with a blank before it.
+    pub(crate) fn words(&self) -> String {
+        let kind = match self.kind() {
+            RowKind::Samples => String::new(),
+            kind => format!(" --{}", kind.name()),
+        };
+        // Whole seconds, as they are checked.
+        let secs = |option: &str, nanos: Option<i64>| {
+            nanos.map_or_else(String::new, |nanos| format!(" {option} {}s", nanos / NANOS_PER_SEC))
+        };
+        kind + &secs("--hold-max", self.hold_max) + &secs("--hold-step", self.hold_step)
+    }
+
     /// What rows are.
     pub(crate) fn kind(&self) -> RowKind {
         self.rows.kind()

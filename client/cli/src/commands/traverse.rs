@@ -85,7 +85,7 @@ pub(crate) async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Resul
     if let Some(file) = &args.file {
         let refused = args.refused.as_deref().map(|target| RefusedRows::new(file, target)).transpose()?;
         let feed = feed::open::<TraversalColumns>(file, &RowRules::default())?;
-        let sent = FileSent { shown: &feed::display_name(file), command: "traverse", refused };
+        let sent = FileSent { shown: &feed::display_name(file), command: "traverse", words: String::new(), refused };
         return observe::send(session, args.options()?, feed, sent).await;
     }
     let report = args.report();

@@ -31,6 +31,8 @@ pub struct GridSettings {
     pub negate: bool,
     /// The meaning of the pixels.
     pub mode: GridMode,
+    /// Whether a pixel of value 205 is unknown in mode trinary, whatever the thresholds; no file says so.
+    pub is_205_unknown: bool,
 }
 
 /// The meaning of the pixels of a grid.
@@ -101,6 +103,7 @@ pub fn read_settings(bytes: &[u8]) -> Result<GridSettings, FormatError> {
         free_thresh,
         negate: entries.negate()?,
         mode: entries.mode()?,
+        is_205_unknown: false,
     })
 }
 

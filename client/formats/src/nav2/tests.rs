@@ -55,6 +55,7 @@ fn the_yaml_file_is_read_in_any_style() -> Result<(), FormatError> {
         free_thresh: 0.196,
         negate: false,
         mode: GridMode::Trinary,
+        is_205_unknown: false,
     };
     assert_eq!(settings(&[])?, expected);
     assert_eq!(settings(&[("mode: trinary\n", "")])?, expected);
@@ -261,4 +262,21 @@ proptest! {
         let _ = read_settings(&bytes);
         let _ = read_settings(&[bytes.as_slice(), b"\n"].concat());
     }
+}
+
+#[test]
+fn the_pixel_of_the_unknown_is_free_above_a_free_threshold_of_one_fifth_and_counted() -> Result<(), FormatError> {
+    let image = b"P5\n3 1\n255\n\xcd\xfe\x00";
+    let cells = |settings: &GridSettings| read(settings, image).map(|grid| (grid.cells, grid.free_205));
+    let known = [GridCell::Free, GridCell::Occupied];
+    let with = |first: GridCell| [&[first][..], &known].concat();
+    let low = settings(&[])?;
+    assert_eq!(cells(&low)?, (with(GridCell::Unknown), 0));
+    let quarter = settings(&[("free_thresh: 0.196", "free_thresh: 0.25")])?;
+    assert_eq!(quarter.free_thresh, 0.25);
+    assert_eq!(cells(&quarter)?, (with(GridCell::Free), 1), "as Nav2's map server reads it");
+    assert_eq!(cells(&GridSettings { is_205_unknown: true, ..quarter.clone() })?, (with(GridCell::Unknown), 0));
+    // In mode scale it is a probability, which no map saver writes for unknown.
+    assert_eq!(cells(&GridSettings { mode: GridMode::Scale, ..quarter })?.1, 0);
+    Ok(())
 }

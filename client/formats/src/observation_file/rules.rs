@@ -129,6 +129,49 @@ impl RowRules {
     }
 }
 
+/// What is wrong with a time, and how it would be right, where it is written as some programs write dates.
+fn invalid_time(text: &str, error: &InvalidTime) -> String {
+    match (error, other_format(text)) {
+        (InvalidTime::Malformed(_), Some(how)) => format!("time {:?} {how}", shown(text)),
+        _ => format!("time {error}"),
+    }
+}
+
+/// The format of a date that is no RFC 3339, and what to write; `None`: it is not known.
+fn other_format(text: &str) -> Option<&'static str> {
+    let lower = text.to_lowercase();
+    let is_half_day = [" am", " pm"].iter().any(|half| lower.ends_with(half)) || lower.ends_with("a.m.");
+    let date = text.split([' ', 'T', ',']).next().unwrap_or(text);
+    let parts: Vec<&str> = date.split(['.', '/', '-']).collect();
+    let digits: Vec<usize> =
+        parts.iter().map(|part| if part.bytes().all(|byte| byte.is_ascii_digit()) { part.len() } else { 0 }).collect();
+    let separator = date.chars().find(|letter| !letter.is_ascii_digit());
+    match (digits.as_slice(), separator) {
+        ([1 | 2, 1 | 2, 2 | 4], Some('.')) => {
+            Some("is a date as day.month.year: write the year first, as in 2025-02-01 08:00:00")
+        }
+        ([1 | 2, 1 | 2, 2 | 4], Some(_)) => Some(
+            "is a date that begins with the day or with the month, which is not known: write the year first, as in \
+             2025-02-01 08:00:00",
+        ),
+        ([4, 1 | 2, 1 | 2], Some('/' | '.')) => {
+            Some("is a date without hyphens: write it with hyphens, as in 2025-02-01 08:00:00")
+        }
+        _ if is_half_day => Some("has a clock of twelve hours: write one of 24 hours, as in 2025-02-01 20:00:00"),
+        _ if !text.is_empty() && text.replacen(',', ".", 1).parse::<f64>().is_ok() => {
+            Some("is a number with a comma: write a point, as in 1738396800.5")
+        }
+        _ if lower.chars().any(|letter| letter.is_alphabetic())
+            && text.chars().any(|letter| letter.is_ascii_digit()) =>
+        {
+            Some(
+                "is not a time that is known: write the year first, in digits, as in 2025-02-01 08:00:00, or Unix seconds",
+            )
+        }
+        _ => None,
+    }
+}
+
 /// The times of a file, with those of each state so far: they tell which of two equal local times is meant.
 #[derive(Clone, Debug, Default)]
 pub(super) struct FileTimes {
@@ -141,7 +184,7 @@ impl FileTimes {
         let Some(zone) = zone else {
             return parse_time(text).map_err(|error| match error {
                 InvalidTime::NoOffset(_) => format!("time {error}, or read such times in the map's zone with --local"),
-                error => format!("time {error}"),
+                error => invalid_time(text, &error),
             });
         };
         let nanos = match parse_time(text) {
@@ -160,10 +203,29 @@ impl FileTimes {
                 }
                 None => return Err(format!("time {:?} is before 1970 or after 2262", shown(text))),
             },
-            known => known.map_err(|error| format!("time {error}"))?,
+            known => known.map_err(|error| invalid_time(text, &error))?,
         };
         let newest = self.newest.entry(state.to_owned()).or_insert(nanos);
         *newest = nanos.max(*newest);
         Ok(nanos)
+    }
+}
+
+#[test]
+fn dates_of_other_programs_are_told_how_they_are_right() {
+    for (text, words) in [
+        ("01.02.2025 08:00", "day.month.year"),
+        ("1/2/2025", "begins with the day or with the month"),
+        ("02-01-2025 08:00:00", "begins with the day or with the month"),
+        ("2025/02/01 08:00", "write it with hyphens"),
+        ("2025-02-01 08:00 PM", "24 hours"),
+        ("1738396800,5", "write a point"),
+        ("Sat Feb  1 08:00:00 2025", "the year first, in digits"),
+        ("soon", "is not a time: use Unix seconds"),
+    ] {
+        let error = FileTimes::default().read(None, "door", text).expect_err(text);
+        assert!(error.contains(words) && error.contains(&format!("{text:?}")), "{text}: {error}");
+        let error = FileTimes::default().read(Some(&Zone::utc()), "door", text).expect_err(text);
+        assert!(error.contains(words), "{text}: {error}");
     }
 }

@@ -275,3 +275,30 @@ fn events_need_no_value() -> Result<(), RowError> {
     assert!(matches!(read_by(&RowRules::default(), "time,state\n1,gate\n"), Err(RowError::MissingColumn { .. })));
     Ok(())
 }
+
+#[test]
+fn columns_with_another_separator_are_told() {
+    for (header, words) in [
+        ("time;state;value\n", "semicolons"),
+        ("time\tstate\tvalue\n", "tabs"),
+        ("time|state|value\n", "bars"),
+        ("time state value\n", "column \"time\" is missing"),
+        ("when;x,state,value\n", "column \"time\" is missing"),
+    ] {
+        let error = RowReader::new(header.as_bytes()).map(|_| ()).expect_err(header).to_string();
+        assert!(error.contains(words), "{header}: {error}");
+    }
+    let error = RowReader::new("time;state;value\n".as_bytes()).map(|_| ()).expect_err("a separator").to_string();
+    assert!(error.contains("tr ';' ',' < FILE > NEW"), "{error}");
+}
+
+#[test]
+fn a_word_that_stands_for_a_number_out_of_range_is_told_with_both() -> Result<(), RowError> {
+    let words = RowRules::parse_words("ajar=5").expect("words");
+    let rules = RowRules { words, ..RowRules::default() };
+    let mut rows = RowReader::<_, ObservationColumns>::open_with("time,state,value\n1,door,ajar\n".as_bytes(), &rules)?;
+    let Some(RowItem::Row(row)) = rows.next_item()? else { panic!("a row") };
+    assert_eq!(row.value, 5.0);
+    assert_eq!(row.wrong.as_deref(), Some("value \"ajar\" stands for 5, which is not between 0 and 1"));
+    Ok(())
+}

@@ -1,7 +1,7 @@
 //! Times in tables, as people read them.
 //!
 //! Invariant: a column shows as much of the clock as its times need, the same for all of them, and its header says in
-//! which zone they are.
+//! which zone they are. A time that the clocks show twice has its offset from UTC.
 
 use tidemap_model::{
     Zone,
@@ -12,6 +12,7 @@ use super::Cell;
 
 const SEC: i64 = 1_000_000_000;
 const DAY: i64 = 86_400 * SEC;
+const LONGEST_CHANGE: i64 = 3 * 3_600 * SEC;
 /// 1 January 1970 was a Thursday.
 const WEEKDAYS: [&str; 7] = ["Thu", "Fri", "Sat", "Sun", "Mon", "Tue", "Wed"];
 
@@ -55,7 +56,28 @@ fn clock(zone: &Zone, nanos: i64, precision: Precision) -> String {
     };
     let time = time.unwrap_or_default();
     let weekday = usize::try_from(civil / DAY % 7).ok().and_then(|day| WEEKDAYS.get(day)).unwrap_or(&"");
-    format!("{weekday} {date} {time}")
+    let offset = if comes_twice(zone, nanos) { offset_text(zone.offset_secs(nanos)) } else { String::new() };
+    format!("{weekday} {date} {time}{offset}")
+}
+
+/// Whether the clocks of the zone show this time twice, because they are put back.
+fn comes_twice(zone: &Zone, nanos: i64) -> bool {
+    let offset = |nanos: i64| i64::from(zone.offset_secs(nanos.max(0))) * SEC;
+    let here = offset(nanos);
+    // No zone puts its clocks back by more than three hours, but for a few that changed the date.
+    [nanos.saturating_sub(LONGEST_CHANGE), nanos.saturating_add(LONGEST_CHANGE)].into_iter().any(|near| {
+        let other = offset(near);
+        // The instant that shows the same clock with the other offset.
+        let twin = nanos.saturating_add(here - other);
+        other != here && twin >= 0 && offset(twin) == other
+    })
+}
+
+/// An offset from UTC as times have it, `+02:00`.
+#[must_use]
+pub fn offset_text(secs: i32) -> String {
+    let (sign, minutes) = (if secs < 0 { '-' } else { '+' }, secs.unsigned_abs() / 60);
+    format!("{sign}{:02}:{:02}", minutes / 60, minutes % 60)
 }
 
 impl TimeStyle {
@@ -149,5 +171,20 @@ mod tests {
     fn other_styles_are_numbers() {
         assert_eq!(column(&TimeStyle::Nanos, &[SPRING]), ("time (ns)".to_owned(), vec![SPRING.to_string()]));
         assert_eq!(column(&TimeStyle::Unix, &[SPRING]).0, "time");
+    }
+
+    #[test]
+    fn the_hour_that_comes_twice_has_its_offset() {
+        let berlin = TimeStyle::Clock(Zone::named("Europe/Berlin").expect("a zone"));
+        // 2025-10-26T00:00:00Z, 02:00 in Berlin for the first time.
+        let first = 1_761_436_800 * SEC;
+        let texts = column(&berlin, &[-1, 0, 1, 2].map(|hours| first + hours * 3_600 * SEC)).1;
+        let clocks: Vec<&str> = texts.iter().filter_map(|text| text.get(15..)).collect();
+        assert_eq!(clocks, ["01:00", "02:00+02:00", "02:00+01:00", "03:00"]);
+        let last = column(&berlin, &[first - SEC, first + 7_199 * SEC, first + 7_200 * SEC]).1;
+        let clocks: Vec<&str> = last.iter().filter_map(|text| text.get(15..)).collect();
+        assert_eq!(clocks, ["01:59:59", "02:59:59+01:00", "03:00:00"]);
+        assert_eq!(column(&berlin, &[SPRING, SPRING + 3_600 * SEC]).1.concat().matches('+').count(), 0);
+        assert_eq!(["+05:30", "-03:30"].map(str::to_owned), [19_800, -12_600].map(offset_text));
     }
 }

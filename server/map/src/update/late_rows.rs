@@ -1,8 +1,8 @@
 //! States whose rows of changes or events come after an update has learned their time.
 //!
-//! What a row stands for depends on the rows beside it. A row that comes late changes readings that were learned. So the
-//! state is learned anew, from all its rows, where history still has them. Elsewhere the late rows are learned as single
-//! readings.
+//! What a row stands for depends on the rows beside it. A row that comes late changes readings that were learned. So
+//! the state is learned anew, from all its rows, where history still has them. Elsewhere the late rows are learned as
+//! single readings.
 //!
 //! Invariant: a state that is learned anew is what it would be had its rows come in order of time.
 
@@ -39,8 +39,8 @@ pub(super) struct LearnedAnew {
 }
 
 impl LateRows<'_> {
-    /// Resets the models of the states with late rows whose rows history has, and returns all their rows. `states`: with
-    /// the rows of this update, in order of arrival. `models`: of all states.
+    /// Resets the models of the states with late rows whose rows history has, and returns all their rows. `states`:
+    /// with the rows of this update, in order of arrival. `models`: of all states.
     pub(super) fn begin(
         &self,
         states: &[(StateId, Vec<Sample>)],

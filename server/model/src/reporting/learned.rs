@@ -1,8 +1,8 @@
 //! How far the rows of a state have been learned.
 //!
 //! Invariant: an instant is learned once. Rows that come late, about instants that were learned without them, are
-//! learned as the readings that they are, unless all rows are learned anew; rows from before everything that was learned
-//! hold up to there.
+//! learned as the readings that they are, unless all rows are learned anew; rows from before everything that was
+//! learned hold up to there.
 
 use super::{
     Hold, Reporting, Row,

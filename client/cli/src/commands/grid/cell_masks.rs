@@ -308,7 +308,7 @@ mod tests {
     #[test]
     fn a_plane_is_one_layer_and_leaves_out_what_it_does_not_know() -> anyhow::Result<()> {
         let cells = vec![GridCell::Free, GridCell::Occupied, GridCell::Unknown, GridCell::Between { percent: 40 }];
-        let map = nav2::Grid { resolution_m: 0.2, origin_m: [-0.83, 0.0], size_cells: [2, 2], cells };
+        let map = nav2::Grid { resolution_m: 0.2, origin_m: [-0.83, 0.0], size_cells: [2, 2], cells, free_205: 0 };
         let on = of_plane(&map, GridMode::Raw, Some(Between::Leave), &grid())?;
         assert_eq!(count(&on.tiles), (8, 4));
         assert_eq!(on.counts, CellCounts { all: 4, unknown: 1, left: 1, ..CellCounts::default() });
@@ -323,7 +323,13 @@ mod tests {
     #[test]
     fn cells_between_free_and_occupied_are_rounded_and_counted() -> anyhow::Result<()> {
         let percents = [20, 49, 50, 80].map(|percent| GridCell::Between { percent });
-        let map = nav2::Grid { resolution_m: 0.1, origin_m: [0.0; 2], size_cells: [4, 1], cells: percents.to_vec() };
+        let map = nav2::Grid {
+            resolution_m: 0.1,
+            origin_m: [0.0; 2],
+            size_cells: [4, 1],
+            cells: percents.to_vec(),
+            free_205: 0,
+        };
         let on = of_plane(&map, GridMode::Scale, None, &grid())?;
         assert_eq!(count(&on.tiles), (4, 2));
         assert_eq!(
@@ -342,7 +348,7 @@ mod tests {
     #[test]
     fn cells_outside_of_the_grid_are_counted() -> anyhow::Result<()> {
         let cells = vec![GridCell::Free; 6];
-        let map = nav2::Grid { resolution_m: 0.1, origin_m: [0.0; 2], size_cells: [3, 2], cells };
+        let map = nav2::Grid { resolution_m: 0.1, origin_m: [0.0; 2], size_cells: [3, 2], cells, free_205: 0 };
         let extent = Some(CellBox { min: [8, 0, 0].into(), max: [10, 2, 4].into() });
         let on = of_plane(&map, GridMode::Trinary, None, &GridSpec { extent, ..grid() })?;
         assert_eq!((count(&on.tiles), on.counts.outside), ((4, 0), 2));
@@ -352,7 +358,13 @@ mod tests {
     #[test]
     fn a_map_far_from_the_origin_is_told_which_origin_would_do() {
         let cells = vec![GridCell::Free];
-        let map = nav2::Grid { resolution_m: 0.1, origin_m: [458_123.4, 5_548_061.0], size_cells: [1, 1], cells };
+        let map = nav2::Grid {
+            resolution_m: 0.1,
+            origin_m: [458_123.4, 5_548_061.0],
+            size_cells: [1, 1],
+            cells,
+            free_205: 0,
+        };
         let error =
             |grid: &GridSpec| of_plane(&map, GridMode::Trinary, None, grid).err().map(|error| error.to_string());
         let far = error(&grid()).unwrap_or_default();

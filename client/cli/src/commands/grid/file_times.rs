@@ -1,7 +1,7 @@
 //! When each file of scans was made: `--at` and `--every`, the names of the files, or a list.
 //!
-//! Invariant: every file has a time, or the command ends before anything is sent. A time without a zone is read only
-//! with a word of the user's, `--local` or `--utc`.
+//! Invariant: every file has a time, or the command ends before anything is sent; only a file whose local time does not
+//! exist is left out. A time without a zone is read only with a word of the user's, `--local` or `--utc`.
 
 mod numbered;
 mod pattern;
@@ -69,6 +69,9 @@ pub(super) struct FileTimes {
     is_utc: bool,
 }
 
+/// Files with their times, and files without one with the reason.
+type TimedAndRefused<T> = (Vec<(PathBuf, T, i64)>, Vec<(PathBuf, String)>);
+
 impl FileTimeArgs {
     /// Whether any is given.
     pub(super) fn is_given(&self) -> bool {
@@ -127,25 +130,31 @@ impl FileTimeArgs {
 }
 
 impl FileTimes {
-    /// The files with their times, in nanoseconds UTC. Files that say themselves when they were made are put in the
-    /// order of their times. `zone`: the map's time zone, by name.
+    /// The files with their times, in nanoseconds UTC, and those whose time does not exist in the zone, with the
+    /// reason. Files that say themselves when they were made are put in the order of their times. `zone`: the map's
+    /// time zone, by name.
     ///
     /// # Errors
-    /// A time does not exist in the zone.
-    pub(super) fn resolve<T>(self, zone: &str, files: Vec<(PathBuf, T)>) -> anyhow::Result<Vec<(PathBuf, T, i64)>> {
+    /// The zone is unknown.
+    pub(super) fn resolve<T>(self, zone: &str, files: Vec<(PathBuf, T)>) -> anyhow::Result<TimedAndRefused<T>> {
         let zone = if self.is_utc { "UTC" } else { zone };
         let clocks = TimeZoneDatabase::bundled().get(zone).with_context(|| format!("time zone {zone}"))?;
         let mut timed: Vec<(PathBuf, T, i64)> = Vec::with_capacity(files.len());
+        let mut refused = Vec::new();
         let (mut before, mut twice) = (i64::MIN, 0);
         for ((file, kind), time) in files.into_iter().zip(self.times) {
             let time = match time {
                 FileTime::Utc(nanos) => nanos,
-                FileTime::Clock(clock) => {
-                    let (nanos, is_twice) =
-                        of_clock(&clocks, clock, before).map_err(|why| usage(format!("{}: {why}", file.display())))?;
-                    twice += u64::from(is_twice);
-                    nanos
-                }
+                FileTime::Clock(clock) => match of_clock(&clocks, clock, before) {
+                    Ok((nanos, is_twice)) => {
+                        twice += u64::from(is_twice);
+                        nanos
+                    }
+                    Err(why) => {
+                        refused.push((file, why));
+                        continue;
+                    }
+                },
             };
             before = time;
             timed.push((file, kind, time));
@@ -158,7 +167,7 @@ impl FileTimes {
         if self.are_own {
             timed.sort_by_key(|(_, _, time)| *time);
         }
-        Ok(timed)
+        Ok((timed, refused))
     }
 }
 

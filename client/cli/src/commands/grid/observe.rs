@@ -33,7 +33,7 @@ use crate::{
 pub(crate) struct GridObserveArgs {
     /// Name of the map
     map: String,
-    /// Files; each is one scan, unless it ends in .tms
+    /// Files; each is one scan, unless it ends in .tms. A folder stands for its files with a known ending, by name
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     #[command(flatten)]
@@ -51,6 +51,10 @@ pub(crate) struct GridObserveArgs {
     /// probability on and as free below it, or leave, which leaves them out [default: 0.5]
     #[arg(long, value_name = "P|leave")]
     between: Option<Between>,
+    /// Pixels of value 205, which map savers write for unknown, are unknown in Nav2 maps of mode trinary; without
+    /// this they count as free with free_thresh 0.25, as in Nav2's map server
+    #[arg(long)]
+    unknown_205: bool,
     #[command(flatten)]
     sender: SenderArgs,
     /// Noise of the sensor, if it differs from the map's: P(reads occupied | is occupied) [default: 1] and P(reads
@@ -70,28 +74,40 @@ pub(crate) async fn run(session: &Session, args: GridObserveArgs) -> anyhow::Res
         min_range_m: args.min_range,
         max_range_m: args.max_range,
         between: args.between,
+        is_205_unknown: args.unknown_205,
     };
-    let plan = scans::plan(&args.files, args.times.is_given(), &scan_options)?;
+    let files = scans::named(&args.files)?;
+    let plan = scans::plan(&files, args.times.is_given(), &scan_options)?;
     let times = match &plan {
-        ScanPlan::Each(..) => Some(args.times.of(&args.files)?),
+        ScanPlan::Each(..) => Some(args.times.of(&files)?),
         ScanPlan::Scans(_) => None,
     };
     let map = session.client.map(&args.map).await?;
     let (zone, (grid, cells_before)) = (map.time_zone.clone(), grid_of_map(map)?);
-    let timed = |files| times.map_or_else(|| Ok(Vec::new()), |times| times.resolve(&zone, files));
+    let mut without_time = Vec::new();
+    let timed = |files| match times {
+        Some(times) => {
+            let (timed, refused) = times.resolve(&zone, files)?;
+            without_time = refused;
+            Ok(timed)
+        }
+        None => Ok(Vec::new()),
+    };
     let (chunks, bar) = scans::open(plan, timed, &grid)?;
     let default_label = args.files.first().map(|file| base_name(file)).unwrap_or_default();
     let options = args.sender.options(&args.map, &default_label)?;
     let options = ProducerOptions { sensor: args.sensor, ..options };
     let (producer, notices) = open_stream(session, options.clone(), &bar).await?;
-    let report = RefusalReport::new(bar.clone(), "scan", "is refused");
+    let mut report = RefusalReport::new(bar.clone(), "scan", "is refused");
+    without_time.iter().for_each(|(file, why)| report.left_out(file, why));
     let mut transfer = ScanTransfer::new(producer, notices, chunks, report, bar.clone());
     let end = run_transfer(session, &mut transfer, &options, &bar, "scans").await?;
     let counts = transfer.counts();
     if !matches!(end, TransferEnd::Differs(_)) {
         // The daemon casts the rays and so counts the cells. Cells that others observe meanwhile count as well.
         let cells = grid_of(session, &args.map).await.map_or(0, |(_, cells)| cells.saturating_sub(cells_before));
-        let cells = vec![counts.accepted.into(), cells.into(), counts.refused.into(), counts.duplicate.into()];
+        let refused = counts.refused + without_time.len() as u64;
+        let cells = vec![counts.accepted.into(), cells.into(), refused.into(), counts.duplicate.into()];
         session.print(&["scans", "cells", "refused", "duplicate"], [cells])?;
     }
     transfer.report.conclude();

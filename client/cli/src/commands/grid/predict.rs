@@ -20,13 +20,15 @@ use tonic::Code;
 
 use super::place::{AxisRange, Rectangle, cells, corner_m};
 use crate::{
-    commands::{Session, UsageError, files, predict::check_for_cells, times, usage},
+    commands::{Session, UsageError, files, predict::check_for_cells, times::AskedTimesArgs, usage},
     progress::status_line,
 };
 use tidemap_formats::{
     CELLS_MAX, MapPicture, PictureCell, PictureValue, SCALE_MAX, cells_csv, grid_text, nav2, ply, png,
     table::{Cell, Format},
 };
+
+mod compared;
 
 /// Heights that matter to a robot, metres: without the floor and the ceiling, which are always occupied.
 const HEIGHTS_M: (f64, f64) = (0.1, 1.8);
@@ -41,14 +43,13 @@ const PART: &str = "Choose a part with --region X0:X1,Y0:Y1 or --z MIN:MAX; a ma
 pub(crate) struct GridPredictArgs {
     /// Name of the map
     map: String,
-    /// Time of the prediction
-    #[arg(long, value_name = "TIME", value_parser = times::time)]
-    at: i64,
+    #[command(flatten)]
+    times: AskedTimesArgs,
     /// File to write: .pgm (with a .yaml beside it), .png, .csv or .ply [default: a picture in the terminal]
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
-    /// Draws the map for people, with a legend and a scale bar: in the terminal, or as a .png file. Without FILE it is
-    /// the last option
+    /// Draws the map for people, with a legend and a scale bar: in the terminal, or as a .png file. Several times stand
+    /// beside each other, two with their difference. Without FILE it is the last option
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-", conflicts_with = "out")]
     picture: Option<PathBuf>,
     /// Number of spectral components, 0 to 15 [default: what the last update chose]
@@ -180,9 +181,10 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     if args.pgm_mode.is_some() && kind != OutputKind::Pgm {
         return Err(usage("--pgm-mode goes with --out FILE.pgm only"));
     }
+    let times = args.times.asked(session, &args.map).await?;
     let query = GridQuery {
         map: args.map.clone(),
-        time_nanos: args.at,
+        time_nanos: times.first().copied().unwrap_or_default(),
         model: ModelSelector { order: args.order.map(|order| order as usize), ..args.model },
         region: region(session, &args).await?,
         is_projected: args.project || kind.is_flat(),
@@ -192,23 +194,15 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
             PictureValue::Entropy | PictureValue::Probability => GridOutput::Probability,
         },
     };
-    let predicted = match session.client.predict_grid(&query).await {
-        Ok(predicted) => predicted,
-        Err(error) => return Err(explained(session, &query, error).await),
-    };
-    let region = predicted.header().region;
-    anyhow::ensure!(region.count() > 0, "map {:?} has no observed cells in the region", args.map);
-    let cells = region.count();
-    anyhow::ensure!(
-        cells <= u128::from(CELLS_MAX),
-        "the region has {cells} cells, and a file takes at most {CELLS_MAX}. {PART}"
-    );
-    let predicted = predicted.whole().await?;
+    if times.len() > 1 {
+        return compared::run(session, &args, (query, times), path).await;
+    }
+    let predicted = predicted(session, &query).await?;
     let picture = picture(&predicted, args.value());
     let caption = format!(
         "{} at {}{}",
         args.map,
-        session.times.heading(args.at),
+        session.times.heading(query.time_nanos),
         heights_text(&predicted.header.grid, query.region)
     );
     match path {
@@ -218,6 +212,27 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     if kind.is_flat() && !args.entropy && args.z.is_none() && !predicted.header.grid.is_flat && is_full(&picture) {
         status_line("every column is occupied at some height: choose heights with --z MIN:MAX");
     }
+    put(session, path, &picture, predicted.header.generation)
+}
+
+/// The whole prediction of a query.
+async fn predicted(session: &Session, query: &GridQuery) -> anyhow::Result<WholeGrid> {
+    let predicted = match session.client.predict_grid(query).await {
+        Ok(predicted) => predicted,
+        Err(error) => return Err(explained(session, query, error).await),
+    };
+    let region = predicted.header().region;
+    anyhow::ensure!(region.count() > 0, "map {:?} has no observed cells in the region", query.map);
+    let cells = region.count();
+    anyhow::ensure!(
+        cells <= u128::from(CELLS_MAX),
+        "the region has {cells} cells, and a file takes at most {CELLS_MAX}. {PART}"
+    );
+    Ok(predicted.whole().await?)
+}
+
+/// Prints what was written, or drawn in the terminal.
+fn put(session: &Session, path: Option<&Path>, picture: &MapPicture, generation: u64) -> anyhow::Result<ExitCode> {
     let count = |wanted: fn(&PictureCell) -> bool| picture.cells.iter().filter(|cell| wanted(cell)).count() as u64;
     let known = count(|cell| *cell != PictureCell::Unknown);
     let changing = count(|cell| matches!(cell, PictureCell::Changing { .. }));
@@ -233,7 +248,7 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
             (picture.cells.len() as u64).into(),
             known.into(),
             changing.into(),
-            predicted.header.generation.into(),
+            generation.into(),
         ]],
     )
 }

@@ -23,7 +23,7 @@ use tidemap_proto::v1::scan::Content;
 use tokio::sync::mpsc;
 
 use self::plan::FileKind;
-pub(super) use self::plan::{ScanOptions, ScanPlan, plan};
+pub(super) use self::plan::{ScanOptions, ScanPlan, named, plan};
 use super::cell_masks::{CellCounts, GridMasks, check_reach, of_octomap, of_plane};
 use crate::progress::Bar;
 use tidemap_formats::{PointFile, nav2, octomap, pcd, ply};
@@ -175,8 +175,9 @@ impl FileReader {
                 Ok(self.tiles(file, on))
             }
             FileKind::Plane => {
-                let (map, mode) = plane(file)?;
-                let on = of_plane(&map, mode, self.options.between, &self.grid)?;
+                let (map, settings) = plane(file, self.options.is_205_unknown)?;
+                let mut on = of_plane(&map, settings.mode, self.options.between, &self.grid)?;
+                on.counts.add_free_205(map.free_205, settings.free_thresh);
                 Ok(self.tiles(file, on))
             }
             FileKind::Scans => anyhow::bail!("a file of scans is not one scan"),
@@ -222,12 +223,13 @@ fn cloud(points: PointFile, options: &ScanOptions) -> anyhow::Result<PointCloud>
     })
 }
 
-/// A 2D grid from its YAML file, or from its image with the YAML file of the same name beside it; and its mode. An
+/// A 2D grid from its YAML file, or from its image with the YAML file of the same name beside it; and its settings. An
 /// error names the file if it is not `file`.
-fn plane(file: &Path) -> anyhow::Result<(nav2::Grid, nav2::GridMode)> {
-    let (settings, image_path) = plane_files(file)?;
+fn plane(file: &Path, is_205_unknown: bool) -> anyhow::Result<(nav2::Grid, nav2::GridSettings)> {
+    let (mut settings, image_path) = plane_files(file)?;
+    settings.is_205_unknown = is_205_unknown;
     let read = || Ok(nav2::read(&settings, &fs::read(&image_path)?)?);
-    of_file(read(), &image_path, file).map(|grid| (grid, settings.mode))
+    of_file(read(), &image_path, file).map(|grid| (grid, settings))
 }
 
 /// The settings of a 2D grid, and the path of its image.

@@ -4,7 +4,10 @@
 
 use std::collections::HashMap;
 
+use tidemap_client::maps::RowKind;
 use tidemap_formats::observation_file::ObservationRow;
+
+use super::next_steps::NextSteps;
 
 /// Maximum number of states that are watched.
 const STATES_MAX: usize = 10_000;
@@ -24,12 +27,16 @@ struct Seen {
     /// Rows at the time of the first.
     at_first: u64,
     has_two_values: bool,
+    /// Rows that were refused for a word that nobody knows.
+    unknown_words: u64,
 }
 
 /// What was seen of a file.
 #[derive(Debug, Default)]
 pub(crate) struct RowAdvice {
     states: HashMap<String, Seen>,
+    /// Such rows of states without a valid row before them.
+    unknown_words: HashMap<String, u64>,
 }
 
 impl RowAdvice {
@@ -42,7 +49,8 @@ impl RowAdvice {
         let Some(seen) = self.states.get_mut(&row.state) else {
             let has_two_values = value == 0.0 || value == 1.0;
             let first_nanos = row.time_nanos;
-            let seen = Seen { rows: 1, changes: 0, last: value, first_nanos, at_first: 1, has_two_values };
+            let seen =
+                Seen { rows: 1, changes: 0, last: value, first_nanos, at_first: 1, has_two_values, unknown_words: 0 };
             self.states.insert(row.state.clone(), seen);
             return;
         };
@@ -53,36 +61,67 @@ impl RowAdvice {
         seen.has_two_values &= value == 0.0 || value == 1.0;
     }
 
-    /// What is to be told. `are_samples`: the rows were sent as readings.
-    pub(crate) fn lines(&self, are_samples: bool) -> Vec<String> {
-        let looks_like = |seen: &Seen| {
+    /// Looks at a row that is refused for a word that nobody knows.
+    pub(crate) fn see_unknown_word(&mut self, row: &ObservationRow) {
+        if let Some(seen) = self.states.get_mut(&row.state) {
+            seen.unknown_words += 1;
+        } else if !row.state.is_empty() && self.unknown_words.len() < STATES_MAX {
+            *self.unknown_words.entry(row.state.clone()).or_default() += 1;
+        }
+    }
+
+    /// What is to be told. `kind`: what the rows were sent as.
+    pub(crate) fn lines(&self, kind: RowKind, steps: &NextSteps<'_>) -> Vec<String> {
+        let looks_like = |_: &str, seen: &Seen| {
             seen.rows >= ROWS_MIN && seen.has_two_values && seen.changes as f64 >= CHANGES_MIN * (seen.rows - 1) as f64
         };
         let mut lines = Vec::new();
-        if let Some(states) = self.states_that(looks_like).filter(|_| are_samples) {
+        if let Some((states, first)) = self.states_that(looks_like).filter(|_| kind == RowKind::Samples) {
             lines.push(format!(
                 "{states}: nearly every row differs from the row before. If the sensor reports changes only, these rows \
-                 say something wrong as they are: erase the state (tidemap erase MAP --state NAME), and send the file with \
-                 --changes and a --producer or --label of its own"
+                 say something wrong as they are: {}",
+                steps.as_changes(first)
             ));
         }
-        let is_at_once = |seen: &Seen| seen.rows >= ROWS_MIN && seen.at_first == seen.rows;
-        if let Some(states) = self.states_that(is_at_once) {
+        let is_one_value = |name: &str, seen: &Seen| {
+            let unknown = seen.unknown_words + self.unknown_words.get(name).copied().unwrap_or_default();
+            seen.changes == 0 && !seen.last.is_nan() && unknown > 0 && seen.has_two_values
+        };
+        if let Some((states, first)) = self.states_that(is_one_value) {
+            let value = self.states.get(first).map_or(f64::NAN, |seen| seen.last);
+            lines.push(format!(
+                "these states have only one value, {value} for the first, because the words of their other rows are not known: {states}. \
+                 Say what these words stand for, as in --values WORD=0"
+            ));
+        }
+        let never_changes = |name: &str, seen: &Seen| {
+            let is_whole = seen.unknown_words == 0 && !self.unknown_words.contains_key(name);
+            seen.rows >= ROWS_MIN && seen.changes == 0 && !seen.last.is_nan() && is_whole
+        };
+        if let Some((states, first)) = self.states_that(never_changes).filter(|_| kind == RowKind::Changes) {
+            lines.push(format!(
+                "{states}: all rows have one value, so that nothing ever changes. If each row is an event, {}",
+                steps.as_events(first)
+            ));
+        }
+        let is_at_once = |_: &str, seen: &Seen| seen.rows >= ROWS_MIN && seen.at_first == seen.rows;
+        if let Some((states, _)) = self.states_that(is_at_once) {
             lines.push(format!("{states}: all rows have the same time. Were digits of the times lost?"));
         }
         lines
     }
 
-    /// The states of which this is true, in words; `None`: there are none.
-    fn states_that(&self, is_true: impl Fn(&Seen) -> bool) -> Option<String> {
+    /// The states of which this is true, in words, and the first of them; `None`: there are none.
+    fn states_that(&self, is_true: impl Fn(&str, &Seen) -> bool) -> Option<(String, &str)> {
         let mut names: Vec<&str> =
-            self.states.iter().filter(|(_, seen)| is_true(seen)).map(|(name, _)| name.as_str()).collect();
+            self.states.iter().filter(|(name, seen)| is_true(name, seen)).map(|(name, _)| name.as_str()).collect();
         names.sort_unstable();
         let first = *names.first()?;
-        Some(match names.len() {
+        let words = match names.len() {
             1 => format!("state {first:?}"),
             2 => format!("state {first:?} and one more"),
             count => format!("state {first:?} and {} more", count - 1),
-        })
+        };
+        Some((words, first))
     }
 }

@@ -4,6 +4,7 @@
 //! passed on at once.
 
 use std::{
+    collections::{HashMap, HashSet},
     io::{BufReader, Read},
     path::Path,
     thread,
@@ -23,6 +24,8 @@ const CHUNK_ROWS: usize = 1024;
 const CHUNKS_AHEAD: usize = 4;
 /// Refusals that are reported one by one.
 const REPORTED_MAX: u64 = 20;
+/// Of these, refusals that differ in their numbers only.
+const ALIKE_MAX: u64 = 3;
 
 /// Rows that were read together.
 #[derive(Debug)]
@@ -123,7 +126,8 @@ fn read<R: Read, L: Layout>(
     }
 }
 
-/// Reports invalid rows or scans: the first ones one by one, then the number of the others.
+/// Reports invalid rows or scans: each reason once, of reasons that differ in their numbers only the first ones, then
+/// the number of the others.
 #[derive(Debug)]
 pub(crate) struct RefusalReport {
     bar: Bar,
@@ -133,12 +137,26 @@ pub(crate) struct RefusalReport {
     reported: u64,
     torn: bool,
     kept: Option<RefusedRows>,
+    /// Reasons that were reported.
+    said: HashSet<String>,
+    /// How many were reported of reasons that are alike but for their numbers.
+    alike: HashMap<String, u64>,
 }
 
 impl RefusalReport {
     /// `noun` and `verb` make the message: a "row" "is refused".
     pub(crate) fn new(bar: Bar, noun: &'static str, verb: &'static str) -> Self {
-        Self { bar, noun, verb, wrong: 0, reported: 0, torn: false, kept: None }
+        Self {
+            bar,
+            noun,
+            verb,
+            wrong: 0,
+            reported: 0,
+            torn: false,
+            kept: None,
+            said: HashSet::new(),
+            alike: HashMap::new(),
+        }
     }
 
     /// Adds refused rows to `kept`, so that they can be written to a file.
@@ -163,10 +181,35 @@ impl RefusalReport {
         if let Some(kept) = &mut self.kept {
             kept.add(line, why);
         }
-        if self.reported < REPORTED_MAX {
+        if self.is_news(why) {
             self.reported += 1;
             let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
             self.bar.status_line(&format!("{} {number}{line} {}: {why}", self.noun, self.verb));
+        }
+    }
+
+    /// Whether a reason is to be reported.
+    fn is_news(&mut self, why: &str) -> bool {
+        if self.reported >= REPORTED_MAX || self.said.contains(why) {
+            return false;
+        }
+        let without_numbers = why.replace(|letter: char| letter.is_ascii_digit() || "+-.:e".contains(letter), "");
+        let alike = self.alike.entry(without_numbers).or_default();
+        *alike += 1;
+        *alike <= ALIKE_MAX && self.said.insert(why.to_owned())
+    }
+
+    /// Whether a reported reason has these words.
+    pub(crate) fn has_reason(&self, words: &str) -> bool {
+        self.said.iter().any(|why| why.contains(words))
+    }
+
+    /// Reports a file that was not sent, because it cannot be used.
+    pub(crate) fn left_out(&mut self, file: &Path, why: &str) {
+        self.wrong += 1;
+        if self.reported < REPORTED_MAX {
+            self.reported += 1;
+            self.bar.status_line(&format!("{} {}: {why}", file.display(), self.verb));
         }
     }
 
@@ -198,7 +241,27 @@ impl RefusalReport {
     /// Reports the number of refusals that were not reported one by one.
     pub(crate) fn conclude(&self) {
         if self.wrong > self.reported {
-            self.bar.status_line(&format!("and {} more {}s like these", self.wrong - self.reported, self.noun));
+            let more = self.wrong - self.reported;
+            let nouns = if more == 1 { self.noun.to_owned() } else { format!("{}s", self.noun) };
+            self.bar.status_line(&format!("and {more} more {nouns} for the reasons above or like them"));
         }
     }
+}
+
+#[test]
+fn a_reason_is_reported_once_and_reasons_that_differ_in_numbers_only_some_times() {
+    let mut report = RefusalReport::new(Bar::bytes(None), "row", "is refused");
+    for number in 1..=10 {
+        report.refused(number, None, "value \"ajar\" is not a number");
+        report.refused(10 + number, None, &format!("value {number}.5 is not between 0 and 1"));
+    }
+    assert_eq!((report.wrong, report.reported), (20, 1 + ALIKE_MAX));
+    report.refused(21, None, "value \"half\" is not a number");
+    assert_eq!(report.reported, 2 + ALIKE_MAX, "another word is another reason");
+    assert!(report.has_reason("not between 0 and 1") && !report.has_reason("half-open"));
+    for number in 0..2 * REPORTED_MAX {
+        let word: String = std::iter::repeat_n('x', number as usize + 1).collect();
+        report.refused(100 + number, None, &word);
+    }
+    assert_eq!(report.reported, REPORTED_MAX);
 }

@@ -10,6 +10,7 @@ use tidemap_formats::observation_file::{ObservationColumns, RowItem, RowRules};
 use super::{
     super::{Session, predict::names},
     feed,
+    next_steps::NextSteps,
 };
 
 /// Maximum number of states that are compared.
@@ -25,6 +26,7 @@ pub(super) async fn check(
     (map, file): (&str, &Path),
     rules: &RowRules,
     stated: StatedReporting,
+    steps: &NextSteps<'_>,
 ) -> anyhow::Result<()> {
     if !file.is_file() {
         return Ok(());
@@ -59,6 +61,7 @@ pub(super) async fn check(
     };
     anyhow::bail!(
         "state {name:?} exists and is reported by {found}, not by {stated}{more}. Nothing was sent. How a state is \
-         reported never changes: erase it first, with tidemap erase {map} --state {name}, and send with --replace"
+         reported never changes: {}",
+        steps.erase_first(name)
     )
 }

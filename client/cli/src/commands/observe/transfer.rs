@@ -5,6 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use tidemap_client::maps::RowKind;
 use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, TraversalReport, content::ContentCrc};
 use tokio::{sync::watch, task::JoinHandle};
 
@@ -12,11 +13,15 @@ use super::{
     advice::RowAdvice,
     feed::{RefusalReport, RowChunk, RowChunks},
     kinds::Kinds,
+    next_steps::NextSteps,
 };
 use crate::progress::Bar;
 use tidemap_formats::observation_file::{
     Layout as _, ObservationColumns, ObservationRow, RowPlace, traversals::TraversalRow,
 };
+
+/// Maximum number of states that are compared with those of the map.
+const STATES_MAX: usize = 10_000;
 
 /// A row that can be sent.
 pub(crate) trait Sendable {
@@ -141,6 +146,8 @@ pub(super) struct RowTransfer<T> {
     mapped: u64,
     without_value: u64,
     seen: RowAdvice,
+    /// States of rows that were sent before.
+    before: BTreeSet<String>,
     /// Numbers of the invalid rows, until the daemon confirms them.
     wrong: BTreeSet<u64>,
     /// Line minus number of the rows from a number on: blank lines have no number.
@@ -175,6 +182,7 @@ impl<T: Sendable> RowTransfer<T> {
             mapped: 0,
             without_value: 0,
             seen: RowAdvice::default(),
+            before: BTreeSet::new(),
             wrong: BTreeSet::new(),
             lines: BTreeMap::new(),
             dropped: progress.dropped_refusals,
@@ -204,6 +212,13 @@ impl<T: Sendable> RowTransfer<T> {
             self.read = number;
             self.duplicate += 1;
             row.add_to(&mut self.crc);
+            if let Some(seen) = row.observation()
+                && self.before.len() < STATES_MAX
+                && !seen.state.is_empty()
+                && !self.before.contains(&seen.state)
+            {
+                self.before.insert(seen.state.clone());
+            }
             if number == self.sent_before && self.crc.value() != self.content_crc {
                 let sent_before = self.sent_before;
                 return Err(TransferEnd::Differs(format!(
@@ -225,6 +240,10 @@ impl<T: Sendable> RowTransfer<T> {
             self.refused += 1;
             self.wrong.insert(number);
             self.report.refused(number, Some(line), &wrong);
+            // A word that nobody knows.
+            if let Some(row) = row.observation().filter(|_| wrong.contains("--values")) {
+                self.seen.see_unknown_word(row);
+            }
         } else if let Some(row) = row.observation() {
             self.mapped += u64::from(row.is_word);
             self.without_value += u64::from(row.position.is_none() && row.value.is_nan());
@@ -233,9 +252,14 @@ impl<T: Sendable> RowTransfer<T> {
         Ok(())
     }
 
-    /// What the rows look like. `are_samples`: they were sent as readings.
-    pub(super) fn advice(&self, are_samples: bool) -> Vec<String> {
-        self.seen.lines(are_samples)
+    /// What the rows look like. `kind`: what they were sent as.
+    pub(super) fn advice(&self, kind: RowKind, steps: &NextSteps<'_>) -> Vec<String> {
+        self.seen.lines(kind, steps)
+    }
+
+    /// Names of the states of rows that were sent before, some of them if there are many.
+    pub(super) fn sent_before_states(&self) -> &BTreeSet<String> {
+        &self.before
     }
 
     /// Stores the line of a row, unless it follows from the row before.

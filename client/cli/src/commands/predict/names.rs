@@ -12,7 +12,7 @@ fn is_pattern(name: &str) -> bool {
 }
 
 /// Whether a name matches a pattern: `*` stands for any characters, `?` for one.
-fn matches(pattern: &[char], name: &[char]) -> bool {
+pub(crate) fn matches(pattern: &[char], name: &[char]) -> bool {
     let (mut at, mut read) = (0, 0);
     // After the last `*`, and how far that one reaches.
     let mut star: Option<(usize, usize)> = None;

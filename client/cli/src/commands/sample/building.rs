@@ -19,7 +19,7 @@ set -ex
 
 # A map with a flat grid, and a Nav2 map for every hour: the times are in the names of the files.
 tidemap map create building --time-zone Europe/London --grid resolution=CELL,flat
-tidemap grid observe building maps/*.yaml --times-from 'map_%Y-%m-%d_%H-%M.yaml' --utc --producer scanner --label maps
+tidemap grid observe building maps --times-from 'map_%Y-%m-%d_%H-%M.yaml' --utc --producer scanner --label maps
 
 # The rooms and the front door, the topological map, and where a robot drove.
 tidemap observe building rooms.csv --producer robot-1

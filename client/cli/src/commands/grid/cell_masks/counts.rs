@@ -23,6 +23,10 @@ pub(crate) struct CellCounts {
     pub(super) from: Option<f64>,
     /// Cells of the grid's size that lie outside of the grid.
     pub(super) outside: u64,
+    /// Pixels of value 205 that count as free.
+    pub(super) free_205: u64,
+    /// By which threshold.
+    pub(super) free_thresh: Option<f64>,
 }
 
 impl CellCounts {
@@ -53,6 +57,14 @@ impl CellCounts {
         }
     }
 
+    /// Counts pixels of value 205 that count as free by a threshold.
+    pub(crate) fn add_free_205(&mut self, pixels: u64, free_thresh: f64) {
+        if pixels > 0 {
+            self.free_205 += pixels;
+            self.free_thresh = Some(free_thresh);
+        }
+    }
+
     /// Adds those of another map.
     pub(crate) fn add(&mut self, other: &CellCounts) {
         self.all += other.all;
@@ -62,14 +74,22 @@ impl CellCounts {
         self.as_occupied += other.as_occupied;
         self.from = other.from.or(self.from);
         self.outside += other.outside;
+        self.free_205 += other.free_205;
+        self.free_thresh = other.free_thresh.or(self.free_thresh);
     }
 
     /// What to say of them.
     pub(crate) fn notices(&self) -> Vec<String> {
-        let CellCounts { all, unknown, left, as_free, as_occupied, from, outside } = *self;
+        let CellCounts { all, unknown, left, as_free, as_occupied, from, outside, free_205, free_thresh } = *self;
         let mut notices = Vec::new();
         if unknown > 0 {
             notices.push(format!("{unknown} of {all} pixels are unknown and count as not observed"));
+        }
+        if let Some(free_thresh) = free_thresh {
+            notices.push(format!(
+                "{free_205} of {all} pixels have the value 205, which map savers write for unknown, and count as free with \
+                 free_thresh {free_thresh}, as in Nav2's map server. --unknown-205 reads them as unknown"
+            ));
         }
         if left > 0 {
             notices

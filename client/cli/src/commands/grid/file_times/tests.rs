@@ -23,7 +23,8 @@ fn from(pattern: &str) -> FileTimeArgs {
 /// The times of files in the order in which they are sent.
 fn times(args: &FileTimeArgs, zone: &str, names: &[&str]) -> anyhow::Result<Vec<i64>> {
     let files = paths(names);
-    let timed = args.of(&files)?.resolve(zone, files.into_iter().map(|file| (file, ())).collect())?;
+    let (timed, refused) = args.of(&files)?.resolve(zone, files.into_iter().map(|file| (file, ())).collect())?;
+    assert_eq!(refused, [], "every time exists");
     Ok(timed.into_iter().map(|(_, (), time)| time).collect())
 }
 
@@ -79,14 +80,21 @@ fn names_without_a_zone_need_a_word() -> anyhow::Result<()> {
 }
 
 #[test]
-fn the_hour_that_exists_twice_follows_the_order_and_the_other_is_refused() -> anyhow::Result<()> {
+fn the_hour_that_exists_twice_follows_the_order_and_the_other_refuses_its_file_only() -> anyhow::Result<()> {
     let local = FileTimeArgs { local: true, ..from("*_%Y%m%d_%H%M.yaml") };
     let twice = ["1_20251026_0200.yaml", "2_20251026_0230.yaml", "3_20251026_0200.yaml", "4_20251026_0300.yaml"];
     // 2025-10-26T00:00:00Z is 02:00 in Berlin for the first time.
     let first = 1_761_436_800_000_000_000;
     assert_eq!(times(&local, "Europe/Berlin", &twice)?, [0, HOUR / 2, HOUR, 2 * HOUR].map(|after| first + after));
-    let gap = message(times(&local, "Europe/Berlin", &["1_20250330_0230.yaml"]));
-    assert!(gap.contains("does not exist in Europe/Berlin") && gap.contains("1_20250330_0230.yaml"), "{gap}");
+    let files = paths(&["1_20250330_0130.yaml", "2_20250330_0230.yaml", "3_20250330_0330.yaml"]);
+    let named = files.iter().cloned().map(|file| (file, ())).collect();
+    let (timed, refused) = local.of(&files)?.resolve("Europe/Berlin", named)?;
+    // 2025-03-30T00:30:00Z is 01:30 in Berlin, and an hour later 03:30.
+    let before = 1_743_294_600_000_000_000;
+    assert_eq!(timed.iter().map(|(_, (), time)| *time).collect::<Vec<_>>(), [before, before + HOUR]);
+    let [(file, why)] = &refused[..] else { panic!("one file is refused: {refused:?}") };
+    assert_eq!(file, &files[1]);
+    assert!(why.contains("does not exist in Europe/Berlin"), "{why}");
     Ok(())
 }
 

@@ -4,7 +4,8 @@
 //! is complete before the daemon is contacted.
 
 use std::{
-    fs::File,
+    collections::HashSet,
+    fs::{self, File},
     io::Read as _,
     path::{Path, PathBuf},
 };
@@ -13,7 +14,10 @@ use anyhow::Context as _;
 use tidemap_client::observe::scan::Isometry3;
 
 use super::{super::cell_masks::Between, plane_files};
-use crate::commands::{UsageError, files, usage};
+use crate::{
+    commands::{UsageError, files, usage},
+    progress::status_line,
+};
 use tidemap_formats::pcd;
 
 /// Maximum length of a point cloud's header, in bytes.
@@ -26,6 +30,8 @@ pub(in crate::commands::grid) struct ScanOptions {
     pub(in crate::commands::grid) min_range_m: Option<f32>,
     pub(in crate::commands::grid) max_range_m: Option<f32>,
     pub(in crate::commands::grid) between: Option<Between>,
+    /// Pixels of value 205 are unknown, whatever the thresholds.
+    pub(in crate::commands::grid) is_205_unknown: bool,
 }
 
 /// The format of a file, by its ending.
@@ -45,6 +51,45 @@ pub(in crate::commands::grid) enum ScanPlan {
     Scans(PathBuf),
     /// Files of one scan each.
     Each(Vec<(PathBuf, FileKind)>, ScanOptions),
+}
+
+/// The files that paths name: a folder stands for its files with a known ending, by name. The image of a 2D map whose
+/// YAML file is named, too, is left out: both are one map.
+///
+/// # Errors
+/// A folder cannot be read, or has no such file.
+pub(in crate::commands::grid) fn named(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut named = Vec::with_capacity(paths.len());
+    for path in paths {
+        if !path.is_dir() {
+            named.push(path.clone());
+            continue;
+        }
+        let shown = || path.display().to_string();
+        let entries = fs::read_dir(path).with_context(shown)?.collect::<Result<Vec<_>, _>>().with_context(shown)?;
+        let mut within: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
+        within.retain(|file| file.is_file() && kind(file).is_ok());
+        if within.is_empty() {
+            return Err(usage(format!("{}: no file there ends in .tms, .pcd, .ply, .bt, .ot, .yaml or .pgm", shown())));
+        }
+        within.sort_unstable();
+        named.append(&mut within);
+    }
+    let images: HashSet<PathBuf> =
+        named.iter().filter(|file| is_settings(file)).filter_map(|file| Some(plane_files(file).ok()?.1)).collect();
+    let before = named.len();
+    named.retain(|file| is_settings(file) || !images.contains(file));
+    if named.len() < before {
+        let count = before - named.len();
+        let (images, are) = if count == 1 { ("image", "is") } else { ("images", "are") };
+        status_line(&format!("{count} {images} of maps {are} left out: the .yaml files beside them are sent"));
+    }
+    Ok(named)
+}
+
+/// Whether a file is the YAML file of a 2D map.
+fn is_settings(file: &Path) -> bool {
+    matches!(files::ending(file).as_deref(), Some("yaml" | "yml"))
 }
 
 /// Plans how to send files. `has_times`: options give them times.
@@ -84,6 +129,9 @@ impl ScanOptions {
         match self.between {
             Some(_) if !kinds.contains(&FileKind::Plane) => {
                 Err(UsageError("--between is for maps of Nav2, .yaml or .pgm: leave it out".to_owned()))
+            }
+            _ if self.is_205_unknown && !kinds.contains(&FileKind::Plane) => {
+                Err(UsageError("--unknown-205 is for maps of Nav2, .yaml or .pgm: leave it out".to_owned()))
             }
             _ => Ok(()),
         }
@@ -149,7 +197,7 @@ mod tests {
     use super::*;
 
     fn options() -> ScanOptions {
-        ScanOptions { pose: None, min_range_m: None, max_range_m: None, between: None }
+        ScanOptions { pose: None, min_range_m: None, max_range_m: None, between: None, is_205_unknown: false }
     }
 
     fn message(file: &Path, options: &ScanOptions) -> (String, bool) {
@@ -200,6 +248,33 @@ mod tests {
         assert!(is_usage && error.contains("leave out --at"), "{error}");
         let (error, is_usage) = message(&folder.path().join("absent.pcd"), &options());
         assert!(!is_usage && error.contains("absent.pcd"), "{error}");
+        Ok(())
+    }
+
+    #[test]
+    fn a_folder_is_its_maps_and_an_image_beside_its_settings_is_none_of_its_own() -> anyhow::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let settings = |image: &str| {
+            format!(
+                "image: {image}\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+            )
+        };
+        for (name, text) in [
+            ("b.yaml", settings("b.pgm")),
+            ("b.pgm", String::new()),
+            ("a.yaml", settings("other.pgm")),
+            ("other.pgm", String::new()),
+            ("notes.txt", String::new()),
+        ] {
+            std::fs::write(folder.path().join(name), text)?;
+        }
+        let path = |name: &str| folder.path().join(name);
+        assert_eq!(named(&[folder.path().to_path_buf()])?, [path("a.yaml"), path("b.yaml")]);
+        assert_eq!(named(&[path("b.pgm"), path("b.yaml"), path("a.yaml")])?, [path("b.yaml"), path("a.yaml")]);
+        assert_eq!(named(&[path("b.pgm")])?, [path("b.pgm")], "an image alone is a map");
+        assert_eq!(named(&[path("b.yaml"), path("b.yaml")])?.len(), 2, "what is named twice is meant twice");
+        let empty = tempfile::tempdir()?;
+        assert!(named(&[empty.path().to_path_buf()]).is_err_and(|error| error.is::<UsageError>()));
         Ok(())
     }
 

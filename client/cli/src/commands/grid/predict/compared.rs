@@ -1,0 +1,85 @@
+//! `tidemap grid predict` at several times: the maps beside each other, and of two their difference.
+//!
+//! Invariant: all maps are of one region and of one size; nothing is drawn before all predictions have arrived.
+
+use std::{
+    io::{self, Write as _},
+    path::Path,
+    process::ExitCode,
+};
+
+use tidemap_client::queries::GridQuery;
+use tidemap_formats::{MapPicture, grid_text, png};
+
+use super::{GridPredictArgs, ScaleArg, heights_text, picture, predicted, put};
+use crate::{
+    commands::{Session, files, usage},
+    progress::status_line,
+};
+
+/// Maximum number of maps beside each other: the hours of a day that is an hour longer.
+const MAPS_MAX: usize = 25;
+/// From this difference of probabilities on, a cell counts as different.
+const DIFFERENT: f32 = 0.5;
+
+/// Draws the maps, in the terminal or to a PNG file.
+pub(super) async fn run(
+    session: &Session,
+    args: &GridPredictArgs,
+    (query, times): (GridQuery, Vec<i64>),
+    path: Option<&Path>,
+) -> anyhow::Result<ExitCode> {
+    if args.out.is_some() {
+        return Err(usage(format!(
+            "--out takes one time, and there are {}: --picture FILE.png draws them beside each other",
+            times.len()
+        )));
+    }
+    if times.len() > MAPS_MAX {
+        return Err(usage(format!("{} times: at most {MAPS_MAX} maps are drawn, use a longer --step", times.len())));
+    }
+    let mut panels: Vec<(String, MapPicture)> = Vec::with_capacity(times.len());
+    let (mut generation, mut heights) = (0, String::new());
+    for time_nanos in times {
+        let predicted = predicted(session, &GridQuery { time_nanos, ..query.clone() }).await?;
+        (generation, heights) = (predicted.header.generation, heights_text(&predicted.header.grid, query.region));
+        let heading = session.times.heading(time_nanos);
+        // The zone stands in the caption.
+        let title = heading.split(" (").next().unwrap_or(&heading).to_owned();
+        panels.push((title, picture(&predicted, args.value())));
+    }
+    let zone = session.times.heading(query.time_nanos);
+    let zone = zone.split_once(" (").map_or(String::new(), |(_, zone)| format!(" ({zone}"));
+    let caption = match &panels[..] {
+        [(before, _), (after, _)] => format!("{}{heights}: {before} and {after}{zone}", args.map),
+        panels => format!("{}{heights}: {} times{zone}", args.map, panels.len()),
+    };
+    match path {
+        Some(path) => {
+            let scale = args.scale.and_then(|ScaleArg(scale)| scale);
+            files::write(path, png::write_compared(&panels, scale, &caption)?)?;
+        }
+        None => io::stdout().write_all(grid_text::write_compared(&panels, &caption)?.as_bytes())?,
+    }
+    if let [(before, first), (after, second)] = &panels[..] {
+        status_line(&changed(first, second, [before, after]));
+    }
+    match (panels.first(), path) {
+        (Some((_, first)), Some(_)) => put(session, path, first, generation),
+        _ => {
+            status_line("--picture FILE.png draws them in a file");
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+/// How many cells differ between two times.
+fn changed(before: &MapPicture, after: &MapPicture, [from, to]: [&str; 2]) -> String {
+    let differences = before.cells.iter().zip(&after.cells).filter_map(|(before, after)| before.difference(*after));
+    let (mut fuller, mut freer) = (0_u64, 0_u64);
+    for difference in differences {
+        fuller += u64::from(difference >= DIFFERENT);
+        freer += u64::from(difference <= -DIFFERENT);
+    }
+    format!("from {from} to {to}, cells that become fuller by {DIFFERENT} or more: {fuller}, and freer: {freer}")
+}

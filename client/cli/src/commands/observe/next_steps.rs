@@ -1,0 +1,149 @@
+//! What the one who sends a file can do next: the commands that messages advise.
+//!
+//! Invariant: an advised command keeps the options that say how the file is read and what its rows are.
+
+use std::path::Path;
+
+use tidemap_client::observe::ProducerOptions;
+
+use super::{super::shell_word::quoted, base_name};
+
+/// The commands that send a file again.
+#[derive(Clone, Debug)]
+pub(super) struct NextSteps<'a> {
+    map: &'a str,
+    shown: &'a str,
+    /// The command without its file.
+    again: String,
+    /// The label where it is not that of the file.
+    label: String,
+    /// The command that sends the file in place of what was sent; stdin cannot be sent again.
+    replace: Option<String>,
+}
+
+impl<'a> NextSteps<'a> {
+    /// `words`: the options for the file, each with a blank before it.
+    pub(super) fn new(options: &'a ProducerOptions, command: &str, words: &str, shown: &'a str) -> Self {
+        let ProducerOptions { map, producer, label, .. } = options;
+        let again = format!("tidemap {command} {} --producer {}{words}", quoted(map), quoted(producer));
+        let label =
+            if base_name(Path::new(shown)) == *label { String::new() } else { format!(" --label {}", quoted(label)) };
+        let replace =
+            (command == "observe" && shown != "stdin").then(|| format!("{again} {}{label} --replace", quoted(shown)));
+        Self { map, shown, again, label, replace }
+    }
+
+    /// The command that sends another file.
+    pub(super) fn again(&self) -> &str {
+        &self.again
+    }
+
+    /// After rows were refused.
+    pub(super) fn refused(&self) -> Option<String> {
+        let Self { again, shown, label, .. } = self;
+        let replaced = self.replace.as_ref().map_or_else(String::new, |replace| {
+            format!("; or correct them in {shown}, and send all of it anew in place of this: {replace}")
+        });
+        (*shown != "stdin").then(|| {
+            format!(
+                "to correct the refused rows: {again} {}{label} --refused FILE writes them to a file of their own, and \
+                 sends nothing twice{replaced}",
+                quoted(shown)
+            )
+        })
+    }
+
+    /// After values were refused that are no probabilities.
+    pub(super) fn no_probabilities(&self) -> String {
+        format!(
+            "values that are not between 0 and 1 need states of another kind: {} --kinds 'PATTERN=continuous', or count. A \
+             state keeps its kind: erase one that exists first, with tidemap erase {} --state NAME",
+            self.replace.as_deref().unwrap_or("send them with"),
+            quoted(self.map)
+        )
+    }
+
+    /// Before a state can be reported otherwise, or be of another kind.
+    pub(super) fn erase_first(&self, name: &str) -> String {
+        let erase = format!("erase it first, with tidemap erase {} --state {}", quoted(self.map), quoted(name));
+        format!("{erase}, and send the file anew: {}", self.replace.as_deref().unwrap_or("with another --label"))
+    }
+
+    /// After rows were sent as readings that look like changes.
+    pub(super) fn as_changes(&self, first: &str) -> String {
+        self.otherwise(first, "--changes")
+    }
+
+    /// After rows were sent as changes that look like events.
+    pub(super) fn as_events(&self, first: &str) -> String {
+        self.otherwise(first, "--events in place of --changes")
+    }
+
+    fn otherwise(&self, first: &str, option: &str) -> String {
+        let erase = format!("tidemap erase {} --state {}", quoted(self.map), quoted(first));
+        match (&self.replace, option) {
+            (Some(replace), "--changes") => {
+                format!("erase the state ({erase}), and send the file anew: {replace} --changes")
+            }
+            (Some(replace), _) => {
+                let replace = replace.replace(" --changes", " --events");
+                format!("erase the state ({erase}), and send the file anew: {replace}")
+            }
+            (None, option) => format!("erase the state ({erase}), and send the rows with {option} and another --label"),
+        }
+    }
+
+    /// After rows that were sent before, of states that the map does not have.
+    pub(super) fn absent(&self, states: &str) -> String {
+        let what = match &self.replace {
+            Some(replace) => format!("To send them anew: {replace}"),
+            None => "To send them anew, give them another --label".to_owned(),
+        };
+        format!(
+            "the map has nothing of {states}: these rows were sent before, and were refused then or erased since. {what}"
+        )
+    }
+
+    /// After the file differs from what was sent. `another`: a free label.
+    pub(super) fn differs(&self, another: &str) -> String {
+        let corrected = self.replace.as_ref().map_or_else(
+            || {
+                "Corrected rows of the same file go into a file of their own (--refused FILE writes them); with another \
+                 label, all rows would count again."
+                    .to_owned()
+            },
+            |replace| {
+                format!(
+                    "If it was corrected, this withdraws what was sent, and sends it anew: {replace}. (Rows that are only \
+                     added at the end are sent without that; with another label, all rows would count again.)"
+                )
+            },
+        );
+        format!("{corrected} Another file needs another label, such as --label {another}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn advised_commands_keep_the_options_of_the_file() {
+        let options = ProducerOptions::new("hub", "export.csv", "home");
+        let words = " --changes --local --columns time=last_changed";
+        let steps = NextSteps::new(&options, "observe", words, "data/export.csv");
+        let anew = "tidemap observe home --producer hub --changes --local --columns time=last_changed data/export.csv \
+                    --replace";
+        for text in [steps.refused().unwrap_or_default(), steps.absent("\"door\""), steps.differs("b")] {
+            assert!(text.contains(anew), "{text}");
+        }
+        assert!(steps.as_events("the door").contains("--state 'the door'"));
+        assert!(steps.as_events("door").contains("--producer hub --events --local"));
+        let labelled = ProducerOptions::new("hub", "a b", "home");
+        assert!(
+            NextSteps::new(&labelled, "observe", "", "x.csv").differs("c").contains("x.csv --label 'a b' --replace")
+        );
+        let piped = NextSteps::new(&options, "observe", "", "stdin");
+        assert!(piped.refused().is_none() && piped.absent("x").contains("another --label"));
+    }
+}
