@@ -28,7 +28,7 @@ mod tests;
 
 pub use recording::{LandmarkRecording, LandmarkRecordingError};
 pub use report::{summary, write};
-pub use score::LocaliseScores;
+pub use score::{FoundPlaces, LocaliseScores};
 use visibility::Prediction;
 
 /// Numbers of landmarks of each place that are compared.
@@ -82,6 +82,12 @@ pub const VISIBILITY_MODELS: [VisibilityModel; 5] = [
 ];
 
 impl VisibilityModel {
+    /// The model of a name; `None`: there is none.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        VISIBILITY_MODELS.into_iter().find(|model| model.name() == name)
+    }
+
     /// Its name in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -100,27 +106,28 @@ impl VisibilityModel {
 pub struct LocaliseComparison {
     /// Number of pictures that were asked about.
     pub pictures: usize,
-    /// Figures of each model, in the order of [`VISIBILITY_MODELS`].
+    /// Figures of each model, in the order in which they were asked for.
     pub models: Vec<(VisibilityModel, LocaliseScores)>,
 }
 
-/// Compares the models. `progress`: months done, and all.
+/// Compares models. `progress`: months done, and all.
 ///
 /// # Errors
 /// [`LocaliseError`]
 pub fn run(
     recording: &LandmarkRecording,
+    models: &[VisibilityModel],
     progress: &(dyn Fn(u64, u64) + Sync),
 ) -> Result<LocaliseComparison, LocaliseError> {
     let (done, months) = (AtomicU64::new(0), recording.months());
     let of_month = |month: usize| {
-        let found = held_out(recording, month);
+        let found = held_out(recording, models, month);
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, months as u64);
         found
     };
     let of_months: Vec<Vec<LocaliseScores>> = (0..months).into_par_iter().map(of_month).collect::<Result<_, _>>()?;
     let mut models: Vec<(VisibilityModel, LocaliseScores)> =
-        VISIBILITY_MODELS.map(|model| (model, LocaliseScores::default())).to_vec();
+        models.iter().map(|&model| (model, LocaliseScores::default())).collect();
     for of_month in of_months {
         for ((_, all), scores) in models.iter_mut().zip(of_month) {
             all.add(scores);
@@ -130,7 +137,11 @@ pub fn run(
 }
 
 /// Figures of each model for the pictures of a month.
-fn held_out(recording: &LandmarkRecording, month: usize) -> Result<Vec<LocaliseScores>, LocaliseError> {
+fn held_out(
+    recording: &LandmarkRecording,
+    models: &[VisibilityModel],
+    month: usize,
+) -> Result<Vec<LocaliseScores>, LocaliseError> {
     let (places, rules) = (recording.held_out(month), MatchRules::default());
     let of_model = |model: VisibilityModel| {
         let predicted = visibility::predict(model, recording, &places, month)?;
@@ -160,5 +171,5 @@ fn held_out(recording: &LandmarkRecording, month: usize) -> Result<Vec<LocaliseS
         }
         Ok(scores)
     };
-    VISIBILITY_MODELS.into_iter().map(of_model).collect()
+    models.iter().copied().map(of_model).collect()
 }

@@ -19,7 +19,7 @@ use tidemap_experiment::{
     ModelResult, ProtocolError,
     explore::{self, ExploreProtocol, office},
     habits::{self, HABITS, Habit, HabitsProtocol},
-    localise::{self, LandmarkRecording},
+    localise::{self, LandmarkRecording, VISIBILITY_MODELS, VisibilityModel},
     routes::{self, RoutesProtocol},
     search,
 };
@@ -55,9 +55,17 @@ struct LocaliseArgs {
     /// Folder of the recording: images.csv, features.csv.gz, offsets.csv and landmarks.csv.gz
     #[arg(value_name = "FOLDER")]
     recording: PathBuf,
+    /// The models, with commas between them; all by default
+    #[arg(long, value_name = "MODEL,…", value_delimiter = ',', value_parser = visibility_model)]
+    models: Vec<VisibilityModel>,
     /// Folder of the results
     #[arg(long, value_name = "DIR", default_value = "localise-results")]
     out: PathBuf,
+}
+
+fn visibility_model(name: &str) -> Result<VisibilityModel, String> {
+    let names = || VISIBILITY_MODELS.map(VisibilityModel::name).join(", ");
+    VisibilityModel::named(name).ok_or_else(|| format!("there is no such model; the models are {}", names()))
 }
 
 #[derive(Debug, Args)]
@@ -232,10 +240,11 @@ fn routes(args: RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
 
 fn localise(args: &LocaliseArgs, format: Format) -> anyhow::Result<ExitCode> {
     let recording = LandmarkRecording::read(&args.recording)?;
+    let models = if args.models.is_empty() { &VISIBILITY_MODELS[..] } else { &args.models };
     conduct(
         &args.out,
         "months",
-        |bar| Ok(localise::run(&recording, &|done, total| bar.set_of(done, total))?),
+        |bar| Ok(localise::run(&recording, models, &|done, total| bar.set_of(done, total))?),
         localise::write,
         |outcome, stdout| localise::summary(outcome, format, stdout),
     )?;

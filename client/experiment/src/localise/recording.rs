@@ -108,10 +108,13 @@ fn each_row<T: DeserializeOwned>(
     Ok(())
 }
 
-/// The element of a place and month, which a file counts from 1.
-fn of_place<T>(rows: &mut [Vec<T>], place: usize, month: usize) -> Result<&mut T, String> {
-    let found = rows.get_mut(place.wrapping_sub(1)).and_then(|months| months.get_mut(month.wrapping_sub(1)));
-    found.ok_or_else(|| format!("place {place} in month {month} has no row in images.csv"))
+/// The element at two numbers, which a file counts from 1.
+fn counted<T>(rows: &mut [Vec<T>], first: usize, second: usize) -> Option<&mut T> {
+    rows.get_mut(first.wrapping_sub(1)).and_then(|of_first| of_first.get_mut(second.wrapping_sub(1)))
+}
+
+fn no_picture(place: usize, month: usize) -> String {
+    format!("place {place} in month {month} has no row in images.csv")
 }
 
 fn feature(u_px: f64, v_px: f64, hex: &str) -> Result<ImageFeature, String> {
@@ -150,13 +153,16 @@ impl LandmarkRecording {
             times.chunks(months).map(|row| row.iter().map(|(.., nanos)| *nanos).collect()).collect();
         let mut pictures: Vec<Vec<Vec<ImageFeature>>> = vec![vec![Vec::new(); months]; places];
         each_row(folder.join("features.csv.gz"), |row: FeatureRow| {
-            of_place(&mut pictures, row.place, row.month)?.push(feature(row.u, row.v, &row.descriptor)?);
+            let picture =
+                counted(&mut pictures, row.place, row.month).ok_or_else(|| no_picture(row.place, row.month))?;
+            picture.push(feature(row.u, row.v, &row.descriptor)?);
             Ok(())
         })?;
         let mut offsets_px = vec![vec![0.0; months]; places];
         each_row(folder.join("offsets.csv"), |row: OffsetRow| {
             if row.from_month == 1 {
-                *of_place(&mut offsets_px, row.place, row.to_month)? = row.du;
+                let offset = counted(&mut offsets_px, row.place, row.to_month);
+                *offset.ok_or_else(|| no_picture(row.place, row.to_month))? = row.du;
             }
             Ok(())
         })?;
@@ -173,7 +179,8 @@ impl LandmarkRecording {
                 return Err(format!("seen is {:?}: it needs {months} marks, and - for the month held out", row.seen));
             }
             let landmark = RecordedLandmark { feature: feature(row.u, row.v, &row.descriptor)?, seen };
-            of_place(&mut landmarks, row.held_out, row.place)?.push(landmark);
+            let of_place = counted(&mut landmarks, row.held_out, row.place);
+            of_place.ok_or_else(|| no_picture(row.place, row.held_out))?.push(landmark);
             Ok(())
         })?;
         Ok(LandmarkRecording { times_nanos, pictures, offsets_px, landmarks })

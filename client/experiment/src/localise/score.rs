@@ -31,8 +31,8 @@ pub struct LocaliseScores {
     pub places: [FoundPlaces; COUNTS.len()],
     /// Pictures.
     pub pictures: usize,
-    /// Sum of the squared errors of the landmarks of the true places, and their number.
-    squared: (f64, usize),
+    /// Sum over the pictures of the mean squared errors of the landmarks of the true places.
+    squared: f64,
 }
 
 impl LocaliseScores {
@@ -47,18 +47,15 @@ impl LocaliseScores {
             all.seen_again += places.seen_again;
         }
         self.pictures += other.pictures;
-        self.squared.0 += other.squared.0;
-        self.squared.1 += other.squared.1;
+        self.squared += other.squared;
     }
 
     /// Scores the landmarks of the true place of a picture.
     pub(super) fn visible(&mut self, predicted: &[Prediction], again: &[bool]) {
         self.pictures += 1;
         let is_seen = |index: usize| f64::from(u8::from(again.get(index).copied().unwrap_or(false)));
-        for (index, prediction) in predicted.iter().enumerate() {
-            self.squared.0 += (prediction.probability - is_seen(index)).powi(2);
-            self.squared.1 += 1;
-        }
+        let squared = |(index, prediction): (usize, &Prediction)| (prediction.probability - is_seen(index)).powi(2);
+        self.squared += predicted.iter().enumerate().map(squared).sum::<f64>() / predicted.len().max(1) as f64;
         let numbers: Vec<[f64; 2]> = predicted.iter().map(|prediction| [prediction.rank, prediction.mean]).collect();
         for (places, count) in self.places.iter_mut().zip(COUNTS) {
             let chosen = tidemap_plan::localise::most_probable(&numbers, count);
@@ -78,10 +75,10 @@ impl LocaliseScores {
         }
     }
 
-    /// Mean squared error of the landmarks of the true places (Brier score).
+    /// Mean squared error of the landmarks of the true places (Brier score), each picture counting alike.
     #[must_use]
     pub fn mse(&self) -> f64 {
-        self.squared.0 / self.squared.1.max(1) as f64
+        self.squared / self.pictures.max(1) as f64
     }
 }
 
