@@ -1,9 +1,11 @@
 //! Which of a few labels holds, such as what a person does: what a classifier says, joined with what is usual.
 //!
 //! The posterior of a label is proportional to the likelihood of what the classifier said if the label held, times how
-//! usual the label is at the time, times how usual it is at the place where that is known (Krajník et al., "Frequency
-//! Map Enhancement", 2016, section VIII). Usual is what temporal models predict, one for each label, and what
-//! [`LabelCounts`] counted at the place. Neither ever excludes a label: both are at least [`PRIOR_MIN`].
+//! usual the label is at the time (Krajník et al., "Frequency Map Enhancement", 2016, section VIII). Where the place is
+//! known, it is a second prior: how usual the place is for the label, p(place | label), so that how often a label
+//! occurs at all counts once, in the temporal prior, and not again for the place. Usual is what temporal models
+//! predict, one for each label, and what [`LabelPlaces`] counted. Neither ever excludes a label: both are at least
+//! [`PRIOR_MIN`].
 //!
 //! Invariant: a posterior has a probability for each label, from 0 to 1, and they sum to 1 within rounding; evidence of
 //! which there is none is refused, not guessed.
@@ -31,9 +33,9 @@ pub enum InvalidEvidence {
     /// All likelihoods are 0.
     #[error("the likelihood of every label is 0, so that no label explains what was observed")]
     NothingPossible,
-    /// A label that does not exist.
-    #[error("label {label} does not exist: there are {labels}, counted from 0")]
-    UnknownLabel { label: usize, labels: usize },
+    /// A label or a place that does not exist.
+    #[error("{what} {found} does not exist: there are {count}, counted from 0")]
+    Unknown { what: &'static str, found: usize, count: usize },
 }
 
 /// What is known of a label at a time and place.
@@ -43,7 +45,7 @@ pub struct LabelEvidence<'a> {
     pub likelihoods: &'a [f64],
     /// For each label, its probability at the time, as temporal models predict it. They need not sum to 1.
     pub temporal: &'a [f64],
-    /// For each label, its probability at the place; none where the place is not known.
+    /// For each label, the probability of being at this place while it holds; none where the place is not known.
     pub spatial: Option<&'a [f64]>,
 }
 
@@ -97,38 +99,47 @@ fn check(
     }
 }
 
-/// How often each label was observed at a place.
+/// Where each label was observed, and how often.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LabelCounts {
-    counts: Vec<f64>,
+pub struct LabelPlaces {
+    /// By place, then by label.
+    counts: Vec<Vec<f64>>,
+    /// By label: at all places.
+    totals: Vec<f64>,
 }
 
-impl LabelCounts {
-    /// Nothing observed yet.
+impl LabelPlaces {
+    /// Nothing observed yet at any of the places.
     ///
     /// # Errors
     /// [`InvalidEvidence::Labels`] if there are too few or too many labels.
-    pub fn new(labels: usize) -> Result<Self, InvalidEvidence> {
+    pub fn new(labels: usize, places: usize) -> Result<Self, InvalidEvidence> {
         if !LABELS.contains(&labels) {
             return Err(InvalidEvidence::Labels { found: labels });
         }
-        Ok(Self { counts: vec![0.0; labels] })
+        Ok(Self { counts: vec![vec![0.0; labels]; places], totals: vec![0.0; labels] })
     }
 
-    /// Counts an observation of a label.
+    /// Counts an observation of a label at a place.
     ///
     /// # Errors
-    /// [`InvalidEvidence::UnknownLabel`] if there is no such label; nothing is counted then.
-    pub fn add(&mut self, label: usize) -> Result<(), InvalidEvidence> {
-        let labels = self.counts.len();
-        *self.counts.get_mut(label).ok_or(InvalidEvidence::UnknownLabel { label, labels })? += 1.0;
+    /// [`InvalidEvidence::Unknown`] if there is no such label or place; nothing is counted then.
+    pub fn add(&mut self, label: usize, place: usize) -> Result<(), InvalidEvidence> {
+        let unknown = |what, found, count| InvalidEvidence::Unknown { what, found, count };
+        let (labels, places) = (self.totals.len(), self.counts.len());
+        let total = self.totals.get_mut(label).ok_or(unknown("label", label, labels))?;
+        self.counts.get_mut(place).ok_or(unknown("place", place, places))?[label] += 1.0;
+        *total += 1.0;
         Ok(())
     }
 
-    /// The share of each label, a spatial prior; none before the first observation.
-    pub fn shares(&self) -> Option<Vec<f64>> {
-        let sum: f64 = self.counts.iter().sum();
-        (sum > 0.0).then(|| self.counts.iter().map(|count| count / sum).collect())
+    /// For each label, the probability of being at the place while it holds, by Laplace's rule of succession over the
+    /// places where anything was observed. None for a place where nothing was, which says nothing of any label.
+    pub fn prior(&self, place: usize) -> Option<Vec<f64>> {
+        let has_any = |counts: &[f64]| counts.iter().any(|&count| count > 0.0);
+        let counts = self.counts.get(place).filter(|counts| has_any(counts))?;
+        let places = self.counts.iter().filter(|counts| has_any(counts)).count() as f64;
+        Some(counts.iter().zip(&self.totals).map(|(count, total)| (count + 1.0) / (total + places)).collect())
     }
 }
 

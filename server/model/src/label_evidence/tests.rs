@@ -4,7 +4,7 @@
 
 use proptest::prelude::*;
 
-use super::{InvalidEvidence, LABELS, LabelCounts, LabelEvidence, PRIOR_MIN};
+use super::{InvalidEvidence, LABELS, LabelEvidence, LabelPlaces, PRIOR_MIN};
 
 fn posterior(likelihoods: &[f64], temporal: &[f64], spatial: Option<&[f64]>) -> Result<Vec<f64>, InvalidEvidence> {
     LabelEvidence { likelihoods, temporal, spatial }.posterior()
@@ -21,7 +21,8 @@ fn oracle(likelihoods: &[f64], temporal: &[f64], spatial: Option<&[f64]>) -> Vec
 }
 
 fn close(found: &[f64], expected: &[f64]) -> bool {
-    found.len() == expected.len() && found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-12)
+    found.len() == expected.len()
+        && found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-12)
 }
 
 #[test]
@@ -68,15 +69,30 @@ fn evidence_that_makes_no_sense_is_refused_by_name() {
 }
 
 #[test]
-fn a_place_has_the_shares_of_its_labels_once_something_was_observed_there() {
-    let mut kitchen = LabelCounts::new(3).unwrap();
-    assert_eq!(kitchen.shares(), None);
-    for label in [0, 2, 2, 2] {
-        kitchen.add(label).unwrap();
+fn a_place_tells_which_labels_are_usual_there_once_something_was_observed() {
+    const KITCHEN: usize = 0;
+    const BEDROOM: usize = 1;
+    let mut places = LabelPlaces::new(3, 3).unwrap();
+    assert_eq!(places.prior(KITCHEN), None);
+    for (label, place) in [(0, KITCHEN), (1, KITCHEN), (1, BEDROOM), (1, BEDROOM)] {
+        places.add(label, place).unwrap();
     }
-    assert_eq!(kitchen.add(3), Err(InvalidEvidence::UnknownLabel { label: 3, labels: 3 }));
-    assert_eq!(kitchen.shares(), Some(vec![0.25, 0.0, 0.75]));
-    assert_eq!(LabelCounts::new(1), Err(InvalidEvidence::Labels { found: 1 }));
+    // Two places are known: (1 + 1) / (1 + 2), (1 + 1) / (3 + 2), and for a label that was never observed 1 / 2.
+    assert_eq!(places.prior(KITCHEN), Some(vec![2.0 / 3.0, 0.4, 0.5]));
+    assert_eq!(places.prior(BEDROOM), Some(vec![1.0 / 3.0, 0.6, 0.5]));
+    assert_eq!((places.prior(2), places.prior(3)), (None, None));
+}
+
+#[test]
+fn labels_and_places_that_do_not_exist_are_refused_and_not_counted() {
+    let mut places = LabelPlaces::new(2, 1).unwrap();
+    places.add(0, 0).unwrap();
+    let before = places.clone();
+    let refused = |error: Result<(), InvalidEvidence>| error.unwrap_err().to_string();
+    assert_eq!(refused(places.add(2, 0)), "label 2 does not exist: there are 2, counted from 0");
+    assert_eq!(refused(places.add(0, 1)), "place 1 does not exist: there are 1, counted from 0");
+    assert_eq!(places, before);
+    assert_eq!(LabelPlaces::new(1, 1), Err(InvalidEvidence::Labels { found: 1 }));
 }
 
 /// Likelihoods, a temporal and a spatial prior for the same number of labels.
@@ -98,6 +114,21 @@ proptest! {
         let expected = oracle(&likelihoods, &temporal, spatial.as_deref());
         prop_assert!(close(&found, &expected), "{found:?} {expected:?}");
         prop_assert!((found.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_priors_of_all_places_sum_to_1_for_each_label(
+        observed in prop::collection::vec((0_usize..4, 0_usize..5), 1..100),
+    ) {
+        let mut places = LabelPlaces::new(4, 5).unwrap();
+        for (label, place) in observed {
+            places.add(label, place).unwrap();
+        }
+        let priors: Vec<Vec<f64>> = (0..5).filter_map(|place| places.prior(place)).collect();
+        for label in 0..4 {
+            let sum: f64 = priors.iter().map(|prior| prior[label]).sum();
+            prop_assert!((sum - 1.0).abs() < 1e-12, "{priors:?}");
+        }
     }
 
     #[test]
