@@ -3,7 +3,7 @@
 //! The protocol is that of Krajník et al., "Frequency Map Enhancement", 2016, section VIII, on a recording with an
 //! activity and a place for each minute. The classifier names activity k where r is true with probability C\[r\]\[k\].
 //! Each minute has the posterior of `LabelEvidence`: C\[r\]\[k\] times what a temporal model of each activity
-//! predicts, times how often the activity was recognised at the place, where the place is known. The score of a minute
+//! predicts, times how usual the place is for the activity, where the place is known. The score of a minute
 //! is the posterior of the true activity; minutes without a known activity are left out. At midnight the models learn
 //! what was recognised on the day, one activity drawn from each posterior, and never the truth.
 //!

@@ -1,5 +1,8 @@
 //! The classifiers: what they say of each true activity.
 //!
+//! A minute without a known activity is no error of a classifier: it says so there and nowhere else, as the measured
+//! one does.
+//!
 //! Invariant: the row of an activity has the likelihood of each activity that the classifier may name.
 
 use super::recording::ActivityRecording;
@@ -7,7 +10,7 @@ use super::recording::ActivityRecording;
 /// A classifier of activities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActivityClassifier {
-    /// Right with probability 0.8; the rest is shared evenly among the other activities.
+    /// Right with probability 0.8; the rest is shared evenly among the other known activities.
     Strong,
     /// Right with probability 0.2.
     Weak,
@@ -43,8 +46,14 @@ impl ActivityClassifier {
     }
 }
 
+/// The matrix of a classifier that takes all known activities for each other alike; the first is the unknown one.
 fn even_errors(labels: usize, right: f64) -> Vec<Vec<f64>> {
-    let wrong = (1.0 - right) / (labels - 1) as f64;
-    let row = |true_label: usize| (0..labels).map(|label| if label == true_label { right } else { wrong }).collect();
-    (0..labels).map(row).collect()
+    let wrong = (1.0 - right) / (labels - 2) as f64;
+    let cell = |true_label: usize, label: usize| match (true_label, label) {
+        (0, 0) => 1.0,
+        (0, _) | (_, 0) => 0.0,
+        _ if label == true_label => right,
+        _ => wrong,
+    };
+    (0..labels).map(|true_label| (0..labels).map(|label| cell(true_label, label)).collect()).collect()
 }

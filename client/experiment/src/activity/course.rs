@@ -4,7 +4,7 @@
 //! nothing but what the classifier says, and the score.
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
-use tidemap_model::label_evidence::{LabelCounts, LabelEvidence};
+use tidemap_model::label_evidence::{LabelEvidence, LabelPlaces};
 
 use super::{ActivityError, ActivitySetting, priors::TemporalPriors, recording::ActivityRecording};
 use crate::place_recording::DAY_MINUTES;
@@ -71,11 +71,11 @@ pub(super) fn run(
     let mut priors = TemporalPriors::new(setting.model, labels)?;
     let mut random = SmallRng::seed_from_u64(seed);
     let place_count = recording.places.iter().max().map_or(0, |last| last + 1);
-    let mut places = vec![LabelCounts::new(labels)?; place_count];
+    let mut places = LabelPlaces::new(labels, place_count)?;
     let mut scores = Vec::with_capacity(days);
     for day in 0..days {
         let temporal = priors.day(day);
-        let spatial: Vec<Option<Vec<f64>>> = places.iter().map(LabelCounts::shares).collect();
+        let spatial: Vec<Option<Vec<f64>>> = (0..place_count).map(|place| places.prior(place)).collect();
         let mut of_day = vec![[TrueActivity::default(); HOURS]; labels];
         let mut recognised = Vec::with_capacity(DAY_MINUTES);
         for minute in 0..DAY_MINUTES {
@@ -94,7 +94,7 @@ pub(super) fn run(
             recognised.push(drawn(&posterior, random.random()));
         }
         for (label, place) in recognised.iter().zip(&recording.places[day * DAY_MINUTES..]) {
-            places[*place].add(*label)?;
+            places.add(*label, *place)?;
         }
         if day + 1 < days {
             priors.learn(day, &recognised)?;

@@ -122,7 +122,7 @@ impl ActivityMap {
         let name = MapName::new("activities").map_err(ActivityError::setting)?;
         let mut map = LiveMap::new(Arc::new(MapSpec { created_nanos: minute_nanos(0, 0), ..MapSpec::new(name) }));
         for label in 0..labels {
-            let name = StateName::new(&format!("activity/{label}")).map_err(ActivityError::setting)?;
+            let name = StateName::new(&format!("activity-{label}")).map_err(ActivityError::setting)?;
             let state = NewState::sampled(StateId(label as u32), name, StateKind::Probability);
             map.apply(map.position() + 1, &Event::AddState(state))?;
         }

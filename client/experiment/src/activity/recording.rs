@@ -18,6 +18,8 @@ use crate::place_recording::DAY_MINUTES;
 
 /// Maximum length of a file.
 const FILE_BYTES_MAX: u64 = 64 * 1024 * 1024;
+/// The unknown activity, and two that can be taken for each other.
+const NAMES_MIN: usize = 3;
 /// Places are numbered below this.
 const PLACES_MAX: usize = 1024;
 
@@ -39,7 +41,7 @@ pub enum ActivityRecordingError {
 /// Activities and places by minute.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ActivityRecording {
-    /// Names of the activities. The first stands for none that is known.
+    /// Names of the activities. The first stands for none that is known; two or more are known.
     pub(crate) names: Vec<String>,
     /// The activity in each minute.
     pub(crate) activities: Vec<usize>,
@@ -55,8 +57,8 @@ impl ActivityRecording {
         let file = |name: &str| folder.join(name);
         let names_file = file("activity_names.txt");
         let names: Vec<String> = read(&names_file)?.lines().map(|line| line.trim().to_owned()).collect();
-        if !LABELS.contains(&names.len()) {
-            let wrong = format!("it has {} names, and there have to be {} to {}", names.len(), LABELS.start(), LABELS.end());
+        if !(NAMES_MIN..=*LABELS.end()).contains(&names.len()) {
+            let wrong = format!("it has {} names, and there have to be {NAMES_MIN} to {}", names.len(), LABELS.end());
             return Err(ActivityRecordingError::Whole { path: names_file, wrong });
         }
         let activities = numbers(&file("activity_15days.txt"), names.len())?;
@@ -116,7 +118,8 @@ fn matrix(path: &Path, labels: usize) -> Result<Vec<Vec<f64>>, ActivityRecording
     let row = |(line, row): (usize, &str)| {
         let words = row.split_ascii_whitespace();
         let row = words.map(|word| parse(path, line, word)).collect::<Result<Vec<f64>, ActivityRecordingError>>()?;
-        let are_likelihoods = row.iter().all(|value| (0.0..=1.0).contains(value)) && row.iter().any(|&value| value > 0.0);
+        let are_likelihoods =
+            row.iter().all(|value| (0.0..=1.0).contains(value)) && row.iter().any(|&value| value > 0.0);
         if row.len() == labels && are_likelihoods {
             return Ok(row);
         }

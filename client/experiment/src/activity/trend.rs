@@ -10,6 +10,8 @@ use rand::{SeedableRng as _, rngs::SmallRng, seq::SliceRandom as _};
 /// Number of orders that are drawn.
 const DRAWS: usize = 9_999;
 const SEED: u64 = 1;
+/// A slope nearer to 0 than this is one of equal values, and rounding.
+const ROUNDING: f64 = 1e-12;
 
 /// The slope of values over days.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +29,9 @@ impl DayTrend {
             return None;
         }
         let own = slope(values);
+        if own.abs() < ROUNDING {
+            return Some(Self { slope: 0.0, p_value: 1.0 });
+        }
         let mut random = SmallRng::seed_from_u64(SEED);
         let mut shuffled = values.to_vec();
         let is_as_steep = |_: &usize| {
