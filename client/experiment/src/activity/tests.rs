@@ -75,7 +75,7 @@ fn the_first_day_has_an_even_prior_and_the_days_after_it_what_was_recognised() {
     let (even, by_place, mean, hours, auto) = (last(0), last(1), last(2), last(4), last(6));
     // A mean knows that nobody eats, a histogram when somebody works.
     assert!(even < mean && mean < hours && hours > 0.97, "{mean} {hours}");
-    assert!(auto > 0.97, "{auto}");
+    assert!(auto > mean && auto > 0.95, "{mean} {auto}");
     assert!(by_place > 0.9, "each room has its activity: {by_place}");
 }
 
@@ -167,12 +167,12 @@ fn models_have_names_and_those_without_a_rhythm_to_learn_are_refused() {
 #[test]
 fn time_and_place_help_a_classifier_in_a_real_flat() {
     let Some(folder) = crate::tests::recordings("activity") else { return };
-    let models = ["even", "mean", "spectral:2", "auto"];
+    let models = ["even", "mean", "auto"];
     let outcome = scores(&ActivityProtocol { days: Some(4), ..protocol(&folder, &models) });
     let last = |setting: usize| day(&outcome, setting, 3);
-    let (even, mean, spectral, auto) = (last(0), last(2), last(4), last(6));
+    let (even, mean, auto) = (last(0), last(2), last(4));
     assert!((even - 0.8).abs() < 1e-9, "{even}");
-    assert!(even < mean && mean < spectral && mean < auto, "{even} {mean} {spectral} {auto}");
+    assert!(even < mean && mean < auto, "{even} {mean} {auto}");
     for model in 0..models.len() {
         assert!(last(2 * model + 1) > last(2 * model), "the place helps {}", models[model]);
     }
