@@ -3,6 +3,8 @@
 //!
 //! Invariant: the small recording has one rhythm, so that what a model has to learn is certain.
 
+#![allow(clippy::unwrap_used)]
+
 use std::{fs, path::Path};
 
 use tempfile::{TempDir, tempdir};
@@ -173,7 +175,7 @@ fn time_and_place_help_a_classifier_in_a_real_flat() {
     let (even, mean, auto) = (last(0), last(2), last(4));
     assert!((even - 0.8).abs() < 1e-9, "{even}");
     assert!(even < mean && mean < auto, "{even} {mean} {auto}");
-    for model in 0..models.len() {
-        assert!(last(2 * model + 1) > last(2 * model), "the place helps {}", models[model]);
+    for (model, name) in models.iter().enumerate() {
+        assert!(last(2 * model + 1) > last(2 * model), "the place helps {name}");
     }
 }
