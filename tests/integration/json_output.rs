@@ -13,7 +13,7 @@ use tidemap_tests::{
 };
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run.
-const NOT_RUN: [&str; 11] = [
+const NOT_RUN: [&str; 12] = [
     "bench latency",
     "bench predict",
     "bench overload",
@@ -25,6 +25,8 @@ const NOT_RUN: [&str; 11] = [
     "experiment search",
     "experiment routes",
     "experiment habits",
+    "experiment activity",
+    "experiment localise",
 ];
 /// Definitions that are no commands.
 const PARTS: [&str; 5] = ["time", "time_or_null", "component", "model_error", "error"];

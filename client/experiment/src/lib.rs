@@ -1,8 +1,8 @@
 //! Experiments without a daemon: models, explorers, searches and routes compared on recordings and in simulations.
 //!
 //! The crate's own modules compare temporal models of `tidemap-model` by a [`Protocol`], as `tidemap experiment
-//! compare` does. [`explore`], [`search`], [`routes`] and [`habits`] are the other kinds of experiments; protocols end
-//! in .yaml or .yml, so that a new kind never conflicts with a file's name.
+//! compare` does. [`explore`], [`search`], [`routes`], [`habits`] and [`activity`] are the other kinds of experiments;
+//! protocols end in .yaml or .yml, so that a new kind never conflicts with a file's name.
 //!
 //! - `protocol.rs`: YAML to [`Protocol`], checked before data is read; each list of parameters spans parameter sets;
 //! - `data.rs`: files to readings by state, in portions of states that fit into memory; one invalid row stops it;
@@ -25,6 +25,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 use tidemap_model::{Evaluation, models::CannotTrain};
 
+pub mod activity;
 mod compared;
 mod data;
 pub mod explore;

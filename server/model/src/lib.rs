@@ -43,6 +43,7 @@ mod gaps;
 mod hours_seen;
 mod information;
 mod kind;
+pub mod label_evidence;
 mod lanes;
 pub mod models;
 mod order;

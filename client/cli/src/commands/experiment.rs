@@ -17,6 +17,7 @@ use super::usage;
 use crate::progress::{Bar, status_line};
 use tidemap_experiment::{
     ModelResult, ProtocolError,
+    activity::{self, ACTIVITY_MODELS, ActivityClassifier, ActivityModel, ActivityProtocol},
     explore::{self, ExploreProtocol, office},
     habits::{self, HABITS, Habit, HabitsProtocol},
     localise::{self, LandmarkRecording, VISIBILITY_MODELS, VisibilityModel},
@@ -48,6 +49,38 @@ enum ExperimentKind {
     Localise(LocaliseArgs),
     /// Predicts simulated habits day by day, and reports how sure predictions are and whether they are right
     Habits(HabitsArgs),
+    /// Recognises the activities of a recording with the help of the time and place, and reports each model's scores
+    Activity(ActivityArgs),
+}
+
+#[derive(Debug, Args)]
+struct ActivityArgs {
+    /// Folder of the recording
+    #[arg(value_name = "FOLDER")]
+    folder: PathBuf,
+    /// Number of runs of each model, each with its own random seed
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=1_000))]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    first_seed: u64,
+    /// The classifiers, with commas between them: strong, weak, measured; all by default
+    #[arg(long, value_name = "CLASSIFIER,…", value_delimiter = ',', value_parser = classifier)]
+    classifier: Vec<ActivityClassifier>,
+    /// The models, with commas between them: even, auto, spectral:3, pergam:2, …
+    #[arg(long, value_name = "MODEL,…", value_delimiter = ',', default_values = ACTIVITY_MODELS)]
+    models: Vec<ActivityModel>,
+    /// The first days of the recording; all by default
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=3_660))]
+    days: Option<u64>,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "activity-results")]
+    out: PathBuf,
+}
+
+fn classifier(name: &str) -> Result<ActivityClassifier, String> {
+    let names = || ActivityClassifier::ALL.map(ActivityClassifier::name).join(", ");
+    ActivityClassifier::named(name).ok_or_else(|| format!("there is no such classifier; they are {}", names()))
 }
 
 #[derive(Debug, Args)]
@@ -130,7 +163,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
             "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, \
-             search, routes, habits, localise"
+             search, routes, habits, activity, localise"
                 .to_owned(),
         ),
     }
@@ -144,6 +177,7 @@ pub(crate) fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCo
         (Some(ExperimentKind::Routes(args)), _) => routes(args, format),
         (Some(ExperimentKind::Habits(args)), _) => habits(args, format),
         (Some(ExperimentKind::Localise(args)), _) => localise(&args, format),
+        (Some(ExperimentKind::Activity(args)), _) => activity(args, format),
         (None, None) => Err(usage("name a protocol, a file that ends in .yaml or .yml")),
     }
 }
@@ -260,6 +294,21 @@ fn habits(args: HabitsArgs, format: Format) -> anyhow::Result<ExitCode> {
         |bar| Ok(habits::run(&protocol, &|done, total| bar.set_of(done, total))?),
         habits::write,
         |outcome, stdout| habits::summary(outcome, format, stdout),
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn activity(args: ActivityArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let ActivityArgs { folder, seeds, first_seed, classifier, models, days, out } = args;
+    let classifiers = if classifier.is_empty() { ActivityClassifier::ALL.to_vec() } else { classifier };
+    let days = days.map(|days| days as usize);
+    let protocol = ActivityProtocol { folder, seeds, first_seed, classifiers, models, days };
+    conduct(
+        &out,
+        "runs",
+        |bar| Ok(activity::run(&protocol, &|done, total| bar.set_of(done, total))?),
+        activity::write,
+        |outcome, stdout| activity::summary(outcome, format, stdout),
     )?;
     Ok(ExitCode::SUCCESS)
 }

@@ -49,6 +49,8 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("experiment search", "tidemap experiment search search.yaml"),
     ("experiment routes", "tidemap experiment routes"),
     ("experiment habits", "tidemap experiment habits --habits bar,office"),
+    ("experiment localise", "tidemap experiment localise stromovka --models mean,auto"),
+    ("experiment activity", "tidemap experiment activity flat --classifier strong --models mean,auto"),
     (
         "predict",
         "tidemap predict office kitchen --from 2025-02-18T00:00:00Z --to 2025-02-19T00:00:00Z --step 30m --picture",

@@ -1,0 +1,147 @@
+//! Which of a few labels holds, such as what a person does: what a classifier says, joined with what is usual.
+//!
+//! The posterior of a label is proportional to the likelihood of what the classifier said if the label held, times how
+//! usual the label is at the time (Krajník et al., "Frequency Map Enhancement", 2016, section VIII). Where the place is
+//! known, it is a second prior: how usual the place is for the label, p(place | label), so that how often a label
+//! occurs at all counts once, in the temporal prior, and not again for the place. Usual is what temporal models
+//! predict, one for each label, and what [`LabelPlaces`] counted. Neither ever excludes a label: both are at least
+//! [`PRIOR_MIN`].
+//!
+//! Invariant: a posterior has a probability for each label, from 0 to 1, and they sum to 1 within rounding; evidence of
+//! which there is none is refused, not guessed.
+
+use std::ops::RangeInclusive;
+
+/// The least that a prior says of a label.
+pub const PRIOR_MIN: f64 = 0.001;
+/// How many labels there may be.
+pub const LABELS: RangeInclusive<usize> = 2..=64;
+
+/// Why evidence was refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages name the fields")]
+pub enum InvalidEvidence {
+    /// Too few or too many labels.
+    #[error("{found} labels, but there have to be {min} to {max}", min = LABELS.start(), max = LABELS.end())]
+    Labels { found: usize },
+    /// Two parts of the evidence are about different numbers of labels.
+    #[error("{what} has {found} values for {expected} labels")]
+    Length { what: &'static str, expected: usize, found: usize },
+    /// A value is not finite, or outside the range that its meaning allows.
+    #[error("{what} of label {label} is {found}, but has to be {right}")]
+    Value { what: &'static str, label: usize, found: f64, right: &'static str },
+    /// All likelihoods are 0.
+    #[error("the likelihood of every label is 0, so that no label explains what was observed")]
+    NothingPossible,
+    /// A label or a place that does not exist.
+    #[error("{what} {found} does not exist: there are {count}, counted from 0")]
+    Unknown { what: &'static str, found: usize, count: usize },
+}
+
+/// What is known of a label at a time and place.
+#[derive(Clone, Copy, Debug)]
+pub struct LabelEvidence<'a> {
+    /// For each label, the likelihood of what was observed if the label held; any scale, 0 or more.
+    pub likelihoods: &'a [f64],
+    /// For each label, its probability at the time, as temporal models predict it. They need not sum to 1.
+    pub temporal: &'a [f64],
+    /// For each label, the probability of being at this place while it holds; none where the place is not known.
+    pub spatial: Option<&'a [f64]>,
+}
+
+impl LabelEvidence<'_> {
+    /// The probability of each label.
+    ///
+    /// # Errors
+    /// [`InvalidEvidence`] if lengths differ, a value is outside its range, or all likelihoods are 0.
+    pub fn posterior(&self) -> Result<Vec<f64>, InvalidEvidence> {
+        let labels = self.likelihoods.len();
+        if !LABELS.contains(&labels) {
+            return Err(InvalidEvidence::Labels { found: labels });
+        }
+        check("the likelihood", self.likelihoods, labels, f64::MAX, "a finite number of at least 0")?;
+        check("the temporal prior", self.temporal, labels, 1.0, PROBABILITY)?;
+        if let Some(spatial) = self.spatial {
+            check("the spatial prior", spatial, labels, 1.0, PROBABILITY)?;
+        }
+        let highest = self.likelihoods.iter().copied().fold(0.0, f64::max);
+        if highest <= 0.0 {
+            return Err(InvalidEvidence::NothingPossible);
+        }
+        // Likelihoods of any scale: the highest becomes 1, so that the sum neither overflows nor vanishes.
+        let weight = |label: usize| {
+            let spatial = self.spatial.map_or(1.0, |spatial| spatial[label].max(PRIOR_MIN));
+            self.likelihoods[label] / highest * self.temporal[label].max(PRIOR_MIN) * spatial
+        };
+        let mut posterior: Vec<f64> = (0..labels).map(weight).collect();
+        let sum: f64 = posterior.iter().sum();
+        posterior.iter_mut().for_each(|probability| *probability /= sum);
+        Ok(posterior)
+    }
+}
+
+const PROBABILITY: &str = "a probability, from 0 to 1";
+
+fn check(
+    what: &'static str,
+    values: &[f64],
+    labels: usize,
+    max: f64,
+    right: &'static str,
+) -> Result<(), InvalidEvidence> {
+    if values.len() != labels {
+        return Err(InvalidEvidence::Length { what, expected: labels, found: values.len() });
+    }
+    // NaN is in no range.
+    match values.iter().position(|value| !(0.0..=max).contains(value)) {
+        Some(label) => Err(InvalidEvidence::Value { what, label, found: values[label], right }),
+        None => Ok(()),
+    }
+}
+
+/// Where each label was observed, and how often.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LabelPlaces {
+    /// By place, then by label.
+    counts: Vec<Vec<f64>>,
+    /// By label: at all places.
+    totals: Vec<f64>,
+}
+
+impl LabelPlaces {
+    /// Nothing observed yet at any of the places.
+    ///
+    /// # Errors
+    /// [`InvalidEvidence::Labels`] if there are too few or too many labels.
+    pub fn new(labels: usize, places: usize) -> Result<Self, InvalidEvidence> {
+        if !LABELS.contains(&labels) {
+            return Err(InvalidEvidence::Labels { found: labels });
+        }
+        Ok(Self { counts: vec![vec![0.0; labels]; places], totals: vec![0.0; labels] })
+    }
+
+    /// Counts an observation of a label at a place.
+    ///
+    /// # Errors
+    /// [`InvalidEvidence::Unknown`] if there is no such label or place; nothing is counted then.
+    pub fn add(&mut self, label: usize, place: usize) -> Result<(), InvalidEvidence> {
+        let unknown = |what, found, count| InvalidEvidence::Unknown { what, found, count };
+        let (labels, places) = (self.totals.len(), self.counts.len());
+        let total = self.totals.get_mut(label).ok_or(unknown("label", label, labels))?;
+        self.counts.get_mut(place).ok_or(unknown("place", place, places))?[label] += 1.0;
+        *total += 1.0;
+        Ok(())
+    }
+
+    /// For each label, the probability of being at the place while it holds, by Laplace's rule of succession over the
+    /// places where anything was observed. None for a place where nothing was, which says nothing of any label.
+    pub fn prior(&self, place: usize) -> Option<Vec<f64>> {
+        let has_any = |counts: &[f64]| counts.iter().any(|&count| count > 0.0);
+        let counts = self.counts.get(place).filter(|counts| has_any(counts))?;
+        let places = self.counts.iter().filter(|counts| has_any(counts)).count() as f64;
+        Some(counts.iter().zip(&self.totals).map(|(count, total)| (count + 1.0) / (total + places)).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests;
