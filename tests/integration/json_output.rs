@@ -13,7 +13,7 @@ use tidemap_tests::{
 };
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run.
-const NOT_RUN: [&str; 12] = [
+const NOT_RUN: [&str; 13] = [
     "bench latency",
     "bench predict",
     "bench overload",
