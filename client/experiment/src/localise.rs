@@ -144,12 +144,12 @@ fn held_out(
 ) -> Result<Vec<LocaliseScores>, LocaliseError> {
     let (places, rules) = (recording.held_out(month), MatchRules::default());
     let of_model = |model: VisibilityModel| {
-        let predicted = visibility::predict(model, recording, &places, month)?;
+        let predicted = visibility::predict(model, recording, places, month)?;
         let mut scores = LocaliseScores::default();
         for place in 0..recording.places() {
             let picture = recording.picture(place, month);
             let seen = SeenFeatures::new(picture.to_vec())?;
-            let again = recording.seen_again(&places, place, month)?;
+            let again = recording.seen_again(places, place, month)?;
             scores.visible(&predicted[place], &again);
             for (at, count) in COUNTS.into_iter().enumerate() {
                 let expected: Vec<Vec<ExpectedLandmark>> = places

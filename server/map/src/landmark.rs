@@ -45,7 +45,7 @@ impl Descriptor {
         Ok(Descriptor { words, length })
     }
 
-    /// Its bytes.
+    /// The bytes that it was made of.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         self.words.iter().flat_map(|word| word.to_le_bytes()).take(self.len()).collect()

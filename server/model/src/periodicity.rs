@@ -164,12 +164,10 @@ impl Periodicities {
         matches!(&self.inner.cycles, Cycles::List(list) if list.iter().any(is_year))
     }
 
-    /// Whether a span of observation holds at least 0.99 of periodicity `k`, in exact integers; of a year that a list
-    /// names 0.9.
+    /// Whether a span of observation holds at least 0.99 of periodicity `k`, in exact integers.
     pub(crate) fn is_eligible(&self, k: usize, span_nanos: u64) -> bool {
         let Some((period, turns)) = self.period_of_turns(k) else { return false };
-        let is_named_year = matches!(self.inner.cycles, Cycles::List(_)) && YEAR_NANOS.contains(&period);
-        u128::from(span_nanos) * 100 * turns >= u128::from(period) * if is_named_year { 90 } else { 99 }
+        u128::from(span_nanos) * 100 * turns >= u128::from(period) * 99
     }
 
     /// Whether readings that are this far apart tell periodicity `k` from slower ones: its period is at least twice the

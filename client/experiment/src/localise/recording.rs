@@ -91,11 +91,11 @@ struct LandmarkRow {
 
 /// Reads the rows of a file, which may be compressed, and gives each to `take`, which says what is wrong with it.
 fn each_row<T: DeserializeOwned>(
-    path: PathBuf,
+    path: &Path,
     mut take: impl FnMut(T) -> Result<(), String>,
 ) -> Result<(), LandmarkRecordingError> {
-    let wrong = |wrong: String| LandmarkRecordingError { path: path.clone(), wrong };
-    let file = File::open(&path).map_err(|error| wrong(error.to_string()))?;
+    let wrong = |wrong: String| LandmarkRecordingError { path: path.to_owned(), wrong };
+    let file = File::open(path).map_err(|error| wrong(error.to_string()))?;
     let plain: Box<dyn Read> = match path.extension().is_some_and(|ending| ending == "gz") {
         true => Box::new(GzDecoder::new(file)),
         false => Box::new(file),
@@ -136,14 +136,14 @@ impl LandmarkRecording {
     /// [`LandmarkRecordingError`] with the file, the line and what is wrong.
     pub fn read(folder: &Path) -> Result<LandmarkRecording, LandmarkRecordingError> {
         let mut times: Vec<(usize, usize, i64)> = Vec::new();
-        each_row(folder.join("images.csv"), |row: ImageRow| {
+        each_row(&folder.join("images.csv"), |row: ImageRow| {
             let nanos = row.time.checked_mul(1_000_000_000).ok_or_else(|| format!("time {}", row.time))?;
             times.push((row.place, row.month, nanos));
             Ok(())
         })?;
         let wrong = |wrong: String| LandmarkRecordingError { path: folder.join("images.csv"), wrong };
         times.sort_unstable();
-        let last = |of: fn(&(usize, usize, i64)) -> usize| times.iter().map(of).max().unwrap_or(0);
+        let last = |number: fn(&(usize, usize, i64)) -> usize| times.iter().map(number).max().unwrap_or(0);
         let (places, months) = (last(|row| row.0), last(|row| row.1));
         let all = (1..=places).flat_map(|place| (1..=months).map(move |month| (place, month)));
         if months < 3 || !all.eq(times.iter().map(|&(place, month, _)| (place, month))) {
@@ -152,14 +152,14 @@ impl LandmarkRecording {
         let times_nanos: Vec<Vec<i64>> =
             times.chunks(months).map(|row| row.iter().map(|(.., nanos)| *nanos).collect()).collect();
         let mut pictures: Vec<Vec<Vec<ImageFeature>>> = vec![vec![Vec::new(); months]; places];
-        each_row(folder.join("features.csv.gz"), |row: FeatureRow| {
+        each_row(&folder.join("features.csv.gz"), |row: FeatureRow| {
             let picture =
                 counted(&mut pictures, row.place, row.month).ok_or_else(|| no_picture(row.place, row.month))?;
             picture.push(feature(row.u, row.v, &row.descriptor)?);
             Ok(())
         })?;
         let mut offsets_px = vec![vec![0.0; months]; places];
-        each_row(folder.join("offsets.csv"), |row: OffsetRow| {
+        each_row(&folder.join("offsets.csv"), |row: OffsetRow| {
             if row.from_month == 1 {
                 let offset = counted(&mut offsets_px, row.place, row.to_month);
                 *offset.ok_or_else(|| no_picture(row.place, row.to_month))? = row.du;
@@ -167,7 +167,7 @@ impl LandmarkRecording {
             Ok(())
         })?;
         let mut landmarks: Vec<Vec<Vec<RecordedLandmark>>> = vec![vec![Vec::new(); places]; months];
-        each_row(folder.join("landmarks.csv.gz"), |row: LandmarkRow| {
+        each_row(&folder.join("landmarks.csv.gz"), |row: LandmarkRow| {
             let of_month = |mark: char| match mark {
                 '1' => Ok(Some(true)),
                 '0' => Ok(Some(false)),

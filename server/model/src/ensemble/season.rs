@@ -3,9 +3,9 @@
 //! The looks of five days each are one mean. A rhythm of up to three harmonics of the year is solved by least squares
 //! as soon as the record spans a year; each order is weighted by how well it explains the means, in independent ones,
 //! and its amplitude is lowered by what noise would show. So on noise it is the mean. Beside it stands the plain memory
-//! of the same days a year ago, which keeps sharp edges. Where the map names the year as a period, nine tenths of it are
-//! enough, and one harmonic needs no evidence: its amplitude is lowered all the same. Invariant: predictions lie strictly
-//! between 0 and 1.
+//! of the same days a year ago, which keeps sharp edges. Where the map names the year as a period, nine tenths of it
+//! are enough, and one harmonic needs no evidence: its amplitude is lowered all the same. Invariant: predictions lie
+//! strictly between 0 and 1.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
@@ -287,6 +287,21 @@ mod tests {
         assert!(wrong < 20, "{wrong} days of the rhythm");
         let wrong = |day: &i32| (long.years_ago(LocalDay(*day), &long.rhythm) - open(*day)).abs() > 0.5;
         assert!((700..1065).filter(wrong).count() < 6);
+    }
+
+    #[test]
+    fn a_year_that_is_named_needs_fewer_looks() {
+        // Eleven monthly looks, of which those of the winter differ.
+        let swing = |is_expected: bool| {
+            let mut season = Season { is_expected, ..Season::new() };
+            (0..11).for_each(|month| season.learn(LocalDay(30 * month), f64::from(u8::from(month < 4)), 1.0));
+            season.rhythm.at(LocalDay(45 + 365)) - season.rhythm.at(LocalDay(230 + 365))
+        };
+        assert!(swing(true) > 0.5 && swing(false) == 0.0, "{} {}", swing(true), swing(false));
+        // What looks like noise stays as good as flat.
+        let mut season = Season { is_expected: true, ..Season::new() };
+        (0..11).for_each(|month| season.learn(LocalDay(30 * month), f64::from(u8::from(month % 3 == 0)), 1.0));
+        assert!(season.rhythm.waves.as_flattened().iter().all(|wave| wave.abs() < 0.05), "{:?}", season.rhythm);
     }
 
     #[test]

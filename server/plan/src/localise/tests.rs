@@ -38,8 +38,8 @@ fn plainly(seen: &[(i32, i32, u16)], node: &[(i32, i32, u16)]) -> (u32, u32, u32
     (kept.len() as u32, best.len() as u32, best.iter().map(|(_, distance)| distance).sum(), heading)
 }
 
-fn features(most: usize) -> impl Strategy<Value = Vec<(i32, i32, u16)>> {
-    prop::collection::vec((0..600, 0..60, any::<u16>()), 0..most)
+fn features(count_max: usize) -> impl Strategy<Value = Vec<(i32, i32, u16)>> {
+    prop::collection::vec((0..600, 0..60, any::<u16>()), 0..count_max)
 }
 
 proptest! {
