@@ -200,7 +200,12 @@ async fn slow_requests_do_not_blind_the_http_port() {
     while call(&daemon.http, "MapService/ListMaps", &[], &json!({})).code != 200 {
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    let metrics = request(&daemon.http, "GET", "/metrics", &[], b"").text();
+    let mut answer = request(&daemon.http, "GET", "/metrics", &[], b"");
+    while answer.code != 200 {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        answer = request(&daemon.http, "GET", "/metrics", &[], b"");
+    }
+    let metrics = answer.text();
     let of_port = |name: &str, port: &str| {
         let label = format!("{name}{{port=\"{port}\"}} ");
         let line = metrics.lines().find_map(|line| line.strip_prefix(&label));
