@@ -158,11 +158,12 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
         Some(kinds) => Some(kinds.plan(session, (&options.map, &args.file), &rules, stated, &steps).await?),
         None => None,
     };
-    if args.replace {
-        withdraw(session, &options).await?;
-    }
+    // First, so that a state that cannot be added does not leave the file withdrawn.
     if let Some(plan) = plan {
         plan.add(session, &options.map, stated).await?;
+    }
+    if args.replace {
+        withdraw(session, &options).await?;
     }
     send(session, options, feed, FileSent { shown: &shown, command: "observe", words, refused }).await
 }
