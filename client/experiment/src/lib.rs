@@ -32,6 +32,7 @@ pub mod explore;
 pub mod habits;
 pub mod localise;
 mod newest;
+mod nightly_map;
 mod paired;
 mod picture;
 mod place_recording;

@@ -2,12 +2,9 @@
 //!
 //! Invariant: a day is asked for before it is learned; the days before the first are even.
 
-use std::sync::{Arc, atomic::AtomicU64};
-
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, SequenceSpan, StateKind, UpdateCause},
-    ids::{ProducerId, StateId},
-    live_map::LiveMap,
+    event::{Observations, StateKind},
+    ids::StateId,
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };
@@ -19,7 +16,7 @@ use tidemap_model::{
 };
 
 use super::{ActivityError, ActivityModel, minute_nanos};
-use crate::{place_recording::DAY_MINUTES, readings_in_memory::ReadingsInMemory};
+use crate::{nightly_map::NightlyMap, place_recording::DAY_MINUTES};
 
 /// The temporal priors of all activities.
 #[derive(Debug)]
@@ -111,29 +108,27 @@ impl TrainedNightly {
 /// A map with a state for each activity, as a daemon has it: observed through the day, updated at midnight.
 #[derive(Debug)]
 pub(super) struct ActivityMap {
-    map: LiveMap,
+    map: NightlyMap,
     labels: usize,
-    sequence: u64,
-    history: ReadingsInMemory,
 }
 
 impl ActivityMap {
     fn new(labels: usize) -> Result<Self, ActivityError> {
         let name = MapName::new("activities").map_err(ActivityError::setting)?;
-        let mut map = LiveMap::new(Arc::new(MapSpec { created_nanos: minute_nanos(0, 0), ..MapSpec::new(name) }));
+        let producer = ProducerKey::new("classifier", "").map_err(ActivityError::setting)?;
+        let mut map = NightlyMap::new(MapSpec { created_nanos: minute_nanos(0, 0), ..MapSpec::new(name) }, producer);
         for label in 0..labels {
             let name = StateName::new(&format!("activity-{label}")).map_err(ActivityError::setting)?;
-            let state = NewState::sampled(StateId(label as u32), name, StateKind::Probability);
-            map.apply(map.position() + 1, &Event::AddState(state))?;
+            map.add_probability(name)?;
         }
-        Ok(Self { map, labels, sequence: 0, history: ReadingsInMemory::default() })
+        Ok(Self { map, labels })
     }
 
     fn predict(&mut self, day: usize, times: &[i64]) -> Vec<Vec<f64>> {
         if day == 0 {
             return vec![vec![even(self.labels); self.labels]; times.len()];
         }
-        let view = self.map.publish();
+        let view = self.map.view();
         let prepared = view.prepare(times);
         let mut by_time = vec![vec![0.0; self.labels]; times.len()];
         let mut values = vec![0.0; times.len()];
@@ -146,28 +141,11 @@ impl ActivityMap {
 
     fn learn(&mut self, day: usize, recognised: &[usize]) -> Result<(), ActivityError> {
         let midnight_nanos = minute_nanos(day + 1, 0);
-        let key = ProducerKey::new("classifier", "").map_err(ActivityError::setting)?;
         let mut event = Observations::default();
         for label in 0..self.labels {
             samples(day, recognised, label).for_each(|sample| event.push(StateId(label as u32), sample));
         }
-        let first = self.sequence + 1;
-        self.sequence += (self.labels * recognised.len()) as u64;
-        let envelope = Envelope {
-            producer: ProducerId(0),
-            new_producer: (first == 1).then(|| key.into()),
-            incarnation: 1,
-            span: SequenceSpan { first, last: self.sequence, content_crc: 0 },
-            received_nanos: midnight_nanos,
-            refused: Vec::new(),
-        };
-        self.map.apply(self.map.position() + 1, &Event::Observations(envelope, event))?;
-        let start = self.map.plan_update(Some(midnight_nanos), midnight_nanos, UpdateCause::Midnight);
-        let work = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))?;
-        if let Some(work) = work {
-            let learned = work.with_readings(Arc::new(self.history.clone())).run(&AtomicU64::new(0))?;
-            self.history.keep(self.map.finish_update(learned).history);
-        }
-        Ok(())
+        self.map.observe(event, (self.labels * recognised.len()) as u64, midnight_nanos)?;
+        self.map.update(midnight_nanos)
     }
 }

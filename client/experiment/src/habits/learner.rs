@@ -3,12 +3,9 @@
 //! Invariant: predictions use looks of earlier days only, and are made as a daemon makes them: the value by
 //! [`MapView::predict_into`], the intervals by [`MapView::intervals`].
 
-use std::sync::{Arc, atomic::AtomicU64};
-
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, SequenceSpan, StateKind, UpdateCause},
-    ids::{ProducerId, StateId},
-    live_map::LiveMap,
+    event::Observations,
+    ids::StateId,
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
     view::MapView,
@@ -16,7 +13,7 @@ use tidemap_map::{
 use tidemap_model::{HeldInterval, Zone, selector::ModelSelector};
 
 use super::{HabitsError, LEVELS, world::Look};
-use crate::readings_in_memory::ReadingsInMemory;
+use crate::nightly_map::NightlyMap;
 
 /// The only state of the map.
 pub(super) const STATE: StateId = StateId(0);
@@ -32,26 +29,21 @@ pub(super) struct DayAhead {
 
 /// A map that learns night by night.
 #[derive(Debug)]
-pub(super) struct HabitLearner {
-    map: LiveMap,
-    sequence: u64,
-    history: ReadingsInMemory,
-}
+pub(super) struct HabitLearner(NightlyMap);
 
 impl HabitLearner {
     /// An untrained map with default properties and one state.
     pub(super) fn new(zone: Zone, created_nanos: i64) -> Result<Self, HabitsError> {
         let name = MapName::new("habits").map_err(HabitsError::setting)?;
-        let spec = MapSpec { zone, created_nanos, ..MapSpec::new(name) };
-        let mut map = LiveMap::new(Arc::new(spec));
-        let name = StateName::new("state").map_err(HabitsError::setting)?;
-        map.apply(1, &Event::AddState(NewState::sampled(STATE, name, StateKind::Probability)))?;
-        Ok(Self { map, sequence: 0, history: ReadingsInMemory::default() })
+        let producer = ProducerKey::new("robot", "").map_err(HabitsError::setting)?;
+        let mut map = NightlyMap::new(MapSpec { zone, created_nanos, ..MapSpec::new(name) }, producer);
+        map.add_probability(StateName::new("state").map_err(HabitsError::setting)?)?;
+        Ok(Self(map))
     }
 
     /// What readers of the map see.
     pub(super) fn view(&mut self) -> MapView {
-        self.map.publish()
+        self.0.view()
     }
 
     /// Predictions at times in nanoseconds UTC, and of hours, each by its middle.
@@ -73,28 +65,11 @@ impl HabitLearner {
         if looks.is_empty() {
             return Ok(());
         }
-        let key = ProducerKey::new("robot", "").map_err(HabitsError::setting)?;
-        let first = self.sequence + 1;
-        self.sequence += looks.len() as u64;
-        let envelope = Envelope {
-            producer: ProducerId(0),
-            new_producer: (first == 1).then(|| key.into()),
-            incarnation: 1,
-            span: SequenceSpan { first, last: self.sequence, content_crc: 0 },
-            received_nanos: midnight_nanos,
-            refused: Vec::new(),
-        };
-        let mut event = Observations::default();
+        let mut observed = Observations::default();
         for look in looks {
-            event.push(STATE, look.sample);
+            observed.push(STATE, look.sample);
         }
-        self.map.apply(self.map.position() + 1, &Event::Observations(envelope, event))?;
-        let start = self.map.plan_update(Some(midnight_nanos), midnight_nanos, UpdateCause::Midnight);
-        let work = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))?;
-        if let Some(work) = work {
-            let learned = work.with_readings(Arc::new(self.history.clone())).run(&AtomicU64::new(0))?;
-            self.history.keep(self.map.finish_update(learned).history);
-        }
-        Ok(())
+        self.0.observe(observed, looks.len() as u64, midnight_nanos)?;
+        self.0.update(midnight_nanos)
     }
 }

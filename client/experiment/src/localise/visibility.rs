@@ -2,15 +2,11 @@
 //!
 //! Invariant: only the months that were not held out are used.
 
-use std::{
-    f64::consts::TAU,
-    sync::{Arc, atomic::AtomicU64},
-};
+use std::f64::consts::TAU;
 
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, SequenceSpan, StateKind, UpdateCause},
-    ids::{ProducerId, StateId},
-    live_map::LiveMap,
+    event::Observations,
+    ids::StateId,
     name::{MapName, ProducerKey, StateName},
     spec::MapSpec,
 };
@@ -20,7 +16,7 @@ use super::{
     LocaliseError, VisibilityModel,
     recording::{LandmarkRecording, RecordedLandmark},
 };
-use crate::readings_in_memory::ReadingsInMemory;
+use crate::nightly_map::NightlyMap;
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
 const YEAR_NANOS: i64 = 365 * DAY_NANOS + DAY_NANOS / 4;
@@ -121,7 +117,6 @@ fn by_map(
     month: usize,
 ) -> Result<Vec<Vec<Prediction>>, LocaliseError> {
     let mut map = map_of(recording, places)?;
-    let (mut history, mut sequence) = (ReadingsInMemory::default(), 0);
     for learned in (0..recording.months()).filter(|&learned| learned != month) {
         let (mut observed, mut state) = (Observations::default(), 0);
         let mut newest_nanos = 0;
@@ -135,26 +130,11 @@ fn by_map(
                 state += 1;
             }
         }
-        let first = sequence + 1;
-        sequence += u64::from(state);
-        let key = ProducerKey::new("robot", "").map_err(LocaliseError::setting)?;
-        let envelope = Envelope {
-            producer: ProducerId(0),
-            new_producer: (first == 1).then(|| key.into()),
-            incarnation: 1,
-            span: SequenceSpan { first, last: sequence, content_crc: 0 },
-            received_nanos: newest_nanos,
-            refused: Vec::new(),
-        };
-        map.apply(map.position() + 1, &Event::Observations(envelope, observed))?;
+        map.observe(observed, state.into(), newest_nanos)?;
         let midnight_nanos = (newest_nanos.div_euclid(DAY_NANOS) + 1) * DAY_NANOS;
-        let start = map.plan_update(Some(midnight_nanos), midnight_nanos, UpdateCause::Midnight);
-        if let Some(work) = map.apply(map.position() + 1, &Event::UpdateStart(start))? {
-            let result = work.with_readings(Arc::new(history.clone())).run(&AtomicU64::new(0))?;
-            history.keep(map.finish_update(result).history);
-        }
+        map.update::<LocaliseError>(midnight_nanos)?;
     }
-    let (view, mut state) = (map.publish(), 0);
+    let (view, mut state) = (map.view(), 0);
     let of_place = |(place, landmarks): (usize, &Vec<RecordedLandmark>)| {
         let times = view.prepare(&[recording.time_nanos(place, month)]);
         let of_landmark = |_: &RecordedLandmark| {
@@ -170,18 +150,17 @@ fn by_map(
 }
 
 /// A map with a state for each landmark, which expects a rhythm of one year.
-fn map_of(recording: &LandmarkRecording, places: &[Vec<RecordedLandmark>]) -> Result<LiveMap, LocaliseError> {
+fn map_of(recording: &LandmarkRecording, places: &[Vec<RecordedLandmark>]) -> Result<NightlyMap, LocaliseError> {
     let name = MapName::new("landmarks").map_err(LocaliseError::setting)?;
     let periodicities = Periodicities::list(vec![YEAR_NANOS]).map_err(LocaliseError::setting)?;
     let created_nanos = recording.time_nanos(0, 0);
     let spec = MapSpec { zone: Zone::utc(), periodicities, created_nanos, ..MapSpec::new(name) };
-    let mut map = LiveMap::new(Arc::new(spec));
+    let producer = ProducerKey::new("robot", "").map_err(LocaliseError::setting)?;
+    let mut map = NightlyMap::new(spec, producer);
     let numbers =
         places.iter().enumerate().flat_map(|(place, landmarks)| (0..landmarks.len()).map(move |at| (place, at)));
-    for ((place, at), id) in numbers.zip(0..) {
-        let name = StateName::new(&format!("landmark-{place}-{at}")).map_err(LocaliseError::setting)?;
-        let new = Event::AddState(NewState::sampled(StateId(id), name, StateKind::Probability));
-        map.apply(map.position() + 1, &new)?;
+    for (place, at) in numbers {
+        map.add_probability(StateName::new(&format!("landmark-{place}-{at}")).map_err(LocaliseError::setting)?)?;
     }
     Ok(map)
 }

@@ -3,13 +3,12 @@
 //! Invariant: forecasts of edges use the reports of days that have ended, and, with persistence or memory, the last
 //! report of each edge.
 
-use std::sync::{Arc, atomic::AtomicU64};
+use std::sync::Arc;
 
 use tidemap_map::{
     edge_forecast::EdgeForecasts,
-    event::{Envelope, Event, NewState, Observations, SequenceSpan, UpdateCause},
-    ids::{ProducerId, StateId},
-    live_map::LiveMap,
+    event::{Event, NewState, Observations},
+    ids::StateId,
     name::{MapName, ProducerKey},
     site::SiteEdit,
     spec::MapSpec,
@@ -22,14 +21,12 @@ use super::{
     RoutesError, START_NANOS,
     building::{self, SPEED_M_PER_S},
 };
-use crate::readings_in_memory::ReadingsInMemory;
+use crate::nightly_map::NightlyMap;
 
 /// A map that learns from traversals.
 #[derive(Debug)]
 pub(super) struct Learner {
-    map: LiveMap,
-    sequence: u64,
-    history: ReadingsInMemory,
+    map: NightlyMap,
     blend: Blend,
     edges: EdgeForecasts,
 }
@@ -41,16 +38,17 @@ impl Learner {
             created_nanos: START_NANOS,
             ..MapSpec::new(MapName::new("building").map_err(RoutesError::setting)?)
         };
-        let mut map = LiveMap::new(Arc::new(spec));
+        let producer = ProducerKey::new("robot", "").map_err(RoutesError::setting)?;
+        let mut map = NightlyMap::new(spec, producer);
         let load = building::load().map_err(RoutesError::setting)?;
-        map.apply(1, &Event::EditSite(SiteEdit::Topology(load)))?;
-        let edges = EdgeForecasts::new(Arc::new(map.publish()), SPEED_M_PER_S, blend);
-        Ok(Self { map, sequence: 0, history: ReadingsInMemory::default(), blend, edges })
+        map.apply(&Event::EditSite(SiteEdit::Topology(load)))?;
+        let edges = EdgeForecasts::new(Arc::new(map.view()), SPEED_M_PER_S, blend);
+        Ok(Self { map, blend, edges })
     }
 
     /// The topology of the building.
     pub(super) fn topology(&self) -> &Topology {
-        self.map.site().topology()
+        self.map.map().site().topology()
     }
 
     /// The forecasts of its edges.
@@ -61,17 +59,6 @@ impl Learner {
     /// Applies traversals, received when the last of them ended.
     pub(super) fn report(&mut self, traversals: &[Traversal]) -> Result<(), RoutesError> {
         let Some(last) = traversals.last() else { return Ok(()) };
-        let key = ProducerKey::new("robot", "").map_err(RoutesError::setting)?;
-        let first_sequence = self.sequence + 1;
-        self.sequence += traversals.len() as u64;
-        let envelope = Envelope {
-            producer: ProducerId(0),
-            new_producer: (first_sequence == 1).then(|| key.into()),
-            incarnation: 1,
-            span: SequenceSpan { first: first_sequence, last: self.sequence, content_crc: 0 },
-            received_nanos: last.end_nanos,
-            refused: Vec::new(),
-        };
         let failures = traversals.iter().filter_map(Traversal::failure).collect();
         let mut event = Observations { failures, ..Observations::default() };
         for traversal in traversals {
@@ -79,10 +66,10 @@ impl Learner {
             for (what, value) in traversal.samples(edge.extent).map_err(RoutesError::setting)? {
                 let name = traversal.edge.state(what);
                 let fresh = || event.new_states.iter().find(|new| new.name == name).map(|new| new.id);
-                let id = match self.map.find(name.as_str()).or_else(fresh) {
+                let id = match self.map.map().find(name.as_str()).or_else(fresh) {
                     Some(id) => id,
                     None => {
-                        let id = StateId((self.map.states() + event.new_states.len()) as u32);
+                        let id = StateId((self.map.map().states() + event.new_states.len()) as u32);
                         event.new_states.push(NewState::sampled(id, name, what.kind()));
                         id
                     }
@@ -90,7 +77,7 @@ impl Learner {
                 event.push(id, Sample { utc_nanos: traversal.start_nanos, offset_secs: 0, value });
             }
         }
-        self.map.apply(self.map.position() + 1, &Event::Observations(envelope, event))?;
+        self.map.observe(event, traversals.len() as u64, last.end_nanos)?;
         if self.blend != Blend::None {
             self.refresh();
         }
@@ -99,17 +86,12 @@ impl Learner {
 
     /// Learns all traversals before midnight.
     pub(super) fn midnight(&mut self, nanos: i64) -> Result<(), RoutesError> {
-        let start = self.map.plan_update(Some(nanos), nanos, UpdateCause::Midnight);
-        let work = self.map.apply(self.map.position() + 1, &Event::UpdateStart(start))?;
-        if let Some(work) = work {
-            let learned = work.with_readings(Arc::new(self.history.clone())).run(&AtomicU64::new(0))?;
-            self.history.keep(self.map.finish_update(learned).history);
-        }
+        self.map.update::<RoutesError>(nanos)?;
         self.refresh();
         Ok(())
     }
 
     fn refresh(&mut self) {
-        self.edges = EdgeForecasts::new(Arc::new(self.map.publish()), SPEED_M_PER_S, self.blend);
+        self.edges = EdgeForecasts::new(Arc::new(self.map.view()), SPEED_M_PER_S, self.blend);
     }
 }
