@@ -74,12 +74,8 @@ pub struct TrainingOutcome {
     pub waiting: u64,
     /// States that keep their models, because their readings could not be read.
     pub failed: u64,
-    /// Why the first of these, or of the states with late rows, could not be read.
+    /// Why the first of these could not be read.
     pub failure: Option<String>,
-    /// States that were learned anew, because rows of changes or events came late.
-    pub learned_anew: u64,
-    /// States whose late rows were learned as single readings, because history does not have all their rows.
-    pub learned_singly: u64,
 }
 
 impl TrainingOutcome {
@@ -89,8 +85,6 @@ impl TrainingOutcome {
         self.waiting = later.waiting;
         self.failed += later.failed;
         self.failure = self.failure.take().or(later.failure);
-        self.learned_anew += later.learned_anew;
-        self.learned_singly += later.learned_singly;
     }
 }
 
@@ -194,8 +188,8 @@ fn train_within(
             due((place, pupil), kinds, kept_from, &mut offsets, limits.readings)
         })
         .collect();
-    // As history has them.
-    due.sort_by_key(|due| due.wanted.state);
+    // As history has them; those of which nothing is read for themselves.
+    due.sort_by_key(|due| (due.own.is_all, due.wanted.state));
     let mut batches = Batches { rest: &due, readings_max: limits.readings, source };
     let mut outcome = TrainingOutcome { waiting, ..TrainingOutcome::default() };
     let mut next = batches.next();
@@ -243,6 +237,9 @@ impl<'a> Iterator for Batches<'a> {
         if batch.is_empty() {
             return None;
         }
+        if batch.iter().all(|due| due.own.is_all) {
+            return Some((batch, Ok(vec![Vec::new(); batch.len()])));
+        }
         let wanted: Vec<ReadingsRequest> = batch.iter().map(|due| due.wanted).collect();
         let found = self.source.readings(&wanted).and_then(|found| match found.len() == wanted.len() {
             true => Ok(found),
@@ -288,19 +285,21 @@ fn due<'a>(
     Some(Due { place, wanted, from_nanos, state_kind: model.kind(), kinds, own, day, expected })
 }
 
-/// Number of due states to process together: at least one, if there are any.
+/// Number of due states to process together: at least one, if there are any. Earlier readings are read of all of them or
+/// of none.
 fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     let mut readings = 0_u64;
+    let is_all = due.first().is_some_and(|due| due.own.is_all);
     let within = due.iter().take_while(|due| {
         readings = readings.saturating_add(due.expected);
-        readings <= readings_max
+        readings <= readings_max && due.own.is_all == is_all
     });
     within.count().max(1).min(due.len())
 }
 
 /// Trains each due model of a state.
 fn train(spec: &MapSpec, due: &Due<'_>, earlier: Vec<Sample>) -> Vec<Result<TrainedModel, CannotTrain>> {
-    let mut samples = if due.own.is_all { Vec::new() } else { earlier };
+    let mut samples = earlier;
     let own = due.own.samples;
     let first = own.partition_point(|sample| sample.utc_nanos < due.wanted.from_nanos);
     samples.extend_from_slice(own.get(first..).unwrap_or(&[]));

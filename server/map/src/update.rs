@@ -57,6 +57,7 @@ mod spectrum_room;
 
 use daily_steps::DailySteps;
 use late_rows::LateRows;
+pub use late_rows::LateRowsOutcome;
 use spectrum_room::RoomInUse;
 pub use spectrum_room::{SpectrumRoom, SpectrumSpill};
 
@@ -116,6 +117,7 @@ pub struct UpdateResult {
     pub(crate) history: Option<HistoryPiece>,
     outcomes: Vec<StateOutcome>,
     training: TrainingOutcome,
+    late_rows: LateRowsOutcome,
 }
 
 /// What an update did to one state.
@@ -197,9 +199,10 @@ impl UpdateWork {
         // History keeps them in order of arrival.
         history.states.iter_mut().for_each(|(_, samples)| samples.shrink_to_fit());
         let readings = self.readings.as_deref();
-        let late_rows =
-            LateRows { spec: &self.spec, prior_models: &self.prior_models, newest_nanos: self.basis.newest_nanos };
-        let anew = late_rows.begin(&history.states, &mut models, readings);
+        // As history is deleted: an import may be far ahead of what updates have learned.
+        let learned_nanos = self.basis.newest_nanos.min(self.basis.start.cut_nanos);
+        let late_rows = LateRows::new(&self.spec, &self.prior_models, learned_nanos);
+        let (anew, late_rows) = late_rows.begin(&history.states, &mut models, readings);
         let steps = DailySteps { spec: &self.spec, readings, horizons: &self.horizons, anew, room: &room, progress };
         let (done, training) = steps.learn(&history.states, &mut models).map_err(|(id, reason)| {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
@@ -216,7 +219,8 @@ impl UpdateWork {
             (history.states, history.origins) = (Vec::new(), Vec::new());
         }
         let history = history.bounded();
-        Ok(UpdateResult { basis: self.basis, models: Arc::new(models), grid, history, outcomes, training })
+        let models = Arc::new(models);
+        Ok(UpdateResult { basis: self.basis, models, grid, history, outcomes, training, late_rows })
     }
 }
 
@@ -229,6 +233,11 @@ impl UpdateResult {
     /// What became of the models that were due.
     pub fn training_outcome(&self) -> &TrainingOutcome {
         &self.training
+    }
+
+    /// What became of the states whose rows of changes or events came late.
+    pub fn late_rows_outcome(&self) -> &LateRowsOutcome {
+        &self.late_rows
     }
 
     /// What was done to the cells of the grid, where the map has one.

@@ -21,7 +21,7 @@ use tidemap_model::{
     LearnedRows, LocalDay, OffsetCache, Reporting, RowReadings, Sample, StateModel, Surprises, UpdateOutcome,
 };
 
-use super::{RoomInUse, late_rows::LearnedAnew};
+use super::{RoomInUse, late_rows::AllRows};
 use crate::{
     anomaly::learned,
     ids::StateId,
@@ -40,8 +40,8 @@ pub(super) struct DailySteps<'a> {
     pub(super) readings: Option<&'a dyn StateReadings>,
     /// Of each state that reports changes or events: where its rows are known to be complete.
     pub(super) horizons: &'a BTreeMap<StateId, i64>,
-    /// States that are learned anew.
-    pub(super) anew: LearnedAnew,
+    /// Of the states that are learned anew.
+    pub(super) anew: AllRows,
     pub(super) room: &'a RoomInUse,
     /// Counts the states that are done.
     pub(super) progress: &'a AtomicU64,
@@ -183,13 +183,7 @@ impl DailySteps<'_> {
         models: &mut [Arc<StateModel>],
     ) -> Result<Done, (StateId, String)> {
         let mut lessons = self.lessons(states, models);
-        let LearnedAnew { rows, singly, failure } = &self.anew;
-        let mut training = TrainingOutcome {
-            learned_anew: rows.len() as u64,
-            learned_singly: *singly,
-            failure: failure.clone(),
-            ..TrainingOutcome::default()
-        };
+        let mut training = TrainingOutcome::default();
         let mut runs: usize = models.iter().map(|model| model.surprises().runs().len()).sum();
         while let Some(day) = lessons.iter_mut().filter_map(Lesson::day).min() {
             let mut class = of_day(day, &mut lessons, models);
@@ -216,7 +210,7 @@ impl DailySteps<'_> {
             Some((&horizon_nanos, model)) => lesson.with_rows(model, horizon_nanos, self.spec),
             None => lesson,
         };
-        let observed = states.par_iter().map(|(id, samples)| match self.anew.rows.get(id) {
+        let observed = states.par_iter().map(|(id, samples)| match self.anew.get(id) {
             Some(rows) => with_rows(Lesson::anew(*id, rows, samples.len())),
             None => with_rows(Lesson::new(*id, samples)),
         });

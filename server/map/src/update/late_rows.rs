@@ -1,8 +1,8 @@
 //! States whose rows of changes or events come after an update has learned their time.
 //!
 //! What a row stands for depends on the rows beside it. A row that comes late changes readings that were learned. So
-//! the state is learned anew, from all its rows, where history still has them. Elsewhere the late rows are learned as
-//! single readings.
+//! the state is learned anew, from all its rows, where history still has them, and as far as the work of one update is
+//! bounded: states of lower number first. Elsewhere the late rows are learned as single readings.
 //!
 //! Invariant: a state that is learned anew is what it would be had its rows come in order of time.
 
@@ -18,27 +18,43 @@ use crate::{
     training::{ReadingsRequest, StateReadings, TRAINING_READINGS},
 };
 
+/// Maximum number of readings that the rows of all states that one update learns anew stand for: about a minute's work.
+const READINGS_ANEW: u64 = 20_000_000;
+
+/// What became of the states with late rows.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LateRowsOutcome {
+    /// States that were learned anew.
+    pub learned_anew: u64,
+    /// States whose late rows are single readings, because history does not keep all their rows.
+    pub not_kept: u64,
+    /// States whose late rows are single readings, because one update learns no more anew.
+    pub beyond_bound: u64,
+    /// States whose late rows are single readings, because their history could not be read.
+    pub unreadable: u64,
+    /// Why it could not be read.
+    pub failure: Option<String>,
+}
+
 /// What is needed to learn states anew.
 #[derive(Debug)]
 pub(super) struct LateRows<'a> {
     pub(super) spec: &'a MapSpec,
     pub(super) prior_models: &'a PriorModels,
-    /// The newest observation of the map, nanoseconds UTC.
-    pub(super) newest_nanos: i64,
+    /// The newest time that updates have learned, this one included, nanoseconds UTC.
+    pub(super) learned_nanos: i64,
+    /// Maximum number of readings that rows stand for.
+    pub(super) readings_max: u64,
 }
 
-/// States with late rows.
-#[derive(Debug, Default)]
-pub(super) struct LearnedAnew {
-    /// All rows of the states that are learned anew, those of this update included, in order of time.
-    pub(super) rows: BTreeMap<StateId, Vec<Sample>>,
-    /// States with late rows that are not learned anew.
-    pub(super) singly: u64,
-    /// Why history of some could not be read.
-    pub(super) failure: Option<String>,
-}
+/// All rows of the states that are learned anew, those of this update included, in order of time.
+pub(super) type AllRows = BTreeMap<StateId, Vec<Sample>>;
 
-impl LateRows<'_> {
+impl<'a> LateRows<'a> {
+    pub(super) fn new(spec: &'a MapSpec, prior_models: &'a PriorModels, learned_nanos: i64) -> LateRows<'a> {
+        LateRows { spec, prior_models, learned_nanos, readings_max: READINGS_ANEW }
+    }
+
     /// Resets the models of the states with late rows whose rows history has, and returns all their rows. `states`:
     /// with the rows of this update, in order of arrival. `models`: of all states.
     pub(super) fn begin(
@@ -46,39 +62,67 @@ impl LateRows<'_> {
         states: &[(StateId, Vec<Sample>)],
         models: &mut [Arc<StateModel>],
         source: Option<&dyn StateReadings>,
-    ) -> LearnedAnew {
-        let mut found = LearnedAnew::default();
-        let late: Vec<&(StateId, Vec<Sample>)> =
-            states.iter().filter(|(id, rows)| has_late_rows(models.get(id.0 as usize), rows)).collect();
-        found.singly = late.len() as u64;
-        let Some(source) = source else { return found };
-        let mut room = TRAINING_READINGS;
-        for (id, rows) in late {
-            let Some(model) = models.get_mut(id.0 as usize) else { continue };
-            let Some(learned) = model.learned_rows().copied() else { continue };
-            let in_room = room.checked_sub(learned.rows.saturating_add(rows.len() as u64));
-            let is_kept = learned.first_nanos.is_some_and(|first_nanos| self.is_kept(first_nanos));
-            let Some(left) = in_room.filter(|_| is_kept) else { continue };
-            let mut all = match source.readings(&[ReadingsRequest { state: *id, from_nanos: i64::MIN }]) {
-                Ok(earlier) => earlier.into_iter().next().unwrap_or_default(),
-                Err(reason) => {
-                    found.failure.get_or_insert(reason);
+    ) -> (AllRows, LateRowsOutcome) {
+        let (mut found, mut outcome) = (AllRows::new(), LateRowsOutcome::default());
+        let (mut rows_left, mut readings_left) = (TRAINING_READINGS, self.readings_max);
+        let mut chosen: Vec<(&(StateId, Vec<Sample>), u64)> = Vec::new();
+        for state in states {
+            let Some(late) = models.get(state.0.0 as usize).and_then(|model| self.late(model, &state.1)) else {
+                continue;
+            };
+            if source.is_none() || !self.is_kept(late.first_nanos) {
+                outcome.not_kept += 1;
+                continue;
+            }
+            let left = rows_left.checked_sub(late.rows.saturating_add(state.1.len() as u64));
+            match left.zip(readings_left.checked_sub(late.readings)) {
+                Some(left) => (rows_left, readings_left) = left,
+                None => {
+                    outcome.beyond_bound += 1;
                     continue;
                 }
-            };
+            }
+            chosen.push((state, late.rows));
+        }
+        let Some(source) = source.filter(|_| !chosen.is_empty()) else { return (found, outcome) };
+        let all = |&((id, _), _): &(&(StateId, Vec<Sample>), u64)| ReadingsRequest { state: *id, from_nanos: i64::MIN };
+        let wanted: Vec<ReadingsRequest> = chosen.iter().map(all).collect();
+        let earlier = match source.readings(&wanted) {
+            Ok(earlier) => earlier,
+            Err(reason) => {
+                outcome.unreadable = chosen.len() as u64;
+                outcome.failure = Some(reason);
+                return (found, outcome);
+            }
+        };
+        for (((id, rows), learned), mut all) in chosen.into_iter().zip(earlier) {
+            let Some(model) = models.get_mut(id.0 as usize) else { continue };
             // Some may have been deleted.
-            if all.len() as u64 != learned.rows {
+            if all.len() as u64 != learned {
+                outcome.not_kept += 1;
                 continue;
             }
             all.extend_from_slice(rows);
             // Stable: of equal times the row that came last counts.
             all.sort_by_key(|row| row.utc_nanos);
             *model = self.prior_models.beginning_of(model);
-            found.rows.insert(*id, all);
-            found.singly -= 1;
-            room = left;
+            found.insert(*id, all);
+            outcome.learned_anew += 1;
         }
-        found
+        (found, outcome)
+    }
+
+    /// What would be learned anew of a state; `None`: no row is late.
+    fn late(&self, model: &StateModel, rows: &[Sample]) -> Option<LateState> {
+        let (learned, reporting) = (model.learned_rows()?, model.reporting());
+        let first_nanos = learned.first_nanos.filter(|_| {
+            let is_late = |row: &Sample| learned.is_late(reporting, row.utc_nanos);
+            rows.iter().any(is_late)
+        })?;
+        let earliest_nanos = rows.iter().map(|row| row.utc_nanos).fold(first_nanos, i64::min);
+        let step_nanos = reporting.hold()?.step_nanos().max(1).unsigned_abs();
+        let readings = self.learned_nanos.max(first_nanos).abs_diff(earliest_nanos) / step_nanos;
+        Some(LateState { first_nanos, rows: learned.rows, readings })
     }
 
     /// Whether history keeps observations of this time. What an update learns must not depend on when others are
@@ -86,13 +130,18 @@ impl LateRows<'_> {
     fn is_kept(&self, nanos: i64) -> bool {
         match self.spec.retention {
             Retention::None => false,
-            Retention::Duration(kept_nanos) => nanos >= self.newest_nanos.saturating_sub(kept_nanos),
+            Retention::Duration(kept_nanos) => nanos >= self.learned_nanos.saturating_sub(kept_nanos),
             Retention::Forever => true,
         }
     }
 }
 
-fn has_late_rows(model: Option<&Arc<StateModel>>, rows: &[Sample]) -> bool {
-    let Some((model, learned)) = model.and_then(|model| Some((model, model.learned_rows()?))) else { return false };
-    rows.iter().any(|row| learned.is_late(model.reporting(), row.utc_nanos))
+/// A state with late rows.
+struct LateState {
+    /// The first instant that was learned, nanoseconds UTC.
+    first_nanos: i64,
+    /// Rows that were learned.
+    rows: u64,
+    /// At most so many readings are to be learned.
+    readings: u64,
 }

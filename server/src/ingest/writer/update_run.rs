@@ -12,7 +12,7 @@ use tidemap_map::{
     event::{Event, UpdateCause},
     history::HistoryPiece,
     name::MapName,
-    update::{SumsUnavailable, UpdateResult, UpdateWork},
+    update::{LateRowsOutcome, SumsUnavailable, UpdateResult, UpdateWork},
 };
 use tidemap_store::MapId;
 use tracing::{error, info, warn};
@@ -141,20 +141,27 @@ impl Context {
         if let Some(reason) = &outcome.failure {
             warn!(%map, states = outcome.failed, reason, "models are not trained again, because history cannot be read");
         }
-        if outcome.learned_anew > 0 {
-            info!(%map, states = outcome.learned_anew, "states are learned anew, because rows of theirs came late");
-        }
-        if outcome.learned_singly > 0 {
-            warn!(
-                %map,
-                states = outcome.learned_singly,
-                "late rows are learned as single readings, because history does not have all rows of their states"
-            );
-        }
         if outcome.waiting > 0 {
             info!(%map, trained = outcome.trained, waiting = outcome.waiting, "models wait to be trained at a later update");
         }
+        tell_late_rows(map, result.late_rows_outcome());
         Ok(result)
+    }
+}
+
+fn tell_late_rows(map: &MapName, outcome: &LateRowsOutcome) {
+    let LateRowsOutcome { learned_anew, not_kept, beyond_bound, unreadable, failure } = outcome;
+    if *learned_anew > 0 {
+        info!(%map, states = learned_anew, "states are learned anew, because rows of theirs came late");
+    }
+    let singly = not_kept + beyond_bound + unreadable;
+    if singly > 0 {
+        let reason = failure.as_deref().unwrap_or_default();
+        warn!(
+            %map, states = singly, not_kept, beyond_bound, unreadable, reason,
+            "late rows are learned as single readings: history does not keep all rows of their states, or one update \
+             learns no more states anew, or history cannot be read"
+        );
     }
 }
 

@@ -1,9 +1,14 @@
 //! Rows that come after an update has learned their time: their states are learned anew.
 
 use tidemap_grid::spec::Retention;
+use tidemap_model::catalogue::ModelKind;
 
 use super::*;
-use crate::live_map::tests::training::Pieces;
+use crate::{
+    live_map::tests::training::Pieces,
+    training::{ReadingsRequest, StateReadings},
+    update::LateRowsOutcome,
+};
 
 const DOOR: StateId = StateId(0);
 
@@ -26,14 +31,19 @@ impl KeptHome {
 
     /// Learns what has arrived. Returns how many states were learned anew, and how many with single readings.
     fn update(&mut self, until: i64) -> (u64, u64) {
+        let outcome = self.update_from(until, Arc::new(self.known.clone()));
+        (outcome.learned_anew, outcome.not_kept + outcome.beyond_bound + outcome.unreadable)
+    }
+
+    fn update_from(&mut self, until: i64, source: Arc<dyn StateReadings>) -> LateRowsOutcome {
         let start = self.home.map.plan_update(Some(until), until, UpdateCause::Request);
         self.home.position += 1;
         let work = self.home.map.apply(self.home.position, &Event::UpdateStart(start)).expect("fits").expect("work");
-        let result = work.with_readings(Arc::new(self.known.clone())).run(&AtomicU64::new(0)).expect("in memory");
-        let outcome = result.training_outcome().clone();
+        let result = work.with_readings(source).run(&AtomicU64::new(0)).expect("in memory");
+        let outcome = result.late_rows_outcome().clone();
         let snapshot = self.home.map.finish_update(result);
         self.known.0.extend(snapshot.history);
-        (outcome.learned_anew, outcome.learned_singly)
+        outcome
     }
 
     fn model(&mut self) -> StateModel {
@@ -117,6 +127,66 @@ fn late_rows_are_single_readings_where_history_is_not_kept() {
     home.update(MONDAY + 14 * DAY);
     home.home.observe(&[(MONDAY + 12 * HOUR, 0.0)], HOUR);
     assert_eq!(home.update(MONDAY + 14 * DAY), (1, 0));
+}
+
+/// History that cannot be read.
+#[derive(Debug)]
+struct Damaged;
+
+impl StateReadings for Damaged {
+    fn readings(&self, _: &[ReadingsRequest]) -> Result<Vec<Vec<Sample>>, String> {
+        Err("damaged".to_owned())
+    }
+}
+
+#[test]
+fn late_rows_are_single_readings_where_history_is_damaged_or_incomplete() {
+    let damaged: Arc<dyn StateReadings> = Arc::new(Damaged);
+    let unreadable = LateRowsOutcome { unreadable: 1, failure: Some("damaged".to_owned()), ..Default::default() };
+    let not_kept = LateRowsOutcome { not_kept: 1, ..Default::default() };
+    for (source, expected) in [(damaged, unreadable), (Arc::new(Pieces::default()), not_kept)] {
+        let mut home = KeptHome::new(StateKind::Probability, changes(), Retention::Forever);
+        home.home.observe(&office_hours(14), HOUR);
+        home.update(MONDAY + 14 * DAY);
+        let before = home.model().accumulator().observations();
+        home.home.observe(&[(MONDAY + 12 * HOUR, 0.0)], HOUR);
+        assert_eq!(home.update_from(MONDAY + 14 * DAY, source), expected);
+        assert_eq!(home.model().accumulator().observations(), before + 1);
+    }
+}
+
+#[test]
+fn what_one_update_learns_anew_is_bounded_by_what_rows_stand_for() {
+    // A reading each second: 20 million are 231 days.
+    for (days, expected) in [(230, (1, 0)), (232, (0, 1))] {
+        let reporting = Reporting::Changes(hold(HOUR, 1_000_000_000));
+        let mut home = KeptHome::new(StateKind::Probability, reporting, Retention::Forever);
+        home.home.observe(&[(MONDAY, 1.0), (MONDAY + days * DAY, 0.0)], HOUR);
+        home.update(MONDAY + (days + 1) * DAY);
+        home.home.observe(&[(MONDAY + 12 * HOUR, 0.0)], HOUR);
+        assert_eq!(home.update(MONDAY + (days + 1) * DAY), expected, "{days} days");
+    }
+}
+
+#[test]
+fn models_of_states_that_are_learned_anew_are_trained_on_their_rows_alone() {
+    let train = |late: bool| {
+        let mut home = KeptHome::new(StateKind::Probability, changes(), Retention::Forever);
+        let rows = office_hours(20);
+        let (first, rest) = (rows[..1].to_vec(), rows[1..].to_vec());
+        if late {
+            home.home.observe(&rest, HOUR);
+            home.update(MONDAY + 20 * DAY);
+            home.home.observe(&first, HOUR);
+        } else {
+            home.home.observe(&rows, HOUR);
+        }
+        home.update(MONDAY + 20 * DAY);
+        home.model()
+    };
+    let (late, in_order) = (train(true), train(false));
+    assert!(late.alternatives().is_some_and(|known| known.trained(ModelKind::Calibrated).is_some()));
+    assert_eq!(late, in_order);
 }
 
 proptest::proptest! {
