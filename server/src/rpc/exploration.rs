@@ -98,14 +98,21 @@ impl Explorations {
 }
 
 /// Sends the places that were tried.
-fn reached_places(handle: &MapHandle) -> Replies<v1::ListReachabilityResponse> {
-    let view = handle.view();
-    compute_replies(Vec::new(), move |sink| {
-        let places: Vec<_> = view.site().reachability().parts().collect();
-        // A client that is gone gets no more.
-        places.chunks(PLACES_PER_REPLY).all(|places| sink.send(reached_places_to_wire(places)));
+async fn reached_places(
+    permits: &Permits,
+    handle: &MapHandle,
+) -> Result<Replies<v1::ListReachabilityResponse>, RpcError> {
+    let (view, permit) = (handle.view(), permits.take().await?);
+    Ok(compute_replies(vec![permit], move |sink| {
+        let mut places = view.site().reachability().parts().peekable();
+        while places.peek().is_some() {
+            let next: Vec<_> = places.by_ref().take(PLACES_PER_REPLY).collect();
+            if !sink.send(reached_places_to_wire(&next)) {
+                break;
+            }
+        }
         Ok(())
-    })
+    }))
 }
 
 #[tonic::async_trait]
@@ -146,6 +153,6 @@ impl ExplorationService for Explorations {
         request: Request<v1::ListReachabilityRequest>,
     ) -> RpcReply<Self::ListReachabilityStream> {
         let handle = find_map(&self.catalog, &request.into_inner().map).await?;
-        Ok(Response::new(reached_places(&handle)))
+        Ok(Response::new(reached_places(&self.permits, &handle).await?))
     }
 }

@@ -29,6 +29,7 @@ use tidemap_client::{
 };
 use tokio::{sync::watch, task::JoinHandle};
 
+pub(super) use self::next_steps::FileWords;
 use self::{
     feed::{Feed, RefusalReport},
     kind_patterns::KindPatterns,
@@ -169,18 +170,18 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
 }
 
 /// The options that say how the file is read and what its rows are, each with a blank before it.
-fn words(args: &ObserveArgs) -> String {
-    let mut words = args.reports.words() + &args.written.words();
+fn words(args: &ObserveArgs) -> FileWords {
+    let (mut words, mut kinds) = (args.reports.words() + &args.written.words(), String::new());
     if let Some(kind) = args.kind {
-        words += &format!(" --kind {}", kind.name());
+        kinds += &format!(" --kind {}", kind.name());
     }
-    if let Some(kinds) = &args.kinds {
-        words += &format!(" --kinds {}", quoted(&kinds.to_string()));
+    if let Some(patterns) = &args.kinds {
+        kinds += &format!(" --kinds {}", quoted(&patterns.to_string()));
     }
     if args.sender.nightly {
         words += " --nightly";
     }
-    words
+    FileWords { words, kinds }
 }
 
 /// Erases what the options' producer has sent with their label.
@@ -210,7 +211,7 @@ pub(super) struct FileSent<'a> {
     /// Name of the command.
     pub(super) command: &'static str,
     /// The options that say how it is read and what its rows are, each with a blank before it.
-    pub(super) words: String,
+    pub(super) words: FileWords,
     /// Where its refused rows go.
     pub(super) refused: Option<RefusedRows>,
 }

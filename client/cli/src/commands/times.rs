@@ -74,14 +74,23 @@ impl When {
         civil_time(text, zone)
     }
 
-    /// The time; a clock alone is of this day of the zone.
+    /// The time, which has to be on a day of the zone; a clock alone is of this day.
     pub(crate) fn resolve_on(&self, day: LocalDay, local: Option<&Zone>, zone: &Zone) -> Result<i64, UsageError> {
         match self {
             Self::Clock(text) => {
                 let midnight = format_rfc3339(i64::from(day.0).saturating_mul(DAY_NANOS));
                 civil_time(&format!("{}T{text}", midnight.get(..10).unwrap_or_default()), zone)
             }
-            other => other.resolve(local),
+            other => {
+                let nanos = other.resolve(local)?;
+                match zone.day_of(nanos) == day {
+                    true => Ok(nanos),
+                    false => Err(UsageError(format!(
+                        "--at {}: this is not on the day of --date; give a clock such as 10:00, or leave --date out",
+                        format_rfc3339(nanos)
+                    ))),
+                }
+            }
         }
     }
 }
@@ -143,7 +152,8 @@ fn ends(day: LocalDay, zone: &Zone) -> (i64, i64) {
 fn local_steps(day: LocalDay, zone: &Zone, step: i64) -> Result<Vec<i64>, UsageError> {
     let (from, to) = ends(day, zone);
     let offsets = [from, to.saturating_sub(1)].map(|nanos| i64::from(zone.offset_secs(nanos)) * SEC_NANOS);
-    if offsets[0] == offsets[1] {
+    let begins_at_midnight = (from + offsets[0]).rem_euclid(DAY_NANOS) == 0;
+    if offsets[0] == offsets[1] && begins_at_midnight {
         return steps(from, to, step);
     }
     let midnight = i64::from(day.0).saturating_mul(DAY_NANOS);
@@ -154,6 +164,7 @@ fn local_steps(day: LocalDay, zone: &Zone, step: i64) -> Result<Vec<i64>, UsageE
             (from..to).contains(nanos) && i64::from(zone.offset_secs(*nanos)) * SEC_NANOS == *offset
         });
         instants.sort_unstable();
+        instants.dedup();
         if step > (offsets[0] - offsets[1]).abs() {
             instants.truncate(1);
         }
@@ -245,9 +256,13 @@ mod tests {
     }
 
     fn hours(day: &str, step: i64) -> Vec<i64> {
-        let day = named_day(day, &berlin()).map_err(|error| error.0).expect(day);
-        let midnight = berlin().midnight_nanos(day);
-        let times = local_steps(day, &berlin(), step).map_err(|error| error.0).expect("times");
+        hours_in(&berlin(), day, step)
+    }
+
+    fn hours_in(zone: &Zone, day: &str, step: i64) -> Vec<i64> {
+        let day = named_day(day, zone).map_err(|error| error.0).expect(day);
+        let midnight = zone.midnight_nanos(day);
+        let times = local_steps(day, zone, step).map_err(|error| error.0).expect("times");
         times.into_iter().map(|time| (time - midnight) / HOUR).collect()
     }
 
@@ -260,6 +275,10 @@ mod tests {
         assert_eq!(hours("2025-03-30", HOUR), (0..23).collect::<Vec<_>>(), "no 02:00");
         assert_eq!(hours("2025-03-30", 2 * HOUR)[..3], [0, 3, 5], "no 02:00, then 04:00");
         assert_eq!(hours("2025-10-26", 2 * HOUR)[..3], [0, 2, 5], "02:00 once");
+        // Clocks are set forward at midnight: the day begins at 01:00.
+        let cairo = Zone::named("Africa/Cairo").expect("a zone");
+        assert_eq!(hours_in(&cairo, "2025-04-25", 6 * HOUR), [5, 11, 17], "no 00:00, then 06:00");
+        assert_eq!(hours_in(&cairo, "2025-04-25", HOUR), (0..23).collect::<Vec<_>>());
     }
 
     #[test]
@@ -270,6 +289,7 @@ mod tests {
         assert_eq!(on("10:00"), Ok(AUTUMN + 11 * HOUR));
         assert_eq!(on("02:00"), Ok(AUTUMN + 2 * HOUR), "the first of two");
         assert_eq!(on("2025-10-26T09:00:00Z"), Ok(AUTUMN + 11 * HOUR));
+        assert!(on("2025-10-27T09:00:00Z").is_err_and(|text| text.contains("not on the day")));
         let alone = read("10:00").resolve(Some(&berlin)).map_err(|error| error.0);
         assert!(alone.is_err_and(|text| text.contains("--date today --at 10:00")));
         let spring = named_day("2025-03-30", &berlin).map_err(|error| error.0).expect("a day");

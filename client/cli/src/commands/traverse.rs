@@ -10,7 +10,7 @@ use tidemap_client::observe::{ProducerOptions, TraversalReport};
 
 use super::{
     Session,
-    observe::{self, FileSent, SenderArgs, feed, refused::RefusedRows},
+    observe::{self, FileSent, FileWords, SenderArgs, feed, refused::RefusedRows},
     times, usage,
 };
 use crate::progress::{Bar, status_line};
@@ -85,7 +85,8 @@ pub(crate) async fn run(session: &Session, args: &TraverseArgs) -> anyhow::Resul
     if let Some(file) = &args.file {
         let refused = args.refused.as_deref().map(|target| RefusedRows::new(file, target)).transpose()?;
         let feed = feed::open::<TraversalColumns>(file, &RowRules::default())?;
-        let sent = FileSent { shown: &feed::display_name(file), command: "traverse", words: String::new(), refused };
+        let sent =
+            FileSent { shown: &feed::display_name(file), command: "traverse", words: FileWords::default(), refused };
         return observe::send(session, args.options()?, feed, sent).await;
     }
     let report = args.report();

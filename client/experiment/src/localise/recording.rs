@@ -105,7 +105,10 @@ fn each_row<T: DeserializeOwned>(
         let row = row.map_err(|error| wrong(error.to_string()))?;
         take(row).map_err(|error| wrong(format!("line {line}: {error}")))?;
     }
-    Ok(())
+    match reader.into_inner().limit() {
+        0 => Err(wrong(format!("it has {FILE_BYTES_MAX} bytes or more, uncompressed"))),
+        _ => Ok(()),
+    }
 }
 
 /// The element at two numbers, which a file counts from 1.

@@ -10,7 +10,7 @@ use std::{
     str::FromStr,
 };
 
-use tidemap_client::maps::{StateShape, StatedReporting};
+use tidemap_client::maps::{StateName, StateShape, StatedReporting};
 use tidemap_formats::observation_file::{ObservationColumns, RowItem, RowRules};
 
 use super::{
@@ -149,10 +149,10 @@ async fn known_shapes(session: &Session, map: &str) -> anyhow::Result<HashMap<St
 fn states_of(file: &Path, rules: &RowRules) -> anyhow::Result<BTreeSet<String>> {
     let (mut rows, _) = feed::reader::<ObservationColumns>(file, rules)?;
     let mut states = BTreeSet::new();
-    // What is wrong with a row is said when it is sent.
+    // What is wrong with a row or a name is said when it is sent: such rows make no state.
     while let Some(item) = rows.next_item()? {
         let RowItem::Row(row) = item else { continue };
-        if !row.state.is_empty() && !states.contains(&row.state) {
+        if row.is_read && !states.contains(&row.state) && StateName::observed(&row.state).is_ok() {
             states.insert(row.state);
         }
         if states.len() > STATES_MAX {

@@ -8,6 +8,15 @@ use tidemap_client::observe::ProducerOptions;
 
 use super::{super::shell_word::quoted, base_name};
 
+/// The options of a file, each with a blank before it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct FileWords {
+    /// How it is read, and how its states are reported.
+    pub(crate) words: String,
+    /// The kinds of its states.
+    pub(crate) kinds: String,
+}
+
 /// The commands that send a file again.
 #[derive(Clone, Debug)]
 pub(super) struct NextSteps<'a> {
@@ -19,18 +28,22 @@ pub(super) struct NextSteps<'a> {
     label: String,
     /// The command that sends the file in place of what was sent; stdin cannot be sent again.
     replace: Option<String>,
+    /// As `replace`, without the options for kinds.
+    replace_without_kinds: Option<String>,
 }
 
 impl<'a> NextSteps<'a> {
-    /// `words`: the options for the file, each with a blank before it.
-    pub(super) fn new(options: &'a ProducerOptions, command: &str, words: &str, shown: &'a str) -> Self {
+    pub(super) fn new(options: &'a ProducerOptions, command: &str, of_file: &FileWords, shown: &'a str) -> Self {
         let ProducerOptions { map, producer, label, .. } = options;
-        let again = format!("tidemap {command} {} --producer {}{words}", quoted(map), quoted(producer));
+        let FileWords { words, kinds } = of_file;
+        let without_kinds = format!("tidemap {command} {} --producer {}{words}", quoted(map), quoted(producer));
+        let again = format!("{without_kinds}{kinds}");
         let label =
             if base_name(Path::new(shown)) == *label { String::new() } else { format!(" --label {}", quoted(label)) };
-        let replace =
-            (command == "observe" && shown != "stdin").then(|| format!("{again} {}{label} --replace", quoted(shown)));
-        Self { map, shown, again, label, replace }
+        let replace = |command_line: &str| format!("{command_line} {}{label} --replace", quoted(shown));
+        let [replace, replace_without_kinds] =
+            [&again, &without_kinds].map(|line| (command == "observe" && shown != "stdin").then(|| replace(line)));
+        Self { map, shown, again, label, replace, replace_without_kinds }
     }
 
     /// The command that sends another file.
@@ -58,7 +71,7 @@ impl<'a> NextSteps<'a> {
         format!(
             "values that are not between 0 and 1 need states of another kind: {} --kinds 'PATTERN=continuous', or count. A \
              state keeps its kind: erase one that exists first, with tidemap erase {} --state NAME",
-            self.replace.as_deref().unwrap_or("send them with"),
+            self.replace_without_kinds.as_deref().unwrap_or("send them with"),
             quoted(self.map)
         )
     }
@@ -81,15 +94,16 @@ impl<'a> NextSteps<'a> {
 
     fn otherwise(&self, first: &str, option: &str) -> String {
         let erase = format!("tidemap erase {} --state {}", quoted(self.map), quoted(first));
-        match (&self.replace, option) {
-            (Some(replace), "--changes") => {
+        match (&self.replace, &self.replace_without_kinds, option) {
+            (Some(replace), _, "--changes") => {
                 format!("erase the state ({erase}), and send the file anew: {replace} --changes")
             }
-            (Some(replace), _) => {
+            // Events have a kind of their own.
+            (_, Some(replace), _) => {
                 let replace = replace.replace(" --changes", " --events");
                 format!("erase the state ({erase}), and send the file anew: {replace}")
             }
-            (None, option) => format!("erase the state ({erase}), and send the rows with {option} and another --label"),
+            (.., option) => format!("erase the state ({erase}), and send the rows with {option} and another --label"),
         }
     }
 
@@ -130,8 +144,9 @@ mod tests {
     #[test]
     fn advised_commands_keep_the_options_of_the_file() {
         let options = ProducerOptions::new("hub", "export.csv", "home");
-        let words = " --changes --local --columns time=last_changed";
-        let steps = NextSteps::new(&options, "observe", words, "data/export.csv");
+        let words = " --changes --local --columns time=last_changed".to_owned();
+        let words = FileWords { words, kinds: String::new() };
+        let steps = NextSteps::new(&options, "observe", &words, "data/export.csv");
         let anew = "tidemap observe home --producer hub --changes --local --columns time=last_changed data/export.csv \
                     --replace";
         for text in [steps.refused().unwrap_or_default(), steps.absent("\"door\""), steps.differs("b")] {
@@ -139,11 +154,18 @@ mod tests {
         }
         assert!(steps.as_events("the door").contains("--state 'the door'"));
         assert!(steps.as_events("door").contains("--producer hub --events --local"));
+        // What would be refused beside the advised option is left out.
+        let kinds = FileWords { kinds: " --kinds 'a*=probability'".to_owned(), ..words };
+        let steps = NextSteps::new(&options, "observe", &kinds, "x.csv");
+        assert_eq!(steps.no_probabilities().matches("--kinds").count(), 1);
+        assert!(!steps.as_events("door").contains("--kinds") && steps.again().contains("--kinds 'a*=probability'"));
         let labelled = ProducerOptions::new("hub", "a b", "home");
         assert!(
-            NextSteps::new(&labelled, "observe", "", "x.csv").differs("c").contains("x.csv --label 'a b' --replace")
+            NextSteps::new(&labelled, "observe", &FileWords::default(), "x.csv")
+                .differs("c")
+                .contains("x.csv --label 'a b' --replace")
         );
-        let piped = NextSteps::new(&options, "observe", "", "stdin");
+        let piped = NextSteps::new(&options, "observe", &FileWords::default(), "stdin");
         assert!(piped.refused().is_none() && piped.absent("x").contains("another --label"));
     }
 }

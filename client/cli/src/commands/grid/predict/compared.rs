@@ -9,9 +9,9 @@ use std::{
 };
 
 use tidemap_client::queries::GridQuery;
-use tidemap_formats::{MapPicture, grid_text, png};
+use tidemap_formats::{CELLS_MAX, MapPicture, grid_text, png};
 
-use super::{GridPredictArgs, ScaleArg, heights_text, picture, predicted, put};
+use super::{GridPredictArgs, PART, ScaleArg, heights_text, picture, predicted, put};
 use crate::{
     commands::{Session, files, usage},
     progress::status_line,
@@ -40,13 +40,27 @@ pub(super) async fn run(
     }
     let mut panels: Vec<(String, MapPicture)> = Vec::with_capacity(times.len());
     let (mut generation, mut heights) = (0, String::new());
+    let (count, mut query) = (times.len(), query);
     for time_nanos in times {
         let predicted = predicted(session, &GridQuery { time_nanos, ..query.clone() }).await?;
-        (generation, heights) = (predicted.header.generation, heights_text(&predicted.header.grid, query.region));
+        let drawn = picture(&predicted, args.value());
+        if panels.is_empty() {
+            let cells = (drawn.cells.len() as u64).saturating_mul(count as u64);
+            anyhow::ensure!(
+                cells <= CELLS_MAX,
+                "{count} maps have {cells} cells, and a picture takes at most {CELLS_MAX}. {PART}, or fewer times"
+            );
+            // What is observed meanwhile must not make the next map larger.
+            heights = heights_text(&predicted.header.grid, query.region);
+            query.region = Some(predicted.header.region);
+        } else if predicted.header.generation != generation {
+            anyhow::bail!("an update has ended meanwhile, so that the maps cannot be compared: try again");
+        }
+        generation = predicted.header.generation;
         let heading = session.times.heading(time_nanos);
         // The zone stands in the caption.
         let title = heading.split(" (").next().unwrap_or(&heading).to_owned();
-        panels.push((title, picture(&predicted, args.value())));
+        panels.push((title, drawn));
     }
     let zone = session.times.heading(query.time_nanos);
     let zone = zone.split_once(" (").map_or(String::new(), |(_, zone)| format!(" ({zone}"));
