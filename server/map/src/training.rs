@@ -285,8 +285,8 @@ fn due<'a>(
     Some(Due { place, wanted, from_nanos, state_kind: model.kind(), kinds, own, day, expected })
 }
 
-/// Number of due states to process together: at least one, if there are any. Earlier readings are read of all of them or
-/// of none.
+/// Number of due states to process together: at least one, if there are any. Earlier readings are read of all of them
+/// or of none.
 fn batch_len(due: &[Due<'_>], readings_max: u64) -> usize {
     let mut readings = 0_u64;
     let is_all = due.first().is_some_and(|due| due.own.is_all);

@@ -4,8 +4,8 @@
 //! updates before it, so that they are what they would be had they never seen the rest. Of the nightly limits of models
 //! to train only those of the states that are learned anew are counted: with more models due in one night than an
 //! update trains, a model may be trained earlier than it would have been. Rows of changes and events are known to be
-//! complete up to the newest observation of all these states, not of their own producer. So a row of a producer that lags
-//! may be late here and not have been in the update, or the reverse.
+//! complete up to the newest observation of all these states, not of their own producer. So a row of a producer that
+//! lags may be late here and not have been in the update, or the reverse.
 //!
 //! Invariant: the result depends on the history and on what is left of the pending observations alone.
 

@@ -40,7 +40,7 @@ pub(super) async fn run(
     }
     let mut panels: Vec<(String, MapPicture)> = Vec::with_capacity(times.len());
     let (mut generation, mut heights) = (0, String::new());
-    let (count, mut query) = (times.len(), query);
+    let (count, mut region) = (times.len(), None);
     for time_nanos in times {
         let predicted = predicted(session, &GridQuery { time_nanos, ..query.clone() }).await?;
         let drawn = picture(&predicted, args.value());
@@ -50,13 +50,11 @@ pub(super) async fn run(
                 cells <= CELLS_MAX,
                 "{count} maps have {cells} cells, and a picture takes at most {CELLS_MAX}. {PART}, or fewer times"
             );
-            // What is observed meanwhile must not make the next map larger.
             heights = heights_text(&predicted.header.grid, query.region);
-            query.region = Some(predicted.header.region);
-        } else if predicted.header.generation != generation {
-            anyhow::bail!("an update has ended meanwhile, so that the maps cannot be compared: try again");
+            (generation, region) = (predicted.header.generation, Some(predicted.header.region));
+        } else if predicted.header.generation != generation || region != Some(predicted.header.region) {
+            anyhow::bail!("the map has grown or was updated meanwhile, and the pictures would not compare: try again");
         }
-        generation = predicted.header.generation;
         let heading = session.times.heading(time_nanos);
         // The zone stands in the caption.
         let title = heading.split(" (").next().unwrap_or(&heading).to_owned();
