@@ -7,6 +7,7 @@
 pub mod manifest;
 pub mod plan;
 pub mod v1;
+pub mod v2;
 
 /// The disk format that this version reads and writes.
-pub const FORMAT: u32 = v1::FORMAT;
+pub const FORMAT: u32 = v2::FORMAT;

@@ -94,7 +94,8 @@ pub struct Mark {
     /// Its grid, where the map has one.
     #[prost(message, optional, tag = "3")]
     pub grid: Option<GridMark>,
-    /// The rows of the trees of states, tiles, cells, sites and producers, in this order.
+    /// The rows of the trees of states, tiles, cells, sites and producers, in this order, and of
+    /// landmarks if there are any.
     #[prost(message, repeated, tag = "4")]
     pub totals: Vec<Total>,
 }

@@ -124,7 +124,7 @@ pub struct Site {
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SiteEdit {
     /// What changes.
-    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6")]
+    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6, 7")]
     pub change: Option<Change>,
 }
 
@@ -149,4 +149,7 @@ pub enum Change {
     /// The topological map is changed.
     #[prost(message, tag = "6")]
     Topology(super::topology::Edit),
+    /// The landmarks of a place are changed; since format 2.
+    #[prost(message, tag = "7")]
+    Landmarks(crate::v2::LandmarkEdit),
 }

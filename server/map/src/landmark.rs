@@ -1,11 +1,32 @@
-//! What landmarks look like: binary descriptors of image features, and where they are in the image.
+//! Landmarks: the table of those of a map, and binary descriptors of image features with their places in the image.
 //!
 //! Invariant: a descriptor has 1 to 64 bytes; descriptors of different lengths are never compared.
 
 use std::fmt;
 
+mod error;
+mod table;
 #[cfg(test)]
 mod tests;
+
+pub use error::LandmarkError;
+pub use table::{DescriptorKind, Landmark, LandmarkEdit, LandmarkKind, LandmarkPlace, Landmarks, LandmarksAtPlace};
+
+/// Maximum number of landmarks of a place: a sighting is an observation of each.
+pub const LANDMARKS_AT_PLACE_MAX: usize = 4_096;
+/// Maximum number of landmarks of a map.
+pub const LANDMARKS_MAX: usize = 4_000_000;
+/// Maximum number of bytes of the velocity profile of an edge.
+pub const PROFILE_BYTES_MAX: usize = 64 << 10;
+/// Maximum number of characters of the name of a kind of descriptors.
+pub const DESCRIPTOR_KIND_CHARS_MAX: usize = 128;
+/// Farthest that an image position may be from the corner of the image, pixels.
+pub(crate) const PIXEL_MAX: f64 = 1e6;
+/// Numbers of the covariance of a position in an image: uu, uv, vv, pixels².
+pub const IMAGE_COVARIANCE: usize = 3;
+/// Numbers of the covariance of a pose: the upper triangle of the 6×6 matrix of x, y, z (m) and the turns about them
+/// (rad), by rows.
+pub const POSE_COVARIANCE: usize = 21;
 
 /// Maximum number of bytes of a descriptor.
 pub const DESCRIPTOR_BYTES_MAX: usize = 64;

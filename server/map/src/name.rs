@@ -8,8 +8,10 @@ use tidemap_model::{ANGLE_AXES, Dimensions};
 use unicode_normalization::is_nfc;
 
 mod edge;
+mod landmark;
 
 pub use edge::{EDGE_STATE_CHARS_MAX, EdgeName, EdgeState};
+pub use landmark::{LANDMARK_STATE_CHARS_MAX, PlaceName};
 
 /// Maximum number of characters of a state's or producer's name.
 pub const NAME_CHARS_MAX: usize = 128;
@@ -146,7 +148,8 @@ pub(crate) fn asked_for(name: &str) -> &str {
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. Or the name of an axis of a
 /// vector, such a name with `/x`, `/y` or `/z`, or of an angle, with `/cos` or `/sin`; or `node/N/KIND`, whether an
-/// object of a kind is at node N; or the name of a state of an edge, [`EdgeName::state`].
+/// object of a kind is at node N; or the name of a state of an edge, [`EdgeName::state`], or of a landmark,
+/// [`PlaceName::landmark`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -204,13 +207,17 @@ impl StateName {
     }
 
     /// As [`StateName::observed`], or the name of an axis of a vector or an angle, as [`StateName::axis`] and
-    /// [`StateName::angle_axis`] give it, or of a state of an edge, as [`EdgeName::state`] does.
+    /// [`StateName::angle_axis`] give it, or of a state of an edge, as [`EdgeName::state`] does, or of a landmark, as
+    /// [`PlaceName::landmark`] does.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
     pub fn stored(name: &str) -> Result<Self, InvalidName> {
         if let Some((what, edge)) = edge::split_edge(name) {
             return Ok(EdgeName::parse(edge)?.state(what));
+        }
+        if let Some(parts) = landmark::split(name) {
+            return parts.map(|(place, id)| place.landmark(&id));
         }
         if let Some((angle, axis)) = split_angle_axis(name) {
             let angle = Self::new(angle)?;
@@ -228,15 +235,16 @@ impl StateName {
     }
 
     /// The name of the state after node `from` is renamed to `to`; `None` if the state does not belong to the node. Its
-    /// own name, `node/N/KIND`, and the names of the edges at it do.
+    /// own name, `node/N/KIND`, and the names of the edges at it and of landmarks seen there do.
     ///
     /// # Errors
     /// [`InvalidName::TooLong`].
     pub(crate) fn with_node_renamed(&self, from: &str, to: &StateName) -> Option<Result<Self, InvalidName>> {
-        if let Some((what, mut edge)) = self.as_edge() {
-            let ends = [&mut edge.from, &mut edge.to].into_iter().filter(|end| end.as_str() == from);
-            let renamed = ends.map(|end| *end = to.clone()).count();
-            return (renamed > 0).then(|| Ok(edge.state(what)));
+        if let Some((what, edge)) = self.as_edge() {
+            return edge.with_node_renamed(from, to).map(|edge| Ok(edge.state(what)));
+        }
+        if let Some(renamed) = landmark::with_node_renamed(self, from, to) {
+            return Some(Ok(renamed));
         }
         if self.as_str() == from {
             return Some(Ok(to.clone()));
@@ -244,6 +252,16 @@ impl StateName {
         let (_, kind) = split_object(&self.0).filter(|(node, _)| *node == from)?;
         let name = format!("node/{to}/{kind}");
         Some(check(&name).map(|()| Self(name.into())))
+    }
+
+    /// Maximum number of characters for a state with this name: names of the states of edges and landmarks are longer
+    /// than others.
+    pub fn chars_max(name: &str) -> usize {
+        match landmark::split(name) {
+            Some(_) => LANDMARK_STATE_CHARS_MAX,
+            None if edge::split_edge(name).is_some() => EDGE_STATE_CHARS_MAX,
+            None => NAME_CHARS_MAX,
+        }
     }
 
     /// For the name of an axis: the name of its vector, and the axis, 0 for x.

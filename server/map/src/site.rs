@@ -1,5 +1,5 @@
 //! The site of a map: what people and robots tell the map besides observations. It holds the charger, locations,
-//! reachability, the topological map, and failed traversals.
+//! reachability, the topological map, its landmarks, and failed traversals.
 //!
 //! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] accepts is
 //! applied whole; any other changes nothing.
@@ -9,6 +9,7 @@ use tidemap_grid::index::CellIndex;
 
 use crate::{
     ids::StateId,
+    landmark::{LandmarkEdit, LandmarkError, Landmarks},
     name::{InvalidName, StateName},
     reachability::{Reachability, ReachabilityError},
     topology::{Topology, TopologyEdit, TopologyError},
@@ -58,6 +59,8 @@ pub enum SiteEdit {
     },
     /// The topological map is changed.
     Topology(TopologyEdit),
+    /// The landmarks of a place are changed.
+    Landmarks(LandmarkEdit),
 }
 
 /// Why an edit is invalid.
@@ -94,6 +97,9 @@ pub enum InvalidEdit {
     /// The topological map would be invalid.
     #[error(transparent)]
     Topology(#[from] TopologyError),
+    /// The landmarks would be invalid.
+    #[error(transparent)]
+    Landmarks(#[from] LandmarkError),
     /// A state of a renamed node would have the name of another state.
     #[error(
         "state {state:?} of the node would be renamed to {name:?}, but a state of that name exists: choose another name"
@@ -117,6 +123,7 @@ pub struct Site {
     reachability: Reachability,
     topology: Arc<Topology>,
     failures: Failures,
+    landmarks: Arc<Landmarks>,
 }
 
 impl Site {
@@ -148,6 +155,16 @@ impl Site {
     /// This site with a stored topological map.
     pub fn with_topology(self, topology: Topology) -> Site {
         Site { topology: Arc::new(topology), ..self }
+    }
+
+    /// The landmarks of nodes and edges.
+    pub fn landmarks(&self) -> &Arc<Landmarks> {
+        &self.landmarks
+    }
+
+    /// This site with stored landmarks, which belong to its topological map.
+    pub fn with_landmarks(self, landmarks: Landmarks) -> Site {
+        Site { landmarks: Arc::new(landmarks), ..self }
     }
 
     /// The newest traversals that failed.
@@ -205,6 +222,7 @@ impl Site {
             SiteEdit::RemoveLocation(name) if self.locations.contains_key(name) => Ok(()),
             SiteEdit::Visit { at_m, .. } => Ok(self.reachability.check(at_m[0], at_m[1])?),
             SiteEdit::Topology(edit) => Ok(self.topology.edited(edit).map(drop)?),
+            SiteEdit::Landmarks(edit) => Ok(self.landmarks.edited(&self.topology, edit).map(drop)?),
             SiteEdit::RemoveLocation(name) => Err(InvalidEdit::UnknownLocation(name.as_str().to_owned())),
         }
     }
@@ -218,7 +236,13 @@ impl Site {
             self.topology = Arc::new(self.topology.edited(edit)?);
             if let TopologyEdit::RenameNode { from, to } = edit {
                 self.failures.rename_node(from, to);
+            } else if !self.landmarks.is_empty() {
+                Arc::make_mut(&mut self.landmarks).keep_places_of(&self.topology);
             }
+            return Ok(());
+        }
+        if let SiteEdit::Landmarks(edit) = edit {
+            self.landmarks = Arc::new(self.landmarks.edited(&self.topology, edit)?);
             return Ok(());
         }
         self.check(edit, states)?;
@@ -234,7 +258,7 @@ impl Site {
                 self.reachability.report(at_m[0], at_m[1], *reached, *utc_nanos)?;
             }
             // Done above.
-            SiteEdit::Topology(_) => {}
+            SiteEdit::Topology(_) | SiteEdit::Landmarks(_) => {}
         }
         Ok(())
     }

@@ -11,9 +11,12 @@ use std::{
 
 use prost::Message as _;
 use tidemap_map::{site::Site, snapshot::MapSnapshot, spec::MapSpec};
-use tidemap_migrations::v1::{
-    file::{CHECKPOINT_MAGIC, FileHeader, RecordKind, Trailer},
-    map as v1, site as v1_site,
+use tidemap_migrations::{
+    v1::{
+        file::{CHECKPOINT_MAGIC, FileHeader, RecordKind, Trailer},
+        map as v1, site as v1_site,
+    },
+    v2,
 };
 use tidemap_model::PhasorSum;
 
@@ -21,7 +24,7 @@ use crate::{
     MapId,
     disk::Disk,
     error::{OpenError, Report, StoreError, is_shortage, open_io, store_io},
-    record::{site, snapshot as record},
+    record::{landmark, site, snapshot as record},
     record_file::{RecordReader, RecordWriter},
 };
 
@@ -148,6 +151,9 @@ impl Checkpoints<'_> {
         }
         if let Some(site) = site::encode(&snapshot.site) {
             writer.long(RecordKind::Site, &site.encode_to_vec())?;
+        }
+        for place in landmark::encode_places(snapshot.site.landmarks()) {
+            writer.long(RecordKind::Landmarks, &place.encode_to_vec())?;
         }
         let shared = match &snapshot.grid {
             Some(grid) => grid_writer::write(&mut writer, grid, &spec.periodicities)?,
@@ -331,8 +337,12 @@ fn read_site(reader: &mut RecordReader, snapshot: &v1::Snapshot) -> Result<Site,
     if !snapshot.has_site {
         return Ok(Site::default());
     }
-    let message: v1_site::Site = reader.long_message(RecordKind::Site, &mut Vec::new())?;
-    site::decode(&message, snapshot.states as usize)
+    let mut bytes = Vec::new();
+    let message: v1_site::Site = reader.long_message(RecordKind::Site, &mut bytes)?;
+    let site = site::decode(&message, snapshot.states as usize)?;
+    let place = |_| reader.long_message(RecordKind::Landmarks, &mut bytes);
+    let places = (0..snapshot.landmark_places).map(place).collect::<Result<Vec<v2::LandmarksAtPlace>, String>>()?;
+    landmark::decode_into(site, &places)
 }
 
 fn position(name: &str) -> Option<u64> {

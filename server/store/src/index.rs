@@ -94,7 +94,11 @@ impl KnownRows {
     }
 
     fn totals(&self) -> Vec<Total> {
-        self.items.iter().map(|sums| rows::total(sums)).collect()
+        let mut totals: Vec<Total> = self.items.iter().map(|sums| rows::total(sums)).collect();
+        while totals.len() > Kind::ALWAYS && totals.last() == Some(&Total::default()) {
+            totals.pop();
+        }
+        totals
     }
 }
 
@@ -134,9 +138,9 @@ impl Trees {
             let db = open_unlocked(&config)
                 .map_err(|error| if is_in_use(&error) { Unopened::InUse } else { text(error).into() })?;
             let tree = |kind: Kind| db.open_tree(kind.name()).map_err(text);
-            let [states, tiles, cells, sites, producers] = Kind::ALL.map(tree);
+            let [states, tiles, cells, sites, producers, landmarks] = Kind::ALL.map(tree);
             Ok(Trees {
-                rows: [states?, tiles?, cells?, sites?, producers?],
+                rows: [states?, tiles?, cells?, sites?, producers?, landmarks?],
                 generations: db.open_tree(GENERATIONS).map_err(text)?,
                 folder: folder.to_owned(),
                 db,

@@ -14,6 +14,7 @@ mod ensemble;
 pub(crate) mod event;
 pub(crate) mod history;
 mod ids;
+pub(crate) mod landmark;
 mod numbers;
 mod observation_runs;
 mod offsets;

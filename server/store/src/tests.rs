@@ -18,6 +18,7 @@ pub(crate) mod grid_example;
 mod grid_life;
 mod grid_records;
 mod history;
+mod landmarks;
 mod life;
 mod losses;
 mod missing;

@@ -1,4 +1,6 @@
-//! Descriptors keep their bytes.
+//! Descriptors keep their bytes; the table of landmarks.
+
+mod table;
 
 use proptest::prelude::*;
 

@@ -79,6 +79,14 @@ impl EdgeName {
         }
     }
 
+    /// This edge after a node is renamed; `None` if the node is none of its ends.
+    pub(super) fn with_node_renamed(&self, from: &str, to: &StateName) -> Option<EdgeName> {
+        let mut edge = self.clone();
+        let ends = [&mut edge.from, &mut edge.to].into_iter().filter(|end| end.as_str() == from);
+        let renamed = ends.map(|end| *end = to.clone()).count();
+        (renamed > 0).then_some(edge)
+    }
+
     /// Name of one of its states: `edge/A/B`, `speed/A/B` or `pace/A/B`, with `/ACTION` unless the action is the
     /// default.
     pub fn state(&self, what: EdgeState) -> StateName {
@@ -113,11 +121,6 @@ impl StateName {
     pub(crate) fn as_edge(&self) -> Option<(EdgeState, EdgeName)> {
         let (what, edge) = split_edge(&self.0)?;
         EdgeName::parse(edge).ok().map(|edge| (what, edge))
-    }
-
-    /// Maximum number of characters for a state with this name: names of edges' states are longer than others.
-    pub fn chars_max(name: &str) -> usize {
-        if split_edge(name).is_some() { EDGE_STATE_CHARS_MAX } else { NAME_CHARS_MAX }
     }
 }
 

@@ -16,10 +16,13 @@ use tidemap_map::{
     snapshot::{MapSnapshot, StateSnapshot},
     spec::MapSpec,
 };
-use tidemap_migrations::v1::{
-    grid as v1_grid,
-    index::{GENERATIONS, Mark, StateRow, decode_value, item_key, map_key},
-    map as v1, site as v1_site,
+use tidemap_migrations::{
+    v1::{
+        grid as v1_grid,
+        index::{GENERATIONS, Mark, StateRow, decode_value, item_key, map_key},
+        map as v1, site as v1_site,
+    },
+    v2::LandmarksAtPlace,
 };
 
 use tidemap_model::Periodicities;
@@ -29,7 +32,7 @@ use super::{
     cells::IndexedCells,
     rows::{self, ItemRows, Kind, Sum},
 };
-use crate::record::{published, site as record_site, snapshot as record, spec, tile};
+use crate::record::{landmark, published, site as record_site, snapshot as record, spec, tile};
 
 /// States are decoded by this many threads at most.
 const THREADS_MAX: usize = 4;
@@ -54,7 +57,7 @@ pub(super) fn mark(trees: &Trees, map: u32) -> Result<MarkState, Damage> {
     };
     let payload = decode_value(GENERATIONS, &key, &value).ok_or("the mark of a map is damaged")?;
     let mark = Mark::decode(payload).map_err(|_| "the mark of a map is not a message")?;
-    let is_clean = !mark.dirty && mark.snapshot.is_some() && mark.totals.len() == Kind::ALL.len();
+    let is_clean = !mark.dirty && mark.snapshot.is_some() && mark.totals.len() >= Kind::ALWAYS;
     Ok(if is_clean { MarkState::Clean(Box::new(mark), value) } else { MarkState::Unfinished })
 }
 
@@ -68,6 +71,7 @@ fn limit(mark: &Mark, kind: Kind) -> u32 {
         Kind::Sites => 1,
         Kind::Tiles => grid.tiles,
         Kind::Cells => grid.models,
+        Kind::Landmarks => snapshot.landmark_places,
     }
 }
 
@@ -95,7 +99,7 @@ fn each(
 }
 
 fn compare(mark: &Mark, map: u32, kind: Kind, sums: &[Sum]) -> Result<(), Damage> {
-    if mark.totals.get(kind as usize) == Some(&rows::total(sums)) {
+    if mark.totals.get(kind as usize).copied().unwrap_or_default() == rows::total(sums) {
         return Ok(());
     }
     Err(format!("rows of map number {map} in {} are missing, stale or too many", kind.name()))
@@ -128,6 +132,15 @@ pub(super) fn read(trees: &Trees, map: u32, spec: &MapSpec) -> Result<Option<Map
         site = record_site::decode(&message, states.len())?;
         Ok(())
     })?;
+    let mut places: Vec<LandmarksAtPlace> = Vec::new();
+    each(trees, map, &mark, Kind::Landmarks, |item| {
+        places.push(item.message(Kind::Landmarks)?);
+        Ok(())
+    })?;
+    if places.len() != limit(&mark, Kind::Landmarks) as usize {
+        return Err("landmarks of a place are missing".to_owned());
+    }
+    let site = landmark::decode_into(site, &places)?;
     let mut snapshot = record::decode(&header, producers, states, site)?;
     if spec.grid.is_some() != mark.grid.is_some() {
         return Err("it has a grid where its map has none, or none where its map has one".to_owned());

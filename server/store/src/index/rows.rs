@@ -8,8 +8,11 @@ use tidemap_map::{
     site::Site,
     snapshot::{ProducerMark, StateSnapshot},
 };
-use tidemap_migrations::v1::index::{
-    CELLS, PART_LENGTH, PRODUCERS, SITES, STATES, TILES, Total, decode_value, encode_value, fingerprint, part_key,
+use tidemap_migrations::{
+    v1::index::{
+        CELLS, PART_LENGTH, PRODUCERS, SITES, STATES, TILES, Total, decode_value, encode_value, fingerprint, part_key,
+    },
+    v2::{LANDMARKS, LandmarksAtPlace},
 };
 
 use super::Damage;
@@ -23,11 +26,15 @@ pub(super) enum Kind {
     Cells,
     Sites,
     Producers,
+    Landmarks,
 }
 
 impl Kind {
     /// All, in the order of a mark's totals.
-    pub(super) const ALL: [Kind; 5] = [Kind::States, Kind::Tiles, Kind::Cells, Kind::Sites, Kind::Producers];
+    pub(super) const ALL: [Kind; 6] =
+        [Kind::States, Kind::Tiles, Kind::Cells, Kind::Sites, Kind::Producers, Kind::Landmarks];
+    /// How many of them have a total in every mark; the others only if they have rows.
+    pub(super) const ALWAYS: usize = 5;
 
     /// The name of the tree.
     pub(super) fn name(self) -> &'static str {
@@ -37,6 +44,7 @@ impl Kind {
             Kind::Cells => CELLS,
             Kind::Sites => SITES,
             Kind::Producers => PRODUCERS,
+            Kind::Landmarks => LANDMARKS,
         }
     }
 }
@@ -114,6 +122,11 @@ pub(super) fn of_cells(map: u32, id: u32, model: &TileModel) -> Vec<IndexRow> {
 /// The rows of a site; none for an empty site.
 pub(super) fn of_site(map: u32, site: &Site) -> Vec<IndexRow> {
     record_site::encode(site).map_or_else(Vec::new, |message| parts(Kind::Sites, map, 0, &message))
+}
+
+/// The rows of the landmarks of a place.
+pub(super) fn of_place(map: u32, number: u32, message: &LandmarksAtPlace) -> Vec<IndexRow> {
+    parts(Kind::Landmarks, map, number, message)
 }
 
 /// The rows of a producer.

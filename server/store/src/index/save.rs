@@ -13,7 +13,7 @@ use super::{
     Damage, KnownRows, Trees,
     rows::{self, IndexRow, Kind, Sum},
 };
-use crate::record::{snapshot as record, spec};
+use crate::record::{landmark, snapshot as record, spec};
 
 /// Rows in one batch of sled; larger batches hold its lock for too long.
 const BATCH_ROWS: usize = 32;
@@ -102,6 +102,15 @@ impl Writer<'_> {
         Ok(())
     }
 
+    /// Removes the items from a number on.
+    fn clear_from(&mut self, first: u32) -> Result<(), Damage> {
+        for item in first..u32::try_from(self.sums.len()).unwrap_or(u32::MAX) {
+            self.write(item, Vec::new())?;
+        }
+        self.sums.truncate(first as usize);
+        Ok(())
+    }
+
     fn finish(mut self) -> Result<Vec<Sum>, Damage> {
         self.collected.apply(self.tree)?;
         Ok(self.sums)
@@ -142,6 +151,13 @@ pub(super) fn save(
     }
     let mut sites = writer(Kind::Sites);
     sites.write(0, rows::of_site(map, &snapshot.site))?;
+    let mut landmarks = writer(Kind::Landmarks);
+    let mut places = 0;
+    for place in landmark::encode_places(snapshot.site.landmarks()) {
+        landmarks.write(places, rows::of_place(map, places, &place))?;
+        places += 1;
+    }
+    landmarks.clear_from(places)?;
     let (mut tiles, mut cells) = (writer(Kind::Tiles), writer(Kind::Cells));
     let mut models = std::mem::take(&mut before.models);
     if let Some(grid) = grid {
@@ -164,6 +180,7 @@ pub(super) fn save(
     before.put(Kind::States, states.finish()?);
     before.put(Kind::Producers, producers.finish()?);
     before.put(Kind::Sites, sites.finish()?);
+    before.put(Kind::Landmarks, landmarks.finish()?);
     before.put(Kind::Tiles, tiles.finish()?);
     before.put(Kind::Cells, cells.finish()?);
     before.models = models;

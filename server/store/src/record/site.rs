@@ -12,7 +12,7 @@ use tidemap_map::{
 };
 use tidemap_migrations::v1::site as v1;
 
-use super::{Invalid, ids::decode_state_name, topology, traversal};
+use super::{Invalid, ids::decode_state_name, landmark, topology, traversal};
 
 fn encode_place(at: [f64; 2]) -> v1::Place {
     let [x_bits, y_bits] = at.map(f64::to_bits);
@@ -52,7 +52,7 @@ fn decode_attempts(message: &v1::Attempts) -> Result<(ReachabilityCell, Attempts
     Ok((cell, Attempts { count, reached, last_nanos: message.last_nanos }))
 }
 
-/// A site; `None` for an empty one.
+/// A site without its landmarks; `None` for an empty one.
 pub(crate) fn encode(site: &Site) -> Option<v1::Site> {
     (!site.is_empty()).then(|| v1::Site {
         charger: site.charger_m().map(encode_place),
@@ -97,6 +97,7 @@ pub(super) fn encode_edit(edit: &SiteEdit) -> v1::SiteEdit {
             v1::Change::Visit(v1::Visit { place: Some(encode_place(*at_m)), reached: *reached, utc_nanos: *utc_nanos })
         }
         SiteEdit::Topology(edit) => v1::Change::Topology(topology::encode_edit(edit)),
+        SiteEdit::Landmarks(edit) => v1::Change::Landmarks(landmark::encode_edit(edit)),
     };
     v1::SiteEdit { change: Some(change) }
 }
@@ -115,5 +116,6 @@ pub(super) fn decode_edit(message: &v1::SiteEdit) -> Result<SiteEdit, Invalid> {
             SiteEdit::Visit { at_m: decode_place(place), reached: *reached, utc_nanos: *utc_nanos }
         }
         v1::Change::Topology(edit) => SiteEdit::Topology(topology::decode_edit(edit)?),
+        v1::Change::Landmarks(edit) => SiteEdit::Landmarks(landmark::decode_edit(edit)?),
     })
 }

@@ -31,6 +31,8 @@ pub(crate) fn encode(snapshot: &MapSnapshot) -> v1::Snapshot {
         producers: snapshot.producers.len() as u32,
         states: snapshot.states.len() as u32,
         has_site: !snapshot.site.is_empty(),
+        // Nodes and edges are numbered in 32 bits.
+        landmark_places: snapshot.site.landmarks().places().len() as u32,
     }
 }
 

@@ -7,6 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use tidemap_map::{event::Event, history::HistoryPiece, ids::StateId, snapshot::MapSnapshot, spec::MapSpec};
+use tidemap_migrations::{FORMAT, manifest};
 use tidemap_model::EnabledModels;
 
 use super::{
@@ -50,7 +51,8 @@ fn loss() -> Loss {
 fn files(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let within = |path: PathBuf| path.strip_prefix(directory).expect("within").to_owned();
     let files = content(directory).into_iter().filter_map(|(path, content)| Some((within(path), content?)));
-    files.filter(|(path, _)| !path.starts_with("index") && path != Path::new("LOCK")).collect()
+    let is_content = |path: &Path| !path.starts_with("index") && !matches!(path.to_str(), Some("LOCK" | "MANIFEST"));
+    files.filter(|(path, _)| is_content(path)).collect()
 }
 
 #[test]
@@ -90,7 +92,10 @@ fn format_1_is_read_as_it_always_was() {
     let directory = tempfile::tempdir().expect("temporary directory");
     copy(&folder(), directory.path());
     let before = files(directory.path());
+    let format = || manifest::read(directory.path(), FORMAT).expect("readable").map(|manifest| manifest.format);
+    assert_eq!(format(), Some(1));
     let store = Store::open(directory.path(), options()).expect("opens");
+    assert_eq!(format(), Some(FORMAT), "a step leads to the present");
     assert_eq!((store.store_id(), store.reports(), store.trouble()), (super::example::STORE_ID, &[][..], vec![]));
     assert_eq!(store.losses().expect("readable"), [loss()]);
     let maps: Vec<_> = golden().into_iter().map(|(id, golden)| (id, golden.spec)).collect();

@@ -1,0 +1,105 @@
+//! Format 2, frozen: everything of format 1 as it is there, and what this module and these additions say.
+//!
+//! | where | addition |
+//! | --- | --- |
+//! | [`super::v1::site::Change`] | tag 7, a [`LandmarkEdit`] |
+//! | [`super::v1::map::Snapshot`] | tag 9, how many [`LandmarksAtPlace`] follow the site |
+//! | checkpoint | [`super::v1::file::RecordKind::Landmarks`] after the site |
+//! | `index/` | the tree [`LANDMARKS`]: map u32, place u32, part u16 → part of a [`LandmarksAtPlace`] |
+//! | [`super::v1::index::Mark`] | a sixth total, of that tree; absent without landmarks |
+//!
+//! The headers of files keep the number of format 1, because they have not changed. The step from format 1 rewrites
+//! nothing: it makes older programs refuse the folder, which would not understand a landmark.
+//!
+//! Invariant: nothing in this module changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.
+
+#![allow(missing_docs, reason = "fields whose name says it all")]
+
+/// The number of this format.
+pub const FORMAT: u32 = 2;
+
+/// Name of the tree of landmarks in the index.
+pub const LANDMARKS: &str = "published.landmarks";
+
+/// A landmark.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Landmark {
+    #[prost(string, tag = "1")]
+    pub name: String,
+    /// Where it is in the image and what it looks like; absent of a marker.
+    #[prost(message, optional, tag = "2")]
+    pub feature: Option<ImageFeature>,
+    /// How far along its edge, bits of f64; absent at a node.
+    #[prost(fixed64, optional, tag = "3")]
+    pub along_bits: Option<u64>,
+    /// The marker; absent of an image feature.
+    #[prost(message, optional, tag = "4")]
+    pub marker: Option<Marker>,
+    /// Covariance of the position or pose, bits of f64; empty where it is not known.
+    #[prost(fixed64, repeated, tag = "5")]
+    pub covariance_bits: Vec<u64>,
+}
+
+/// An image feature.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct ImageFeature {
+    #[prost(fixed64, tag = "1")]
+    pub u_bits: u64,
+    #[prost(fixed64, tag = "2")]
+    pub v_bits: u64,
+    #[prost(bytes = "vec", tag = "3")]
+    pub descriptor: Vec<u8>,
+}
+
+/// A marker.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Marker {
+    #[prost(uint64, tag = "1")]
+    pub number: u64,
+    /// x, y, z in metres, and x, y, z, w of the unit quaternion; bits of f64.
+    #[prost(fixed64, repeated, tag = "2")]
+    pub pose_bits: Vec<u64>,
+}
+
+/// The landmarks of a node or an edge.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct LandmarksAtPlace {
+    /// Number of the node; absent of an edge.
+    #[prost(uint32, optional, tag = "1")]
+    pub node: Option<u32>,
+    /// Number of the edge; absent of a node.
+    #[prost(uint32, optional, tag = "2")]
+    pub edge: Option<u32>,
+    /// In the order in which they were added.
+    #[prost(message, repeated, tag = "3")]
+    pub landmarks: Vec<Landmark>,
+    /// How a robot drove along the edge, in its own format.
+    #[prost(bytes = "vec", tag = "4")]
+    pub velocity_profile: Vec<u8>,
+    /// Name of the kind of all descriptors of the map.
+    #[prost(string, tag = "5")]
+    pub descriptor_kind: String,
+    /// Bytes of each descriptor; 0 where the map never had one.
+    #[prost(uint32, tag = "6")]
+    pub descriptor_bytes: u32,
+}
+
+/// A change of the landmarks of a place.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct LandmarkEdit {
+    /// `N`, `A/B` or `A/B/ACTION`.
+    #[prost(string, tag = "1")]
+    pub place: String,
+    /// Kind of the descriptors; empty: as the map has.
+    #[prost(string, tag = "2")]
+    pub descriptor_kind: String,
+    /// Landmarks that are added, or replace those of their names.
+    #[prost(message, repeated, tag = "3")]
+    pub added: Vec<Landmark>,
+    /// The profile that replaces the one of the edge; absent: it stays.
+    #[prost(bytes = "vec", optional, tag = "4")]
+    pub velocity_profile: Option<Vec<u8>>,
+    /// Names of landmarks that are removed; without them, the edit adds.
+    #[prost(string, repeated, tag = "5")]
+    pub removed: Vec<String>,
+}
