@@ -1,4 +1,4 @@
-//! Sending observations, scans and traversals, each exactly once.
+//! Sending observations, scans, traversals and sightings, each exactly once.
 //!
 //! [`Producer`] is the handle for callers. Behind it: [`window`] decides what is sent, kept and dropped, without any
 //! I/O; [`columns`] packs observations; [`scan_stream`] packs scans; [`retry`] decides when to try again; `link` talks
@@ -22,7 +22,7 @@ pub mod window;
 pub use producer::Producer;
 pub use replay::Replay;
 pub use shared::{Phase, ProducerOptions, Progress};
-pub use tidemap_proto::convert::traversals::TraversalReport;
+pub use tidemap_proto::convert::{sightings::SightingReport, traversals::TraversalReport};
 
 /// Tiles of a grid, and the table by which scans of them are sent as differences.
 pub mod tiles {

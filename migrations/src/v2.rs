@@ -5,6 +5,7 @@
 //! | [`super::v1::site::Change`] | tag 7, a [`LandmarkEdit`] |
 //! | [`super::v1::map::Snapshot`] | tag 9, how many [`LandmarksAtPlace`] follow the site |
 //! | checkpoint | [`super::v1::file::RecordKind::Landmarks`] after the site |
+//! | refusals of observations | reason 13: no such landmark |
 //! | `index/` | the tree [`LANDMARKS`]: map u32, place u32, part u16 → part of a [`LandmarksAtPlace`] |
 //! | [`super::v1::index::Mark`] | a sixth total, of that tree; absent without landmarks |
 //!

@@ -3,11 +3,14 @@
 //! Invariant: the bytes are those of `Welcome.content_crc` in `observation.proto`.
 
 use tidemap_proto::{
-    convert::traversals::{TraversalReport, append_content, report_to_wire},
+    convert::{
+        sightings::{self, SightingReport},
+        traversals::{TraversalReport, append_content, report_to_wire},
+    },
     v1,
 };
 
-/// CRC-32C over observations, scans and traversals in order.
+/// CRC-32C over observations, scans, traversals and sightings in order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ContentCrc(u32);
 
@@ -51,6 +54,17 @@ impl ContentCrc {
     pub(super) fn add_wire_traversal(&mut self, traversal: &v1::Traversal) {
         let mut bytes = Vec::new();
         append_content(traversal, &mut bytes);
+        self.0 = crc32c::crc32c_append(self.0, &bytes);
+    }
+
+    /// Adds the next sighting, as it is sent.
+    pub fn add_sighting(&mut self, report: &SightingReport) {
+        self.add_wire_sighting(&report.to_wire());
+    }
+
+    pub(super) fn add_wire_sighting(&mut self, sighting: &v1::Sighting) {
+        let mut bytes = Vec::new();
+        sightings::append_content(sighting, &mut bytes);
         self.0 = crc32c::crc32c_append(self.0, &bytes);
     }
 

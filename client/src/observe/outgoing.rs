@@ -9,10 +9,13 @@ use tidemap_grid::index::CellBox;
 use tidemap_proto::{
     convert::{
         grid::cell_box_to_wire,
-        traversals::{BATCH_TEXT_BYTES_MAX, wire_bytes},
+        sightings::{self, SIGHTINGS_MAX},
+        traversals::{self, BATCH_TEXT_BYTES_MAX},
         vectors::shape_to_wire,
     },
-    v1::{ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message},
+    v1::{
+        ObservationBatch, ObserveRequest, ScanBatch, SightingBatch, TraversalBatch, Welcome, observe_request::Message,
+    },
 };
 
 use super::{
@@ -70,6 +73,7 @@ impl Outgoing {
                 window.to_send(observations.observations, state.urgent).next().is_some()
                     || window.scans_to_send(scans.scans, scans.bytes, state.urgent).next().is_some()
                     || window.traversals_to_send(observations.traversals(), state.urgent).next().is_some()
+                    || window.sightings_to_send(SIGHTINGS_MAX, state.urgent).next().is_some()
             })
     }
 
@@ -82,6 +86,7 @@ impl Outgoing {
             None => self
                 .observations(window, urgent)
                 .or_else(|| self.traversals(window, urgent))
+                .or_else(|| self.sightings(window, urgent))
                 .or_else(|| self.scans(window, urgent))?,
         };
         Some(ObserveRequest { message: Some(message) })
@@ -113,20 +118,18 @@ impl Outgoing {
     fn traversals(&self, window: &mut Window, urgent: u64) -> Option<Message> {
         let limits = self.limits.observations;
         let first_sequence = window.next_unsent();
-        let mut bytes = 0;
-        let mut traversals: Vec<Traversal> = Vec::new();
-        for traversal in window.traversals_to_send(limits.traversals(), urgent) {
-            bytes += wire_bytes(traversal);
-            if !traversals.is_empty() && bytes > limits.bytes.min(BATCH_TEXT_BYTES_MAX) {
-                break;
-            }
-            traversals.push(traversal.clone());
-        }
-        if traversals.is_empty() {
-            return None;
-        }
+        let waiting = window.traversals_to_send(limits.traversals(), urgent);
+        let traversals = within_bytes(waiting, limits, traversals::wire_bytes)?;
         window.sent(traversals.len());
         Some(Message::Traversals(TraversalBatch { first_sequence, traversals }))
+    }
+
+    fn sightings(&self, window: &mut Window, urgent: u64) -> Option<Message> {
+        let first_sequence = window.next_unsent();
+        let waiting = window.sightings_to_send(SIGHTINGS_MAX, urgent);
+        let sightings = within_bytes(waiting, self.limits.observations, sightings::wire_bytes)?;
+        window.sent(sightings.len());
+        Some(Message::Sightings(SightingBatch { first_sequence, sightings }))
     }
 
     fn scans(&mut self, window: &mut Window, urgent: u64) -> Option<Message> {
@@ -148,8 +151,28 @@ impl Outgoing {
     }
 }
 
+/// The first reports, as many as fit into a message; at least one, if there is any.
+fn within_bytes<'a, Report: Clone + 'a>(
+    waiting: impl Iterator<Item = &'a Report>,
+    limits: BatchLimits,
+    bytes_of: impl Fn(&Report) -> usize,
+) -> Option<Vec<Report>> {
+    let mut bytes = 0;
+    let mut reports: Vec<Report> = Vec::new();
+    for report in waiting {
+        bytes += bytes_of(report);
+        if !reports.is_empty() && bytes > limits.bytes.min(BATCH_TEXT_BYTES_MAX) {
+            break;
+        }
+        reports.push(report.clone());
+    }
+    (!reports.is_empty()).then_some(reports)
+}
+
 #[cfg(test)]
 mod tests {
+    use tidemap_proto::v1::{Sighting, Traversal};
+
     use super::*;
     use crate::observe::{
         scan::{PointCloud, Scan},
@@ -174,7 +197,10 @@ mod tests {
             window.push_traversal(Traversal::default());
         }
         window.push("door", 9, 0.0);
-        let mut state = SharedState { window: Some(window), urgent: 13, closing: false, refusals: Vec::new() };
+        for _ in 0..3 {
+            window.push_sighting(Sighting::default());
+        }
+        let mut state = SharedState { window: Some(window), urgent: 16, closing: false, refusals: Vec::new() };
         let mut outgoing = Outgoing::new(MessageLimits::of(&welcome), None);
         let mut sent = Vec::new();
         while outgoing.is_ready(&state) {
@@ -185,6 +211,7 @@ mod tests {
                 }
                 Message::Scans(batch) => (batch.first_sequence, batch.scans.len(), batch.continues),
                 Message::Traversals(batch) => (batch.first_sequence, batch.traversals.len(), false),
+                Message::Sightings(batch) => (batch.first_sequence, batch.sightings.len(), false),
                 Message::Hello(_) | Message::Alive(_) => return Err("no batch".into()),
             });
         }
@@ -192,7 +219,10 @@ mod tests {
         assert!(parts >= 3, "{sent:?}");
         assert_eq!(sent[..4], [(1, 3, false), (4, 2, false), (6, 2, false), (8, 1, false)]);
         assert!(sent[4..4 + parts - 1].iter().all(|part| *part == (9, 1, true)), "{sent:?}");
-        assert_eq!(sent[3 + parts..], [(9, 1, false), (10, 1, false), (11, 1, false), (12, 1, false), (13, 1, false)]);
+        assert_eq!(
+            sent[3 + parts..],
+            [(9, 1, false), (10, 1, false), (11, 1, false), (12, 1, false), (13, 1, false), (14, 3, false)]
+        );
         assert!(outgoing.next(&mut state).is_none());
         Ok(())
     }

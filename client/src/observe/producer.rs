@@ -7,7 +7,10 @@ mod scans;
 use std::sync::{Arc, Mutex};
 
 use tidemap_model::Position;
-use tidemap_proto::convert::traversals::{TraversalReport, report_to_wire};
+use tidemap_proto::convert::{
+    sightings::SightingReport,
+    traversals::{TraversalReport, report_to_wire},
+};
 use tokio::{
     sync::{Notify, watch},
     task::JoinHandle,
@@ -81,6 +84,21 @@ impl Producer {
         }
         let wire = report_to_wire(report);
         self.push(|window| window.push_traversal(wire)).await
+    }
+
+    /// Accepts a sighting and returns its number; waits while the window is full. It is durable once
+    /// [`Progress::durable_sequence`] has reached the number.
+    ///
+    /// # Errors
+    /// [`ProducerError`]; the sighting is then not accepted.
+    pub async fn send_sighting(&mut self, report: &SightingReport) -> Result<u64, ProducerError> {
+        let SightingReport { place, seen, out_of_view, .. } = report;
+        let names = seen.iter().chain(out_of_view).chain([place]);
+        if let Some(long) = names.into_iter().find(|name| name.len() > STATE_NAME_BYTES_MAX) {
+            return Err(ProducerError::NameTooLong(long.len()));
+        }
+        let wire = report.to_wire();
+        self.push(|window| window.push_sighting(wire)).await
     }
 
     /// Accepts an observation and returns its number; waits while the window is full. The observation is durable once

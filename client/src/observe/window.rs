@@ -1,7 +1,7 @@
-//! The observations, scans and traversals that a producer keeps until they are durable.
+//! The observations, scans, traversals and sightings that a producer keeps until they are durable.
 //!
-//! Invariant: pure. Sequence numbers have no gaps, over observations, scans and traversals together; each item is kept
-//! from its push until it is acknowledged. After a reconnection, sending continues right after what the daemon has:
+//! Invariant: pure. Sequence numbers have no gaps, over items of all kinds together; each item is kept from its push
+//! until it is acknowledged. After a reconnection, sending continues right after what the daemon has:
 //! nothing is left out, and an item that is sent twice has the same number. The tiles of the last acknowledged scan are
 //! known, so that the differences after it can be sent again.
 
@@ -14,7 +14,7 @@ use tidemap_model::{Dimensions, Position};
 use tidemap_proto::{
     convert::{
         scans::{TilePicture, TileTable},
-        traversals::wire_bytes,
+        sightings, traversals,
     },
     v1,
 };
@@ -30,6 +30,7 @@ enum Item {
     Observation(Entry),
     Scan(Box<KeptScan>),
     Traversal(Box<v1::Traversal>),
+    Sighting(Box<v1::Sighting>),
 }
 
 impl Item {
@@ -38,7 +39,8 @@ impl Item {
             + match self {
                 Self::Observation(_) => 0,
                 Self::Scan(scan) => scan.bytes(),
-                Self::Traversal(traversal) => size_of::<v1::Traversal>() + wire_bytes(traversal),
+                Self::Traversal(traversal) => size_of::<v1::Traversal>() + traversals::wire_bytes(traversal),
+                Self::Sighting(sighting) => size_of::<v1::Sighting>() + sightings::wire_bytes(sighting),
             }
     }
 }
@@ -122,6 +124,11 @@ impl Window {
         self.has_room().then(|| self.take(Item::Traversal(Box::new(traversal))))
     }
 
+    /// Pushes a sighting and returns its number; `None` if the window is full.
+    pub fn push_sighting(&mut self, sighting: v1::Sighting) -> Option<u64> {
+        self.has_room().then(|| self.take(Item::Sighting(Box::new(sighting))))
+    }
+
     fn take(&mut self, item: Item) -> u64 {
         self.bytes += item.bytes();
         self.entries.push_back(item);
@@ -183,7 +190,7 @@ impl Window {
     pub fn to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &Entry> {
         self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
             Item::Observation(entry) => Some(entry),
-            Item::Scan(_) | Item::Traversal(_) => None,
+            Item::Scan(_) | Item::Traversal(_) | Item::Sighting(_) => None,
         })
     }
 
@@ -192,7 +199,15 @@ impl Window {
     pub fn traversals_to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &v1::Traversal> {
         self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
             Item::Traversal(traversal) => Some(&**traversal),
-            Item::Observation(_) | Item::Scan(_) => None,
+            Item::Observation(_) | Item::Scan(_) | Item::Sighting(_) => None,
+        })
+    }
+
+    /// The sightings to send next, as [`Window::traversals_to_send`].
+    pub fn sightings_to_send(&self, max_count: usize, urgent: u64) -> impl Iterator<Item = &v1::Sighting> {
+        self.unsent(max_count, usize::MAX, urgent).map_while(|item| match item {
+            Item::Sighting(sighting) => Some(&**sighting),
+            Item::Observation(_) | Item::Scan(_) | Item::Traversal(_) => None,
         })
     }
 
@@ -234,6 +249,7 @@ impl Window {
                     }
                 }
                 Item::Traversal(traversal) => self.crc.add_wire_traversal(&traversal),
+                Item::Sighting(sighting) => self.crc.add_wire_sighting(&sighting),
                 Item::Scan(scan) => {
                     self.crc.add_scan(scan.time_nanos(), scan.digest());
                     scan.follow_in(&mut self.base);

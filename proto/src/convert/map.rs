@@ -199,6 +199,7 @@ both_ways!(
         TileLimit = TileLimit,
         Frame = Frame,
         Edge = Edge,
+        Landmark = Landmark,
     ]
 );
 

@@ -15,9 +15,9 @@ use super::{
     InvalidField,
     columns::PackedColumns,
     reporting::reporting_from_wire,
+    reports::{ReportMessage, sightings_from_wire, traversals_from_wire},
     scans::{ScanMessage, scans_from_wire},
     sequences::sequences_from_wire,
-    traversals::{TraversalMessage, traversals_from_wire},
     vectors::new_shapes,
 };
 use crate::v1::{self, observe_request::Message};
@@ -83,8 +83,8 @@ pub enum StreamMessage {
     Observations(ObservationMessage),
     /// Scans.
     Scans(ScanMessage),
-    /// Traversals.
-    Traversals(TraversalMessage),
+    /// Traversals, or sightings.
+    Reports(ReportMessage),
     /// The answer to a probe.
     Alive,
 }
@@ -97,10 +97,11 @@ pub fn message_from_wire(request: v1::ObserveRequest) -> Result<StreamMessage, I
     Ok(match request.message {
         Some(Message::Batch(batch)) => StreamMessage::Observations(observations_from_wire(batch)?),
         Some(Message::Scans(scans)) => StreamMessage::Scans(scans_from_wire(scans)?),
-        Some(Message::Traversals(batch)) => StreamMessage::Traversals(traversals_from_wire(batch)?),
+        Some(Message::Traversals(batch)) => StreamMessage::Reports(traversals_from_wire(batch)?),
+        Some(Message::Sightings(batch)) => StreamMessage::Reports(sightings_from_wire(batch)?),
         Some(Message::Alive(v1::Alive {})) => StreamMessage::Alive,
         Some(Message::Hello(_)) | None => {
-            let text = "after the Hello a message must be a batch, of observations, scans or traversals";
+            let text = "after the Hello a message must be a batch, of observations, scans, traversals or sightings";
             return Err(InvalidField::new("message", text));
         }
     })

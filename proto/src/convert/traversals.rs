@@ -2,8 +2,6 @@
 //!
 //! Invariant: an invalid traversal is refused on its own, with a reason for programs and one in words.
 
-use std::ops::RangeInclusive;
-
 use tidemap_map::{
     ids::RefusalReason,
     name::{EdgeName, EdgeState},
@@ -12,7 +10,6 @@ use tidemap_map::{
 
 use super::{
     InvalidField,
-    sequences::sequences_from_wire,
     topology::{edge_name_from_wire, edge_name_to_wire},
 };
 use crate::v1;
@@ -25,7 +22,7 @@ pub const BATCH_TEXT_BYTES_MAX: usize = 4 << 20;
 const WAY_OUT: &str = "the map's topology has those there are, and can be loaded anew";
 
 /// Bytes of a traversal's texts.
-fn text_bytes(traversal: &v1::Traversal) -> usize {
+pub(super) fn text_bytes(traversal: &v1::Traversal) -> usize {
     let v1::Traversal { from, to, action, reason, .. } = traversal;
     [from, to, action, reason].map(String::len).iter().sum()
 }
@@ -86,59 +83,6 @@ impl TraversalReport {
     #[must_use]
     pub fn wrong(&self) -> Option<String> {
         traversal_from_wire(&report_to_wire(self)).err().map(|(_, text)| text)
-    }
-}
-
-/// Traversals of one message.
-#[derive(Clone, Debug)]
-pub struct TraversalMessage {
-    /// Sequence numbers of the traversals.
-    pub sequences: RangeInclusive<u64>,
-    /// The traversals as sent; at least one.
-    pub traversals: Vec<SentTraversal>,
-}
-
-/// Traversals of one message.
-///
-/// # Errors
-/// There are none, or a first sequence number of 0.
-pub fn traversals_from_wire(batch: v1::TraversalBatch) -> Result<TraversalMessage, InvalidField> {
-    let v1::TraversalBatch { first_sequence, traversals } = batch;
-    let sequences = sequences_from_wire(first_sequence, traversals.len())?;
-    if traversals.is_empty() {
-        return Err(InvalidField::new("traversals.traversals", "missing: send at least 1"));
-    }
-    Ok(TraversalMessage { sequences, traversals: traversals.into_iter().map(SentTraversal).collect() })
-}
-
-/// A traversal as sent, not checked.
-#[derive(Clone, Debug)]
-pub struct SentTraversal(v1::Traversal);
-
-impl SentTraversal {
-    /// When the robot entered the edge, nanoseconds UTC.
-    #[must_use]
-    pub fn start_nanos(&self) -> i64 {
-        self.0.start_nanos
-    }
-
-    /// Bytes of its texts.
-    #[must_use]
-    pub fn text_bytes(&self) -> usize {
-        text_bytes(&self.0)
-    }
-
-    /// Appends the bytes that `Welcome.content_crc` covers.
-    pub fn append_content(&self, bytes: &mut Vec<u8>) {
-        append_content(&self.0, bytes);
-    }
-
-    /// The checked traversal.
-    ///
-    /// # Errors
-    /// As [`traversal_from_wire`].
-    pub fn check(&self) -> Result<Traversal, (RefusalReason, String)> {
-        traversal_from_wire(&self.0)
     }
 }
 

@@ -41,6 +41,8 @@ pub enum RefusalReason {
     Frame,
     /// The map has no such edge.
     Edge,
+    /// The map has no such place or landmark, or a sighting names one twice.
+    Landmark,
 }
 
 /// A producer that appears for the first time.

@@ -11,7 +11,7 @@ use crate::{
     landmark::{Landmark, LandmarkError},
     name::{EdgeState, PlaceName, StateName},
     site::Site,
-    topology::{LENGTH_MAX_M, TopologyError},
+    topology::{Edge, LENGTH_MAX_M, TopologyError},
     traversal::{Traversal, TraversalError},
 };
 
@@ -42,6 +42,16 @@ pub enum SightingError {
         traversed: String,
         /// The place.
         place: String,
+    },
+    /// The robot looked before or after the traversal.
+    #[error("time {time_nanos} ns is not within the traversal, from {start_nanos} ns to {end_nanos} ns")]
+    NotOnTheWay {
+        /// When it looked, nanoseconds UTC.
+        time_nanos: i64,
+        /// When the traversal started, nanoseconds UTC.
+        start_nanos: i64,
+        /// When it ended, nanoseconds UTC.
+        end_nanos: i64,
     },
     /// The traversal is invalid.
     #[error(transparent)]
@@ -98,7 +108,7 @@ pub struct Sighting {
 
 /// An observation of the state of a landmark or edge.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SightingSample {
+pub struct PlaceSample {
     /// The state.
     pub state: StateName,
     /// Its kind.
@@ -109,12 +119,41 @@ pub struct SightingSample {
     pub value: f64,
 }
 
+/// What a robot reports of a place of the topological map. It is one report, and an observation of several states.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PlaceReport {
+    /// It travelled an edge, or tried to.
+    Traversal(Traversal),
+    /// It looked for the landmarks of a place.
+    Sighting(Sighting),
+}
+
+impl PlaceReport {
+    /// When it begins, nanoseconds UTC.
+    #[must_use]
+    pub fn time_nanos(&self) -> i64 {
+        match self {
+            Self::Traversal(traversal) => traversal.start_nanos,
+            Self::Sighting(sighting) => sighting.time_nanos,
+        }
+    }
+
+    /// The traversal, if there is one.
+    #[must_use]
+    pub fn traversal(&self) -> Option<&Traversal> {
+        match self {
+            Self::Traversal(traversal) => Some(traversal),
+            Self::Sighting(sighting) => sighting.traversal.as_ref(),
+        }
+    }
+}
+
 impl Sighting {
     /// The observations that it stands for.
     ///
     /// # Errors
     /// [`SightingError`]; it says nothing then.
-    pub fn samples(&self, site: &Site) -> Result<Vec<SightingSample>, SightingError> {
+    pub fn samples(&self, site: &Site) -> Result<Vec<PlaceSample>, SightingError> {
         let Self { place, part, time_nanos, seen, out_of_view, traversal } = self;
         if *time_nanos < 0 {
             return Err(SightingError::Before1970(*time_nanos));
@@ -140,7 +179,7 @@ impl Sighting {
             }
             if let Some(value) = value.unwrap_or(Some(0.0)) {
                 let state = place.landmark(&landmark.name);
-                samples.push(SightingSample { state, kind: StateKind::Probability, time_nanos: *time_nanos, value });
+                samples.push(PlaceSample { state, kind: StateKind::Probability, time_nanos: *time_nanos, value });
             }
         }
         let unknown = seen.iter().chain(out_of_view).find(|name| named.contains_key(name.as_str()));
@@ -148,20 +187,36 @@ impl Sighting {
             return Err(LandmarkError::unknown(place, name).into());
         }
         if let Some(traversal) = traversal {
-            samples.extend(of_traversal(place, traversal, site)?);
+            samples.extend(of_traversal(self, traversal, site)?);
         }
         Ok(samples)
     }
 }
 
 /// The observations of the traversal on which a robot looked.
-fn of_traversal(place: &PlaceName, traversal: &Traversal, site: &Site) -> Result<Vec<SightingSample>, SightingError> {
+fn of_traversal(
+    Sighting { place, time_nanos, .. }: &Sighting,
+    traversal: &Traversal,
+    site: &Site,
+) -> Result<Vec<PlaceSample>, SightingError> {
     if *place != PlaceName::Edge(traversal.edge.clone()) {
         let (traversed, place) = (traversal.edge.to_string(), place.to_string());
         return Err(SightingError::OtherEdge { traversed, place });
     }
+    let Traversal { start_nanos, end_nanos, .. } = *traversal;
+    if !(start_nanos..=end_nanos).contains(time_nanos) {
+        return Err(SightingError::NotOnTheWay { time_nanos: *time_nanos, start_nanos, end_nanos });
+    }
     let edge = site.topology().edge_named(&traversal.edge).map_err(LandmarkError::from)?;
-    let sample = |(what, value): (EdgeState, f64)| SightingSample {
+    Ok(traversal_samples(traversal, edge)?)
+}
+
+/// The observations of a traversal of an edge.
+///
+/// # Errors
+/// [`TraversalError`]
+pub fn traversal_samples(traversal: &Traversal, edge: &Edge) -> Result<Vec<PlaceSample>, TraversalError> {
+    let sample = |(what, value): (EdgeState, f64)| PlaceSample {
         state: traversal.edge.state(what),
         kind: what.kind(),
         time_nanos: traversal.start_nanos,

@@ -84,6 +84,14 @@ pub struct NodeMatch {
     pub probability: f64,
 }
 
+impl NodeMatch {
+    /// By votes, then matches, then the smaller distance: the greater, the better.
+    #[must_use]
+    pub fn rank(&self) -> impl Ord + use<> {
+        (self.votes, self.matches, std::cmp::Reverse(self.distance_bits))
+    }
+}
+
 impl SeenFeatures {
     /// The features of an image, in any order; of equally near ones the first counts.
     ///
@@ -208,9 +216,8 @@ pub fn localise(
 /// `None`: no landmark matches.
 #[must_use]
 pub fn best_node(nodes: &[NodeMatch]) -> Option<usize> {
-    let key = |node: &NodeMatch| (node.votes, node.matches, std::cmp::Reverse(node.distance_bits));
     let voted = nodes.iter().enumerate().filter(|(_, node)| node.votes > 0);
-    voted.rev().max_by_key(|(_, node)| key(node)).map(|(index, _)| index)
+    voted.rev().max_by_key(|(_, node)| node.rank()).map(|(index, _)| index)
 }
 
 /// The probability of each node.

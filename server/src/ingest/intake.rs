@@ -28,10 +28,10 @@ use super::protocol::{NewName, ObservationBatch, RefusedObservation};
 mod cast_table;
 mod early;
 mod known_content;
+mod reports;
 mod scans;
 #[cfg(test)]
 pub(crate) mod tests;
-mod traversals;
 
 use known_content::KnownContent;
 use scans::ScanIntake;

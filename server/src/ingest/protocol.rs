@@ -26,7 +26,7 @@ mod history;
 mod streams;
 
 pub(crate) use batches::{
-    CheckedScan, NewName, ObservationBatch, RefusedObservation, ScanBatch, ScanOrigin, TraversalBatch,
+    CheckedScan, NewName, ObservationBatch, RefusedObservation, ReportBatch, ScanBatch, ScanOrigin,
 };
 pub(crate) use edits::{AddState, AddStateError, EditSite, EditSiteError};
 pub(crate) use history::{HistoryTail, ReadHistory};

@@ -25,10 +25,10 @@ use super::{
 };
 
 mod observations;
+mod reports;
 mod scans;
 mod sensors;
 mod states;
-mod traversals;
 
 use states::StreamState;
 

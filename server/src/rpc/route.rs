@@ -1,4 +1,5 @@
-//! `TopologyService`, `RouteService` and `SearchService`: the topological map, and plans over it.
+//! `TopologyService`, `LandmarkService`, `RouteService` and `SearchService`: the topological map, its landmarks, and
+//! plans over it.
 //!
 //! Searches take the nodes whose state was observed as goals, with probabilities by any model ([`super::series`]).
 //!
@@ -24,6 +25,7 @@ use super::{
 use crate::{catalog::Catalog, ingest::handle::MapHandle};
 
 mod edges;
+mod landmarks;
 mod places;
 mod plan;
 mod presence;

@@ -7,7 +7,7 @@ use std::{sync::Arc, time::Duration};
 use axum::middleware::from_fn_with_state;
 use tidemap_proto::convert::scans::ScanLimits;
 use tidemap_proto::v1::{
-    DESCRIPTORS, exploration_service_server::ExplorationServiceServer,
+    DESCRIPTORS, exploration_service_server::ExplorationServiceServer, landmark_service_server::LandmarkServiceServer,
     maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
     observation_service_server::ObservationServiceServer, query_service_server::QueryServiceServer,
     route_service_server::RouteServiceServer, search_service_server::SearchServiceServer,
@@ -34,6 +34,8 @@ use crate::{catalog::Catalog, config::Settings, connections::accept::Accepted, i
 const REQUEST_BYTES: usize = 1 << 20;
 /// Maximum size of a topological map, which is loaded whole; the log takes it as one record of at most 16 MiB.
 const TOPOLOGY_BYTES: usize = 12 << 20;
+/// Maximum size of a request with the landmarks of a place, or with the features of an image.
+const LANDMARK_BYTES: usize = 4 << 20;
 /// Maximum number of concurrent requests of one connection.
 const STREAMS_PER_CONNECTION: u32 = 64;
 /// Bytes of a stream that are sent and not read yet.
@@ -152,6 +154,7 @@ pub(crate) async fn services(
         )
         .add_service(ExplorationServiceServer::new(explorations).max_decoding_message_size(REQUEST_BYTES))
         .add_service(TopologyServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(TOPOLOGY_BYTES))
+        .add_service(LandmarkServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(LANDMARK_BYTES))
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
         .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
         .add_service(

@@ -32,7 +32,7 @@ pub(crate) use misfit::{Misfit, Problem};
 pub(crate) use plan_error::PlanError;
 pub(crate) use route_error::RouteError;
 
-use route_error::refusal_of;
+use route_error::{landmark_refusal, refusal_of};
 
 const DOMAIN: &str = "tidemap";
 const NAMES_SHOWN: usize = 10;
@@ -305,6 +305,7 @@ impl RpcError {
                     (Code::ResourceExhausted, "LIMIT")
                 }
                 EditSiteError::Invalid(InvalidEdit::Topology(error)) => refusal_of(error),
+                EditSiteError::Invalid(InvalidEdit::Landmarks(error)) => landmark_refusal(error),
                 EditSiteError::Invalid(InvalidEdit::StateExists { .. }) => (Code::AlreadyExists, "STATE_EXISTS"),
                 EditSiteError::Invalid(_) => (Code::InvalidArgument, "INVALID_FIELD"),
                 EditSiteError::Storage(error) => append_code(error),

@@ -2,19 +2,19 @@
 
 use tidemap_proto::{
     convert::{
-        columns::encode, observe::observations_from_wire, scans::scans_from_wire, traversals::traversals_from_wire,
+        columns::encode, observe::observations_from_wire, reports::traversals_from_wire, scans::scans_from_wire,
     },
     v1::{self, PointCloud, Scan, scan::Content},
 };
 
 use super::*;
-use crate::ingest::protocol::TraversalBatch;
+use crate::ingest::protocol::ReportBatch;
 
 /// Takes messages as they come from the wire.
 pub(crate) trait TakeSent {
     fn take_sent(&mut self, batch: v1::ObservationBatch) -> Result<Option<ObservationBatch>, IntakeError>;
     fn begin_sent_scans(&mut self, batch: v1::ScanBatch) -> Result<bool, IntakeError>;
-    fn take_sent_traversals(&mut self, batch: v1::TraversalBatch) -> Result<Option<TraversalBatch>, IntakeError>;
+    fn take_sent_traversals(&mut self, batch: v1::TraversalBatch) -> Result<Option<ReportBatch>, IntakeError>;
 }
 
 impl TakeSent for Intake {
@@ -26,8 +26,8 @@ impl TakeSent for Intake {
         self.begin_scans(scans_from_wire(batch)?)
     }
 
-    fn take_sent_traversals(&mut self, batch: v1::TraversalBatch) -> Result<Option<TraversalBatch>, IntakeError> {
-        self.take_traversals(traversals_from_wire(batch)?)
+    fn take_sent_traversals(&mut self, batch: v1::TraversalBatch) -> Result<Option<ReportBatch>, IntakeError> {
+        self.take_reports(traversals_from_wire(batch)?)
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a stream hands to its map's writer: checked observations, scans and traversals of a message.
+//! What a stream hands to its map's writer: checked observations, scans and reports of a message.
 //!
 //! Invariant: what is refused still uses up its sequence number.
 
@@ -12,7 +12,7 @@ use tidemap_map::{
     event::{Position, SequenceSpan, StateShape, StatedReporting},
     ids::RefusalReason,
     name::StateName,
-    traversal::Traversal,
+    sighting::PlaceReport,
 };
 
 /// A refused observation.
@@ -117,13 +117,13 @@ pub(crate) struct ScanBatch {
     pub bytes: usize,
 }
 
-/// Checked traversals of one message.
+/// Checked traversals or sightings of one message.
 #[derive(Debug, Default)]
-pub(crate) struct TraversalBatch {
+pub(crate) struct ReportBatch {
     /// What is new of the message; not empty.
     pub span: SequenceSpan,
-    /// The valid traversals with their sequence numbers. The map's writer checks whether the edges exist.
-    pub traversals: Vec<(u64, Traversal)>,
-    /// The refused traversals.
+    /// The valid reports with their sequence numbers. The map's writer checks whether edges and landmarks exist.
+    pub reports: Vec<(u64, PlaceReport)>,
+    /// The refused reports.
     pub refused: Vec<RefusedObservation>,
 }

@@ -8,7 +8,7 @@ use tidemap_map::{name::ProducerKey, snapshot::ContentMark};
 use tidemap_store::AppendError;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
-use super::batches::{ObservationBatch, RefusedObservation, ScanBatch, TraversalBatch};
+use super::batches::{ObservationBatch, RefusedObservation, ReportBatch, ScanBatch};
 use crate::ingest::{ending::Ending, probe::Probe};
 
 /// The number of a stream at its map's writer.
@@ -100,8 +100,8 @@ pub(crate) enum StreamData {
     Observations(ObservationBatch, BufferBudget),
     /// Checked scans.
     Scans(ScanBatch, BufferBudget),
-    /// Checked traversals.
-    Traversals(TraversalBatch, BufferBudget),
+    /// Checked traversals or sightings.
+    Reports(ReportBatch, BufferBudget),
     /// The end of the stream.
     End {
         /// Whether the producer ended it on purpose.

@@ -34,12 +34,12 @@ impl Backlog {
         self.handovers.push_back((session, handover));
     }
 
-    /// The oldest handover, if it may be taken now. The end of a stream needs no room. A traversal waits while an edit
-    /// of the site is in flight, because its meaning depends on the topology.
+    /// The oldest handover, if it may be taken now. The end of a stream needs no room. Traversals and sightings
+    /// wait while an edit of the site is in flight, because their meaning depends on the site.
     pub(super) fn next(&mut self, has_room: bool, is_site_changing: bool) -> Option<(SessionId, StreamData)> {
         let may_take = match &self.handovers.front()?.1 {
             StreamData::End { .. } => true,
-            StreamData::Traversals(..) => has_room && !is_site_changing,
+            StreamData::Reports(..) => has_room && !is_site_changing,
             StreamData::Observations(..) | StreamData::Scans(..) => has_room,
         };
         if may_take { self.handovers.pop_front() } else { None }
@@ -128,8 +128,8 @@ impl Writer {
             StreamData::Observations(batch, budget) => {
                 (sessions.observation_event(session, batch, &self.map, now).into_iter().collect(), budget)
             }
-            StreamData::Traversals(batch, budget) => {
-                (sessions.traversal_event(session, batch, &self.map, now).into_iter().collect(), budget)
+            StreamData::Reports(batch, budget) => {
+                (sessions.report_event(session, batch, &self.map, now).into_iter().collect(), budget)
             }
             StreamData::Scans(batch, budget) => (sessions.scan_events(session, batch, &self.map, now), budget),
             StreamData::End { clean } => return self.leave(session, clean),

@@ -2,9 +2,13 @@
 //!
 //! Invariant: these are estimates, but never much too small, because they bound the memory that waits for a slow disk.
 
-use tidemap_map::traversal::{EdgeFailure, Traversal};
+use tidemap_map::{
+    sighting::{PlaceReport, Sighting},
+    site::Site,
+    traversal::{EdgeFailure, Traversal},
+};
 
-use crate::ingest::protocol::{ObservationBatch, TraversalBatch};
+use crate::ingest::protocol::{ObservationBatch, ReportBatch};
 
 /// Memory of a decoded observation, in bytes.
 const OBSERVATION_BYTES: usize = 24;
@@ -25,12 +29,22 @@ pub(super) fn bytes_of(batch: &ObservationBatch) -> usize {
         + names.sum::<usize>()
 }
 
-/// Memory of traversals until they are durable, about: as they are, as observations with the names of their states, and
-/// as failures.
-pub(super) fn bytes_of_traversals(batch: &TraversalBatch) -> usize {
-    let texts = |traversal: &Traversal| 3 * traversal.edge.to_string().len() + 2 * traversal.reason.len();
-    let each = |(_, traversal): &(u64, Traversal)| {
-        size_of::<Traversal>() + 2 * (OBSERVATION_BYTES + NAME_BYTES) + texts(traversal) + size_of::<EdgeFailure>()
+/// Memory of traversals or sightings until they are durable, about: as they are, as observations with the names of their
+/// states, and as failures.
+pub(super) fn bytes_of_reports(batch: &ReportBatch, site: &Site) -> usize {
+    let of_traversal = |traversal: &Traversal| {
+        let texts = 3 * traversal.edge.to_string().len() + 2 * traversal.reason.len();
+        size_of::<Traversal>() + 2 * (OBSERVATION_BYTES + NAME_BYTES) + texts + size_of::<EdgeFailure>()
     };
-    64 + batch.traversals.iter().map(each).sum::<usize>() + REFUSED_BYTES * batch.refused.len()
+    let of_sighting = |sighting: &Sighting| {
+        let at = site.topology().place(&sighting.place).ok().and_then(|place| site.landmarks().at(place));
+        let names = sighting.seen.iter().chain(&sighting.out_of_view);
+        let texts: usize = names.map(|name| NAME_BYTES + name.as_str().len()).sum();
+        texts + at.map_or(0, |known| known.landmarks().len()) * (OBSERVATION_BYTES + 2 * NAME_BYTES)
+    };
+    let each = |(_, report): &(u64, PlaceReport)| {
+        let of_sighting = if let PlaceReport::Sighting(sighting) = report { of_sighting(sighting) } else { 0 };
+        size_of::<PlaceReport>() + of_sighting + report.traversal().map_or(0, of_traversal)
+    };
+    64 + batch.reports.iter().map(each).sum::<usize>() + REFUSED_BYTES * batch.refused.len()
 }

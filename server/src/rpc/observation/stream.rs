@@ -14,9 +14,9 @@ use tidemap_proto::{
     convert::{
         OverLimit,
         observe::{ObservationMessage, StreamMessage, message_from_wire},
+        reports::ReportMessage,
         scans::ScanMessage,
         time::duration,
-        traversals::TraversalMessage,
     },
     v1::{self, observe_response::Message as Down},
 };
@@ -27,7 +27,7 @@ use tracing::warn;
 use super::{
     Observations,
     channel::{Replies, Requests, reply, unread},
-    memory::{bytes_of, bytes_of_traversals},
+    memory::{bytes_of, bytes_of_reports},
     open_streams::StreamEntry,
 };
 use crate::{
@@ -151,7 +151,7 @@ impl<'a> Stream<'a> {
         match message_from_wire(request)? {
             StreamMessage::Observations(message) => self.take_observations(message).await,
             StreamMessage::Scans(message) => self.take_scans(message).await,
-            StreamMessage::Traversals(message) => self.take_traversals(message).await,
+            StreamMessage::Reports(message) => self.take_reports(message).await,
             StreamMessage::Alive => {
                 self.probed.answer();
                 Ok(())
@@ -187,11 +187,12 @@ impl<'a> Stream<'a> {
         if is_any_new { Ok(()) } else { self.say_durable().await }
     }
 
-    async fn take_traversals(&mut self, message: TraversalMessage) -> Result<(), RpcError> {
-        let Some(batch) = self.intake()?.take_traversals(message)? else { return self.say_durable().await };
-        let budget = self.budget(bytes_of_traversals(&batch)).await?;
+    async fn take_reports(&mut self, message: ReportMessage) -> Result<(), RpcError> {
+        let Some(batch) = self.intake()?.take_reports(message)? else { return self.say_durable().await };
+        let bytes = bytes_of_reports(&batch, self.handle.view().site());
+        let budget = self.budget(bytes).await?;
         self.note(batch.span.last);
-        self.hand_over(StreamData::Traversals(batch, budget))
+        self.hand_over(StreamData::Reports(batch, budget))
     }
 
     /// Reserves room for the tiles that the stream's scans refer to, for the life of the stream. It does not wait,

@@ -2,8 +2,13 @@
 //!
 //! Invariant: each error has one gRPC code and one reason.
 
-use tidemap_map::topology::{RoadsError, TopologyError};
+use tidemap_map::{
+    landmark::LandmarkError,
+    sighting::SightingError,
+    topology::{RoadsError, TopologyError},
+};
 use tidemap_plan::{
+    localise::MixedDescriptors,
     policy::PolicyError,
     route::PlanRouteError,
     search::{PolicyError as JointError, SearchError},
@@ -48,6 +53,12 @@ pub(crate) enum RouteError {
     Joint(#[from] JointError),
     #[error(transparent)]
     Search(#[from] SearchError),
+    #[error("map {0:?} has no image features at nodes: add landmarks first")]
+    NoLandmarks(String),
+    #[error(transparent)]
+    Descriptors(#[from] MixedDescriptors),
+    #[error(transparent)]
+    Sighting(#[from] SightingError),
 }
 
 impl RouteError {
@@ -70,10 +81,29 @@ impl RouteError {
             | Self::TooManyEdges { .. }
             | Self::Search(SearchError::TooManyForExact { .. } | SearchError::TooMany { .. })
             | Self::Roads(RoadsError::TooManyPairs { .. }) => (Code::ResourceExhausted, "LIMIT"),
-            Self::Joint(_) | Self::Search(_) | Self::Roads(_) | Self::Plan(_) | Self::Policy(_) => {
-                (Code::InvalidArgument, "INVALID_FIELD")
-            }
+            Self::NoLandmarks(_) => (Code::FailedPrecondition, "NO_LANDMARKS"),
+            Self::Sighting(SightingError::Landmark(error)) => landmark_refusal(error),
+            Self::Descriptors(_)
+            | Self::Sighting(_)
+            | Self::Joint(_)
+            | Self::Search(_)
+            | Self::Roads(_)
+            | Self::Plan(_)
+            | Self::Policy(_) => (Code::InvalidArgument, "INVALID_FIELD"),
         }
+    }
+}
+
+/// Code and reason of a refused edit of landmarks.
+pub(super) fn landmark_refusal(error: &LandmarkError) -> (Code, &'static str) {
+    match error {
+        LandmarkError::Place(error) => refusal_of(error),
+        LandmarkError::Unknown { .. } | LandmarkError::Nothing(_) => (Code::NotFound, "UNKNOWN_LANDMARK"),
+        LandmarkError::OtherKind { .. } | LandmarkError::OtherLength { .. } => {
+            (Code::FailedPrecondition, "OTHER_DESCRIPTORS")
+        }
+        LandmarkError::TooManyAt(_) | LandmarkError::TooMany => (Code::ResourceExhausted, "LIMIT"),
+        _ => (Code::InvalidArgument, "INVALID_FIELD"),
     }
 }
 

@@ -91,6 +91,7 @@ fn encode_reason(reason: RefusalReason) -> u32 {
         RefusalReason::TileLimit => 10,
         RefusalReason::Frame => 11,
         RefusalReason::Edge => 12,
+        RefusalReason::Landmark => 13,
     }
 }
 
@@ -108,6 +109,7 @@ fn decode_reason(reason: u32) -> Result<RefusalReason, Invalid> {
         10 => Ok(RefusalReason::TileLimit),
         11 => Ok(RefusalReason::Frame),
         12 => Ok(RefusalReason::Edge),
+        13 => Ok(RefusalReason::Landmark),
         _ => Err("the reason of a refusal is unknown"),
     }
 }

@@ -84,6 +84,7 @@ fn observations() -> impl Strategy<Value = Event> {
                                 2 => RefusalReason::StateName,
                                 3 => RefusalReason::StateIndex,
                                 4 => RefusalReason::StateLimit,
+                                5 => RefusalReason::Landmark,
                                 6 => RefusalReason::Edge,
                                 _ => RefusalReason::StateKind,
                             };

@@ -3,7 +3,7 @@
 use tokio::sync::Semaphore;
 
 use super::*;
-use crate::ingest::protocol::{BufferBudget, ObservationBatch, TraversalBatch};
+use crate::ingest::protocol::{BufferBudget, ObservationBatch, ReportBatch};
 
 impl Backlog {
     pub(in crate::ingest::writer) fn len(&self) -> usize {
@@ -41,7 +41,7 @@ fn handovers_are_taken_in_their_order_and_when_there_is_room() {
 #[test]
 fn traversals_wait_while_the_site_changes() {
     let mut backlog = Backlog::default();
-    backlog.push(A, StreamData::Traversals(TraversalBatch::default(), budget()));
+    backlog.push(A, StreamData::Reports(ReportBatch::default(), budget()));
     assert!(backlog.next(true, true).is_none());
     assert!(backlog.next(false, false).is_none());
     assert!(backlog.next(true, false).is_some());

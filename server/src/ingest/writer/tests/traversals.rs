@@ -3,13 +3,14 @@
 use tidemap_map::{
     event::{SequenceSpan, StateKind},
     name::EdgeName,
+    sighting::PlaceReport,
     site::SiteEdit,
     topology::{EdgeEnds, Extent, NewEdge, NewNode, TopologyEdit},
     traversal::Traversal,
 };
 
 use super::{backlog::bare, *};
-use crate::ingest::protocol::{EditSite, TraversalBatch};
+use crate::ingest::protocol::{EditSite, ReportBatch};
 
 const SEC: i64 = 1_000_000_000;
 
@@ -46,15 +47,13 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
     let permit = || Arc::new(Semaphore::new(1)).try_acquire_owned().expect("free");
     let first_sequence = robot.sent + 1;
     robot.sent += traversals.len() as u64;
-    let batch = TraversalBatch {
+    let batch = ReportBatch {
         span: SequenceSpan { first: first_sequence, last: robot.sent, content_crc: 1 },
-        traversals: (first_sequence..).zip(traversals).collect(),
+        reports: (first_sequence..).zip(traversals.into_iter().map(PlaceReport::Traversal)).collect(),
         refused: Vec::new(),
     };
-    let command = Command::StreamData {
-        session: robot.opened.session,
-        data: StreamData::Traversals(batch, [permit(), permit()]),
-    };
+    let command =
+        Command::StreamData { session: robot.opened.session, data: StreamData::Reports(batch, [permit(), permit()]) };
     assert!(handle.send(command));
 }
 
@@ -164,7 +163,7 @@ async fn traversals_wait_while_a_change_of_the_topology_is_on_its_way() {
     send(&bare.handle, &mut robot, vec![trip("", NOON, true)]);
     bare.take_in();
     assert!(answer.try_recv().is_err(), "it is on its way");
-    assert!(matches!(bare.writer.backlog.oldest(), Some(StreamData::Traversals(..))));
+    assert!(matches!(bare.writer.backlog.oldest(), Some(StreamData::Reports(..))));
     bare.go_on(|writer| writer.map.states() == 2);
     let expected = SessionEvent::Ack { durable_sequence: 1, refused: Vec::new() };
     assert_eq!(robot.events.recv().await, Some(expected), "the edge was there when its turn came");

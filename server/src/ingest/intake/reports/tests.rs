@@ -1,6 +1,6 @@
 //! Traversals as a stream sends them: what is taken, skipped, refused, and what ends the stream.
 
-use tidemap_map::ids::RefusalReason;
+use tidemap_map::{ids::RefusalReason, sighting::PlaceReport};
 use tidemap_proto::{
     convert::{columns::encode, scans::ScanLimits},
     v1::{self, Traversal},
@@ -30,7 +30,7 @@ fn they_share_the_numbers_and_the_crc_of_observations() {
     let trips = [trip("Hall", 1, 5, true), trip("Hall", 5, 9, false)];
     let batch = intake.take_sent_traversals(message(1, &trips)).expect("fine").expect("new");
     assert_eq!((batch.span.first, batch.span.last), (1, 2));
-    assert_eq!(batch.traversals.iter().map(|(sequence, _)| *sequence).collect::<Vec<_>>(), [1, 2]);
+    assert_eq!(batch.reports.iter().map(|(sequence, _)| *sequence).collect::<Vec<_>>(), [1, 2]);
     let bytes = |trip: &Traversal| {
         let tail = [&trip.start_nanos.to_le_bytes()[..], &trip.end_nanos.to_le_bytes(), &[u8::from(trip.success)]];
         [b"edge/Hall/Lab", &tail.concat()[..], b"stuck"].concat()
@@ -44,8 +44,8 @@ fn they_share_the_numbers_and_the_crc_of_observations() {
     let other = intake.take_sent_traversals(message(2, &more)).expect_err("other content");
     assert_eq!(other, IntakeError::DataMismatch { first: 3, last: 3, next: 4 });
     let batch = intake.take_sent_traversals(message(4, &more[2..])).expect("fine").expect("new");
-    assert_eq!((batch.span.first, batch.span.last, batch.traversals.len()), (4, 4, 1));
-    assert_eq!(batch.traversals[0].1.start_nanos, 9);
+    assert_eq!((batch.span.first, batch.span.last, batch.reports.len()), (4, 4, 1));
+    assert_eq!(batch.reports[0].1.time_nanos(), 9);
     let leap = intake.take_sent_traversals(message(6, &trips)).expect_err("a gap");
     assert_eq!(leap, IntakeError::OutOfSequence { got: 6, expected: 5 });
 }
@@ -59,7 +59,7 @@ fn a_wrong_traversal_does_not_take_its_neighbours_with_it() {
     let reasons: Vec<_> = batch.refused.iter().map(|refused| (refused.sequence, refused.reason)).collect();
     assert_eq!(reasons, [(11, RefusalReason::Edge), (13, RefusalReason::Time), (14, RefusalReason::Time)]);
     assert!(batch.refused.iter().all(|refused| refused.detail.chars().count() <= 200));
-    let [(12, taken)] = batch.traversals.as_slice() else { panic!("{:?}", batch.traversals) };
+    let [(12, PlaceReport::Traversal(taken))] = batch.reports.as_slice() else { panic!("{:?}", batch.reports) };
     assert!(taken.reason.starts_with("x x ") && taken.reason.chars().count() <= 200);
     assert_eq!(batch.span.last, 14);
 }
