@@ -10,6 +10,7 @@ pub mod clock;
 pub mod connection;
 pub mod error;
 pub mod exploration;
+pub mod landmarks;
 pub mod maps;
 pub mod observe;
 pub mod queries;

@@ -16,6 +16,7 @@ mod grid;
 mod help;
 mod info;
 mod job;
+mod landmark;
 mod location;
 mod map;
 mod measure;
@@ -222,6 +223,9 @@ enum Command {
     /// Loads, shows and changes topological maps: nodes, and the edges between them
     #[command(subcommand)]
     Topology(topology::TopologyCommand),
+    /// Adds, lists and predicts landmarks of nodes and edges, and finds where a robot is by what it sees
+    #[command(subcommand)]
+    Landmark(landmark::LandmarkCommand),
     /// Reports traversals of edges of the topological map: those of a file, each exactly once, or a single one
     ///
     /// The file has a header and the columns from, to, start, end and success, in any order, and optionally action and
@@ -416,6 +420,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Tour(args) => tour::run(&session, args).await,
         Command::Day(args) => day::run(&session, args).await,
         Command::Topology(command) => topology::run(&session, command).await,
+        Command::Landmark(command) => landmark::run(&session, command).await,
         Command::Traverse(args) => traverse::run(&session, &args).await,
         Command::Search(args) => search::run(&session, args).await,
         Command::Route(args) => route::run(&session, args).await,

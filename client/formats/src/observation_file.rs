@@ -6,7 +6,9 @@
 //! reader does not read on, even if the file grows.
 
 mod fields;
+pub mod landmarks;
 mod rules;
+pub mod sightings;
 pub mod traversals;
 
 use std::io::{self, BufRead};
@@ -69,6 +71,8 @@ fn other_separator(header: &str) -> Option<char> {
 fn needed(column: &str) -> &'static str {
     match column {
         "x" | "y" => "time, state, x and y",
+        "place" | "seen" => "time, place and seen",
+        "name" | "number" | "u_px" | "v_px" | "descriptor" => "place, name, u_px, v_px and descriptor",
         "from" | "to" | "start" | "end" | "success" => "from, to, start, end and success",
         _ => "time, state and value",
     }

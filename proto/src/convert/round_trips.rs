@@ -141,7 +141,7 @@ proptest! {
 fn choices_come_back() {
     let reasons = (1..).map_while(|number| v1::RefusalReason::try_from(number).ok());
     let reasons: Vec<RefusalReason> = reasons.filter_map(refusal_from_wire).collect();
-    assert_eq!(reasons.len(), 12);
+    assert_eq!(reasons.len(), 13);
     assert!(reasons.iter().all(|&reason| refusal_from_wire(refusal_to_wire(reason)) == Some(reason)));
     for criterion in [OrderCriterion::SquaredError, OrderCriterion::ZeroOne] {
         assert_eq!(criterion_from_wire(criterion_to_wire(criterion)), Some(criterion));

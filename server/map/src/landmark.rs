@@ -2,7 +2,7 @@
 //!
 //! Invariant: a descriptor has 1 to 64 bytes; descriptors of different lengths are never compared.
 
-use std::fmt;
+use std::{fmt, str::FromStr};
 
 mod error;
 mod table;
@@ -41,12 +41,18 @@ pub struct Descriptor {
     length: u8,
 }
 
-/// Why bytes are no descriptor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a descriptor of {found} bytes: it must have 1 to {DESCRIPTOR_BYTES_MAX}")]
-pub struct DescriptorError {
-    /// Number of bytes.
-    pub found: usize,
+/// Why something is no descriptor.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DescriptorError {
+    /// It has another number of bytes.
+    #[error("a descriptor of {found} bytes: it must have 1 to {DESCRIPTOR_BYTES_MAX}")]
+    Length {
+        /// Number of bytes.
+        found: usize,
+    },
+    /// A text is not hexadecimal, two digits a byte.
+    #[error("{0:?} is not hexadecimal: write two digits for each byte, such as 0af3")]
+    Digits(String),
 }
 
 impl Descriptor {
@@ -57,7 +63,7 @@ impl Descriptor {
     pub fn new(bytes: &[u8]) -> Result<Descriptor, DescriptorError> {
         let found = bytes.len();
         let Some(length) = u8::try_from(found).ok().filter(|_| (1..=DESCRIPTOR_BYTES_MAX).contains(&found)) else {
-            return Err(DescriptorError { found });
+            return Err(DescriptorError::Length { found });
         };
         let mut words = [0; WORDS];
         for (word, bytes) in words.iter_mut().zip(bytes.chunks(8)) {
@@ -86,9 +92,29 @@ impl Descriptor {
     }
 }
 
-impl fmt::Debug for Descriptor {
+impl FromStr for Descriptor {
+    type Err = DescriptorError;
+
+    /// A descriptor in hexadecimal digits, two for each byte.
+    fn from_str(text: &str) -> Result<Descriptor, DescriptorError> {
+        let digits: Option<Vec<u8>> = text.chars().map(|digit| digit.to_digit(16).map(|digit| digit as u8)).collect();
+        let digits = digits.filter(|digits| digits.len().is_multiple_of(2));
+        let digits = digits.ok_or_else(|| DescriptorError::Digits(text.chars().take(40).collect()))?;
+        let bytes: Vec<u8> =
+            digits.chunks(2).map(|pair| pair.iter().fold(0, |byte, digit| byte << 4 | digit)).collect();
+        Descriptor::new(&bytes)
+    }
+}
+
+impl fmt::Display for Descriptor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.to_bytes().iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for Descriptor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
     }
 }
 

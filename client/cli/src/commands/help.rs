@@ -14,7 +14,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Learn, and look at models", &["update", "model", "evaluate", "experiment"]),
     ("Predict, and look back", &["predict", "position", "presence", "joint", "reconstruct", "anomalies"]),
     ("Explore", &["info", "slot", "day", "tour", "reachability"]),
-    ("Drive and search", &["topology", "route", "policy", "search"]),
+    ("Drive and search", &["topology", "landmark", "route", "policy", "search"]),
     ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "schema", "bench"]),
 ];
 
@@ -75,6 +75,13 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("topology edit link", "tidemap topology edit link office kitchen pantry 12"),
     ("topology edit set-link", "tidemap topology edit set-link office kitchen pantry 14"),
     ("topology edit unlink", "tidemap topology edit unlink office kitchen pantry"),
+    ("landmark add", "tidemap landmark add office landmarks.csv --descriptors orb"),
+    ("landmark observe", "tidemap landmark observe office sightings.csv --producer robot-1"),
+    ("landmark list", "tidemap landmark list office kitchen"),
+    ("landmark predict", "tidemap landmark predict office kitchen --at now --count 10"),
+    ("landmark locate", "tidemap landmark locate office features.csv --at now"),
+    ("landmark remove", "tidemap landmark remove office kitchen 12 17"),
+    ("landmark prune", "tidemap landmark prune office --below 0.1 --dry-run"),
     ("route", "tidemap route office entrance kitchen --at now --objective time"),
     ("policy", "tidemap policy office kitchen --at now"),
     ("search", "tidemap search office --start corridor --at now"),

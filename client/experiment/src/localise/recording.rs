@@ -13,7 +13,7 @@ use std::{
 
 use flate2::read::GzDecoder;
 use serde::{Deserialize, de::DeserializeOwned};
-use tidemap_map::landmark::{Descriptor, ImageFeature};
+use tidemap_map::landmark::{DescriptorError, ImageFeature};
 use tidemap_plan::localise::SeenFeatures;
 
 use super::LocaliseError;
@@ -124,11 +124,7 @@ fn feature(u_px: f64, v_px: f64, hex: &str) -> Result<ImageFeature, String> {
     if !(u_px.is_finite() && v_px.is_finite()) {
         return Err(format!("the position {u_px}, {v_px} is not finite"));
     }
-    let digits: Option<Vec<u8>> = hex.chars().map(|digit| digit.to_digit(16).map(|digit| digit as u8)).collect();
-    let digits = digits.filter(|digits| digits.len().is_multiple_of(2));
-    let digits = digits.ok_or_else(|| format!("the descriptor {hex:?} is not hexadecimal"))?;
-    let bytes: Vec<u8> = digits.chunks(2).map(|pair| pair.iter().fold(0, |byte, digit| byte << 4 | digit)).collect();
-    let descriptor = Descriptor::new(&bytes).map_err(|error| error.to_string())?;
+    let descriptor = hex.parse().map_err(|error: DescriptorError| error.to_string())?;
     Ok(ImageFeature { u_px, v_px, descriptor })
 }
 

@@ -85,7 +85,7 @@ fn what_is_wrong_in_a_recording_is_said_with_its_line() {
         ("3,1,0,10,20,1x-,00ff\n", "line 2: 'x' in seen is neither 1, 0 nor -"),
         ("3,2,0,10,20,11-,00ff\n", "line 2: place 2 in month 3 has no row"),
         ("3,1,0,inf,20,11-,00ff\n", "line 2: the position inf, 20 is not finite"),
-        ("3,1,0,10,20,11-,0gff\n", "line 2: the descriptor \"0gff\" is not hexadecimal"),
+        ("3,1,0,10,20,11-,0gff\n", "line 2: \"0gff\" is not hexadecimal"),
         ("3,1,0,10,20,11-,\n", "line 2: a descriptor of 0 bytes"),
     ] {
         let error = small(landmarks).expect_err(landmarks);

@@ -18,12 +18,16 @@ proptest! {
         let expected: u32 = one.iter().zip(&other).map(|(a, b)| (a ^ b).count_ones()).sum();
         prop_assert_eq!(bits, expected);
         prop_assert_eq!(a == b, one == other);
+        prop_assert_eq!(a.to_string().parse::<Descriptor>(), Ok(a));
     }
 }
 
 #[test]
 fn descriptors_without_bytes_or_with_too_many_are_refused() {
-    assert_eq!(Descriptor::new(&[]), Err(DescriptorError { found: 0 }));
+    assert_eq!(Descriptor::new(&[]), Err(DescriptorError::Length { found: 0 }));
     let message = Descriptor::new(&[0; 65]).expect_err("too long").to_string();
     assert_eq!(message, "a descriptor of 65 bytes: it must have 1 to 64");
+    for text in ["0", "0g", ""] {
+        assert!(text.parse::<Descriptor>().is_err(), "{text:?}");
+    }
 }

@@ -6,7 +6,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use tidemap_client::maps::RowKind;
-use tidemap_client::observe::{Phase, Producer, ProducerError, Progress, TraversalReport, content::ContentCrc};
+use tidemap_client::observe::{
+    Phase, Producer, ProducerError, Progress, SightingReport, TraversalReport, content::ContentCrc,
+};
 use tokio::{sync::watch, task::JoinHandle};
 
 use super::{
@@ -17,7 +19,7 @@ use super::{
 };
 use crate::progress::Bar;
 use tidemap_formats::observation_file::{
-    Layout as _, ObservationColumns, ObservationRow, RowPlace, traversals::TraversalRow,
+    Layout as _, ObservationColumns, ObservationRow, RowPlace, sightings::SightingRow, traversals::TraversalRow,
 };
 
 /// Maximum number of states that are compared with those of the map.
@@ -88,6 +90,33 @@ impl Sendable for TraversalRow {
 fn report(row: &TraversalRow) -> TraversalReport {
     let TraversalRow { from, to, action, start_nanos, end_nanos, success, reason, .. } = row.clone();
     TraversalReport { from, to, action, start_nanos, end_nanos, success, reason }
+}
+
+impl Sendable for SightingRow {
+    fn at(&self) -> RowPlace {
+        self.at
+    }
+
+    fn add_to(&self, crc: &mut ContentCrc) {
+        crc.add_sighting(&sighting(self));
+    }
+
+    async fn send(&self, producer: &mut Producer) -> Result<u64, ProducerError> {
+        producer.send_sighting(&sighting(self)).await
+    }
+
+    async fn wrong(&self, _: &mut Kinds) -> Option<String> {
+        self.wrong.clone().or_else(|| sighting(self).wrong())
+    }
+
+    fn observation(&self) -> Option<&ObservationRow> {
+        None
+    }
+}
+
+fn sighting(row: &SightingRow) -> SightingReport {
+    let SightingRow { place, part_m: [from_m, to_m], time_nanos, seen, out_of_view, .. } = row.clone();
+    SightingReport { place, from_m, to_m, time_nanos, seen, out_of_view }
 }
 
 /// Sends a file's rows or scans.
