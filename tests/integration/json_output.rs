@@ -204,6 +204,13 @@ fn write_files(folder: &Path) {
     for (name, text) in [("door.csv", &*door), ("anna.csv", &anna), ("runs.csv", runs), ("map.txt", topology)] {
         fs::write(folder.join(name), text).expect("a file");
     }
+    let landmarks = "place,name,u_px,v_px,descriptor,along_m,number,x,y,z,qx,qy,qz,qw\n\
+                     Hall,clock,10,20,00ff,,,,,,,,,\nHall,tag,,,,,7,1,2,0,0,0,0,1\nHall/Lab,sign,5,6,0f0f,2.5,,,,,,,,\n";
+    let sightings = "time,place,seen\n2025-01-06T10:00:00Z,Hall,clock\n";
+    let features = "u_px,v_px,descriptor\n12,21,00fe\n300,40,ff00\n";
+    for (name, text) in [("landmarks.csv", landmarks), ("sightings.csv", sightings), ("features.csv", features)] {
+        fs::write(folder.join(name), text).expect("a file");
+    }
     fs::write(folder.join("scan.pcd"), pcd).expect("a file");
 }
 
@@ -263,6 +270,16 @@ fn check_topology(checked: &mut Checked, folder: &str) {
     checked.run("update", "home");
     let route = checked.run("route", &format!("home Hall Shop --at {NOON}"));
     assert_eq!((&route[0]["reports"], &route[0]["pending_reports"]), (&2.into(), &0.into()), "{route}");
+    checked.run("landmark add", &format!("home {folder}/landmarks.csv --descriptors orb"));
+    checked.run("landmark observe", &format!("home {folder}/sightings.csv --producer r"));
+    let places = checked.run("landmark list", "home");
+    assert_eq!(places, serde_json::json!([{"place": "Hall", "landmarks": 2}, {"place": "Hall/Lab", "landmarks": 1}]));
+    let landmarks = checked.run("landmark predict", &format!("home Hall --at {NOON} --count 1"));
+    assert_eq!((&landmarks[0]["landmark"], &landmarks[0]["sightings"]), (&"clock".into(), &1.into()), "{landmarks}");
+    checked.run("landmark list", "home Hall/Lab");
+    checked.run("landmark locate", &format!("home {folder}/features.csv --at {NOON}"));
+    checked.run("landmark prune", "home --below 0.1 --min-sightings 5");
+    checked.run("landmark remove", "home Hall tag");
     checked.run("topology show", "home");
     checked.run("topology show", "home --edges");
     checked.run("topology failures", "home");

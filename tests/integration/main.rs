@@ -18,6 +18,7 @@ mod floods;
 mod grid;
 mod json_output;
 mod kinds;
+mod landmarks;
 mod lifecycle;
 mod own_file;
 mod page;

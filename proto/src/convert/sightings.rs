@@ -10,7 +10,7 @@ use tidemap_map::{
 
 use super::{
     landmarks::{place_from_wire, place_to_wire},
-    traversals::{self, refusal_of, traversal_from_wire, traversal_to_wire},
+    traversals::{self, TraversalReport, refusal_of, report_to_wire, traversal_from_wire, traversal_to_wire},
 };
 use crate::v1::{self, landmark_place::Place};
 
@@ -137,13 +137,15 @@ pub struct SightingReport {
     pub seen: Vec<String>,
     /// Names of those that it could not have seen.
     pub out_of_view: Vec<String>,
+    /// The traversal on which it looked, of the edge that is the place: learned with the sighting, or both refused.
+    pub traversal: Option<TraversalReport>,
 }
 
 impl SightingReport {
     /// The sighting for the wire.
     #[must_use]
     pub fn to_wire(&self) -> v1::Sighting {
-        let Self { place, from_m, to_m, time_nanos, seen, out_of_view } = self.clone();
+        let Self { place, from_m, to_m, time_nanos, seen, out_of_view, traversal } = self.clone();
         let place = match place.splitn(3, '/').collect::<Vec<_>>().as_slice() {
             [from, to] => Place::Edge(v1::EdgeEnds { from: (*from).into(), to: (*to).into(), ..Default::default() }),
             [from, to, action] => Place::Edge(v1::EdgeEnds {
@@ -155,7 +157,8 @@ impl SightingReport {
             _ => Place::Node(place),
         };
         let place = Some(v1::LandmarkPlace { place: Some(place), from_m, to_m });
-        v1::Sighting { place, time_nanos, seen, out_of_view, traversal: None }
+        let traversal = traversal.as_ref().map(report_to_wire);
+        v1::Sighting { place, time_nanos, seen, out_of_view, traversal }
     }
 
     /// Why the report is invalid, as far as this is known without the map. The daemon refuses it for the same reason.

@@ -116,7 +116,7 @@ impl Sendable for SightingRow {
 
 fn sighting(row: &SightingRow) -> SightingReport {
     let SightingRow { place, part_m: [from_m, to_m], time_nanos, seen, out_of_view, .. } = row.clone();
-    SightingReport { place, from_m, to_m, time_nanos, seen, out_of_view }
+    SightingReport { place, from_m, to_m, time_nanos, seen, out_of_view, traversal: None }
 }
 
 /// Sends a file's rows or scans.
