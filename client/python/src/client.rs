@@ -9,7 +9,7 @@ use pyo3::{prelude::*, types::PyDict};
 use tidemap_client::{
     Client,
     connection::Credentials,
-    observe::{Producer, ProducerOptions, TraversalReport},
+    observe::{Producer, ProducerOptions, SightingReport, TraversalReport},
     queries::{GridOutput, GridQuery, PredictionRun},
 };
 
@@ -40,6 +40,9 @@ fn evidence(run: &PredictionRun) -> Evidence {
 
 /// An edge that was driven: from, to, action, start, end, whether it succeeded, reason.
 type Driven = (String, String, String, i64, i64, bool, String);
+
+/// What was seen of landmarks: place, part of the edge, time, names seen, names out of view.
+type Sighted = (String, Option<f64>, Option<f64>, i64, Vec<String>, Vec<String>);
 
 /// A client of a daemon.
 #[pyclass(frozen)]
@@ -200,6 +203,29 @@ impl NativeClient {
             reason,
         };
         self.send_rows(py, options, Rows::Traversals(driven.into_iter().map(report).collect()), None)
+    }
+
+    /// Sends sightings of landmarks, each exactly once.
+    fn sight<'py>(
+        &self,
+        py: Python<'py>,
+        map: &str,
+        sightings: Vec<Sighted>,
+        producer: &str,
+        label: &str,
+        nightly: bool,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let options = ProducerOptions { nightly, ..ProducerOptions::new(producer, label, map) };
+        let report = |(place, from_m, to_m, time_nanos, seen, out_of_view)| SightingReport {
+            place,
+            from_m,
+            to_m,
+            time_nanos,
+            seen,
+            out_of_view,
+            traversal: None,
+        };
+        self.send_rows(py, options, Rows::Sightings(sightings.into_iter().map(report).collect()), None)
     }
 
     /// Sends grids that were seen, each exactly once; axes time, z, y, x; below 0 not seen, 0 free, above 0 occupied.

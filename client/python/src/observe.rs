@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use tidemap_client::{
     Client,
     maps::{RowKind, StateKind, StateShape, StatedReporting},
-    observe::{Producer, ProducerError, ProducerOptions, TraversalReport, content::ContentCrc},
+    observe::{Producer, ProducerError, ProducerOptions, SightingReport, TraversalReport, content::ContentCrc},
 };
 
 use crate::{
@@ -77,6 +77,7 @@ pub(crate) enum Rows {
     /// Coordinates in metres, one row each, in the place of the values.
     Positions(Columns, Array2<f64>),
     Traversals(Vec<TraversalReport>),
+    Sightings(Vec<SightingReport>),
 }
 
 impl Rows {
@@ -84,6 +85,7 @@ impl Rows {
         match self {
             Self::Values(columns) | Self::Positions(columns, _) => columns.times_nanos.len(),
             Self::Traversals(reports) => reports.len(),
+            Self::Sightings(reports) => reports.len(),
         }
     }
 
@@ -98,6 +100,7 @@ impl Rows {
                 crc.add_position(state, time_nanos, &places.row(row).to_vec());
             }
             Self::Traversals(reports) => crc.add_traversal(&reports[row]),
+            Self::Sightings(reports) => crc.add_sighting(&reports[row]),
         }
     }
 
@@ -112,6 +115,7 @@ impl Rows {
                 producer.send_position(state, time_nanos, &places.row(row).to_vec()).await
             }
             Self::Traversals(reports) => producer.send_traversal(&reports[row]).await,
+            Self::Sightings(reports) => producer.send_sighting(&reports[row]).await,
         }
     }
 }
@@ -179,7 +183,7 @@ pub(crate) async fn send(
     let (before, dropped_before) = (progress.resumed_at, progress.dropped_refusals);
     let rows = content.len();
     if let Err(how) = compare(&content, before, progress.content_crc) {
-        let may_replace = !matches!(content, Rows::Traversals(_));
+        let may_replace = matches!(content, Rows::Values(_) | Rows::Positions(..));
         return differs(&name, &label, &how, may_replace);
     }
     let first = usize::try_from(before).unwrap_or(usize::MAX).min(rows);

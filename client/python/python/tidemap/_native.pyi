@@ -67,6 +67,14 @@ class NativeClient:
         label: str,
         nightly: bool,
     ) -> dict[str, Any]: ...
+    def sight(
+        self,
+        map: str,
+        sightings: list[tuple[str, float | None, float | None, int, list[str], list[str]]],
+        producer: str,
+        label: str,
+        nightly: bool,
+    ) -> dict[str, Any]: ...
     def predict_grid(
         self,
         map: str,

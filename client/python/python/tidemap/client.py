@@ -16,6 +16,7 @@ from tidemap import reports as _reports
 from tidemap import times as _times
 from tidemap.answers import Map, Observed, observed
 from tidemap.errors import InvalidArgument, TidemapError
+from tidemap.landmarks import Landmarks
 from tidemap.producer import Producer
 from tidemap.questions import Questions
 from tidemap.reports import Duration, Reports
@@ -23,7 +24,7 @@ from tidemap.routes import Routes
 from tidemap.times import Time
 
 
-class Client(Questions, Routes):
+class Client(Questions, Routes, Landmarks):
     """A client of a daemon. Methods return when the daemon has answered; other threads of Python run meanwhile.
 
     Wherever a call takes times, ``zone`` says what those without a zone are in: ``"local"`` for the zone of the map, or
