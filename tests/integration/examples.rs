@@ -63,6 +63,7 @@ pages! {
     install: "docs/src/install.md",
     introduction: "docs/src/introduction.md",
     kinds: "docs/src/kinds.md",
+    landmarks: "docs/src/landmarks.md",
     limits: "docs/src/limits.md",
     models: "docs/src/models.md",
     notebooks: "docs/src/notebooks.md",

@@ -25,6 +25,18 @@ def test_the_examples_of_the_guide_run():
     assert prediction.values.max() > 0.8 > 0.2 > prediction.values.min()
 
 
+def test_the_example_of_landmarks_runs():
+    pytest.importorskip("pandas")
+    text = (ROOT / "docs" / "src" / "landmarks.md").read_text()
+    (block,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(block, "landmarks.md", "exec"), names)  # noqa: S102
+    by_day = {name for name, day in zip(names["names"], names["by_day"]) if day}
+    assert set(names["expected"]["landmark"]) <= by_day
+    assert names["found"]["node"][0] == "gate" and names["found"]["votes"][0] == 10
+    assert abs(names["found"]["heading_px"][0] - 12) < 1e-9
+
+
 def test_the_example_of_ones_own_data_runs(tmp_path, monkeypatch):
     pandas = pytest.importorskip("pandas")
     pytest.importorskip("matplotlib").use("Agg")
