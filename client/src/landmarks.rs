@@ -37,7 +37,7 @@ pub struct KnownLandmark {
 
 /// A landmark at a time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PredictedLandmark {
+pub struct LandmarkAtTime {
     /// The landmark.
     pub landmark: Landmark,
     /// Probability that it is visible, 0 to 1.
@@ -196,7 +196,7 @@ impl Client {
         (place, part): (&PlaceName, PartOfEdge),
         time_nanos: i64,
         limit: u32,
-    ) -> Result<(Vec<PredictedLandmark>, u32), Error> {
+    ) -> Result<(Vec<LandmarkAtTime>, u32), Error> {
         let request = v1::PredictLandmarksRequest {
             map: map.to_owned(),
             place: Some(place_to_wire(place, part)),
@@ -206,7 +206,7 @@ impl Client {
         let answer = self.landmark_service().predict_landmarks(request).await.map_err(|status| self.error(&status))?;
         let v1::PredictLandmarksResponse { landmarks, known } = answer.into_inner();
         let predicted = |v1::PredictedLandmark { landmark, probability, sightings }| {
-            Ok(PredictedLandmark { landmark: landmark_of(landmark)?, probability, sightings })
+            Ok(LandmarkAtTime { landmark: landmark_of(landmark)?, probability, sightings })
         };
         Ok((landmarks.into_iter().map(predicted).collect::<Result<_, Error>>()?, known))
     }

@@ -3,15 +3,16 @@
 //! Invariant: an error names the field of what is invalid; the map itself checks what depends on others.
 
 use tidemap_map::{
-    landmark::{Descriptor, DescriptorError, ImageFeature, Landmark, LandmarkKind},
+    landmark::{Descriptor, DescriptorError, ImageFeature, Landmark, LandmarkEdit, LandmarkKind},
     name::{PlaceName, StateName},
     sighting::PartOfEdge,
 };
-use tidemap_plan::localise::NodeMatch;
+use tidemap_plan::localise::{NodeMatch, SeenFeatures};
 
 use super::{
     InvalidField,
     grid::{pose_from_wire, pose_to_wire},
+    time::instant_from_wire,
     topology::{edge_name_from_wire, edge_name_to_wire},
 };
 use crate::v1::{self, landmark::Kind, landmark_place::Place};
@@ -79,23 +80,23 @@ pub fn feature_to_wire(feature: &ImageFeature) -> v1::ImageFeature {
 /// An invalid name, descriptor or pose, or no kind.
 pub fn landmark_from_wire(field: &str, wire: &v1::Landmark) -> Result<Landmark, InvalidField> {
     let v1::Landmark { name, kind, covariance } = wire;
-    let of = |part: &str| format!("{field}.{part}");
+    let within = |part: &str| format!("{field}.{part}");
     let feature = |feature: &v1::ImageFeature| {
-        feature_from_wire(feature).map_err(|error| InvalidField::new(of("descriptor"), error))
+        feature_from_wire(feature).map_err(|error| InvalidField::new(within("descriptor"), error))
     };
     let missing = || InvalidField::new(field, "missing: say how it is recognised, by image, marker or path");
     let kind = match kind.as_ref().ok_or_else(missing)? {
         Kind::Image(image) => LandmarkKind::Image(feature(image)?),
         Kind::Marker(marker) => {
-            let pose = Box::new(pose_from_wire(&of("marker.pose"), marker.pose)?);
+            let pose = Box::new(pose_from_wire(&within("marker.pose"), marker.pose)?);
             LandmarkKind::Marker { number: marker.number, pose }
         }
         Kind::Path(path) => {
-            let missing = || InvalidField::new(of("path.feature"), "missing: say what the robot sees there");
+            let missing = || InvalidField::new(within("path.feature"), "missing: say what the robot sees there");
             LandmarkKind::Path { along_m: path.along_m, feature: feature(path.feature.as_ref().ok_or_else(missing)?)? }
         }
     };
-    let name = StateName::new(name).map_err(|error| InvalidField::new(of("name"), error))?;
+    let name = StateName::new(name).map_err(|error| InvalidField::new(within("name"), error))?;
     Ok(Landmark { name, kind, covariance: (!covariance.is_empty()).then(|| covariance.as_slice().into()) })
 }
 
@@ -116,6 +117,111 @@ pub fn landmark_to_wire(landmark: &Landmark) -> v1::Landmark {
         kind: Some(kind),
         covariance: landmark.covariance.as_deref().unwrap_or_default().to_vec(),
     }
+}
+
+/// Landmarks to add.
+///
+/// # Errors
+/// An invalid place or landmark.
+pub fn addition_from_wire(request: &v1::AddLandmarksRequest) -> Result<LandmarkEdit, InvalidField> {
+    let v1::AddLandmarksRequest { place, landmarks, descriptor_kind, velocity_profile, .. } = request;
+    let place = whole_place_from_wire("place", place.as_ref())?;
+    let landmark = |(number, landmark)| landmark_from_wire(&format!("landmarks[{number}]"), landmark);
+    let landmarks = landmarks.iter().enumerate().map(landmark).collect::<Result<Vec<_>, InvalidField>>()?;
+    let velocity_profile = velocity_profile.clone().map(Vec::into_boxed_slice);
+    Ok(LandmarkEdit::Add { place, descriptor_kind: descriptor_kind.clone(), landmarks, velocity_profile })
+}
+
+/// Which landmarks to remove.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LandmarkRemoval {
+    /// Those of these names at a place.
+    Named(PlaceName, Vec<StateName>),
+    /// Those that are hardly ever seen.
+    SeldomSeen {
+        /// The place; `None`: everywhere.
+        place: Option<PlaceName>,
+        /// Landmarks with a lower share of sightings, in (0, 1].
+        below: f64,
+        /// Minimum number of sightings in which they were in view.
+        min_sightings: u64,
+    },
+}
+
+/// Default number of sightings from which on a landmark counts as seldom seen.
+const MIN_SIGHTINGS: u64 = 10;
+
+/// Which landmarks to remove.
+///
+/// # Errors
+/// An invalid place, name or share, or neither names nor a share.
+pub fn removal_from_wire(request: &v1::RemoveLandmarksRequest) -> Result<LandmarkRemoval, InvalidField> {
+    let v1::RemoveLandmarksRequest { place, names, seldom_seen, .. } = request;
+    match (seldom_seen, names.is_empty()) {
+        (Some(v1::SeldomSeen { below, min_sightings }), true) => {
+            if !(*below > 0.0 && *below <= 1.0) {
+                return Err(InvalidField::new(
+                    "seldom_seen.below",
+                    format!("{below}: it must be above 0 and at most 1"),
+                ));
+            }
+            let place = place.as_ref().map(|place| whole_place_from_wire("place", Some(place))).transpose()?;
+            let min_sightings = if *min_sightings == 0 { MIN_SIGHTINGS } else { *min_sightings };
+            Ok(LandmarkRemoval::SeldomSeen { place, below: *below, min_sightings })
+        }
+        (None, false) => {
+            let name = |(number, name): (usize, &String)| {
+                StateName::new(name).map_err(|error| InvalidField::new(format!("names[{number}]"), error))
+            };
+            let names = names.iter().enumerate().map(name).collect::<Result<_, InvalidField>>()?;
+            Ok(LandmarkRemoval::Named(whole_place_from_wire("place", place.as_ref())?, names))
+        }
+        _ => Err(InvalidField::new("names", "name landmarks, or say seldom_seen: one of the two")),
+    }
+}
+
+/// Where a robot may be that sees these features.
+#[derive(Clone, Debug)]
+pub struct LocaliseQuestion {
+    /// When the image was taken, nanoseconds UTC.
+    pub time_nanos: i64,
+    /// The features of the image.
+    pub seen: SeenFeatures,
+    /// Maximum number of landmarks of each node to compare.
+    pub per_node: usize,
+    /// The nodes; empty: all with image features.
+    pub nodes: Vec<PlaceName>,
+}
+
+/// Minimum number of features: the nearest is compared with the next.
+const FEATURES_MIN: usize = 2;
+/// Default number of landmarks of each node to compare.
+const COMPARED: usize = 100;
+
+/// Where a robot may be.
+///
+/// # Errors
+/// No time, too few or invalid features, or an invalid name.
+pub fn localise_from_wire(request: &v1::LocaliseRequest) -> Result<LocaliseQuestion, InvalidField> {
+    let v1::LocaliseRequest { time, features, landmarks_per_node, nodes, .. } = request;
+    if features.len() < FEATURES_MIN {
+        let text = format!("{}: at least {FEATURES_MIN} features are needed, to tell which is nearest", features.len());
+        return Err(InvalidField::new("features", text));
+    }
+    let feature = |(number, wire): (usize, &v1::ImageFeature)| {
+        let field = || format!("features[{number}]");
+        let feature = feature_from_wire(wire).map_err(|error| InvalidField::new(field(), error))?;
+        let is_place = feature.u_px.is_finite() && feature.v_px.is_finite();
+        if is_place { Ok(feature) } else { Err(InvalidField::new(field(), "u_px and v_px must be numbers")) }
+    };
+    let features = features.iter().enumerate().map(feature).collect::<Result<Vec<_>, InvalidField>>()?;
+    let node = |node: &String| StateName::new(node).map_err(|error| InvalidField::new("nodes", error));
+    Ok(LocaliseQuestion {
+        time_nanos: instant_from_wire("time", *time)?,
+        seen: SeenFeatures::new(features).map_err(|error| InvalidField::new("features", error))?,
+        per_node: if *landmarks_per_node == 0 { COMPARED } else { *landmarks_per_node as usize },
+        nodes: nodes.iter().map(|name| node(name).map(PlaceName::Node)).collect::<Result<_, InvalidField>>()?,
+    })
 }
 
 /// How an image agrees with a node, for the wire. `landmarks`: the number that were compared.

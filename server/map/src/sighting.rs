@@ -111,7 +111,7 @@ pub struct Sighting {
 pub struct PlaceSample {
     /// The state.
     pub state: StateName,
-    /// Its kind.
+    /// Kind of the state's values.
     pub kind: StateKind,
     /// When, nanoseconds UTC.
     pub time_nanos: i64,

@@ -1,6 +1,7 @@
 //! `tidemap landmark`.
 //!
-//! Invariant: a file with an error adds nothing; sightings are sent as the rows of `tidemap observe`, each exactly once.
+//! Invariant: a file with an error adds nothing; sightings are sent as the rows of `tidemap observe`, each exactly
+//! once.
 
 use std::{
     collections::BTreeMap,
@@ -11,8 +12,8 @@ use std::{
 use clap::{Args, Subcommand};
 use tidemap_client::{
     landmarks::{
-        FoundNode, ImageFeature, KnownLandmark, Landmark, LandmarkKind, LandmarkSelection, LocaliseQuery, PartOfEdge,
-        PlaceName, PredictedLandmark,
+        FoundNode, ImageFeature, KnownLandmark, Landmark, LandmarkAtTime, LandmarkKind, LandmarkSelection,
+        LocaliseQuery, PartOfEdge, PlaceName,
     },
     observe::ProducerOptions,
 };
@@ -39,9 +40,9 @@ const CHUNK: usize = 1_000;
 pub(crate) enum LandmarkCommand {
     /// Adds the landmarks of a file; one that exists is replaced, and keeps what was learned of it
     ///
-    /// The file has a header and the columns place and name, in any order. Place is a node, or an edge FROM/TO[/ACTION].
-    /// Image features have u_px, v_px and descriptor (hexadecimal digits), those of edges along_m as well; markers have
-    /// number,x,y,z,qx,qy,qz,qw.
+    /// The file has a header and the columns place and name, in any order. Place is a node, or an edge
+    /// FROM/TO[/ACTION]. Image features have u_px, v_px and descriptor (hexadecimal digits), those of edges along_m as
+    /// well; markers have number,x,y,z,qx,qy,qz,qw.
     Add(AddArgs),
     /// Reports which landmarks were seen: the sightings of a file, each exactly once
     ///
@@ -294,7 +295,7 @@ async fn predict(session: &Session, args: LandmarkPredictArgs) -> anyhow::Result
     if known == 0 {
         status_line(&format!("{place} has no landmarks there: tidemap landmark add {map} FILE gives it some"));
     }
-    let row = |PredictedLandmark { landmark, probability, sightings }| {
+    let row = |LandmarkAtTime { landmark, probability, sightings }| {
         let [kind, u, v, number, along] = looks(&landmark);
         vec![landmark.name.as_str().into(), kind, u, v, number, along, probability.into(), sightings.into()]
     };

@@ -170,7 +170,9 @@ mod tests {
     use super::*;
     use crate::observation_file::{RowItem, RowReader};
 
-    fn read(text: &str) -> Result<Vec<Result<(PlaceName, Landmark), String>>, RowError> {
+    type Read = Result<(PlaceName, Landmark), String>;
+
+    fn read(text: &str) -> Result<Vec<Read>, RowError> {
         let mut rows = RowReader::<_, LandmarkColumns>::open(text.as_bytes())?;
         let mut read = Vec::new();
         while let Some(item) = rows.next_item()? {

@@ -1,8 +1,8 @@
 //! CSV files of sightings: `time,place,seen`, and optionally `out_of_view`, and `from_m` and `to_m` for parts of edges.
 //! Names of landmarks are separated by `;`.
 //!
-//! Invariant: as for observations. A row that cannot be read becomes a sighting before 1970, which the daemon refuses. A
-//! row that can be read is not checked here.
+//! Invariant: as for observations. A row that cannot be read becomes a sighting before 1970, which the daemon refuses.
+//! A row that can be read is not checked here.
 
 use tidemap_model::time::parse_time;
 

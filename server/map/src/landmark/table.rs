@@ -130,7 +130,7 @@ pub enum LandmarkEdit {
     Remove {
         /// Where they are seen.
         place: PlaceName,
-        /// Their names.
+        /// Names of the landmarks.
         names: Vec<StateName>,
     },
 }

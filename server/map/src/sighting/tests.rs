@@ -61,10 +61,10 @@ fn said(sighting: &Sighting) -> Vec<(String, f64)> {
 
 #[test]
 fn landmarks_are_seen_or_not_and_those_out_of_view_are_left_out() {
-    let of =
+    let expected =
         |states: &[(&str, f64)]| states.iter().map(|(state, value)| ((*state).to_owned(), *value)).collect::<Vec<_>>();
-    assert_eq!(said(&sighting("a", &["2"], &["3"])), of(&[("landmark/a/1", 0.0), ("landmark/a/2", 1.0)]));
-    assert_eq!(said(&sighting("a", &[], &["1", "2", "3"])), of(&[]));
+    assert_eq!(said(&sighting("a", &["2"], &["3"])), expected(&[("landmark/a/1", 0.0), ("landmark/a/2", 1.0)]));
+    assert_eq!(said(&sighting("a", &[], &["1", "2", "3"])), expected(&[]));
 }
 
 #[test]

@@ -29,8 +29,8 @@ pub(super) fn bytes_of(batch: &ObservationBatch) -> usize {
         + names.sum::<usize>()
 }
 
-/// Memory of traversals or sightings until they are durable, about: as they are, as observations with the names of their
-/// states, and as failures.
+/// Memory of traversals or sightings until they are durable, about: as they are, as observations with the names of
+/// their states, and as failures.
 pub(super) fn bytes_of_reports(batch: &ReportBatch, site: &Site) -> usize {
     let of_traversal = |traversal: &Traversal| {
         let texts = 3 * traversal.edge.to_string().len() + 2 * traversal.reason.len();

@@ -2,7 +2,7 @@
 //!
 //! Invariant: an edit is durable and published when it is answered; an answer is of one view.
 
-use std::sync::Arc;
+use std::{cmp::Reverse, sync::Arc};
 
 use tidemap_map::{
     landmark::{LandmarkEdit, LandmarkPlace, LandmarksAtPlace},
@@ -13,13 +13,13 @@ use tidemap_map::{
     view::MapView,
 };
 use tidemap_model::selector::ModelSelector;
-use tidemap_plan::localise::{ExpectedLandmark, MatchRules, NodeMatch, SeenFeatures, localise, most_probable};
+use tidemap_plan::localise::{ExpectedLandmark, MatchRules, NodeMatch, localise, most_probable};
 use tidemap_proto::{
     convert::{
-        InvalidField, OverLimit,
+        OverLimit,
         landmarks::{
-            feature_from_wire, landmark_from_wire, landmark_to_wire, node_match_to_wire, place_from_wire,
-            place_to_wire, whole_place_from_wire,
+            LandmarkRemoval, LocaliseQuestion, addition_from_wire, landmark_to_wire, localise_from_wire,
+            node_match_to_wire, place_from_wire, place_to_wire, removal_from_wire,
         },
         time::instant_from_wire,
     },
@@ -38,14 +38,8 @@ use crate::{
     },
 };
 
-/// Default number of sightings from which on a landmark counts as seldom seen.
-const MIN_SIGHTINGS: u64 = 10;
-/// Default number of landmarks of each node to compare.
-const COMPARED: usize = 100;
 /// Maximum number of nodes to compare.
 const NODES_MAX: usize = 1_000;
-/// Minimum number of features: the nearest is compared with the next.
-const FEATURES_MIN: usize = 2;
 
 fn count(length: usize) -> u32 {
     u32::try_from(length).unwrap_or(u32::MAX)
@@ -72,10 +66,14 @@ async fn edit(handle: &MapHandle, edit: LandmarkEdit) -> Result<(), RpcError> {
 }
 
 /// The landmarks of a place that were in view often enough, and hardly ever seen.
-fn seldom_seen(view: &MapView, place: &PlaceName, which: &v1::SeldomSeen) -> Result<Vec<StateName>, RouteError> {
-    let min_sightings = if which.min_sightings == 0 { MIN_SIGHTINGS } else { which.min_sightings };
+fn seldom_seen(
+    view: &MapView,
+    place: &PlaceName,
+    below: f64,
+    min_sightings: u64,
+) -> Result<Vec<StateName>, RouteError> {
     let landmarks = predicted(view, place, PartOfEdge::WHOLE, 0)?;
-    let is_seldom = |known: &&PredictedLandmark<'_>| known.sightings >= min_sightings && known.mean < which.below;
+    let is_seldom = |known: &&PredictedLandmark<'_>| known.sightings >= min_sightings && known.mean < below;
     Ok(landmarks.iter().filter(is_seldom).map(|known| known.landmark.name.clone()).collect())
 }
 
@@ -87,122 +85,77 @@ fn all_places(view: &MapView) -> Vec<(PlaceName, LandmarkPlace, Arc<LandmarksAtP
     view.site().landmarks().places().filter_map(named).collect()
 }
 
-fn names_from_wire(names: &[String]) -> Result<Vec<StateName>, InvalidField> {
-    let name = |(number, name): (usize, &String)| {
-        StateName::new(name).map_err(|error| InvalidField::new(format!("names[{number}]"), error))
-    };
-    names.iter().enumerate().map(name).collect()
-}
-
 /// What a request removes, by place.
-fn to_remove(
-    view: &MapView,
-    request: &v1::RemoveLandmarksRequest,
-) -> Result<Vec<(PlaceName, Vec<StateName>)>, RpcError> {
-    let v1::RemoveLandmarksRequest { place, names, seldom_seen: which, .. } = request;
+fn to_remove(view: &MapView, removal: LandmarkRemoval) -> Result<Vec<(PlaceName, Vec<StateName>)>, RouteError> {
+    let (place, below, min_sightings) = match removal {
+        LandmarkRemoval::Named(place, names) => return Ok(vec![(place, names)]),
+        LandmarkRemoval::SeldomSeen { place, below, min_sightings } => (place, below, min_sightings),
+    };
     let places = match place {
-        Some(place) => vec![whole_place_from_wire("place", Some(place))?],
-        None if which.is_none() => return Err(InvalidField::new("place", "missing: name a node, or an edge").into()),
+        Some(place) => vec![place],
         None => all_places(view).into_iter().map(|(place, ..)| place).collect(),
     };
-    match (which, names.is_empty()) {
-        (Some(which), true) => {
-            if !(which.below > 0.0 && which.below <= 1.0) {
-                let text = format!("{}: it must be above 0 and at most 1", which.below);
-                return Err(InvalidField::new("seldom_seen.below", text).into());
-            }
-            let of_place = |place: PlaceName| {
-                let names = seldom_seen(view, &place, which)?;
-                Ok((place, names))
-            };
-            let found = places.into_iter().map(of_place).collect::<Result<Vec<_>, RouteError>>()?;
-            Ok(found.into_iter().filter(|(_, names)| !names.is_empty()).collect())
-        }
-        (None, false) => {
-            let names = names_from_wire(names)?;
-            Ok(places.into_iter().map(|place| (place, names.clone())).collect())
-        }
-        _ => Err(InvalidField::new("names", "name landmarks, or say seldom_seen: one of the two").into()),
+    let seldom = |place: PlaceName| {
+        let names = seldom_seen(view, &place, below, min_sightings)?;
+        Ok((place, names))
+    };
+    let found = places.into_iter().map(seldom).collect::<Result<Vec<_>, RouteError>>()?;
+    Ok(found.into_iter().filter(|(_, names)| !names.is_empty()).collect())
+}
+
+/// The nodes at which the robot may be: those of the question, or all with image features.
+fn asked_nodes(view: &MapView, map: &str, nodes: Vec<PlaceName>) -> Result<Vec<PlaceName>, RouteError> {
+    if !nodes.is_empty() {
+        let known = |node: &PlaceName| find_node(map, view.site().topology(), &node.to_string()).map(drop);
+        nodes.iter().try_for_each(known)?;
+        return Ok(nodes);
+    }
+    let has_images =
+        |known: &LandmarksAtPlace| known.landmarks().iter().any(|landmark| landmark.kind.feature().is_some());
+    let is_asked =
+        |at: &LandmarkPlace, known: &LandmarksAtPlace| matches!(at, LandmarkPlace::Node(_)) && has_images(known);
+    let nodes = all_places(view).into_iter().filter(|(_, at, known)| is_asked(at, known));
+    let nodes: Vec<PlaceName> = nodes.map(|(place, ..)| place).collect();
+    match nodes.len() {
+        0 => Err(RouteError::NoLandmarks(map.to_owned())),
+        1..=NODES_MAX => Ok(nodes),
+        found => Err(RouteError::TooManyNodes { found, max: NODES_MAX }),
     }
 }
 
-/// A request to localise, checked.
-struct LocaliseQuestion {
-    time_nanos: i64,
-    seen: SeenFeatures,
-    per_node: usize,
-    nodes: Vec<PlaceName>,
-}
-
-impl LocaliseQuestion {
-    fn new(view: &MapView, request: v1::LocaliseRequest) -> Result<LocaliseQuestion, RpcError> {
-        let v1::LocaliseRequest { map, time, features, landmarks_per_node, nodes } = request;
-        let time_nanos = instant_from_wire("time", time)?;
-        if features.len() < FEATURES_MIN {
-            let text =
-                format!("{}: at least {FEATURES_MIN} features are needed, to tell which is nearest", features.len());
-            return Err(InvalidField::new("features", text).into());
-        }
-        let feature = |(number, wire): (usize, &v1::ImageFeature)| {
-            feature_from_wire(wire).map_err(|error| InvalidField::new(format!("features[{number}]"), error))
+/// Compares the features with the landmarks that are expected at each node.
+fn found(
+    view: &MapView,
+    map: &str,
+    question: LocaliseQuestion,
+    predictions_max: u64,
+) -> Result<v1::LocaliseResponse, RpcError> {
+    let LocaliseQuestion { time_nanos, seen, per_node, nodes } = question;
+    let nodes = asked_nodes(view, map, nodes)?;
+    let at = |node| view.landmarks_at(node).ok().flatten().map_or(0, |known| known.landmarks().len());
+    let max = usize::try_from(predictions_max).unwrap_or(usize::MAX);
+    let what = "landmarks of the nodes of one request";
+    OverLimit::check(what, nodes.iter().map(at).sum(), max, "setting max_predictions")?;
+    let times = view.prepare(&[time_nanos]);
+    let mut compared: Vec<Vec<ExpectedLandmark>> = Vec::with_capacity(nodes.len());
+    for node in &nodes {
+        let landmarks = view.predict_landmarks(node, PartOfEdge::WHOLE, &times, ModelSelector::default());
+        let mut landmarks = landmarks.map_err(RouteError::from)?;
+        landmarks.retain(|known| known.landmark.kind.feature().is_some());
+        let landmark = |number: usize| {
+            let known = landmarks.get(number)?;
+            Some(ExpectedLandmark { feature: *known.landmark.kind.feature()?, visible: known.probability })
         };
-        let features = features.iter().enumerate().map(feature).collect::<Result<Vec<_>, InvalidField>>()?;
-        if let Some(wrong) = features.iter().position(|feature| !(feature.u_px.is_finite() && feature.v_px.is_finite()))
-        {
-            return Err(InvalidField::new(format!("features[{wrong}]"), "u_px and v_px must be numbers").into());
-        }
-        let seen = SeenFeatures::new(features).map_err(RouteError::from)?;
-        let mut named = Vec::with_capacity(nodes.len());
-        for node in &nodes {
-            find_node(&map, view.site().topology(), node)?;
-            let name = StateName::new(node).map_err(|error| InvalidField::new("nodes", error))?;
-            named.push(PlaceName::Node(name));
-        }
-        if named.is_empty() {
-            let has_images =
-                |known: &LandmarksAtPlace| known.landmarks().iter().any(|landmark| landmark.kind.feature().is_some());
-            let places = all_places(view).into_iter();
-            let nodes = places.filter(|(_, at, known)| matches!(at, LandmarkPlace::Node(_)) && has_images(known));
-            named = nodes.map(|(place, ..)| place).collect();
-            if named.is_empty() {
-                return Err(RouteError::NoLandmarks(map).into());
-            }
-            if named.len() > NODES_MAX {
-                let text = format!("{} nodes have landmarks: name at most {NODES_MAX} of them", named.len());
-                return Err(InvalidField::new("nodes", text).into());
-            }
-        }
-        let per_node = if landmarks_per_node == 0 { COMPARED } else { landmarks_per_node as usize };
-        Ok(LocaliseQuestion { time_nanos, seen, per_node, nodes: named })
+        compared.push(expected(&landmarks, per_node).into_iter().filter_map(landmark).collect());
     }
-
-    fn answer(&self, view: &MapView, predictions_max: u64) -> Result<v1::LocaliseResponse, RpcError> {
-        let at = |node| view.landmarks_at(node).ok().flatten().map_or(0, |known| known.landmarks().len());
-        let max = usize::try_from(predictions_max).unwrap_or(usize::MAX);
-        let what = "landmarks of the nodes of one request";
-        OverLimit::check(what, self.nodes.iter().map(at).sum(), max, "setting max_predictions")?;
-        let times = view.prepare(&[self.time_nanos]);
-        let mut compared: Vec<Vec<ExpectedLandmark>> = Vec::with_capacity(self.nodes.len());
-        for node in &self.nodes {
-            let landmarks = view.predict_landmarks(node, PartOfEdge::WHOLE, &times, ModelSelector::default());
-            let mut landmarks = landmarks.map_err(RouteError::from)?;
-            landmarks.retain(|known| known.landmark.kind.feature().is_some());
-            let landmark = |number: usize| {
-                let known = landmarks.get(number)?;
-                Some(ExpectedLandmark { feature: *known.landmark.kind.feature()?, visible: known.probability })
-            };
-            compared.push(expected(&landmarks, self.per_node).into_iter().filter_map(landmark).collect());
-        }
-        let found = localise(&self.seen, &compared, &MatchRules::default()).map_err(RouteError::from)?;
-        let mut order: Vec<usize> = (0..found.len()).collect();
-        let key = |number: &usize| found.get(*number).map(NodeMatch::rank);
-        order.sort_by(|a, b| key(b).cmp(&key(a)));
-        let node = |number: usize| {
-            let (place, landmarks, found) = (self.nodes.get(number)?, compared.get(number)?, found.get(number)?);
-            Some(node_match_to_wire(place.to_string(), landmarks.len(), found))
-        };
-        Ok(v1::LocaliseResponse { nodes: order.into_iter().filter_map(node).collect() })
-    }
+    let found = localise(&seen, &compared, &MatchRules::default()).map_err(RouteError::from)?;
+    let mut order: Vec<usize> = (0..found.len()).collect();
+    order.sort_by_key(|number| Reverse(found.get(*number).map(NodeMatch::rank)));
+    let node = |number: usize| {
+        let (place, landmarks, found) = (nodes.get(number)?, compared.get(number)?, found.get(number)?);
+        Some(node_match_to_wire(place.to_string(), landmarks.len(), found))
+    };
+    Ok(v1::LocaliseResponse { nodes: order.into_iter().filter_map(node).collect() })
 }
 
 #[tonic::async_trait]
@@ -210,16 +163,7 @@ impl LandmarkService for Routes {
     async fn add_landmarks(&self, request: Request<v1::AddLandmarksRequest>) -> RpcReply<v1::AddLandmarksResponse> {
         let request = request.into_inner();
         let handle = find_map(&self.catalog, &request.map).await?;
-        let add = move || {
-            let v1::AddLandmarksRequest { place, landmarks, descriptor_kind, velocity_profile, .. } = &request;
-            let place = whole_place_from_wire("place", place.as_ref())?;
-            let landmark = |(number, landmark)| landmark_from_wire(&format!("landmarks[{number}]"), landmark);
-            let landmarks = landmarks.iter().enumerate().map(landmark).collect::<Result<Vec<_>, InvalidField>>()?;
-            let (descriptor_kind, profile) = (descriptor_kind.clone(), velocity_profile.clone());
-            let velocity_profile = profile.map(Vec::into_boxed_slice);
-            Ok::<_, InvalidField>(LandmarkEdit::Add { place, descriptor_kind, landmarks, velocity_profile })
-        };
-        let add = self.run_blocking(add).await?.map_err(RpcError::from)?;
+        let add = self.run_blocking(move || addition_from_wire(&request)).await?.map_err(RpcError::from)?;
         let (LandmarkEdit::Add { place, .. } | LandmarkEdit::Remove { place, .. }) = &add;
         let place = place.clone();
         edit(&handle, add).await?;
@@ -269,7 +213,8 @@ impl LandmarkService for Routes {
         let request = request.into_inner();
         let handle = find_map(&self.catalog, &request.map).await?;
         let (view, is_dry_run) = (handle.view(), request.dry_run);
-        let found = self.run_blocking(move || to_remove(&view, &request)).await??;
+        let removal = removal_from_wire(&request).map_err(RpcError::from)?;
+        let found = self.run_blocking(move || to_remove(&view, removal)).await?.map_err(RpcError::from)?;
         let mut removed = Vec::with_capacity(found.len());
         for (place, names) in found {
             removed.push(v1::RemovedLandmarks {
@@ -310,7 +255,7 @@ impl LandmarkService for Routes {
         let request = request.into_inner();
         let view = find_map(&self.catalog, &request.map).await?.view();
         let predictions_max = self.predictions;
-        let localise = move || LocaliseQuestion::new(&view, request)?.answer(&view, predictions_max);
+        let localise = move || found(&view, &request.map, localise_from_wire(&request)?, predictions_max);
         Ok(Response::new(self.run_blocking(localise).await??))
     }
 }

@@ -55,6 +55,8 @@ pub(crate) enum RouteError {
     Search(#[from] SearchError),
     #[error("map {0:?} has no image features at nodes: add landmarks first")]
     NoLandmarks(String),
+    #[error("{found} nodes have landmarks: name at most {max} of them")]
+    TooManyNodes { found: usize, max: usize },
     #[error(transparent)]
     Descriptors(#[from] MixedDescriptors),
     #[error(transparent)]
@@ -79,6 +81,7 @@ impl RouteError {
             | Self::Policy(PolicyError::TooManyStates { .. })
             | Self::PolicyTooLarge { .. }
             | Self::TooManyEdges { .. }
+            | Self::TooManyNodes { .. }
             | Self::Search(SearchError::TooManyForExact { .. } | SearchError::TooMany { .. })
             | Self::Roads(RoadsError::TooManyPairs { .. }) => (Code::ResourceExhausted, "LIMIT"),
             Self::NoLandmarks(_) => (Code::FailedPrecondition, "NO_LANDMARKS"),
