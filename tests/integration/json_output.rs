@@ -13,11 +13,12 @@ use tidemap_tests::{
 };
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run.
-const NOT_RUN: [&str; 13] = [
+const NOT_RUN: [&str; 14] = [
     "bench latency",
     "bench predict",
     "bench overload",
     "bench search",
+    "bench landmarks",
     "bench grid",
     "experiment",
     "experiment compare",

@@ -217,6 +217,30 @@ try {
         await page.screenshot({ path: join(folder, 'route.png') });
     });
 
+    await check('a node shows the landmarks that are likely at that time', async () => {
+        const known = join(folder, 'landmarks.csv');
+        writeFileSync(known, 'place,name,u_px,v_px,descriptor\nkitchen,window,10,20,00ff\nkitchen,lamp,30,20,ff00\n');
+        const looks = ['time,place,seen'];
+        for (let hour = 0; hour < 14 * 24; hour++) {
+            const time = new Date(Date.UTC(2025, 2, 4, hour)).toISOString();
+            looks.push(`${time},kitchen,${hour % 24 >= 8 && hour % 24 < 17 ? 'window' : 'lamp'}`);
+        }
+        const seen = join(folder, 'sightings.csv');
+        writeFileSync(seen, `${looks.join('\n')}\n`);
+        daemon.run('landmark', 'add', 'office', known, '--descriptors', 'test');
+        daemon.run('landmark', 'observe', 'office', seen, '--producer', 'robot-1');
+        daemon.run('update', 'office');
+        await page.goto(`${daemon.http}/maps/office?at=2025-03-18T10:00:00Z&list=0&select=kitchen`);
+        const first = page.getByTestId('landmarks').getByRole('row').nth(1);
+        await first.waitFor();
+        const rows = JSON.parse(daemon.run('landmark', 'predict', 'office', 'kitchen', '--at', at(10), '--output', 'json'));
+        assert.equal(rows[0].landmark, 'window');
+        assert.equal(await first.getByRole('cell').nth(1).getAttribute('data-value'), String(rows[0].probability));
+        await first.getByRole('button').click();
+        await page.getByTestId('state-week').waitFor();
+        assert.match(page.url(), /select=landmark%2Fkitchen%2Fwindow/);
+    });
+
     await check('a tour is planned where looking pays', async () => {
         await page.getByTestId('explore').click();
         await page.getByTestId('information').getByRole('button').first().waitFor();

@@ -4,6 +4,7 @@
 //! speed of the daemon's disk, because figures of two machines cannot be compared without it.
 
 mod grid;
+mod landmarks;
 mod latencies;
 mod latency;
 mod load;
@@ -36,6 +37,8 @@ pub(crate) enum BenchCommand {
     Overload(overload::OverloadArgs),
     /// Measures the latency of planning a search
     Search(search::SearchBenchArgs),
+    /// Measures how long predictions of landmarks and finding a place by them take
+    Landmarks(landmarks::LandmarkBenchArgs),
     /// Measures how fast months of scans of a whole office are learned, with an update every night
     Grid(grid::GridArgs),
 }
@@ -57,6 +60,7 @@ pub(crate) async fn run(session: &Session, command: &BenchCommand) -> anyhow::Re
     let (new_map, keep) = match command {
         BenchCommand::Grid(args) => (args.new_map(format!("bench-grid-{unique}")), args.keeps()),
         BenchCommand::Observe(args) => (args.new_map(format!("bench-{unique}")), false),
+        BenchCommand::Landmarks(args) => (args.new_map(format!("bench-{unique}")), false),
         _ => (NewMap { name: format!("bench-{unique}"), ..NewMap::default() }, false),
     };
     let map = new_map.name.clone();
@@ -83,6 +87,7 @@ async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::
         BenchCommand::Predict(args) => predict::run(client, map, args).await?,
         BenchCommand::Overload(args) => overload::run(client, map, args).await?,
         BenchCommand::Search(args) => search::run(client, map, args).await?,
+        BenchCommand::Landmarks(args) => landmarks::run(client, map, args).await?,
         BenchCommand::Grid(args) => grid::run(client, map, args).await?,
     };
     figures.extend(machine::disk(client).await?);

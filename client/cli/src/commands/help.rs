@@ -97,6 +97,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("bench predict", "tidemap bench predict"),
     ("bench overload", "tidemap bench overload --factor 3"),
     ("bench search", "tidemap bench search"),
+    ("bench landmarks", "tidemap bench landmarks --nodes 100"),
     ("bench grid", "tidemap bench grid --days 14 --scans-per-day 96"),
     ("completions", "tidemap completions bash"),
     ("man-pages", "tidemap man-pages ./man"),

@@ -6,6 +6,7 @@ import { Code, ConnectError, createClient, type Interceptor } from '@connectrpc/
 import { createGrpcWebTransport } from '@connectrpc/connect-web';
 
 import { ExplorationService } from '../wire/tidemap/v1/exploration_pb';
+import { LandmarkService } from '../wire/tidemap/v1/landmark_pb';
 import { MaintenanceService } from '../wire/tidemap/v1/maintenance_pb';
 import { MapService } from '../wire/tidemap/v1/map_pb';
 import { QueryService } from '../wire/tidemap/v1/query_pb';
@@ -152,6 +153,7 @@ const transport = createGrpcWebTransport({ baseUrl: window.location.origin, inte
 export const maps = createClient(MapService, transport);
 export const queries = createClient(QueryService, transport);
 export const topologies = createClient(TopologyService, transport);
+export const landmarks = createClient(LandmarkService, transport);
 export const routes = createClient(RouteService, transport);
 export const searches = createClient(SearchService, transport);
 export const exploration = createClient(ExplorationService, transport);
