@@ -36,6 +36,7 @@ const POINTS: usize = 4 << 20;
 
 /// The bounds, by message and field.
 const BOUNDS: &[(&str, usize)] = &[
+    ("AddStateRequest.labels", 1024),
     ("CreateMapRequest.models", 64),
     ("EvaluateHeader.models", 1024),
     ("EvaluateViewsRequest.times_nanos", TIMES),
@@ -52,6 +53,7 @@ const BOUNDS: &[(&str, usize)] = &[
     ("ObservationColumns.new_dimensions", BATCH),
     ("ObservationColumns.new_kinds", BATCH),
     ("ObservationColumns.new_states", BATCH),
+    ("ObservationColumns.shares", 64 * BATCH),
     ("ObservationColumns.state_indices", BATCH),
     ("ObservationColumns.time_deltas", BATCH),
     ("ObservationColumns.values", BATCH),
@@ -72,6 +74,7 @@ const BOUNDS: &[(&str, usize)] = &[
     ("PredictStatesRequest.times_nanos", TIMES),
     ("RangeScan.ranges_m", POINTS),
     ("Reading.position", 16 * READINGS),
+    ("Reading.shares", 64 * READINGS),
     ("ReportRequest.readings", READINGS),
     ("ScanBatch.new_tiles", 3 * TILES),
     ("ScanBatch.scans", BATCH),

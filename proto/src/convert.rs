@@ -29,6 +29,7 @@ pub mod enabled;
 pub mod erasure;
 pub mod exploration;
 pub mod grid;
+pub mod labels;
 pub mod map;
 mod model_kind;
 pub mod observe;

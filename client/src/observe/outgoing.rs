@@ -12,7 +12,10 @@ use tidemap_proto::{
         traversals::{BATCH_TEXT_BYTES_MAX, wire_bytes},
         vectors::shape_to_wire,
     },
-    v1::{ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message},
+    v1::{
+        ObservationBatch, ObserveRequest, ScanBatch, StateKind, Traversal, TraversalBatch, Welcome,
+        observe_request::Message,
+    },
 };
 
 use super::{
@@ -25,6 +28,8 @@ use crate::maps::StateShape;
 
 /// Maximum number of bytes of a request in addition to its batch.
 const REQUEST_BYTES_EXTRA: usize = 64;
+/// Maximum number of observations of labels in one message.
+const LABELS_MAX: usize = 4096;
 
 /// Limits of one message.
 #[derive(Clone, Copy, Debug)]
@@ -88,7 +93,10 @@ impl Outgoing {
     }
 
     fn observations(&mut self, window: &mut Window, urgent: u64) -> Option<Message> {
-        let limits = self.limits.observations;
+        let mut limits = self.limits.observations;
+        if window.has_labels() {
+            limits.observations = limits.observations.min(LABELS_MAX);
+        }
         let first_sequence = window.next_unsent();
         let waiting = || window.to_send(limits.observations, urgent);
         let count = fitting(waiting(), window.names(), &self.names, limits);
@@ -98,7 +106,14 @@ impl Outgoing {
         }
         window.sent(entries.len());
         let mut columns = pack(&entries, window.names(), &mut self.names);
-        // Vectors have declared it already.
+        if window.has_labels() {
+            columns.new_kinds.resize(columns.new_states.len(), 0);
+            let labels = columns.new_kinds.iter_mut().zip(&columns.new_states);
+            labels
+                .filter(|(_, name)| window.is_label(name))
+                .for_each(|(said, _)| *said = StateKind::Categorical.into());
+        }
+        // Vectors and labels have declared it already.
         if let Some(shape) = self.kind.filter(|shape| shape.is_single()) {
             columns.new_kinds.resize(columns.new_states.len(), 0);
             columns

@@ -52,6 +52,12 @@ impl PackedColumns {
         std::mem::take(&mut self.0.coordinates)
     }
 
+    /// Takes the shares of the labels of categorical states.
+    #[must_use]
+    pub fn take_shares(&mut self) -> Vec<f64> {
+        std::mem::take(&mut self.0.shares)
+    }
+
     /// Unpacks the observations. The caller checks their number before.
     ///
     /// # Errors
@@ -158,6 +164,7 @@ pub fn encode(
         new_kinds: Vec::new(),
         new_dimensions: Vec::new(),
         coordinates: Vec::new(),
+        shares: Vec::new(),
         bits: bits.into(),
         values: if binary { Vec::new() } else { values.to_vec() },
     }

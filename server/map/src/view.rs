@@ -119,9 +119,16 @@ impl MapView {
         self.directory.find(name)
     }
 
-    /// What observations of a name are, with the id of its state or of its first axis.
+    /// What observations of a name are, with the id of its state, or of its first axis or label.
     pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         self.directory.shape(name)
+    }
+
+    /// The labels of the categorical state of this name with their states, in order; empty for other states.
+    pub fn labels(&self, name: &str) -> Vec<(StateId, &str)> {
+        let Some((first, StateShape::Categorical(count))) = self.shape(name) else { return Vec::new() };
+        let ids = (first.0..).map(StateId).take(usize::from(count));
+        ids.filter_map(|id| Some((id, self.info(id)?.name.as_label()?.1))).collect()
     }
 
     /// Name, kind and sensor of a state.

@@ -80,6 +80,25 @@ impl LabelEvidence<'_> {
     }
 }
 
+/// Divides shares of labels by their sum, so that they sum to 1, and gives the sum. Shares that are all 0 become equal,
+/// and their sum counts as 1.
+pub fn normalise(shares: &mut [f64]) -> f64 {
+    let sum: f64 = shares.iter().sum();
+    if sum > 0.0 && sum.is_finite() {
+        shares.iter_mut().for_each(|share| *share /= sum);
+        return sum;
+    }
+    let equal = 1.0 / shares.len().max(1) as f64;
+    shares.fill(equal);
+    1.0
+}
+
+/// Entropy of a distribution over labels, bits.
+#[must_use]
+pub fn entropy_of_labels_bits(shares: &[f64]) -> f64 {
+    shares.iter().filter(|share| **share > 0.0).map(|share| -share * share.log2()).sum::<f64>().max(0.0)
+}
+
 const PROBABILITY: &str = "a probability, from 0 to 1";
 
 fn check(

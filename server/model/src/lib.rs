@@ -82,6 +82,7 @@ pub use gaps::{GapSample, Gaps, GapsParts};
 pub use hours_seen::{Evidence, HoursSeen, kind_and_hour};
 pub use information::{InformationMeasure, learning_bits};
 pub use kind::{StateKind, VALUE_MAX};
+pub use label_evidence::LABELS;
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
 pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};
 pub use persistence::{MemoryBasis, Persistence, PersistenceParts};
@@ -96,7 +97,7 @@ pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ReadingSums, ScoreSums, SpectralModel};
 pub use state::{
     ActiveModel, Alternatives, AlternativesParts, ChosenMember, Combination, DayScores, LearnedReadings, OrderWatch,
-    OrderWatchParts, StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules,
+    OrderWatchParts, StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules, choose_together,
 };
 pub use stop_signal::{EarlyStop, StopSignal};
 pub use surprise::{

@@ -97,8 +97,9 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
         return Ok(id);
     }
     let map = || view.spec().name.as_str().to_owned();
-    if let Some((_, shape)) = view.shape(name).filter(|(_, shape)| !shape.axes().is_empty()) {
-        let axes = shape.axes().iter().map(|axis| format!("{name}/{axis}")).collect();
+    if let Some((_, shape)) = view.shape(name).filter(|(_, shape)| shape.states() > 1) {
+        let parts = view.labels(name).into_iter().map(|(_, label)| label).chain(shape.axes().iter().copied());
+        let axes = parts.map(|part| format!("{name}/{part}")).collect();
         return Err(RpcError::IsVector { map: map(), name: name.to_owned(), shape, axes });
     }
     Err(RpcError::UnknownState {
