@@ -12,14 +12,11 @@ use tidemap_proto::{
         traversals::{BATCH_TEXT_BYTES_MAX, wire_bytes},
         vectors::shape_to_wire,
     },
-    v1::{
-        ObservationBatch, ObserveRequest, ScanBatch, StateKind, Traversal, TraversalBatch, Welcome,
-        observe_request::Message,
-    },
+    v1::{ObservationBatch, ObserveRequest, ScanBatch, Traversal, TraversalBatch, Welcome, observe_request::Message},
 };
 
 use super::{
-    columns::{BatchLimits, Entry, StreamTable, fitting, pack},
+    columns::{BatchLimits, Entry, StreamTable, declare_labels, fitting, pack},
     scan_stream::{ScanMessageLimits, ScanStream},
     shared::SharedState,
     window::Window,
@@ -107,11 +104,7 @@ impl Outgoing {
         window.sent(entries.len());
         let mut columns = pack(&entries, window.names(), &mut self.names);
         if window.has_labels() {
-            columns.new_kinds.resize(columns.new_states.len(), 0);
-            let labels = columns.new_kinds.iter_mut().zip(&columns.new_states);
-            labels
-                .filter(|(_, name)| window.is_label(name))
-                .for_each(|(said, _)| *said = StateKind::Categorical.into());
+            declare_labels(&mut columns, |name| window.is_label(name));
         }
         // Vectors and labels have declared it already.
         if let Some(shape) = self.kind.filter(|shape| shape.is_single()) {

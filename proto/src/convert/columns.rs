@@ -4,7 +4,7 @@
 //! invalid observation is refused on its own later, and its neighbours are not.
 
 use super::InvalidField;
-use crate::v1::ObservationColumns;
+use crate::v1::{ObservationColumns, StateKind};
 
 /// Unpacked columns of observations; all have the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,6 +44,14 @@ impl PackedColumns {
     #[must_use]
     pub fn take_names(&mut self) -> Vec<String> {
         std::mem::take(&mut self.0.new_states)
+    }
+
+    /// As [`PackedColumns::take_names`], each with whether it is declared as the name of a label.
+    #[must_use]
+    pub fn take_named_kinds(&mut self) -> Vec<(String, bool)> {
+        let kinds = std::mem::take(&mut self.0.new_kinds);
+        let is_label = |at: usize| kinds.get(at).is_some_and(|kind| *kind == i32::from(StateKind::Categorical));
+        self.take_names().into_iter().enumerate().map(|(at, name)| (name, is_label(at))).collect()
     }
 
     /// Takes the coordinates of the positions.

@@ -190,15 +190,18 @@ impl StateShape {
             StateShape::Vector(Dimensions::Two) => "vector of 2 coordinates",
             StateShape::Vector(Dimensions::Three) => "vector of 3 coordinates",
             StateShape::Angle => "angle",
-            StateShape::Categorical(_) => "categorical state",
+            StateShape::Categorical(_) => "categorical",
         }
     }
 
     /// As people write it, with its article.
     #[must_use]
     pub fn with_article(self) -> String {
-        let article = if self == StateShape::Angle { "an" } else { "a" };
-        format!("{article} {}", self.name())
+        match self {
+            StateShape::Angle => "an angle".to_owned(),
+            StateShape::Categorical(_) => "a categorical state".to_owned(),
+            StateShape::Scalar(_) | StateShape::Vector(_) => format!("a {}", self.name()),
+        }
     }
 
     /// The coordinates of a vector; `None` for others.

@@ -109,6 +109,15 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
     })
 }
 
+/// The state of this name, or all labels of a categorical state.
+///
+/// # Errors
+/// As [`find_state`].
+pub(super) fn find_parts(view: &MapView, name: &str) -> Result<Vec<StateId>, RpcError> {
+    let labels: Vec<StateId> = view.labels(name).into_iter().map(|(id, _)| id).collect();
+    if labels.is_empty() { Ok(vec![find_state(view, name)?]) } else { Ok(labels) }
+}
+
 /// The description of a cell.
 pub(super) fn find_cell(view: &MapView, cell: CellIndex) -> Result<CellDescription, RpcError> {
     let map = || view.spec().name.as_str().to_owned();

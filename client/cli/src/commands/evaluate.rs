@@ -16,6 +16,7 @@ use super::{
         feed::{self, Feed, RefusalReport},
         kinds::Kinds,
     },
+    predict::names,
     rows::{FileArgs, RowKindArgs},
 };
 use crate::progress::{Bar, status_line};
@@ -97,7 +98,9 @@ fn missing(unavailable: &Unavailable) -> String {
 pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::display_name(&args.file);
     // How a state holds its values, the daemon knows.
-    let rules = args.written.rules(session, &args.map, args.rows.kind()).await?;
+    let mut rules = args.written.rules(session, &args.map, args.rows.kind()).await?;
+    let known = names::states(session, &args.map).await?.into_iter().filter(|state| !state.labels.is_empty());
+    rules.labelled = known.map(|state| (state.name.chars().collect(), true)).collect();
     let Feed { mut rows, total_bytes, layout } = feed::open::<ObservationColumns>(&args.file, &rules)?;
     if layout.has_positions() {
         return Err(anyhow::Error::new(RowError::Positions).context(feed::display_name(&args.file)));
@@ -113,7 +116,13 @@ pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result
         for row in &chunk.rows {
             if let Some(wrong) = kinds.wrong(row).await {
                 report.refused(row.number, Some(row.line), &wrong);
-            } else if !evaluator.add(&row.state, row.time_nanos, row.value).await {
+                continue;
+            }
+            let is_open = match &row.label {
+                Some(label) => evaluator.add_label(&row.state, row.time_nanos, label).await,
+                None => evaluator.add(&row.state, row.time_nanos, row.value).await,
+            };
+            if !is_open {
                 break 'file;
             }
         }
@@ -129,9 +138,13 @@ pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result
             evaluation.observations.into(),
             evaluation.mean_squared_error.into(),
             Cell::maybe(evaluation.error_rate),
+            Cell::maybe(evaluation.log_loss_bits),
         ]
     };
-    session.print(&["state", "model", "order", "n", "mse", "error_rate"], evaluations.into_iter().map(row))?;
+    session.print(
+        &["state", "model", "order", "n", "mse", "error_rate", "log_loss_bits"],
+        evaluations.into_iter().map(row),
+    )?;
     unavailable.iter().for_each(|unavailable| status_line(&missing(unavailable)));
     let all_there = !unavailable.iter().any(|unavailable| is_named(&args.models, unavailable.model));
     Ok(if report.is_clean() && all_there { ExitCode::SUCCESS } else { ExitCode::FAILURE })

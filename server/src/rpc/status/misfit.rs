@@ -43,8 +43,10 @@ pub(crate) enum Problem {
     TaskStates { states: usize, locations: usize },
     #[error("value {value} is not {}", .shape.expected())]
     Value { value: f64, shape: StateShape },
-    #[error("{name:?}: compare an angle or its cosine, not both in one evaluation")]
+    #[error("{name:?}: compare an angle or its cosine, or labels or one of their states, not both in one evaluation")]
     AngleAndCosine { name: String },
+    #[error("state {state:?} has no label {label:?}: its labels are {}", .labels.join(", "))]
+    UnknownLabel { state: String, label: String, labels: Vec<String> },
 }
 
 impl Problem {

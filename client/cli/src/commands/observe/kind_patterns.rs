@@ -32,11 +32,6 @@ const STATES_MAX: usize = 10_000;
 /// A categorical state of as many labels as it has.
 const LABELLED: StateShape = StateShape::Categorical(0);
 
-/// The name of a shape as an option has it.
-fn word(shape: StateShape) -> &'static str {
-    if matches!(shape, StateShape::Categorical(_)) { KindArg::Categorical.name() } else { shape.name() }
-}
-
 /// Patterns of names with the kinds of the states that fit.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct KindPatterns(Vec<(String, StateShape)>);
@@ -65,7 +60,7 @@ impl FromStr for KindPatterns {
 
 impl fmt::Display for KindPatterns {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let pairs: Vec<String> = self.0.iter().map(|(pattern, shape)| format!("{pattern}={}", word(*shape))).collect();
+        let pairs: Vec<String> = self.0.iter().map(|(pattern, shape)| format!("{pattern}={}", shape.name())).collect();
         to.write_str(&pairs.join(","))
     }
 }
@@ -106,7 +101,7 @@ impl KindPatterns {
         if let Some(stated) = stated
             && let Some((pattern, shape)) = self.0.iter().find(|(_, shape)| !shape.may_report(stated.for_new()))
         {
-            let (kind, option) = (word(*shape), stated.kind().name());
+            let (kind, option) = (shape.name(), stated.kind().name());
             return Err(usage(format!("--kinds '{pattern}={kind}' does not go with --{option}")));
         }
         let mut fitting = vec![0_usize; self.0.len()];
@@ -124,8 +119,8 @@ impl KindPatterns {
             anyhow::bail!(
                 "state {name:?} exists and is of kind {}, not {}. Nothing was sent. A kind never changes: leave the state \
                  out of --kinds, or {}",
-                word(found),
-                word(shape),
+                found.name(),
+                shape.name(),
                 steps.erase_first(name)
             );
         }
@@ -158,7 +153,7 @@ impl KindPlan {
     /// A state that exists with another kind: its name, the kind that it should have and the one that it has.
     fn other(&self, known: &HashMap<String, StateShape>) -> Option<(&str, StateShape, StateShape)> {
         self.0.iter().find_map(|(name, shape)| {
-            let is_same = |found: &StateShape| found == shape || (*shape == LABELLED && word(*found) == word(*shape));
+            let is_same = |found: &StateShape| found == shape || (*shape == LABELLED && found.name() == shape.name());
             let found = known.get(name).filter(|found| !is_same(found))?;
             Some((name.as_str(), *shape, *found))
         })
