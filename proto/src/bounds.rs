@@ -37,6 +37,7 @@ const POINTS: usize = 4 << 20;
 /// The bounds, by message and field.
 const BOUNDS: &[(&str, usize)] = &[
     ("AddStateRequest.labels", 1024),
+    ("ClassifyActivityRequest.likelihoods", 1024),
     ("CreateMapRequest.models", 64),
     ("EvaluateHeader.models", 1024),
     ("EvaluateViewsRequest.times_nanos", TIMES),

@@ -24,6 +24,7 @@ macro_rules! both_ways {
 
 pub mod anomaly;
 pub mod cells;
+pub mod classify;
 pub mod columns;
 pub mod enabled;
 pub mod erasure;

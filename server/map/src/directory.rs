@@ -89,6 +89,11 @@ impl Directory {
         Some((first, StateShape::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
     }
 
+    /// The names of the categorical states.
+    pub(crate) fn categorical_states(&self) -> impl Iterator<Item = &StateName> {
+        self.categorical.keys()
+    }
+
     /// The states that are labels of one state, or cosine and sine of one angle: the first, and how many follow it.
     pub(crate) fn parts(&self) -> Vec<(StateId, usize)> {
         let whole = |info: &StateInfo| {

@@ -14,6 +14,7 @@ use crate::{
     directory::Directory,
     event::{StateKind, StateShape},
     ids::StateId,
+    name::StateName,
     prior_models::PriorModels,
     site::Site,
     spec::MapSpec,
@@ -129,6 +130,11 @@ impl MapView {
         let Some((first, StateShape::Categorical(count))) = self.shape(name) else { return Vec::new() };
         let ids = (first.0..).map(StateId).take(usize::from(count));
         ids.filter_map(|id| Some((id, self.info(id)?.name.as_label()?.1))).collect()
+    }
+
+    /// The names of all categorical states, in no order.
+    pub fn categorical_states(&self) -> impl Iterator<Item = &StateName> {
+        self.directory.categorical_states()
     }
 
     /// Name, kind and sensor of a state.

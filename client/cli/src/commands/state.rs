@@ -138,7 +138,11 @@ fn cells(state: State) -> Vec<Cell> {
         state.reporting.kind().name().into(),
         Cell::maybe(state.reporting.max_secs().map(u64::from)),
         Cell::maybe(state.reporting.step_secs().map(u64::from)),
-        if state.labels.is_empty() { Cell::Empty } else { Cell::Text(state.labels.join(",")) },
+        if state.labels.is_empty() {
+            Cell::Empty
+        } else {
+            Cell::List(state.labels.into_iter().map(Cell::Text).collect())
+        },
     ]
 }
 

@@ -45,6 +45,8 @@ pub(crate) enum Problem {
     Value { value: f64, shape: StateShape },
     #[error("{name:?}: compare an angle or its cosine, or labels or one of their states, not both in one evaluation")]
     AngleAndCosine { name: String },
+    #[error("state {state:?} is a {}: only a categorical state has labels", .kind.name())]
+    NoLabels { state: String, kind: StateKind },
     #[error("state {state:?} has no label {label:?}: its labels are {}", .labels.join(", "))]
     UnknownLabel { state: String, label: String, labels: Vec<String> },
 }
