@@ -65,7 +65,10 @@ pub mod time;
 pub mod words;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
-pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
+pub use angle::{
+    ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, circular_deviation_rad, cos_sin,
+    deviation_of_direction_rad, direction_rad,
+};
 pub use belief::{
     Belief, BeliefParts, GapCountParts, InvalidStateSensor, OpenDwell, Rates, Recent, RecentSpan, SPANS_MAX,
     SensorNoise, StateSensor,

@@ -43,8 +43,8 @@ impl Observations {
     ) -> Result<v1::ClassifyActivityResponse, Status> {
         let handle = find_map(&self.catalog, &request.map).await?;
         let question = classify_from_wire(&request).map_err(RpcError::from)?;
-        if question.learning != Learning::Nothing && !Caller::current().has(Role::Observer) {
-            return Err(RpcError::NeedsRole { method: METHOD.to_owned(), role: Role::Observer }.into());
+        if question.learning != Learning::Nothing {
+            may_learn(&Caller::current())?;
         }
         let utc_nanos = question.utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
         let mut reply = answer(&handle.view(), &question, utc_nanos)?;
@@ -88,6 +88,15 @@ impl Observations {
         added.unwrap_or(Err(AddStateError::Closing))?;
         states.push(at_place);
         Ok(states)
+    }
+}
+
+/// Checks that the caller may change the map.
+fn may_learn(caller: &Caller) -> Result<(), RpcError> {
+    match caller {
+        caller if caller.has(Role::Observer) => Ok(()),
+        Caller::Reader => Err(RpcError::ReadOnly { method: METHOD.to_owned() }),
+        _ => Err(RpcError::NeedsRole { method: METHOD.to_owned(), role: Role::Observer }),
     }
 }
 

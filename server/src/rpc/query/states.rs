@@ -8,7 +8,11 @@ use std::{ops::Range, sync::Arc};
 
 use tidemap_grid::index::CellIndex;
 use tidemap_map::{event::StateShape, predict::PreparedTimes, view::MapView};
-use tidemap_model::{direction_rad, models::Moment, selector::ModelSelector};
+use tidemap_model::{
+    HeldInterval, deviation_of_direction_rad, direction_rad,
+    models::{Interval, Moment},
+    selector::ModelSelector,
+};
 use tidemap_proto::{
     convert::{
         cells::cell_description_to_wire,
@@ -202,8 +206,7 @@ fn predict_one(
                     trained.predict_into(view, subject, moments, selector, values);
                 }
             }
-            let level = interval_level.filter(|_| axis.kind != PartKind::Angle);
-            let intervals = subject.intervals(view, moments, &values, level);
+            let intervals = subject.intervals(view, moments, &values, interval_level);
             StateForecast { values, intervals, facts: facts(view, subject, selector, moments) }
         });
         let first = block * TIMES_PER_BLOCK;
@@ -265,8 +268,8 @@ fn predict(
             let known = at_hand.take().filter(|(start, _)| *start == block.start);
             let (_, prepared) =
                 at_hand.insert(known.unwrap_or_else(|| (block.start, view.prepare(&times_nanos[block.clone()]))));
-            let level = interval_level.filter(|_| axis.kind != PartKind::Angle);
-            let forecasts = subjects.iter().map(|(_, subject)| forecast(view, subject, prepared, selector, level));
+            let forecasts =
+                subjects.iter().map(|(_, subject)| forecast(view, subject, prepared, selector, interval_level));
             if axis.kind == PartKind::Label {
                 let labels = subjects.iter().map(|(_, subject)| label_of(view, subject));
                 held.add(axis.state_index, block.start, labels.zip(forecasts));
@@ -320,12 +323,22 @@ fn facts(view: &MapView, subject: &StateOrCell, selector: ModelSelector, moments
     }
 }
 
-/// The angle whose cosine and sine these are: the direction of both, without intervals.
+/// The angle whose cosine and sine these are: the direction of both. Its interval reaches as far to both sides as those
+/// of the two, and may end beyond -π or π.
 fn angle(cosine: StateForecast, sine: StateForecast) -> StateForecast {
-    let pairs = cosine.values.into_iter().zip(sine.values);
+    let pairs = || cosine.values.iter().zip(&sine.values).map(|(cos, sin)| [*cos, *sin]);
+    let half = |held: &HeldInterval| held.interval.width() / 2.0;
+    let interval = |(parts, (cos, sin)): ([f64; 2], (&HeldInterval, &HeldInterval))| {
+        let (middle, reach) = (direction_rad(parts), deviation_of_direction_rad(parts, [half(cos), half(sin)]));
+        HeldInterval {
+            interval: Interval { lower: middle - reach, upper: middle + reach },
+            mass: cos.mass.min(sin.mass),
+        }
+    };
+    let intervals = pairs().zip(cosine.intervals.iter().zip(&sine.intervals)).map(interval).collect();
+    let values = pairs().map(direction_rad).collect();
     let facts = StateFacts { order: cosine.facts.order.max(sine.facts.order), ..cosine.facts };
-    let values = pairs.map(|(cos, sin)| direction_rad([cos, sin])).collect();
-    StateForecast { values, intervals: Vec::new(), facts }
+    StateForecast { values, intervals, facts }
 }
 
 pub(super) async fn describe_model(

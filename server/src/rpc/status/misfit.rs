@@ -26,6 +26,10 @@ pub(crate) enum Problem {
     NoVector { state: String, shape: StateShape },
     #[error("{found} coordinates: the state has {expected}")]
     Coordinates { found: usize, expected: usize },
+    #[error(
+        "{state:?} is an angle: densities are of single values; ask for its cosine or its sine, {state}/cos or {state}/sin"
+    )]
+    NoDensity { state: String },
     #[error("{found} numbers: each place has {each}")]
     Places { found: usize, each: usize },
     #[error(
