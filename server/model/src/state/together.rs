@@ -73,7 +73,7 @@ mod tests {
     #[test]
     fn states_that_have_learned_nothing_keep_their_choice() {
         let [mut one, mut other] = [(); 2].map(|()| StateModel::new(&Periodicities::default()));
-        choose_together(&mut [&mut one, &mut other], ModelKind::Histogram);
+        choose_together(&mut [&mut one, &mut other], ModelKind::Mean);
         assert_eq!((one.choice(), one.alternatives().is_none()), (ModelKind::Spectral, true));
     }
 }
