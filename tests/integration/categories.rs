@@ -166,12 +166,12 @@ fn a_reading_is_a_label_or_a_share_of_each() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).setting("http_write", true).start();
     learned(&daemon);
-    let time = "2025-01-09T08:30:00Z";
+    let time = "2025-01-10T08:30:00Z";
     let answer = report(
         &daemon,
         &json!([
             { "state": "activity", "label": "eat", "time": time },
-            { "state": "activity", "label": "sleep", "time": "2025-01-09T08:40:00Z" },
+            { "state": "activity", "label": "sleep", "time": "2025-01-10T08:40:00Z" },
         ]),
     );
     assert_eq!((answer.code, answer.json()["refused"].clone()), (200, json!([])), "{}", answer.text());
@@ -271,7 +271,7 @@ fn a_port_for_reading_classifies_and_learns_nothing() {
     };
     let method = "ObservationService/ClassifyActivity";
     let asked = call(&daemon.http, method, &[], &request("ACTIVITY_LEARNING_NOTHING"));
-    assert_eq!((asked.code, asked.json()["labels"][1]["probability"].clone()), (200, json!(1)), "{}", asked.text());
+    assert_eq!((asked.code, asked.json()["labels"][1]["probability"].clone()), (200, json!(1.0)), "{}", asked.text());
     let learn = call(&daemon.http, method, &[], &request("ACTIVITY_LEARNING_LABEL"));
     assert_eq!((learn.code, learn.reason().as_str()), (403, "READ_ONLY"), "{}", learn.text());
 }
@@ -281,8 +281,8 @@ fn a_categorical_state_is_erased_as_a_whole() {
     let data = tempdir().expect("a folder");
     let daemon = Launch::on(data.path()).start();
     learned(&daemon);
-    tidemap(&daemon, "erase home --state activity/eat --yes").fails(1, &["is a part of \"activity\""]);
-    let gone = tidemap(&daemon, "erase home --state activity --yes");
+    tidemap(&daemon, "erase home --state activity/eat").fails(1, &["is a part of \"activity\""]);
+    let gone = tidemap(&daemon, "erase home --state activity");
     assert_eq!(gone.code, Some(0), "{}", gone.stderr);
     assert_eq!(tidemap(&daemon, "state list home").table().rows, Vec::<Vec<String>>::new());
     tidemap(&daemon, "state add home activity --kind categorical --labels awake,asleep").table();

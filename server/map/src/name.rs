@@ -54,8 +54,8 @@ pub enum InvalidName {
     /// Not allowed for a vector, an angle or a categorical state: its parts would have names like those of a cell, an
     /// edge, a node or a landmark.
     #[error(
-        "name {0:?} is not for a vector, an angle or a categorical state: {0}/x is how cells, edges, nodes and \
-         landmarks are called"
+        "name {0:?} is not for a vector or an angle, nor for a categorical state: {0}/x is how cells, edges, \
+         nodes and landmarks are called"
     )]
     Reserved(String),
     /// A label has the name of an axis of a vector or an angle.

@@ -354,7 +354,8 @@ impl Intake {
         let positions = positions(&columns.state_indices, coordinates, |index| entry(index)?.dimensions())?;
         let shares = shares(&columns.state_indices, share_column, |index| shares_of(entry(index)?.shape?))?;
         // One position, and one distribution, always fits.
-        let max = self.limits.batch.max(Dimensions::Three.count()).max(*LABELS.end());
+        let fits = if shares.is_empty() { Dimensions::Three.count() } else { *LABELS.end() };
+        let max = self.limits.batch.max(fits);
         let single = columns.values.len() - positions.len() - shares.len();
         let what = "observations of one message, positions counted by their coordinates, and shares by their labels";
         OverLimit::check(what, single + coordinates.len() + share_column.len(), max, "setting max_batch_observations")?;
