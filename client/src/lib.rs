@@ -6,6 +6,7 @@
 //!
 //! Invariant: times are i64 nanoseconds UTC, and this library decides nothing about maps or models; the daemon does.
 
+pub mod classify;
 pub mod clock;
 pub mod connection;
 pub mod error;

@@ -141,7 +141,7 @@ pub struct GridSummary {
 pub struct State {
     /// Name of the state, unique within the map.
     pub name: String,
-    /// Values of a kind, positions of a vector, or angles.
+    /// Values of a kind, positions of a vector, angles, or labels.
     pub shape: StateShape,
     /// Number of its acknowledged observations.
     pub observations: u64,
@@ -155,6 +155,8 @@ pub struct State {
     pub sensor: Option<StateSensor>,
     /// How it is reported, with its durations.
     pub reporting: StatedReporting,
+    /// The labels of a categorical state, in order.
+    pub labels: Vec<String>,
 }
 
 impl Client {
@@ -251,7 +253,29 @@ impl Client {
         let ((kind, dimensions), map, state) = (shape_to_wire(shape), map.to_owned(), state.to_owned());
         let sensor = sensor.map(state_sensor_to_wire);
         let reporting = reporting.map(stated_reporting_to_wire);
-        let request = v1::AddStateRequest { map, state, kind: kind.into(), dimensions, sensor, reporting };
+        let labels = Vec::new();
+        let request = v1::AddStateRequest { map, state, kind: kind.into(), dimensions, sensor, reporting, labels };
+        self.added(request).await
+    }
+
+    /// Adds a categorical state with these labels, 2 to 64; it is durable when this returns. Succeeds if it exists with
+    /// the same labels in this order.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `ALREADY_EXISTS` if it exists with another kind or other labels, `NOT_FOUND` if the map
+    /// does not exist, `INVALID_ARGUMENT` if the labels are not valid.
+    pub async fn add_categorical(&self, map: &str, state: &str, labels: &[String]) -> Result<State, Error> {
+        let request = v1::AddStateRequest {
+            map: map.to_owned(),
+            state: state.to_owned(),
+            kind: v1::StateKind::Categorical.into(),
+            labels: labels.to_vec(),
+            ..v1::AddStateRequest::default()
+        };
+        self.added(request).await
+    }
+
+    async fn added(&self, request: v1::AddStateRequest) -> Result<State, Error> {
         let response = self.map_service().add_state(request).await.map_err(|status| self.error(&status))?;
         response.into_inner().state.map_or(Err(Error::Protocol("no state in the answer")), state_from_wire)
     }
@@ -332,6 +356,7 @@ fn state_from_wire(state: v1::State) -> Result<State, Error> {
         order: state.order,
         last_nanos: instant(state.last_time),
         pending: state.pending,
+        labels: state.labels,
         sensor: sensor.map_err(|_| Error::Protocol("a sensor that cannot be"))?,
         reporting: reporting
             .map_err(|_| Error::Protocol("a way to report that cannot be"))?

@@ -6,6 +6,8 @@
 //! | [`super::v1::map::Snapshot`] | tag 9, how many [`LandmarksAtPlace`] follow the site |
 //! | checkpoint | [`super::v1::file::RecordKind::Landmarks`] after the site |
 //! | refusals of observations | reason 13: no such landmark |
+//! | [`super::v1::event::NewState`] | kind 6 and tag 6: a categorical state and its labels |
+//! | [`super::v1::map::State`] | kind 3: the probability of a label |
 //! | `index/` | the tree [`LANDMARKS`]: map u32, place u32, part u16 → part of a [`LandmarksAtPlace`] |
 //! | [`super::v1::index::Mark`] | a sixth total, of that tree; absent without landmarks |
 //!

@@ -37,6 +37,8 @@ const POINTS: usize = 4 << 20;
 /// The bounds, by message and field.
 const BOUNDS: &[(&str, usize)] = &[
     ("AddLandmarksRequest.landmarks", 4096),
+    ("AddStateRequest.labels", 1024),
+    ("ClassifyActivityRequest.likelihoods", 1024),
     ("CreateMapRequest.models", 64),
     ("EvaluateHeader.models", 1024),
     ("EvaluateViewsRequest.times_nanos", TIMES),
@@ -56,6 +58,7 @@ const BOUNDS: &[(&str, usize)] = &[
     ("ObservationColumns.new_dimensions", BATCH),
     ("ObservationColumns.new_kinds", BATCH),
     ("ObservationColumns.new_states", BATCH),
+    ("ObservationColumns.shares", 64 * BATCH),
     ("ObservationColumns.state_indices", BATCH),
     ("ObservationColumns.time_deltas", BATCH),
     ("ObservationColumns.values", BATCH),
@@ -76,6 +79,7 @@ const BOUNDS: &[(&str, usize)] = &[
     ("PredictStatesRequest.times_nanos", TIMES),
     ("RangeScan.ranges_m", POINTS),
     ("Reading.position", 16 * READINGS),
+    ("Reading.shares", 64 * READINGS),
     ("RemoveLandmarksRequest.names", 4096),
     ("ReportRequest.readings", READINGS),
     ("ScanBatch.new_tiles", 3 * TILES),

@@ -24,11 +24,13 @@ macro_rules! both_ways {
 
 pub mod anomaly;
 pub mod cells;
+pub mod classify;
 pub mod columns;
 pub mod enabled;
 pub mod erasure;
 pub mod exploration;
 pub mod grid;
+pub mod labels;
 pub mod landmarks;
 pub mod map;
 mod model_kind;

@@ -133,6 +133,8 @@ impl ProducerPattern {
 pub(crate) enum Caller {
     /// Somebody, where no tokens are configured: everything is allowed.
     Anybody,
+    /// Somebody on a port for reading, where no tokens are configured: nothing that changes anything is allowed.
+    Reader,
     /// Somebody without a token, where tokens are configured: nothing is allowed beyond what is open.
     Stranger,
     /// The holder of a token.
@@ -160,7 +162,7 @@ impl Caller {
     /// Who this is, for the log.
     pub(crate) fn shown(&self) -> &str {
         match self {
-            Self::Anybody => "anybody",
+            Self::Anybody | Self::Reader => "anybody",
             Self::Stranger => "stranger",
             Self::Holder(token) => &token.id,
         }
@@ -170,6 +172,7 @@ impl Caller {
     pub(crate) fn has(&self, role: Role) -> bool {
         match self {
             Self::Anybody => true,
+            Self::Reader => role == Role::Planner,
             Self::Stranger => false,
             Self::Holder(token) => token.roles.iter().any(|held| held.includes(role)),
         }
@@ -178,7 +181,7 @@ impl Caller {
     /// Whether the caller may use the map of this name, if there is one.
     pub(crate) fn covers(&self, map: &str) -> bool {
         match self {
-            Self::Anybody => true,
+            Self::Anybody | Self::Reader => true,
             Self::Stranger => false,
             Self::Holder(token) => token.maps.iter().any(|pattern| pattern.matches(map)),
         }
@@ -188,7 +191,7 @@ impl Caller {
     pub(crate) fn may_send_as(&self, producer: &str) -> bool {
         match self {
             Self::Anybody => true,
-            Self::Stranger => false,
+            Self::Reader | Self::Stranger => false,
             Self::Holder(token) => token.producers.iter().any(|pattern| pattern.matches(producer)),
         }
     }
@@ -196,7 +199,7 @@ impl Caller {
     /// Whether the caller may use all maps.
     pub(crate) fn covers_all(&self) -> bool {
         match self {
-            Self::Anybody => true,
+            Self::Anybody | Self::Reader => true,
             Self::Stranger => false,
             Self::Holder(token) => token.maps.iter().any(|pattern| pattern.0 == "*"),
         }

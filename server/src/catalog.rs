@@ -64,7 +64,7 @@ pub(crate) enum CatalogError {
     Erase(#[from] EraseError),
     #[error("state {state:?} does not exist in map {map:?}")]
     NoState { map: MapName, state: String },
-    #[error("state {state:?} is an axis of {whole:?}: erase {whole:?}, which erases all its axes")]
+    #[error("state {state:?} is a part of {whole:?}: erase {whole:?}, which erases all its axes or labels")]
     Axis { state: String, whole: String },
     #[error("no thread for the map: {0}")]
     Thread(#[from] std::io::Error),

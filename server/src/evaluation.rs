@@ -12,6 +12,7 @@ use std::{
 use tidemap_map::{history::Subject, ids::StateId, predict::PreparedTimes, view::MapView};
 use tidemap_model::{
     EarlyStop, Evaluation, Sample, StopSignal, direction_rad,
+    label_evidence::normalise,
     selector::{ModelKind, ModelSelector},
 };
 
@@ -44,19 +45,27 @@ pub(crate) struct Evaluator {
     sums: HashMap<Subject, ErrorSums>,
 }
 
-/// The sums of one state, or of an angle, each as long as the rows.
+/// What observations are of: a state, an angle by cosine and sine, or a categorical state by all labels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Compared {
+    Alone,
+    Angle,
+    Labels,
+}
+
+/// The sums of one state, or of an angle or a categorical state, each as long as the rows.
 #[derive(Debug)]
 struct ErrorSums {
     target: StateOrCell,
     /// Why there is no model, once one was missing.
     missing: Vec<Option<Arc<str>>>,
-    is_angle: bool,
+    compared: Compared,
     errors: Vec<Evaluation>,
 }
 
-/// The sine of an angle, whose state is its cosine, with its answer sources.
+/// The sine of an angle, whose state is its cosine, or a label after the first, with its answer sources.
 #[derive(Clone, Debug)]
-pub(crate) struct Sine {
+pub(crate) struct OtherPart {
     /// The state.
     pub(crate) state: StateId,
     /// One for each of [`Evaluator::kinds_to_train`].
@@ -99,14 +108,14 @@ impl Evaluator {
     }
 
     /// Begins the sums of a state, so that rows have the order of the beginnings. No effect if the state is known.
-    pub(crate) fn begin(&mut self, target: &StateOrCell, is_angle: bool) {
+    pub(crate) fn begin(&mut self, target: &StateOrCell, compared: Compared) {
         let subject = target.subject();
         if let Entry::Vacant(entry) = self.sums.entry(subject) {
             let rows = self.rows.len();
             entry.insert(ErrorSums {
                 target: target.clone(),
                 missing: vec![None; rows],
-                is_angle,
+                compared,
                 errors: vec![Evaluation::default(); rows],
             });
             self.states.push(subject);
@@ -114,7 +123,8 @@ impl Evaluator {
     }
 
     /// Adds observations of a state that has begun; `trained` has one answer source for each of
-    /// [`Evaluator::kinds_to_train`]. With a sine, the observations are angles.
+    /// [`Evaluator::kinds_to_train`]. `others`: the sine of an angle, or all labels but the first, where the observations
+    /// are angles, or the numbers of labels.
     ///
     /// # Errors
     /// The work was told to stop; the sums must then not be used.
@@ -123,7 +133,7 @@ impl Evaluator {
         subject: Subject,
         samples: &[Sample],
         trained: Vec<AnswerSource>,
-        sine: Option<Sine>,
+        others: Vec<OtherPart>,
         stop: StopSignal<'_>,
     ) -> Result<(), EarlyStop> {
         let Some(target) = self.sums.get(&subject).map(|sums| sums.target.clone()) else { return Ok(()) };
@@ -135,10 +145,11 @@ impl Evaluator {
             }
         }
         let Some(sums) = self.sums.get_mut(&subject) else { return Ok(()) };
-        let sine = sine.map(|Sine { state, trained }| (state, by_row(&self.rows, trained)));
+        let others: Vec<(StateId, Vec<Option<AnswerSource>>)> =
+            others.into_iter().map(|OtherPart { state, trained }| (state, by_row(&self.rows, trained))).collect();
         for (index, missing) in sums.missing.iter_mut().enumerate() {
-            let sources = [answering.get(index), sine.as_ref().and_then(|(_, sources)| sources.get(index))];
-            for source in sources.into_iter().flatten() {
+            let sources = others.iter().filter_map(|(_, sources)| sources.get(index)).chain(answering.get(index));
+            for source in sources {
                 if let Some(AnswerSource::Nothing(reason)) = source {
                     missing.get_or_insert_with(|| Arc::clone(reason));
                 }
@@ -147,29 +158,27 @@ impl Evaluator {
         for block in samples.chunks(TIMES_PER_BLOCK) {
             let times: Vec<i64> = block.iter().map(|sample| sample.utc_nanos).collect();
             let prepared = self.view.prepare(&times);
-            let mut predicted = vec![0.0; block.len()];
-            let mut sines = vec![0.0; block.len()];
+            // Of the state, and of each other part.
+            let mut predicted = vec![vec![0.0; block.len()]; others.len() + 1];
             let rows = self.rows.iter().zip(&answering).zip(&mut sums.errors).enumerate();
             for (index, ((row, answering), sum)) in rows {
                 stop.check()?;
-                if !answer(&self.view, &sums.target, answering.as_ref(), &prepared, *row, &mut predicted) {
-                    continue;
-                }
-                if let Some((sine, answering)) = &sine {
-                    let answering = answering.get(index).and_then(Option::as_ref);
-                    if answer(&self.view, &(*sine).into(), answering, &prepared, *row, &mut sines) {
-                        for ((sample, &cos), &sin) in block.iter().zip(&predicted).zip(&sines) {
-                            sum.add_angle(direction_rad([cos, sin]), sample.value);
-                        }
-                    }
-                    continue;
-                }
-                for (sample, &probability) in block.iter().zip(&predicted) {
-                    sum.add(probability, sample.value);
+                let others = others.iter().map(|(part, sources)| ((*part).into(), sources.get(index)));
+                let parts = [(sums.target.clone(), Some(answering))].into_iter().chain(others);
+                let is_answered = parts.zip(&mut predicted).all(|((part, source), predicted)| {
+                    answer(&self.view, &part, source.and_then(Option::as_ref), &prepared, *row, predicted)
+                });
+                if is_answered {
+                    add_block(sum, sums.compared, block, &predicted);
                 }
             }
         }
         Ok(())
+    }
+
+    /// Whether the observations of a state are labels.
+    pub(crate) fn has_labels(&self, target: &StateOrCell) -> bool {
+        self.sums.get(&target.subject()).is_some_and(|sums| sums.compared == Compared::Labels)
     }
 
     /// The rows: name of the state, model with its order, sums.
@@ -208,10 +217,34 @@ impl Evaluator {
 
     fn name(&self, target: &StateOrCell) -> Cow<'_, str> {
         let StateOrCell::State(id) = *target else { return target.name(&self.view) };
-        let is_angle = self.sums.get(&target.subject()).is_some_and(|sums| sums.is_angle);
+        let compared = self.sums.get(&target.subject()).map_or(Compared::Alone, |sums| sums.compared);
         let name = self.view.info(id).map(|info| &info.name);
-        let angle = name.filter(|_| is_angle).and_then(|name| name.as_angle_axis()).map(|(angle, _)| angle);
-        Cow::Borrowed(angle.or(name.map(|name| name.as_str())).unwrap_or_default())
+        let whole = name.and_then(|name| match compared {
+            Compared::Alone => None,
+            Compared::Angle => name.as_angle_axis().map(|(angle, _)| angle),
+            Compared::Labels => name.as_label().map(|(state, _)| state),
+        });
+        Cow::Borrowed(whole.or(name.map(|name| name.as_str())).unwrap_or_default())
+    }
+}
+
+/// Adds observations, and the predictions of each part.
+fn add_block(sum: &mut Evaluation, compared: Compared, block: &[Sample], predicted: &[Vec<f64>]) {
+    let at = |index: usize| predicted.iter().map(move |part| part[index]);
+    for (index, sample) in block.iter().enumerate() {
+        match compared {
+            Compared::Alone => at(index).for_each(|predicted| sum.add(predicted, sample.value)),
+            Compared::Angle => {
+                let mut parts = at(index);
+                let parts = [(); 2].map(|()| parts.next().unwrap_or_default());
+                sum.add_angle(direction_rad(parts), sample.value);
+            }
+            Compared::Labels => {
+                let mut shares: Vec<f64> = at(index).collect();
+                normalise(&mut shares);
+                sum.add_label(&shares, sample.value as usize);
+            }
+        }
     }
 }
 

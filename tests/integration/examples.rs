@@ -56,6 +56,7 @@ pages! {
     configuration: "docs/src/configuration.md",
     durability: "docs/src/durability.md",
     experiments: "docs/src/experiments.md",
+    categories: "docs/src/categories.md",
     exploration: "docs/src/exploration.md",
     first_map: "docs/src/first-map.md",
     own_data: "docs/src/own-data.md",

@@ -237,6 +237,11 @@ fn check_states(checked: &mut Checked, folder: &str) {
     checked.run("evaluate", &format!("home {folder}/door.csv --models auto,mean,latest"));
     let times = "--from 2025-01-06T00:00:00Z --to 2025-01-27T00:00:00Z";
     checked.run("anomalies", &format!("home door --model auto --confidence 0.6 {times}"));
+    checked.run("state add", "home activity --kind categorical --labels sleep,eat");
+    let labels = checked.run("classify", &format!("home activity --at {NOON} --likelihood sleep=1,eat=3"));
+    assert_eq!((labels[1]["label"].as_str(), labels[1]["probability"].as_f64()), (Some("eat"), Some(0.75)));
+    checked.run("model show", "home activity");
+    checked.run("predict", &format!("home activity --at {NOON}"));
     checked.run("anomalies", &format!("home --confidence 0.9 {times}"));
     checked.run("reconstruct", "home door --from 2025-01-06T00:00:00Z --to 2025-01-07T00:00:00Z");
 }

@@ -4,6 +4,7 @@ mod acceptance;
 mod alerts;
 mod backups;
 mod bad_input;
+mod categories;
 mod changes_and_events;
 mod crowds;
 mod deploy;

@@ -200,6 +200,7 @@ pub fn columns(names: &[&str], rows: &[(u32, i64, f64)]) -> ObservationColumns {
         new_kinds: Vec::new(),
         new_dimensions: Vec::new(),
         coordinates: Vec::new(),
+        shares: Vec::new(),
         values: rows.iter().map(|row| row.2).collect(),
     }
 }

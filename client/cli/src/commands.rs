@@ -5,6 +5,7 @@
 mod anomalies;
 mod backup;
 mod bench;
+mod classify;
 mod command_texts;
 mod day;
 mod erase;
@@ -144,7 +145,7 @@ pub(crate) fn ask_for_json(arguments: &[String]) -> bool {
 }
 
 /// Commands that show no times; they do not ask for the map's zone.
-const TIMELESS: [&str; 4] = ["observe", "traverse", "update", "visit"];
+const TIMELESS: [&str; 5] = ["classify", "observe", "traverse", "update", "visit"];
 
 fn subject(matches: &ArgMatches) -> Subject {
     let mut matches = matches;
@@ -176,6 +177,12 @@ enum Command {
     Observe(observe::ObserveArgs),
     /// Runs the nightly update now and shows the result for each state
     Update(update::UpdateArgs),
+    /// Says which label of a categorical state holds, from how likely each makes what was just observed
+    ///
+    /// probability is likelihood x temporal_prior x spatial_prior, divided by the sum over all labels. temporal_prior is
+    /// the probability of the label at that time; spatial_prior is the probability of being at the place while the label
+    /// holds, as the states STATE@PLACE have learned it, and is empty where nothing was learned.
+    Classify(classify::ClassifyArgs),
     /// Predicts states at any time, past or future
     ///
     /// Rows are in the order of the states, then of the times. Give the times with --at, --times, or --from, --to and
@@ -406,6 +413,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::State(command) => state::run(&session, command).await,
         Command::Observe(args) => observe::run(&session, args).await,
         Command::Update(args) => update::run(&session, &args).await,
+        Command::Classify(args) => classify::run(&session, args).await,
         Command::Predict(args) => predict::run(&session, args).await,
         Command::Position(args) => position::run(&session, args).await,
         Command::Grid(command) => grid::run(&session, command).await,

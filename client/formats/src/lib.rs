@@ -13,6 +13,7 @@ pub mod grid_text;
 pub mod nav2;
 pub mod observation_file;
 pub mod octomap;
+pub mod pattern;
 pub mod pcd;
 mod picture;
 pub mod ply;

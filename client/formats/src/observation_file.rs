@@ -11,7 +11,10 @@ mod rules;
 pub mod sightings;
 pub mod traversals;
 
-use std::io::{self, BufRead};
+use std::{
+    borrow::Cow,
+    io::{self, BufRead},
+};
 
 pub use fields::split as split_row;
 pub use rules::{InvalidRule, Meaning, RowRules};
@@ -145,6 +148,8 @@ pub struct ObservationRow {
     pub value: f64,
     /// The value was a word.
     pub is_word: bool,
+    /// The value was a label of a categorical state: the value is 1.
+    pub label: Option<String>,
     /// The position, in a file of positions; its coordinates are NaN if any part of the row could not be read.
     pub position: Option<Position>,
     /// Why the row could not be read, or is no valid observation of a probability.
@@ -398,6 +403,7 @@ impl Layout for ObservationColumns {
             time_nanos: 0,
             value: if self.rules.kind == RowKind::Samples { f64::NAN } else { f64::INFINITY },
             is_word: false,
+            label: None,
             position: self.dimensions.and_then(|dimensions| Position::of(&[f64::NAN; 3][..dimensions.count()])),
             wrong: None,
             is_read: false,
@@ -412,6 +418,17 @@ impl Layout for ObservationColumns {
 
     fn at(row: &ObservationRow) -> RowPlace {
         RowPlace { number: row.number, line: row.line, has_end: row.has_end }
+    }
+}
+
+impl ObservationRow {
+    /// The name under which it is sent: of a label its own, `STATE/LABEL`.
+    #[must_use]
+    pub fn name_sent(&self) -> Cow<'_, str> {
+        match &self.label {
+            Some(label) => format!("{}/{label}", self.state).into(),
+            None => Cow::from(&self.state),
+        }
     }
 }
 
@@ -452,6 +469,12 @@ impl ObservationColumns {
             row.value = 1.0;
             return Ok(None);
         };
+        if self.rules.has_labels(&row.state) {
+            let label = fields[value].as_ref();
+            StateName::new(&row.state).and_then(|name| name.label(label)).map_err(|error| error.to_string())?;
+            (row.label, row.value) = (Some(label.to_owned()), 1.0);
+            return Ok(None);
+        }
         let Some(number) = self.number(&fields[value], row)? else {
             row.value = f64::NAN;
             return Ok(None);
@@ -489,7 +512,7 @@ impl ObservationColumns {
             )),
             None => Err(format!(
                 "value {:?} is not a number: use 0, 1 or anything between, or say what the word stands for, as in \
-                 --values {}=1",
+                 --values {}=1, or that it is a label, with --kind categorical",
                 shown(text),
                 shown(text)
             )),

@@ -2,7 +2,10 @@
 //!
 //! Invariant: arrays have one row for each state and one column for each time, in the order that was asked.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, PoisonError},
+};
 
 use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray4, ndarray::Array2};
 use pyo3::{prelude::*, types::PyDict};
@@ -15,18 +18,20 @@ use tidemap_client::{
 
 use crate::{
     failure, grids,
-    observe::{Columns, Outcome, Rows, SentCounts, send, states_of},
+    observe::{CATEGORICAL, Columns, Outcome, Rows, SentCounts, send, states_of},
     reports::SaidReporting,
     rpc::{self, Replies, model_named},
     waiting::{runtime, wait},
 };
 
-/// Predicted values, bounds of the intervals if asked for, entropies, and what stands behind each state.
+/// Predicted values, bounds of the intervals if asked for, entropies, what stands behind each row, and its name: that of
+/// a state, or `STATE/LABEL` of a label of a categorical one.
 type PredictedArrays<'py> = (
     Bound<'py, PyArray2<f64>>,
     Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>,
     Bound<'py, PyArray2<f64>>,
     Vec<Evidence>,
+    Vec<String>,
 );
 
 /// What stands behind the predictions of a state: the model that answered, its order, the number of observations and of
@@ -36,6 +41,41 @@ type Evidence = (Option<String>, u32, u64, u64, Option<i64>);
 fn evidence(run: &PredictionRun) -> Evidence {
     let model = run.answered_by.map(|model| model.to_string());
     (model, run.order, run.observations, run.pending, run.last_nanos)
+}
+
+/// Predictions of a state, or of a label, at all times.
+struct PredictedRow {
+    name: String,
+    values: Vec<f64>,
+    lower: Vec<f64>,
+    upper: Vec<f64>,
+    entropies: Vec<f64>,
+    behind: Evidence,
+}
+
+impl PredictedRow {
+    fn new(name: String, times: usize) -> Self {
+        let empty = || vec![f64::NAN; times];
+        Self {
+            name,
+            values: empty(),
+            lower: empty(),
+            upper: empty(),
+            entropies: empty(),
+            behind: Evidence::default(),
+        }
+    }
+
+    fn put(&mut self, run: &PredictionRun) {
+        self.behind = evidence(run);
+        let put = |numbers: &[f64], into: &mut [f64]| {
+            into.iter_mut().skip(run.first_time).zip(numbers).for_each(|(place, number)| *place = *number);
+        };
+        put(&run.probabilities, &mut self.values);
+        put(&run.lower, &mut self.lower);
+        put(&run.upper, &mut self.upper);
+        put(&run.entropies_bits, &mut self.entropies);
+    }
 }
 
 /// An edge that was driven: from, to, action, start, end, whether it succeeded, reason.
@@ -167,6 +207,7 @@ impl NativeClient {
         progress: Option<Bound<'py, PyAny>>,
         reporting: Option<SaidReporting>,
     ) -> PyResult<Bound<'py, PyDict>> {
+        let are_labels = kind == Some(CATEGORICAL);
         let (kind, reporting) = states_of(py, kind, reporting)?;
         let options = ProducerOptions { kind, reporting, nightly, ..ProducerOptions::new(producer, label, map) };
         let columns = Columns::of(states, &state_indices, &times_nanos, &values);
@@ -177,6 +218,7 @@ impl NativeClient {
                 return Err(failure::invalid(py, &message));
             }
             Some(places) => Rows::Positions(columns, places.as_array().to_owned()),
+            None if are_labels => Rows::Labels(columns),
             None => Rows::Values(columns),
         };
         self.send_rows(py, options, rows, progress.as_ref())
@@ -268,8 +310,7 @@ impl NativeClient {
     ) -> PyResult<PredictedArrays<'py>> {
         let model = model_named(py, model)?;
         let times = times_nanos.as_array().to_vec();
-        let shape = (states.len(), times.len());
-        let mut behind: Vec<Evidence> = vec![Evidence::default(); states.len()];
+        let count = times.len();
         let mut predictions = self.client.predict(map, states, times, model);
         if let Some(level) = interval {
             predictions = predictions.with_intervals(level);
@@ -277,35 +318,40 @@ impl NativeClient {
         let predicted = wait(
             py,
             async move {
-                let empty = || Array2::from_elem(shape, f64::NAN);
-                let (mut values, mut lower, mut upper, mut entropies) = (empty(), empty(), empty(), empty());
+                let mut rows: Vec<PredictedRow> = Vec::with_capacity(predictions.states().len());
+                // Of each state and label, its row: long runs of times come in pieces.
+                let mut places = HashMap::new();
                 while let Some(run) = predictions.next().await? {
-                    if run.axis.is_some() {
-                        return Ok(Err(predictions.states()[run.state].clone()));
-                    }
-                    let put = |numbers: &[f64], into: &mut Array2<f64>| {
-                        for (index, number) in numbers.iter().enumerate() {
-                            into[(run.state, run.first_time + index)] = *number;
-                        }
+                    let state = &predictions.states()[run.state];
+                    let name = match &run.label {
+                        Some(label) => format!("{state}/{label}"),
+                        None if run.axis.is_some() => return Ok(Err(state.clone())),
+                        None => state.clone(),
                     };
-                    behind[run.state] = evidence(&run);
-                    put(&run.probabilities, &mut values);
-                    put(&run.lower, &mut lower);
-                    put(&run.upper, &mut upper);
-                    put(&run.entropies_bits, &mut entropies);
+                    let place = *places.entry((run.state, run.axis)).or_insert_with(|| {
+                        rows.push(PredictedRow::new(name, count));
+                        rows.len() - 1
+                    });
+                    rows[place].put(&run);
                 }
-                Ok::<_, tidemap_client::Error>(Ok((values, lower, upper, entropies, behind)))
+                Ok::<_, tidemap_client::Error>(Ok(rows))
             },
             |_| Ok(()),
         )?;
         let predicted = predicted.map_err(|error| failure::request(py, &error))?;
-        let (values, lower, upper, entropies, behind) = predicted.map_err(|name| {
+        let rows = predicted.map_err(|name| {
             let message = format!("{name} is a position: ask QueryService/PredictPositions with call()");
             failure::invalid(py, &message)
         })?;
-        let array = |numbers: Array2<f64>| PyArray2::from_owned_array(py, numbers);
-        let bounds = interval.map(|_| (array(lower), array(upper)));
-        Ok((array(values), bounds, array(entropies), behind))
+        let array = |column: fn(&PredictedRow) -> &Vec<f64>| {
+            let numbers: Vec<f64> = rows.iter().flat_map(|row| column(row).iter().copied()).collect();
+            let array = Array2::from_shape_vec((rows.len(), count), numbers);
+            PyArray2::from_owned_array(py, array.unwrap_or_default())
+        };
+        let bounds = interval.map(|_| (array(|row| &row.lower), array(|row| &row.upper)));
+        let (values, entropies) = (array(|row| &row.values), array(|row| &row.entropies));
+        let (behind, names) = rows.iter().map(|row| (row.behind.clone(), row.name.clone())).unzip();
+        Ok((values, bounds, entropies, behind, names))
     }
 
     /// A grid at one time.

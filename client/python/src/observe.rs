@@ -76,6 +76,8 @@ pub(crate) enum Rows {
     Values(Columns),
     /// Coordinates in metres, one row each, in the place of the values.
     Positions(Columns, Array2<f64>),
+    /// Labels of categorical states: each name is `STATE/LABEL`.
+    Labels(Columns),
     Traversals(Vec<TraversalReport>),
     Sightings(Vec<SightingReport>),
 }
@@ -83,7 +85,7 @@ pub(crate) enum Rows {
 impl Rows {
     pub(crate) fn len(&self) -> usize {
         match self {
-            Self::Values(columns) | Self::Positions(columns, _) => columns.times_nanos.len(),
+            Self::Values(columns) | Self::Positions(columns, _) | Self::Labels(columns) => columns.times_nanos.len(),
             Self::Traversals(reports) => reports.len(),
             Self::Sightings(reports) => reports.len(),
         }
@@ -91,7 +93,7 @@ impl Rows {
 
     fn add_to(&self, crc: &mut ContentCrc, row: usize) {
         match self {
-            Self::Values(columns) => {
+            Self::Values(columns) | Self::Labels(columns) => {
                 let (state, time_nanos, value) = columns.row(row);
                 crc.add(state, time_nanos, value);
             }
@@ -109,6 +111,11 @@ impl Rows {
             Self::Values(columns) => {
                 let (state, time_nanos, value) = columns.row(row);
                 producer.send(state, time_nanos, value).await
+            }
+            Self::Labels(columns) => {
+                let (name, time_nanos, _) = columns.row(row);
+                let (state, label) = name.split_once('/').unwrap_or((name, ""));
+                producer.send_label(state, time_nanos, label).await
             }
             Self::Positions(columns, places) => {
                 let (state, time_nanos, _) = columns.row(row);
@@ -145,8 +152,11 @@ fn kind_named(py: Python<'_>, name: &str) -> PyResult<StateShape> {
     let mut kinds = StateKind::ALL.into_iter().map(StateShape::from).chain([StateShape::Angle]);
     kinds
         .find(|kind| kind.name() == name)
-        .ok_or_else(|| failure::invalid(py, &format!("kind {name:?}: probability, continuous, count or angle")))
+        .ok_or_else(|| failure::invalid(py, &format!("kind {name:?}: probability, continuous, count, angle or categorical")))
 }
+
+/// The kind whose rows are labels.
+pub(crate) const CATEGORICAL: &str = "categorical";
 
 /// What a producer says of its states: their kind and how they are reported, which go together.
 pub(crate) fn states_of(
@@ -154,7 +164,10 @@ pub(crate) fn states_of(
     kind: Option<&str>,
     said: Option<SaidReporting>,
 ) -> PyResult<(Option<StateShape>, Option<StatedReporting>)> {
-    let kind = kind.map(|name| kind_named(py, name)).transpose()?;
+    if kind == Some(CATEGORICAL) && said.is_some() {
+        return Err(failure::invalid(py, "kind=\"categorical\" does not go with reports: labels are samples"));
+    }
+    let kind = kind.filter(|name| *name != CATEGORICAL).map(|name| kind_named(py, name)).transpose()?;
     let reporting = said.map(|said| stated(py, said)).transpose()?;
     if let (Some(kind), Some(reporting)) = (kind, reporting)
         && !kind.may_report(reporting.for_new())

@@ -132,5 +132,15 @@ pub fn pack(entries: &[Entry], names: &[Box<str>], table: &mut StreamTable) -> O
     columns
 }
 
+/// Declares new names as those of labels of categorical states.
+pub fn declare_labels(columns: &mut ObservationColumns, is_label: impl Fn(&str) -> bool) {
+    if !columns.new_states.iter().any(|name| is_label(name)) {
+        return;
+    }
+    columns.new_kinds.resize(columns.new_states.len(), 0);
+    let named = columns.new_kinds.iter_mut().zip(&columns.new_states);
+    named.filter(|(_, name)| is_label(name)).for_each(|(said, _)| *said = StateKind::Categorical.into());
+}
+
 #[cfg(test)]
 mod tests;

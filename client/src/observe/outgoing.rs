@@ -19,7 +19,7 @@ use tidemap_proto::{
 };
 
 use super::{
-    columns::{BatchLimits, Entry, StreamTable, fitting, pack},
+    columns::{BatchLimits, Entry, StreamTable, declare_labels, fitting, pack},
     scan_stream::{ScanMessageLimits, ScanStream},
     shared::SharedState,
     window::Window,
@@ -28,6 +28,8 @@ use crate::maps::StateShape;
 
 /// Maximum number of bytes of a request in addition to its batch.
 const REQUEST_BYTES_EXTRA: usize = 64;
+/// Maximum number of observations of labels in one message.
+const LABELS_MAX: usize = 4096;
 
 /// Limits of one message.
 #[derive(Clone, Copy, Debug)]
@@ -93,7 +95,10 @@ impl Outgoing {
     }
 
     fn observations(&mut self, window: &mut Window, urgent: u64) -> Option<Message> {
-        let limits = self.limits.observations;
+        let mut limits = self.limits.observations;
+        if window.has_labels() {
+            limits.observations = limits.observations.min(LABELS_MAX);
+        }
         let first_sequence = window.next_unsent();
         let waiting = || window.to_send(limits.observations, urgent);
         let count = fitting(waiting(), window.names(), &self.names, limits);
@@ -103,7 +108,10 @@ impl Outgoing {
         }
         window.sent(entries.len());
         let mut columns = pack(&entries, window.names(), &mut self.names);
-        // Vectors have declared it already.
+        if window.has_labels() {
+            declare_labels(&mut columns, |name| window.is_label(name));
+        }
+        // Vectors and labels have declared it already.
         if let Some(shape) = self.kind.filter(|shape| shape.is_single()) {
             columns.new_kinds.resize(columns.new_states.len(), 0);
             columns

@@ -125,6 +125,15 @@ impl Producer {
         self.take(state, time_nanos, |window| window.push_position(state, time_nanos, position)).await
     }
 
+    /// As [`Producer::send`], for a categorical state: the label that holds.
+    ///
+    /// # Errors
+    /// [`ProducerError`]; the observation is then not accepted.
+    pub async fn send_label(&mut self, state: &str, time_nanos: i64, label: &str) -> Result<u64, ProducerError> {
+        let name = format!("{state}/{label}");
+        self.take(&name, time_nanos, |window| window.push_label(&name, time_nanos)).await
+    }
+
     async fn take(
         &mut self,
         state: &str,

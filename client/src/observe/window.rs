@@ -10,7 +10,7 @@ mod scans;
 use std::collections::{HashMap, VecDeque};
 
 pub use scans::KeptScan;
-use tidemap_model::{Dimensions, Position};
+use tidemap_model::Position;
 use tidemap_proto::{
     convert::{
         scans::{TilePicture, TileTable},
@@ -23,6 +23,8 @@ use super::{ProducerError, columns::Entry, content::ContentCrc};
 
 /// Default maximum number of bytes of kept scans and observations.
 pub const WINDOW_BYTES: usize = 64 << 20;
+/// Place of the indices of labels.
+const LABELS_AT: usize = 3;
 
 /// An item with a sequence number.
 #[derive(Clone, Debug)]
@@ -61,8 +63,9 @@ pub struct Window {
     /// Checksum over everything before `first_kept`.
     crc: ContentCrc,
     names: Vec<Box<str>>,
-    /// Indices of single values, and of vectors by number of coordinates: a name that means both has two.
-    indices: [HashMap<Box<str>, u32>; 3],
+    /// Indices of single values, of vectors by number of coordinates, and of labels: a name that means several has
+    /// several.
+    indices: [HashMap<Box<str>, u32>; 4],
     /// Tiles after the last pushed scan.
     tiles: TileTable,
     /// Tiles after the last acknowledged scan.
@@ -106,8 +109,29 @@ impl Window {
         if !self.has_room() {
             return None;
         }
-        let state = self.index(state, None);
+        let state = self.index(state, 0);
         Some(self.take(Item::Observation(Entry { state, time_nanos, value, position: None })))
+    }
+
+    /// Pushes an observation of a label, called `STATE/LABEL`, and returns its number; `None` if the window is full.
+    pub fn push_label(&mut self, name: &str, time_nanos: i64) -> Option<u64> {
+        if !self.has_room() {
+            return None;
+        }
+        let state = self.index(name, LABELS_AT);
+        Some(self.take(Item::Observation(Entry { state, time_nanos, value: 1.0, position: None })))
+    }
+
+    /// Whether a name is that of a label.
+    #[must_use]
+    pub fn is_label(&self, name: &str) -> bool {
+        self.indices[LABELS_AT].contains_key(name)
+    }
+
+    /// Whether observations of labels were pushed.
+    #[must_use]
+    pub fn has_labels(&self) -> bool {
+        !self.indices[LABELS_AT].is_empty()
     }
 
     /// Pushes an observation of a vector and returns its number; `None` if the window is full.
@@ -115,7 +139,7 @@ impl Window {
         if !self.has_room() {
             return None;
         }
-        let state = self.index(state, Some(position.dimensions()));
+        let state = self.index(state, position.dimensions().count() - 1);
         Some(self.take(Item::Observation(Entry { state, time_nanos, value: 0.0, position: Some(position) })))
     }
 
@@ -135,12 +159,8 @@ impl Window {
         self.last()
     }
 
-    fn index(&mut self, name: &str, dimensions: Option<Dimensions>) -> u32 {
-        let indices = match dimensions {
-            None => &mut self.indices[0],
-            Some(Dimensions::Two) => &mut self.indices[1],
-            Some(Dimensions::Three) => &mut self.indices[2],
-        };
+    fn index(&mut self, name: &str, at: usize) -> u32 {
+        let indices = &mut self.indices[at];
         if let Some(&index) = indices.get(name) {
             return index;
         }

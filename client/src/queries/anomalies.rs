@@ -132,14 +132,26 @@ impl Anomalies {
     /// # Errors
     /// [`Error`]
     pub async fn next(&mut self) -> Result<Option<Vec<Anomaly>>, Error> {
-        let Some(reply) = self.replies.message().await.map_err(|status| self.client.error(&status))? else {
+        Ok(self.next_labelled().await?.map(|(found, _)| found))
+    }
+
+    /// As [`Anomalies::next`], with the observed label of each anomaly of a categorical state; no labels for others.
+    ///
+    /// # Errors
+    /// [`Error`]
+    pub async fn next_labelled(&mut self) -> Result<Option<(Vec<Anomaly>, Vec<String>)>, Error> {
+        let Some(mut reply) = self.replies.message().await.map_err(|status| self.client.error(&status))? else {
             return Ok(None);
         };
+        let labels = std::mem::take(&mut reply.labels);
         let found = found(reply, self.from_nanos..self.to_nanos)?;
+        if !labels.is_empty() && labels.len() != found.len() {
+            return Err(Error::Protocol("anomalies are not whole"));
+        }
         if let Some(last) = found.last() {
             self.from_nanos = last.utc_nanos;
         }
-        Ok(Some(found))
+        Ok(Some((found, labels)))
     }
 }
 
@@ -156,7 +168,7 @@ impl AnomalyWatch {
 
 /// Several producers may observe a state at the same time.
 fn found(reply: v1::FindAnomaliesResponse, asked: std::ops::Range<i64>) -> Result<Vec<Anomaly>, Error> {
-    let v1::FindAnomaliesResponse { times_nanos, values, probabilities } = reply;
+    let v1::FindAnomaliesResponse { times_nanos, values, probabilities, .. } = reply;
     if !times_nanos.is_sorted() || !times_nanos.iter().all(|time| asked.contains(time)) {
         return Err(Error::Protocol("anomalies are not those that were asked for"));
     }
@@ -190,6 +202,7 @@ mod tests {
             times_nanos: times.to_vec(),
             values: vec![0.0; 2],
             probabilities: vec![1.0; 2],
+            labels: Vec::new(),
         };
         let anomaly = |utc_nanos| Anomaly { utc_nanos, value: 0.0, probability: 1.0 };
         assert_eq!(found(reply(&[5, 9]), 5..10), Ok(vec![anomaly(5), anomaly(9)]));

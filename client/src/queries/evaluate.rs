@@ -6,7 +6,7 @@
 //!
 //! Invariant: observations are sent in messages of bounded size; none is kept here after its message is full.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use tidemap_proto::{
     convert::query::selector_to_wire,
@@ -20,7 +20,7 @@ use super::{ModelKind, ModelSelector, ORDER_MAX, selector_of};
 use crate::{
     connection::Client,
     error::Error,
-    observe::columns::{BatchLimits, Entry, StreamTable, fitting, pack},
+    observe::columns::{BatchLimits, Entry, StreamTable, declare_labels, fitting, pack},
 };
 
 /// Limits of one message of the daemon.
@@ -57,6 +57,8 @@ pub struct StateEvaluation {
     pub mean_squared_error: f64,
     /// Share of observations on the other side of 0.5 than their prediction; absent for other kinds than probabilities.
     pub error_rate: Option<f64>,
+    /// Mean surprise of the labels of a categorical state, bits; absent for other states.
+    pub log_loss_bits: Option<f64>,
 }
 
 /// A model that could not be compared for some states.
@@ -98,6 +100,8 @@ struct StatePortion {
     answer: JoinHandle<Result<v1::EvaluateStatesResponse, Status>>,
     entries: Vec<Entry>,
     names: Vec<Box<str>>,
+    /// Those of the names that are of labels.
+    labels: HashSet<Box<str>>,
     table: StreamTable,
 }
 
@@ -130,9 +134,18 @@ impl Evaluator {
     /// Adds an observation; its time is at least 0. `false`: the daemon accepts no more, and [`Evaluator::finish`]
     /// returns the reason.
     pub async fn add(&mut self, state: &str, time_nanos: i64, value: f64) -> bool {
+        self.add_to(state, time_nanos, value, false).await
+    }
+
+    /// As [`Evaluator::add`], for a categorical state: the label that held.
+    pub async fn add_label(&mut self, state: &str, time_nanos: i64, label: &str) -> bool {
+        self.add_to(&format!("{state}/{label}"), time_nanos, 1.0, true).await
+    }
+
+    async fn add_to(&mut self, state: &str, time_nanos: i64, value: f64, is_label: bool) -> bool {
         let (portion, index) = match self.places.get(state) {
             Some(&place) => place,
-            None => self.place(state),
+            None => self.place(state, is_label),
         };
         let Some(portion) = self.portions.get_mut(portion) else { return false };
         portion.entries.push(Entry { state: index, time_nanos: time_nanos.max(0), value, position: None });
@@ -140,15 +153,18 @@ impl Evaluator {
     }
 
     /// The place of a new state, in the last portion or a new one.
-    fn place(&mut self, state: &str) -> (usize, u32) {
+    fn place(&mut self, state: &str, is_label: bool) -> (usize, u32) {
         let is_full = |portion: &StatePortion| portion.names.len() >= self.states_per_portion;
         if self.portions.len() < PORTIONS_MAX && self.portions.last().is_none_or(is_full) {
             self.portions.push(StatePortion::begin(&self.client, &self.header));
         }
         let last = self.portions.len() - 1;
-        let names = &mut self.portions[last].names;
-        let place = (last, u32::try_from(names.len()).unwrap_or(u32::MAX));
-        names.push(state.into());
+        let portion = &mut self.portions[last];
+        let place = (last, u32::try_from(portion.names.len()).unwrap_or(u32::MAX));
+        portion.names.push(state.into());
+        if is_label {
+            portion.labels.insert(state.into());
+        }
         self.places.insert(state.into(), place);
         place
     }
@@ -185,7 +201,14 @@ impl StatePortion {
             let response = service.evaluate_states(ReceiverStream::new(outgoing)).await?;
             Ok(response.into_inner())
         });
-        Self { requests, answer, entries: Vec::new(), names: Vec::new(), table: StreamTable::default() }
+        Self {
+            requests,
+            answer,
+            entries: Vec::new(),
+            names: Vec::new(),
+            labels: HashSet::new(),
+            table: StreamTable::default(),
+        }
     }
 
     async fn send(&mut self) -> bool {
@@ -193,7 +216,9 @@ impl StatePortion {
         while !rest.is_empty() {
             let count = fitting(rest.iter(), &self.names, &self.table, LIMITS);
             let (piece, after) = rest.split_at(count);
-            let message = Message::Observations(pack(piece, &self.names, &mut self.table));
+            let mut columns = pack(piece, &self.names, &mut self.table);
+            declare_labels(&mut columns, |name| self.labels.contains(name));
+            let message = Message::Observations(columns);
             if self.requests.send(EvaluateStatesRequest { message: Some(message) }).await.is_err() {
                 return false;
             }
@@ -218,5 +243,6 @@ fn from_wire(evaluation: v1::Evaluation) -> StateEvaluation {
         observations: evaluation.observations,
         mean_squared_error: evaluation.mean_squared_error,
         error_rate: evaluation.error_rate,
+        log_loss_bits: evaluation.log_loss_bits,
     }
 }

@@ -5,6 +5,7 @@
 
 use std::ops::Range;
 
+use tidemap_model::LABELS;
 use tidemap_proto::{
     convert::{
         query::{selector_from_wire, selector_to_wire},
@@ -32,6 +33,8 @@ pub struct PredictionRun {
     pub state: usize,
     /// The axis of a vector: 0 for x.
     pub axis: Option<usize>,
+    /// The label of a categorical state.
+    pub label: Option<String>,
     /// Index of the first time in the request.
     pub first_time: usize,
     /// Probability that the state is 1, or the expected value of other kinds, one per time.
@@ -154,7 +157,7 @@ impl Predictions {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Next {
     state: usize,
-    /// Number of complete axes of a vector: after the second, the daemon decides whether there is a third.
+    /// Number of complete axes or labels: after the second, the daemon decides whether there are more.
     axes: usize,
     time: usize,
 }
@@ -163,7 +166,7 @@ impl Next {
     /// Whether all of the given number of states have arrived.
     fn is_after(self, states: usize) -> bool {
         self.time == 0
-            && (self == Self { state: states, axes: 0, time: 0 } || (self.state + 1 == states && self.axes == 2))
+            && (self == Self { state: states, axes: 0, time: 0 } || (self.state + 1 == states && self.axes >= 2))
     }
 
     /// Whether this prediction may come now: `axis` is 0 for a state that is not a vector.
@@ -172,9 +175,9 @@ impl Next {
             0 => (state, self.axes) == (self.state, 0),
             _ => (state, axis) == (self.state, self.axes + 1),
         };
-        // A vector of two coordinates is complete, and this belongs to the next state.
-        let is_beyond = self.axes == 2 && self.time == 0 && state == self.state + 1 && axis <= 1;
-        time == self.time && axis <= 3 && (is_next || is_beyond)
+        // A vector of two coordinates, or a categorical state, is complete, and this belongs to the next state.
+        let is_beyond = self.axes >= 2 && self.time == 0 && state == self.state + 1 && axis <= 1;
+        time == self.time && axis <= *LABELS.end() && (is_next || is_beyond)
     }
 
     /// The prediction expected after the last time of this one.
@@ -198,12 +201,15 @@ fn checked(reply: v1::PredictStatesResponse, piece: &Piece, next: &mut Next) -> 
         return Err(Error::Protocol("predictions are not those that were asked for"));
     }
     *next = match time + count {
+        // How many labels there are, the daemon knows.
+        all if all == piece.times.len() && !reply.label.is_empty() => Next { state, axes: axis, time: 0 },
         all if all == piece.times.len() => Next::after(state, axis),
         time => Next { state, axes: axis.saturating_sub(1), time },
     };
     Ok(PredictionRun {
         state: piece.states.start + state,
         axis: axis.checked_sub(1),
+        label: Some(reply.label).filter(|label| !label.is_empty()),
         first_time: piece.times.start + time,
         probabilities: reply.probabilities,
         lower: reply.lower,

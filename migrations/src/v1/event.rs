@@ -28,7 +28,8 @@ pub struct NewState {
     pub name: String,
     /// Its kind: 0 probability, 1 continuous, 2 count, 3 a vector of 2 coordinates, 4 one of 3, 5 an angle. Values of
     /// all but probabilities are from -1e12 to 1e12. A vector is as many states of kind 1 as it has coordinates, called
-    /// NAME/x, NAME/y and NAME/z, with this number and those after it; an angle is two, NAME/cos and NAME/sin.
+    /// NAME/x, NAME/y and NAME/z, with this number and those after it; an angle is two, NAME/cos and NAME/sin. 6 is a
+    /// categorical state: a probability NAME/LABEL for each of `labels`, in their order.
     #[prost(uint32, tag = "3")]
     pub kind: u32,
     /// The sensor that was stated for it; only of kind 0.
@@ -37,6 +38,9 @@ pub struct NewState {
     /// How its rows come about; absent: each is a reading.
     #[prost(message, optional, tag = "5")]
     pub reporting: Option<super::rows::Reporting>,
+    /// The labels, 2 to 64; only of kind 6.
+    #[prost(string, repeated, tag = "6")]
+    pub labels: Vec<String>,
 }
 
 /// The start of an update.

@@ -275,7 +275,7 @@ pub struct State {
     pub id: u32,
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Its kind: 0 probability, 1 continuous, 2 count.
+    /// Its kind: 0 probability, 1 continuous, 2 count, 3 the probability of a label, which is called NAME/LABEL.
     #[prost(uint32, tag = "3")]
     pub kind: u32,
     /// Observations acknowledged.

@@ -4,7 +4,7 @@
 //! invalid observation is refused on its own later, and its neighbours are not.
 
 use super::InvalidField;
-use crate::v1::ObservationColumns;
+use crate::v1::{ObservationColumns, StateKind};
 
 /// Unpacked columns of observations; all have the same length.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -46,10 +46,24 @@ impl PackedColumns {
         std::mem::take(&mut self.0.new_states)
     }
 
+    /// As [`PackedColumns::take_names`], each with whether it is declared as the name of a label.
+    #[must_use]
+    pub fn take_named_kinds(&mut self) -> Vec<(String, bool)> {
+        let kinds = std::mem::take(&mut self.0.new_kinds);
+        let is_label = |at: usize| kinds.get(at).is_some_and(|kind| *kind == i32::from(StateKind::Categorical));
+        self.take_names().into_iter().enumerate().map(|(at, name)| (name, is_label(at))).collect()
+    }
+
     /// Takes the coordinates of the positions.
     #[must_use]
     pub fn take_coordinates(&mut self) -> Vec<f64> {
         std::mem::take(&mut self.0.coordinates)
+    }
+
+    /// Takes the shares of the labels of categorical states.
+    #[must_use]
+    pub fn take_shares(&mut self) -> Vec<f64> {
+        std::mem::take(&mut self.0.shares)
     }
 
     /// Unpacks the observations. The caller checks their number before.
@@ -158,6 +172,7 @@ pub fn encode(
         new_kinds: Vec::new(),
         new_dimensions: Vec::new(),
         coordinates: Vec::new(),
+        shares: Vec::new(),
         bits: bits.into(),
         values: if binary { Vec::new() } else { values.to_vec() },
     }

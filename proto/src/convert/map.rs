@@ -134,12 +134,26 @@ pub fn update_to_wire(generation: u64, cut_nanos: Option<i64>) -> v1::UpdateSumm
     v1::UpdateSummary { generation, cut: cut_nanos.map(timestamp) }
 }
 
-/// A state for the wire; a vector or an angle takes the place of its first axis. `None` if the view has no such state,
+/// A state for the wire; a vector or an angle takes the place of its first axis, a categorical state that of its first label. `None` if the view has no such state,
 /// and for the other axes.
 #[must_use]
 pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
     let info = view.info(id)?;
     let live = view.as_observed(id);
+    if let Some((state, _)) = info.name.as_label() {
+        // Included in the entry of its first label.
+        let labels = view.labels(state);
+        return labels.first().filter(|(first, _)| *first == id).map(|_| v1::State {
+            name: state.to_owned(),
+            kind: v1::StateKind::Categorical.into(),
+            observations: live.observations,
+            last_time: live.last_nanos().map(timestamp),
+            dimensions: u32::try_from(labels.len()).unwrap_or(u32::MAX),
+            pending: view.pending_of(id),
+            labels: labels.iter().map(|(_, label)| (*label).to_owned()).collect(),
+            ..v1::State::default()
+        });
+    }
     let (name, kind, order, dimensions) = match (info.name.as_axis(), info.name.as_angle_axis()) {
         (None, None) => {
             let order = u32::try_from(view.model(id).order()).unwrap_or(u32::MAX);
@@ -164,6 +178,7 @@ pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
         pending: view.pending_of(id),
         sensor: info.sensor.map(state_sensor_to_wire),
         reporting: reporting_to_wire(info.reporting),
+        labels: Vec::new(),
     })
 }
 

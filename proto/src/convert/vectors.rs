@@ -8,8 +8,11 @@ use tidemap_map::{
     name::StateName,
 };
 
+use tidemap_model::LABELS;
+
 use super::{
     InvalidField,
+    labels::labels_from_wire,
     map::{kind_from_wire, kind_to_wire},
     reporting::reporting_from_wire,
     state_sensor::state_sensor_from_wire,
@@ -19,13 +22,24 @@ use crate::v1;
 /// The shape that a request declares for a name, from these fields; `None`: not declared.
 ///
 /// # Errors
-/// An unknown kind, a vector that has neither 2 nor 3 coordinates, or coordinates of a state that is not a vector.
+/// An unknown kind, a vector that has neither 2 nor 3 coordinates, too many labels, or coordinates of a state that has
+/// none.
 pub fn shape_from_wire(
     (kind_field, kind): (&str, i32),
     (dimensions_field, dimensions): (&str, u32),
 ) -> Result<Option<StateShape>, InvalidField> {
     let shape = match v1::StateKind::try_from(kind) {
         Ok(v1::StateKind::Angle) => Some(StateShape::Angle),
+        Ok(v1::StateKind::Categorical) => {
+            let labels = u8::try_from(dimensions).ok();
+            let is_sound = |labels: &u8| *labels == 0 || LABELS.contains(&usize::from(*labels));
+            let text =
+                || format!("{dimensions} labels: a categorical state has {} to {}", LABELS.start(), LABELS.end());
+            return labels
+                .filter(is_sound)
+                .map(|labels| Some(StateShape::Categorical(labels)))
+                .ok_or_else(|| InvalidField::new(dimensions_field, text()));
+        }
         Ok(v1::StateKind::Vector) => {
             let count = usize::try_from(dimensions).ok().and_then(Dimensions::of);
             let text = || format!("{dimensions} coordinates: a vector has 2 or 3");
@@ -50,6 +64,8 @@ pub struct DeclaredState {
     pub name: StateName,
     /// What observations of it are.
     pub shape: StateShape,
+    /// The states of its labels; only of a categorical state.
+    pub labels: Vec<StateName>,
     /// The sensor that reads it; `None`: not stated.
     pub sensor: Option<StateSensor>,
     /// How it is reported; `None`: not stated.
@@ -61,14 +77,26 @@ pub struct DeclaredState {
 /// # Errors
 /// The invalid field.
 pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<DeclaredState, InvalidField> {
-    let v1::AddStateRequest { state, kind, dimensions, sensor, reporting, .. } = request;
+    let v1::AddStateRequest { state, kind, dimensions, sensor, reporting, labels, .. } = request;
     let invalid = |error| InvalidField::new("state", error);
     let name = StateName::observed(state).map_err(invalid)?;
     let has_events = reporting.as_ref().is_some_and(|reporting| reporting.kind == i32::from(v1::RowKind::Events));
     let shape = shape_from_wire(("kind", *kind), ("dimensions", *dimensions))?;
-    let shape = shape.unwrap_or_else(|| if has_events { StateKind::Count.into() } else { StateShape::default() });
-    if let StateShape::Vector(_) | StateShape::Angle = shape {
+    let mut shape = shape.unwrap_or_else(|| if has_events { StateKind::Count.into() } else { StateShape::default() });
+    if let StateShape::Vector(_) | StateShape::Angle | StateShape::Categorical(_) = shape {
         name.check_vector().map_err(invalid)?;
+    }
+    let labels = match shape {
+        StateShape::Categorical(_) => labels_from_wire(&name, labels)?,
+        _ if labels.is_empty() => Vec::new(),
+        _ => {
+            let text = format!("{} has no labels: only a categorical state has", shape.with_article());
+            return Err(InvalidField::new("labels", text));
+        }
+    };
+    if let StateShape::Categorical(count) = &mut shape {
+        // At most 64.
+        *count = labels.len() as u8;
     }
     let sensor = sensor.as_ref().map(state_sensor_from_wire).transpose()?;
     if sensor.is_some() && !shape.may_have_sensor() {
@@ -78,7 +106,7 @@ pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<Declare
     if let Some(reporting) = reporting.filter(|reporting| !shape.may_report(reporting.for_new())) {
         return Err(InvalidField::new("reporting", cannot_report(shape, reporting.kind())));
     }
-    Ok(DeclaredState { name, shape, sensor, reporting })
+    Ok(DeclaredState { name, shape, labels, sensor, reporting })
 }
 
 /// Why a state of a shape is not reported like that.
@@ -86,17 +114,18 @@ pub fn declared_state_from_wire(request: &v1::AddStateRequest) -> Result<Declare
 pub fn cannot_report(shape: StateShape, kind: RowKind) -> String {
     let rule = match kind {
         RowKind::Events => "only a count has events",
-        RowKind::Changes | RowKind::Samples => "positions and angles have samples only",
+        RowKind::Changes | RowKind::Samples => "positions, angles and labels have samples only",
     };
     format!("{} is not reported by {}: {rule}", shape.with_article(), kind.name())
 }
 
-/// A shape for the wire: its kind, and the number of its coordinates, 0 for values.
+/// A shape for the wire: its kind, and the number of its coordinates or labels, 0 for values.
 #[must_use]
 pub fn shape_to_wire(shape: StateShape) -> (v1::StateKind, u32) {
     match shape {
         StateShape::Scalar(kind) => (kind_to_wire(kind), 0),
         StateShape::Angle => (v1::StateKind::Angle, 0),
+        StateShape::Categorical(labels) => (v1::StateKind::Categorical, u32::from(labels)),
         StateShape::Vector(dimensions) => {
             (v1::StateKind::Vector, u32::try_from(dimensions.count()).unwrap_or(u32::MAX))
         }

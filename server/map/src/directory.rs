@@ -39,6 +39,8 @@ pub(crate) struct Directory {
     hasher: RandomState,
     shards: Arc<Vec<Arc<Shard>>>,
     chunks: Arc<Vec<Arc<Vec<StateInfo>>>>,
+    /// Of each categorical state the first label, and how many there are.
+    categorical: Arc<HashMap<StateName, (StateId, u8)>>,
     len: usize,
 }
 
@@ -48,6 +50,7 @@ impl Directory {
             hasher: RandomState::new(),
             shards: Arc::new((0..SHARDS).map(|_| Arc::default()).collect()),
             chunks: Arc::new(Vec::new()),
+            categorical: Arc::default(),
             len: 0,
         }
     }
@@ -65,7 +68,7 @@ impl Directory {
         self.shards[self.shard(name)].get(name).copied()
     }
 
-    /// What observations of a name are, with the id of its state or of its first axis.
+    /// What observations of a name are, with the id of its state, or of its first axis or label.
     pub(crate) fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         if let Some(id) = self.find(name) {
             return Some((id, StateShape::Scalar(self.info(id)?.kind)));
@@ -74,6 +77,9 @@ impl Directory {
         if name.contains('/') {
             return None;
         }
+        if let Some(&(first, labels)) = self.categorical.get(name) {
+            return Some((first, StateShape::Categorical(labels)));
+        }
         if let Some(cos) = self.find(&format!("{name}/cos")) {
             return Some((cos, StateShape::Angle));
         }
@@ -81,6 +87,32 @@ impl Directory {
         let beyond = self.info(StateId(first.0.saturating_add(2)));
         let has_z = beyond.and_then(|info| info.name.as_axis()) == Some((name, 2));
         Some((first, StateShape::Vector(if has_z { Dimensions::Three } else { Dimensions::Two })))
+    }
+
+    /// The names of the categorical states.
+    pub(crate) fn categorical_states(&self) -> impl Iterator<Item = &StateName> {
+        self.categorical.keys()
+    }
+
+    /// The states that are labels of one state, or cosine and sine of one angle: the first, and how many follow it.
+    pub(crate) fn parts(&self) -> Vec<(StateId, usize)> {
+        let whole = |info: &StateInfo| {
+            let label = info.name.as_label().map(|(state, _)| state.to_owned());
+            label.or_else(|| info.name.as_angle_axis().map(|(angle, _)| angle.to_owned()))
+        };
+        let mut found: Vec<(StateId, usize, String)> = Vec::new();
+        for (id, info) in (0..).map(StateId).zip(self.iter()) {
+            match (whole(info), found.last_mut()) {
+                (Some(whole), Some((first, count, last)))
+                    if first.0 as usize + *count == id.0 as usize && whole == *last =>
+                {
+                    *count += 1;
+                }
+                (Some(whole), _) => found.push((id, 1, whole)),
+                (None, _) => {}
+            }
+        }
+        found.into_iter().map(|(first, count, _)| (first, count)).collect()
     }
 
     pub(crate) fn info(&self, id: StateId) -> Option<&StateInfo> {
@@ -110,6 +142,13 @@ impl Directory {
     pub(crate) fn push(&mut self, info: StateInfo) -> StateId {
         let id = StateId(u32::try_from(self.len).unwrap_or(u32::MAX));
         let shard = self.shard(info.name.as_str());
+        if let Some((state, _)) = info.name.as_label()
+            && let Ok(state) = StateName::new(state)
+        {
+            // The labels of a state follow one another.
+            let (_, labels) = Arc::make_mut(&mut self.categorical).entry(state).or_insert((id, 0));
+            *labels = labels.saturating_add(1);
+        }
         Arc::make_mut(&mut Arc::make_mut(&mut self.shards)[shard]).insert(info.name.clone(), id);
         let chunks = Arc::make_mut(&mut self.chunks);
         match chunks.last_mut() {

@@ -4,12 +4,14 @@
 //! and `NAME/z` with consecutive ids ([`NewState::states`]), so that log, checkpoints, history, updates and models do
 //! not know vectors. A plain name has no `/`, so no producer can send to a single axis. A position is accepted or
 //! refused as a whole, and its axes are observed in one event. An angle likewise is the states `NAME/cos` and
-//! `NAME/sin`.
+//! `NAME/sin`; a categorical state is a probability for each label, `NAME/LABEL`, all observed in one event.
 //!
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
-use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, Sample, allows_angle, time::FUTURE_MAX_NANOS};
+use std::collections::HashSet;
+
+use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, LABELS, Sample, allows_angle, time::FUTURE_MAX_NANOS};
 pub use tidemap_model::{Dimensions, Hold, Position, Reporting, RowKind, StateKind, StateSensor, StatedReporting};
 
 use tidemap_grid::scan::Scans;
@@ -120,12 +122,14 @@ impl Observations {
 /// A state, or a vector of states, that appears for the first time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewState {
-    /// Its id; for a vector or an angle, the id of the first axis, followed by the others.
+    /// Its id; for a vector or an angle, the id of the first axis, followed by the others; likewise for labels.
     pub id: StateId,
     /// The name, which no other state of the map has.
     pub name: StateName,
     /// What it is.
     pub shape: StateShape,
+    /// The names of the states of its labels, as [`StateName::label`] gives them; only of a categorical state.
+    pub labels: Vec<StateName>,
     /// The sensor that reads it, where it is known; only of a shape that may have one.
     pub sensor: Option<StateSensor>,
     /// How its rows come about; only what its shape allows.
@@ -135,10 +139,21 @@ pub struct NewState {
 impl NewState {
     /// A state that reports samples, of a sensor about which nothing is known.
     pub fn sampled(id: StateId, name: StateName, shape: impl Into<StateShape>) -> NewState {
-        NewState { id, name, shape: shape.into(), sensor: None, reporting: Reporting::Samples }
+        NewState { id, name, shape: shape.into(), labels: Vec::new(), sensor: None, reporting: Reporting::Samples }
     }
 
-    /// The states that it adds to a map: the state itself, or one continuous state per axis.
+    /// A categorical state; `None` for too few labels, too many, or labels that are not of the name.
+    #[must_use]
+    pub fn categorical(id: StateId, name: StateName, labels: Vec<StateName>) -> Option<NewState> {
+        let shape = StateShape::Categorical(u8::try_from(labels.len()).ok()?);
+        let is_own = |label: &StateName| label.as_label().is_some_and(|(state, _)| state == name.as_str());
+        let is_sound = LABELS.contains(&labels.len())
+            && labels.iter().all(is_own)
+            && labels.iter().collect::<HashSet<_>>().len() == labels.len();
+        is_sound.then(|| NewState { labels, ..NewState::sampled(id, name, shape) })
+    }
+
+    /// The states that it adds to a map: the state itself, one continuous state per axis, or a probability per label.
     pub fn states(&self) -> impl Iterator<Item = (StateId, StateName, StateKind)> + use<'_> {
         let (count, kind) = (self.shape.states(), self.shape.kind());
         (0..count).map(move |axis| {
@@ -147,13 +162,14 @@ impl NewState {
                 StateShape::Scalar(_) => self.name.clone(),
                 StateShape::Vector(_) => self.name.axis(axis),
                 StateShape::Angle => self.name.angle_axis(axis),
+                StateShape::Categorical(_) => self.labels.get(axis).unwrap_or(&self.name).clone(),
             };
             (id, name, kind)
         })
     }
 }
 
-/// What observations of a name are: values of a kind, positions, or angles.
+/// What observations of a name are: values of a kind, positions, angles, or labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum StateShape {
     /// Values.
@@ -162,6 +178,8 @@ pub enum StateShape {
     Vector(Dimensions),
     /// Angles in radians. For the map, cosine and sine are states of continuous values ([`StateName::angle_axis`]).
     Angle,
+    /// One of so many labels, or a share of each. For the map, each label is a probability ([`StateName::label`]).
+    Categorical(u8),
 }
 
 impl StateShape {
@@ -172,20 +190,24 @@ impl StateShape {
             StateShape::Vector(Dimensions::Two) => "vector of 2 coordinates",
             StateShape::Vector(Dimensions::Three) => "vector of 3 coordinates",
             StateShape::Angle => "angle",
+            StateShape::Categorical(_) => "categorical",
         }
     }
 
     /// As people write it, with its article.
     #[must_use]
     pub fn with_article(self) -> String {
-        let article = if self == StateShape::Angle { "an" } else { "a" };
-        format!("{article} {}", self.name())
+        match self {
+            StateShape::Angle => "an angle".to_owned(),
+            StateShape::Categorical(_) => "a categorical state".to_owned(),
+            StateShape::Scalar(_) | StateShape::Vector(_) => format!("a {}", self.name()),
+        }
     }
 
     /// The coordinates of a vector; `None` for others.
     pub fn dimensions(self) -> Option<Dimensions> {
         match self {
-            StateShape::Scalar(_) | StateShape::Angle => None,
+            StateShape::Scalar(_) | StateShape::Angle | StateShape::Categorical(_) => None,
             StateShape::Vector(dimensions) => Some(dimensions),
         }
     }
@@ -196,6 +218,7 @@ impl StateShape {
             StateShape::Scalar(_) => 1,
             StateShape::Vector(dimensions) => dimensions.count(),
             StateShape::Angle => 2,
+            StateShape::Categorical(labels) => usize::from(labels),
         }
     }
 
@@ -204,13 +227,14 @@ impl StateShape {
         match self {
             StateShape::Scalar(kind) => kind,
             StateShape::Vector(_) | StateShape::Angle => StateKind::Continuous,
+            StateShape::Categorical(_) => StateKind::Probability,
         }
     }
 
-    /// Whether an observation is one number, not a position.
+    /// Whether an observation is one number, not a position or a label.
     #[must_use]
     pub fn is_single(self) -> bool {
-        !matches!(self, StateShape::Vector(_))
+        !matches!(self, StateShape::Vector(_) | StateShape::Categorical(_))
     }
 
     /// Whether a sensor of its readings may be stated: they are 0 and 1.
@@ -219,7 +243,8 @@ impl StateShape {
         self == StateShape::Scalar(StateKind::Probability)
     }
 
-    /// Whether its rows may come about like this: positions and angles are sampled, and only counts have events.
+    /// Whether its rows may come about like this: positions, angles and labels are sampled, and only counts have
+    /// events.
     #[must_use]
     pub fn may_report(self, reporting: Reporting) -> bool {
         match reporting {
@@ -234,7 +259,7 @@ impl StateShape {
     pub fn allows(self, value: f64) -> bool {
         match self {
             StateShape::Scalar(kind) => kind.allows(value),
-            StateShape::Vector(_) => false,
+            StateShape::Vector(_) | StateShape::Categorical(_) => false,
             StateShape::Angle => allows_angle(value),
         }
     }
@@ -242,14 +267,19 @@ impl StateShape {
     /// What [`StateShape::allows`], in words, for a message that ends "… is not".
     #[must_use]
     pub fn expected(self) -> &'static str {
-        if self == StateShape::Angle { ANGLE_EXPECTED } else { self.kind().expected() }
+        match self {
+            StateShape::Angle => ANGLE_EXPECTED,
+            StateShape::Categorical(_) => "a label or a share of each label, in [0, 1] and with the sum 1",
+            StateShape::Scalar(_) | StateShape::Vector(_) => self.kind().expected(),
+        }
     }
 
-    /// Names of the states of which a name with this shape consists, in order of their ids; none of a single state.
+    /// Names of the axes of which a name with this shape consists, in order of their ids; none of a single state, and
+    /// of a categorical one, which has labels of its own.
     #[must_use]
     pub fn axes(self) -> &'static [&'static str] {
         match self {
-            StateShape::Scalar(_) => &[],
+            StateShape::Scalar(_) | StateShape::Categorical(_) => &[],
             StateShape::Vector(dimensions) => dimensions.axes(),
             StateShape::Angle => &ANGLE_AXES,
         }

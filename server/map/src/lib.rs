@@ -11,6 +11,7 @@ pub mod event;
 pub mod history;
 pub mod ids;
 pub mod interval;
+pub mod label_places;
 pub mod landmark;
 pub mod landmark_forecast;
 pub mod live_map;

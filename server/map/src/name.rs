@@ -8,6 +8,7 @@ use tidemap_model::{ANGLE_AXES, Dimensions};
 use unicode_normalization::is_nfc;
 
 mod edge;
+mod label;
 mod landmark;
 
 pub use edge::{EDGE_STATE_CHARS_MAX, EdgeName, EdgeState};
@@ -52,10 +53,19 @@ pub enum InvalidName {
     /// Contains a slash, which is reserved for `edge/A/B`, `node/N` and similar names.
     #[error("name {0:?} holds '/', which is reserved for cells, edges, nodes and landmarks")]
     Slash(String),
-    /// Not allowed for a vector or an angle: its axes would have names like those of a cell, an edge, a node or a
-    /// landmark.
-    #[error("name {0:?} is not for a vector or an angle: {0}/x is how cells, edges, nodes and landmarks are called")]
+    /// Not allowed for a vector, an angle or a categorical state: its parts would have names like those of a cell, an
+    /// edge, a node or a landmark.
+    #[error(
+        "name {0:?} is not for a vector or an angle, nor for a categorical state: {0}/x is how cells, edges, \
+         nodes and landmarks are called"
+    )]
     Reserved(String),
+    /// A label has the name of an axis of a vector or an angle.
+    #[error("label {0:?} is how an axis of a vector or an angle is called: use another word")]
+    Axis(String),
+    /// A name of a label without its state.
+    #[error("name {0:?} is not a label of a state, which is called STATE/LABEL")]
+    NoLabel(String),
 }
 
 fn shown(name: &str) -> String {
@@ -119,7 +129,7 @@ impl fmt::Display for MapName {
     }
 }
 
-/// First parts of names that a vector or an angle may not have.
+/// First parts of names that a vector, an angle or a categorical state may not have.
 const RESERVED: [&str; 4] = ["cell", "edge", "node", "landmark"];
 
 /// `NAME/x` as name and number of the axis.
@@ -148,8 +158,8 @@ pub(crate) fn asked_for(name: &str) -> &str {
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. Or the name of an axis of a
 /// vector, such a name with `/x`, `/y` or `/z`, or of an angle, with `/cos` or `/sin`; or `node/N/KIND`, whether an
-/// object of a kind is at node N; or the name of a state of an edge, [`EdgeName::state`], or of a landmark,
-/// [`PlaceName::landmark`].
+/// object of a kind is at node N; or the name of a state of an edge, [`EdgeName::state`]; or of a landmark,
+/// [`PlaceName::landmark`]; or of a label, [`StateName::label`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -194,7 +204,7 @@ impl StateName {
         Self(format!("{}/{axis}", self.0).into())
     }
 
-    /// Checks that a vector or an angle may have the name.
+    /// Checks that a vector, an angle or a categorical state may have the name.
     ///
     /// # Errors
     /// [`InvalidName::Reserved`].

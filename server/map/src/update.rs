@@ -203,7 +203,8 @@ impl UpdateWork {
         let learned_nanos = self.basis.newest_nanos.min(self.basis.start.cut_nanos);
         let late_rows = LateRows::new(&self.spec, &self.prior_models, learned_nanos);
         let (anew, late_rows) = late_rows.begin(&history.states, &mut models, readings);
-        let steps = DailySteps { spec: &self.spec, readings, horizons: &self.horizons, anew, room: &room, progress };
+        let (spec, horizons, together) = (&*self.spec, &self.horizons, self.basis.directory.parts());
+        let steps = DailySteps { spec, readings, horizons, anew, room: &room, together, progress };
         let (done, training) = steps.learn(&history.states, &mut models).map_err(|(id, reason)| {
             let name = self.basis.directory.info(id).map_or("", |info| info.name.as_str()).to_owned();
             SumsUnavailable::State { name, reason }

@@ -14,6 +14,7 @@ use crate::{
     directory::Directory,
     event::{StateKind, StateShape},
     ids::StateId,
+    name::StateName,
     prior_models::PriorModels,
     site::Site,
     spec::MapSpec,
@@ -119,9 +120,21 @@ impl MapView {
         self.directory.find(name)
     }
 
-    /// What observations of a name are, with the id of its state or of its first axis.
+    /// What observations of a name are, with the id of its state, or of its first axis or label.
     pub fn shape(&self, name: &str) -> Option<(StateId, StateShape)> {
         self.directory.shape(name)
+    }
+
+    /// The labels of the categorical state of this name with their states, in order; empty for other states.
+    pub fn labels(&self, name: &str) -> Vec<(StateId, &str)> {
+        let Some((first, StateShape::Categorical(count))) = self.shape(name) else { return Vec::new() };
+        let ids = (first.0..).map(StateId).take(usize::from(count));
+        ids.filter_map(|id| Some((id, self.info(id)?.name.as_label()?.1))).collect()
+    }
+
+    /// The names of all categorical states, in no order.
+    pub fn categorical_states(&self) -> impl Iterator<Item = &StateName> {
+        self.directory.categorical_states()
     }
 
     /// Name, kind and sensor of a state.

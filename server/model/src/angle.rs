@@ -36,6 +36,23 @@ pub fn direction_rad([cos, sin]: [f64; 2]) -> f64 {
     direction
 }
 
+/// How far an angle may be from the direction of a cosine and a sine, radians, that may be off by these deviations: to
+/// first order, across the direction. At most π, which is the whole circle; so is what has no direction.
+pub fn deviation_of_direction_rad([cos, sin]: [f64; 2], [off_cos, off_sin]: [f64; 2]) -> f64 {
+    let length = cos.hypot(sin);
+    let across = (sin * off_cos).hypot(cos * off_sin) / length;
+    // The length counts twice: once for the unit vector, once for the angle that a step across it makes.
+    let deviation = across / length;
+    if deviation.is_nan() { PI } else { deviation.min(PI) }
+}
+
+/// Circular standard deviation of angles whose mean cosine and sine these are, radians: √(−2 ln R), where R is the
+/// length of the mean (Mardia and Jupp 2000, section 2.3); at most π, which R = 0.0072 has.
+pub fn circular_deviation_rad([cos, sin]: [f64; 2]) -> f64 {
+    let deviation = (-2.0 * cos.hypot(sin).min(1.0).ln()).sqrt();
+    deviation.min(PI)
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -45,6 +62,23 @@ mod tests {
     fn mean_rad(angles_deg: &[f64]) -> f64 {
         let sum = |axis: usize| angles_deg.iter().map(|degrees| cos_sin(degrees.to_radians())[axis]).sum::<f64>();
         direction_rad([sum(0), sum(1)])
+    }
+
+    #[test]
+    fn a_direction_is_as_sure_as_what_is_across_it() {
+        assert_eq!(deviation_of_direction_rad([1.0, 0.0], [0.5, 0.1]), 0.1);
+        assert_eq!(deviation_of_direction_rad([0.0, -0.5], [0.1, 0.3]), 0.2);
+        assert_eq!(deviation_of_direction_rad([0.0, 0.0], [0.1, 0.1]), PI);
+        assert_eq!(deviation_of_direction_rad([0.01, 0.0], [0.1, 0.5]), PI, "any direction");
+    }
+
+    #[test]
+    fn equal_angles_do_not_deviate_and_opposite_ones_are_anywhere() {
+        assert_eq!(circular_deviation_rad([0.6, 0.8]), 0.0);
+        assert_eq!(circular_deviation_rad([0.0, 0.0]), PI);
+        // Of a narrow distribution it is the usual standard deviation.
+        let both = cos_sin(0.1);
+        assert!((circular_deviation_rad([both[0], 0.0]) - 0.1).abs() < 1e-3);
     }
 
     #[test]

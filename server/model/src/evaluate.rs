@@ -9,6 +9,8 @@ mod tests;
 
 /// Observations that share one table of phasors; it stays in cache.
 const CHUNK: usize = 1024;
+/// The least share that a label counts as having been predicted with: a single certain error must not decide.
+const SHARE_MIN: f64 = 1e-6;
 
 /// Errors of a model at predicting some observations.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
@@ -18,8 +20,10 @@ pub struct Evaluation {
     /// Sum of squared differences of prediction and value.
     pub squared_error: f64,
     /// Observations whose value and prediction lie on different sides of 0.5 (T-RO eq. 15); 0.5
-    /// itself counts as 1.
+    /// itself counts as 1. Of labels: observations whose label is not the likeliest.
     pub wrong: u64,
+    /// Of labels: the sum of the surprise of each, -log2 of its predicted share, which counts as at least 1e-6.
+    pub log_loss_bits: f64,
 }
 
 impl Evaluation {
@@ -36,6 +40,22 @@ impl Evaluation {
     pub fn add_angle(&mut self, predicted_rad: f64, angle_rad: f64) {
         self.observations += 1;
         self.squared_error += 1.0 - libm::cos(predicted_rad - angle_rad);
+    }
+
+    /// Counts one label, by its number, and the predicted shares of all labels, which sum to 1. The squared error is
+    /// that of all shares (G. W. Brier, 1950), from 0 to 2.
+    pub fn add_label(&mut self, shares: &[f64], label: usize) {
+        self.observations += 1;
+        let own = shares.get(label).copied().unwrap_or(0.0);
+        let all: f64 = shares.iter().map(|share| share * share).sum();
+        self.squared_error += all - 2.0 * own + 1.0;
+        self.wrong += u64::from(shares.iter().enumerate().any(|(other, share)| other != label && *share >= own));
+        self.log_loss_bits -= own.max(SHARE_MIN).log2();
+    }
+
+    /// Mean surprise of a label, bits; 0 without observations.
+    pub fn log_loss_bits(&self) -> f64 {
+        self.log_loss_bits / self.observations.max(1) as f64
     }
 
     /// Mean squared error in the squared unit of the value (0 to 1 for probabilities); 0 without observations.
@@ -62,6 +82,7 @@ pub fn evaluate(
         observations: samples.len() as u64,
         squared_error: sums.squared[order],
         wrong: sums.wrong[order] as u64,
+        log_loss_bits: 0.0,
     };
     (0..=max_order.min(ORDER_MAX)).map(of_order).collect()
 }

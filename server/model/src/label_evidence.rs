@@ -80,6 +80,25 @@ impl LabelEvidence<'_> {
     }
 }
 
+/// Divides shares of labels by their sum, so that they sum to 1, and gives the sum. Shares that are all 0 become equal,
+/// and their sum counts as 1.
+pub fn normalise(shares: &mut [f64]) -> f64 {
+    let sum: f64 = shares.iter().sum();
+    if sum > 0.0 && sum.is_finite() {
+        shares.iter_mut().for_each(|share| *share /= sum);
+        return sum;
+    }
+    let equal = 1.0 / shares.len().max(1) as f64;
+    shares.fill(equal);
+    1.0
+}
+
+/// Entropy of a distribution over labels, bits.
+#[must_use]
+pub fn entropy_of_labels_bits(shares: &[f64]) -> f64 {
+    shares.iter().filter(|share| **share > 0.0).map(|share| -share * share.log2()).sum::<f64>().max(0.0)
+}
+
 const PROBABILITY: &str = "a probability, from 0 to 1";
 
 fn check(
@@ -125,11 +144,23 @@ impl LabelPlaces {
     /// # Errors
     /// [`InvalidEvidence::Unknown`] if there is no such label or place; nothing is counted then.
     pub fn add(&mut self, label: usize, place: usize) -> Result<(), InvalidEvidence> {
+        self.add_many(label, place, 1.0)
+    }
+
+    /// Counts observations of a label at a place; their number, at least 0, may have a fraction.
+    ///
+    /// # Errors
+    /// As [`LabelPlaces::add`]; also if the number is negative or not finite.
+    pub fn add_many(&mut self, label: usize, place: usize, count: f64) -> Result<(), InvalidEvidence> {
+        if !(0.0..=f64::MAX).contains(&count) {
+            let (what, right) = ("the number of observations", "a finite number of at least 0");
+            return Err(InvalidEvidence::Value { what, label, found: count, right });
+        }
         let unknown = |what, found, count| InvalidEvidence::Unknown { what, found, count };
         let (labels, places) = (self.totals.len(), self.counts.len());
         let total = self.totals.get_mut(label).ok_or(unknown("label", label, labels))?;
-        self.counts.get_mut(place).ok_or(unknown("place", place, places))?[label] += 1.0;
-        *total += 1.0;
+        self.counts.get_mut(place).ok_or(unknown("place", place, places))?[label] += count;
+        *total += count;
         Ok(())
     }
 

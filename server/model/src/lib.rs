@@ -65,7 +65,10 @@ pub mod time;
 pub mod words;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
-pub use angle::{ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, cos_sin, direction_rad};
+pub use angle::{
+    ANGLE_AXES, ANGLE_EXPECTED, ANGLE_MAX_RAD, allows_angle, circular_deviation_rad, cos_sin,
+    deviation_of_direction_rad, direction_rad,
+};
 pub use belief::{
     Belief, BeliefParts, GapCountParts, InvalidStateSensor, OpenDwell, Rates, Recent, RecentSpan, SPANS_MAX,
     SensorNoise, StateSensor,
@@ -82,6 +85,7 @@ pub use gaps::{GapSample, Gaps, GapsParts};
 pub use hours_seen::{Evidence, HoursSeen, kind_and_hour};
 pub use information::{InformationMeasure, learning_bits};
 pub use kind::{StateKind, VALUE_MAX};
+pub use label_evidence::LABELS;
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
 pub use periodicity::{InvalidPeriodicities, Periodicities, PeriodicityDefinition};
 pub use persistence::{MemoryBasis, Persistence, PersistenceParts};
@@ -96,7 +100,7 @@ pub use sample::Sample;
 pub use spectral::{CellSums, Component, InstantPhasors, ReadingSums, ScoreSums, SpectralModel};
 pub use state::{
     ActiveModel, Alternatives, AlternativesParts, ChosenMember, Combination, DayScores, LearnedReadings, OrderWatch,
-    OrderWatchParts, StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules,
+    OrderWatchParts, StateModel, TrainingRecordParts, UpdateOutcome, UpdateRules, choose_together,
 };
 pub use stop_signal::{EarlyStop, StopSignal};
 pub use surprise::{

@@ -74,6 +74,11 @@ pub(crate) fn normal_upper_quantile(tail: f64) -> f64 {
     z.max(0.0)
 }
 
+/// How many standard deviations to both sides hold a normally distributed number with this probability, within (0, 1).
+pub fn normal_reach(level: f64) -> f64 {
+    normal_upper_quantile((1.0 - level) / 2.0)
+}
+
 /// The x below which Beta(α, β) lies with probability `q`.
 pub fn beta_quantile(alpha: f64, beta: f64, q: f64) -> f64 {
     let log_beta = lgamma(alpha) + lgamma(beta) - lgamma(alpha + beta);

@@ -25,12 +25,14 @@ mod kind_tests;
 mod order_watch;
 #[cfg(test)]
 mod tests;
+mod together;
 
 use alternatives::SpectralAtOrder;
 pub use alternatives::{
     ActiveModel, Alternatives, AlternativesParts, ChosenMember, Combination, TrainingRecordParts, UpdateRules,
 };
 pub use order_watch::{DayScores, LearnedReadings, OrderWatch, OrderWatchParts};
+pub use together::choose_together;
 
 /// The long-term model of one state.
 #[derive(Clone, Debug, PartialEq)]

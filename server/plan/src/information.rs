@@ -2,7 +2,9 @@
 //!
 //! Invariant: no result is NaN or negative. A probability that is NaN counts as 0.5 (nothing is known).
 
-use tidemap_model::{INFORMATION_CERTAINTY, InformationMeasure, Predictive, entropy_bits};
+use tidemap_model::{
+    INFORMATION_CERTAINTY, InformationMeasure, Predictive, entropy_bits, label_evidence::entropy_of_labels_bits,
+};
 
 #[cfg(test)]
 mod tests;
@@ -44,6 +46,16 @@ impl Certainty {
     pub fn bits(self, p: f64) -> f64 {
         let p = if p.is_nan() { 0.5 } else { p.clamp(1.0 - self.0, self.0) };
         (entropy_bits(p) - entropy_bits(self.0)).max(0.0)
+    }
+
+    /// Expected information from observing which of several labels holds, whose shares sum to 1: their entropy, less
+    /// that of a look, which leaves the share p_c to one label and the rest to the others alike. For two labels it is
+    /// [`Certainty::bits`].
+    #[must_use]
+    pub fn bits_of_labels(self, shares: &[f64]) -> f64 {
+        let others = shares.len().saturating_sub(1).max(1) as f64;
+        let left = entropy_bits(self.0) + (1.0 - self.0) * others.log2();
+        (entropy_of_labels_bits(shares) - left).max(0.0)
     }
 
     /// Expected information from observing several states: the sum over them.

@@ -41,6 +41,8 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MapService/ListLocations", Need::Token),
     ("/tidemap.v1.ObservationService/Observe", role(Observer)),
     ("/tidemap.v1.ObservationService/Report", role(Observer)),
+    // To learn from the answer needs the observer, too.
+    ("/tidemap.v1.ObservationService/ClassifyActivity", role(Planner)),
     ("/tidemap.v1.QueryService/PredictStates", role(Planner)),
     ("/tidemap.v1.QueryService/EvaluateStates", role(Planner)),
     ("/tidemap.v1.QueryService/DescribeModel", role(Planner)),

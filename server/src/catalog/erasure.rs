@@ -27,15 +27,21 @@ use crate::{
     jobs::{JobCause, UpdateJob},
 };
 
+/// The vector, angle or categorical state that a state is a part of.
+fn whole_of(part: &StateName) -> Option<&str> {
+    let axis = part.as_axis().or(part.as_angle_axis()).map(|(whole, _)| whole);
+    axis.or_else(|| part.as_label().map(|(whole, _)| whole))
+}
+
 /// The states of a name: one, or the axes of a vector or an angle.
 ///
 /// # Errors
 /// [`CatalogError::NoState`], [`CatalogError::Axis`].
 pub(crate) fn states_of(view: &MapView, name: &str) -> Result<Vec<StateId>, CatalogError> {
     let unknown = || CatalogError::NoState { map: view.spec().name.clone(), state: name.chars().take(80).collect() };
-    if let Ok(stored) = StateName::stored(name)
+    if let Ok(stored) = StateName::stored(name).or_else(|_| StateName::labelled(name))
         && view.find(name).is_some()
-        && let Some((whole, _)) = stored.as_axis().or(stored.as_angle_axis())
+        && let Some(whole) = whole_of(&stored)
         && view.shape(whole).is_some_and(|(_, shape)| shape.states() > 1)
     {
         return Err(CatalogError::Axis { state: name.to_owned(), whole: whole.to_owned() });

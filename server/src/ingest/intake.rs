@@ -14,9 +14,11 @@ use tidemap_map::{
     name::StateName,
     snapshot::ContentMark,
 };
+use tidemap_model::LABELS;
 use tidemap_proto::convert::{
     InvalidField, OverLimit,
     columns::DecodedColumns,
+    labels::{invalid_shares, shares, shares_of},
     observe::ObservationMessage,
     scans::{ScanError, ScanLimits},
     sequences::check_end,
@@ -37,6 +39,8 @@ use known_content::KnownContent;
 use scans::ScanIntake;
 
 const DETAIL_CHARS_MAX: usize = 200;
+/// Observations of labels in one message: each becomes up to 64 in the event.
+const LABELS_MAX: usize = 4096;
 /// Bytes of a stream's table per name: the longest name of ASCII characters. Invalid names are kept too, for the CRC,
 /// and may be as long as a message.
 const TABLE_BYTES_PER_NAME: usize = 128;
@@ -87,15 +91,68 @@ struct TableEntry {
     shape: Option<StateShape>,
 }
 
-impl TableEntry {
-    /// Whether the state may have the position, or the value if there is no position, as far as is known here. NaN is
-    /// that of a state that reports changes or events.
-    fn may_have(&self, value: f64, position: Option<Position>, reporting: Option<StatedReporting>) -> bool {
-        match position {
-            Some(position) => position.invalid_coordinate().is_none(),
-            None if value.is_nan() => reporting.is_none_or(|stated| stated.for_new().may_end()),
-            None => self.expected_shape().allows(value),
+/// The observations of a message that are more than one number, each with its index; ascending.
+#[derive(Debug, Default)]
+struct ManyNumbers {
+    positions: Vec<(u32, Position)>,
+    shares: Vec<(u32, Box<[f64]>)>,
+}
+
+/// Reads them in order.
+struct ManyNumbersReader<'a> {
+    positions: &'a [(u32, Position)],
+    shares: &'a [(u32, Box<[f64]>)],
+}
+
+impl ManyNumbers {
+    fn from(&self, first: usize) -> ManyNumbersReader<'_> {
+        let is_before = |place: u32| (place as usize) < first;
+        ManyNumbersReader {
+            positions: &self.positions[self.positions.partition_point(|(place, _)| is_before(*place))..],
+            shares: &self.shares[self.shares.partition_point(|(place, _)| is_before(*place))..],
         }
+    }
+}
+
+impl<'a> ManyNumbersReader<'a> {
+    /// The position or the shares of the next observation.
+    fn at(&mut self, i: usize) -> (Option<Position>, Option<&'a [f64]>) {
+        let position = self.positions.split_first().filter(|((place, _), _)| *place as usize == i);
+        let position = position.map(|((_, position), rest)| {
+            self.positions = rest;
+            *position
+        });
+        let shares = self.shares.split_first().filter(|((place, _), _)| *place as usize == i);
+        let shares = shares.map(|((_, shares), rest)| {
+            self.shares = rest;
+            &**shares
+        });
+        (position, shares)
+    }
+}
+
+impl TableEntry {
+    /// Whether the state may have the position or the shares, or the value if there are none, as far as is known here.
+    /// NaN is that of a state that reports changes or events.
+    fn may_have(
+        &self,
+        value: f64,
+        position: Option<Position>,
+        shares: Option<&[f64]>,
+        reporting: Option<StatedReporting>,
+    ) -> bool {
+        match (position, shares) {
+            (Some(position), _) => position.invalid_coordinate().is_none(),
+            (None, Some(shares)) => invalid_shares(shares).is_none(),
+            (None, None) if self.is_label() => value == 1.0,
+            (None, None) if value.is_nan() => reporting.is_none_or(|stated| stated.for_new().may_end()),
+            (None, None) => self.expected_shape().allows(value),
+        }
+    }
+
+    /// Whether an observation says that a label holds.
+    fn is_label(&self) -> bool {
+        self.shape == Some(StateShape::Categorical(0))
     }
 
     /// What its values must be, as far as is known here.
@@ -183,17 +240,17 @@ impl Intake {
         self.check_no_open_scan("batch", "observations")?;
         let names = columns.take_names();
         self.check_limits(columns.observations(), &names)?;
-        let coordinates = columns.take_coordinates();
+        let (coordinates, shares) = (columns.take_coordinates(), columns.take_shares());
         let columns = columns.unpack()?;
         let new_names = self.extend_table(names, shapes);
-        let positions = self.positions(&columns, &coordinates)?;
+        let numbers = self.numbers(&columns, &coordinates, &shares)?;
         let skip = usize::try_from(self.next_sequence - first).unwrap_or(usize::MAX);
         let skip = skip.min(columns.values.len());
-        self.check_known(first, &columns, &positions, skip)?;
+        self.check_known(first, &columns, &numbers, skip)?;
         if last < self.next_sequence && new_names.is_empty() {
             return Ok(None);
         }
-        let mut batch = self.check(&columns, &positions, skip);
+        let mut batch = self.check(&columns, &numbers, skip);
         batch.new_names = new_names;
         batch.span.last = last.max(self.next_sequence - 1);
         self.next_sequence = batch.span.last + 1;
@@ -207,30 +264,26 @@ impl Intake {
         &mut self,
         first: u64,
         columns: &DecodedColumns,
-        positions: &[(u32, Position)],
+        numbers: &ManyNumbers,
         known: usize,
     ) -> Result<(), IntakeError> {
-        let mut positions = positions.iter().peekable();
+        let mut places = numbers.from(0);
         for (i, sequence) in (first..).take(known).enumerate() {
-            let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| position);
+            let (position, shares) = places.at(i);
             self.rows.clear();
-            self.append_row(columns, i, position);
+            self.append_row(columns, i, position, shares);
             self.known.repeated(sequence, |crc| crc32c::crc32c_append(crc, &self.rows))?;
         }
         Ok(())
     }
 
     /// Appends the content of an observation, as the CRC covers it, to the rows.
-    fn append_row(&mut self, columns: &DecodedColumns, i: usize, position: Option<&Position>) {
+    fn append_row(&mut self, columns: &DecodedColumns, i: usize, position: Option<Position>, shares: Option<&[f64]>) {
         let entry = self.table.get(columns.state_indices[i] as usize);
         self.rows.extend_from_slice(entry.map_or(b"", |entry| entry.raw.as_bytes()));
         self.rows.extend_from_slice(&columns.times_nanos[i].to_le_bytes());
-        match position {
-            None => self.rows.extend_from_slice(&columns.values[i].to_le_bytes()),
-            Some(position) => {
-                position.coordinates().iter().for_each(|number| self.rows.extend_from_slice(&number.to_le_bytes()));
-            }
-        }
+        let numbers = position.as_ref().map(Position::coordinates).or(shares).unwrap_or(&columns.values[i..=i]);
+        numbers.iter().for_each(|number| self.rows.extend_from_slice(&number.to_le_bytes()));
     }
 
     fn check_sequences(&self, sequences: &RangeInclusive<u64>) -> Result<(), IntakeError> {
@@ -269,10 +322,13 @@ impl Intake {
     fn extend_table(&mut self, names: Vec<String>, shapes: Vec<Option<StateShape>>) -> Vec<Option<NewName>> {
         let mut checked = Vec::with_capacity(names.len());
         for (raw, shape) in names.into_iter().zip(shapes) {
-            let has_axes = shape.is_some_and(|shape| !shape.axes().is_empty());
+            let has_parts = shape.is_some_and(|shape| shape.states() > 1);
             self.has_vectors |= shape.is_some_and(|shape| !shape.is_single());
-            let name = StateName::observed(&raw)
-                .and_then(|name| if has_axes { name.check_vector().map(|()| name) } else { Ok(name) });
+            let name = match shape {
+                Some(StateShape::Categorical(0)) => StateName::labelled(&raw),
+                _ => StateName::observed(&raw),
+            };
+            let name = name.and_then(|name| if has_parts { name.check_vector().map(|()| name) } else { Ok(name) });
             let (name, refusal) = match name {
                 Ok(name) => (Some(NewName { name, shape, reporting: self.reporting }), None),
                 Err(error) => (None, Some(format!("state {error}"))),
@@ -284,22 +340,32 @@ impl Intake {
         checked
     }
 
-    /// The positions of a message, according to the stream's table.
-    fn positions(&self, columns: &DecodedColumns, coordinates: &[f64]) -> Result<Vec<(u32, Position)>, IntakeError> {
-        if !self.has_vectors && coordinates.is_empty() {
-            return Ok(Vec::new());
+    /// The positions and the shares of a message, according to the stream's table.
+    fn numbers(
+        &self,
+        columns: &DecodedColumns,
+        coordinates: &[f64],
+        share_column: &[f64],
+    ) -> Result<ManyNumbers, IntakeError> {
+        if !self.has_vectors && coordinates.is_empty() && share_column.is_empty() {
+            return Ok(ManyNumbers::default());
         }
-        let dimensions = |index: u32| self.table.get(index as usize)?.dimensions();
-        let positions = positions(&columns.state_indices, coordinates, dimensions)?;
-        // One position always fits.
-        let max = self.limits.batch.max(Dimensions::Three.count());
-        let got = columns.values.len() - positions.len() + coordinates.len();
-        let what = "observations of one message, positions counted by their coordinates";
-        OverLimit::check(what, got, max, "setting max_batch_observations")?;
-        Ok(positions)
+        let entry = |index: u32| self.table.get(index as usize);
+        let positions = positions(&columns.state_indices, coordinates, |index| entry(index)?.dimensions())?;
+        let shares = shares(&columns.state_indices, share_column, |index| shares_of(entry(index)?.shape?))?;
+        // One position, and one distribution, always fits.
+        let fits = if shares.is_empty() { Dimensions::Three.count() } else { *LABELS.end() };
+        let max = self.limits.batch.max(fits);
+        let single = columns.values.len() - positions.len() - shares.len();
+        let what = "observations of one message, positions counted by their coordinates, and shares by their labels";
+        OverLimit::check(what, single + coordinates.len() + share_column.len(), max, "setting max_batch_observations")?;
+        let is_label = |index: &&u32| entry(**index).is_some_and(TableEntry::is_label);
+        let labels = columns.state_indices.iter().filter(is_label).count();
+        OverLimit::check("labels of one message", labels, LABELS_MAX, "one message")?;
+        Ok(ManyNumbers { positions, shares })
     }
 
-    fn check(&mut self, columns: &DecodedColumns, positions: &[(u32, Position)], skip: usize) -> ObservationBatch {
+    fn check(&mut self, columns: &DecodedColumns, numbers: &ManyNumbers, skip: usize) -> ObservationBatch {
         let new = columns.values.len() - skip;
         let mut batch = ObservationBatch {
             span: SequenceSpan { first: self.next_sequence, ..SequenceSpan::default() },
@@ -309,22 +375,24 @@ impl Intake {
             ..ObservationBatch::default()
         };
         self.rows.clear();
-        let mut positions = positions.iter().skip_while(|(place, _)| (*place as usize) < skip).peekable();
+        let mut places = numbers.from(skip);
         for i in skip..columns.values.len() {
             let (index, time, value) = (columns.state_indices[i], columns.times_nanos[i], columns.values[i]);
-            let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
-            self.append_row(columns, i, position.as_ref());
+            let (position, shares) = places.at(i);
+            self.append_row(columns, i, position, shares);
             let entry = self.table.get(index as usize);
             let refusal = match entry {
                 Some(TableEntry { refusal: None, .. }) if (0..self.earliest_nanos).contains(&time) => {
                     Some((RefusalReason::Time, early::refusal(time)))
                 }
                 Some(entry)
-                    if entry.refusal.is_none() && time >= 0 && entry.may_have(value, position, self.reporting) =>
+                    if entry.refusal.is_none()
+                        && time >= 0
+                        && entry.may_have(value, position, shares, self.reporting) =>
                 {
                     None
                 }
-                _ => Some(refuse(entry, index, self.table.len(), time, (value, position))),
+                _ => Some(refuse(entry, index, self.table.len(), time, (value, position, shares))),
             };
             let offset = i - skip;
             match refusal {
@@ -332,15 +400,14 @@ impl Intake {
                     if !batch.refused.is_empty() {
                         batch.kept.push(u32::try_from(offset).unwrap_or(u32::MAX));
                     }
-                    if let Some(position) = position {
-                        let place = u32::try_from(batch.values.len()).unwrap_or(u32::MAX);
-                        batch.positions.push((place, position));
-                    }
+                    let place = u32::try_from(batch.values.len()).unwrap_or(u32::MAX);
+                    batch.positions.extend(position.map(|position| (place, position)));
+                    batch.shares.extend(shares.map(|shares| (place, Box::from(shares))));
                     batch.table_indices.push(index);
                     batch.times_nanos.push(time);
                     // All that is no number is one.
                     let value = if value.is_nan() { f64::NAN } else { value };
-                    batch.values.push(if position.is_some() { 0.0 } else { value });
+                    batch.values.push(if position.is_some() || shares.is_some() { 0.0 } else { value });
                 }
                 Some((reason, detail)) => {
                     if batch.refused.is_empty() {
@@ -374,7 +441,7 @@ fn refuse(
     index: u32,
     table_len: usize,
     time: i64,
-    (value, position): (f64, Option<Position>),
+    (value, position, shares): (f64, Option<Position>, Option<&[f64]>),
 ) -> (RefusalReason, String) {
     match entry {
         None => {
@@ -383,6 +450,11 @@ fn refuse(
         }
         Some(TableEntry { refusal: Some(text), .. }) => (RefusalReason::StateName, text.clone()),
         Some(_) if time < 0 => (RefusalReason::Time, format!("time {time} ns is before 1970")),
+        Some(_) if shares.is_some() => (RefusalReason::Value, shares.and_then(invalid_shares).unwrap_or_default()),
+        Some(entry) if entry.is_label() => {
+            let text = format!("value {value} of a label is not 1: send only the label that holds, or a share of each");
+            (RefusalReason::Value, text)
+        }
         Some(entry) => match position.and_then(|position| position.invalid_coordinate()) {
             Some((axis, coordinate)) => {
                 let expected = StateKind::Continuous.expected();

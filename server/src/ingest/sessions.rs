@@ -126,6 +126,8 @@ pub(super) struct Sessions {
     sensors_in_flight: HashMap<StateId, StateSensor>,
     /// How states in flight are reported that do not report samples.
     reportings_in_flight: HashMap<StateId, Reporting>,
+    /// Categorical states in flight: the first label of each, and how many there are.
+    categorical_in_flight: HashMap<StateName, (StateId, u8)>,
     /// New names in flight, of states that still have their old names.
     renames_in_flight: HashMap<StateName, (StateId, StateKind)>,
     producers_in_flight: usize,
@@ -150,6 +152,7 @@ impl Sessions {
             states_in_flight: HashMap::new(),
             sensors_in_flight: HashMap::new(),
             reportings_in_flight: HashMap::new(),
+            categorical_in_flight: HashMap::new(),
             renames_in_flight: HashMap::new(),
             producers_in_flight: 0,
             issued: HashMap::new(),
@@ -274,6 +277,7 @@ impl Sessions {
         self.states_in_flight.clear();
         self.sensors_in_flight.clear();
         self.reportings_in_flight.clear();
+        self.categorical_in_flight.clear();
         self.renames_in_flight.clear();
         self.producers_in_flight = 0;
         self.tiles_ahead = 0;

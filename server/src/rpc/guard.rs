@@ -46,7 +46,8 @@ impl Access {
             (Self::Readers, Need::Role(role) | Need::AllMaps(role)) if role != Role::Planner => {
                 return Err(RpcError::ReadOnly { method: path.to_owned() });
             }
-            (Self::Anybody | Self::Readers, _) => return Ok(Caller::Anybody),
+            (Self::Anybody, _) => return Ok(Caller::Anybody),
+            (Self::Readers, _) => return Ok(Caller::Reader),
         };
         let caller = match (keyring.caller(headers), need) {
             (Ok(caller), _) => caller,

@@ -97,8 +97,9 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
         return Ok(id);
     }
     let map = || view.spec().name.as_str().to_owned();
-    if let Some((_, shape)) = view.shape(name).filter(|(_, shape)| !shape.axes().is_empty()) {
-        let axes = shape.axes().iter().map(|axis| format!("{name}/{axis}")).collect();
+    if let Some((_, shape)) = view.shape(name).filter(|(_, shape)| shape.states() > 1) {
+        let parts = view.labels(name).into_iter().map(|(_, label)| label).chain(shape.axes().iter().copied());
+        let axes = parts.map(|part| format!("{name}/{part}")).collect();
         return Err(RpcError::IsVector { map: map(), name: name.to_owned(), shape, axes });
     }
     Err(RpcError::UnknownState {
@@ -106,6 +107,15 @@ pub(super) fn find_state(view: &MapView, name: &str) -> Result<StateId, RpcError
         name: name.chars().take(80).collect(),
         known: view.infos().take(11).map(|info| info.name.as_str().to_owned()).collect(),
     })
+}
+
+/// The state of this name, or all labels of a categorical state.
+///
+/// # Errors
+/// As [`find_state`].
+pub(super) fn find_parts(view: &MapView, name: &str) -> Result<Vec<StateId>, RpcError> {
+    let labels: Vec<StateId> = view.labels(name).into_iter().map(|(id, _)| id).collect();
+    if labels.is_empty() { Ok(vec![find_state(view, name)?]) } else { Ok(labels) }
 }
 
 /// The description of a cell.

@@ -16,6 +16,7 @@ use super::{RpcReply, status::RpcError};
 use crate::{access::Caller, catalog::Catalog, ingest::intake::IntakeLimits, telemetry::traces::Span};
 
 mod channel;
+mod classify;
 mod memory;
 pub(crate) mod open_streams;
 mod opening;
@@ -61,6 +62,13 @@ impl ObservationService for Observations {
 
     async fn observe(&self, request: Request<Streaming<v1::ObserveRequest>>) -> RpcReply<Self::ObserveStream> {
         Ok(Response::new(ReceiverStream::new(self.start(request.into_inner())?)))
+    }
+
+    async fn classify_activity(
+        &self,
+        request: Request<v1::ClassifyActivityRequest>,
+    ) -> RpcReply<v1::ClassifyActivityResponse> {
+        Ok(Response::new(self.classify(request.into_inner()).await?))
     }
 
     async fn report(&self, request: Request<v1::ReportRequest>) -> RpcReply<v1::ReportResponse> {

@@ -58,7 +58,7 @@ pub(crate) enum RpcError {
     UnknownMap { name: String, known: Vec<String> },
     #[error("state {name:?} does not exist in map {map:?}; {}", known_names(.known, "states"))]
     UnknownState { map: String, name: String, known: Vec<String> },
-    #[error("state {name:?} of map {map:?} is {}: use its axes, {}", .shape.with_article(), .axes.join(", "))]
+    #[error("state {name:?} of map {map:?} is {}: use its parts, {}", .shape.with_article(), .axes.join(", "))]
     IsVector { map: String, name: String, shape: StateShape, axes: Vec<String> },
     #[error("map {map:?} has no grid: a map gets one when it is created")]
     NoGrid { map: String },
@@ -294,6 +294,7 @@ impl RpcError {
             Self::AddState(error) => match error {
                 AddStateError::OtherKind { .. }
                 | AddStateError::OtherSensor { .. }
+                | AddStateError::OtherLabels { .. }
                 | AddStateError::OtherReporting { .. } => (Code::AlreadyExists, "STATE_EXISTS"),
                 AddStateError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
                 AddStateError::Storage(error) => append_code(error),

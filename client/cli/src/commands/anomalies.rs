@@ -176,11 +176,22 @@ async fn look_back(
     judgement: Judgement,
 ) -> anyhow::Result<ExitCode> {
     let mut anomalies = session.client.anomalies(map, state, within.start, within.end, judgement).await?;
-    let mut table = session.table(&["time", "value", "probability"]);
-    while let Some(batch) = anomalies.next().await? {
+    let mut next = anomalies.next_labelled().await?;
+    while next.as_ref().is_some_and(|(found, _)| found.is_empty()) {
+        next = anomalies.next_labelled().await?;
+    }
+    let has_labels = next.as_ref().is_some_and(|(_, labels)| !labels.is_empty());
+    let mut table = session.table(&["time", "value", "probability", "label"]);
+    if !has_labels {
+        table = table.hiding(&["label"]);
+    }
+    while let Some((batch, labels)) = next {
+        let mut labels = labels.into_iter();
         for Anomaly { utc_nanos: time_nanos, value, probability } in batch {
-            table.row(vec![Cell::Time(time_nanos), value.into(), probability.into()])?;
+            let label = labels.next().map_or(Cell::Empty, Cell::Text);
+            table.row(vec![Cell::Time(time_nanos), value.into(), probability.into(), label])?;
         }
+        next = anomalies.next_labelled().await?;
     }
     table.finish()?;
     Ok(ExitCode::SUCCESS)

@@ -2,7 +2,7 @@
 //!
 //! Invariant: invalid rows are left out and reported; the map learns nothing from the file.
 
-use std::{path::PathBuf, process::ExitCode, str::FromStr};
+use std::{collections::HashMap, path::PathBuf, process::ExitCode, str::FromStr};
 
 use anyhow::Context as _;
 use clap::Args;
@@ -16,11 +16,12 @@ use super::{
         feed::{self, Feed, RefusalReport},
         kinds::Kinds,
     },
+    predict::names,
     rows::{FileArgs, RowKindArgs},
 };
 use crate::progress::{Bar, status_line};
 use tidemap_formats::{
-    observation_file::{ObservationColumns, RowError},
+    observation_file::{ObservationColumns, ObservationRow, RowError},
     table::Cell,
 };
 
@@ -94,10 +95,20 @@ fn missing(unavailable: &Unavailable) -> String {
     format!("{model} is left out of {}{and_more}: {reason}", states[..states.len() - more].join(", "))
 }
 
+/// Why a row is left out whose state has not its label.
+fn unknown_label(row: &ObservationRow, labels: &HashMap<String, Vec<String>>) -> Option<String> {
+    let (label, known) = (row.label.as_ref()?, labels.get(&row.state)?);
+    let text = || format!("state {:?} has no label {label:?}: its labels are {}", row.state, known.join(", "));
+    (!known.contains(label)).then(text)
+}
+
 pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result<ExitCode> {
     let shown = feed::display_name(&args.file);
     // How a state holds its values, the daemon knows.
-    let rules = args.written.rules(session, &args.map, args.rows.kind()).await?;
+    let mut rules = args.written.rules(session, &args.map, args.rows.kind()).await?;
+    let known = names::states(session, &args.map).await?.into_iter().filter(|state| !state.labels.is_empty());
+    let labels: HashMap<String, Vec<String>> = known.map(|state| (state.name, state.labels)).collect();
+    rules.labelled = labels.keys().map(|name| (name.chars().collect(), true)).collect();
     let Feed { mut rows, total_bytes, layout } = feed::open::<ObservationColumns>(&args.file, &rules)?;
     if layout.has_positions() {
         return Err(anyhow::Error::new(RowError::Positions).context(feed::display_name(&args.file)));
@@ -111,9 +122,19 @@ pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result
         let chunk = chunk.with_context(|| shown.clone())?;
         bar.set(chunk.bytes);
         for row in &chunk.rows {
-            if let Some(wrong) = kinds.wrong(row).await {
+            let wrong = match unknown_label(row, &labels) {
+                None => kinds.wrong(row).await,
+                unknown => unknown,
+            };
+            if let Some(wrong) = wrong {
                 report.refused(row.number, Some(row.line), &wrong);
-            } else if !evaluator.add(&row.state, row.time_nanos, row.value).await {
+                continue;
+            }
+            let is_open = match &row.label {
+                Some(label) => evaluator.add_label(&row.state, row.time_nanos, label).await,
+                None => evaluator.add(&row.state, row.time_nanos, row.value).await,
+            };
+            if !is_open {
                 break 'file;
             }
         }
@@ -129,9 +150,13 @@ pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result
             evaluation.observations.into(),
             evaluation.mean_squared_error.into(),
             Cell::maybe(evaluation.error_rate),
+            Cell::maybe(evaluation.log_loss_bits),
         ]
     };
-    session.print(&["state", "model", "order", "n", "mse", "error_rate"], evaluations.into_iter().map(row))?;
+    session.print(
+        &["state", "model", "order", "n", "mse", "error_rate", "log_loss_bits"],
+        evaluations.into_iter().map(row),
+    )?;
     unavailable.iter().for_each(|unavailable| status_line(&missing(unavailable)));
     let all_there = !unavailable.iter().any(|unavailable| is_named(&args.models, unavailable.model));
     Ok(if report.is_clean() && all_there { ExitCode::SUCCESS } else { ExitCode::FAILURE })

@@ -23,7 +23,7 @@ pub(crate) struct InfoArgs {
     /// Times, separated by commas
     #[arg(long, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',', required = true)]
     at: Vec<i64>,
-    /// States that are probabilities, or cells cell/X/Y/Z
+    /// States that are probabilities or categorical, or cells cell/X/Y/Z
     #[arg(long = "state", value_name = "STATE", num_args = 1..)]
     states: Vec<String>,
     /// Locations; the information of a location is the sum over its states

@@ -28,7 +28,7 @@ pub(crate) enum ModelCommand {
     Show {
         /// Name of the map
         map: String,
-        /// Name of the state; a cell of the grid is cell/X/Y/Z
+        /// Name of the state; of a categorical state, a row for each label is shown; a cell of the grid is cell/X/Y/Z
         state: String,
         #[command(flatten)]
         drawing: DrawingArg,
@@ -38,6 +38,10 @@ pub(crate) enum ModelCommand {
 pub(crate) async fn run(session: &Session, command: &ModelCommand) -> anyhow::Result<ExitCode> {
     let ModelCommand::Show { map, state, drawing } = command;
     drawing.check()?;
+    let labels = labels_of(session, map, state).await?;
+    if !labels.is_empty() {
+        return of_labels(session, map, state, &labels).await;
+    }
     let model = session.client.describe_model(map, state).await?;
     let shown = ShownModel { answers: answering(session, map, &model).await?, model };
     if drawing.is_wanted() {
@@ -53,6 +57,38 @@ pub(crate) async fn run(session: &Session, command: &ModelCommand) -> anyhow::Re
         Format::Csv => csv(&shown)?,
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The labels of a categorical state; none for others.
+async fn labels_of(session: &Session, map: &str, state: &str) -> anyhow::Result<Vec<String>> {
+    let mut token = Some(String::new());
+    // What has a slash is no categorical state.
+    while let Some(page) = token.filter(|_| !state.contains('/')) {
+        let (states, next) = session.client.states(map, &page).await?;
+        if let Some(found) = states.into_iter().find(|known| known.name == state) {
+            return Ok(found.labels);
+        }
+        token = next;
+    }
+    Ok(Vec::new())
+}
+
+/// A row for each label of a categorical state; `model show` of a label shows more.
+async fn of_labels(session: &Session, map: &str, state: &str, labels: &[String]) -> anyhow::Result<ExitCode> {
+    let mut rows = Vec::with_capacity(labels.len());
+    for label in labels {
+        let model = session.client.describe_model(map, &format!("{state}/{label}")).await?;
+        let answers = answering(session, map, &model).await?;
+        rows.push(vec![
+            Cell::Text(model.state.clone()),
+            model.mean.into(),
+            model.learned_observations.into(),
+            model.order.into(),
+            Cell::Text(model.chosen.to_string()),
+            Cell::Text(answers),
+        ]);
+    }
+    session.print(&["state", "mean", "n", "order", "model", "auto"], rows)
 }
 
 /// The models of a state, and the name of that with which `auto` answers: the selected one, or the ensemble of several.

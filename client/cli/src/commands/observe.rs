@@ -66,8 +66,8 @@ pub(crate) struct ObserveArgs {
     #[command(flatten)]
     written: FileArgs,
     /// Kind of the file's states: probability, continuous, count or angle (radians); new states get it, and rows of
-    /// states of another kind are refused; a file with columns x and y has kind vector [default: each state keeps its
-    /// kind; new states are probabilities]
+    /// states of another kind are refused; a file with columns x and y has kind vector; with categorical, values are
+    /// labels of states that exist [default: each state keeps its kind; new states are probabilities]
     #[arg(long, value_name = "KIND")]
     kind: Option<KindArg>,
     /// Kinds of some states of the file, by patterns of their names, such as
@@ -129,7 +129,13 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     let shown = feed::display_name(&args.file);
     let refused = args.refused.as_deref().map(|target| RefusedRows::new(&args.file, target)).transpose()?;
     let stated = args.reports.stated()?;
-    let rules = args.written.rules(session, &args.map, args.reports.kind()).await?;
+    let mut rules = args.written.rules(session, &args.map, args.reports.kind()).await?;
+    rules.labelled = match (&args.kinds, args.kind) {
+        (Some(kinds), _) => kinds.labelled(),
+        (None, Some(KindArg::Categorical)) => vec![(vec!['*'], true)],
+        (None, _) => Vec::new(),
+    };
+    let rules = rules;
     let feed = feed::open::<ObservationColumns>(&args.file, &rules)?;
     let has_positions = feed.layout.has_positions();
     if let Some(kind) = args.kind.filter(|kind| (*kind == KindArg::Vector) != has_positions) {
@@ -140,6 +146,9 @@ pub(crate) async fn run(session: &Session, args: ObserveArgs) -> anyhow::Result<
     let mut kind = args.kind.and_then(KindArg::single);
     if args.reports.kind() == RowKind::Events && args.kinds.is_none() {
         kind = kind.or(Some(StateKind::Count.into()));
+    }
+    if let (Some(KindArg::Categorical), Some(stated)) = (args.kind, stated) {
+        return Err(usage(format!("--kind categorical does not go with --{}", stated.kind().name())));
     }
     if let (Some(kind), Some(stated)) = (kind, stated)
         && !kind.may_report(stated.for_new())

@@ -22,7 +22,7 @@ pub(crate) struct PredictArgs {
     /// Name of the map
     map: String,
     /// Names of states, or patterns such as 'door-*'; none for all states. A vector gives one row per axis, NAME/x and
-    /// so on, an angle one row in radians; a cell of the grid is cell/X/Y/Z
+    /// so on, a categorical state one per label, an angle one in radians; a cell of the grid is cell/X/Y/Z
     #[arg(value_name = "STATE")]
     states: Vec<String>,
     #[command(flatten)]
@@ -108,8 +108,9 @@ pub(crate) async fn run(session: &Session, args: PredictArgs) -> anyhow::Result<
     let mut wide = Wide::default();
     while let Some(run) = predictions.next().await? {
         let (states, times) = (predictions.states(), predictions.times());
-        let name = match run.axis.and_then(|axis| Dimensions::Three.axes().get(axis)) {
-            Some(axis) => Cow::Owned(format!("{}/{axis}", states[run.state])),
+        let axis = run.axis.and_then(|axis| Dimensions::Three.axes().get(axis)).copied();
+        let name = match run.label.as_deref().or(axis) {
+            Some(part) => Cow::Owned(format!("{}/{part}", states[run.state])),
             None => Cow::Borrowed(states[run.state].as_str()),
         };
         if args.drawing.is_wanted() {

@@ -75,7 +75,7 @@ impl FileArgs {
         };
         let words = self.values.as_deref().map(RowRules::parse_words).transpose();
         let words = words.map_err(|error| usage(format!("--values: {error}")))?.unwrap_or_default();
-        Ok(RowRules { columns: self.columns.clone().unwrap_or_default(), words, zone, kind })
+        Ok(RowRules { columns: self.columns.clone().unwrap_or_default(), words, zone, kind, labelled: Vec::new() })
     }
 }
 

@@ -23,13 +23,16 @@ pub(crate) enum StateCommand {
         map: String,
         /// Name of the state
         state: String,
-        /// Kind of its values: probability (0 to 1), continuous (any number), count (0, 1, 2, …), vector, or
-        /// angle (radians) [default: probability; count for events]
+        /// Kind of its values: probability (0 to 1), continuous (any number), count (0, 1, 2, …), vector,
+        /// angle (radians), or categorical (one of --labels) [default: probability; count for events]
         #[arg(long, value_name = "KIND")]
         kind: Option<KindArg>,
         /// Number of coordinates of a vector, 2 or 3
         #[arg(long, value_name = "N", required_if_eq("kind", "vector"), value_parser = clap::value_parser!(u32).range(2..=3))]
         dimensions: Option<u32>,
+        /// Labels of a categorical state, 2 to 64, such as sleep,eat,work; they never change
+        #[arg(long, value_name = "LABEL,…", value_delimiter = ',', required_if_eq("kind", "categorical"))]
+        labels: Vec<String>,
         /// Probability to read 1 where the state is 1, if you know it: above 0, up to 1 [default: 1 with --false-alarm,
         /// else updates estimate it]
         #[arg(long, value_name = "P")]
@@ -63,11 +66,13 @@ pub(crate) enum KindArg {
     /// Values, one a row.
     Single(StateShape),
     Vector,
+    /// Labels, one a row.
+    Categorical,
 }
 
 /// A text that is not the name of a kind.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a kind of states: use probability, continuous, count, vector or angle")]
+#[error("{0:?} is not a kind of states: use probability, continuous, count, vector, angle or categorical")]
 pub(crate) struct InvalidKind(String);
 
 impl KindArg {
@@ -75,14 +80,15 @@ impl KindArg {
         match self {
             Self::Single(shape) => shape.name(),
             Self::Vector => "vector",
+            Self::Categorical => "categorical",
         }
     }
 
-    /// The shape of values; `None` for a vector.
+    /// The shape of values; `None` for a vector and for labels.
     pub(crate) fn single(self) -> Option<StateShape> {
         match self {
             Self::Single(shape) => Some(shape),
-            Self::Vector => None,
+            Self::Vector | Self::Categorical => None,
         }
     }
 }
@@ -92,12 +98,12 @@ impl FromStr for KindArg {
 
     fn from_str(text: &str) -> Result<Self, InvalidKind> {
         let single = StateKind::ALL.into_iter().map(StateShape::from).chain([StateShape::Angle]);
-        let mut kinds = single.map(Self::Single).chain([Self::Vector]);
+        let mut kinds = single.map(Self::Single).chain([Self::Vector, Self::Categorical]);
         kinds.find(|kind| kind.name() == text).ok_or_else(|| InvalidKind(text.to_owned()))
     }
 }
 
-const COLUMNS: [&str; 12] = [
+const COLUMNS: [&str; 13] = [
     "state",
     "kind",
     "observations",
@@ -110,12 +116,18 @@ const COLUMNS: [&str; 12] = [
     "reports",
     "hold_max_secs",
     "hold_step_secs",
+    "labels",
 ];
 
 fn cells(state: State) -> Vec<Cell> {
     vec![
         Cell::Text(state.name),
-        if state.shape.is_single() { state.shape.name() } else { KindArg::Vector.name() }.into(),
+        match state.shape {
+            StateShape::Vector(_) => KindArg::Vector.name(),
+            StateShape::Categorical(_) => KindArg::Categorical.name(),
+            shape => shape.name(),
+        }
+        .into(),
         state.observations.into(),
         state.order.into(),
         Cell::time(state.last_nanos),
@@ -126,6 +138,11 @@ fn cells(state: State) -> Vec<Cell> {
         state.reporting.kind().name().into(),
         Cell::maybe(state.reporting.max_secs().map(u64::from)),
         Cell::maybe(state.reporting.step_secs().map(u64::from)),
+        if state.labels.is_empty() {
+            Cell::Empty
+        } else {
+            Cell::List(state.labels.into_iter().map(Cell::Text).collect())
+        },
     ]
 }
 
@@ -144,10 +161,20 @@ fn sensor(shape: StateShape, hit: Option<f64>, false_alarm: Option<f64>) -> anyh
 pub(crate) async fn run(session: &Session, command: StateCommand) -> anyhow::Result<ExitCode> {
     let map = match command {
         StateCommand::List { map } => map,
-        StateCommand::Add { map, state, kind, dimensions, hit, false_alarm, reports, hold_max, hold_step } => {
+        StateCommand::Add { map, state, kind, dimensions, labels, hit, false_alarm, reports, hold_max, hold_step } => {
             let usual = if reports == RowKind::Events { StateKind::Count } else { StateKind::Probability };
             let kind = kind.unwrap_or(KindArg::Single(usual.into()));
             let reporting = stated(reports, hold_max, hold_step)?;
+            if kind == KindArg::Categorical {
+                if dimensions.is_some() || hit.is_some() || false_alarm.is_some() || reporting.is_some() {
+                    return Err(usage("--kind categorical has --labels, and nothing else"));
+                }
+                let added = session.client.add_categorical(&map, &state, &labels).await?;
+                return session.print(&COLUMNS, [cells(added)]);
+            }
+            if !labels.is_empty() {
+                return Err(usage(format!("--labels goes with --kind categorical, not {}", kind.name())));
+            }
             let shape = match (kind, dimensions.and_then(|count| Dimensions::of(count as usize))) {
                 (KindArg::Vector, Some(dimensions)) => StateShape::Vector(dimensions),
                 (KindArg::Single(shape), None) => shape,

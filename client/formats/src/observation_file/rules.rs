@@ -12,6 +12,7 @@ use tidemap_model::{
 };
 
 use super::shown;
+use crate::pattern::matches;
 
 /// What a word says.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,6 +32,9 @@ pub struct RowRules {
     pub words: HashMap<String, Meaning>,
     /// The zone of times that have none; `None`: such times are refused.
     pub zone: Option<Zone>,
+    /// Patterns of the names of states ([`crate::pattern::matches`]), each with whether their values are labels of a
+    /// categorical state. The first that fits decides; values of other states are no labels.
+    pub labelled: Vec<(Vec<char>, bool)>,
     /// What rows are. A change may have no value; an event without one is one event.
     pub kind: RowKind,
 }
@@ -63,6 +67,15 @@ pub enum InvalidRule {
 }
 
 impl RowRules {
+    /// Whether the values of a state are labels.
+    pub(super) fn has_labels(&self, state: &str) -> bool {
+        if self.labelled.is_empty() {
+            return false;
+        }
+        let name: Vec<char> = state.chars().collect();
+        self.labelled.iter().find(|(pattern, _)| matches(pattern, &name)).is_some_and(|(_, has_labels)| *has_labels)
+    }
+
     /// Columns as in `time=last_changed,state=entity_id,value=state`.
     ///
     /// # Errors

@@ -234,6 +234,7 @@ fn columns_words_and_times_of_the_file_are_read_by_its_rules() -> Result<(), Row
         words: RowRules::parse_words("half=0.5,jammed=none").expect("words"),
         zone: Some(tidemap_model::Zone::named("Europe/Berlin").expect("a zone")),
         kind: RowKind::Changes,
+        labelled: Vec::new(),
     };
     // Clocks go back on 26 October at three: the hour from two comes twice. On 30 March it does not come at all.
     let text = "entity,what,when\nlamp,on,2025-10-26 01:30:00\nlamp,half,2025-10-26T02:30\nlamp,OFF,2025-10-26T02:10\n\
@@ -300,5 +301,25 @@ fn a_word_that_stands_for_a_number_out_of_range_is_told_with_both() -> Result<()
     let Some(RowItem::Row(row)) = rows.next_item()? else { panic!("a row") };
     assert_eq!(row.value, 5.0);
     assert_eq!(row.wrong.as_deref(), Some("value \"ajar\" stands for 5, which is not between 0 and 1"));
+    Ok(())
+}
+
+#[test]
+fn values_are_labels_where_the_rules_say_so() -> Result<(), Box<dyn std::error::Error>> {
+    let pattern = |text: &str| text.chars().collect::<Vec<char>>();
+    let labelled = vec![(pattern("activity-2"), false), (pattern("activity*"), true)];
+    let rules = RowRules { labelled, ..RowRules::default() };
+    let text = "time,state,value\n1,activity,On the phone\n2,door,1\n3,activity,a/b\n4,activity-2,1\n5,activity,\n";
+    let mut rows = RowReader::<_, ObservationColumns>::open_with(text.as_bytes(), &rules)?;
+    let mut found = Vec::new();
+    while let Some(RowItem::Row(row)) = rows.next_item()? {
+        found.push((row.name_sent().into_owned(), row.value, row.wrong.is_some()));
+    }
+    let name = |text: &str| text.to_owned();
+    assert_eq!(found[0], (name("activity/On the phone"), 1.0, false));
+    assert_eq!(found[1], (name("door"), 1.0, false));
+    assert!(found[2].1.is_nan() && found[2].2, "{found:?}");
+    assert_eq!(found[3], (name("activity-2"), 1.0, false));
+    assert!(found[4].2, "no label");
     Ok(())
 }

@@ -58,6 +58,7 @@ class NativeClient:
         tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
         npt.NDArray[np.float64],
         list[tuple[str | None, int, int, int, int | None]],
+        list[str],
     ]: ...
     def traverse(
         self,

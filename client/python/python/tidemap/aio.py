@@ -115,6 +115,7 @@ class AsyncClient:
         self.erase = self._awaited(client.erase)
         self.jobs = self._awaited(client.jobs)
         self.predict = self._awaited(client.predict)
+        self.classify = self._awaited(client.classify)
         self.evaluate = self._awaited(client.evaluate)
         self.history = self._awaited(client.history)
         self.anomalies = self._awaited(client.anomalies)

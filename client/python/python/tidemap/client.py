@@ -71,6 +71,7 @@ class Client(Questions, Routes, Landmarks):
         *,
         kind: str | None = None,
         dimensions: int = 0,
+        labels: Sequence[str] = (),
         hit: float | None = None,
         false_alarm: float | None = None,
         reports: Reports | None = None,
@@ -79,8 +80,8 @@ class Client(Questions, Routes, Landmarks):
     ) -> dict[str, Any]:
         """Adds a state before its first observation; the same again changes nothing.
 
-        ``kind``: ``probability``, ``continuous``, ``count``, ``vector`` (with ``dimensions`` 2 or 3) or ``angle``; by
-        default ``probability``, and of events ``count``. ``reports``, ``hold_max`` and ``hold_step`` as of
+        ``kind``: ``probability``, ``continuous``, ``count``, ``vector`` (with ``dimensions`` 2 or 3) ``angle``, or
+        ``categorical`` (with 2 to 64 ``labels``); by default ``probability``, and of events ``count``. ``reports``, ``hold_max`` and ``hold_step`` as of
         :meth:`observe`; by default samples. ``hit`` and ``false_alarm`` are the sensor of a state that is 0 or 1: the
         probability that it reads 1 when the state is 1, and when it is 0. Without them the daemon estimates how often
         the sensor errs.
@@ -91,6 +92,8 @@ class Client(Questions, Routes, Landmarks):
         request: dict[str, Any] = {
             "map": map, "state": state, "kind": f"STATE_KIND_{kind.upper()}", "dimensions": dimensions
         }
+        if len(labels) > 0:
+            request["labels"] = [str(label) for label in labels]
         if stated is not None:
             request["reporting"] = stated.request()
         sensor = {name: number for name, number in (("hit", hit), ("false_alarm", false_alarm)) if number is not None}
@@ -130,6 +133,8 @@ class Client(Questions, Routes, Landmarks):
         says what words mean, besides ``on/off``, ``open/closed``, ``home/away`` and other usual ones. Rows without a
         measurement (NaN, ``unavailable``, ``unknown``) are counted and not sent.
 
+        With ``kind="categorical"`` values are labels of states that were added with them (:meth:`add_state`).
+
         Or give ``states`` (one name, or one for each row), ``times`` and ``values``; positions are values with two or
         three columns.
 
@@ -149,6 +154,8 @@ class Client(Questions, Routes, Landmarks):
         """
         stated = _reports.stated(reports, hold_max, hold_step)
         said = "samples" if stated is None else stated.kind
+        if kind == "categorical":
+            said = frames.LABELS
         rows, given_zone = self._rows(frame, states, times, values, columns, zone, said)
         nanos = self._nanos(map, rows.times, given_zone, rows.indices, rows.source)
         if stated is not None:
@@ -156,7 +163,8 @@ class Client(Questions, Routes, Landmarks):
         elif rows.without_value:
             _reports.check_values(rows.names, self._states(map))
         self._native.check_states(kind, None if stated is None else stated.native())
-        advice.of_one_time(rows, nanos)
+        if kind != "categorical":
+            advice.of_one_time(rows, nanos)
         if replace:
             self._withdraw(map, producer, label)
         shown, done = _shown(progress)
@@ -167,7 +175,7 @@ class Client(Questions, Routes, Landmarks):
             )
         finally:
             done()
-        if stated is None:
+        if stated is None and kind != "categorical":
             advice.of_changes(rows, lambda: self._states(map))
         if report["duplicate"] and not report["accepted"]:
             advice.of_refused_before(rows, self._states(map))

@@ -31,6 +31,10 @@ NO_VALUE = frozenset(_NO_VALUE)
 _NAMED = 5
 
 
+LABELS = "labels"
+"""In the place of how rows are reported: values are labels of categorical states, and each name is ``STATE/LABEL``."""
+
+
 @dataclass(frozen=True)
 class Rows:
     """Observations in columns: row i is of ``names[indices[i]]``."""
@@ -194,6 +198,8 @@ def _rows(
     words: Mapping[Any, Any] | None, reports: str,
 ) -> Rows:
     count = len(given.nanos)
+    if reports == LABELS:
+        return _labelled([names[index] for index in indices], given, values)
     places = np.asarray(values) if getattr(values, "ndim", 1) == 2 else None
     if places is not None:
         return _positions(names, indices, given, places, reports)
@@ -205,6 +211,20 @@ def _rows(
         return Rows(names, indices, given, found.values, None, kept, count, found.missing, found.mapped)
     return Rows(
         names, indices[kept], _picked(given, kept), found.values[kept], None, kept, count, found.missing, found.mapped
+    )
+
+
+def _labelled(states: list[str], given: _times.Read, values: Any) -> Rows:
+    """Rows of labels; a cell without a label is no row."""
+    labels = list(values.tolist() if hasattr(values, "tolist") else values)
+    if len(labels) != len(states):
+        raise _wrong(f"{len(states)} times, {len(labels)} labels: they must be as many")
+    kept = np.array([row for row, label in enumerate(labels) if not is_empty(label)], dtype=np.intp)
+    names, indices = numbered([f"{states[row]}/{labels[row]}" for row in kept], len(kept))
+    dropped = len(labels) - len(kept)
+    return Rows(
+        names, indices, _picked(given, kept), np.ones(len(kept)), None, kept, len(labels),
+        {"none": dropped} if dropped else {},
     )
 
 
@@ -283,6 +303,10 @@ def _of_wide(
 ) -> Rows:
     if not wanted:
         raise _wrong("the frame has no column but the time")
+    if reports == LABELS:
+        if len(wanted) > 1:
+            raise _wrong("a wide frame of labels has one column: use a long one, with time, state and value")
+        return _labelled([str(wanted[0])] * len(given.nanos), given, frame[wanted[0]])
     missing: dict[str, int] = {}
     mapped = 0
     table = np.empty((len(given.nanos), len(wanted)), dtype=np.float64)

@@ -59,7 +59,7 @@ class Questions(Connection):
             return given
         present: list[str] = []
         for state in self._states(map):
-            axes = ["x", "y", "z"][: state["dimensions"]]
+            axes = ["x", "y", "z"][: 0 if state["labels"] else state["dimensions"]]
             present += [f"{state['name']}/{axis}" for axis in axes] if axes else [state["name"]]
         if given is None:
             return present
@@ -83,6 +83,9 @@ class Questions(Connection):
     ) -> Predictions:
         """Predicts states at times: those named, those like ``door*``, or without ``states`` all.
 
+        A categorical state has a row for each label, ``STATE/LABEL``; they sum to 1, and their entropy is that of the
+        distribution.
+
         ``interval`` is the probability of the intervals, such as 0.9. ``zone`` says what times without a zone are in:
         ``"local"`` for the zone of the map, or the name of another one.
         """
@@ -90,7 +93,7 @@ class Questions(Connection):
             raise InvalidArgument("predict() needs times: predict(map, states, times)", "INVALID_ARGUMENT")
         names = self._named(map, states)
         nanos = self._nanos(map, times, zone)
-        values, bounds, entropy, behind = self._native.predict(map, names, nanos, model, interval)
+        values, bounds, entropy, behind, names = self._native.predict(map, names, nanos, model, interval)
         lower, upper = bounds if bounds is not None else (None, None)
         none = np.iinfo(np.int64).min
         last = np.array([none if known[4] is None else known[4] for known in behind], dtype=np.int64)
@@ -100,6 +103,54 @@ class Questions(Connection):
             observations=[known[2] for known in behind], pending=[known[3] for known in behind],
             last_times=_times.datetimes(last),
         )
+
+    def classify(
+        self,
+        map: str,
+        state: str,
+        likelihoods: Mapping[str, float],
+        *,
+        time: Time | None = None,
+        place: str | None = None,
+        model: str = "auto",
+        learn: str | None = None,
+        producer: str = "python",
+        label: str = "classify",
+        sequence: int | None = None,
+        zone: str | None = None,
+    ) -> pandas.DataFrame:
+        """Says which label of a categorical state holds: from how likely each label makes what was observed, what the
+        state has learned of the time, and of the place.
+
+        A row for each label: ``label, probability, likelihood, temporal_prior, spatial_prior``. ``likelihoods`` of
+        labels that are not named are 0. ``time`` is now by default. ``learn``: ``"label"`` learns the likeliest label,
+        ``"shares"`` all probabilities, as an observation of the state and, with a place, of ``STATE@PLACE``. With
+        ``sequence``, the number of the first observation, a call that is repeated is learned once.
+        ``attrs["durable_sequence"]`` is the number of the last.
+        """
+        tables.pandas_needed()
+        request: dict[str, Any] = {
+            "map": map, "state": state, "model": model,
+            "likelihoods": [{"label": str(name), "likelihood": float(number)} for name, number in likelihoods.items()],
+        }
+        if time is not None:
+            request["time"] = _times.timestamp(self._moment(map, time, zone))
+        if place is not None:
+            request["place"] = place
+        if learn is not None:
+            if learn not in ("label", "shares"):
+                raise InvalidArgument(f"learn={learn!r}: \"label\" or \"shares\"", "INVALID_ARGUMENT")
+            request |= {"learn": f"ACTIVITY_LEARNING_{learn.upper()}", "producer": producer, "producer_label": label}
+            if sequence is not None:
+                request["first_sequence"] = sequence
+        reply = self.call("ObservationService/ClassifyActivity", request)
+        for refusal in reply["refused"]:
+            warnings.warn(f"not learned: {refusal['detail']}", ObservationWarning, stacklevel=2)
+        columns = ["label", "probability", "likelihood", "temporal_prior", "spatial_prior"]
+        table = tables.frame({name: [row.get(name) for row in reply["labels"]] for name in columns})
+        table["spatial_prior"] = table["spatial_prior"].astype("float64")
+        table.attrs["durable_sequence"] = reply["durable_sequence"]
+        return table
 
     def evaluate(
         self,

@@ -81,6 +81,7 @@ def of_states(states: list[dict[str, Any]], zone: str) -> pandas.DataFrame:
         "reports": [one.kind for one in said],
         "hold_max": _durations([one.max_secs for one in said]),
         "hold_step": _durations([one.step_secs for one in said]),
+        "labels": [state["labels"] for state in states],
     })
 
 

@@ -9,7 +9,8 @@ use std::{
 };
 
 use tidemap_proto::v1::{
-    ObservationBatch, Probe, Refusal as WireRefusal, RefusalReason as WireReason, ReportRequest, ReportResponse,
+    ClassifyActivityRequest, ClassifyActivityResponse, ObservationBatch, Probe, Refusal as WireRefusal,
+    RefusalReason as WireReason, ReportRequest, ReportResponse,
     observation_service_server::{ObservationService, ObservationServiceServer},
 };
 use tokio::net::TcpListener;
@@ -178,6 +179,13 @@ impl Fake {
 #[tonic::async_trait]
 impl ObservationService for Fake {
     type ObserveStream = Pin<Box<dyn Stream<Item = Result<ObserveResponse, Status>> + Send>>;
+
+    async fn classify_activity(
+        &self,
+        _: Request<ClassifyActivityRequest>,
+    ) -> Result<Response<ClassifyActivityResponse>, Status> {
+        Err(Status::unimplemented("nobody asks it"))
+    }
 
     async fn report(&self, _: Request<ReportRequest>) -> Result<Response<ReportResponse>, Status> {
         Err(Status::unimplemented("a robot uses streams"))

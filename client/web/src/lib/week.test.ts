@@ -31,7 +31,7 @@ function observe(pairs: [number, number][]): void {
 }
 
 /** Lets the daemon predict for each axis, in two pieces; the values are those of `value`. */
-function predict(axes: number[], value: (ms: number, axis: number) => number): void {
+function predict(axes: number[], value: (ms: number, axis: number) => number, labels: string[] = []): void {
     mock.method(queries, 'predictStates', async function* (request: Parameters<typeof queries.predictStates>[0]) {
         await Promise.resolve();
         const times = (request.timesNanos ?? []).map(fromNanos);
@@ -39,7 +39,7 @@ function predict(axes: number[], value: (ms: number, axis: number) => number): v
             for (const part of [times.slice(0, 5), times.slice(5)]) {
                 const probabilities = part.map((ms) => value(ms, axis));
                 yield create(PredictStatesResponseSchema, {
-                    axis, probabilities, observations: 12n,
+                    axis, probabilities, observations: 12n, label: labels[axis - 1] ?? '',
                     lower: probabilities.map((middle) => middle - 1), upper: probabilities.map((middle) => middle + 1),
                 });
             }
@@ -83,6 +83,14 @@ suite('a week', () => {
         const week = await loadWeek('home', 'wind', MONDAY, ZONE, undefined);
         assert.deepEqual(week.series.map(({ name, values }) => [name, values[0]]), [['wind/x', 1], ['wind/y', 2], ['wind/4', 4]]);
         assert.deepEqual([week.model, week.isProbability], [undefined, false]);
+    });
+
+    test('has a series for each label of a categorical state, and they are probabilities', async () => {
+        predict([1, 2], (_, axis) => axis / 3, ['sleep', 'x']);
+        describe(Code.InvalidArgument as number);
+        const week = await loadWeek('home', 'activity', MONDAY, ZONE, undefined);
+        assert.deepEqual(week.series.map(({ name, values }) => [name, values[0]]), [['activity/sleep', 1 / 3], ['activity/x', 2 / 3]]);
+        assert.deepEqual([week.model, week.isProbability], [undefined, true]);
     });
 
     test('of a cell is a probability whatever its model says', async () => {

@@ -17,7 +17,7 @@ const LEVEL = 0.9;
 const DOTS_MAX = 4000;
 
 export interface Series {
-    /** Name of what is predicted: the state, or an axis of it. */
+    /** Name of what is predicted: the state, or an axis or a label of it. */
     name: string;
     values: number[];
     lower: number[];
@@ -57,8 +57,8 @@ export interface Moment {
     mass: number | undefined;
 }
 
-function axisName(state: string, axis: number): string {
-    return axis === 0 ? state : `${state}/${'xyz'[axis - 1] ?? axis}`;
+function axisName(state: string, { axis, label }: { axis: number; label?: string }): string {
+    return axis === 0 ? state : `${state}/${label || ('xyz'[axis - 1] ?? axis)}`;
 }
 
 /** The predictions of states for a time. */
@@ -67,7 +67,7 @@ export async function momentOf(map: string, states: string[], at: number, model:
     for await (const piece of queries.predictStates({ map, states, timesNanos: [toNanos(at)], model, intervalLevel: LEVEL })) {
         if (piece.probabilities.length === 0) continue;
         found.push({
-            name: axisName(states[piece.stateIndex] ?? '', piece.axis), value: piece.probabilities[0] ?? Number.NaN,
+            name: axisName(states[piece.stateIndex] ?? '', piece), value: piece.probabilities[0] ?? Number.NaN,
             lower: piece.lower[0], upper: piece.upper[0], mass: piece.masses[0],
         });
     }
@@ -81,11 +81,11 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
     for (let ms = start; ms <= end; ms += STEP_MS) times.push(ms);
     const isCell = state.startsWith('cell/');
     const answers: Series[] = [];
-    let [observations, knownUntil] = [0, 0];
+    let [observations, knownUntil, hasLabels] = [0, 0, false];
     const predict = async () => {
         const request = { map, states: [state], timesNanos: times.map(toNanos), model, intervalLevel: LEVEL };
         for await (const piece of queries.predictStates(request)) {
-            const name = axisName(state, piece.axis);
+            const name = axisName(state, piece);
             const found = answers.find((series) => series.name === name) ?? { name, values: [], lower: [], upper: [], masses: [] };
             if (found.values.length === 0) answers.push(found);
             found.values.push(...piece.probabilities);
@@ -93,6 +93,7 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
             found.upper.push(...piece.upper);
             found.masses?.push(...piece.masses);
             observations = Number(piece.observations);
+            hasLabels ||= Boolean(piece.label);
             knownUntil = Math.max(knownUntil, fromTimestamp(piece.lastTime) ?? 0);
         }
     };
@@ -100,13 +101,13 @@ export async function loadWeek(map: string, state: string, start: number, zone: 
         try {
             return await queries.describeModel({ map, state });
         } catch (error) {
-            // A vector has a model for each axis, and none of its own.
+            // A vector has a model for each axis, and none of its own; so has a categorical state for each label.
             if (ConnectError.from(error).code === Code.InvalidArgument) return undefined;
             throw error;
         }
     };
     const [, rows, described] = await Promise.all([predict(), observed(map, state, start, end, reported), describe()]);
-    const isProbability = isCell || described?.kind === StateKind.PROBABILITY;
+    const isProbability = isCell || hasLabels || described?.kind === StateKind.PROBABILITY;
     const seen = seenOf(rows, reported, start, end, knownUntil);
     const every = seen.pieces ? 1 : Math.ceil(seen.times.length / DOTS_MAX);
     const kept = <T>(list: T[]) => list.filter((_, index) => index % every === 0);

@@ -2,7 +2,7 @@
 //!
 //! Invariant: the columns have the readings in their order, and each name once.
 
-use std::collections::HashMap;
+use std::{borrow::Cow, collections::HashMap};
 
 use crate::{
     convert::{InvalidField, time::nanos_from_timestamp},
@@ -25,7 +25,7 @@ pub fn readings_to_columns(readings: &[v1::Reading], now_nanos: i64) -> Result<v
         return Err(InvalidField::new("readings", "there is none: send at least one"));
     }
     let mut columns = v1::ObservationColumns { time_unit_nanos: 1, ..Default::default() };
-    let mut named: HashMap<&str, Named> = HashMap::new();
+    let mut named: HashMap<Cow<'_, str>, Named> = HashMap::new();
     let mut before = None;
     for (i, reading) in readings.iter().enumerate() {
         let field = |name: &str| format!("readings[{i}].{name}");
@@ -35,19 +35,42 @@ pub fn readings_to_columns(readings: &[v1::Reading], now_nanos: i64) -> Result<v
             let text = format!("{dimensions} coordinates: a position has 2 or 3");
             return Err(InvalidField::new(field("position"), text));
         }
+        let labels = u32::try_from(reading.shares.len()).unwrap_or(u32::MAX);
+        let is_categorical = labels > 0 || !reading.label.is_empty();
+        if is_categorical && dimensions > 0 || labels > 0 && !reading.label.is_empty() {
+            return Err(InvalidField::new(
+                field("label"),
+                "a reading has a value, a position, a label or shares: one of these",
+            ));
+        }
         let kind = match reading.kind() {
             v1::StateKind::Unspecified if dimensions > 0 => v1::StateKind::Vector,
+            v1::StateKind::Unspecified if is_categorical => v1::StateKind::Categorical,
+            v1::StateKind::Categorical if !is_categorical => {
+                return Err(InvalidField::new(
+                    field("label"),
+                    "a reading of a categorical state has a label or shares",
+                ));
+            }
+            kind if is_categorical && kind != v1::StateKind::Categorical => {
+                return Err(InvalidField::new(field("kind"), "only a categorical state has a label or shares"));
+            }
             kind => kind,
         };
+        let dimensions = dimensions.max(labels);
+        let name = match reading.label.as_str() {
+            "" => Cow::from(&reading.state),
+            label => Cow::from(format!("{}/{label}", reading.state)),
+        };
         let next = u32::try_from(named.len()).unwrap_or(u32::MAX);
-        let state = named.entry(&reading.state).or_insert_with(|| {
-            columns.new_states.push(reading.state.clone());
+        let state = named.entry(name.clone()).or_insert_with(|| {
+            columns.new_states.push(name.into_owned());
             columns.new_kinds.push(kind.into());
             columns.new_dimensions.push(dimensions);
             Named { index: next, kind, dimensions }
         });
         if state.kind != kind || state.dimensions != dimensions {
-            let text = "all readings of a state have the same kind and number of coordinates";
+            let text = "all readings of a state have the same kind and number of coordinates or shares";
             return Err(InvalidField::new(field("kind"), text));
         }
         columns.state_indices.push(state.index);
@@ -55,8 +78,9 @@ pub fn readings_to_columns(readings: &[v1::Reading], now_nanos: i64) -> Result<v
         before = Some(time);
         columns.first_time_nanos = if i == 0 { time } else { columns.first_time_nanos };
         columns.time_deltas.push(delta);
-        columns.values.push(reading.value);
+        columns.values.push(if reading.label.is_empty() { reading.value } else { 1.0 });
         columns.coordinates.extend_from_slice(&reading.position);
+        columns.shares.extend_from_slice(&reading.shares);
     }
     if columns.new_dimensions.iter().all(|dimensions| *dimensions == 0) {
         columns.new_dimensions.clear();
@@ -83,12 +107,28 @@ mod tests {
     }
 
     #[test]
+    fn a_label_is_a_name_of_its_own_and_shares_have_their_number() {
+        let label = |label: &str| v1::Reading { label: label.to_owned(), ..reading("activity", 0.0) };
+        let shares = v1::Reading { shares: vec![0.25, 0.75], ..reading("mood", 0.0) };
+        let packed = readings_to_columns(&[label("eat"), label("sleep"), label("eat"), shares], 7).expect("right");
+        assert_eq!(packed.new_states, ["activity/eat", "activity/sleep", "mood"]);
+        assert_eq!(packed.new_kinds, [i32::from(v1::StateKind::Categorical); 3]);
+        assert_eq!((packed.new_dimensions, packed.shares), (vec![0, 0, 2], vec![0.25, 0.75]));
+        assert_eq!((packed.state_indices, packed.values), (vec![0, 1, 0, 2], vec![1.0, 1.0, 1.0, 0.0]));
+    }
+
+    #[test]
     fn what_is_wrong_is_named() {
         let field = |readings: &[v1::Reading]| readings_to_columns(readings, 7).expect_err("wrong").field;
         assert_eq!(field(&[]), "readings");
         let placed = |position: &[f64]| v1::Reading { position: position.to_vec(), ..reading("anna", 0.0) };
         assert_eq!(field(&[placed(&[1.0])]), "readings[0].position");
         assert_eq!(field(&[placed(&[1.0, 2.0]), reading("anna", 1.0)]), "readings[1].kind");
+        let label = v1::Reading { label: "eat".to_owned(), ..reading("activity", 0.0) };
+        assert_eq!(field(&[v1::Reading { shares: vec![1.0, 0.0], ..label.clone() }]), "readings[0].label");
+        assert_eq!(field(&[v1::Reading { kind: v1::StateKind::Count.into(), ..label }]), "readings[0].kind");
+        let bare = v1::Reading { kind: v1::StateKind::Categorical.into(), ..reading("activity", 1.0) };
+        assert_eq!(field(&[bare]), "readings[0].label");
         assert_eq!(field(&[v1::Reading { time: Some(timestamp(-1)), ..reading("door", 1.0) }]), "readings[0].time");
     }
 }

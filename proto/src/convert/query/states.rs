@@ -97,6 +97,7 @@ pub fn forecast_to_wire(
         axis,
         pending,
         answered_by: answered_by.map(selector_to_wire),
+        label: String::new(),
     }
 }
 

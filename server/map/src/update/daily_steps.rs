@@ -19,6 +19,7 @@ use std::{
 use rayon::prelude::*;
 use tidemap_model::{
     LearnedRows, LocalDay, OffsetCache, Reporting, RowReadings, Sample, StateModel, Surprises, UpdateOutcome,
+    choose_together, selector::ModelKind,
 };
 
 use super::{RoomInUse, late_rows::AllRows};
@@ -43,6 +44,8 @@ pub(super) struct DailySteps<'a> {
     /// Of the states that are learned anew.
     pub(super) anew: AllRows,
     pub(super) room: &'a RoomInUse,
+    /// The states that have one choice together: the first, and how many there are; ascending.
+    pub(super) together: Vec<(StateId, usize)>,
     /// Counts the states that are done.
     pub(super) progress: &'a AtomicU64,
 }
@@ -172,7 +175,26 @@ fn of_day<'a, 'b>(day: LocalDay, lessons: &'b mut [Lesson<'a>], models: &'b mut 
         .collect()
 }
 
+/// Chooses one model for states that have one choice, given each with the choice before the day.
+fn choose(before: &[(StateId, usize, ModelKind)], class: &mut Class<'_, '_>) {
+    for &(first, count, before) in before {
+        let start = class.partition_point(|(lesson, _)| lesson.id < first);
+        let parts = class.iter_mut().skip(start).take(count).filter(|(lesson, _)| lesson.id.0 < first.0 + count as u32);
+        let mut parts: Vec<&mut StateModel> = parts.map(|(_, model)| Arc::make_mut(*model)).collect();
+        choose_together(&mut parts, before);
+    }
+}
+
 impl DailySteps<'_> {
+    /// Of the states that have one choice together and learn on a day: what is chosen before it.
+    fn choices(&self, class: &Class<'_, '_>) -> Vec<(StateId, usize, ModelKind)> {
+        let chosen = |&(first, count): &(StateId, usize)| {
+            let at = class.binary_search_by_key(&first, |(lesson, _)| lesson.id).ok()?;
+            Some((first, count, class.get(at)?.1.choice()))
+        };
+        self.together.iter().filter_map(chosen).collect()
+    }
+
     /// Learns the samples of each state, on the current rayon pool. The states ascend. `models`: of all states.
     ///
     /// # Errors
@@ -189,7 +211,9 @@ impl DailySteps<'_> {
             let mut class = of_day(day, &mut lessons, models);
             let runs_of = |class: &Class<'_, '_>| class.iter().map(|(_, model)| model.surprises().runs().len()).sum();
             let runs_before: usize = runs_of(&class);
+            let before = self.choices(&class);
             class.par_iter_mut().try_for_each(|(lesson, model)| self.learn_day(day, lesson, model))?;
+            choose(&before, &mut class);
             let runs_after: usize = runs_of(&class);
             if let Some(readings) = self.readings {
                 training.add(self.train_after(day, class, readings));

@@ -54,3 +54,16 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_label_costs_its_surprise_and_is_wrong_if_another_is_as_likely() {
+    let mut sum = Evaluation::default();
+    sum.add_label(&[0.5, 0.25, 0.25], 0);
+    assert_eq!((sum.mse(), sum.error_rate(), sum.log_loss_bits()), (0.375, 0.0, 1.0));
+    sum.add_label(&[0.25, 0.25, 0.5], 1);
+    assert_eq!((sum.mse(), sum.error_rate(), sum.log_loss_bits()), (0.625, 0.5, 1.5));
+    let mut certain = Evaluation::default();
+    certain.add_label(&[1.0, 0.0], 1);
+    assert_eq!((certain.mse(), certain.wrong), (2.0, 1));
+    assert!((certain.log_loss_bits() - 1e6_f64.log2()).abs() < 1e-12);
+}

@@ -60,7 +60,7 @@ impl From<OrderCriterion> for UpdateRules {
 }
 
 /// Hysteresis: another model is chosen only if its error is lower than that of the model in force by this factor.
-const CLEARLY_LOWER: f64 = 0.95;
+pub(super) const CLEARLY_LOWER: f64 = 0.95;
 
 /// Days for which an alarm rings; then the change counts as history.
 pub(super) const ALARM_DAYS: i32 = 28;
@@ -202,6 +202,11 @@ impl Alternatives {
     /// The model in force: the spectral one, one of [`HISTOGRAMS`] or one of [`TRAINED_AT_NIGHT`].
     pub fn choice(&self) -> ModelKind {
         self.parts.choice
+    }
+
+    /// Puts a model in force, which must be among [`Alternatives::error_sums`].
+    pub(super) fn set_choice(&mut self, choice: ModelKind) {
+        self.parts.choice = choice;
     }
 
     /// Untrained alternatives with these models enabled.

@@ -62,3 +62,15 @@ proptest! {
         prop_assert!((bits(high) - bits(1.0 - high)).abs() < 1e-12);
     }
 }
+
+#[test]
+fn a_look_at_labels_is_worth_their_entropy_less_what_it_leaves() {
+    let certainty = Certainty::default();
+    for p in [0.05, 0.2, 0.5, 0.9] {
+        let difference = certainty.bits_of_labels(&[p, 1.0 - p]) - certainty.bits(p);
+        assert!(difference.abs() < 1e-12, "{p}: {difference}");
+    }
+    let even = certainty.bits_of_labels(&[0.25; 4]);
+    assert!((even - (2.0 - 0.286_396_957_115_956_4 - 0.05 * 3.0_f64.log2())).abs() < 1e-12, "{even}");
+    assert_eq!(certainty.bits_of_labels(&[1.0, 0.0, 0.0]), 0.0);
+}

@@ -28,6 +28,7 @@ pub(crate) struct RefusedObservation {
 /// A name of a stream's table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct NewName {
+    /// Of an observation of a label: the name of the label's state.
     pub name: StateName,
     /// The shape that the message declares for the state; `None`: not declared.
     pub shape: Option<StateShape>,
@@ -56,11 +57,13 @@ pub(crate) struct ObservationBatch {
     /// Per accepted observation: nanoseconds UTC.
     pub times_nanos: Vec<i64>,
     /// Per accepted observation: a value that the declared kind allows, or any kind if none is declared; NaN of a state
-    /// that may report changes or events; 0 for a position.
+    /// that may report changes or events; 0 for a position and for shares.
     pub values: Vec<f64>,
     /// The positions, ascending, each with the index of its observation among the accepted ones, and with the declared
     /// number of coordinates.
     pub positions: Vec<(u32, Position)>,
+    /// The shares of labels, ascending, each with the index of its observation among the accepted ones; they sum to 1.
+    pub shares: Vec<(u32, Box<[f64]>)>,
     /// The refused observations.
     pub refused: Vec<RefusedObservation>,
 }

@@ -27,6 +27,8 @@ pub(crate) enum AddStateError {
     OtherSensor { name: StateName, found: Option<StateSensor>, asked: StateSensor },
     #[error("state {name:?} exists and is reported by {found}, not by {asked}: how a state is reported never changes; add the state before its first observation, or erase it first", name = .name.as_str())]
     OtherReporting { name: StateName, found: Reporting, asked: StatedReporting },
+    #[error("state {name:?} exists with other labels: the labels of a state never change; add them under another name, or erase the state first", name = .name.as_str())]
+    OtherLabels { name: StateName },
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
     TooMany { max: usize },
     #[error(transparent)]

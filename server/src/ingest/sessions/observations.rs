@@ -3,6 +3,8 @@
 //! Invariant: each number of an event is of a state of the map, or of one that the event adds; a position and an angle
 //! are taken with all of their numbers.
 
+use std::borrow::Cow;
+
 use tidemap_map::{
     event::{Event, Observations, StateShape},
     ids::{RefusalReason, StateId},
@@ -13,7 +15,7 @@ use tidemap_model::{Sample, cos_sin, time::FUTURE_MAX_NANOS};
 use super::{
     super::protocol::{ObservationBatch, RefusedObservation, SessionId},
     Sessions, StreamEvent,
-    states::{StateAllocator, StreamState},
+    states::{ObservedState, StateAllocator, StreamState},
 };
 
 impl Sessions {
@@ -41,6 +43,7 @@ impl Sessions {
         let plausible = now.saturating_add(FUTURE_MAX_NANOS);
         let may_wait = map.future() < self.limits.ahead;
         let mut positions = batch.positions.iter().peekable();
+        let mut distributions = batch.shares.iter().peekable();
         let count = batch.table_indices.len();
         let mut observations = Observations {
             states: Vec::with_capacity(count),
@@ -51,6 +54,7 @@ impl Sessions {
         for i in 0..count {
             let time = batch.times_nanos[i];
             let position = positions.next_if(|(place, _)| *place as usize == i).map(|(_, position)| *position);
+            let shares = distributions.next_if(|(place, _)| *place as usize == i).map(|(_, shares)| &**shares);
             if time > plausible && !may_wait {
                 refuse(i, RefusalReason::Time, too_far_ahead(time, self.limits.ahead));
                 continue;
@@ -61,12 +65,13 @@ impl Sessions {
                 in_flight: &mut self.states_in_flight,
                 renames: &self.renames_in_flight,
                 reportings: &mut self.reportings_in_flight,
+                categorical: &self.categorical_in_flight,
                 max: self.limits.states,
             };
-            let (state, shape) =
-                match slot.state_for(batch.values[i], position.is_some(), &mut allocator, &mut observations.new_states)
-                {
-                    Ok(state) => state,
+            let has_parts = position.is_some() || shares.is_some();
+            let observed =
+                match slot.state_for(batch.values[i], has_parts, &mut allocator, &mut observations.new_states) {
+                    Ok(observed) => observed,
                     Err(Some((reason, text))) => {
                         refuse(i, reason, text);
                         continue;
@@ -74,21 +79,29 @@ impl Sessions {
                     Err(None) => continue,
                 };
             let offset_secs = self.offsets.offset_secs(time);
-            let angle;
-            let numbers = match (&position, shape) {
-                (Some(position), _) => position.coordinates(),
-                (None, StateShape::Angle) => {
-                    angle = cos_sin(batch.values[i]);
-                    &angle[..]
-                }
-                (None, _) => &batch.values[i..=i],
+            let numbers = match (&position, shares) {
+                (Some(position), _) => Cow::from(position.coordinates()),
+                (None, Some(shares)) => Cow::from(shares),
+                (None, None) => numbers_of(&observed, &batch.values[i..=i]),
             };
-            for (&value, state) in numbers.iter().zip(state.0..) {
+            for (&value, state) in numbers.iter().zip(observed.first.0..) {
                 observations.push(StateId(state), Sample { utc_nanos: time, offset_secs, value });
             }
         }
         let envelope = session.envelope(map, &mut self.producers_in_flight, now, batch.span, &mut refused);
         Some(StreamEvent { event: Event::Observations(envelope, observations), refused, tiles_ahead: 0 })
+    }
+}
+
+/// The numbers of the states of an observation that is one value.
+fn numbers_of<'a>(observed: &ObservedState, value: &'a [f64]) -> Cow<'a, [f64]> {
+    match (observed.shape, observed.held, value) {
+        (StateShape::Angle, _, &[angle_rad]) => Cow::from(cos_sin(angle_rad).to_vec()),
+        (StateShape::Categorical(labels), Some(held), _) => {
+            let holds = |state: u32| f64::from(u8::from(state == held.0));
+            (observed.first.0..).take(usize::from(labels)).map(holds).collect()
+        }
+        _ => Cow::from(value),
     }
 }
 

@@ -55,6 +55,7 @@ impl Sessions {
                     in_flight: &mut self.states_in_flight,
                     renames: &self.renames_in_flight,
                     reportings: &mut self.reportings_in_flight,
+                    categorical: &self.categorical_in_flight,
                     max: self.limits.states,
                 };
                 take(&mut observations, &report, allocator, &mut self.offsets)

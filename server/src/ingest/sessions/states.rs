@@ -30,6 +30,8 @@ pub(super) type Refusal = (RefusalReason, String);
 pub(super) enum StreamState {
     /// A state of the map, or of a batch in flight; for a vector its first axis.
     State(StateId, StateShape, Reporting),
+    /// A label of a categorical state: the first label, how many there are, and the one that is observed.
+    Label(StateId, u8, StateId),
     /// A state whose shape differs from the declared one: its shape, and the declared one.
     OtherShape(StateName, StateShape, Option<StateShape>),
     /// A state that is reported otherwise than the stream says.
@@ -47,29 +49,37 @@ pub(super) struct StateAllocator<'a> {
     pub(super) renames: &'a HashMap<StateName, (StateId, StateKind)>,
     /// Of states in flight that do not report samples.
     pub(super) reportings: &'a mut HashMap<StateId, Reporting>,
+    /// Categorical states in flight.
+    pub(super) categorical: &'a HashMap<StateName, (StateId, u8)>,
     pub(super) max: usize,
 }
 
 impl StreamState {
-    /// The state of an observation with this value, or the first axis, and its shape; it may be new. `Err(None)`:
-    /// intake has refused it already.
+    /// The state of an observation with this value, or the first axis or label, with its shape, and of a label the one
+    /// that holds; it may be new. `has_parts`: it is a position, or shares. `Err(None)`: intake has refused it already.
     pub(super) fn state_for(
         &mut self,
         value: f64,
-        is_position: bool,
+        has_parts: bool,
         allocator: &mut StateAllocator<'_>,
         new_states: &mut Vec<NewState>,
-    ) -> Result<(StateId, StateShape), Option<Refusal>> {
+    ) -> Result<ObservedState, Option<Refusal>> {
         if let StreamState::Unused(name) = self {
             *self = used(name, value, allocator, new_states)?;
         }
         match self {
-            // Intake passes a position only if a vector was declared.
-            StreamState::State(state, shape @ StateShape::Vector(_), _) if is_position => Ok((*state, *shape)),
+            // Intake passes a position only if a vector was declared, and shares if a categorical state was.
+            StreamState::State(state, shape @ (StateShape::Vector(_) | StateShape::Categorical(_)), _) if has_parts => {
+                Ok(ObservedState { first: *state, shape: *shape, held: None })
+            }
+            StreamState::Label(first, labels, held) => {
+                let shape = StateShape::Categorical(*labels);
+                Ok(ObservedState { first: *first, shape, held: Some(*held) })
+            }
             StreamState::State(state, shape, reporting)
-                if !is_position && (shape.allows(value) || (value.is_nan() && reporting.may_end())) =>
+                if !has_parts && (shape.allows(value) || (value.is_nan() && reporting.may_end())) =>
             {
-                Ok((*state, *shape))
+                Ok(ObservedState { first: *state, shape: *shape, held: None })
             }
             StreamState::State(_, shape, _) => Err(Some(refuse_value(value, *shape))),
             StreamState::OtherShape(name, found, said) => Err(Some(other_shape(name, *found, *said))),
@@ -79,6 +89,39 @@ impl StreamState {
     }
 }
 
+/// The state of an observation.
+pub(super) struct ObservedState {
+    /// The state, or its first axis or label.
+    pub(super) first: StateId,
+    pub(super) shape: StateShape,
+    /// Of an observation of a label: the state of the label.
+    pub(super) held: Option<StateId>,
+}
+
+/// Looks the name of a label up at its first observation.
+fn used_label(name: &StateName, state: &str, allocator: &StateAllocator<'_>) -> Result<StreamState, Refusal> {
+    let whole = StateName::new(state).map_err(|error| (RefusalReason::StateName, format!("state {error}")))?;
+    match allocator.known(&whole) {
+        Some((first, StateShape::Categorical(labels))) => match allocator.known(name) {
+            Some((held, _)) => Ok(StreamState::Label(first, labels, held)),
+            None => {
+                let known = allocator.labels(first, labels);
+                let (label, known) = (name.as_label().map_or("", |(_, label)| label), known.join(", "));
+                Err((RefusalReason::Value, format!("state {state:?} has no label {label:?}: its labels are {known}")))
+            }
+        },
+        Some((_, found)) => Err(other_shape(&whole, found, Some(StateShape::Categorical(0)))),
+        None => Err(no_labels(&whole)),
+    }
+}
+
+/// The refusal of an observation of a categorical state that was not added.
+fn no_labels(name: &StateName) -> Refusal {
+    let name = name.as_str().chars().take(60).collect::<String>();
+    let text = format!("state {name:?} does not exist: a categorical state is added with its labels first");
+    (RefusalReason::StateKind, text)
+}
+
 /// Looks the name up at its first observation.
 fn used(
     NewName { name, shape: said, reporting: stated }: &NewName,
@@ -86,11 +129,14 @@ fn used(
     allocator: &mut StateAllocator<'_>,
     new_states: &mut Vec<NewState>,
 ) -> Result<StreamState, Refusal> {
+    if let Some((state, _)) = name.as_label() {
+        return used_label(name, state, allocator);
+    }
     let has_events = stated.is_some_and(|stated| stated.kind() == RowKind::Events);
     let usual = if has_events { StateKind::Count.into() } else { StateShape::default() };
     let shape = said.unwrap_or(usual);
     let reporting = stated.map_or(Reporting::Samples, StatedReporting::for_new);
-    match known_state(allocator.map, allocator.in_flight, allocator.renames, name) {
+    match allocator.known(name) {
         // A name without a declared shape has single values.
         Some((state, found)) if *said == Some(found) || (said.is_none() && found.is_single()) => {
             let reporting = allocator.reporting(state);
@@ -101,7 +147,14 @@ fn used(
                 _ => StreamState::State(state, found, reporting),
             })
         }
+        Some((_, found @ StateShape::Categorical(labels))) if matches!(shape, StateShape::Categorical(_)) => {
+            let (name, sent) = (name.as_str().chars().take(60).collect::<String>(), shape.states());
+            let text = format!("state {name:?} has {labels} labels, not {sent}: send a share of each");
+            debug_assert_ne!(found, shape, "equal shapes are taken above");
+            Err((RefusalReason::Value, text))
+        }
         Some((_, found)) => Ok(StreamState::OtherShape(name.clone(), found, *said)),
+        None if matches!(shape, StateShape::Categorical(_)) => Err(no_labels(name)),
         None if !shape.may_report(reporting) => Err((RefusalReason::StateKind, cannot_report(shape, reporting.kind()))),
         // An invalid value does not create a state. Intake has checked positions.
         None if shape.is_single() && !shape.allows(value) && !(value.is_nan() && reporting.may_end()) => {
@@ -127,7 +180,7 @@ impl StateAllocator<'_> {
     ) -> Result<Vec<StateId>, Refusal> {
         let mut known = Vec::with_capacity(wanted.len());
         for (name, kind) in wanted {
-            known.push(match known_state(self.map, self.in_flight, self.renames, name) {
+            known.push(match self.known(name) {
                 Some((_, found)) if found != StateShape::Scalar(*kind) => {
                     return Err(other_shape(name, found, Some(StateShape::Scalar(*kind))));
                 }
@@ -153,6 +206,21 @@ impl StateAllocator<'_> {
         Ok(states)
     }
 
+    /// A state of the map, or of an event in flight; for a vector or a categorical state its first axis or label.
+    fn known(&self, name: &StateName) -> Option<(StateId, StateShape)> {
+        known_state(self.map, self.in_flight, (self.renames, self.categorical), name)
+    }
+
+    /// The labels of a categorical state.
+    fn labels(&self, first: StateId, labels: u8) -> Vec<String> {
+        let ids = first.0..first.0.saturating_add(u32::from(labels));
+        let in_flight = self.in_flight.iter().map(|(name, (id, _))| (*id, name));
+        let mut named: Vec<(StateId, &StateName)> = self.map.names().chain(in_flight).collect();
+        named.retain(|(id, _)| ids.contains(&id.0));
+        named.sort_by_key(|(id, _)| *id);
+        named.into_iter().filter_map(|(_, name)| Some(name.as_label()?.1.to_owned())).collect()
+    }
+
     /// The refusal of a state beyond the limit.
     fn is_full(&self, name: &StateName) -> Refusal {
         let name = name.as_str().chars().take(60).collect::<String>();
@@ -170,6 +238,16 @@ impl StateAllocator<'_> {
 
     /// Allocates a state, or all axes of a vector; `None` if the limit allows no more.
     fn add(&mut self, name: &StateName, shape: StateShape, reporting: Reporting) -> Option<NewState> {
+        self.add_labelled(name, (shape, Vec::new()), reporting)
+    }
+
+    /// As [`StateAllocator::add`], with the states of the labels of a categorical state.
+    fn add_labelled(
+        &mut self,
+        name: &StateName,
+        (shape, labels): (StateShape, Vec<StateName>),
+        reporting: Reporting,
+    ) -> Option<NewState> {
         let next = self.map.states() + self.in_flight.len();
         if next.saturating_add(shape.states()) > self.max {
             return None;
@@ -178,6 +256,7 @@ impl StateAllocator<'_> {
             id: StateId(u32::try_from(next).unwrap_or(u32::MAX)),
             name: name.clone(),
             shape,
+            labels,
             sensor: None,
             reporting,
         };
@@ -194,11 +273,26 @@ impl Sessions {
     /// fits any.
     pub(crate) fn add_state(
         &mut self,
-        DeclaredState { name, shape, sensor, reporting: stated }: &DeclaredState,
+        DeclaredState { name, shape, labels, sensor, reporting: stated }: &DeclaredState,
         map: &LiveMap,
     ) -> Result<Option<NewState>, AddStateError> {
         let (shape, sensor) = (*shape, *sensor);
-        match known_state(map, &self.states_in_flight, &self.renames_in_flight, name) {
+        let others = (&self.renames_in_flight, &self.categorical_in_flight);
+        match known_state(map, &self.states_in_flight, others, name) {
+            Some((first, found)) if found == shape && !labels.is_empty() => {
+                let is_own = |(label, id): (&StateName, u32)| {
+                    let known = map.find(label.as_str());
+                    known.or_else(|| self.states_in_flight.get(label).map(|(known, _)| *known)) == Some(StateId(id))
+                };
+                if labels.iter().zip(first.0..).all(is_own) {
+                    Ok(None)
+                } else {
+                    Err(AddStateError::OtherLabels { name: name.clone() })
+                }
+            }
+            Some((_, StateShape::Categorical(_))) if !labels.is_empty() => {
+                Err(AddStateError::OtherLabels { name: name.clone() })
+            }
             Some((state, found)) if found == shape => {
                 let reporting = self.reportings_in_flight.get(&state).copied();
                 let reporting = reporting.unwrap_or_else(|| map.reporting(state));
@@ -220,11 +314,16 @@ impl Sessions {
                     in_flight: &mut self.states_in_flight,
                     renames: &self.renames_in_flight,
                     reportings: &mut self.reportings_in_flight,
+                    categorical: &self.categorical_in_flight,
                     max: self.limits.states,
                 };
                 let reporting = stated.map_or(Reporting::Samples, StatedReporting::for_new);
-                let new =
-                    allocator.add(name, shape, reporting).ok_or(AddStateError::TooMany { max: self.limits.states })?;
+                let new = allocator
+                    .add_labelled(name, (shape, labels.clone()), reporting)
+                    .ok_or(AddStateError::TooMany { max: self.limits.states })?;
+                if let StateShape::Categorical(labels) = shape {
+                    self.categorical_in_flight.insert(name.clone(), (new.id, labels));
+                }
                 self.sensors_in_flight.extend(sensor.map(|sensor| (new.id, sensor)));
                 Ok(Some(NewState { sensor, ..new }))
             }
@@ -264,16 +363,17 @@ impl Sessions {
         for (_, name, _) in new.states() {
             self.states_in_flight.remove(&name);
         }
+        self.categorical_in_flight.remove(&new.name);
         self.sensors_in_flight.remove(&new.id);
         self.reportings_in_flight.remove(&new.id);
     }
 }
 
-/// A state of the map, or of an event in flight; for a vector its first axis.
+/// A state of the map, or of an event in flight; for a vector or a categorical state its first axis or label.
 fn known_state(
     map: &LiveMap,
     in_flight: &HashMap<StateName, (StateId, StateKind)>,
-    renames: &HashMap<StateName, (StateId, StateKind)>,
+    (renames, categorical): (&HashMap<StateName, (StateId, StateKind)>, &HashMap<StateName, (StateId, u8)>),
     name: &StateName,
 ) -> Option<(StateId, StateShape)> {
     if let Some(known) = map.shape(name.as_str()) {
@@ -281,6 +381,9 @@ fn known_state(
     }
     if let Some(&(state, kind)) = in_flight.get(name).or_else(|| renames.get(name)) {
         return Some((state, kind.into()));
+    }
+    if let Some(&(first, labels)) = categorical.get(name) {
+        return Some((first, StateShape::Categorical(labels)));
     }
     // A vector has a plain name: `edge/A/B/x` is an edge with the action x.
     if name.as_str().contains('/') {

@@ -5,7 +5,10 @@
 use std::sync::Arc;
 
 use tidemap_map::{name::StateName, view::MapView};
-use tidemap_model::StopSignal;
+use tidemap_model::{
+    StopSignal,
+    label_evidence::{entropy_of_labels_bits, normalise},
+};
 use tidemap_plan::{
     information::{Certainty, entropy_of},
     predicted::{PredictError, PredictOptions, PredictedTimes},
@@ -30,10 +33,36 @@ use crate::{
 /// Maximum number of targets of one request.
 const TARGETS_MAX: usize = 10_000;
 
-fn reply(target: &str, rows: &[Vec<f64>], times: usize, certainty: Certainty) -> v1::GetInformationResponse {
+/// What information is asked of.
+struct Target {
+    name: String,
+    states: Vec<StateOrCell>,
+    /// Whether the states are the labels of one categorical state.
+    are_labels: bool,
+}
+
+fn reply(
+    Target { name: target, are_labels, .. }: &Target,
+    rows: &[Vec<f64>],
+    times: usize,
+    certainty: Certainty,
+) -> v1::GetInformationResponse {
+    if *are_labels {
+        let shares = |time: usize| {
+            let mut shares: Vec<f64> = rows.iter().map(|row| row[time]).collect();
+            normalise(&mut shares);
+            shares
+        };
+        return v1::GetInformationResponse {
+            target: target.clone(),
+            entropy_bits: (0..times).map(|time| entropy_of_labels_bits(&shares(time))).collect(),
+            information_bits: (0..times).map(|time| certainty.bits_of_labels(&shares(time))).collect(),
+            states: rows.len() as u64,
+        };
+    }
     let at = |time: usize| rows.iter().map(move |row| row[time]);
     v1::GetInformationResponse {
-        target: target.to_owned(),
+        target: target.clone(),
         entropy_bits: (0..times).map(|time| entropy_of(at(time))).collect(),
         information_bits: (0..times).map(|time| certainty.bits_of(at(time))).collect(),
         states: rows.len() as u64,
@@ -77,18 +106,18 @@ pub(super) async fn get_information(
         InformationTargets::Named { states, locations } => {
             let view = handle.view();
             let targets = named_targets(&view, states, &locations, explorations.limits.predictions).await?;
-            let all = targets.iter().map(|(_, states)| states.len() as u64).sum::<u64>();
+            let all = targets.iter().map(|target| target.states.len() as u64).sum::<u64>();
             let (predictions, max) = (all * times_nanos.len() as u64, explorations.limits.predictions);
             check_limit("predictions", predictions, max, "setting max_predictions")?;
             let asked = explorations.clone();
             Ok(stream_replies(move |sink| async move {
-                for (name, states) in targets {
-                    let wanted = (states, times_nanos.clone());
+                for target in targets {
+                    let wanted = (target.states.clone(), times_nanos.clone());
                     let rows = tokio::select! {
                         () = sink.closed() => return Ok(()),
                         rows = predict_series(asked.predict_context(), &handle, &view, wanted, selector) => rows?,
                     };
-                    let answer = reply(&name, &rows, times_nanos.len(), certainty);
+                    let answer = reply(&target, &rows, times_nanos.len(), certainty);
                     let to = sink.clone();
                     if !run_blocking((), move || to.send(answer)).await? {
                         break;
@@ -126,17 +155,24 @@ async fn named_targets(
     states: Vec<String>,
     locations: &[StateName],
     max: u64,
-) -> Result<Vec<(String, Vec<StateOrCell>)>, RpcError> {
+) -> Result<Vec<Target>, RpcError> {
     check_limit("targets", (states.len() + locations.len()) as u64, TARGETS_MAX as u64, "one request")?;
-    let found = find_all(view, |i| format!("states[{i}]"), states.clone()).await?;
     let mut targets = Vec::with_capacity(states.len() + locations.len());
-    for (i, (name, state)) in states.into_iter().zip(found).enumerate() {
-        if let StateOrCell::State(id) = state {
+    for (i, name) in states.into_iter().enumerate() {
+        let labels = view.labels(&name);
+        if !labels.is_empty() {
+            let states = labels.into_iter().map(|(id, _)| StateOrCell::State(id)).collect();
+            targets.push(Target { name, states, are_labels: true });
+            continue;
+        }
+        let states = find_all(view, move |_| format!("states[{i}]"), vec![name.clone()]).await?;
+        if let [StateOrCell::State(id)] = states[..] {
             check_kind(view, id, &format!("states[{i}]"))?;
         }
-        targets.push((name, vec![state]));
+        targets.push(Target { name, states, are_labels: false });
     }
     let of_locations = find_members(view, locations, max).await?;
-    targets.extend(locations.iter().map(|name| name.as_str().to_owned()).zip(of_locations));
+    let names = locations.iter().map(|name| name.as_str().to_owned());
+    targets.extend(names.zip(of_locations).map(|(name, states)| Target { name, states, are_labels: false }));
     Ok(targets)
 }

@@ -28,6 +28,16 @@ fn is_taken(status: &Status) -> bool {
 impl Observations {
     /// Takes the readings of a request.
     pub(super) async fn take_report(&self, request: v1::ReportRequest) -> Result<v1::ReportResponse, Status> {
+        self.take_readings(request, false).await
+    }
+
+    /// As [`Observations::take_report`], for readings that may differ when they are sent again: what was taken with
+    /// their numbers stays.
+    pub(super) async fn take_report_once(&self, request: v1::ReportRequest) -> Result<v1::ReportResponse, Status> {
+        self.take_readings(request, true).await
+    }
+
+    async fn take_readings(&self, request: v1::ReportRequest, may_differ: bool) -> Result<v1::ReportResponse, Status> {
         // Whether the caller may see the map comes first.
         find_map(&self.catalog, &request.map).await?;
         OverLimit::check("readings", request.readings.len(), READINGS, "a report; use Observe for more")
@@ -36,7 +46,7 @@ impl Observations {
         let observations = readings_to_columns(&request.readings, now).map_err(RpcError::from)?;
         let deadline = Instant::now() + KEY_WITHIN;
         loop {
-            match self.run_report(&request, &observations).await {
+            match self.run_report(&request, &observations, may_differ).await {
                 Err(status) if is_taken(&status) && Instant::now() < deadline => tokio::time::sleep(KEY_POLL).await,
                 result => return result,
             }
@@ -48,6 +58,7 @@ impl Observations {
         &self,
         request: &v1::ReportRequest,
         observations: &v1::ObservationColumns,
+        may_differ: bool,
     ) -> Result<v1::ReportResponse, Status> {
         let (up, requests) = mpsc::channel(2);
         let send = |message| drop(up.try_send(Ok(v1::ObserveRequest { message: Some(message) })));
@@ -73,6 +84,11 @@ impl Observations {
             0 => welcome.durable_sequence + 1,
             sequence => sequence,
         };
+        let last = first_sequence.saturating_add(observations.time_deltas.len() as u64 - 1);
+        if may_differ && last <= welcome.durable_sequence {
+            reply.durable_sequence = welcome.durable_sequence;
+            return Ok(reply);
+        }
         send(Up::Batch(v1::ObservationBatch { first_sequence, observations: Some(observations.clone()) }));
         drop(up);
         while let Some(message) = replies.recv().await {

@@ -34,6 +34,8 @@ use crate::{
     state_or_cell::StateOrCell,
 };
 
+mod labels;
+
 /// Observations that are judged at once, and of one reply: their phasors take some 10 MB at 168 periodicities.
 const READINGS_PER_REPLY: usize = 4096;
 
@@ -85,6 +87,9 @@ pub(super) async fn find_anomalies(
     let confidence = confidence_from_wire("confidence", confidence)?;
     let selector = judge_from_wire("model", model)?;
     let view = handle.view();
+    if !view.labels(&name).is_empty() {
+        return labels::find_anomalies(queries, handle, view, asked, (selector, confidence)).await;
+    }
     let subject = find_all(&view, |_| "state".to_owned(), vec![name]).await?.pop().ok_or(RpcError::Stopping)?;
     if let StateOrCell::State(id) = subject {
         asked.within_nanos = view.rows_about(id, &within_nanos);

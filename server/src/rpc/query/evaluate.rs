@@ -26,7 +26,7 @@ use tonic::{Status, Streaming};
 
 use super::{Queries, STATES_MAX};
 use crate::{
-    evaluation::{AnswerSource, Evaluator, Sine},
+    evaluation::{AnswerSource, Compared, Evaluator, OtherPart},
     ingest::handle::MapHandle,
     model_cache::ModelUnavailable,
     rpc::{
@@ -64,7 +64,7 @@ pub(super) async fn evaluate_states(
     let mut held = HeldRows::default();
     while let Some(request) = stream.message().await? {
         let mut packed = evaluated_from_wire(request).map_err(RpcError::from)?;
-        extend_table(&mut table, packed.take_names(), &view, &evaluator).await?;
+        extend_table(&mut table, packed.take_named_kinds(), &view, &evaluator).await?;
         let (got, max) = (packed.observations() as u64, queries.max_batch as u64);
         check_limit("observations of one message", got, max, "setting max_batch_observations")?;
         let columns = unpack_evaluated(packed, table.len()).map_err(RpcError::from)?;
@@ -83,16 +83,16 @@ pub(super) async fn evaluate_states(
 /// Adds names to the table of a stream.
 async fn extend_table(
     table: &mut Vec<TableEntry>,
-    names: Vec<String>,
+    names: Vec<(String, bool)>,
     view: &Arc<MapView>,
     evaluator: &Evaluator,
 ) -> Result<(), RpcError> {
     check_limit("states", (table.len() + names.len()) as u64, STATES_MAX as u64, "one evaluation")?;
-    for name in names {
+    for (name, is_label) in names {
         let states = table.len() + 1;
         let sums = states.saturating_mul(evaluator.sums_per_state()) as u64;
         check_limit("states times models and orders", sums, SUMS_MAX as u64, "one evaluation")?;
-        table.push(TableEntry::find(view, name, table).await?);
+        table.push(TableEntry::find(view, (name, is_label), table).await?);
     }
     Ok(())
 }
@@ -111,12 +111,17 @@ fn take_observations(
         // Every index is one of the table.
         let Some(entry) = table.get(index as usize) else { continue };
         let shape = entry.shape(view);
-        let is_allowed = if entry.is_angle { shape.allows(value) } else { shape.kind().bounds().contains(&value) };
+        let is_allowed = match entry.compared {
+            Compared::Alone => shape.kind().bounds().contains(&value),
+            Compared::Angle => shape.allows(value),
+            Compared::Labels => value == 1.0,
+        };
         let is_allowed = is_allowed || (value.is_nan() && entry.state.reporting(view).may_end());
         if !is_allowed {
             return Err(Problem::Value { value, shape }.of("observations.values"));
         }
-        evaluator.begin(&entry.state, entry.is_angle);
+        evaluator.begin(&entry.state, entry.compared);
+        let value = if entry.compared == Compared::Labels { f64::from(entry.label) } else { value };
         waiting.push(entry, make(time, value));
     }
     Ok(())
@@ -130,6 +135,7 @@ fn answer(evaluator: &Evaluator, view: &MapView) -> v1::EvaluateStatesResponse {
         observations: evaluation.observations,
         mean_squared_error: evaluation.mse(),
         error_rate: (state.kind(view) == StateKind::Probability).then(|| evaluation.error_rate()),
+        log_loss_bits: evaluator.has_labels(&state).then(|| evaluation.log_loss_bits()),
     });
     let unavailable = evaluator.unavailable().into_iter().map(|(model, reason, states)| v1::UnavailableModel {
         model: Some(selector_to_wire(model)),
@@ -223,14 +229,11 @@ async fn compare(
 ) -> Result<(Evaluator, u64), Status> {
     let mut work: Vec<SubjectWork> = Vec::new();
     let last = taken.len().saturating_sub(1);
-    for (index, (TableEntry { state, is_angle }, taken)) in taken.into_iter().enumerate() {
-        let subject = state.subject();
-        let sine = match state {
-            StateOrCell::State(cosine) if is_angle => Some(sine_of(cosine)),
-            _ => None,
-        };
-        let mut trained = Vec::with_capacity(2);
-        let axes = [state].into_iter().chain(sine.map(StateOrCell::from));
+    for (index, (entry, taken)) in taken.into_iter().enumerate() {
+        let subject = entry.state.subject();
+        let others = entry.others(view);
+        let mut trained = Vec::with_capacity(others.len() + 1);
+        let axes = [entry.state].into_iter().chain(others.iter().copied().map(StateOrCell::from));
         let mut held = queries.trainer.reserve(0)?;
         for axis in axes {
             let learned = LearnedState::new(Arc::clone(handle), Arc::clone(view), axis);
@@ -245,8 +248,9 @@ async fn compare(
         let needs_models = trained.iter().any(|sources| !sources.is_empty());
         let mut trained = trained.into_iter();
         let own = trained.next().unwrap_or_default();
-        let sine = sine.map(|state| Sine { state, trained: trained.next().unwrap_or_default() });
-        work.push(SubjectWork { subject, taken, own, sine });
+        let others =
+            others.into_iter().map(|state| OtherPart { state, trained: trained.next().unwrap_or_default() }).collect();
+        work.push(SubjectWork { subject, taken, own, others });
         // States that the view answers by itself hold nothing: they are compared together.
         if needs_models || index == last {
             let (work, view) = (std::mem::take(&mut work), Arc::clone(view));
@@ -269,7 +273,7 @@ struct SubjectWork {
     subject: Subject,
     taken: TakenReadings,
     own: Vec<AnswerSource>,
-    sine: Option<Sine>,
+    others: Vec<OtherPart>,
 }
 
 impl SubjectWork {
@@ -281,9 +285,9 @@ impl SubjectWork {
         readings: &mut u64,
         stop: StopSignal<'_>,
     ) -> Result<(), RpcError> {
-        let SubjectWork { subject, taken, own, sine } = self;
+        let SubjectWork { subject, taken, own, others } = self;
         let mut rows = match taken {
-            TakenReadings::Samples(samples) => return Ok(evaluator.add(subject, &samples, own, sine, stop)?),
+            TakenReadings::Samples(samples) => return Ok(evaluator.add(subject, &samples, own, others, stop)?),
             TakenReadings::Rows(rows) => rows,
         };
         let mut make = view.sample_maker();
@@ -292,7 +296,7 @@ impl SubjectWork {
                 rows.by_ref().take(READINGS_PER_BLOCK).map(|(nanos, value)| make(nanos, value)).collect();
             *readings += block.len() as u64;
             check_limit("readings that rows stand for", *readings, READINGS_MAX, "one evaluation")?;
-            evaluator.add(subject, &block, own.clone(), sine.clone(), stop)?;
+            evaluator.add(subject, &block, own.clone(), others.clone(), stop)?;
             if block.len() < READINGS_PER_BLOCK {
                 return Ok(());
             }
@@ -303,24 +307,35 @@ impl SubjectWork {
 /// What observations of a name are compared with.
 #[derive(Clone, Debug)]
 struct TableEntry {
-    /// The state or cell, or the cosine of an angle.
+    /// The state or cell, the cosine of an angle, or the first label of a categorical state.
     state: StateOrCell,
-    is_angle: bool,
+    compared: Compared,
+    /// The number of the label that is observed.
+    label: u8,
 }
 
 impl TableEntry {
     /// The entry of a name, beside those of the names before.
-    async fn find(view: &Arc<MapView>, name: String, others: &[TableEntry]) -> Result<TableEntry, RpcError> {
+    async fn find(
+        view: &Arc<MapView>,
+        (name, is_label): (String, bool),
+        others: &[TableEntry],
+    ) -> Result<TableEntry, RpcError> {
+        let field = |_| "observations.new_states".to_owned();
         let entry = match view.shape(&name) {
-            Some((state, StateShape::Angle)) => TableEntry { state: state.into(), is_angle: true },
+            Some((state, StateShape::Angle)) => TableEntry { state: state.into(), compared: Compared::Angle, label: 0 },
+            None if is_label && let Some(unknown) = unknown_label(view, &name) => return Err(unknown.into()),
+            Some((held, _)) if is_label && let Some(first) = first_label(view, held) => {
+                let label = u8::try_from(held.0 - first.0).unwrap_or(u8::MAX);
+                TableEntry { state: first.into(), compared: Compared::Labels, label }
+            }
             _ => {
-                let field = |_| "observations.new_states".to_owned();
                 let found = find_all(view, field, vec![name.clone()]).await?.pop();
-                TableEntry { state: found.ok_or(RpcError::Stopping)?, is_angle: false }
+                TableEntry { state: found.ok_or(RpcError::Stopping)?, compared: Compared::Alone, label: 0 }
             }
         };
         let is_other =
-            |other: &TableEntry| other.state.subject() == entry.state.subject() && other.is_angle != entry.is_angle;
+            |other: &TableEntry| other.state.subject() == entry.state.subject() && other.compared != entry.compared;
         if others.iter().any(is_other) {
             return Err(Problem::AngleAndCosine { name }.of("observations.new_states").into());
         }
@@ -328,11 +343,39 @@ impl TableEntry {
     }
 
     fn shape(&self, view: &MapView) -> StateShape {
-        if self.is_angle { StateShape::Angle } else { StateShape::Scalar(self.state.kind(view)) }
+        match self.compared {
+            Compared::Angle => StateShape::Angle,
+            Compared::Labels => StateShape::Categorical(0),
+            Compared::Alone => StateShape::Scalar(self.state.kind(view)),
+        }
+    }
+
+    /// The parts after the first: the sine of an angle, or labels.
+    fn others(&self, view: &MapView) -> Vec<StateId> {
+        let StateOrCell::State(first) = self.state else { return Vec::new() };
+        let count = match self.compared {
+            Compared::Alone => 1,
+            Compared::Angle => 2,
+            Compared::Labels => whole_of(view, first).map_or(1, |whole| view.labels(whole).len()),
+        };
+        (first.0..).skip(1).take(count - 1).map(StateId).collect()
     }
 }
 
-/// The state of the sine of an angle, which follows that of the cosine.
-fn sine_of(cosine: StateId) -> StateId {
-    StateId(cosine.0.saturating_add(1))
+/// The name of the categorical state of a label.
+fn whole_of(view: &MapView, label: StateId) -> Option<&str> {
+    Some(view.info(label)?.name.as_label()?.0)
+}
+
+/// The first label of the categorical state of a label.
+fn first_label(view: &MapView, label: StateId) -> Option<StateId> {
+    view.labels(whole_of(view, label)?).first().map(|(first, _)| *first)
+}
+
+/// The error of a label that a categorical state has not.
+fn unknown_label(view: &MapView, name: &str) -> Option<Misfit> {
+    let (state, label) = name.split_once('/')?;
+    let labels: Vec<String> = view.labels(state).into_iter().map(|(_, label)| label.to_owned()).collect();
+    let (state, label) = (state.to_owned(), label.chars().take(80).collect());
+    (!labels.is_empty()).then(|| Problem::UnknownLabel { state, label, labels }.of("observations.new_states"))
 }

@@ -140,7 +140,7 @@ pub(super) async fn predict_positions(
 pub(super) fn find_vector(view: &MapView, field: &str, name: &str) -> Result<(StateId, Dimensions), RpcError> {
     match view.shape(name) {
         Some((first, StateShape::Vector(dimensions))) => Ok((first, dimensions)),
-        Some((_, shape @ (StateShape::Scalar(_) | StateShape::Angle))) => {
+        Some((_, shape @ (StateShape::Scalar(_) | StateShape::Angle | StateShape::Categorical(_)))) => {
             Err(Problem::NoVector { state: name.to_owned(), shape }.of(field).into())
         }
         // The error of an unknown name.

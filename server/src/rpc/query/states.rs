@@ -8,10 +8,15 @@ use std::{ops::Range, sync::Arc};
 
 use tidemap_grid::index::CellIndex;
 use tidemap_map::{event::StateShape, predict::PreparedTimes, view::MapView};
-use tidemap_model::{direction_rad, models::Moment, selector::ModelSelector};
+use tidemap_model::{
+    HeldInterval, deviation_of_direction_rad, direction_rad,
+    models::{Interval, Moment},
+    selector::ModelSelector,
+};
 use tidemap_proto::{
     convert::{
         cells::cell_description_to_wire,
+        labels::label_forecasts_to_wire,
         query::{StateFacts, StateForecast, StatesQuestion, description_to_wire, forecast_to_wire, states_from_wire},
     },
     v1,
@@ -35,16 +40,28 @@ use crate::{
 /// Times whose phasors are held at once: some 10 MB at 168 periodicities.
 const TIMES_PER_BLOCK: usize = 4096;
 
-/// An axis of a name of a request: the index of the name, and for a vector the axis, 1 for x.
+/// What the replies for a part of a name depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum PartKind {
+    /// Itself.
+    Alone,
+    /// The cosine and the sine of an angle, which follow one another and have one reply.
+    Angle,
+    /// All labels of a categorical state, which follow one another and have a reply each.
+    Label,
+}
+
+/// A part of a name of a request: the index of the name, and for a vector the axis, 1 for x.
 #[derive(Clone, Copy, Debug)]
 struct StateAxis {
     state_index: usize,
     axis: u32,
-    /// Whether it is the cosine or the sine of an angle, which follow one another and have one reply.
-    is_angle: bool,
+    kind: PartKind,
+    /// Whether no other part of the name follows.
+    is_last: bool,
 }
 
-/// The names of a request, each vector and angle replaced by its axes.
+/// The names of a request, each vector and angle replaced by its axes, and each categorical state by its labels.
 struct NamedAxes {
     axes: Vec<StateAxis>,
     names: Vec<String>,
@@ -56,19 +73,29 @@ impl NamedAxes {
         for (state_index, name) in names.iter().enumerate() {
             match view.shape(name) {
                 Some((_, shape @ (StateShape::Vector(_) | StateShape::Angle))) => {
-                    let is_angle = shape == StateShape::Angle;
-                    for (axis, letter) in (1..).zip(shape.axes()) {
-                        found.axes.push(StateAxis { state_index, axis: if is_angle { 0 } else { axis }, is_angle });
-                        found.names.push(format!("{name}/{letter}"));
-                    }
+                    let kind = if shape == StateShape::Angle { PartKind::Angle } else { PartKind::Alone };
+                    found.push(state_index, name, shape.axes(), kind);
+                }
+                Some((_, StateShape::Categorical(_))) => {
+                    let labels: Vec<&str> = view.labels(name).into_iter().map(|(_, label)| label).collect();
+                    found.push(state_index, name, &labels, PartKind::Label);
                 }
                 _ => {
-                    found.axes.push(StateAxis { state_index, axis: 0, is_angle: false });
+                    found.axes.push(StateAxis { state_index, axis: 0, kind: PartKind::Alone, is_last: true });
                     found.names.push(name.clone());
                 }
             }
         }
         found
+    }
+
+    fn push(&mut self, state_index: usize, name: &str, parts: &[&str], kind: PartKind) {
+        for (number, part) in (1..).zip(parts) {
+            let axis = if kind == PartKind::Angle { 0 } else { number };
+            let is_last = number as usize == parts.len();
+            self.axes.push(StateAxis { state_index, axis, kind, is_last });
+            self.names.push(format!("{name}/{part}"));
+        }
     }
 
     /// The state or cell of each axis.
@@ -137,18 +164,18 @@ fn predict_trained(
     let moments: Arc<[Moment]> = view.moments(&question.times_nanos).into();
     let StatesQuestion { selector, interval_level, .. } = *question;
     stream_replies(move |sink| async move {
-        let mut cosine = None;
+        let mut sources = Vec::new();
         for (axis, subject) in subjects {
             let learned = LearnedState::new(Arc::clone(&handle), Arc::clone(&view), subject.clone());
             let trained = tokio::select! {
                 () = sink.closed() => return Ok(()),
                 trained = trainer.trained(&learned, selector.kind) => trained?,
             };
-            if axis.is_angle && cosine.is_none() {
-                cosine = Some((subject, trained));
+            sources.push((subject, trained));
+            if axis.kind != PartKind::Alone && !axis.is_last {
                 continue;
             }
-            let sources: Vec<_> = cosine.take().into_iter().chain([(subject, trained)]).collect();
+            let sources = std::mem::take(&mut sources);
             let (view, moments) = (Arc::clone(&view), Arc::clone(&moments));
             let sink = sink.clone().holding(vec![permits.take().await?]);
             let predict = move || predict_one(&view, (axis, &sources), &moments, (selector, interval_level), &sink);
@@ -160,7 +187,8 @@ fn predict_trained(
     })
 }
 
-/// Predicts one state by a trained model, or an angle by those of its cosine and its sine. `false`: the client is gone.
+/// Predicts one state by a trained model, or an angle or a categorical state by those of its parts. `false`: the client
+/// is gone.
 fn predict_one(
     view: &MapView,
     (axis, sources): (StateAxis, &[(StateOrCell, Arc<CachedModel>)]),
@@ -168,22 +196,55 @@ fn predict_one(
     (selector, interval_level): (ModelSelector, Option<f64>),
     sink: &ReplySink<v1::PredictStatesResponse>,
 ) -> bool {
+    let mut held = LabelReplies::default();
     let mut blocks = moments.chunks(TIMES_PER_BLOCK).enumerate();
-    blocks.all(|(block, moments)| {
-        let forecast = sources.iter().map(|(subject, trained)| {
+    let is_open = blocks.all(|(block, moments)| {
+        let forecasts = sources.iter().map(|(subject, trained)| {
             let mut values = vec![0.0; moments.len()];
             for (moments, values) in moments.chunks(TRAINED_TIMES).zip(values.chunks_mut(TRAINED_TIMES)) {
                 if !sink.is_closed() {
                     trained.predict_into(view, subject, moments, selector, values);
                 }
             }
-            let level = interval_level.filter(|_| !axis.is_angle);
-            let intervals = subject.intervals(view, moments, &values, level);
+            let intervals = subject.intervals(view, moments, &values, interval_level);
             StateForecast { values, intervals, facts: facts(view, subject, selector, moments) }
         });
-        let Some(forecast) = forecast.reduce(angle) else { return false };
-        sink.send(forecast_to_wire(axis.state_index, axis.axis, block * TIMES_PER_BLOCK, forecast))
-    })
+        let first = block * TIMES_PER_BLOCK;
+        if axis.kind == PartKind::Label {
+            held.add(
+                axis.state_index,
+                first,
+                sources.iter().map(|(subject, _)| label_of(view, subject)).zip(forecasts),
+            );
+            return !sink.is_closed();
+        }
+        let Some(forecast) = forecasts.reduce(angle) else { return false };
+        sink.send(forecast_to_wire(axis.state_index, axis.axis, first, forecast))
+    });
+    is_open && held.by_label().all(|reply| sink.send(reply))
+}
+
+/// The replies for all labels of a state, which come by label and then by time, and are computed by time.
+#[derive(Default)]
+struct LabelReplies(Vec<Vec<v1::PredictStatesResponse>>);
+
+impl LabelReplies {
+    fn add(&mut self, state_index: usize, first: usize, forecasts: impl Iterator<Item = (String, StateForecast)>) {
+        self.0.push(label_forecasts_to_wire(state_index, first, forecasts.collect()));
+    }
+
+    fn by_label(self) -> impl Iterator<Item = v1::PredictStatesResponse> {
+        let labels = self.0.first().map_or(0, Vec::len);
+        let mut blocks: Vec<_> = self.0.into_iter().map(Vec::into_iter).collect();
+        (0..labels).flat_map(move |_| blocks.iter_mut().filter_map(Iterator::next).collect::<Vec<_>>())
+    }
+}
+
+/// The label that a state is of.
+fn label_of(view: &MapView, subject: &StateOrCell) -> String {
+    let StateOrCell::State(id) = subject else { return String::new() };
+    let label = view.info(*id).and_then(|info| info.name.as_label());
+    label.map_or_else(String::new, |(_, label)| label.to_owned())
 }
 
 /// Computes the replies until all are sent or the client is gone.
@@ -197,17 +258,30 @@ fn predict(
     let blocks = blocks(times_nanos.len());
     // The block whose phasors are at hand.
     let mut at_hand: Option<(usize, PreparedTimes)> = None;
-    // The cosine and the sine of an angle are neighbours.
-    for subjects in named.chunk_by(|(one, _), (other, _)| one.is_angle && one.state_index == other.state_index) {
+    // The parts of an angle or of a categorical state are neighbours.
+    let is_joined =
+        |one: &StateAxis, other: &StateAxis| one.kind != PartKind::Alone && one.state_index == other.state_index;
+    for subjects in named.chunk_by(|(one, _), (other, _)| is_joined(one, other)) {
         let Some((axis, _)) = subjects.first() else { continue };
+        let mut held = LabelReplies::default();
         for block in &blocks {
             let known = at_hand.take().filter(|(start, _)| *start == block.start);
             let (_, prepared) =
                 at_hand.insert(known.unwrap_or_else(|| (block.start, view.prepare(&times_nanos[block.clone()]))));
-            let level = interval_level.filter(|_| !axis.is_angle);
-            let forecast = subjects.iter().map(|(_, subject)| forecast(view, subject, prepared, selector, level));
-            let Some(forecast) = forecast.reduce(angle) else { continue };
+            let forecasts =
+                subjects.iter().map(|(_, subject)| forecast(view, subject, prepared, selector, interval_level));
+            if axis.kind == PartKind::Label {
+                let labels = subjects.iter().map(|(_, subject)| label_of(view, subject));
+                held.add(axis.state_index, block.start, labels.zip(forecasts));
+                continue;
+            }
+            let Some(forecast) = forecasts.reduce(angle) else { continue };
             let reply = forecast_to_wire(axis.state_index, axis.axis, block.start, forecast);
+            if !sink.send_freeing(reply, || at_hand = None) {
+                return;
+            }
+        }
+        for reply in held.by_label() {
             if !sink.send_freeing(reply, || at_hand = None) {
                 return;
             }
@@ -249,12 +323,22 @@ fn facts(view: &MapView, subject: &StateOrCell, selector: ModelSelector, moments
     }
 }
 
-/// The angle whose cosine and sine these are: the direction of both, without intervals.
+/// The angle whose cosine and sine these are: the direction of both. Its interval reaches as far to both sides as those
+/// of the two, and may end beyond -π or π.
 fn angle(cosine: StateForecast, sine: StateForecast) -> StateForecast {
-    let pairs = cosine.values.into_iter().zip(sine.values);
+    let pairs = || cosine.values.iter().zip(&sine.values).map(|(cos, sin)| [*cos, *sin]);
+    let half = |held: &HeldInterval| held.interval.width() / 2.0;
+    let interval = |(parts, (cos, sin)): ([f64; 2], (&HeldInterval, &HeldInterval))| {
+        let (middle, reach) = (direction_rad(parts), deviation_of_direction_rad(parts, [half(cos), half(sin)]));
+        HeldInterval {
+            interval: Interval { lower: middle - reach, upper: middle + reach },
+            mass: cos.mass.min(sin.mass),
+        }
+    };
+    let intervals = pairs().zip(cosine.intervals.iter().zip(&sine.intervals)).map(interval).collect();
+    let values = pairs().map(direction_rad).collect();
     let facts = StateFacts { order: cosine.facts.order.max(sine.facts.order), ..cosine.facts };
-    let values = pairs.map(|(cos, sin)| direction_rad([cos, sin])).collect();
-    StateForecast { values, intervals: Vec::new(), facts }
+    StateForecast { values, intervals, facts }
 }
 
 pub(super) async fn describe_model(

@@ -20,7 +20,7 @@ use super::{Queries, STATES_MAX};
 use crate::{
     ingest::handle::MapHandle,
     rpc::{
-        lookup::{check_limit, find_map, find_state},
+        lookup::{check_limit, find_map, find_parts},
         readings::{ReadingsQuery, UPDATE_WITHIN, not_replaced, read},
         status::RpcError,
     },
@@ -66,9 +66,10 @@ fn asked_states(view: &MapView, names: &[String]) -> Result<Vec<StateId>, RpcErr
     }
     let find = |(index, name): (usize, &String)| {
         no_cell_from_wire(&format!("states[{index}]"), name)?;
-        find_state(view, name)
+        find_parts(view, name)
     };
-    let mut states = names.iter().enumerate().map(find).collect::<Result<Vec<StateId>, RpcError>>()?;
+    let states = names.iter().enumerate().map(find).collect::<Result<Vec<Vec<StateId>>, RpcError>>()?;
+    let mut states = states.concat();
     states.sort_unstable();
     states.dedup();
     Ok(states)

@@ -48,7 +48,7 @@ use crate::{
         protocol::Command,
     },
     rpc::{
-        lookup::{check_limit, find_location, find_map, find_state},
+        lookup::{check_limit, find_location, find_map, find_parts},
         permits::{processors, run_blocking},
         replies::Replies,
         status::RpcError,
@@ -145,7 +145,7 @@ fn watched(view: &MapView, question: &WatchQuestion) -> Result<Selection, RpcErr
                 }
                 cells.insert(cell);
             }
-            None => _ = states.insert(find_state(view, name)?),
+            None => states.extend(find_parts(view, name)?),
         }
     }
     if let Some(name) = location {

@@ -26,6 +26,10 @@ pub(crate) enum Problem {
     NoVector { state: String, shape: StateShape },
     #[error("{found} coordinates: the state has {expected}")]
     Coordinates { found: usize, expected: usize },
+    #[error(
+        "{state:?} is an angle: densities are of single values; ask for its cosine or its sine, {state}/cos or {state}/sin"
+    )]
+    NoDensity { state: String },
     #[error("{found} numbers: each place has {each}")]
     Places { found: usize, each: usize },
     #[error(
@@ -43,8 +47,12 @@ pub(crate) enum Problem {
     TaskStates { states: usize, locations: usize },
     #[error("value {value} is not {}", .shape.expected())]
     Value { value: f64, shape: StateShape },
-    #[error("{name:?}: compare an angle or its cosine, not both in one evaluation")]
+    #[error("{name:?}: compare an angle or its cosine, or labels or one of their states, not both in one evaluation")]
     AngleAndCosine { name: String },
+    #[error("state {state:?} is a {}: only a categorical state has labels", .kind.name())]
+    NoLabels { state: String, kind: StateKind },
+    #[error("state {state:?} has no label {label:?}: its labels are {}", .labels.join(", "))]
+    UnknownLabel { state: String, label: String, labels: Vec<String> },
 }
 
 impl Problem {

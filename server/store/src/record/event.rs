@@ -24,6 +24,8 @@ const VECTOR_OF_TWO: u32 = 3;
 const VECTOR_OF_THREE: u32 = 4;
 /// Kind of a new angle, which the map stores as cosine and sine.
 const ANGLE: u32 = 5;
+/// Kind of a new categorical state, which the map stores as a probability for each label.
+const CATEGORICAL: u32 = 6;
 
 /// Limit of observations in one event. Constant columns take no space, so the payload's length does not limit it.
 const COUNT_MAX: usize = 1 << 20;
@@ -183,14 +185,22 @@ fn encode_new_state(state: &NewState) -> v1::NewState {
         StateShape::Vector(Dimensions::Two) => VECTOR_OF_TWO,
         StateShape::Vector(Dimensions::Three) => VECTOR_OF_THREE,
         StateShape::Angle => ANGLE,
+        StateShape::Categorical(_) => CATEGORICAL,
     };
+    let labels = state.labels.iter().filter_map(StateName::as_label).map(|(_, label)| label.to_owned()).collect();
     let sensor = state.sensor.map(sensors::encode_state_sensor);
     let reporting = rows::encode_reporting(state.reporting);
-    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind, sensor, reporting }
+    v1::NewState { id: state.id.0, name: state.name.as_str().to_owned(), kind, sensor, reporting, labels }
 }
 
 fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
     const NAME: Invalid = "the name of a state is not valid";
+    if state.kind == CATEGORICAL {
+        return decode_categorical(state).ok_or("the labels of a categorical state are not valid");
+    }
+    if !state.labels.is_empty() {
+        return Err("a state has labels, and is not categorical");
+    }
     let name = StateName::stored(&state.name).map_err(|_| NAME)?;
     let shape = match state.kind {
         VECTOR_OF_TWO => StateShape::Vector(Dimensions::Two),
@@ -210,5 +220,13 @@ fn decode_new_state(state: &v1::NewState) -> Result<NewState, Invalid> {
         return Err("a state has a sensor, and is no probability");
     }
     let reporting = rows::decode_reporting(state.reporting.as_ref(), shape)?;
-    Ok(NewState { id: StateId(state.id), name, shape, sensor, reporting })
+    Ok(NewState { sensor, reporting, ..NewState::sampled(StateId(state.id), name, shape) })
+}
+
+/// A categorical state, which has no sensor and reports samples.
+fn decode_categorical(state: &v1::NewState) -> Option<NewState> {
+    let name = StateName::new(&state.name).ok()?;
+    let labels = state.labels.iter().map(|label| name.label(label).ok()).collect::<Option<Vec<_>>>()?;
+    let is_plain = state.sensor.is_none() && state.reporting.is_none();
+    NewState::categorical(StateId(state.id), name, labels).filter(|_| is_plain)
 }

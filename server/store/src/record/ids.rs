@@ -77,6 +77,23 @@ pub(super) fn decode_kind(kind: u32) -> Result<StateKind, Invalid> {
     }
 }
 
+/// Kind of a state that is a label of a categorical one: a probability, whose name says so.
+const LABEL: u32 = 3;
+
+/// The kind of a state of a snapshot.
+pub(super) fn encode_state_kind(name: &StateName, kind: StateKind) -> u32 {
+    if name.as_label().is_some() { LABEL } else { encode_kind(kind) }
+}
+
+/// Name and kind of a state of a snapshot.
+pub(super) fn decode_state_kind(name: &str, kind: u32) -> Result<(StateName, StateKind), Invalid> {
+    if kind != LABEL {
+        return Ok((decode_state_name(name)?, decode_kind(kind)?));
+    }
+    let name = StateName::labelled(name).map_err(|_| "the name of a label is not valid")?;
+    Ok((name, StateKind::Probability))
+}
+
 fn encode_reason(reason: RefusalReason) -> u32 {
     match reason {
         RefusalReason::Value => 1,

@@ -10,13 +10,13 @@ use tidemap_map::{
 };
 use tidemap_migrations::v1::map as v1;
 use tidemap_model::{
-    Accumulator, AccumulatorParts, Component, LocalDay, OrderErrors, OrderErrorsParts, Periodicities, Persistence,
-    PersistenceParts, ShortRecord, SpectralModel, StateKind, StateModel,
+    Accumulator, AccumulatorParts, Component, LABELS, LocalDay, OrderErrors, OrderErrorsParts, Periodicities,
+    Persistence, PersistenceParts, ShortRecord, SpectralModel, StateKind, StateModel,
 };
 
 use super::{
     Invalid, alternatives, belief,
-    ids::{decode_kind, decode_producer_key, decode_state_name, encode_kind, encode_producer_key},
+    ids::{decode_producer_key, decode_state_kind, encode_producer_key, encode_state_kind},
     rows, sensors, surprises,
 };
 
@@ -42,6 +42,7 @@ pub(crate) fn check(snapshot: &MapSnapshot) -> Result<(), Invalid> {
         return Err("it has more states or producers than can be numbered");
     }
     check_axes(&snapshot.states)?;
+    check_labels(&snapshot.states)?;
     check_positions(&encode(snapshot))
 }
 
@@ -75,6 +76,26 @@ fn check_axes(states: &[StateSnapshot]) -> Result<(), Invalid> {
     Ok(())
 }
 
+/// Refuses categorical states with labels that are too few, too many or not in a row, or that are no probabilities, or
+/// with the same name as another state.
+fn check_labels(states: &[StateSnapshot]) -> Result<(), Invalid> {
+    let state_of = |label: &StateSnapshot| label.name.as_label().map(|(state, _)| state.to_owned());
+    let mut known = HashSet::new();
+    for labels in states.chunk_by(|one, other| state_of(one) == state_of(other)) {
+        let Some(state) = labels.first().and_then(state_of) else { continue };
+        if !LABELS.contains(&labels.len()) || labels.iter().any(|label| label.kind != StateKind::Probability) {
+            return Err("a label of a categorical state is missing, or of another kind");
+        }
+        if !known.insert(state) {
+            return Err("the labels of a categorical state are not in a row");
+        }
+    }
+    if !known.is_empty() && states.iter().any(|state| known.contains(state.name.as_str())) {
+        return Err("a categorical state and another one have the same name");
+    }
+    Ok(())
+}
+
 /// Positions must let the replay start at a position that the log has.
 pub(crate) fn check_positions(message: &v1::Snapshot) -> Result<(), Invalid> {
     let is_sound = message.replay_from <= message.position.saturating_add(1);
@@ -96,6 +117,7 @@ pub(crate) fn decode(
         return Err("the site is missing or unexpected");
     }
     check_axes(&states)?;
+    check_labels(&states)?;
     Ok(MapSnapshot {
         position: message.position,
         replay_from: message.replay_from,
@@ -171,7 +193,7 @@ pub(crate) fn encode_state(id: u32, state: &StateSnapshot, accumulator: Accumula
     v1::State {
         id,
         name: state.name.as_str().to_owned(),
-        kind: encode_kind(state.kind),
+        kind: encode_state_kind(&state.name, state.kind),
         observations: state.observations,
         pairs: persistence.pairs,
         change_rate_sum_bits: persistence.change_rate_sum.to_bits(),
@@ -249,9 +271,9 @@ pub(crate) fn decode_state(
         change_rate_sum: f64::from_bits(message.change_rate_sum_bits),
         last: message.last.as_ref().map(|last| (last.nanos, f64::from_bits(last.value_bits))),
     };
-    let kind = decode_kind(message.kind)?;
+    let (name, kind) = decode_state_kind(&message.name, message.kind)?;
     Ok(StateSnapshot {
-        name: decode_state_name(&message.name)?,
+        name,
         kind,
         observations: message.observations,
         persistence: Persistence::from_parts_of(kind, persistence).map_err(|error| error.to_string())?,

@@ -70,7 +70,7 @@ fn rows_in_checkpoints_are_written_as_they_always_were_and_come_back() {
 #[test]
 fn reports_in_the_log_are_written_as_they_always_were_and_come_back() {
     let name = StateName::new("door").expect("valid");
-    let new = NewState { id: StateId(3), name, shape: StateShape::default(), sensor: None, reporting: reporting() };
+    let new = NewState { reporting: reporting(), ..NewState::sampled(StateId(3), name, StateShape::default()) };
     let added = Event::AddState(new);
     let (kind, payload) = event::encode(&added).expect("valid");
     assert_eq!(crc32c::crc32c(&payload), 0x9DF9_C168, "a way to report is written in another way");

@@ -63,6 +63,7 @@ fn sensors_in_the_log_are_written_as_they_always_were_and_come_back() {
         id: StateId(3),
         name,
         shape: StateShape::default(),
+        labels: Vec::new(),
         sensor: Some(sensor()),
         reporting: Reporting::Samples,
     };

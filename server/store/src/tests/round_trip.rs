@@ -172,7 +172,7 @@ fn add_state() -> impl Strategy<Value = Event> {
                 None => Reporting::Samples,
             };
             let reporting = if shape.may_report(reporting) { reporting } else { Reporting::Samples };
-            Event::AddState(NewState { id: StateId(id), name, shape, sensor, reporting })
+            Event::AddState(NewState { sensor, reporting, ..NewState::sampled(StateId(id), name, shape) })
         },
     )
 }

@@ -17,6 +17,7 @@ use super::{
     super::{
         Session,
         predict::names::{self, matches},
+        shell_word::quoted,
         state::KindArg,
         usage,
     },
@@ -27,6 +28,9 @@ use crate::progress::status_line;
 
 /// Maximum number of states whose kinds are set by patterns.
 const STATES_MAX: usize = 10_000;
+
+/// A categorical state of as many labels as it has.
+const LABELLED: StateShape = StateShape::Categorical(0);
 
 /// Patterns of names with the kinds of the states that fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,8 +47,11 @@ impl FromStr for KindPatterns {
                 return Err(right());
             }
             let kind: KindArg = kind.trim().parse().map_err(|error| format!("{part:?}: {error}"))?;
-            let shape =
-                kind.single().ok_or_else(|| format!("{part:?}: vectors need a file of positions of their own"))?;
+            let shape = match kind {
+                KindArg::Single(shape) => shape,
+                KindArg::Categorical => LABELLED,
+                KindArg::Vector => return Err(format!("{part:?}: vectors need a file of positions of their own")),
+            };
             Ok((pattern.to_owned(), shape))
         };
         text.split(',').map(pair).collect::<Result<_, _>>().map(Self)
@@ -63,6 +70,11 @@ impl fmt::Display for KindPatterns {
 pub(super) struct KindPlan(Vec<(String, StateShape)>);
 
 impl KindPatterns {
+    /// The patterns, each with whether the values of its states are labels.
+    pub(super) fn labelled(&self) -> Vec<(Vec<char>, bool)> {
+        self.0.iter().map(|(pattern, shape)| (pattern.chars().collect(), *shape == LABELLED)).collect()
+    }
+
     fn position(&self, name: &str) -> Option<usize> {
         let name: Vec<char> = name.chars().collect();
         self.0.iter().position(|(pattern, _)| matches(&pattern.chars().collect::<Vec<_>>(), &name))
@@ -126,6 +138,13 @@ impl KindPlan {
     ) -> anyhow::Result<()> {
         let known = known_shapes(session, map).await?;
         for (name, shape) in self.0.iter().filter(|(name, _)| !known.contains_key(name)) {
+            if *shape == LABELLED {
+                anyhow::bail!(
+                    "state {name:?} does not exist. Nothing was sent. Add it with all its labels first: tidemap state add \
+                     {map} {} --kind categorical --labels …",
+                    quoted(name)
+                );
+            }
             session.client.add_state(map, name, *shape, None, stated).await?;
         }
         Ok(())
@@ -134,7 +153,8 @@ impl KindPlan {
     /// A state that exists with another kind: its name, the kind that it should have and the one that it has.
     fn other(&self, known: &HashMap<String, StateShape>) -> Option<(&str, StateShape, StateShape)> {
         self.0.iter().find_map(|(name, shape)| {
-            let found = known.get(name).filter(|found| *found != shape)?;
+            let is_same = |found: &StateShape| found == shape || (*shape == LABELLED && found.name() == shape.name());
+            let found = known.get(name).filter(|found| !is_same(found))?;
             Some((name.as_str(), *shape, *found))
         })
     }
@@ -177,6 +197,11 @@ mod tests {
         assert_eq!(shape("visits-12"), Some(StateKind::Probability.into()));
         assert_eq!(kinds.to_string().parse(), Ok(kinds.clone()), "{kinds}");
         assert_eq!(kinds.0[3], ("a=b".to_owned(), StateShape::Angle), "a name may have the sign");
+        let labels: KindPatterns = "activity=categorical".parse()?;
+        assert_eq!(
+            (labels.labelled(), labels.to_string()),
+            (vec![("activity".chars().collect(), true)], "activity=categorical".to_owned())
+        );
         let only: KindPatterns = "temp*=continuous".parse()?;
         assert_eq!(only.position("door"), None);
         for (wrong, words) in

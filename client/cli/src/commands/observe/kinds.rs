@@ -32,7 +32,7 @@ impl Kinds {
 
     /// Why a row is invalid, if it is.
     pub(crate) async fn wrong(&mut self, row: &ObservationRow) -> Option<String> {
-        if !row.is_read || row.position.is_some() {
+        if !row.is_read || row.position.is_some() || row.label.is_some() {
             return row.wrong.clone();
         }
         let kind = match self.given {

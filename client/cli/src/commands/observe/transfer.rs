@@ -44,15 +44,17 @@ impl Sendable for ObservationRow {
 
     fn add_to(&self, crc: &mut ContentCrc) {
         match &self.position {
+            None if self.label.is_some() => crc.add(&self.name_sent(), self.time_nanos, self.value),
             None => crc.add(&self.state, self.time_nanos, self.value),
             Some(position) => crc.add_position(&self.state, self.time_nanos, position.coordinates()),
         }
     }
 
     async fn send(&self, producer: &mut Producer) -> Result<u64, ProducerError> {
-        match &self.position {
-            None => producer.send(&self.state, self.time_nanos, self.value).await,
-            Some(position) => producer.send_position(&self.state, self.time_nanos, position.coordinates()).await,
+        match (&self.position, &self.label) {
+            (None, Some(label)) => producer.send_label(&self.state, self.time_nanos, label).await,
+            (None, None) => producer.send(&self.state, self.time_nanos, self.value).await,
+            (Some(position), _) => producer.send_position(&self.state, self.time_nanos, position.coordinates()).await,
         }
     }
 

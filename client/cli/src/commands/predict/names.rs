@@ -5,32 +5,11 @@
 use tidemap_client::maps::State;
 
 use crate::commands::{Session, usage};
+pub(crate) use tidemap_formats::pattern::matches;
 
 /// Whether a name may be a pattern.
 fn is_pattern(name: &str) -> bool {
     name.contains(['*', '?'])
-}
-
-/// Whether a name matches a pattern: `*` stands for any characters, `?` for one.
-pub(crate) fn matches(pattern: &[char], name: &[char]) -> bool {
-    let (mut at, mut read) = (0, 0);
-    // After the last `*`, and how far that one reaches.
-    let mut star: Option<(usize, usize)> = None;
-    while let Some(&letter) = name.get(read) {
-        match pattern.get(at) {
-            Some('*') => {
-                at += 1;
-                star = Some((at, read));
-            }
-            Some(&one) if one == '?' || one == letter => (at, read) = (at + 1, read + 1),
-            _ => {
-                let Some((after, reach)) = star else { return false };
-                star = Some((after, reach + 1));
-                (at, read) = (after, reach + 1);
-            }
-        }
-    }
-    pattern.get(at..).is_some_and(|rest| rest.iter().all(|one| *one == '*'))
 }
 
 /// All states of a map, in the order of their first observation.

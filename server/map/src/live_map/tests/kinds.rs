@@ -59,6 +59,7 @@ fn a_state_keeps_its_sensor_and_believes_it_before_and_after_an_update() {
         id: StateId(0),
         name,
         shape: StateShape::default(),
+        labels: Vec::new(),
         sensor: Some(sensor),
         reporting: Reporting::Samples,
     };

@@ -27,7 +27,7 @@ impl Home {
     fn new(kind: StateKind, reporting: Reporting) -> Home {
         let mut map = LiveMap::new(spec());
         let name = StateName::new("door").expect("valid");
-        let new = NewState { id: StateId(0), name, shape: kind.into(), sensor: None, reporting };
+        let new = NewState { id: StateId(0), name, shape: kind.into(), labels: Vec::new(), sensor: None, reporting };
         map.apply(1, &Event::AddState(new)).expect("fits");
         Home { map, position: 1, sequence: 0 }
     }

@@ -14,7 +14,7 @@ async fn add(handle: &MapHandle, name: &str, kind: StateKind) -> Result<(), AddS
     let (reply, answer) = oneshot::channel();
     let name = StateName::new(name).expect("valid");
     assert!(handle.send(Command::AddState(AddState {
-        state: DeclaredState { name, shape: kind.into(), sensor: None, reporting: None },
+        state: DeclaredState { name, shape: kind.into(), labels: Vec::new(), sensor: None, reporting: None },
         reply
     })));
     answer.await.expect("an answer")
@@ -26,7 +26,7 @@ async fn add_with(handle: &MapHandle, name: &str, hit: Option<f64>) -> Result<()
     let name = StateName::new(name).expect("valid");
     let sensor = hit.map(|hit| StateSensor::new(hit, 0.05).expect("a sensor"));
     assert!(handle.send(Command::AddState(AddState {
-        state: DeclaredState { name, shape: StateShape::default(), sensor, reporting: None },
+        state: DeclaredState { name, shape: StateShape::default(), labels: Vec::new(), sensor, reporting: None },
         reply
     })));
     answer.await.expect("an answer")

@@ -33,7 +33,7 @@ impl Bench {
         let mut replies = self.queries.find_anomalies(Request::new(request)).await?.into_inner();
         let mut found = Vec::new();
         while let Some(reply) = replies.next().await {
-            let v1::FindAnomaliesResponse { times_nanos, values, probabilities } = reply?;
+            let v1::FindAnomaliesResponse { times_nanos, values, probabilities, .. } = reply?;
             assert_eq!((times_nanos.len(), times_nanos.len()), (values.len(), probabilities.len()));
             found.extend(times_nanos.into_iter().zip(values).zip(probabilities).map(|((t, v), p)| (t, v, p)));
         }

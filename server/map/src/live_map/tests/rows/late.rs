@@ -24,7 +24,7 @@ impl KeptHome {
         let spec = MapSpec { retention, ..MapSpec::clone(home.map.spec()) };
         home.map = LiveMap::new(Arc::new(spec));
         let name = StateName::new("door").expect("valid");
-        let new = NewState { id: DOOR, name, shape: kind.into(), sensor: None, reporting };
+        let new = NewState { id: DOOR, name, shape: kind.into(), labels: Vec::new(), sensor: None, reporting };
         home.map.apply(1, &Event::AddState(new)).expect("fits");
         KeptHome { home, known: Pieces::default() }
     }

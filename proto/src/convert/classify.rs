@@ -1,0 +1,143 @@
+//! Classifications: evidence in, and what is known of each label out.
+//!
+//! Invariant: each label is named once; whether the map has the state and its labels is checked by who answers.
+
+use tidemap_map::name::StateName;
+use tidemap_model::selector::ModelSelector;
+
+use super::{
+    InvalidField,
+    query::selector_from_wire,
+    time::{nanos_from_timestamp, timestamp},
+};
+use crate::v1;
+
+/// What is learned of a classification.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Learning {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// The likeliest label.
+    Label,
+    /// The probability of each label.
+    Shares,
+}
+
+/// The question of a classification.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ClassifyQuestion {
+    /// The categorical state.
+    pub state: StateName,
+    /// When it was observed, nanoseconds UTC; `None`: now.
+    pub utc_nanos: Option<i64>,
+    /// Labels with the likelihood of what was observed.
+    pub likelihoods: Vec<(String, f64)>,
+    /// Where it was observed.
+    pub place: Option<StateName>,
+    /// The model of the temporal prior, which needs no training.
+    pub selector: ModelSelector,
+    /// What is learned.
+    pub learning: Learning,
+}
+
+/// The question of a classification.
+///
+/// # Errors
+/// The invalid field.
+pub fn classify_from_wire(request: &v1::ClassifyActivityRequest) -> Result<ClassifyQuestion, InvalidField> {
+    let v1::ClassifyActivityRequest { state, time, likelihoods, place, model, producer, .. } = request;
+    let state = StateName::new(state).map_err(|error| InvalidField::new("state", error))?;
+    let utc_nanos = time.map(|time| nanos_from_timestamp("time", time)).transpose()?;
+    let place = (!place.is_empty()).then(|| StateName::new(place).map_err(|error| InvalidField::new("place", error)));
+    let selector = selector_from_wire("model", *model)?;
+    if selector.kind.needs_readings() {
+        let text = format!("{selector} has to be trained first: use auto, mean, latest or spectral");
+        return Err(InvalidField::new("model.kind", text));
+    }
+    let mut known: Vec<(String, f64)> = Vec::with_capacity(likelihoods.len());
+    for (i, v1::LabelLikelihood { label, likelihood }) in likelihoods.iter().enumerate() {
+        if known.iter().any(|(other, _)| other == label) {
+            return Err(InvalidField::new(
+                format!("likelihoods[{i}].label"),
+                format!("label {label:?} is named twice"),
+            ));
+        }
+        known.push((label.clone(), *likelihood));
+    }
+    if known.is_empty() {
+        return Err(InvalidField::new(
+            "likelihoods",
+            "there is none: say how likely each label makes what was observed",
+        ));
+    }
+    let learning = match v1::ActivityLearning::try_from(request.learn) {
+        Ok(v1::ActivityLearning::Unspecified | v1::ActivityLearning::Nothing) => Learning::Nothing,
+        Ok(v1::ActivityLearning::Label) => Learning::Label,
+        Ok(v1::ActivityLearning::Shares) => Learning::Shares,
+        Err(_) => return Err(InvalidField::new("learn", format!("{} is not known", request.learn))),
+    };
+    if learning != Learning::Nothing && producer.is_empty() {
+        return Err(InvalidField::new("producer", "missing: what is learned has a producer"));
+    }
+    Ok(ClassifyQuestion { state, utc_nanos, likelihoods: known, place: place.transpose()?, selector, learning })
+}
+
+/// The readings by which a classification is learned: of the state, and of its state at the place.
+#[must_use]
+pub fn readings_to_wire(
+    states: impl IntoIterator<Item = StateName>,
+    utc_nanos: i64,
+    learning: Learning,
+    shares: &[(String, f64)],
+) -> Vec<v1::Reading> {
+    let likeliest = shares.iter().max_by(|(_, one), (_, other)| one.total_cmp(other));
+    let reading = |state: StateName| {
+        let reading =
+            v1::Reading { state: state.to_string(), time: Some(timestamp(utc_nanos)), ..v1::Reading::default() };
+        match learning {
+            Learning::Shares => v1::Reading { shares: shares.iter().map(|(_, share)| *share).collect(), ..reading },
+            Learning::Nothing | Learning::Label => {
+                v1::Reading { label: likeliest.map(|(label, _)| label.clone()).unwrap_or_default(), ..reading }
+            }
+        }
+    };
+    states.into_iter().map(reading).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn request() -> v1::ClassifyActivityRequest {
+        v1::ClassifyActivityRequest {
+            state: "activity".to_owned(),
+            likelihoods: vec![v1::LabelLikelihood { label: "eat".to_owned(), likelihood: 0.7 }],
+            ..v1::ClassifyActivityRequest::default()
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let field = |request: v1::ClassifyActivityRequest| classify_from_wire(&request).expect_err("wrong").field;
+        assert_eq!(classify_from_wire(&request()).expect("right").learning, Learning::Nothing);
+        let twice = [request().likelihoods, request().likelihoods].concat();
+        assert_eq!(field(v1::ClassifyActivityRequest { likelihoods: twice, ..request() }), "likelihoods[1].label");
+        assert_eq!(field(v1::ClassifyActivityRequest { likelihoods: Vec::new(), ..request() }), "likelihoods");
+        let learn = v1::ActivityLearning::Label.into();
+        assert_eq!(field(v1::ClassifyActivityRequest { learn, ..request() }), "producer");
+        assert_eq!(field(v1::ClassifyActivityRequest { place: "a/b".to_owned(), ..request() }), "place");
+        let model = Some(v1::ModelSelector { kind: v1::ModelKind::Calibrated.into(), ..v1::ModelSelector::default() });
+        assert_eq!(field(v1::ClassifyActivityRequest { model, ..request() }), "model.kind");
+    }
+
+    #[test]
+    fn a_classification_is_learned_as_its_likeliest_label_or_as_shares() {
+        let shares = [("sleep".to_owned(), 0.25), ("eat".to_owned(), 0.75)];
+        let state = || [StateName::new("activity").expect("valid")];
+        let label = readings_to_wire(state(), 7, Learning::Label, &shares);
+        assert_eq!((label[0].label.as_str(), label[0].shares.len()), ("eat", 0));
+        let whole = readings_to_wire(state(), 7, Learning::Shares, &shares);
+        assert_eq!((whole[0].label.as_str(), whole[0].shares.as_slice()), ("", &[0.25, 0.75][..]));
+    }
+}

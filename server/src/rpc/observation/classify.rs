@@ -1,0 +1,147 @@
+//! `ClassifyActivity`: which label of a categorical state holds, from likelihood, temporal prior and spatial prior.
+//!
+//! What is learned goes the way of a report: readings of the state and of its state at the place, in one message, so
+//! that both are durable or none is. Invariant: the priors are of one view, which is older than what is learned; a
+//! sequence number that the map has is not learned again.
+
+use std::sync::Arc;
+
+use tidemap_map::{label_places::name_at_place, name::StateName, view::MapView};
+use tidemap_model::label_evidence::{LabelEvidence, normalise};
+use tidemap_proto::{
+    convert::{
+        InvalidField,
+        classify::{ClassifyQuestion, Learning, classify_from_wire, readings_to_wire},
+        vectors::DeclaredState,
+    },
+    v1,
+};
+use tokio::sync::oneshot;
+use tonic::Status;
+
+use super::Observations;
+use crate::{
+    access::{Caller, Role},
+    ingest::{
+        handle::MapHandle,
+        protocol::{AddState, AddStateError, Command},
+    },
+    rpc::{
+        lookup::{find_map, find_state},
+        status::{Problem, RpcError},
+    },
+};
+
+/// The method, for the message to a caller that may not learn.
+const METHOD: &str = "/tidemap.v1.ObservationService/ClassifyActivity";
+
+impl Observations {
+    /// Classifies, and learns if that is asked for.
+    pub(super) async fn classify(
+        &self,
+        request: v1::ClassifyActivityRequest,
+    ) -> Result<v1::ClassifyActivityResponse, Status> {
+        let handle = find_map(&self.catalog, &request.map).await?;
+        let question = classify_from_wire(&request).map_err(RpcError::from)?;
+        if question.learning != Learning::Nothing {
+            may_learn(&Caller::current())?;
+        }
+        let utc_nanos = question.utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
+        let mut reply = answer(&handle.view(), &question, utc_nanos)?;
+        if question.learning == Learning::Nothing {
+            return Ok(reply);
+        }
+        let states = self.learned_states(&handle, &question).await?;
+        let shares: Vec<(String, f64)> =
+            reply.labels.iter().map(|known| (known.label.clone(), known.probability)).collect();
+        let report = v1::ReportRequest {
+            map: request.map,
+            producer: request.producer,
+            label: request.producer_label,
+            first_sequence: request.first_sequence,
+            readings: readings_to_wire(states, utc_nanos, question.learning, &shares),
+            reporting: None,
+        };
+        let taken = self.take_report_once(report).await?;
+        (reply.durable_sequence, reply.refused) = (taken.durable_sequence, taken.refused);
+        Ok(reply)
+    }
+
+    /// The states that learn; that of the place is added if it does not exist.
+    async fn learned_states(
+        &self,
+        handle: &MapHandle,
+        question: &ClassifyQuestion,
+    ) -> Result<Vec<StateName>, RpcError> {
+        let mut states = vec![question.state.clone()];
+        let Some(place) = &question.place else { return Ok(states) };
+        let invalid = |error| InvalidField::new("place", error);
+        let at_place = name_at_place(&question.state, place.as_str()).map_err(invalid)?;
+        let view = handle.view();
+        let (_, shape) = view.shape(question.state.as_str()).ok_or(RpcError::Stopping)?;
+        let labels = view.labels(question.state.as_str()).into_iter().map(|(_, label)| at_place.label(label));
+        let labels = labels.collect::<Result<Vec<StateName>, _>>().map_err(invalid)?;
+        let (reply, added) = oneshot::channel();
+        let state = DeclaredState { name: at_place.clone(), shape, labels, sensor: None, reporting: None };
+        let is_sent = handle.send(Command::AddState(AddState { state, reply }));
+        let added = if is_sent { added.await.ok() } else { None };
+        added.unwrap_or(Err(AddStateError::Closing))?;
+        states.push(at_place);
+        Ok(states)
+    }
+}
+
+/// Checks that the caller may change the map.
+fn may_learn(caller: &Caller) -> Result<(), RpcError> {
+    match caller {
+        caller if caller.has(Role::Observer) => Ok(()),
+        Caller::Reader => Err(RpcError::ReadOnly { method: METHOD.to_owned() }),
+        _ => Err(RpcError::NeedsRole { method: METHOD.to_owned(), role: Role::Observer }),
+    }
+}
+
+/// What a view knows of each label.
+fn answer(
+    view: &Arc<MapView>,
+    question: &ClassifyQuestion,
+    utc_nanos: i64,
+) -> Result<v1::ClassifyActivityResponse, RpcError> {
+    let name = question.state.as_str();
+    let labels = view.labels(name);
+    if labels.is_empty() {
+        let state = find_state(view, name)?;
+        let (state, kind) = (name.to_owned(), view.kind(state));
+        return Err(Problem::NoLabels { state, kind }.of("state").into());
+    }
+    let mut likelihoods = vec![0.0; labels.len()];
+    for (i, (label, likelihood)) in question.likelihoods.iter().enumerate() {
+        let Some(at) = labels.iter().position(|(_, known)| known == label) else {
+            let (state, label) = (name.to_owned(), label.chars().take(80).collect());
+            let labels = labels.iter().map(|(_, label)| (*label).to_owned()).collect();
+            return Err(Problem::UnknownLabel { state, label, labels }.of(format!("likelihoods[{i}].label")).into());
+        };
+        likelihoods[at] = *likelihood;
+    }
+    let prepared = view.prepare(&[utc_nanos]);
+    let mut temporal: Vec<f64> = Vec::with_capacity(labels.len());
+    for (id, _) in &labels {
+        let mut predicted = [0.0];
+        view.predict_into(*id, &prepared, question.selector, &mut predicted);
+        temporal.extend(predicted);
+    }
+    normalise(&mut temporal);
+    let spatial = question.place.as_ref().and_then(|place| view.label_prior_at(&question.state, place.as_str()));
+    let evidence = LabelEvidence { likelihoods: &likelihoods, temporal: &temporal, spatial: spatial.as_deref() };
+    let posterior = evidence.posterior().map_err(|error| InvalidField::new("likelihoods", error))?;
+    let known = |at: usize| v1::ClassifiedLabel {
+        label: labels[at].1.to_owned(),
+        probability: posterior[at],
+        likelihood: likelihoods[at],
+        temporal_prior: temporal[at],
+        spatial_prior: spatial.as_ref().map(|spatial| spatial[at]),
+    };
+    Ok(v1::ClassifyActivityResponse {
+        labels: (0..labels.len()).map(known).collect(),
+        ..v1::ClassifyActivityResponse::default()
+    })
+}
