@@ -123,8 +123,8 @@ impl Evaluator {
     }
 
     /// Adds observations of a state that has begun; `trained` has one answer source for each of
-    /// [`Evaluator::kinds_to_train`]. `others`: the sine of an angle, or all labels but the first, where the observations
-    /// are angles, or the numbers of labels.
+    /// [`Evaluator::kinds_to_train`]. `others`: the sine of an angle, or all labels but the first, where the
+    /// observations are angles, or the numbers of labels.
     ///
     /// # Errors
     /// The work was told to stop; the sums must then not be used.

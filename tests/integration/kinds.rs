@@ -284,7 +284,10 @@ fn angles_are_averaged_on_the_circle_and_survive_a_kill() {
         let ends = table.numbers("lower").into_iter().zip(table.numbers("upper"));
         for ((lower, upper), angle) in ends.zip(&angles) {
             let (below, above) = (angle - lower, upper - angle);
-            assert!(below >= 0.0 && (below - above).abs() < 1e-9 && below <= std::f64::consts::PI, "{lower} to {upper}");
+            assert!(
+                below >= 0.0 && (below - above).abs() < 1e-9 && below <= std::f64::consts::PI,
+                "{lower} to {upper}"
+            );
         }
         assert!(angles.iter().all(|angle| (-std::f64::consts::PI..std::f64::consts::PI).contains(angle)), "{angles:?}");
         angles

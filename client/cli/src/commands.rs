@@ -179,9 +179,9 @@ enum Command {
     Update(update::UpdateArgs),
     /// Says which label of a categorical state holds, from how likely each makes what was just observed
     ///
-    /// probability is likelihood x temporal_prior x spatial_prior, divided by the sum over all labels. temporal_prior is
-    /// the probability of the label at that time; spatial_prior is the probability of being at the place while the label
-    /// holds, as the states STATE@PLACE have learned it, and is empty where nothing was learned.
+    /// probability is likelihood x temporal_prior x spatial_prior, divided by the sum over all labels. temporal_prior
+    /// is the probability of the label at that time; spatial_prior is the probability of being at the place while the
+    /// label holds, as the states STATE@PLACE have learned it, and is empty where nothing was learned.
     Classify(classify::ClassifyArgs),
     /// Predicts states at any time, past or future
     ///

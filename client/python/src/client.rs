@@ -24,8 +24,8 @@ use crate::{
     waiting::{runtime, wait},
 };
 
-/// Predicted values, bounds of the intervals if asked for, entropies, what stands behind each row, and its name: that of
-/// a state, or `STATE/LABEL` of a label of a categorical one.
+/// Predicted values, bounds of the intervals if asked for, entropies, what stands behind each row, and its name: that
+/// of a state, or `STATE/LABEL` of a label of a categorical one.
 type PredictedArrays<'py> = (
     Bound<'py, PyArray2<f64>>,
     Option<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>,

@@ -18,6 +18,9 @@ use crate::v1;
 /// How far the sum of the shares of an observation may be from 1.
 pub const SHARES_SUM_TOLERANCE: f64 = 1e-6;
 
+/// The shares of an observation, with its index.
+pub type PlacedShares = (u32, Box<[f64]>);
+
 /// The states of the labels of a state to be added.
 ///
 /// # Errors
@@ -48,7 +51,7 @@ pub fn shares(
     state_indices: &[u32],
     shares: &[f64],
     labels: impl Fn(u32) -> Option<usize>,
-) -> Result<Vec<(u32, Box<[f64]>)>, InvalidField> {
+) -> Result<Vec<PlacedShares>, InvalidField> {
     let counted = || (0..).zip(state_indices).filter_map(|(i, &index)| Some((i, labels(index)?)));
     let wanted: usize = counted().map(|(_, count)| count).sum();
     if wanted != shares.len() {

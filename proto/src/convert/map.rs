@@ -134,8 +134,8 @@ pub fn update_to_wire(generation: u64, cut_nanos: Option<i64>) -> v1::UpdateSumm
     v1::UpdateSummary { generation, cut: cut_nanos.map(timestamp) }
 }
 
-/// A state for the wire; a vector or an angle takes the place of its first axis, a categorical state that of its first label. `None` if the view has no such state,
-/// and for the other axes.
+/// A state for the wire; a vector or an angle takes the place of its first axis, a categorical state that of its first
+/// label. `None` if the view has no such state, and for the other axes.
 #[must_use]
 pub fn state_to_wire(view: &MapView, id: StateId) -> Option<v1::State> {
     let info = view.info(id)?;

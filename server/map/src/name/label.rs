@@ -1,7 +1,7 @@
 //! Names of the labels of categorical states.
 //!
-//! Invariant: `STATE/LABEL` has two plain names, and its label is no axis of a vector or an angle, so that the name says
-//! by itself that the state is a label of STATE.
+//! Invariant: `STATE/LABEL` has two plain names, and its label is no axis of a vector or an angle, so that the name
+//! says by itself that the state is a label of STATE.
 
 use tidemap_model::{ANGLE_AXES, Dimensions};
 

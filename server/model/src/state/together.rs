@@ -1,4 +1,5 @@
-//! One choice for states that are parts of one thing: the labels of a categorical state, or cosine and sine of an angle.
+//! One choice for states that are parts of one thing: the labels of a categorical state, or cosine and sine of an
+//! angle.
 //!
 //! Invariant: the sums of errors that are compared are over the same observations, because parts are observed together.
 

@@ -369,11 +369,14 @@ impl Sessions {
     }
 }
 
+/// Names that states will have, and categorical states in flight.
+type OtherNames<'a> = (&'a HashMap<StateName, (StateId, StateKind)>, &'a HashMap<StateName, (StateId, u8)>);
+
 /// A state of the map, or of an event in flight; for a vector or a categorical state its first axis or label.
 fn known_state(
     map: &LiveMap,
     in_flight: &HashMap<StateName, (StateId, StateKind)>,
-    (renames, categorical): (&HashMap<StateName, (StateId, StateKind)>, &HashMap<StateName, (StateId, u8)>),
+    (renames, categorical): OtherNames<'_>,
     name: &StateName,
 ) -> Option<(StateId, StateShape)> {
     if let Some(known) = map.shape(name.as_str()) {

@@ -80,8 +80,8 @@ pub(super) async fn predict_at_places(
     run_while_awaited(permit, None, predict).await
 }
 
-/// As [`predict`], for the angle of a cosine and a sine: direction, circular deviation, and an interval that contains an
-/// angle as if angles were distributed normally about it.
+/// As [`predict`], for the angle of a cosine and a sine: direction, circular deviation, and an interval that contains
+/// an angle as if angles were distributed normally about it.
 fn predict_angle(
     models: [&PlaceModel; 2],
     question: &PlacesQuestion,

@@ -326,7 +326,9 @@ fn facts(view: &MapView, subject: &StateOrCell, selector: ModelSelector, moments
 /// The angle whose cosine and sine these are: the direction of both. Its interval reaches as far to both sides as those
 /// of the two, and may end beyond -π or π.
 fn angle(cosine: StateForecast, sine: StateForecast) -> StateForecast {
-    let pairs = || cosine.values.iter().zip(&sine.values).map(|(cos, sin)| [*cos, *sin]);
+    let StateForecast { values: cosines, intervals: about_cosines, facts } = cosine;
+    let StateForecast { values: sines, intervals: about_sines, facts: StateFacts { order, .. } } = sine;
+    let pairs = || cosines.iter().zip(&sines).map(|(cos, sin)| [*cos, *sin]);
     let half = |held: &HeldInterval| held.interval.width() / 2.0;
     let interval = |(parts, (cos, sin)): ([f64; 2], (&HeldInterval, &HeldInterval))| {
         let (middle, reach) = (direction_rad(parts), deviation_of_direction_rad(parts, [half(cos), half(sin)]));
@@ -335,9 +337,9 @@ fn angle(cosine: StateForecast, sine: StateForecast) -> StateForecast {
             mass: cos.mass.min(sin.mass),
         }
     };
-    let intervals = pairs().zip(cosine.intervals.iter().zip(&sine.intervals)).map(interval).collect();
+    let intervals = pairs().zip(about_cosines.iter().zip(&about_sines)).map(interval).collect();
     let values = pairs().map(direction_rad).collect();
-    let facts = StateFacts { order: cosine.facts.order.max(sine.facts.order), ..cosine.facts };
+    let facts = StateFacts { order: facts.order.max(order), ..facts };
     StateForecast { values, intervals, facts }
 }
 
