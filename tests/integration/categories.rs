@@ -92,8 +92,8 @@ fn labels_are_predicted_together() {
     let entropy: f64 = shares.iter().map(|share| -share * share.log2()).sum();
     let shown = table.numbers("entropy_bits")[3];
     assert!((shown - entropy).abs() < 1e-9, "{shown} and {entropy}");
-    let told = tidemap(&daemon, &format!("info home --at {} --state activity", after(3))).table();
-    assert!((told.number("entropy_bits") - entropy).abs() < 1e-9, "{told:?}");
+    let worth = tidemap(&daemon, &format!("info home --at {} --state activity", after(3))).table();
+    assert!((worth.number("entropy_bits") - entropy).abs() < 1e-9, "{worth:?}");
     let models = tidemap(&daemon, "model show home activity").table();
     let chosen = models.column("model");
     assert_eq!(chosen.len(), 3);

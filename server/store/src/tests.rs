@@ -6,6 +6,7 @@ mod damage;
 pub(crate) mod example;
 mod golden;
 mod golden_belief;
+mod golden_categorical;
 mod golden_events;
 mod golden_grid;
 mod golden_numbers;

@@ -10,7 +10,6 @@ use tidemap_map::{label_places::name_at_place, name::StateName, view::MapView};
 use tidemap_model::label_evidence::{LabelEvidence, normalise};
 use tidemap_proto::{
     convert::{
-        InvalidField,
         classify::{ClassifyQuestion, Learning, classify_from_wire, readings_to_wire},
         vectors::DeclaredState,
     },
@@ -75,7 +74,7 @@ impl Observations {
     ) -> Result<Vec<StateName>, RpcError> {
         let mut states = vec![question.state.clone()];
         let Some(place) = &question.place else { return Ok(states) };
-        let invalid = |error| InvalidField::new("place", error);
+        let invalid = |error| Problem::Name(error).of("place");
         let at_place = name_at_place(&question.state, place.as_str()).map_err(invalid)?;
         let view = handle.view();
         let (_, shape) = view.shape(question.state.as_str()).ok_or(RpcError::Stopping)?;
@@ -132,7 +131,7 @@ fn answer(
     normalise(&mut temporal);
     let spatial = question.place.as_ref().and_then(|place| view.label_prior_at(&question.state, place.as_str()));
     let evidence = LabelEvidence { likelihoods: &likelihoods, temporal: &temporal, spatial: spatial.as_deref() };
-    let posterior = evidence.posterior().map_err(|error| InvalidField::new("likelihoods", error))?;
+    let posterior = evidence.posterior().map_err(|error| Problem::Evidence(error).of("likelihoods"))?;
     let known = |at: usize| v1::ClassifiedLabel {
         label: labels[at].1.to_owned(),
         probability: posterior[at],

@@ -5,7 +5,11 @@
 
 use std::fmt;
 
-use tidemap_map::event::{StateKind, StateShape};
+use tidemap_map::{
+    event::{StateKind, StateShape},
+    name::InvalidName,
+};
+use tidemap_model::label_evidence::InvalidEvidence;
 
 /// A field of a request that does not fit the map.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +53,10 @@ pub(crate) enum Problem {
     Value { value: f64, shape: StateShape },
     #[error("{name:?}: compare an angle or its cosine, or labels or one of their states, not both in one evaluation")]
     AngleAndCosine { name: String },
+    #[error(transparent)]
+    Evidence(InvalidEvidence),
+    #[error(transparent)]
+    Name(InvalidName),
     #[error("state {state:?} is a {}: only a categorical state has labels", .kind.name())]
     NoLabels { state: String, kind: StateKind },
     #[error("state {state:?} has no label {label:?}: its labels are {}", .labels.join(", "))]
