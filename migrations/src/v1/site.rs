@@ -118,13 +118,16 @@ pub struct Site {
     /// The newest traversals that failed, ascending by start.
     #[prost(message, repeated, tag = "5")]
     pub failures: Vec<EdgeFailure>,
+    /// The tasks; absent: there were never any.
+    #[prost(message, optional, tag = "6")]
+    pub tasks: Option<super::task::TaskBook>,
 }
 
 /// One change, in the log.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SiteEdit {
     /// What changes.
-    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6")]
+    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6, 7")]
     pub change: Option<Change>,
 }
 
@@ -149,4 +152,7 @@ pub enum Change {
     /// The topological map is changed.
     #[prost(message, tag = "6")]
     Topology(super::topology::Edit),
+    /// The tasks are changed, or a plan is kept.
+    #[prost(message, tag = "7")]
+    Task(super::task::TaskEdit),
 }

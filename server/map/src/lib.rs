@@ -21,6 +21,7 @@ pub mod row_samples;
 pub mod site;
 pub mod snapshot;
 pub mod spec;
+pub mod task;
 pub mod topology;
 pub mod training;
 pub mod traversal;

@@ -8,8 +8,10 @@ use tidemap_model::{ANGLE_AXES, Dimensions};
 use unicode_normalization::is_nfc;
 
 mod edge;
+mod task;
 
 pub use edge::{EDGE_STATE_CHARS_MAX, EdgeName, EdgeState};
+pub use task::TaskName;
 
 /// Maximum number of characters of a state's or producer's name.
 pub const NAME_CHARS_MAX: usize = 128;
@@ -146,7 +148,8 @@ pub(crate) fn asked_for(name: &str) -> &str {
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. Or the name of an axis of a
 /// vector, such a name with `/x`, `/y` or `/z`, or of an angle, with `/cos` or `/sin`; or `node/N/KIND`, whether an
-/// object of a kind is at node N; or the name of a state of an edge, [`EdgeName::state`].
+/// object of a kind is at node N; or the name of a state of an edge or a task,
+/// [`EdgeName::state`] and [`TaskName::state`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -204,13 +207,17 @@ impl StateName {
     }
 
     /// As [`StateName::observed`], or the name of an axis of a vector or an angle, as [`StateName::axis`] and
-    /// [`StateName::angle_axis`] give it, or of a state of an edge, as [`EdgeName::state`] does.
+    /// [`StateName::angle_axis`] give it, or of a state of an edge or a task, as [`EdgeName::state`] and
+    /// [`TaskName::state`] do.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
     pub fn stored(name: &str) -> Result<Self, InvalidName> {
         if let Some((what, edge)) = edge::split_edge(name) {
             return Ok(EdgeName::parse(edge)?.state(what));
+        }
+        if let Some(task) = task::split_task(name) {
+            return Ok(TaskName::parse(task)?.state());
         }
         if let Some((angle, axis)) = split_angle_axis(name) {
             let angle = Self::new(angle)?;
@@ -237,6 +244,9 @@ impl StateName {
             let ends = [&mut edge.from, &mut edge.to].into_iter().filter(|end| end.as_str() == from);
             let renamed = ends.map(|end| *end = to.clone()).count();
             return (renamed > 0).then(|| Ok(edge.state(what)));
+        }
+        if let Some(task) = self.as_task() {
+            return (task.node.as_str() == from).then(|| Ok(TaskName { node: to.clone(), ..task }.state()));
         }
         if self.as_str() == from {
             return Some(Ok(to.clone()));

@@ -1,5 +1,5 @@
 //! The site of a map: what people and robots tell the map besides observations. It holds the charger, locations,
-//! reachability, the topological map, and failed traversals.
+//! reachability, the topological map, failed traversals, and tasks.
 //!
 //! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] accepts is
 //! applied whole; any other changes nothing.
@@ -11,6 +11,7 @@ use crate::{
     ids::StateId,
     name::{InvalidName, StateName},
     reachability::{Reachability, ReachabilityError},
+    task::{TaskBook, TaskEdit, TaskError, TaskRun},
     topology::{Topology, TopologyEdit, TopologyError},
     traversal::{EdgeFailure, Failures},
 };
@@ -58,6 +59,8 @@ pub enum SiteEdit {
     },
     /// The topological map is changed.
     Topology(TopologyEdit),
+    /// The tasks are changed, or a plan is kept.
+    Task(TaskEdit),
 }
 
 /// Why an edit is invalid.
@@ -94,6 +97,9 @@ pub enum InvalidEdit {
     /// The topological map would be invalid.
     #[error(transparent)]
     Topology(#[from] TopologyError),
+    /// A task or a plan is invalid.
+    #[error(transparent)]
+    Task(#[from] TaskError),
     /// A state of a renamed node would have the name of another state.
     #[error(
         "state {state:?} of the node would be renamed to {name:?}, but a state of that name exists: choose another name"
@@ -117,6 +123,7 @@ pub struct Site {
     reachability: Reachability,
     topology: Arc<Topology>,
     failures: Failures,
+    tasks: TaskBook,
 }
 
 impl Site {
@@ -153,6 +160,21 @@ impl Site {
     /// The newest traversals that failed.
     pub fn failures(&self) -> &Failures {
         &self.failures
+    }
+
+    /// The tasks, with the kept plans and the reports.
+    pub fn tasks(&self) -> &TaskBook {
+        &self.tasks
+    }
+
+    /// This site with stored tasks.
+    pub fn with_tasks(self, tasks: TaskBook) -> Site {
+        Site { tasks, ..self }
+    }
+
+    /// Adds reports of tasks. Unlike edits, these are part of the observations they come with.
+    pub(crate) fn add_runs(&mut self, runs: &[TaskRun]) {
+        self.tasks.add_runs(runs);
     }
 
     /// This site with the given locations.
@@ -205,6 +227,7 @@ impl Site {
             SiteEdit::RemoveLocation(name) if self.locations.contains_key(name) => Ok(()),
             SiteEdit::Visit { at_m, .. } => Ok(self.reachability.check(at_m[0], at_m[1])?),
             SiteEdit::Topology(edit) => Ok(self.topology.edited(edit).map(drop)?),
+            SiteEdit::Task(edit) => Ok(self.tasks.check(edit)?),
             SiteEdit::RemoveLocation(name) => Err(InvalidEdit::UnknownLocation(name.as_str().to_owned())),
         }
     }
@@ -218,6 +241,7 @@ impl Site {
             self.topology = Arc::new(self.topology.edited(edit)?);
             if let TopologyEdit::RenameNode { from, to } = edit {
                 self.failures.rename_node(from, to);
+                self.tasks.rename_node(from, to);
             }
             return Ok(());
         }
@@ -233,6 +257,7 @@ impl Site {
             SiteEdit::Visit { at_m, reached, utc_nanos } => {
                 self.reachability.report(at_m[0], at_m[1], *reached, *utc_nanos)?;
             }
+            SiteEdit::Task(edit) => self.tasks.apply(edit)?,
             // Done above.
             SiteEdit::Topology(_) => {}
         }

@@ -26,6 +26,7 @@ mod scans;
 mod scrubs;
 mod segments;
 mod spectra;
+mod tasks;
 mod torn_tail;
 mod traversals;
 

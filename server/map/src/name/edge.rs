@@ -7,7 +7,7 @@ use std::fmt;
 
 use tidemap_model::StateKind;
 
-use super::{InvalidName, NAME_CHARS_MAX, StateName, shown};
+use super::{InvalidName, NAME_CHARS_MAX, StateName, shown, task::split_task};
 
 /// Maximum number of characters of the name of an edge's state: `speed/A/B/ACTION`, with three plain names.
 pub const EDGE_STATE_CHARS_MAX: usize = 3 * NAME_CHARS_MAX + "speed///".len();
@@ -115,9 +115,10 @@ impl StateName {
         EdgeName::parse(edge).ok().map(|edge| (what, edge))
     }
 
-    /// Maximum number of characters for a state with this name: names of edges' states are longer than others.
+    /// Maximum number of characters for a state with this name: names of edges' and tasks' states are longer than others.
     pub fn chars_max(name: &str) -> usize {
-        if split_edge(name).is_some() { EDGE_STATE_CHARS_MAX } else { NAME_CHARS_MAX }
+        let is_long = split_edge(name).is_some() || split_task(name).is_some();
+        if is_long { EDGE_STATE_CHARS_MAX } else { NAME_CHARS_MAX }
     }
 }
 

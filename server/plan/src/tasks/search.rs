@@ -165,9 +165,7 @@ impl Search<'_, '_, '_> {
                 }
             }
             // The earliest first; each later one is worth more.
-            front.sort_by(|one, other| {
-                one.end_secs.total_cmp(&other.end_secs).then(other.value.total_cmp(&one.value))
-            });
+            front.sort_by(|one, other| one.end_secs.total_cmp(&other.end_secs).then(other.value.total_cmp(&one.value)));
             let mut greatest = f64::NEG_INFINITY;
             front.retain(|partial| {
                 let is_more = partial.value > greatest;

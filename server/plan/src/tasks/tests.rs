@@ -151,9 +151,8 @@ fn task(place: usize, window: (f64, f64), value: f64) -> DayTask {
 
 #[test]
 fn what_is_left_out_has_its_reason() {
-    let legs = LegTable::new((900.0, 4), 3, |_, from, to| {
-        (from != 2 && to != 2).then_some(Leg { secs: 100.0, success: 0.9 })
-    });
+    let legs =
+        LegTable::new((900.0, 4), 3, |_, from, to| (from != 2 && to != 2).then_some(Leg { secs: 100.0, success: 0.9 }));
     let tasks = [
         task(0, (0.0, 60.0), 5.0),
         task(0, (0.0, 70.0), 1.0),

@@ -12,7 +12,7 @@ use tidemap_map::{
 };
 use tidemap_migrations::v1::site as v1;
 
-use super::{Invalid, ids::decode_state_name, topology, traversal};
+use super::{Invalid, ids::decode_state_name, task, topology, traversal};
 
 fn encode_place(at: [f64; 2]) -> v1::Place {
     let [x_bits, y_bits] = at.map(f64::to_bits);
@@ -60,6 +60,7 @@ pub(crate) fn encode(site: &Site) -> Option<v1::Site> {
         attempts: site.reachability().parts().map(encode_attempts).collect(),
         topology: topology::encode(site.topology()),
         failures: site.failures().oldest_first().map(traversal::encode_failure).collect(),
+        tasks: task::encode_book(site.tasks()),
     })
 }
 
@@ -80,7 +81,8 @@ pub(crate) fn decode(message: &v1::Site, states: usize) -> Result<Site, String> 
     for failure in &message.failures {
         failures.add(traversal::decode_failure(failure)?);
     }
-    let site = site.with_reachability(reachability).with_failures(failures);
+    let tasks = message.tasks.as_ref().map(task::decode_book).transpose()?.unwrap_or_default();
+    let site = site.with_reachability(reachability).with_failures(failures).with_tasks(tasks);
     Ok(match &message.topology {
         Some(message) => site.with_topology(topology::decode(message)?),
         None => site,
@@ -97,6 +99,7 @@ pub(super) fn encode_edit(edit: &SiteEdit) -> v1::SiteEdit {
             v1::Change::Visit(v1::Visit { place: Some(encode_place(*at_m)), reached: *reached, utc_nanos: *utc_nanos })
         }
         SiteEdit::Topology(edit) => v1::Change::Topology(topology::encode_edit(edit)),
+        SiteEdit::Task(edit) => v1::Change::Task(task::encode_edit(edit)),
     };
     v1::SiteEdit { change: Some(change) }
 }
@@ -115,5 +118,6 @@ pub(super) fn decode_edit(message: &v1::SiteEdit) -> Result<SiteEdit, Invalid> {
             SiteEdit::Visit { at_m: decode_place(place), reached: *reached, utc_nanos: *utc_nanos }
         }
         v1::Change::Topology(edit) => SiteEdit::Topology(topology::decode_edit(edit)?),
+        v1::Change::Task(edit) => SiteEdit::Task(task::decode_edit(edit)?),
     })
 }

@@ -107,6 +107,7 @@ fn observations() -> impl Strategy<Value = Event> {
                         OffsetRun { count: rest, offset_secs: offsets.1 },
                     ],
                     failures,
+                    runs: Vec::new(),
                 },
             )
         },
