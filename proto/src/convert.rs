@@ -43,6 +43,7 @@ pub mod search;
 pub mod sequences;
 pub mod site;
 pub mod state_sensor;
+pub mod task;
 pub mod time;
 pub mod topology;
 pub mod traversals;

@@ -267,6 +267,17 @@ fn check_topology(checked: &mut Checked, folder: &str) {
     checked.run("topology show", "home --edges");
     checked.run("topology failures", "home");
     checked.run("topology predict", &format!("home --at {NOON}"));
+    checked.run("task add", "home clean Shop --from 09:00 --until 17:00 --duration 10m --value-state door");
+    checked.run("task list", "home");
+    let day = checked.run("day", &format!("home --date {DAY} --slot 1h --tasks --start-node Hall --keep"));
+    assert!(day.as_array().is_some_and(|slots| slots.iter().any(|slot| slot["task"] == "clean/Shop")), "{day}");
+    let plan = checked.run("plan show", &format!("home --date {DAY}"));
+    assert_eq!((&plan[0]["task"], &plan[0]["now"]), (&"clean/Shop".into(), &false.into()), "{plan}");
+    let times = format!("--start {NOON} --end {DAY}T12:30:00Z");
+    checked.run("task report", &format!("home clean Shop --success true --producer r {times}"));
+    let weeks = checked.run("task weeks", "home --hours 09:00-17:00");
+    assert_eq!(weeks[0]["active_secs"], 1_800.0, "{weeks}");
+    checked.run("task remove", "home clean Shop");
     checked.run("policy", &format!("home Shop --at {NOON} --horizon 1h"));
     checked.run("search", &format!("home --start Hall --at {NOON}"));
     checked.run("presence", &format!("home --at {NOON}"));

@@ -15,11 +15,13 @@
 //! Invariant: a plan is a function of its question. Steps do not overlap, each lies within its window, and each task is
 //! either a step or unserved, with a reason.
 
+mod day;
 mod exact;
 mod legs;
 mod search;
 mod timing;
 
+pub use day::{MapDay, Occurrence, PlannedTasks, UnservedTask, occurrences};
 pub use legs::{Leg, LegError, LegOptions, LegTable};
 use tidemap_model::{EarlyStop, StopSignal};
 
@@ -28,7 +30,7 @@ use search::search_order;
 use timing::Timing;
 
 /// Maximum number of tasks of one plan.
-pub const PLANNED_TASKS_MAX: usize = 200;
+pub const PLANNED_TASKS_MAX: usize = 100;
 /// Maximum number of tasks that are planned exactly.
 pub(crate) const EXACT_TASKS_MAX: usize = 12;
 /// Maximum number of slots of a day.
@@ -85,7 +87,7 @@ pub struct TaskDay<'a> {
 pub struct TaskStep {
     /// Index of the task.
     pub task: usize,
-    /// When the robot departs for it.
+    /// When the robot departs for it at the latest, so that it begins then with this success.
     pub departure_secs: f64,
     /// When it begins.
     pub start_secs: f64,
@@ -108,6 +110,10 @@ pub enum UnservedReason {
     NoValue,
     /// Alone it could be done; the others are worth more.
     NoTime,
+    /// The map has no such node.
+    UnknownNode,
+    /// The map has no such state, so that its value is not known.
+    UnknownState,
 }
 
 /// A plan of tasks.
@@ -136,6 +142,9 @@ pub enum TaskPlanError {
     /// A place is not in the table of legs.
     #[error("there is no place {0}")]
     UnknownPlace(usize),
+    /// The ways between the tasks cannot be computed.
+    #[error(transparent)]
+    Leg(#[from] LegError),
     /// It was stopped.
     #[error("the plan was stopped before it was ready; raise the time limit, or plan fewer tasks")]
     Stopped,

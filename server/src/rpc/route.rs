@@ -28,6 +28,7 @@ mod places;
 mod plan;
 mod presence;
 mod search;
+mod tasks;
 mod topology;
 
 #[derive(Debug)]

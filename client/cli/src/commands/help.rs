@@ -14,7 +14,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Learn, and look at models", &["update", "model", "evaluate", "experiment"]),
     ("Predict, and look back", &["predict", "position", "presence", "joint", "reconstruct", "anomalies"]),
     ("Explore", &["info", "slot", "day", "tour", "reachability"]),
-    ("Drive and search", &["topology", "route", "policy", "search"]),
+    ("Drive, work and search", &["topology", "task", "plan", "route", "policy", "search"]),
     ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "schema", "bench"]),
 ];
 
@@ -75,6 +75,15 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("topology edit link", "tidemap topology edit link office kitchen pantry 12"),
     ("topology edit set-link", "tidemap topology edit set-link office kitchen pantry 14"),
     ("topology edit unlink", "tidemap topology edit unlink office kitchen pantry"),
+    ("task add", "tidemap task add office clean kitchen --from 18:00 --until 20:00 --duration 15m --days mon-fri"),
+    ("task list", "tidemap task list office"),
+    ("task remove", "tidemap task remove office clean kitchen"),
+    (
+        "task report",
+        "tidemap task report office clean kitchen --start 2025-02-18T18:10:00Z --end 2025-02-18T18:24:00Z --success true",
+    ),
+    ("task weeks", "tidemap task weeks office --hours 08:00-20:00 --days mon-fri"),
+    ("plan show", "tidemap plan show office --date 2025-02-18"),
     ("route", "tidemap route office entrance kitchen --at now --objective time"),
     ("policy", "tidemap policy office kitchen --at now"),
     ("search", "tidemap search office --start corridor --at now"),

@@ -3,7 +3,10 @@
 //! Invariant: of two choices, the one that ends later is worth more. No time between those that are tried is better
 //! than all of them.
 
-use super::{DayTask, TaskDay, TaskStep, TaskValue};
+use super::{DayTask, LegTable, TaskDay, TaskStep, TaskValue};
+
+/// How long before the end of a slot a robot departs that has to depart in it.
+const LATE_SECS: f64 = 1.0;
 
 /// One way to do a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,13 +32,35 @@ pub(super) struct Moves {
 }
 
 impl Moves {
+    /// The steps, each with the latest departure that costs nothing.
     pub(super) fn steps(&self, day: &TaskDay<'_>) -> Vec<TaskStep> {
-        debug_assert!(self.chosen.iter().all(|(task, _)| *task < day.tasks.len()), "tasks of this day");
-        let step = |&(task, Choice { departure_secs, start_secs, end_secs, value, success }): &(usize, Choice)| {
-            TaskStep { task, departure_secs, start_secs, end_secs, value, success }
-        };
-        self.chosen.iter().map(step).collect()
+        let mut from = day.start;
+        let mut steps = Vec::with_capacity(self.chosen.len());
+        for &(task, choice) in &self.chosen {
+            let place = day.tasks[task].place;
+            let (departure_secs, success) = latest_departure(day.legs, (from, place), &choice);
+            let Choice { start_secs, end_secs, value, .. } = choice;
+            steps.push(TaskStep { task, departure_secs, start_secs, end_secs, value, success });
+            from = place;
+        }
+        steps
     }
+}
+
+/// The latest departure that arrives by the start with no less success, and its success.
+fn latest_departure(legs: &LegTable, (from, to): (usize, usize), choice: &Choice) -> (f64, f64) {
+    let first_slot = legs.slot_of(choice.departure_secs);
+    for slot in (first_slot..=legs.slot_of(choice.start_secs)).rev() {
+        let Some(leg) = legs.at(from, to, slot).filter(|leg| leg.success >= choice.success) else { continue };
+        let end_secs = (slot + 1) as f64 * legs.slot_secs();
+        let is_last = slot + 1 == legs.slots();
+        let latest_secs = choice.start_secs - leg.secs;
+        let departure_secs = if is_last || latest_secs < end_secs { latest_secs } else { end_secs - LATE_SECS };
+        if departure_secs >= choice.departure_secs && (slot == first_slot || legs.slot_of(departure_secs) == slot) {
+            return (departure_secs, leg.success);
+        }
+    }
+    (choice.departure_secs, choice.success)
 }
 
 /// An arrival at a task.

@@ -12,7 +12,7 @@ use tidemap_map::{
     event::{Position, SequenceSpan, StateShape, StatedReporting},
     ids::RefusalReason,
     name::StateName,
-    traversal::Traversal,
+    task::WorkReport,
 };
 
 /// A refused observation.
@@ -122,8 +122,8 @@ pub(crate) struct ScanBatch {
 pub(crate) struct TraversalBatch {
     /// What is new of the message; not empty.
     pub span: SequenceSpan,
-    /// The valid traversals with their sequence numbers. The map's writer checks whether the edges exist.
-    pub traversals: Vec<(u64, Traversal)>,
+    /// The valid traversals and reports of tasks, with their sequence numbers. The map's writer checks whether the edges exist.
+    pub traversals: Vec<(u64, WorkReport)>,
     /// The refused traversals.
     pub refused: Vec<RefusedObservation>,
 }

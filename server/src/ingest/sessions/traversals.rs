@@ -3,7 +3,8 @@
 //! A traversal is one observation on the wire, with one sequence number. For the map it is one or two observations of
 //! ordinary states: `edge/A/B` at its start, and `speed/A/B` or `pace/A/B` if it succeeded. The event holds states and
 //! values, so that a replay needs no topology. Failures come with the event (`Observations::failures`), and the site
-//! keeps the last ones.
+//! keeps the last ones. The report of a task is likewise an observation of `task/KIND/NODE` at its start, and comes
+//! with the event (`Observations::runs`).
 //!
 //! Invariant: a traversal is taken with all of its observations, in one event, or not at all. Its meaning depends on
 //! the topology; the writer makes no event of traversals while an edit of the topology is in flight.
@@ -12,9 +13,10 @@ use tidemap_map::{
     event::{Event, Observations},
     ids::RefusalReason,
     live_map::LiveMap,
+    task::{TaskRun, WorkReport},
     traversal::Traversal,
 };
-use tidemap_model::{Sample, time::FUTURE_MAX_NANOS};
+use tidemap_model::{Sample, StateKind, time::FUTURE_MAX_NANOS};
 use tidemap_proto::convert::traversals::{refusal_of, unknown_edge};
 
 use super::{
@@ -39,8 +41,11 @@ impl Sessions {
         let plausible = now.saturating_add(FUTURE_MAX_NANOS);
         let may_wait = map.future() < self.limits.ahead;
         let mut observations = Observations::default();
-        for (sequence, traversal) in traversals {
-            let time = traversal.start_nanos;
+        for (sequence, report) in traversals {
+            let time = match &report {
+                WorkReport::Edge(traversal) => traversal.start_nanos,
+                WorkReport::Task(run) => run.start_nanos,
+            };
             let result = if time > plausible && !may_wait {
                 Err((RefusalReason::Time, too_far_ahead(time, self.limits.ahead)))
             } else {
@@ -51,7 +56,11 @@ impl Sessions {
                     reportings: &mut self.reportings_in_flight,
                     max: self.limits.states,
                 };
-                take(&mut observations, &traversal, allocator, self.offsets.offset_secs(time))
+                let offset_secs = self.offsets.offset_secs(time);
+                match report {
+                    WorkReport::Edge(traversal) => take(&mut observations, &traversal, allocator, offset_secs),
+                    WorkReport::Task(run) => take_run(&mut observations, run, allocator, offset_secs),
+                }
             };
             if let Err((reason, detail)) = result {
                 refused.push(RefusedObservation { sequence, reason, detail });
@@ -77,5 +86,21 @@ fn take(
         observations.push(state, Sample { utc_nanos: traversal.start_nanos, offset_secs, value });
     }
     observations.failures.extend(traversal.failure());
+    Ok(())
+}
+
+/// Appends the observation of a task.
+fn take_run(
+    observations: &mut Observations,
+    run: TaskRun,
+    mut allocator: StateAllocator<'_>,
+    offset_secs: i32,
+) -> Result<(), Refusal> {
+    let wanted = [(run.name.state(), StateKind::Probability)];
+    for state in allocator.states_for(&wanted, &mut observations.new_states)? {
+        let (utc_nanos, value) = (run.start_nanos, run.observed());
+        observations.push(state, Sample { utc_nanos, offset_secs, value });
+    }
+    observations.runs.push(run);
     Ok(())
 }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: these are estimates, but never much too small, because they bound the memory that waits for a slow disk.
 
-use tidemap_map::traversal::{EdgeFailure, Traversal};
+use tidemap_map::{task::WorkReport, traversal::EdgeFailure};
 
 use crate::ingest::protocol::{ObservationBatch, TraversalBatch};
 
@@ -28,9 +28,12 @@ pub(super) fn bytes_of(batch: &ObservationBatch) -> usize {
 /// Memory of traversals until they are durable, about: as they are, as observations with the names of their states, and
 /// as failures.
 pub(super) fn bytes_of_traversals(batch: &TraversalBatch) -> usize {
-    let texts = |traversal: &Traversal| 3 * traversal.edge.to_string().len() + 2 * traversal.reason.len();
-    let each = |(_, traversal): &(u64, Traversal)| {
-        size_of::<Traversal>() + 2 * (OBSERVATION_BYTES + NAME_BYTES) + texts(traversal) + size_of::<EdgeFailure>()
+    let texts = |report: &WorkReport| match report {
+        WorkReport::Edge(traversal) => 3 * traversal.edge.to_string().len() + 2 * traversal.reason.len(),
+        WorkReport::Task(run) => 3 * run.name.to_string().len() + 2 * run.reason.len(),
+    };
+    let each = |(_, report): &(u64, WorkReport)| {
+        size_of::<WorkReport>() + 2 * (OBSERVATION_BYTES + NAME_BYTES) + texts(report) + size_of::<EdgeFailure>()
     };
     64 + batch.traversals.iter().map(each).sum::<usize>() + REFUSED_BYTES * batch.refused.len()
 }

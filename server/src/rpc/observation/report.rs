@@ -34,32 +34,46 @@ impl Observations {
             .map_err(RpcError::from)?;
         let now = self.catalog.context().clock.now_nanos();
         let observations = readings_to_columns(&request.readings, now).map_err(RpcError::from)?;
+        let hello = v1::Hello {
+            producer: request.producer,
+            label: request.label,
+            map: request.map,
+            reporting: request.reporting,
+            ..Default::default()
+        };
+        let observations = Some(observations);
+        let batch =
+            |first_sequence| Up::Batch(v1::ObservationBatch { first_sequence, observations: observations.clone() });
+        self.report_batch(&hello, request.first_sequence, batch).await
+    }
+
+    /// Takes one batch, as a stream of its own. `first_sequence`: 0 for the next number.
+    pub(in crate::rpc) async fn report_batch(
+        &self,
+        hello: &v1::Hello,
+        first_sequence: u64,
+        batch: impl Fn(u64) -> Up + Send + Sync,
+    ) -> Result<v1::ReportResponse, Status> {
         let deadline = Instant::now() + KEY_WITHIN;
         loop {
-            match self.run_report(&request, &observations).await {
+            match self.run_report(hello, first_sequence, &batch).await {
                 Err(status) if is_taken(&status) && Instant::now() < deadline => tokio::time::sleep(KEY_POLL).await,
                 result => return result,
             }
         }
     }
 
-    /// Sends the readings through a stream of their key.
+    /// Sends a batch through a stream of its key.
     async fn run_report(
         &self,
-        request: &v1::ReportRequest,
-        observations: &v1::ObservationColumns,
+        hello: &v1::Hello,
+        first_sequence: u64,
+        batch: &(impl Fn(u64) -> Up + Send + Sync),
     ) -> Result<v1::ReportResponse, Status> {
         let (up, requests) = mpsc::channel(2);
         let send = |message| drop(up.try_send(Ok(v1::ObserveRequest { message: Some(message) })));
-        let hello = v1::Hello {
-            producer: request.producer.clone(),
-            label: request.label.clone(),
-            map: request.map.clone(),
-            reporting: request.reporting,
-            ..Default::default()
-        };
         // The channel has room for both messages.
-        send(Up::Hello(hello));
+        send(Up::Hello(hello.clone()));
         let mut replies = self.start(ReceiverStream::new(requests))?;
         let mut reply = v1::ReportResponse::default();
         let welcome = loop {
@@ -69,11 +83,11 @@ impl Observations {
                 Some(_) => return Err(Status::internal("a stream began without a welcome")),
             }
         };
-        let first_sequence = match request.first_sequence {
+        let first_sequence = match first_sequence {
             0 => welcome.durable_sequence + 1,
             sequence => sequence,
         };
-        send(Up::Batch(v1::ObservationBatch { first_sequence, observations: Some(observations.clone()) }));
+        send(batch(first_sequence));
         drop(up);
         while let Some(message) = replies.recv().await {
             if let Some(Down::Ack(ack)) = message?.message {

@@ -4,6 +4,7 @@ use tidemap_map::{
     event::{SequenceSpan, StateKind},
     name::EdgeName,
     site::SiteEdit,
+    task::WorkReport,
     topology::{EdgeEnds, Extent, NewEdge, NewNode, TopologyEdit},
     traversal::Traversal,
 };
@@ -48,7 +49,7 @@ fn send(handle: &MapHandle, robot: &mut Robot, traversals: Vec<Traversal>) {
     robot.sent += traversals.len() as u64;
     let batch = TraversalBatch {
         span: SequenceSpan { first: first_sequence, last: robot.sent, content_crc: 1 },
-        traversals: (first_sequence..).zip(traversals).collect(),
+        traversals: (first_sequence..).zip(traversals.into_iter().map(WorkReport::Edge)).collect(),
         refused: Vec::new(),
     };
     let command = Command::StreamData {
