@@ -58,7 +58,8 @@ fn a_day_of_tasks_is_planned_kept_and_found_after_a_kill() {
     // The node does not exist: the task has its reason, and the others are planned.
     assert!(planned.stderr.contains("clean/Attic") && planned.stderr.contains("no such node"), "{}", planned.stderr);
     let slots = planned.table();
-    assert_eq!(slots.column("task")[36], "greet/Hall", "at nine");
+    // Between nine and ten.
+    assert!(slots.column("task")[36..40].contains(&"greet/Hall"), "{:?}", slots.column("task"));
     assert!(slots.column("location").iter().all(|location| location.is_empty()), "the map has no locations");
 
     daemon.kill();
@@ -104,8 +105,8 @@ fn slots_that_tasks_leave_over_explore() {
     assert!(late.stderr.contains("guard/Hall") && late.stderr.contains("window is over"), "{}", late.stderr);
 }
 
-#[tokio::test]
-async fn reports_are_taken_exactly_once_and_make_the_figures() {
+#[test]
+fn reports_are_taken_exactly_once_and_make_the_figures() {
     let (_data, launch, daemon) = started();
     let monday = START_SECS + DAYS * 24 * HOUR_SECS;
     let run = |hour: i64, success: bool| TaskRun {
@@ -116,16 +117,18 @@ async fn reports_are_taken_exactly_once_and_make_the_figures() {
         intervention: !success,
         reason: if success { String::new() } else { "nobody came".to_owned() },
     };
-    let client = daemon.client();
-    for (sequence, hour) in (1..).zip([9, 10, 26]) {
-        for _ in 0..2 {
-            let sent = client.report_task("office", ("robot", "work"), sequence, &run(hour, hour != 10)).await;
-            let receipt = sent.expect("taken");
-            assert_eq!((receipt.durable_sequence, receipt.refused), (sequence, None));
+    tokio::runtime::Runtime::new().expect("a runtime").block_on(async {
+        let client = daemon.client();
+        for (sequence, hour) in (1..).zip([9, 10, 26]) {
+            for _ in 0..2 {
+                let sent = client.report_task("office", ("robot", "work"), sequence, &run(hour, hour != 10)).await;
+                let receipt = sent.expect("taken");
+                assert_eq!((receipt.durable_sequence, receipt.refused), (sequence, None));
+            }
         }
-    }
-    // Another report with a known number is no repetition.
-    client.report_task("office", ("robot", "work"), 2, &run(11, true)).await.expect_err("a different report");
+        // Another report with a known number is no repetition.
+        client.report_task("office", ("robot", "work"), 2, &run(11, true)).await.expect_err("a different report");
+    });
     let before = words(&daemon, "task weeks office --hours 08:00-18:00 --days mon-fri").table();
 
     daemon.kill();

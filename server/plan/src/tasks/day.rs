@@ -225,7 +225,7 @@ mod tests {
             KeptWork::Explore { .. } => panic!("{work:?}"),
         };
         assert_eq!(shown.len(), 3, "{shown:?}");
-        assert_eq!((shown[0].0, name(shown[0].1)), (9 * 3_600, ("clean/n3".to_owned(), 2.0, 0.125)));
+        assert_eq!((shown[0].0, name(shown[0].1)), (9 * 3_600, ("clean/n3".to_owned(), 2.0, 0.13)));
         assert!(shown.iter().any(|(at, work)| *at >= 10 * 3_600 && name(work) == ("greet/n2".to_owned(), 1.8, 0.5)));
         let reasons: Vec<_> = plan.unserved.iter().map(|task| (task.name.kind.as_str(), task.reason)).collect();
         assert_eq!(reasons, [("wait", UnservedReason::UnknownState), ("lost", UnservedReason::UnknownNode)]);

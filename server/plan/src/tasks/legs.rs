@@ -141,7 +141,9 @@ impl LegTable {
             }
             by_slot.push(at.iter().map(|&from| ways(&network, from, &ahead, options)).collect::<Vec<_>>());
         }
-        LegTable::new((options.slot_secs, slots), places, |slot, from, to| by_slot[slot][from][at[to]])
+        LegTable::new((options.slot_secs, slots), places, |slot, from, to| {
+            by_slot[slot][from][at[to]].map(|leg| Leg { success: whole_percent(leg.success), ..leg })
+        })
     }
 
     /// The leg between places for a departure in a slot; `None`: there is no way.
@@ -169,6 +171,11 @@ impl LegTable {
         // A negative number becomes 0.
         ((at_secs / self.slot_secs).floor() as usize).min(self.slots - 1)
     }
+}
+
+/// A success in whole percents, at least one: no robot should wait for a difference that forecasts cannot tell.
+fn whole_percent(success: f64) -> f64 {
+    (success * 100.0).round().max(1.0) / 100.0
 }
 
 /// The cheapest ways from a node to all others.

@@ -203,9 +203,9 @@ fn legs_are_the_cheapest_ways_of_their_slots() {
     let nodes = [NodeId(0), NodeId(3), NodeId(0)];
     let legs = LegTable::between(&topology, &nodes, &options, &mut ahead, StopSignal::NEVER).unwrap();
     // Each edge fails once on average: 10 s, and before that 10 s and the recovery.
-    assert_eq!(legs.at(0, 1, 0), Some(Leg { secs: 120.0, success: 0.125 }));
+    assert_eq!(legs.at(0, 1, 0), Some(Leg { secs: 120.0, success: 0.13 }));
     assert_eq!(legs.at(0, 1, 1), None);
-    assert_eq!(legs.at(1, 0, 1), Some(Leg { secs: 120.0, success: 0.125 }));
+    assert_eq!(legs.at(1, 0, 1), Some(Leg { secs: 120.0, success: 0.13 }));
     assert_eq!(legs.at(0, 2, 1), Some(Leg { secs: 0.0, success: 1.0 }));
     let unknown = LegTable::between(&topology, &[NodeId(9)], &options, &mut ahead, StopSignal::NEVER);
     assert_eq!(unknown, Err(LegError::UnknownNode(9)));
