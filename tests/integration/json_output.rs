@@ -266,6 +266,10 @@ fn check_topology(checked: &mut Checked, folder: &str) {
     checked.run("topology show", "home");
     checked.run("topology show", "home --edges");
     checked.run("topology failures", "home");
+    checked.run("topology failures", "home --by reason");
+    checked.run("no-go add", "home pit 20,20 21,20 21,21");
+    checked.run("no-go list", "home");
+    checked.run("no-go remove", "home pit");
     checked.run("topology predict", &format!("home --at {NOON}"));
     checked.run("task add", "home clean Shop --from 09:00 --until 17:00 --duration 10m --value-state door");
     checked.run("task list", "home");

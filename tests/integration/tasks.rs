@@ -169,3 +169,53 @@ fn what_is_reported_wrongly_is_refused() {
     let rows = format!("time,state,value\n{start},task/greet/Hall,1\n");
     cli::tidemap_reading(&daemon, ["observe", "office", "-", "--producer", "p"], &rows).table_with(1);
 }
+
+#[test]
+fn nothing_is_planned_through_a_no_go_area() {
+    let (_data, launch, daemon) = started();
+    let set = |daemon: &Daemon, node: &str, at: &str| {
+        words(daemon, &format!("topology edit set-node office {node} --position {at}")).table();
+    };
+    for (node, at) in [("Dock", "0,0"), ("Hall", "4,0"), ("Lab", "8,0")] {
+        set(&daemon, node, at);
+    }
+    // A way around.
+    words(&daemon, "topology edit add-node office Yard --position 4,4").table();
+    words(&daemon, "topology edit link office Dock Yard 90").table();
+    words(&daemon, "topology edit link office Yard Hall 90").table();
+    let noon = format!("{DATE}T13:00:00Z");
+    let route = format!("route office Dock Hall --at {noon} --objective time");
+    assert_eq!(words(&daemon, &route).table().rows.len(), 1);
+    words(&daemon, "no-go add office pit 1.5,-1 2.5,-1 2,1").table();
+    words(&daemon, "task add office greet Hall --from 09:00 --until 10:00 --duration 10m").table();
+
+    daemon.kill();
+    let daemon = launch.start();
+    oracle::settle(&daemon);
+    assert_eq!(words(&daemon, "no-go list office").table().column("area"), ["pit"]);
+    assert_eq!(words(&daemon, &route).table().rows.len(), 2, "by the yard");
+    let lab = words(&daemon, &format!("search office --start Dock --at {noon}"));
+    assert_eq!(lab.code, Some(1), "no state of a node was observed: {}", lab.stdout);
+    words(&daemon, &format!("day office --date {DATE} --tasks --keep --start-node Dock")).table();
+    let plan = words(&daemon, &format!("plan show office --date {DATE}")).table();
+    let way = plan.numbers("start")[0] - plan.numbers("departure")[0];
+    assert!(way > 170.0, "{way} s by the yard");
+    // Its edges are still predicted.
+    assert_eq!(words(&daemon, &format!("topology predict office --at {noon}")).table().rows.len(), 8);
+
+    // A node inside is not reached.
+    words(&daemon, "no-go add office hall 3,-1 5,-1 5,1 3,1").table();
+    words(&daemon, &route).fails(1, &["no route"]);
+    let unserved = words(&daemon, &format!("day office --date {DATE} --tasks --start-node Dock"));
+    assert!(unserved.stderr.contains("greet/Hall") && unserved.stderr.contains("no way"), "{}", unserved.stderr);
+    words(&daemon, "no-go remove office hall");
+    words(&daemon, "no-go remove office pit");
+    assert_eq!(words(&daemon, &route).table().rows.len(), 1);
+    words(&daemon, "no-go remove office pit").fails(1, &["pit"]);
+    words(&daemon, "no-go add office line 0,0 1,1 --output csv").fails(2, &[]);
+
+    let reasons = "from,to,start,end,success,reason\nHall,Lab,1453100000,1453100010,false,stuck\n";
+    cli::tidemap_reading(&daemon, ["traverse", "office", "-", "--producer", "r", "--label", "x"], reasons).table();
+    let counted = words(&daemon, "topology failures office --by reason").table();
+    assert_eq!((counted.column("reason"), counted.numbers("failures")), (vec!["", "stuck"], vec![168.0, 1.0]));
+}

@@ -230,7 +230,7 @@ impl StateErasure {
                 SiteEdit::Charger(at_m) => self.charger_m = *at_m,
                 SiteEdit::SetLocation(name, _) => drop(self.locations.insert(name.clone())),
                 SiteEdit::RemoveLocation(name) if !self.locations.remove(name) => return self.unchanged(),
-                SiteEdit::RemoveLocation(_) | SiteEdit::Visit { .. } | SiteEdit::Task(_) => {}
+                SiteEdit::RemoveLocation(_) | SiteEdit::Visit { .. } | SiteEdit::Task(_) | SiteEdit::NoGo(_) => {}
                 SiteEdit::Topology(_) => {
                     let renamed = renamed_states(&edit, self.names.iter().map(|(&id, name)| (id, name)));
                     self.names.extend(renamed.into_iter().filter_map(|(id, name)| Some((id, name.ok()?))));

@@ -15,6 +15,7 @@ pub mod landmark;
 pub mod live_map;
 pub mod live_state;
 pub mod name;
+pub mod no_go;
 pub mod predict;
 pub mod reachability;
 pub mod row_samples;

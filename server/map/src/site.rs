@@ -1,5 +1,5 @@
 //! The site of a map: what people and robots tell the map besides observations. It holds the charger, locations,
-//! reachability, the topological map, failed traversals, and tasks.
+//! reachability, the topological map, failed traversals, tasks, and no-go areas.
 //!
 //! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] accepts is
 //! applied whole; any other changes nothing.
@@ -10,6 +10,7 @@ use tidemap_grid::index::CellIndex;
 use crate::{
     ids::StateId,
     name::{InvalidName, StateName},
+    no_go::{NoGoAreas, NoGoEdit, NoGoError},
     reachability::{Reachability, ReachabilityError},
     task::{TaskBook, TaskEdit, TaskError, TaskRun},
     topology::{Topology, TopologyEdit, TopologyError},
@@ -61,6 +62,8 @@ pub enum SiteEdit {
     Topology(TopologyEdit),
     /// The tasks are changed, or a plan is kept.
     Task(TaskEdit),
+    /// The no-go areas are changed.
+    NoGo(NoGoEdit),
 }
 
 /// Why an edit is invalid.
@@ -100,6 +103,9 @@ pub enum InvalidEdit {
     /// A task or a plan is invalid.
     #[error(transparent)]
     Task(#[from] TaskError),
+    /// A no-go area is invalid.
+    #[error(transparent)]
+    NoGo(#[from] NoGoError),
     /// A state of a renamed node would have the name of another state.
     #[error(
         "state {state:?} of the node would be renamed to {name:?}, but a state of that name exists: choose another name"
@@ -124,6 +130,7 @@ pub struct Site {
     topology: Arc<Topology>,
     failures: Failures,
     tasks: TaskBook,
+    no_go: NoGoAreas,
 }
 
 impl Site {
@@ -160,6 +167,16 @@ impl Site {
     /// The newest traversals that failed.
     pub fn failures(&self) -> &Failures {
         &self.failures
+    }
+
+    /// The areas that nothing is planned through.
+    pub fn no_go(&self) -> &NoGoAreas {
+        &self.no_go
+    }
+
+    /// The topological map without the edges that touch a no-go area.
+    pub fn open_topology(&self) -> Arc<Topology> {
+        self.no_go.without_closed(&self.topology)
     }
 
     /// The tasks, with the kept plans and the reports.
@@ -228,6 +245,7 @@ impl Site {
             SiteEdit::Visit { at_m, .. } => Ok(self.reachability.check(at_m[0], at_m[1])?),
             SiteEdit::Topology(edit) => Ok(self.topology.edited(edit).map(drop)?),
             SiteEdit::Task(edit) => Ok(self.tasks.check(edit)?),
+            SiteEdit::NoGo(edit) => Ok(self.no_go.check(edit)?),
             SiteEdit::RemoveLocation(name) => Err(InvalidEdit::UnknownLocation(name.as_str().to_owned())),
         }
     }
@@ -258,6 +276,7 @@ impl Site {
                 self.reachability.report(at_m[0], at_m[1], *reached, *utc_nanos)?;
             }
             SiteEdit::Task(edit) => self.tasks.apply(edit)?,
+            SiteEdit::NoGo(edit) => self.no_go.apply(edit)?,
             // Done above.
             SiteEdit::Topology(_) => {}
         }

@@ -14,7 +14,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Learn, and look at models", &["update", "model", "evaluate", "experiment"]),
     ("Predict, and look back", &["predict", "position", "presence", "joint", "reconstruct", "anomalies"]),
     ("Explore", &["info", "slot", "day", "tour", "reachability"]),
-    ("Drive, work and search", &["topology", "task", "plan", "route", "policy", "search"]),
+    ("Drive, work and search", &["topology", "no-go", "task", "plan", "route", "policy", "search"]),
     ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "schema", "bench"]),
 ];
 
@@ -75,6 +75,9 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("topology edit link", "tidemap topology edit link office kitchen pantry 12"),
     ("topology edit set-link", "tidemap topology edit set-link office kitchen pantry 14"),
     ("topology edit unlink", "tidemap topology edit unlink office kitchen pantry"),
+    ("no-go add", "tidemap no-go add office stairs 0,0 2,0 2,3 0,3"),
+    ("no-go list", "tidemap no-go list office"),
+    ("no-go remove", "tidemap no-go remove office stairs"),
     ("task add", "tidemap task add office clean kitchen --from 18:00 --until 20:00 --duration 15m --days mon-fri"),
     ("task list", "tidemap task list office"),
     ("task remove", "tidemap task remove office clean kitchen"),

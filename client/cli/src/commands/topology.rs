@@ -3,12 +3,14 @@
 //! Invariant: a file is loaded completely or not at all; a change is durable when the command ends.
 
 use std::{
+    cmp::Reverse,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
     process::ExitCode,
 };
 
 use anyhow::Context as _;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use tidemap_client::queries::ModelSelector;
 use tidemap_client::routes::{
     Edge, EdgeEnds, EdgeFailure, EdgeName, EdgePrediction, Extent, NewEdge, NewNode, Node, NodePose, StateName,

@@ -47,7 +47,7 @@ impl Routes {
         asked: &DayTasks,
         selector: ModelSelector,
     ) -> Result<PlannedTasks, RpcError> {
-        let topology = Arc::clone(view.site().topology());
+        let topology = self.open_topology(view).await?;
         let start = start_node(view, &topology, asked.start_node.as_deref())?;
         let chances = self.chances(handle, view, &slots, asked, selector).await?;
         let edges = Edges::new(self, handle, view, ModelSelector::default(), speed_from_wire(0.0)?).await?;

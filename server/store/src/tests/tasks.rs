@@ -1,9 +1,10 @@
-//! Tasks, kept plans and reports come back from their records; what is not valid is refused.
+//! Tasks, kept plans, reports and no-go areas come back from their records; what is not valid is refused.
 
 use tidemap_map::{
     event::{Envelope, Event, Observations, OffsetRun, SequenceSpan},
     ids::{ProducerId, StateId},
     name::TaskName,
+    no_go::NoGoEdit,
     site::{Site, SiteEdit},
     task::{KeptPlan, KeptStep, KeptWork, Task, TaskBook, TaskDays, TaskEdit, TaskRun, TaskRuns},
 };
@@ -64,6 +65,11 @@ fn edits() -> Vec<TaskEdit> {
     ]
 }
 
+fn area() -> SiteEdit {
+    let corners = vec![[0.0, -0.0], [1.0 / 3.0, 0.0], [0.5, 7.0]];
+    SiteEdit::NoGo(NoGoEdit::Set(name().node, corners))
+}
+
 fn comes_back(event: &Event) {
     let (kind, payload) = record::event::encode(event).expect("valid");
     assert_eq!(record::event::decode(kind, &payload).as_ref(), Ok(event));
@@ -72,6 +78,8 @@ fn comes_back(event: &Event) {
 #[test]
 fn edits_and_reports_come_back_from_the_log() {
     edits().into_iter().for_each(|edit| comes_back(&Event::EditSite(SiteEdit::Task(edit))));
+    comes_back(&Event::EditSite(area()));
+    comes_back(&Event::EditSite(SiteEdit::NoGo(NoGoEdit::Remove(name().node))));
     let envelope = Envelope {
         producer: ProducerId(0),
         new_producer: None,
@@ -97,6 +105,7 @@ fn a_site_comes_back_with_its_tasks() {
     for edit in edits() {
         site.apply(&SiteEdit::Task(edit), 0).expect("valid");
     }
+    site.apply(&area(), 0).expect("valid");
     let mut runs = TaskRuns::default();
     runs.add(run());
     let tasks = site.tasks().clone().with_runs(runs);
