@@ -215,8 +215,45 @@ pub struct DaySlot {
     pub information_bits: f64,
 }
 
+/// The request for the plan of a day, without tasks.
+pub(crate) fn day_request(query: DayQuery) -> v1::PlanDayRequest {
+    v1::PlanDayRequest {
+        map: query.map,
+        date: query.date,
+        slot: query.slot_nanos.map(duration),
+        strategy: strategy_to_wire(query.strategy).into(),
+        seed: query.seed,
+        locations: query.locations,
+        model: (!query.exactly_one).then(|| selector_to_wire(query.model)),
+        exactly_one: query.exactly_one,
+        information: measure_to_wire(query.information).into(),
+        certainty: None,
+        exploration_weight: query.exploration_weight,
+        task_states: query.task_states,
+        sensor: (!query.viewpoints.is_empty()).then(|| sensor_to_wire(query.sensor)),
+        viewpoints: query.viewpoints.iter().map(viewpoint_to_wire).collect(),
+        budget: query.budget.map(budget_to_wire),
+        tour: query.tour.map(|tour| v1::PlanTourRequest {
+            count: tour.goals,
+            start: tour.start_m.map(point_to_wire),
+            ..v1::PlanTourRequest::default()
+        }),
+        ..v1::PlanDayRequest::default()
+    }
+}
+
+/// The slots of a reply.
+pub(crate) fn day_slots(answer: v1::PlanDayResponse) -> Vec<DaySlot> {
+    let slot = |slot: v1::DaySlot| DaySlot {
+        start_nanos: slot.start_nanos,
+        location: Some(slot.location).filter(|location| !location.is_empty()),
+        information_bits: slot.information_bits,
+    };
+    answer.slots.into_iter().map(slot).collect()
+}
+
 impl Client {
-    fn exploration_service(&self) -> ExplorationServiceClient<Connection> {
+    pub(crate) fn exploration_service(&self) -> ExplorationServiceClient<Connection> {
         ExplorationServiceClient::new(self.requests())
     }
 
@@ -327,35 +364,8 @@ impl Client {
     /// # Errors
     /// [`Error`]; the code is `INVALID_ARGUMENT` if the budget does not fit the day or the date is invalid.
     pub async fn plan_day(&self, query: DayQuery) -> Result<Vec<DaySlot>, Error> {
-        let request = v1::PlanDayRequest {
-            map: query.map,
-            date: query.date,
-            slot: query.slot_nanos.map(duration),
-            strategy: strategy_to_wire(query.strategy).into(),
-            seed: query.seed,
-            locations: query.locations,
-            model: (!query.exactly_one).then(|| selector_to_wire(query.model)),
-            exactly_one: query.exactly_one,
-            information: measure_to_wire(query.information).into(),
-            certainty: None,
-            exploration_weight: query.exploration_weight,
-            task_states: query.task_states,
-            sensor: (!query.viewpoints.is_empty()).then(|| sensor_to_wire(query.sensor)),
-            viewpoints: query.viewpoints.iter().map(viewpoint_to_wire).collect(),
-            budget: query.budget.map(budget_to_wire),
-            tour: query.tour.map(|tour| v1::PlanTourRequest {
-                count: tour.goals,
-                start: tour.start_m.map(point_to_wire),
-                ..v1::PlanTourRequest::default()
-            }),
-        };
-        let answer = self.exploration_service().plan_day(request).await.map_err(|status| self.error(&status))?;
-        let slot = |slot: v1::DaySlot| DaySlot {
-            start_nanos: slot.start_nanos,
-            location: Some(slot.location).filter(|location| !location.is_empty()),
-            information_bits: slot.information_bits,
-        };
-        Ok(answer.into_inner().slots.into_iter().map(slot).collect())
+        let answer = self.exploration_service().plan_day(day_request(query)).await;
+        Ok(day_slots(answer.map_err(|status| self.error(&status))?.into_inner()))
     }
 
     /// Plans where to observe in the slot that begins now.

@@ -4,6 +4,7 @@
 
 mod site;
 
+pub use site::NoGoArea;
 use site::point_from_wire;
 pub use tidemap_map::name::StateName;
 pub use tidemap_proto::convert::site::NamedLocation;

@@ -44,6 +44,7 @@ pub mod log;
 pub mod map;
 pub mod rows;
 pub mod site;
+pub mod task;
 pub mod topology;
 pub mod trained;
 

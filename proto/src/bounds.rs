@@ -54,6 +54,7 @@ const BOUNDS: &[(&str, usize)] = &[
     ("LocaliseRequest.nodes", 1000),
     ("Location.states", NAMES),
     ("NextJointRequest.states", NAMES),
+    ("NoGoArea.corners", 1_000),
     ("ObservationColumns.coordinates", 16 * BATCH),
     ("ObservationColumns.new_dimensions", BATCH),
     ("ObservationColumns.new_kinds", BATCH),

@@ -48,6 +48,7 @@ pub mod sequences;
 pub mod sightings;
 pub mod site;
 pub mod state_sensor;
+pub mod task;
 pub mod time;
 pub mod topology;
 pub mod traversals;

@@ -12,6 +12,7 @@ pub(crate) mod query;
 pub(crate) mod route;
 pub(crate) mod serve;
 pub(crate) mod status;
+pub(crate) mod tasks;
 
 mod acks;
 mod lookup;

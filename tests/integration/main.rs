@@ -30,6 +30,7 @@ mod search;
 mod security;
 mod state_sensors;
 mod surprises;
+mod tasks;
 mod traces;
 mod traversals;
 mod vectors;

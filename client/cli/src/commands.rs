@@ -22,6 +22,7 @@ mod location;
 mod map;
 mod measure;
 mod model;
+mod no_go;
 mod observe;
 mod open;
 mod point;
@@ -40,6 +41,7 @@ mod shell_word;
 mod slot;
 mod state;
 mod stats;
+mod task;
 mod times;
 mod topology;
 mod topology_picture;
@@ -227,6 +229,15 @@ enum Command {
     ///
     /// A slot with an empty location is free, for rest or other tasks.
     Day(day::DayArgs),
+    /// Adds, lists and removes areas that no route, tour, search or plan of tasks leads through
+    #[command(subcommand)]
+    NoGo(no_go::NoGoCommand),
+    /// Adds, lists and removes tasks of a map, and reports what was done
+    #[command(subcommand)]
+    Task(task::TaskCommand),
+    /// Shows kept plans of days
+    #[command(subcommand)]
+    Plan(task::PlanCommand),
     /// Loads, shows and changes topological maps: nodes, and the edges between them
     #[command(subcommand)]
     Topology(topology::TopologyCommand),
@@ -427,6 +438,9 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Reachability(command) => visit::list(&session, &command).await,
         Command::Tour(args) => tour::run(&session, args).await,
         Command::Day(args) => day::run(&session, args).await,
+        Command::NoGo(command) => no_go::run(&session, command).await,
+        Command::Task(command) => task::run(&session, command).await,
+        Command::Plan(command) => task::plan(&session, command).await,
         Command::Topology(command) => topology::run(&session, command).await,
         Command::Landmark(command) => landmark::run(&session, command).await,
         Command::Traverse(args) => traverse::run(&session, &args).await,

@@ -3,10 +3,13 @@
 //! Invariant: a change is durable when the call returns.
 
 use tidemap_proto::{
-    convert::site::{NamedLocation, location_from_wire, named_location_to_wire, point_to_wire},
+    convert::site::{
+        NamedLocation, area_from_wire, area_to_wire, location_from_wire, named_location_to_wire, point_to_wire,
+    },
     v1,
 };
 
+use super::StateName;
 use crate::{connection::Client, error::Error};
 
 pub(super) fn point_from_wire(point: v1::Point) -> [f64; 2] {
@@ -67,5 +70,49 @@ impl Client {
             }
             request.page_token = page.next_page_token;
         }
+    }
+}
+
+/// An area that nothing is planned through.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NoGoArea {
+    /// Its name.
+    pub name: StateName,
+    /// Its corners in their order: x, y in metres.
+    pub corners_m: Vec<[f64; 2]>,
+}
+
+impl Client {
+    /// Sets an area that nothing is planned through, or replaces the area of that name.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `INVALID_ARGUMENT` if it is no polygon.
+    pub async fn set_no_go(&self, map: &str, area: &NoGoArea) -> Result<(), Error> {
+        let NoGoArea { name, corners_m } = area;
+        let request = v1::SetNoGoRequest { map: map.to_owned(), area: Some(area_to_wire(name, corners_m)) };
+        self.map_service().set_no_go(request).await.map(drop).map_err(|status| self.error(&status))
+    }
+
+    /// Deletes an area.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if the map or the area does not exist.
+    pub async fn delete_no_go(&self, map: &str, area: &str) -> Result<(), Error> {
+        let request = v1::DeleteNoGoRequest { map: map.to_owned(), area: area.to_owned() };
+        self.map_service().delete_no_go(request).await.map(drop).map_err(|status| self.error(&status))
+    }
+
+    /// The areas of a map, by name.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
+    pub async fn no_go(&self, map: &str) -> Result<Vec<NoGoArea>, Error> {
+        let request = v1::ListNoGoRequest { map: map.to_owned() };
+        let answer = self.map_service().list_no_go(request).await.map_err(|status| self.error(&status))?;
+        let area = |area| {
+            let (name, corners_m) = area_from_wire(Some(area)).map_err(|_| Error::Protocol("an area is not valid"))?;
+            Ok(NoGoArea { name, corners_m })
+        };
+        answer.into_inner().areas.into_iter().map(area).collect()
     }
 }

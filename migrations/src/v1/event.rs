@@ -121,6 +121,9 @@ pub struct Observations {
     /// Traversals that failed; that they did is also an observation of each.
     #[prost(message, repeated, tag = "20")]
     pub failures: Vec<super::site::EdgeFailure>,
+    /// Reports of tasks, each with an observation of its state.
+    #[prost(message, repeated, tag = "21")]
+    pub runs: Vec<super::task::TaskRun>,
 }
 
 /// Scans of one producer that became durable together.

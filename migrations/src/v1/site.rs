@@ -100,6 +100,16 @@ pub struct EdgeFailure {
     pub reason: String,
 }
 
+/// An area that nothing is planned through.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct NoGoArea {
+    #[prost(string, tag = "1")]
+    pub name: String,
+    /// At least three.
+    #[prost(message, repeated, tag = "2")]
+    pub corners: Vec<Place>,
+}
+
 /// All of it, in a checkpoint and, in chunks, in the index.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Site {
@@ -118,13 +128,19 @@ pub struct Site {
     /// The newest traversals that failed, ascending by start.
     #[prost(message, repeated, tag = "5")]
     pub failures: Vec<EdgeFailure>,
+    /// The tasks; absent: there were never any.
+    #[prost(message, optional, tag = "6")]
+    pub tasks: Option<super::task::TaskBook>,
+    /// The no-go areas, ascending by name.
+    #[prost(message, repeated, tag = "7")]
+    pub no_go: Vec<NoGoArea>,
 }
 
 /// One change, in the log.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SiteEdit {
     /// What changes.
-    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6, 7")]
+    #[prost(oneof = "Change", tags = "1, 2, 3, 4, 5, 6, 7, 8, 9, 10")]
     pub change: Option<Change>,
 }
 
@@ -152,4 +168,13 @@ pub enum Change {
     /// The landmarks of a place are changed; since format 2.
     #[prost(message, tag = "7")]
     Landmarks(crate::v2::LandmarkEdit),
+    /// The tasks are changed, or a plan is kept.
+    #[prost(message, tag = "8")]
+    Task(super::task::TaskEdit),
+    /// A no-go area is set or replaced.
+    #[prost(message, tag = "9")]
+    SetNoGo(NoGoArea),
+    /// The no-go area of this name is removed.
+    #[prost(string, tag = "10")]
+    RemoveNoGo(String),
 }

@@ -23,7 +23,7 @@ mod day;
 mod information;
 mod slot;
 
-pub use day::{DayQuestion, DayTargets, day_from_wire, day_to_wire};
+pub use day::{DayQuestion, DayTargets, DayTasks, day_from_wire, day_to_wire};
 pub use information::{
     InformationQuestion, InformationTargets, ViewsQuestion, VisitReport, information_from_wire, reached_places_to_wire,
     views_from_wire, visit_from_wire,

@@ -10,7 +10,7 @@ use super::{
     InvalidField, OverLimit,
     sequences::sequences_from_wire,
     sightings::{self, SIGHTINGS_MAX, sighting_from_wire},
-    traversals::{self, traversal_from_wire},
+    traversals::{self, work_from_wire},
 };
 use crate::v1;
 
@@ -68,7 +68,7 @@ impl ReportMessage {
 /// A report as sent, not checked.
 #[derive(Clone, Debug)]
 pub enum SentReport {
-    /// A robot travelled an edge, or tried to.
+    /// A robot travelled an edge or did a task, or tried to.
     Traversal(v1::Traversal),
     /// A robot looked for the landmarks of a place.
     Sighting(v1::Sighting),
@@ -111,7 +111,7 @@ impl SentReport {
     /// The reason for programs, and the reason in words.
     pub fn check(&self) -> Result<PlaceReport, (RefusalReason, String)> {
         match self {
-            Self::Traversal(traversal) => traversal_from_wire(traversal).map(PlaceReport::Traversal),
+            Self::Traversal(traversal) => work_from_wire(traversal),
             Self::Sighting(sighting) => sighting_from_wire(sighting).map(PlaceReport::Sighting),
         }
     }

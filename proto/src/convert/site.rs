@@ -92,6 +92,23 @@ pub fn location_to_wire(view: &MapView, name: &StateName, location: &Location) -
     }
 }
 
+/// An area that nothing is planned through, with its corners in metres.
+///
+/// # Errors
+/// The invalid field; the number of corners is not checked.
+pub fn area_from_wire(area: Option<v1::NoGoArea>) -> Result<(StateName, Vec<[f64; 2]>), InvalidField> {
+    let v1::NoGoArea { name, corners } = area.unwrap_or_default();
+    let name = location_name_from_wire("area.name", &name)?;
+    let corner = |(i, at): (usize, v1::Point)| point_from_wire(&format!("area.corners[{i}]"), at);
+    Ok((name, corners.into_iter().enumerate().map(corner).collect::<Result<_, _>>()?))
+}
+
+/// An area for the wire.
+#[must_use]
+pub fn area_to_wire(name: &StateName, corners: &[[f64; 2]]) -> v1::NoGoArea {
+    v1::NoGoArea { name: name.to_string(), corners: corners.iter().map(|at| point_to_wire(*at)).collect() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

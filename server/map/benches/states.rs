@@ -86,6 +86,7 @@ fn observe(map: &mut LiveMap, day: i64, step: i64) {
             values: samples.iter().map(|sample| sample.value).collect(),
             offsets: vec![OffsetRun { count: samples.len() as u32, offset_secs: 0 }],
             failures: Vec::new(),
+            runs: Vec::new(),
         };
         apply(map, &Event::Observations(envelope, event));
     }

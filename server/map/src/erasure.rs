@@ -21,6 +21,7 @@ use crate::{
     name::{EdgeState, ProducerKey, StateName},
     site::{Location, Site, SiteEdit},
     snapshot::{MapSnapshot, StateSnapshot},
+    task::{TaskRun, TaskRuns},
     traversal::{EdgeFailure, Failures},
 };
 
@@ -146,7 +147,15 @@ impl StateErasure {
         kept.for_each(|failure| failures.add(failure.clone()));
         let locations = site.locations().iter();
         let locations = locations.filter_map(|(name, location)| Some((name.clone(), self.location(location)?)));
-        site.clone().with_failures(failures).with_locations(locations.collect())
+        let mut runs = TaskRuns::default();
+        let is_left = |run: &TaskRun| {
+            let (name, start) = (run.name.state(), run.start_nanos);
+            let selected = self.part.as_ref().map(|part| &part.decision.failed);
+            !self.names.values().any(|known| *known == name) && !selected.is_some_and(|s| s.contains(&(name, start)))
+        };
+        site.tasks().runs().oldest_first().filter(|run| is_left(run)).for_each(|run| runs.add(run.clone()));
+        let tasks = site.tasks().clone().with_runs(runs);
+        site.clone().with_failures(failures).with_locations(locations.collect()).with_tasks(tasks)
     }
 
     /// A location without the states; `None` where nothing else is observed there.
@@ -221,7 +230,8 @@ impl StateErasure {
                 SiteEdit::Charger(at_m) => self.charger_m = *at_m,
                 SiteEdit::SetLocation(name, _) => drop(self.locations.insert(name.clone())),
                 SiteEdit::RemoveLocation(name) if !self.locations.remove(name) => return self.unchanged(),
-                SiteEdit::RemoveLocation(_) | SiteEdit::Visit { .. } | SiteEdit::Landmarks(_) => {}
+                SiteEdit::RemoveLocation(_) | SiteEdit::Visit { .. } => {}
+                SiteEdit::Landmarks(_) | SiteEdit::Task(_) | SiteEdit::NoGo(_) => {}
                 SiteEdit::Topology(_) => {
                     let renamed = renamed_states(&edit, self.names.iter().map(|(&id, name)| (id, name)));
                     self.names.extend(renamed.into_iter().filter_map(|(id, name)| Some((id, name.ok()?))));
@@ -243,13 +253,22 @@ impl StateErasure {
         let part = self.part.as_ref();
         let is_selected = |failure: &EdgeFailure| part.is_some_and(|part| part.takes(producer, failure));
         event.failures.retain(|failure| !is_known && !self.is_of_erased(failure) && !is_selected(failure));
+        let names = &self.names;
+        event.runs.retain(|run| {
+            let is_erased = names.values().any(|known| *known == run.name.state());
+            !is_known && !is_erased && !part.is_some_and(|part| part.takes_run(producer, run))
+        });
         let is_left = |state: StateId, sample: &Sample| {
             part.is_none_or(|part| !part.selection.takes(state, producer, sample.utc_nanos))
         };
         let kept = event.samples().filter(|(state, sample)| is_left(*state, sample));
         let kept: Vec<_> = kept.filter_map(|(state, sample)| Some((self.id(state)?, sample))).collect();
-        let mut left =
-            Observations { new_states: event.new_states, failures: event.failures, ..Observations::default() };
+        let mut left = Observations {
+            new_states: event.new_states,
+            failures: event.failures,
+            runs: event.runs,
+            ..Observations::default()
+        };
         kept.into_iter().for_each(|(state, sample)| left.push(state, sample));
         left
     }
@@ -287,9 +306,17 @@ impl Part {
 
     /// Whether a failed traversal that a producer reported is selected.
     fn takes(&self, producer: ProducerId, failure: &EdgeFailure) -> bool {
-        let name = failure.edge.state(EdgeState::Success);
-        let is_of_states = self.selection.states.is_none() || self.names.values().any(|known| *known == name);
-        is_of_states && self.selection.has_time(failure.start_nanos) && self.selection.has_producer(producer)
+        self.takes_at(producer, &failure.edge.state(EdgeState::Success), failure.start_nanos)
+    }
+
+    /// Whether a report of a task is selected.
+    fn takes_run(&self, producer: ProducerId, run: &TaskRun) -> bool {
+        self.takes_at(producer, &run.name.state(), run.start_nanos)
+    }
+
+    fn takes_at(&self, producer: ProducerId, name: &StateName, start_nanos: i64) -> bool {
+        let is_of_states = self.selection.states.is_none() || self.names.values().any(|known| known == name);
+        is_of_states && self.selection.has_time(start_nanos) && self.selection.has_producer(producer)
     }
 }
 

@@ -20,6 +20,7 @@ use crate::{
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::StateName,
     site::SiteEdit,
+    task::TaskRun,
     traversal::EdgeFailure,
 };
 
@@ -92,6 +93,8 @@ pub struct Observations {
     pub offsets: Vec<OffsetRun>,
     /// Traversals that failed, each with an observation of its edge's state among those above.
     pub failures: Vec<EdgeFailure>,
+    /// Reports of tasks, each with an observation of its state among those above.
+    pub runs: Vec<TaskRun>,
 }
 
 impl Observations {

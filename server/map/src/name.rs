@@ -10,9 +10,11 @@ use unicode_normalization::is_nfc;
 mod edge;
 mod label;
 mod landmark;
+mod task;
 
 pub use edge::{EDGE_STATE_CHARS_MAX, EdgeName, EdgeState};
 pub use landmark::{LANDMARK_STATE_CHARS_MAX, PlaceName};
+pub use task::TaskName;
 
 /// Maximum number of characters of a state's or producer's name.
 pub const NAME_CHARS_MAX: usize = 128;
@@ -158,8 +160,8 @@ pub(crate) fn asked_for(name: &str) -> &str {
 
 /// Name of a state: 1 to 128 printable characters in NFC, case-sensitive, without `/`. Or the name of an axis of a
 /// vector, such a name with `/x`, `/y` or `/z`, or of an angle, with `/cos` or `/sin`; or `node/N/KIND`, whether an
-/// object of a kind is at node N; or the name of a state of an edge, [`EdgeName::state`]; or of a landmark,
-/// [`PlaceName::landmark`]; or of a label, [`StateName::label`].
+/// object of a kind is at node N; or the name of a state of an edge or a task, [`EdgeName::state`] and
+/// [`TaskName::state`]; or of a landmark, [`PlaceName::landmark`]; or of a label, [`StateName::label`].
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct StateName(Arc<str>);
 
@@ -217,8 +219,8 @@ impl StateName {
     }
 
     /// As [`StateName::observed`], or the name of an axis of a vector or an angle, as [`StateName::axis`] and
-    /// [`StateName::angle_axis`] give it, or of a state of an edge, as [`EdgeName::state`] does, or of a landmark, as
-    /// [`PlaceName::landmark`] does.
+    /// [`StateName::angle_axis`] give it, or of a state of an edge, a task or a landmark, as [`EdgeName::state`],
+    /// [`TaskName::state`] and [`PlaceName::landmark`] do.
     ///
     /// # Errors
     /// [`InvalidName`], with what is wrong.
@@ -228,6 +230,9 @@ impl StateName {
         }
         if let Some(parts) = landmark::split(name) {
             return parts.map(|(place, id)| place.landmark(&id));
+        }
+        if let Some(task) = task::split_task(name) {
+            return Ok(TaskName::parse(task)?.state());
         }
         if let Some((angle, axis)) = split_angle_axis(name) {
             let angle = Self::new(angle)?;
@@ -256,6 +261,9 @@ impl StateName {
         if let Some(renamed) = landmark::with_node_renamed(self, from, to) {
             return Some(Ok(renamed));
         }
+        if let Some(task) = self.as_task() {
+            return (task.node.as_str() == from).then(|| Ok(TaskName { node: to.clone(), ..task }.state()));
+        }
         if self.as_str() == from {
             return Some(Ok(to.clone()));
         }
@@ -264,12 +272,12 @@ impl StateName {
         Some(check(&name).map(|()| Self(name.into())))
     }
 
-    /// Maximum number of characters for a state with this name: names of the states of edges and landmarks are longer
-    /// than others.
+    /// Maximum number of characters for a state with this name: names of the states of edges, tasks and landmarks are
+    /// longer than others.
     pub fn chars_max(name: &str) -> usize {
         match landmark::split(name) {
             Some(_) => LANDMARK_STATE_CHARS_MAX,
-            None if edge::split_edge(name).is_some() => EDGE_STATE_CHARS_MAX,
+            None if edge::split_edge(name).is_some() || task::split_task(name).is_some() => EDGE_STATE_CHARS_MAX,
             None => NAME_CHARS_MAX,
         }
     }

@@ -11,6 +11,7 @@ use crate::{
     landmark::{Landmark, LandmarkError},
     name::{EdgeState, PlaceName, StateName},
     site::Site,
+    task::TaskRun,
     topology::{Edge, LENGTH_MAX_M, TopologyError},
     traversal::{Traversal, TraversalError},
 };
@@ -119,13 +120,16 @@ pub struct PlaceSample {
     pub value: f64,
 }
 
-/// What a robot reports of a place of the topological map. It is one report, and an observation of several states.
+/// What a robot reports of a place of the topological map: one report with one sequence number, and an observation of
+/// one or more states.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PlaceReport {
     /// It travelled an edge, or tried to.
     Traversal(Traversal),
     /// It looked for the landmarks of a place.
     Sighting(Sighting),
+    /// It did a task, or tried to.
+    Task(TaskRun),
 }
 
 impl PlaceReport {
@@ -135,6 +139,7 @@ impl PlaceReport {
         match self {
             Self::Traversal(traversal) => traversal.start_nanos,
             Self::Sighting(sighting) => sighting.time_nanos,
+            Self::Task(run) => run.start_nanos,
         }
     }
 
@@ -144,6 +149,7 @@ impl PlaceReport {
         match self {
             Self::Traversal(traversal) => Some(traversal),
             Self::Sighting(sighting) => sighting.traversal.as_ref(),
+            Self::Task(_) => None,
         }
     }
 }

@@ -1,5 +1,5 @@
 //! The site of a map: what people and robots tell the map besides observations. It holds the charger, locations,
-//! reachability, the topological map, its landmarks, and failed traversals.
+//! reachability, the topological map, its landmarks, failed traversals, tasks, and no-go areas.
 //!
 //! Invariant: a site is a function of the edits applied and their order. An edit that [`Site::check`] accepts is
 //! applied whole; any other changes nothing.
@@ -11,7 +11,9 @@ use crate::{
     ids::StateId,
     landmark::{LandmarkEdit, LandmarkError, Landmarks},
     name::{InvalidName, StateName},
+    no_go::{NoGoAreas, NoGoEdit, NoGoError},
     reachability::{Reachability, ReachabilityError},
+    task::{TaskBook, TaskEdit, TaskError, TaskRun},
     topology::{Topology, TopologyEdit, TopologyError},
     traversal::{EdgeFailure, Failures},
 };
@@ -61,6 +63,10 @@ pub enum SiteEdit {
     Topology(TopologyEdit),
     /// The landmarks of a place are changed.
     Landmarks(LandmarkEdit),
+    /// The tasks are changed, or a plan is kept.
+    Task(TaskEdit),
+    /// The no-go areas are changed.
+    NoGo(NoGoEdit),
 }
 
 /// Why an edit is invalid.
@@ -100,6 +106,12 @@ pub enum InvalidEdit {
     /// The landmarks would be invalid.
     #[error(transparent)]
     Landmarks(#[from] LandmarkError),
+    /// A task or a plan is invalid.
+    #[error(transparent)]
+    Task(#[from] TaskError),
+    /// A no-go area is invalid.
+    #[error(transparent)]
+    NoGo(#[from] NoGoError),
     /// A state of a renamed node would have the name of another state.
     #[error(
         "state {state:?} of the node would be renamed to {name:?}, but a state of that name exists: choose another name"
@@ -124,6 +136,8 @@ pub struct Site {
     topology: Arc<Topology>,
     failures: Failures,
     landmarks: Arc<Landmarks>,
+    tasks: TaskBook,
+    no_go: NoGoAreas,
 }
 
 impl Site {
@@ -170,6 +184,31 @@ impl Site {
     /// The newest traversals that failed.
     pub fn failures(&self) -> &Failures {
         &self.failures
+    }
+
+    /// The areas that nothing is planned through.
+    pub fn no_go(&self) -> &NoGoAreas {
+        &self.no_go
+    }
+
+    /// The topological map without the edges that touch a no-go area.
+    pub fn open_topology(&self) -> Arc<Topology> {
+        self.no_go.without_closed(&self.topology)
+    }
+
+    /// The tasks, with the kept plans and the reports.
+    pub fn tasks(&self) -> &TaskBook {
+        &self.tasks
+    }
+
+    /// This site with stored tasks.
+    pub fn with_tasks(self, tasks: TaskBook) -> Site {
+        Site { tasks, ..self }
+    }
+
+    /// Adds reports of tasks. Unlike edits, these are part of the observations they come with.
+    pub(crate) fn add_runs(&mut self, runs: &[TaskRun]) {
+        self.tasks.add_runs(runs);
     }
 
     /// This site with the given locations.
@@ -223,6 +262,8 @@ impl Site {
             SiteEdit::Visit { at_m, .. } => Ok(self.reachability.check(at_m[0], at_m[1])?),
             SiteEdit::Topology(edit) => Ok(self.topology.edited(edit).map(drop)?),
             SiteEdit::Landmarks(edit) => Ok(self.landmarks.edited(&self.topology, edit).map(drop)?),
+            SiteEdit::Task(edit) => Ok(self.tasks.check(edit)?),
+            SiteEdit::NoGo(edit) => Ok(self.no_go.check(edit)?),
             SiteEdit::RemoveLocation(name) => Err(InvalidEdit::UnknownLocation(name.as_str().to_owned())),
         }
     }
@@ -236,6 +277,7 @@ impl Site {
             self.topology = Arc::new(self.topology.edited(edit)?);
             if let TopologyEdit::RenameNode { from, to } = edit {
                 self.failures.rename_node(from, to);
+                self.tasks.rename_node(from, to);
             } else if !self.landmarks.is_empty() {
                 Arc::make_mut(&mut self.landmarks).keep_places_of(&self.topology);
             }
@@ -257,6 +299,8 @@ impl Site {
             SiteEdit::Visit { at_m, reached, utc_nanos } => {
                 self.reachability.report(at_m[0], at_m[1], *reached, *utc_nanos)?;
             }
+            SiteEdit::Task(edit) => self.tasks.apply(edit)?,
+            SiteEdit::NoGo(edit) => self.no_go.apply(edit)?,
             // Done above.
             SiteEdit::Topology(_) | SiteEdit::Landmarks(_) => {}
         }

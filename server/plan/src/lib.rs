@@ -15,6 +15,7 @@ pub mod presence;
 pub mod route;
 pub mod search;
 pub mod strategy;
+pub mod tasks;
 #[cfg(test)]
 mod testkit;
 pub mod tour;

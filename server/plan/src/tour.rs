@@ -8,7 +8,7 @@
 //! that are too expensive are refused before the work begins.
 
 use rayon::prelude::*;
-use tidemap_map::reachability::Reachability;
+use tidemap_map::{no_go::NoGoAreas, reachability::Reachability};
 use tidemap_model::StopSignal;
 
 use crate::{
@@ -121,6 +121,24 @@ pub fn plan_tour(
     plan_tour_with(&fan, grid, reachability, question, stop)
 }
 
+/// [`plan_tour`] that drives through no area that is closed.
+///
+/// # Errors
+/// As [`plan_tour`].
+pub fn plan_tour_around(
+    grid: &PredictedGrid,
+    (reachability, no_go): (&Reachability, &NoGoAreas),
+    question: &TourQuestion,
+    stop: StopSignal<'_>,
+) -> Result<Tour, TourError> {
+    question.check(grid)?;
+    let fan = Fan::until(&question.sensor, grid.lattice(), question.yaw_rad, stop)?;
+    stop.check()?;
+    let tour = find_tour(&fan, grid, (reachability, no_go), question, stop);
+    stop.check()?;
+    tour
+}
+
 /// [`plan_tour`] with an existing fan of rays, which many tours on regions of one size can share.
 ///
 /// # Errors
@@ -133,7 +151,7 @@ pub fn plan_tour_with(
     question: &TourQuestion,
     stop: StopSignal<'_>,
 ) -> Result<Tour, TourError> {
-    let tour = find_tour(fan, grid, reachability, question, stop);
+    let tour = find_tour(fan, grid, (reachability, &NoGoAreas::default()), question, stop);
     stop.check()?;
     tour
 }
@@ -142,7 +160,7 @@ pub fn plan_tour_with(
 fn find_tour(
     fan: &Fan,
     grid: &PredictedGrid,
-    reachability: &Reachability,
+    (reachability, no_go): (&Reachability, &NoGoAreas),
     question: &TourQuestion,
     stop: StopSignal<'_>,
 ) -> Result<Tour, TourError> {
@@ -150,7 +168,10 @@ fn find_tour(
     if !fan.is_of(&question.sensor, grid.lattice(), question.yaw_rad) {
         return Err(TourError::OtherFan);
     }
-    let travel = TravelGrid::until(grid, &question.travel, stop)?;
+    let mut travel = TravelGrid::until(grid, &question.travel, stop)?;
+    if !no_go.is_empty() {
+        travel.close(|at_m| no_go.has(at_m));
+    }
     let scene = Scene::until(grid, &question.scene, stop)?;
     stop.check()?;
     let [x_m, y_m] = question.start_m;

@@ -149,6 +149,16 @@ impl TravelGrid {
         Ok(travel)
     }
 
+    /// Closes the columns whose centres are such places.
+    pub(crate) fn close(&mut self, is_closed: impl Fn([f64; 2]) -> bool) {
+        let [width, depth] = self.size;
+        for column in (0..depth).flat_map(|y| (0..width).map(move |x| Column { x, y })) {
+            if is_closed(self.centre_m(column)) {
+                self.passable[column.y * width + column.x] = false;
+            }
+        }
+    }
+
     /// Closes the obstacles and the columns whose centre is nearer to an obstacle than the radius in cells.
     fn keep_away(&mut self, blocked: &[bool], radius: f64, stop: StopSignal<'_>) {
         let [width, depth] = self.size;

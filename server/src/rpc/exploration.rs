@@ -20,6 +20,7 @@ use super::{
     permits::{Permits, processors},
     query::Queries,
     replies::{Replies, compute_replies},
+    route::Routes,
     series::PredictContext,
     status::RpcError,
     training::ModelTrainer,
@@ -60,13 +61,15 @@ pub(crate) struct Explorations {
     limits: PlanLimits,
     trainer: Arc<ModelTrainer>,
     permits: Permits,
+    /// Plans tasks over the topological map.
+    routes: Arc<Routes>,
 }
 
 impl Explorations {
     /// Plans within these limits; models are trained by those of `queries`.
-    pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits) -> Self {
+    pub(crate) fn new(catalog: Arc<Catalog>, queries: &Queries, limits: PlanLimits, routes: Arc<Routes>) -> Self {
         // A plan keeps all processors busy; more at once only wait for each other.
-        Self { catalog, limits, trainer: queries.trainer(), permits: Permits::new(processors().max(2)) }
+        Self { catalog, limits, trainer: queries.trainer(), permits: Permits::new(processors().max(2)), routes }
     }
 
     fn predict_options(&self) -> PredictOptions {

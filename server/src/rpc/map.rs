@@ -4,13 +4,17 @@ use std::sync::Arc;
 
 use tidemap_map::{
     ids::StateId,
+    no_go::NoGoEdit,
     site::{Location, SiteEdit},
 };
 use tidemap_proto::{
     convert::{
         map::{map_to_wire, spec_from_request, state_to_wire},
         page::page_from_wire,
-        site::{NamedLocation, location_from_wire, location_name_from_wire, location_to_wire, point_from_wire},
+        site::{
+            NamedLocation, area_from_wire, area_to_wire, location_from_wire, location_name_from_wire, location_to_wire,
+            point_from_wire,
+        },
         vectors::declared_state_from_wire,
     },
     v1::{self, map_service_server::MapService},
@@ -167,5 +171,26 @@ impl MapService for Maps {
         let locations = all.iter().skip(range.start).take(range.len());
         let locations = locations.map(|(name, location)| location_to_wire(&view, name, location)).collect();
         Ok(Response::new(v1::ListLocationsResponse { locations, next_page_token }))
+    }
+    async fn set_no_go(&self, request: Request<v1::SetNoGoRequest>) -> RpcReply<v1::SetNoGoResponse> {
+        let v1::SetNoGoRequest { map, area } = request.into_inner();
+        let handle = find_map(&self.catalog, &map).await?;
+        let (name, corners) = area_from_wire(area).map_err(RpcError::from)?;
+        edit_site(&handle, SiteEdit::NoGo(NoGoEdit::Set(name, corners))).await?;
+        Ok(Response::new(v1::SetNoGoResponse {}))
+    }
+
+    async fn delete_no_go(&self, request: Request<v1::DeleteNoGoRequest>) -> RpcReply<v1::DeleteNoGoResponse> {
+        let v1::DeleteNoGoRequest { map, area } = request.into_inner();
+        let handle = find_map(&self.catalog, &map).await?;
+        let name = location_name_from_wire("area", &area).map_err(RpcError::from)?;
+        edit_site(&handle, SiteEdit::NoGo(NoGoEdit::Remove(name))).await?;
+        Ok(Response::new(v1::DeleteNoGoResponse {}))
+    }
+
+    async fn list_no_go(&self, request: Request<v1::ListNoGoRequest>) -> RpcReply<v1::ListNoGoResponse> {
+        let view = find_map(&self.catalog, &request.get_ref().map).await?.view();
+        let areas = view.site().no_go().iter().map(|(name, corners)| area_to_wire(name, corners)).collect();
+        Ok(Response::new(v1::ListNoGoResponse { areas }))
     }
 }

@@ -30,6 +30,7 @@ mod places;
 mod plan;
 mod presence;
 mod search;
+mod tasks;
 mod topology;
 
 #[derive(Debug)]
@@ -51,12 +52,21 @@ impl Routes {
         PredictContext { trainer: &self.trainer, permits: &self.permits, predictions: self.predictions }
     }
 
-    /// A map, its present view and its topology.
+    /// A map, its present view and its topology, without the edges through no-go areas.
     async fn find(&self, map: &str) -> Result<(Arc<MapHandle>, Arc<MapView>, Arc<Topology>), RpcError> {
         let handle = find_map(&self.catalog, map).await?;
         let view = handle.view();
-        let topology = Arc::clone(view.site().topology());
+        let topology = self.open_topology(&view).await?;
         Ok((handle, view, topology))
+    }
+
+    /// The topology without the edges through no-go areas.
+    async fn open_topology(&self, view: &Arc<MapView>) -> Result<Arc<Topology>, RpcError> {
+        if view.site().no_go().is_empty() {
+            return Ok(Arc::clone(view.site().topology()));
+        }
+        let view = Arc::clone(view);
+        self.run_blocking(move || view.site().open_topology()).await
     }
 
     /// Runs work on a blocking thread, with a permit.

@@ -11,7 +11,7 @@ use tidemap_proto::v1::{
     maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
     observation_service_server::ObservationServiceServer, query_service_server::QueryServiceServer,
     route_service_server::RouteServiceServer, search_service_server::SearchServiceServer,
-    topology_service_server::TopologyServiceServer,
+    task_service_server::TaskServiceServer, topology_service_server::TopologyServiceServer,
 };
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
@@ -25,8 +25,10 @@ use super::{
     maintenance::{Maintenance, PageAddress},
     map::Maps,
     observation::{Observations, StreamLimits, open_streams::OpenStreams},
+    permits::{Permits, processors},
     query::{Queries, QueryLimits},
     route::Routes,
+    tasks::Tasks,
 };
 use crate::{catalog::Catalog, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits};
 
@@ -136,8 +138,14 @@ pub(crate) async fn services(
         cells: settings.max_plan_cells,
         view_work: settings.max_view_work,
     };
-    let explorations = Explorations::new(Arc::clone(&catalog), &queries, plans);
     let routes = Arc::new(Routes::new(Arc::clone(&catalog), &queries, settings.max_predictions));
+    let explorations = Explorations::new(Arc::clone(&catalog), &queries, plans, Arc::clone(&routes));
+    let tasks = Tasks {
+        catalog: Arc::clone(&catalog),
+        explorations: explorations.clone(),
+        observations: observations.clone(),
+        permits: Permits::new(processors().max(2)),
+    };
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
     let admission =
         Admission::new(RequestLimits { total: settings.max_requests, per_client: settings.max_requests_per_client });
@@ -153,6 +161,7 @@ pub(crate) async fn services(
                 .max_encoding_message_size(64 << 20),
         )
         .add_service(ExplorationServiceServer::new(explorations).max_decoding_message_size(REQUEST_BYTES))
+        .add_service(TaskServiceServer::new(tasks).max_decoding_message_size(REQUEST_BYTES))
         .add_service(TopologyServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(TOPOLOGY_BYTES))
         .add_service(LandmarkServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(LANDMARK_BYTES))
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))

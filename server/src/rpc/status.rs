@@ -5,7 +5,7 @@
 use std::{collections::HashMap, time::Duration};
 
 use tidemap_grid::{sensors::InvalidSensor, tile::TileUnavailable};
-use tidemap_map::{event::StateShape, site::InvalidEdit};
+use tidemap_map::{event::StateShape, no_go::NoGoError, site::InvalidEdit, task::TaskError};
 use tidemap_model::{EarlyStop, selector::ModelKind};
 use tidemap_proto::convert::{InvalidField, OverLimit};
 use tidemap_store::{AppendError, BackupError, HistoryError};
@@ -305,6 +305,10 @@ impl RpcError {
                 EditSiteError::Invalid(InvalidEdit::TooManyLocations(_) | InvalidEdit::TooManyStates { .. }) => {
                     (Code::ResourceExhausted, "LIMIT")
                 }
+                EditSiteError::Invalid(InvalidEdit::Task(TaskError::Unknown(_))) => (Code::NotFound, "UNKNOWN_TASK"),
+                EditSiteError::Invalid(InvalidEdit::Task(TaskError::TooMany(_))) => (Code::ResourceExhausted, "LIMIT"),
+                EditSiteError::Invalid(InvalidEdit::NoGo(NoGoError::Unknown(_))) => (Code::NotFound, "UNKNOWN_AREA"),
+                EditSiteError::Invalid(InvalidEdit::NoGo(NoGoError::TooMany)) => (Code::ResourceExhausted, "LIMIT"),
                 EditSiteError::Invalid(InvalidEdit::Topology(error)) => refusal_of(error),
                 EditSiteError::Invalid(InvalidEdit::Landmarks(error)) => landmark_refusal(error),
                 EditSiteError::Invalid(InvalidEdit::StateExists { .. }) => (Code::AlreadyExists, "STATE_EXISTS"),

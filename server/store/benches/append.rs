@@ -40,6 +40,7 @@ fn batch(is_binary: bool) -> Event {
             values: numbers.map(|i| if is_binary { (i % 2) as f64 } else { (i % 101) as f64 / 100.0 }).collect(),
             offsets: vec![OffsetRun { count: COUNT, offset_secs: 3600 }],
             failures: Vec::new(),
+            runs: Vec::new(),
         },
     )
 }

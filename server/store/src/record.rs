@@ -26,6 +26,7 @@ pub(crate) mod site;
 pub(crate) mod snapshot;
 pub(crate) mod spec;
 mod surprises;
+mod task;
 pub(crate) mod tile;
 pub(crate) mod tile_model;
 pub(crate) mod tile_set;

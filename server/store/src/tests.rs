@@ -28,6 +28,7 @@ mod scans;
 mod scrubs;
 mod segments;
 mod spectra;
+mod tasks;
 mod torn_tail;
 mod traversals;
 

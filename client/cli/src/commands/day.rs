@@ -10,9 +10,11 @@ use tidemap_client::{
     exploration::{Budget, DayQuery, DaySlot, DayTour, Sensor, Strategy, Viewpoint},
     maps::Map,
     queries::ModelSelector,
+    tasks::{KeptWork, PlannedTasks, TaskQuery, UnservedReason, UnservedTask},
 };
 
 use super::{Session, files::DrawingArg, measure::MeasureArg, times, usage};
+use crate::progress::status_line;
 use tidemap_formats::{
     drawing::{Curve, CurvePlot},
     table::Cell,
@@ -69,6 +71,18 @@ pub(crate) struct DayArgs {
     /// States that the task depends on, one per location and in their order
     #[arg(long = "task-state", value_name = "STATE", num_args = 1.., requires = "exploration_weight")]
     task_states: Vec<String>,
+    /// Plans the tasks of the map first; slots that are left over explore the locations
+    #[arg(long)]
+    tasks: bool,
+    /// Node where the robot is at first [default: that nearest to the charger, or of a task of the kind charge]
+    #[arg(long, value_name = "NODE", requires = "tasks")]
+    start_node: Option<String>,
+    /// From when on the robot is ready [default: the beginning of the day]
+    #[arg(long, value_name = "TIME", value_parser = times::time, requires = "tasks")]
+    ready: Option<i64>,
+    /// Keeps the plan in the map, for plan show
+    #[arg(long, requires = "tasks")]
+    keep: bool,
     #[command(flatten)]
     drawing: DrawingArg,
 }
@@ -119,7 +133,8 @@ async fn viewpoints(session: &Session, map: &str, apart_m: f64) -> anyhow::Resul
     Ok((0..rows).flat_map(|y| (0..columns).map(move |x| (x, y))).map(|(x, y)| at(x, y)).collect())
 }
 
-const COLUMNS: [&str; 4] = ["slot", "start", "location", "information_bits"];
+/// The last only with --tasks.
+const COLUMNS: [&str; 5] = ["slot", "start", "location", "information_bits", "task"];
 
 pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<ExitCode> {
     args.drawing.check()?;
@@ -156,16 +171,55 @@ pub(crate) async fn run(session: &Session, args: DayArgs) -> anyhow::Result<Exit
         sensor: Sensor::default(),
         tour: args.tours.map(|goals| DayTour { goals, start_m: None }),
     };
-    let slots = session.client.plan_day(query).await?;
+    let (slots, tasks) = if args.tasks {
+        let tasks = TaskQuery { start_node: args.start_node, ready_nanos: args.ready, keep: args.keep };
+        let plan = session.client.plan_tasks(query, tasks).await?;
+        (plan.slots, Some(plan.tasks))
+    } else {
+        (session.client.plan_day(query).await?, None)
+    };
+    if let Some(tasks) = &tasks {
+        tell_unserved(session, tasks);
+    }
     args.drawing.put(|| text(session, &title, &slots), || plot(session, &title, &slots).svg())?;
     if args.drawing.is_in_terminal() {
         return Ok(ExitCode::SUCCESS);
     }
-    let row = |(slot, DaySlot { start_nanos, location, information_bits })| {
+    let shown = &COLUMNS[..if tasks.is_some() { COLUMNS.len() } else { COLUMNS.len() - 1 }];
+    let ends: Vec<i64> = slots.iter().skip(1).map(|slot| slot.start_nanos).chain([i64::MAX]).collect();
+    let row = |((slot, DaySlot { start_nanos, location, information_bits }), end_nanos): ((u64, DaySlot), i64)| {
         let location = location.map_or(Cell::Empty, Cell::Text);
-        vec![Cell::Count(slot), Cell::Time(start_nanos), location, information_bits.into()]
+        let of_slot = tasks.as_ref().map(|tasks| task_within(tasks, start_nanos, end_nanos));
+        let slot = [Cell::Count(slot), Cell::Time(start_nanos), location, information_bits.into()];
+        slot.into_iter().chain(of_slot).collect()
     };
-    session.print(&COLUMNS, (0_u64..).zip(slots).map(row))
+    session.print(shown, (0_u64..).zip(slots).zip(ends).map(row))
+}
+
+/// The tasks that a slot is spent on, or on the way to.
+fn task_within(tasks: &PlannedTasks, start_nanos: i64, end_nanos: i64) -> Cell {
+    let within = tasks.steps.iter().filter(|step| step.departure_nanos < end_nanos && step.end_nanos > start_nanos);
+    let names = within.filter_map(|step| match &step.work {
+        KeptWork::Task { name, .. } => Some(name.to_string()),
+        KeptWork::Explore { .. } => None,
+    });
+    Some(names.collect::<Vec<_>>().join(" ")).filter(|names| !names.is_empty()).map_or(Cell::Empty, Cell::Text)
+}
+
+/// Says on stderr what is not planned, and why.
+fn tell_unserved(session: &Session, tasks: &PlannedTasks) {
+    for UnservedTask { name, from_nanos, until_nanos, reason } in &tasks.unserved {
+        let why = match reason {
+            UnservedReason::NoWindow => "its window is over, or the robot cannot arrive early enough",
+            UnservedReason::Unreachable => "no way leads to its node",
+            UnservedReason::NoValue => "it is worth nothing at that time",
+            UnservedReason::NoTime => "there is no time for it beside tasks that are worth more",
+            UnservedReason::UnknownNode => "the topology has no such node",
+            UnservedReason::UnknownState => "the map has no such state, or it is no probability",
+        };
+        let [from, until] = [*from_nanos, *until_nanos].map(|nanos| session.times.label(nanos));
+        status_line(&format!("task {name} ({from} to {until}) is not planned: {why}"));
+    }
 }
 
 /// The information of each slot; those that are explored are marked.

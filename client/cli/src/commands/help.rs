@@ -14,7 +14,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Learn, and look at models", &["update", "model", "evaluate", "experiment"]),
     ("Predict, and look back", &["predict", "classify", "position", "presence", "joint", "reconstruct", "anomalies"]),
     ("Explore", &["info", "slot", "day", "tour", "reachability"]),
-    ("Drive and search", &["topology", "landmark", "route", "policy", "search"]),
+    ("Drive, work and search", &["topology", "landmark", "no-go", "task", "plan", "route", "policy", "search"]),
     ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "schema", "bench"]),
 ];
 
@@ -83,6 +83,18 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("landmark locate", "tidemap landmark locate office features.csv --at now"),
     ("landmark remove", "tidemap landmark remove office kitchen 12 17"),
     ("landmark prune", "tidemap landmark prune office --below 0.1 --dry-run"),
+    ("no-go add", "tidemap no-go add office stairs 0,0 2,0 2,3 0,3"),
+    ("no-go list", "tidemap no-go list office"),
+    ("no-go remove", "tidemap no-go remove office stairs"),
+    ("task add", "tidemap task add office clean kitchen --from 18:00 --until 20:00 --duration 15m --days mon-fri"),
+    ("task list", "tidemap task list office"),
+    ("task remove", "tidemap task remove office clean kitchen"),
+    (
+        "task report",
+        "tidemap task report office clean kitchen --start 2025-02-18T18:10:00Z --end 2025-02-18T18:24:00Z --success true",
+    ),
+    ("task weeks", "tidemap task weeks office --hours 08:00-20:00 --days mon-fri"),
+    ("plan show", "tidemap plan show office --date 2025-02-18"),
     ("route", "tidemap route office entrance kitchen --at now --objective time"),
     ("policy", "tidemap policy office kitchen --at now"),
     ("search", "tidemap search office --start corridor --at now"),

@@ -3,12 +3,14 @@
 //! Invariant: a file is loaded completely or not at all; a change is durable when the command ends.
 
 use std::{
+    cmp::Reverse,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
     process::ExitCode,
 };
 
 use anyhow::Context as _;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use tidemap_client::queries::ModelSelector;
 use tidemap_client::routes::{
     Edge, EdgeEnds, EdgeFailure, EdgeName, EdgePrediction, Extent, NewEdge, NewNode, Node, NodePose, StateName,
@@ -61,6 +63,9 @@ pub(crate) enum TopologyCommand {
         /// Failures of this edge only
         #[arg(long, value_name = "FROM/TO[/ACTION]", value_parser = edge_of)]
         edge: Option<EdgeName>,
+        /// Counts the failures by this instead of listing them
+        #[arg(long, value_name = "WHAT")]
+        by: Option<CountedBy>,
     },
     /// Predicts the probability of success and the duration of each edge at a time
     ///
@@ -253,9 +258,12 @@ pub(crate) async fn run(session: &Session, command: TopologyCommand) -> anyhow::
             return if edges { show_edges(session, &topology) } else { show_nodes(session, &topology) };
         }
         TopologyCommand::Predict(args) => return predict(session, args).await,
-        TopologyCommand::Failures { map, limit, edge } => {
+        TopologyCommand::Failures { map, limit, edge, by } => {
             let failures = session.client.failures(&map, limit.unwrap_or_default(), edge.as_ref()).await?;
-            return show_failures(session, failures);
+            return match by {
+                Some(CountedBy::Reason) => count_failures(session, failures),
+                None => show_failures(session, failures),
+            };
         }
         TopologyCommand::Edit(edit) => {
             let (map, edit) = edit.edit();
@@ -306,6 +314,31 @@ fn show_edges(session: &Session, topology: &Topology) -> anyhow::Result<ExitCode
 /// The columns from, to and action.
 fn edge_cells(EdgeName { from, to, action }: &EdgeName) -> [Cell; 3] {
     [from.as_str(), to.as_str(), action.as_ref().map_or("", StateName::as_str)].map(Cell::from)
+}
+
+/// What failures are counted by.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum CountedBy {
+    /// The reason that the robot gave
+    Reason,
+}
+
+/// The failures of each reason, the usual one first.
+fn count_failures(session: &Session, failures: Vec<EdgeFailure>) -> anyhow::Result<ExitCode> {
+    let mut counted: BTreeMap<String, (u64, BTreeSet<String>, i64)> = BTreeMap::new();
+    for EdgeFailure { edge, start_nanos, reason, .. } in failures {
+        let (count, edges, newest) = counted.entry(reason).or_insert((0, BTreeSet::new(), start_nanos));
+        *count += 1;
+        edges.insert(edge.to_string());
+        *newest = start_nanos.max(*newest);
+    }
+    let mut counted: Vec<_> = counted.into_iter().collect();
+    // Equal counts stay in the order of their reasons.
+    counted.sort_by_key(|(_, (count, ..))| Reverse(*count));
+    let row = |(reason, (count, edges, newest)): (String, (u64, BTreeSet<String>, i64))| {
+        vec![Cell::Text(reason), count.into(), (edges.len() as u64).into(), Cell::Time(newest)]
+    };
+    session.print(&["reason", "failures", "edges", "newest"], counted.into_iter().map(row))
 }
 
 fn show_failures(session: &Session, failures: Vec<EdgeFailure>) -> anyhow::Result<ExitCode> {

@@ -21,10 +21,11 @@ from tidemap.producer import Producer
 from tidemap.questions import Questions
 from tidemap.reports import Duration, Reports
 from tidemap.routes import Routes
+from tidemap.tasks import Tasks
 from tidemap.times import Time
 
 
-class Client(Questions, Routes, Landmarks):
+class Client(Questions, Routes, Landmarks, Tasks):
     """A client of a daemon. Methods return when the daemon has answered; other threads of Python run meanwhile.
 
     Wherever a call takes times, ``zone`` says what those without a zone are in: ``"local"`` for the zone of the map, or

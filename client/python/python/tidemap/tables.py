@@ -202,6 +202,18 @@ def of_day(reply: dict[str, Any], zone: str) -> pandas.DataFrame:
     })
 
 
+def of_planned(
+    steps: list[dict[str, Any]], zone: str, words: Sequence[str], numbers: Sequence[str]
+) -> pandas.DataFrame:
+    """Steps of a plan: a row a step."""
+    times = {name: zoned([step[f"{name}_nanos"] for step in steps], zone) for name in ("departure", "start", "end")}
+    return frame({
+        **{name: [step[name] for step in steps] for name in words},
+        **times,
+        **{name: [float(step[name]) for step in steps] for name in numbers},
+    })
+
+
 def of_information(
     replies: list[dict[str, Any]], times: npt.NDArray[np.int64], zone: str
 ) -> pandas.DataFrame:

@@ -20,6 +20,7 @@ use crate::{
         InvalidField,
         query::{check_for_cells, selector_from_wire},
         site::location_names_from_wire,
+        time::nanos_from_timestamp,
     },
     v1,
 };
@@ -67,6 +68,29 @@ pub struct DayQuestion {
     pub targets: DayTargets,
     /// Seed of what is random.
     pub seed: u64,
+    /// Whether and how the tasks of the map are planned first.
+    pub tasks: Option<DayTasks>,
+}
+
+/// How the tasks of a day are planned.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DayTasks {
+    /// The local day.
+    pub day: LocalDay,
+    /// Name of the node where the robot is at first; `None`: that of the charger.
+    pub start_node: Option<String>,
+    /// From when on the robot is ready, nanoseconds UTC; `None`: from the beginning of the day.
+    pub ready_nanos: Option<i64>,
+}
+
+fn tasks_from_wire(request: &v1::PlanDayRequest, day: LocalDay) -> Result<Option<DayTasks>, InvalidField> {
+    let start_node = (!request.start_node.is_empty()).then(|| request.start_node.clone());
+    let ready_nanos = request.ready_time.map(|time| nanos_from_timestamp("ready_time", time)).transpose()?;
+    let alone = [("start_node", start_node.is_some()), ("ready_time", ready_nanos.is_some())];
+    match alone.into_iter().find(|(_, is_given)| *is_given && !request.tasks) {
+        Some((field, _)) => Err(InvalidField::new(field, "it is used only with tasks")),
+        None => Ok(request.tasks.then_some(DayTasks { day, start_node, ready_nanos })),
+    }
 }
 
 /// The question of a request for a day.
@@ -88,6 +112,7 @@ pub fn day_from_wire(request: v1::PlanDayRequest) -> Result<DayQuestion, Invalid
         let text = format!("{exploration_weight} is not between 0 and 1");
         return Err(InvalidField::new("exploration_weight", text));
     }
+    let tasks = tasks_from_wire(&request, day)?;
     let (targets, task_states, seed) = (targets_from_wire(&request, selector)?, request.task_states, request.seed);
     if exploration_weight >= 1.0 && !task_states.is_empty() {
         let text = "they are used only with an exploration_weight below 1";
@@ -104,6 +129,7 @@ pub fn day_from_wire(request: v1::PlanDayRequest) -> Result<DayQuestion, Invalid
         task_states,
         targets,
         seed,
+        tasks,
     })
 }
 
@@ -147,6 +173,7 @@ pub fn day_to_wire(rows: &[DayRow], names: &[String]) -> v1::PlanDayResponse {
     v1::PlanDayResponse {
         slots: rows.iter().map(slot).collect(),
         explored: u32::try_from(explored).unwrap_or(u32::MAX),
+        ..v1::PlanDayResponse::default()
     }
 }
 
@@ -192,5 +219,6 @@ mod tests {
         assert_eq!(field(v1::PlanDayRequest { task_states, ..asked() }), "task_states");
         assert_eq!(field(v1::PlanDayRequest { exploration_weight: Some(1.5), ..asked() }), "exploration_weight");
         assert_eq!(field(v1::PlanDayRequest { date: String::new(), ..asked() }), "date");
+        assert_eq!(field(v1::PlanDayRequest { start_node: "hall".to_owned(), ..asked() }), "start_node");
     }
 }

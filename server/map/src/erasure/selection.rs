@@ -132,7 +132,7 @@ pub struct Survey {
     /// The states of the snapshot.
     known: Vec<KnownState>,
     states: BTreeMap<StateId, OfState>,
-    /// Failed traversals that the snapshot has, and those of them that are selected.
+    /// Failed traversals and reports of tasks that the snapshot has, and those of them that are selected.
     failures: BTreeSet<(StateName, i64)>,
     failed: BTreeSet<(StateName, i64)>,
 }
@@ -154,7 +154,7 @@ pub struct Decision {
     pub(crate) waiting: BTreeMap<StateId, Vec<Arrival>>,
     /// States whose learned observations are selected.
     pub(crate) unlearned: BTreeSet<StateId>,
-    /// Failed traversals of the snapshot that are selected: state of the edge, and start.
+    /// Failed traversals and reports of tasks of the snapshot that are selected: the state, and the start.
     pub(crate) failed: BTreeSet<(StateName, i64)>,
 }
 
@@ -164,6 +164,9 @@ impl Survey {
     pub fn new(selection: Selection, snapshot: Option<&MapSnapshot>) -> Self {
         let states = snapshot.into_iter().flat_map(|snapshot| &snapshot.states);
         let failures = snapshot.into_iter().flat_map(|snapshot| snapshot.site.failures().oldest_first());
+        let failures = failures.map(|failure| (failure.edge.state(EdgeState::Success), failure.start_nanos));
+        let runs = snapshot.into_iter().flat_map(|snapshot| snapshot.site.tasks().runs().oldest_first());
+        let runs = runs.map(|run| (run.name.state(), run.start_nanos));
         Self {
             selection,
             position: snapshot.map_or(0, |snapshot| snapshot.position),
@@ -177,7 +180,7 @@ impl Survey {
                 })
                 .collect(),
             states: BTreeMap::new(),
-            failures: failures.map(|failure| (failure.edge.state(EdgeState::Success), failure.start_nanos)).collect(),
+            failures: failures.chain(runs).collect(),
             failed: BTreeSet::new(),
         }
     }

@@ -68,6 +68,7 @@ fn observed(number: u64, hour: i64, new_states: Vec<NewState>, states: u32) -> E
             values: samples.iter().map(|sample| sample.2).collect(),
             offsets: vec![OffsetRun { count: u32::try_from(count).expect("few"), offset_secs: 3600 }],
             failures: Vec::new(),
+            runs: Vec::new(),
         },
     )
 }

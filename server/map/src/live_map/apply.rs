@@ -172,6 +172,9 @@ impl LiveMap {
         if !event.failures.is_empty() {
             Arc::make_mut(&mut self.site).add_failures(&event.failures);
         }
+        if !event.runs.is_empty() {
+            Arc::make_mut(&mut self.site).add_runs(&event.runs);
+        }
         Ok(())
     }
 }

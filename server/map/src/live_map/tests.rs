@@ -63,6 +63,7 @@ fn event(map: &LiveMap, observations: &[(u32, i64, f64)]) -> Event {
             values: observations.iter().map(|(.., value)| *value).collect(),
             offsets: vec![OffsetRun { count: u32::try_from(observations.len()).expect("few"), offset_secs: 0 }],
             failures: Vec::new(),
+            runs: Vec::new(),
         },
     )
 }

@@ -27,6 +27,7 @@ fn observations(first: i64, count: usize) -> Observations {
         values: vec![1.0; count],
         offsets: vec![OffsetRun { count: u32::try_from(count).expect("few"), offset_secs: 0 }],
         failures: Vec::new(),
+        runs: Vec::new(),
     }
 }
 

@@ -16,7 +16,7 @@ use tidemap_map::{
     sighting::{PlaceReport, PlaceSample, traversal_samples},
     traversal::Traversal,
 };
-use tidemap_model::{OffsetCache, Sample, time::FUTURE_MAX_NANOS};
+use tidemap_model::{OffsetCache, Sample, StateKind, time::FUTURE_MAX_NANOS};
 use tidemap_proto::convert::{
     sightings::sighting_refusal,
     traversals::{refusal_of, unknown_edge},
@@ -83,6 +83,10 @@ fn take(
             traversal_samples(traversal, edge).map_err(|error| refusal_of(&error))?
         }
         PlaceReport::Sighting(sighting) => sighting.samples(site).map_err(|error| sighting_refusal(&error))?,
+        PlaceReport::Task(run) => {
+            let (state, kind) = (run.name.state(), StateKind::Probability);
+            vec![PlaceSample { state, kind, time_nanos: run.start_nanos, value: run.observed() }]
+        }
     };
     let wanted: Vec<_> = samples.iter().map(|sample| (sample.state.clone(), sample.kind)).collect();
     let states = allocator.states_for(&wanted, &mut observations.new_states)?;
@@ -91,5 +95,8 @@ fn take(
         observations.push(state, Sample { utc_nanos: time_nanos, offset_secs, value });
     }
     observations.failures.extend(report.traversal().and_then(Traversal::failure));
+    if let PlaceReport::Task(run) = report {
+        observations.runs.push(run.clone());
+    }
     Ok(())
 }

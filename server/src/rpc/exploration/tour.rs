@@ -6,7 +6,7 @@ use tidemap_map::view::MapView;
 use tidemap_model::StopSignal;
 use tidemap_plan::{
     predicted::{PredictError, PredictOptions, PredictedGrid},
-    tour::{TourQuestion, plan_tour as plan},
+    tour::{TourQuestion, plan_tour_around as plan},
 };
 use tidemap_proto::{
     convert::exploration::{TourRequest, tour_question_from_wire, tour_to_wire},
@@ -30,7 +30,7 @@ pub(super) async fn plan_tour(
     let options = PredictOptions { selector, ..explorations.predict_options() };
     let work = move |stop: StopSignal<'_>| {
         let grid = PredictedGrid::new(&view, time_nanos, &options, stop)?;
-        Ok::<_, PlanError>(plan(&grid, view.site().reachability(), &question, stop)?)
+        Ok::<_, PlanError>(plan(&grid, (view.site().reachability(), view.site().no_go()), &question, stop)?)
     };
     let tour = run_while_awaited(explorations.permits.take().await?, None, work).await??;
     Ok(tour_to_wire(&tour))

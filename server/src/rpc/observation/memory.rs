@@ -43,8 +43,14 @@ pub(super) fn bytes_of_reports(batch: &ReportBatch, site: &Site) -> usize {
         texts + at.map_or(0, |known| known.landmarks().len()) * (OBSERVATION_BYTES + 2 * NAME_BYTES)
     };
     let each = |(_, report): &(u64, PlaceReport)| {
-        let of_sighting = if let PlaceReport::Sighting(sighting) = report { of_sighting(sighting) } else { 0 };
-        size_of::<PlaceReport>() + of_sighting + report.traversal().map_or(0, of_traversal)
+        let more = match report {
+            PlaceReport::Traversal(_) => 0,
+            PlaceReport::Sighting(sighting) => of_sighting(sighting),
+            PlaceReport::Task(run) => {
+                3 * run.name.to_string().len() + 2 * run.reason.len() + OBSERVATION_BYTES + NAME_BYTES
+            }
+        };
+        size_of::<PlaceReport>() + more + report.traversal().map_or(0, of_traversal)
     };
     64 + batch.reports.iter().map(each).sum::<usize>() + REFUSED_BYTES * batch.refused.len()
 }

@@ -44,33 +44,60 @@ impl Observations {
             .map_err(RpcError::from)?;
         let now = self.catalog.context().clock.now_nanos();
         let observations = readings_to_columns(&request.readings, now).map_err(RpcError::from)?;
+        let hello = v1::Hello {
+            producer: request.producer,
+            label: request.label,
+            map: request.map,
+            reporting: request.reporting,
+            ..Default::default()
+        };
+        let observations = Some(observations);
+        let batch =
+            |first_sequence| Up::Batch(v1::ObservationBatch { first_sequence, observations: observations.clone() });
+        let once = may_differ.then_some(request.readings.len() as u64);
+        self.report_within(&hello, request.first_sequence, once, &batch).await
+    }
+
+    /// Takes one batch, as a stream of its own. `first_sequence`: 0 for the next number.
+    pub(in crate::rpc) async fn report_batch(
+        &self,
+        hello: &v1::Hello,
+        first_sequence: u64,
+        batch: impl Fn(u64) -> Up + Send + Sync,
+    ) -> Result<v1::ReportResponse, Status> {
+        self.report_within(hello, first_sequence, None, &batch).await
+    }
+
+    /// Tries until no other stream has the key. `once`: the number of items that are not compared if the map has all of
+    /// their numbers.
+    async fn report_within(
+        &self,
+        hello: &v1::Hello,
+        first_sequence: u64,
+        once: Option<u64>,
+        batch: &(impl Fn(u64) -> Up + Send + Sync),
+    ) -> Result<v1::ReportResponse, Status> {
         let deadline = Instant::now() + KEY_WITHIN;
         loop {
-            match self.run_report(&request, &observations, may_differ).await {
+            match self.run_report(hello, first_sequence, once, batch).await {
                 Err(status) if is_taken(&status) && Instant::now() < deadline => tokio::time::sleep(KEY_POLL).await,
                 result => return result,
             }
         }
     }
 
-    /// Sends the readings through a stream of their key.
+    /// Sends a batch through a stream of its key.
     async fn run_report(
         &self,
-        request: &v1::ReportRequest,
-        observations: &v1::ObservationColumns,
-        may_differ: bool,
+        hello: &v1::Hello,
+        first_sequence: u64,
+        once: Option<u64>,
+        batch: &(impl Fn(u64) -> Up + Send + Sync),
     ) -> Result<v1::ReportResponse, Status> {
         let (up, requests) = mpsc::channel(2);
         let send = |message| drop(up.try_send(Ok(v1::ObserveRequest { message: Some(message) })));
-        let hello = v1::Hello {
-            producer: request.producer.clone(),
-            label: request.label.clone(),
-            map: request.map.clone(),
-            reporting: request.reporting,
-            ..Default::default()
-        };
         // The channel has room for both messages.
-        send(Up::Hello(hello));
+        send(Up::Hello(hello.clone()));
         let mut replies = self.start(ReceiverStream::new(requests))?;
         let mut reply = v1::ReportResponse::default();
         let welcome = loop {
@@ -80,16 +107,16 @@ impl Observations {
                 Some(_) => return Err(Status::internal("a stream began without a welcome")),
             }
         };
-        let first_sequence = match request.first_sequence {
+        let first_sequence = match first_sequence {
             0 => welcome.durable_sequence + 1,
             sequence => sequence,
         };
-        let last = first_sequence.saturating_add(observations.time_deltas.len() as u64 - 1);
-        if may_differ && last <= welcome.durable_sequence {
+        let last = once.map(|count| first_sequence.saturating_add(count.saturating_sub(1)));
+        if last.is_some_and(|last| last <= welcome.durable_sequence) {
             reply.durable_sequence = welcome.durable_sequence;
             return Ok(reply);
         }
-        send(Up::Batch(v1::ObservationBatch { first_sequence, observations: Some(observations.clone()) }));
+        send(batch(first_sequence));
         drop(up);
         while let Some(message) = replies.recv().await {
             if let Some(Down::Ack(ack)) = message?.message {

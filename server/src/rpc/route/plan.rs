@@ -100,7 +100,9 @@ pub(super) async fn predict_edges(
     routes: &Routes,
     request: v1::PredictEdgesRequest,
 ) -> Result<v1::PredictEdgesResponse, RpcError> {
-    let (handle, view, topology) = routes.find(&request.map).await?;
+    let (handle, view, _) = routes.find(&request.map).await?;
+    // Closed edges are predicted, too.
+    let topology = Arc::clone(view.site().topology());
     let time_nanos = instant_from_wire("time", request.time)?;
     let selector = planning_selector_from_wire("model", request.model)?;
     let speed = speed_from_wire(request.speed_m_per_s)?;

@@ -16,7 +16,7 @@ use tidemap_migrations::v1::{event as v1, log::FrameKind, site as v1_site};
 use super::{
     Invalid, columns,
     ids::{decode_kind, decode_new_producer, decode_refused, encode_kind, encode_new_producer, encode_refused},
-    rows, scans, sensors, site, traversal,
+    rows, scans, sensors, site, task, traversal,
 };
 
 /// Kinds of new vector states. The map stores a vector as states of continuous values, one per axis.
@@ -137,6 +137,7 @@ fn encode_observations(envelope: &Envelope, event: &Observations) -> Result<v1::
         refused_sequences,
         refused_reasons,
         failures: event.failures.iter().map(traversal::encode_failure).collect(),
+        runs: event.runs.iter().map(task::encode_run).collect(),
     })
 }
 
@@ -175,6 +176,7 @@ fn decode_observations(message: &v1::Observations) -> Result<(Envelope, Observat
             values: columns::decode_values(message.value_encoding, &message.values, count)?,
             offsets: runs.map(|(&count, &offset_secs)| OffsetRun { count, offset_secs }).collect(),
             failures: message.failures.iter().map(traversal::decode_failure).collect::<Result<_, _>>()?,
+            runs: message.runs.iter().map(task::decode_run).collect::<Result<_, _>>()?,
         },
     ))
 }

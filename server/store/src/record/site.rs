@@ -6,13 +6,14 @@ use tidemap_grid::index::CellIndex;
 use tidemap_map::{
     ids::StateId,
     name::StateName,
+    no_go::NoGoEdit,
     reachability::{Attempts, Reachability, ReachabilityCell},
     site::{Location, Site, SiteEdit},
     traversal::Failures,
 };
 use tidemap_migrations::v1::site as v1;
 
-use super::{Invalid, ids::decode_state_name, landmark, topology, traversal};
+use super::{Invalid, ids::decode_state_name, landmark, task, topology, traversal};
 
 fn encode_place(at: [f64; 2]) -> v1::Place {
     let [x_bits, y_bits] = at.map(f64::to_bits);
@@ -39,6 +40,14 @@ fn decode_location(message: &v1::Location) -> Result<(StateName, Location), Inva
     Ok((decode_state_name(&message.name)?, Location { states, cells, position_m }))
 }
 
+fn encode_area(name: &StateName, corners: &[[f64; 2]]) -> v1::NoGoArea {
+    v1::NoGoArea { name: name.as_str().to_owned(), corners: corners.iter().map(|at| encode_place(*at)).collect() }
+}
+
+fn decode_area(message: &v1::NoGoArea) -> Result<(StateName, Vec<[f64; 2]>), Invalid> {
+    Ok((decode_state_name(&message.name)?, message.corners.iter().map(decode_place).collect()))
+}
+
 fn encode_attempts((cell, attempts): (ReachabilityCell, Attempts)) -> v1::Attempts {
     let Attempts { count, reached, last_nanos } = attempts;
     v1::Attempts { x: cell.x, y: cell.y, count: count.into(), reached: reached.into(), last_nanos }
@@ -60,6 +69,8 @@ pub(crate) fn encode(site: &Site) -> Option<v1::Site> {
         attempts: site.reachability().parts().map(encode_attempts).collect(),
         topology: topology::encode(site.topology()),
         failures: site.failures().oldest_first().map(traversal::encode_failure).collect(),
+        tasks: task::encode_book(site.tasks()),
+        no_go: site.no_go().iter().map(|(name, corners)| encode_area(name, corners)).collect(),
     })
 }
 
@@ -74,13 +85,18 @@ pub(crate) fn decode(message: &v1::Site, states: usize) -> Result<Site, String> 
         let (name, location) = decode_location(location)?;
         apply(SiteEdit::SetLocation(name, location))?;
     }
+    for area in &message.no_go {
+        let (name, corners) = decode_area(area)?;
+        apply(SiteEdit::NoGo(NoGoEdit::Set(name, corners)))?;
+    }
     let attempts = message.attempts.iter().map(decode_attempts).collect::<Result<Vec<_>, Invalid>>()?;
     let reachability = Reachability::default().with_parts(attempts).map_err(|error| error.to_string())?;
     let mut failures = Failures::default();
     for failure in &message.failures {
         failures.add(traversal::decode_failure(failure)?);
     }
-    let site = site.with_reachability(reachability).with_failures(failures);
+    let tasks = message.tasks.as_ref().map(task::decode_book).transpose()?.unwrap_or_default();
+    let site = site.with_reachability(reachability).with_failures(failures).with_tasks(tasks);
     Ok(match &message.topology {
         Some(message) => site.with_topology(topology::decode(message)?),
         None => site,
@@ -98,6 +114,9 @@ pub(super) fn encode_edit(edit: &SiteEdit) -> v1::SiteEdit {
         }
         SiteEdit::Topology(edit) => v1::Change::Topology(topology::encode_edit(edit)),
         SiteEdit::Landmarks(edit) => v1::Change::Landmarks(landmark::encode_edit(edit)),
+        SiteEdit::Task(edit) => v1::Change::Task(task::encode_edit(edit)),
+        SiteEdit::NoGo(NoGoEdit::Set(name, corners)) => v1::Change::SetNoGo(encode_area(name, corners)),
+        SiteEdit::NoGo(NoGoEdit::Remove(name)) => v1::Change::RemoveNoGo(name.as_str().to_owned()),
     };
     v1::SiteEdit { change: Some(change) }
 }
@@ -117,5 +136,11 @@ pub(super) fn decode_edit(message: &v1::SiteEdit) -> Result<SiteEdit, Invalid> {
         }
         v1::Change::Topology(edit) => SiteEdit::Topology(topology::decode_edit(edit)?),
         v1::Change::Landmarks(edit) => SiteEdit::Landmarks(landmark::decode_edit(edit)?),
+        v1::Change::Task(edit) => SiteEdit::Task(task::decode_edit(edit)?),
+        v1::Change::SetNoGo(area) => {
+            let (name, corners) = decode_area(area)?;
+            SiteEdit::NoGo(NoGoEdit::Set(name, corners))
+        }
+        v1::Change::RemoveNoGo(name) => SiteEdit::NoGo(NoGoEdit::Remove(decode_state_name(name)?)),
     })
 }

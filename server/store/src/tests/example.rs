@@ -76,6 +76,7 @@ pub(crate) fn event(position: u64) -> Event {
             values: (0..count).map(|_| f64::from(random.random_range(0..2_u8))).collect(),
             offsets: vec![OffsetRun { count, offset_secs: 3600 }],
             failures: Vec::new(),
+            runs: Vec::new(),
         },
     )
 }

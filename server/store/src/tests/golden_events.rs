@@ -54,6 +54,7 @@ fn events() -> Vec<Event> {
         values: vec![0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
         offsets: vec![OffsetRun { count: 4, offset_secs: 3600 }, OffsetRun { count: 6, offset_secs: 7200 }],
         failures: Vec::new(),
+        runs: Vec::new(),
     };
     let later = Envelope {
         new_producer: None,
@@ -68,6 +69,7 @@ fn events() -> Vec<Event> {
         values: vec![0.1, 1.0, -0.0],
         offsets: vec![OffsetRun { count: 3, offset_secs: -16_200 }],
         failures: Vec::new(),
+        runs: Vec::new(),
     };
     let floats = Observations { values: vec![0.25; 3], ..second.clone() };
     let cut_nanos = 1_700_000_050_000_000_000;

@@ -108,6 +108,7 @@ fn observations() -> impl Strategy<Value = Event> {
                         OffsetRun { count: rest, offset_secs: offsets.1 },
                     ],
                     failures,
+                    runs: Vec::new(),
                 },
             )
         },

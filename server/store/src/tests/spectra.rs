@@ -68,6 +68,7 @@ fn events(seed: u64) -> Vec<Event> {
                 values: readings.iter().map(|reading| reading.2).collect(),
                 offsets: vec![OffsetRun { offset_secs: 3600, count: readings.len() as u32 }],
                 failures: Vec::new(),
+                runs: Vec::new(),
             },
         ));
         let cut_nanos = (day + 1) * DAY_NANOS - random.random_range(0..DAY_NANOS / 4);

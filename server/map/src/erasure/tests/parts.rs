@@ -86,6 +86,7 @@ fn story(steps: &[Step]) -> Vec<Event> {
                 values: step.rows.iter().map(|(.., quarters)| f64::from(*quarters) / 4.0).collect(),
                 offsets: vec![OffsetRun { count, offset_secs: 3600 }],
                 failures: Vec::new(),
+                runs: Vec::new(),
             },
         ));
         (sequences[producer], known) = (sequences[producer] + u64::from(count), state_count);

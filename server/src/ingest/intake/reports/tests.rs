@@ -17,7 +17,7 @@ fn intake(durable: u64) -> Intake {
 
 fn trip(from: &str, start_nanos: i64, end_nanos: i64, success: bool) -> Traversal {
     let (from, to, reason) = (from.to_owned(), "Lab".to_owned(), "stuck".to_owned());
-    Traversal { from, to, action: String::new(), start_nanos, end_nanos, success, reason }
+    Traversal { from, to, start_nanos, end_nanos, success, reason, ..Traversal::default() }
 }
 
 fn message(first_sequence: u64, traversals: &[Traversal]) -> v1::TraversalBatch {

@@ -9,7 +9,7 @@ use tidemap_plan::{
     day::DayError,
     predicted::{PredictOptions, PredictedGrid, PredictedTimes},
     strategy::Gains,
-    tour::{NoTour, Tour, plan_tour},
+    tour::{NoTour, Tour, plan_tour_around},
     view::{SceneOptions, Sensor, TimedScene, Viewpoint, view_many},
 };
 use tidemap_proto::convert::exploration::{DayTargets, TourRequest};
@@ -111,7 +111,12 @@ impl Day<'_> {
         let work = move |stop: StopSignal<'_>| {
             let tour = |&time_nanos: &i64| {
                 let grid = PredictedGrid::new(&view, time_nanos, &options, stop)?;
-                Ok::<_, PlanError>(plan_tour(&grid, view.site().reachability(), &question, stop)?)
+                Ok::<_, PlanError>(plan_tour_around(
+                    &grid,
+                    (view.site().reachability(), view.site().no_go()),
+                    &question,
+                    stop,
+                )?)
             };
             let tours = middles.iter().map(tour).collect::<Result<Vec<Tour>, PlanError>>()?;
             if let Some(reason) = never_possible(&tours) {

@@ -64,6 +64,7 @@ fn observed(half_day: i64, without: &Selection) -> Event {
                 .collect(),
             offsets: if count > 0 { vec![OffsetRun { count, offset_secs: 3600 }] } else { Vec::new() },
             failures: Vec::new(),
+            runs: Vec::new(),
         },
     )
 }

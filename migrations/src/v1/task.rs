@@ -1,0 +1,140 @@
+//! The tasks of a site: what is to be done, the kept plans of days, and the reports of what was done.
+//!
+//! Invariant: as in [`super::site`].
+
+/// A task.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Task {
+    /// What is done.
+    #[prost(string, tag = "1")]
+    pub kind: String,
+    /// Name of the node where it is done.
+    #[prost(string, tag = "2")]
+    pub node: String,
+    /// Earliest start and latest end, seconds after local midnight.
+    #[prost(uint32, tag = "3")]
+    pub from_secs: u32,
+    #[prost(uint32, tag = "4")]
+    pub until_secs: u32,
+    #[prost(uint32, tag = "5")]
+    pub duration_secs: u32,
+    /// A bit for each day of the week, Monday in the lowest; 0 where `day` is present.
+    #[prost(uint32, tag = "6")]
+    pub weekdays: u32,
+    /// The only day on which it is done, in days since 1970-01-01.
+    #[prost(sint32, optional, tag = "7")]
+    pub day: Option<i32>,
+    /// Length of the parts of the window; absent: it is not divided.
+    #[prost(uint32, optional, tag = "8")]
+    pub every_secs: Option<u32>,
+    #[prost(fixed64, tag = "9")]
+    pub value_bits: u64,
+    /// Name of the state whose probability multiplies the value; empty: none.
+    #[prost(string, tag = "10")]
+    pub value_state: String,
+}
+
+/// The name of a task.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct TaskName {
+    #[prost(string, tag = "1")]
+    pub kind: String,
+    #[prost(string, tag = "2")]
+    pub node: String,
+}
+
+/// A step of a plan: a task where `kind` is not empty, otherwise exploration.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct PlanStep {
+    /// When the robot departs for it.
+    #[prost(sint64, tag = "1")]
+    pub departure_nanos: i64,
+    /// How long after that it begins.
+    #[prost(sint64, tag = "2")]
+    pub travel_nanos: i64,
+    /// How long it takes.
+    #[prost(sint64, tag = "3")]
+    pub duration_nanos: i64,
+    #[prost(string, tag = "4")]
+    pub kind: String,
+    /// Name of the node, or of what is explored.
+    #[prost(string, tag = "5")]
+    pub place: String,
+    /// Value of the task, or bits of information.
+    #[prost(fixed64, tag = "6")]
+    pub worth_bits: u64,
+    /// Probability that nothing fails on the way; 0 where it explores.
+    #[prost(fixed64, tag = "7")]
+    pub success_bits: u64,
+}
+
+/// The plan of a day.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct Plan {
+    /// In days since 1970-01-01.
+    #[prost(sint32, tag = "1")]
+    pub day: i32,
+    #[prost(sint64, tag = "2")]
+    pub made_nanos: i64,
+    /// Ascending by start.
+    #[prost(message, repeated, tag = "3")]
+    pub steps: Vec<PlanStep>,
+}
+
+/// A robot did a task, or tried to.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct TaskRun {
+    #[prost(string, tag = "1")]
+    pub kind: String,
+    #[prost(string, tag = "2")]
+    pub node: String,
+    #[prost(sint64, tag = "3")]
+    pub start_nanos: i64,
+    /// How long it took.
+    #[prost(sint64, tag = "4")]
+    pub duration_nanos: i64,
+    #[prost(bool, tag = "5")]
+    pub success: bool,
+    /// Whether somebody had to help.
+    #[prost(bool, tag = "6")]
+    pub intervention: bool,
+    /// Why it failed, at most 200 characters.
+    #[prost(string, tag = "7")]
+    pub reason: String,
+}
+
+/// All of it.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct TaskBook {
+    /// Ascending by kind, then by node.
+    #[prost(message, repeated, tag = "1")]
+    pub tasks: Vec<Task>,
+    /// Ascending by day.
+    #[prost(message, repeated, tag = "2")]
+    pub plans: Vec<Plan>,
+    /// Ascending by start.
+    #[prost(message, repeated, tag = "3")]
+    pub runs: Vec<TaskRun>,
+}
+
+/// A change of the tasks.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct TaskEdit {
+    /// What changes.
+    #[prost(oneof = "TaskChange", tags = "1, 2, 3")]
+    pub change: Option<TaskChange>,
+}
+
+/// What changes.
+#[derive(Clone, PartialEq, prost::Oneof)]
+pub enum TaskChange {
+    /// A task is added or replaced.
+    #[prost(message, tag = "1")]
+    Set(Task),
+    /// A task is removed.
+    #[prost(message, tag = "2")]
+    Remove(TaskName),
+    /// A plan is kept.
+    #[prost(message, tag = "3")]
+    KeepPlan(Plan),
+}

@@ -1,0 +1,173 @@
+//! Tasks, kept plans and reports of tasks as messages, and back.
+//!
+//! Invariant: decoding gives the encoded value, bit by bit.
+
+use tidemap_map::{
+    name::{StateName, TaskName},
+    task::{KeptPlan, KeptStep, KeptWork, Task, TaskBook, TaskDays, TaskEdit, TaskRun, TaskRuns},
+    traversal::kept_reason,
+};
+use tidemap_migrations::v1::task as v1;
+use tidemap_model::LocalDay;
+
+use super::Invalid;
+
+fn decode_name(kind: &str, node: &str) -> Result<TaskName, Invalid> {
+    TaskName::new(kind, node).map_err(|_| "the name of a task is not valid")
+}
+
+fn encode_task(task: &Task) -> v1::Task {
+    let Task { name, from_secs, until_secs, duration_secs, days, every_secs, value, value_state } = task;
+    let (weekdays, day) = match *days {
+        TaskDays::Weekly(days) => (u32::from(days), None),
+        TaskDays::On(day) => (0, Some(day.0)),
+    };
+    v1::Task {
+        kind: name.kind.as_str().to_owned(),
+        node: name.node.as_str().to_owned(),
+        from_secs: *from_secs,
+        until_secs: *until_secs,
+        duration_secs: *duration_secs,
+        weekdays,
+        day,
+        every_secs: *every_secs,
+        value_bits: value.to_bits(),
+        value_state: value_state.as_ref().map_or_else(String::new, |state| state.as_str().to_owned()),
+    }
+}
+
+fn decode_task(message: &v1::Task) -> Result<Task, Invalid> {
+    let v1::Task { kind, node, from_secs, until_secs, duration_secs, weekdays, day, every_secs, .. } = message;
+    let days = match (day, u8::try_from(*weekdays)) {
+        (Some(day), _) => TaskDays::On(LocalDay(*day)),
+        (None, Ok(days)) => TaskDays::Weekly(days),
+        (None, Err(_)) => return Err("the days of a task are not valid"),
+    };
+    let state = StateName::stored(&message.value_state);
+    let value_state = match message.value_state.is_empty() {
+        true => None,
+        false => Some(state.map_err(|_| "the state of a task's value has an invalid name")?),
+    };
+    Ok(Task {
+        name: decode_name(kind, node)?,
+        from_secs: *from_secs,
+        until_secs: *until_secs,
+        duration_secs: *duration_secs,
+        days,
+        every_secs: *every_secs,
+        value: f64::from_bits(message.value_bits),
+        value_state,
+    })
+}
+
+fn encode_step(step: &KeptStep) -> v1::PlanStep {
+    let (kind, place, worth, success) = match &step.work {
+        KeptWork::Task { name, value, success } => (name.kind.as_str(), name.node.as_str(), *value, *success),
+        KeptWork::Explore { place, information_bits } => ("", place.as_str(), *information_bits, 0.0),
+    };
+    v1::PlanStep {
+        departure_nanos: step.departure_nanos,
+        travel_nanos: step.start_nanos.wrapping_sub(step.departure_nanos),
+        duration_nanos: step.end_nanos.wrapping_sub(step.start_nanos),
+        kind: kind.to_owned(),
+        place: place.to_owned(),
+        worth_bits: worth.to_bits(),
+        success_bits: success.to_bits(),
+    }
+}
+
+fn decode_step(message: &v1::PlanStep) -> Result<KeptStep, Invalid> {
+    let (worth, success) = (f64::from_bits(message.worth_bits), f64::from_bits(message.success_bits));
+    let start_nanos = message.departure_nanos.wrapping_add(message.travel_nanos);
+    let work = if message.kind.is_empty() {
+        KeptWork::Explore { place: message.place.clone(), information_bits: worth }
+    } else {
+        KeptWork::Task { name: decode_name(&message.kind, &message.place)?, value: worth, success }
+    };
+    let end_nanos = start_nanos.wrapping_add(message.duration_nanos);
+    Ok(KeptStep { departure_nanos: message.departure_nanos, start_nanos, end_nanos, work })
+}
+
+fn encode_plan(plan: &KeptPlan) -> v1::Plan {
+    let KeptPlan { day, made_nanos, steps } = plan;
+    v1::Plan { day: day.0, made_nanos: *made_nanos, steps: steps.iter().map(encode_step).collect() }
+}
+
+fn decode_plan(message: &v1::Plan) -> Result<KeptPlan, Invalid> {
+    let steps = message.steps.iter().map(decode_step).collect::<Result<_, _>>()?;
+    Ok(KeptPlan { day: LocalDay(message.day), made_nanos: message.made_nanos, steps })
+}
+
+pub(super) fn encode_run(run: &TaskRun) -> v1::TaskRun {
+    let TaskRun { name, start_nanos, end_nanos, success, intervention, reason } = run;
+    v1::TaskRun {
+        kind: name.kind.as_str().to_owned(),
+        node: name.node.as_str().to_owned(),
+        start_nanos: *start_nanos,
+        duration_nanos: end_nanos.wrapping_sub(*start_nanos),
+        success: *success,
+        intervention: *intervention,
+        reason: reason.clone(),
+    }
+}
+
+pub(super) fn decode_run(message: &v1::TaskRun) -> Result<TaskRun, Invalid> {
+    let v1::TaskRun { kind, node, start_nanos, duration_nanos, success, intervention, reason } = message;
+    if kept_reason(reason) != *reason {
+        return Err("the reason of a report is too long or does not print");
+    }
+    let run = TaskRun {
+        name: decode_name(kind, node)?,
+        start_nanos: *start_nanos,
+        end_nanos: start_nanos.wrapping_add(*duration_nanos),
+        success: *success,
+        intervention: *intervention,
+        reason: reason.clone(),
+    };
+    run.check().map_err(|_| "the times of a report are not valid")?;
+    Ok(run)
+}
+
+/// The tasks of a site; `None` for none.
+pub(super) fn encode_book(book: &TaskBook) -> Option<v1::TaskBook> {
+    (*book != TaskBook::default()).then(|| v1::TaskBook {
+        tasks: book.tasks().map(encode_task).collect(),
+        plans: book.plans().map(encode_plan).collect(),
+        runs: book.runs().oldest_first().map(encode_run).collect(),
+    })
+}
+
+pub(super) fn decode_book(message: &v1::TaskBook) -> Result<TaskBook, String> {
+    let mut book = TaskBook::default();
+    let mut apply = |edit| book.apply(&edit).map_err(|error| error.to_string());
+    for task in &message.tasks {
+        apply(TaskEdit::Set(decode_task(task)?))?;
+    }
+    for plan in &message.plans {
+        apply(TaskEdit::KeepPlan(decode_plan(plan)?))?;
+    }
+    let mut runs = TaskRuns::default();
+    for run in &message.runs {
+        runs.add(decode_run(run)?);
+    }
+    Ok(book.with_runs(runs))
+}
+
+pub(super) fn encode_edit(edit: &TaskEdit) -> v1::TaskEdit {
+    let change = match edit {
+        TaskEdit::Set(task) => v1::TaskChange::Set(encode_task(task)),
+        TaskEdit::Remove(TaskName { kind, node }) => {
+            v1::TaskChange::Remove(v1::TaskName { kind: kind.as_str().to_owned(), node: node.as_str().to_owned() })
+        }
+        TaskEdit::KeepPlan(plan) => v1::TaskChange::KeepPlan(encode_plan(plan)),
+    };
+    v1::TaskEdit { change: Some(change) }
+}
+
+pub(super) fn decode_edit(message: &v1::TaskEdit) -> Result<TaskEdit, Invalid> {
+    Ok(match message.change.as_ref().ok_or("an edit of the tasks changes nothing")? {
+        v1::TaskChange::Set(task) => TaskEdit::Set(decode_task(task)?),
+        v1::TaskChange::Remove(v1::TaskName { kind, node }) => TaskEdit::Remove(decode_name(kind, node)?),
+        v1::TaskChange::KeepPlan(plan) => TaskEdit::KeepPlan(decode_plan(plan)?),
+    })
+}
