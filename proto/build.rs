@@ -5,8 +5,19 @@ use std::{env, error::Error, fs, path::PathBuf};
 
 use prost::Message as _;
 
-const FILES: [&str; 11] =
-    ["types", "map", "observation", "query", "exploration", "topology", "route", "search", "landmark", "task", "maintenance"];
+const FILES: [&str; 11] = [
+    "types",
+    "map",
+    "observation",
+    "query",
+    "exploration",
+    "topology",
+    "route",
+    "search",
+    "landmark",
+    "task",
+    "maintenance",
+];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let paths: Vec<String> = FILES.iter().map(|file| format!("tidemap/v1/{file}.proto")).collect();

@@ -2,7 +2,9 @@
 //!
 //! | where | addition |
 //! | --- | --- |
-//! | [`super::v1::site::Change`] | tag 7, a [`LandmarkEdit`] |
+//! | [`super::v1::site::Change`] | tag 7, a [`LandmarkEdit`]; 8, of tasks; 9 and 10, of no-go areas |
+//! | [`super::v1::site::Site`] | tag 6, [`super::v1::task`]; 7, no-go areas |
+//! | [`super::v1::event::Observations`] | the runs of tasks |
 //! | [`super::v1::map::Snapshot`] | tag 9, how many [`LandmarksAtPlace`] follow the site |
 //! | checkpoint | [`super::v1::file::RecordKind::Landmarks`] after the site |
 //! | refusals of observations | reason 13: no such landmark |
@@ -12,7 +14,7 @@
 //! | [`super::v1::index::Mark`] | a sixth total, of that tree; absent without landmarks |
 //!
 //! The headers of files keep the number of format 1, because they have not changed. The step from format 1 rewrites
-//! nothing: it makes older programs refuse the folder, which would not understand a landmark.
+//! nothing: it makes older programs refuse the folder, which would not understand a landmark, a label or a task.
 //!
 //! Invariant: nothing in this module changes meaning, tag, name or size; `golden.rs` in `tidemap-store` holds it.
 

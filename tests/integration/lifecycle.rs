@@ -142,7 +142,7 @@ async fn data_of_a_newer_format_is_refused_and_left_alone() {
     let before = disk::contents(data.path());
     let exit = launch.try_start().expect_err("the format is newer");
     assert_eq!(exit.code(), Some(65), "{exit}");
-    for word in ["format 2", "MANIFEST", "newer version"] {
+    for word in ["format 3", "MANIFEST", "newer version"] {
         assert!(exit.stderr.contains(word), "{word:?} is not in {exit}");
     }
     assert_eq!(disk::contents(data.path()), before);

@@ -20,7 +20,7 @@ pub use self::{
 };
 use crate::{
     name::{StateName, TaskName},
-    traversal::{TRAVERSAL_MAX_NANOS, Traversal, TraversalError},
+    traversal::{TRAVERSAL_MAX_NANOS, TraversalError},
 };
 
 /// Kind of the tasks that charge the robot. They do not count as active time.
