@@ -75,7 +75,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("topology edit link", "tidemap topology edit link office kitchen pantry 12"),
     ("topology edit set-link", "tidemap topology edit set-link office kitchen pantry 14"),
     ("topology edit unlink", "tidemap topology edit unlink office kitchen pantry"),
-    ("no-go add", "tidemap no-go add office stairs 0,0 2,0 2,3 0,3"),
+    ("no-go add", "tidemap no-go add office stairs 0,0:2,0:2,3:0,3"),
     ("no-go list", "tidemap no-go list office"),
     ("no-go remove", "tidemap no-go remove office stairs"),
     ("task add", "tidemap task add office clean kitchen --from 18:00 --until 20:00 --duration 15m --days mon-fri"),
