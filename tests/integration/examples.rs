@@ -74,6 +74,7 @@ pages! {
     rotate: "docs/src/rotate.md",
     security: "docs/src/security.md",
     sizing: "docs/src/sizing.md",
+    tasks: "docs/src/tasks.md",
     topology: "docs/src/topology.md",
     traces: "docs/src/traces.md",
     upgrade: "docs/src/upgrade.md",

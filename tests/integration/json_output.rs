@@ -290,7 +290,7 @@ fn check_topology(checked: &mut Checked, folder: &str) {
     checked.run("topology show", "home --edges");
     checked.run("topology failures", "home");
     checked.run("topology failures", "home --by reason");
-    checked.run("no-go add", "home pit 20,20 21,20 21,21");
+    checked.run("no-go add", "home pit 20,20:21,20:21,21");
     checked.run("no-go list", "home");
     checked.run("no-go remove", "home pit");
     checked.run("topology predict", &format!("home --at {NOON}"));

@@ -186,7 +186,7 @@ fn nothing_is_planned_through_a_no_go_area() {
     let noon = format!("{DATE}T13:00:00Z");
     let route = format!("route office Dock Hall --at {noon} --objective time");
     assert_eq!(words(&daemon, &route).table().rows.len(), 1);
-    words(&daemon, "no-go add office pit 1.5,-1 2.5,-1 2,1").table();
+    words(&daemon, "no-go add office pit 1.5,-1:2.5,-1:2,1").table();
     words(&daemon, "task add office greet Hall --from 09:00 --until 10:00 --duration 10m").table();
 
     daemon.kill();
@@ -204,7 +204,7 @@ fn nothing_is_planned_through_a_no_go_area() {
     assert_eq!(words(&daemon, &format!("topology predict office --at {noon}")).table().rows.len(), 8);
 
     // A node inside is not reached.
-    words(&daemon, "no-go add office hall 3,-1 5,-1 5,1 3,1").table();
+    words(&daemon, "no-go add office hall 3,-1:5,-1:5,1:3,1").table();
     words(&daemon, &route).fails(1, &["no route"]);
     let unserved = words(&daemon, &format!("day office --date {DATE} --tasks --start-node Dock"));
     assert!(unserved.stderr.contains("greet/Hall") && unserved.stderr.contains("no way"), "{}", unserved.stderr);
@@ -212,7 +212,7 @@ fn nothing_is_planned_through_a_no_go_area() {
     words(&daemon, "no-go remove office pit");
     assert_eq!(words(&daemon, &route).table().rows.len(), 1);
     words(&daemon, "no-go remove office pit").fails(1, &["pit"]);
-    words(&daemon, "no-go add office line 0,0 1,1 --output csv").fails(2, &[]);
+    words(&daemon, "no-go add office line 0,0:1,1").fails(2, &[]);
 
     let reasons = "from,to,start,end,success,reason\nHall,Lab,1453100000,1453100010,false,stuck\n";
     cli::tidemap_reading(&daemon, ["traverse", "office", "-", "--producer", "r", "--label", "x"], reasons).table();

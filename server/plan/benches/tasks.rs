@@ -30,7 +30,8 @@ fn world(count: usize, seed: u64) -> (Vec<DayTask>, LegTable) {
         } else {
             TaskValue::BySlot((0..SLOTS).map(|_| random.random_range(0.0..5.0)).collect())
         };
-        DayTask { place, from_secs, until_secs, duration_secs: random.random_range(300.0..1_200.0), value }
+        let duration_secs = random.random_range(300.0..1_200.0);
+        DayTask { place, from_secs, until_secs, duration_secs, value, persists: false }
     });
     (tasks.collect(), legs.unwrap())
 }

@@ -3,8 +3,8 @@
 //! A task is done at a place. It begins within its window, takes its duration, and ends within its window. Its value
 //! may change over the day, for example with the probability that somebody is there. A robot travels between places by
 //! legs ([`LegTable`]): the expected time of a leg includes repeated attempts at edges that fail, and its success is the
-//! probability that nothing fails. The plan has the greatest sum of values, each times the success of the leg to it;
-//! ties: the earliest end. Charging is a task like others (N. Hawes et al., "The STRANDS Project", IEEE RAM 2017).
+//! probability that nothing fails. The plan has the greatest sum of values, each times the success of the leg to it
+//! unless the task [persists](DayTask::persists); ties: the earliest end. Charging is a task like others (N. Hawes et al., "The STRANDS Project", IEEE RAM 2017).
 //!
 //! The day is divided into slots of equal length, as in [`crate::policy`]: a leg is as forecast for the slot of its
 //! departure, and a value counts for the slot in which the task begins. Within a slot earlier is never worse, because a
@@ -49,6 +49,16 @@ pub struct DayTask {
     pub duration_secs: f64,
     /// What it is worth.
     pub value: TaskValue,
+    /// Whether the robot tries until it gets there, as to its charger: what may fail on the way takes nothing from the
+    /// worth. Otherwise no robot would leave its charger for a task of less value.
+    pub persists: bool,
+}
+
+impl DayTask {
+    /// What a value counts in a plan after a way of this success.
+    fn worth(&self, value: f64, success: f64) -> f64 {
+        if self.persists { value } else { value * success }
+    }
 }
 
 /// What a task is worth.
@@ -123,7 +133,7 @@ pub struct TaskPlan {
     pub steps: Vec<TaskStep>,
     /// Tasks that are not in the plan, ascending by index.
     pub unserved: Vec<(usize, UnservedReason)>,
-    /// Sum of the values, each times the success of the leg to it.
+    /// Sum of the values, each times the success of the leg to it unless the task persists.
     pub expected_value: f64,
     /// Whether no plan is better.
     pub is_proven: bool,
@@ -209,13 +219,13 @@ pub fn plan_tasks(day: &TaskDay<'_>, stop: StopSignal<'_>) -> Result<TaskPlan, T
     let is_served = |task: &usize| steps.iter().any(|step| step.task == *task);
     unserved.extend(possible.into_iter().filter(|task| !is_served(task)).map(|task| (task, UnservedReason::NoTime)));
     unserved.sort_unstable_by_key(|&(task, _)| task);
-    let expected_value = steps.iter().map(|step| step.value * step.success).sum();
+    let expected_value = steps.iter().map(|step| day.tasks[step.task].worth(step.value, step.success)).sum();
     Ok(TaskPlan { steps, unserved, expected_value, is_proven })
 }
 
 /// Why a task cannot be done even alone.
 fn why_impossible(day: &TaskDay<'_>, timing: &mut Timing<'_>, task: usize) -> Option<UnservedReason> {
-    let DayTask { place, from_secs, until_secs, duration_secs, ref value } = day.tasks[task];
+    let DayTask { place, from_secs, until_secs, duration_secs, ref value, .. } = day.tasks[task];
     let has_window = from_secs.max(day.ready_secs) + duration_secs <= until_secs;
     let has_value = (0..day.legs.slots()).any(|slot| value.at(slot) > 0.0);
     let is_reached = (0..day.legs.slots()).any(|slot| day.legs.at(day.start, place, slot).is_some());

@@ -83,7 +83,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("landmark locate", "tidemap landmark locate office features.csv --at now"),
     ("landmark remove", "tidemap landmark remove office kitchen 12 17"),
     ("landmark prune", "tidemap landmark prune office --below 0.1 --dry-run"),
-    ("no-go add", "tidemap no-go add office stairs 0,0 2,0 2,3 0,3"),
+    ("no-go add", "tidemap no-go add office stairs 0,0:2,0:2,3:0,3"),
     ("no-go list", "tidemap no-go list office"),
     ("no-go remove", "tidemap no-go remove office stairs"),
     ("task add", "tidemap task add office clean kitchen --from 18:00 --until 20:00 --duration 15m --days mon-fri"),

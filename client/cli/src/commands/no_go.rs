@@ -23,8 +23,8 @@ pub(crate) enum NoGoCommand {
         /// Name of the area
         area: String,
         /// Corners in their order, at least three, metres
-        #[arg(required = true, value_name = "X,Y", num_args = 3.., allow_hyphen_values = true)]
-        corners: Vec<Point>,
+        #[arg(value_name = "X,Y:X,Y:X,Y…", allow_hyphen_values = true, value_parser = corners)]
+        corners: Corners,
     },
     /// Lists the areas of a map
     List {
@@ -40,11 +40,20 @@ pub(crate) enum NoGoCommand {
     },
 }
 
+/// The corners of an area, metres.
+#[derive(Clone, Debug)]
+pub(crate) struct Corners(Vec<[f64; 2]>);
+
+fn corners(text: &str) -> Result<Corners, String> {
+    let corners: Vec<[f64; 2]> =
+        text.split(':').map(|corner| corner.parse().map(|Point(at)| at)).collect::<Result<_, String>>()?;
+    if corners.len() < 3 { Err("an area has at least three corners".to_owned()) } else { Ok(Corners(corners)) }
+}
+
 pub(crate) async fn run(session: &Session, command: NoGoCommand) -> anyhow::Result<ExitCode> {
     let areas = match command {
         NoGoCommand::Add { map, area, corners } => {
-            let corners_m = corners.into_iter().map(|Point(at)| at).collect();
-            let area = NoGoArea { name: StateName::new(&area)?, corners_m };
+            let area = NoGoArea { name: StateName::new(&area)?, corners_m: corners.0 };
             session.client.set_no_go(&map, &area).await?;
             vec![area]
         }

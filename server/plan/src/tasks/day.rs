@@ -5,7 +5,7 @@
 
 use tidemap_map::{
     name::{StateName, TaskName},
-    task::{KeptStep, KeptWork, Task, local_nanos},
+    task::{CHARGE_KIND, KeptStep, KeptWork, Task, local_nanos},
     topology::{NodeId, Topology},
 };
 use tidemap_model::{LocalDay, StopSignal, Zone};
@@ -78,7 +78,7 @@ pub struct PlannedTasks {
     pub steps: Vec<KeptStep>,
     /// Tasks that are not planned, in the order of the occurrences.
     pub unserved: Vec<UnservedTask>,
-    /// Sum of the values, each times the success of the way to it.
+    /// Sum of the values, each times the success of the way to it unless the task charges the robot.
     pub expected_value: f64,
     /// Whether no plan is better.
     pub is_proven: bool,
@@ -132,7 +132,8 @@ impl MapDay<'_> {
             }
             let (from_secs, until_secs) = (self.secs(*from_nanos), self.secs(*until_nanos));
             let duration_secs = f64::from(task.duration_secs);
-            planned.push((index, DayTask { place, from_secs, until_secs, duration_secs, value }));
+            let persists = task.name.kind.as_str() == CHARGE_KIND;
+            planned.push((index, DayTask { place, from_secs, until_secs, duration_secs, value, persists }));
         }
         let legs = LegTable::between(self.topology, &nodes, &self.leg_options(), forecasts, stop)?;
         let tasks: Vec<DayTask> = planned.iter().map(|(_, task)| task.clone()).collect();

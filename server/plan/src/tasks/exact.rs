@@ -61,7 +61,7 @@ pub(super) fn plan_exactly(
                 let front = &mut fronts[(set | (1 << bit)) * count + bit];
                 for choice in timing.choices(place, tasks[bit], end_secs) {
                     let new = Label {
-                        value: value + choice.worth(),
+                        value: value + choice.worth,
                         end_secs: choice.end_secs,
                         place: timing.day.tasks[tasks[bit]].place,
                         last: Some((label, tasks[bit], choice)),

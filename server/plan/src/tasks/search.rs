@@ -160,7 +160,7 @@ impl Search<'_, '_, '_> {
             let mut front: Vec<Partial> = Vec::new();
             for (before, partial) in fronts.last()?.iter().enumerate() {
                 for choice in self.timing.choices(place, task, partial.end_secs) {
-                    let (value, end_secs) = (partial.value + choice.worth(), choice.end_secs);
+                    let (value, end_secs) = (partial.value + choice.worth, choice.end_secs);
                     front.push(Partial { value, end_secs, before, choice: Some(choice) });
                 }
             }

@@ -43,6 +43,7 @@ impl World {
                 until_secs: f64::from(until),
                 duration_secs: f64::from(random.random_range(1..if dense { 4_u8 } else { 8 })),
                 value,
+                persists: random.random_range(0..4) == 0,
             }
         };
         World { tasks: (0..count).map(|_| task()).collect(), legs: legs.unwrap() }
@@ -75,7 +76,7 @@ impl World {
                 }
                 let end = start + task.duration_secs as usize;
                 let after = self.best(known, (done | (1 << index), task.place, end));
-                best = best.max(task.value.at(slot(start)) * leg.success + after);
+                best = best.max(task.worth(task.value.at(slot(start)), leg.success) + after);
             }
         }
         known.insert((done, place, at), best);
@@ -146,7 +147,7 @@ fn many_tasks_are_planned_without_overlap() {
 
 fn task(place: usize, window: (f64, f64), value: f64) -> DayTask {
     let (from_secs, until_secs) = window;
-    DayTask { place, from_secs, until_secs, duration_secs: 60.0, value: TaskValue::Fixed(value) }
+    DayTask { place, from_secs, until_secs, duration_secs: 60.0, value: TaskValue::Fixed(value), persists: false }
 }
 
 #[test]
@@ -183,6 +184,7 @@ fn the_robot_waits_for_the_hour_that_is_worth_more() {
         until_secs: 3_600.0,
         duration_secs: 300.0,
         value: TaskValue::BySlot(vec![1.0, 1.0, 1.0, 1.1]),
+        persists: false,
     }];
     let day = TaskDay { tasks: &tasks, legs: &legs.unwrap(), start: 0, ready_secs: 0.0 };
     let plan = plan_tasks(&day, StopSignal::NEVER).unwrap();

@@ -16,12 +16,8 @@ pub(super) struct Choice {
     pub end_secs: f64,
     pub value: f64,
     pub success: f64,
-}
-
-impl Choice {
-    pub(super) fn worth(&self) -> f64 {
-        self.value * self.success
-    }
+    /// What it counts in a plan.
+    pub worth: f64,
 }
 
 /// Tasks in their order, each with its choice.
@@ -88,7 +84,8 @@ impl<'a> Timing<'a> {
             let values = (0..legs.slots()).map(|slot| task.value.at(slot));
             let from = (0..legs.places()).flat_map(|from| (0..legs.slots()).map(move |slot| (from, slot)));
             let successes = from.filter_map(|(from, slot)| legs.at(from, task.place, slot)).map(|leg| leg.success);
-            (values.fold(0.0, f64::max), successes.fold(0.0, f64::max))
+            let success = if task.persists { 1.0 } else { successes.fold(0.0, f64::max) };
+            (values.fold(0.0, f64::max), success)
         };
         Timing { day, greatest: day.tasks.iter().map(greatest).collect(), arrivals: Vec::new() }
     }
@@ -96,7 +93,7 @@ impl<'a> Timing<'a> {
     /// The choices for a task of a robot that is ready at a place, ascending by end and by worth.
     pub(super) fn choices(&mut self, from: usize, task: usize, ready_secs: f64) -> Vec<Choice> {
         let day = self.day;
-        let DayTask { place, from_secs, until_secs, duration_secs, ref value } = day.tasks[task];
+        let DayTask { place, from_secs, until_secs, duration_secs, ref value, .. } = day.tasks[task];
         let latest_secs = until_secs - duration_secs;
         self.arrive((from, place), ready_secs, (from_secs, latest_secs));
         let (greatest_value, greatest_success) = self.greatest[task];
@@ -126,10 +123,11 @@ impl<'a> Timing<'a> {
             };
             let Some(best) = best else { continue };
             let (value, success) = (value.at(slot), best.success);
-            if value * success > choices.last().map_or(0.0, Choice::worth) {
+            let worth = day.tasks[task].worth(value, success);
+            if worth > choices.last().map_or(0.0, |choice| choice.worth) {
                 let (departure_secs, end_secs) = (best.departure_secs, start_secs + duration_secs);
-                choices.push(Choice { departure_secs, start_secs, end_secs, value, success });
-                if value * success >= enough {
+                choices.push(Choice { departure_secs, start_secs, end_secs, value, success, worth });
+                if worth >= enough {
                     break;
                 }
             }
