@@ -115,7 +115,8 @@ impl StateName {
         EdgeName::parse(edge).ok().map(|edge| (what, edge))
     }
 
-    /// Maximum number of characters for a state with this name: names of edges' and tasks' states are longer than others.
+    /// Maximum number of characters for a state with this name: names of edges' and tasks' states are longer than
+    /// others.
     pub fn chars_max(name: &str) -> usize {
         let is_long = split_edge(name).is_some() || split_task(name).is_some();
         if is_long { EDGE_STATE_CHARS_MAX } else { NAME_CHARS_MAX }

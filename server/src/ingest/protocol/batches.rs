@@ -122,7 +122,8 @@ pub(crate) struct ScanBatch {
 pub(crate) struct TraversalBatch {
     /// What is new of the message; not empty.
     pub span: SequenceSpan,
-    /// The valid traversals and reports of tasks, with their sequence numbers. The map's writer checks whether the edges exist.
+    /// The valid traversals and reports of tasks, with their sequence numbers. The map's writer checks whether the
+    /// edges exist.
     pub traversals: Vec<(u64, WorkReport)>,
     /// The refused traversals.
     pub refused: Vec<RefusedObservation>,
