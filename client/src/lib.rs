@@ -1,8 +1,8 @@
 //! The tidemap client library: connects to a daemon, sends observations and asks questions.
 //!
 //! [`Client`] connects to a daemon; its methods are in [`maps`], [`queries`], [`exploration`], [`routes`],
-//! [`tasks`] and [`updates`]. [`observe::Producer`] sends observations and scans, each exactly once, even if connections break;
-//! [`scan_file`] reads and writes scans in files.
+//! [`tasks`] and [`updates`]. [`observe::Producer`] sends observations and scans, each exactly once, even if
+//! connections break; [`scan_file`] reads and writes scans in files.
 //!
 //! Invariant: times are i64 nanoseconds UTC, and this library decides nothing about maps or models; the daemon does.
 

@@ -4,7 +4,7 @@
 
 pub use tidemap_map::{
     name::TaskName,
-    task::{AllowedHours, CHARGE_KIND, KeptPlan, KeptStep, KeptWork, Task, TaskDays, TaskRun, TaskWeek},
+    task::{AllowedHours, CHARGE_KIND, KeptPlan, KeptStep, KeptWork, RobotTask, TaskDays, TaskRun, TaskWeek},
 };
 pub use tidemap_model::LocalDay;
 pub use tidemap_plan::tasks::{PlannedTasks, UnservedReason, UnservedTask};
@@ -65,7 +65,7 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the code is `INVALID_ARGUMENT` if a number of the task is invalid.
-    pub async fn set_task(&self, map: &str, task: &Task) -> Result<Task, Error> {
+    pub async fn set_task(&self, map: &str, task: &RobotTask) -> Result<RobotTask, Error> {
         let request = v1::SetTaskRequest { map: map.to_owned(), task: Some(task_to_wire(task)) };
         let answer = self.task_service().set_task(request).await.map_err(|status| self.error(&status))?;
         task_from_wire(answer.into_inner().task).map_err(broken)
@@ -84,7 +84,7 @@ impl Client {
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if the map does not exist.
-    pub async fn tasks(&self, map: &str) -> Result<Vec<Task>, Error> {
+    pub async fn tasks(&self, map: &str) -> Result<Vec<RobotTask>, Error> {
         let request = v1::ListTasksRequest { map: map.to_owned() };
         let answer = self.task_service().list_tasks(request).await.map_err(|status| self.error(&status))?;
         let tasks = answer.into_inner().tasks.into_iter();

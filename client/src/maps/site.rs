@@ -76,7 +76,7 @@ impl Client {
 /// An area that nothing is planned through.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoGoArea {
-    /// Its name.
+    /// Name of the area.
     pub name: StateName,
     /// Its corners in their order: x, y in metres.
     pub corners_m: Vec<[f64; 2]>,

@@ -4,7 +4,7 @@
 
 use tidemap_map::{
     name::{StateName, TaskName},
-    task::{ALL_WEEKDAYS, AllowedHours, KeptPlan, KeptStep, KeptWork, Task, TaskDays, TaskRun, TaskWeek},
+    task::{ALL_WEEKDAYS, AllowedHours, KeptPlan, KeptStep, KeptWork, RobotTask, TaskDays, TaskRun, TaskWeek},
     traversal::kept_reason,
 };
 use tidemap_model::LocalDay;
@@ -55,7 +55,7 @@ fn weekdays_from_wire(field: &str, weekdays: u32) -> Result<u8, InvalidField> {
 ///
 /// # Errors
 /// The invalid field.
-pub fn task_from_wire(task: Option<v1::Task>) -> Result<Task, InvalidField> {
+pub fn task_from_wire(task: Option<v1::Task>) -> Result<RobotTask, InvalidField> {
     let wire = task.ok_or_else(|| InvalidField::new("task", "missing: name a kind and a node"))?;
     let state = (!wire.value_state.is_empty()).then(|| StateName::stored(&wire.value_state));
     let value_state = state.transpose().map_err(|error| InvalidField::new("task.value_state", error))?;
@@ -66,7 +66,7 @@ pub fn task_from_wire(task: Option<v1::Task>) -> Result<Task, InvalidField> {
     } else {
         return Err(InvalidField::new("task.date", "name a date or weekdays, not both"));
     };
-    Ok(Task {
+    Ok(RobotTask {
         name: task_name_from_wire("task.", &wire.kind, &wire.node)?,
         from_secs: wire.from_secs,
         until_secs: if wire.until_secs == 0 { DAY_SECS } else { wire.until_secs },
@@ -80,8 +80,8 @@ pub fn task_from_wire(task: Option<v1::Task>) -> Result<Task, InvalidField> {
 
 /// A task for the wire.
 #[must_use]
-pub fn task_to_wire(task: &Task) -> v1::Task {
-    let Task { name, from_secs, until_secs, duration_secs, days, every_secs, value, value_state } = task;
+pub fn task_to_wire(task: &RobotTask) -> v1::Task {
+    let RobotTask { name, from_secs, until_secs, duration_secs, days, every_secs, value, value_state } = task;
     let (weekdays, date) = match days {
         TaskDays::Weekly(days) => (u32::from(*days), String::new()),
         TaskDays::On(day) => (0, day.to_string()),

@@ -9,10 +9,11 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use crate::{
     name::StateName,
-    site::PLACE_MAX_M,
     topology::{Edge, Topology, TopologyParts},
 };
 
+/// Farthest from the map's origin that a corner may be, metres.
+const PLACE_MAX_M: f64 = 1e7;
 /// Maximum number of areas of a map.
 pub const NO_GO_MAX: usize = 1_000;
 /// Maximum number of corners of an area.

@@ -4,8 +4,8 @@
 //! Hawes et al., "The STRANDS Project", IEEE RAM 2017). Windows are in local time, so that a task at nine stays at nine
 //! when the clocks change.
 //!
-//! Invariant: a task that [`Task::check`] accepts has a window in which it can be done on some day. A kept plan and the
-//! reports do not change when tasks do.
+//! Invariant: a task that [`RobotTask::check`] accepts has a window in which it can be done on some day. A kept plan
+//! and the reports do not change when tasks do.
 
 mod book;
 mod figures;
@@ -56,7 +56,7 @@ impl TaskDays {
 
 /// A task.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Task {
+pub struct RobotTask {
     /// Its kind and node.
     pub name: TaskName,
     /// Earliest start, seconds after local midnight.
@@ -108,13 +108,13 @@ pub enum TaskError {
     Plan { day: LocalDay, what: &'static str },
 }
 
-impl Task {
+impl RobotTask {
     /// Checks its numbers. Whether node and state exist is not checked: they may be added later.
     ///
     /// # Errors
     /// [`TaskError`].
     pub fn check(&self) -> Result<(), TaskError> {
-        let Task { from_secs, until_secs, duration_secs, days, every_secs, value, .. } = *self;
+        let RobotTask { from_secs, until_secs, duration_secs, days, every_secs, value, .. } = *self;
         if from_secs >= until_secs || until_secs > DAY_SECS {
             return Err(TaskError::Window { from_secs, until_secs });
         }

@@ -2,9 +2,10 @@
 //!
 //! A task is done at a place. It begins within its window, takes its duration, and ends within its window. Its value
 //! may change over the day, for example with the probability that somebody is there. A robot travels between places by
-//! legs ([`LegTable`]): the expected time of a leg includes repeated attempts at edges that fail, and its success is the
-//! probability that nothing fails. The plan has the greatest sum of values, each times the success of the leg to it
-//! unless the task [persists](DayTask::persists); ties: the earliest end. Charging is a task like others (N. Hawes et al., "The STRANDS Project", IEEE RAM 2017).
+//! legs ([`LegTable`]): the expected time of a leg includes repeated attempts at edges that fail, and its success is
+//! the probability that nothing fails. The plan has the greatest sum of values, each times the success of the leg to it
+//! unless the task [persists](DayTask::persists); ties: the earliest end. Charging is a task like others (N. Hawes et
+//! al., "The STRANDS Project", IEEE RAM 2017).
 //!
 //! The day is divided into slots of equal length, as in [`crate::policy`]: a leg is as forecast for the slot of its
 //! departure, and a value counts for the slot in which the task begins. Within a slot earlier is never worse, because a

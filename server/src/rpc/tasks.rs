@@ -84,7 +84,7 @@ impl TaskService for Tasks {
         let planned = self.explorations.planned_day(&handle, question).await?;
         let kept = planned.kept(day, self.now_nanos());
         edit_site(&handle, SiteEdit::Task(TaskEdit::KeepPlan(kept))).await?;
-        Ok(Response::new(planned.to_wire()))
+        Ok(Response::new(planned.reply()))
     }
 
     async fn get_plan(&self, request: Request<v1::GetPlanRequest>) -> RpcReply<v1::GetPlanResponse> {

@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use tidemap_client::{
     clock,
-    tasks::{AllowedHours, KeptStep, KeptWork, LocalDay, Task, TaskDays, TaskName, TaskRun, TaskWeek},
+    tasks::{AllowedHours, KeptStep, KeptWork, LocalDay, RobotTask, TaskDays, TaskName, TaskRun, TaskWeek},
 };
 use tidemap_formats::table::Cell;
 
@@ -46,8 +46,8 @@ pub(crate) enum TaskCommand {
     Report(Box<ReportArgs>),
     /// Shows how much the robots of a map work by themselves, week by week
     ///
-    /// autonomy_percent is the time in which tasks were performed, of the time in which the robot was allowed to work by
-    /// itself; charging does not count. lifetime_secs is the longest time that was reached in the week without an
+    /// autonomy_percent is the time in which tasks were performed, of the time in which the robot was allowed to work
+    /// by itself; charging does not count. lifetime_secs is the longest time that was reached in the week without an
     /// intervention.
     Weeks {
         /// Name of the map
@@ -205,7 +205,7 @@ fn whole_secs(option: &str, nanos: i64) -> anyhow::Result<u32> {
 const COLUMNS: [&str; 9] =
     ["kind", "node", "from", "until", "duration_secs", "days", "every_secs", "value", "value_state"];
 
-fn row(task: &Task) -> Vec<Cell> {
+fn row(task: &RobotTask) -> Vec<Cell> {
     vec![
         task.name.kind.as_str().into(),
         task.name.node.as_str().into(),
@@ -245,10 +245,10 @@ pub(crate) async fn run(session: &Session, command: TaskCommand) -> anyhow::Resu
 }
 
 /// The task of the options.
-fn task(args: &AddArgs) -> anyhow::Result<Task> {
+fn task(args: &AddArgs) -> anyhow::Result<RobotTask> {
     let day =
         args.date.as_deref().map(|date| LocalDay::parse(date).ok_or_else(|| usage(format!("{date:?} is no date"))));
-    Ok(Task {
+    Ok(RobotTask {
         name: TaskName::new(&args.kind, &args.node)?,
         from_secs: args.from,
         until_secs: args.until,

@@ -7,7 +7,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use tidemap_model::LocalDay;
 
-use super::{Task, TaskError, TaskRun, TaskRuns};
+use super::{RobotTask, TaskError, TaskRun, TaskRuns};
 use crate::name::{StateName, TaskName, unprintable};
 
 /// Maximum number of tasks of a map.
@@ -105,7 +105,7 @@ impl KeptPlan {
 #[derive(Clone, Debug, PartialEq)]
 pub enum TaskEdit {
     /// A task is added, or replaces the one of its name.
-    Set(Task),
+    Set(RobotTask),
     /// A task is removed. What was learned of it stays.
     Remove(TaskName),
     /// A plan is kept; it replaces that of its day.
@@ -115,14 +115,14 @@ pub enum TaskEdit {
 /// The tasks of a site.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TaskBook {
-    tasks: BTreeMap<TaskName, Task>,
+    tasks: BTreeMap<TaskName, RobotTask>,
     plans: BTreeMap<LocalDay, Arc<KeptPlan>>,
     runs: TaskRuns,
 }
 
 impl TaskBook {
     /// The tasks, by kind and then by node.
-    pub fn tasks(&self) -> impl ExactSizeIterator<Item = &Task> {
+    pub fn tasks(&self) -> impl ExactSizeIterator<Item = &RobotTask> {
         self.tasks.values()
     }
 
@@ -196,7 +196,7 @@ impl TaskBook {
         let moved: Vec<TaskName> = self.tasks.keys().filter(|name| name.node == *from).cloned().collect();
         for name in moved {
             if let Some(task) = self.tasks.remove(&name) {
-                self.tasks.insert(renamed(&name), Task { name: renamed(&name), ..task });
+                self.tasks.insert(renamed(&name), RobotTask { name: renamed(&name), ..task });
             }
         }
         for task in self.tasks.values_mut() {

@@ -5,8 +5,8 @@
 //! failure that it did not recover from by itself, and help that it did not ask for, begin it anew. It counts from the
 //! first report after that to the end of the last report before the next.
 //!
-//! Invariant: the figures follow from the reports alone. Time that two reports cover counts once. The first and the last
-//! week count from the day of the first report to that of the last.
+//! Invariant: the figures follow from the reports alone. Time that two reports cover counts once. The first and the
+//! last week count from the day of the first report to that of the last.
 
 use tidemap_model::{LocalDay, Zone};
 
@@ -32,7 +32,7 @@ impl Default for AllowedHours {
 /// The figures of a week.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TaskWeek {
-    /// Its Monday.
+    /// The Monday with which the week begins.
     pub monday: LocalDay,
     /// Number of reported tasks that began in it.
     pub runs: u64,

@@ -12,8 +12,8 @@ fn name(kind: &str, node: &str) -> TaskName {
     TaskName::new(kind, node).unwrap()
 }
 
-fn task() -> Task {
-    Task {
+fn task() -> RobotTask {
+    RobotTask {
         name: name("clean", "hall"),
         from_secs: 8 * HOUR,
         until_secs: 13 * HOUR,
@@ -33,13 +33,13 @@ fn windows_follow_days_and_repetitions() {
     assert_eq!(MONDAY.to_string(), "2016-03-21");
     assert_eq!(task().windows(MONDAY), [(8 * HOUR, 13 * HOUR)]);
     assert_eq!(task().windows(LocalDay(MONDAY.0 + 5)), []);
-    let once = Task { days: TaskDays::On(LocalDay(MONDAY.0 + 5)), ..task() };
+    let once = RobotTask { days: TaskDays::On(LocalDay(MONDAY.0 + 5)), ..task() };
     assert_eq!((once.windows(MONDAY).len(), once.windows(LocalDay(MONDAY.0 + 5)).len()), (0, 1));
-    let often = Task { every_secs: Some(2 * HOUR), ..task() };
+    let often = RobotTask { every_secs: Some(2 * HOUR), ..task() };
     let parts = [(8 * HOUR, 10 * HOUR), (10 * HOUR, 12 * HOUR), (12 * HOUR, 13 * HOUR)];
     assert_eq!(often.windows(MONDAY), parts);
     // What is left of the window is too short for the task.
-    let long = Task { duration_secs: HOUR + 1, ..often };
+    let long = RobotTask { duration_secs: HOUR + 1, ..often };
     assert_eq!(long.windows(MONDAY), parts[..2]);
 }
 
@@ -47,15 +47,15 @@ fn windows_follow_days_and_repetitions() {
 fn invalid_tasks_are_refused_by_name() {
     assert_eq!(task().check(), Ok(()));
     for (wrong, words) in [
-        (Task { from_secs: 13 * HOUR, ..task() }, "the window"),
-        (Task { until_secs: 25 * HOUR, ..task() }, "the window"),
-        (Task { duration_secs: 0, ..task() }, "takes 0 s"),
-        (Task { duration_secs: 6 * HOUR, ..task() }, "takes 21600 s"),
-        (Task { every_secs: Some(60), ..task() }, "every 60 s"),
-        (Task { duration_secs: 1, every_secs: Some(2), ..task() }, "every 2 s"),
-        (Task { days: TaskDays::Weekly(0), ..task() }, "no day"),
-        (Task { value: -1.0, ..task() }, "value"),
-        (Task { value: f64::NAN, ..task() }, "value"),
+        (RobotTask { from_secs: 13 * HOUR, ..task() }, "the window"),
+        (RobotTask { until_secs: 25 * HOUR, ..task() }, "the window"),
+        (RobotTask { duration_secs: 0, ..task() }, "takes 0 s"),
+        (RobotTask { duration_secs: 6 * HOUR, ..task() }, "takes 21600 s"),
+        (RobotTask { every_secs: Some(60), ..task() }, "every 60 s"),
+        (RobotTask { duration_secs: 1, every_secs: Some(2), ..task() }, "every 2 s"),
+        (RobotTask { days: TaskDays::Weekly(0), ..task() }, "no day"),
+        (RobotTask { value: -1.0, ..task() }, "value"),
+        (RobotTask { value: f64::NAN, ..task() }, "value"),
     ] {
         let text = wrong.check().unwrap_err().to_string();
         assert!(text.contains(words), "{text}");
@@ -143,7 +143,7 @@ fn plan(day: LocalDay) -> KeptPlan {
 fn a_book_keeps_tasks_and_the_plans_of_days() {
     let mut book = TaskBook::default();
     book.apply(&TaskEdit::Set(task())).unwrap();
-    book.apply(&TaskEdit::Set(Task { value: 3.0, ..task() })).unwrap();
+    book.apply(&TaskEdit::Set(RobotTask { value: 3.0, ..task() })).unwrap();
     assert_eq!(book.tasks().map(|task| task.value).collect::<Vec<_>>(), [3.0]);
     for day in 0..KEPT_PLANS_MAX as i32 + 1 {
         book.apply(&TaskEdit::KeepPlan(plan(LocalDay(MONDAY.0 + day)))).unwrap();
@@ -179,7 +179,7 @@ fn a_plan_that_contradicts_itself_is_not_kept() {
 #[test]
 fn a_renamed_node_keeps_its_tasks_plans_and_reports() {
     let mut book = TaskBook::default();
-    let valued = Task { value_state: Some(name("clean", "hall").state()), ..task() };
+    let valued = RobotTask { value_state: Some(name("clean", "hall").state()), ..task() };
     book.apply(&TaskEdit::Set(valued)).unwrap();
     book.apply(&TaskEdit::KeepPlan(plan(MONDAY))).unwrap();
     book.add_runs(&[run("clean", (1, 2), true)]);

@@ -5,7 +5,7 @@
 
 use tidemap_map::{
     name::{StateName, TaskName},
-    task::{CHARGE_KIND, KeptStep, KeptWork, Task, local_nanos},
+    task::{CHARGE_KIND, KeptStep, KeptWork, RobotTask, local_nanos},
     topology::{NodeId, Topology},
 };
 use tidemap_model::{LocalDay, StopSignal, Zone};
@@ -19,7 +19,7 @@ use crate::{day::DaySlots, route::Forecasts};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Occurrence<'a> {
     /// The task.
-    pub task: &'a Task,
+    pub task: &'a RobotTask,
     /// The earliest start, nanoseconds UTC.
     pub from_nanos: i64,
     /// The latest end, nanoseconds UTC.
@@ -27,8 +27,8 @@ pub struct Occurrence<'a> {
 }
 
 /// The occurrences of tasks on a day, in the order of the tasks and then of time.
-pub fn occurrences<'a>(tasks: impl Iterator<Item = &'a Task>, zone: &Zone, day: LocalDay) -> Vec<Occurrence<'a>> {
-    let of_task = |task: &'a Task| {
+pub fn occurrences<'a>(tasks: impl Iterator<Item = &'a RobotTask>, zone: &Zone, day: LocalDay) -> Vec<Occurrence<'a>> {
+    let of_task = |task: &'a RobotTask| {
         let windows = task.windows(day).into_iter();
         windows.map(move |(from, until)| Occurrence {
             task,
@@ -61,7 +61,7 @@ pub struct MapDay<'a> {
 /// A task that is not planned.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnservedTask {
-    /// Its name.
+    /// Name of the task.
     pub name: TaskName,
     /// The earliest start, nanoseconds UTC.
     pub from_nanos: i64,
@@ -187,7 +187,7 @@ mod tests {
         let (zone, day) = (Zone::named("Europe/London").unwrap(), LocalDay(16_881));
         let slots = DaySlots::of(&zone, day, SLOT_NANOS).unwrap();
         let topology = street(4);
-        let task = |kind: &str, node: &str| Task {
+        let task = |kind: &str, node: &str| RobotTask {
             name: TaskName::new(kind, node).unwrap(),
             from_secs: 9 * 3_600,
             until_secs: 11 * 3_600,
@@ -197,10 +197,10 @@ mod tests {
             value: 2.0,
             value_state: None,
         };
-        let people = Task { value_state: Some(StateName::new("people").unwrap()), ..task("greet", "n2") };
-        let nobody = Task { value_state: Some(StateName::new("nobody").unwrap()), ..task("wait", "n2") };
-        let twice = Task { every_secs: Some(3_600), ..task("clean", "n3") };
-        let sunday = Task { days: TaskDays::Weekly(64), ..task("rest", "n1") };
+        let people = RobotTask { value_state: Some(StateName::new("people").unwrap()), ..task("greet", "n2") };
+        let nobody = RobotTask { value_state: Some(StateName::new("nobody").unwrap()), ..task("wait", "n2") };
+        let twice = RobotTask { every_secs: Some(3_600), ..task("clean", "n3") };
+        let sunday = RobotTask { days: TaskDays::Weekly(64), ..task("rest", "n1") };
         let tasks = [people, nobody, twice, task("lost", "n9"), sunday];
         let occurrences = occurrences(tasks.iter(), &zone, day);
         assert_eq!(occurrences.len(), 5);

@@ -1,8 +1,8 @@
 //! The best plan of few tasks, over all sets of tasks and last tasks.
 //!
 //! A label is a partial plan: the set of tasks done, the last of them, when it ended and what all were worth. One that
-//! ends no earlier and is worth no more than another of the same set and last task is dropped: the other may wait. So is
-//! one that cannot reach the value of a known plan with all tasks that are left.
+//! ends no earlier and is worth no more than another of the same set and last task is dropped: the other may wait. So
+//! is one that cannot reach the value of a known plan with all tasks that are left.
 //!
 //! Invariant: no plan is worth more than the result, up to rounding.
 

@@ -61,7 +61,7 @@ fn latest_departure(legs: &LegTable, (from, to): (usize, usize), choice: &Choice
 
 /// An arrival at a task.
 #[derive(Clone, Copy, Debug)]
-struct Arrival {
+struct TaskArrival {
     /// When the task can begin.
     start_secs: f64,
     slot: usize,
@@ -74,7 +74,7 @@ pub(super) struct Timing<'a> {
     pub day: &'a TaskDay<'a>,
     /// For each task: the greatest value, and the greatest success of a leg to it.
     pub greatest: Vec<(f64, f64)>,
-    arrivals: Vec<Arrival>,
+    arrivals: Vec<TaskArrival>,
 }
 
 impl<'a> Timing<'a> {
@@ -102,7 +102,7 @@ impl<'a> Timing<'a> {
         let Some(first) = self.arrivals.first() else { return choices };
         let varies = matches!(value, TaskValue::BySlot(_));
         let (mut next_slot, mut arrived) = (first.slot + 1, 0);
-        let mut best: Option<Arrival> = None;
+        let mut best: Option<TaskArrival> = None;
         loop {
             let boundary_secs = next_slot as f64 * day.legs.slot_secs();
             let is_boundary = varies && next_slot < day.legs.slots() && boundary_secs <= latest_secs;
@@ -152,7 +152,7 @@ impl<'a> Timing<'a> {
                 continue;
             }
             let slot = legs.slot_of(start_secs);
-            self.arrivals.push(Arrival { start_secs, slot, departure_secs, success: leg.success });
+            self.arrivals.push(TaskArrival { start_secs, slot, departure_secs, success: leg.success });
             if from == to {
                 break;
             }

@@ -42,7 +42,7 @@ pub(super) async fn plan_day(
 ) -> Result<v1::PlanDayResponse, RpcError> {
     let handle = find_map(&explorations.catalog, &request.map).await?;
     let question = day_from_wire(request)?;
-    Ok(explorations.planned_day(&handle, question).await?.to_wire())
+    Ok(explorations.planned_day(&handle, question).await?.reply())
 }
 
 /// The plan of a day.
@@ -56,7 +56,7 @@ pub(in crate::rpc) struct PlannedDay {
 }
 
 impl PlannedDay {
-    pub(in crate::rpc) fn to_wire(&self) -> v1::PlanDayResponse {
+    pub(in crate::rpc) fn reply(&self) -> v1::PlanDayResponse {
         let mut reply = day_to_wire(&self.rows, &self.names);
         if let Some(tasks) = &self.tasks {
             planned_to_wire(tasks, &mut reply);

@@ -4,7 +4,7 @@
 
 use tidemap_map::{
     name::{StateName, TaskName},
-    task::{KeptPlan, KeptStep, KeptWork, Task, TaskBook, TaskDays, TaskEdit, TaskRun, TaskRuns},
+    task::{KeptPlan, KeptStep, KeptWork, RobotTask, TaskBook, TaskDays, TaskEdit, TaskRun, TaskRuns},
     traversal::kept_reason,
 };
 use tidemap_migrations::v1::task as v1;
@@ -16,8 +16,8 @@ fn decode_name(kind: &str, node: &str) -> Result<TaskName, Invalid> {
     TaskName::new(kind, node).map_err(|_| "the name of a task is not valid")
 }
 
-fn encode_task(task: &Task) -> v1::Task {
-    let Task { name, from_secs, until_secs, duration_secs, days, every_secs, value, value_state } = task;
+fn encode_task(task: &RobotTask) -> v1::Task {
+    let RobotTask { name, from_secs, until_secs, duration_secs, days, every_secs, value, value_state } = task;
     let (weekdays, day) = match *days {
         TaskDays::Weekly(days) => (u32::from(days), None),
         TaskDays::On(day) => (0, Some(day.0)),
@@ -36,7 +36,7 @@ fn encode_task(task: &Task) -> v1::Task {
     }
 }
 
-fn decode_task(message: &v1::Task) -> Result<Task, Invalid> {
+fn decode_task(message: &v1::Task) -> Result<RobotTask, Invalid> {
     let v1::Task { kind, node, from_secs, until_secs, duration_secs, weekdays, day, every_secs, .. } = message;
     let days = match (day, u8::try_from(*weekdays)) {
         (Some(day), _) => TaskDays::On(LocalDay(*day)),
@@ -48,7 +48,7 @@ fn decode_task(message: &v1::Task) -> Result<Task, Invalid> {
         true => None,
         false => Some(state.map_err(|_| "the state of a task's value has an invalid name")?),
     };
-    Ok(Task {
+    Ok(RobotTask {
         name: decode_name(kind, node)?,
         from_secs: *from_secs,
         until_secs: *until_secs,

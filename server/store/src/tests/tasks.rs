@@ -6,7 +6,7 @@ use tidemap_map::{
     name::TaskName,
     no_go::NoGoEdit,
     site::{Site, SiteEdit},
-    task::{KeptPlan, KeptStep, KeptWork, Task, TaskBook, TaskDays, TaskEdit, TaskRun, TaskRuns},
+    task::{KeptPlan, KeptStep, KeptWork, RobotTask, TaskBook, TaskDays, TaskEdit, TaskRun, TaskRuns},
 };
 use tidemap_model::LocalDay;
 
@@ -28,7 +28,7 @@ fn run() -> TaskRun {
 }
 
 fn edits() -> Vec<TaskEdit> {
-    let daily = Task {
+    let daily = RobotTask {
         name: name(),
         from_secs: 28_800,
         until_secs: 64_800,
@@ -38,7 +38,7 @@ fn edits() -> Vec<TaskEdit> {
         value: 0.1 + 0.2,
         value_state: Some(name().state()),
     };
-    let once = Task {
+    let once = RobotTask {
         name: TaskName::new("guide", "lab").expect("valid"),
         days: TaskDays::On(LocalDay(-3)),
         every_secs: None,
