@@ -181,15 +181,15 @@ async fn look_back(
         next = anomalies.next_labelled().await?;
     }
     let has_labels = next.as_ref().is_some_and(|(_, labels)| !labels.is_empty());
-    let mut table = session.table(&["time", "value", "probability", "label"]);
-    if !has_labels {
-        table = table.hiding(&["label"]);
-    }
+    // Scripts rely on the three columns of other states.
+    let columns = ["time", "value", "probability", "label"];
+    let mut table = session.table(if has_labels { &columns } else { &columns[..3] });
     while let Some((batch, labels)) = next {
         let mut labels = labels.into_iter();
         for Anomaly { utc_nanos: time_nanos, value, probability } in batch {
-            let label = labels.next().map_or(Cell::Empty, Cell::Text);
-            table.row(vec![Cell::Time(time_nanos), value.into(), probability.into(), label])?;
+            let label = has_labels.then(|| labels.next().map_or(Cell::Empty, Cell::Text));
+            let cells = [Cell::Time(time_nanos), value.into(), probability.into()];
+            table.row(cells.into_iter().chain(label).collect())?;
         }
         next = anomalies.next_labelled().await?;
     }

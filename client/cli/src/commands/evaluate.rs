@@ -142,21 +142,23 @@ pub(crate) async fn run(session: &Session, args: EvaluateArgs) -> anyhow::Result
     }
     let Comparison { evaluations, unavailable } = evaluator.finish().await?;
     bar.clear();
+    // Scripts rely on the columns of other states.
+    let has_labels = evaluations.iter().any(|evaluation| evaluation.log_loss_bits.is_some());
     let row = |evaluation: StateEvaluation| {
-        vec![
+        let log_loss = has_labels.then(|| Cell::maybe(evaluation.log_loss_bits));
+        let cells = [
             Cell::Text(evaluation.state),
             Cell::Text(evaluation.model.to_string()),
             Cell::maybe(evaluation.model.order.map(|order| order as u64)),
             evaluation.observations.into(),
             evaluation.mean_squared_error.into(),
             Cell::maybe(evaluation.error_rate),
-            Cell::maybe(evaluation.log_loss_bits),
-        ]
+        ];
+        cells.into_iter().chain(log_loss).collect::<Vec<Cell>>()
     };
-    session.print(
-        &["state", "model", "order", "n", "mse", "error_rate", "log_loss_bits"],
-        evaluations.into_iter().map(row),
-    )?;
+    let columns = ["state", "model", "order", "n", "mse", "error_rate", "log_loss_bits"];
+    let shown = if has_labels { &columns[..] } else { &columns[..6] };
+    session.print(shown, evaluations.into_iter().map(row))?;
     unavailable.iter().for_each(|unavailable| status_line(&missing(unavailable)));
     let all_there = !unavailable.iter().any(|unavailable| is_named(&args.models, unavailable.model));
     Ok(if report.is_clean() && all_there { ExitCode::SUCCESS } else { ExitCode::FAILURE })
