@@ -237,8 +237,7 @@ try {
         assert.equal(rows[0].landmark, 'window');
         assert.equal(await first.getByRole('cell').nth(1).getAttribute('data-value'), String(rows[0].probability));
         await first.getByRole('button').click();
-        await page.getByTestId('state-week').waitFor();
-        assert.match(page.url(), /select=landmark%2Fkitchen%2Fwindow/);
+        await page.waitForURL((url) => url.searchParams.get('select') === 'landmark/kitchen/window');
     });
 
     await check('a tour is planned where looking pays', async () => {

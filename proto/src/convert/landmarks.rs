@@ -216,6 +216,11 @@ pub fn localise_from_wire(request: &v1::LocaliseRequest) -> Result<LocaliseQuest
     };
     let features = features.iter().enumerate().map(feature).collect::<Result<Vec<_>, InvalidField>>()?;
     let node = |node: &String| StateName::new(node).map_err(|error| InvalidField::new("nodes", error));
+    let mut named: Vec<&String> = nodes.iter().collect();
+    named.sort_unstable();
+    if let Some(twice) = named.windows(2).find(|pair| pair[0] == pair[1]) {
+        return Err(InvalidField::new("nodes", format!("{:?} is named twice", twice[0])));
+    }
     Ok(LocaliseQuestion {
         time_nanos: instant_from_wire("time", *time)?,
         seen: SeenFeatures::new(features).map_err(|error| InvalidField::new("features", error))?,

@@ -65,6 +65,31 @@ impl ReportMessage {
     }
 }
 
+impl ReportMessage {
+    /// The message in parts of at most `bytes_max`, as `bytes_of` counts them; a part has at least one report.
+    #[must_use]
+    pub fn parts(self, bytes_max: usize, bytes_of: impl Fn(&SentReport) -> usize) -> Vec<ReportMessage> {
+        let mut parts: Vec<ReportMessage> = Vec::new();
+        let (mut bytes, mut sequence) = (0_usize, *self.sequences.start());
+        for report in self.reports {
+            let more = bytes_of(&report);
+            match parts.last_mut() {
+                Some(part) if bytes.saturating_add(more) <= bytes_max => {
+                    bytes += more;
+                    part.sequences = *part.sequences.start()..=sequence;
+                    part.reports.push(report);
+                }
+                _ => {
+                    bytes = more;
+                    parts.push(ReportMessage { sequences: sequence..=sequence, reports: vec![report] });
+                }
+            }
+            sequence = sequence.saturating_add(1);
+        }
+        parts
+    }
+}
+
 /// A report as sent, not checked.
 #[derive(Clone, Debug)]
 pub enum SentReport {

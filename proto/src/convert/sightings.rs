@@ -38,6 +38,9 @@ pub fn sighting_from_wire(wire: &v1::Sighting) -> Result<Sighting, (RefusalReaso
     if *time_nanos < 0 {
         return Err(sighting_refusal(&SightingError::Before1970(*time_nanos)));
     }
+    if traversal.as_ref().is_some_and(|traversal| !traversal.task.is_empty() || traversal.intervention) {
+        return Err((RefusalReason::Edge, "the traversal of a sighting is of an edge, not of a task".to_owned()));
+    }
     let traversal = traversal.as_ref().map(traversal_from_wire).transpose()?;
     Ok(Sighting {
         place,

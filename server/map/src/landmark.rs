@@ -18,6 +18,8 @@ pub const LANDMARKS_AT_PLACE_MAX: usize = 4_096;
 pub const LANDMARKS_MAX: usize = 4_000_000;
 /// Maximum number of bytes of the velocity profile of an edge.
 pub const PROFILE_BYTES_MAX: usize = 64 << 10;
+/// Maximum number of bytes of all velocity profiles of a map.
+pub const PROFILES_BYTES_MAX: usize = 256 << 20;
 /// Maximum number of characters of the name of a kind of descriptors.
 pub const DESCRIPTOR_KIND_CHARS_MAX: usize = 128;
 /// Farthest that an image position may be from the corner of the image, pixels.

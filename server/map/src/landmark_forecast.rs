@@ -24,6 +24,8 @@ pub struct PredictedLandmark<'a> {
     pub mean: f64,
     /// Number of sightings of its place in which it was in view.
     pub sightings: u64,
+    /// Those of them that the last update has learned, of which `mean` is.
+    pub learned: u64,
 }
 
 impl MapView {
@@ -70,12 +72,12 @@ impl MapView {
     ) -> PredictedLandmark<'a> {
         let Some(id) = self.find(state) else {
             let prior = StateKind::Probability.untrained();
-            return PredictedLandmark { landmark, probability: prior, mean: prior, sightings: 0 };
+            return PredictedLandmark { landmark, probability: prior, mean: prior, sightings: 0, learned: 0 };
         };
         let mut probability = vec![f64::NAN; times.len()];
         self.predict_into(id, times, selector, &mut probability);
         let probability = probability.first().copied().unwrap_or(f64::NAN);
-        let mean = self.model(id).spectral().mean();
-        PredictedLandmark { landmark, probability, mean, sightings: self.live(id).observations }
+        let (mean, learned) = (self.model(id).spectral().mean(), self.model(id).learned_observations());
+        PredictedLandmark { landmark, probability, mean, sightings: self.live(id).observations, learned }
     }
 }

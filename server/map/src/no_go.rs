@@ -19,6 +19,9 @@ pub const NO_GO_MAX: usize = 1_000;
 /// Maximum number of corners of an area.
 pub const CORNERS_MAX: usize = 1_000;
 
+/// Maximum number of corners of all areas of a map: each is compared with every edge.
+pub(crate) const CORNERS_OF_MAP_MAX: usize = 10_000;
+
 /// Why an area is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages name the fields")]
@@ -32,6 +35,9 @@ pub enum NoGoError {
     /// The map has too many.
     #[error("the map has the maximum of {NO_GO_MAX} areas")]
     TooMany,
+    /// The areas together have too many corners.
+    #[error("the areas of the map would have {0} corners: at most {CORNERS_OF_MAP_MAX}")]
+    TooManyCorners(usize),
     /// There is no such area.
     #[error("area {0:?} does not exist")]
     Unknown(String),
@@ -77,7 +83,13 @@ impl NoGoAreas {
                     return Err(NoGoError::Coordinate { name: text() });
                 }
                 let is_room = self.0.len() < NO_GO_MAX || self.0.contains_key(name);
-                if is_room { Ok(()) } else { Err(NoGoError::TooMany) }
+                let others = self.0.iter().filter(|(other, _)| *other != name).map(|(_, corners)| corners.len());
+                let all = others.sum::<usize>() + corners.len();
+                match is_room {
+                    false => Err(NoGoError::TooMany),
+                    true if all > CORNERS_OF_MAP_MAX => Err(NoGoError::TooManyCorners(all)),
+                    true => Ok(()),
+                }
             }
             NoGoEdit::Remove(name) if self.0.contains_key(name) => Ok(()),
             NoGoEdit::Remove(name) => Err(NoGoError::Unknown(name.as_str().to_owned())),
@@ -107,7 +119,7 @@ impl NoGoAreas {
     /// Whether the straight line between two places touches an area.
     #[must_use]
     pub fn touches(&self, from_m: [f64; 2], to_m: [f64; 2]) -> bool {
-        self.0.values().any(|corners| {
+        self.0.values().filter(|corners| is_near(corners, from_m, to_m)).any(|corners| {
             let mut sides = corners.iter().zip(corners.iter().cycle().skip(1));
             is_inside(corners, from_m) || sides.any(|(one, other)| meet(from_m, to_m, *one, *other))
         })
@@ -129,6 +141,14 @@ impl NoGoAreas {
         // A map without some of its edges is valid.
         Topology::from_parts(TopologyParts { edges, ..parts }).map_or_else(|_| Arc::clone(topology), Arc::new)
     }
+}
+
+/// Whether the boxes around an area and around a line overlap.
+fn is_near(corners: &[[f64; 2]], from_m: [f64; 2], to_m: [f64; 2]) -> bool {
+    (0..2).all(|axis| {
+        let (low, high) = (from_m[axis].min(to_m[axis]), from_m[axis].max(to_m[axis]));
+        corners.iter().any(|corner| corner[axis] >= low) && corners.iter().any(|corner| corner[axis] <= high)
+    })
 }
 
 /// Whether a place is inside, by the number of sides that a ray to the right crosses.

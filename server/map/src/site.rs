@@ -260,7 +260,13 @@ impl Site {
             }
             SiteEdit::RemoveLocation(name) if self.locations.contains_key(name) => Ok(()),
             SiteEdit::Visit { at_m, .. } => Ok(self.reachability.check(at_m[0], at_m[1])?),
-            SiteEdit::Topology(edit) => Ok(self.topology.edited(edit).map(drop)?),
+            SiteEdit::Topology(edit) => {
+                self.topology.edited(edit)?;
+                if let TopologyEdit::RenameNode { from, to } = edit {
+                    self.tasks.check_rename(from, to)?;
+                }
+                Ok(())
+            }
             SiteEdit::Landmarks(edit) => Ok(self.landmarks.edited(&self.topology, edit).map(drop)?),
             SiteEdit::Task(edit) => Ok(self.tasks.check(edit)?),
             SiteEdit::NoGo(edit) => Ok(self.no_go.check(edit)?),
@@ -274,6 +280,9 @@ impl Site {
     /// As [`Site::check`]; nothing is changed then.
     pub fn apply(&mut self, edit: &SiteEdit, states: usize) -> Result<(), InvalidEdit> {
         if let SiteEdit::Topology(edit) = edit {
+            if let TopologyEdit::RenameNode { from, to } = edit {
+                self.tasks.check_rename(from, to)?;
+            }
             self.topology = Arc::new(self.topology.edited(edit)?);
             if let TopologyEdit::RenameNode { from, to } = edit {
                 self.failures.rename_node(from, to);

@@ -100,6 +100,9 @@ pub enum TaskError {
     /// The map has no such task.
     #[error("task {0:?} does not exist")]
     Unknown(String),
+    /// A task of a renamed node would have the name of another.
+    #[error("a task of the node would be renamed to {0:?}, but a task of that name exists: remove one of them first")]
+    Renamed(String),
     /// The map has too many.
     #[error("the map has the maximum of {0} tasks")]
     TooMany(usize),

@@ -108,6 +108,18 @@ impl SeenFeatures {
         Ok(SeenFeatures { features, words })
     }
 
+    /// Number of features.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.features.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.features.is_empty()
+    }
+
     /// The feature that passes the ratio test against a descriptor.
     #[must_use]
     pub fn clearly_nearest(&self, descriptor: &Descriptor) -> Option<&ImageFeature> {

@@ -170,7 +170,7 @@ fn find_tour(
     }
     let mut travel = TravelGrid::until(grid, &question.travel, stop)?;
     if !no_go.is_empty() {
-        travel.close(|at_m| no_go.has(at_m));
+        travel.close(no_go, question.travel.radius_m, stop);
     }
     let scene = Scene::until(grid, &question.scene, stop)?;
     stop.check()?;

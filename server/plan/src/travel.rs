@@ -149,14 +149,21 @@ impl TravelGrid {
         Ok(travel)
     }
 
-    /// Closes the columns whose centres are such places.
-    pub(crate) fn close(&mut self, is_closed: impl Fn([f64; 2]) -> bool) {
+    /// Closes the columns whose squares touch an area, and those nearer to them than the radius of the robot, as it does
+    /// obstacles.
+    pub(crate) fn close(&mut self, no_go: &NoGoAreas, radius_m: f64, stop: StopSignal<'_>) {
         let [width, depth] = self.size;
-        for column in (0..depth).flat_map(|y| (0..width).map(move |x| Column { x, y })) {
-            if is_closed(self.centre_m(column)) {
-                self.passable[column.y * width + column.x] = false;
-            }
+        let half_m = self.lattice.resolution_m() / 2.0;
+        let mut blocked = vec![false; width * depth];
+        for column in (0..depth).take_while(|_| !stop.is_set()).flat_map(|y| (0..width).map(move |x| Column { x, y })) {
+            let [x, y] = self.centre_m(column);
+            let corner = |side_x: f64, side_y: f64| [x + side_x * half_m, y + side_y * half_m];
+            let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
+            let mut sides = corners.iter().zip(corners.iter().cycle().skip(1));
+            let is_closed = no_go.has([x, y]) || sides.any(|(one, other)| no_go.touches(*one, *other));
+            blocked[column.y * width + column.x] = is_closed;
         }
+        self.keep_away(&blocked, radius_m / self.lattice.resolution_m(), stop);
     }
 
     /// Closes the obstacles and the columns whose centre is nearer to an obstacle than the radius in cells.

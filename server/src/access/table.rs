@@ -75,7 +75,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.TopologyService/EditTopology", role(Operator)),
     ("/tidemap.v1.TopologyService/GetTopology", role(Planner)),
     ("/tidemap.v1.TopologyService/ListFailures", role(Planner)),
-    ("/tidemap.v1.LandmarkService/AddLandmarks", role(Observer)),
+    ("/tidemap.v1.LandmarkService/AddLandmarks", role(Operator)),
     ("/tidemap.v1.LandmarkService/ListLandmarks", role(Planner)),
     ("/tidemap.v1.LandmarkService/RemoveLandmarks", role(Operator)),
     ("/tidemap.v1.LandmarkService/PredictLandmarks", role(Planner)),

@@ -224,6 +224,11 @@ impl Intake {
         self
     }
 
+    /// Maximum number of observations of one message.
+    pub(crate) fn batch_max(&self) -> usize {
+        self.limits.batch
+    }
+
     /// Memory of the stream's table of tiles and its unfinished scan, in bytes, about.
     pub(crate) fn held_bytes(&self) -> usize {
         self.scans.held_bytes()

@@ -102,13 +102,15 @@ impl TaskService for Tasks {
         let request = request.into_inner();
         find_map(&self.catalog, &request.map).await?;
         let run = run_from_wire(&request, self.now_nanos()).map_err(RpcError::from)?;
+        // Without an end, it is the time of the request, which differs when the request is sent again.
+        let once = request.end_time.is_none().then_some(1);
         let v1::ReportTaskRequest { map, producer, label, sequence, .. } = request;
         let hello = v1::Hello { producer, label, map, ..v1::Hello::default() };
         let traversals = vec![run_to_traversal(&run)];
         let batch =
             |first_sequence| Up::Traversals(v1::TraversalBatch { first_sequence, traversals: traversals.clone() });
         let v1::ReportResponse { durable_sequence, refused } =
-            self.observations.report_batch(&hello, sequence, batch).await?;
+            self.observations.report_within(&hello, sequence, once, &batch).await?;
         Ok(Response::new(v1::ReportTaskResponse { durable_sequence, refused }))
     }
 

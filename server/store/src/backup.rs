@@ -202,6 +202,11 @@ impl Store {
         // Two at once would write the same files.
         let _alone = inner.backup.lock().unwrap_or_else(PoisonError::into_inner);
         let is_new = prepare(&inner.directory, target, self.store_id())?;
+        let manifest = || Manifest { format: FORMAT, store_id: self.store_id().to_owned() };
+        if !is_new {
+            // First, so that an older program does not open an earlier backup with what it does not understand.
+            manifest::write(target, &manifest())?;
+        }
         let mut copies = Copies { disk: &*inner.disk, goes_on, report: BackupReport::default() };
         for (map, entry) in inner.entries() {
             inner.backup_map(&mut copies, target, map, &entry)?;
@@ -222,8 +227,9 @@ impl Store {
         fs::create_dir_all(&maps).map_err(io_error(&maps))?;
         sync_folder(&maps)?;
         sync_folder(target)?;
+        // Written last into a new folder, so that an unfinished backup is none.
         if is_new {
-            manifest::write(target, &Manifest { format: FORMAT, store_id: self.store_id().to_owned() })?;
+            manifest::write(target, &manifest())?;
         }
         // Maps that were deleted since the earlier backup.
         let kept: Vec<MapId> = inner.known();

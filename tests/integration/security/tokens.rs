@@ -41,9 +41,12 @@ async fn create_map(client: &Client, name: &str) {
 /// The roles that may call a method: what the documentation says, written a second time.
 fn roles_of(method: &str) -> &'static [&'static str] {
     match method {
-        "GetMap" | "ListMaps" | "ListStates" | "ListLocations" | "GetJob" | "ListJobs" | "WatchJob"
+        "GetMap" | "ListMaps" | "ListStates" | "ListLocations" | "ListNoGo" | "GetJob" | "ListJobs" | "WatchJob"
         | "GetUpdateReport" => &["observer", "planner", "operator", "admin"],
-        "Observe" | "Report" | "AddState" | "ReportVisit" => &["observer", "operator", "admin"],
+        "Observe" | "Report" | "AddState" | "ReportVisit" | "ReportTask" => &["observer", "operator", "admin"],
+        "SetNoGo" | "DeleteNoGo" | "SetTask" | "RemoveTask" | "KeepPlan" | "AddLandmarks" | "RemoveLandmarks" => {
+            &["operator", "admin"]
+        }
         "SetCharger" | "SetLocation" | "DeleteLocation" | "LoadTopology" | "EditTopology" | "RunUpdate" => {
             &["operator", "admin"]
         }

@@ -125,7 +125,7 @@ pub(crate) struct ReportArgs {
     #[arg(long, value_name = "LABEL", default_value = LABEL)]
     label: String,
     /// Number of the report in its sequence [default: the next one]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, requires = "end", value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     sequence: Option<u64>,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a message says what is wrong, with its value, and what would be right.
 
-use super::{DESCRIPTOR_KIND_CHARS_MAX, LANDMARKS_AT_PLACE_MAX, LANDMARKS_MAX, PIXEL_MAX, PROFILE_BYTES_MAX};
+use super::{DESCRIPTOR_KIND_CHARS_MAX, LANDMARKS_AT_PLACE_MAX, LANDMARKS_MAX, PIXEL_MAX, PROFILE_BYTES_MAX, PROFILES_BYTES_MAX};
 use crate::{
     name::{PlaceName, StateName},
     topology::TopologyError,
@@ -91,6 +91,9 @@ pub enum LandmarkError {
     /// The velocity profile is too long.
     #[error("a velocity profile of {0} bytes: at most {PROFILE_BYTES_MAX}")]
     LongProfile(usize),
+    /// The velocity profiles of all edges are too long.
+    #[error("the map's velocity profiles would have {0} bytes: at most {PROFILES_BYTES_MAX}")]
+    LongProfiles(usize),
     /// Too many at one place.
     #[error("{0:?} would have more than {LANDMARKS_AT_PLACE_MAX} landmarks")]
     TooManyAt(String),

@@ -13,7 +13,7 @@ use nalgebra::Isometry3;
 
 use super::{
     DESCRIPTOR_KIND_CHARS_MAX, IMAGE_COVARIANCE, ImageFeature, LANDMARKS_AT_PLACE_MAX, LANDMARKS_MAX, PIXEL_MAX,
-    POSE_COVARIANCE, PROFILE_BYTES_MAX, error::LandmarkError,
+    POSE_COVARIANCE, PROFILE_BYTES_MAX, PROFILES_BYTES_MAX, error::LandmarkError,
 };
 use crate::{
     name::{PlaceName, StateName},
@@ -188,12 +188,20 @@ impl Landmarks {
                 if let Some(profile) = velocity_profile {
                     check_profile(place, profile)?;
                     known.velocity_profile.clone_from(profile);
+                    let bytes: usize = edited.places.values().map(|known| known.velocity_profile.len()).sum();
+                    if bytes > PROFILES_BYTES_MAX {
+                        return Err(LandmarkError::LongProfiles(bytes));
+                    }
                 }
+                let known = Arc::make_mut(edited.places.entry(at).or_default());
                 edited.count += add(known, landmarks, place)?;
                 if edited.count > LANDMARKS_MAX {
                     return Err(LandmarkError::TooMany);
                 }
                 edited.places.retain(|_, known| !known.is_empty());
+                if edited.is_empty() {
+                    edited.descriptor_kind = None;
+                }
             }
             LandmarkEdit::Remove { place, names } => {
                 let at = topology.place(place)?;
@@ -206,7 +214,7 @@ impl Landmarks {
                 let mut left = LandmarksAtPlace::clone(known);
                 left.landmarks.retain(|landmark| !gone.contains(landmark.name.as_str()));
                 edited.count -= known.landmarks.len() - left.landmarks.len();
-                if left.landmarks.is_empty() {
+                if left.is_empty() {
                     edited.places.remove(&at);
                 } else {
                     edited.places.insert(at, Arc::new(left));

@@ -29,6 +29,11 @@ impl LiveMap {
         (0..).map(StateId).zip(self.directory.iter().map(|info| &info.name))
     }
 
+    /// The name of a state.
+    pub fn name(&self, id: StateId) -> Option<&StateName> {
+        self.directory.info(id).map(|info| &info.name)
+    }
+
     pub(super) fn rename_states(&mut self, edit: &SiteEdit) {
         for (id, name) in renamed_states(edit, self.names()) {
             if let Ok(name) = name {

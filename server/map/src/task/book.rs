@@ -190,7 +190,18 @@ impl TaskBook {
         Ok(())
     }
 
-    /// A node has another name. A task of the new name is replaced.
+    /// Checks that no task of a renamed node would have the name of another.
+    ///
+    /// # Errors
+    /// [`TaskError::Renamed`].
+    pub(crate) fn check_rename(&self, from: &StateName, to: &StateName) -> Result<(), TaskError> {
+        let renamed = |name: &TaskName| TaskName { node: to.clone(), ..name.clone() };
+        let mut moved = self.tasks.keys().filter(|name| name.node == *from && from != to).map(renamed);
+        let taken = moved.find(|name| self.tasks.contains_key(name));
+        taken.map_or(Ok(()), |name| Err(TaskError::Renamed(name.to_string())))
+    }
+
+    /// A node has another name.
     pub(crate) fn rename_node(&mut self, from: &StateName, to: &StateName) {
         let renamed = |name: &TaskName| TaskName { node: to.clone(), ..name.clone() };
         let moved: Vec<TaskName> = self.tasks.keys().filter(|name| name.node == *from).cloned().collect();

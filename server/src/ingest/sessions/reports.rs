@@ -29,6 +29,11 @@ use super::{
     states::{Refusal, StateAllocator},
 };
 
+/// Bytes of the observations of one event, with the names of their states: a record of the log has at most 16 MiB.
+const EVENT_BYTES_MAX: usize = 12 << 20;
+/// Bytes of an observation in the log besides its state's name, at most.
+const SAMPLE_BYTES: usize = 48;
+
 impl Sessions {
     /// Converts traversals or sightings to an event; adds refusals if an edge or landmark does not exist or the map has
     /// no room for more states.
@@ -45,6 +50,7 @@ impl Sessions {
         let plausible = now.saturating_add(FUTURE_MAX_NANOS);
         let may_wait = map.future() < self.limits.ahead;
         let mut observations = Observations::default();
+        let mut room = EVENT_BYTES_MAX;
         for (sequence, report) in reports {
             let time = report.time_nanos();
             let result = if time > plausible && !may_wait {
@@ -58,7 +64,7 @@ impl Sessions {
                     categorical: &self.categorical_in_flight,
                     max: self.limits.states,
                 };
-                take(&mut observations, &report, allocator, &mut self.offsets)
+                take(&mut observations, &report, allocator, (&mut self.offsets, &mut room))
             };
             if let Err((reason, detail)) = result {
                 refused.push(RefusedObservation { sequence, reason, detail });
@@ -74,7 +80,7 @@ fn take(
     observations: &mut Observations,
     report: &PlaceReport,
     mut allocator: StateAllocator<'_>,
-    offsets: &mut OffsetCache,
+    (offsets, room): (&mut OffsetCache, &mut usize),
 ) -> Result<(), Refusal> {
     let site = allocator.map.site();
     let samples = match report {
@@ -88,6 +94,13 @@ fn take(
             vec![PlaceSample { state, kind, time_nanos: run.start_nanos, value: run.observed() }]
         }
     };
+    let bytes = samples.iter().map(|sample| sample.state.as_str().len() + SAMPLE_BYTES).sum::<usize>();
+    if *room < bytes {
+        // Landmarks were added since the message was divided.
+        let text = "the message stands for too many observations: send the report again, in a message of its own";
+        return Err((RefusalReason::StateLimit, text.to_owned()));
+    }
+    *room -= bytes;
     let wanted: Vec<_> = samples.iter().map(|sample| (sample.state.clone(), sample.kind)).collect();
     let states = allocator.states_for(&wanted, &mut observations.new_states)?;
     for (state, PlaceSample { time_nanos, value, .. }) in states.into_iter().zip(samples) {

@@ -214,9 +214,10 @@ impl StateAllocator<'_> {
     /// The labels of a categorical state.
     fn labels(&self, first: StateId, labels: u8) -> Vec<String> {
         let ids = first.0..first.0.saturating_add(u32::from(labels));
+        let of_map = ids.clone().filter_map(|id| Some((StateId(id), self.map.name(StateId(id))?)));
         let in_flight = self.in_flight.iter().map(|(name, (id, _))| (*id, name));
-        let mut named: Vec<(StateId, &StateName)> = self.map.names().chain(in_flight).collect();
-        named.retain(|(id, _)| ids.contains(&id.0));
+        let in_flight = in_flight.filter(|(id, _)| ids.contains(&id.0));
+        let mut named: Vec<(StateId, &StateName)> = of_map.chain(in_flight).collect();
         named.sort_by_key(|(id, _)| *id);
         named.into_iter().filter_map(|(_, name)| Some(name.as_label()?.1.to_owned())).collect()
     }

@@ -8,6 +8,8 @@ use tidemap_map::{
     traversal::{EdgeFailure, Traversal},
 };
 
+use tidemap_proto::convert::{landmarks::place_from_wire, reports::SentReport};
+
 use crate::ingest::protocol::{ObservationBatch, ReportBatch};
 
 /// Memory of a decoded observation, in bytes.
@@ -53,4 +55,22 @@ pub(super) fn bytes_of_reports(batch: &ReportBatch, site: &Site) -> usize {
         size_of::<PlaceReport>() + more + report.traversal().map_or(0, of_traversal)
     };
     64 + batch.reports.iter().map(each).sum::<usize>() + REFUSED_BYTES * batch.refused.len()
+}
+
+/// Maximum number of bytes of the reports of one record of the log, which has at most 16 MiB.
+pub(super) const REPORT_BYTES_MAX: usize = 4 << 20;
+
+/// Bytes of a report in the log, at most: of a sighting, of an observation of each landmark with its state's name.
+pub(super) fn bytes_of_sent(report: &SentReport, site: &Site) -> usize {
+    let SentReport::Sighting(sighting) = report else { return 4 * report.text_bytes() + 2 * NAME_BYTES };
+    let place = place_from_wire("place", sighting.place.as_ref()).ok();
+    let landmarks = place.as_ref().and_then(|(place, _)| {
+        let at = site.topology().place(place).ok()?;
+        Some((place.landmark_prefix().len(), site.landmarks().at(at)?))
+    });
+    let each = |prefix: usize, name: &str| prefix + name.len() + NAME_BYTES + OBSERVATION_BYTES;
+    let of_landmarks = landmarks.map_or(0, |(prefix, known)| {
+        known.landmarks().iter().map(|landmark| each(prefix, landmark.name.as_str())).sum()
+    });
+    of_landmarks + 4 * report.text_bytes() + 2 * NAME_BYTES
 }

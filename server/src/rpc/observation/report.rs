@@ -58,19 +58,9 @@ impl Observations {
         self.report_within(&hello, request.first_sequence, once, &batch).await
     }
 
-    /// Takes one batch, as a stream of its own. `first_sequence`: 0 for the next number.
-    pub(in crate::rpc) async fn report_batch(
-        &self,
-        hello: &v1::Hello,
-        first_sequence: u64,
-        batch: impl Fn(u64) -> Up + Send + Sync,
-    ) -> Result<v1::ReportResponse, Status> {
-        self.report_within(hello, first_sequence, None, &batch).await
-    }
-
-    /// Tries until no other stream has the key. `once`: the number of items that are not compared if the map has all of
+    /// Takes one batch, as a stream of its own. `first_sequence`: 0 for the next number. Tries until no other stream has the key. `once`: the number of items that are not compared if the map has all of
     /// their numbers.
-    async fn report_within(
+    pub(in crate::rpc) async fn report_within(
         &self,
         hello: &v1::Hello,
         first_sequence: u64,

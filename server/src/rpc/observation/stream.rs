@@ -27,7 +27,7 @@ use tracing::warn;
 use super::{
     Observations,
     channel::{Replies, Requests, reply, unread},
-    memory::{bytes_of, bytes_of_reports},
+    memory::{REPORT_BYTES_MAX, bytes_of, bytes_of_reports, bytes_of_sent},
     open_streams::StreamEntry,
 };
 use crate::{
@@ -188,11 +188,19 @@ impl<'a> Stream<'a> {
     }
 
     async fn take_reports(&mut self, message: ReportMessage) -> Result<(), RpcError> {
-        let Some(batch) = self.intake()?.take_reports(message)? else { return self.say_durable().await };
-        let bytes = bytes_of_reports(&batch, self.handle.view().site());
-        let budget = self.budget(bytes).await?;
-        self.note(batch.span.last);
-        self.hand_over(StreamData::Reports(batch, budget))
+        let max = self.intake()?.batch_max();
+        message.check_count(max)?;
+        let mut is_any_new = false;
+        // A sighting stands for thousands of observations: each part becomes one record of the log.
+        let view = self.handle.view();
+        for part in message.parts(REPORT_BYTES_MAX, |report| bytes_of_sent(report, view.site())) {
+            let Some(batch) = self.intake()?.take_reports(part)? else { continue };
+            is_any_new = true;
+            let budget = self.budget(bytes_of_reports(&batch, view.site())).await?;
+            self.note(batch.span.last);
+            self.hand_over(StreamData::Reports(batch, budget))?;
+        }
+        if is_any_new { Ok(()) } else { self.say_durable().await }
     }
 
     /// Reserves room for the tiles that the stream's scans refer to, for the life of the stream. It does not wait,

@@ -38,6 +38,8 @@ use crate::{
     },
 };
 
+/// Maximum number of comparisons of a feature with a landmark in one request: less than a second of work.
+const COMPARISONS_MAX: usize = 1 << 27;
 /// Maximum number of nodes to compare.
 const NODES_MAX: usize = 1_000;
 
@@ -73,7 +75,7 @@ fn seldom_seen(
     min_sightings: u64,
 ) -> Result<Vec<StateName>, RouteError> {
     let landmarks = predicted(view, place, PartOfEdge::WHOLE, 0)?;
-    let is_seldom = |known: &&PredictedLandmark<'_>| known.sightings >= min_sightings && known.mean < below;
+    let is_seldom = |known: &&PredictedLandmark<'_>| known.learned >= min_sightings.max(1) && known.mean < below;
     Ok(landmarks.iter().filter(is_seldom).map(|known| known.landmark.name.clone()).collect())
 }
 
@@ -136,6 +138,9 @@ fn found(
     let max = usize::try_from(predictions_max).unwrap_or(usize::MAX);
     let what = "landmarks of the nodes of one request";
     OverLimit::check(what, nodes.iter().map(at).sum(), max, "setting max_predictions")?;
+    let compared_at = |node| per_node.min(at(node));
+    let comparisons = nodes.iter().map(compared_at).sum::<usize>().saturating_mul(seen.len());
+    OverLimit::check("comparisons of features with landmarks", comparisons, COMPARISONS_MAX, "the protocol")?;
     let times = view.prepare(&[time_nanos]);
     let mut compared: Vec<Vec<ExpectedLandmark>> = Vec::with_capacity(nodes.len());
     for node in &nodes {
