@@ -237,3 +237,41 @@ async fn a_traversal_is_learned_with_the_sighting_on_its_way_or_both_are_refused
     let expected = ["landmark/hall/lab/sign", "edge/hall/lab", "speed/hall/lab"];
     assert_eq!(counted, expected.map(|state| (state.to_owned(), 1)));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sightings_that_stand_for_more_than_a_record_of_the_log_are_taken_in_parts() {
+    let data = tempfile::tempdir().expect("a folder");
+    let daemon = Launch::on(data.path()).start();
+    let long = |number: u32| format!("{number:0>4}{}", "ä".repeat(124));
+    tidemap(&daemon, ["map", "create", "office"]).table();
+    let nodes: String = (0..3).map(|node| format!("node {}\n", long(node))).collect();
+    cli::tidemap_reading(&daemon, ["topology", "load", "office", "-"], &nodes).table();
+    let mut landmarks = "place,name,u_px,v_px,descriptor\n".to_owned();
+    for node in 0..3 {
+        for landmark in 0..4_096 {
+            writeln!(landmarks, "{},{},1,2,00ff", long(node), long(landmark)).expect("memory");
+        }
+    }
+    add(&daemon, &landmarks).table();
+    let mut producer =
+        Producer::open(&daemon.client(), ProducerOptions::new("robot", "", "office")).await.expect("opens");
+    for node in 0..3 {
+        let sighting =
+            SightingReport { place: long(node), time_nanos: START_SECS * 1_000_000_000, ..SightingReport::default() };
+        producer.send_sighting(&sighting).await.expect("sent");
+    }
+    producer.close().await.expect("closed");
+    assert!(producer.take_refusals().is_empty());
+    let map = daemon.client().map("office").await.expect("the map");
+    assert_eq!(map.observations, 3 * 4_096);
+    // What was never learned is not pruned.
+    tokio::task::block_in_place(|| {
+        assert!(
+            tidemap(&daemon, ["landmark", "prune", "office", "--below", "1", "--min-sightings", "1"])
+                .table()
+                .rows
+                .is_empty()
+        );
+    });
+    daemon.stop_in_order();
+}

@@ -141,3 +141,23 @@ impl SentReport {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_the_message_in_order_and_none_is_too_large_but_for_one_report() {
+        let sighting = |number: i64| v1::Sighting { time_nanos: number, ..v1::Sighting::default() };
+        let batch = v1::SightingBatch { first_sequence: 7, sightings: (1..=5).map(sighting).collect() };
+        let message = sightings_from_wire(batch).expect("valid");
+        // Of 3, 3, 9, 1 and 1 bytes.
+        let bytes = |report: &SentReport| [3, 3, 9, 1, 1][report.time_nanos() as usize - 1];
+        let parts: Vec<_> = message
+            .parts(6, bytes)
+            .into_iter()
+            .map(|part| (part.sequences, part.reports.iter().map(SentReport::time_nanos).collect::<Vec<_>>()))
+            .collect();
+        assert_eq!(parts, [(7..=8, vec![1, 2]), (9..=9, vec![3]), (10..=11, vec![4, 5])]);
+    }
+}

@@ -10,6 +10,7 @@
 use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc};
 
 use tidemap_grid::index::CellIndex;
+use tidemap_map::no_go::NoGoAreas;
 use tidemap_model::StopSignal;
 
 use crate::predicted::{Lattice, PredictedGrid};

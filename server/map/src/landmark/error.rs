@@ -2,7 +2,9 @@
 //!
 //! Invariant: a message says what is wrong, with its value, and what would be right.
 
-use super::{DESCRIPTOR_KIND_CHARS_MAX, LANDMARKS_AT_PLACE_MAX, LANDMARKS_MAX, PIXEL_MAX, PROFILE_BYTES_MAX, PROFILES_BYTES_MAX};
+use super::{
+    DESCRIPTOR_KIND_CHARS_MAX, LANDMARKS_AT_PLACE_MAX, LANDMARKS_MAX, PIXEL_MAX, PROFILE_BYTES_MAX, PROFILES_BYTES_MAX,
+};
 use crate::{
     name::{PlaceName, StateName},
     topology::TopologyError,

@@ -105,7 +105,9 @@ pub(super) fn landmark_refusal(error: &LandmarkError) -> (Code, &'static str) {
         LandmarkError::OtherKind { .. } | LandmarkError::OtherLength { .. } => {
             (Code::FailedPrecondition, "OTHER_DESCRIPTORS")
         }
-        LandmarkError::TooManyAt(_) | LandmarkError::TooMany | LandmarkError::LongProfiles(_) => (Code::ResourceExhausted, "LIMIT"),
+        LandmarkError::TooManyAt(_) | LandmarkError::TooMany | LandmarkError::LongProfiles(_) => {
+            (Code::ResourceExhausted, "LIMIT")
+        }
         _ => (Code::InvalidArgument, "INVALID_FIELD"),
     }
 }

@@ -157,3 +157,22 @@ fn parts_come_back() {
     let twice = [parts.clone(), parts].concat();
     assert!(Landmarks::from_parts(site.topology(), kind, twice).is_err());
 }
+
+#[test]
+fn a_velocity_profile_stays_without_landmarks_until_it_is_cleared() {
+    let mut site = site();
+    let profile = |bytes: &[u8]| LandmarkEdit::Add {
+        place: place("a/b"),
+        descriptor_kind: String::new(),
+        landmarks: Vec::new(),
+        velocity_profile: Some(bytes.into()),
+    };
+    edit(&mut site, added("a/b", vec![path("p", 2.0)])).expect("valid");
+    edit(&mut site, profile(&[1, 2])).expect("valid");
+    edit(&mut site, LandmarkEdit::Remove { place: place("a/b"), names: vec![name("p")] }).expect("valid");
+    let at = site.topology().place(&place("a/b")).expect("known");
+    assert_eq!(site.landmarks().at(at).map(|known| known.velocity_profile().to_vec()), Some(vec![1, 2]));
+    edit(&mut site, profile(&[])).expect("valid");
+    assert!(site.landmarks().is_empty());
+    assert_eq!(site.landmarks().descriptor_kind(), None);
+}
