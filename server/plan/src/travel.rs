@@ -150,8 +150,8 @@ impl TravelGrid {
         Ok(travel)
     }
 
-    /// Closes the columns whose squares touch an area, and those nearer to them than the radius of the robot, as it does
-    /// obstacles.
+    /// Closes the columns whose squares touch an area, and those nearer to them than the radius of the robot, as those
+    /// of obstacles.
     pub(crate) fn close(&mut self, no_go: &NoGoAreas, radius_m: f64, stop: StopSignal<'_>) {
         let [width, depth] = self.size;
         let half_m = self.lattice.resolution_m() / 2.0;
