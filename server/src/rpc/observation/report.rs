@@ -58,8 +58,8 @@ impl Observations {
         self.report_within(&hello, request.first_sequence, once, &batch).await
     }
 
-    /// Takes one batch, as a stream of its own, and tries until no other stream has the key. `first_sequence`: 0 for the
-    /// next number. `once`: the number of items that are not compared if the map has all of their numbers.
+    /// Takes one batch, as a stream of its own, and tries until no other stream has the key. `first_sequence`: 0 for
+    /// the next number. `once`: the number of items that are not compared if the map has all of their numbers.
     pub(in crate::rpc) async fn report_within(
         &self,
         hello: &v1::Hello,
