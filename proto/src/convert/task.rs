@@ -57,7 +57,7 @@ fn weekdays_from_wire(field: &str, weekdays: u32) -> Result<u8, InvalidField> {
 /// The invalid field.
 pub fn task_from_wire(task: Option<v1::Task>) -> Result<RobotTask, InvalidField> {
     let wire = task.ok_or_else(|| InvalidField::new("task", "missing: name a kind and a node"))?;
-    let state = (!wire.value_state.is_empty()).then(|| StateName::stored(&wire.value_state));
+    let state = (!wire.value_state.is_empty()).then(|| StateName::stored_or_label(&wire.value_state));
     let value_state = state.transpose().map_err(|error| InvalidField::new("task.value_state", error))?;
     let days = if wire.date.is_empty() {
         TaskDays::Weekly(weekdays_from_wire("task.weekdays", wire.weekdays)?)
@@ -314,7 +314,7 @@ mod tests {
             weekdays: 31,
             every_secs: 1_800,
             value: Some(2.5),
-            value_state: "task/clean/hall".to_owned(),
+            value_state: "activity/sleep".to_owned(),
             ..v1::Task::default()
         }
     }

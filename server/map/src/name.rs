@@ -250,7 +250,7 @@ impl StateName {
     }
 
     /// The name of the state after node `from` is renamed to `to`; `None` if the state does not belong to the node. Its
-    /// own name, `node/N/KIND`, and the names of the edges at it and of landmarks seen there do.
+    /// own name, `node/N/KIND`, and the names of the edges at it, of tasks and of landmarks there do.
     ///
     /// # Errors
     /// [`InvalidName::TooLong`].

@@ -39,7 +39,7 @@ fn whole_of(part: &StateName) -> Option<&str> {
 /// [`CatalogError::NoState`], [`CatalogError::Axis`].
 pub(crate) fn states_of(view: &MapView, name: &str) -> Result<Vec<StateId>, CatalogError> {
     let unknown = || CatalogError::NoState { map: view.spec().name.clone(), state: name.chars().take(80).collect() };
-    if let Ok(stored) = StateName::stored(name).or_else(|_| StateName::labelled(name))
+    if let Ok(stored) = StateName::stored_or_label(name)
         && view.find(name).is_some()
         && let Some(whole) = whole_of(&stored)
         && view.shape(whole).is_some_and(|(_, shape)| shape.states() > 1)

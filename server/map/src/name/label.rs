@@ -32,6 +32,14 @@ impl StateName {
         Self::new(state)?.label(label)
     }
 
+    /// As [`StateName::stored`], or the name of a label.
+    ///
+    /// # Errors
+    /// [`InvalidName`], with what is wrong.
+    pub fn stored_or_label(name: &str) -> Result<Self, InvalidName> {
+        Self::stored(name).or_else(|error| Self::labelled(name).map_err(|_| error))
+    }
+
     /// For the name of a label: the name of its state, and the label.
     #[must_use]
     pub fn as_label(&self) -> Option<(&str, &str)> {

@@ -43,7 +43,7 @@ fn decode_task(message: &v1::Task) -> Result<RobotTask, Invalid> {
         (None, Ok(days)) => TaskDays::Weekly(days),
         (None, Err(_)) => return Err("the days of a task are not valid"),
     };
-    let state = StateName::stored(&message.value_state);
+    let state = StateName::stored_or_label(&message.value_state);
     let value_state = match message.value_state.is_empty() {
         true => None,
         false => Some(state.map_err(|_| "the state of a task's value has an invalid name")?),
