@@ -38,11 +38,17 @@ pub(crate) enum ModelCommand {
 pub(crate) async fn run(session: &Session, command: &ModelCommand) -> anyhow::Result<ExitCode> {
     let ModelCommand::Show { map, state, drawing } = command;
     drawing.check()?;
-    let labels = labels_of(session, map, state).await?;
-    if !labels.is_empty() {
-        return of_labels(session, map, state, &labels).await;
-    }
-    let model = session.client.describe_model(map, state).await?;
+    let model = match session.client.describe_model(map, state).await {
+        Ok(model) => model,
+        Err(error) => {
+            // A categorical state has no model of its own.
+            let labels = labels_of(session, map, state).await?;
+            if labels.is_empty() {
+                return Err(error.into());
+            }
+            return of_labels(session, map, state, &labels).await;
+        }
+    };
     let shown = ShownModel { answers: answering(session, map, &model).await?, model };
     if drawing.is_wanted() {
         let week = week(session, map, state, &shown).await?;
