@@ -12,7 +12,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 use tracing::debug;
 
-use super::{RpcReply, status::RpcError};
+use super::{RpcReply, permits::Permits, status::RpcError};
 use crate::{access::Caller, catalog::Catalog, ingest::intake::IntakeLimits, telemetry::traces::Span};
 
 mod channel;
@@ -50,6 +50,8 @@ pub(crate) struct Observations {
     pub buffers: Arc<Semaphore>,
     /// Room for the tables of tiles and the unfinished scans of all streams together, in units of 1 KiB.
     pub tables: Arc<Semaphore>,
+    /// Leave to classify.
+    pub(super) permits: Permits,
     /// The open streams.
     pub streams: OpenStreams,
     /// Becomes true when the daemon stops.

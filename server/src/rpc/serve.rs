@@ -122,6 +122,7 @@ pub(crate) async fn services(
         },
         buffers: Arc::new(Semaphore::new(settings.max_buffer_bytes)),
         tables: Arc::new(Semaphore::new(settings.max_stream_tables_bytes / 1024)),
+        permits: Permits::default(),
         streams: OpenStreams::new(settings.max_streams, Duration::from_secs(settings.stream_idle_secs)),
         stopping,
     };

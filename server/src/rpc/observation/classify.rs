@@ -27,6 +27,7 @@ use crate::{
     },
     rpc::{
         lookup::{find_map, find_state},
+        permits::run_blocking,
         status::{Problem, RpcError},
     },
 };
@@ -46,7 +47,9 @@ impl Observations {
             may_learn(&Caller::current())?;
         }
         let utc_nanos = question.utc_nanos.unwrap_or_else(|| self.catalog.context().clock.now_nanos());
-        let mut reply = answer(&handle.view(), &question, utc_nanos)?;
+        let (view, asked) = (handle.view(), question.clone());
+        let answered = run_blocking(self.permits.take().await?, move || answer(&view, &asked, utc_nanos));
+        let mut reply = answered.await??;
         if question.learning == Learning::Nothing {
             return Ok(reply);
         }
