@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 use tidemap_client::observe::{Producer, ProducerOptions, SightingReport, TraversalReport};
 use tidemap_tests::{
-    cli::{self, Outcome},
+    cli::{self, Outcome, tidemap},
     daemon::{Daemon, Launch},
     oracle,
 };
@@ -28,10 +28,6 @@ lab,lamp,280,40,ffffffffff00ffff,
 hall/lab,sign,40,70,0f0f0f0f0f0f0f0f,1.5
 hall/lab,arrow,50,70,0f0f0f0f0f0f0ff0,4.5
 ";
-
-fn tidemap<'a>(daemon: &Daemon, args: impl IntoIterator<Item = &'a str>) -> Outcome {
-    cli::tidemap(daemon, args)
-}
 
 /// A daemon with a hall and a lab 6 m away, and their landmarks.
 fn started() -> (tempfile::TempDir, Launch, Daemon) {

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 
 use tidemap_client::observe::{Producer, ProducerOptions, TraversalReport};
 use tidemap_tests::{
-    cli::{self, Outcome},
+    cli::{self, Outcome, tidemap},
     daemon::{Daemon, Launch, lasting_port},
     oracle,
 };
@@ -15,10 +15,6 @@ use tidemap_tests::{
 const START_SECS: i64 = 1_451_865_600;
 const HOUR_SECS: i64 = 3_600;
 const DAYS: i64 = 14;
-
-fn tidemap<'a>(daemon: &Daemon, args: impl IntoIterator<Item = &'a str>) -> Outcome {
-    cli::tidemap(daemon, args)
-}
 
 /// A daemon with a hall, a lab 6 m away, and a lift with a time only.
 fn started() -> (tempfile::TempDir, Launch, Daemon) {

@@ -541,5 +541,19 @@ fn shown(text: &str) -> String {
     shown
 }
 
+/// All rows of a text that has no line cut off.
+#[cfg(test)]
+fn read_rows<L: Layout>(text: &str) -> Result<Vec<L::Item>, RowError> {
+    let mut rows = RowReader::<_, L>::open(text.as_bytes())?;
+    let mut read = Vec::new();
+    while let Some(item) = rows.next_item()? {
+        match item {
+            RowItem::Row(row) => read.push(row),
+            RowItem::Torn { line, text } => panic!("line {line}: {text}"),
+        }
+    }
+    Ok(read)
+}
+
 #[cfg(test)]
 mod tests;

@@ -168,20 +168,12 @@ fn read_marker<Field: AsRef<str>>(columns: [usize; 8], fields: &[Field]) -> Resu
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observation_file::{RowItem, RowReader};
+    use crate::observation_file::read_rows;
 
     type Read = Result<(PlaceName, Landmark), String>;
 
     fn read(text: &str) -> Result<Vec<Read>, RowError> {
-        let mut rows = RowReader::<_, LandmarkColumns>::open(text.as_bytes())?;
-        let mut read = Vec::new();
-        while let Some(item) = rows.next_item()? {
-            match item {
-                RowItem::Row(row) => read.push(row.content),
-                RowItem::Torn { line, text } => panic!("line {line}: {text}"),
-            }
-        }
-        Ok(read)
+        Ok(read_rows::<LandmarkColumns>(text)?.into_iter().map(|row| row.content).collect())
     }
 
     #[test]

@@ -106,18 +106,10 @@ impl SightingColumns {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observation_file::{RowItem, RowReader};
+    use crate::observation_file::read_rows;
 
     fn read(text: &str) -> Result<Vec<SightingRow>, RowError> {
-        let mut rows = RowReader::<_, SightingColumns>::open(text.as_bytes())?;
-        let mut read = Vec::new();
-        while let Some(item) = rows.next_item()? {
-            match item {
-                RowItem::Row(row) => read.push(row),
-                RowItem::Torn { line, text } => panic!("line {line}: {text}"),
-            }
-        }
-        Ok(read)
+        read_rows::<SightingColumns>(text)
     }
 
     #[test]

@@ -119,18 +119,10 @@ impl TraversalColumns {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observation_file::{RowItem, RowReader};
+    use crate::observation_file::read_rows;
 
     fn read(text: &str) -> Result<Vec<TraversalRow>, RowError> {
-        let mut rows = RowReader::<_, TraversalColumns>::open(text.as_bytes())?;
-        let mut read = Vec::new();
-        while let Some(item) = rows.next_item()? {
-            match item {
-                RowItem::Row(row) => read.push(row),
-                RowItem::Torn { line, text } => panic!("line {line}: {text}"),
-            }
-        }
-        Ok(read)
+        read_rows::<TraversalColumns>(text)
     }
 
     #[test]
