@@ -287,3 +287,25 @@ fn a_categorical_state_is_erased_as_a_whole() {
     assert_eq!(tidemap(&daemon, "state list home").table().rows, Vec::<Vec<String>>::new());
     tidemap(&daemon, "state add home activity --kind categorical --labels awake,asleep").table();
 }
+
+#[test]
+fn a_task_is_worth_what_a_label_is_likely() {
+    let data = tempdir().expect("a folder");
+    let launch = Launch::on(data.path());
+    let daemon = launch.start();
+    learned(&daemon);
+    let ways = "node Dock\nnode Kitchen\nlink Dock Kitchen 30\n";
+    cli::tidemap_reading(&daemon, "topology load home -".split(' '), ways).table();
+    let task = "task add home serve Kitchen --from 09:00 --until 18:00 --duration 30m --value 5 --value-state";
+    tidemap(&daemon, &format!("{task} activity/eat/lunch")).fails(1, &["activity/eat/lunch"]);
+    let added = tidemap(&daemon, &format!("{task} activity/eat")).table();
+    assert_eq!(added.column("value_state"), ["activity/eat"]);
+    tidemap(&daemon, "day home --date 2025-01-10 --tasks --start-node Dock --keep").table();
+    daemon.kill();
+    let daemon = launch.start();
+    assert_eq!(tidemap(&daemon, "task list home").table().column("value_state"), ["activity/eat"]);
+    let shown = tidemap(&daemon, "plan show home --date 2025-01-10").table();
+    let hour = (shown.number("start") - after(0) as f64) / 3_600.0 + 0.5;
+    // Within the window, somebody eats from twelve to one only.
+    assert!((11.9..13.0).contains(&hour), "{hour}");
+}

@@ -259,7 +259,7 @@ fn task(args: &AddArgs) -> anyhow::Result<RobotTask> {
         },
         every_secs: args.every.map(|every| whole_secs("every", every)).transpose()?,
         value: args.value,
-        value_state: args.value_state.as_deref().map(tidemap_client::maps::StateName::stored).transpose()?,
+        value_state: args.value_state.as_deref().map(tidemap_client::maps::StateName::stored_or_label).transpose()?,
     })
 }
 
