@@ -9,6 +9,7 @@
 mod alarm;
 mod calibrated;
 mod fixed_order;
+mod flow;
 mod histogram;
 mod hypertime;
 mod interval;
@@ -27,6 +28,9 @@ mod training_stop_tests;
 pub use alarm::{ChangeAlarm, ChangeAlarmParts, DayErrors};
 pub use calibrated::{Calibrated, CalibratedOptions, CalibratedParts};
 pub use fixed_order::FixedOrder;
+pub use flow::{
+    CellFlow, FLOW_BINS_MAX, FLOW_DIRECTIONS, FLOW_INTERVAL_NANOS, FlowDetection, FlowModel, FlowOptions, FlowRaster,
+};
 pub(crate) use histogram::hour_runs;
 pub use histogram::{
     HISTOGRAM_PRIOR_READINGS, Histogram, HistogramCycle, HistogramParts, HistogramSettings, HourSpread, HourTable,
