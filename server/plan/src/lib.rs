@@ -6,6 +6,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod day;
+pub mod encounters;
 pub mod information;
 pub mod localise;
 pub mod location;

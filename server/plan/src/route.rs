@@ -8,6 +8,7 @@
 //!   the first attempt applies to the repeated ones, too.
 //! - [`Objective::Success`]: -ln p, so that the least sum is the greatest product. Counted in whole steps of 1e-12, so
 //!   that equal products are equal; then the least expected seconds win.
+//! - An encounter with people counts as [`RouteOptions::encounter_cost_secs`] of time in all three.
 //! - [`Objective::Blend`]: (1 - w) · expected seconds + w · F · -ln p. For p near 1, -ln p is nearly 1 - p, so F is the
 //!   cost of a failure beyond its time, in seconds.
 //!
@@ -101,6 +102,9 @@ pub struct RouteOptions {
     pub recovery_secs: f64,
     /// The cost of a failure in [`Objective::Blend`], in seconds, 0 to [`TIME_MAX_SECS`]; 600 by default.
     pub failure_cost_secs: f64,
+    /// What avoiding one encounter with people is worth, in seconds, 0 to [`TIME_MAX_SECS`]; 0 by default: encounters do
+    /// not matter. With [`Objective::Success`] they only decide between routes of equal success.
+    pub encounter_cost_secs: f64,
     /// Number of alternatives, which differ from the others in at least one edge; at most [`ALTERNATIVES_MAX`]; 0 by
     /// default.
     pub alternatives: usize,
@@ -116,6 +120,7 @@ impl Default for RouteOptions {
             objective: Objective::Success,
             recovery_secs: 60.0,
             failure_cost_secs: 600.0,
+            encounter_cost_secs: 0.0,
             alternatives: 0,
             confidence: 0.9,
             horizon_secs: 86_400.0,
@@ -149,6 +154,8 @@ pub struct RouteStep {
     pub start_secs: f64,
     /// Its duration then, in seconds.
     pub duration_secs: f64,
+    /// Expected encounters with people on it; 0 if they do not matter.
+    pub encounters: f64,
     /// Success probability of an attempt, above 0, at most 1.
     pub success: f64,
     /// The interval of the success at [`RouteOptions::confidence`], by [`success_interval`].
@@ -166,6 +173,8 @@ pub struct Route {
     pub arrival_secs: f64,
     /// The expected duration, failures and recovery included, in seconds.
     pub expected_secs: f64,
+    /// Expected encounters with people without failures; 0 if they do not matter.
+    pub encounters: f64,
     /// The probability that nothing fails: the product over the steps.
     pub success: f64,
     /// The interval of the success at [`RouteOptions::confidence`]: quantiles of the Beta distribution with the mean

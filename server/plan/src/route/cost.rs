@@ -59,12 +59,14 @@ pub(super) struct Costing {
     pub objective: Objective,
     pub recovery_secs: f64,
     pub failure_cost_secs: f64,
+    pub encounter_cost_secs: f64,
 }
 
 impl Costing {
-    /// The cost; it falls with the success and rises with the duration.
-    pub(super) fn cost(&self, success: f64, duration_secs: f64) -> Cost {
-        let secs = expected_secs(success, duration_secs, self.recovery_secs);
+    /// The cost; it falls with the success and rises with the duration and the encounters.
+    pub(super) fn cost(&self, success: f64, duration_secs: f64, encounters: f64) -> Cost {
+        let avoided_secs = self.encounter_cost_secs * encounters;
+        let secs = expected_secs(success, duration_secs, self.recovery_secs) + avoided_secs;
         // Adding 0 makes -0 a 0.
         let doubt = -success.ln() + 0.0;
         match self.objective {

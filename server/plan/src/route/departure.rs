@@ -69,6 +69,7 @@ impl RoutePlan {
             departure_secs,
             arrival_secs: departure_secs,
             expected_secs: 0.0,
+            encounters: 0.0,
             success: 1.0,
             success_interval: Interval { lower: 1.0, upper: 1.0 },
             cost: 0.0,
@@ -118,8 +119,8 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
         options: &'a RouteOptions,
         work: &'a SearchWork,
     ) -> Self {
-        let &RouteOptions { objective, recovery_secs, failure_cost_secs, .. } = options;
-        let costing = Costing { objective, recovery_secs, failure_cost_secs };
+        let &RouteOptions { objective, recovery_secs, failure_cost_secs, encounter_cost_secs, .. } = options;
+        let costing = Costing { objective, recovery_secs, failure_cost_secs, encounter_cost_secs };
         let cache = ForecastCache::new(network, forecasts, costing, work.resolution_secs);
         Planner {
             network,

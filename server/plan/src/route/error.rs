@@ -82,6 +82,7 @@ pub(super) fn check(when: When, options: &RouteOptions) -> Result<(), PlanRouteE
     }
     secs("the recovery", options.recovery_secs)?;
     secs("the cost of a failure", options.failure_cost_secs)?;
+    secs("the cost of an encounter", options.encounter_cost_secs)?;
     let alternatives = options.alternatives as f64;
     range("the number of alternatives", alternatives, options.alternatives <= ALTERNATIVES_MAX, || {
         format!("0 to {ALTERNATIVES_MAX}")

@@ -28,6 +28,12 @@ pub trait Forecasts {
     fn best(&mut self, _edge: &Edge, _from_secs: f64, _to_secs: f64) -> Option<EdgeBest> {
         None
     }
+
+    /// Expected number of encounters with people while the robot passes an edge that it enters at a time; at least 0.
+    /// Nobody is expected by default. Only asked if [`RouteOptions::encounter_cost_secs`](super::RouteOptions) is not 0.
+    fn encounters(&mut self, _edge: &Edge, _at_secs: f64, _duration_secs: f64) -> f64 {
+        0.0
+    }
 }
 
 impl<F: FnMut(&Edge, f64) -> Option<EdgeForecast>> Forecasts for F {
@@ -48,6 +54,9 @@ pub enum ForecastError {
     /// A duration is out of range.
     #[error("edge {edge} would take {found} s: expected above 0 s, at most {NOMINAL_MAX_SECS} s")]
     Duration { edge: String, found: f64 },
+    /// The encounters are out of range.
+    #[error("edge {edge} has {found} encounters: expected a number, at least 0")]
+    Encounters { edge: String, found: f64 },
     /// The evidence is out of range.
     #[error("the evidence of edge {edge} is {found} observations: expected above 0")]
     Evidence { edge: String, found: f64 },

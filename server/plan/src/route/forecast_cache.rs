@@ -22,6 +22,7 @@ pub(super) struct EdgeCost {
     pub evidence: f64,
     pub duration_secs: f64,
     pub expected_secs: f64,
+    pub encounters: f64,
     pub cost: Cost,
 }
 
@@ -82,12 +83,14 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
             Some(forecast) => {
                 check_forecast(&forecast, || self.network.edge_name(edge))?;
                 let (success, duration_secs) = (forecast.success, forecast.duration_secs);
+                let encounters = self.encounters(edge, at_secs, duration_secs)?;
                 Some(EdgeCost {
                     success,
                     evidence: forecast.evidence,
                     duration_secs,
                     expected_secs: expected_secs(success, duration_secs, self.costing.recovery_secs),
-                    cost: self.costing.cost(success, duration_secs),
+                    encounters,
+                    cost: self.costing.cost(success, duration_secs, encounters),
                 })
             }
         };
@@ -102,12 +105,21 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         Ok(traversal)
     }
 
+    fn encounters(&mut self, edge: usize, at_secs: f64, duration_secs: f64) -> Result<f64, ForecastError> {
+        if self.costing.encounter_cost_secs == 0.0 {
+            return Ok(0.0);
+        }
+        let found = self.forecasts.encounters(self.network.edges[edge], at_secs, duration_secs);
+        let is_valid = found.is_finite() && found >= 0.0;
+        is_valid.then_some(found).ok_or_else(|| ForecastError::Encounters { edge: self.network.edge_name(edge), found })
+    }
+
     /// The least cost of an edge over a span of time by known bounds.
     pub(crate) fn known_least(&mut self, edge: usize, from_secs: f64, to_secs: f64) -> Cost {
         let best = self.forecasts.best(self.network.edges[edge], from_secs, to_secs);
         let success = best.map(|best| best.success).filter(|success| *success > 0.0 && *success < 1.0).unwrap_or(1.0);
         let duration = best.map(|best| best.duration_secs).filter(|secs| (0.0..=NOMINAL_MAX_SECS).contains(secs));
-        self.costing.cost(success, duration.unwrap_or(0.0))
+        self.costing.cost(success, duration.unwrap_or(0.0), 0.0)
     }
 
     /// The least cost of an edge at about `samples` times that cover a span; infinite if it is closed at all of them.
@@ -126,7 +138,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         let count = ((to_secs / step_secs).ceil() - first) as u32;
         for sample in 0..=count.min(samples + 1) {
             if let Some(found) = self.at(edge, (first + f64::from(sample)) * step_secs)? {
-                least = least.least(self.costing.cost(found.success, found.duration_secs));
+                least = least.least(self.costing.cost(found.success, found.duration_secs, found.encounters));
             }
         }
         Ok(least)

@@ -31,6 +31,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
                 start_secs: at_secs,
                 duration_secs: traversal.duration_secs,
                 expected_secs: traversal.expected_secs,
+                encounters: traversal.encounters,
                 success: traversal.success,
                 chance: Chance::new(traversal.success, traversal.evidence),
             });
@@ -47,6 +48,7 @@ impl<'a, F: Forecasts, U: FnMut() -> bool> Planner<'a, F, U> {
             departure_secs,
             arrival_secs,
             expected_secs: walked.iter().map(|step| step.expected_secs).sum(),
+            encounters: walked.iter().map(|step| step.encounters).sum(),
             success: walked.iter().map(|step| step.success).product(),
             success_interval: chance.interval(confidence),
             cost: self.cache.costing.reported(found.cost),
@@ -100,6 +102,7 @@ pub(super) struct RouteLeg<'a> {
     start_secs: f64,
     duration_secs: f64,
     pub expected_secs: f64,
+    encounters: f64,
     success: f64,
     chance: Chance,
 }
@@ -112,6 +115,7 @@ impl RouteLeg<'_> {
             to: self.edge.to,
             start_secs: self.start_secs,
             duration_secs: self.duration_secs,
+            encounters: self.encounters,
             success: self.success,
             success_interval: self.chance.interval(confidence),
         }

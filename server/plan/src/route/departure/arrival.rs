@@ -3,7 +3,11 @@
 //! Invariant: the found departure is in time, and all later ones that were tried are not.
 
 use super::{Departure, Planner};
-use crate::route::{DEPARTURES_MAX, Forecasts, Objective, PlanRouteError, bounds::Source, bounds::ToGo, cost::Cost};
+use crate::route::{
+    DEPARTURES_MAX, Forecasts, Objective, PlanRouteError,
+    bounds::{Source, ToGo},
+    cost::{Cost, Costing},
+};
 
 /// The precision of a departure, in seconds.
 const STEP_MIN_SECS: f64 = 0.1;
@@ -63,9 +67,11 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
             (true, None) => return Ok(0.0),
             _ => (Source::Known, (first_secs, by_secs)),
         };
-        let objective = std::mem::replace(&mut self.cache.costing.objective, Objective::Time);
+        let costing = self.cache.costing;
+        // The time alone, without what is worth avoiding.
+        self.cache.costing = Costing { objective: Objective::Time, encounter_cost_secs: 0.0, ..costing };
         let to_go = ToGo::find(self.network, &mut self.cache, self.goal, span, source, Cost::INFINITE);
-        self.cache.costing.objective = objective;
+        self.cache.costing = costing;
         let least_secs = to_go?.least[self.start].first;
         Ok(if least_secs.is_finite() { least_secs } else { 0.0 })
     }

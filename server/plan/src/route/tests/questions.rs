@@ -185,3 +185,48 @@ fn a_dearer_way_is_kept_where_the_cheaper_one_has_passed_what_follows() {
         assert_eq!(way, [2, 1, 3], "{work:?}");
     }
 }
+
+/// Two ways from node 0 to node 3: through node 1, where people walk until 100 s, and through node 2, which is longer.
+struct Crowded;
+
+impl Forecasts for Crowded {
+    fn at(&mut self, edge: &tidemap_map::topology::Edge, at_secs: f64) -> Option<EdgeForecast> {
+        let is_long = edge.from == NodeId(2) || edge.to == NodeId(2);
+        sure(edge, at_secs)
+            .map(|forecast| EdgeForecast { duration_secs: if is_long { 13.0 } else { 10.0 }, ..forecast })
+    }
+
+    fn encounters(&mut self, edge: &tidemap_map::topology::Edge, at_secs: f64, duration_secs: f64) -> f64 {
+        let is_crowded = at_secs < 100.0 && (edge.from == NodeId(1) || edge.to == NodeId(1));
+        if is_crowded { duration_secs / 10.0 } else { 0.0 }
+    }
+}
+
+#[test]
+fn a_route_avoids_people_where_that_is_worth_the_time() {
+    let mut topology = Topology::new();
+    for name in ["a", "b", "c", "d"] {
+        topology.add_node(tidemap_map::name::StateName::new(name).unwrap(), None, None).unwrap();
+    }
+    for (one, other) in [(0, 1), (1, 3), (0, 2), (2, 3)] {
+        topology.link(NodeId(one), NodeId(other), tidemap_map::topology::Extent::secs(10.0)).unwrap();
+    }
+    let ask = |departure: f64, encounter_cost_secs: f64, objective: Objective| {
+        let options = RouteOptions { objective, encounter_cost_secs, ..RouteOptions::default() };
+        let plan =
+            plan_routes(&topology, NodeId(0), NodeId(3), When::DepartAt(departure), &options, &mut Crowded, || false);
+        let route = plan.unwrap().routes.remove(0);
+        (route.steps[0].to.0, route.encounters, route.cost - route.expected_secs)
+    };
+    assert_eq!(ask(0.0, 0.0, Objective::Time), (1, 0.0, 0.0), "encounters are not asked for");
+    assert_eq!(
+        ask(0.0, 1.0, Objective::Time),
+        (1, 2.0, 2.0),
+        "two encounters are worth 2 s, and the detour takes 7.5 s"
+    );
+    assert_eq!(ask(0.0, 10.0, Objective::Time), (2, 0.0, 0.0));
+    assert_eq!(ask(100.0, 10.0, Objective::Time), (1, 0.0, 0.0), "nobody is there any more");
+    assert_eq!(ask(0.0, 10.0, Objective::Success).0, 2, "both ways succeed alike");
+    let wrong = RouteOptions { encounter_cost_secs: f64::NAN, ..RouteOptions::default() };
+    assert!(matches!(self::ask(When::DepartAt(0.0), &wrong), Err(PlanRouteError::Range { .. })));
+}
