@@ -1,7 +1,8 @@
 //! Simulated offices for the demo, the benchmarks and the tests. [`Office`] has doors and rooms, people with daily and
 //! weekly routines on local civil time, and robots that stop irregularly. [`GridOffice`] is a stream of occupancy
 //! grids, [`ExploredOffice`] a small floor for exploration experiments, [`Home`] a home whose
-//! sensors report changes, and [`BuildingDay`] a day of a building with a floor, rooms, doors and drives.
+//! sensors report changes, [`BuildingDay`] a day of a building with a floor, rooms, doors and drives, and
+//! [`StreamOffice`] a floor with streams of people.
 //!
 //! Invariant: pure. No I/O, no clock; the seed is an argument, and the truth at a time depends on the seed, the zone
 //! and that time only, so that queries can come in any order. Draws may change with the version of this crate.
@@ -25,6 +26,7 @@ mod home;
 mod patrol;
 mod people;
 mod place;
+mod streams;
 mod zone;
 
 use jiff::{
@@ -39,6 +41,7 @@ pub use self::building::{
 pub use self::explored_office::ExploredOffice;
 pub use self::grid_office::{DayScans, GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
 pub use self::home::{Home, SensorChange};
+pub use self::streams::{DetectedWalk, StreamOffice, Walk};
 pub use self::zone::UnknownZone;
 use crate::{
     civil_day::{CivilDay, midnight_nanos},
