@@ -19,6 +19,7 @@ use tidemap_experiment::{
     ModelResult, ProtocolError,
     activity::{self, ACTIVITY_MODELS, ActivityClassifier, ActivityModel, ActivityProtocol},
     explore::{self, ExploreProtocol, office},
+    flows::{self, FlowsProtocol},
     habits::{self, HABITS, Habit, HabitsProtocol},
     localise::{self, LandmarkRecording, VISIBILITY_MODELS, VisibilityModel},
     routes::{self, RoutesProtocol},
@@ -49,6 +50,8 @@ enum ExperimentKind {
     Localise(LocaliseArgs),
     /// Predicts simulated habits day by day, and reports how sure predictions are and whether they are right
     Habits(HabitsArgs),
+    /// Predicts flows of people on a simulated floor, and sends robots across that avoid them
+    Flows(FlowsArgs),
     /// Recognises the activities of a recording with the help of the time and place, and reports each model's scores
     Activity(ActivityArgs),
 }
@@ -123,6 +126,25 @@ fn habit(name: &str) -> Result<&'static Habit, String> {
 }
 
 #[derive(Debug, Args)]
+struct FlowsArgs {
+    /// Number of floors, each with its own random seed
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1_000))]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    first_seed: u64,
+    /// Weeks to learn
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..=104))]
+    weeks: u64,
+    /// Weeks after these, to test
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=104))]
+    tested: u64,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "flows-results")]
+    out: PathBuf,
+}
+
+#[derive(Debug, Args)]
 struct RoutesArgs {
     /// Number of runs, each with its own random seed
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=1_000))]
@@ -163,7 +185,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
             "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, \
-             search, routes, habits, activity, localise"
+             search, routes, habits, activity, flows, localise"
                 .to_owned(),
         ),
     }
@@ -177,6 +199,7 @@ pub(crate) fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCo
         (Some(ExperimentKind::Routes(args)), _) => routes(args, format),
         (Some(ExperimentKind::Habits(args)), _) => habits(args, format),
         (Some(ExperimentKind::Localise(args)), _) => localise(&args, format),
+        (Some(ExperimentKind::Flows(args)), _) => flows(args, format),
         (Some(ExperimentKind::Activity(args)), _) => activity(args, format),
         (None, None) => Err(usage("name a protocol, a file that ends in .yaml or .yml")),
     }
@@ -268,6 +291,19 @@ fn routes(args: RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
         |bar| Ok(routes::run(&protocol, &|done, total| bar.set_of(done, total))?),
         routes::write,
         |outcome, stdout| routes::summary(outcome, format, stdout),
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn flows(args: FlowsArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let FlowsArgs { seeds, first_seed, weeks, tested, out } = args;
+    let protocol = FlowsProtocol { seeds, first_seed, weeks: weeks as usize, tested: tested as usize };
+    conduct(
+        &out,
+        "floors",
+        |bar| Ok(flows::run(&protocol, &|done, total| bar.set_of(done, total))?),
+        flows::write,
+        |outcome, stdout| flows::summary(outcome, format, stdout),
     )?;
     Ok(ExitCode::SUCCESS)
 }
