@@ -60,7 +60,7 @@ impl<'a> Encounters<'a> {
     }
 }
 
-/// The mean density of the cells near each cell, times the area that is near.
+/// The mean density of the cells near each cell, times the area that is near. Nobody is outside of the raster.
 fn near_cells(model: &FlowModel, at: Moment, near_m: f64) -> Vec<f64> {
     let options = model.options();
     let (raster, nobody) = (options.raster, model.unseen_per_sec() * options.directions as f64);
@@ -78,9 +78,7 @@ fn near_cells(model: &FlowModel, at: Moment, near_m: f64) -> Vec<f64> {
         let (x, y) = (cell as i64 % width, cell as i64 / width);
         let inside = around.iter().map(|(dx, dy)| (x + dx, y + dy));
         let inside = inside.filter(|(x, y)| (0..width).contains(x) && (0..height).contains(y));
-        let (sum, count) =
-            inside.fold((0.0, 0.0), |(sum, count), (x, y)| (sum + rates[(x + y * width) as usize], count + 1.0));
-        sum / count * scale
+        inside.map(|(x, y)| rates[(x + y * width) as usize]).sum::<f64>() / around.len() as f64 * scale
     };
     (0..rates.len()).map(near).collect()
 }
