@@ -74,6 +74,7 @@ const BOUNDS: &[(&str, usize)] = &[
     ("PredictAtPlacesRequest.density_values", 1000),
     ("PredictAtPlacesRequest.places_m", 300_000),
     ("PredictAtPlacesRequest.times_nanos", TIMES),
+    ("PredictFlowRequest.times_nanos", TIMES),
     ("PredictPositionsRequest.times_nanos", TIMES),
     ("PredictPresenceRequest.times_nanos", TIMES),
     ("PredictStatesRequest.states", NAMES),

@@ -6,6 +6,7 @@
 
 use std::{
     collections::{BTreeMap, HashMap},
+    hash::Hash,
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicUsize, Ordering},
@@ -17,6 +18,7 @@ use tidemap_model::selector::ModelKind;
 use tidemap_store::MapId;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore};
 
+mod flows;
 mod places;
 mod positions;
 mod trained;
@@ -25,6 +27,7 @@ mod unavailable;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use flows::{FlowKey, train_flow};
 pub(crate) use places::PlaceModel;
 pub(crate) use positions::PositionModel;
 pub(crate) use trained::CachedModel;
@@ -100,24 +103,24 @@ impl TrainingStop {
     }
 }
 
-/// The trained models of all maps: those of states, or those of positions.
+/// The trained models of all maps: those of states, of positions, or of flows.
 #[derive(Debug)]
-pub(crate) struct ModelCache<T = CachedModel> {
+pub(crate) struct ModelCache<T = CachedModel, K = ModelKey> {
     max: usize,
     // A lock, because a lookup changes when a model was last used; never held during training.
-    entries: Mutex<CacheEntries<T>>,
+    entries: Mutex<CacheEntries<T, K>>,
     reserved: Arc<Semaphore>,
 }
 
 #[derive(Debug)]
-struct CacheEntries<T> {
-    slots: HashMap<ModelKey, (CacheSlot<T>, u64)>,
+struct CacheEntries<T, K> {
+    slots: HashMap<K, (CacheSlot<T>, u64)>,
     /// The keys of `slots` by their last use, oldest first.
-    by_use: BTreeMap<u64, ModelKey>,
+    by_use: BTreeMap<u64, K>,
     uses: u64,
 }
 
-impl<T> ModelCache<T> {
+impl<T, K: Copy + Eq + Hash> ModelCache<T, K> {
     /// Keeps at most `max` models, at least one, besides those that are being trained.
     pub(crate) fn new(max: usize) -> Self {
         let max = max.clamp(1, Semaphore::MAX_PERMITS);
@@ -129,12 +132,12 @@ impl<T> ModelCache<T> {
     }
 
     /// The model, if it is kept.
-    pub(crate) fn get(&self, key: &ModelKey) -> Option<Arc<T>> {
+    pub(crate) fn get(&self, key: &K) -> Option<Arc<T>> {
         self.with_entries(|entries| entries.used(key)?.model.get().cloned())
     }
 
     /// Counts a request for a model until the interest is dropped; without any request, the training ends.
-    pub(crate) fn interest(&self, key: ModelKey) -> TrainingInterest<T> {
+    pub(crate) fn interest(&self, key: K) -> TrainingInterest<T> {
         let slot = self.with_entries(|entries| entries.slot(key, self.max));
         slot.waiting.fetch_add(1, Ordering::Relaxed);
         TrainingInterest { slot }
@@ -146,7 +149,7 @@ impl<T> ModelCache<T> {
     /// The error of `training`. Other requests that wait for the model then train it themselves.
     pub(crate) async fn get_or_train<E>(
         &self,
-        key: ModelKey,
+        key: K,
         training: impl Future<Output = Result<T, E>>,
     ) -> Result<Arc<T>, E> {
         let slot = self.with_entries(|entries| entries.slot(key, self.max));
@@ -173,14 +176,14 @@ impl<T> ModelCache<T> {
         self.max
     }
 
-    fn with_entries<R>(&self, work: impl FnOnce(&mut CacheEntries<T>) -> R) -> R {
+    fn with_entries<R>(&self, work: impl FnOnce(&mut CacheEntries<T, K>) -> R) -> R {
         work(&mut self.entries.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
-impl<T> CacheEntries<T> {
+impl<T, K: Copy + Eq + Hash> CacheEntries<T, K> {
     /// An existing slot, which becomes the last used.
-    fn used(&mut self, key: &ModelKey) -> Option<CacheSlot<T>> {
+    fn used(&mut self, key: &K) -> Option<CacheSlot<T>> {
         let (slot, last_use) = self.slots.get_mut(key)?;
         self.uses += 1;
         self.by_use.remove(last_use);
@@ -190,7 +193,7 @@ impl<T> CacheEntries<T> {
     }
 
     /// The slot of a key, which becomes the last used; the least recently used ones go if there is no room for it.
-    fn slot(&mut self, key: ModelKey, max: usize) -> CacheSlot<T> {
+    fn slot(&mut self, key: K, max: usize) -> CacheSlot<T> {
         if let Some(slot) = self.used(&key) {
             return slot;
         }
@@ -210,12 +213,12 @@ impl<T> CacheEntries<T> {
     }
 
     /// Whether a request waits for the model: if its slot were removed, the next request would train it again.
-    fn is_in_flight(&self, key: &ModelKey) -> bool {
+    fn is_in_flight(&self, key: &K) -> bool {
         self.slots.get(key).is_some_and(|(slot, _)| !slot.model.initialized() && Arc::strong_count(slot) > 1)
     }
 
     /// Removes a slot that has no model.
-    fn forget(&mut self, key: &ModelKey, slot: &CacheSlot<T>) {
+    fn forget(&mut self, key: &K, slot: &CacheSlot<T>) {
         let is_empty = |(kept, _): &(CacheSlot<T>, u64)| Arc::ptr_eq(kept, slot) && !kept.model.initialized();
         if self.slots.get(key).is_some_and(is_empty)
             && let Some((_, last_use)) = self.slots.remove(key)

@@ -16,10 +16,12 @@ use super::{
 use crate::v1;
 
 mod evaluation;
+mod flow;
 mod positions;
 mod states;
 
 pub use evaluation::{EvaluationQuestion, evaluated_from_wire, evaluation_from_wire, header_of, unpack_evaluated};
+pub use flow::{AvoidedPeople, FlowQuestion, FlowSource, avoided_from_wire, flow_from_wire, flow_source_to_wire};
 pub use positions::{PlacesQuestion, PositionRegion, PositionsQuestion, places_from_wire, positions_from_wire};
 pub use states::{StateFacts, StateForecast, StatesQuestion, forecast_to_wire, states_from_wire};
 

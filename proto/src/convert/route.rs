@@ -14,6 +14,7 @@ use tidemap_plan::{
 
 use super::{
     InvalidField,
+    query::{AvoidedPeople, avoided_from_wire},
     time::{duration, instant_from_wire, nanos_from_duration, nanos_from_timestamp, timestamp},
     topology::{edge_name_from_wire, edge_to_wire, node_name},
 };
@@ -25,7 +26,7 @@ pub const POLICY_CELLS_MAX: usize = 200_000;
 const DEPARTURE_STEP_SECS: f64 = 60.0;
 
 /// The question of a route.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RouteQuestion {
     /// The reference time of `when`, nanoseconds UTC.
     pub reference_nanos: i64,
@@ -33,6 +34,8 @@ pub struct RouteQuestion {
     pub when: When,
     /// Options of the search.
     pub options: RouteOptions,
+    /// The people to avoid.
+    pub avoided: Option<AvoidedPeople>,
 }
 
 /// The question of a request for a route.
@@ -68,15 +71,20 @@ pub fn route_from_wire(request: &v1::PlanRouteRequest) -> Result<RouteQuestion, 
         v1::RouteObjective::Time => Objective::Time,
         v1::RouteObjective::Blend => Objective::Blend { weight: within("doubt", request.doubt, 0.0, 1.0)? },
     };
+    let avoided = avoided_from_wire(request)?;
     let options = RouteOptions {
         objective,
         recovery_secs: secs("recovery_secs", request.recovery_secs, default.recovery_secs)?,
         failure_cost_secs: secs("failure_cost_secs", request.failure_cost_secs, default.failure_cost_secs)?,
+        encounter_cost_secs: match &avoided {
+            Some(avoided) => secs("encounter_cost_secs", Some(avoided.encounter_cost_secs), 0.0)?,
+            None => 0.0,
+        },
         alternatives: usize::try_from(request.alternatives).unwrap_or(usize::MAX),
         confidence: request.confidence.unwrap_or(default.confidence),
         horizon_secs,
     };
-    Ok(RouteQuestion { reference_nanos, when, options })
+    Ok(RouteQuestion { reference_nanos, when, options, avoided })
 }
 
 /// The options of a request for a policy.
@@ -158,6 +166,7 @@ pub fn routes_to_wire(
             success_upper: step.success_interval.upper,
             reports,
             pending_reports,
+            encounters: step.encounters,
         }
     };
     let route = |route: &Route| v1::Route {
@@ -169,6 +178,7 @@ pub fn routes_to_wire(
         success_lower: route.success_interval.lower,
         success_upper: route.success_interval.upper,
         cost: route.cost,
+        encounters: route.encounters,
     };
     v1::PlanRouteResponse {
         routes: planned.routes.iter().map(route).collect(),
@@ -287,7 +297,10 @@ mod tests {
         use v1::plan_route_request::When as Asked;
         let question = route_from_wire(&asked(Asked::DepartTime(timestamp(7 * MINUTE)))).expect("right");
         let options = RouteOptions::default();
-        assert_eq!(question, RouteQuestion { reference_nanos: 7 * MINUTE, when: When::DepartAt(0.0), options });
+        assert_eq!(
+            question,
+            RouteQuestion { reference_nanos: 7 * MINUTE, when: When::DepartAt(0.0), options, avoided: None }
+        );
         let by =
             |minutes| route_from_wire(&asked(Asked::ArriveByTime(timestamp(minutes * MINUTE)))).expect("right").when;
         assert_eq!(by(7_000), When::ArriveBy { by_secs: 0.0, earliest_secs: -86_400.0 });

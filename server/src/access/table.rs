@@ -54,6 +54,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.QueryService/FindAnomalies", role(Planner)),
     ("/tidemap.v1.QueryService/ListSurprises", role(Planner)),
     ("/tidemap.v1.QueryService/WatchAnomalies", role(Planner)),
+    ("/tidemap.v1.QueryService/PredictFlow", role(Planner)),
     ("/tidemap.v1.QueryService/PredictPositions", role(Planner)),
     ("/tidemap.v1.QueryService/PredictAtPlaces", role(Planner)),
     ("/tidemap.v1.QueryService/ListCellAlarms", role(Planner)),

@@ -20,6 +20,7 @@ use crate::catalog::Catalog;
 mod anomalies;
 mod cell_alarms;
 mod evaluate;
+mod flow;
 mod grid;
 mod places;
 mod positions;
@@ -104,6 +105,7 @@ impl Queries {
 #[tonic::async_trait]
 impl QueryService for Queries {
     type PredictStatesStream = Replies<v1::PredictStatesResponse>;
+    type PredictFlowStream = Replies<v1::PredictFlowResponse>;
     type PredictPositionsStream = Replies<v1::PredictPositionsResponse>;
     type PredictGridStream = Replies<v1::PredictGridResponse>;
     type ReconstructStream = Replies<v1::ReconstructResponse>;
@@ -128,6 +130,10 @@ impl QueryService for Queries {
 
     async fn predict_grid(&self, request: Request<v1::PredictGridRequest>) -> RpcReply<Self::PredictGridStream> {
         Ok(Response::new(grid::predict_grid(self, request.into_inner()).await?))
+    }
+
+    async fn predict_flow(&self, request: Request<v1::PredictFlowRequest>) -> RpcReply<Self::PredictFlowStream> {
+        Ok(Response::new(flow::predict_flow(self, request.into_inner()).await?))
     }
 
     async fn predict_positions(

@@ -70,6 +70,8 @@ pub(crate) enum RpcError {
     NoHistory { map: String, what: &'static str, option: &'static str },
     #[error("model {model} of state {state:?} in map {map:?}: {reason}")]
     ModelUnavailable { model: ModelKind, map: String, state: String, reason: ModelUnavailable },
+    #[error("flow of {state:?} by {motion_state:?} in map {map:?}: {reason}")]
+    FlowUnavailable { map: String, state: String, motion_state: String, reason: ModelUnavailable },
     #[error("{name} of map {map:?}: observations before {} are no longer kept", shown_time(*.kept_from_nanos))]
     BeyondHistory { map: String, name: String, kept_from_nanos: i64 },
     #[error(transparent)]
@@ -257,7 +259,7 @@ impl RpcError {
             Self::UnknownCell { .. } => (Code::NotFound, "UNKNOWN_CELL"),
             Self::Tile(_) => (Code::Internal, "STORAGE_FAILED"),
             Self::NoHistory { .. } => (Code::FailedPrecondition, "NO_HISTORY"),
-            Self::ModelUnavailable { reason, .. } => match reason {
+            Self::ModelUnavailable { reason, .. } | Self::FlowUnavailable { reason, .. } => match reason {
                 ModelUnavailable::NotKept { .. } | ModelUnavailable::Forgotten => {
                     (Code::FailedPrecondition, "NO_HISTORY")
                 }

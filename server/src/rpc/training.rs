@@ -33,7 +33,7 @@ use tidemap_map::{
     row_samples::AskedReadings,
     view::MapView,
 };
-use tidemap_model::{Sample, StopSignal, catalogue::TrainingCost, selector::ModelKind};
+use tidemap_model::{Sample, StopSignal, catalogue::TrainingCost, models::FlowModel, selector::ModelKind};
 use tidemap_proto::convert::OverLimit;
 use tokio::sync::{OnceCell, OwnedSemaphorePermit};
 
@@ -41,7 +41,9 @@ use super::readings::{ReadingsQuery, gather, not_replaced, read, retention};
 use crate::{
     catalog::Catalog,
     ingest::handle::MapHandle,
-    model_cache::{CachedModel, ModelCache, ModelKey, ModelUnavailable, PlaceModel, PositionModel, TrainingStop},
+    model_cache::{
+        CachedModel, FlowKey, ModelCache, ModelKey, ModelUnavailable, PlaceModel, PositionModel, TrainingStop,
+    },
     rpc::{
         lookup::check_limit,
         permits::{Permits, processors, run_blocking, run_while_awaited},
@@ -50,6 +52,7 @@ use crate::{
     state_or_cell::StateOrCell,
 };
 
+mod flows;
 mod positions;
 
 /// Trains models, or takes them from the cache.
@@ -61,6 +64,8 @@ pub(super) struct ModelTrainer {
     positions: ModelCache<PositionModel>,
     /// The cache of models of states by place.
     places: ModelCache<PlaceModel>,
+    /// The cache of flows.
+    flows: ModelCache<FlowModel, FlowKey>,
     /// Permits to gather readings and to train, separate from those to predict.
     permits: Permits,
     /// Permits for models whose training may take seconds, so that others do not wait for them.
@@ -123,6 +128,7 @@ impl ModelTrainer {
             models: ModelCache::new(max_trained),
             positions: ModelCache::new(max_trained),
             places: ModelCache::new(max_trained),
+            flows: ModelCache::new(max_trained),
             permits,
             slow_permits,
             comparing_permits,

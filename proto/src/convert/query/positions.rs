@@ -57,9 +57,9 @@ pub fn positions_from_wire(request: v1::PredictPositionsRequest) -> Result<Posit
         state,
         times_nanos,
         kind: model_from_wire(model)?,
-        edge_m: edge_from_wire(resolution_m)?,
+        edge_m: edge_from_wire("resolution_m", resolution_m)?,
         window_nanos: window_from_wire(count_window)?,
-        region: region.map(region_from_wire).transpose()?,
+        region: region.map(|region| region_from_wire("region", region)).transpose()?,
         top: if top == 0 { usize::MAX } else { top as usize },
     })
 }
@@ -117,7 +117,7 @@ fn model_from_wire(wire: Option<v1::ModelSelector>) -> Result<ModelKind, Invalid
 }
 
 /// The edge of a cell.
-fn edge_from_wire(resolution_m: f64) -> Result<Option<f64>, InvalidField> {
+pub(super) fn edge_from_wire(field: &str, resolution_m: f64) -> Result<Option<f64>, InvalidField> {
     match resolution_m {
         0.0 => Ok(None),
         edge if edge > 0.0 && edge <= VALUE_MAX => Ok(Some(edge)),
@@ -125,27 +125,29 @@ fn edge_from_wire(resolution_m: f64) -> Result<Option<f64>, InvalidField> {
             let text = format!(
                 "{other} m is not a valid cell size: use a number above 0 and up to 1e12, or 0 for the default"
             );
-            Err(InvalidField::new("resolution_m", text))
+            Err(InvalidField::new(field, text))
         }
     }
 }
 
-fn region_from_wire(region: v1::PositionBox) -> Result<PositionRegion, InvalidField> {
+/// A box whose corners are numbers, the upper one above the lower.
+pub(super) fn region_from_wire(field: &str, region: v1::PositionBox) -> Result<PositionRegion, InvalidField> {
     let v1::PositionBox { low_m, high_m } = region;
-    for (field, corner) in [("region.low_m", &low_m), ("region.high_m", &high_m)] {
+    for (name, corner) in [("low_m", &low_m), ("high_m", &high_m)] {
         if let Some(wrong) = corner.iter().find(|number| number.abs() > VALUE_MAX || number.is_nan()) {
-            return Err(InvalidField::new(field, format!("{wrong} m is not a number from -1e12 to 1e12")));
+            let text = format!("{wrong} m is not a number from -1e12 to 1e12");
+            return Err(InvalidField::new(format!("{field}.{name}"), text));
         }
     }
     if let Some((low, high)) = low_m.iter().zip(&high_m).find(|(low, high)| low >= high) {
         let text = format!("{high} m is not above the lower corner's {low} m");
-        return Err(InvalidField::new("region.high_m", text));
+        return Err(InvalidField::new(format!("{field}.high_m"), text));
     }
     Ok(PositionRegion { low_m, high_m })
 }
 
 /// The window to count positions in, nanoseconds.
-fn window_from_wire(window: Option<prost_types::Duration>) -> Result<Option<i64>, InvalidField> {
+pub(super) fn window_from_wire(window: Option<prost_types::Duration>) -> Result<Option<i64>, InvalidField> {
     match window.map(|window| nanos_from_duration("count_window", window)).transpose()? {
         Some(nanos) if !(1..=WINDOW_MAX_NANOS).contains(&nanos) => {
             let text = format!("{} s: a window is above 0 s and at most 7 days", nanos as f64 / 1e9);

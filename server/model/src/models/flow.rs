@@ -173,6 +173,11 @@ impl FlowModel {
         self.detections
     }
 
+    /// Number of cells with detections.
+    pub fn cells(&self) -> usize {
+        self.cells.len()
+    }
+
     /// The order of each cell with detections, by its index.
     pub fn orders(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.cells.iter().map(|cell| (cell.cell, cell.order))

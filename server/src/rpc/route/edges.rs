@@ -9,11 +9,11 @@ use tidemap_map::{
     edge_forecast::{EdgeForecast, EdgeForecasts},
     ids::StateId,
     predict::PreparedTimes,
-    topology::{Edge, EdgeId},
+    topology::{Edge, EdgeId, NodeId, Topology},
     view::MapView,
 };
-use tidemap_model::selector::ModelSelector;
-use tidemap_plan::route::Forecasts;
+use tidemap_model::{models::FlowModel, selector::ModelSelector};
+use tidemap_plan::{encounters::Encounters, route::Forecasts};
 use tidemap_proto::convert::route::later;
 
 use super::Routes;
@@ -74,10 +74,42 @@ impl Edges {
 pub(super) struct ForecastsFrom<'a> {
     pub(super) edges: &'a Edges,
     pub(super) reference_nanos: i64,
+    /// The people to avoid.
+    pub(super) people: Option<PeopleAhead<'a>>,
+}
+
+/// Encounters with people on straight edges between nodes that have positions.
+pub(super) struct PeopleAhead<'a> {
+    encounters: Encounters<'a>,
+    view: &'a MapView,
+    topology: &'a Topology,
+}
+
+impl<'a> PeopleAhead<'a> {
+    pub(super) fn new(flow: &'a FlowModel, near_m: f64, view: &'a MapView, topology: &'a Topology) -> Self {
+        Self { encounters: Encounters::new(flow, near_m), view, topology }
+    }
+
+    fn on(&mut self, edge: &Edge, enter_nanos: i64, duration_secs: f64) -> f64 {
+        let place = |node: NodeId| {
+            let pose = self.topology.node(node).ok()?.pose?;
+            Some([pose.x_m, pose.y_m])
+        };
+        let moment = self.view.moments(&[enter_nanos]).first().copied();
+        match (place(edge.from), place(edge.to), moment) {
+            (Some(from), Some(to), Some(enter)) => self.encounters.along(from, to, enter, duration_secs),
+            _ => 0.0,
+        }
+    }
 }
 
 impl Forecasts for ForecastsFrom<'_> {
     fn at(&mut self, edge: &Edge, at_secs: f64) -> Option<EdgeForecast> {
         Some(self.edges.forecast(edge, later(self.reference_nanos, at_secs)))
+    }
+
+    fn encounters(&mut self, edge: &Edge, at_secs: f64, duration_secs: f64) -> f64 {
+        let enter_nanos = later(self.reference_nanos, at_secs);
+        self.people.as_mut().map_or(0.0, |people| people.on(edge, enter_nanos, duration_secs))
     }
 }

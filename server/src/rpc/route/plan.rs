@@ -7,6 +7,7 @@ use std::{sync::Arc, time::Duration};
 use tidemap_map::{edge_forecast::EdgeForecast, topology::Edge};
 use tidemap_model::{EarlyStop, StopSignal};
 use tidemap_plan::{
+    encounters::NEAR_M,
     policy::solve_policy,
     route::{PlanRouteError, plan_routes, success_interval},
 };
@@ -26,10 +27,10 @@ use tidemap_proto::{
 
 use super::{
     Routes,
-    edges::{Edges, ForecastsFrom},
+    edges::{Edges, ForecastsFrom, PeopleAhead},
     places::find_node,
 };
-use crate::rpc::status::{RouteError, RpcError};
+use crate::rpc::status::{Problem, RouteError, RpcError};
 
 /// Maximum number of edges of a reply.
 const REPORTED_EDGES_MAX: usize = 100_000;
@@ -46,10 +47,19 @@ pub(super) async fn plan_route(
     let within = Duration::from_nanos(plan_within_from_wire(request.plan_within)?);
     let speed = speed_from_wire(request.speed_m_per_s)?;
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
+    let people = match &question.avoided {
+        Some(_) if topology.nodes().all(|node| node.pose.is_none()) => {
+            return Err(Problem::NoNodePositions.of("avoid_people").into());
+        }
+        Some(avoided) => Some(routes.trainer.flow(&handle, &view, ("avoid_people", &avoided.source)).await?),
+        None => None,
+    };
 
     let (over, ends) = (Arc::clone(&topology), (request.from, request.to));
     let work = move |stop: StopSignal<'_>| {
-        let mut ahead = ForecastsFrom { edges: &edges, reference_nanos: question.reference_nanos };
+        let near_m = question.avoided.as_ref().map_or(NEAR_M, |avoided| avoided.near_m);
+        let people = people.as_ref().map(|flow| PeopleAhead::new(flow, near_m, &view, &over));
+        let mut ahead = ForecastsFrom { edges: &edges, reference_nanos: question.reference_nanos, people };
         let planned = plan_routes(&over, from, to, question.when, &question.options, &mut ahead, || stop.is_set());
         match planned {
             Ok(planned) => Ok(routes_to_wire(&planned, question.reference_nanos, &over, |edge| {
@@ -89,7 +99,7 @@ pub(super) async fn plan_policy(
     }
     let edges = Edges::new(routes, &handle, &view, selector, speed).await?;
     let work = move |stop: StopSignal<'_>| {
-        let mut ahead = ForecastsFrom { edges: &edges, reference_nanos: time_nanos };
+        let mut ahead = ForecastsFrom { edges: &edges, reference_nanos: time_nanos, people: None };
         let table = solve_policy(&topology, to, &options, &mut ahead, || stop.is_set()).map_err(RouteError::from)?;
         Ok::<_, RouteError>(policy_to_wire(&table, time_nanos, &topology))
     };

@@ -67,7 +67,7 @@ impl Routes {
                 recovery_secs,
                 failure_cost_secs,
             };
-            let mut ahead = ForecastsFrom { edges: &edges, reference_nanos: first_nanos };
+            let mut ahead = ForecastsFrom { edges: &edges, reference_nanos: first_nanos, people: None };
             day.plan(&mut ahead, |state| chances.get(state).cloned(), stop)
         };
         Ok(self.run_plan(Some(WITHIN), work).await?.map_err(PlanError::from)?)

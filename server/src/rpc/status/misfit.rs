@@ -28,6 +28,10 @@ pub(crate) enum Problem {
     NoPresence { state: String, kind: StateKind },
     #[error("{state:?} is a {} state, and only a vector has positions", .shape.name())]
     NoVector { state: String, shape: StateShape },
+    #[error("{state:?} is a {} state, and only an angle or a vector has directions", .shape.name())]
+    NoDirection { state: String, shape: StateShape },
+    #[error("no node of the topology has a position: give nodes one, so that people can be on edges")]
+    NoNodePositions,
     #[error("{found} coordinates: the state has {expected}")]
     Coordinates { found: usize, expected: usize },
     #[error(

@@ -1,0 +1,153 @@
+//! Flows of people, from the readings of their positions and directions.
+//!
+//! Invariant: a flow is trained on detections that have both, at least one.
+
+use tidemap_map::{ids::StateId, spec::MapSpec};
+use tidemap_model::{
+    Sample, StopSignal, direction_rad,
+    models::{CannotTrain, FLOW_BINS_MAX, FlowDetection, FlowModel, FlowOptions, FlowRaster},
+};
+use tidemap_proto::convert::query::FlowSource;
+use tidemap_store::MapId;
+
+/// Edge of a cell if none is given, metres.
+const EDGE_M: f64 = 1.0;
+
+/// Identifies a flow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct FlowKey {
+    pub map: MapId,
+    /// The number of the map's handle: an erasure gives states other ids.
+    pub handle: u64,
+    /// The flow has learned the updates up to this one.
+    pub generation: u64,
+    /// The first axes of the positions and of the motion.
+    pub states: [StateId; 2],
+    /// The bits of the corners and of the edge, if they are given.
+    raster: [u64; 5],
+    directions: usize,
+}
+
+impl FlowKey {
+    /// The key of a source.
+    pub(crate) fn new(map: MapId, handle: u64, generation: u64, states: [StateId; 2], source: &FlowSource) -> Self {
+        let mut raster = [f64::NAN.to_bits(); 5];
+        let corners = source.region.iter().flat_map(|region| region.low_m.iter().chain(&region.high_m));
+        // Adding 0 makes -0 a 0.
+        raster.iter_mut().zip(corners).for_each(|(bits, coordinate)| *bits = (coordinate + 0.0).to_bits());
+        raster[4] = source.edge_m.map_or(raster[4], f64::to_bits);
+        Self { map, handle, generation, states, raster, directions: source.directions }
+    }
+}
+
+/// Trains a flow on the readings of the x and y axes of positions, and of two axes of their motion, each ascending by
+/// time. Of several readings of the same time, the first belong together, then the second, and so on.
+///
+/// # Errors
+/// [`CannotTrain`] if no time is among both, the raster is too large, or the training is stopped.
+pub(crate) fn train_flow(
+    source: &FlowSource,
+    places: [&[Sample]; 2],
+    motions: [&[Sample]; 2],
+    spec: &MapSpec,
+    stop: StopSignal<'_>,
+) -> Result<FlowModel, CannotTrain> {
+    let detections = detections(places, motions);
+    let raster = raster(source, &detections)?;
+    let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
+    let options = FlowOptions { directions: source.directions, half_life_secs, ..FlowOptions::new(raster) };
+    FlowModel::train(&detections, &spec.periodicities, &options, stop)
+}
+
+/// The positions that have a direction.
+fn detections([x, y]: [&[Sample]; 2], [along, across]: [&[Sample]; 2]) -> Vec<FlowDetection> {
+    let mut place = 0;
+    let mut found = Vec::new();
+    for (along, across) in along.iter().zip(across) {
+        while x.get(place).is_some_and(|position| position.utc_nanos < along.utc_nanos) {
+            place += 1;
+        }
+        let here = x.get(place).zip(y.get(place)).filter(|(x, _)| x.utc_nanos == along.utc_nanos);
+        let Some((x, y)) = here else { continue };
+        place += 1;
+        if along.value != 0.0 || across.value != 0.0 {
+            let direction_rad = direction_rad([along.value, across.value]);
+            found.push(FlowDetection { moment: x.moment(), place_m: [x.value, y.value], direction_rad });
+        }
+    }
+    found
+}
+
+/// The raster of a source; by default cells of a metre over all detections, or larger ones.
+fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaster, CannotTrain> {
+    let bound = |axis: usize, start: f64, nearer: fn(f64, f64) -> f64| {
+        detections.iter().map(|detection| detection.place_m[axis]).fold(start, nearer)
+    };
+    let (low_m, high_m) = match &source.region {
+        Some(region) => ([0, 1].map(|axis| region.low_m[axis]), [0, 1].map(|axis| region.high_m[axis])),
+        None if detections.is_empty() => return Err(CannotTrain::NoReadings),
+        None => {
+            let edge = source.edge_m.unwrap_or(EDGE_M);
+            // Whole cells from the origin, so that they stay where they are when somebody walks farther.
+            let low = [0, 1].map(|axis| (bound(axis, f64::INFINITY, f64::min) / edge).floor() * edge);
+            // The upper ends of cells are open.
+            (low, [0, 1].map(|axis| bound(axis, f64::NEG_INFINITY, f64::max) + 1e-6 * edge))
+        }
+    };
+    let sides = [0, 1].map(|axis| high_m[axis] - low_m[axis]);
+    let counts = |edge: f64| sides.map(|side| (side / edge - 1e-9).ceil().max(1.0));
+    let mut edge_m = source.edge_m.unwrap_or(EDGE_M);
+    while source.edge_m.is_none()
+        && counts(edge_m).iter().product::<f64>() * source.directions as f64 > FLOW_BINS_MAX as f64
+    {
+        edge_m *= 2.0;
+    }
+    Ok(FlowRaster { low_m, edge_m, counts: counts(edge_m).map(|count| count as usize) })
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_map::name::MapName;
+    use tidemap_proto::convert::query::PositionRegion;
+
+    use super::*;
+
+    fn samples(values: &[(i64, f64)]) -> Vec<Sample> {
+        values.iter().map(|&(secs, value)| Sample { utc_nanos: secs * 1_000_000_000, offset_secs: 0, value }).collect()
+    }
+
+    fn source() -> FlowSource {
+        let (state, motion_state) = ("people".to_owned(), "velocity".to_owned());
+        FlowSource { state, motion_state, region: None, edge_m: None, directions: 8 }
+    }
+
+    #[test]
+    fn positions_and_directions_of_the_same_time_belong_together() {
+        let x = samples(&[(1, 1.0), (2, 2.0), (2, 2.5), (3, 3.0), (4, 4.0)]);
+        let y = samples(&[(1, 0.0), (2, 0.0), (2, 0.5), (3, 0.0), (4, 0.0)]);
+        // None at 1, two at 2, one more than positions at 3, somebody who stands at 4.
+        let along = samples(&[(2, 1.0), (2, 0.0), (3, -1.0), (3, 5.0), (4, 0.0)]);
+        let across = samples(&[(2, 0.0), (2, 1.0), (3, 0.0), (3, 5.0), (4, 0.0)]);
+        let found = detections([&x, &y], [&along, &across]);
+        let places: Vec<([f64; 2], f64)> = found.iter().map(|seen| (seen.place_m, seen.direction_rad)).collect();
+        let quarter = std::f64::consts::FRAC_PI_2;
+        assert_eq!(places, [([2.0, 0.0], 0.0), ([2.5, 0.5], quarter), ([3.0, 0.0], -2.0 * quarter)]);
+    }
+
+    #[test]
+    fn the_default_raster_holds_all_and_grows_with_the_region() {
+        let x = samples(&[(1, -0.5), (2, 3.0)]);
+        let y = samples(&[(1, 0.2), (2, 1.9)]);
+        let spec = MapSpec::new(MapName::new("office").expect("valid"));
+        let ones = samples(&[(1, 1.0), (2, 1.0)]);
+        let train = |source: &FlowSource| {
+            train_flow(source, [&x, &y], [&ones, &ones], &spec, StopSignal::NEVER).map(|model| model.options().raster)
+        };
+        assert_eq!(train(&source()), Ok(FlowRaster { low_m: [-1.0, 0.0], edge_m: 1.0, counts: [5, 2] }));
+        let region = Some(PositionRegion { low_m: vec![-500.0, -500.0], high_m: vec![500.0, 500.0] });
+        let wide = train(&FlowSource { region: region.clone(), ..source() }).expect("larger cells");
+        assert_eq!((wide.edge_m, wide.counts), (8.0, [125, 125]));
+        let fine = FlowSource { region, edge_m: Some(0.5), ..source() };
+        assert!(matches!(train(&fine), Err(CannotTrain::Parameter { .. })));
+    }
+}

@@ -1,0 +1,115 @@
+//! Flows of people, trained on request from the histories of their positions and directions.
+//!
+//! Invariant: all axes are gathered from one view, so that each detection is complete.
+
+use std::sync::Arc;
+
+use tidemap_map::{event::StateShape, ids::StateId, view::MapView};
+use tidemap_model::{
+    Sample, StopSignal,
+    models::{CannotTrain, FlowModel},
+    selector::ModelKind,
+};
+use tidemap_proto::convert::query::FlowSource;
+
+use super::{LearnedState, ModelTrainer};
+use crate::{
+    ingest::handle::MapHandle,
+    model_cache::{FlowKey, ModelUnavailable, TrainingStop, train_flow},
+    rpc::{
+        lookup::find_state,
+        permits::run_blocking,
+        status::{Problem, RpcError},
+    },
+};
+
+/// Flows need readings as hypertime does, of continuous states.
+const READ_AS: ModelKind = ModelKind::HYPERTIME_EM;
+
+impl ModelTrainer {
+    /// The flow of a source in a field of the request, from the cache or trained now.
+    ///
+    /// # Errors
+    /// The states do not fit; [`RpcError::FlowUnavailable`] if there can be no flow; others if the readings cannot be
+    /// read.
+    pub(in crate::rpc) async fn flow(
+        self: &Arc<Self>,
+        handle: &Arc<MapHandle>,
+        view: &Arc<MapView>,
+        (field, source): (&str, &FlowSource),
+    ) -> Result<Arc<FlowModel>, RpcError> {
+        let places = plane(view, &format!("{field}.state"), &source.state, false)?;
+        let motions = plane(view, &format!("{field}.motion_state"), &source.motion_state, true)?;
+        let learned = |id: StateId| LearnedState::new(Arc::clone(handle), Arc::clone(view), id.into());
+        let axes = [places, StateId(places.0 + 1), motions, StateId(motions.0 + 1)].map(learned);
+        let flow_error = |error| flow_error(error, &source.state, &source.motion_state);
+        for axis in &axes {
+            self.check(axis, READ_AS).map_err(flow_error)?;
+            if axis.observations() == 0 {
+                return Err(flow_error(axis.unavailable(READ_AS, ModelUnavailable::Unlearned)));
+            }
+        }
+        let key = FlowKey::new(handle.id, handle.number, view.generation(), [places, motions], source);
+        if let Some(flow) = self.flows.get(&key) {
+            return Ok(flow);
+        }
+        let (this, asked) = (Arc::clone(self), source.clone());
+        let interest = self.flows.interest(key);
+        let stop = Arc::new(interest.training_stop());
+        // A task of its own: if this request is dropped, others may wait for the same flow.
+        let training = async move { this.flows.get_or_train(key, this.train_flow(&axes, asked, stop)).await };
+        let trained = crate::task::spawn(training).await.map_err(|_| RpcError::Stopping)?;
+        drop(interest);
+        trained.map_err(flow_error)
+    }
+
+    async fn train_flow(
+        &self,
+        axes: &[Arc<LearnedState>; 4],
+        source: FlowSource,
+        stop: Arc<TrainingStop>,
+    ) -> Result<FlowModel, RpcError> {
+        let permit = self.slow_permits.take().await?;
+        let mut samples: Vec<Arc<[Sample]>> = Vec::with_capacity(axes.len());
+        for axis in axes {
+            samples.push(self.gather(axis, READ_AS, &stop).await?);
+        }
+        let handle = Arc::clone(&axes[0].handle);
+        let train = move || {
+            let is_set = || stop.is_set();
+            let [x, y, along, across] = [0, 1, 2, 3].map(|axis: usize| &*samples[axis]);
+            train_flow(&source, [x, y], [along, across], &handle.spec, StopSignal::new(&is_set))
+        };
+        let trained = run_blocking(permit, train).await?;
+        trained.map_err(|error| match error {
+            CannotTrain::NoReadings => axes[2].unavailable(READ_AS, ModelUnavailable::NoPlaces),
+            error => axes[2].unavailable(READ_AS, error),
+        })
+    }
+}
+
+/// The first of the two axes in the plane of a vector, or of an angle.
+fn plane(view: &MapView, field: &str, name: &str, may_be_angle: bool) -> Result<StateId, RpcError> {
+    match view.shape(name) {
+        Some((first, StateShape::Vector(_))) => Ok(first),
+        Some((first, StateShape::Angle)) if may_be_angle => Ok(first),
+        Some((_, shape)) => {
+            let state = name.to_owned();
+            let problem =
+                if may_be_angle { Problem::NoDirection { state, shape } } else { Problem::NoVector { state, shape } };
+            Err(problem.of(field).into())
+        }
+        // The error of an unknown name.
+        None => find_state(view, name).and_then(|_| Err(RpcError::Stopping)),
+    }
+}
+
+/// The error of a flow, if it is one of a model.
+fn flow_error(error: RpcError, state: &str, motion_state: &str) -> RpcError {
+    match error {
+        RpcError::ModelUnavailable { map, reason, .. } => {
+            RpcError::FlowUnavailable { map, state: state.to_owned(), motion_state: motion_state.to_owned(), reason }
+        }
+        other => other,
+    }
+}
