@@ -2,7 +2,7 @@
 //!
 //! Invariant: a cell without a value is blank as text and grey as SVG, which no value is.
 
-use std::fmt::Write as _;
+use std::{f64::consts::TAU, fmt::Write as _};
 
 use tidemap_picture::{
     palette::{UNKNOWN, occupancy},
@@ -20,6 +20,8 @@ use crate::svg::{
 const WIDE: usize = 36;
 /// From the least value to the greatest.
 pub(crate) const SHADES: [char; 5] = ['·', '░', '▒', '▓', '█'];
+/// From the right, counter-clockwise.
+const ARROWS: [char; 8] = ['→', '↗', '↑', '↖', '←', '↙', '↓', '↘'];
 
 /// Maximum length of a scale bar, in characters and in pixels.
 const TEXT_BAR_MAX: f64 = 30.0;
@@ -46,8 +48,26 @@ pub struct HeatMap {
     pub range: [f64; 2],
     /// What the values are.
     pub unit: String,
+    /// Directions in some cells, row by row, in radians, counter-clockwise from the right; may be empty.
+    pub arrows: Vec<Vec<Option<f64>>>,
     /// Edge of a cell in metres, where the values are a map: the drawing then has a scale bar.
     pub cell_m: Option<f64>,
+}
+
+/// An arrow through the middle of a cell.
+fn draw_arrow(svg: &mut Svg, [x, y]: [f64; 2], edge: f64, direction: f64) {
+    let at = |turn: f64, length: f64| {
+        let (sin, cos) = (direction + turn).sin_cos();
+        // Pixels grow downwards.
+        [cos * length * edge, -sin * length * edge]
+    };
+    let (tip, tail) = (at(0.0, 0.4), at(0.0, -0.4));
+    let style = "stroke=\"#b00020\" stroke-width=\"1.5\"";
+    svg.line([x + tail[0], y + tail[1], x + tip[0], y + tip[1]], style);
+    for turn in [2.6, -2.6] {
+        let barb = at(turn, 0.25);
+        svg.line([x + tip[0], y + tip[1], x + tip[0] + barb[0], y + tip[1] + barb[1]], style);
+    }
 }
 
 impl HeatMap {
@@ -64,6 +84,24 @@ impl HeatMap {
             .map_or(' ', |value| SHADES[(self.share(value) * last as f64).round() as usize])
     }
 
+    fn arrow(&self, row: usize, column: usize) -> Option<f64> {
+        self.arrows.get(row)?.get(column).copied().flatten()
+    }
+
+    /// The arrow nearest to a direction in radians, counter-clockwise from the right.
+    #[must_use]
+    pub fn arrow_character(direction_rad: f64) -> char {
+        let eighths = (direction_rad / TAU * 8.0).round().rem_euclid(8.0);
+        ARROWS[eighths as usize % 8]
+    }
+
+    /// The characters of a cell: two shades, or an arrow and a shade.
+    fn characters(&self, row: usize, column: usize, value: Option<f64>) -> [char; 2] {
+        let shade = self.shade(value);
+        let arrow = self.arrow(row, column).map(Self::arrow_character);
+        [arrow.unwrap_or(shade), shade]
+    }
+
     fn width(&self) -> usize {
         self.values.iter().map(Vec::len).max().unwrap_or(0)
     }
@@ -75,8 +113,11 @@ impl HeatMap {
         let margin = self.rows.iter().map(|label| label.chars().count()).max().unwrap_or(0);
         let is_wide = self.width() <= WIDE;
         let lines: Vec<(usize, String)> = if is_wide {
-            let line = |row: &Vec<Option<f64>>| row.iter().flat_map(|&cell| [self.shade(cell); 2]).collect();
-            self.values.iter().map(line).enumerate().collect()
+            let line = |(row, values): (usize, &Vec<Option<f64>>)| {
+                let characters = |(column, &cell): (usize, &Option<f64>)| self.characters(row, column, cell);
+                (row, values.iter().enumerate().flat_map(characters).collect())
+            };
+            self.values.iter().enumerate().map(line).collect()
         } else {
             let line = |pair: &[Vec<Option<f64>>]| {
                 let mean = |column: usize| {
@@ -127,6 +168,10 @@ impl HeatMap {
                 let fill = value.map_or(UNKNOWN, |value| occupancy(self.share(value)));
                 let fill = format!("fill=\"{}\"", hex(fill));
                 svg.rectangle([margin + f64::from(column) * edge, y, edge, edge], &fill);
+                if let Some(direction) = self.arrow(row as usize, column as usize) {
+                    let middle = [margin + (f64::from(column) + 0.5) * edge, y + edge / 2.0];
+                    draw_arrow(&mut svg, middle, edge, direction);
+                }
             }
         }
         let below = 44.0 + rows * edge + 18.0;
@@ -169,6 +214,7 @@ mod tests {
             values: vec![(0..24).map(|hour| Some(f64::from(hour) / 23.0)).collect(), vec![None; 24]],
             range: [0.0, 1.0],
             unit: "probability".to_owned(),
+            arrows: Vec::new(),
             cell_m: None,
         }
     }
@@ -191,6 +237,16 @@ mod tests {
         assert_eq!(lines[1].chars().count(), 7 + 48);
         assert!(lines[3].contains("0   2   4") || lines[3].contains("0  "), "{text}");
         assert_eq!(lines[4], "  probability: 0 · ░ ▒ ▓ █ 1");
+    }
+
+    #[test]
+    fn arrows_show_directions() {
+        let quarter = TAU / 4.0;
+        let arrows = vec![vec![Some(0.0), Some(quarter), Some(-2.0 * quarter), Some(3.5 * quarter)], vec![None; 4]];
+        let values = vec![vec![Some(1.0); 4]; 2];
+        let map = HeatMap { values, arrows, range: [0.0, 1.0], ..HeatMap::default() };
+        assert!(map.text().contains("│→█↑█←█↘█\n") && map.text().contains("│████████\n"), "{}", map.text());
+        assert_eq!(map.svg().matches("#b00020").count(), 4 * 3);
     }
 
     #[test]
