@@ -22,7 +22,8 @@ pub(crate) struct Kinds {
     map: String,
     /// The kind that the user gave for all states of the file.
     given: Option<StateShape>,
-    known: HashMap<String, StateShape>,
+    /// None if the daemon could not say it: an angle or a vector, of which it describes the axes alone.
+    known: HashMap<String, Option<StateShape>>,
 }
 
 impl Kinds {
@@ -53,18 +54,19 @@ impl Kinds {
     /// The kind of a state; `None` if it is unknown.
     async fn kind(&mut self, state: &str) -> Option<StateShape> {
         if let Some(&kind) = self.known.get(state) {
-            return Some(kind);
+            return kind;
         }
         if self.known.len() >= ASKED_MAX {
             return None;
         }
         let kind = match self.client.describe_model(&self.map, state).await {
-            Ok(model) => model.kind.into(),
+            Ok(model) => Some(model.kind.into()),
             // A new state.
-            Err(error) if error.code() == Some(Code::NotFound) => StateShape::default(),
-            Err(_) => return None,
+            Err(error) if error.code() == Some(Code::NotFound) => Some(StateShape::default()),
+            // Remembered, too: each row would ask again.
+            Err(_) => None,
         };
         self.known.insert(state.to_owned(), kind);
-        Some(kind)
+        kind
     }
 }
