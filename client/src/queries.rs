@@ -5,6 +5,7 @@
 mod anomalies;
 mod cell_alarms;
 mod evaluate;
+mod flow;
 mod grid;
 mod places;
 mod positions;
@@ -15,6 +16,7 @@ mod surprises;
 pub use anomalies::{Anomalies, Anomaly, AnomalyWatch, Judgement, Watched, WatchedPlaces};
 pub use cell_alarms::{CellAlarm, CellAlarms};
 pub use evaluate::{Comparison, EvaluateOptions, Evaluator, StateEvaluation, Unavailable};
+pub use flow::{AvoidedPeople, FlowForecast, FlowRaster, FlowSource, Flows, PositionRegion};
 pub use grid::{
     CellPrediction, GridHeader, GridOutput, GridPrediction, GridQuery, PredictedTile, TILE_EDGE, WholeGrid,
 };

@@ -57,6 +57,7 @@ pages! {
     durability: "docs/src/durability.md",
     experiments: "docs/src/experiments.md",
     categories: "docs/src/categories.md",
+    flows: "docs/src/flows.md",
     exploration: "docs/src/exploration.md",
     first_map: "docs/src/first-map.md",
     own_data: "docs/src/own-data.md",

@@ -16,6 +16,7 @@ mod examples;
 mod experiments;
 mod exploration;
 mod floods;
+mod flows;
 mod grid;
 mod json_output;
 mod kinds;

@@ -4,7 +4,7 @@
 
 use tidemap_proto::{
     convert::{
-        query::selector_to_wire,
+        query::{flow_source_to_wire, selector_to_wire},
         route::{EdgePrediction, objective_to_wire, predictions_from_wire, route_certainty_from_wire},
         time::{duration, instant, timestamp},
         topology::edge_name_from_wire,
@@ -13,7 +13,11 @@ use tidemap_proto::{
 };
 
 use super::{Certainty, EdgeName, Objective, PolicyAction, PolicyEntry};
-use crate::{connection::Client, error::Error, queries::ModelSelector};
+use crate::{
+    connection::Client,
+    error::Error,
+    queries::{AvoidedPeople, ModelSelector},
+};
 
 /// When to leave or arrive, nanoseconds UTC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,6 +66,8 @@ pub struct RouteQuery {
     pub speed_m_per_s: Option<f64>,
     /// Time limit of planning, nanoseconds.
     pub plan_within_nanos: Option<i64>,
+    /// People to avoid.
+    pub avoided: Option<AvoidedPeople>,
 }
 
 impl RouteQuery {
@@ -82,6 +88,7 @@ impl RouteQuery {
             model: ModelSelector::default(),
             speed_m_per_s: None,
             plan_within_nanos: None,
+            avoided: None,
         }
     }
 }
@@ -103,6 +110,8 @@ pub struct NamedRouteStep {
     pub reports: u64,
     /// Number of reports that no update has learned yet.
     pub pending_reports: u64,
+    /// Expected encounters with people; 0 if none are avoided.
+    pub encounters: f64,
 }
 
 /// A route from one node to another, by the names of its edges, in times UTC.
@@ -122,6 +131,8 @@ pub struct NamedRoute {
     pub success_interval: [f64; 2],
     /// Cost under the objective.
     pub cost: f64,
+    /// Expected encounters with people if nothing fails; 0 if none are avoided.
+    pub encounters: f64,
 }
 
 /// A request for a policy. `None`: the daemon's default.
@@ -172,6 +183,7 @@ fn route(route: v1::Route) -> Result<NamedRoute, Error> {
             success_interval: [step.success_lower, step.success_upper],
             reports: step.reports,
             pending_reports: step.pending_reports,
+            encounters: step.encounters,
         })
     };
     Ok(NamedRoute {
@@ -181,6 +193,7 @@ fn route(route: v1::Route) -> Result<NamedRoute, Error> {
         success: route.success,
         success_interval: [route.success_lower, route.success_upper],
         cost: route.cost,
+        encounters: route.encounters,
         steps: route.steps.into_iter().map(step).collect::<Result<_, Error>>()?,
     })
 }
@@ -233,6 +246,9 @@ impl Client {
             model: Some(selector_to_wire(query.model)),
             speed_m_per_s: query.speed_m_per_s.unwrap_or_default(),
             plan_within: query.plan_within_nanos.map(duration),
+            encounter_cost_secs: query.avoided.as_ref().map(|avoided| avoided.encounter_cost_secs),
+            near_m: query.avoided.as_ref().map_or(0.0, |avoided| avoided.near_m),
+            avoid_people: query.avoided.map(|avoided| flow_source_to_wire(avoided.source)),
         };
         let answer = self.route_service().plan_route(request).await.map_err(|status| self.error(&status))?;
         let reply = answer.into_inner();

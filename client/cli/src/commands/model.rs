@@ -152,7 +152,7 @@ async fn week(session: &Session, map: &str, state: &str, shown: &ShownModel) -> 
         values: values.chunks(24).map(<[Option<f64>]>::to_vec).collect(),
         range: if is_probability { [0.0, 1.0] } else { [low, high] },
         unit: if is_probability { "probability" } else { "expected value" }.to_owned(),
-        cell_m: None,
+        ..HeatMap::default()
     })
 }
 

@@ -1,4 +1,4 @@
-//! `tidemap position`.
+//! `tidemap position`: where something is, or, with `--flow`, how people move.
 //!
 //! Invariant: rows are in the order of the times, the most probable cell of each time first; the summary of a time goes
 //! to stderr.
@@ -9,6 +9,11 @@ use clap::Args;
 use tidemap_client::queries::{ModelSelector, PositionForecast, PositionQuery, PositionsHeader};
 
 use super::{Session, files::DrawingArg, times, usage};
+
+mod flow;
+
+pub(super) use flow::source;
+
 use crate::progress::status_line;
 use tidemap_formats::{drawing::HeatMap, table::Cell};
 
@@ -22,26 +27,30 @@ pub(crate) struct PositionArgs {
     #[arg(long, required = true, value_name = "TIME,…", value_parser = times::time, value_delimiter = ',')]
     at: Vec<i64>,
     /// Model: hypertime-em[:CLUSTERS] or hypertime-km[:CLUSTERS]
-    #[arg(long, value_name = "KIND", default_value = "hypertime-em:3")]
+    #[arg(long, value_name = "KIND", default_value = "hypertime-em:3", conflicts_with = "flow")]
     model: ModelSelector,
-    /// Edge of a cell in metres [default: 1/64 of the region's longest side, or 1/24 for three coordinates]
+    /// Edge of a cell in metres [default: 1/64 of the region's longest side, or 1/24 for three coordinates; with --flow
+    /// 1, or more for a large region]
     #[arg(long, value_name = "M")]
     resolution: Option<f64>,
     /// Region to predict: lower and upper corner in metres [default: the observed region with a margin]
     #[arg(long, value_name = "X,Y[,Z]:X,Y[,Z]", value_parser = region, allow_hyphen_values = true)]
     region: Option<Region>,
-    /// Number of cells per time, the most probable ones; 0 for all
+    /// Number of cells per time, the most probable ones, with --flow those with the most people; 0 for all
     #[arg(long, value_name = "N", default_value_t = 10)]
     top: u32,
-    /// Also predict how many positions there are in each cell, from each time until this much later [at most: 7d]
+    /// Also predict how many positions there are in each cell, from each time until this much later [at most: 7d]; with
+    /// --flow, the window around each time [default: 10m]
     #[arg(long, value_name = "DURATION", value_parser = times::duration)]
     count: Option<i64>,
+    #[command(flatten)]
+    flow: flow::FlowArgs,
     #[command(flatten)]
     drawing: DrawingArg,
 }
 
 #[derive(Clone, Debug)]
-struct Region {
+pub(super) struct Region {
     low_m: Vec<f64>,
     high_m: Vec<f64>,
 }
@@ -62,8 +71,12 @@ pub(crate) async fn run(session: &Session, args: PositionArgs) -> anyhow::Result
         return Err(usage("--resolution must be above 0"));
     }
     args.drawing.check()?;
+    args.flow.check()?;
     if args.drawing.is_wanted() && args.at.len() != 1 {
         return Err(usage("--picture draws one time: give one with --at"));
+    }
+    if let Some(motion) = args.flow.flow.clone() {
+        return flow::run(session, args, motion).await;
     }
     let query = PositionQuery {
         times: args.at.clone(),
@@ -139,6 +152,7 @@ fn heat_map(header: &PositionsHeader, forecast: &PositionForecast, title: String
         range: [0.0, highest],
         unit: "probability of a cell; metres".to_owned(),
         cell_m: Some(header.resolution_m),
+        ..HeatMap::default()
     }
 }
 

@@ -7,12 +7,14 @@ use std::{path::PathBuf, process::ExitCode};
 
 use clap::{ArgGroup, Args, ValueEnum};
 use tidemap_client::{
-    queries::ModelSelector,
+    queries::{AvoidedPeople, ModelSelector},
     routes::{Certainty, EdgeName, NamedRoute, Objective, PolicyAction, PolicyQuery, RouteQuery, RouteTime, StateName},
 };
 
 use super::{
-    Session, files, times,
+    Session, files,
+    position::source,
+    times,
     topology_picture::{self, Overlay},
     usage,
 };
@@ -43,9 +45,9 @@ pub(crate) struct RouteArgs {
     /// Step between the departures [default: 60s, or longer for more than 1,000 departures]
     #[arg(long, value_name = "DURATION", value_parser = times::duration, requires = "from_time")]
     step: Option<i64>,
-    /// Objective of the route
-    #[arg(long, value_name = "WHAT", default_value = "success")]
-    objective: ObjectiveArg,
+    /// Objective of the route [default: success, or time with --avoid]
+    #[arg(long, value_name = "WHAT")]
+    objective: Option<ObjectiveArg>,
     /// Weight between time (0) and success (1), with --objective blend
     #[arg(long, value_name = "W", default_value_t = 0.5, allow_hyphen_values = true)]
     doubt: f64,
@@ -70,9 +72,42 @@ pub(crate) struct RouteArgs {
     /// Speed on edges without data, metres per second [default: 0.5]
     #[arg(long, value_name = "M/S", allow_hyphen_values = true)]
     speed: Option<f64>,
+    #[command(flatten)]
+    avoid: AvoidArgs,
     /// Draws the map with the route as SVG
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct AvoidArgs {
+    /// Vector with the positions of people to avoid, as of `position --flow`
+    #[arg(long, value_name = "STATE", requires = "flow")]
+    avoid: Option<String>,
+    /// State with the direction of these people: an angle, or a vector with their velocity
+    #[arg(long, value_name = "STATE", requires = "avoid")]
+    flow: Option<String>,
+    /// What avoiding an encounter is worth, seconds: a second near a person, if people are detected once a second
+    /// [default: 10]
+    #[arg(long, value_name = "SECONDS", requires = "avoid", allow_hyphen_values = true)]
+    encounter_cost: Option<f64>,
+    /// People within this distance are near, metres [default: 1]
+    #[arg(long, value_name = "M", requires = "avoid", allow_hyphen_values = true)]
+    near: Option<f64>,
+    /// Edge of a cell in which people are counted, metres [default: 1, or more for a large region]
+    #[arg(long, value_name = "M", requires = "avoid", allow_hyphen_values = true)]
+    resolution: Option<f64>,
+}
+
+impl AvoidArgs {
+    fn people(self) -> Option<AvoidedPeople> {
+        let (state, motion_state) = self.avoid.zip(self.flow)?;
+        Some(AvoidedPeople {
+            source: source(state, motion_state, None, self.resolution, None),
+            encounter_cost_secs: self.encounter_cost.unwrap_or(10.0),
+            near_m: self.near.unwrap_or(1.0),
+        })
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -149,8 +184,10 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
         _ => return Err(usage("give the time with --at, --arrive, or --from with --to")),
     };
     files::check_picture(args.picture.as_deref())?;
+    let avoids = args.avoid.avoid.is_some();
+    let usual = if avoids { ObjectiveArg::Time } else { ObjectiveArg::Success };
     let query = RouteQuery {
-        objective: match args.objective {
+        objective: match args.objective.unwrap_or(usual) {
             ObjectiveArg::Success => Objective::Success,
             ObjectiveArg::Time => Objective::Time,
             ObjectiveArg::Blend => Objective::Blend { weight: args.doubt },
@@ -162,13 +199,15 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
         horizon_nanos: args.horizon,
         model: args.model,
         speed_m_per_s: args.speed,
+        avoided: args.avoid.people(),
         ..RouteQuery::new(&args.map, &args.from, &args.to, when)
     };
     let (routes, certainty) = session.client.plan_route(query).await?;
-    let mut table = session.table(&COLUMNS);
+    let columns: Vec<&str> = COLUMNS.into_iter().chain(avoids.then_some("encounters")).collect();
+    let mut table = session.table(&columns);
     for (number, route) in (1_u64..).zip(&routes) {
         for (index, step) in (1_u64..).zip(&route.steps) {
-            table.row(vec![
+            let mut row = vec![
                 Cell::Count(index),
                 step.edge.from.as_str().into(),
                 step.edge.to.as_str().into(),
@@ -182,12 +221,15 @@ pub(crate) async fn run(session: &Session, args: RouteArgs) -> anyhow::Result<Ex
                 Cell::Count(number),
                 route.expected_secs.into(),
                 step.pending_reports.into(),
-            ])?;
+            ];
+            row.extend(avoids.then(|| step.encounters.into()));
+            table.row(row)?;
         }
     }
     table.finish()?;
     for (number, route) in (1..).zip(&routes) {
-        status_line(&summary(number, route, routes.len()));
+        let met = if avoids { format!("; {:.2} encounters expected", route.encounters) } else { String::new() };
+        status_line(&format!("{}{met}", summary(number, route, routes.len())));
     }
     status_line(match certainty {
         Certainty::Proven => "no route is better",

@@ -101,7 +101,7 @@ impl<'a> Drawn<'a> {
             range: [0.0, 1.0],
             unit: unit.to_owned(),
             values,
-            cell_m: None,
+            ..HeatMap::default()
         }
     }
 }
