@@ -37,6 +37,19 @@ def test_the_example_of_landmarks_runs():
     assert abs(names["found"]["heading_px"][0] - 12) < 1e-9
 
 
+def test_the_example_of_flows_runs():
+    pytest.importorskip("pandas")
+    text = (ROOT / "docs" / "src" / "flows.md").read_text()
+    (block,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(block, "flows.md", "exec"), names)  # noqa: S102
+    flow = names["flow"]
+    by_time = [cells for _, cells in flow.groupby("time")]
+    assert [len(cells) for cells in by_time] == [10, 10]
+    assert abs(by_time[0]["direction_rad"]).max() < 1e-9 and (by_time[1]["direction_rad"] < -3.1).all()
+    assert flow["expected_count"].between(1, 3).all()
+
+
 def test_the_example_of_ones_own_data_runs(tmp_path, monkeypatch):
     pandas = pytest.importorskip("pandas")
     pytest.importorskip("matplotlib").use("Agg")

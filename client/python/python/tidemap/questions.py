@@ -317,6 +317,34 @@ class Questions(Connection):
         table.attrs.update({name: header[name] for name in ("resolution_m", "observations", "trained_observations")})
         return table
 
+    def flow(
+        self, map: str, state: str, motion: str, times: Any, *, zone: str | None = None, **request: Any
+    ) -> pandas.DataFrame:
+        """Flows of people: a row for each cell of each time in which anybody was detected.
+
+        ``state`` has the positions of people, ``motion`` their directions at the same times: an angle, or a vector with
+        their velocity. ``x, y`` are the middle of the cell in metres, ``expected_count`` the number of detections in
+        the window around the time, ``direction_rad`` the likeliest direction from the x axis, counter-clockwise, and
+        ``share`` its probability. ``request`` has ``count_window`` and fields of ``FlowSource``, such as
+        ``resolution_m`` and ``region``.
+        """
+        tables.pandas_needed()
+        nanos = self._nanos(map, times, zone)
+        asked: dict[str, Any] = {"map": map, "times_nanos": nanos}
+        if "count_window" in request:
+            asked["count_window"] = request.pop("count_window")
+        asked["source"] = {"state": state, "motion_state": motion, **request}
+        header: dict[str, Any] = {}
+        cells: list[dict[str, Any]] = []
+        for reply in self.stream("QueryService/PredictFlow", asked, zone=zone):
+            if reply.get("header"):
+                header = reply["header"]
+            elif reply.get("cells"):
+                cells.append(reply["cells"])
+        table = tables.of_flows(header, cells, nanos, self._zone(map))
+        table.attrs.update({name: header[name] for name in ("resolution_m", "detections", "rhythmic_cells")})
+        return table
+
     def information(
         self,
         map: str,

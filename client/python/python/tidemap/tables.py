@@ -246,6 +246,29 @@ def of_edges(edges: list[dict[str, Any]]) -> pandas.DataFrame:
     })
 
 
+def of_flows(
+    header: dict[str, Any], cells: list[dict[str, Any]], times: npt.NDArray[np.int64], zone: str
+) -> pandas.DataFrame:
+    """Flows: a row for each cell of each time, ascending by cell; coordinates are middles of cells, metres."""
+    (low_x, low_y), edge_m = header["low_m"], header["resolution_m"]
+    width, directions = header["counts"][0], header["directions"]
+    indices = np.concatenate([np.zeros(0, np.int64), *(np.asarray(piece["indices"], np.int64) for piece in cells)])
+    shares = np.concatenate([np.zeros(0), *(np.asarray(piece["shares"], float) for piece in cells)])
+    shares = shares.reshape(-1, directions)
+    counts = np.concatenate([np.zeros(0), *(np.asarray(piece["expected_counts"], float) for piece in cells)])
+    lengths = [len(piece["indices"]) for piece in cells]
+    likeliest = shares.argmax(axis=1)
+    turns = likeliest / directions
+    return frame({
+        "time": zoned(np.repeat([times[piece["time_index"]] for piece in cells], lengths), zone),
+        "x": low_x + (indices % width + 0.5) * edge_m,
+        "y": low_y + (indices // width + 0.5) * edge_m,
+        "expected_count": counts,
+        "direction_rad": 2 * np.pi * np.where(turns < 0.5, turns, turns - 1),
+        "share": shares[np.arange(len(shares)), likeliest],
+    })
+
+
 def of_positions(
     header: dict[str, Any], cells: list[dict[str, Any]], times: npt.NDArray[np.int64], zone: str
 ) -> pandas.DataFrame:
