@@ -23,6 +23,7 @@ use tidemap_experiment::{
     localise::{self, LandmarkRecording, VISIBILITY_MODELS, VisibilityModel},
     routes::{self, RoutesProtocol},
     search,
+    tasks::{self, TasksProtocol},
 };
 use tidemap_formats::table::Format;
 
@@ -45,6 +46,8 @@ enum ExperimentKind {
     Search(CompareArgs),
     /// Sends robots around a simulated building, and reports how often their routes fail, week by week
     Routes(RoutesArgs),
+    /// Gives robots in a simulated building tasks with windows, and reports failures and what is done, week by week
+    Tasks(TasksArgs),
     /// Finds the place and heading of pictures by landmarks that come and go, from a recording
     Localise(LocaliseArgs),
     /// Predicts simulated habits day by day, and reports how sure predictions are and whether they are right
@@ -142,6 +145,25 @@ struct RoutesArgs {
 }
 
 #[derive(Debug, Args)]
+struct TasksArgs {
+    /// Number of runs, each with its own random seed
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=1_000))]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    first_seed: u64,
+    /// Weeks of each run
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=52))]
+    weeks: u64,
+    /// Tasks per day, without charging
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=90))]
+    tasks: u64,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "tasks-results")]
+    out: PathBuf,
+}
+
+#[derive(Debug, Args)]
 struct CompareArgs {
     /// The protocol, ending in .yaml or .yml; deploy/experiments has examples
     #[arg(value_name = "FILE.yaml", value_parser = protocol_file)]
@@ -163,7 +185,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
             "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, \
-             search, routes, habits, activity, localise"
+             search, routes, tasks, habits, activity, localise"
                 .to_owned(),
         ),
     }
@@ -175,6 +197,7 @@ pub(crate) fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCo
         (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),
         (Some(ExperimentKind::Search(args)), _) => search(&args, format),
         (Some(ExperimentKind::Routes(args)), _) => routes(args, format),
+        (Some(ExperimentKind::Tasks(args)), _) => tasks(args, format),
         (Some(ExperimentKind::Habits(args)), _) => habits(args, format),
         (Some(ExperimentKind::Localise(args)), _) => localise(&args, format),
         (Some(ExperimentKind::Activity(args)), _) => activity(args, format),
@@ -268,6 +291,19 @@ fn routes(args: RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
         |bar| Ok(routes::run(&protocol, &|done, total| bar.set_of(done, total))?),
         routes::write,
         |outcome, stdout| routes::summary(outcome, format, stdout),
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn tasks(args: TasksArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let TasksArgs { seeds, first_seed, weeks, tasks, out } = args;
+    let protocol = TasksProtocol { seeds, first_seed, weeks: weeks as usize, tasks: tasks as usize };
+    conduct(
+        &out,
+        "runs",
+        |bar| Ok(tasks::run(&protocol, &|done, total| bar.set_of(done, total))?),
+        tasks::write,
+        |outcome, stdout| tasks::summary(outcome, format, stdout),
     )?;
     Ok(ExitCode::SUCCESS)
 }
