@@ -6,7 +6,8 @@
 //! travelled until the last midnight: the parts of a daemon in one process. A failed traversal costs time; a few of
 //! them end with the robot stuck, and somebody has to help.
 //!
-//! - `demand.rs`: the tasks of a day; `robot.rs`: a robot that does them; `report.rs`: results.csv, weeks.csv.
+//! - `demand.rs`: the tasks of a day; `robot.rs`: a robot that does them; `report.rs`: results.csv, weeks.csv;
+//! - `terminal.rs`: another world, in which the task is to be where people are.
 //!
 //! Invariant: with one seed all robots have the same tasks and meet the same world; plans use earlier days only; the
 //! same protocol gives the same figures for any number of threads.
@@ -24,6 +25,7 @@ use crate::{routes::RoutesError, seed_mean::SeedMean};
 mod demand;
 mod report;
 mod robot;
+pub mod terminal;
 
 #[cfg(test)]
 mod tests;

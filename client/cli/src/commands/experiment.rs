@@ -11,7 +11,7 @@ use std::{
 };
 
 use anyhow::Context as _;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 
 use super::usage;
 use crate::progress::{Bar, status_line};
@@ -23,7 +23,10 @@ use tidemap_experiment::{
     localise::{self, LandmarkRecording, VISIBILITY_MODELS, VisibilityModel},
     routes::{self, RoutesProtocol},
     search,
-    tasks::{self, TasksProtocol},
+    tasks::{
+        self, TasksProtocol,
+        terminal::{self, TerminalProtocol},
+    },
 };
 use tidemap_formats::table::Format;
 
@@ -144,8 +147,14 @@ struct RoutesArgs {
     out: PathBuf,
 }
 
+/// Tasks per day.
+const TASKS_BY_DEFAULT: u64 = 20;
+
 #[derive(Debug, Args)]
 struct TasksArgs {
+    /// The world
+    #[arg(long, value_enum, value_name = "WORLD", default_value_t = TaskWorld::Building)]
+    world: TaskWorld,
     /// Number of runs, each with its own random seed
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=1_000))]
     seeds: u64,
@@ -155,12 +164,21 @@ struct TasksArgs {
     /// Weeks of each run
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=52))]
     weeks: u64,
-    /// Tasks per day, without charging
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=90))]
-    tasks: u64,
+    /// Tasks per day in the building, without charging; 20 by default
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=90))]
+    tasks: Option<u64>,
     /// Folder of the results
     #[arg(long, value_name = "DIR", default_value = "tasks-results")]
     out: PathBuf,
+}
+
+/// A world of tasks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum TaskWorld {
+    /// Tasks with windows, in a building whose ways are not always open
+    Building,
+    /// An information terminal that should be where people are
+    Terminal,
 }
 
 #[derive(Debug, Args)]
@@ -296,15 +314,32 @@ fn routes(args: RoutesArgs, format: Format) -> anyhow::Result<ExitCode> {
 }
 
 fn tasks(args: TasksArgs, format: Format) -> anyhow::Result<ExitCode> {
-    let TasksArgs { seeds, first_seed, weeks, tasks, out } = args;
-    let protocol = TasksProtocol { seeds, first_seed, weeks: weeks as usize, tasks: tasks as usize };
-    conduct(
-        &out,
-        "runs",
-        |bar| Ok(tasks::run(&protocol, &|done, total| bar.set_of(done, total))?),
-        tasks::write,
-        |outcome, stdout| tasks::summary(outcome, format, stdout),
-    )?;
+    let TasksArgs { world, seeds, first_seed, weeks, tasks, out } = args;
+    let weeks = weeks as usize;
+    match world {
+        TaskWorld::Terminal if tasks.is_some() => return Err(usage("--tasks is of the world building only")),
+        TaskWorld::Terminal => drop(conduct(
+            &out,
+            "runs",
+            |bar| {
+                let protocol = TerminalProtocol { seeds, first_seed, weeks };
+                Ok(terminal::run(&protocol, &|done, total| bar.set_of(done, total))?)
+            },
+            terminal::write,
+            |outcome, stdout| terminal::summary(outcome, format, stdout),
+        )?),
+        TaskWorld::Building => drop(conduct(
+            &out,
+            "runs",
+            |bar| {
+                let tasks = tasks.unwrap_or(TASKS_BY_DEFAULT) as usize;
+                let protocol = TasksProtocol { seeds, first_seed, weeks, tasks };
+                Ok(tasks::run(&protocol, &|done, total| bar.set_of(done, total))?)
+            },
+            tasks::write,
+            |outcome, stdout| tasks::summary(outcome, format, stdout),
+        )?),
+    }
     Ok(ExitCode::SUCCESS)
 }
 
