@@ -143,12 +143,8 @@ impl TaskRobot<'_> {
             let next = match self.kind {
                 TaskRobotKind::FirstCome | TaskRobotKind::FirstComeRouted => first_come(&open),
                 TaskRobotKind::Planned => {
-                    let is_behind = |steps: &VecDeque<KeptStep>| {
-                        let departure = steps.front().map(|step| secs(step.departure_nanos));
-                        departure.is_some_and(|departure| now_secs > departure + BEHIND_SECS)
-                    };
                     let mut steps = match plan.take() {
-                        Some(steps) if !is_behind(&steps) => steps,
+                        Some(steps) if still_holds(&steps, &open, now_secs) => steps,
                         _ => self.plan(building, day, &open)?,
                     };
                     let next = steps.pop_front().and_then(|step| place_in(&open, &step));
@@ -224,6 +220,12 @@ impl TaskRobot<'_> {
 fn first_come(open: &[Occurrence<'_>]) -> Option<(usize, f64)> {
     let first = open.iter().enumerate().min_by_key(|(index, task)| (task.from_nanos, *index));
     first.map(|(index, task)| (index, secs(task.from_nanos)))
+}
+
+/// Whether the next step of a plan can be done as planned, or nothing is left of it.
+fn still_holds(steps: &VecDeque<KeptStep>, open: &[Occurrence<'_>], now_secs: f64) -> bool {
+    let next = steps.front().map(|step| place_in(open, step));
+    next.is_none_or(|next| next.is_some_and(|(_, departure_secs)| now_secs <= departure_secs + BEHIND_SECS))
 }
 
 /// The task of a planned step, and when to set out.
