@@ -96,7 +96,7 @@ pub struct TerminalComparison {
 }
 
 impl TerminalComparison {
-    /// Interactions an hour of a robot, divided by those of the robot of this kind; and in how many seeds they are more.
+    /// Interactions an hour of a robot, divided by those of this kind; and in how many seeds they are more.
     fn against(&self, course: &TerminalCourse, kind: TerminalRobotKind) -> (f64, usize) {
         let all = 0..self.weeks;
         let Some(other) = self.courses.iter().find(|course| course.kind == kind) else { return (f64::NAN, 0) };
