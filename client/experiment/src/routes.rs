@@ -24,11 +24,11 @@ use tidemap_plan::route::PlanRouteError;
 
 use crate::{paired, seed_mean::SeedMean};
 
-mod building;
+pub(crate) mod building;
 mod learner;
 mod picture;
 mod report;
-mod robot;
+pub(crate) mod robot;
 
 #[cfg(test)]
 mod tests;
@@ -36,10 +36,12 @@ mod tests;
 pub use report::{summary, write};
 pub use robot::{RobotKind, Week};
 
-const DAY_SECS: f64 = 86_400.0;
-const WEEK_DAYS: usize = 7;
+pub(crate) const DAY_SECS: f64 = 86_400.0;
+pub(crate) const WEEK_DAYS: usize = 7;
 /// Midnight before the first day, which is a Monday: 2025-01-06 UTC.
-const START_NANOS: i64 = 20_094 * 86_400_000_000_000;
+pub(crate) const START_NANOS: i64 = START_DAY as i64 * 86_400_000_000_000;
+/// The first day.
+pub(crate) const START_DAY: i32 = 20_094;
 
 /// The protocol of a comparison of robots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,7 +72,7 @@ pub enum RoutesError {
 }
 
 impl RoutesError {
-    fn setting(error: impl std::fmt::Display) -> Self {
+    pub(crate) fn setting(error: impl std::fmt::Display) -> Self {
         Self::Setting(error.to_string())
     }
 }

@@ -11,7 +11,7 @@ use std::{
 };
 
 use anyhow::Context as _;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 
 use super::usage;
 use crate::progress::{Bar, status_line};
@@ -24,6 +24,10 @@ use tidemap_experiment::{
     localise::{self, LandmarkRecording, VISIBILITY_MODELS, VisibilityModel},
     routes::{self, RoutesProtocol},
     search,
+    tasks::{
+        self, TasksProtocol,
+        terminal::{self, TerminalProtocol},
+    },
 };
 use tidemap_formats::table::Format;
 
@@ -46,6 +50,8 @@ enum ExperimentKind {
     Search(CompareArgs),
     /// Sends robots around a simulated building, and reports how often their routes fail, week by week
     Routes(RoutesArgs),
+    /// Gives robots in a simulated building tasks with windows, and reports failures and what is done, week by week
+    Tasks(TasksArgs),
     /// Finds the place and heading of pictures by landmarks that come and go, from a recording
     Localise(LocaliseArgs),
     /// Predicts simulated habits day by day, and reports how sure predictions are and whether they are right
@@ -163,6 +169,40 @@ struct RoutesArgs {
     out: PathBuf,
 }
 
+/// Tasks per day.
+const TASKS_BY_DEFAULT: u64 = 20;
+
+#[derive(Debug, Args)]
+struct TasksArgs {
+    /// The world
+    #[arg(long, value_enum, value_name = "WORLD", default_value_t = TaskWorld::Building)]
+    world: TaskWorld,
+    /// Number of runs, each with its own random seed
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=1_000))]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    first_seed: u64,
+    /// Weeks of each run
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=52))]
+    weeks: u64,
+    /// Tasks per day in the building, without charging; 20 by default
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=90))]
+    tasks: Option<u64>,
+    /// Folder of the results
+    #[arg(long, value_name = "DIR", default_value = "tasks-results")]
+    out: PathBuf,
+}
+
+/// A world of tasks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum TaskWorld {
+    /// Tasks with windows, in a building whose ways are not always open
+    Building,
+    /// An information terminal that should be where people are
+    Terminal,
+}
+
 #[derive(Debug, Args)]
 struct CompareArgs {
     /// The protocol, ending in .yaml or .yml; deploy/experiments has examples
@@ -185,7 +225,7 @@ fn protocol_file(text: &str) -> Result<PathBuf, String> {
         Some("yaml" | "yml") => Ok(path),
         _ => Err(
             "it is neither a protocol, a file that ends in .yaml or .yml, nor a kind of experiment: compare, explore, \
-             search, routes, habits, activity, flows, localise"
+             search, routes, tasks, habits, activity, flows, localise"
                 .to_owned(),
         ),
     }
@@ -197,6 +237,7 @@ pub(crate) fn run(args: ExperimentArgs, format: Format) -> anyhow::Result<ExitCo
         (Some(ExperimentKind::Explore(args)), _) => explore(&args, format),
         (Some(ExperimentKind::Search(args)), _) => search(&args, format),
         (Some(ExperimentKind::Routes(args)), _) => routes(args, format),
+        (Some(ExperimentKind::Tasks(args)), _) => tasks(args, format),
         (Some(ExperimentKind::Habits(args)), _) => habits(args, format),
         (Some(ExperimentKind::Localise(args)), _) => localise(&args, format),
         (Some(ExperimentKind::Flows(args)), _) => flows(args, format),
@@ -305,6 +346,36 @@ fn flows(args: FlowsArgs, format: Format) -> anyhow::Result<ExitCode> {
         flows::write,
         |outcome, stdout| flows::summary(outcome, format, stdout),
     )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn tasks(args: TasksArgs, format: Format) -> anyhow::Result<ExitCode> {
+    let TasksArgs { world, seeds, first_seed, weeks, tasks, out } = args;
+    let weeks = weeks as usize;
+    match world {
+        TaskWorld::Terminal if tasks.is_some() => return Err(usage("--tasks is of the world building only")),
+        TaskWorld::Terminal => drop(conduct(
+            &out,
+            "runs",
+            |bar| {
+                let protocol = TerminalProtocol { seeds, first_seed, weeks };
+                Ok(terminal::run(&protocol, &|done, total| bar.set_of(done, total))?)
+            },
+            terminal::write,
+            |outcome, stdout| terminal::summary(outcome, format, stdout),
+        )?),
+        TaskWorld::Building => drop(conduct(
+            &out,
+            "runs",
+            |bar| {
+                let tasks = tasks.unwrap_or(TASKS_BY_DEFAULT) as usize;
+                let protocol = TasksProtocol { seeds, first_seed, weeks, tasks };
+                Ok(tasks::run(&protocol, &|done, total| bar.set_of(done, total))?)
+            },
+            tasks::write,
+            |outcome, stdout| tasks::summary(outcome, format, stdout),
+        )?),
+    }
     Ok(ExitCode::SUCCESS)
 }
 

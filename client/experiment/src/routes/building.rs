@@ -117,7 +117,7 @@ enum Obstacle {
 
 /// A building.
 #[derive(Clone, Debug)]
-pub(super) struct Building {
+pub(crate) struct Building {
     seed: u64,
     topology: Topology,
 }
@@ -132,7 +132,7 @@ pub(super) struct Attempt {
 }
 
 /// The edit that loads the building into a map.
-pub(super) fn load() -> Result<TopologyEdit, InvalidName> {
+pub(crate) fn load() -> Result<TopologyEdit, InvalidName> {
     let node = |&(name, [x_m, y_m]): &(&str, [f64; 2])| {
         Ok(NewNode { name: StateName::new(name)?, pose: Some(NodePose { x_m, y_m, yaw_rad: 0.0 }), dwell_secs: None })
     };
@@ -151,12 +151,12 @@ pub(super) fn load() -> Result<TopologyEdit, InvalidName> {
 
 impl Building {
     /// The building of a map that [`load`] made, with the random events of a seed.
-    pub(super) fn new(seed: u64, topology: Topology) -> Self {
+    pub(crate) fn new(seed: u64, topology: Topology) -> Self {
         Self { seed, topology }
     }
 
     /// The topological map of the building.
-    pub(super) fn topology(&self) -> &Topology {
+    pub(crate) fn topology(&self) -> &Topology {
         &self.topology
     }
 
@@ -216,7 +216,7 @@ impl Building {
 }
 
 /// A generator for each combination of numbers.
-pub(super) fn draw(seed: u64, key: [u64; 3]) -> SmallRng {
+pub(crate) fn draw(seed: u64, key: [u64; 3]) -> SmallRng {
     let key = key.into_iter().fold(seed, |key, part| SmallRng::seed_from_u64(key ^ part).random());
     SmallRng::seed_from_u64(key)
 }

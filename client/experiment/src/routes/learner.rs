@@ -25,7 +25,7 @@ use crate::nightly_map::NightlyMap;
 
 /// A map that learns from traversals.
 #[derive(Debug)]
-pub(super) struct Learner {
+pub(crate) struct Learner {
     map: NightlyMap,
     blend: Blend,
     edges: EdgeForecasts,
@@ -33,7 +33,7 @@ pub(super) struct Learner {
 
 impl Learner {
     /// An untrained map of the building, with default properties.
-    pub(super) fn new(blend: Blend) -> Result<Self, RoutesError> {
+    pub(crate) fn new(blend: Blend) -> Result<Self, RoutesError> {
         let spec = MapSpec {
             created_nanos: START_NANOS,
             ..MapSpec::new(MapName::new("building").map_err(RoutesError::setting)?)
@@ -47,12 +47,12 @@ impl Learner {
     }
 
     /// The topology of the building.
-    pub(super) fn topology(&self) -> &Topology {
+    pub(crate) fn topology(&self) -> &Topology {
         self.map.map().site().topology()
     }
 
     /// The forecasts of its edges.
-    pub(super) fn edges(&self) -> &EdgeForecasts {
+    pub(crate) fn edges(&self) -> &EdgeForecasts {
         &self.edges
     }
 

@@ -5,6 +5,7 @@
 
 use rand::Rng as _;
 use tidemap_map::{
+    edge_forecast::EdgeForecasts,
     topology::{Edge, EdgeId, NodeId, Roads, ShortestTimes},
     traversal::Traversal,
 };
@@ -80,32 +81,26 @@ pub struct Week {
 }
 
 /// A robot that drives.
-struct RouteRobot<'a> {
+pub(crate) struct RouteRobot<'a> {
     kind: RobotKind,
     building: &'a Building,
     learner: Learner,
-    at: NodeId,
+    /// Where it is.
+    pub(crate) at: NodeId,
     /// Seconds since midnight before the first Monday.
-    now_secs: f64,
+    pub(crate) now_secs: f64,
 }
 
 /// Lets a robot drive for all weeks of the protocol.
 pub(super) fn run(kind: RobotKind, seed: u64, protocol: &RoutesProtocol) -> Result<Vec<Week>, RoutesError> {
-    let blend = match kind {
-        RobotKind::TidemapBelief => Blend::Belief,
-        RobotKind::TidemapPersistence => Blend::Persistence,
-        RobotKind::TidemapMemory => Blend::Memory,
-        _ => Blend::None,
-    };
-    let learner = Learner::new(blend)?;
+    let learner = kind.learner()?;
     let building = Building::new(seed, learner.topology().clone());
     let nodes: Vec<NodeId> = building.topology().nodes().map(|node| node.id).collect();
-    let start = building.topology().node_named("dock").map_err(RoutesError::setting)?.id;
-    let mut robot = RouteRobot { kind, building: &building, learner, at: start, now_secs: 0.0 };
+    let mut robot = RouteRobot::new(kind, &building, learner)?;
     let mut weeks = vec![Week::default(); protocol.weeks];
     for day in 0..protocol.weeks * WEEK_DAYS {
-        if day > 0 && kind.learns() {
-            robot.learner.midnight(nanos(day as f64 * DAY_SECS))?;
+        if day > 0 {
+            robot.learn(day)?;
         }
         let mut random = draw(seed, [u64::MAX, 0, day as u64]);
         let mut times: Vec<f64> = (0..protocol.tasks).map(|_| random.random_range(0.0..DAY_SECS)).collect();
@@ -130,11 +125,37 @@ impl RobotKind {
     fn learns(self) -> bool {
         !matches!(self, RobotKind::Shortest | RobotKind::Oracle)
     }
+
+    /// The map of such a robot, which has learned nothing.
+    pub(crate) fn learner(self) -> Result<Learner, RoutesError> {
+        Learner::new(match self {
+            RobotKind::TidemapBelief => Blend::Belief,
+            RobotKind::TidemapPersistence => Blend::Persistence,
+            RobotKind::TidemapMemory => Blend::Memory,
+            _ => Blend::None,
+        })
+    }
 }
 
-impl RouteRobot<'_> {
+impl<'a> RouteRobot<'a> {
+    /// A robot at its dock, on the first midnight.
+    pub(crate) fn new(kind: RobotKind, building: &'a Building, learner: Learner) -> Result<Self, RoutesError> {
+        let at = building.topology().node_named("dock").map_err(RoutesError::setting)?.id;
+        Ok(RouteRobot { kind, building, learner, at, now_secs: 0.0 })
+    }
+
+    /// What it has learned of the edges.
+    pub(crate) fn edges(&self) -> &EdgeForecasts {
+        self.learner.edges()
+    }
+
+    /// Learns what it traversed until the midnight before a day, counted from 0, if it learns at all.
+    pub(crate) fn learn(&mut self, day: usize) -> Result<(), RoutesError> {
+        if self.kind.learns() { self.learner.midnight(nanos(day as f64 * DAY_SECS)) } else { Ok(()) }
+    }
+
     /// Drives to a node, and returns the number of failed traversals.
-    fn go(&mut self, goal: NodeId) -> Result<u64, RoutesError> {
+    pub(crate) fn go(&mut self, goal: NodeId) -> Result<u64, RoutesError> {
         let topology = self.building.topology();
         let mut shunned: Vec<EdgeId> = Vec::new();
         let mut failures = 0;
@@ -236,6 +257,6 @@ impl RouteRobot<'_> {
 }
 
 /// Nanoseconds UTC of a time in seconds since the first midnight.
-fn nanos(secs: f64) -> i64 {
+pub(crate) fn nanos(secs: f64) -> i64 {
     START_NANOS + (secs * 1e9).round() as i64
 }

@@ -40,7 +40,7 @@ def _records(frame: Any, needed: tuple[str, ...], known: tuple[str, ...]) -> lis
 
 
 class Routes(Connection):
-    """Topologies, routes, searches and exploration."""
+    """Topologies, no-go areas, routes, searches and exploration."""
 
     def topology(self, map: str) -> Topology:
         """Nodes (``name, x_m, y_m, yaw_rad, dwell_secs``) and edges (``from, to, action, length_m, nominal_secs``)."""
@@ -75,6 +75,23 @@ class Routes(Connection):
             ],
         }
         return self.call("TopologyService/LoadTopology", request)
+
+    def add_no_go(self, map: str, area: str, corners: Any) -> None:
+        """Adds an area that nothing is planned through, or replaces that of its name.
+
+        ``corners`` are pairs of metres, in their order around the polygon.
+        """
+        points = [{"x_m": float(x_m), "y_m": float(y_m)} for x_m, y_m in corners]
+        self.call("MapService/SetNoGo", {"map": map, "area": {"name": area, "corners": points}})
+
+    def remove_no_go(self, map: str, area: str) -> None:
+        """Removes an area that nothing is planned through."""
+        self.call("MapService/DeleteNoGo", {"map": map, "area": area})
+
+    def no_go(self, map: str) -> dict[str, list[tuple[float, float]]]:
+        """The areas that nothing is planned through: the corners of each, in metres, by its name."""
+        areas = self.call("MapService/ListNoGo", {"map": map})["areas"]
+        return {area["name"]: [(point["x_m"], point["y_m"]) for point in area["corners"]] for area in areas}
 
     def traverse(
         self,
