@@ -17,6 +17,7 @@ mod experiments;
 mod exploration;
 mod floods;
 mod grid;
+mod history_size;
 mod json_output;
 mod kinds;
 mod landmarks;
