@@ -98,7 +98,8 @@ pub enum PictureError {
     UnknownInScale { cell: usize },
     /// Beyond the tree of an OctoMap.
     #[error(
-        "the map begins at {origin_m:?} m, and a .bt file reaches {reach_m} m from 0 along each axis: select a smaller part"
+        "the map begins at {origin_m:?} m, and a .bt file reaches {reach_m} m from 0 along each axis: only a \
+         part within that can be written"
     )]
     BeyondTree { origin_m: [f64; 3], reach_m: f64 },
     /// Cells between those of an OctoMap.
