@@ -119,9 +119,9 @@ fn ratio(observed_bits: u64, kept_bytes: u64) -> f64 {
     if kept_bytes == 0 { 0.0 } else { observed_bits as f64 / (8.0 * kept_bytes as f64) }
 }
 
-/// Learned observations of named states, of one bit each, per bit of their history. It is 0 if the map does not keep all
-/// of them, or if what the newest generation has learned is not stored yet: then the files do not say how large the
-/// history of these observations is.
+/// Learned observations of named states, of one bit each, per bit of their history. It is 0 if the map does not keep
+/// all of them, or if what the newest generation has learned is not stored yet: then the files do not say how large
+/// the history of these observations is.
 fn state_history_ratio(catalog: &Catalog, handle: &MapHandle) -> f64 {
     let view = handle.view();
     let history = catalog.context().store.history(handle.id).ok().and_then(|history| history.sizes().ok());

@@ -1,5 +1,5 @@
-//! A map written as an OctoMap, read by OctoMap itself, cell by cell: `pyoctomap` of the Python package index, installed
-//! beside the build by the first run.
+//! A map written as an OctoMap, read by OctoMap itself, cell by cell: `pyoctomap` of the Python package index,
+//! installed beside the build by the first run.
 //!
 //! Invariant: without Python or the network the test is skipped and says so; only OctoMap's own answers are compared.
 

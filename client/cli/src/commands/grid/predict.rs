@@ -45,7 +45,8 @@ pub(crate) struct GridPredictArgs {
     map: String,
     #[command(flatten)]
     times: AskedTimesArgs,
-    /// File to write: .pgm (with a .yaml beside it), .png, .csv, .ply or .bt (OctoMap) [default: a picture in the terminal]
+    /// File to write: .pgm (with a .yaml beside it), .png, .csv, .ply or .bt (OctoMap) [default: a picture in the
+    /// terminal]
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
     /// Draws the map for people, with a legend and a scale bar: in the terminal, or as a .png file. Several times stand
