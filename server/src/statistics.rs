@@ -5,6 +5,7 @@
 use std::sync::{Arc, atomic::Ordering};
 
 use tidemap_grid::{index::TileId, spec::Retention};
+use tidemap_model::UpdateWorth;
 use tidemap_store::{Sizes, Trouble};
 
 use crate::{catalog::Catalog, ingest::handle::MapHandle, jobs::Phase};
@@ -12,8 +13,8 @@ use crate::{catalog::Catalog, ingest::handle::MapHandle, jobs::Phase};
 /// Name, value, unit.
 pub(crate) type Counter = (&'static str, f64, &'static str);
 
-/// Counters of one map.
-pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
+/// Counters of one map. `worth`: what an update is expected to gain, if the map can say it.
+pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle, worth: Option<UpdateWorth>) -> Vec<Counter> {
     let view = handle.view();
     let sizes = catalog.context().store.sizes(handle.id);
     let mut rows = vec![
@@ -30,6 +31,14 @@ pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
     rows.push(("ahead_observations", view.ahead() as f64, ""));
     rows.push(("ahead_scans", view.grid().map_or(0, |grid| grid.scans_ahead()) as f64, ""));
     rows.push(("state_history_compression_ratio", state_history_ratio(catalog, handle), ""));
+    if let Some(worth) = worth {
+        rows.extend([
+            ("pending_judged", worth.readings as f64, ""),
+            ("pending_error", worth.pending_error(), ""),
+            ("usual_error", worth.usual_error(), ""),
+            ("update_gain", worth.gain(), ""),
+        ]);
+    }
     rows
 }
 
