@@ -10,6 +10,7 @@
 //! | refusals of observations | reason 13: no such landmark |
 //! | [`super::v1::event::NewState`] | kind 6 and tag 6: a categorical state and its labels |
 //! | [`super::v1::map::State`] | kind 3: the probability of a label |
+//! | [`super::v1::history::StateSamples`] | tags 17 and 18: values and times in runs |
 //! | `index/` | the tree [`LANDMARKS`]: map u32, place u32, part u16 → part of a [`LandmarksAtPlace`] |
 //! | [`super::v1::index::Mark`] | a sixth total, of that tree; absent without landmarks |
 //!

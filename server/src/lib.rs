@@ -30,6 +30,7 @@ mod statistics;
 mod storage_watch;
 mod task;
 mod telemetry;
+mod update_worth;
 mod web;
 
 use std::{process::ExitCode, sync::Arc};

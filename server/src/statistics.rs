@@ -4,7 +4,8 @@
 
 use std::sync::{Arc, atomic::Ordering};
 
-use tidemap_grid::index::TileId;
+use tidemap_grid::{index::TileId, spec::Retention};
+use tidemap_model::UpdateWorth;
 use tidemap_store::{Sizes, Trouble};
 
 use crate::{catalog::Catalog, ingest::handle::MapHandle, jobs::Phase};
@@ -12,8 +13,8 @@ use crate::{catalog::Catalog, ingest::handle::MapHandle, jobs::Phase};
 /// Name, value, unit.
 pub(crate) type Counter = (&'static str, f64, &'static str);
 
-/// Counters of one map.
-pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
+/// Counters of one map. `worth`: what an update is expected to gain, if the map can say it.
+pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle, worth: Option<UpdateWorth>) -> Vec<Counter> {
     let view = handle.view();
     let sizes = catalog.context().store.sizes(handle.id);
     let mut rows = vec![
@@ -29,6 +30,15 @@ pub(crate) fn of_map(catalog: &Catalog, handle: &MapHandle) -> Vec<Counter> {
     rows.extend(of_grid(catalog, handle, &sizes));
     rows.push(("ahead_observations", view.ahead() as f64, ""));
     rows.push(("ahead_scans", view.grid().map_or(0, |grid| grid.scans_ahead()) as f64, ""));
+    rows.push(("state_history_compression_ratio", state_history_ratio(catalog, handle), ""));
+    if let Some(worth) = worth {
+        rows.extend([
+            ("pending_judged", worth.readings as f64, ""),
+            ("pending_error", worth.pending_error(), ""),
+            ("usual_error", worth.usual_error(), ""),
+            ("update_gain", worth.gain(), ""),
+        ]);
+    }
     rows
 }
 
@@ -116,6 +126,20 @@ fn of_storage(catalog: &Catalog) -> [Counter; 3] {
 /// Bits observed per bit stored (T-RO 2017, eq. 16); 0 if nothing is stored.
 fn ratio(observed_bits: u64, kept_bytes: u64) -> f64 {
     if kept_bytes == 0 { 0.0 } else { observed_bits as f64 / (8.0 * kept_bytes as f64) }
+}
+
+/// Learned observations of named states, of one bit each, per bit of their history. It is 0 if the map does not keep
+/// all of them, or if what the newest generation has learned is not stored yet: then the files do not say how large
+/// the history of these observations is.
+fn state_history_ratio(catalog: &Catalog, handle: &MapHandle) -> f64 {
+    let view = handle.view();
+    let history = catalog.context().store.history(handle.id).ok().and_then(|history| history.sizes().ok());
+    let sizes = history.unwrap_or_default();
+    if handle.spec.retention == Retention::Forever && sizes.newest_states == view.generation() {
+        ratio(view.observations().saturating_sub(view.pending()), sizes.state_bytes)
+    } else {
+        0.0
+    }
 }
 
 /// Counters of the grid of a map, and its compression; 0 if the map has no grid.

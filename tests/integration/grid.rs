@@ -14,6 +14,7 @@ mod kill;
 mod map_file;
 mod map_series;
 mod naive;
+mod octomap_file;
 mod oracle;
 mod rays;
 

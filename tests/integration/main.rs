@@ -18,6 +18,7 @@ mod exploration;
 mod floods;
 mod flows;
 mod grid;
+mod history_size;
 mod json_output;
 mod kinds;
 mod landmarks;

@@ -1,4 +1,5 @@
-//! OctoMap's occupancy trees: `.bt` files with free and occupied leaves, and `.ot` files with log-odds.
+//! OctoMap's occupancy trees: `.bt` files with free and occupied leaves, and `.ot` files with log-odds; a writer of
+//! `.bt` files.
 //!
 //! A tree is 16 levels deep; its root covers 65536 cells along each side, with the map's origin in the middle. Child i
 //! of a node is the upper half along x if bit 0 of i is set, along y with bit 1, along z with bit 2. Numbers are
@@ -13,12 +14,15 @@
 
 #[cfg(test)]
 mod tests;
+mod write;
 
 use super::{
     CELLS_MAX,
     error::{FilePlace, FormatError, shown_start},
     text::{Line, Lines},
 };
+
+pub use write::write;
 
 const BINARY_START: &str = "# Octomap OcTree binary file";
 const FULL_START: &str = "# Octomap OcTree file";

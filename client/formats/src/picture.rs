@@ -96,6 +96,18 @@ pub enum PictureError {
          probability; use mode raw or trinary"
     )]
     UnknownInScale { cell: usize },
+    /// Beyond the tree of an OctoMap.
+    #[error(
+        "the map begins at {origin_m:?} m, and a .bt file reaches {reach_m} m from 0 along each axis: only a \
+         part within that can be written"
+    )]
+    BeyondTree { origin_m: [f64; 3], reach_m: f64 },
+    /// Cells between those of an OctoMap.
+    #[error(
+        "the cells of the map lie {off_cells:.2} of a cell beside those of a .bt file, which has the corner of a cell at \
+         0:0:0: only a grid whose origin is a whole number of cells of {resolution_m} m can be written"
+    )]
+    OffTree { resolution_m: f64, off_cells: f64 },
     /// Thresholds in the wrong order.
     #[error("free up to {free} and occupied from {occupied}: both must be within 0 and 1, the first below the second")]
     Thresholds { free: f64, occupied: f64 },

@@ -69,6 +69,12 @@ pub struct StateSamples {
     /// Of no meaning any more.
     #[prost(bool, tag = "16")]
     pub is_crowded: bool,
+    /// Lengths of the runs of equal values, varints; then the column of values has one of each run.
+    #[prost(bytes = "vec", tag = "17")]
+    pub value_runs: Vec<u8>,
+    /// Lengths of the runs of equal differences of times, varints; then their column has one of each run.
+    #[prost(bytes = "vec", tag = "18")]
+    pub time_runs: Vec<u8>,
 }
 
 /// An entry of the table: key u64, offset u64 of the first record in the file, number of records u32.

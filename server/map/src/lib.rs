@@ -35,3 +35,4 @@ pub mod view;
 mod directory;
 mod pending;
 mod prior_models;
+mod update_worth;

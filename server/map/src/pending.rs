@@ -4,7 +4,10 @@
 //! time. `replay_from` never exceeds the log position of a pending observation. Observations too far in the future of
 //! the clock of their receipt wait apart: they are few, and must not look like work for an update.
 
-use std::collections::{BTreeMap, HashMap};
+use std::{
+    cmp::Reverse,
+    collections::{BTreeMap, HashMap},
+};
 
 use tidemap_model::Sample;
 
@@ -96,6 +99,24 @@ impl Pending {
     pub(crate) fn of_state(&self, state: StateId) -> impl Iterator<Item = &Sample> {
         let pending = self.by_state.get(state.0 as usize).into_iter().flat_map(|of_state| &of_state.samples);
         pending.chain(self.future.iter().filter(move |ahead| ahead.state == state).map(|ahead| &ahead.sample))
+    }
+
+    /// Some of the observations that an update could learn, by state: of the states with the largest numbers of them, at
+    /// most `states_max`, ascending. `choose` takes from all observations of a state, in order of arrival.
+    pub(crate) fn extract<T>(
+        &self,
+        states_max: usize,
+        choose: impl Fn(StateId, &[Sample]) -> Vec<T>,
+    ) -> Vec<(StateId, Vec<T>)> {
+        let id = |index| StateId(u32::try_from(index).unwrap_or(u32::MAX));
+        let all = self.by_state.iter().enumerate().map(|(index, of_state)| (id(index), &of_state.samples));
+        let mut states: Vec<(StateId, &Vec<Sample>)> = all.filter(|(_, samples)| !samples.is_empty()).collect();
+        if states.len() > states_max {
+            states.select_nth_unstable_by_key(states_max, |(state, samples)| (Reverse(samples.len()), *state));
+            states.truncate(states_max);
+            states.sort_unstable_by_key(|(state, _)| *state);
+        }
+        states.into_iter().map(|(state, samples)| (state, choose(state, samples))).collect()
     }
 
     fn of_state_mut(&mut self, state: StateId) -> &mut OfState {

@@ -62,6 +62,7 @@ mod state;
 mod stop_signal;
 mod surprise;
 pub mod time;
+mod update_worth;
 pub mod words;
 
 pub use accumulator::{Accumulator, AccumulatorParts, ShortRecord, SpectrumCell, SpectrumSource};
@@ -106,6 +107,7 @@ pub use stop_signal::{EarlyStop, StopSignal};
 pub use surprise::{
     JudgedReading, KEPT_CONFIDENCE, RUNS_MAX as SURPRISE_RUNS_MAX, SurpriseRun, Surprises, observed_bits,
 };
+pub use update_worth::UpdateWorth;
 
 /// The highest model order: at most this many spectral components are kept and used.
 pub const ORDER_MAX: usize = 15;

@@ -29,7 +29,7 @@ pub(crate) use batches::{
     CheckedScan, NewName, ObservationBatch, RefusedObservation, ReportBatch, ScanBatch, ScanOrigin,
 };
 pub(crate) use edits::{AddState, AddStateError, EditSite, EditSiteError};
-pub(crate) use history::{HistoryTail, ReadHistory};
+pub(crate) use history::{HistoryTail, PendingExtract, ReadHistory, ReadPending};
 pub(crate) use streams::{BufferBudget, Hello, HelloError, SessionEvent, SessionId, StreamData, Welcome};
 
 /// The tiles that a save has stored, and where to read them, if the map has a grid.
@@ -72,6 +72,8 @@ pub(crate) enum Command {
     EditSite(EditSite),
     /// Return what is not in the store's history yet.
     ReadHistory(ReadHistory),
+    /// Return some of what the next update could learn.
+    ReadPending(ReadPending),
     /// Return the producers.
     ListProducers(oneshot::Sender<Vec<KnownProducer>>),
     /// Subscribe to what is applied from now on. The answer: a receiver, and the number of observations sent before.

@@ -254,6 +254,7 @@ impl Writer {
             Command::AddState(add) => self.add_state(add),
             Command::EditSite(edit) => self.edit_site(edit),
             Command::ReadHistory(read) => self.read_history(read),
+            Command::ReadPending(read) => self.read_pending(read),
             // The clients may have gone away.
             Command::ListProducers(reply) => drop(reply.send(self.known_producers())),
             Command::Watch(reply) => drop(reply.send(self.feed.listen())),

@@ -34,7 +34,7 @@ use crate::{
     ingest::protocol::{Command, KnownProducer},
     jobs::{JobCause, Phase, UpdateJob},
     rpc::lookup::{find_map, find_state},
-    statistics,
+    statistics, update_worth,
 };
 
 /// Interval of the progress reports of a watched job.
@@ -318,9 +318,13 @@ impl MaintenanceService for Maintenance {
         }
         let handle = if name.is_empty() { None } else { Some(find_map(&self.catalog, &name).await?) };
         let catalog = Arc::clone(&self.catalog);
+        let worth = match &handle {
+            Some(handle) => update_worth::of_map(handle).await,
+            None => None,
+        };
         // Sizes are read from the disk.
         let statistics = crate::task::blocking(move || match handle {
-            Some(handle) => statistics::of_map(&catalog, &handle),
+            Some(handle) => statistics::of_map(&catalog, &handle, worth),
             None => statistics::of_daemon(&catalog),
         });
         let statistics = statistics

@@ -78,6 +78,8 @@ pub struct HistorySizes {
     pub state_bytes: u64,
     /// Of the grid.
     pub grid_bytes: u64,
+    /// The newest generation with a file of named states; 0 without one.
+    pub newest_states: u64,
 }
 
 /// The exact observations of one map, as far back as they are kept. Those of a generation are readable once it
@@ -204,12 +206,15 @@ impl History {
     pub fn sizes(&self) -> Result<HistorySizes, HistoryError> {
         let mut sizes = HistorySizes::default();
         for name in self.names().map_err(|error| self.list_error(error))? {
-            let Some((_, part)) = Part::of(&name) else { continue };
+            let Some((generation, part)) = Part::of(&name) else { continue };
             // A file may be deleted meanwhile.
             let Ok(bytes) = self.disk.length(&self.folder.join(&name)) else { continue };
             sizes.files += 1;
             match part {
-                Part::States => sizes.state_bytes += bytes,
+                Part::States => {
+                    sizes.state_bytes += bytes;
+                    sizes.newest_states = sizes.newest_states.max(generation);
+                }
                 Part::Grid => sizes.grid_bytes += bytes,
             }
         }

@@ -20,6 +20,7 @@ mod observation_runs;
 mod offsets;
 pub(crate) mod published;
 mod rows;
+mod runs;
 pub(crate) mod scans;
 mod sensors;
 pub(crate) mod site;

@@ -19,6 +19,7 @@ pub(crate) mod grid_example;
 mod grid_life;
 mod grid_records;
 mod history;
+mod history_runs;
 mod landmarks;
 mod life;
 mod losses;

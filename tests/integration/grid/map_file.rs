@@ -33,7 +33,7 @@ for y in range(grid.height):
     print(''.join({1.0: '#', 0.0: '.'}.get(float(grid.data[x, y]), '?') for x in range(grid.width)))
 ";
 
-fn run(command: &mut Command) -> Result<String, String> {
+pub(super) fn run(command: &mut Command) -> Result<String, String> {
     let output = command.output().map_err(|error| format!("{}: {error}", command.get_program().display()))?;
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
@@ -42,16 +42,16 @@ fn run(command: &mut Command) -> Result<String, String> {
     Err(format!("{}: {}", command.get_program().display(), said.trim().lines().last().unwrap_or_default()))
 }
 
-/// Python with the reader, or the reason why it is missing.
-fn reader() -> Result<PathBuf, String> {
+/// Python with a package, or the reason why it is missing.
+pub(super) fn python_with(package: &str) -> Result<PathBuf, String> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    let (ready, unfinished) = (folder.join(READER), folder.join(format!("{READER}.{}", std::process::id())));
+    let (ready, unfinished) = (folder.join(package), folder.join(format!("{package}.{}", std::process::id())));
     let python = ready.join("bin/python");
     if python.is_file() {
         return Ok(python);
     }
     let installed = run(Command::new("python3").args(["-m", "venv"]).arg(&unfinished)).and_then(|_| {
-        let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", READER];
+        let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", package];
         run(Command::new(unfinished.join("bin/python")).args(pip))
     });
     if let Err(reason) = installed {
@@ -67,7 +67,7 @@ fn reader() -> Result<PathBuf, String> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn grid_written_as_pgm_is_read_by_others_as_it_was_meant() {
-    let python = match reader() {
+    let python = match python_with(READER) {
         Ok(python) => python,
         Err(reason) => return println!("SKIPPED: {READER} cannot be installed: {reason}"),
     };

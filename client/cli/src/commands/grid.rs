@@ -29,7 +29,8 @@ pub(crate) enum GridCommand {
     Observe(observe::GridObserveArgs),
     /// Writes the map at any time, past or future, to a file
     ///
-    /// The ending of --out gives the format: .pgm (with a .yaml beside it, for Nav2), .png, .csv or .ply.
+    /// The ending of --out gives the format: .pgm (with a .yaml beside it, for Nav2), .png, .csv, .ply or .bt
+    /// (OctoMap).
     Predict(predict::GridPredictArgs),
     /// Lists the cells whose routine seems to have changed: since when, their mean and their newest value
     ///

@@ -9,6 +9,7 @@ use tidemap_model::Sample;
 use super::LiveMap;
 use crate::{
     history::{Reading, Subject, cell_readings, day_readings},
+    ids::StateId,
     update::UpdateWork,
 };
 
@@ -41,6 +42,19 @@ impl LiveMap {
                 cell_readings(asked.take(at_most)).collect()
             }
         }
+    }
+
+    /// A bounded extract of what the next update could learn, to judge whether it is worth it: the states with the
+    /// largest numbers of pending observations, ascending. Of readings every n-th in order of arrival; of rows of
+    /// changes and events the first, because a row means nothing without the one before. A running update's are not
+    /// among them.
+    pub fn pending_extract(&self, states_max: usize, readings_max: usize) -> Vec<(StateId, Vec<Reading>)> {
+        let reading = |sample: &Sample| (sample.utc_nanos, sample.value);
+        self.pending.extract(states_max, |state, samples| {
+            let is_of_rows = self.reporting(state).may_end();
+            let step = if is_of_rows { 1 } else { samples.len().div_ceil(readings_max.max(1)) };
+            samples.iter().step_by(step.max(1)).take(readings_max).map(reading).collect()
+        })
     }
 }
 

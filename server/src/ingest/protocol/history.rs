@@ -1,10 +1,13 @@
-//! The question for the observations that are not in the store's history yet.
+//! The questions for the observations that are not in the store's history yet.
 //!
 //! Invariant: an answer is bounded by what was asked for.
 
 use std::sync::Arc;
 
-use tidemap_map::history::{HistoryPiece, Reading, Subject};
+use tidemap_map::{
+    history::{HistoryPiece, Reading, Subject},
+    ids::StateId,
+};
 use tokio::sync::oneshot;
 
 /// A request for what was observed and is not in the store's history yet.
@@ -33,4 +36,24 @@ pub(crate) struct HistoryTail {
     pub stored_before: u64,
     /// Greatest time of any observation, nanoseconds UTC.
     pub newest_nanos: i64,
+}
+
+/// A request for an extract of what the next update could learn.
+#[derive(Debug)]
+pub(crate) struct ReadPending {
+    /// Maximum number of states: those with the largest numbers of pending observations.
+    pub states_max: usize,
+    /// Maximum number of observations of each.
+    pub readings_max: usize,
+    /// The answer.
+    pub reply: oneshot::Sender<PendingExtract>,
+}
+
+/// Some of what the next update could learn.
+#[derive(Debug)]
+pub(crate) struct PendingExtract {
+    /// Updates published before.
+    pub generation: u64,
+    /// By state, ascending.
+    pub states: Vec<(StateId, Vec<Reading>)>,
 }

@@ -19,7 +19,7 @@ use tracing::{debug, warn};
 
 use super::Writer;
 use crate::{
-    ingest::protocol::{Command, HistoryTail, ReadHistory, SavedGrid},
+    ingest::protocol::{Command, HistoryTail, PendingExtract, ReadHistory, ReadPending, SavedGrid},
     telemetry::traces::Span,
 };
 
@@ -272,5 +272,13 @@ impl Writer {
         };
         // The client may have gone away.
         let _ = read.reply.send(tail);
+    }
+    /// Answers with some of what the next update could learn. A client that has gone away costs nothing.
+    pub(super) fn read_pending(&self, read: ReadPending) {
+        if read.reply.is_closed() {
+            return;
+        }
+        let states = self.map.pending_extract(read.states_max, read.readings_max);
+        let _ = read.reply.send(PendingExtract { generation: self.map.generation(), states });
     }
 }

@@ -7,7 +7,7 @@ use tidemap_migrations::v1::event::{VALUES_BITS, VALUES_DOUBLES, VALUES_FLOATS};
 use tidemap_model::VALUE_MAX;
 
 use super::{
-    Invalid,
+    Invalid, runs,
     varint::{push_varint, take_varint, unzigzag, zigzag},
 };
 
@@ -101,23 +101,53 @@ pub(super) fn encode_times(nanos: &[i64]) -> Result<Times<Vec<u8>>, Invalid> {
     Ok(Times { first_nanos: nanos.first().copied().unwrap_or(0), unit_nanos, differences })
 }
 
+/// Times, with the lengths of the runs of equal differences where these make the column shorter.
+pub(super) fn encode_times_in_runs(nanos: &[i64]) -> Result<(Times<Vec<u8>>, Vec<u8>), Invalid> {
+    let times = encode_times(nanos)?;
+    let differences: Vec<i64> = nanos.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let divisor = unit(&differences);
+    let (firsts, lengths) = runs::encode(&differences, i64::eq);
+    let firsts = encode_numbers(&firsts, |difference| zigzag(difference / divisor));
+    if firsts.len() + lengths.len() < times.differences.len() {
+        Ok((Times { differences: firsts, ..times }, lengths))
+    } else {
+        Ok((times, Vec::new()))
+    }
+}
+
+/// Reads what [`encode_times_in_runs`] wrote; the caller limits `count`.
+pub(super) fn decode_times_in_runs(times: &Times<&Vec<u8>>, lengths: &[u8], count: usize) -> Result<Vec<i64>, Invalid> {
+    if lengths.is_empty() {
+        return decode_times(times, count);
+    }
+    let lengths = runs::decode(lengths, count.saturating_sub(1))?;
+    let firsts = decode_differences(times, lengths.len())?;
+    sum_times(times.first_nanos, &runs::expand(&firsts, &lengths), count)
+}
+
 pub(super) fn decode_times(times: &Times<&Vec<u8>>, count: usize) -> Result<Vec<i64>, Invalid> {
-    const RANGE: Invalid = "a time is outside its range";
-    let unit = i64::try_from(times.unit_nanos).map_err(|_| RANGE)?.max(1);
-    let differences = decode_numbers(times.differences, count.saturating_sub(1), |number| {
-        unzigzag(number).checked_mul(unit).ok_or(RANGE)
-    })?;
+    sum_times(times.first_nanos, &decode_differences(times, count.saturating_sub(1))?, count)
+}
+
+const TIME_RANGE: Invalid = "a time is outside its range";
+
+fn decode_differences(times: &Times<&Vec<u8>>, count: usize) -> Result<Vec<i64>, Invalid> {
+    let unit = i64::try_from(times.unit_nanos).map_err(|_| TIME_RANGE)?.max(1);
+    decode_numbers(times.differences, count, |number| unzigzag(number).checked_mul(unit).ok_or(TIME_RANGE))
+}
+
+fn sum_times(first_nanos: i64, differences: &[i64], count: usize) -> Result<Vec<i64>, Invalid> {
     if count == 0 {
         return Ok(Vec::new());
     }
     let mut nanos = Vec::with_capacity(count);
-    let mut now = times.first_nanos;
+    let mut now = first_nanos;
     nanos.push(now);
-    for difference in differences {
-        now = now.checked_add(difference).ok_or(RANGE)?;
+    for &difference in differences {
+        now = now.checked_add(difference).ok_or(TIME_RANGE)?;
         nanos.push(now);
     }
-    if nanos.iter().all(|&nanos| nanos >= 0) { Ok(nanos) } else { Err(RANGE) }
+    if nanos.iter().all(|&nanos| nanos >= 0) { Ok(nanos) } else { Err(TIME_RANGE) }
 }
 
 const RANGE: Invalid = "a value is not a number from -1e12 to 1e12";
@@ -153,6 +183,32 @@ pub(super) fn encode_values(values: &[f64]) -> Result<(u32, Vec<u8>), Invalid> {
     } else {
         Ok((VALUES_DOUBLES, values.iter().flat_map(|value| value.to_le_bytes()).collect()))
     }
+}
+
+/// Values with their encoding, and the lengths of the runs of equal values where these make the column shorter.
+pub(super) fn encode_values_in_runs(values: &[f64]) -> Result<(u32, Vec<u8>, Vec<u8>), Invalid> {
+    let (encoding, column) = encode_values(values)?;
+    let (firsts, lengths) = runs::encode(values, |a, b| a.to_bits() == b.to_bits());
+    let (encoding_of_firsts, firsts) = encode_values(&firsts)?;
+    if firsts.len() + lengths.len() < column.len() {
+        Ok((encoding_of_firsts, firsts, lengths))
+    } else {
+        Ok((encoding, column, Vec::new()))
+    }
+}
+
+/// Reads what [`encode_values_in_runs`] wrote; the caller limits `count`.
+pub(super) fn decode_values_in_runs(
+    encoding: u32,
+    bytes: &[u8],
+    lengths: &[u8],
+    count: usize,
+) -> Result<Vec<f64>, Invalid> {
+    if lengths.is_empty() {
+        return decode_values(encoding, bytes, count);
+    }
+    let lengths = runs::decode(lengths, count)?;
+    Ok(runs::expand(&decode_values(encoding, bytes, lengths.len())?, &lengths))
 }
 
 pub(super) fn decode_values(encoding: u32, bytes: &[u8], count: usize) -> Result<Vec<f64>, Invalid> {

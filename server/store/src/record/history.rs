@@ -34,8 +34,8 @@ pub(crate) fn encode_samples(
     });
     let nanos: Vec<i64> = samples.iter().map(|sample| sample.utc_nanos).collect();
     let values: Vec<f64> = samples.iter().map(|sample| sample.value).collect();
-    let times = columns::encode_times(&nanos)?;
-    let (value_encoding, values) = columns::encode_values(&values)?;
+    let (times, time_runs) = columns::encode_times_in_runs(&nanos)?;
+    let (value_encoding, values, value_runs) = columns::encode_values_in_runs(&values)?;
     let (offset_counts, offset_secs) = offsets::encode(samples.iter().map(|sample| sample.offset_secs));
     Ok(v1::StateSamples {
         state: state.0,
@@ -54,6 +54,8 @@ pub(crate) fn encode_samples(
         arrived: origins.arrived,
         is_early: origins.is_early,
         is_crowded: origins.is_crowded,
+        value_runs,
+        time_runs,
     })
 }
 
@@ -86,8 +88,8 @@ pub(crate) fn decode_samples(message: &v1::StateSamples) -> Result<Vec<Sample>, 
         unit_nanos: message.time_unit_nanos,
         differences: &message.times,
     };
-    let nanos = columns::decode_times(&times, count)?;
-    let values = columns::decode_values(message.value_encoding, &message.values, count)?;
+    let nanos = columns::decode_times_in_runs(&times, &message.time_runs, count)?;
+    let values = columns::decode_values_in_runs(message.value_encoding, &message.values, &message.value_runs, count)?;
     let offsets = offsets::decode(&message.offset_counts, &message.offset_secs, count)?;
     let samples = nanos.into_iter().zip(values).zip(offsets);
     Ok(samples.map(|((utc_nanos, value), offset_secs)| Sample { utc_nanos, offset_secs, value }).collect())

@@ -24,7 +24,7 @@ use crate::{
     progress::status_line,
 };
 use tidemap_formats::{
-    CELLS_MAX, MapPicture, PictureCell, PictureValue, SCALE_MAX, cells_csv, grid_text, nav2, ply, png,
+    CELLS_MAX, MapPicture, PictureCell, PictureValue, SCALE_MAX, cells_csv, grid_text, nav2, octomap, ply, png,
     table::{Cell, Format},
 };
 
@@ -45,7 +45,8 @@ pub(crate) struct GridPredictArgs {
     map: String,
     #[command(flatten)]
     times: AskedTimesArgs,
-    /// File to write: .pgm (with a .yaml beside it), .png, .csv or .ply [default: a picture in the terminal]
+    /// File to write: .pgm (with a .yaml beside it), .png, .csv, .ply or .bt (OctoMap) [default: a picture in the
+    /// terminal]
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
     /// Draws the map for people, with a legend and a scale bar: in the terminal, or as a .png file. Several times stand
@@ -120,6 +121,8 @@ enum OutputKind {
     Png,
     Csv,
     Ply,
+    /// A tree of OctoMap.
+    Bt,
     /// Text for a terminal.
     Drawing,
 }
@@ -137,7 +140,8 @@ fn kind(path: &Path) -> Result<OutputKind, UsageError> {
         Some("png") => Ok(OutputKind::Png),
         Some("csv") => Ok(OutputKind::Csv),
         Some("ply") => Ok(OutputKind::Ply),
-        _ => Err(UsageError(format!("--out {}: its ending has to be .pgm, .png, .csv or .ply", path.display()))),
+        Some("bt") => Ok(OutputKind::Bt),
+        _ => Err(UsageError(format!("--out {}: its ending has to be .pgm, .png, .csv, .ply or .bt", path.display()))),
     }
 }
 
@@ -151,7 +155,7 @@ impl GridPredictArgs {
             (None, Some(path)) => Err(usage(format!("--picture {}: its ending has to be .png", path.display()))),
             (None, None) if picture.is_some() || format == Format::Table => Ok((OutputKind::Drawing, None)),
             (None, None) => Err(usage(
-                "name the file to write with --out FILE.png, .pgm, .csv or .ply, or draw in the terminal with --picture",
+                "name the file to write with --out FILE.png, .pgm, .csv, .ply or .bt, or draw in the terminal with --picture",
             )),
         }
     }
@@ -174,6 +178,9 @@ pub(crate) async fn run(session: &Session, args: GridPredictArgs) -> anyhow::Res
     check_for_cells(args.model)?;
     if args.entropy && kind == OutputKind::Csv {
         return Err(usage("a .csv file has the entropy in a column of its own: leave out --entropy"));
+    }
+    if args.entropy && kind == OutputKind::Bt {
+        return Err(usage("a .bt file has free and occupied cells only: leave out --entropy"));
     }
     if args.scale.is_some() && kind != OutputKind::Png {
         return Err(usage("--scale goes with a .png file only"));
@@ -370,6 +377,7 @@ fn write(
         }
         OutputKind::Csv => files::write(out, cells_csv::write(picture)?),
         OutputKind::Ply => files::write(out, ply::write(picture)?),
+        OutputKind::Bt => files::write(out, octomap::write(picture)?),
         OutputKind::Pgm => {
             let mode = match (args.pgm_mode, args.entropy) {
                 (Some(PgmMode::Raw), _) | (None, true) => nav2::GridMode::Raw,
@@ -418,7 +426,7 @@ mod tests {
     #[test]
     fn an_ending_says_what_to_write() {
         assert_eq!(kind(Path::new("a/map.PGM")).ok(), Some(OutputKind::Pgm));
-        assert!(kind(Path::new("map.tif")).is_err_and(|error| error.0.contains(".pgm, .png, .csv or .ply")));
+        assert!(kind(Path::new("map.tif")).is_err_and(|error| error.0.contains(".pgm, .png, .csv, .ply or .bt")));
         assert_eq!(
             ["fit", "1", "16"].map(|text| text.parse().ok()),
             [None, Some(1), Some(16)].map(|n| Some(ScaleArg(n)))
