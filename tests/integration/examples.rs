@@ -70,6 +70,7 @@ pages! {
     models: "docs/src/models.md",
     notebooks: "docs/src/notebooks.md",
     page: "docs/src/page.md",
+    papers: "docs/src/papers.md",
     people: "docs/src/people.md",
     python: "docs/src/python.md",
     rotate: "docs/src/rotate.md",

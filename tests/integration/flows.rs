@@ -102,11 +102,7 @@ fn a_route_avoids_people_where_a_detour_is_short() {
     // One person in each cell for a second of ten minutes; π of five square metres are near, for twenty seconds.
     let met = found.number("encounters");
     assert!((0.01..0.1).contains(&met), "{met}");
-    assert_eq!(
-        way(format!("{avoid} 2025-01-21T03:00:00Z --encounter-cost 300")).0,
-        "East",
-        "nobody is there at night"
-    );
+    assert_eq!(way(format!("{avoid} 2025-01-21T03:00:00Z --encounter-cost 300")).0, "East", "nobody is there at night");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Experiments without a daemon: models, explorers, searches and routes compared on recordings and in simulations.
 //!
 //! The crate's own modules compare temporal models of `tidemap-model` by a [`Protocol`], as `tidemap experiment
-//! compare` does. [`explore`], [`search`], [`routes`], [`tasks`], [`habits`], [`activity`] and [`flows`] are other kinds;
+//! compare` does. [`explore`], [`search`], [`routes`], [`tasks`], [`habits`], [`activity`] and [`flows`] are others;
 //! protocols end in .yaml or .yml, so that a new kind never conflicts with a file's name.
 //!
 //! - `protocol.rs`: YAML to [`Protocol`], checked before data is read; each list of parameters spans parameter sets;
