@@ -34,5 +34,6 @@ mod surprises;
 mod tasks;
 mod traces;
 mod traversals;
+mod update_worth;
 mod vectors;
 mod web;
