@@ -25,6 +25,7 @@ mod lifecycle;
 mod own_file;
 mod page;
 mod random_operations;
+mod reachable;
 mod reports;
 mod routes;
 mod search;

@@ -69,6 +69,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("topology show", "tidemap topology show office --edges"),
     ("topology failures", "tidemap topology failures office --limit 10"),
     ("topology predict", "tidemap topology predict office --at now --picture office.svg"),
+    ("topology reachable", "tidemap topology reachable office kitchen --at now"),
     ("topology edit add-node", "tidemap topology edit add-node office pantry --position 3,4"),
     ("topology edit set-node", "tidemap topology edit set-node office pantry --position 3,4.5"),
     ("topology edit remove-node", "tidemap topology edit remove-node office pantry"),
