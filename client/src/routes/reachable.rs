@@ -1,6 +1,7 @@
 //! Which nodes a robot reaches from one node at one time.
 //!
-//! Invariant: a node of the answer has the best route of `PlanRoute`; a node without one has no route within the horizon.
+//! Invariant: a node of the answer has the best route of `PlanRoute`; a node without one has no route within the
+//! horizon.
 
 use tonic::Code;
 

@@ -6,10 +6,10 @@
 //!
 //! Here it is the mean over the pending readings v of the squared error (p − v)², by the spectral model at the order in
 //! force, and beside it stands what is usual: the mean squared error of days of that kind, weekdays or weekend, before
-//! they were learned, as the change alarm keeps it. Their difference is the gain, if it is above 0: a
-//! state that is as uncertain as ever gives none. Errors of a state that is not a probability are divided by the variance
-//! of its values, so that those of all states may be added. Nothing is usual of a state that no update has predicted
-//! yet: all of its error counts as gain. Limit: of a state whose readings have become easier to predict the gain is 0.
+//! they were learned, as the change alarm keeps it. Their difference is the gain, if it is above 0: a state that is as
+//! uncertain as ever gives none. Errors of a state that is not a probability are divided by the variance of its values,
+//! so that those of all states may be added. Nothing is usual of a state that no update has predicted yet: all of its
+//! error counts as gain. Limit: of a state whose readings have become easier to predict the gain is 0.
 //!
 //! Invariant: all sums are finite and not negative. A judgement changes nothing.
 
