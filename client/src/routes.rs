@@ -18,9 +18,11 @@ use tidemap_proto::{
 
 mod path;
 mod presence;
+mod reachable;
 
 pub use path::{NamedRoute, NamedRouteStep, Policy, PolicyQuery, RouteQuery, RouteTime};
 pub use presence::{Joint, JointQuery, PresenceAt, PresenceForecast, PresenceQuery};
+pub use reachable::{ReachableNode, ReachableQuery};
 pub use tidemap_map::{
     name::{EdgeName, StateName},
     topology::{Edge, EdgeEnds, Extent, NewEdge, NewNode, Node, NodePose, Topology, TopologyEdit},

@@ -135,7 +135,7 @@ fn state_history_ratio(catalog: &Catalog, handle: &MapHandle) -> f64 {
     let view = handle.view();
     let history = catalog.context().store.history(handle.id).ok().and_then(|history| history.sizes().ok());
     let sizes = history.unwrap_or_default();
-    if handle.spec.retention == Retention::Forever && sizes.newest_states == view.generation() {
+    if handle.spec.retention == Retention::Forever && sizes.newest_generation == view.generation() {
         ratio(view.observations().saturating_sub(view.pending()), sizes.state_bytes)
     } else {
         0.0

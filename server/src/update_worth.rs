@@ -1,7 +1,8 @@
 //! Whether an update of a map is worth it, in bounded time.
 //!
-//! The writer hands out an extract of what is pending, and the rest is done from a view. Invariant: what is judged and the
-//! model that judges are of the same generation. The writer copies at most [`STATES_MAX`] × [`READINGS_MAX`] readings.
+//! The writer hands out an extract of what is pending, and the rest is done from a view. Invariant: what is judged and
+//! the model that judges are of the same generation. The writer copies at most [`STATES_MAX`] × [`READINGS_MAX`]
+//! readings.
 
 use std::{sync::Arc, time::Duration};
 

@@ -294,6 +294,8 @@ fn check_topology(checked: &mut Checked, folder: &str) {
     checked.run("no-go list", "home");
     checked.run("no-go remove", "home pit");
     checked.run("topology predict", &format!("home --at {NOON}"));
+    let reached = checked.run("topology reachable", &format!("home Hall --at {NOON}"));
+    assert_eq!((&reached[0]["node"], &reached[0]["edges"]), (&"Hall".into(), &0.into()), "{reached}");
     checked.run("task add", "home clean Shop --from 09:00 --until 17:00 --duration 10m --value-state door");
     checked.run("task list", "home");
     let day = checked.run("day", &format!("home --date {DAY} --slot 1h --tasks --start-node Hall --keep"));

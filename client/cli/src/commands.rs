@@ -45,6 +45,7 @@ mod task;
 mod times;
 mod topology;
 mod topology_picture;
+mod topology_reachable;
 mod tour;
 mod traverse;
 mod update;

@@ -85,7 +85,9 @@ impl Client {
             };
             flows.add(cells)?;
         }
-        Ok(flows)
+        // Somebody was detected somewhere, so that each time has cells.
+        let is_whole = flows.times.iter().all(|cells| !cells.is_empty());
+        if is_whole { Ok(flows) } else { Err(Error::Protocol("a flow ends before its last time")) }
     }
 }
 
@@ -117,8 +119,8 @@ impl Flows {
         for ((&cell, &expected_count), shares) in
             indices.iter().zip(&expected_counts).zip(shares.chunks(self.directions))
         {
-            if cell as usize >= self.raster.cells() {
-                return Err(Error::Protocol("a cell is not in the raster"));
+            if cell as usize >= self.raster.cells() || cells.last().is_some_and(|last| last.cell >= cell as usize) {
+                return Err(Error::Protocol("a cell is not in the raster, or comes twice"));
             }
             cells.push(FlowForecast { cell: cell as usize, expected_count, shares: shares.to_vec() });
         }

@@ -101,8 +101,8 @@ impl Pending {
         pending.chain(self.future.iter().filter(move |ahead| ahead.state == state).map(|ahead| &ahead.sample))
     }
 
-    /// Some of the observations that an update could learn, by state: of the states with the largest numbers of them, at
-    /// most `states_max`, ascending. `choose` takes from all observations of a state, in order of arrival.
+    /// Some of the observations that an update could learn, by state: of the states with the largest numbers of them,
+    /// at most `states_max`, ascending. `choose` takes from all observations of a state, in order of arrival.
     pub(crate) fn extract<T>(
         &self,
         states_max: usize,

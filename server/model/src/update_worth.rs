@@ -4,16 +4,15 @@
 //!
 //! > ε_p = ε(τ', τ) = 1 / (τ − τ') ∫ |s'(t) − s(t)| dt over what was observed after the last update τ'.
 //!
-//! Here it is the mean over the pending readings v of the squared error (p − v)², by the spectral model at the order in
-//! force, and beside it stands what is usual: the mean squared error of days of that kind, weekdays or weekend, before
-//! they were learned, as the change alarm keeps it. Their difference is the gain, if it is above 0: a
-//! state that is as uncertain as ever gives none. Errors of a state that is not a probability are divided by the variance
-//! of its values, so that those of all states may be added. Nothing is usual of a state that no update has predicted
-//! yet: all of its error counts as gain. Limit: of a state whose readings have become easier to predict the gain is 0.
+//! Here it is the mean over the pending readings v of the squared error (p − v)², by the model that answers, and beside it stands what is usual: the mean squared error of days of that kind, weekdays or weekend, before
+//! they were learned, as the change alarm keeps it. Their difference is the gain, if it is above 0: a state that is as
+//! uncertain as ever gives none. Errors of a state that is not a probability are divided by the variance of its values,
+//! so that those of all states may be added. Nothing is usual of a state that no update has predicted yet: all of its
+//! error counts as gain. Limit: of a state whose readings have become easier to predict the gain is 0.
 //!
 //! Invariant: all sums are finite and not negative. A judgement changes nothing.
 
-use crate::{Periodicities, Sample, StateKind, StateModel, evaluate::score_samples};
+use crate::{Periodicities, Sample, StateKind, StateModel, models::TemporalModel as _};
 
 #[cfg(test)]
 mod tests;
@@ -41,8 +40,9 @@ impl UpdateWorth {
         if !(unit > 0.0 && unit.is_finite()) {
             return None;
         }
-        let sums = score_samples(kind, model.spectral(), periodicities, pending);
-        let squared_error = (sums.squared[model.order()] / unit).min(f64::MAX);
+        let answers = model.chosen_member(periodicities);
+        let error = |sample: &Sample| (answers.predict(sample.moment()) - sample.value).powi(2);
+        let squared_error = (pending.iter().map(error).sum::<f64>() / unit).min(f64::MAX);
         let alarm = model.alternatives().map(|known| known.alarm());
         let usual = |sample: &Sample| alarm.and_then(|alarm| alarm.usual_mse(sample.local_day())).unwrap_or(0.0);
         let usual_squared_error = pending.iter().map(usual).sum::<f64>().min(f64::MAX);

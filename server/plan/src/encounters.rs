@@ -12,6 +12,8 @@ use tidemap_model::models::{FlowModel, Moment};
 
 /// People within this distance of the robot are near, by default, metres.
 pub const NEAR_M: f64 = 1.0;
+/// The greatest distance that counts as near, in cells: the work of a slot grows with its square.
+pub const NEAR_MAX_CELLS: f64 = 20.0;
 /// The flow is taken to be constant so long: five minutes.
 const SLOT_NANOS: i64 = 300 * 1_000_000_000;
 /// Number of slots whose densities are kept.
@@ -27,9 +29,12 @@ pub struct Encounters<'a> {
 }
 
 impl<'a> Encounters<'a> {
-    /// Encounters within `near_m` metres, above 0.
+    /// Encounters within `near_m` metres, above 0, at most [`NEAR_MAX_CELLS`] cells of the model; a greater distance
+    /// counts as that.
     pub fn new(model: &'a FlowModel, near_m: f64) -> Encounters<'a> {
-        Encounters { model, near_m: if near_m > 0.0 { near_m } else { NEAR_M }, near: HashMap::new() }
+        let near_m = if near_m > 0.0 { near_m } else { NEAR_M };
+        let near_m = near_m.min(NEAR_MAX_CELLS * model.options().raster.edge_m);
+        Encounters { model, near_m, near: HashMap::new() }
     }
 
     /// Expected encounters on the straight way between two places, x and y in metres, that the robot enters at a moment
@@ -56,6 +61,9 @@ impl<'a> Encounters<'a> {
             self.near.clear();
         }
         let (model, near_m) = (self.model, self.near_m);
+        // The middle of the slot, so that it does not matter which time is asked first.
+        let to_middle = slot.saturating_mul(SLOT_NANOS).saturating_add(SLOT_NANOS / 2) - at.civil_nanos();
+        let at = Moment { utc_nanos: at.utc_nanos.saturating_add(to_middle), ..at };
         self.near.entry(slot).or_insert_with(|| near_cells(model, at, near_m))
     }
 }
@@ -133,6 +141,27 @@ mod tests {
         assert!(along(1.9, 600.0) > 3.0 * along(1.0, 600.0));
         // Two metres reach the four neighbours, where nobody is: five times fewer people on four times the area.
         assert!(along(2.0, 600.0) < along(1.9, 600.0));
+    }
+
+    #[test]
+    fn the_order_of_questions_does_not_matter() {
+        let model = crowd();
+        let ask = |minutes: [i64; 2]| {
+            let mut encounters = Encounters::new(&model, 1.0);
+            minutes.map(|minute| {
+                let enter = Moment { utc_nanos: at(24 * 23 + 7).utc_nanos + minute * HOUR_NANOS / 60, offset_secs: 0 };
+                encounters.along([4.0, 3.0], [6.0, 3.0], enter, 60.0)
+            })
+        };
+        let [one, other] = ask([56, 59]);
+        assert_eq!(ask([59, 56]), [other, one]);
+    }
+
+    #[test]
+    fn a_far_reach_is_bounded_by_the_cells() {
+        let model = crowd();
+        let along = |near_m: f64| Encounters::new(&model, near_m).along([4.0, 3.0], [6.0, 3.0], at(10), 60.0);
+        assert_eq!(along(1e9), along(NEAR_MAX_CELLS * 2.0));
     }
 
     #[test]

@@ -102,8 +102,8 @@ pub struct RouteOptions {
     pub recovery_secs: f64,
     /// The cost of a failure in [`Objective::Blend`], in seconds, 0 to [`TIME_MAX_SECS`]; 600 by default.
     pub failure_cost_secs: f64,
-    /// What avoiding one encounter with people is worth, in seconds, 0 to [`TIME_MAX_SECS`]; 0 by default: encounters do
-    /// not matter. With [`Objective::Success`] they only decide between routes of equal success.
+    /// What avoiding one encounter with people is worth, in seconds, 0 to [`TIME_MAX_SECS`]; 0 by default: they do not
+    /// matter. With [`Objective::Success`] they only decide between routes of equal success.
     pub encounter_cost_secs: f64,
     /// Number of alternatives, which differ from the others in at least one edge; at most [`ALTERNATIVES_MAX`]; 0 by
     /// default.
@@ -154,7 +154,7 @@ pub struct RouteStep {
     pub start_secs: f64,
     /// Its duration then, in seconds.
     pub duration_secs: f64,
-    /// Expected encounters with people on it; 0 if they do not matter.
+    /// Expected encounters with people on it.
     pub encounters: f64,
     /// Success probability of an attempt, above 0, at most 1.
     pub success: f64,
@@ -173,7 +173,7 @@ pub struct Route {
     pub arrival_secs: f64,
     /// The expected duration, failures and recovery included, in seconds.
     pub expected_secs: f64,
-    /// Expected encounters with people without failures; 0 if they do not matter.
+    /// Expected encounters with people without failures.
     pub encounters: f64,
     /// The probability that nothing fails: the product over the steps.
     pub success: f64,

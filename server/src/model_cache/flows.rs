@@ -10,6 +10,8 @@ use tidemap_model::{
 use tidemap_proto::convert::query::FlowSource;
 use tidemap_store::MapId;
 
+use super::ModelUnavailable;
+
 /// Edge of a cell if none is given, metres.
 const EDGE_M: f64 = 1.0;
 
@@ -44,25 +46,41 @@ impl FlowKey {
 /// time. Of several readings of the same time, the first belong together, then the second, and so on.
 ///
 /// # Errors
-/// [`CannotTrain`] if no time is among both, the raster is too large, or the training is stopped.
+/// [`ModelUnavailable`] if no time is among both, nobody moves, nobody is in the region, the raster is too large, or the
+/// training is stopped.
 pub(crate) fn train_flow(
     source: &FlowSource,
     places: [&[Sample]; 2],
     motions: [&[Sample]; 2],
     spec: &MapSpec,
     stop: StopSignal<'_>,
-) -> Result<FlowModel, CannotTrain> {
-    let detections = detections(places, motions);
+) -> Result<FlowModel, ModelUnavailable> {
+    let Detected { detections, pairs } = detections(places, motions);
+    match (detections.is_empty(), pairs) {
+        (true, 0) => return Err(ModelUnavailable::NoPlaces),
+        (true, _) => return Err(ModelUnavailable::NobodyMoves),
+        (false, _) => {}
+    }
     let raster = raster(source, &detections)?;
     let half_life_secs = spec.half_life_nanos.map(|nanos| nanos as f64 / 1e9);
     let options = FlowOptions { directions: source.directions, half_life_secs, ..FlowOptions::new(raster) };
-    FlowModel::train(&detections, &spec.periodicities, &options, stop)
+    FlowModel::train(&detections, &spec.periodicities, &options, stop).map_err(|error| match error {
+        CannotTrain::NoReadings => ModelUnavailable::NoneInRegion { elsewhere: detections.len() },
+        error => error.into(),
+    })
+}
+
+/// Positions with a direction.
+struct Detected {
+    detections: Vec<FlowDetection>,
+    /// How many there would be if nobody stood.
+    pairs: usize,
 }
 
 /// The positions that have a direction.
-fn detections([x, y]: [&[Sample]; 2], [along, across]: [&[Sample]; 2]) -> Vec<FlowDetection> {
+fn detections([x, y]: [&[Sample]; 2], [along, across]: [&[Sample]; 2]) -> Detected {
     let mut place = 0;
-    let mut found = Vec::new();
+    let mut found = Detected { detections: Vec::new(), pairs: 0 };
     for (along, across) in along.iter().zip(across) {
         while x.get(place).is_some_and(|position| position.utc_nanos < along.utc_nanos) {
             place += 1;
@@ -70,22 +88,22 @@ fn detections([x, y]: [&[Sample]; 2], [along, across]: [&[Sample]; 2]) -> Vec<Fl
         let here = x.get(place).zip(y.get(place)).filter(|(x, _)| x.utc_nanos == along.utc_nanos);
         let Some((x, y)) = here else { continue };
         place += 1;
+        found.pairs += 1;
         if along.value != 0.0 || across.value != 0.0 {
             let direction_rad = direction_rad([along.value, across.value]);
-            found.push(FlowDetection { moment: x.moment(), place_m: [x.value, y.value], direction_rad });
+            found.detections.push(FlowDetection { moment: x.moment(), place_m: [x.value, y.value], direction_rad });
         }
     }
     found
 }
 
 /// The raster of a source; by default cells of a metre over all detections, or larger ones.
-fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaster, CannotTrain> {
+fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaster, ModelUnavailable> {
     let bound = |axis: usize, start: f64, nearer: fn(f64, f64) -> f64| {
         detections.iter().map(|detection| detection.place_m[axis]).fold(start, nearer)
     };
     let (low_m, high_m) = match &source.region {
         Some(region) => ([0, 1].map(|axis| region.low_m[axis]), [0, 1].map(|axis| region.high_m[axis])),
-        None if detections.is_empty() => return Err(CannotTrain::NoReadings),
         None => {
             let edge = source.edge_m.unwrap_or(EDGE_M);
             // Whole cells from the origin, so that they stay where they are when somebody walks farther.
@@ -96,11 +114,14 @@ fn raster(source: &FlowSource, detections: &[FlowDetection]) -> Result<FlowRaste
     };
     let sides = [0, 1].map(|axis| high_m[axis] - low_m[axis]);
     let counts = |edge: f64| sides.map(|side| (side / edge - 1e-9).ceil().max(1.0));
+    let bins = |edge: f64| counts(edge).iter().product::<f64>() * source.directions as f64;
+    let max = FLOW_BINS_MAX;
     let mut edge_m = source.edge_m.unwrap_or(EDGE_M);
-    while source.edge_m.is_none()
-        && counts(edge_m).iter().product::<f64>() * source.directions as f64 > FLOW_BINS_MAX as f64
-    {
+    while source.edge_m.is_none() && bins(edge_m) > max as f64 {
         edge_m *= 2.0;
+    }
+    if bins(edge_m) > max as f64 {
+        return Err(ModelUnavailable::RasterTooLarge { bins: bins(edge_m), max });
     }
     Ok(FlowRaster { low_m, edge_m, counts: counts(edge_m).map(|count| count as usize) })
 }
@@ -128,7 +149,8 @@ mod tests {
         // None at 1, two at 2, one more than positions at 3, somebody who stands at 4.
         let along = samples(&[(2, 1.0), (2, 0.0), (3, -1.0), (3, 5.0), (4, 0.0)]);
         let across = samples(&[(2, 0.0), (2, 1.0), (3, 0.0), (3, 5.0), (4, 0.0)]);
-        let found = detections([&x, &y], [&along, &across]);
+        let Detected { detections: found, pairs } = detections([&x, &y], [&along, &across]);
+        assert_eq!(pairs, 4);
         let places: Vec<([f64; 2], f64)> = found.iter().map(|seen| (seen.place_m, seen.direction_rad)).collect();
         let quarter = std::f64::consts::FRAC_PI_2;
         assert_eq!(places, [([2.0, 0.0], 0.0), ([2.5, 0.5], quarter), ([3.0, 0.0], -2.0 * quarter)]);
@@ -148,6 +170,9 @@ mod tests {
         let wide = train(&FlowSource { region: region.clone(), ..source() }).expect("larger cells");
         assert_eq!((wide.edge_m, wide.counts), (8.0, [125, 125]));
         let fine = FlowSource { region, edge_m: Some(0.5), ..source() };
-        assert!(matches!(train(&fine), Err(CannotTrain::Parameter { .. })));
+        assert!(matches!(train(&fine), Err(ModelUnavailable::RasterTooLarge { .. })));
+        let apart = Some(PositionRegion { low_m: vec![50.0, 50.0], high_m: vec![60.0, 60.0] });
+        let apart = FlowSource { region: apart, ..source() };
+        assert_eq!(train(&apart), Err(ModelUnavailable::NoneInRegion { elsewhere: 2 }));
     }
 }

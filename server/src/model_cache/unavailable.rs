@@ -24,6 +24,15 @@ pub(crate) enum ModelUnavailable {
     Unlearned,
     #[error("it was never observed at the same time as a position of that vector: send both with equal times")]
     NoPlaces,
+    #[error(
+        "the raster has {bins} cells times directions, and at most {max} are possible: take larger cells, a smaller region \
+         or fewer directions"
+    )]
+    RasterTooLarge { bins: f64, max: usize },
+    #[error("nobody was detected in the region; {elsewhere} detections with a direction lie elsewhere")]
+    NoneInRegion { elsewhere: usize },
+    #[error("nobody moves: at the times of positions, all velocities are 0")]
+    NobodyMoves,
     #[error("{0}")]
     CannotTrain(#[from] CannotTrain),
 }

@@ -264,10 +264,13 @@ impl RpcError {
                     (Code::FailedPrecondition, "NO_HISTORY")
                 }
                 ModelUnavailable::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
+                ModelUnavailable::RasterTooLarge { .. } => (Code::InvalidArgument, "INVALID_ARGUMENT"),
                 ModelUnavailable::OtherKind { .. }
                 | ModelUnavailable::StatesOnly
                 | ModelUnavailable::CannotTrain(_)
                 | ModelUnavailable::NoPlaces
+                | ModelUnavailable::NoneInRegion { .. }
+                | ModelUnavailable::NobodyMoves
                 | ModelUnavailable::Unlearned => (Code::FailedPrecondition, "MODEL_UNAVAILABLE"),
             },
             Self::BeyondHistory { .. } => (Code::OutOfRange, "BEYOND_HISTORY"),

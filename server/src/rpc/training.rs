@@ -55,6 +55,9 @@ use crate::{
 mod flows;
 mod positions;
 
+/// Flows of the cache: a large one takes 80 MB.
+const FLOWS_MAX: usize = 8;
+
 /// Trains models, or takes them from the cache.
 #[derive(Debug)]
 pub(super) struct ModelTrainer {
@@ -128,7 +131,7 @@ impl ModelTrainer {
             models: ModelCache::new(max_trained),
             positions: ModelCache::new(max_trained),
             places: ModelCache::new(max_trained),
-            flows: ModelCache::new(max_trained),
+            flows: ModelCache::new(max_trained.min(FLOWS_MAX)),
             permits,
             slow_permits,
             comparing_permits,

@@ -79,7 +79,7 @@ pub struct HistorySizes {
     /// Of the grid.
     pub grid_bytes: u64,
     /// The newest generation with a file of named states; 0 without one.
-    pub newest_states: u64,
+    pub newest_generation: u64,
 }
 
 /// The exact observations of one map, as far back as they are kept. Those of a generation are readable once it
@@ -210,10 +210,10 @@ impl History {
             // A file may be deleted meanwhile.
             let Ok(bytes) = self.disk.length(&self.folder.join(&name)) else { continue };
             sizes.files += 1;
+            sizes.newest_generation = sizes.newest_generation.max(generation);
             match part {
                 Part::States => {
                     sizes.state_bytes += bytes;
-                    sizes.newest_states = sizes.newest_states.max(generation);
                 }
                 Part::Grid => sizes.grid_bytes += bytes,
             }

@@ -22,6 +22,7 @@ use super::{
     point::Point,
     times,
     topology_picture::{self, Overlay},
+    topology_reachable::{self, ReachableArgs},
     usage,
 };
 use crate::progress::status_line;
@@ -71,6 +72,11 @@ pub(crate) enum TopologyCommand {
     ///
     /// reports is the number of reports of the edge; an edge without reports gets the average of the map's edges.
     Predict(EdgeForecastArgs),
+    /// Lists what a robot reaches from one node at one time, the most certain first
+    ///
+    /// probability is that of a way without failures, by the route that is the least likely to fail. A node without a
+    /// route has the probability 0.
+    Reachable(ReachableArgs),
     /// Changes one node or edge
     #[command(subcommand)]
     Edit(EditCommand),
@@ -258,6 +264,7 @@ pub(crate) async fn run(session: &Session, command: TopologyCommand) -> anyhow::
             return if edges { show_edges(session, &topology) } else { show_nodes(session, &topology) };
         }
         TopologyCommand::Predict(args) => return predict(session, args).await,
+        TopologyCommand::Reachable(args) => return topology_reachable::run(session, args).await,
         TopologyCommand::Failures { map, limit, edge, by } => {
             let failures = session.client.failures(&map, limit.unwrap_or_default(), edge.as_ref()).await?;
             return match by {

@@ -112,7 +112,8 @@ impl ChangeAlarm {
     }
 
     /// The mean squared error of a day of the kind of this one, weekday or weekend, so far: the square of the mean of
-    /// its root, and the variance of that. The error of the other kind of days where there is none; `None` without days.
+    /// its root, and the variance of that. The error of the other kind of days where there is none; `None` without
+    /// days.
     pub fn usual_mse(&self, day: LocalDay) -> Option<f64> {
         let kind = usize::from(is_weekend(day));
         let known = [kind, 1 - kind].map(|kind| self.parts.kinds[kind]).into_iter().find(|kind| kind.days > 0.0)?;

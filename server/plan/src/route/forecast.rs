@@ -30,7 +30,7 @@ pub trait Forecasts {
     }
 
     /// Expected number of encounters with people while the robot passes an edge that it enters at a time; at least 0.
-    /// Nobody is expected by default. Only asked if [`RouteOptions::encounter_cost_secs`](super::RouteOptions) is not 0.
+    /// Nobody is expected by default.
     fn encounters(&mut self, _edge: &Edge, _at_secs: f64, _duration_secs: f64) -> f64 {
         0.0
     }

@@ -31,6 +31,8 @@ pub(super) struct ForecastCache<'a, F> {
     network: &'a Network<'a>,
     forecasts: &'a mut F,
     pub costing: Costing,
+    /// How lower bounds are priced, if not as everything else.
+    pub bounds: Option<Costing>,
     resolution_secs: f64,
     /// For each edge, ascending by time.
     kept: Vec<Vec<(f64, Option<EdgeCost>)>>,
@@ -44,7 +46,17 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
     pub(super) fn new(network: &'a Network<'a>, forecasts: &'a mut F, costing: Costing, resolution_secs: f64) -> Self {
         let count = network.edges.len();
         let (kept, is_closed) = (vec![Vec::new(); count], vec![false; count]);
-        ForecastCache { network, forecasts, costing, resolution_secs, kept, kept_count: 0, is_closed, asked: 0 }
+        ForecastCache {
+            network,
+            forecasts,
+            costing,
+            bounds: None,
+            resolution_secs,
+            kept,
+            kept_count: 0,
+            is_closed,
+            asked: 0,
+        }
     }
 
     /// The time, rounded to the resolution.
@@ -106,9 +118,6 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
     }
 
     fn encounters(&mut self, edge: usize, at_secs: f64, duration_secs: f64) -> Result<f64, ForecastError> {
-        if self.costing.encounter_cost_secs == 0.0 {
-            return Ok(0.0);
-        }
         let found = self.forecasts.encounters(self.network.edges[edge], at_secs, duration_secs);
         let is_valid = found.is_finite() && found >= 0.0;
         is_valid.then_some(found).ok_or_else(|| ForecastError::Encounters { edge: self.network.edge_name(edge), found })
@@ -119,7 +128,7 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         let best = self.forecasts.best(self.network.edges[edge], from_secs, to_secs);
         let success = best.map(|best| best.success).filter(|success| *success > 0.0 && *success < 1.0).unwrap_or(1.0);
         let duration = best.map(|best| best.duration_secs).filter(|secs| (0.0..=NOMINAL_MAX_SECS).contains(secs));
-        self.costing.cost(success, duration.unwrap_or(0.0), 0.0)
+        self.bounds.unwrap_or(self.costing).cost(success, duration.unwrap_or(0.0), 0.0)
     }
 
     /// The least cost of an edge at about `samples` times that cover a span; infinite if it is closed at all of them.
@@ -131,14 +140,14 @@ impl<'a, F: Forecasts> ForecastCache<'a, F> {
         to_secs: f64,
         samples: u32,
     ) -> Result<Cost, ForecastError> {
-        let mut least = Cost::INFINITE;
+        let (mut least, costing) = (Cost::INFINITE, self.bounds.unwrap_or(self.costing));
         let span_secs = to_secs - from_secs;
         let step_secs = if span_secs > 0.0 { (span_secs / f64::from(samples)).log2().ceil().exp2() } else { 1.0 };
         let first = (from_secs / step_secs).floor();
         let count = ((to_secs / step_secs).ceil() - first) as u32;
         for sample in 0..=count.min(samples + 1) {
             if let Some(found) = self.at(edge, (first + f64::from(sample)) * step_secs)? {
-                least = least.least(self.costing.cost(found.success, found.duration_secs, found.encounters));
+                least = least.least(costing.cost(found.success, found.duration_secs, found.encounters));
             }
         }
         Ok(least)

@@ -7,7 +7,7 @@ use std::{sync::Arc, time::Duration};
 use tidemap_map::{edge_forecast::EdgeForecast, topology::Edge};
 use tidemap_model::{EarlyStop, StopSignal};
 use tidemap_plan::{
-    encounters::NEAR_M,
+    encounters::{NEAR_M, NEAR_MAX_CELLS},
     policy::solve_policy,
     route::{PlanRouteError, plan_routes, success_interval},
 };
@@ -54,6 +54,12 @@ pub(super) async fn plan_route(
         Some(avoided) => Some(routes.trainer.flow(&handle, &view, ("avoid_people", &avoided.source)).await?),
         None => None,
     };
+    if let (Some(avoided), Some(flow)) = (&question.avoided, &people) {
+        let max_m = NEAR_MAX_CELLS * flow.options().raster.edge_m;
+        if avoided.near_m > max_m {
+            return Err(Problem::TooFar { near_m: avoided.near_m, max_m }.of("near_m").into());
+        }
+    }
 
     let (over, ends) = (Arc::clone(&topology), (request.from, request.to));
     let work = move |stop: StopSignal<'_>| {

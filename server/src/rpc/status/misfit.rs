@@ -30,6 +30,8 @@ pub(crate) enum Problem {
     NoVector { state: String, shape: StateShape },
     #[error("{state:?} is a {} state, and only an angle or a vector has directions", .shape.name())]
     NoDirection { state: String, shape: StateShape },
+    #[error("{near_m} m: at most 20 cells of the raster count as near, here {max_m} m; use larger cells")]
+    TooFar { near_m: f64, max_m: f64 },
     #[error("no node of the topology has a position: give nodes one, so that people can be on edges")]
     NoNodePositions,
     #[error("{found} coordinates: the state has {expected}")]

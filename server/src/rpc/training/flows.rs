@@ -5,11 +5,7 @@
 use std::sync::Arc;
 
 use tidemap_map::{event::StateShape, ids::StateId, view::MapView};
-use tidemap_model::{
-    Sample, StopSignal,
-    models::{CannotTrain, FlowModel},
-    selector::ModelKind,
-};
+use tidemap_model::{Sample, StopSignal, models::FlowModel, selector::ModelKind};
 use tidemap_proto::convert::query::FlowSource;
 
 use super::{LearnedState, ModelTrainer};
@@ -81,10 +77,7 @@ impl ModelTrainer {
             train_flow(&source, [x, y], [along, across], &handle.spec, StopSignal::new(&is_set))
         };
         let trained = run_blocking(permit, train).await?;
-        trained.map_err(|error| match error {
-            CannotTrain::NoReadings => axes[2].unavailable(READ_AS, ModelUnavailable::NoPlaces),
-            error => axes[2].unavailable(READ_AS, error),
-        })
+        trained.map_err(|reason| axes[2].unavailable(READ_AS, reason))
     }
 }
 

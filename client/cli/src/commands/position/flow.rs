@@ -33,10 +33,10 @@ pub(super) struct FlowArgs {
     /// Number of directions, 4 to 36 [default: 8]
     #[arg(long, value_name = "N", requires = "flow", value_parser = clap::value_parser!(u32).range(4..=36))]
     directions: Option<u32>,
-    /// Write expected people as a costmap of Nav2: a PGM file, with its YAML file beside it
+    /// Write expected detections as a costmap of Nav2: a PGM file, with its YAML file beside it
     #[arg(long, value_name = "FILE.pgm", requires = "flow")]
     mask: Option<PathBuf>,
-    /// People in a cell who are the highest cost of the mask [default: the most in a cell]
+    /// Detections in a cell that are the highest cost of the mask [default: the most in a cell]
     #[arg(long, value_name = "N", requires = "mask")]
     mask_full: Option<f64>,
 }

@@ -95,7 +95,8 @@ impl CellCounts {
         let prior = prior_mean(self.directions.len(), sum.weight);
         let of_direction = |counts: &Vec<(usize, f64)>| {
             let known = &counts[..counts.partition_point(|(interval, _)| *interval < end)];
-            let weighted: f64 = known.iter().map(|(interval, count)| intervals.weight(*interval) * count).sum();
+            let weighted: f64 =
+                known.iter().map(|(interval, count)| sum.scale * intervals.weight(*interval) * count).sum();
             let mean = prior + weighted / (PRIOR_INTERVALS + sum.weight);
             let components = if order == 0 || known.is_empty() {
                 Vec::new()
@@ -121,7 +122,7 @@ fn strongest(
 ) -> Vec<Component> {
     let times: Vec<i64> = counts.iter().map(|(interval, _)| intervals.centre_nanos(*interval)).collect();
     let shares: Vec<f64> =
-        counts.iter().map(|(interval, count)| intervals.weight(*interval) * count / sum.weight).collect();
+        counts.iter().map(|(interval, count)| sum.scale * intervals.weight(*interval) * count / sum.weight).collect();
     let table = PhasorTable::new(periodicities, &times);
     let of_sum = |watched: &Component| {
         let (cos, sin) = table.row(watched.periodicity)?;
@@ -133,6 +134,8 @@ fn strongest(
     found.retain(|component| component.amplitude() > 0.0);
     found.sort_by(|one, other| other.amplitude().total_cmp(&one.amplitude()));
     found.truncate(order.min(ORDER_MAX));
+    // A model keeps them.
+    found.shrink_to_fit();
     found
 }
 

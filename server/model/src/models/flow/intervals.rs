@@ -20,6 +20,8 @@ pub(super) struct FlowIntervals {
 /// A part of the intervals: its weight, and the mean of its phasors.
 pub(super) struct IntervalSum {
     pub(super) weight: f64,
+    /// What weights are multiplied with, so that that of the last interval is 1.
+    pub(super) scale: f64,
     /// Number of local days, whole or not.
     pub(super) days: usize,
     /// Σ w e^(-jωt) / Σ w for every periodicity that its span holds.
@@ -74,19 +76,22 @@ impl FlowIntervals {
 
     /// The sum of the intervals before `end`.
     pub(super) fn sum(&self, end: usize, periodicities: &Periodicities) -> IntervalSum {
-        let weight: f64 = self.weights[..end].iter().sum();
+        // Relative to the newest: what is old for the last days is new for those before.
+        let newest = self.weights[..end].last().copied().unwrap_or(1.0);
+        let scale = if newest > 0.0 { 1.0 / newest } else { 1.0 };
+        let weight: f64 = self.weights[..end].iter().map(|weight| weight * scale).sum();
         let mut phasors: Vec<Component> = eligible(self, end, periodicities);
         let times: Vec<i64> = (0..end).map(|index| self.centre_nanos(index)).collect();
         for (chunk, weights) in times.chunks(CHUNK).zip(self.weights.chunks(CHUNK)) {
             let table = PhasorTable::new(periodicities, chunk);
             for sum in &mut phasors {
                 let Some((cos, sin)) = table.row(sum.periodicity) else { continue };
-                sum.gamma_re += cos.iter().zip(weights).map(|(cos, share)| cos * share / weight).sum::<f64>();
-                sum.gamma_im -= sin.iter().zip(weights).map(|(sin, share)| sin * share / weight).sum::<f64>();
+                sum.gamma_re += cos.iter().zip(weights).map(|(cos, share)| cos * share * scale / weight).sum::<f64>();
+                sum.gamma_im -= sin.iter().zip(weights).map(|(sin, share)| sin * share * scale / weight).sum::<f64>();
             }
         }
         let days = self.days().partition_point(|&first| first < end);
-        IntervalSum { weight, days, phasors }
+        IntervalSum { weight, scale, days, phasors }
     }
 }
 

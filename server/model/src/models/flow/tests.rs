@@ -139,6 +139,15 @@ fn old_detections_fade_with_the_half_life() {
     assert!(north(Some(3.0 * 86_400.0)) > 0.9, "{}", north(Some(3.0 * 86_400.0)));
 }
 
+#[test]
+fn rhythms_are_found_with_a_short_half_life_too() {
+    // At the end of the days that are learned for the choice, weights are a thousandth of those at the end of all.
+    let options = FlowOptions { half_life_secs: Some(43_200.0), ..two_cells() };
+    let model = learned(&streams(21, 1), &options);
+    assert!(model.orders().all(|(_, order)| order >= 1), "{:?}", model.orders().collect::<Vec<_>>());
+    assert!(at_hour(&model, 23, 9).shares()[0] > 0.8 && at_hour(&model, 23, 15).shares()[4] > 0.8);
+}
+
 /// Rates by order of one cell, from sums over all intervals before `end`: direction, then interval.
 struct Naive {
     counts: Vec<Vec<f64>>,

@@ -67,11 +67,11 @@ impl<F: Forecasts, U: FnMut() -> bool> Planner<'_, F, U> {
             (true, None) => return Ok(0.0),
             _ => (Source::Known, (first_secs, by_secs)),
         };
-        let costing = self.cache.costing;
         // The time alone, without what is worth avoiding.
-        self.cache.costing = Costing { objective: Objective::Time, encounter_cost_secs: 0.0, ..costing };
+        let costing = Costing { objective: Objective::Time, encounter_cost_secs: 0.0, ..self.cache.costing };
+        self.cache.bounds = Some(costing);
         let to_go = ToGo::find(self.network, &mut self.cache, self.goal, span, source, Cost::INFINITE);
-        self.cache.costing = costing;
+        self.cache.bounds = None;
         let least_secs = to_go?.least[self.start].first;
         Ok(if least_secs.is_finite() { least_secs } else { 0.0 })
     }

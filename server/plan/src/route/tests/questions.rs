@@ -203,6 +203,29 @@ impl Forecasts for Crowded {
 }
 
 #[test]
+fn an_arrival_counts_the_encounters_of_its_departure() {
+    let work = SearchWork { proof_labels: 0, ..SearchWork::USUAL };
+    let options = RouteOptions {
+        objective: Objective::Time,
+        encounter_cost_secs: 0.5,
+        recovery_secs: 0.0,
+        ..RouteOptions::default()
+    };
+    let topology = street(3);
+    // Two edges of 10 s with a quarter of a failure each: the robot leaves at 32 s, and at second 32 bounds were sampled.
+    let when = When::ArriveBy { by_secs: 57.0, earliest_secs: 0.0 };
+    let mut crowded = |departure: When| {
+        let ends = (NodeId(0), NodeId(2));
+        let plan = departure::plan_routes_with(&work, &topology, ends, departure, &options, &mut Crowded, || false);
+        plan.unwrap().routes.remove(0)
+    };
+    let arriving = crowded(when);
+    let departing = crowded(When::DepartAt(arriving.departure_secs));
+    assert_eq!((arriving.encounters, arriving.cost), (departing.encounters, departing.cost));
+    assert!(arriving.encounters > 1.9 && arriving.cost > arriving.expected_secs + 0.9, "{arriving:?}");
+}
+
+#[test]
 fn a_route_avoids_people_where_that_is_worth_the_time() {
     let mut topology = Topology::new();
     for name in ["a", "b", "c", "d"] {
@@ -218,7 +241,7 @@ fn a_route_avoids_people_where_that_is_worth_the_time() {
         let route = plan.unwrap().routes.remove(0);
         (route.steps[0].to.0, route.encounters, route.cost - route.expected_secs)
     };
-    assert_eq!(ask(0.0, 0.0, Objective::Time), (1, 0.0, 0.0), "encounters are not asked for");
+    assert_eq!(ask(0.0, 0.0, Objective::Time), (1, 2.0, 0.0), "encounters do not matter");
     assert_eq!(
         ask(0.0, 1.0, Objective::Time),
         (1, 2.0, 2.0),
