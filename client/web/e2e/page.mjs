@@ -69,6 +69,29 @@ function contacts() {
     daemon.run('update', 'contacts');
 }
 
+/** Makes a map of a corridor where people walk from 7 to 19, east before noon and west after, and one that has not learned it. */
+function halls() {
+    const [people, heading] = [['time,state,x,y'], ['time,state,value']];
+    for (let walk = 0; walk < 14 * 144; walk++) {
+        const [slot, start] = [walk % 144, Date.UTC(2025, 0, 6) / 1000 + walk * 600];
+        if (slot < 42 || slot >= 114) continue;
+        for (let step = 0; step < 12; step++) {
+            people.push(`${start + step},people,${(slot < 72 ? step : 11 - step) + 0.5},2.5`);
+            heading.push(`${start + step},heading,${slot < 72 ? 0.1 : 3.1}`);
+        }
+    }
+    for (const map of ['hall', 'newhall']) {
+        daemon.run('map', 'create', map, '--time-zone', 'UTC');
+        daemon.run('state', 'add', map, 'heading', '--kind', 'angle');
+        for (const [label, rows] of Object.entries({ people, heading })) {
+            const file = join(folder, `${label}.csv`);
+            writeFileSync(file, `${rows.join('\n')}\n`);
+            daemon.run('observe', map, file, '--producer', 'camera', '--label', label);
+        }
+    }
+    daemon.run('update', 'hall');
+}
+
 try {
     await daemon.furnish();
     await daemon.call('MapService/AddState', { map: 'office', state: HOSTILE });
@@ -340,6 +363,43 @@ try {
         assert.match(await text('reported'), /^as events, which are counted every hour/);
         assert.match(await text('today'), /^Thu 20 Mar: about [34](\.\d)? events are expected in all\.$/);
         await page.getByTestId('state-week').getByText('28 events, drawn as steps').waitFor();
+    });
+
+    await check('a flow of people is drawn, follows the clock, and is that of the command line', async () => {
+        halls();
+        await page.goto(`${daemon.http}/maps/hall?at=2025-01-21T09:00:00Z`);
+        await page.getByTestId('flow').selectOption('people');
+        assert.equal(await page.getByTestId('motion').inputValue(), 'heading');
+        const shown = page.getByTestId('flow-legend');
+        const isAt = (iso) => page.waitForFunction((iso) => document.querySelector('[data-testid=flow-legend]')?.dataset.at === iso, iso);
+        const drawn = () => page.locator('canvas.over').evaluate((canvas) => canvas.toDataURL());
+        await isAt('2025-01-21T09:00:00.000Z');
+        assert.match(await shown.innerText(), /^Flow of people\n0\n[\d.]+ detections\nin ten minutes, in cells of 1 m/);
+        const morning = await drawn();
+        await page.screenshot({ path: join(folder, 'flow.png') });
+        await page.getByTestId('time').fill('900');
+        await isAt('2025-01-21T15:00:00.000Z');
+        assert.notEqual(await drawn(), morning);
+        await page.getByTitle('Save the map as a file').click();
+        const coming = page.waitForEvent('download');
+        await page.getByRole('button', { name: 'CSV', exact: true }).click();
+        const saved = readFileSync(await (await coming).path(), 'utf8').trim().split('\r\n').slice(1).map((line) => line.split(','));
+        const rows = JSON.parse(daemon.run('position', 'hall', 'people', '--flow', 'heading', '--at', '2025-01-21T15:00:00Z', '--top', '0', '--output', 'json'));
+        const said = (kind) => saved.filter(([name]) => name === kind).map(([, , x, , value]) => [Number(x), Number(value)]).sort(([a], [b]) => a - b);
+        const expected = (column) => rows.map((row) => [Number(row.x), Number(Number(row[column]).toFixed(6))]).sort(([a], [b]) => a - b);
+        assert.equal(rows.length, 12);
+        for (const [kind, column] of [['flow', 'expected_count'], ['direction', 'direction_rad'], ['share', 'share']]) assert.deepEqual(said(kind), expected(column));
+        await page.waitForURL(/flow=people/);
+        await page.reload();
+        await isAt('2025-01-21T15:00:00.000Z');
+    });
+
+    await check('a flow that no update has learned says so', async () => {
+        await page.goto(`${daemon.http}/maps/newhall?at=2025-01-21T09:00:00Z&flow=people`);
+        await page.getByRole('alert').getByText('no update has learned any observation of it yet').waitFor();
+        daemon.run('update', 'newhall');
+        await page.getByTestId('flow-legend').waitFor();
+        assert.equal(await page.getByRole('alert').count(), 0);
     });
 
     await check('several states are in one plot, with a model of choice and the week before', async () => {

@@ -28,6 +28,7 @@ const VIEWS = {
     look: [`/maps/office?${AT}&list=0&layer=look&tool=explore&start=10,8.4`, 'information'],
     states: [`/states/office?${AT}&select=kitchen`, 'state-week'],
     changes: ['/states/contacts?at=2025-03-20T10:00:00Z&select=contact', 'reported-then'],
+    flow: ['/maps/hall?at=2025-01-21T09:00:00Z&flow=people&list=0', 'motion'],
     operations: ['/operations', 'jobs'],
 };
 

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { beforeEach, suite, test } from 'node:test';
 
-import { mark, paletteOf, SURE } from './colours';
+import { gain, mark, paletteOf, SURE } from './colours';
 import { apart, paintFrame, paintPlan } from './paint';
 import type { Plan } from './plan';
 
@@ -154,6 +154,44 @@ suite('a plan', () => {
         // A line for each step, and two strokes of an arrow for the longer one.
         assert.deepEqual(canvas.named('lineTo').length, 2 + 2);
         assert.deepEqual(canvas.named('fillText').map(({ values }) => values[0]), ['1', '2']);
+    });
+
+    test('has flows as shades of their cells, with arrows as long as their share', () => {
+        const cells = [{ column: 0, row: 0, count: 4, shares: [0.5, 0.25, 0.25, 0] }, { column: 1, row: 1, count: 0.1, shares: [1, 0, 0, 0] }];
+        const flow = { lowX: 0, lowY: 0, edge: 2, columns: 2, rows: 2, detections: 9n, cells };
+        paint({ flow: { flow, top: 8, isAlone: false } });
+        const shades = canvas.named('fillRect').map(({ values, brush }) => [...values, brush.fillStyle]);
+        assert.deepEqual(shades, [[100, 30, 20, 20, gain(0.5)], [120, 10, 20, 20, gain(0.0125)]]);
+        // The rim and the line of the only cell with many people: 0.9 of half its edge.
+        const lines = canvas.named('lineTo').filter((_, index) => index % 3 === 0).map(({ values }) => values);
+        assert.deepEqual([lines, canvas.named('moveTo')[0]?.values], [[[104.5 + 10, 40], [104.5 + 10, 40]], [105.5, 40]]);
+    });
+
+    test('has an arrow of a flow that points up for π/2', () => {
+        const cells = [{ column: 0, row: 0, count: 4, shares: [0, 1, 0, 0] }];
+        const flow = { lowX: 0, lowY: 0, edge: 2, columns: 1, rows: 1, detections: 9n, cells };
+        paint({ flow: { flow, top: 8, isAlone: false } });
+        const [from, to] = [canvas.named('moveTo')[0], canvas.named('lineTo')[0]].map((call) => call?.values.map((value) => Math.round(Number(value))));
+        assert.deepEqual([from, to], [[110, 49], [110, 31]]);
+        // The head lies below the tip.
+        assert.ok(canvas.named('lineTo').slice(1, 3).every(({ values }) => Number(values[1]) > 31));
+    });
+
+    test('has a light ground below a flow that nothing else lies under', () => {
+        const flow = { lowX: 0, lowY: 0, edge: 2, columns: 2, rows: 1, detections: 0n, cells: [] };
+        paint({ flow: { flow, top: 8, isAlone: true } });
+        assert.deepEqual(canvas.named('fillRect').map(({ values }) => values), [[100, 30, 40, 20]]);
+    });
+
+    test('has one arrow for several cells where they are small', () => {
+        const cells = [0, 1, 2, 3].map((column) => ({ column, row: 0, count: 1, shares: [1, 0, 0, 0] }));
+        const flow = { lowX: 0, lowY: 0, edge: 1, columns: 4, rows: 1, detections: 9n, cells };
+        const strokes = (scale: number) => {
+            canvas = new Canvas();
+            paint({ flow: { flow, top: 1, isAlone: false } }, [], scale);
+            return canvas.named('stroke').length / 2;
+        };
+        assert.deepEqual([strokes(14), strokes(7), strokes(3)], [4, 2, 1]);
     });
 
     test('marks a cell by a square that can be seen from afar', () => {

@@ -1,6 +1,7 @@
 // Draws a frame and a plan on canvases.
 
 import { gain, mark, type Palette } from './colours';
+import { arrowsOf, flowExtent, type FlowLayer } from './flow';
 import type { Frame } from './frames';
 import type { Camera, Plan } from './plan';
 
@@ -99,6 +100,54 @@ function arrow(brush: CanvasRenderingContext2D, x1: number, y1: number, x2: numb
     brush.stroke();
 }
 
+/** The least room for the arrow of a flow: where cells are smaller, some share one. */
+const FLOW_ARROW_PX = 14;
+/** Below a flow where there is no grid: white, and less of it at night. */
+const FLOW_GROUND = 'rgb(255 255 255 / 85%)';
+
+type ToScreen = (point: { x: number; y: number }) => [number, number];
+
+function paintFlow(brush: CanvasRenderingContext2D, layer: FlowLayer, at: ToScreen, scale: number): void {
+    const { flow, top } = layer;
+    const edge = flow.edge * scale;
+    /** Whole pixels: half ones would show seams. */
+    const fill = (minX: number, minY: number, maxX: number, maxY: number) => {
+        const [[left, bottom], [right, high]] = [at({ x: minX, y: minY }), at({ x: maxX, y: maxY })].map((ends) => ends.map(Math.round)) as [[number, number], [number, number]];
+        brush.fillRect(left, high, right - left, bottom - high);
+    };
+    if (layer.isAlone) {
+        // Shades are made for white.
+        const { minX, minY, maxX, maxY } = flowExtent(flow);
+        brush.fillStyle = FLOW_GROUND;
+        fill(minX, minY, maxX, maxY);
+    }
+    for (const { column, row, count } of flow.cells) {
+        const [x, y] = [flow.lowX + column * flow.edge, flow.lowY + row * flow.edge];
+        brush.fillStyle = gain(count / top);
+        fill(x, y, x + flow.edge, y + flow.edge);
+    }
+    const arrows = arrowsOf(layer, Math.max(1, Math.ceil(FLOW_ARROW_PX / edge)));
+    for (const isRim of [true, false]) {
+        brush.lineWidth = isRim ? 4 : 1.8;
+        brush.strokeStyle = isRim ? RIM : INK;
+        for (const arrow of arrows) {
+            const [x, y] = at(arrow);
+            // The length is the share of the direction.
+            const half = 0.45 * arrow.size * scale * arrow.share;
+            const [dx, dy] = [half * Math.cos(arrow.angle), -half * Math.sin(arrow.angle)];
+            const [tipX, tipY, head] = [x + dx, y + dy, Math.min(9, Math.max(3, 0.6 * half))];
+            brush.beginPath();
+            brush.moveTo(x - dx, y - dy);
+            brush.lineTo(tipX, tipY);
+            for (const turn of [2.6, -2.6]) {
+                brush.moveTo(tipX, tipY);
+                brush.lineTo(tipX + head * Math.cos(turn - arrow.angle), tipY + head * Math.sin(turn - arrow.angle));
+            }
+            brush.stroke();
+        }
+    }
+}
+
 /** Draws a plan over the frame. */
 export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: number; y: number; size: number } | undefined, chosen: string[], camera: Camera, ratio: number, style: Style): void {
     const brush = canvas.getContext('2d');
@@ -106,7 +155,7 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
     brush.setTransform(ratio, 0, 0, ratio, 0, 0);
     const [width, height] = [canvas.width / ratio, canvas.height / ratio];
     brush.clearRect(0, 0, width, height);
-    const at = (point: { x: number; y: number }): [number, number] => [
+    const at: ToScreen = (point) => [
         (point.x - camera.x) * camera.scale + width / 2,
         height / 2 - (point.y - camera.y) * camera.scale,
     ];
@@ -116,6 +165,7 @@ export function paintPlan(canvas: HTMLCanvasElement, plan: Plan, marked: { x: nu
         brush.fillStyle = gain(square.share);
         brush.fillRect(x - edge / 2, y - edge / 2, edge, edge);
     }
+    if (plan.flow) paintFlow(brush, plan.flow, at, camera.scale);
     const places = new Map(plan.nodes.map((node) => [node.name, node]));
     for (const edge of plan.edges) {
         const [from, to] = [places.get(edge.from), places.get(edge.to)];

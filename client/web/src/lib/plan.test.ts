@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { suite, test } from 'node:test';
 
-import { placeNodes, planAt, scaleBar, type Plan } from './plan';
+import { around, placeNodes, planAt, scaleBar, type Plan } from './plan';
 
 const near = (found: number, expected: number) => assert.ok(Math.abs(found - expected) < 1e-9, `${found}, not ${expected}`);
 
@@ -51,4 +51,10 @@ suite('what lies at a point', () => {
 
 test('the scale bar is 1, 2 or 5 of a power of ten, and not longer than asked', () => {
     assert.deepEqual([10, 11, 25, 60, 0.02, 400].map((scale) => scaleBar(scale, 110)), [10, 10, 2, 1, 5000, 0.2]);
+});
+
+test('the rectangle around two, one or none', () => {
+    const [one, other] = [{ minX: 0, minY: -2, maxX: 4, maxY: 1 }, { minX: -1, minY: 0, maxX: 3, maxY: 5 }];
+    assert.deepEqual(around(one, other), { minX: -1, minY: -2, maxX: 4, maxY: 5 });
+    assert.deepEqual([around(one, undefined), around(undefined, other), around(undefined, undefined)], [one, other, undefined]);
 });

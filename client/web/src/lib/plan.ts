@@ -1,4 +1,6 @@
-// What lies on a map besides the grid: places, edges, routes and tours, in metres.
+// What lies on a map besides the grid: flows, places, edges, routes and tours, in metres.
+
+import type { FlowLayer } from './flow';
 
 /** A place of the topological map. */
 export interface PlanNode {
@@ -42,6 +44,7 @@ export interface Plan {
     edges: PlanEdge[];
     paths: PlanPath[];
     squares: PlanSquare[];
+    flow?: FlowLayer | undefined;
 }
 
 /** The part of the plane that a canvas shows: its middle in metres, and pixels of the screen for a metre. */
@@ -49,6 +52,23 @@ export interface Camera {
     x: number;
     y: number;
     scale: number;
+}
+
+/** A rectangle, metres. */
+export interface Extent {
+    minX: number;
+    minY: number;
+    maxX: number;
+    maxY: number;
+}
+
+/** The rectangle around both, or the one there is. */
+export function around(one: Extent | undefined, other: Extent | undefined): Extent | undefined {
+    if (!one || !other) return one ?? other;
+    return {
+        minX: Math.min(one.minX, other.minX), minY: Math.min(one.minY, other.minY),
+        maxX: Math.max(one.maxX, other.maxX), maxY: Math.max(one.maxY, other.maxY),
+    };
 }
 
 /** What lies at a point of the map. */
