@@ -13,7 +13,7 @@ use tidemap_tests::{
 };
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run.
-const NOT_RUN: [&str; 14] = [
+const NOT_RUN: [&str; 16] = [
     "bench latency",
     "bench predict",
     "bench overload",
@@ -25,6 +25,8 @@ const NOT_RUN: [&str; 14] = [
     "experiment explore",
     "experiment search",
     "experiment routes",
+    "experiment tasks",
+    "experiment flows",
     "experiment habits",
     "experiment activity",
     "experiment localise",

@@ -142,9 +142,9 @@ pub fn run(protocol: &FlowsProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> R
     for outcome in &outcomes {
         trips.iter_mut().zip(&outcome.trips).for_each(|(sum, trips)| sum.add(trips));
     }
-    let differ = |of: fn(&FlowDay) -> f64| {
+    let differ = |error_of: fn(&FlowDay) -> f64| {
         let differences: Vec<f64> =
-            scores[0].days.iter().zip(&scores[1].days).map(|(one, other)| of(other) - of(one)).collect();
+            scores[0].days.iter().zip(&scores[1].days).map(|(one, other)| error_of(other) - error_of(one)).collect();
         paired::p_value(&differences)
     };
     let count_p_value = differ(|day| day.squared / day.cells);
@@ -154,7 +154,7 @@ pub fn run(protocol: &FlowsProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> R
 
 impl FlowScore {
     fn over(days: Vec<FlowDay>) -> FlowScore {
-        let sum = |of: fn(&FlowDay) -> f64| days.iter().map(of).sum::<f64>();
+        let sum = |part: fn(&FlowDay) -> f64| days.iter().map(part).sum::<f64>();
         let squared_error = sum(|day| day.squared) / sum(|day| day.cells).max(1.0);
         let direction_nats = sum(|day| day.nats) / sum(|day| day.detections).max(1.0);
         FlowScore { squared_error, direction_nats, days }

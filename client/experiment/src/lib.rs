@@ -44,6 +44,7 @@ pub mod routes;
 mod score;
 pub mod search;
 mod seed_mean;
+mod seed_runs;
 pub mod tasks;
 mod tuning;
 

@@ -13,16 +13,12 @@
 //! Invariant: plans use earlier observations only, and the same protocol gives the same figures for any number of
 //! threads.
 
-use std::{
-    ops::Range,
-    sync::atomic::{AtomicU64, Ordering},
-};
+use std::ops::Range;
 
-use rayon::prelude::*;
 use tidemap_map::{live_map::InconsistentEvent, update::SumsUnavailable};
 use tidemap_plan::route::PlanRouteError;
 
-use crate::{paired, seed_mean::SeedMean};
+use crate::{paired, seed_mean::SeedMean, seed_runs::run_all};
 
 pub(crate) mod building;
 mod learner;
@@ -174,24 +170,8 @@ impl RouteComparison {
 
 /// Runs all robots; `progress` receives the numbers of finished and of all runs.
 pub fn run(protocol: &RoutesProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<RouteComparison, RoutesError> {
-    // Fast robots last, so that no thread is left with a slow one at the end.
-    let jobs: Vec<(RobotKind, u64)> = RobotKind::ALL
-        .into_iter()
-        .rev()
-        .flat_map(|kind| (0..protocol.seeds).map(move |seed| (kind, protocol.first_seed.wrapping_add(seed))))
-        .collect();
-    let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
-    let runs = jobs
-        .into_par_iter()
-        .map(|(kind, seed)| {
-            let run = robot::run(kind, seed, protocol);
-            progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-            Ok((kind, run?))
-        })
-        .collect::<Result<Vec<(RobotKind, Vec<Week>)>, RoutesError>>()?;
-    let course = |kind: RobotKind| RobotCourse {
-        kind,
-        seeds: runs.iter().filter(|(other, _)| *other == kind).map(|(_, weeks)| weeks.clone()).collect(),
-    };
-    Ok(RouteComparison { courses: RobotKind::ALL.into_iter().map(course).collect(), weeks: protocol.weeks })
+    let seeds = (protocol.first_seed, protocol.seeds);
+    let runs = run_all(&RobotKind::ALL, seeds, progress, |kind, seed| robot::run(kind, seed, protocol))?;
+    let courses = RobotKind::ALL.into_iter().zip(runs).map(|(kind, seeds)| RobotCourse { kind, seeds }).collect();
+    Ok(RouteComparison { courses, weeks: protocol.weeks })
 }

@@ -12,15 +12,11 @@
 //! Invariant: with one seed all robots have the same tasks and meet the same world; plans use earlier days only; the
 //! same protocol gives the same figures for any number of threads.
 
-use std::{
-    ops::Range,
-    sync::atomic::{AtomicU64, Ordering},
-};
+use std::ops::Range;
 
-use rayon::prelude::*;
 use tidemap_plan::{day::DayError, tasks::TaskPlanError};
 
-use crate::{routes::RoutesError, seed_mean::SeedMean};
+use crate::{routes::RoutesError, seed_mean::SeedMean, seed_runs::run_all};
 
 mod demand;
 mod report;
@@ -129,24 +125,8 @@ impl TaskComparison {
 
 /// Runs all robots; `progress` receives the numbers of finished and of all runs.
 pub fn run(protocol: &TasksProtocol, progress: &(impl Fn(u64, u64) + Sync)) -> Result<TaskComparison, TasksError> {
-    // Fast robots last, so that no thread is left with a slow one at the end.
-    let jobs: Vec<(TaskRobotKind, u64)> = TaskRobotKind::ALL
-        .into_iter()
-        .rev()
-        .flat_map(|kind| (0..protocol.seeds).map(move |seed| (kind, protocol.first_seed.wrapping_add(seed))))
-        .collect();
-    let (done, total) = (AtomicU64::new(0), jobs.len() as u64);
-    let runs = jobs
-        .into_par_iter()
-        .map(|(kind, seed)| {
-            let run = robot::run(kind, seed, protocol);
-            progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-            Ok((kind, run?))
-        })
-        .collect::<Result<Vec<(TaskRobotKind, Vec<TaskFigures>)>, TasksError>>()?;
-    let course = |kind: TaskRobotKind| TaskCourse {
-        kind,
-        seeds: runs.iter().filter(|(other, _)| *other == kind).map(|(_, weeks)| weeks.clone()).collect(),
-    };
-    Ok(TaskComparison { courses: TaskRobotKind::ALL.into_iter().map(course).collect(), weeks: protocol.weeks })
+    let seeds = (protocol.first_seed, protocol.seeds);
+    let runs = run_all(&TaskRobotKind::ALL, seeds, progress, |kind, seed| robot::run(kind, seed, protocol))?;
+    let courses = TaskRobotKind::ALL.into_iter().zip(runs).map(|(kind, seeds)| TaskCourse { kind, seeds }).collect();
+    Ok(TaskComparison { courses, weeks: protocol.weeks })
 }

@@ -41,7 +41,7 @@ pub use self::building::{
 pub use self::explored_office::ExploredOffice;
 pub use self::grid_office::{DayScans, GridOffice, GridOfficeError, GridOfficeOptions, GridScan, GridStream};
 pub use self::home::{Home, SensorChange};
-pub use self::streams::{DetectedWalk, StreamOffice, Walk};
+pub use self::streams::{DetectedWalk, StreamOffice, StreamWalk};
 pub use self::zone::UnknownZone;
 use crate::{
     civil_day::{CivilDay, midnight_nanos},

@@ -2,8 +2,8 @@
 //!
 //! Two parallel corridors, joined by three short ones, 40 m × 16 m in all. In the morning people walk east through the
 //! southern corridor and west through the northern one; after noon they walk back. They keep to the inner side of their
-//! corridor both ways. The southern corridor is busy early and late, the northern one around noon. A few people wander anywhere. Nobody comes at
-//! weekends, and each day has more or fewer people than the habit.
+//! corridor both ways. The southern corridor is busy early and late, the northern one around noon. A few people wander
+//! anywhere. Nobody comes at weekends, and each day has more or fewer people than the habit.
 //!
 //! Invariant: pure. The walks of a day depend on the seed and the day only. Day 0 is a Monday; days have 86,400 s.
 
@@ -42,7 +42,7 @@ pub struct StreamOffice {
 
 /// A person who walks straight from one place to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Walk {
+pub struct StreamWalk {
     /// When the walk begins, seconds of the day.
     pub start_secs: f64,
     /// When it ends.
@@ -53,7 +53,7 @@ pub struct Walk {
     pub to_m: [f64; 2],
 }
 
-impl Walk {
+impl StreamWalk {
     /// Where the person is at a second of the day; `None` before and after the walk.
     pub fn at(&self, secs: f64) -> Option<[f64; 2]> {
         let share = (secs - self.start_secs) / (self.end_secs - self.start_secs);
@@ -97,7 +97,7 @@ impl StreamOffice {
     }
 
     /// The walks of a day, ascending by their start.
-    pub fn walks(&self, day: i64) -> Vec<Walk> {
+    pub fn walks(&self, day: i64) -> Vec<StreamWalk> {
         let key =
             [1, day as u64].into_iter().fold(self.seed, |key, part| SmallRng::seed_from_u64(key ^ part).next_u64());
         let mut random = SmallRng::seed_from_u64(key);
@@ -160,16 +160,16 @@ fn speed(random: &mut SmallRng) -> f64 {
 }
 
 /// A walk through a corridor, with its stream.
-fn stream_walk(random: &mut SmallRng, corridor: usize, start_secs: f64) -> Walk {
+fn stream_walk(random: &mut SmallRng, corridor: usize, start_secs: f64) -> StreamWalk {
     let goes_east = (corridor == 0) == (start_secs < NOON_SECS);
     let y = STREAMS_M[corridor] + SPREAD_M * bell(random);
     let (from, to) = if goes_east { (1.0, 39.0) } else { (39.0, 1.0) };
     let end_secs = start_secs + 38.0 / speed(random);
-    Walk { start_secs, end_secs, from_m: [from, y], to_m: [to, y] }
+    StreamWalk { start_secs, end_secs, from_m: [from, y], to_m: [to, y] }
 }
 
 /// A walk along or across a corridor, anywhere.
-fn wander(random: &mut SmallRng, start_secs: f64) -> Walk {
+fn wander(random: &mut SmallRng, start_secs: f64) -> StreamWalk {
     let (from_m, to_m) = if random.random_bool(0.5) {
         let y = MIDDLES_M[random.random_range(0..2)] + random.random_range(-1.8..1.8);
         ([random.random_range(1.0..39.0), y], [random.random_range(1.0..39.0), y])
@@ -178,7 +178,7 @@ fn wander(random: &mut SmallRng, start_secs: f64) -> Walk {
         ([x, random.random_range(1.5..14.5)], [x, random.random_range(1.5..14.5)])
     };
     let length = (to_m[0] - from_m[0]).hypot(to_m[1] - from_m[1]).max(1.0);
-    Walk { start_secs, end_secs: start_secs + length / speed(random), from_m, to_m }
+    StreamWalk { start_secs, end_secs: start_secs + length / speed(random), from_m, to_m }
 }
 
 #[cfg(test)]

@@ -4,8 +4,9 @@
 //!
 //! > ε_p = ε(τ', τ) = 1 / (τ − τ') ∫ |s'(t) − s(t)| dt over what was observed after the last update τ'.
 //!
-//! Here it is the mean over the pending readings v of the squared error (p − v)², by the model that answers, and beside it stands what is usual: the mean squared error of days of that kind, weekdays or weekend, before
-//! they were learned, as the change alarm keeps it. Their difference is the gain, if it is above 0: a state that is as
+//! Here it is the mean over the pending readings v of the squared error (p − v)², by the model that answers, and beside
+//! it stands what is usual: the mean squared error of days of that kind, weekdays or weekend, before they were learned,
+//! as the change alarm keeps it. Their difference is the gain, if it is above 0: a state that is as
 //! uncertain as ever gives none. Errors of a state that is not a probability are divided by the variance of its values,
 //! so that those of all states may be added. Nothing is usual of a state that no update has predicted yet: all of its
 //! error counts as gain. Limit: of a state whose readings have become easier to predict the gain is 0.

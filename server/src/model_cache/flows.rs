@@ -46,8 +46,8 @@ impl FlowKey {
 /// time. Of several readings of the same time, the first belong together, then the second, and so on.
 ///
 /// # Errors
-/// [`ModelUnavailable`] if no time is among both, nobody moves, nobody is in the region, the raster is too large, or the
-/// training is stopped.
+/// [`ModelUnavailable`] if no time is among both, nobody moves, nobody is in the region, the raster is too large, or
+/// the training is stopped.
 pub(crate) fn train_flow(
     source: &FlowSource,
     places: [&[Sample]; 2],

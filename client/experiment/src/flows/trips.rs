@@ -8,7 +8,7 @@ use tidemap_plan::{
     encounters::{Encounters, NEAR_M},
     route::{EdgeForecast, Forecasts, Objective, RouteOptions, When, plan_routes},
 };
-use tidemap_sim::{StreamOffice, Walk};
+use tidemap_sim::{StreamOffice, StreamWalk};
 
 use super::{
     ComparedFlow, FlowsError,
@@ -135,13 +135,13 @@ pub(super) fn of_day(
 }
 
 /// One trip among the people of the day.
-fn drive(edges: &[&Edge], floor: &Floor, start_secs: f64, walks: &[Walk]) -> TripTotals {
+fn drive(edges: &[&Edge], floor: &Floor, start_secs: f64, walks: &[StreamWalk]) -> TripTotals {
     const STEP_SECS: f64 = 0.5;
     let mut totals = TripTotals { trips: 1, ..TripTotals::default() };
     let length: f64 = edges.iter().map(|edge| secs(edge)).sum();
     totals.metres = length * SPEED_M_PER_S;
     // Nobody else is on the floor meanwhile.
-    let about: Vec<&Walk> =
+    let about: Vec<&StreamWalk> =
         walks.iter().filter(|walk| walk.start_secs <= start_secs + length && walk.end_secs >= start_secs).collect();
     let mut was_near = vec![false; about.len()];
     let mut step = 0.0;

@@ -4,7 +4,7 @@
 
 import type { State } from '../wire/tidemap/v1/map_pb';
 import { StateKind } from '../wire/tidemap/v1/types_pb';
-import type { Extent } from './plan';
+import type { Extent } from './extent';
 
 /** The states of a flow: positions, and their directions. */
 export interface FlowStates {

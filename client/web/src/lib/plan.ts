@@ -1,6 +1,9 @@
 // What lies on a map besides the grid: flows, places, edges, routes and tours, in metres.
 
+import type { Extent } from './extent';
 import type { FlowLayer } from './flow';
+
+export type { Extent } from './extent';
 
 /** A place of the topological map. */
 export interface PlanNode {
@@ -52,14 +55,6 @@ export interface Camera {
     x: number;
     y: number;
     scale: number;
-}
-
-/** A rectangle, metres. */
-export interface Extent {
-    minX: number;
-    minY: number;
-    maxX: number;
-    maxY: number;
 }
 
 /** The rectangle around both, or the one there is. */

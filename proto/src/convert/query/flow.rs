@@ -48,7 +48,7 @@ pub struct FlowQuestion {
 /// People to avoid on a route.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AvoidedPeople {
-    /// Their detections.
+    /// The detections of these people.
     pub source: FlowSource,
     /// What avoiding an encounter is worth, seconds.
     pub encounter_cost_secs: f64,

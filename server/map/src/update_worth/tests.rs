@@ -79,7 +79,7 @@ fn the_worth_of_a_map_is_the_sum_over_its_states() {
         extract.iter().map(|(state, readings)| (state.0, readings.len())).collect::<Vec<_>>(),
         [(0, 24), (1, 24)]
     );
-    let of = |state: u32| {
+    let worth_of = |state: u32| {
         let samples: Vec<Sample> = extract[state as usize]
             .1
             .iter()
@@ -88,10 +88,10 @@ fn the_worth_of_a_map_is_the_sum_over_its_states() {
         let model: &StateModel = view.model(StateId(state));
         UpdateWorth::of_state(model, &view.spec().periodicities, &samples).expect("errors have a unit")
     };
-    let mut sum = of(0);
-    sum.add(&of(1));
+    let mut sum = worth_of(0);
+    sum.add(&worth_of(1));
     assert_eq!(view.update_worth(extract.clone(), 100), sum);
-    assert!(of(0).gain() < 0.1 && of(1).gain() > 0.5, "{:?} {:?}", of(0), of(1));
+    assert!(worth_of(0).gain() < 0.1 && worth_of(1).gain() > 0.5, "{:?} {:?}", worth_of(0), worth_of(1));
     update(&mut map);
     assert_eq!(map.publish().update_worth(map.pending_extract(10, 100), 100), UpdateWorth::default());
 }

@@ -19,9 +19,6 @@ use crate::{
     },
 };
 
-/// Flows need readings as hypertime does, of continuous states.
-const READ_AS: ModelKind = ModelKind::HYPERTIME_EM;
-
 impl ModelTrainer {
     /// The flow of a source in a field of the request, from the cache or trained now.
     ///
@@ -40,9 +37,9 @@ impl ModelTrainer {
         let axes = [places, StateId(places.0 + 1), motions, StateId(motions.0 + 1)].map(learned);
         let flow_error = |error| flow_error(error, &source.state, &source.motion_state);
         for axis in &axes {
-            self.check(axis, READ_AS).map_err(flow_error)?;
+            self.check(axis, ModelKind::default()).map_err(flow_error)?;
             if axis.observations() == 0 {
-                return Err(flow_error(axis.unavailable(READ_AS, ModelUnavailable::Unlearned)));
+                return Err(flow_error(axis.unavailable(ModelKind::default(), ModelUnavailable::Unlearned)));
             }
         }
         let key = FlowKey::new(handle.id, handle.number, view.generation(), [places, motions], source);
@@ -68,7 +65,7 @@ impl ModelTrainer {
         let permit = self.slow_permits.take().await?;
         let mut samples: Vec<Arc<[Sample]>> = Vec::with_capacity(axes.len());
         for axis in axes {
-            samples.push(self.gather(axis, READ_AS, &stop).await?);
+            samples.push(self.gather(axis, ModelKind::default(), &stop).await?);
         }
         let handle = Arc::clone(&axes[0].handle);
         let train = move || {
@@ -77,7 +74,7 @@ impl ModelTrainer {
             train_flow(&source, [x, y], [along, across], &handle.spec, StopSignal::new(&is_set))
         };
         let trained = run_blocking(permit, train).await?;
-        trained.map_err(|reason| axes[2].unavailable(READ_AS, reason))
+        trained.map_err(|reason| axes[2].unavailable(ModelKind::default(), reason))
     }
 }
 

@@ -122,7 +122,7 @@ pub(in crate::commands) fn source(
 }
 
 /// The most people of a cell.
-fn most(cells: &[FlowForecast]) -> f64 {
+fn highest_count(cells: &[FlowForecast]) -> f64 {
     cells.iter().map(|cell| cell.expected_count).fold(0.0, f64::max)
 }
 
@@ -131,7 +131,7 @@ fn heat_map(flows: &Flows, cells: &[FlowForecast], title: String) -> HeatMap {
     let [width, height] = flows.raster.counts.map(|count| count.max(1));
     let mut values = vec![vec![Some(0.0); width]; height];
     let mut arrows = vec![vec![None; width]; height];
-    let highest = most(cells);
+    let highest = highest_count(cells);
     for forecast in cells {
         let (row, column) = (height - 1 - forecast.cell / width, forecast.cell % width);
         values[row][column] = Some(forecast.expected_count);
@@ -154,7 +154,7 @@ fn heat_map(flows: &Flows, cells: &[FlowForecast], title: String) -> HeatMap {
 
 /// The number of people in each cell as a cost from 0 to 1; `full` people are the highest.
 fn mask(flows: &Flows, cells: &[FlowForecast], full: Option<f64>) -> MapPicture {
-    let full = full.unwrap_or_else(|| most(cells)).max(f64::MIN_POSITIVE);
+    let full = full.unwrap_or_else(|| highest_count(cells)).max(f64::MIN_POSITIVE);
     let mut picture = vec![PictureCell::Static { probability: 0.0 }; flows.raster.cells()];
     for forecast in cells {
         let cost = (forecast.expected_count / full).min(1.0) as f32;

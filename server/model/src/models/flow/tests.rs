@@ -194,10 +194,10 @@ impl Naive {
         let intervals = self.counts[0].len();
         let times: Vec<f64> = (from..intervals).map(|interval| (interval as f64 + 0.5) * 600.0).collect();
         let rates = self.rates(from, order, &times);
-        let of = |(rates, counts): (&Vec<f64>, &Vec<f64>)| -> f64 {
+        let of_direction = |(rates, counts): (&Vec<f64>, &Vec<f64>)| -> f64 {
             rates.iter().zip(&counts[from..]).map(|(rate, count)| count * rate.ln() - rate).sum()
         };
-        rates.iter().zip(&self.counts).map(of).sum()
+        rates.iter().zip(&self.counts).map(of_direction).sum()
     }
 }
 

@@ -212,7 +212,7 @@ fn an_arrival_counts_the_encounters_of_its_departure() {
         ..RouteOptions::default()
     };
     let topology = street(3);
-    // Two edges of 10 s with a quarter of a failure each: the robot leaves at 32 s, and at second 32 bounds were sampled.
+    // Two edges of 10 s with a quarter of a failure each: the robot leaves at 32 s, at which bounds were sampled.
     let when = When::ArriveBy { by_secs: 57.0, earliest_secs: 0.0 };
     let crowded = |departure: When| {
         let ends = (NodeId(0), NodeId(2));
