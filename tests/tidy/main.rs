@@ -14,7 +14,7 @@ use std::{
 };
 
 /// Folder, package, and the workspace's packages that it may depend on.
-const CRATES: [(&str, &str, &[&str]); 16] = [
+const CRATES: [(&str, &str, &[&str]); 17] = [
     ("migrations", "tidemap-migrations", &[]),
     ("server/model", "tidemap-model", &[]),
     ("server/grid", "tidemap-grid", &["tidemap-model"]),
@@ -22,6 +22,7 @@ const CRATES: [(&str, &str, &[&str]); 16] = [
     ("server/picture", "tidemap-picture", &[]),
     ("server/plan", "tidemap-plan", &["tidemap-grid", "tidemap-map", "tidemap-model"]),
     ("server/store", "tidemap-store", &["tidemap-grid", "tidemap-map", "tidemap-migrations", "tidemap-model"]),
+    ("server/cluster", "tidemap-cluster", &["tidemap-map", "tidemap-store"]),
     ("proto", "tidemap-proto", &["tidemap-grid", "tidemap-map", "tidemap-model", "tidemap-plan"]),
     (
         "server",
