@@ -8,6 +8,7 @@ pub mod manifest;
 pub mod plan;
 pub mod v1;
 pub mod v2;
+pub mod v3;
 
 /// The disk format that this version reads and writes.
-pub const FORMAT: u32 = v2::FORMAT;
+pub const FORMAT: u32 = v3::FORMAT;

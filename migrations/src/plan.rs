@@ -19,8 +19,8 @@ pub struct Step {
     pub run: fn(&Path) -> io::Result<()>,
 }
 
-/// All steps, ascending. Format 2 only adds to format 1, so that the step to it has nothing to rewrite.
-pub const STEPS: &[Step] = &[Step { from: 1, run: |_| Ok(()) }];
+/// All steps, ascending. Formats 2 and 3 only add to those before, so that the steps to them have nothing to rewrite.
+pub const STEPS: &[Step] = &[Step { from: 1, run: |_| Ok(()) }, Step { from: 2, run: |_| Ok(()) }];
 
 /// What to do with a data directory.
 #[derive(Clone, Debug)]

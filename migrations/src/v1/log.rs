@@ -77,6 +77,10 @@ pub enum FrameKind {
     AddState = b'K' as isize,
     /// [`super::site::SiteEdit`].
     EditSite = b'E' as isize,
+    /// [`crate::v3::Epoch`].
+    Epoch = b'W' as isize,
+    /// [`crate::v3::UpdateDone`].
+    UpdateDone = b'D' as isize,
 }
 
 /// Header of a frame: kind u8, version u8, zero u16, payload length u32, position u64, group index u32, chain u32,
@@ -122,6 +126,8 @@ impl FrameHeader {
             b'S' => FrameKind::Scans,
             b'K' => FrameKind::AddState,
             b'E' => FrameKind::EditSite,
+            b'W' => FrameKind::Epoch,
+            b'D' => FrameKind::UpdateDone,
             _ => return None,
         };
         let payload_length = u32_at(bytes, 4);

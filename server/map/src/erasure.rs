@@ -188,7 +188,7 @@ impl StateErasure {
                 self.rename(&mut envelope);
                 Event::Scans(envelope, scans)
             }
-            event @ Event::UpdateStart(_) => event,
+            event @ (Event::UpdateStart(_) | Event::Epoch(_) | Event::UpdateDone(_)) => event,
         }
     }
 

@@ -326,6 +326,41 @@ pub struct UpdateStart {
     pub cause: UpdateCause,
 }
 
+/// A checksum of what an update made: equal digests mean equal models to the last bit, as far as a checksum can tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Digest(pub u64);
+
+impl std::fmt::Display for Digest {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:016x}", self.0)
+    }
+}
+
+/// A daemon becomes the writer of a log that daemons share. Everything after it in the log is of this writer, up to the
+/// next epoch.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Epoch {
+    /// Counts the writers of the log, from 1.
+    pub epoch: u64,
+    /// Name of the daemon.
+    pub writer: String,
+    /// Version of the daemon.
+    pub version: String,
+    /// Number of the maths of its updates: updates of one number make equal bits.
+    pub maths: u32,
+}
+
+/// The writer of a shared log has ended an update.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UpdateDone {
+    /// The generation that it published.
+    pub generation: u64,
+    /// Checksum of what the update made.
+    pub digest: Digest,
+    /// Number of the maths of the update.
+    pub maths: u32,
+}
+
 /// One entry of a map's log.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
@@ -339,6 +374,10 @@ pub enum Event {
     AddState(NewState),
     /// The site was changed.
     EditSite(SiteEdit),
+    /// Another daemon writes the log from here on; changes nothing else.
+    Epoch(Epoch),
+    /// The writer has ended an update; changes nothing else, because every replica runs the update itself.
+    UpdateDone(UpdateDone),
 }
 
 impl Event {
@@ -346,7 +385,11 @@ impl Event {
     pub fn envelope(&self) -> Option<&Envelope> {
         match self {
             Event::Observations(envelope, _) | Event::Scans(envelope, _) => Some(envelope),
-            Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => None,
+            Event::UpdateStart(_)
+            | Event::AddState(_)
+            | Event::EditSite(_)
+            | Event::Epoch(_)
+            | Event::UpdateDone(_) => None,
         }
     }
 }

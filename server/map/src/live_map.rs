@@ -293,6 +293,7 @@ impl LiveMap {
                 self.rename_states(edit);
                 None
             }
+            Event::Epoch(_) | Event::UpdateDone(_) => None,
         };
         self.position = position;
         Ok(work)

@@ -250,7 +250,11 @@ impl Sessions {
             Event::Scans(_, event) => {
                 event.scans.iter().map(|scan| scan.utc_nanos).filter(|time| *time <= plausible).max()
             }
-            Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => None,
+            Event::UpdateStart(_)
+            | Event::AddState(_)
+            | Event::EditSite(_)
+            | Event::Epoch(_)
+            | Event::UpdateDone(_) => None,
         };
         self.producers_in_flight -= usize::from(envelope.new_producer.is_some());
         if let Some(session) = self.sessions.get_mut(&id) {

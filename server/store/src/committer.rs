@@ -19,6 +19,7 @@ use crate::{
 };
 
 mod commit_steps;
+pub(crate) mod rounds;
 mod sync_stats;
 
 use commit_steps::Followed;
@@ -65,7 +66,7 @@ pub(crate) struct Committer {
 }
 
 /// The appends of one log in one round.
-struct Group {
+pub(crate) struct Group {
     log: Arc<Log>,
     events: Vec<EncodedEvent>,
     dones: Vec<Done>,
@@ -182,11 +183,7 @@ impl Committer {
     pub(crate) fn commit(&self, appends: Vec<Append>) {
         let mut groups: BTreeMap<u32, Group> = BTreeMap::new();
         for append in appends {
-            let error = if append.log.has_failed(append.epoch) { Some(AppendError::AfterFailure) } else { None };
-            if let Some(error) = self.poison().or(error) {
-                (append.done)(Err(error));
-                continue;
-            }
+            let Some(append) = self.admit(append) else { continue };
             let new_group =
                 || Group { log: Arc::clone(&append.log), events: Vec::new(), dones: Vec::new(), follower: None };
             let group = groups.entry(append.log.map).or_insert_with(new_group);
@@ -198,6 +195,14 @@ impl Committer {
         for group in written {
             self.sync(group);
         }
+    }
+
+    /// The append, unless it fails because of an earlier one.
+    fn admit(&self, append: Append) -> Option<Append> {
+        let error = if append.log.has_failed(append.epoch) { Some(AppendError::AfterFailure) } else { None };
+        let Some(error) = self.poison().or(error) else { return Some(append) };
+        (append.done)(Err(error));
+        None
     }
 
     /// Writes a group; `None` if that failed.
@@ -221,7 +226,7 @@ impl Committer {
     }
 
     /// Makes a group durable and completes it.
-    fn sync(&self, mut group: Group) {
+    fn sync(&self, group: Group) {
         // Another log of this round may have failed.
         if let Some(error) = self.poison() {
             return self.fail(group, error);
@@ -233,10 +238,14 @@ impl Committer {
         };
         self.times.add(start.elapsed());
         let result = result.and_then(|end| self.check_lock().map_or(Ok(end), Err));
-        let end = match result {
-            Ok(end) => end,
-            Err(error) => return self.fail(group, error),
-        };
+        match result {
+            Ok(end) => self.complete(group, end),
+            Err(error) => self.fail(group, error),
+        }
+    }
+
+    /// Completes a group that is in the log up to `end`.
+    fn complete(&self, mut group: Group, end: u64) {
         group.step(CommitStep::Durable);
         let first = end + 1 - group.events.len() as u64;
         let mut bytes = 0;

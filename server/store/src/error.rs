@@ -162,6 +162,19 @@ pub enum AppendError {
     /// The store is closed or the map is deleted.
     #[error("the log is closed")]
     Closed,
+    /// Another daemon writes the log, which daemons share.
+    #[error(
+        "this daemon does not write the map{}: send it to the writer",
+        writer.as_ref().map_or_else(String::new, |writer| format!(", {writer} does"))
+    )]
+    NotWriter {
+        /// The daemon that does, where it is known.
+        writer: Option<String>,
+    },
+    /// The stream of the shared log has reached its limit. Roll back, call [`EventLog::resume`](crate::EventLog::resume)
+    /// and try again later.
+    #[error("the shared log cannot grow: {0}. Raise the limit of its stream, or free space on the engine's servers")]
+    StreamFull(String),
 }
 
 fn has_sent(key: &ProducerKey) -> String {

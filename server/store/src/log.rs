@@ -14,6 +14,7 @@ use std::{
 use crate::{error::AppendError, log::writer::LogWriter};
 
 pub(crate) mod frame;
+pub(crate) mod groups;
 pub(crate) mod recovery;
 pub(crate) mod replay;
 pub(crate) mod writer;

@@ -203,7 +203,11 @@ impl Writer {
                         self.feed.scanned(event);
                         metrics::counter!("tidemap_scans_total").increment(event.scans.len() as u64);
                     }
-                    Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => {}
+                    Event::UpdateStart(_)
+                    | Event::AddState(_)
+                    | Event::EditSite(_)
+                    | Event::Epoch(_)
+                    | Event::UpdateDone(_) => {}
                 }
                 metrics::counter!("tidemap_refused_total").increment(envelope.refused.len() as u64);
                 let ack = self.acks.entry(session).or_default();

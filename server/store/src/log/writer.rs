@@ -1,7 +1,8 @@
 //! Writing groups of records to the newest segment of a log.
 //!
-//! Invariant: the file holds valid records up to `length` and, behind that, at most one group that is not durable yet.
-//! A group that cannot be written is cut off again. If that fails too, nothing more is written.
+//! Invariant: the file holds valid records up to `length` and, behind that, at most one group that is not durable yet, or
+//! that a shared log has not accepted yet. A group that cannot be written is cut off again. If that fails too, nothing
+//! more is written.
 
 use std::{
     path::{Path, PathBuf},
@@ -36,7 +37,7 @@ pub(crate) struct LogWriter {
     length: u64,
     next_position: u64,
     chain: u32,
-    /// Length, next position and chain once the group that was written is durable.
+    /// Length, next position and chain once the group that was written is kept.
     written: Option<(u64, u64, u32)>,
     buffer: Vec<u8>,
 }
@@ -73,6 +74,21 @@ impl LogWriter {
         self.next_position - 1
     }
 
+    /// Chain behind the last durable record.
+    pub(crate) fn chain(&self) -> u32 {
+        self.chain
+    }
+
+    /// The frames of the group that was written last.
+    pub(crate) fn written_frames(&self) -> &[u8] {
+        &self.buffer
+    }
+
+    /// Chain behind the group that was written and is not kept yet.
+    pub(crate) fn written_chain(&self) -> u32 {
+        self.written.map_or(self.chain, |(.., chain)| chain)
+    }
+
     /// Bytes of the newest segment that are durable.
     pub(crate) fn durable_bytes(&self) -> u64 {
         self.length
@@ -89,9 +105,7 @@ impl LogWriter {
 
     /// Writes a group behind the last durable record. [`AppendError::DiskFull`] leaves the log as it was.
     pub(crate) fn write(&mut self, group: &[EncodedEvent]) -> Result<(), AppendError> {
-        if self.length >= self.segment_bytes && self.length > SEGMENT_HEADER_LENGTH as u64 {
-            self.begin_segment()?;
-        }
+        self.make_room()?;
         self.buffer.clear();
         self.buffer.reserve(group.iter().map(EncodedEvent::frame_length).sum());
         let (mut position, mut chain) = (self.next_position, self.chain);
@@ -100,6 +114,27 @@ impl LogWriter {
             chain = event.write(position, index as u32, chain, &mut self.buffer);
             position += 1;
         }
+        self.append_buffer(position, chain)
+    }
+
+    /// Writes the frames of a group that another daemon has made behind the last durable record, which they follow.
+    /// `position` and `chain` are those behind the group. Errors as [`Self::write`].
+    pub(crate) fn write_frames(&mut self, frames: &[u8], position: u64, chain: u32) -> Result<(), AppendError> {
+        self.make_room()?;
+        self.buffer.clear();
+        self.buffer.extend_from_slice(frames);
+        self.append_buffer(position, chain)
+    }
+
+    /// Begins a segment where the newest is long enough.
+    fn make_room(&mut self) -> Result<(), AppendError> {
+        if self.length >= self.segment_bytes && self.length > SEGMENT_HEADER_LENGTH as u64 {
+            self.begin_segment()?;
+        }
+        Ok(())
+    }
+
+    fn append_buffer(&mut self, position: u64, chain: u32) -> Result<(), AppendError> {
         match self.file.append(&self.buffer) {
             Ok(()) => {
                 self.written = Some((self.length + self.buffer.len() as u64, position, chain));
@@ -114,14 +149,33 @@ impl LogWriter {
         }
     }
 
-    /// Makes the written group durable. After an error the content of the disk is unknown.
+    /// Makes the written group durable and keeps it. After an error the content of the disk is unknown.
     pub(crate) fn sync(&mut self) -> Result<(), AppendError> {
+        self.sync_written()?;
+        self.keep();
+        Ok(())
+    }
+
+    /// Makes the written group durable; [`Self::keep`] or [`Self::take_back`] decides about it.
+    pub(crate) fn sync_written(&mut self) -> Result<(), AppendError> {
         self.file.sync().map_err(|error| Self::poisoned(&self.path, &error))?;
-        self.verify()?;
+        self.verify()
+    }
+
+    /// Cuts the written group off again, durably.
+    pub(crate) fn take_back(&mut self) -> Result<(), AppendError> {
+        if self.written.take().is_some() {
+            let cut = self.file.truncate(self.length).and_then(|()| self.file.sync());
+            cut.map_err(|error| Self::poisoned(&self.path, &error))?;
+        }
+        Ok(())
+    }
+
+    /// The written group, which is durable, belongs to the log.
+    pub(crate) fn keep(&mut self) {
         if let Some((length, next_position, chain)) = self.written.take() {
             (self.length, self.next_position, self.chain) = (length, next_position, chain);
         }
-        Ok(())
     }
 
     /// Looks whether the file is still the one that was written, as long as it was written: the records of a file that

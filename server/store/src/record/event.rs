@@ -5,13 +5,16 @@
 use prost::Message as _;
 use tidemap_map::{
     event::{
-        Dimensions, Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateShape, UpdateCause,
-        UpdateStart,
+        Digest, Dimensions, Envelope, Epoch, Event, NewState, Observations, OffsetRun, SequenceSpan, StateShape,
+        UpdateCause, UpdateDone, UpdateStart,
     },
     ids::{ProducerId, StateId},
     name::StateName,
 };
-use tidemap_migrations::v1::{event as v1, log::FrameKind, site as v1_site};
+use tidemap_migrations::{
+    v1::{event as v1, log::FrameKind, site as v1_site},
+    v3,
+};
 
 use super::{
     Invalid, columns,
@@ -40,6 +43,8 @@ pub(crate) fn encode(event: &Event) -> Result<(FrameKind, Vec<u8>), Invalid> {
         Event::UpdateStart(start) => Ok((FrameKind::UpdateStart, encode_update_start(start).encode_to_vec())),
         Event::AddState(state) => Ok((FrameKind::AddState, encode_new_state(state).encode_to_vec())),
         Event::EditSite(edit) => Ok((FrameKind::EditSite, site::encode_edit(edit).encode_to_vec())),
+        Event::Epoch(epoch) => Ok((FrameKind::Epoch, encode_epoch(epoch).encode_to_vec())),
+        Event::UpdateDone(done) => Ok((FrameKind::UpdateDone, encode_update_done(done).encode_to_vec())),
     }
 }
 
@@ -69,7 +74,24 @@ pub(crate) fn decode(kind: FrameKind, payload: &[u8]) -> Result<Event, Invalid> 
             let message = v1_site::SiteEdit::decode(payload).map_err(|_| GARBLED)?;
             site::decode_edit(&message).map(Event::EditSite)
         }
+        FrameKind::Epoch => {
+            let v3::Epoch { epoch, writer, version, maths } = v3::Epoch::decode(payload).map_err(|_| GARBLED)?;
+            Ok(Event::Epoch(Epoch { epoch, writer, version, maths }))
+        }
+        FrameKind::UpdateDone => {
+            let v3::UpdateDone { generation, digest, maths } = v3::UpdateDone::decode(payload).map_err(|_| GARBLED)?;
+            Ok(Event::UpdateDone(UpdateDone { generation, digest: Digest(digest), maths }))
+        }
     }
+}
+
+fn encode_epoch(epoch: &Epoch) -> v3::Epoch {
+    let Epoch { epoch, writer, version, maths } = epoch.clone();
+    v3::Epoch { epoch, writer, version, maths }
+}
+
+fn encode_update_done(done: &UpdateDone) -> v3::UpdateDone {
+    v3::UpdateDone { generation: done.generation, digest: done.digest.0, maths: done.maths }
 }
 
 fn encode_update_start(start: &UpdateStart) -> v1::UpdateStart {

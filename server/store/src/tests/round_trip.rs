@@ -285,6 +285,8 @@ proptest! {
             FrameKind::Scans,
             FrameKind::AddState,
             FrameKind::EditSite,
+            FrameKind::Epoch,
+            FrameKind::UpdateDone,
         ] {
             let _ = record::event::decode(kind, &payload);
         }

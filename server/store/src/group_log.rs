@@ -1,0 +1,284 @@
+//! The log of a map on this disk, as a log that daemons share needs it: groups of records are written here and decided
+//! about elsewhere, groups of other daemons are appended byte for byte, and groups are read again.
+//!
+//! Invariant: two such logs that hold a record of one position and chain hold equal bytes up to it, because the chain
+//! goes over the headers of all records before, and these hold the checksums of their bodies.
+
+use std::{
+    path::PathBuf,
+    sync::{Arc, PoisonError, atomic::Ordering},
+};
+
+use tidemap_map::event::Event;
+use tidemap_migrations::v1::log::FIRST_CHAIN;
+
+use crate::{
+    MapId, Store,
+    committer::{Append, Committer, Group},
+    disk::Disk,
+    error::{AppendError, OpenError},
+    folders,
+    log::{
+        Done, Log,
+        frame::{Cursor, EncodedEvent, next_frame},
+        groups::Groups,
+    },
+};
+
+/// A point in a log: behind the record of a position, with the chain that the next record must have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LogPoint {
+    /// Position of the last record before the point; 0 at the beginning.
+    pub position: u64,
+    /// The chain there.
+    pub chain: u32,
+}
+
+impl LogPoint {
+    /// The beginning of every log.
+    pub const BEGINNING: LogPoint = LogPoint { position: 0, chain: FIRST_CHAIN };
+}
+
+/// Records that were written together, as they stand in a segment.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordGroup {
+    /// Where they begin.
+    pub before: LogPoint,
+    /// Where they end.
+    pub after: LogPoint,
+    /// Their frames.
+    pub frames: Vec<u8>,
+}
+
+impl RecordGroup {
+    /// Number of the records.
+    #[must_use]
+    pub fn records(&self) -> u64 {
+        self.after.position - self.before.position
+    }
+
+    /// The events of the frames, all of which are checked.
+    ///
+    /// # Errors
+    /// What is wrong with a frame.
+    pub fn events(&self) -> Result<Vec<(u64, Event)>, &'static str> {
+        let mut events = Vec::new();
+        let mut cursor = Cursor { offset: 0, position: self.before.position + 1, chain: self.before.chain };
+        while let Some(frame) = next_frame(&self.frames, &mut cursor).map_err(|bad| bad.reason)? {
+            if u64::from(frame.header.group_index) != events.len() as u64 {
+                return Err("the record has another place in its group than it should");
+            }
+            events.push((frame.header.position, frame.event()?));
+        }
+        if (cursor.position, cursor.chain) != (self.after.position + 1, self.after.chain) || events.is_empty() {
+            return Err("the group does not end where it says");
+        }
+        Ok(events)
+    }
+}
+
+/// An event that is encoded and waits to be written.
+pub struct QueuedEvent(Append);
+
+impl QueuedEvent {
+    /// Bytes of its frame.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.0.event.frame_length()
+    }
+
+    /// Ends it without writing it.
+    pub fn fail(self, error: AppendError) {
+        (self.0.done)(Err(error));
+    }
+}
+
+/// A group that is written here and not decided about.
+#[must_use = "a group must be ended, or its appends are never answered"]
+pub struct WrittenGroup {
+    group: Group,
+    records: RecordGroup,
+}
+
+impl WrittenGroup {
+    /// The records.
+    #[must_use]
+    pub fn records(&self) -> &RecordGroup {
+        &self.records
+    }
+}
+
+/// Why a group of another daemon is not appended.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ForeignGroupError {
+    /// It does not begin where this log ends.
+    #[error("the group follows record {}, and this log ends with record {} or has another record there", .group.position, .end.position)]
+    NotNext {
+        /// Where the group begins.
+        group: LogPoint,
+        /// Where this log ends.
+        end: LogPoint,
+    },
+    /// It cannot be read.
+    #[error("the group is not valid: {0}")]
+    Invalid(&'static str),
+    /// It cannot be written.
+    #[error(transparent)]
+    Append(#[from] AppendError),
+}
+
+/// The log of a map on this disk, whose groups are also elsewhere. Clones are handles of one log; one of them may write.
+#[derive(Clone)]
+pub struct GroupLog {
+    log: Arc<Log>,
+    committer: Arc<Committer>,
+    disk: Arc<dyn Disk>,
+    folder: PathBuf,
+}
+
+impl Store {
+    /// The log of an open map, for groups. From then on nobody may append to its [`crate::MapLog`].
+    #[must_use]
+    pub fn group_log(&self, map: MapId) -> Option<GroupLog> {
+        let inner = self.inner();
+        let log = inner.entry(map)?.log?;
+        Some(GroupLog {
+            log,
+            committer: Arc::clone(&inner.committer),
+            disk: Arc::clone(&inner.disk),
+            folder: folders::log_folder(&inner.directory, map),
+        })
+    }
+}
+
+impl GroupLog {
+    /// Encodes an event.
+    ///
+    /// # Errors
+    /// [`AppendError`]; `done` is not called then.
+    pub fn queue(&self, event: &Event, done: Done) -> Result<QueuedEvent, AppendError> {
+        if let Some(poison) = self.committer.poison() {
+            return Err(poison);
+        }
+        let epoch = self.log.epoch.load(Ordering::Acquire);
+        if self.log.has_failed(epoch) {
+            return Err(AppendError::AfterFailure);
+        }
+        let event = EncodedEvent::encode(event).map_err(AppendError::InvalidEvent)?;
+        Ok(QueuedEvent(Append { log: Arc::clone(&self.log), epoch, event, done }))
+    }
+
+    /// See [`crate::EventLog::resume`].
+    pub fn resume(&self) {
+        if self.log.has_failed(self.log.epoch.load(Ordering::Acquire)) {
+            self.log.epoch.fetch_add(1, Ordering::AcqRel);
+        }
+    }
+
+    /// The end of the log.
+    #[must_use]
+    pub fn end(&self) -> LogPoint {
+        let writer = self.log.writer.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*writer {
+            Some(writer) => LogPoint { position: writer.end(), chain: writer.chain() },
+            // The map is deleted or closed.
+            None => LogPoint { position: self.log.end.load(Ordering::Acquire), chain: FIRST_CHAIN },
+        }
+    }
+
+    /// See [`crate::EventLog::tail_bytes`].
+    #[must_use]
+    pub fn tail_bytes(&self) -> u64 {
+        let progress = self.log.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        progress.bytes.saturating_sub(progress.covered)
+    }
+
+    /// Writes events as a group behind the end, not durably. `None`: they have failed and heard of it.
+    pub fn write(&self, events: Vec<QueuedEvent>) -> Option<WrittenGroup> {
+        let before = self.end();
+        let group = self.committer.begin(events.into_iter().map(|event| event.0).collect())?;
+        let written = group.with_writer(|writer| Ok((writer.written_chain(), writer.written_frames().to_vec())));
+        match written {
+            Ok((chain, frames)) => {
+                let after = LogPoint { position: before.position + group.records() as u64, chain };
+                Some(WrittenGroup { group, records: RecordGroup { before, after, frames } })
+            }
+            Err(error) => {
+                self.committer.end(group, Err(error));
+                None
+            }
+        }
+    }
+
+    /// Makes a written group durable on this disk. Waits for the disk.
+    ///
+    /// # Errors
+    /// [`AppendError`], with which the group must be ended.
+    pub fn sync(&self, written: &WrittenGroup) -> Result<(), AppendError> {
+        self.committer.sync_written(&written.group)
+    }
+
+    /// Ends a group: its records belong to the log, or are cut off again; their completions are called. A group that
+    /// is to stay must be durable.
+    pub fn end_group(&self, written: WrittenGroup, outcome: Result<(), AppendError>) {
+        self.committer.end(written.group, outcome);
+    }
+
+    /// Appends a group of another daemon, byte for byte; durable when this returns. Returns its events.
+    ///
+    /// # Errors
+    /// [`ForeignGroupError`]; the log is as it was, unless its disk has failed.
+    pub fn append_group(&self, group: &RecordGroup) -> Result<Vec<(u64, Event)>, ForeignGroupError> {
+        if let Some(poison) = self.committer.poison() {
+            return Err(poison.into());
+        }
+        let end = self.end();
+        if group.before != end {
+            return Err(ForeignGroupError::NotNext { group: group.before, end });
+        }
+        let events = group.events().map_err(ForeignGroupError::Invalid)?;
+        let written = {
+            let mut writer = self.log.writer.lock().unwrap_or_else(PoisonError::into_inner);
+            let writer = writer.as_mut().ok_or(AppendError::Closed)?;
+            writer.write_frames(&group.frames, group.after.position + 1, group.after.chain).and_then(|()| writer.sync())
+        };
+        match written {
+            Ok(()) => {}
+            Err(error @ AppendError::Poisoned { .. }) => return Err(self.committer.poison_with(error).into()),
+            Err(error) => {
+                self.committer.watch.appended(error == AppendError::DiskFull);
+                return Err(error.into());
+            }
+        }
+        if let Some(error) = self.committer.check_lock() {
+            return Err(error.into());
+        }
+        self.committer.watch.appended(false);
+        // Shares of the group's bytes do not matter to when a checkpoint is due.
+        let bytes = group.frames.len() as u64;
+        let is_start = |(_, event): &&(u64, Event)| matches!(event, Event::UpdateStart(_));
+        let updates: Vec<(u64, u64)> = events.iter().filter(is_start).map(|&(position, _)| (position, bytes)).collect();
+        self.log.advance(group.after.position, bytes, &updates);
+        Ok(events)
+    }
+
+    /// The groups that this disk keeps, from the one on that holds the record at `position`.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the log cannot be read, or no longer holds that record.
+    pub fn groups(&self, position: u64) -> Result<Groups, OpenError> {
+        Groups::open(Arc::clone(&self.disk), self.folder.clone(), position, self.end().position)
+    }
+
+    /// The chain behind a record; `None` where this disk does not keep the record after it, and it is not the last.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the log cannot be read.
+    pub fn chain_at(&self, position: u64) -> Result<Option<u32>, OpenError> {
+        let end = self.end();
+        if position >= end.position {
+            return Ok((position == end.position).then_some(end.chain));
+        }
+        Groups::chain_before(&*self.disk, &self.folder, position + 1)
+    }
+}
