@@ -6,4 +6,8 @@
 //! Invariant: consensus is the engine's. What is acknowledged is on the engine's quorum and on the writer's own disk.
 
 pub mod engine;
+pub mod lease;
+pub mod member;
+pub mod message;
 pub mod replica;
+pub mod shared_log;

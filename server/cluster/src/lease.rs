@@ -1,0 +1,119 @@
+//! The lease of a map: a hint who writes it. Who holds it raises its counter; who has seen no change for long enough by
+//! its own clock may take it.
+//!
+//! Invariant: a wrong lease costs time, never data: the condition of the append decides who writes.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+use tokio::time::Instant;
+
+use crate::engine::Entry;
+
+/// The value of a lease.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Lease {
+    /// The daemon that has it; empty once it is given back.
+    pub writer: String,
+    /// The epoch in which the daemon writes, or the last one.
+    pub epoch: u64,
+    /// Counts its renewals.
+    pub counter: u64,
+    /// The daemon that is to take it, where the writer hands over.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub successor: Option<String>,
+}
+
+impl Lease {
+    /// As a value of a key.
+    #[must_use]
+    pub fn encode(&self) -> Bytes {
+        serde_json::to_vec(self).unwrap_or_default().into()
+    }
+
+    /// From the value of a key; a value that cannot be read counts as a lease of nobody.
+    #[must_use]
+    pub fn decode(value: &[u8]) -> Lease {
+        serde_json::from_slice(value).unwrap_or_default()
+    }
+}
+
+/// What a daemon has seen of a lease.
+#[derive(Debug, Default)]
+pub struct LeaseWatch {
+    seen: Option<(u64, Lease, Instant)>,
+}
+
+impl LeaseWatch {
+    /// Takes what the engine says at `now`; `None`: there is no lease.
+    pub fn look(&mut self, entry: Option<&Entry>, now: Instant) {
+        let revision = entry.map_or(0, |entry| entry.revision);
+        if self.seen.as_ref().is_none_or(|(seen, ..)| *seen != revision) {
+            let lease = entry.map_or_else(Lease::default, |entry| Lease::decode(&entry.value));
+            self.seen = Some((revision, lease, now));
+        }
+    }
+
+    /// Forgets it: what happened meanwhile is not known.
+    pub fn forget(&mut self) {
+        self.seen = None;
+    }
+
+    /// The lease as it was seen last, with its revision.
+    #[must_use]
+    pub fn lease(&self) -> Option<(u64, &Lease)> {
+        self.seen.as_ref().map(|(revision, lease, _)| (*revision, lease))
+    }
+
+    /// The revision on which a daemon may take the lease: it is given back, to this daemon or to any, or nobody has
+    /// renewed it for `patience`.
+    #[must_use]
+    pub fn may_take(&self, member: &str, patience: Duration, now: Instant) -> Option<u64> {
+        let (revision, lease, since) = self.seen.as_ref()?;
+        let waited = now.saturating_duration_since(*since);
+        let is_mine = lease.writer == member;
+        let is_free = match &lease.successor {
+            Some(successor) => successor == member,
+            None => lease.writer.is_empty() && *revision > 0,
+        };
+        (is_mine || is_free || waited >= patience).then_some(*revision)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(revision: u64, writer: &str, successor: Option<&str>) -> Entry {
+        let lease =
+            Lease { writer: writer.to_owned(), epoch: 1, counter: revision, successor: successor.map(str::to_owned) };
+        Entry { value: lease.encode(), revision }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_lease_is_free_when_it_has_not_changed_for_the_patience() {
+        let (mut watch, patience) = (LeaseWatch::default(), Duration::from_secs(3));
+        let start = Instant::now();
+        assert_eq!(watch.may_take("b", patience, start), None, "nothing is known");
+        watch.look(Some(&entry(4, "a", None)), start);
+        watch.look(Some(&entry(4, "a", None)), start + patience / 2);
+        assert_eq!(watch.may_take("b", patience, start + patience / 2), None);
+        assert_eq!(watch.may_take("b", patience, start + patience), Some(4));
+        watch.look(Some(&entry(5, "a", None)), start + patience);
+        assert_eq!(watch.may_take("b", patience, start + patience), None, "it was renewed");
+        assert_eq!(watch.may_take("a", patience, start + patience), Some(5), "its own");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_lease_that_is_handed_over_is_for_its_successor() {
+        let (mut watch, patience) = (LeaseWatch::default(), Duration::from_secs(3));
+        let now = Instant::now();
+        watch.look(Some(&entry(7, "", Some("c"))), now);
+        assert_eq!(watch.may_take("b", patience, now), None);
+        assert_eq!(watch.may_take("c", patience, now), Some(7));
+        assert_eq!(watch.may_take("b", patience, now + patience), Some(7), "the successor did not take it");
+        watch.look(Some(&entry(8, "", None)), now);
+        assert_eq!(watch.may_take("b", patience, now), Some(8), "for any");
+    }
+}

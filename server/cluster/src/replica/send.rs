@@ -1,0 +1,107 @@
+//! Sending a group to the engine until its outcome is known.
+//!
+//! Invariant: a group counts as sent only if the stream has it at the place that was expected. An outcome that is not
+//! known is found out, never assumed.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use tokio::time::sleep;
+
+use super::driver::Driver;
+use crate::engine::{AppendIfError, Engine, EngineError};
+
+/// Pause before a message is sent again.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// What became of a group.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Sent {
+    /// The stream has it.
+    Done,
+    /// The stream does not have it, because somebody else has appended.
+    Deposed,
+    /// The stream does not have it, nor messages before it that it had.
+    Forgotten,
+    /// The stream does not have it, because it is full.
+    Full(String),
+    /// The daemon stops; whether the stream has it is not known.
+    Stopped,
+}
+
+/// What stands where a message was expected.
+enum Found {
+    Mine,
+    Nothing,
+    Other,
+    Shorter,
+}
+
+impl<E: Engine> Driver<E> {
+    /// Sends the messages of a group behind the last one that is known.
+    pub(super) async fn send(&mut self, messages: &[Bytes]) -> Sent {
+        for message in messages {
+            match self.send_message(message).await {
+                Sent::Done => {}
+                other => return other,
+            }
+        }
+        Sent::Done
+    }
+
+    async fn send_message(&mut self, message: &Bytes) -> Sent {
+        let expected = self.last_sequence;
+        loop {
+            let sent =
+                self.engine.append_if(&self.settings.stream, expected, message.clone(), self.settings.patience).await;
+            match sent {
+                Ok(sequence) if sequence == expected + 1 => {
+                    self.last_sequence = sequence;
+                    self.trouble(None);
+                    return Sent::Done;
+                }
+                // The engine has not heeded the condition. The message counts as not there, whatever follows it.
+                Ok(_) => return Sent::Forgotten,
+                Err(AppendIfError::NotExpected) => match self.look_for(message, expected).await {
+                    Ok(Found::Mine) => {
+                        self.last_sequence = expected + 1;
+                        self.trouble(None);
+                        return Sent::Done;
+                    }
+                    Ok(Found::Other) => return Sent::Deposed,
+                    Ok(Found::Shorter) => return Sent::Forgotten,
+                    Ok(Found::Nothing) => {}
+                    Err(error) => self.trouble(Some(error.to_string())),
+                },
+                Err(AppendIfError::Engine(EngineError::Full(reason))) => {
+                    self.trouble(Some(format!("the stream of the map is full: {reason}")));
+                    return Sent::Full(reason);
+                }
+                // It can be sent again with the same condition: it can succeed once only.
+                Err(AppendIfError::Engine(error)) => self.trouble(Some(error.to_string())),
+            }
+            if self.is_stopping() {
+                return Sent::Stopped;
+            }
+            sleep(PAUSE).await;
+        }
+    }
+
+    /// What the stream has behind the message `expected`.
+    async fn look_for(&self, message: &Bytes, expected: u64) -> Result<Found, EngineError> {
+        let stream = &self.settings.stream;
+        let last = self.engine.ends(stream).await?.last;
+        if last < expected {
+            return Ok(Found::Shorter);
+        }
+        if last == expected {
+            return Ok(Found::Nothing);
+        }
+        match self.engine.read(stream, expected + 1).await? {
+            Some(found) if found.content == *message => Ok(Found::Mine),
+            Some(_) => Ok(Found::Other),
+            // Purged, or forgotten since.
+            None => Ok(Found::Nothing),
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! Becoming the writer: the lease, the rest of the log, the records that the stream has forgotten, and the record of the
+//! epoch, from which on no other writer's append succeeds.
+//!
+//! Invariant: a writer has everything that the stream has, and everything that another daemon says it has, unless that
+//! daemon stayed away for the time of healing.
+
+use std::time::Duration;
+
+use tidemap_map::event::{Epoch, Event};
+use tidemap_store::{AppendError, LogPoint, RecordGroup};
+use tokio::time::{Instant, sleep};
+
+use super::{
+    ReplicaRole,
+    compare::{CompareError, Relation},
+    driver::{Driver, Next, READ_BYTES},
+    lease_keeper::LeaseKeeper,
+    send::Sent,
+};
+use crate::{
+    engine::{Bucket, Engine, EngineError, SetError},
+    lease::Lease,
+    member::MemberReport,
+    message::encode,
+};
+
+/// Pause before something is tried again.
+const PAUSE: Duration = Duration::from_millis(50);
+
+impl<E: Engine> Driver<E> {
+    /// Takes the lease, whose revision is known, and then the log.
+    pub(super) async fn take_over(&mut self, revision: u64) -> Next {
+        self.role(ReplicaRole::TakingOver);
+        let epoch = self.lease_watch.lease().map_or(0, |(_, lease)| lease.epoch).max(self.epoch);
+        self.epoch = epoch;
+        let lease = Lease { writer: self.settings.member.clone(), epoch, counter: 0, successor: None };
+        let key = self.settings.key();
+        let taken = self.engine.set_if(Bucket::Writers, &key, revision, lease.encode()).await;
+        self.lease_watch.forget();
+        let revision = match taken {
+            Ok(revision) => revision,
+            Err(SetError::NotExpected) => return Next::Align,
+            Err(SetError::Engine(error)) => {
+                // Whether it was taken is seen when it is looked at again.
+                self.trouble(Some(error.to_string()));
+                return Next::Align;
+            }
+        };
+        let interval = self.settings.lease / 4;
+        let engine = self.engine.clone();
+        let keeper = LeaseKeeper::start(engine, key.clone(), self.settings.member.clone(), revision, epoch, interval);
+        let begun = Instant::now();
+        while !self.is_stopping() && !keeper.is_lost() {
+            match self.try_to_take_over(&keeper, begun).await {
+                Ok(None) => sleep(PAUSE).await,
+                // The next writer may be one that can.
+                Ok(Some(next @ (Next::Forked(_) | Next::Align | Next::Stop))) => {
+                    keeper.give_back(&self.engine, &key, None).await;
+                    return next;
+                }
+                Ok(Some(next)) => {
+                    self.keeper = Some(keeper);
+                    return next;
+                }
+                Err(error) => {
+                    self.trouble(Some(error.to_string()));
+                    sleep(PAUSE).await;
+                }
+            }
+        }
+        if self.is_stopping() {
+            keeper.give_back(&self.engine, &key, None).await;
+        }
+        Next::Align
+    }
+
+    /// One attempt; `None`: again.
+    async fn try_to_take_over(&mut self, keeper: &LeaseKeeper, begun: Instant) -> Result<Option<Next>, CompareError> {
+        match self.relation().await? {
+            Relation::Holds { last_sequence } => {
+                self.last_sequence = last_sequence;
+                self.assembly.clear();
+                if !self.catch_up().await? {
+                    return Ok(None);
+                }
+            }
+            Relation::Ahead { end, last_sequence } => {
+                if !self.may_heal(begun).await? {
+                    return Ok(None);
+                }
+                self.last_sequence = last_sequence;
+                self.heal(end).await?;
+                // What is there now is compared again.
+                return Ok(None);
+            }
+            Relation::Forked { common } => return Ok(Some(Next::Forked(common))),
+            Relation::Behind { .. } | Relation::Unknown { .. } => return Ok(Some(Next::Align)),
+        }
+        if !self.may_heal(begun).await? {
+            return Ok(None);
+        }
+        self.append_epoch(keeper).await
+    }
+
+    /// Reads the log to its end; gives whether the end was reached.
+    async fn catch_up(&mut self) -> Result<bool, CompareError> {
+        let last = self.engine.ends(&self.settings.stream).await?.last;
+        while self.last_sequence < last && !self.is_stopping() {
+            let (stream, from) = (self.settings.stream.clone(), self.last_sequence + 1);
+            let messages = self.engine.read_from(&stream, from, READ_BYTES, self.settings.patience).await?;
+            if messages.is_empty() || !self.take_in(messages).await? {
+                return Ok(false);
+            }
+        }
+        // A group that was never completed stays in the stream, behind everything that this daemon has.
+        Ok(self.last_sequence == last)
+    }
+
+    /// Whether no other daemon says that its log is longer than this one's, or none has come for long enough.
+    async fn may_heal(&self, begun: Instant) -> Result<bool, EngineError> {
+        if begun.elapsed() >= self.settings.heal_wait {
+            return Ok(true);
+        }
+        let own = self.shared.log.end().position;
+        let reports = self.engine.list(Bucket::Members).await?;
+        let is_longer = |(name, report): (&String, MemberReport)| {
+            *name != self.settings.member && report.logs.get(&self.settings.map).is_some_and(|&end| end > own)
+        };
+        let reports = reports.iter().filter_map(|(name, entry)| Some((name, MemberReport::decode(&entry.value)?)));
+        Ok(!reports.into_iter().any(is_longer))
+    }
+
+    /// Appends again what the stream has forgotten: everything behind its end, from this daemon's own log.
+    async fn heal(&mut self, end: LogPoint) -> Result<(), CompareError> {
+        let log = self.shared.log.clone();
+        let mut groups = self.on_disk(move || log.groups(end.position + 1)).await?;
+        loop {
+            let (group, rest) = self.on_disk(move || (groups.next(), groups)).await;
+            groups = rest;
+            let Some(group) = group.transpose()? else { return Ok(()) };
+            if group.before.position < end.position {
+                // The forgotten part began within a group of this log: that cannot be, because a group is appended whole.
+                return Ok(());
+            }
+            tracing::warn!(
+                map = %self.settings.key(), from = group.before.position + 1, to = group.after.position,
+                "the shared log had forgotten records: they are appended again"
+            );
+            let messages = encode(&group, self.settings.map, self.epoch);
+            if self.send(&messages).await != Sent::Done {
+                return Ok(());
+            }
+            metrics::counter!("tidemap_cluster_healed_records_total").increment(group.records());
+            self.heard_of(group.after.position, self.epoch);
+        }
+    }
+
+    /// Appends the record of the epoch. `None`: somebody else has appended, or it could not be written here.
+    async fn append_epoch(&mut self, keeper: &LeaseKeeper) -> Result<Option<Next>, CompareError> {
+        let epoch = self.epoch + 1;
+        let event = Event::Epoch(Epoch {
+            epoch,
+            writer: self.settings.member.clone(),
+            version: self.settings.version.clone(),
+            maths: self.settings.maths,
+        });
+        self.shared.log.resume();
+        let log = self.shared.log.clone();
+        let written = self
+            .on_disk(move || {
+                let queued = log.queue(&event, Box::new(|_| {})).ok()?;
+                let written = log.write(vec![queued])?;
+                let synced = log.sync(&written);
+                Some((written, synced, event))
+            })
+            .await;
+        let Some((written, synced, event)) = written else {
+            self.trouble(Some("this daemon's own log cannot be written".to_owned()));
+            return Ok(None);
+        };
+        let records: RecordGroup = written.records().clone();
+        let sent = match &synced {
+            Ok(()) => self.send(&encode(&records, self.settings.map, epoch)).await,
+            Err(_) => Sent::Stopped,
+        };
+        let outcome = match (&sent, synced) {
+            (_, Err(error)) => Err(error),
+            (Sent::Done, _) => Ok(()),
+            (Sent::Full(reason), _) => Err(AppendError::StreamFull(reason.clone())),
+            _ => Err(AppendError::NotWriter { writer: None }),
+        };
+        let (log, is_in) = (self.shared.log.clone(), outcome.is_ok());
+        self.on_disk(move || log.end_group(written, outcome)).await;
+        if !is_in {
+            return Ok(if self.is_stopping() { Some(Next::Stop) } else { None });
+        }
+        self.epoch = epoch;
+        keeper.tell_epoch(epoch);
+        self.heard_of(records.after.position, epoch);
+        self.tell_followed(vec![(records.after.position, event)]).await;
+        self.set_writer(Some(self.settings.member.clone()));
+        Ok(Some(Next::Write))
+    }
+}

@@ -1,0 +1,143 @@
+//! Writing the shared log: one group at a time, to this disk and to the engine together.
+//!
+//! Invariant: a group is acknowledged when both have it. A group whose fate is not known ends this daemon's writing.
+
+use std::time::Duration;
+
+use tidemap_store::{AppendError, WrittenGroup};
+use tokio::{sync::oneshot, time::sleep};
+
+use super::{
+    Order, ReplicaEvent, ReplicaRole,
+    driver::{Driver, Next, PROBE},
+    lease_keeper::LeaseKeeper,
+    send::Sent,
+};
+use crate::{engine::Engine, message::encode};
+
+/// Who is to write next, and who waits for it.
+type HandOver = (Option<String>, oneshot::Sender<bool>);
+
+/// How long a lease is given back at most.
+const GIVE_BACK: Duration = Duration::from_secs(1);
+
+impl<E: Engine> Driver<E> {
+    /// Writes the log until this daemon is deposed, hands it over or stops.
+    pub(super) async fn write(&mut self) -> Next {
+        let Some(keeper) = self.keeper.take() else { return Next::Align };
+        self.role(ReplicaRole::Writing);
+        self.shared.open();
+        (self.listener)(ReplicaEvent::Writing { epoch: self.epoch });
+        let mut successor = None;
+        let next = self.write_until(&keeper, &mut successor).await;
+        self.shared.close(&AppendError::NotWriter { writer: None });
+        self.set_writer(None);
+        (self.listener)(ReplicaEvent::Following { writer: None });
+        if matches!(next, Next::Stop | Next::Follow) {
+            let to = successor.as_ref().and_then(|(to, _)| to.clone());
+            let key = self.settings.key();
+            let _ = tokio::time::timeout(GIVE_BACK, keeper.give_back(&self.engine, &key, to)).await;
+        }
+        self.lease_watch.forget();
+        if let Some((_, done)) = successor {
+            let _ = done.send(true);
+        }
+        next
+    }
+
+    async fn write_until(&mut self, keeper: &LeaseKeeper, successor: &mut Option<HandOver>) -> Next {
+        loop {
+            if self.is_stopping() {
+                return Next::Stop;
+            }
+            if keeper.is_lost() {
+                return Next::Follow;
+            }
+            if let Some(Order::HandOver(to, done)) = self.next_order() {
+                *successor = Some((to, done));
+                return Next::Follow;
+            }
+            let events = self.shared.take(self.settings.group_bytes);
+            if events.is_empty() {
+                match self.wait_for_work(keeper).await {
+                    Some(next) => return next,
+                    None => continue,
+                }
+            }
+            let log = self.shared.log.clone();
+            if let Some(written) = self.on_disk(move || log.write(events)).await
+                && let Some(next) = self.commit(written).await
+            {
+                return next;
+            }
+        }
+    }
+
+    /// Makes a written group part of the shared log, or takes it back; gives what follows where writing ends.
+    async fn commit(&mut self, written: WrittenGroup) -> Option<Next> {
+        let messages = encode(written.records(), self.settings.map, self.epoch);
+        let end = written.records().after.position;
+        let log = self.shared.log.clone();
+        let sync = move || {
+            let synced = log.sync(&written);
+            (written, synced)
+        };
+        let (sent, (written, synced)) = if self.settings.disk_inline {
+            (self.send(&messages).await, sync())
+        } else {
+            // Both begin together.
+            let syncing = tokio::task::spawn_blocking(sync);
+            let sent = self.send(&messages).await;
+            // The runtime ends, or the disk panicked: the completions are lost with the group.
+            let Ok(both) = syncing.await else { return Some(Next::Stop) };
+            (sent, both)
+        };
+        let outcome = match (synced, &sent) {
+            (Err(error), _) => Err(error),
+            (Ok(()), Sent::Done) => Ok(()),
+            (Ok(()), Sent::Full(reason)) => Err(AppendError::StreamFull(reason.clone())),
+            (Ok(()), Sent::Deposed | Sent::Forgotten) => Err(AppendError::NotWriter { writer: None }),
+            (Ok(()), Sent::Stopped) => Err(AppendError::Closed),
+        };
+        let is_fatal = matches!(outcome, Err(AppendError::Poisoned { .. }));
+        let log = self.shared.log.clone();
+        let is_in = outcome.is_ok();
+        self.on_disk(move || log.end_group(written, outcome)).await;
+        if is_in {
+            self.heard_of(end, self.epoch);
+        }
+        match sent {
+            _ if is_fatal => Some(Next::Stop),
+            Sent::Done | Sent::Full(_) => None,
+            Sent::Deposed | Sent::Forgotten => Some(Next::Align),
+            Sent::Stopped => Some(Next::Stop),
+        }
+    }
+
+    /// Waits for something to do; gives what follows where this daemon stops writing.
+    async fn wait_for_work(&mut self, keeper: &LeaseKeeper) -> Option<Next> {
+        tokio::select! {
+            biased;
+            () = self.shared.has_work.notified() => return None,
+            order = self.orders.recv() => {
+                self.order = order;
+                return None;
+            }
+            () = keeper.lost() => return None,
+            () = sleep(PROBE) => {}
+        }
+        match self.engine.ends(&self.settings.stream).await {
+            Ok(ends) if ends.last == self.last_sequence => {
+                self.trouble(None);
+                self.heard_of(self.shared.log.end().position, self.epoch);
+                None
+            }
+            // Forgotten, or somebody else has appended.
+            Ok(_) => Some(Next::Align),
+            Err(error) => {
+                self.trouble(Some(error.to_string()));
+                None
+            }
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! The log of a map that daemons share, as the thread of the map uses it: appends wait here for the replica, which
+//! writes them to this disk and to the engine.
+//!
+//! Invariant: appends are accepted only while the replica writes the log, and each accepted one is answered once, in
+//! order: with `Ok` when it is on the engine's quorum and on this disk.
+
+use std::{
+    collections::VecDeque,
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+};
+
+use tidemap_map::event::Event;
+use tidemap_store::{AppendError, Done, EventLog, GroupLog, QueuedEvent};
+use tokio::sync::{Notify, watch};
+
+use crate::replica::ReplicaStatus;
+
+/// Limit of the queue in bytes of frames; a full queue blocks the appending thread.
+const QUEUE_BYTES_MAX: usize = 32 << 20;
+/// Limit of the queue in records.
+const QUEUE_RECORDS_MAX: usize = 65_536;
+
+struct Queue {
+    events: VecDeque<QueuedEvent>,
+    bytes: usize,
+    /// Why nothing is accepted.
+    refusal: Option<AppendError>,
+}
+
+/// What the handles of a shared log and its replica have in common.
+pub(crate) struct Shared {
+    pub(crate) log: GroupLog,
+    queue: Mutex<Queue>,
+    has_room: Condvar,
+    /// Wakes the replica.
+    pub(crate) has_work: Notify,
+    pub(crate) status: watch::Sender<ReplicaStatus>,
+}
+
+impl Shared {
+    pub(crate) fn new(log: GroupLog) -> Shared {
+        let position = log.end().position;
+        let refusal = Some(AppendError::NotWriter { writer: None });
+        Shared {
+            log,
+            queue: Mutex::new(Queue { events: VecDeque::new(), bytes: 0, refusal }),
+            has_room: Condvar::new(),
+            has_work: Notify::new(),
+            status: watch::Sender::new(ReplicaStatus { position, ..ReplicaStatus::default() }),
+        }
+    }
+
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Accepts appends from now on.
+    pub(crate) fn open(&self) {
+        self.log.resume();
+        self.queue().refusal = None;
+    }
+
+    /// Refuses appends from now on, and those that wait.
+    pub(crate) fn close(&self, error: &AppendError) {
+        let mut queue = self.queue();
+        queue.refusal = Some(error.clone());
+        queue.bytes = 0;
+        let waiting = std::mem::take(&mut queue.events);
+        drop(queue);
+        self.has_room.notify_all();
+        for event in waiting {
+            event.fail(error.clone());
+        }
+    }
+
+    /// The events of the next group: as many as wait and fit, one at least.
+    pub(crate) fn take(&self, bytes_max: usize) -> Vec<QueuedEvent> {
+        let mut queue = self.queue();
+        let (mut events, mut bytes) = (Vec::new(), 0);
+        while let Some(event) = queue.events.front() {
+            if !events.is_empty() && bytes + event.bytes() > bytes_max {
+                break;
+            }
+            bytes += event.bytes();
+            events.extend(queue.events.pop_front());
+        }
+        queue.bytes = queue.bytes.saturating_sub(bytes);
+        drop(queue);
+        self.has_room.notify_all();
+        events
+    }
+}
+
+/// The shared log of a map, as its thread appends to it. Clones append to one log.
+#[derive(Clone)]
+pub struct SharedLog {
+    pub(crate) shared: Arc<Shared>,
+}
+
+impl SharedLog {
+    /// What the replica says of itself.
+    #[must_use]
+    pub fn status(&self) -> watch::Receiver<ReplicaStatus> {
+        self.shared.status.subscribe()
+    }
+}
+
+impl EventLog for SharedLog {
+    fn append(&self, event: &Event, done: Done) -> Result<(), AppendError> {
+        // Encoded before the lock is taken.
+        let event = match self.shared.queue().refusal.clone() {
+            Some(refusal) => return Err(refusal),
+            None => self.shared.log.queue(event, done)?,
+        };
+        let mut queue = self.shared.queue();
+        // An empty queue accepts one record of any length.
+        while queue.refusal.is_none()
+            && !queue.events.is_empty()
+            && (queue.events.len() >= QUEUE_RECORDS_MAX || queue.bytes + event.bytes() > QUEUE_BYTES_MAX)
+        {
+            queue = self.shared.has_room.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+        if let Some(refusal) = &queue.refusal {
+            return Err(refusal.clone());
+        }
+        queue.bytes += event.bytes();
+        queue.events.push_back(event);
+        drop(queue);
+        self.shared.has_work.notify_one();
+        Ok(())
+    }
+
+    fn resume(&self) {
+        self.shared.log.resume();
+    }
+
+    fn end(&self) -> u64 {
+        self.shared.log.end().position
+    }
+
+    fn tail_bytes(&self) -> u64 {
+        self.shared.log.tail_bytes()
+    }
+}
