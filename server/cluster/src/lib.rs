@@ -6,3 +6,5 @@
 //! Invariant: consensus is the engine's. What is acknowledged is on the engine's quorum and on the writer's own disk.
 
 pub mod engine;
+#[cfg(any(test, feature = "testing"))]
+pub mod simulated;
