@@ -22,7 +22,7 @@ const CRATES: [(&str, &str, &[&str]); 17] = [
     ("server/picture", "tidemap-picture", &[]),
     ("server/plan", "tidemap-plan", &["tidemap-grid", "tidemap-map", "tidemap-model"]),
     ("server/store", "tidemap-store", &["tidemap-grid", "tidemap-map", "tidemap-migrations", "tidemap-model"]),
-    ("server/cluster", "tidemap-cluster", &["tidemap-map", "tidemap-store"]),
+    ("server/cluster", "tidemap-cluster", &["tidemap-map", "tidemap-model", "tidemap-store"]),
     ("proto", "tidemap-proto", &["tidemap-grid", "tidemap-map", "tidemap-model", "tidemap-plan"]),
     (
         "server",

@@ -7,6 +7,9 @@
 //! Invariant: a call whose outcome is not known says so ([`EngineError::Unknown`]) and never guesses. Reads are answered
 //! by the leader, so that they see every write that was acknowledged before they began.
 
+#[cfg(test)]
+pub(crate) mod tests;
+
 use std::{future::Future, time::Duration};
 
 use bytes::Bytes;

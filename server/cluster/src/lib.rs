@@ -11,3 +11,5 @@ pub mod member;
 pub mod message;
 pub mod replica;
 pub mod shared_log;
+#[cfg(any(test, feature = "testing"))]
+pub mod simulated;

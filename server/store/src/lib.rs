@@ -32,8 +32,8 @@ mod scrub;
 mod store;
 mod trouble;
 
-#[cfg(test)]
-mod simulation;
+#[cfg(any(test, feature = "simulation"))]
+pub mod simulation;
 #[cfg(test)]
 mod tests;
 

@@ -2,21 +2,53 @@
 //!
 //! Each run follows from its seed alone.
 
-use std::path::Path;
+use std::{path::Path, sync::Arc};
 
-use crate::{disk::Disk, store::lists};
+use crate::{
+    OpenError, Store, StoreOptions,
+    disk::Disk,
+    index::Index,
+    store::{lists, open::Parts},
+};
 
+#[cfg(test)]
 mod crash;
 mod disk;
+#[cfg(test)]
 mod erasures;
+#[cfg(test)]
 mod faults;
+#[cfg(test)]
 mod machine;
+
+pub use disk::{Fault, SimulatedDisk};
 
 /// The data directory on simulated disks.
 const DIRECTORY: &str = "/data";
 
+/// Opens a store on a disk that has one, without a thread that commits: only groups of a [`crate::GroupLog`] are written.
+///
+/// # Errors
+/// [`OpenError`].
+pub fn open(disk: &SimulatedDisk, options: StoreOptions) -> Result<Store, OpenError> {
+    Store::assemble(Parts {
+        disk: Arc::new(disk.clone()),
+        directory: DIRECTORY.into(),
+        options,
+        store_id: String::new(),
+        is_new: false,
+        index: Index::none(),
+        committer: Arc::default(),
+        reports: Vec::new(),
+        lock: None,
+    })
+}
+
 /// Makes the data directory of a new store.
-fn make_directory(disk: &disk::SimulatedDisk) {
+///
+/// # Panics
+/// Where the disk has one, or a fault.
+pub fn make_directory(disk: &disk::SimulatedDisk) {
     for folder in [DIRECTORY, "/data/maps"] {
         disk.create_folder(Path::new(folder)).expect("created");
         disk.sync_folder(Path::new(folder).parent().expect("has one")).expect("synced");

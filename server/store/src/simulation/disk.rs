@@ -28,12 +28,13 @@ enum DiskNode {
 
 /// When a call fails.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Fault {
+pub struct Fault {
     /// The number of the call, from 0.
-    pub(super) call: usize,
-    pub(super) kind: io::ErrorKind,
+    pub call: usize,
+    /// The error that it returns.
+    pub kind: io::ErrorKind,
     /// Whether all later calls that can fail like this fail too.
-    pub(super) is_sticky: bool,
+    pub is_sticky: bool,
 }
 
 struct DiskState {
@@ -45,7 +46,7 @@ struct DiskState {
 
 /// The disk; clones are the same disk.
 #[derive(Clone)]
-pub(super) struct SimulatedDisk(Arc<Mutex<DiskState>>);
+pub struct SimulatedDisk(Arc<Mutex<DiskState>>);
 
 fn latest<T>(versions: &[T]) -> &T {
     versions.last().expect("never empty")
@@ -134,7 +135,9 @@ fn torn(versions: &[Vec<u8>], random: &mut SmallRng) -> Vec<u8> {
 }
 
 impl SimulatedDisk {
-    pub(super) fn new(random: SmallRng) -> SimulatedDisk {
+    /// An empty disk, whose losses follow from the random numbers.
+    #[must_use]
+    pub fn new(random: SmallRng) -> SimulatedDisk {
         let nodes = vec![DiskNode::Folder(vec![Names::new()])];
         SimulatedDisk(Arc::new(Mutex::new(DiskState { nodes, calls: 0, fault: None, random })))
     }
@@ -143,17 +146,23 @@ impl SimulatedDisk {
         self.0.lock().expect("not poisoned")
     }
 
-    pub(super) fn set_fault(&self, fault: Option<Fault>) {
+    /// Makes a call fail.
+    ///
+    /// # Panics
+    /// Where another thread has panicked with the disk.
+    pub fn set_fault(&self, fault: Option<Fault>) {
         self.state().fault = fault;
     }
 
     /// Calls so far that may fail.
-    pub(super) fn calls(&self) -> usize {
+    #[must_use]
+    pub fn calls(&self) -> usize {
         self.state().calls
     }
 
     /// The disk as the machine finds it after a power cut. Handles of the old one do not reach it.
-    pub(super) fn power_cut(&self) -> SimulatedDisk {
+    #[must_use]
+    pub fn power_cut(&self) -> SimulatedDisk {
         let mut state = self.state();
         let mut random = state.random.clone();
         let nodes = state.nodes.iter().map(|node| match node {
@@ -169,7 +178,8 @@ impl SimulatedDisk {
     }
 
     /// The disk after the process was killed: nothing is lost, and nothing more is durable than before.
-    pub(super) fn kill(&self) -> SimulatedDisk {
+    #[must_use]
+    pub fn kill(&self) -> SimulatedDisk {
         let state = self.state();
         let (nodes, random) = (state.nodes.clone(), state.random.clone());
         SimulatedDisk(Arc::new(Mutex::new(DiskState { nodes, calls: 0, fault: None, random })))
