@@ -3,7 +3,7 @@
 //! | where | addition |
 //! | --- | --- |
 //! | [`super::v1::log::FrameKind`] | `W`, an [`Epoch`]; `D`, an [`UpdateDone`] |
-//! | `log/` | folders `fork-POSITION`: records from that position on that the shared log does not have |
+//! | folder of a map | [`FORKS_FOLDER`]: records that the shared log does not have, as segments `POSITION-N.log` |
 //! | folder of a map | [`SHARED_FILE`], of a map of a cluster only: its number in the cluster, as 16 hexadecimal digits |
 //!
 //! The step from format 2 rewrites nothing: it makes older programs refuse the folder, which would not understand the
@@ -19,8 +19,8 @@ pub const FORMAT: u32 = 3;
 /// Name of the file that makes a map one of a cluster.
 pub const SHARED_FILE: &str = "SHARED";
 
-/// Beginning of the names of the folders of forks.
-pub const FORK_PREFIX: &str = "fork-";
+/// Name of the folder of forks.
+pub const FORKS_FOLDER: &str = "forks";
 
 /// A daemon becomes the writer of a shared log.
 #[derive(Clone, PartialEq, prost::Message)]

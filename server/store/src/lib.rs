@@ -15,6 +15,7 @@ mod erasure;
 mod error;
 mod event_log;
 mod folders;
+mod fork;
 #[cfg(feature = "fuzz")]
 pub mod fuzz;
 mod group_log;
@@ -43,6 +44,7 @@ pub use committer::{CommitFollower, CommitStep, GroupFollower, SyncStats};
 pub use erasure::Erased;
 pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, StoreError};
 pub use event_log::EventLog;
+pub use fork::{Fork, ForkError};
 pub use group_log::{ForeignGroupError, GroupLog, LogPoint, QueuedEvent, RecordGroup, WrittenGroup};
 pub use history::{GridDays, History, HistorySizes, StateFiles};
 pub use log::{Done, groups::Groups, replay::Replay};

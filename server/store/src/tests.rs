@@ -18,6 +18,7 @@ mod grid;
 pub(crate) mod grid_example;
 mod grid_life;
 mod grid_records;
+mod groups;
 mod history;
 mod history_runs;
 mod landmarks;

@@ -38,7 +38,7 @@ impl Checkpoints<'_> {
     }
 
     /// Lists these checkpoints, ascending, in place of those before.
-    pub(super) fn keep(&self, checkpoints: Vec<u64>) -> Result<(), StoreError> {
+    pub(crate) fn keep(&self, checkpoints: Vec<u64>) -> Result<(), StoreError> {
         self.change_list(|list| list.checkpoints = checkpoints)
     }
 

@@ -7,8 +7,8 @@ use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_grid::{index::CellIndex, sensors::ProducerSensor};
 use tidemap_map::{
     event::{
-        Dimensions, Envelope, Event, Hold, NewState, Observations, OffsetRun, Reporting, SequenceSpan, StateKind,
-        StateShape, UpdateCause, UpdateStart,
+        Digest, Dimensions, Envelope, Epoch, Event, Hold, NewState, Observations, OffsetRun, Reporting, SequenceSpan,
+        StateKind, StateShape, UpdateCause, UpdateDone, UpdateStart,
     },
     ids::{NewProducer, ProducerId, RefusalReason, StateId},
     name::{EdgeName, MapName, ProducerKey, StateName},
@@ -258,11 +258,20 @@ fn edit_site() -> impl Strategy<Value = Event> {
     edit.prop_map(Event::EditSite)
 }
 
+fn of_shared_logs() -> impl Strategy<Value = Event> {
+    let epoch = (any::<u64>(), ".{0,20}", ".{0,20}", any::<u32>())
+        .prop_map(|(epoch, writer, version, maths)| Event::Epoch(Epoch { epoch, writer, version, maths }));
+    let done = any::<(u64, u64, u32)>().prop_map(|(generation, digest, maths)| {
+        Event::UpdateDone(UpdateDone { generation, digest: Digest(digest), maths })
+    });
+    prop_oneof![epoch, done]
+}
+
 /// Equal to the bit: 0.0 and -0.0 differ.
 fn bits(event: &Event) -> Vec<u64> {
     match event {
         Event::Observations(_, observations) => observations.values.iter().map(|value| value.to_bits()).collect(),
-        Event::Scans(..) | Event::UpdateStart(_) | Event::AddState(_) | Event::EditSite(_) => Vec::new(),
+        _ => Vec::new(),
     }
 }
 
@@ -270,7 +279,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn events_come_back(event in prop_oneof![9 => observations(), 1 => update_start(), 1 => add_state(), 1 => edit_site()]) {
+    fn events_come_back(event in prop_oneof![9 => observations(), 1 => update_start(), 1 => add_state(), 1 => edit_site(), 1 => of_shared_logs()]) {
         let (kind, payload) = record::event::encode(&event).expect("valid");
         let found = record::event::decode(kind, &payload).expect("readable");
         prop_assert_eq!(bits(&found), bits(&event));
