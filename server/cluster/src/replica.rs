@@ -205,3 +205,6 @@ impl<E: Engine> Replica<E> {
         self.0.run().await;
     }
 }
+
+#[cfg(test)]
+mod tests;

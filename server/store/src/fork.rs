@@ -38,6 +38,9 @@ pub struct Fork {
     pub first: u64,
     /// Position of its last record.
     pub last: u64,
+    /// Number of its groups. A single one may never have been acknowledged: the daemon ended, or lost the log, while it
+    /// was decided about.
+    pub groups: usize,
 }
 
 /// Why a fork cannot be set aside. Nothing is cut off then.
@@ -99,16 +102,23 @@ fn find_cut(disk: &dyn Disk, folder: &Path, common: u64) -> Result<Option<Cut>, 
     Ok(Some(Cut { segment: first, offset: cursor.offset as u64, chain: cursor.chain, frames, later }))
 }
 
-/// The records of a file of a fork.
-fn read_fork(disk: &dyn Disk, file: &Path) -> Result<Vec<(u64, Event)>, OpenError> {
+/// The records of the file of a fork, and the number of its groups.
+fn read_fork(disk: &dyn Disk, file: &Path) -> Result<(Vec<(u64, Event)>, usize), OpenError> {
     let bytes = read_all(disk, file).map_err(open_io(file))?;
     let header = SegmentHeader::decode(&bytes).ok_or_else(|| damaged(file, "its header is not valid"))?;
     let mut cursor = Cursor { offset: SEGMENT_HEADER_LENGTH, position: header.first_position, chain: header.chain };
-    let mut events = Vec::new();
+    let (mut events, mut groups) = (Vec::new(), 0);
     while let Some(frame) = next_frame(&bytes, &mut cursor).map_err(|bad| damaged(file, bad.reason))? {
+        groups += usize::from(frame.header.group_index == 0);
         events.push((frame.header.position, frame.event().map_err(|reason| damaged(file, reason))?));
     }
-    Ok(events)
+    Ok((events, groups))
+}
+
+fn fork_in(disk: &dyn Disk, folder: &Path, name: String) -> Result<Fork, OpenError> {
+    let (events, groups) = read_fork(disk, &folder.join(&name))?;
+    let position = |event: Option<&(u64, Event)>| event.map_or(0, |&(position, _)| position);
+    Ok(Fork { name, first: position(events.first()), last: position(events.last()), groups })
 }
 
 impl Store {
@@ -192,9 +202,7 @@ impl Store {
         let file = folder.join(&name);
         let written = disk.create(&file).and_then(|mut open| open.append(&bytes).and_then(|()| open.sync()));
         written.and_then(|()| disk.sync_folder(&folder)).map_err(store_io(&file))?;
-        let events = read_fork(disk, &file)?;
-        let last = events.last().map_or(first.saturating_sub(1), |&(position, _)| position);
-        Ok(Fork { name, first, last })
+        Ok(fork_in(disk, &folder, name)?)
     }
 
     /// The forks of a map, in the order of their positions.
@@ -208,16 +216,7 @@ impl Store {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
             Err(error) => return Err(open_io(folder)(error)),
         };
-        let fork = |name: String| {
-            let events = read_fork(disk, &folder.join(&name))?;
-            let (first, last) = (events.first(), events.last());
-            Ok(Fork {
-                first: first.map_or(0, |&(position, _)| position),
-                last: last.map_or(0, |&(position, _)| position),
-                name,
-            })
-        };
-        names.into_iter().filter(|name| name.ends_with(".log")).map(fork).collect()
+        names.into_iter().filter(|name| name.ends_with(".log")).map(|name| fork_in(disk, &folder, name)).collect()
     }
 
     /// The records of a fork, with the positions that they had.
@@ -225,7 +224,7 @@ impl Store {
     /// # Errors
     /// [`OpenError`] where its file cannot be read.
     pub fn fork_events(&self, map: MapId, fork: &str) -> Result<Vec<(u64, Event)>, OpenError> {
-        read_fork(&*self.inner().disk, &self.forks_folder(map).join(fork))
+        read_fork(&*self.inner().disk, &self.forks_folder(map).join(fork)).map(|(events, _)| events)
     }
 
     /// Removes a fork whose records were taken in again, or given up.

@@ -1,0 +1,374 @@
+//! Three daemons on a simulated engine, clock and disk, with faults by seed.
+//!
+//! What must hold: what was acknowledged is in the log, no sequence number of a producer twice, one writer an epoch, and
+//! equal logs. `TIDEMAP_CLUSTER_SEEDS` is how many seeds are tried, `TIDEMAP_CLUSTER_SEED` tries one and tells more.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
+use tidemap_map::event::Event;
+use tidemap_store::{EventLog as _, Fork, simulation::SimulatedDisk};
+use tokio::{
+    sync::oneshot,
+    time::{Instant, sleep, timeout},
+};
+
+use super::ReplicaRole;
+use crate::{
+    engine::Engine as _,
+    simulated::{EngineFaults, Simulation},
+};
+
+mod daemon;
+
+use daemon::{Ask, Daemon};
+
+const UID: u64 = 0x7EA_2026;
+const DAEMONS: usize = 3;
+const PRODUCERS: usize = 3;
+
+/// What daemons and producers have seen.
+#[derive(Default)]
+struct Seen {
+    /// By epoch: who wrote in it.
+    writers: BTreeMap<u64, String>,
+    /// By producer: the highest number that was acknowledged.
+    acknowledged: BTreeMap<String, u64>,
+    violations: Vec<String>,
+}
+
+impl Seen {
+    fn writes(&mut self, name: &str, epoch: u64) {
+        let other = self.writers.entry(epoch).or_insert_with(|| name.to_owned());
+        if other != name {
+            self.violations.push(format!("{other} and {name} both wrote in epoch {epoch}"));
+        }
+    }
+
+    fn acknowledged(&mut self, producer: &str, sequence: u64) {
+        let known = self.acknowledged.entry(producer.to_owned()).or_default();
+        *known = sequence.max(*known);
+    }
+}
+
+/// A machine: its disk, and its daemon while it runs.
+struct Machine {
+    name: String,
+    disk: SimulatedDisk,
+    daemon: Option<Daemon>,
+    forked: Option<oneshot::Receiver<u64>>,
+    forks: Vec<Fork>,
+    /// When it starts again.
+    starts: Option<Instant>,
+}
+
+/// How a run is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mode {
+    /// Faults that a quorum survives: nothing may be lost and nothing may fork.
+    Survivable,
+    /// The engine may forget and fork: what was acknowledged is in the log, or in a fork that is named.
+    Forgetful,
+}
+
+struct World {
+    engine: Simulation,
+    machines: Vec<Machine>,
+    seen: Arc<Mutex<Seen>>,
+    random: SmallRng,
+}
+
+impl World {
+    fn new(seed: u64, mode: Mode) -> World {
+        let faults = match mode {
+            Mode::Survivable => EngineFaults::survivable(),
+            Mode::Forgetful => EngineFaults::all(),
+        };
+        let machine = |index: usize| Machine {
+            name: format!("daemon-{index}"),
+            disk: daemon::new_disk(seed * 10 + index as u64),
+            daemon: None,
+            forked: None,
+            forks: Vec::new(),
+            starts: None,
+        };
+        World {
+            engine: Simulation::new(seed, faults),
+            machines: (0..DAEMONS).map(machine).collect(),
+            seen: Arc::default(),
+            random: SmallRng::seed_from_u64(seed),
+        }
+    }
+
+    fn start(&mut self, index: usize) {
+        let machine = &mut self.machines[index];
+        let (sender, forked) = oneshot::channel();
+        let client = self.engine.client(&machine.name);
+        let rank = index as u32;
+        machine.daemon = Some(Daemon::start(&machine.name, rank, &machine.disk, client, &self.seen, sender));
+        machine.forked = Some(forked);
+        machine.starts = None;
+    }
+
+    async fn kill(&mut self, index: usize, is_power_cut: bool) {
+        let machine = &mut self.machines[index];
+        if let Some(mut daemon) = machine.daemon.take() {
+            daemon.tasks.shutdown().await;
+        }
+        machine.disk = if is_power_cut { machine.disk.power_cut() } else { machine.disk.kill() };
+        let away = Duration::from_millis(self.random.random_range(0..8000));
+        machine.starts = Some(Instant::now() + away);
+    }
+
+    /// Sets forks aside, and starts what is due.
+    async fn look_after(&mut self) {
+        for index in 0..DAEMONS {
+            let machine = &mut self.machines[index];
+            if machine.starts.is_some_and(|at| at <= Instant::now()) {
+                self.start(index);
+                continue;
+            }
+            let Some(common) = machine.forked.as_mut().and_then(|forked| forked.try_recv().ok()) else { continue };
+            let Some(mut daemon) = machine.daemon.take() else { continue };
+            daemon.tasks.shutdown().await;
+            machine.forks.extend(daemon.store.set_fork_aside(daemon.map, common).expect("nothing is deleted"));
+            drop(daemon);
+            machine.disk = machine.disk.kill();
+            self.start(index);
+        }
+    }
+
+    async fn disturb(&mut self) {
+        let index = self.random.random_range(0..DAEMONS);
+        let name = self.machines[index].name.clone();
+        match self.random.random_range(0..8) {
+            0 | 1 => self.kill(index, false).await,
+            2 => self.kill(index, true).await,
+            3 => {
+                // As SIGSTOP does to the calls of the daemon; its tasks go on.
+                self.engine.freeze(&name);
+                sleep(Duration::from_millis(self.random.random_range(100..6000))).await;
+                self.engine.thaw(&name);
+            }
+            4 => {
+                self.engine.cut_off(&name);
+                sleep(Duration::from_millis(self.random.random_range(100..6000))).await;
+                self.engine.join(&name);
+            }
+            5 => {
+                for index in 0..DAEMONS {
+                    self.kill(index, index == 1).await;
+                }
+            }
+            _ => {
+                let successor = self.random.random_bool(0.5).then(|| format!("daemon-{}", (index + 1) % DAEMONS));
+                if let Some(daemon) = &self.machines[index].daemon {
+                    let _ = timeout(Duration::from_secs(3), daemon.handle.hand_over(successor)).await;
+                }
+            }
+        }
+    }
+
+    /// Whether all daemons follow or write, with equal logs.
+    fn is_settled(&self) -> bool {
+        let logs: Vec<_> = self.machines.iter().filter_map(|machine| machine.daemon.as_ref()).collect();
+        let settled = |role| matches!(role, ReplicaRole::Following | ReplicaRole::Writing);
+        logs.len() == DAEMONS
+            && logs.iter().all(|daemon| {
+                let status = daemon.log.status();
+                let status = status.borrow();
+                settled(status.role)
+                    && status.position == status.shared_position
+                    && daemon.log.end() == logs[0].log.end()
+            })
+            && logs.iter().any(|daemon| daemon.log.status().borrow().role == ReplicaRole::Writing)
+    }
+
+    /// What a daemon answers a producer; `None`: nothing in time, or that it does not write.
+    async fn ask(&self, index: usize, ask: impl FnOnce(oneshot::Sender<Option<u64>>) -> Ask) -> Option<u64> {
+        let daemon = self.machines[index].daemon.as_ref()?;
+        let (reply, answer) = oneshot::channel();
+        daemon.ask(ask(reply)).await;
+        timeout(Duration::from_secs(3), answer).await.ok()?.ok()?
+    }
+
+    /// A producer sends once to some daemon.
+    async fn produce(&mut self, producer: usize) {
+        let name = format!("robot-{producer}");
+        let index = self.random.random_range(0..DAEMONS);
+        let welcome = name.clone();
+        let Some(durable) = self.ask(index, |reply| Ask::Welcome(welcome, reply)).await else { return };
+        let known = self.seen.lock().expect("sound").acknowledged.get(&name).copied().unwrap_or(0);
+        if durable < known {
+            // With engines that forget, its writer may be away with the records.
+            self.seen
+                .lock()
+                .expect("sound")
+                .violations
+                .push(format!("{name}: {known} was acknowledged, {durable} is there"));
+        }
+        for burst in 0..self.random.random_range(1..4_u64) {
+            let count = self.random.random_range(1..6);
+            let first = durable + 1 + burst * 5;
+            let observed = name.clone();
+            if self.ask(index, |reply| Ask::Observe(observed, first, count, reply)).await
+                != Some(first + u64::from(count) - 1)
+                || count != 5
+            {
+                return;
+            }
+        }
+    }
+}
+
+/// One run of faults, and what is there when they have ended.
+async fn run(seed: u64, mode: Mode) -> Result<String, String> {
+    let mut world = World::new(seed, mode);
+    let client = world.engine.client("operator");
+    while client.create_stream("tm", 3).await.is_err() || client.create_buckets(3).await.is_err() {}
+    for index in 0..DAEMONS {
+        world.start(index);
+    }
+    let begun = Instant::now();
+    let chaos = Duration::from_secs(25);
+    let mut next_fault = begun + Duration::from_secs(3);
+    while begun.elapsed() < chaos {
+        world.look_after().await;
+        if Instant::now() >= next_fault {
+            world.disturb().await;
+            next_fault = Instant::now() + Duration::from_millis(world.random.random_range(300..5000));
+        }
+        let producer = world.random.random_range(0..PRODUCERS);
+        world.produce(producer).await;
+        sleep(Duration::from_millis(world.random.random_range(1..120))).await;
+    }
+    world.engine.set_faults(EngineFaults::none());
+    world.engine.make_room("tm");
+    let calm = Instant::now();
+    while !world.is_settled() {
+        world.look_after().await;
+        sleep(Duration::from_millis(100)).await;
+        if calm.elapsed() > Duration::from_secs(180) {
+            let states = world.machines.iter().map(|machine| {
+                let status = machine.daemon.as_ref().map(|daemon| daemon.log.status().borrow().clone());
+                format!("{}: {status:?}", machine.name)
+            });
+            return Err(format!("not settled after three minutes:\n{}", states.collect::<Vec<_>>().join("\n")));
+        }
+    }
+    let told = check(&world, mode);
+    for machine in &mut world.machines {
+        if let Some(mut daemon) = machine.daemon.take() {
+            daemon.tasks.shutdown().await;
+        }
+    }
+    told
+}
+
+fn check(world: &World, mode: Mode) -> Result<String, String> {
+    let seen = world.seen.lock().expect("sound");
+    let daemons: Vec<&Daemon> = world.machines.iter().filter_map(|machine| machine.daemon.as_ref()).collect();
+    let logs: Vec<_> = daemons.iter().map(|daemon| daemon.records()).collect();
+    if logs.iter().any(|log| *log != logs[0]) {
+        return Err("the logs differ".to_owned());
+    }
+    // In the log, each producer's numbers follow each other.
+    let (mut ends, mut names, mut epoch) = (BTreeMap::new(), BTreeMap::new(), 0);
+    for (position, event) in &logs[0] {
+        match event {
+            Event::Epoch(record) => {
+                if record.epoch <= epoch {
+                    return Err(format!("position {position}: epoch {} after {epoch}", record.epoch));
+                }
+                if seen.writers.get(&record.epoch).is_some_and(|writer| *writer != record.writer) {
+                    return Err(format!("epoch {} is {}'s, and another wrote in it", record.epoch, record.writer));
+                }
+                epoch = record.epoch;
+            }
+            event => {
+                let envelope = event.envelope().expect("of a producer");
+                if let Some(new) = &envelope.new_producer {
+                    names.insert(envelope.producer, new.key.producer().to_owned());
+                }
+                let end = ends.entry(envelope.producer).or_insert(0);
+                if envelope.span.first != *end + 1 {
+                    return Err(format!("position {position}: {} after {end}", envelope.span.first));
+                }
+                *end = envelope.span.last;
+            }
+        }
+    }
+    let there: BTreeMap<&str, u64> = names.iter().map(|(id, name)| (name.as_str(), ends[id])).collect();
+    let forks: Vec<&Fork> = world.machines.iter().flat_map(|machine| &machine.forks).collect();
+    let named = forks.iter().filter(|fork| fork.groups > 1).count();
+    if mode == Mode::Survivable {
+        for (producer, acknowledged) in &seen.acknowledged {
+            if there.get(producer.as_str()).copied().unwrap_or(0) < *acknowledged {
+                return Err(format!("{producer}: {acknowledged} was acknowledged, {there:?} is there"));
+            }
+        }
+        if named > 0 {
+            return Err(format!("forks: {forks:?}"));
+        }
+        if let Some(violation) = seen.violations.first() {
+            return Err(violation.clone());
+        }
+    } else if forks.is_empty() {
+        for (producer, acknowledged) in &seen.acknowledged {
+            if there.get(producer.as_str()).copied().unwrap_or(0) < *acknowledged {
+                return Err(format!(
+                    "{producer}: {acknowledged} was acknowledged, {there:?} is there, and nothing forked"
+                ));
+            }
+        }
+    }
+    Ok(format!(
+        "{} records, {epoch} epochs, {} acknowledged, {} forks",
+        logs[0].len(),
+        seen.acknowledged.values().sum::<u64>(),
+        forks.len()
+    ))
+}
+
+fn simulate(seed: u64, mode: Mode) -> Result<String, String> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build().expect("made");
+    runtime.block_on(run(seed, mode))
+}
+
+/// How many seeds are tried, and which.
+fn seeds(default: u64) -> Vec<u64> {
+    let number = |name| std::env::var(name).ok().and_then(|text: String| text.parse().ok());
+    match number("TIDEMAP_CLUSTER_SEED") {
+        Some(seed) => vec![seed],
+        None => (1..=number("TIDEMAP_CLUSTER_SEEDS").unwrap_or(default)).collect(),
+    }
+}
+
+fn try_seeds(mode: Mode, default: u64) {
+    let seeds = seeds(default);
+    let mut failed = Vec::new();
+    for &seed in &seeds {
+        let told = simulate(seed, mode);
+        if seeds.len() == 1 {
+            println!("{told:?}");
+        }
+        if let Err(error) = told {
+            failed.push(format!("seed {seed}: {error}"));
+        }
+    }
+    assert!(failed.is_empty(), "{} of {} seeds:\n{}", failed.len(), seeds.len(), failed.join("\n"));
+}
+
+#[test]
+fn nothing_that_was_acknowledged_is_lost_by_faults_that_a_quorum_survives() {
+    try_seeds(Mode::Survivable, 200);
+}
+
+#[test]
+fn what_the_engine_forgets_is_appended_again_or_set_aside() {
+    try_seeds(Mode::Forgetful, 200);
+}
