@@ -20,6 +20,12 @@ pub struct Lease {
     pub epoch: u64,
     /// Counts its renewals.
     pub counter: u64,
+    /// Position of the last record that the writer has, and the chain there: who has another chain there has a fork.
+    #[serde(default)]
+    pub position: u64,
+    /// See `position`.
+    #[serde(default)]
+    pub chain: u32,
     /// The daemon that is to take it, where the writer hands over.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub successor: Option<String>,
@@ -86,8 +92,13 @@ mod tests {
     use super::*;
 
     fn entry(revision: u64, writer: &str, successor: Option<&str>) -> Entry {
-        let lease =
-            Lease { writer: writer.to_owned(), epoch: 1, counter: revision, successor: successor.map(str::to_owned) };
+        let lease = Lease {
+            writer: writer.to_owned(),
+            epoch: 1,
+            counter: revision,
+            successor: successor.map(str::to_owned),
+            ..Lease::default()
+        };
         Entry { value: lease.encode(), revision }
     }
 

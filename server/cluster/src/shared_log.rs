@@ -11,7 +11,10 @@ use std::{
 
 use tidemap_map::event::Event;
 use tidemap_store::{AppendError, Done, EventLog, GroupLog, QueuedEvent};
-use tokio::sync::{Notify, watch};
+use tokio::{
+    sync::{Notify, watch},
+    time::Instant,
+};
 
 use crate::replica::ReplicaStatus;
 
@@ -35,6 +38,8 @@ pub(crate) struct Shared {
     /// Wakes the replica.
     pub(crate) has_work: Notify,
     pub(crate) status: watch::Sender<ReplicaStatus>,
+    /// Until when no other daemon may write, by this daemon's clock.
+    current_until: Mutex<Option<Instant>>,
 }
 
 impl Shared {
@@ -47,11 +52,21 @@ impl Shared {
             has_room: Condvar::new(),
             has_work: Notify::new(),
             status: watch::Sender::new(ReplicaStatus { position, ..ReplicaStatus::default() }),
+            current_until: Mutex::new(None),
         }
     }
 
     fn queue(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn set_current_until(&self, until: Option<Instant>) {
+        *self.current_until.lock().unwrap_or_else(PoisonError::into_inner) = until;
+    }
+
+    fn is_current(&self) -> bool {
+        let until = *self.current_until.lock().unwrap_or_else(PoisonError::into_inner);
+        until.is_some_and(|until| Instant::now() < until)
     }
 
     /// Accepts appends from now on.
@@ -140,5 +155,9 @@ impl EventLog for SharedLog {
 
     fn tail_bytes(&self) -> u64 {
         self.shared.log.tail_bytes()
+    }
+
+    fn is_current(&self) -> bool {
+        self.shared.is_current()
     }
 }

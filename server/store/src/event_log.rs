@@ -25,6 +25,12 @@ pub trait EventLog: Send + Sync {
 
     /// Bytes of records after the position of the newest saved snapshot, roughly.
     fn tail_bytes(&self) -> u64;
+
+    /// Whether what is known here of the log is all of it, because nobody else may be writing it. Who asks how far its
+    /// sequence is durable is answered only then.
+    fn is_current(&self) -> bool {
+        true
+    }
 }
 
 impl EventLog for MapLog {

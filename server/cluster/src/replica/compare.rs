@@ -94,6 +94,8 @@ impl<E: Engine> Driver<E> {
             tail = last.before;
             tail_sequence = ends.last.saturating_sub(u64::from(last.part) + 1);
         }
+        // A writer counts on from the newest epoch of all.
+        self.epoch = self.epoch.max(last.epoch);
         self.heard_of(tail.position, last.epoch);
         if own.position == tail.position {
             return match own.chain == tail.chain {

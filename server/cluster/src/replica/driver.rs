@@ -62,6 +62,8 @@ pub(super) struct Driver<E: Engine> {
     pub(super) epoch: u64,
     pub(super) lease_watch: LeaseWatch,
     lease_looked: Option<Instant>,
+    /// Whether the logs are to be compared again.
+    must_align: bool,
     /// The lease, between taking the log over and writing it.
     pub(super) keeper: Option<LeaseKeeper>,
 }
@@ -90,6 +92,7 @@ impl<E: Engine> Driver<E> {
             epoch: 0,
             lease_watch: LeaseWatch::default(),
             lease_looked: None,
+            must_align: false,
             keeper: None,
         }
     }
@@ -244,6 +247,9 @@ impl<E: Engine> Driver<E> {
         if let Some(writer) = lease.filter(|writer| !writer.is_empty()) {
             self.set_writer(Some(writer));
         }
+        if self.differs_from_lease() {
+            self.must_align = true;
+        }
         let rank = (*self.rank.borrow())?;
         let patience = match &entry {
             // A new map waits for nobody but those before.
@@ -251,6 +257,14 @@ impl<E: Engine> Driver<E> {
             Some(_) => self.settings.lease + RANK_STEP * rank,
         };
         self.lease_watch.may_take(&self.settings.member, patience, now)
+    }
+
+    /// Whether the writer says that the log has another record where the own log has one.
+    fn differs_from_lease(&self) -> bool {
+        let own = self.shared.log.end();
+        let Some((_, lease)) = self.lease_watch.lease() else { return false };
+        // Behind the own end, the next message tells.
+        lease.position > 0 && lease.position == own.position && lease.chain != own.chain
     }
 
     /// Reads the log as others append to it.
@@ -295,6 +309,9 @@ impl<E: Engine> Driver<E> {
             }
             if let Some(revision) = self.look_at_lease().await {
                 return Next::TakeOver(revision);
+            }
+            if std::mem::take(&mut self.must_align) {
+                return Next::Align;
             }
         }
         Next::Stop

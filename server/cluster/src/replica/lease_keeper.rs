@@ -1,6 +1,7 @@
 //! Keeps a lease: raises its counter until it is lost or given back.
 //!
-//! Invariant: a lease that was given back is not renewed.
+//! Invariant: a lease that was given back is not renewed. While the lease is current by this daemon's own clock, no other
+//! daemon has taken it, because others wait longer than it is current.
 
 use std::{
     sync::{
@@ -10,18 +11,37 @@ use std::{
     time::Duration,
 };
 
-use tokio::{sync::watch, task::JoinHandle, time::sleep};
+use tokio::{
+    sync::watch,
+    task::JoinHandle,
+    time::{Instant, sleep},
+};
 
 use crate::{
     engine::{Bucket, Engine, SetError},
     lease::Lease,
+    shared_log::Shared,
 };
+
+/// What a lease says, and how it is kept.
+pub(super) struct LeaseTerms {
+    /// Key of the map.
+    pub(super) key: String,
+    /// Name of this daemon.
+    pub(super) member: String,
+    /// The epoch that this daemon claims.
+    pub(super) epoch: u64,
+    /// How long others wait before they take it.
+    pub(super) lasts: Duration,
+}
 
 /// A lease that this daemon has. Dropped, it is no longer renewed.
 pub(super) struct LeaseKeeper {
     is_lost: watch::Receiver<bool>,
     revision: Arc<AtomicU64>,
     epoch: Arc<AtomicU64>,
+    shared: Arc<Shared>,
+    key: String,
     member: String,
     task: JoinHandle<()>,
 }
@@ -29,31 +49,44 @@ pub(super) struct LeaseKeeper {
 impl Drop for LeaseKeeper {
     fn drop(&mut self) {
         self.task.abort();
+        self.shared.set_current_until(None);
     }
 }
 
+/// As the lease says it: the daemon, and how far its log goes.
+fn lease_of(shared: &Shared, member: &str, epoch: u64, counter: u64) -> Lease {
+    let end = shared.log.end();
+    Lease { writer: member.to_owned(), epoch, counter, position: end.position, chain: end.chain, successor: None }
+}
+
 impl LeaseKeeper {
-    /// Keeps the lease of a map that has this revision, renewed every `interval`.
+    /// Keeps the lease that has this revision since `taken`.
     pub(super) fn start<E: Engine>(
         engine: E,
-        key: String,
-        member: String,
+        shared: Arc<Shared>,
+        terms: LeaseTerms,
         revision: u64,
-        epoch: u64,
-        interval: Duration,
+        taken: Instant,
     ) -> LeaseKeeper {
         let (lost, is_lost) = watch::channel(false);
+        let LeaseTerms { key, member, epoch, lasts } = terms;
         let (revision, epoch) = (Arc::new(AtomicU64::new(revision)), Arc::new(AtomicU64::new(epoch)));
         let (known, of_epoch) = (Arc::clone(&revision), Arc::clone(&epoch));
-        let owner = member.clone();
+        let (own_key, own_member, own_shared) = (key.clone(), member.clone(), Arc::clone(&shared));
+        // Others wait for all of it, from a moment on that is later.
+        let is_current_for = lasts * 3 / 4;
+        shared.set_current_until(Some(taken + is_current_for));
         let task = tokio::spawn(async move {
             for counter in 1.. {
-                sleep(interval).await;
+                sleep(lasts / 4).await;
+                let begun = Instant::now();
                 let expected = known.load(Ordering::Acquire);
-                let epoch = of_epoch.load(Ordering::Acquire);
-                let lease = Lease { writer: member.clone(), epoch, counter, successor: None };
+                let lease = lease_of(&shared, &member, of_epoch.load(Ordering::Acquire), counter);
                 match engine.set_if(Bucket::Writers, &key, expected, lease.encode()).await {
-                    Ok(revision) => known.store(revision, Ordering::Release),
+                    Ok(revision) => {
+                        known.store(revision, Ordering::Release);
+                        shared.set_current_until(Some(begun + is_current_for));
+                    }
                     // A renewal whose answer was lost has been made, or somebody else has taken the lease.
                     Err(SetError::NotExpected) => match engine.get(Bucket::Writers, &key).await {
                         Ok(Some(entry)) if Lease::decode(&entry.value).writer == member => {
@@ -66,9 +99,15 @@ impl LeaseKeeper {
                     Err(SetError::Engine(_)) => {}
                 }
             }
+            shared.set_current_until(None);
             let _ = lost.send(true);
         });
-        LeaseKeeper { is_lost, revision, epoch, member: owner, task }
+        LeaseKeeper { is_lost, revision, epoch, shared: own_shared, key: own_key, member: own_member, task }
+    }
+
+    /// The epoch that the lease claims.
+    pub(super) fn epoch(&self) -> u64 {
+        self.epoch.load(Ordering::Acquire)
     }
 
     /// From now on the lease says this epoch.
@@ -87,14 +126,14 @@ impl LeaseKeeper {
     }
 
     /// Gives the lease back, to a successor or to any. What the engine answers does not matter: the lease runs out.
-    pub(super) async fn give_back<E: Engine>(self, engine: &E, key: &str, successor: Option<String>) {
+    pub(super) async fn give_back<E: Engine>(self, engine: &E, successor: Option<String>) {
         self.task.abort();
-        let epoch = self.epoch.load(Ordering::Acquire);
-        let lease = Lease { writer: String::new(), epoch, counter: 0, successor };
+        self.shared.set_current_until(None);
+        let lease = Lease { successor, ..lease_of(&self.shared, "", self.epoch(), 0) };
         for _ in 0..2 {
             let expected = self.revision.load(Ordering::Acquire);
-            match engine.set_if(Bucket::Writers, key, expected, lease.encode()).await {
-                Err(SetError::NotExpected) => match engine.get(Bucket::Writers, key).await {
+            match engine.set_if(Bucket::Writers, &self.key, expected, lease.encode()).await {
+                Err(SetError::NotExpected) => match engine.get(Bucket::Writers, &self.key).await {
                     // The renewal that was cut off had been made.
                     Ok(Some(entry)) if Lease::decode(&entry.value).writer == self.member => {
                         self.revision.store(entry.revision, Ordering::Release);

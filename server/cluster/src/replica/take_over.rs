@@ -4,7 +4,7 @@
 //! Invariant: a writer has everything that the stream has, and everything that another daemon says it has, unless that
 //! daemon stayed away for the time of healing.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use tidemap_map::event::{Epoch, Event};
 use tidemap_store::{AppendError, LogPoint, RecordGroup};
@@ -14,7 +14,7 @@ use super::{
     ReplicaRole,
     compare::{CompareError, Relation},
     driver::{Driver, Next, READ_BYTES},
-    lease_keeper::LeaseKeeper,
+    lease_keeper::{LeaseKeeper, LeaseTerms},
     send::Sent,
 };
 use crate::{
@@ -31,10 +31,11 @@ impl<E: Engine> Driver<E> {
     /// Takes the lease, whose revision is known, and then the log.
     pub(super) async fn take_over(&mut self, revision: u64) -> Next {
         self.role(ReplicaRole::TakingOver);
-        let epoch = self.lease_watch.lease().map_or(0, |(_, lease)| lease.epoch).max(self.epoch);
-        self.epoch = epoch;
-        let lease = Lease { writer: self.settings.member.clone(), epoch, counter: 0, successor: None };
+        // The lease claims the epoch before the log says it, so that no other daemon claims it too.
+        let epoch = self.lease_watch.lease().map_or(0, |(_, lease)| lease.epoch).max(self.epoch) + 1;
+        let lease = Lease { writer: self.settings.member.clone(), epoch, ..Lease::default() };
         let key = self.settings.key();
+        let begun = Instant::now();
         let taken = self.engine.set_if(Bucket::Writers, &key, revision, lease.encode()).await;
         self.lease_watch.forget();
         let revision = match taken {
@@ -46,16 +47,14 @@ impl<E: Engine> Driver<E> {
                 return Next::Align;
             }
         };
-        let interval = self.settings.lease / 4;
-        let engine = self.engine.clone();
-        let keeper = LeaseKeeper::start(engine, key.clone(), self.settings.member.clone(), revision, epoch, interval);
-        let begun = Instant::now();
+        let terms = LeaseTerms { key, member: self.settings.member.clone(), epoch, lasts: self.settings.lease };
+        let keeper = LeaseKeeper::start(self.engine.clone(), Arc::clone(&self.shared), terms, revision, begun);
         while !self.is_stopping() && !keeper.is_lost() {
             match self.try_to_take_over(&keeper, begun).await {
                 Ok(None) => sleep(PAUSE).await,
                 // The next writer may be one that can.
                 Ok(Some(next @ (Next::Forked(_) | Next::Align | Next::Stop))) => {
-                    keeper.give_back(&self.engine, &key, None).await;
+                    keeper.give_back(&self.engine, None).await;
                     return next;
                 }
                 Ok(Some(next)) => {
@@ -69,7 +68,7 @@ impl<E: Engine> Driver<E> {
             }
         }
         if self.is_stopping() {
-            keeper.give_back(&self.engine, &key, None).await;
+            keeper.give_back(&self.engine, None).await;
         }
         Next::Align
     }
@@ -146,6 +145,11 @@ impl<E: Engine> Driver<E> {
                 map = %self.settings.key(), from = group.before.position + 1, to = group.after.position,
                 "the shared log had forgotten records: they are appended again"
             );
+            for (_, event) in group.events().unwrap_or_default() {
+                if let Event::Epoch(record) = event {
+                    self.epoch = self.epoch.max(record.epoch);
+                }
+            }
             let messages = encode(&group, self.settings.map, self.epoch);
             if self.send(&messages).await != Sent::Done {
                 return Ok(());
@@ -157,7 +161,7 @@ impl<E: Engine> Driver<E> {
 
     /// Appends the record of the epoch. `None`: somebody else has appended, or it could not be written here.
     async fn append_epoch(&mut self, keeper: &LeaseKeeper) -> Result<Option<Next>, CompareError> {
-        let epoch = self.epoch + 1;
+        let epoch = keeper.epoch().max(self.epoch + 1);
         let event = Event::Epoch(Epoch {
             epoch,
             writer: self.settings.member.clone(),

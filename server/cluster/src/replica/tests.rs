@@ -39,9 +39,15 @@ struct Seen {
     /// By producer: the highest number that was acknowledged.
     acknowledged: BTreeMap<String, u64>,
     violations: Vec<String>,
+    /// What daemons said, with their times.
+    log: Vec<String>,
 }
 
 impl Seen {
+    fn note(&mut self, text: String) {
+        self.log.push(text);
+    }
+
     fn writes(&mut self, name: &str, epoch: u64) {
         let other = self.writers.entry(epoch).or_insert_with(|| name.to_owned());
         if other != name {
@@ -105,6 +111,7 @@ impl World {
     }
 
     fn start(&mut self, index: usize) {
+        self.seen.lock().expect("sound").note(format!("{:?} start {index}", Instant::now()));
         let machine = &mut self.machines[index];
         let (sender, forked) = oneshot::channel();
         let client = self.engine.client(&machine.name);
@@ -115,6 +122,7 @@ impl World {
     }
 
     async fn kill(&mut self, index: usize, is_power_cut: bool) {
+        self.seen.lock().expect("sound").note(format!("{:?} kill {index} power cut {is_power_cut}", Instant::now()));
         let machine = &mut self.machines[index];
         if let Some(mut daemon) = machine.daemon.take() {
             daemon.tasks.shutdown().await;
@@ -133,6 +141,7 @@ impl World {
                 continue;
             }
             let Some(common) = machine.forked.as_mut().and_then(|forked| forked.try_recv().ok()) else { continue };
+            self.seen.lock().expect("sound").note(format!("{:?} fork {index} at {common}", Instant::now()));
             let Some(mut daemon) = machine.daemon.take() else { continue };
             daemon.tasks.shutdown().await;
             machine.forks.extend(daemon.store.set_fork_aside(daemon.map, common).expect("nothing is deleted"));
@@ -181,9 +190,7 @@ impl World {
             && logs.iter().all(|daemon| {
                 let status = daemon.log.status();
                 let status = status.borrow();
-                settled(status.role)
-                    && status.position == status.shared_position
-                    && daemon.log.end() == logs[0].log.end()
+                settled(status.role) && status.position == status.shared_position && daemon.end() == logs[0].end()
             })
             && logs.iter().any(|daemon| daemon.log.status().borrow().role == ReplicaRole::Writing)
     }
@@ -261,6 +268,9 @@ async fn run(seed: u64, mode: Mode) -> Result<String, String> {
         }
     }
     let told = check(&world, mode);
+    if told.is_err() && std::env::var_os("TIDEMAP_CLUSTER_SEED").is_some() {
+        println!("{}\n{:#?}", world.engine.history().join("\n"), world.seen.lock().expect("sound").log);
+    }
     for machine in &mut world.machines {
         if let Some(mut daemon) = machine.daemon.take() {
             daemon.tasks.shutdown().await;

@@ -35,8 +35,7 @@ impl<E: Engine> Driver<E> {
         (self.listener)(ReplicaEvent::Following { writer: None });
         if matches!(next, Next::Stop | Next::Follow) {
             let to = successor.as_ref().and_then(|(to, _)| to.clone());
-            let key = self.settings.key();
-            let _ = tokio::time::timeout(GIVE_BACK, keeper.give_back(&self.engine, &key, to)).await;
+            let _ = tokio::time::timeout(GIVE_BACK, keeper.give_back(&self.engine, to)).await;
         }
         self.lease_watch.forget();
         if let Some((_, done)) = successor {

@@ -17,7 +17,7 @@ use tidemap_map::{
     spec::MapSpec,
 };
 use tidemap_store::{
-    AppendError, EventLog as _, MapId, Store, StoreOptions,
+    AppendError, EventLog as _, LogPoint, MapId, Store, StoreOptions,
     simulation::{self, SimulatedDisk},
 };
 use tokio::{
@@ -147,6 +147,11 @@ impl Daemon {
         let _ = self.asks.send(Inbox::Asked(ask));
     }
 
+    /// Where its own log ends.
+    pub(super) fn end(&self) -> LogPoint {
+        self.store.group_log(self.map).expect("open").end()
+    }
+
     /// All that its own log holds.
     pub(super) fn records(&self) -> Vec<(u64, Event)> {
         let log = self.store.group_log(self.map).expect("open");
@@ -170,6 +175,11 @@ impl MapTask {
                 Inbox::Told(ReplicaEvent::Followed { events, applied }) => {
                     for (position, event) in events {
                         self.apply(position, &event);
+                        self.seen.lock().expect("sound").note(format!(
+                            "{:?} {} follows {position}",
+                            tokio::time::Instant::now(),
+                            self.name
+                        ));
                     }
                     drop(applied);
                 }
@@ -209,7 +219,16 @@ impl MapTask {
                 self.apply(position, &event);
                 let envelope = event.envelope().expect("of a producer");
                 let mark = &self.map.producer_marks()[envelope.producer.0 as usize];
-                self.seen.lock().expect("sound").acknowledged(mark.key.producer(), envelope.span.last);
+                let mut seen = self.seen.lock().expect("sound");
+                seen.acknowledged(mark.key.producer(), envelope.span.last);
+                seen.note(format!(
+                    "{:?} {} acknowledges {} {:?} at {position}",
+                    tokio::time::Instant::now(),
+                    self.name,
+                    mark.key.producer(),
+                    envelope.span
+                ));
+                drop(seen);
                 let _ = reply.send(Some(envelope.span.last));
             }
             Err(_) => {
@@ -228,7 +247,7 @@ impl MapTask {
         match ask {
             Ask::Welcome(producer, reply) => {
                 let durable = self.durable(&producer).map_or(0, |(_, durable)| durable);
-                let _ = reply.send(self.is_writing.then_some(durable));
+                let _ = reply.send((self.is_writing && self.log.is_current()).then_some(durable));
             }
             Ask::Observe(_, _, _, reply) if !self.is_writing => {
                 let _ = reply.send(None);
