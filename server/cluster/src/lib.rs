@@ -6,5 +6,8 @@
 //! Invariant: consensus is the engine's. What is acknowledged is on the engine's quorum and on the writer's own disk.
 
 pub mod engine;
+pub mod nats;
+#[cfg(any(test, feature = "testing"))]
+pub mod nats_process;
 #[cfg(any(test, feature = "testing"))]
 pub mod simulated;
