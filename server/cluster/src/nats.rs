@@ -27,16 +27,16 @@ use bytes::Bytes;
 use serde_json::json;
 
 use self::{
-    calls::{CallError, Calls, Done},
-    follow::Followed,
+    calls::{CallError, NatsCalls, Published},
+    follow::FollowedStreams,
 };
 pub use self::{
     check::{NatsCheckError, VERSION_LEAST, check},
     settings::{NatsCredentials, NatsSettings, NatsTls},
 };
 use crate::engine::{
-    AppendIfError, Bucket, Engine, EngineError, EngineServer, Entry, MESSAGE_BYTES_MAX, Message, SetError, StreamEnds,
-    StreamHealth,
+    AppendIfError, Bucket, Engine, EngineError, EngineServer, KeyEntry, MESSAGE_BYTES_MAX, Message, SetError,
+    StreamEnds, StreamHealth,
 };
 
 /// Room for headers above the content of a message.
@@ -47,15 +47,15 @@ const ADMIN_PATIENCE: Duration = Duration::from_secs(10);
 
 /// A connection to NATS JetStream. Clones share it, but each follows streams on its own.
 pub struct NatsEngine {
-    calls: Calls,
+    calls: NatsCalls,
     settings: Arc<NatsSettings>,
-    followed: Followed,
+    followed: FollowedStreams,
 }
 
 impl Clone for NatsEngine {
     fn clone(&self) -> Self {
         let (calls, settings) = (self.calls.clone(), Arc::clone(&self.settings));
-        Self { followed: Followed::default(), calls, settings }
+        Self { followed: FollowedStreams::default(), calls, settings }
     }
 }
 
@@ -63,8 +63,8 @@ impl NatsEngine {
     /// Connects to one of the servers. The connection is made again when it breaks, for ever.
     pub async fn connect(settings: NatsSettings) -> Result<Self, EngineError> {
         settings.check()?;
-        let calls = Calls::connect(&settings).await?;
-        Ok(Self { calls, settings: Arc::new(settings), followed: Followed::default() })
+        let calls = NatsCalls::connect(&settings).await?;
+        Ok(Self { calls, settings: Arc::new(settings), followed: FollowedStreams::default() })
     }
 
     /// The name of a stream in JetStream, where several clusters share one engine.
@@ -128,7 +128,7 @@ impl NatsEngine {
         headers: HeaderMap,
         content: Bytes,
         patience: Duration,
-    ) -> Result<Done, EngineError> {
+    ) -> Result<Published, EngineError> {
         if content.len() > MESSAGE_BYTES_MAX {
             return Err(EngineError::Refused(format!("a message of {} bytes is too large", content.len())));
         }
@@ -173,8 +173,8 @@ impl Engine for NatsEngine {
         headers.insert(header::NATS_EXPECTED_LAST_SEQUENCE, HeaderValue::from(expected_last));
         let name = self.stream_name(stream);
         match self.publish(&name, self.subject(stream), headers, content, patience).await? {
-            Done::Appended(sequence) => Ok(sequence),
-            Done::NotExpected => Err(AppendIfError::NotExpected),
+            Published::Appended(sequence) => Ok(sequence),
+            Published::NotExpected => Err(AppendIfError::NotExpected),
         }
     }
 
@@ -236,12 +236,12 @@ impl Engine for NatsEngine {
         Ok(())
     }
 
-    async fn get(&self, bucket: Bucket, key: &str) -> Result<Option<Entry>, EngineError> {
+    async fn get(&self, bucket: Bucket, key: &str) -> Result<Option<KeyEntry>, EngineError> {
         let newest = self.newest(bucket, key).await?;
         Ok(newest.filter(|newest| !newest.is_deleted).map(|newest| newest.entry))
     }
 
-    async fn list(&self, bucket: Bucket) -> Result<Vec<(String, Entry)>, EngineError> {
+    async fn list(&self, bucket: Bucket) -> Result<Vec<(String, KeyEntry)>, EngineError> {
         self.list_keys(bucket).await
     }
 

@@ -10,7 +10,7 @@ use tokio::{
     time::{Instant, sleep},
 };
 
-use super::{AppendIfError, Bucket, Engine, EngineError, Entry, Message, SetError};
+use super::{AppendIfError, Bucket, Engine, EngineError, KeyEntry, Message, SetError};
 
 /// Longer than any call of the suite takes on a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -169,7 +169,8 @@ async fn of_concurrent_appends_one_takes_a_number<E: Engine>(first: &E, second: 
 
 /// Waits until the list of maps is this: it may be a little old.
 async fn listed<E: Engine, const N: usize>(engine: &E, expected: [(&str, &str, u64); N]) {
-    let entry = |(key, value, revision): (&str, &str, u64)| (key.to_owned(), Entry { value: bytes(value), revision });
+    let entry =
+        |(key, value, revision): (&str, &str, u64)| (key.to_owned(), KeyEntry { value: bytes(value), revision });
     let expected = expected.map(entry);
     let deadline = Instant::now() + PATIENCE;
     loop {

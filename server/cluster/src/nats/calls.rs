@@ -57,7 +57,7 @@ impl From<CallError> for EngineError {
 
 /// What became of a message that was published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Done {
+pub(super) enum Published {
     Appended(u64),
     NotExpected,
 }
@@ -73,7 +73,7 @@ struct Refusals {
 
 /// The connection. Clones share it.
 #[derive(Clone)]
-pub(super) struct Calls {
+pub(super) struct NatsCalls {
     client: Client,
     context: jetstream::Context,
     request_time_out: Duration,
@@ -85,7 +85,7 @@ struct RawReply {
     message: RawMessage,
 }
 
-impl Calls {
+impl NatsCalls {
     pub(super) async fn connect(settings: &NatsSettings) -> Result<Self, EngineError> {
         let refusals = Arc::new(Mutex::new(Refusals::default()));
         let noted = Arc::clone(&refusals);
@@ -180,15 +180,15 @@ impl Calls {
         headers: HeaderMap,
         content: Bytes,
         patience: Duration,
-    ) -> Result<Done, EngineError> {
+    ) -> Result<Published, EngineError> {
         let request = Request::new().headers(headers).payload(content);
         let reply = self.request(subject, request, patience).await?;
         // A reply that cannot be read does not say what became of the message.
         match serde_json::from_slice(&reply).map_err(|error| EngineError::Unknown(error.to_string()))? {
-            Response::Ok(PublishAck { sequence, .. }) => Ok(Done::Appended(sequence)),
+            Response::Ok(PublishAck { sequence, .. }) => Ok(Published::Appended(sequence)),
             Response::Err { error } => match error.error_code() {
                 ErrorCode::STREAM_WRONG_LAST_SEQUENCE | ErrorCode::STREAM_WRONG_LAST_SEQUENCE_CONSTANT => {
-                    Ok(Done::NotExpected)
+                    Ok(Published::NotExpected)
                 }
                 _ => Err(from_api(&error)),
             },

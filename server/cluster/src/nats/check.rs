@@ -11,7 +11,7 @@ use serde::Deserialize;
 use tokio::time::{Instant, timeout_at};
 use tokio_stream::StreamExt;
 
-use super::{HEADER_BYTES_MAX, NatsEngine, calls::Calls};
+use super::{HEADER_BYTES_MAX, NatsEngine, calls::NatsCalls};
 use crate::engine::{Engine, EngineError, EngineServer, MESSAGE_BYTES_MAX};
 
 /// The oldest version of the server that is known to keep the order of appends.
@@ -89,7 +89,7 @@ struct VarzConfig {
 }
 
 /// All servers that answer; at least the one that the client is connected to.
-pub(super) async fn servers(calls: &Calls) -> Vec<EngineServer> {
+pub(super) async fn servers(calls: &NatsCalls) -> Vec<EngineServer> {
     let own = calls.server();
     let own = EngineServer { name: own.server_name, version: own.version, syncs_always: None };
     let mut found = BTreeMap::from([(own.name.clone(), own)]);
@@ -102,7 +102,7 @@ pub(super) async fn servers(calls: &Calls) -> Vec<EngineServer> {
 }
 
 /// What the servers say of themselves, where this client's account may ask them.
-async fn ping(calls: &Calls) -> Vec<Varz> {
+async fn ping(calls: &NatsCalls) -> Vec<Varz> {
     let client = calls.client();
     let inbox = client.new_inbox();
     let mut found = Vec::new();
@@ -121,7 +121,7 @@ async fn ping(calls: &Calls) -> Vec<Varz> {
     found
 }
 
-/// Whether a version is at least [`VERSION_LEAST`]. What comes after the numbers, as in `2.16.0-beta`, is not looked at.
+/// Whether a version is at least [`VERSION_LEAST`]. What comes after the numbers, as in `2.16.0-beta`, does not count.
 fn is_new_enough(version: &str) -> bool {
     let mut numbers = version.trim_start_matches('v').splitn(3, '.').map(|part| {
         let digits = part.split(|character: char| !character.is_ascii_digit()).next().unwrap_or_default();

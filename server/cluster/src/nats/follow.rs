@@ -4,8 +4,8 @@
 //! At most [`PULLED_BYTES_MAX`] bytes and [`PULLED_MESSAGES_MAX`] messages are asked for at once: the server stalls on
 //! larger pulls.
 //!
-//! Invariant: messages are returned in order and without a gap from the number that was asked for. A consumer that gives
-//! another one is thrown away.
+//! Invariant: messages are returned in order and without a gap from the number that was asked for. A consumer that
+//! gives another one is thrown away.
 
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
@@ -23,7 +23,7 @@ use tokio::{
 };
 use tokio_stream::StreamExt;
 
-use super::calls::{Calls, from_api};
+use super::calls::{NatsCalls, from_api};
 use crate::engine::{EngineError, Message};
 
 /// Bytes of one pull. The next one is sent when half of them have come.
@@ -51,11 +51,11 @@ struct Follow {
 
 /// The streams that an engine follows.
 #[derive(Default)]
-pub(super) struct Followed {
+pub(super) struct FollowedStreams {
     streams: Mutex<HashMap<String, Arc<Mutex<Option<Follow>>>>>,
 }
 
-impl Followed {
+impl FollowedStreams {
     pub(super) async fn forget(&self, stream: &str) {
         self.streams.lock().await.remove(stream);
     }
@@ -63,7 +63,7 @@ impl Followed {
     /// The messages of a stream from a number on; `name` is the stream's name in JetStream.
     pub(super) async fn read_from(
         &self,
-        calls: &Calls,
+        calls: &NatsCalls,
         stream: &str,
         name: &str,
         sequence: u64,
@@ -134,7 +134,7 @@ fn message_of(message: jetstream::Message) -> Option<Message> {
     Some(Message { sequence, content: message.message.payload })
 }
 
-async fn open_at(calls: &Calls, name: &str, sequence: u64) -> Result<Follow, EngineError> {
+async fn open_at(calls: &NatsCalls, name: &str, sequence: u64) -> Result<Follow, EngineError> {
     calls.check_connection()?;
     let config = pull::Config {
         deliver_policy: DeliverPolicy::ByStartSequence { start_sequence: sequence.max(1) },

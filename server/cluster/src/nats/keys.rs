@@ -15,10 +15,10 @@ use tokio_stream::StreamExt;
 
 use super::{
     NatsEngine,
-    calls::Done,
+    calls::Published,
     follow::{from_batch, from_consumer},
 };
-use crate::engine::{Bucket, EngineError, Entry, SetError};
+use crate::engine::{Bucket, EngineError, KeyEntry, SetError};
 
 /// The header that says that a key was deleted.
 const OPERATION: &str = "KV-Operation";
@@ -27,8 +27,8 @@ const OPERATION: &str = "KV-Operation";
 const LIST_LINGERS: Duration = Duration::from_secs(5);
 
 /// The newest write of a key.
-pub(super) struct Newest {
-    pub(super) entry: Entry,
+pub(super) struct NewestWrite {
+    pub(super) entry: KeyEntry,
     pub(super) is_deleted: bool,
 }
 
@@ -64,13 +64,13 @@ impl NatsEngine {
         format!("$KV.{}.", self.bucket(bucket))
     }
 
-    pub(super) async fn newest(&self, bucket: Bucket, key: &str) -> Result<Option<Newest>, EngineError> {
+    pub(super) async fn newest(&self, bucket: Bucket, key: &str) -> Result<Option<NewestWrite>, EngineError> {
         check_key(key)?;
         let request = json!({ "last_by_subj": format!("{}{key}", self.key_prefix(bucket)) });
         let message = self.calls.message(&self.bucket_name(bucket), &request).await?;
-        Ok(message.map(|message| Newest {
+        Ok(message.map(|message| NewestWrite {
             is_deleted: is_deletion(&message.headers),
-            entry: Entry { value: message.payload, revision: message.sequence },
+            entry: KeyEntry { value: message.payload, revision: message.sequence },
         }))
     }
 
@@ -93,13 +93,13 @@ impl NatsEngine {
         let (name, subject) = (self.bucket_name(bucket), format!("{}{key}", self.key_prefix(bucket)));
         let patience = self.settings.request_time_out;
         match self.publish(&name, subject, headers, value.unwrap_or_default(), patience).await? {
-            Done::Appended(revision) => Ok(revision),
-            Done::NotExpected => Err(SetError::NotExpected),
+            Published::Appended(revision) => Ok(revision),
+            Published::NotExpected => Err(SetError::NotExpected),
         }
     }
 
     /// All keys of a bucket, by a consumer that is deleted afterwards. It may run on a server that lags.
-    pub(super) async fn list_keys(&self, bucket: Bucket) -> Result<Vec<(String, Entry)>, EngineError> {
+    pub(super) async fn list_keys(&self, bucket: Bucket) -> Result<Vec<(String, KeyEntry)>, EngineError> {
         self.calls.check_connection()?;
         let (name, prefix) = (self.bucket_name(bucket), self.key_prefix(bucket));
         let config = pull::Config {
@@ -129,7 +129,7 @@ impl NatsEngine {
                 let key = message.subject.strip_prefix(&prefix).unwrap_or_default().to_owned();
                 if !message.headers.as_ref().is_some_and(is_deletion) {
                     let value = message.message.payload;
-                    found.push((key, Entry { value, revision }));
+                    found.push((key, KeyEntry { value, revision }));
                 }
             }
         }

@@ -89,7 +89,7 @@ impl Numbered {
 }
 
 /// A stream that one client has for itself.
-pub(super) struct Side {
+pub(super) struct SplitSide {
     pub(super) client: String,
     pub(super) numbered: Numbered,
     pub(super) until: Instant,
@@ -105,7 +105,7 @@ pub(super) struct SimulatedStream {
     pub(super) held: [u64; SERVERS],
     pub(super) leaderless_until: Instant,
     pub(super) full_until: Option<Instant>,
-    pub(super) side: Option<Side>,
+    pub(super) side: Option<SplitSide>,
 }
 
 impl SimulatedStream {
