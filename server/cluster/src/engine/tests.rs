@@ -5,9 +5,12 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use bytes::Bytes;
-use tokio::task::JoinSet;
+use tokio::{
+    task::JoinSet,
+    time::{Instant, sleep},
+};
 
-use super::{AppendIfError, Bucket, Engine, EngineError, Message, SetError};
+use super::{AppendIfError, Bucket, Engine, EngineError, KeyEntry, Message, SetError};
 
 /// Longer than any call of the suite takes on a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -164,6 +167,22 @@ async fn of_concurrent_appends_one_takes_a_number<E: Engine>(first: &E, second: 
     }
 }
 
+/// Waits until the list of maps is this: it may be a little old.
+async fn listed<E: Engine, const N: usize>(engine: &E, expected: [(&str, &str, u64); N]) {
+    let entry =
+        |(key, value, revision): (&str, &str, u64)| (key.to_owned(), KeyEntry { value: bytes(value), revision });
+    let expected = expected.map(entry);
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        let mut list = engine.list(Bucket::Maps).await.expect("list");
+        list.sort_by(|a, b| a.0.cmp(&b.0));
+        if list == expected || Instant::now() > deadline {
+            return assert_eq!(list, expected);
+        }
+        sleep(Duration::from_millis(10)).await;
+    }
+}
+
 async fn keys_are_set_under_their_revision<E: Engine>(first: &E, second: &E) {
     assert_eq!(first.get(Bucket::Maps, "a").await, Ok(None));
     let created = first.set_if(Bucket::Maps, "a", 0, bytes("1")).await.expect("create");
@@ -178,15 +197,12 @@ async fn keys_are_set_under_their_revision<E: Engine>(first: &E, second: &E) {
     // Buckets do not see each other's keys.
     assert_eq!(first.get(Bucket::Members, "a").await, Ok(None));
     assert_eq!(first.list(Bucket::Members).await, Ok(Vec::new()));
-    let mut list = first.list(Bucket::Maps).await.expect("list");
-    list.sort_by(|a, b| a.0.cmp(&b.0));
-    let list: Vec<_> = list.into_iter().map(|(key, entry)| (key, entry.value, entry.revision)).collect();
-    assert_eq!(list, [("a".to_owned(), bytes("2"), changed), ("b.c".to_owned(), bytes("3"), other)]);
+    listed(first, [("a", "2", changed), ("b.c", "3", other)]).await;
     assert_eq!(first.delete_if(Bucket::Maps, "a", created).await, Err(SetError::NotExpected));
     assert_eq!(first.delete_if(Bucket::Maps, "a", changed).await, Ok(()));
     assert_eq!(second.get(Bucket::Maps, "a").await, Ok(None));
     assert_eq!(second.set_if(Bucket::Maps, "a", changed, bytes("x")).await, Err(SetError::NotExpected));
-    assert_eq!(second.list(Bucket::Maps).await.expect("list").len(), 1);
+    listed(second, [("b.c", "3", other)]).await;
     // A key that was deleted does not exist, and may be created.
     let created = second.set_if(Bucket::Maps, "a", 0, bytes("4")).await.expect("create again");
     assert!(created > changed);

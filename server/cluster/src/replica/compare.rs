@@ -65,7 +65,7 @@ impl<E: Engine> Driver<E> {
     }
 
     /// The part in a message, which the stream holds.
-    async fn part_at(&self, sequence: u64) -> Result<GroupPart, CompareError> {
+    pub(super) async fn part_at(&self, sequence: u64) -> Result<GroupPart, CompareError> {
         let message = self.engine.read(&self.settings.stream, sequence).await?;
         // It was purged or forgotten since: the caller compares again.
         let gone = || EngineError::Unavailable(format!("message {sequence} is gone"));

@@ -5,7 +5,7 @@
 use std::{sync::Arc, time::Duration};
 
 use tidemap_map::event::Event;
-use tidemap_store::{AppendError, ForeignGroupError};
+use tidemap_store::{AppendError, ForeignGroupError, LogPoint};
 use tokio::{
     sync::{mpsc, oneshot, watch},
     time::{Instant, timeout},
@@ -45,6 +45,17 @@ pub(super) enum Next {
     Stop,
 }
 
+/// What is found at the end of the stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Probe {
+    /// What this daemon has.
+    End,
+    /// More than this daemon has read.
+    More,
+    /// Less, or another record.
+    Lost,
+}
+
 /// A replica that runs.
 pub(super) struct Driver<E: Engine> {
     pub(super) engine: E,
@@ -62,8 +73,8 @@ pub(super) struct Driver<E: Engine> {
     pub(super) epoch: u64,
     pub(super) lease_watch: LeaseWatch,
     lease_looked: Option<Instant>,
-    /// Whether the logs are to be compared again.
-    must_align: bool,
+    /// The own end and the stamp of the stream's last message when they were last found to be equal.
+    probed_stamp: Option<(LogPoint, u64)>,
     /// The lease, between taking the log over and writing it.
     pub(super) keeper: Option<LeaseKeeper>,
 }
@@ -92,7 +103,7 @@ impl<E: Engine> Driver<E> {
             epoch: 0,
             lease_watch: LeaseWatch::default(),
             lease_looked: None,
-            must_align: false,
+            probed_stamp: None,
             keeper: None,
         }
     }
@@ -247,9 +258,6 @@ impl<E: Engine> Driver<E> {
         if let Some(writer) = lease.filter(|writer| !writer.is_empty()) {
             self.set_writer(Some(writer));
         }
-        if self.differs_from_lease() {
-            self.must_align = true;
-        }
         let rank = (*self.rank.borrow())?;
         let patience = match &entry {
             // A new map waits for nobody but those before.
@@ -259,12 +267,26 @@ impl<E: Engine> Driver<E> {
         self.lease_watch.may_take(&self.settings.member, patience, now)
     }
 
-    /// Whether the writer says that the log has another record where the own log has one.
-    fn differs_from_lease(&self) -> bool {
+    /// Whether the stream ends where this daemon has read it to, and with the record that this daemon has there.
+    pub(super) async fn probe(&mut self) -> Result<Probe, CompareError> {
+        let ends = self.engine.ends(&self.settings.stream).await?;
+        if ends.last < self.last_sequence {
+            return Ok(Probe::Lost);
+        }
+        if ends.last > self.last_sequence {
+            return Ok(Probe::More);
+        }
         let own = self.shared.log.end();
-        let Some((_, lease)) = self.lease_watch.lease() else { return false };
-        // Behind the own end, the next message tells.
-        lease.position > 0 && lease.position == own.position && lease.chain != own.chain
+        if ends.last > 0 && ends.first <= ends.last && self.probed_stamp != Some((own, ends.stamp)) {
+            let last = self.part_at(ends.last).await?;
+            if last.is_last() && last.after != own || !last.is_last() && last.before != own {
+                return Ok(Probe::Lost);
+            }
+            self.probed_stamp = Some((own, ends.stamp));
+        }
+        self.trouble(None);
+        self.heard_of(own.position, self.epoch);
+        Ok(Probe::End)
     }
 
     /// Reads the log as others append to it.
@@ -297,21 +319,14 @@ impl<E: Engine> Driver<E> {
             let now = Instant::now();
             if probed.is_none_or(|probed| now.saturating_duration_since(probed) >= PROBE) {
                 probed = Some(now);
-                match self.engine.ends(&stream).await {
-                    Ok(ends) if ends.last < self.last_sequence => return Next::Align,
-                    Ok(ends) if ends.last == self.last_sequence => {
-                        self.trouble(None);
-                        self.heard_of(self.shared.log.end().position, self.epoch);
-                    }
-                    Ok(_) => {}
+                match self.probe().await {
+                    Ok(Probe::Lost) => return Next::Align,
+                    Ok(Probe::End) | Ok(Probe::More) => {}
                     Err(error) => self.trouble(Some(error.to_string())),
                 }
             }
             if let Some(revision) = self.look_at_lease().await {
                 return Next::TakeOver(revision);
-            }
-            if std::mem::take(&mut self.must_align) {
-                return Next::Align;
             }
         }
         Next::Stop

@@ -39,7 +39,7 @@ pub(super) struct LeaseTerms {
 pub(super) struct LeaseKeeper {
     is_lost: watch::Receiver<bool>,
     revision: Arc<AtomicU64>,
-    epoch: Arc<AtomicU64>,
+    epoch: u64,
     shared: Arc<Shared>,
     key: String,
     member: String,
@@ -53,12 +53,6 @@ impl Drop for LeaseKeeper {
     }
 }
 
-/// As the lease says it: the daemon, and how far its log goes.
-fn lease_of(shared: &Shared, member: &str, epoch: u64, counter: u64) -> Lease {
-    let end = shared.log.end();
-    Lease { writer: member.to_owned(), epoch, counter, position: end.position, chain: end.chain, successor: None }
-}
-
 impl LeaseKeeper {
     /// Keeps the lease that has this revision since `taken`.
     pub(super) fn start<E: Engine>(
@@ -70,8 +64,8 @@ impl LeaseKeeper {
     ) -> LeaseKeeper {
         let (lost, is_lost) = watch::channel(false);
         let LeaseTerms { key, member, epoch, lasts } = terms;
-        let (revision, epoch) = (Arc::new(AtomicU64::new(revision)), Arc::new(AtomicU64::new(epoch)));
-        let (known, of_epoch) = (Arc::clone(&revision), Arc::clone(&epoch));
+        let revision = Arc::new(AtomicU64::new(revision));
+        let known = Arc::clone(&revision);
         let (own_key, own_member, own_shared) = (key.clone(), member.clone(), Arc::clone(&shared));
         // Others wait for all of it, from a moment on that is later.
         let is_current_for = lasts * 3 / 4;
@@ -81,7 +75,7 @@ impl LeaseKeeper {
                 sleep(lasts / 4).await;
                 let begun = Instant::now();
                 let expected = known.load(Ordering::Acquire);
-                let lease = lease_of(&shared, &member, of_epoch.load(Ordering::Acquire), counter);
+                let lease = Lease { writer: member.clone(), epoch, counter, successor: None };
                 match engine.set_if(Bucket::Writers, &key, expected, lease.encode()).await {
                     Ok(revision) => {
                         known.store(revision, Ordering::Release);
@@ -107,12 +101,7 @@ impl LeaseKeeper {
 
     /// The epoch that the lease claims.
     pub(super) fn epoch(&self) -> u64 {
-        self.epoch.load(Ordering::Acquire)
-    }
-
-    /// From now on the lease says this epoch.
-    pub(super) fn tell_epoch(&self, epoch: u64) {
-        self.epoch.store(epoch, Ordering::Release);
+        self.epoch
     }
 
     /// Whether somebody else has the lease.
@@ -129,7 +118,7 @@ impl LeaseKeeper {
     pub(super) async fn give_back<E: Engine>(self, engine: &E, successor: Option<String>) {
         self.task.abort();
         self.shared.set_current_until(None);
-        let lease = Lease { successor, ..lease_of(&self.shared, "", self.epoch(), 0) };
+        let lease = Lease { writer: String::new(), epoch: self.epoch(), counter: 0, successor };
         for _ in 0..2 {
             let expected = self.revision.load(Ordering::Acquire);
             match engine.set_if(Bucket::Writers, &self.key, expected, lease.encode()).await {

@@ -161,7 +161,11 @@ impl<E: Engine> Driver<E> {
 
     /// Appends the record of the epoch. `None`: somebody else has appended, or it could not be written here.
     async fn append_epoch(&mut self, keeper: &LeaseKeeper) -> Result<Option<Next>, CompareError> {
-        let epoch = keeper.epoch().max(self.epoch + 1);
+        let epoch = keeper.epoch();
+        if epoch <= self.epoch {
+            // Another daemon has written in the epoch that this one has claimed: it has the lease.
+            return Ok(Some(Next::Align));
+        }
         let event = Event::Epoch(Epoch {
             epoch,
             writer: self.settings.member.clone(),
@@ -199,7 +203,6 @@ impl<E: Engine> Driver<E> {
             return Ok(if self.is_stopping() { Some(Next::Stop) } else { None });
         }
         self.epoch = epoch;
-        keeper.tell_epoch(epoch);
         self.heard_of(records.after.position, epoch);
         self.tell_followed(vec![(records.after.position, event)]).await;
         self.set_writer(Some(self.settings.member.clone()));

@@ -11,7 +11,7 @@ use std::{
 
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::event::Event;
-use tidemap_store::{EventLog as _, Fork, simulation::SimulatedDisk};
+use tidemap_store::{Fork, simulation::SimulatedDisk};
 use tokio::{
     sync::oneshot,
     time::{Instant, sleep, timeout},

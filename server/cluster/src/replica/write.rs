@@ -9,7 +9,7 @@ use tokio::{sync::oneshot, time::sleep};
 
 use super::{
     Order, ReplicaEvent, ReplicaRole,
-    driver::{Driver, Next, PROBE},
+    driver::{Driver, Next, PROBE, Probe},
     lease_keeper::LeaseKeeper,
     send::Sent,
 };
@@ -125,14 +125,10 @@ impl<E: Engine> Driver<E> {
             () = keeper.lost() => return None,
             () = sleep(PROBE) => {}
         }
-        match self.engine.ends(&self.settings.stream).await {
-            Ok(ends) if ends.last == self.last_sequence => {
-                self.trouble(None);
-                self.heard_of(self.shared.log.end().position, self.epoch);
-                None
-            }
+        match self.probe().await {
+            Ok(Probe::End) => None,
             // Forgotten, or somebody else has appended.
-            Ok(_) => Some(Next::Align),
+            Ok(Probe::More | Probe::Lost) => Some(Next::Align),
             Err(error) => {
                 self.trouble(Some(error.to_string()));
                 None

@@ -23,8 +23,8 @@ pub enum EngineFault {
     Full,
     /// A stream forgets its last messages, and gives their numbers again.
     Amnesia,
-    /// For a while the client of a call has a stream of its own, which acknowledges and is then forgotten; the others go
-    /// on with theirs.
+    /// For a while the client of a call has a stream of its own, which acknowledges and is then forgotten; the others
+    /// go on with theirs.
     Split,
     /// A server stops for a while. The streams that it leads have no leader until one is elected.
     ServerStopped,

@@ -43,7 +43,9 @@ impl Numbered {
     /// The ends as a server knows them that has the messages up to `held`.
     pub(super) fn ends(&self, held: u64) -> StreamEnds {
         let last = self.last().min(held);
-        StreamEnds { first: self.first.min(last + 1), last }
+        let content = self.get(last).and_then(|kept| kept.content.as_ref());
+        let stamp = content.map_or(0, |content| u64::from(crc32c::crc32c(content)));
+        StreamEnds { first: self.first.min(last + 1), last, stamp }
     }
 
     pub(super) fn push(&mut self, kept: Kept) -> u64 {
@@ -89,7 +91,7 @@ impl Numbered {
 }
 
 /// A stream that one client has for itself.
-pub(super) struct Side {
+pub(super) struct SplitSide {
     pub(super) client: String,
     pub(super) numbered: Numbered,
     pub(super) until: Instant,
@@ -105,7 +107,7 @@ pub(super) struct SimulatedStream {
     pub(super) held: [u64; SERVERS],
     pub(super) leaderless_until: Instant,
     pub(super) full_until: Option<Instant>,
-    pub(super) side: Option<Side>,
+    pub(super) side: Option<SplitSide>,
 }
 
 impl SimulatedStream {

@@ -14,7 +14,7 @@ use tokio::time::Instant;
 
 use super::{
     faults::{EngineFault, EngineFaults, draw},
-    stream::{Kept, SERVERS, Side, SimulatedStream},
+    stream::{Kept, SERVERS, SimulatedStream, SplitSide},
 };
 use crate::engine::{EngineError, Message};
 
@@ -41,7 +41,7 @@ pub struct PlantedDefects {
 }
 
 /// What happens to a request and its reply.
-pub(super) struct Passage {
+pub(super) struct UnderWay {
     /// How long the request is under way; `None`: it never arrives.
     pub(super) out: Option<Duration>,
     /// How long the reply is under way; `None`: it never arrives.
@@ -135,12 +135,12 @@ impl EngineWorld {
     }
 
     /// Draws what happens to the next call of a client, and lets the faults begin that it meets.
-    pub(super) fn passage(&mut self, name: &str, patience: Duration) -> Passage {
+    pub(super) fn passage(&mut self, name: &str, patience: Duration) -> UnderWay {
         let chances = self.faults.chances.clone();
         let drawn: Vec<EngineFault> =
             chances.iter().filter(|&&(_, chance)| self.rng.random_bool(chance)).map(|&(fault, _)| fault).collect();
         let planned = self.client(name).next.pop_front();
-        let mut passage = Passage {
+        let mut passage = UnderWay {
             out: Some(draw(&mut self.rng, &self.faults.delay)),
             back: Some(draw(&mut self.rng, &self.faults.delay)),
             is_refused: false,
@@ -253,7 +253,7 @@ impl EngineWorld {
     pub(super) fn split(&mut self, name: &str, client: &str, until: Instant) {
         if let Some(stream) = self.streams.get_mut(name).filter(|stream| stream.side.is_none()) {
             let numbered = stream.numbered.clone();
-            stream.side = Some(Side { client: client.to_owned(), numbered, until });
+            stream.side = Some(SplitSide { client: client.to_owned(), numbered, until });
             self.note(&format!("{name} is split: {client} has its own"));
             self.count(EngineFault::Split);
         }

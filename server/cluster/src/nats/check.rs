@@ -1,0 +1,159 @@
+//! Whether the servers are what tidemap relies on.
+//!
+//! Older servers take two messages at one position: nats-server 2.9.10 let two writers append after the same message.
+//!
+//! Invariant: a server that does not say something is not taken to be right.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use bytes::Bytes;
+use serde::Deserialize;
+use tokio::time::{Instant, timeout_at};
+use tokio_stream::StreamExt;
+
+use super::{HEADER_BYTES_MAX, NatsEngine, calls::NatsCalls};
+use crate::engine::{Engine, EngineError, EngineServer, MESSAGE_BYTES_MAX};
+
+/// The oldest version of the server that is known to keep the order of appends.
+pub const VERSION_LEAST: (u64, u64, u64) = (2, 15, 1);
+
+/// Answered by every server, where the account may ask.
+const VARZ: &str = "$SYS.REQ.SERVER.PING.VARZ";
+
+/// How long servers may take to say what they are.
+const PATIENCE: Duration = Duration::from_millis(300);
+
+/// Why the engine cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NatsCheckError {
+    /// A server is too old.
+    #[error(
+        "nats-server {server} has version {version}; {}.{}.{} is the oldest that may be used: older ones can let two \
+         writers append at one position", VERSION_LEAST.0, VERSION_LEAST.1, VERSION_LEAST.2
+    )]
+    Version {
+        /// The server's name.
+        server: String,
+        /// The version that it has.
+        version: String,
+    },
+    /// A server acknowledges before it has made a message durable.
+    #[error(
+        "nats-server {server} acknowledges before it writes to the disk: set `sync_interval: always` in `jetstream`"
+    )]
+    NotSynced {
+        /// The server's name.
+        server: String,
+    },
+    /// A server takes no messages that are as large as tidemap's.
+    #[error("nats-server {server} takes messages of at most {bytes} bytes: set `max_payload: 2MB`")]
+    Payload {
+        /// The server's name.
+        server: String,
+        /// The limit that it has.
+        bytes: usize,
+    },
+    /// The servers could not be asked.
+    #[error(transparent)]
+    Engine(#[from] EngineError),
+}
+
+#[derive(Deserialize)]
+struct Varz {
+    server: VarzServer,
+    #[serde(default)]
+    data: VarzData,
+}
+
+#[derive(Deserialize)]
+struct VarzServer {
+    name: String,
+    ver: String,
+}
+
+#[derive(Default, Deserialize)]
+struct VarzData {
+    #[serde(default)]
+    jetstream: VarzJetStream,
+}
+
+#[derive(Default, Deserialize)]
+struct VarzJetStream {
+    config: Option<VarzConfig>,
+}
+
+#[derive(Deserialize)]
+struct VarzConfig {
+    #[serde(default)]
+    sync_always: bool,
+}
+
+/// All servers that answer; at least the one that the client is connected to.
+pub(super) async fn servers(calls: &NatsCalls) -> Vec<EngineServer> {
+    let own = calls.server();
+    let own = EngineServer { name: own.server_name, version: own.version, syncs_always: None };
+    let mut found = BTreeMap::from([(own.name.clone(), own)]);
+    for varz in ping(calls).await {
+        let syncs_always = varz.data.jetstream.config.map(|config| config.sync_always);
+        let server = EngineServer { name: varz.server.name, version: varz.server.ver, syncs_always };
+        found.insert(server.name.clone(), server);
+    }
+    found.into_values().collect()
+}
+
+/// What the servers say of themselves, where this client's account may ask them.
+async fn ping(calls: &NatsCalls) -> Vec<Varz> {
+    let client = calls.client();
+    let inbox = client.new_inbox();
+    let mut found = Vec::new();
+    let Ok(mut replies) = client.subscribe(inbox.clone()).await else { return found };
+    if client.publish_with_reply(VARZ, inbox, Bytes::new()).await.is_err() {
+        return found;
+    }
+    let deadline = Instant::now() + PATIENCE.max(calls.request_time_out().min(2 * PATIENCE));
+    while let Ok(Some(reply)) = timeout_at(deadline, replies.next()).await {
+        match serde_json::from_slice(&reply.payload) {
+            Ok(varz) => found.push(varz),
+            // Nobody listens.
+            Err(_) => break,
+        }
+    }
+    found
+}
+
+/// Whether a version is at least [`VERSION_LEAST`]. What comes after the numbers, as in `2.16.0-beta`, does not count.
+fn is_new_enough(version: &str) -> bool {
+    let mut numbers = version.trim_start_matches('v').splitn(3, '.').map(|part| {
+        let digits = part.split(|character: char| !character.is_ascii_digit()).next().unwrap_or_default();
+        digits.parse::<u64>().ok()
+    });
+    let mut next = || numbers.next().flatten();
+    match (next(), next(), next()) {
+        (Some(major), Some(minor), Some(patch)) => (major, minor, patch) >= VERSION_LEAST,
+        _ => false,
+    }
+}
+
+/// Checks the servers before the first call. Where a server does not say whether it makes messages durable before it
+/// acknowledges them, that is logged. Returns what the servers say.
+pub async fn check(engine: &NatsEngine, require_synced: bool) -> Result<Vec<EngineServer>, NatsCheckError> {
+    let servers = engine.servers().await?;
+    for server in &servers {
+        if !is_new_enough(&server.version) {
+            return Err(NatsCheckError::Version { server: server.name.clone(), version: server.version.clone() });
+        }
+        match server.syncs_always {
+            Some(false) if require_synced => return Err(NatsCheckError::NotSynced { server: server.name.clone() }),
+            None => tracing::warn!(
+                server = server.name,
+                "the engine's server does not say whether it has sync_interval: always; its account may not ask {VARZ}"
+            ),
+            _ => {}
+        }
+    }
+    let own = engine.calls.server();
+    if own.max_payload < MESSAGE_BYTES_MAX + HEADER_BYTES_MAX {
+        return Err(NatsCheckError::Payload { server: own.server_name, bytes: own.max_payload });
+    }
+    Ok(servers)
+}

@@ -1,0 +1,166 @@
+//! Reading a stream from a number on: a consumer per stream stays open between calls, so that the next message comes
+//! without a request.
+//!
+//! At most [`PULLED_BYTES_MAX`] bytes and [`PULLED_MESSAGES_MAX`] messages are asked for at once: the server stalls on
+//! larger pulls.
+//!
+//! Invariant: messages are returned in order and without a gap from the number that was asked for. A consumer that
+//! gives another one is thrown away.
+
+use std::{collections::HashMap, sync::Arc, time::Duration};
+
+use async_nats::{
+    error::Error,
+    jetstream::{
+        self,
+        consumer::{AckPolicy, DeliverPolicy, pull},
+        stream::ConsumerErrorKind,
+    },
+};
+use tokio::{
+    sync::Mutex,
+    time::{Instant, timeout_at},
+};
+use tokio_stream::StreamExt;
+
+use super::calls::{NatsCalls, from_api};
+use crate::engine::{EngineError, Message};
+
+/// Bytes of one pull. The next one is sent when half of them have come.
+const PULLED_BYTES_MAX: usize = 4 << 20;
+
+/// Messages of one pull.
+const PULLED_MESSAGES_MAX: usize = 256;
+
+/// How long the server keeps a consumer that nobody reads.
+const LINGERS: Duration = Duration::from_secs(30);
+
+/// How often the server says that a consumer is alive; without two of these it is given up.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+
+/// How long a pull waits for messages.
+const EXPIRES: Duration = Duration::from_secs(20);
+
+/// An open consumer.
+struct Follow {
+    messages: pull::Stream,
+    next: u64,
+    /// A message that had no room in the reply before.
+    left: Option<Message>,
+}
+
+/// The streams that an engine follows.
+#[derive(Default)]
+pub(super) struct FollowedStreams {
+    streams: Mutex<HashMap<String, Arc<Mutex<Option<Follow>>>>>,
+}
+
+impl FollowedStreams {
+    pub(super) async fn forget(&self, stream: &str) {
+        self.streams.lock().await.remove(stream);
+    }
+
+    /// The messages of a stream from a number on; `name` is the stream's name in JetStream.
+    pub(super) async fn read_from(
+        &self,
+        calls: &NatsCalls,
+        stream: &str,
+        name: &str,
+        sequence: u64,
+        bytes_max: usize,
+        patience: Duration,
+    ) -> Result<Vec<Message>, EngineError> {
+        let deadline = Instant::now() + patience;
+        let slot = Arc::clone(self.streams.lock().await.entry(stream.to_owned()).or_default());
+        let Ok(mut slot) = timeout_at(deadline, slot.lock()).await else { return Ok(Vec::new()) };
+        // What is in the slot while this call waits is lost with it where its caller gives up: it is opened again.
+        let open = slot.take().filter(|follow| follow.next == sequence);
+        let mut follow = match open {
+            Some(follow) => follow,
+            None => match timeout_at(deadline, open_at(calls, name, sequence)).await {
+                Ok(follow) => follow?,
+                Err(_) => return Ok(Vec::new()),
+            },
+        };
+        let (messages, is_sound) = follow.take(bytes_max, deadline).await;
+        if is_sound {
+            *slot = Some(follow);
+        } else if messages.is_empty() {
+            // The reason: no connection, or no stream any more.
+            calls.check_connection()?;
+        }
+        Ok(messages)
+    }
+}
+
+impl Follow {
+    /// What is there up to a number of bytes, and whether the consumer can be used again. Waits for the first message.
+    async fn take(&mut self, bytes_max: usize, deadline: Instant) -> (Vec<Message>, bool) {
+        let mut messages: Vec<Message> = Vec::new();
+        let mut bytes = 0;
+        loop {
+            let message = match self.left.take() {
+                Some(message) => message,
+                None => {
+                    // After the first one, only what has come already.
+                    let until = if messages.is_empty() { deadline } else { Instant::now() };
+                    match timeout_at(until, self.messages.next()).await {
+                        Err(_) => return (messages, true),
+                        Ok(Some(Ok(message))) => match message_of(message) {
+                            Some(message) if message.sequence == self.next => message,
+                            _ => return (messages, false),
+                        },
+                        Ok(Some(Err(error))) => {
+                            tracing::debug!(%error, "a consumer ends");
+                            return (messages, false);
+                        }
+                        Ok(None) => return (messages, false),
+                    }
+                }
+            };
+            bytes += message.content.len();
+            if bytes > bytes_max && !messages.is_empty() {
+                self.left = Some(message);
+                return (messages, true);
+            }
+            self.next = message.sequence + 1;
+            messages.push(message);
+        }
+    }
+}
+
+fn message_of(message: jetstream::Message) -> Option<Message> {
+    let sequence = message.info().ok()?.stream_sequence;
+    Some(Message { sequence, content: message.message.payload })
+}
+
+async fn open_at(calls: &NatsCalls, name: &str, sequence: u64) -> Result<Follow, EngineError> {
+    calls.check_connection()?;
+    let config = pull::Config {
+        deliver_policy: DeliverPolicy::ByStartSequence { start_sequence: sequence.max(1) },
+        ack_policy: AckPolicy::None,
+        memory_storage: true,
+        num_replicas: 1,
+        inactive_threshold: LINGERS,
+        ..pull::Config::default()
+    };
+    let consumer = calls.context().create_consumer_on_stream(config, name).await;
+    let consumer = consumer.map_err(|error| from_consumer(&error))?;
+    let pulls = consumer.stream().max_messages_per_batch(PULLED_MESSAGES_MAX).max_bytes_per_batch(PULLED_BYTES_MAX);
+    let messages = pulls.heartbeat(HEARTBEAT).expires(EXPIRES).messages().await;
+    let messages = messages.map_err(|error| EngineError::Unknown(error.to_string()))?;
+    Ok(Follow { messages, next: sequence, left: None })
+}
+
+/// Why a consumer could not be made. None that was made without our knowledge harms.
+pub(super) fn from_consumer(error: &Error<ConsumerErrorKind>) -> EngineError {
+    match error.kind() {
+        ConsumerErrorKind::JetStream(reason) => from_api(&reason),
+        _ => EngineError::Unknown(error.to_string()),
+    }
+}
+
+/// Why messages could not be pulled.
+pub(super) fn from_batch(error: &pull::BatchError) -> EngineError {
+    EngineError::Unknown(error.to_string())
+}

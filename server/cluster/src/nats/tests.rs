@@ -1,0 +1,263 @@
+//! The engine NATS on real servers: it behaves as an engine, keeps what it has acknowledged when a leader is killed,
+//! and maps errors exactly. Skipped where nats-server is missing.
+//!
+//! Invariant: no server outlives its test, and no time is asserted.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use bytes::Bytes;
+use tokio::{
+    io::{AsyncReadExt, AsyncWriteExt},
+    net::TcpListener,
+    time::{Instant, sleep},
+};
+
+use super::*;
+use crate::{engine::tests::behaves, nats_process::NatsServers};
+
+const STREAM: &str = "tm_a";
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// The settings of a test, which waits longer than a daemon for a machine that is busy.
+fn patient(mut settings: NatsSettings) -> NatsSettings {
+    settings.request_time_out = PATIENCE;
+    settings
+}
+
+async fn connect(settings: NatsSettings) -> NatsEngine {
+    NatsEngine::connect(settings).await.expect("a connection")
+}
+
+fn bytes(text: &str) -> Bytes {
+    Bytes::copy_from_slice(text.as_bytes())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn three_servers_behave_as_an_engine() {
+    let servers = match NatsServers::start(3).await {
+        Ok(servers) => servers,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let (first, second) = (connect(patient(servers.settings())).await, connect(patient(servers.settings())).await);
+    behaves(first.clone(), second, 3).await;
+    let checked = check(&first, true).await.expect("servers that can be used");
+    let says: Vec<_> = checked.iter().map(|server| (server.name.as_str(), server.syncs_always)).collect();
+    assert_eq!(says, [("nats-0", Some(true)), ("nats-1", Some(true)), ("nats-2", Some(true))]);
+    // The largest message goes in, and comes back on both ways.
+    let largest = Bytes::from(vec![7; MESSAGE_BYTES_MAX]);
+    first.create_stream("tm_large", 3).await.expect("create");
+    assert_eq!(first.append_if("tm_large", 0, largest.clone(), PATIENCE).await, Ok(1));
+    assert_eq!(first.read("tm_large", 1).await.expect("read").expect("a message").content, largest);
+    assert_eq!(first.read_from("tm_large", 1, 1 << 20, PATIENCE).await.expect("read")[0].content, largest);
+    // Another cluster on the same servers has streams and keys of its own.
+    let mut other = patient(servers.settings());
+    "other".clone_into(&mut other.cluster);
+    let other = connect(other).await;
+    assert_eq!(other.ends("tm_large").await, Err(EngineError::Missing("stream".to_owned())));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_server_behaves_as_an_engine_and_is_checked() {
+    let servers = match NatsServers::start_unsynced(1).await {
+        Ok(servers) => servers,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let engine = connect(patient(servers.settings())).await;
+    behaves(engine.clone(), connect(patient(servers.settings())).await, 1).await;
+    let unsynced = NatsCheckError::NotSynced { server: "nats-0".to_owned() };
+    assert_eq!(check(&engine, true).await, Err(unsynced));
+    assert_eq!(check(&engine, false).await.expect("allowed").len(), 1);
+    // One server cannot hold three replicas.
+    let outcome = engine.create_stream("tm_three", 3).await;
+    assert!(matches!(outcome, Err(EngineError::Refused(_))), "{outcome:?}");
+    let outcome = engine.set(Bucket::Maps, "no key", bytes("1")).await;
+    assert!(matches!(outcome, Err(EngineError::Refused(_))), "{outcome:?}");
+    let too_large = engine.append_if("tm_read", 4, Bytes::from(vec![0; MESSAGE_BYTES_MAX + 1]), PATIENCE).await;
+    assert!(matches!(too_large, Err(AppendIfError::Engine(EngineError::Refused(_)))), "{too_large:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn errors_say_what_is_known_of_the_effect() {
+    let mut servers = match NatsServers::start(1).await {
+        Ok(servers) => servers,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let mut settings = patient(servers.settings());
+    settings.stream_bytes_max = Some(100_000);
+    let engine = connect(settings).await;
+    engine.create_stream(STREAM, 1).await.expect("create");
+    let content = Bytes::from(vec![0; 30_000]);
+    let mut last = 0;
+    let full = loop {
+        match engine.append_if(STREAM, last, content.clone(), PATIENCE).await {
+            Ok(sequence) => last = sequence,
+            Err(error) => break error,
+        }
+    };
+    assert!(matches!(full, AppendIfError::Engine(EngineError::Full(_))), "{full:?}");
+    assert_eq!((last, engine.ends(STREAM).await.expect("ends").last), (3, 3));
+    // Room is made by a purge.
+    engine.purge_before(STREAM, 3).await.expect("purge");
+    assert_eq!(engine.append_if(STREAM, 3, content, PATIENCE).await, Ok(4));
+
+    let mut guest = servers.settings_as("guest");
+    guest.request_time_out = Duration::from_secs(1);
+    let guest = connect(guest).await;
+    let refused = guest.append_if(STREAM, 4, bytes("x"), Duration::from_secs(1)).await;
+    assert!(matches!(refused, Err(AppendIfError::Engine(EngineError::Refused(_)))), "{refused:?}");
+    let stranger = NatsEngine::connect(servers.settings_as("stranger")).await.err();
+    assert!(matches!(stranger, Some(EngineError::Refused(_))), "{stranger:?}");
+
+    // A server that stands still may have taken the message.
+    servers.signal(0, "STOP");
+    let unknown = engine.append_if(STREAM, 4, bytes("b"), Duration::from_millis(300)).await;
+    assert!(matches!(unknown, Err(AppendIfError::Engine(EngineError::Unknown(_)))), "{unknown:?}");
+    servers.signal(0, "CONT");
+    // The repetition with the same expectation succeeds or is refused, and one message is there in the end.
+    let again = engine.append_if(STREAM, 4, bytes("b"), PATIENCE).await;
+    assert!(matches!(again, Ok(5) | Err(AppendIfError::NotExpected)), "{again:?}");
+    assert_eq!(engine.ends(STREAM).await.expect("ends").last, 5);
+
+    // Without a server a call has no effect, once the client knows.
+    servers.kill(0);
+    let unavailable = loop {
+        match engine.append_if(STREAM, 5, bytes("c"), Duration::from_millis(300)).await {
+            Err(AppendIfError::Engine(EngineError::Unknown(_))) => {}
+            outcome => break outcome,
+        }
+    };
+    assert!(matches!(unavailable, Err(AppendIfError::Engine(EngineError::Unavailable(_)))), "{unavailable:?}");
+    servers.run(0);
+    // It comes back by itself.
+    while engine.ends(STREAM).await.is_err() {
+        sleep(Duration::from_millis(50)).await;
+    }
+    assert_eq!(engine.read(STREAM, 5).await.expect("read").expect("a message").content, bytes("b"));
+    let nobody = NatsEngine::connect(NatsSettings::new(vec!["nats://127.0.0.1:1".to_owned()])).await.err();
+    assert!(matches!(nobody, Some(EngineError::Unavailable(_))), "{nobody:?}");
+}
+
+/// Appends until a number of messages is acknowledged, as a writer does: what is unknown is found out.
+async fn write(engine: &NatsEngine, count: u64, acknowledged: &mut BTreeMap<u64, String>) -> Duration {
+    let mut longest = Duration::ZERO;
+    let mut last_success = Instant::now();
+    let mut last = acknowledged.keys().last().copied().unwrap_or_default();
+    let goal = last + count;
+    while last < goal {
+        let content = format!("message {}", last + 1);
+        match engine.append_if(STREAM, last, bytes(&content), Duration::from_millis(500)).await {
+            Ok(sequence) => {
+                assert_eq!(sequence, last + 1);
+            }
+            // The only writer: it had got in.
+            Err(AppendIfError::NotExpected) => match engine.read(STREAM, last + 1).await {
+                Ok(Some(message)) => assert_eq!(message.content, bytes(&content)),
+                Ok(None) => panic!("the stream refuses {}, and does not have it", last + 1),
+                Err(_) => continue,
+            },
+            Err(AppendIfError::Engine(EngineError::Unknown(_))) => continue,
+            Err(AppendIfError::Engine(EngineError::Unavailable(_))) => {
+                sleep(Duration::from_millis(20)).await;
+                continue;
+            }
+            Err(error) => panic!("{error:?}"),
+        }
+        last += 1;
+        acknowledged.insert(last, content);
+        longest = longest.max(last_success.elapsed());
+        last_success = Instant::now();
+    }
+    longest
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_killed_leader_loses_nothing_and_appends_come_back() {
+    let mut servers = match NatsServers::start(3).await {
+        Ok(servers) => servers,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let engine = connect(servers.settings()).await;
+    engine.create_stream(STREAM, 3).await.expect("create");
+    let mut acknowledged = BTreeMap::new();
+    // A follower that goes on through all of it.
+    let follower = engine.clone();
+    let following = tokio::spawn(async move {
+        let mut next = 1;
+        while next <= 150 {
+            match follower.read_from(STREAM, next, 1 << 20, Duration::from_secs(1)).await {
+                Ok(messages) => {
+                    for message in messages {
+                        assert_eq!((message.sequence, message.content), (next, bytes(&format!("message {next}"))));
+                        next += 1;
+                    }
+                }
+                Err(EngineError::Unknown(_) | EngineError::Unavailable(_)) => sleep(Duration::from_millis(20)).await,
+                Err(error) => panic!("{error:?}"),
+            }
+        }
+    });
+    write(&engine, 50, &mut acknowledged).await;
+    for _ in 0..2 {
+        let leader = loop {
+            match engine.health(STREAM).await {
+                Ok(StreamHealth { leader: Some(leader), .. }) => break leader,
+                _ => sleep(Duration::from_millis(50)).await,
+            }
+        };
+        let index = servers.index(&leader).expect("a server of the cluster");
+        servers.kill(index);
+        let longest = write(&engine, 50, &mut acknowledged).await;
+        println!("kill -9 of the leader {leader}: {longest:.1?} without appends");
+        servers.run(index);
+        // The expected number holds whoever leads.
+        let refused = engine.append_if(STREAM, 1, bytes("x"), PATIENCE).await;
+        assert_eq!(refused, Err(AppendIfError::NotExpected));
+    }
+    following.await.expect("the follower");
+    let ends = engine.ends(STREAM).await.expect("ends");
+    assert_eq!((ends.first, ends.last), (1, 150));
+    for (sequence, content) in acknowledged {
+        let message = engine.read(STREAM, sequence).await.expect("read").expect("what was acknowledged");
+        assert_eq!(message.content, bytes(&content));
+    }
+}
+
+/// A server that says that it has a version, and answers pings only.
+async fn pretend(listener: TcpListener, version: &'static str) {
+    while let Ok((mut connection, _)) = listener.accept().await {
+        tokio::spawn(async move {
+            let info = format!(
+                "INFO {{\"server_id\":\"A\",\"server_name\":\"old\",\"version\":\"{version}\",\"proto\":1,\
+                 \"headers\":true,\"max_payload\":2097152,\"jetstream\":true}}\r\n"
+            );
+            connection.write_all(info.as_bytes()).await.expect("write");
+            let mut buffer = [0; 4096];
+            while let Ok(read @ 1..) = connection.read(&mut buffer).await {
+                let pings = buffer[..read].windows(4).filter(|window| window == b"PING").count();
+                for _ in 0..pings {
+                    connection.write_all(b"PONG\r\n").await.expect("write");
+                }
+            }
+        });
+    }
+}
+
+#[tokio::test]
+async fn a_server_that_is_too_old_is_refused() {
+    for (version, is_refused) in
+        [("2.9.10", true), ("2.15.0", true), ("junk", true), ("2.15.1", false), ("3.0.0", false)]
+    {
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        let address = listener.local_addr().expect("an address");
+        let server = tokio::spawn(pretend(listener, version));
+        let engine = connect(NatsSettings::new(vec![format!("nats://{address}")])).await;
+        let outcome = check(&engine, true).await;
+        if is_refused {
+            let expected = NatsCheckError::Version { server: "old".to_owned(), version: version.to_owned() };
+            assert_eq!(outcome, Err(expected));
+        } else {
+            assert_eq!(outcome.expect("new enough")[0].syncs_always, None, "{version}");
+        }
+        server.abort();
+    }
+}
