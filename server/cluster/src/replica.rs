@@ -131,6 +131,22 @@ pub struct ReplicaSettings {
     pub patience: Duration,
     /// Whether the disk is worked on by the thread of the replica itself, for a simulation.
     pub disk_inline: bool,
+    /// A defect that a test must catch.
+    #[cfg(test)]
+    pub planted: Planted,
+}
+
+/// Defects that tests must catch.
+#[cfg(test)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Planted {
+    /// None.
+    #[default]
+    Nothing,
+    /// A group is acknowledged that is not durable on the writer's own disk.
+    AckBeforeSync,
+    /// A writer begins without the record of its epoch.
+    NoEpoch,
 }
 
 impl ReplicaSettings {

@@ -17,10 +17,10 @@ use tokio::{
     time::{Instant, sleep, timeout},
 };
 
-use super::ReplicaRole;
+use super::{Planted, ReplicaRole};
 use crate::{
     engine::Engine as _,
-    simulated::{EngineFaults, Simulation},
+    simulated::{EngineFaults, PlantedDefects, Simulation},
 };
 
 mod daemon;
@@ -39,25 +39,27 @@ struct Seen {
     /// By producer: the highest number that was acknowledged.
     acknowledged: BTreeMap<String, u64>,
     violations: Vec<String>,
-    /// What daemons said, with their times.
-    log: Vec<String>,
+    /// By epoch: the position from which on it was written.
+    begins: BTreeMap<u64, u64>,
 }
 
 impl Seen {
-    fn note(&mut self, text: String) {
-        self.log.push(text);
-    }
-
-    fn writes(&mut self, name: &str, epoch: u64) {
+    fn writes(&mut self, name: &str, epoch: u64, position: u64) {
         let other = self.writers.entry(epoch).or_insert_with(|| name.to_owned());
         if other != name {
             self.violations.push(format!("{other} and {name} both wrote in epoch {epoch}"));
         }
+        self.begins.insert(epoch, position);
     }
 
-    fn acknowledged(&mut self, producer: &str, sequence: u64) {
+    fn acknowledged(&mut self, producer: &str, sequence: u64, epoch: u64, position: u64) {
         let known = self.acknowledged.entry(producer.to_owned()).or_default();
         *known = sequence.max(*known);
+        if let Some((newer, begin)) = self.begins.range(epoch + 1..).find(|&(_, &begin)| begin < position) {
+            let text =
+                format!("position {position} was acknowledged in epoch {epoch}, and epoch {newer} began at {begin}");
+            self.violations.push(text);
+        }
     }
 }
 
@@ -86,6 +88,7 @@ struct World {
     machines: Vec<Machine>,
     seen: Arc<Mutex<Seen>>,
     random: SmallRng,
+    planted: Planted,
 }
 
 impl World {
@@ -107,22 +110,22 @@ impl World {
             machines: (0..DAEMONS).map(machine).collect(),
             seen: Arc::default(),
             random: SmallRng::seed_from_u64(seed),
+            planted: Planted::Nothing,
         }
     }
 
     fn start(&mut self, index: usize) {
-        self.seen.lock().expect("sound").note(format!("{:?} start {index}", Instant::now()));
         let machine = &mut self.machines[index];
         let (sender, forked) = oneshot::channel();
         let client = self.engine.client(&machine.name);
         let rank = index as u32;
-        machine.daemon = Some(Daemon::start(&machine.name, rank, &machine.disk, client, &self.seen, sender));
+        machine.daemon =
+            Some(Daemon::start(&machine.name, rank, &machine.disk, client, &self.seen, sender, self.planted));
         machine.forked = Some(forked);
         machine.starts = None;
     }
 
     async fn kill(&mut self, index: usize, is_power_cut: bool) {
-        self.seen.lock().expect("sound").note(format!("{:?} kill {index} power cut {is_power_cut}", Instant::now()));
         let machine = &mut self.machines[index];
         if let Some(mut daemon) = machine.daemon.take() {
             daemon.tasks.shutdown().await;
@@ -141,7 +144,6 @@ impl World {
                 continue;
             }
             let Some(common) = machine.forked.as_mut().and_then(|forked| forked.try_recv().ok()) else { continue };
-            self.seen.lock().expect("sound").note(format!("{:?} fork {index} at {common}", Instant::now()));
             let Some(mut daemon) = machine.daemon.take() else { continue };
             daemon.tasks.shutdown().await;
             machine.forks.extend(daemon.store.set_fork_aside(daemon.map, common).expect("nothing is deleted"));
@@ -233,8 +235,10 @@ impl World {
 }
 
 /// One run of faults, and what is there when they have ended.
-async fn run(seed: u64, mode: Mode) -> Result<String, String> {
+async fn run(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -> Result<String, String> {
     let mut world = World::new(seed, mode);
+    world.planted = planted;
+    world.engine.plant(defects);
     let client = world.engine.client("operator");
     while client.create_stream("tm", 3).await.is_err() || client.create_buckets(3).await.is_err() {}
     for index in 0..DAEMONS {
@@ -269,7 +273,7 @@ async fn run(seed: u64, mode: Mode) -> Result<String, String> {
     }
     let told = check(&world, mode);
     if told.is_err() && std::env::var_os("TIDEMAP_CLUSTER_SEED").is_some() {
-        println!("{}\n{:#?}", world.engine.history().join("\n"), world.seen.lock().expect("sound").log);
+        println!("{}", world.engine.history().join("\n"));
     }
     for machine in &mut world.machines {
         if let Some(mut daemon) = machine.daemon.take() {
@@ -344,9 +348,9 @@ fn check(world: &World, mode: Mode) -> Result<String, String> {
     ))
 }
 
-fn simulate(seed: u64, mode: Mode) -> Result<String, String> {
+fn simulate(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -> Result<String, String> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build().expect("made");
-    runtime.block_on(run(seed, mode))
+    runtime.block_on(run(seed, mode, planted, defects))
 }
 
 /// How many seeds are tried, and which.
@@ -362,7 +366,7 @@ fn try_seeds(mode: Mode, default: u64) {
     let seeds = seeds(default);
     let mut failed = Vec::new();
     for &seed in &seeds {
-        let told = simulate(seed, mode);
+        let told = simulate(seed, mode, Planted::Nothing, PlantedDefects::default());
         if seeds.len() == 1 {
             println!("{told:?}");
         }
@@ -375,10 +379,47 @@ fn try_seeds(mode: Mode, default: u64) {
 
 #[test]
 fn nothing_that_was_acknowledged_is_lost_by_faults_that_a_quorum_survives() {
-    try_seeds(Mode::Survivable, 200);
+    try_seeds(Mode::Survivable, 2500);
 }
 
 #[test]
 fn what_the_engine_forgets_is_appended_again_or_set_aside() {
-    try_seeds(Mode::Forgetful, 200);
+    try_seeds(Mode::Forgetful, 2500);
+}
+
+/// The first of so many seeds that shows a defect.
+#[track_caller]
+fn catch(mode: Mode, planted: Planted, defects: PlantedDefects) {
+    let caught = (1..=200).find_map(|seed| {
+        let run = std::panic::catch_unwind(|| simulate(seed, mode, planted, defects.clone()));
+        // A log that no longer fits its map stops the thread of the map.
+        match run {
+            Ok(Ok(_)) => None,
+            Ok(Err(error)) => Some(format!("seed {seed}: {error}")),
+            Err(_) => Some(format!("seed {seed}: a panic")),
+        }
+    });
+    println!("{planted:?} {defects:?} is caught by {}", caught.expect("a planted defect is caught"));
+}
+
+#[test]
+fn a_missing_fence_is_caught() {
+    let defects = PlantedDefects { ignore_expected: true, ..PlantedDefects::default() };
+    catch(Mode::Survivable, Planted::Nothing, defects);
+}
+
+#[test]
+fn an_end_of_the_log_that_is_read_from_a_server_that_lags_is_caught() {
+    let defects = PlantedDefects { stale_reads: true, ..PlantedDefects::default() };
+    catch(Mode::Survivable, Planted::Nothing, defects);
+}
+
+#[test]
+fn an_acknowledgement_before_the_own_disk_is_caught() {
+    catch(Mode::Forgetful, Planted::AckBeforeSync, PlantedDefects::default());
+}
+
+#[test]
+fn a_missing_record_of_the_epoch_is_caught() {
+    catch(Mode::Survivable, Planted::NoEpoch, PlantedDefects::default());
 }

@@ -76,6 +76,7 @@ struct MapTask {
     inbox: mpsc::UnboundedReceiver<Inbox>,
     sender: mpsc::UnboundedSender<Inbox>,
     is_writing: bool,
+    epoch: u64,
     has_failed: bool,
     in_flight: VecDeque<(Event, oneshot::Sender<Option<u64>>)>,
     waiting: Vec<Ask>,
@@ -92,6 +93,7 @@ impl Daemon {
         engine: SimulatedEngine,
         seen: &Arc<Mutex<Seen>>,
         forked: oneshot::Sender<u64>,
+        planted: Planted,
     ) -> Daemon {
         let store = simulation::open(disk, options()).expect("the disk is sound");
         let map = match store.maps().first() {
@@ -115,6 +117,7 @@ impl Daemon {
             group_bytes: 2000,
             patience: Duration::from_millis(500),
             disk_inline: true,
+            planted,
         };
         let (sender, inbox) = mpsc::unbounded_channel();
         let told = sender.clone();
@@ -129,6 +132,7 @@ impl Daemon {
             inbox,
             sender: sender.clone(),
             is_writing: false,
+            epoch: 0,
             has_failed: false,
             in_flight: VecDeque::new(),
             waiting: Vec::new(),
@@ -175,17 +179,13 @@ impl MapTask {
                 Inbox::Told(ReplicaEvent::Followed { events, applied }) => {
                     for (position, event) in events {
                         self.apply(position, &event);
-                        self.seen.lock().expect("sound").note(format!(
-                            "{:?} {} follows {position}",
-                            tokio::time::Instant::now(),
-                            self.name
-                        ));
                     }
                     drop(applied);
                 }
                 Inbox::Told(ReplicaEvent::Writing { epoch }) => {
                     self.is_writing = true;
-                    self.seen.lock().expect("sound").writes(&self.name, epoch);
+                    self.epoch = epoch;
+                    self.seen.lock().expect("sound").writes(&self.name, epoch, self.map.position());
                 }
                 Inbox::Told(ReplicaEvent::Following { .. }) => self.is_writing = false,
                 Inbox::Told(ReplicaEvent::Forked { common }) => {
@@ -220,14 +220,7 @@ impl MapTask {
                 let envelope = event.envelope().expect("of a producer");
                 let mark = &self.map.producer_marks()[envelope.producer.0 as usize];
                 let mut seen = self.seen.lock().expect("sound");
-                seen.acknowledged(mark.key.producer(), envelope.span.last);
-                seen.note(format!(
-                    "{:?} {} acknowledges {} {:?} at {position}",
-                    tokio::time::Instant::now(),
-                    self.name,
-                    mark.key.producer(),
-                    envelope.span
-                ));
+                seen.acknowledged(mark.key.producer(), envelope.span.last, self.epoch, position);
                 drop(seen);
                 let _ = reply.send(Some(envelope.span.last));
             }
