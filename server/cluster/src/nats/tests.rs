@@ -40,7 +40,13 @@ async fn three_servers_behave_as_an_engine() {
     };
     let (first, second) = (connect(patient(servers.settings())).await, connect(patient(servers.settings())).await);
     behaves(first.clone(), second, 3).await;
-    let checked = check(&first, true).await.expect("servers that can be used");
+    let checked = loop {
+        let checked = check(&first, true).await.expect("servers that can be used");
+        // A busy machine may let one answer too late.
+        if checked.len() == 3 {
+            break checked;
+        }
+    };
     let says: Vec<_> = checked.iter().map(|server| (server.name.as_str(), server.syncs_always)).collect();
     assert_eq!(says, [("nats-0", Some(true)), ("nats-1", Some(true)), ("nats-2", Some(true))]);
     // The largest message goes in, and comes back on both ways.
