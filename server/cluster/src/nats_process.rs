@@ -18,7 +18,7 @@ use tokio::time::{Instant, sleep};
 
 use crate::{
     engine::{Engine, EngineError},
-    nats::{NatsEngine, NatsSettings},
+    nats::{NatsCredentials, NatsEngine, NatsSettings, NatsTls},
 };
 
 /// How long servers may take to start and to elect.
@@ -46,6 +46,20 @@ pub struct NatsServers {
     servers: Vec<NatsServer>,
     /// Whether they make messages durable before they acknowledge them.
     is_synced: bool,
+    security: Option<NatsSecurity>,
+}
+
+/// How servers know each other and their clients, in place of passwords without encryption.
+#[derive(Clone, Debug)]
+pub struct NatsSecurity {
+    /// The servers' certificate and key.
+    pub server: (PathBuf, PathBuf),
+    /// The client's certificate, and the authority of all.
+    pub client: NatsTls,
+    /// The public nkey of the client.
+    pub nkey: String,
+    /// The file with its seed.
+    pub seed: PathBuf,
 }
 
 /// Ports that nobody uses now.
@@ -59,19 +73,26 @@ impl NatsServers {
     /// Starts some servers, which sync each message, and waits until they hold streams. `Err` says why a test that
     /// needs them is skipped; a server that does not start is a panic.
     pub async fn start(count: usize) -> Result<Self, String> {
-        let servers = Self::new(count, true)?;
+        let servers = Self::new(count, true, None)?;
         servers.wait().await;
         Ok(servers)
     }
 
     /// Starts servers that acknowledge before they sync.
     pub async fn start_unsynced(count: usize) -> Result<Self, String> {
-        let servers = Self::new(count, false)?;
+        let servers = Self::new(count, false, None)?;
         servers.wait().await;
         Ok(servers)
     }
 
-    fn new(count: usize, is_synced: bool) -> Result<Self, String> {
+    /// Starts servers that want TLS and an nkey of their clients.
+    pub async fn start_secured(count: usize, security: NatsSecurity) -> Result<Self, String> {
+        let servers = Self::new(count, true, Some(security))?;
+        servers.wait().await;
+        Ok(servers)
+    }
+
+    fn new(count: usize, is_synced: bool, security: Option<NatsSecurity>) -> Result<Self, String> {
         let program = nats_server()?;
         let folder = TempDir::new().map_err(|error| format!("no temporary folder: {error}"))?;
         let ports = free_ports(2 * count).map_err(|error| format!("no free ports: {error}"))?;
@@ -82,14 +103,18 @@ impl NatsServers {
             child: None,
         };
         let servers = ports.chunks(2).enumerate().map(server).collect();
-        let mut servers = Self { program, folder, servers, is_synced };
+        let mut servers = Self { program, folder, servers, is_synced, security };
         (0..count).for_each(|index| servers.run(index));
         Ok(servers)
     }
 
     /// Settings to connect to all servers.
     pub fn settings(&self) -> NatsSettings {
-        self.settings_as("tidemap")
+        let Some(security) = &self.security else { return self.settings_as("tidemap") };
+        let url = |server: &NatsServer| format!("tls://127.0.0.1:{}", server.port);
+        let settings = NatsSettings::new(self.servers.iter().map(url).collect());
+        let credentials = NatsCredentials::NkeySeed(security.seed.clone());
+        NatsSettings { credentials, tls: Some(security.client.clone()), ..settings }
     }
 
     /// Settings of a user. `guest` may read, and not append.
@@ -181,8 +206,18 @@ impl NatsServers {
         } else {
             String::new()
         };
+        let (tls, user) = self.security.as_ref().map_or_else(Default::default, |security| {
+            let (certificate, key) = &security.server;
+            let authority = security.client.authority.as_deref().unwrap_or(Path::new(""));
+            let (certificate, key, authority) = (certificate.display(), key.display(), authority.display());
+            let tls = format!(
+                "tls {{ cert_file: \"{certificate}\", key_file: \"{key}\", ca_file: \"{authority}\", verify: true }}\n"
+            );
+            (tls, format!("{{ nkey: {} }}\n", security.nkey))
+        });
         format!(
-            "server_name: {name}\n\
+            "{tls}\
+             server_name: {name}\n\
              listen: \"127.0.0.1:{port}\"\n\
              max_payload: 2MB\n\
              jetstream {{ store_dir: \"{store}\", sync_interval: {sync}, max_file_store: 4GB }}\n\
@@ -196,6 +231,7 @@ impl NatsServers {
                TIDEMAP {{\n\
                  jetstream: enabled\n\
                  users: [\n\
+                   {user}\
                    {{ user: tidemap, password: tidemap }}\n\
                    {{ user: guest, password: guest, permissions: {{ publish: {{ deny: [\"tidemap.>\"] }} }} }}\n\
                  ]\n\

@@ -2,6 +2,8 @@
 //!
 //! Invariant: asks for nothing that the trait does not promise, and waits for nothing by the clock but by patience.
 
+mod patient;
+
 use std::{collections::BTreeMap, time::Duration};
 
 use bytes::Bytes;
@@ -10,6 +12,7 @@ use tokio::{
     time::{Instant, sleep},
 };
 
+use self::patient::Patient;
 use super::{AppendIfError, Bucket, Engine, EngineError, KeyEntry, Message, SetError};
 
 /// Longer than any call of the suite takes on a loaded machine.
@@ -25,6 +28,7 @@ fn message(sequence: u64, text: &str) -> Message {
 
 /// Runs the whole suite. `first` and `second` are two clients of one engine, which holds nothing yet.
 pub(crate) async fn behaves<E: Engine>(first: E, second: E, replicas: usize) {
+    let (first, second) = (Patient(first), Patient(second));
     what_does_not_exist_is_missing(&first).await;
     first.create_buckets(replicas).await.expect("create the buckets");
     first.create_buckets(replicas).await.expect("create the buckets again");

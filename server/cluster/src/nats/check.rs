@@ -20,8 +20,8 @@ pub const VERSION_LEAST: (u64, u64, u64) = (2, 15, 1);
 /// Answered by every server, where the account may ask.
 const VARZ: &str = "$SYS.REQ.SERVER.PING.VARZ";
 
-/// How long servers may take to say what they are.
-const PATIENCE: Duration = Duration::from_millis(300);
+/// How long the next server may take to say what it is, after one has.
+const NEXT_PATIENCE: Duration = Duration::from_millis(300);
 
 /// Why the engine cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -110,10 +110,13 @@ async fn ping(calls: &NatsCalls) -> Vec<Varz> {
     if client.publish_with_reply(VARZ, inbox, Bytes::new()).await.is_err() {
         return found;
     }
-    let deadline = Instant::now() + PATIENCE.max(calls.request_time_out().min(2 * PATIENCE));
+    let mut deadline = Instant::now() + calls.request_time_out();
     while let Ok(Some(reply)) = timeout_at(deadline, replies.next()).await {
         match serde_json::from_slice(&reply.payload) {
-            Ok(varz) => found.push(varz),
+            Ok(varz) => {
+                found.push(varz);
+                deadline = Instant::now() + NEXT_PATIENCE;
+            }
             // Nobody listens.
             Err(_) => break,
         }

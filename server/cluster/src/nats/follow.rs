@@ -19,7 +19,7 @@ use async_nats::{
 };
 use tokio::{
     sync::Mutex,
-    time::{Instant, timeout_at},
+    time::{Instant, sleep_until, timeout_at},
 };
 use tokio_stream::StreamExt;
 
@@ -40,6 +40,18 @@ const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// How long a pull waits for messages.
 const EXPIRES: Duration = Duration::from_secs(20);
+
+/// How long a call waits before it makes a consumer again, so that its caller does not do so all the time.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// What becomes of a consumer.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Then {
+    GoesOn,
+    /// The next message has another number than the one that was asked for.
+    Gap,
+    Ended,
+}
 
 /// An open consumer.
 struct Follow {
@@ -73,29 +85,36 @@ impl FollowedStreams {
         let deadline = Instant::now() + patience;
         let slot = Arc::clone(self.streams.lock().await.entry(stream.to_owned()).or_default());
         let Ok(mut slot) = timeout_at(deadline, slot.lock()).await else { return Ok(Vec::new()) };
-        // What is in the slot while this call waits is lost with it where its caller gives up: it is opened again.
-        let open = slot.take().filter(|follow| follow.next == sequence);
-        let mut follow = match open {
-            Some(follow) => follow,
-            None => match timeout_at(deadline, open_at(calls, name, sequence)).await {
-                Ok(follow) => follow?,
-                Err(_) => return Ok(Vec::new()),
-            },
-        };
-        let (messages, is_sound) = follow.take(bytes_max, deadline).await;
-        if is_sound {
-            *slot = Some(follow);
-        } else if messages.is_empty() {
-            // The reason: no connection, or no stream any more.
+        loop {
+            // What was in the slot is lost where the caller gives up: the consumer is then made again.
+            let open = slot.take().filter(|follow| follow.next == sequence);
+            let mut follow = match open {
+                Some(follow) => follow,
+                None => match timeout_at(deadline, open_at(calls, name, sequence)).await {
+                    Ok(follow) => follow?,
+                    Err(_) => return Ok(Vec::new()),
+                },
+            };
+            let (messages, then) = follow.take(bytes_max, deadline).await;
+            if then == Then::GoesOn {
+                *slot = Some(follow);
+                return Ok(messages);
+            }
+            if !messages.is_empty() {
+                return Ok(messages);
+            }
             calls.check_connection()?;
+            sleep_until(deadline.min(Instant::now() + PAUSE)).await;
+            if then == Then::Gap || Instant::now() >= deadline {
+                return Ok(Vec::new());
+            }
         }
-        Ok(messages)
     }
 }
 
 impl Follow {
-    /// What is there up to a number of bytes, and whether the consumer can be used again. Waits for the first message.
-    async fn take(&mut self, bytes_max: usize, deadline: Instant) -> (Vec<Message>, bool) {
+    /// What is there up to a number of bytes, and what becomes of the consumer. Waits for the first message.
+    async fn take(&mut self, bytes_max: usize, deadline: Instant) -> (Vec<Message>, Then) {
         let mut messages: Vec<Message> = Vec::new();
         let mut bytes = 0;
         loop {
@@ -105,23 +124,23 @@ impl Follow {
                     // After the first one, only what has come already.
                     let until = if messages.is_empty() { deadline } else { Instant::now() };
                     match timeout_at(until, self.messages.next()).await {
-                        Err(_) => return (messages, true),
+                        Err(_) => return (messages, Then::GoesOn),
                         Ok(Some(Ok(message))) => match message_of(message) {
                             Some(message) if message.sequence == self.next => message,
-                            _ => return (messages, false),
+                            _ => return (messages, Then::Gap),
                         },
                         Ok(Some(Err(error))) => {
                             tracing::debug!(%error, "a consumer ends");
-                            return (messages, false);
+                            return (messages, Then::Ended);
                         }
-                        Ok(None) => return (messages, false),
+                        Ok(None) => return (messages, Then::Ended),
                     }
                 }
             };
             bytes += message.content.len();
             if bytes > bytes_max && !messages.is_empty() {
                 self.left = Some(message);
-                return (messages, true);
+                return (messages, Then::GoesOn);
             }
             self.next = message.sequence + 1;
             messages.push(message);
