@@ -9,7 +9,7 @@
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
-use std::collections::HashSet;
+use std::{collections::HashSet, fmt};
 
 use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, LABELS, Sample, allows_angle, time::FUTURE_MAX_NANOS};
 pub use tidemap_model::{Dimensions, Hold, Position, Reporting, RowKind, StateKind, StateSensor, StatedReporting};
@@ -324,6 +324,17 @@ pub struct UpdateStart {
     pub cut_nanos: i64,
     /// What started it.
     pub cause: UpdateCause,
+}
+
+/// What a generation holds, as one number: two maps that have applied one log up to the start of an update have equal
+/// digests if their bits are equal. The upper half stands for all but the grid, the lower half for the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Digest(pub u64);
+
+impl fmt::Display for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:016x}", self.0)
+    }
 }
 
 /// One entry of a map's log.
