@@ -1,15 +1,14 @@
 //! What `phasor.rs` promises, against a naive oracle where there is one.
 
 use proptest::prelude::*;
+use pulp::Arch;
 
 use super::*;
+use crate::InstructionSet;
 
 /// Every instruction set that this machine can run the kernels on.
 pub(crate) fn every_arch() -> Vec<Arch> {
-    let mut every = vec![Arch::Scalar, Arch::new()];
-    #[cfg(target_arch = "x86_64")]
-    every.extend(pulp::x86::V3::try_new().map(Arch::V3));
-    every
+    InstructionSet::available().filter_map(InstructionSet::arch).collect()
 }
 
 const DAY_NANOS: i64 = 86_400_000_000_000;
