@@ -6,6 +6,7 @@
 
 use std::borrow::Cow;
 
+use crate::special::square;
 use crate::{InvalidParts, Periodicities, Sample, StateKind, instruction_set::arch, lanes::OnLanes};
 
 mod fold;
@@ -92,7 +93,7 @@ impl Accumulator {
         if self.parts.observations == 0 {
             return 0.0;
         }
-        (self.parts.sum_squares / self.parts.weight - self.mean().powi(2)).max(0.0)
+        (self.parts.sum_squares / self.parts.weight - square(self.mean())).max(0.0)
     }
 
     /// Time of the first observation, UTC in nanoseconds since 1970.

@@ -140,7 +140,7 @@ impl SpectralModel {
         for component in self.leading(order) {
             // A periodicity that does not exist here adds nothing.
             if let Some(turns) = periodicities.turns(component.periodicity as usize, civil_nanos) {
-                let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
+                let (sin, cos) = libm::sincos(std::f64::consts::TAU * turns);
                 p += 2.0 * (component.gamma_re * cos - component.gamma_im * sin);
             }
         }
