@@ -3,6 +3,7 @@
 //! Invariant: loaded settings are complete and checked; an unknown key in the file is an error that names it.
 
 pub(crate) mod config_text;
+pub(crate) mod instructions;
 mod protection;
 
 use std::path::PathBuf;
@@ -329,6 +330,9 @@ settings! {
     "work and storage" {
         /// Threads of updates, all maps together; 0: half the processors, at least one.
         update_threads: usize = 0, 0, 1024;
+        /// Vector instructions of the models: "best" of this processor, or scalar, neon, avx2, avx512, to find a fault.
+        /// All give equal results.
+        instruction_set: String = instructions::BEST.to_owned();
         /// Size at which a log segment is closed and the next one begun, in bytes.
         segment_bytes: u64 = 64 << 20, 1 << 16, 1 << 32;
         /// Cache of the index of models, in bytes.
@@ -434,6 +438,7 @@ impl Settings {
         self.check_ranges()?;
         self.check_tls()?;
         self.check_backups()?;
+        instructions::chosen(&self.instruction_set)?;
         if !self.expect_store_id.is_empty() && !is_store_id(&self.expect_store_id) {
             let found = &self.expect_store_id;
             bail!("setting expect_store_id is {found:?}: it must be 32 lower-case hexadecimal digits, or empty");
@@ -514,6 +519,7 @@ mod tests {
             ("otlp_endpoint = 'https://collector:4317'", "otlp_endpoint"),
             ("trace_ratio = 1.5", "trace_ratio"),
             ("trace_ratio = nan", "trace_ratio"),
+            ("instruction_set = 'sse2'", "instruction_set"),
             ("backup_dir = 'saved'", "backup_dir"),
             ("backup_every_secs = 60", "backup_dir"),
             ("expect_store_id = 'mine'", "expect_store_id"),

@@ -6,6 +6,7 @@
 use std::{io::Write as _, sync::Arc, time::Duration};
 
 use rustix::{fs::Mode, process::umask};
+use tidemap_model::InstructionSet;
 use tidemap_store::{Store, disk::Disk};
 use tokio::{
     signal::unix::{SignalKind, signal},
@@ -139,7 +140,8 @@ fn tell_ready(settings: &Settings, store: &Store, ports: &Ports) {
     // A closed stdout is no reason to stop.
     let _ = std::io::stdout().flush();
     let data = settings.data_dir.display();
-    info!(grpc = %grpc_address, http = %http_address, %data, store_id = store.store_id(), "ready");
+    let instructions = InstructionSet::in_use();
+    info!(grpc = %grpc_address, http = %http_address, %data, store_id = store.store_id(), %instructions, "ready");
 }
 
 /// Restores the maps that are served from the index. Ends only if one cannot be restored.

@@ -61,6 +61,7 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
     }
     let settings = match Settings::load(&flags).and_then(|settings| {
         telemetry::start_logs(settings.log_format, &settings.log_level)?;
+        config::instructions::apply(&settings.instruction_set)?;
         Ok(settings)
     }) {
         Ok(settings) => settings,

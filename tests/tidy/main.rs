@@ -3,6 +3,7 @@
 //!
 //! Invariant: reads the work tree and changes nothing. Rules apply to code only: comments and tests may name anything.
 
+mod bits;
 mod catalogue;
 mod circles;
 mod phrases;

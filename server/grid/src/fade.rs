@@ -63,7 +63,7 @@ impl HalfLife {
 
     /// The weight of a reading of a day on another day that is not earlier.
     pub(super) fn factor(self, from: LocalDay, to: LocalDay) -> f64 {
-        0.5_f64.powf((i64::from(to.0) - i64::from(from.0)).max(0) as f64 / self.days)
+        libm::exp2(-(i64::from(to.0) - i64::from(from.0)).max(0) as f64 / self.days)
     }
 
     /// What a day does to the weights of a group that was last learned on another.

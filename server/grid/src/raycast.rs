@@ -125,7 +125,7 @@ pub fn cast(
                 }
                 let is_hit = range <= max && range < f64::INFINITY;
                 let range = range.min(max);
-                let (sin, cos) = (angle_min_rad + ray as f64 * angle_increment_rad).sin_cos();
+                let (sin, cos) = libm::sincos(angle_min_rad + ray as f64 * angle_increment_rad);
                 walk.ray(ray, turn([range * cos, range * sin, 0.0]), is_hit)?;
             }
         }

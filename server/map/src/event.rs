@@ -9,7 +9,7 @@
 //! Invariant: an event holds everything that its effect depends on, such as the UTC offsets used and the time of
 //! receipt, so that a replay gives the same map even after the time zone database or the clock has changed.
 
-use std::collections::HashSet;
+use std::{collections::HashSet, fmt};
 
 use tidemap_model::{ANGLE_AXES, ANGLE_EXPECTED, LABELS, Sample, allows_angle, time::FUTURE_MAX_NANOS};
 pub use tidemap_model::{Dimensions, Hold, Position, Reporting, RowKind, StateKind, StateSensor, StatedReporting};
@@ -326,12 +326,13 @@ pub struct UpdateStart {
     pub cause: UpdateCause,
 }
 
-/// A checksum of what an update made: equal digests mean equal models to the last bit, as far as a checksum can tell.
+/// What a generation holds, as one number: two maps that have applied one log up to the start of an update have equal
+/// digests if their bits are equal. The upper half stands for all but the grid, the lower half for the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Digest(pub u64);
 
-impl std::fmt::Display for Digest {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:016x}", self.0)
     }
 }

@@ -111,7 +111,7 @@ pub fn cell_intervals(cell: &CellDescription, probabilities: &[f64], level: Opti
     let Some(level) = level else { return Vec::new() };
     let Some(hours) = observed_hours(cell) else { return vec![NEVER; probabilities.len()] };
     let ratio = cell.persistence.tau_secs() / HOUR_SECS;
-    let alike = if ratio > 1e6 { 1.0 } else { 2.0 * ratio * (1.0 - ratio * (1.0 - (-1.0 / ratio).exp())) };
+    let alike = if ratio > 1e6 { 1.0 } else { 2.0 * ratio * (1.0 - ratio * (1.0 - libm::exp(-1.0 / ratio))) };
     let interval = |&p: &f64| {
         let moments = HourMoments {
             days: hours,

@@ -6,9 +6,8 @@
 
 use std::borrow::Cow;
 
-use pulp::Arch;
-
-use crate::{InvalidParts, Periodicities, Sample, StateKind, lanes::OnLanes};
+use crate::special::square;
+use crate::{InvalidParts, Periodicities, Sample, StateKind, instruction_set::arch, lanes::OnLanes};
 
 mod fold;
 mod short_record;
@@ -94,7 +93,7 @@ impl Accumulator {
         if self.parts.observations == 0 {
             return 0.0;
         }
-        (self.parts.sum_squares / self.parts.weight - self.mean().powi(2)).max(0.0)
+        (self.parts.sum_squares / self.parts.weight - square(self.mean())).max(0.0)
     }
 
     /// Time of the first observation, UTC in nanoseconds since 1970.
@@ -129,7 +128,7 @@ impl Accumulator {
             parts.short = Some(ShortRecord::default());
         }
         parts.short = parts.short.take().and_then(|short| short.with(samples, periodicities.len()));
-        let arch = Arch::new();
+        let arch = arch();
         for chunk in samples.chunks(CHUNK) {
             // Each chunk is summed on its own first: a long sum then has far fewer roundings.
             let (mut sum, mut sum_squares) = (0.0, 0.0);
@@ -321,7 +320,7 @@ impl Accumulator {
 
 fn spectrum_of(short: &ShortRecord, periodicities: &Periodicities) -> Vec<[f64; 4]> {
     let mut spectrum = vec![[0.0; 4]; periodicities.len()];
-    let (arch, cycles) = (Arch::new(), periodicities.cycles());
+    let (arch, cycles) = (arch(), periodicities.cycles());
     for batch in short.batches() {
         // A batch has at most as many readings as there are periodicities.
         for samples in batch.chunks(CHUNK) {

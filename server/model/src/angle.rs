@@ -39,8 +39,8 @@ pub fn direction_rad([cos, sin]: [f64; 2]) -> f64 {
 /// How far an angle may be from the direction of a cosine and a sine, radians, that may be off by these deviations: to
 /// first order, across the direction. At most π, which is the whole circle; so is what has no direction.
 pub fn deviation_of_direction_rad([cos, sin]: [f64; 2], [off_cos, off_sin]: [f64; 2]) -> f64 {
-    let length = cos.hypot(sin);
-    let across = (sin * off_cos).hypot(cos * off_sin) / length;
+    let length = libm::hypot(cos, sin);
+    let across = libm::hypot(sin * off_cos, cos * off_sin) / length;
     // The length counts twice: once for the unit vector, once for the angle that a step across it makes.
     let deviation = across / length;
     if deviation.is_nan() { PI } else { deviation.min(PI) }
@@ -49,7 +49,7 @@ pub fn deviation_of_direction_rad([cos, sin]: [f64; 2], [off_cos, off_sin]: [f64
 /// Circular standard deviation of angles whose mean cosine and sine these are, radians: √(−2 ln R), where R is the
 /// length of the mean (Mardia and Jupp 2000, section 2.3); at most π, which R = 0.0072 has.
 pub fn circular_deviation_rad([cos, sin]: [f64; 2]) -> f64 {
-    let deviation = (-2.0 * cos.hypot(sin).min(1.0).ln()).sqrt();
+    let deviation = (-2.0 * libm::log(libm::hypot(cos, sin).min(1.0))).sqrt();
     deviation.min(PI)
 }
 

@@ -69,7 +69,7 @@ impl Rates {
 
     /// The probability of 1 after a time, from that before it: π + (b - π)·e^(-(α+β)Δ).
     fn after(self, before: f64, secs: f64) -> f64 {
-        self.share() + (before - self.share()) * (-self.sum() * secs).exp()
+        self.share() + (before - self.share()) * libm::exp(-self.sum() * secs)
     }
 }
 

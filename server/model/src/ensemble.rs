@@ -45,6 +45,7 @@ use stack::{Stack, clip};
 pub use trained::TrainedEnsemble;
 use week_table::WeekTable;
 
+use crate::special::square;
 use crate::{
     LocalDay, Sample,
     hours_seen::{HOURS, equivalent_looks, kind_of_day},
@@ -282,7 +283,7 @@ impl Ensemble {
         for kind in 0..2 {
             let of_kind = (1..=days.min(4 * 7))
                 .filter(|back| kind_of_day(LocalDay(day.0.saturating_sub(*back as i32)).weekday()) == kind);
-            let factor = ALIKE_KEPT.powi(of_kind.count() as i32) as f32;
+            let factor = libm::pow(ALIKE_KEPT, of_kind.count() as f64) as f32;
             let numbers = self.alike.sums[kind].iter_mut().chain(&mut self.alike.looks[kind]);
             numbers.for_each(|number| *number *= factor);
         }
@@ -359,7 +360,7 @@ impl LookPart {
     /// The squared error of a forecast, summed over the readings.
     fn squared_error(&self, forecast: &DayForecast) -> f64 {
         let predicted = forecast.with_chosen(self.slot, self.chosen);
-        self.number * (predicted - self.mean).powi(2) + self.scatter
+        self.number * square(predicted - self.mean) + self.scatter
     }
 }
 
@@ -372,7 +373,7 @@ fn look_parts(samples: &[Sample], model: &dyn TemporalModel) -> Vec<LookPart> {
         let middle = part.get(part.len() / 2)?;
         let number = part.len() as f64;
         let mean = part.iter().map(|sample| sample.value).sum::<f64>() / number;
-        let scatter = part.iter().map(|sample| (sample.value - mean).powi(2)).sum();
+        let scatter = part.iter().map(|sample| square(sample.value - mean)).sum();
         Some(LookPart { slot: slot(middle), number, mean, scatter, chosen: model.predict(middle.moment()) })
     };
     parts.filter_map(part).collect()
@@ -385,7 +386,7 @@ fn look_losses(parts: &[LookPart]) -> [f64; SLOTS] {
         let number: f64 = look.iter().map(|part| part.number).sum();
         let mean = look.iter().map(|part| part.number * part.mean).sum::<f64>() / number;
         // What the values differ within the look is no fault of the model.
-        let loss = |part: &LookPart| part.number * (pool::loss(part.chosen, part.mean) - (part.mean - mean).powi(2));
+        let loss = |part: &LookPart| part.number * (pool::loss(part.chosen, part.mean) - square(part.mean - mean));
         if let Some(first) = look.first() {
             losses[first.slot] = look.iter().map(loss).sum::<f64>() / number;
         }

@@ -10,7 +10,7 @@ pub const INFORMATION_CERTAINTY: f64 = 0.95;
 pub fn entropy_bits(p: f64) -> f64 {
     let p = if p.is_nan() { 0.5 } else { p.clamp(0.0, 1.0) };
     // x·log2 x tends to 0 with x; evaluated it would be NaN.
-    let term = |x: f64| if x > 0.0 { -x * x.log2() } else { 0.0 };
+    let term = |x: f64| if x > 0.0 { -x * libm::log2(x) } else { 0.0 };
     let bits = term(p) + term(1.0 - p);
     debug_assert!(bits >= 0.0, "{bits} bits of {p}");
     bits

@@ -50,7 +50,7 @@ impl Evaluation {
         let all: f64 = shares.iter().map(|share| share * share).sum();
         self.squared_error += all - 2.0 * own + 1.0;
         self.wrong += u64::from(shares.iter().enumerate().any(|(other, share)| other != label && *share >= own));
-        self.log_loss_bits -= own.max(SHARE_MIN).log2();
+        self.log_loss_bits -= libm::log2(own.max(SHARE_MIN));
     }
 
     /// Mean surprise of a label, bits; 0 without observations.

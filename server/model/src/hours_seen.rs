@@ -91,7 +91,7 @@ impl Default for HoursSeen {
 impl HoursSeen {
     /// From the number of looks at each hour of weekdays, then of weekends.
     pub fn of_looks(looks: &[[f64; 24]; 2]) -> HoursSeen {
-        let steps = |looks: f64| (STEPS * (1.0 + 4.0 * looks.max(0.0)).log2()).min(f64::from(KNOWN - 1)) as u8;
+        let steps = |looks: f64| (STEPS * libm::log2(1.0 + 4.0 * looks.max(0.0))).min(f64::from(KNOWN - 1)) as u8;
         HoursSeen { steps: equivalent_looks(looks).map(|hours| hours.map(steps)) }
     }
 
@@ -102,7 +102,7 @@ impl HoursSeen {
         if steps == KNOWN {
             return Evidence::WHOLE;
         }
-        let looks = ((f64::from(steps) / STEPS).exp2() - 1.0) / 4.0;
+        let looks = (libm::exp2(f64::from(steps) / STEPS) - 1.0) / 4.0;
         Evidence { kept: evidence(looks), of_mean: MEAN_LOOKS / (MEAN_LOOKS + looks) }
     }
 

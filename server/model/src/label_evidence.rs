@@ -96,7 +96,7 @@ pub fn normalise(shares: &mut [f64]) -> f64 {
 /// Entropy of a distribution over labels, bits.
 #[must_use]
 pub fn entropy_of_labels_bits(shares: &[f64]) -> f64 {
-    shares.iter().filter(|share| **share > 0.0).map(|share| -share * share.log2()).sum::<f64>().max(0.0)
+    shares.iter().filter(|share| **share > 0.0).map(|&share| -share * libm::log2(share)).sum::<f64>().max(0.0)
 }
 
 const PROBABILITY: &str = "a probability, from 0 to 1";

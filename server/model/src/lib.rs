@@ -42,6 +42,7 @@ mod evaluate;
 mod gaps;
 mod hours_seen;
 mod information;
+mod instruction_set;
 mod kind;
 pub mod label_evidence;
 mod lanes;
@@ -85,6 +86,7 @@ pub use evaluate::{Evaluation, evaluate};
 pub use gaps::{GapSample, Gaps, GapsParts};
 pub use hours_seen::{Evidence, HoursSeen, kind_and_hour};
 pub use information::{InformationMeasure, learning_bits};
+pub use instruction_set::{InstructionSet, NoSuchInstructions};
 pub use kind::{StateKind, VALUE_MAX};
 pub use label_evidence::LABELS;
 pub use order::{OrderCriterion, OrderErrors, OrderErrorsParts};
@@ -108,6 +110,10 @@ pub use surprise::{
     JudgedReading, KEPT_CONFIDENCE, RUNS_MAX as SURPRISE_RUNS_MAX, SurpriseRun, Surprises, observed_bits,
 };
 pub use update_worth::UpdateWorth;
+
+/// The number of the mathematics, raised with every change of the bits that updates learn from the same log. The digests
+/// of two daemons can be compared where their numbers are equal.
+pub const MATHS: u32 = 1;
 
 /// The highest model order: at most this many spectral components are kept and used.
 pub const ORDER_MAX: usize = 15;

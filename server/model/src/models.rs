@@ -112,7 +112,7 @@ impl<'a> Readings<'a> {
             Some(half_life_secs) if half_life_secs > 0.0 => {
                 let age_secs = newest_nanos.abs_diff(sample.utc_nanos) as f64 / 1e9;
                 // Above 0 for any age: a single reading still counts.
-                0.5_f64.powf(age_secs / half_life_secs).max(f64::MIN_POSITIVE)
+                libm::exp2(-age_secs / half_life_secs).max(f64::MIN_POSITIVE)
             }
             _ => 1.0,
         })

@@ -85,7 +85,7 @@ impl Persistence {
     pub fn blend_of(&self, change: f64, p: f64, utc_nanos: i64) -> f64 {
         match self.parts.last {
             Some((last_nanos, last_value)) if utc_nanos >= last_nanos => {
-                let weight = (-secs_between(last_nanos, utc_nanos) / self.tau_secs_of(change)).exp();
+                let weight = libm::exp(-secs_between(last_nanos, utc_nanos) / self.tau_secs_of(change));
                 last_value * weight + p * (1.0 - weight)
             }
             _ => p,

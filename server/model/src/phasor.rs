@@ -3,9 +3,10 @@
 //! Layout: one row per periodicity, one entry per time, cosine and sine apart, so that kernels run
 //! with one time per lane. Invariant: entries are within 1e-11 of the exact cosine and sine.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use crate::Periodicities;
+use crate::instruction_set::arch;
 use crate::periodicity::Cycles;
 
 mod rows;
@@ -42,7 +43,7 @@ impl PhasorTable {
             Cycles::Harmonics { base, .. } => {
                 let turns: Vec<f64> = civil_nanos.iter().map(|&civil| base.turns(civil)).collect();
                 let (cos, sin) = (&mut table.cos, &mut table.sin);
-                Arch::new().dispatch(FillHarmonics { turns: &turns, harmonics: periodicities.len(), cos, sin });
+                arch().dispatch(FillHarmonics { turns: &turns, harmonics: periodicities.len(), cos, sin });
             }
             Cycles::List(_) => table.fill_rows(),
         }
@@ -88,7 +89,7 @@ impl PhasorTable {
                 }
             };
             let (cos, sin) = (self.cos.row_mut(row), self.sin.row_mut(row));
-            Arch::new().dispatch(FillRow { turns: &turns, factor, cos, sin });
+            arch().dispatch(FillRow { turns: &turns, factor, cos, sin });
         }
     }
 

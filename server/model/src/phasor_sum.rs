@@ -9,8 +9,9 @@
 
 use std::ops::Range;
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
+use crate::instruction_set::arch;
 use crate::phasor::AlignedRows;
 use crate::{InvalidParts, Periodicities, PhasorTable};
 
@@ -73,12 +74,12 @@ impl PhasorSum {
 
     /// Adds a row of the same layout. Where the row is shorter than the sum, the rest stays.
     pub fn add_row(&mut self, row: &[f64]) {
-        Arch::new().dispatch(AddRow::<false> { sum: &mut self.parts, row });
+        arch().dispatch(AddRow::<false> { sum: &mut self.parts, row });
     }
 
     /// Subtracts a row of the same layout. Where the row is shorter than the sum, the rest stays.
     pub fn subtract_row(&mut self, row: &[f64]) {
-        Arch::new().dispatch(AddRow::<true> { sum: &mut self.parts, row });
+        arch().dispatch(AddRow::<true> { sum: &mut self.parts, row });
     }
 
     /// Multiplies the weight of all times by a factor.
@@ -96,7 +97,7 @@ impl PhasorSum {
     /// Adds `plus - minus`: the times from one row of [`RunningSums`] up to a later one. Where a row is
     /// shorter than the sum, the rest stays.
     pub fn add_difference(&mut self, plus: &[f64], minus: &[f64]) {
-        Arch::new().dispatch(AddDifference { sum: &mut self.parts, plus, minus });
+        arch().dispatch(AddDifference { sum: &mut self.parts, plus, minus });
     }
 }
 

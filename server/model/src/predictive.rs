@@ -70,8 +70,8 @@ impl Predictive {
     /// The share of a single reading's variance that the mean of an hour has.
     fn variance_share(self) -> f64 {
         // As a state that relaxes to its habit, with this correlation after half an hour.
-        let x = -2.0 * self.dependence.ln();
-        let share = 2.0 * (x - 1.0 + (-x).exp()) / (x * x);
+        let x = -2.0 * libm::log(self.dependence);
+        let share = 2.0 * (x - 1.0 + libm::exp(-x)) / (x * x);
         // What is not known of the habit is common to the whole hour.
         share + (1.0 - share) / (1.0 + self.looks)
     }
@@ -88,7 +88,7 @@ impl Predictive {
         for (k, mass) in masses.iter_mut().enumerate() {
             let k = k as f64;
             let log = ln_gamma(k + ones) + ln_gamma(n - k + zeros) - ln_gamma(k + 1.0) - ln_gamma(n - k + 1.0);
-            *mass = (constant + log).exp();
+            *mass = libm::exp(constant + log);
         }
         masses
     }

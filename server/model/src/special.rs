@@ -8,6 +8,13 @@
 
 use libm::{erfc, lgamma};
 
+/// The square, rounded once everywhere.
+#[must_use]
+#[inline]
+pub fn square(number: f64) -> f64 {
+    number * number
+}
+
 #[cfg(test)]
 mod tests;
 
@@ -25,14 +32,14 @@ pub(crate) fn ln_gamma(mut x: f64) -> f64 {
     let inverse = 1.0 / x;
     let square = inverse * inverse;
     let series = inverse * (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0)));
-    let shifted = if product == 1.0 { 0.0 } else { product.ln() };
-    (x - 0.5) * x.ln() - x + HALF_LN_TAU + series - shifted
+    let shifted = if product == 1.0 { 0.0 } else { libm::log(product) };
+    (x - 0.5) * libm::log(x) - x + HALF_LN_TAU + series - shifted
 }
 
 /// ln Γ(x + steps) - ln Γ(x), for `x` above 0 and `steps` from 0; to 1e-9. A few whole steps are a product.
 pub(crate) fn ln_rising(x: f64, steps: f64) -> f64 {
     if steps <= PRODUCT_STEPS && steps.fract() == 0.0 {
-        return (0..steps as u32).fold(1.0, |product, step| product * (x + f64::from(step))).ln();
+        return libm::log((0..steps as u32).fold(1.0, |product, step| product * (x + f64::from(step))));
     }
     ln_gamma(x + steps) - ln_gamma(x)
 }
@@ -50,7 +57,7 @@ pub(crate) fn digamma(mut x: f64) -> f64 {
     let square = 1.0 / (x * x);
     let series = square
         * (1.0 / 12.0 - square * (1.0 / 120.0 - square * (1.0 / 252.0 - square * (1.0 / 240.0 - square / 132.0))));
-    sum + x.ln() - 0.5 / x - series
+    sum + libm::log(x) - 0.5 / x - series
 }
 
 /// Half the logarithm of 2π.
@@ -63,12 +70,12 @@ pub(crate) fn normal_tail(z: f64) -> f64 {
 
 /// The z that a standard normal variable exceeds with probability `tail`, in `[1e-300, 0.5]`; to 1e-12.
 pub(crate) fn normal_upper_quantile(tail: f64) -> f64 {
-    let t = (-2.0 * tail.ln()).sqrt();
+    let t = (-2.0 * libm::log(tail)).sqrt();
     let numerator = 2.515_517 + t * (0.802_853 + t * 0.010_328);
     let denominator = 1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308));
     let mut z = t - numerator / denominator;
     for _ in 0..2 {
-        let step = (normal_tail(z) - tail) * std::f64::consts::TAU.sqrt() * (0.5 * z * z).exp();
+        let step = (normal_tail(z) - tail) * std::f64::consts::TAU.sqrt() * libm::exp(0.5 * z * z);
         z += step / (1.0 - 0.5 * z * step);
     }
     z.max(0.0)
@@ -83,15 +90,15 @@ pub fn normal_reach(level: f64) -> f64 {
 pub fn beta_quantile(alpha: f64, beta: f64, q: f64) -> f64 {
     let log_beta = lgamma(alpha) + lgamma(beta) - lgamma(alpha + beta);
     let (mut low, mut high) = (-LOGIT_MAX, LOGIT_MAX);
-    let mut u = (alpha / beta).ln().clamp(low, high);
+    let mut u = libm::log(alpha / beta).clamp(low, high);
     for _ in 0..200 {
         let (log_x, log_y) = (-softplus(-u), -softplus(u));
-        let front = (alpha * log_x + beta * log_y - log_beta).exp();
-        let x = log_x.exp();
+        let front = libm::exp(alpha * log_x + beta * log_y - log_beta);
+        let x = libm::exp(log_x);
         let below = if x < (alpha + 1.0) / (alpha + beta + 2.0) {
             front * fraction(alpha, beta, x) / alpha
         } else {
-            1.0 - front * fraction(beta, alpha, log_y.exp()) / beta
+            1.0 - front * fraction(beta, alpha, libm::exp(log_y)) / beta
         };
         (low, high) = if below < q { (u, high) } else { (low, u) };
         // The density of u is `front`.
@@ -102,7 +109,7 @@ pub fn beta_quantile(alpha: f64, beta: f64, q: f64) -> f64 {
         }
         u = next;
     }
-    (-softplus(-u)).exp()
+    libm::exp(-softplus(-u))
 }
 
 /// The continued fraction of the incomplete Beta function; converges fast for x < (α + 1)/(α + β + 2).
@@ -132,5 +139,5 @@ fn fraction(alpha: f64, beta: f64, x: f64) -> f64 {
 
 /// ln(1 + e^u) without overflow.
 pub(crate) fn softplus(u: f64) -> f64 {
-    u.max(0.0) + (-u.abs()).exp().ln_1p()
+    u.max(0.0) + libm::log1p(libm::exp(-u.abs()))
 }

@@ -4,8 +4,7 @@
 //! 10 and 11 differ in normalisation: this is the one whose prediction of a sine is that sine.
 //! Invariant: components are finite, strongest first, at most [`ORDER_MAX`] of them.
 
-use pulp::Arch;
-
+use crate::instruction_set::arch;
 use crate::{Accumulator, Gaps, InvalidParts, ORDER_MAX, Periodicities, PhasorTable, StateKind};
 
 mod cell;
@@ -141,7 +140,7 @@ impl SpectralModel {
         for component in self.leading(order) {
             // A periodicity that does not exist here adds nothing.
             if let Some(turns) = periodicities.turns(component.periodicity as usize, civil_nanos) {
-                let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
+                let (sin, cos) = libm::sincos(std::f64::consts::TAU * turns);
                 p += 2.0 * (component.gamma_re * cos - component.gamma_im * sin);
             }
         }
@@ -154,7 +153,7 @@ impl SpectralModel {
     pub fn predict_into(&self, order: usize, phasors: &PhasorTable, out: &mut [f64]) {
         let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(order, phasors, &mut terms) {
-            Some(terms) => Arch::new().dispatch(Predict { mean: self.mean, terms, times: phasors.len(), out }),
+            Some(terms) => arch().dispatch(Predict { mean: self.mean, terms, times: phasors.len(), out }),
             None => {
                 for (out, &civil) in out.iter_mut().zip(phasors.civil_nanos()) {
                     *out = self.predict(phasors.periodicities(), order, civil);

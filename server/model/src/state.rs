@@ -12,6 +12,7 @@ use crate::SpectralModel;
 use crate::catalogue::{ModelKind, TrainedModel};
 use crate::evaluate::score_samples;
 use crate::models::{Moment, OrderGains, TemporalModel as _};
+use crate::special::square;
 use crate::{
     Accumulator, AnyEnsemble, Belief, InvalidParts, LearnedRows, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors,
     OtherModels, Periodicities, Predictive, Reporting, Sample, StateKind, Surprises,
@@ -383,7 +384,7 @@ impl StateModel {
             return;
         };
         let age_days = alternatives.learned_day().map_or(0, |last| i64::from(day.0) - i64::from(last.0));
-        let factor = 0.5_f64.powf(age_days.unsigned_abs() as f64 / half_life_days);
+        let factor = libm::exp2(-(age_days.unsigned_abs() as f64) / half_life_days);
         if age_days >= 0 {
             self.accumulator.fade(factor);
             self.accumulator.add(periodicities, of_day);
@@ -453,7 +454,7 @@ impl StateModel {
         let sums = score_samples(self.kind(), &self.spectral, periodicities, newer);
         let combined = match self.chosen(periodicities) {
             Some(ActiveModel::Combination(models)) => {
-                let error = |sample: &Sample| (models.predict(sample.moment()) - sample.value).powi(2);
+                let error = |sample: &Sample| square(models.predict(sample.moment()) - sample.value);
                 Some(newer.iter().map(error).sum())
             }
             _ => None,

@@ -13,6 +13,7 @@
 //!
 //! Invariant: all sums are finite and not negative. A judgement changes nothing.
 
+use crate::special::square;
 use crate::{Periodicities, Sample, StateKind, StateModel, models::TemporalModel as _};
 
 #[cfg(test)]
@@ -42,7 +43,7 @@ impl UpdateWorth {
             return None;
         }
         let answers = model.chosen_member(periodicities);
-        let error = |sample: &Sample| (answers.predict(sample.moment()) - sample.value).powi(2);
+        let error = |sample: &Sample| square(answers.predict(sample.moment()) - sample.value);
         let squared_error = (pending.iter().map(error).sum::<f64>() / unit).min(f64::MAX);
         let alarm = model.alternatives().map(|known| known.alarm());
         let usual = |sample: &Sample| alarm.and_then(|alarm| alarm.usual_mse(sample.local_day())).unwrap_or(0.0);

@@ -1,6 +1,7 @@
 //! The data on the disk: the observation log, checkpoints, history files, and the sled index of models.
 //!
-//! Entry points: [`Store::open`], [`Store::open_map`], [`MapLog::append`], [`Store::save`], [`Store::history`].
+//! Entry points: [`Store::open`], [`Store::open_map`], [`MapLog::append`], [`Store::save`], [`Store::history`],
+//! [`digest`].
 //!
 //! Invariant: the log holds everything that the kept checkpoints do not cover. Any one checkpoint, or the index,
 //! can be lost or damaged and the map is still the same. A damaged log is refused, never shortened. Layouts are frozen
@@ -10,6 +11,7 @@ mod backup;
 mod check;
 mod checkpoint;
 mod committer;
+mod digest;
 pub mod disk;
 mod erasure;
 mod error;
@@ -41,6 +43,7 @@ mod tests;
 pub use backup::{BackupError, BackupReport, is_backup_of, link_backup, restore};
 pub use check::{Checked, Finding, Mode, Outcome, check};
 pub use committer::{CommitFollower, CommitStep, GroupFollower, SyncStats};
+pub use digest::{NoDigest, digest};
 pub use erasure::Erased;
 pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, StoreError};
 pub use event_log::EventLog;

@@ -3,6 +3,7 @@
 mod backups;
 mod bit_flips;
 mod damage;
+mod digests;
 pub(crate) mod example;
 mod golden;
 mod golden_belief;

@@ -2,6 +2,7 @@
 //!
 //! Invariant: scores use the models as they were before the day; sums and models change at its end.
 
+use tidemap_model::special::square;
 use tidemap_model::{
     CellSums, DayScores, LearnedReadings, LocalDay, ORDER_MAX, OrderCriterion, OrderErrors, OrderWatch, PhasorSum,
     ScoreSums, SpectralModel,
@@ -387,7 +388,7 @@ impl CellDay {
             OrderCriterion::SquaredError => squared,
             OrderCriterion::ZeroOne => &self.scores.wrong,
         };
-        let unit = (rules.levels.1 - rules.levels.0).powi(2);
+        let unit = square(rules.levels.1 - rules.levels.0);
         let order = cell.errors.best().min(watch.supported_order());
         let scores = DayScores { errors, squared, scored, order, unit };
         watch.score(day, &rules.periodicities, &mut cell.errors, scores);

@@ -180,17 +180,23 @@ fn every_instruction_set_gives_the_same_bits() {
     let samples: Vec<Sample> = (0..517_i64)
         .map(|i| Sample { utc_nanos: i * i * 1_234_567_891, offset_secs: 3600, value: f64::from(u8::from(i % 3 == 0)) })
         .collect();
-    for periodicities in [Periodicities::default(), list] {
-        let mut expected = Accumulator::new(&periodicities);
-        expected.add(&periodicities, &samples);
-        for arch in crate::phasor::every_arch() {
-            let mut spectrum = vec![[0.0; 4]; periodicities.len()];
-            let (cycles, samples) = (periodicities.cycles(), &samples[..]);
-            arch.dispatch(OnLanes(fold::Fold { cycles, samples, spectrum: &mut spectrum }));
-            let bits =
-                |spectrum: &[[f64; 4]]| spectrum.iter().map(|numbers| numbers.map(f64::to_bits)).collect::<Vec<_>>();
-            assert_eq!(bits(&spectrum), bits(expected.spectrum()), "{arch:?}");
-        }
+    for length in (0..42).chain([127, 128, 129, 517]) {
+        check_instruction_sets(&Periodicities::default(), &samples[..length]);
+        check_instruction_sets(&list, &samples[..length]);
+    }
+}
+
+fn check_instruction_sets(periodicities: &Periodicities, samples: &[Sample]) {
+    let mut expected = Accumulator::new(periodicities);
+    expected.add(periodicities, samples);
+    let mut expected = expected.spectrum().to_vec();
+    expected.resize(periodicities.len(), [0.0; 4]);
+    let bits = |spectrum: &[[f64; 4]]| spectrum.iter().map(|numbers| numbers.map(f64::to_bits)).collect::<Vec<_>>();
+    for arch in crate::phasor::every_arch() {
+        let mut spectrum = vec![[0.0; 4]; periodicities.len()];
+        let cycles = periodicities.cycles();
+        arch.dispatch(OnLanes(fold::Fold { cycles, samples, spectrum: &mut spectrum }));
+        assert_eq!(bits(&spectrum), bits(&expected), "{arch:?}, {} samples", samples.len());
     }
 }
 

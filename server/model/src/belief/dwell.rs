@@ -7,6 +7,7 @@
 use std::sync::Arc;
 
 use super::{Rates, SensorNoise, noise::Expected};
+use crate::special::square;
 use crate::{belief::Look, special::normal_tail};
 
 /// Completed dwells that are kept at each value; if there are more, every second one of them is forgotten.
@@ -170,7 +171,7 @@ pub(super) struct Survival {
 impl Survival {
     /// That of completed dwells, at least one.
     pub(super) fn of(dwells: &[f32]) -> Survival {
-        let logs: Vec<f64> = dwells.iter().map(|&secs| f64::from(secs).max(1e-3).ln()).collect();
+        let logs: Vec<f64> = dwells.iter().map(|&secs| libm::log(f64::from(secs).max(1e-3))).collect();
         let mean_secs = dwells.iter().map(|&secs| f64::from(secs)).sum::<f64>().max(1e-3) / dwells.len().max(1) as f64;
         let width = WIDTHS
             .into_iter()
@@ -184,21 +185,21 @@ impl Survival {
         let values = std::array::from_fn(|node| {
             let log = first + step * node as f64;
             let kernels: f64 = logs.iter().map(|dwell| normal_tail((log - dwell) / width)).sum();
-            ((kernels + (-log.exp() / mean_secs).exp()) / (logs.len() + 1) as f64) as f32
+            ((kernels + libm::exp(-libm::exp(log) / mean_secs)) / (logs.len() + 1) as f64) as f32
         });
-        Survival { first, per_log: 1.0 / step, last_secs: last.exp(), mean_secs, values }
+        Survival { first, per_log: 1.0 / step, last_secs: libm::exp(last), mean_secs, values }
     }
 
     /// The probability that a dwell lasts longer than this many seconds, above 0.
     pub(super) fn at(&self, age_secs: f64) -> f64 {
-        let place = (age_secs.max(1e-9).ln() - self.first) * self.per_log;
+        let place = (libm::log(age_secs.max(1e-9)) - self.first) * self.per_log;
         let value = |node: usize| f64::from(self.values[node.min(NODES - 1)]);
         if place <= 0.0 {
             // Falls in a straight line to the first stored age.
-            return 1.0 - (1.0 - value(0)) * (place / self.per_log).exp();
+            return 1.0 - (1.0 - value(0)) * libm::exp(place / self.per_log);
         }
         if place >= (NODES - 1) as f64 {
-            let tail = ((self.last_secs - age_secs) / self.mean_secs).exp();
+            let tail = libm::exp((self.last_secs - age_secs) / self.mean_secs);
             return (value(NODES - 1) * tail).max(f64::MIN_POSITIVE);
         }
         let node = place as usize;
@@ -215,17 +216,17 @@ impl Survival {
 fn left_out(logs: &[f64], width: f64, mean_secs: f64) -> f64 {
     let density = |at: usize, log: f64| {
         let others = logs.iter().enumerate().filter(|(other, _)| *other != at);
-        let kernels: f64 = others.map(|(_, other)| (-0.5 * ((log - other) / width).powi(2)).exp()).sum();
-        let share = log.exp() / mean_secs;
-        kernels / (width * std::f64::consts::TAU.sqrt()) + share * (-share).exp()
+        let kernels: f64 = others.map(|(_, other)| libm::exp(-0.5 * square((log - other) / width))).sum();
+        let share = libm::exp(log) / mean_secs;
+        kernels / (width * std::f64::consts::TAU.sqrt()) + share * libm::exp(-share)
     };
-    logs.iter().enumerate().map(|(at, &log)| density(at, log).max(1e-300).ln()).sum()
+    logs.iter().enumerate().map(|(at, &log)| libm::log(density(at, log).max(1e-300))).sum()
 }
 
 /// The probability of readings at the two values, by the logarithm; never 0, since a span may hide a change.
 pub(super) fn evidence(noise: SensorNoise, ones: u16, zeros: u16) -> [f64; 2] {
     const RARE: f64 = 1e-3;
-    let log = |probability: f64, count: u16| f64::from(count) * probability.max(RARE).ln();
+    let log = |probability: f64, count: u16| f64::from(count) * libm::log(probability.max(RARE));
     let sum = |of_one: [f64; 2], of_zero: [f64; 2], value: usize| log(of_one[value], ones) + log(of_zero[value], zeros);
     let (of_one, of_zero) = (noise.likelihoods(true), noise.likelihoods(false));
     [sum(of_one, of_zero, 0), sum(of_one, of_zero, 1)]

@@ -34,7 +34,7 @@ pub(super) fn filter_chain(rates: Rates, noise: SensorNoise, recent: &Recent) ->
         let [low, high] = evidence(noise, span.ones, span.zeros);
         let (low, high) = (low - rates.rise_per_sec * span.secs(), high - rates.fall_per_sec * span.secs());
         let likelier = low.max(high);
-        let (low, high) = ((1.0 - one) * (low - likelier).exp(), one * (high - likelier).exp());
+        let (low, high) = ((1.0 - one) * libm::exp(low - likelier), one * libm::exp(high - likelier));
         one = high / (low + high).max(f64::MIN_POSITIVE);
         last = Some(span.last_nanos());
     }
@@ -88,7 +88,7 @@ fn join_lightest(known: &mut Vec<Hypothesis>) {
     let lightest = known.iter().enumerate().min_by(|one, other| one.1.weight.total_cmp(&other.1.weight));
     let Some(gone) = lightest.map(|(index, _)| index).map(|index| known.swap_remove(index)) else { return };
     let alike = known.iter_mut().filter(|other| other.is_one == gone.is_one);
-    let distance = |other: &Hypothesis| (other.age_secs / gone.age_secs).ln().abs();
+    let distance = |other: &Hypothesis| libm::log(other.age_secs / gone.age_secs).abs();
     if let Some(nearest) = alike.min_by(|one, other| distance(one).total_cmp(&distance(other))) {
         let weight = nearest.weight + gone.weight;
         if weight > 0.0 {
@@ -108,7 +108,7 @@ fn weigh(known: &mut [Hypothesis], survivals: &[Survival; 2], evidence: [f64; 2]
             hypothesis.weight *= survival.at(hypothesis.age_secs + secs) / survival.at(hypothesis.age_secs);
             hypothesis.age_secs += secs;
         }
-        hypothesis.weight *= (evidence[value] - likelier).exp();
+        hypothesis.weight *= libm::exp(evidence[value] - likelier);
     }
     let sum: f64 = known.iter().map(|hypothesis| hypothesis.weight).sum();
     let count = known.len() as f64;

@@ -34,12 +34,12 @@ pub(super) struct LagWeights {
 impl LagWeights {
     /// The lag with this number, in seconds.
     pub(super) fn lag_secs(lag: usize) -> f64 {
-        SHORTEST_SECS * (LONGEST_SECS / SHORTEST_SECS).powf(lag as f64 / (LAGS - 1) as f64)
+        SHORTEST_SECS * libm::pow(LONGEST_SECS / SHORTEST_SECS, lag as f64 / (LAGS - 1) as f64)
     }
 
     /// The lag that a number of seconds is nearest to; `None` where it is too short or too long.
     pub(super) fn nearest(lag_secs: f64) -> Option<usize> {
-        let place = (lag_secs / SHORTEST_SECS).ln() / (LONGEST_SECS / SHORTEST_SECS).ln() * (LAGS - 1) as f64;
+        let place = libm::log(lag_secs / SHORTEST_SECS) / libm::log(LONGEST_SECS / SHORTEST_SECS) * (LAGS - 1) as f64;
         let place = place.round();
         (0.0..LAGS as f64).contains(&place).then_some(place as usize)
     }
@@ -62,7 +62,7 @@ impl LagWeights {
         let (mut before, mut before_secs) = (1.0, 0.0);
         std::array::from_fn(|lag| {
             let secs = Self::lag_secs(lag);
-            let prior = before * ((before_secs - secs) / trust_secs).exp();
+            let prior = before * libm::exp((before_secs - secs) / trust_secs);
             let weight = (self.products[lag] + SHRINKAGE * prior) / (self.squares[lag] + SHRINKAGE);
             (before, before_secs) = (weight.clamp(0.0, 1.0), secs);
             before
@@ -79,12 +79,12 @@ impl LagWeights {
         for (lag, weight) in weights.into_iter().enumerate() {
             let secs = Self::lag_secs(lag);
             if lag_secs <= secs {
-                let share = (lag_secs / before.0).ln() / (secs / before.0).ln();
+                let share = libm::log(lag_secs / before.0) / libm::log(secs / before.0);
                 return before.1 + (weight - before.1) * share;
             }
             before = (secs, weight);
         }
-        before.1 * (1.0 - lag_secs / LONGEST_SECS).exp()
+        before.1 * libm::exp(1.0 - lag_secs / LONGEST_SECS)
     }
 
     /// The weights from stored sums: Σ(y-a)(u-a) of each lag, then Σ(u-a)² of each; none of a state never scored.

@@ -97,7 +97,7 @@ pub(super) fn log_likelihood(looks: &[Look], from: usize, rates: Rates, noise: S
         let total = (low + high).max(f64::MIN_POSITIVE);
         one = high / total;
         if at >= from {
-            sum += total.ln();
+            sum += libm::log(total);
         }
         last = Some(nanos);
     }
@@ -116,7 +116,7 @@ pub(super) fn expect(looks: &[Look], rates: Rates, noise: SensorNoise) -> Expect
     for &(nanos, is_one) in looks {
         let gap = last.map_or(f64::INFINITY, |last| secs(last, nanos));
         if gap != gap_secs {
-            (gap_secs, kept) = (gap, (-rates.sum() * gap).exp());
+            (gap_secs, kept) = (gap, libm::exp(-rates.sum() * gap));
         }
         one = share + (one - share) * kept;
         let [low, high] = noise.likelihoods(is_one);

@@ -82,7 +82,7 @@ fn x_ln_x(x: u32) -> f64 {
     static TABLE: LazyLock<[f64; TABLED]> = LazyLock::new(|| std::array::from_fn(|x| exactly(x as u32)));
     fn exactly(x: u32) -> f64 {
         let x = f64::from(x);
-        if x > 0.0 { x * x.ln() } else { 0.0 }
+        if x > 0.0 { x * libm::log(x) } else { 0.0 }
     }
     TABLE.get(x as usize).copied().unwrap_or_else(|| exactly(x))
 }

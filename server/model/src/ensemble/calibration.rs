@@ -48,7 +48,7 @@ impl Calibration {
     /// Learns from a day that was predicted before.
     pub(super) fn learn(&mut self, forecast: &DayForecast, looks: &DayLooks) {
         let add = |sums: &mut [f32; 2], half_life_days: f64, more: [f64; 2]| {
-            let kept = 0.5_f64.powf(1.0 / half_life_days);
+            let kept = libm::exp2(-1.0 / half_life_days);
             sums.iter_mut().zip(more).for_each(|(sum, more)| *sum = (kept * f64::from(*sum) + more) as f32);
         };
         let (mut departures, mut neighbours) = ([0.0; 2], [0.0; 2]);

@@ -131,7 +131,7 @@ impl Ensemble {
             let weigh =
                 |(sum, number): (f64, f64), (value, weight): (f64, f64)| (sum + weight * value, number + weight);
             let turned = turns
-                .filter_map(|back| Some((seen(back)?, 0.5_f64.powf(f64::from(back) / ROTATION_HALF_LIFE))))
+                .filter_map(|back| Some((seen(back)?, libm::exp2(-f64::from(back) / ROTATION_HALF_LIFE))))
                 .fold((base, 1.0), weigh);
             set(Member::Rotation, turned.0 / turned.1);
             let (sum, number) = (f64::from(self.alike.sums[kind][slot]), f64::from(self.alike.looks[kind][slot]));

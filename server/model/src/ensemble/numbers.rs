@@ -24,6 +24,7 @@ use stack::LinearStack;
 use table::{Levels, Shapes, Tables};
 
 use super::looks::{DayLooks, SLOTS, slot_at};
+use crate::special::square;
 use crate::{LocalDay, Sample, models::Moment, models::TemporalModel};
 
 /// The shares of their sums that the stacks keep after each further observed day.
@@ -177,7 +178,7 @@ impl NumberEnsemble {
             return None;
         };
         let error =
-            |sample: &Sample| (self.origin + prepared.forecast[slot_at(sample.civil_nanos())] - sample.value).powi(2);
+            |sample: &Sample| square(self.origin + prepared.forecast[slot_at(sample.civil_nanos())] - sample.value);
         let error = newer.iter().map(error).sum();
         let variance = self.scatter.variance();
         if let Some(members) = &prepared.members {

@@ -221,12 +221,12 @@ impl Outlook {
     /// How a class is answered.
     pub(super) fn weights(&self, class: usize) -> FarWeights {
         let counted = |class: usize, member: usize| {
-            f64::from(self.classes[class].losses[member]) * (AHEAD_DAYS[class] as f64).powf(-DEPENDENCE)
+            f64::from(self.classes[class].losses[member]) * libm::pow(AHEAD_DAYS[class] as f64, -DEPENDENCE)
         };
         let looks = f64::from(self.classes[class].looks);
         let mut logs = [0.0; FAR_MEMBERS];
         for (place, (log, member)) in logs.iter_mut().zip(ALL).enumerate() {
-            *log = member.prior().ln() - counted(class, place);
+            *log = libm::log(member.prior()) - counted(class, place);
             let beyond = |days: f64| WINDOWS * days < AHEAD_DAYS[class] as f64;
             if looks < LOOKS_MIN && member.window_days().is_some_and(beyond) {
                 *log = f64::NEG_INFINITY;
@@ -236,7 +236,7 @@ impl Outlook {
             let unlimited = |place: &usize| ALL[*place].window_days().is_none();
             let least =
                 (0..FAR_MEMBERS).filter(unlimited).map(|place| counted(shorter, place)).fold(f64::INFINITY, f64::min);
-            let carried = CARRIED.powi((class - shorter) as i32) * LOOKS_MIN / (LOOKS_MIN + looks);
+            let carried = libm::pow(CARRIED, (class - shorter) as f64) * LOOKS_MIN / (LOOKS_MIN + looks);
             for (place, log) in logs.iter_mut().enumerate() {
                 *log -= carried * if unlimited(&place) { counted(shorter, place) } else { least };
             }
@@ -272,7 +272,7 @@ impl Outlook {
                 explained[0] += by_pool / (by_pool + by_mean);
                 explained[1] += by_mean / (by_pool + by_mean);
                 for (loss, p) in losses.iter_mut().zip(values) {
-                    *loss -= value * p.ln() + (1.0 - value) * (1.0 - p).ln();
+                    *loss -= value * libm::log(p) + (1.0 - value) * libm::log(1.0 - p);
                 }
             }
             let number = seen.len() as f64;

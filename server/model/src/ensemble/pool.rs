@@ -4,6 +4,7 @@
 //! The pool is the weighted mean of the members' probabilities. Invariant: the weights sum to 1.
 
 use super::stack::clip;
+use crate::special::square;
 
 /// The members of the pool, in the order in which they are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,7 +87,7 @@ pub(super) struct Pool {
 /// Log loss and squared error of a prediction.
 pub(super) fn loss(predicted: f64, value: f64) -> f64 {
     let p = clip(predicted);
-    -(value * p.ln() + (1.0 - value) * (1.0 - p).ln()) + (p - value).powi(2)
+    -(value * libm::log(p) + (1.0 - value) * libm::log(1.0 - p)) + square(p - value)
 }
 
 impl Pool {
@@ -98,7 +99,7 @@ impl Pool {
     pub(super) fn weights(&self, looks: f64) -> [f64; MEMBERS] {
         let mut weights = [0.0; MEMBERS];
         for ((weight, member), &loss) in weights.iter_mut().zip(ALL).zip(&self.losses) {
-            *weight = member.prior(looks).ln() - RATE * f64::from(loss);
+            *weight = libm::log(member.prior(looks)) - RATE * f64::from(loss);
         }
         normalised(weights)
     }
@@ -106,7 +107,7 @@ impl Pool {
     /// How much the first of two members counts against the second.
     pub(super) fn share(&self, one: Member, other: Member) -> f64 {
         let loss = |member: Member| RATE * f64::from(self.losses[member as usize]);
-        1.0 / (1.0 + (loss(one) - loss(other)).clamp(-30.0, 30.0).exp())
+        1.0 / (1.0 + libm::exp((loss(one) - loss(other)).clamp(-30.0, 30.0)))
     }
 
     /// Adds the losses of a day.
@@ -120,7 +121,7 @@ impl Pool {
 /// Weights from their logarithms; a logarithm may be minus infinity, but not all.
 pub(super) fn normalised<const N: usize>(logs: [f64; N]) -> [f64; N] {
     let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let weights = logs.map(|log| (log - highest).exp());
+    let weights = logs.map(|log| libm::exp(log - highest));
     let all: f64 = weights.iter().sum();
     weights.map(|weight| weight / all)
 }

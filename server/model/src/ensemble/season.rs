@@ -11,6 +11,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::stack::clip;
 use crate::LocalDay;
+use crate::special::square;
 
 /// Days of one mean.
 const BIN_DAYS: i64 = 5;
@@ -93,7 +94,7 @@ struct Solved {
 fn phases(day: f64) -> [[f64; 2]; ORDERS] {
     [1.0, 2.0, 3.0].map(|harmonic| {
         let angle = std::f64::consts::TAU * harmonic * day / YEAR_DAYS;
-        [angle.cos(), angle.sin()]
+        [libm::cos(angle), libm::sin(angle)]
     })
 }
 
@@ -181,7 +182,7 @@ impl Season {
         let number = self.bins.len() as f64;
         let values: Vec<f64> = self.bins.iter().map(|bin| f64::from(bin.mean)).collect();
         let centre = values.iter().sum::<f64>() / number;
-        let flat_error: f64 = values.iter().map(|value| (value - centre).powi(2)).sum();
+        let flat_error: f64 = values.iter().map(|value| square(value - centre)).sum();
         let solved: Vec<Solved> =
             (1..=ORDERS).filter_map(|order| self.solve_order(order, &values, flat_error)).collect();
         let Some(independent) = solved.iter().map(|solved| solved.independent).reduce(f64::min) else { return flat };
@@ -190,15 +191,15 @@ impl Season {
                 true => (order.saturating_sub(1), 0.0),
                 false => (order, if order > 0 { COST_OF_ANY } else { 0.0 }),
             };
-            let cost = COST * costly as f64 * independent.max(2.0).ln() + of_any;
-            -0.5 * independent * (error / number + ERROR_MIN).ln() - cost
+            let cost = COST * costly as f64 * libm::log(independent.max(2.0)) + of_any;
+            -0.5 * independent * libm::log(error / number + ERROR_MIN) - cost
         };
         let of_flat = evidence(0, flat_error);
         let highest = solved.iter().map(|one| evidence(one.order, one.squared_error)).fold(of_flat, f64::max);
-        let (mut all, mut rhythm) = ((of_flat - highest).exp(), Rhythm { mean: 0.0, ..flat });
+        let (mut all, mut rhythm) = (libm::exp(of_flat - highest), Rhythm { mean: 0.0, ..flat });
         rhythm.mean = all * mean;
         for one in &solved {
-            let share = (evidence(one.order, one.squared_error) - highest).exp();
+            let share = libm::exp(evidence(one.order, one.squared_error) - highest);
             all += share;
             let Some((&constant, waves)) = one.coefficients.split_first().filter(|_| one.shrunk > 0.0) else {
                 rhythm.mean += share * mean;

@@ -13,6 +13,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::week_table::WeekTable;
 use crate::hours_seen::{HOURS, Hours};
+use crate::special::square;
 
 /// Hours of weekday and weekend.
 const CELLS: usize = 2 * HOURS;
@@ -42,7 +43,7 @@ fn shapes() -> &'static [DMatrix<f64>; WIDTHS.len()] {
             DMatrix::from_fn(CELLS, CELLS, |one, other| {
                 let turn = std::f64::consts::PI * (one % HOURS).abs_diff(other % HOURS) as f64 / HOURS as f64;
                 let scale = 2.0 * std::f64::consts::PI * width / HOURS as f64;
-                let near = (-2.0 * (turn.sin() / scale).powi(2)).exp();
+                let near = libm::exp(-2.0 * square(libm::sin(turn) / scale));
                 let same_hour = f64::from(u8::from(one % HOURS == other % HOURS));
                 let hour = (1.0 - OWN_HOUR) * near + OWN_HOUR * same_hour;
                 let same_kind = f64::from(u8::from(one / HOURS == other / HOURS));
@@ -78,7 +79,7 @@ pub(super) fn smooth_table(table: &WeekTable) -> KindHours {
         let departures = DVector::from_iterator(seen.len(), seen.iter().map(|&cell| sums[cell] / looks[cell] - PRIOR));
         let factor = Cholesky::new(of_seen)?;
         let weights = factor.solve(&departures);
-        let halved_log: f64 = factor.l_dirty().diagonal().iter().map(|entry| entry.ln()).sum();
+        let halved_log: f64 = factor.l_dirty().diagonal().iter().map(|&entry| libm::log(entry)).sum();
         let evidence = -halved_log - 0.5 * departures.dot(&weights);
         let mut values = [PRIOR; CELLS];
         for (cell, value) in values.iter_mut().enumerate() {
@@ -87,14 +88,15 @@ pub(super) fn smooth_table(table: &WeekTable) -> KindHours {
         }
         Some(Solved { evidence, values })
     };
-    let flat = solve(None).map(|solved| (NO_SHAPE.ln(), solved));
-    let shaped =
-        shapes().iter().filter_map(|shape| Some((((1.0 - NO_SHAPE) / WIDTHS.len() as f64).ln(), solve(Some(shape))?)));
+    let flat = solve(None).map(|solved| (libm::log(NO_SHAPE), solved));
+    let shaped = shapes()
+        .iter()
+        .filter_map(|shape| Some((libm::log((1.0 - NO_SHAPE) / WIDTHS.len() as f64), solve(Some(shape))?)));
     let solved: Vec<(f64, Solved)> = flat.into_iter().chain(shaped).collect();
     let highest = solved.iter().map(|(prior, solved)| prior + solved.evidence).fold(f64::MIN, f64::max);
     let (mut all, mut cells) = (0.0, [0.0; CELLS]);
     for (prior, solved) in &solved {
-        let share = (prior + solved.evidence - highest).exp();
+        let share = libm::exp(prior + solved.evidence - highest);
         all += share;
         cells.iter_mut().zip(solved.values).for_each(|(cell, value)| *cell += share * value);
     }

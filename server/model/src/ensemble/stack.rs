@@ -38,12 +38,12 @@ pub(super) type Features = [[f64; FEATURES]; SLOTS];
 
 /// Log odds of a probability.
 pub(super) fn log_odds(p: f64) -> f64 {
-    (p / (1.0 - p)).ln()
+    libm::log(p / (1.0 - p))
 }
 
 /// The probability of log odds, within [`clip`]'s bounds.
 pub(super) fn probability(log_odds: f64) -> f64 {
-    clip(1.0 / (1.0 + (-log_odds.clamp(-30.0, 30.0)).exp()))
+    clip(1.0 / (1.0 + libm::exp(-log_odds.clamp(-30.0, 30.0))))
 }
 
 /// No member is surer than one in a thousand.

@@ -113,7 +113,7 @@ impl WeekTable {
 
     /// Lets days without looks pass.
     pub(super) fn pass(&mut self, days: f64) {
-        let kept = KEPT.powf(days);
+        let kept = libm::pow(KEPT, days);
         for (weight, resting) in self.weights.iter_mut().flat_map(|level| level.iter_mut().zip(PRIOR_WEIGHTS)) {
             let resting = RESTING * resting;
             *weight = (resting + kept * (f64::from(*weight) - resting)) as f32;
@@ -123,7 +123,7 @@ impl WeekTable {
 
     fn fade(&mut self, days: f64) {
         let Some(half_life_days) = self.half_life_days else { return };
-        let factor = 0.5_f64.powf(days / half_life_days) as f32;
+        let factor = libm::exp2(-days / half_life_days) as f32;
         for number in self.sums.as_flattened_mut().iter_mut().chain(self.looks.as_flattened_mut()) {
             *number *= factor;
         }
@@ -150,7 +150,7 @@ impl WeekTable {
 
     /// The weight of a look that is so many days old.
     pub(super) fn weight_at_age(&self, days: f64) -> f64 {
-        self.half_life_days.map_or(1.0, |half_life_days| 0.5_f64.powf(days / half_life_days))
+        self.half_life_days.map_or(1.0, |half_life_days| libm::exp2(-days / half_life_days))
     }
 }
 
@@ -162,7 +162,7 @@ fn level(
     responsibilities: &mut [f64; PRIORS],
 ) -> Hours {
     let total: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
-    let logs = weights.map(|weight| (f64::from(weight) / total).ln());
+    let logs = weights.map(|weight| libm::log(f64::from(weight) / total));
     let mut values = [0.0; HOURS];
     for (hour, value) in values.iter_mut().enumerate() {
         let near = neighbours(&sums, &looks, hour, coarser[hour]);
@@ -183,7 +183,7 @@ fn level(
             *mean = (sum + prior_ones) / (number + strength);
         }
         let highest = evidence.iter().copied().fold(f64::MIN, f64::max);
-        let shares = evidence.map(|evidence| (evidence - highest).exp());
+        let shares = evidence.map(|evidence| libm::exp(evidence - highest));
         let all: f64 = shares.iter().sum();
         for ((share, mean), said) in shares.iter().zip(means).zip(responsibilities.iter_mut()) {
             *value += share / all * mean;

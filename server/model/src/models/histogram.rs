@@ -7,6 +7,7 @@
 use super::mean::{RunningMean, check_values};
 use super::{CannotTrain, Moment, Readings, TemporalModel};
 use crate::InvalidParts;
+use crate::special::square;
 
 mod answer;
 mod cycle;
@@ -219,7 +220,7 @@ fn shrunk((weight, value): (f64, f64), mean: f64, prior_readings: f64) -> f64 {
 fn smoothed(bins: &[(f64, f64)], run: usize, width_bins: f64) -> Vec<(f64, f64)> {
     // Beyond four standard deviations a kernel has 6e-5 of its mass; beyond half the circle it would count bins twice.
     let reach = ((4.0 * width_bins).ceil() as usize).min((run - 1) / 2);
-    let kernel: Vec<f64> = (0..=reach).map(|bin| (-0.5 * (bin as f64 / width_bins).powi(2)).exp()).collect();
+    let kernel: Vec<f64> = (0..=reach).map(|bin| libm::exp(-0.5 * square(bin as f64 / width_bins))).collect();
     let mut smoothed = Vec::with_capacity(bins.len());
     for circle in bins.chunks(run) {
         for at in 0..circle.len() {

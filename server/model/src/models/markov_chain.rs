@@ -115,7 +115,7 @@ impl TemporalModel for MarkovChain {
         }
         debug_assert!(stationary > 0.0 && stationary < 1.0, "both rates are positive: {stationary}");
         let elapsed_secs = at.utc_nanos.abs_diff(self.parts.last_nanos) as f64 / 1e9;
-        let kept = (-elapsed_secs / self.memory_secs()).exp();
+        let kept = libm::exp(-elapsed_secs / self.memory_secs());
         (stationary * (1.0 - kept) + self.parts.last_value * kept).clamp(0.0, 1.0)
     }
 }

@@ -108,7 +108,7 @@ impl PoissonSpectral {
         let mut count = self.parts.mean;
         for component in self.parts.components.iter().take(order) {
             if let Some(turns) = self.periodicities.turns(component.periodicity as usize, civil_nanos) {
-                let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
+                let (sin, cos) = libm::sincos(std::f64::consts::TAU * turns);
                 count += 2.0 * (component.gamma_re * cos - component.gamma_im * sin);
             }
         }
@@ -199,7 +199,7 @@ fn best_order(bins: &[Bin], periodicities: &Periodicities, bin_nanos: i64, stop:
         let of_bin = |bin: &Bin| {
             let expected = model.count(order, bin.centre_nanos);
             // Without ln(count!), which is the same for every order.
-            bin.count * expected.ln() - expected
+            bin.count * libm::log(expected) - expected
         };
         held_out.iter().map(of_bin).sum()
     };

@@ -5,6 +5,7 @@
 //! predictions improved day after day ([`OrderGains`]). Invariant: more observations of the same kind never lower the
 //! number; no result is NaN.
 
+use crate::special::square;
 use crate::{Component, Periodicities, SpectralModel};
 
 mod gains;
@@ -147,9 +148,9 @@ pub(crate) fn supported_order_of(
         }
         let forgotten = |at: usize| (changed[at] - explained[at]).max(0.0) / (left * (1.0 - share));
         let effective = effective(sums, [0, 1, 2].map(forgotten));
-        let exponent = -(-share).ln_1p() * (effective * remembered - 3.0).max(0.0) / 2.0;
+        let exponent = -libm::log1p(-share) * (effective * remembered - 3.0).max(0.0) / 2.0;
         // 1 - (1 - e^-z)^K, exact where e^-z is tiny.
-        let false_alarm = -(candidates * (-(-exponent).exp()).ln_1p()).exp_m1();
+        let false_alarm = -libm::expm1(candidates * libm::log1p(-libm::exp(-exponent)));
         // Overlapping components can explain more than the whole variance; NaN supports nothing.
         if left.is_nan() || left <= 0.0 || false_alarm.is_nan() || false_alarm >= FALSE_ALARM {
             break;
@@ -161,11 +162,11 @@ pub(crate) fn supported_order_of(
 }
 
 fn power(component: &Component) -> f64 {
-    component.gamma_re.powi(2) + component.gamma_im.powi(2)
+    square(component.gamma_re) + square(component.gamma_im)
 }
 
 /// Half the mean squared change of a component's value over some seconds: 2|γ|²(1 - cos ωΔt).
 fn half_square_of(component: &Component, periodicities: &Periodicities, secs: f64) -> f64 {
     let turns = secs / periodicities.period_secs(component.periodicity as usize);
-    2.0 * power(component) * (1.0 - (std::f64::consts::TAU * turns).cos())
+    2.0 * power(component) * (1.0 - libm::cos(std::f64::consts::TAU * turns))
 }

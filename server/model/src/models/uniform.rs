@@ -249,7 +249,7 @@ impl UniformSpectral {
     fn probability(&self, order: usize, turns: impl Fn(u32) -> f64) -> f64 {
         let mut p = self.parts.mean;
         for component in self.parts.components.iter().take(order) {
-            let (sin, cos) = (std::f64::consts::TAU * turns(component.periodicity)).sin_cos();
+            let (sin, cos) = libm::sincos(std::f64::consts::TAU * turns(component.periodicity));
             let term = component.gamma_re * cos - component.gamma_im * sin;
             // At half the sampling rate a component is its own mirror image and enters once.
             let is_fastest = 2 * u64::from(component.periodicity) == u64::from(self.parts.trained_steps);

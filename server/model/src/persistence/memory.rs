@@ -48,9 +48,9 @@ impl Persistence {
             (Some(first), Some((last, _))) if last > first && pairs > 0.0 => secs_between(first, last) / pairs,
             _ => return (pairs + 1.0) / (1.0 / PRIOR_MEMORY_SECS + rate),
         };
-        let before = -(-gap_secs / PRIOR_MEMORY_SECS).exp_m1();
+        let before = -libm::expm1(-gap_secs / PRIOR_MEMORY_SECS);
         let forgotten = (before + rate * gap_secs) / (pairs + 1.0);
-        if forgotten < 1.0 { gap_secs / -(-forgotten).ln_1p() } else { 0.0 }
+        if forgotten < 1.0 { gap_secs / -libm::log1p(-forgotten) } else { 0.0 }
     }
 
     /// The weight of the last value at a time, from 0 to 1: e^(-(α+β)(t-T)), with 1/(α+β) at most `max_secs`. 0 before
@@ -60,7 +60,7 @@ impl Persistence {
             Some((last_nanos, _)) if utc_nanos == last_nanos => 1.0,
             Some((last_nanos, _)) if utc_nanos > last_nanos => {
                 let memory_secs = self.memory_secs(basis).min(max_secs.unwrap_or(f64::INFINITY));
-                (-secs_between(last_nanos, utc_nanos) / memory_secs).exp()
+                libm::exp(-secs_between(last_nanos, utc_nanos) / memory_secs)
             }
             _ => 0.0,
         }
@@ -87,7 +87,7 @@ mod tests {
         for _ in 0..20_000 {
             let gap = gap_secs * (1.0 + spread * (2.0 * random.random::<f64>() - 1.0));
             at_secs += gap;
-            let kept = (-gap / memory_secs).exp();
+            let kept = libm::exp(-gap / memory_secs);
             value = random.random::<f64>() < share * (1.0 - kept) + f64::from(u8::from(value)) * kept;
             known.observe((at_secs * 1e9) as i64, f64::from(u8::from(value)));
             sum += f64::from(u8::from(value));

@@ -177,3 +177,27 @@ fn memory_is_counted() {
     running.extend_chunk(&PhasorTable::new(&week, &[0; 100]));
     assert!(running.bytes() >= before + 100 * 2 * 168 * 8);
 }
+
+#[test]
+fn rows_are_added_with_equal_bits_on_every_instruction_set() {
+    let row =
+        |from: usize, count: usize| -> Vec<f64> { (from..from + count).map(|i| (i as f64).sin() / 3.0).collect() };
+    for count in 0..42 {
+        let (plus, minus, before) = (row(0, count), row(100, count), row(200, count));
+        let difference =
+            before.iter().zip(plus.iter().zip(&minus)).map(|(before, (plus, minus))| before + (plus - minus));
+        let difference: Vec<u64> = difference.map(f64::to_bits).collect();
+        let of_both = before.iter().zip(plus.iter().zip(&minus)).map(|(before, (plus, minus))| before + plus - minus);
+        let of_both: Vec<u64> = of_both.map(f64::to_bits).collect();
+        let bits = |sum: &[f64]| sum.iter().map(|number| number.to_bits()).collect::<Vec<_>>();
+        for arch in every_arch() {
+            let mut sum = before.clone();
+            arch.dispatch(AddDifference { sum: &mut sum, plus: &plus, minus: &minus });
+            assert_eq!(bits(&sum), difference, "{arch:?}, {count} numbers");
+            let mut sum = before.clone();
+            arch.dispatch(AddRow::<false> { sum: &mut sum, row: &plus });
+            arch.dispatch(AddRow::<true> { sum: &mut sum, row: &minus });
+            assert_eq!(bits(&sum), of_both, "{arch:?}, {count} numbers");
+        }
+    }
+}

@@ -2,10 +2,11 @@
 //!
 //! Invariant: the same sums give the same model as [`SpectralModel::train`], to 1e-9.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::component::Strongest;
 use super::{Component, SpectralModel};
+use crate::instruction_set::arch;
 use crate::{Periodicities, PhasorSum};
 
 #[cfg(test)]
@@ -50,7 +51,7 @@ impl SpectralModel {
         let squares = b_re.iter().zip(b_im).map(|(re, im)| re * re + im * im);
         let in_phase_nanos = periodicities.in_phase_nanos(squares, sums.weight);
         let mut strongest = Strongest::new();
-        Arch::new().dispatch(CellTraining {
+        arch().dispatch(CellTraining {
             sums: &sums,
             scale: (occupied - free) / sums.weight,
             span_nanos: sums.span_nanos.saturating_add(sums.gap_nanos.0),

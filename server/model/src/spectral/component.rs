@@ -22,12 +22,12 @@ pub struct Component {
 impl Component {
     /// The amplitude 2|γ_k|.
     pub fn amplitude(&self) -> f64 {
-        2.0 * self.gamma_re.hypot(self.gamma_im)
+        2.0 * libm::hypot(self.gamma_re, self.gamma_im)
     }
 
     /// Phase at local civil time 1970-01-01T00:00, in radians from -π to π: arg γ_k.
     pub fn phase_rad(&self) -> f64 {
-        self.gamma_im.atan2(self.gamma_re)
+        libm::atan2(self.gamma_im, self.gamma_re)
     }
 }
 

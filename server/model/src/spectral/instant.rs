@@ -21,7 +21,7 @@ impl InstantPhasors {
     pub fn new(periodicities: &Periodicities, civil_nanos: i64) -> InstantPhasors {
         let phasor = |k: usize| {
             let turns = periodicities.turns(k, civil_nanos).unwrap_or(0.0);
-            let (sin, cos) = (std::f64::consts::TAU * turns).sin_cos();
+            let (sin, cos) = libm::sincos(std::f64::consts::TAU * turns);
             (cos, sin)
         };
         InstantPhasors { civil_nanos, phasors: (0..periodicities.len()).map(phasor).collect() }

@@ -7,10 +7,11 @@
 //! Invariant: an omitted time adds nothing to any sum. Sums have the same bits on every instruction set, and no squared
 //! error is below 0.
 
-use pulp::{Arch, Simd};
+use pulp::Simd;
 
 use super::SpectralModel;
 use super::sweep::Term;
+use crate::instruction_set::arch;
 use crate::lanes::{Eight, EightLanes, LANES, OnLanes};
 use crate::{ORDER_MAX, PhasorTable};
 
@@ -112,13 +113,13 @@ impl SpectralModel {
         let mean = self.mean;
         let mut terms = [Term::default(); ORDER_MAX];
         match self.terms(ORDER_MAX, phasors, &mut terms) {
-            Some(terms) => Arch::new().dispatch(OnLanes(ScoreKernel { mean, terms, columns, with_wrong, sums })),
+            Some(terms) => arch().dispatch(OnLanes(ScoreKernel { mean, terms, columns, with_wrong, sums })),
             None => {
                 let own: Vec<u32> = self.components.iter().map(|component| component.periodicity).collect();
                 let phasors = PhasorTable::only(phasors.periodicities(), &phasors.civil_nanos()[..times], &own);
                 let mut terms = [Term::default(); ORDER_MAX];
                 let terms = self.terms(ORDER_MAX, &phasors, &mut terms).unwrap_or(&[]);
-                Arch::new().dispatch(OnLanes(ScoreKernel { mean, terms, columns, with_wrong, sums }));
+                arch().dispatch(OnLanes(ScoreKernel { mean, terms, columns, with_wrong, sums }));
             }
         }
     }

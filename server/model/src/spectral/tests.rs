@@ -159,11 +159,20 @@ fn every_instruction_set_gives_the_same_predictions() {
     let (model, table) = (trained(&week, &samples), PhasorTable::new(&week, &times));
     let mut terms = [Term::default(); ORDER_MAX];
     let terms = model.terms(ORDER_MAX, &table, &mut terms).unwrap();
+    for length in (0..42).chain([times.len()]) {
+        check_instruction_sets(&model, terms, &times[..length]);
+    }
+    let nothing = SpectralModel::from_parts(-0.0, 0, Vec::new()).unwrap();
+    check_instruction_sets(&nothing, &[], &times[..21]);
+}
+
+fn check_instruction_sets(model: &SpectralModel, terms: &[Term<'_>], times: &[i64]) {
+    let week = Periodicities::default();
     let mut first = None;
     for arch in crate::phasor::every_arch() {
         let mut out = vec![0.0; times.len()];
         arch.dispatch(Predict { mean: model.mean(), terms, times: times.len(), out: &mut out });
-        for (&found, &civil) in out.iter().zip(&times) {
+        for (&found, &civil) in out.iter().zip(times) {
             assert!((found - model.predict(&week, ORDER_MAX, civil)).abs() < 1e-10);
         }
         let bits: Vec<u64> = out.iter().map(|out| out.to_bits()).collect();

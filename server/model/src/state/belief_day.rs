@@ -3,6 +3,7 @@
 //! Invariant: the belief is scored against what answered by default before the day.
 
 use super::StateModel;
+use crate::special::square;
 use crate::{Belief, MemoryBasis, Periodicities, Sample, StateKind, StateSensor};
 
 /// Squared distances below this say nothing about a probability.
@@ -68,5 +69,5 @@ impl StateModel {
 fn variance(samples: &[Sample]) -> f64 {
     let count = samples.len().max(1) as f64;
     let mean = samples.iter().map(|sample| sample.value).sum::<f64>() / count;
-    samples.iter().map(|sample| (sample.value - mean).powi(2)).sum::<f64>() / count
+    samples.iter().map(|sample| square(sample.value - mean)).sum::<f64>() / count
 }

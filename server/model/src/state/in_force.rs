@@ -3,6 +3,7 @@
 //! Invariant: a prediction lies in the bounds of the state's kind.
 
 use super::{ActiveModel, StateModel};
+use crate::special::square;
 use crate::{
     Periodicities, PhasorTable, Sample,
     models::{Moment, TemporalModel as _},
@@ -59,7 +60,7 @@ impl StateModel {
         let ensemble = self.ensemble()?.of_number()?;
         let own = ensemble.predict(moments, self.chosen_member(periodicities).others());
         let variance = |((&at, own), value): ((&Moment, f64), &f64)| {
-            ensemble.variance(at) + (self.kind().saturate(own) - value).powi(2)
+            ensemble.variance(at) + square(self.kind().saturate(own) - value)
         };
         Some(moments.iter().zip(own).zip(values).map(variance).collect())
     }

@@ -87,7 +87,7 @@ impl FarStacks {
         let Some(shorter) = class.checked_sub(1) else { return WEIGHTS };
         let mut weights = self.weights(shorter);
         for (weight, half_life_days) in weights[1..].iter_mut().zip(HALF_LIVES_DAYS) {
-            *weight *= 0.5_f64.powf(AHEAD_DAYS[class] as f64 / (WINDOWS * half_life_days));
+            *weight *= libm::exp2(-(AHEAD_DAYS[class] as f64) / (WINDOWS * half_life_days));
         }
         weights
     }

@@ -8,6 +8,7 @@ use super::super::looks::{DayLooks, SLOT_NANOS, SLOTS};
 use super::super::pool::normalised;
 use super::table::RECENT;
 use super::{NumberEnsemble, SeenDay};
+use crate::special::square;
 use crate::{
     LocalDay,
     models::{Moment, TemporalModel},
@@ -117,7 +118,7 @@ impl NumberEnsemble {
         for slot in 0..SLOTS {
             let [one, two, week, fortnight] = before.each_ref().map(|known| residual(known, slot));
             let [slow, middle, fast] = [0, 1, 2].map(|table| levels[table + 1] + shapes.recent[table][slot]);
-            let (weekday, left) = (levels[0] + shapes.weekday[slot], (-FALL * slot as f64 / SLOTS as f64).exp());
+            let (weekday, left) = (levels[0] + shapes.weekday[slot], libm::exp(-FALL * slot as f64 / SLOTS as f64));
             let own = base[slot];
             features[slot] = [
                 weekday - own,
@@ -161,7 +162,7 @@ impl<const N: usize> Pool<N> {
     /// beside those of the next day.
     pub(super) fn weights(&self, priors: [f64; N], dependence: f64) -> [f64; N] {
         let least = self.losses.iter().copied().fold(f64::INFINITY, f64::min);
-        let mut logs = priors.map(f64::ln);
+        let mut logs = priors.map(libm::log);
         for (log, loss) in logs.iter_mut().zip(&self.losses) {
             let more = loss - least;
             // Where one member was always right, it alone answers.
@@ -177,7 +178,7 @@ impl<const N: usize> Pool<N> {
         for (slot, value) in looks.seen() {
             self.looks += 1.0;
             for (sum, predicted) in self.losses.iter_mut().zip(values) {
-                *sum += (predicted[slot] - value).powi(2);
+                *sum += square(predicted[slot] - value);
             }
         }
     }

@@ -42,7 +42,7 @@ pub(super) fn hour_errors<'a>(
 /// guess that is far too wide is soon forgotten.
 pub(super) fn shrunk([sum, number]: Squares, towards: f64, weight: f64) -> f64 {
     let ratio = sum / number / towards;
-    if ratio > 0.0 && ratio.is_finite() { towards * ratio.powf(number / (number + weight)) } else { towards }
+    if ratio > 0.0 && ratio.is_finite() { towards * libm::pow(ratio, number / (number + weight)) } else { towards }
 }
 
 impl Spread {

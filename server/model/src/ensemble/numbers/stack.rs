@@ -79,7 +79,7 @@ mod tests {
     fn the_member_that_is_right_gets_the_weight() {
         let mut stack = LinearStack::new(0.985, [1.0, 0.0, 0.0]);
         let features = |look: i32| {
-            let wave = |pace: f64| (f64::from(look) * pace).sin();
+            let wave = |pace: f64| libm::sin(f64::from(look) * pace);
             [wave(0.7), wave(1.3), wave(2.9)]
         };
         assert_eq!(stack.predict(&[2.0, 1.0, 1.0]), 2.0);

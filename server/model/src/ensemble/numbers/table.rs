@@ -131,7 +131,7 @@ impl Tables {
     /// Lets days without looks pass.
     pub(super) fn pass(&mut self, days: f64) {
         for (kinds, half_life_days) in self.recent.iter_mut().zip(HALF_LIVES_DAYS) {
-            kinds.iter_mut().for_each(|cells| cells.scale(0.5_f64.powf(days / half_life_days)));
+            kinds.iter_mut().for_each(|cells| cells.scale(libm::exp2(-days / half_life_days)));
         }
     }
 
@@ -142,7 +142,7 @@ impl Tables {
         }
         self.week[weekday].add(looks, 1.0);
         for (kinds, half_life_days) in self.recent.iter_mut().zip(HALF_LIVES_DAYS) {
-            kinds[kind_of_day(weekday)].add(looks, 0.5_f64.powf(age_days / half_life_days));
+            kinds[kind_of_day(weekday)].add(looks, libm::exp2(-age_days / half_life_days));
         }
     }
 }

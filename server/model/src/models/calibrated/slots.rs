@@ -6,6 +6,7 @@
 use super::options::CalibratedOptions;
 use crate::civil::NANOS_PER_SEC;
 use crate::models::Readings;
+use crate::special::square;
 use crate::{LocalDay, Sample};
 
 /// Monday 0 to Sunday 6.
@@ -169,7 +170,7 @@ impl Kernel {
     fn new(deviation_secs: f64) -> Kernel {
         let deviation = deviation_secs / SECS_PER_SLOT;
         let reach = ((3.0 * deviation).ceil() as usize).min(SLOTS_PER_DAY - 1);
-        let weight = |slots: usize| if slots == 0 { 1.0 } else { (-0.5 * (slots as f64 / deviation).powi(2)).exp() };
+        let weight = |slots: usize| if slots == 0 { 1.0 } else { libm::exp(-0.5 * square(slots as f64 / deviation)) };
         let weights: Vec<f64> = (0..=2 * reach).map(|place| weight(place.abs_diff(reach))).collect();
         let mut kernel = Kernel { weights, within: [0.0; SLOTS_PER_DAY] };
         kernel.within = kernel.over(&[1.0; SLOTS_PER_DAY]);

@@ -8,6 +8,7 @@
 
 use super::CalibratedOptions;
 use super::slots::{DAYS_OF_WEEK, DaySums, SLOTS_PER_DAY, SlotSums, WeekSums};
+use crate::special::square;
 
 /// The first day of the weekend.
 const SATURDAY: usize = 5;
@@ -95,7 +96,7 @@ fn refine(
         for (slot, (sums, before)) in slots.iter().zip(before).enumerate() {
             let own = 1.0 - share(group, slot);
             // The part that the scatter of days alone explains is subtracted.
-            departure += sums.days() * (sums.mean() - before).powi(2) - own * sums.share_seen() * alike_in[group];
+            departure += sums.days() * square(sums.mean() - before) - own * sums.share_seen() * alike_in[group];
             weight += own * sums.days();
         }
     }

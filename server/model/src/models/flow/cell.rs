@@ -174,8 +174,9 @@ impl HeldOutDays {
                         *expected += re * cos - im * sin;
                     }
                 }
-                let of_count =
-                    |(interval, count): &(usize, f64)| count * expected[interval - self.from].max(rate.floor).ln();
+                let of_count = |(interval, count): &(usize, f64)| {
+                    count * libm::log(expected[interval - self.from].max(rate.floor))
+                };
                 *found += held.iter().map(of_count).sum::<f64>();
                 *found -= expected.iter().map(|expected| expected.max(rate.floor)).sum::<f64>();
             }

@@ -36,7 +36,7 @@ impl FlowIntervals {
         let (first, last) = (first_nanos.div_euclid(length_nanos), last_nanos.div_euclid(length_nanos));
         let secs = length_nanos as f64 / 1e9;
         let weight = |index: i64| {
-            options.half_life_secs.map_or(1.0, |half_life| (-((last - index) as f64) * secs / half_life).exp2())
+            options.half_life_secs.map_or(1.0, |half_life| libm::exp2(-((last - index) as f64) * secs / half_life))
         };
         FlowIntervals { length_nanos, first, weights: (first..=last.max(first)).map(weight).collect() }
     }

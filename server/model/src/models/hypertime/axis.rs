@@ -3,6 +3,7 @@
 //! Invariant: for all finite observed numbers, standardised ones are finite and bounded.
 
 use crate::InvalidParts;
+use crate::special::square;
 
 /// The bound of standardised coordinates, far beyond anything observed.
 const FARTHEST: f64 = 1e6;
@@ -30,7 +31,7 @@ impl HypertimeAxis {
         let greatest = low.abs().max(high.abs()).max(f64::MIN_POSITIVE);
         let count = numbers.clone().count() as f64;
         let mean = numbers.clone().map(|number| number / greatest).sum::<f64>() / count;
-        let squares: f64 = numbers.map(|number| (number / greatest - mean).powi(2)).sum();
+        let squares: f64 = numbers.map(|number| square(number / greatest - mean)).sum();
         let deviation = (squares / count).sqrt();
         // Equal or nearly equal numbers: their magnitude is the scale.
         let size = if greatest > f64::MIN_POSITIVE { greatest } else { 1.0 };

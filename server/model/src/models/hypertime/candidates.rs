@@ -67,7 +67,7 @@ impl HypertimePeriod {
 /// Projects a local civil time onto the circles (RA-L 2019 eq. 1): cosine and sine for each period, appended.
 pub(super) fn project(civil_nanos: i64, periods: &[HypertimePeriod], out: &mut Vec<f64>) {
     for period in periods {
-        let (sin, cos) = (TAU * period.turn(civil_nanos)).sin_cos();
+        let (sin, cos) = libm::sincos(TAU * period.turn(civil_nanos));
         out.extend([cos, sin]);
     }
 }

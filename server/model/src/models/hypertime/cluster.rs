@@ -67,11 +67,11 @@ fn row(factor: &[f64], index: usize) -> &[f64] {
 
 impl Cluster {
     pub(super) fn new(parts: HypertimeCluster) -> Cluster {
-        let half_log_tau = 0.5 * std::f64::consts::TAU.ln();
-        let diagonal = (0..parts.centre.len()).map(|index| row(&parts.factor, index)[index].ln() + half_log_tau);
+        let half_log_tau = 0.5 * libm::log(std::f64::consts::TAU);
+        let diagonal = (0..parts.centre.len()).map(|index| libm::log(row(&parts.factor, index)[index]) + half_log_tau);
         Cluster {
-            log_weight: parts.weight.max(f64::MIN_POSITIVE).ln(),
-            directions: parts.directions_rad.iter().map(|angle| (angle.cos(), angle.sin())).collect(),
+            log_weight: libm::log(parts.weight.max(f64::MIN_POSITIVE)),
+            directions: parts.directions_rad.iter().map(|&angle| (libm::cos(angle), libm::sin(angle))).collect(),
             circles_log_normaliser: parts.concentrations.iter().map(|&kappa| log_normaliser(kappa)).sum(),
             log_diagonal: diagonal.collect(),
             parts,

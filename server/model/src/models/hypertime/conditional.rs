@@ -6,6 +6,7 @@ use super::axis::{HypertimeAxis, standardised};
 use super::cluster::{Cluster, Conditional, HypertimeCluster, factorised};
 use super::mixture::Mixture;
 use crate::special::normal_tail;
+use crate::special::square;
 
 /// The distribution p(a | x, t) of a value at a place and time (RA-L 2019 section III.C).
 #[derive(Clone, Debug, PartialEq)]
@@ -98,7 +99,7 @@ impl HypertimeDistribution {
             return None;
         }
         let added: Vec<f64> =
-            widths.iter().zip(&self.axes).map(|(&width, axis)| axis.standard_width(width).powi(2) / 12.0).collect();
+            widths.iter().zip(&self.axes).map(|(&width, axis)| square(axis.standard_width(width)) / 12.0).collect();
         let standard = standardised(value, &self.axes);
         let log = if added.iter().all(|&variance| variance == 0.0) {
             self.mixture.log_densities(&standard, coordinates, 0).1
@@ -106,8 +107,8 @@ impl HypertimeDistribution {
             let widened = self.mixture.clusters.iter().map(|cluster| widened(cluster, &added));
             Mixture { clusters: widened.collect() }.log_densities(&standard, coordinates, 0).1
         };
-        let scales: f64 = self.axes.iter().map(|axis| axis.scale.ln()).sum();
-        Some((log - scales).exp().min(f64::MAX))
+        let scales: f64 = self.axes.iter().map(|axis| libm::log(axis.scale)).sum();
+        Some(libm::exp(log - scales).min(f64::MAX))
     }
 }
 

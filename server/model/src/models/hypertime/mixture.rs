@@ -131,15 +131,15 @@ impl Default for LogSum {
 impl LogSum {
     fn add(&mut self, log: f64) {
         if log > self.highest {
-            self.sum = self.sum * (self.highest - log).exp() + 1.0;
+            self.sum = self.sum * libm::exp(self.highest - log) + 1.0;
             self.highest = log;
         } else {
-            self.sum += (log - self.highest).exp();
+            self.sum += libm::exp(log - self.highest);
         }
     }
 
     fn get(self) -> f64 {
-        self.highest + self.sum.ln()
+        self.highest + libm::log(self.sum)
     }
 }
 
@@ -148,13 +148,13 @@ fn normalise(logs: &mut [f64]) -> f64 {
     let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let mut sum = 0.0;
     for log in logs.iter_mut() {
-        *log = (*log - highest).exp();
+        *log = libm::exp(*log - highest);
         sum += *log;
     }
     for log in logs.iter_mut() {
         *log /= sum;
     }
-    highest + sum.ln()
+    highest + libm::log(sum)
 }
 
 /// The prior of a cluster.
@@ -198,7 +198,7 @@ impl Moments {
         let shift: Vec<f64> = self.first.iter().map(|sum| sum / self.weight).collect();
         let centre = before.parts().centre.iter().zip(&shift).map(|(centre, shift)| centre + shift).collect();
         let prior_readings = (coordinates as f64 + 2.0) * prior.unit;
-        let shrunk = (prior.clusters as f64).powf(-2.0 / coordinates.max(1) as f64);
+        let shrunk = libm::pow(prior.clusters as f64, -2.0 / coordinates.max(1) as f64);
         let mut covariance = self.second.clone();
         let mut place = 0;
         for i in 0..coordinates {
@@ -219,10 +219,10 @@ impl Moments {
             weight: self.weight / total,
             centre,
             factor: factorised(&covariance, coordinates),
-            directions_rad: pairs().map(|pair| pair[1].atan2(pair[0])).collect(),
+            directions_rad: pairs().map(|pair| libm::atan2(pair[1], pair[0])).collect(),
             // One more reading, spread evenly, shrinks the concentration towards 0.
             concentrations: pairs()
-                .map(|pair| concentration(pair[0].hypot(pair[1]) / (self.weight + prior.unit)))
+                .map(|pair| concentration(libm::hypot(pair[0], pair[1]) / (self.weight + prior.unit)))
                 .collect(),
         })
     }

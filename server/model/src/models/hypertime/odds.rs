@@ -91,12 +91,12 @@ impl Odds {
         // The mean of the density of all readings over all times is their number, so that the prior has its weight.
         let both = |point: &'a [f64]| {
             let (one, zero) = odds.log_densities(point);
-            log_sum(ones.ln() + one, zeros.ln() + zero)
+            log_sum(libm::log(ones) + one, libm::log(zeros) + zero)
         };
         let logs: Vec<f64> = everywhere.map(both).collect();
-        let level = log_mean(&logs) - (ones + zeros).ln();
-        odds.log_ones = (ones.ln() - level).clamp(-LOG_MAX, LOG_MAX);
-        odds.log_zeros = (zeros.ln() - level).clamp(-LOG_MAX, LOG_MAX);
+        let level = log_mean(&logs) - libm::log(ones + zeros);
+        odds.log_ones = (libm::log(ones) - level).clamp(-LOG_MAX, LOG_MAX);
+        odds.log_zeros = (libm::log(zeros) - level).clamp(-LOG_MAX, LOG_MAX);
         odds
     }
 
@@ -114,7 +114,7 @@ impl Odds {
         let (mut low, mut high) = (-GAIN_LOG_MAX, GAIN_LOG_MAX);
         for _ in 0..50 {
             let middle = 0.5 * (low + high);
-            let gain = middle.exp();
+            let gain = libm::exp(middle);
             let excess: f64 =
                 observed.iter().map(|(weight, ratio)| weight * ((gain * ratio).min(1.0) - self.mean)).sum();
             if excess > 0.0 {
@@ -123,7 +123,7 @@ impl Odds {
                 low = middle;
             }
         }
-        Odds { gain: (0.5 * (low + high)).exp(), ..self }
+        Odds { gain: libm::exp(0.5 * (low + high)), ..self }
     }
 
     /// The clusters of the readings that are 1, and of those that are 0.
@@ -142,8 +142,8 @@ impl Odds {
 
     /// The prediction before γ.
     fn ratio(&self, log_one: f64, log_zero: f64) -> f64 {
-        let ones = (self.log_ones + log_one).min(2.0 * LOG_MAX).exp();
-        let zeros = (self.log_zeros + log_zero).min(2.0 * LOG_MAX).exp();
+        let ones = libm::exp((self.log_ones + log_one).min(2.0 * LOG_MAX));
+        let zeros = libm::exp((self.log_zeros + log_zero).min(2.0 * LOG_MAX));
         ((ones + self.background * self.mean) / (ones + zeros + self.background)).clamp(0.0, 1.0)
     }
 
@@ -210,11 +210,11 @@ impl Odds {
 /// ln of the sum of two exponentials.
 fn log_sum(one: f64, other: f64) -> f64 {
     let highest = one.max(other);
-    highest + ((one - highest).exp() + (other - highest).exp()).ln()
+    highest + libm::log(libm::exp(one - highest) + libm::exp(other - highest))
 }
 
 /// ln of the mean of the exponentials.
 fn log_mean(logs: &[f64]) -> f64 {
     let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    highest + (logs.iter().map(|log| (log - highest).exp()).sum::<f64>() / logs.len() as f64).ln()
+    highest + libm::log(logs.iter().map(|log| libm::exp(log - highest)).sum::<f64>() / logs.len() as f64)
 }

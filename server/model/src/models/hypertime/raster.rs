@@ -92,6 +92,6 @@ impl Raster<'_> {
 
 /// Mean of a standard Gaussian between two numbers, where `share` is its mass there.
 fn mean_between(left: f64, right: f64, share: f64) -> f64 {
-    let density = |deviation: f64| (-0.5 * deviation * deviation).exp() / std::f64::consts::TAU.sqrt();
+    let density = |deviation: f64| libm::exp(-0.5 * deviation * deviation) / std::f64::consts::TAU.sqrt();
     ((density(left) - density(right)) / share).clamp(left, right)
 }

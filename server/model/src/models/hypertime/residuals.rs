@@ -6,6 +6,7 @@
 use std::f64::consts::TAU;
 
 use super::candidates::{Candidates, HypertimePeriod, project};
+use crate::special::square;
 
 #[cfg(test)]
 mod tests;
@@ -94,7 +95,7 @@ impl Residuals {
     pub(super) fn spectrum(&self, candidates: &Candidates) -> Vec<(HypertimePeriod, f64)> {
         // From the slots' beginnings: half a slot of shift does not change the modulus.
         let slots = self.weights.len();
-        let phasors: Vec<(f64, f64)> = (0..slots).map(|slot| (TAU * slot as f64 / slots as f64).sin_cos()).collect();
+        let phasors: Vec<(f64, f64)> = (0..slots).map(|slot| libm::sincos(TAU * slot as f64 / slots as f64)).collect();
         let total: f64 = self.weights.iter().sum();
         let mut spectrum: Vec<(HypertimePeriod, f64)> = candidates.of_cycle().map(|period| (period, 0.0)).collect();
         for dimension in 0..self.dimensions {
@@ -114,7 +115,7 @@ impl Residuals {
             let centred = |dimension: usize, place: usize| {
                 phasors[1 + dimension][place] - self.mean(dimension, total) * phasors[0][place]
             };
-            let power = (0..self.dimensions).map(|d| centred(d, 0).powi(2) + centred(d, 1).powi(2)).sum();
+            let power = (0..self.dimensions).map(|d| square(centred(d, 0)) + square(centred(d, 1))).sum();
             spectrum.push((period, power));
         }
         spectrum.iter_mut().for_each(|(_, power)| *power = power.sqrt());

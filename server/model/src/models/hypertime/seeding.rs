@@ -66,7 +66,7 @@ pub(super) fn first_clusters(points: &Points, clusters: usize, seed: u64) -> Vec
     let centres = k_means(points, clusters, &mut SmallRng::seed_from_u64(seed));
     let variances = spread(points);
     let count = centres.len().max(1) as f64;
-    let shrunk = count.powf(-2.0 / points.stride().max(1) as f64);
+    let shrunk = libm::pow(count, -2.0 / points.stride().max(1) as f64);
     let cluster = |centre: Vec<f64>| {
         let (linear, circles) = centre.split_at(points.coordinates);
         let factor = (0..points.coordinates).flat_map(|i| {
@@ -78,7 +78,7 @@ pub(super) fn first_clusters(points: &Points, clusters: usize, seed: u64) -> Vec
             weight: 1.0 / count,
             centre: linear.to_vec(),
             factor: factor.collect(),
-            directions_rad: circles.chunks_exact(2).map(|pair| pair[1].atan2(pair[0])).collect(),
+            directions_rad: circles.chunks_exact(2).map(|pair| libm::atan2(pair[1], pair[0])).collect(),
             concentrations: vec![if alone { 0.0 } else { 1.0 }; points.circles],
         })
     };
@@ -157,7 +157,7 @@ fn move_to_means(points: &Points, centres: &mut [Vec<f64>]) -> bool {
             *number /= total;
         }
         for pair in circles.chunks_exact_mut(2) {
-            let length = pair[0].hypot(pair[1]);
+            let length = libm::hypot(pair[0], pair[1]);
             if length > 1e-9 * total {
                 pair[0] /= length;
                 pair[1] /= length;

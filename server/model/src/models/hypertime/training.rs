@@ -153,7 +153,7 @@ impl<'a> OddsTraining<'a> {
             let p = trained.at_point(hypertime.point(slot));
             score.squared += ones * (1.0 - p) * (1.0 - p) + zeros * p * p;
             let scored = p.clamp(PROBABILITY_MIN, 1.0 - PROBABILITY_MIN);
-            score.logs += ones * scored.ln() + zeros * (1.0 - scored).ln();
+            score.logs += ones * libm::log(scored) + zeros * libm::log(1.0 - scored);
             score.total += ones + zeros;
             let slot = if is_by_time { self.candidates.slot(self.times[slot]) } else { slot };
             residuals.add(slot, 0, ones + zeros, p - ones / (ones + zeros));

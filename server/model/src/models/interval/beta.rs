@@ -116,15 +116,15 @@ impl Beta {
         let mean = mean.clamp(1e-9, 1.0 - 1e-9);
         let (alpha, beta) = (total * mean, total * (1.0 - mean));
         // Twelve standard deviations of u about the peak, which contains nearly all of the tails.
-        let (peak, reach) = ((alpha / beta).ln(), 12.0 * (1.0 / alpha + 1.0 / beta).sqrt());
+        let (peak, reach) = (libm::log(alpha / beta), 12.0 * (1.0 / alpha + 1.0 / beta).sqrt());
         let first = (peak - reach).clamp(-FARTHEST, FARTHEST - 1.0);
         let last = (peak + reach).clamp(first + 1e-3, FARTHEST);
         let step = (last - first) / STEPS as f64;
 
         // x, 1 - x and α ln x + β ln(1 - x), without cancellation on either side.
         let at = |u: f64| {
-            let small = (-u.abs()).exp();
-            let log = small.ln_1p();
+            let small = libm::exp(-u.abs());
+            let log = libm::log1p(small);
             let (near, far) = (1.0 / (1.0 + small), small / (1.0 + small));
             let (x, y) = if u < 0.0 { (far, near) } else { (near, far) };
             (x, y, alpha * (u.min(0.0) - log) - beta * (u.max(0.0) + log))
@@ -132,7 +132,7 @@ impl Beta {
         let (_, _, largest) = at(peak.clamp(first, last));
         let node = |i: usize| {
             let (x, y, log) = at(first + step * i as f64);
-            let density = (log - largest).exp();
+            let density = libm::exp(log - largest);
             Node { x, x_slope: x * y, density, density_slope: density * (alpha * y - beta * x) }
         };
         let mut from = node(0);

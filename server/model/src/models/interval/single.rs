@@ -59,7 +59,7 @@ fn counts_tail(mean: f64, dispersion: f64, value: f64) -> f64 {
     // P(k + 1) / P(k).
     let growth = |k: f64| (k + size) / (k + 1.0) * ratio;
     // P(0) is at least e^-600.
-    let (mut at, mut mass, mut below) = (0.0, (-size * (dispersion - 1.0).ln_1p()).exp(), 0.0);
+    let (mut at, mut mass, mut below) = (0.0, libm::exp(-size * libm::log1p(dispersion - 1.0)), 0.0);
     while at + 1.0 <= value && !(at > mean && mass < 1e-300) {
         below += mass;
         mass *= growth(at);

@@ -58,7 +58,7 @@ impl Transitions {
             return;
         }
         let gap_secs = gap_nanos as f64 / 1e9;
-        let counts = self.by_gap.entry((gap_secs.ln() / LOG_GAP_STEP).round() as i32).or_default();
+        let counts = self.by_gap.entry((libm::log(gap_secs) / LOG_GAP_STEP).round() as i32).or_default();
         counts.weight += weight;
         counts.gap_secs_sum += weight * gap_secs;
         counts.low += weight * (1.0 - from.max(to));
@@ -126,7 +126,7 @@ impl Transitions {
 
     /// (λ, π) of the highest posterior density near a pair that is about right.
     pub(crate) fn most_likely_near(&self, (rate, share): (f64, f64)) -> (f64, f64) {
-        self.climb([rate.ln(), (share / (1.0 - share)).ln()]).0
+        self.climb([libm::log(rate), libm::log(share / (1.0 - share))]).0
     }
 
     /// (λ, π) of a maximum of the posterior density, with its logarithm. `from`: ln λ and logit π.
@@ -157,23 +157,23 @@ impl Transitions {
                 break;
             }
         }
-        ((at[0].exp(), logistic(at[1])), slope.value)
+        ((libm::exp(at[0]), logistic(at[1])), slope.value)
     }
 
     /// The log posterior at (ln λ, logit π), with its first derivatives and the expected second ones.
     pub(super) fn slope(&self, [log_rate, logit]: [f64; 2]) -> Slope {
-        let (rate, share) = (log_rate.exp(), logistic(logit));
+        let (rate, share) = (libm::exp(log_rate), logistic(logit));
         let other = logistic(-logit);
         let spread = share * other;
         let (prior, secs) = (2.0 * PRIOR_CHANGES, PRIOR_SECS * rate);
         let mut slope = Slope {
-            value: PRIOR_CHANGES * spread.max(f64::MIN_POSITIVE).ln() + prior * log_rate - secs,
+            value: PRIOR_CHANGES * libm::log(spread.max(f64::MIN_POSITIVE)) + prior * log_rate - secs,
             gradient: [prior - secs, PRIOR_CHANGES * (other - share)],
             information: [[secs, 0.0], [0.0, prior * spread]],
         };
         for counts in self.by_gap.values() {
             let gaps = rate * counts.gap_secs_sum / counts.weight;
-            let (mixed, by_rate) = (-(-gaps).exp_m1(), gaps * (-gaps).exp());
+            let (mixed, by_rate) = (-libm::expm1(-gaps), gaps * libm::exp(-gaps));
             // From 0 to 1, then from 1 to 0: changes, stays, and the derivatives of the probability of a change.
             let rise = (counts.rises, counts.low, share * mixed, [share * by_rate, spread * mixed]);
             let fall = (counts.falls, counts.high, other * mixed, [other * by_rate, -spread * mixed]);
@@ -183,7 +183,7 @@ impl Transitions {
                 }
                 let change = probability.max(f64::MIN_POSITIVE);
                 let stay = (1.0 - probability).max(f64::EPSILON);
-                slope.value += changes * change.ln() + stays * (-probability).ln_1p().max(-40.0);
+                slope.value += changes * libm::log(change) + stays * libm::log1p(-probability).max(-40.0);
                 let score = changes / change - stays / stay;
                 slope.gradient[0] += score * dl;
                 slope.gradient[1] += score * ds;
@@ -198,5 +198,5 @@ impl Transitions {
 }
 
 fn logistic(x: f64) -> f64 {
-    1.0 / (1.0 + (-x).exp())
+    1.0 / (1.0 + libm::exp(-x))
 }

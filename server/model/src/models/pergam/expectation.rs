@@ -45,7 +45,7 @@ impl WrappedGaussian {
         for image in -images..=images {
             let distance = nearest + f64::from(image);
             let standard = distance / self.deviation;
-            call(distance, scale * (-0.5 * standard * standard).exp());
+            call(distance, scale * libm::exp(-0.5 * standard * standard));
         }
     }
 
@@ -146,7 +146,7 @@ fn step(shares: &[f64], mixture: &mut Vec<WrappedGaussian>) -> f64 {
             }
         }
         mass += share;
-        likelihood += share * density.ln();
+        likelihood += share * libm::log(density);
     }
     let least_deviation = 1.0 / shares.len() as f64;
     for (gaussian, [count, first, second]) in mixture.iter_mut().zip(moments) {

@@ -3,6 +3,7 @@
 //! Invariant: after each step every row of rates is positive and sums to 1 (to 1e-9).
 
 use super::{Presence, condition, normalise};
+use crate::special::square;
 
 impl Presence {
     /// The probabilities in each kept slot, by the observations up to that slot.
@@ -104,6 +105,6 @@ fn add(sums: &mut [f64], terms: &[f64], weight: f64) {
 fn kernel(width_slots: f64, slots: usize) -> Vec<f64> {
     let reach = ((3.0 * width_slots).ceil() as usize).min((slots - 1) / 2);
     let weight =
-        |distance: usize| if distance == 0 { 1.0 } else { (-0.5 * (distance as f64 / width_slots).powi(2)).exp() };
+        |distance: usize| if distance == 0 { 1.0 } else { libm::exp(-0.5 * square(distance as f64 / width_slots)) };
     (0..=reach).map(weight).collect()
 }

@@ -159,3 +159,28 @@ fn every_instruction_set_chooses_the_same() {
         assert_eq!(first.get_or_insert_with(|| bits.clone()), &bits, "{arch:?}");
     }
 }
+
+#[test]
+fn every_instruction_set_gives_the_same_bits() {
+    for count in (1..42).chain([63, 64, 65, 129]) {
+        let periodicities = Periodicities::harmonics(7 * DAY_NANOS, count).unwrap();
+        let parts = |pace: f64| -> PhasorSum {
+            let parts: Vec<f64> = (0..2 * count).map(|k| 9.0 * (pace * f64::from(k)).sin()).collect();
+            PhasorSum::from_slice(&periodicities, &parts).unwrap()
+        };
+        let (a, b) = (parts(0.7), parts(1.9));
+        let (span_nanos, gap_nanos, levels) = (u64::MAX, (0, 0), (0.1, 0.9));
+        let sums = CellSums { observations: 90, weight: 87.3, mean: 0.31, a: &a, b: &b, span_nanos, gap_nanos, levels };
+        let mut first = None;
+        for arch in crate::phasor::every_arch() {
+            let mut strongest = Strongest::new();
+            let (sums, scale, periodicities, kept) = (&sums, 0.8 / 87.3, &periodicities, &mut strongest);
+            arch.dispatch(CellTraining { sums, scale, span_nanos, resolved_nanos: 0, periodicities, strongest: kept });
+            let found = strongest.into_components(periodicities);
+            assert_eq!(found.len(), ORDER_MAX.min(count as usize));
+            let bits = |one: &Component| (one.periodicity, one.gamma_re.to_bits(), one.gamma_im.to_bits());
+            let bits: Vec<_> = found.iter().map(bits).collect();
+            assert_eq!(first.get_or_insert_with(|| bits.clone()), &bits, "{arch:?}, {count} periodicities");
+        }
+    }
+}

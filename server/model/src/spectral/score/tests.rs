@@ -68,7 +68,7 @@ fn every_length_and_instruction_set_gives_the_errors_of_single_predictions() {
                         let (mean, sums_of) = (model.mean(), &mut sums);
                         let kernel = ScoreKernel { mean, terms, columns, with_wrong, sums: sums_of };
                         arch.dispatch(OnLanes(kernel));
-                        let found = sums.squared.map(f64::to_bits);
+                        let found = (sums.squared.map(f64::to_bits), sums.wrong.map(f64::to_bits));
                         assert_eq!(*bits.get_or_insert(found), found, "{arch:?}");
                         if !with_wrong {
                             assert_eq!(sums.wrong, [0.0; ORDER_MAX + 1]);

@@ -106,7 +106,7 @@ impl Alternatives {
             return vec![(in_force, 1.0)];
         }
         let exponent = f64::from(self.days.max(DAYS_MIN));
-        let weights = sums.into_iter().map(|(choice, sum)| (choice, (least / sum).powf(exponent)));
+        let weights = sums.into_iter().map(|(choice, sum)| (choice, libm::pow(least / sum, exponent)));
         let mut weights: Vec<(ModelKind, f64)> = weights.filter(|(_, weight)| *weight >= SHARE_MIN).collect();
         let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
         weights.iter_mut().for_each(|(_, weight)| *weight /= total);
