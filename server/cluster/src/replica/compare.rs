@@ -1,28 +1,37 @@
 //! Comparing this daemon's own log with the shared one.
 //!
+//! A message of the stream is **void** if its group does not begin where the group before it ended. That happens only
+//! where the stream had forgotten messages: an old writer appended behind a number that had been given again. Void
+//! messages are part of no log, and each daemon leaves them out, because each reads the messages in their order.
+//!
 //! Invariant: logs are compared by the chain at a position, never by lengths alone, and nothing is changed.
 
 use tidemap_store::{LogPoint, OpenError};
 
-use super::driver::Driver;
+use super::driver::{Driver, READ_BYTES};
 use crate::{
     engine::{Engine, EngineError, Message},
     message::GroupPart,
 };
+
+/// How many messages before the end are read to find void ones, by a daemon that has not read them before.
+pub(super) const LOOK_BACK: u64 = 4096;
+/// By a daemon that has read all messages in their order up to one: how many before that one.
+pub(super) const LOOK_BACK_FOLLOWING: u64 = 64;
 
 /// How the own log and the shared one relate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Relation {
     /// The shared log holds all of the own one, up to the message of this number, and perhaps more behind it.
     Holds {
-        /// Number of the last message that the own log has.
+        /// Number of the last message that the own log has, or that is void.
         last_sequence: u64,
     },
     /// The shared log ends before the own one, of which it is a part.
     Ahead {
         /// The end of the shared log.
         end: LogPoint,
-        /// Number of its last message.
+        /// Number of the stream's last message.
         last_sequence: u64,
     },
     /// They differ behind this position.
@@ -53,6 +62,66 @@ pub(super) enum CompareError {
     Invalid { stream: String, sequence: u64, reason: &'static str },
 }
 
+/// Where the log stands behind a group that is not void.
+#[derive(Clone, Copy, Debug)]
+struct Mark {
+    /// Number of the group's first message.
+    first: u64,
+    after: LogPoint,
+}
+
+/// What consecutive messages say.
+#[derive(Debug, Default)]
+struct Scan {
+    /// Where the first group begins, and the message before it.
+    begin: Option<Mark>,
+    /// Where groups that are not void end.
+    marks: Vec<Mark>,
+    epoch: u64,
+    /// A group that is not complete yet: number of its first message, its first part, and which part is next.
+    open: Option<(u64, GroupPart, u16)>,
+    /// Number of the last message that was looked at.
+    last: u64,
+}
+
+impl Scan {
+    fn end(&self) -> Option<Mark> {
+        self.marks.last().copied().or(self.begin)
+    }
+
+    fn take(&mut self, sequence: u64, part: GroupPart) {
+        self.last = sequence;
+        if self.begin.is_none() && part.part == 0 {
+            self.begin = Some(Mark { first: sequence, after: part.before });
+        }
+        let is_next_part = self.open.as_ref().is_some_and(|(_, first, next)| {
+            (first.epoch, first.before, first.after, first.parts, *next)
+                == (part.epoch, part.before, part.after, part.parts, part.part)
+        });
+        let follows = part.part == 0 && self.end().is_some_and(|end| end.after == part.before);
+        let open = self.open.take().filter(|_| is_next_part);
+        if !follows && open.is_none() {
+            return;
+        }
+        let (first, next) = (open.as_ref().map_or(sequence, |&(first, ..)| first), part.part + 1);
+        if part.is_last() {
+            self.epoch = self.epoch.max(part.epoch);
+            self.marks.push(Mark { first, after: part.after });
+        } else {
+            self.open = Some((first, open.map_or(part, |(_, begin, _)| begin), next));
+        }
+    }
+
+    /// The last message before the group that follows a point; `None` where no group ends there.
+    fn last_before_next(&self, point: LogPoint) -> Option<u64> {
+        let points: Vec<&Mark> = self.begin.iter().chain(&self.marks).collect();
+        let found = points.iter().rposition(|mark| mark.after == point)?;
+        let next = points.get(found + 1).map(|next| next.first);
+        let open = self.open.as_ref().map(|&(first, ..)| first);
+        Some(next.or(open).map_or(self.last, |first| first - 1))
+    }
+}
+
 impl<E: Engine> Driver<E> {
     pub(super) fn part(&self, message: &Message) -> Result<GroupPart, CompareError> {
         let invalid =
@@ -72,13 +141,36 @@ impl<E: Engine> Driver<E> {
         self.part(&message.ok_or_else(gone)?)
     }
 
-    pub(super) async fn chain_at(&self, position: u64) -> Result<Option<u32>, CompareError> {
+    async fn chain_at(&self, position: u64) -> Result<Option<u32>, CompareError> {
         let log = self.shared.log.clone();
         Ok(self.on_disk(move || log.chain_at(position)).await?)
     }
 
-    /// How the own log and the shared one relate.
-    pub(super) async fn relation(&mut self) -> Result<Relation, CompareError> {
+    async fn is_own(&self, point: LogPoint) -> Result<bool, CompareError> {
+        Ok(self.chain_at(point.position).await? == Some(point.chain))
+    }
+
+    /// What the messages from `first` to `last` say.
+    async fn scan(&self, first: u64, last: u64) -> Result<Scan, CompareError> {
+        let mut scan = Scan::default();
+        let mut next = first;
+        while next <= last {
+            let stream = &self.settings.stream;
+            let messages = self.engine.read_from(stream, next, READ_BYTES, self.settings.patience).await?;
+            if messages.first().is_none_or(|message| message.sequence != next) {
+                return Err(EngineError::Unavailable(format!("message {next} did not come")).into());
+            }
+            for message in messages.iter().filter(|message| message.sequence <= last) {
+                scan.take(message.sequence, self.part(message)?);
+                next = message.sequence + 1;
+            }
+        }
+        Ok(scan)
+    }
+
+    /// How the own log and the shared one relate. The last messages are looked at from `look_back` before the end on,
+    /// or before the last that is known.
+    pub(super) async fn relation(&mut self, look_back: u64) -> Result<Relation, CompareError> {
         let ends = self.engine.ends(&self.settings.stream).await?;
         let own = self.shared.log.end();
         if ends.last == 0 || ends.first > ends.last {
@@ -87,74 +179,74 @@ impl<E: Engine> Driver<E> {
                 _ => Relation::Ahead { end: LogPoint::BEGINNING, last_sequence: ends.last },
             });
         }
-        // The last complete group.
+        // As the last message says it, which may be void.
         let last = self.part_at(ends.last).await?;
-        let (mut tail, mut tail_sequence) = (last.after, ends.last);
-        if !last.is_last() {
-            tail = last.before;
-            tail_sequence = ends.last.saturating_sub(u64::from(last.part) + 1);
+        let (from, to) = if own.position < last.before.position {
+            let near = self.near(own.position, ends.first, ends.last).await?;
+            (near.saturating_sub(LOOK_BACK_FOLLOWING), (near + LOOK_BACK_FOLLOWING).min(ends.last))
+        } else {
+            let known = ends.last.min(self.last_sequence.max(1));
+            let from = if look_back < LOOK_BACK { known } else { ends.last };
+            (from.saturating_sub(look_back), ends.last)
+        };
+        let scan = self.scan(from.max(ends.first), to).await?;
+        self.epoch = self.epoch.max(scan.epoch);
+        let Some(end) = scan.end() else {
+            // Parts only, of a group whose beginning is purged.
+            return Ok(Relation::Behind { from: last.after.position });
+        };
+        if to == ends.last {
+            self.heard_of(end.after.position, self.epoch);
         }
-        // A writer counts on from the newest epoch of all.
-        self.epoch = self.epoch.max(last.epoch);
-        self.heard_of(tail.position, last.epoch);
-        if own.position == tail.position {
-            return match own.chain == tail.chain {
-                true => Ok(Relation::Holds { last_sequence: tail_sequence }),
-                false => self.fork(ends.first, ends.last).await,
+        if let Some(last_sequence) = scan.last_before_next(own) {
+            return Ok(Relation::Holds { last_sequence });
+        }
+        if own.position > end.after.position && to == ends.last {
+            return match self.chain_at(end.after.position).await? {
+                Some(chain) if chain == end.after.chain => {
+                    Ok(Relation::Ahead { end: end.after, last_sequence: ends.last })
+                }
+                Some(_) => self.fork(&scan, ends.first, to).await,
+                None => Ok(Relation::Unknown { end: end.after.position }),
             };
         }
-        if own.position > tail.position {
-            return match self.chain_at(tail.position).await? {
-                Some(chain) if chain == tail.chain => Ok(Relation::Ahead { end: tail, last_sequence: ends.last }),
-                Some(_) => self.fork(ends.first, ends.last).await,
-                None => Ok(Relation::Unknown { end: tail.position }),
-            };
+        match scan.begin {
+            Some(begin) if begin.after.position > own.position => Ok(Relation::Behind { from: begin.after.position }),
+            _ => self.fork(&scan, ends.first, to).await,
         }
-        self.find_own_end(own, ends.first, ends.last).await
     }
 
-    /// Where the end of the own log, which is shorter, lies in the stream.
-    async fn find_own_end(&self, own: LogPoint, first: u64, last: u64) -> Result<Relation, CompareError> {
-        // The first message whose group ends behind the own end.
+    /// The first message whose group ends behind a position, as far as the messages are in order.
+    async fn near(&self, position: u64, first: u64, last: u64) -> Result<u64, CompareError> {
         let (mut low, mut high) = (first, last);
         while low < high {
             let middle = low + (high - low) / 2;
-            if self.part_at(middle).await?.after.position > own.position { high = middle } else { low = middle + 1 }
+            if self.part_at(middle).await?.after.position > position { high = middle } else { low = middle + 1 }
         }
-        let next = self.part_at(low).await?;
-        if next.before.position > own.position {
-            // Parts of a group whose beginning was purged count as missing.
-            return Ok(Relation::Behind { from: next.before.position });
-        }
-        let sequence = low.saturating_sub(u64::from(next.part) + 1);
-        if next.before == own && low - first >= u64::from(next.part) {
-            return Ok(Relation::Holds { last_sequence: sequence });
-        }
-        if next.before == own {
-            return Ok(Relation::Behind { from: next.after.position });
-        }
-        self.fork(first, low).await
+        Ok(low)
     }
 
     /// Where the logs, which differ, begin to differ.
-    async fn fork(&self, first: u64, last: u64) -> Result<Relation, CompareError> {
-        let own_end = self.shared.log.end().position;
-        // Chains are equal up to the common position and differ behind it.
+    async fn fork(&self, scan: &Scan, first: u64, last: u64) -> Result<Relation, CompareError> {
+        for mark in scan.begin.iter().chain(&scan.marks).rev() {
+            if self.is_own(mark.after).await? {
+                return Ok(Relation::Forked { common: mark.after.position });
+            }
+        }
+        // Before what was looked at, chains are equal up to the common position and differ behind it.
         let (mut low, mut high) = (first, last + 1);
         while low < high {
             let middle = low + (high - low) / 2;
-            let after = self.part_at(middle).await?.after;
-            let is_common = after.position <= own_end && self.chain_at(after.position).await? == Some(after.chain);
-            if is_common { low = middle + 1 } else { high = middle }
+            if self.is_own(self.part_at(middle).await?.after).await? { low = middle + 1 } else { high = middle }
         }
-        let common = match low.checked_sub(1).filter(|&sequence| sequence >= first) {
+        let point = match low.checked_sub(1).filter(|&sequence| sequence >= first) {
             Some(sequence) => {
                 let part = self.part_at(sequence).await?;
                 if part.is_last() { part.after } else { part.before }
             }
             None => self.part_at(first).await?.before,
         };
-        let is_common = self.chain_at(common.position).await? == Some(common.chain);
-        Ok(Relation::Forked { common: if is_common { common.position } else { 0 } })
+        let common = if self.is_own(point).await? { point.position } else { 0 };
+        Ok(Relation::Forked { common })
     }
 }

@@ -13,7 +13,7 @@ use tokio::{
 
 use super::{
     Order, ReplicaEvent, ReplicaListener, ReplicaRole, ReplicaSettings,
-    compare::{CompareError, Relation},
+    compare::{CompareError, LOOK_BACK, LOOK_BACK_FOLLOWING, Relation},
     lease_keeper::LeaseKeeper,
 };
 use crate::{
@@ -201,7 +201,7 @@ impl<E: Engine> Driver<E> {
         self.assembly.clear();
         while !self.is_stopping() {
             let mut is_ahead = false;
-            match self.relation().await {
+            match self.relation(LOOK_BACK).await {
                 Ok(Relation::Holds { last_sequence }) => {
                     self.last_sequence = last_sequence;
                     self.trouble(None);
@@ -267,6 +267,11 @@ impl<E: Engine> Driver<E> {
         self.lease_watch.may_take(&self.settings.member, patience, now)
     }
 
+    async fn relation_is_lost(&mut self) -> Result<bool, CompareError> {
+        let relation = self.relation(LOOK_BACK_FOLLOWING).await?;
+        Ok(relation != Relation::Holds { last_sequence: self.last_sequence })
+    }
+
     /// Whether the stream ends where this daemon has read it to, and with the record that this daemon has there.
     pub(super) async fn probe(&mut self) -> Result<Probe, CompareError> {
         let ends = self.engine.ends(&self.settings.stream).await?;
@@ -278,8 +283,8 @@ impl<E: Engine> Driver<E> {
         }
         let own = self.shared.log.end();
         if ends.last > 0 && ends.first <= ends.last && self.probed_stamp != Some((own, ends.stamp)) {
-            let last = self.part_at(ends.last).await?;
-            if last.is_last() && last.after != own || !last.is_last() && last.before != own {
+            // A part that is not the last, or a void message, is compared once more.
+            if self.part_at(ends.last).await?.after != own && self.relation_is_lost().await? {
                 return Ok(Probe::Lost);
             }
             self.probed_stamp = Some((own, ends.stamp));

@@ -12,7 +12,7 @@ use tokio::time::{Instant, sleep};
 
 use super::{
     ReplicaRole,
-    compare::{CompareError, Relation},
+    compare::{CompareError, LOOK_BACK_FOLLOWING, Relation},
     driver::{Driver, Next, READ_BYTES},
     lease_keeper::{LeaseKeeper, LeaseTerms},
     send::Sent,
@@ -75,7 +75,7 @@ impl<E: Engine> Driver<E> {
 
     /// One attempt; `None`: again.
     async fn try_to_take_over(&mut self, keeper: &LeaseKeeper, begun: Instant) -> Result<Option<Next>, CompareError> {
-        match self.relation().await? {
+        match self.relation(LOOK_BACK_FOLLOWING).await? {
             Relation::Holds { last_sequence } => {
                 self.last_sequence = last_sequence;
                 self.assembly.clear();

@@ -20,6 +20,7 @@ use tokio::{
 use super::{Planted, ReplicaRole};
 use crate::{
     engine::Engine as _,
+    message::GroupPart,
     simulated::{EngineFaults, PlantedDefects, Simulation},
 };
 
@@ -268,7 +269,16 @@ async fn run(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -
                 let status = machine.daemon.as_ref().map(|daemon| daemon.log.status().borrow().clone());
                 format!("{}: {status:?}", machine.name)
             });
-            return Err(format!("not settled after three minutes:\n{}", states.collect::<Vec<_>>().join("\n")));
+            let parts = world.engine.present("tm");
+            let parts =
+                parts.iter().filter_map(|message| Some((message.sequence, GroupPart::decode(&message.content).ok()?)));
+            let parts =
+                parts.map(|(at, part)| format!("{at}: epoch {}, {:?} to {:?}", part.epoch, part.before, part.after));
+            return Err(format!(
+                "not settled after three minutes:\n{}\n{}",
+                states.collect::<Vec<_>>().join("\n"),
+                parts.collect::<Vec<_>>().join("\n")
+            ));
         }
     }
     let told = check(&world, mode);
