@@ -78,7 +78,7 @@ pub(super) fn restore_map(
         map = %spec.name, source = opened.source.name(), replayed, states = map.states(), pending = map.pending(),
         "map opened"
     );
-    Ok(RestoredMap { map, log: opened.log, unsaved, begun })
+    Ok(RestoredMap { map, log: Arc::new(opened.log), unsaved, begun })
 }
 
 /// Repeats updates at the start because others followed them, and holds what is not saved of them.

@@ -35,7 +35,7 @@ use tidemap_map::{
     update::UpdateWork,
     view::MapView,
 };
-use tidemap_store::{MapId, MapLog, Store};
+use tidemap_store::{EventLog, MapId, Store};
 use tokio::sync::{oneshot, watch};
 use tracing::warn;
 
@@ -95,7 +95,7 @@ pub(crate) struct RestoredMap {
     /// The map.
     pub map: LiveMap,
     /// The log to which the writer appends.
-    pub log: MapLog,
+    pub log: Arc<dyn EventLog>,
     /// The unsaved result of updates that were repeated during the start.
     pub unsaved: Option<MapSnapshot>,
     /// An update that the log has begun, and that may have been cut off.
@@ -123,9 +123,7 @@ pub(crate) fn start_in(
     id: MapId,
     restored: RestoredMap,
 ) -> std::io::Result<()> {
-    let RestoredMap { map, log, unsaved, begun } = restored;
-    let (mut writer, inbox) = build(endpoints, context, id, map, log, unsaved);
-    begun.into_iter().for_each(|work| writer.repeat_update(work));
+    let (writer, inbox) = build(endpoints, context, id, restored);
     std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
         let fatal = writer.context.fatal.clone();
         if catch_unwind(AssertUnwindSafe(|| writer.run(&inbox))).is_err() {
@@ -136,15 +134,15 @@ pub(crate) fn start_in(
     Ok(())
 }
 
-/// A writer that does not run yet, and the receiver of its commands. The map is open when this returns.
+/// A writer that does not run yet, and the receiver of its commands. The map is open when this returns, and an update
+/// that the log has begun runs.
 fn build(
     endpoints: WriterEndpoints,
     context: Context,
     id: MapId,
-    mut map: LiveMap,
-    log: MapLog,
-    unsaved: Option<MapSnapshot>,
+    restored: RestoredMap,
 ) -> (Writer, mpsc::Receiver<Command>) {
+    let RestoredMap { mut map, log, unsaved, begun } = restored;
     let spec = Arc::clone(map.spec());
     let WriterEndpoints { view, commands, inbox, saturated, tile_bytes, opening } = endpoints;
     tile_bytes.store(map.tile_memory().bytes, Ordering::Relaxed);
@@ -164,7 +162,7 @@ fn build(
         context.max_pending,
         context.update_at_midnight,
     );
-    let writer = Writer {
+    let mut writer = Writer {
         sessions: Sessions::new(spec.zone.offset_cache(), limits),
         context,
         id,
@@ -183,6 +181,7 @@ fn build(
         changed: false,
         stopping: None,
     };
+    begun.into_iter().for_each(|work| writer.repeat_update(work));
     (writer, inbox)
 }
 
@@ -197,7 +196,7 @@ struct Writer {
     context: Context,
     id: MapId,
     map: LiveMap,
-    log: MapLog,
+    log: Arc<dyn EventLog>,
     view: Arc<ArcSwap<MapView>>,
     saturated: watch::Sender<bool>,
     commands: mpsc::Sender<Command>,
