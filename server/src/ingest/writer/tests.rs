@@ -67,6 +67,7 @@ fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench 
         clock: Arc::clone(&clock) as Arc<dyn Clock>,
         update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool")),
         fatal: events::unbounded_channel().0,
+        forks: events::unbounded_channel().0,
         max_states: 10,
         max_producers: 10,
         max_pending: PendingLimits { observations: 1000, changes: 1000 },
