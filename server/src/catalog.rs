@@ -109,7 +109,8 @@ mod restore;
 #[cfg(test)]
 mod tests;
 
-use restore::{open_map, restore_map};
+use restore::open_map;
+pub(crate) use restore::restore_map;
 
 /// All maps, by name. Clones are handles to the same maps.
 #[derive(Clone, Debug)]

@@ -30,7 +30,7 @@ pub(super) fn open_map(context: &Context, id: MapId, spec: &Arc<MapSpec>) -> Res
 /// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off:
 /// the writer repeats it while the map is served from the generation before. `tell` hears now and then how many records
 /// of how many are replayed, and whether to continue.
-pub(super) fn restore_map(
+pub(crate) fn restore_map(
     context: &Context,
     id: MapId,
     spec: &Arc<MapSpec>,

@@ -41,6 +41,8 @@ pub(crate) struct DigestStatus {
 pub(crate) struct Digests {
     own: Option<UpdateDone>,
     logged: Option<UpdateDone>,
+    /// The generation of the last update that has begun.
+    begun: u64,
     verdict: Option<DigestVerdict>,
 }
 
@@ -48,6 +50,11 @@ impl Digests {
     /// `logged`: what the log says of its last update, where it does.
     pub(crate) fn new(logged: Option<UpdateDone>) -> Self {
         Self { logged, ..Self::default() }
+    }
+
+    /// An update has begun. What the ones before have made need not be said any more.
+    pub(crate) fn begin(&mut self, generation: u64) {
+        self.begun = generation;
     }
 
     /// The replica's own update has ended.
@@ -71,7 +78,7 @@ impl Digests {
     /// The end of an update that the log does not say yet, and that the writer owes it.
     pub(crate) fn owed(&self) -> Option<UpdateDone> {
         let logged = self.logged.map_or(0, |logged| logged.generation);
-        self.own.filter(|own| own.generation > logged)
+        self.own.filter(|own| own.generation > logged && own.generation >= self.begun)
     }
 
     /// The newest digest; `None` until an update has ended here.
@@ -167,9 +174,12 @@ mod tests {
         assert_eq!(digests.owed(), None);
         let status = DigestStatus { generation: 2, digest: Digest(5), is_equal: None };
         assert_eq!(digests.status(), Some(status), "the writer is not compared with itself");
-        // The writer before it has said it already.
-        digests.read(done(3, 6));
         digests.made(done(3, 6));
+        digests.begin(4);
+        assert_eq!(digests.owed(), None, "the writer before could not say it, and the log goes on");
+        // The writer before it has said it already.
+        digests.read(done(4, 7));
+        digests.made(done(4, 7));
         assert_eq!(digests.owed(), None);
     }
 }

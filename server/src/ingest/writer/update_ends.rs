@@ -76,6 +76,11 @@ impl UpdateEnds {
 }
 
 impl Writer {
+    /// An update begins.
+    pub(super) fn begin_digest(&mut self, generation: u64) {
+        self.ends.digests.begin(generation);
+    }
+
     /// Whether the log still has to be told of an update, before the next one begins.
     pub(super) fn owes_update_end(&self) -> bool {
         self.follower.is_shared() && self.ends.is_owed()

@@ -233,6 +233,7 @@ impl Writer {
     pub(super) fn run_update(&mut self, work: UpdateWork, job: &Arc<UpdateJob>) {
         // There is no room beside the update for the snapshot that it replaces.
         self.saves.drop_unsaved();
+        self.begin_digest(work.start().generation);
         job.start(work.states(), work.observations());
         job.step("learn");
         self.updates.begin(job, work.from_nanos(), work.start().cut_nanos);

@@ -1,0 +1,1 @@
+//! A follower that reads the groups of another daemon from its files.
