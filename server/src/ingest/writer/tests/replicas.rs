@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 
 use tidemap_cluster::replica::{ReplicaEvent, ReplicaListener};
-use tidemap_map::event::Event;
+use tidemap_map::event::{Epoch, Event};
 use tidemap_store::{AppendError, Done};
 
 use super::*;
@@ -17,6 +17,7 @@ pub(super) struct Replica {
     pub(super) handle: Arc<MapHandle>,
     pub(super) forks: events::UnboundedReceiver<ForkedMap>,
     pub(super) fatal: events::UnboundedReceiver<String>,
+    log: Arc<dyn EventLog>,
     tell: ReplicaListener,
 }
 
@@ -43,9 +44,10 @@ impl Replica {
         let mut restored = restore_map(&context, id, &Arc::new(spec.clone()), &|_, _| true).expect("restored");
         restored.is_shared = true;
         restored.log = log.unwrap_or(restored.log);
+        let log = Arc::clone(&restored.log);
         let handle = start(context.clone(), id, restored).expect("a thread");
         let tell = handle.replica_listener();
-        Self { context, clock, id, handle, forks, fatal, tell }
+        Self { context, clock, id, handle, forks, fatal, log, tell }
     }
 
     /// Stops the map, which saves what is not saved, and closes the store.
@@ -56,6 +58,16 @@ impl Replica {
 
     pub(super) fn write(&self, epoch: u64) {
         (self.tell)(ReplicaEvent::Writing { epoch });
+    }
+
+    /// As [`Self::write`], with the record of the log that says so.
+    pub(super) async fn take_over(&self, epoch: u64) {
+        let event = Event::Epoch(Epoch { epoch, writer: "a".to_owned(), version: "1".to_owned(), maths: 1 });
+        let (done, position) = oneshot::channel();
+        self.log.append(&event, Box::new(move |result| drop(done.send(result)))).expect("queued");
+        let position = position.await.expect("an answer").expect("in the log");
+        self.tell(vec![(position, event)]).await.expect("applied");
+        self.write(epoch);
     }
 
     pub(super) fn follow(&self, writer: &str) {
@@ -92,12 +104,42 @@ impl Replica {
         panic!("no digest of generation {generation}: {:?}", self.handle.digest());
     }
 
+    /// Waits until the view shows an event of the log.
+    pub(super) async fn reaches(&self, position: u64) {
+        for _ in 0..6_000 {
+            if self.handle.position() >= position {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        panic!("the view shows {} events, not {position}", self.handle.position());
+    }
+
     /// How far the producers' sequences are durable.
     pub(super) async fn marks(&self) -> Vec<ProducerMark> {
         let (reply, answer) = oneshot::channel();
         assert!(self.handle.send(Command::ListProducers(reply)));
         answer.await.expect("an answer").into_iter().map(|known| known.mark).collect()
     }
+}
+
+/// Keeps the only update thread busy until the result is dropped.
+pub(super) fn keep_busy(context: &Context) -> mpsc::Sender<()> {
+    let (release, released) = mpsc::channel();
+    context.update_pool.spawn(move || _ = released.recv());
+    release
+}
+
+/// Waits until the digest of a generation is compared.
+pub(super) async fn compared(replica: &Replica, generation: u64, is_equal: bool) {
+    for _ in 0..6_000 {
+        let status = replica.digest(generation).await;
+        if status.is_equal.is_some() {
+            return assert_eq!(status.is_equal, Some(is_equal));
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    panic!("generation {generation} is not compared");
 }
 
 /// A log in memory that daemons share: it can hold appends back, and refuse them for another writer.

@@ -9,7 +9,7 @@ use tidemap_model::Sample;
 use tidemap_proto::convert::vectors::DeclaredState;
 
 use super::{
-    replicas::{Replica, SharedMemory},
+    replicas::{Replica, SharedMemory, compared, keep_busy},
     *,
 };
 use crate::ingest::{
@@ -220,13 +220,6 @@ async fn a_midnight_that_was_lost_to_another_writer_is_due_again() {
     replica.stop().await;
 }
 
-/// Keeps the only update thread busy until the result is dropped.
-fn keep_busy(context: &Context) -> mpsc::Sender<()> {
-    let (release, released) = mpsc::channel();
-    context.update_pool.spawn(move || _ = released.recv());
-    release
-}
-
 #[tokio::test]
 async fn an_update_that_the_log_begins_waits_for_the_one_before() {
     let dir = tempfile::tempdir().expect("temporary folder");
@@ -306,18 +299,6 @@ async fn a_follower_compares_what_its_updates_make_with_what_the_log_says() {
     follower.tell(later).await.expect("applied");
     compared(&follower, 2, false).await;
     follower.stop().await;
-}
-
-/// Waits until the digest of a generation is compared.
-async fn compared(replica: &Replica, generation: u64, is_equal: bool) {
-    for _ in 0..6_000 {
-        let status = replica.digest(generation).await;
-        if status.is_equal.is_some() {
-            return assert_eq!(status.is_equal, Some(is_equal));
-        }
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
-    panic!("generation {generation} is not compared");
 }
 
 #[tokio::test]
