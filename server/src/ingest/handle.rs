@@ -45,7 +45,7 @@ pub(crate) struct WriterEndpoints {
     pub(super) saturated: watch::Sender<bool>,
     pub(super) tile_bytes: Arc<AtomicU64>,
     pub(crate) opening: watch::Sender<OpenProgress>,
-    pub(super) role: watch::Sender<MapRole>,
+    pub(crate) role: watch::Sender<MapRole>,
     pub(super) digest: watch::Sender<Option<DigestStatus>>,
 }
 

@@ -438,3 +438,31 @@ impl From<RpcError> for Status {
         Status::with_error_details(code, error.message(), details)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tidemap_map::name::MapName;
+
+    use super::*;
+
+    #[test]
+    fn clients_of_a_daemon_that_does_not_write_a_map_are_told_to_come_again_and_who_writes_it() {
+        let writer = Some("b".to_owned());
+        let refused = NotWriter { map: MapName::new("office").expect("valid"), writer: writer.clone() };
+        let in_flight = AppendError::NotWriter { writer: writer.clone() };
+        let errors = [
+            RpcError::from(HelloError::from(refused.clone())),
+            RpcError::from(AddStateError::from(refused.clone())),
+            RpcError::from(EditSiteError::from(refused.clone())),
+            RpcError::from(refused),
+            RpcError::from(HelloError::Storage(in_flight.clone())),
+            RpcError::Ended(Ending::from(in_flight)),
+        ];
+        for error in errors {
+            assert_eq!(error.code_and_reason(), (Code::Unavailable, "NOT_WRITER"), "{error:?}");
+            assert!(error.message().split_whitespace().any(|word| word == "b"), "{error:?}");
+        }
+        let full = RpcError::Ended(Ending::from(AppendError::StreamFull("office".to_owned())));
+        assert_eq!(full.code_and_reason(), (Code::ResourceExhausted, "DISK_FULL"));
+    }
+}

@@ -145,11 +145,15 @@ impl Writer {
 
     /// Another daemon writes the map. What it has in flight is answered.
     fn become_follower(&mut self, writer: Option<String>) {
+        let role = MapRole::Following { writer: writer.clone() };
+        if *self.follower.role.borrow() == role {
+            return;
+        }
         // Streams hear of what became durable before they hear of the end.
         self.publish();
         let map = &self.map.spec().name;
         info!(%map, writer = writer.as_deref().unwrap_or("unknown"), "another daemon writes the map");
-        self.follower.role.send_replace(MapRole::Following { writer: writer.clone() });
+        self.follower.role.send_replace(role);
         self.backlog.clear();
         self.sessions.end_all(&Ending::Moved { writer });
         // Hellos and edits that wait are answered by `pump`.

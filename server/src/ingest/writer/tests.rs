@@ -34,6 +34,7 @@ mod scans;
 mod states;
 mod training;
 mod traversals;
+mod turns;
 
 const HOUR: i64 = 3_600_000_000_000;
 /// 2016-07-01T12:00 in London, which is then an hour ahead of UTC.

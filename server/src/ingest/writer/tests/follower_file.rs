@@ -25,7 +25,7 @@ const DAY: i64 = 24 * HOUR;
 const ROUNDS: u64 = 8;
 const PER_ROUND: usize = 48;
 
-fn spec() -> MapSpec {
+pub(super) fn spec() -> MapSpec {
     MapSpec { retention: Retention::Forever, models: EnabledModels::ALL, ..spec_with(Some(grid())) }
 }
 
@@ -35,9 +35,9 @@ fn open(dir: &Path) -> Replica {
 
 /// What a map holds after an update, as far as readers see it.
 #[derive(Debug, PartialEq)]
-struct Shown {
+pub(super) struct Shown {
     position: u64,
-    generation: u64,
+    pub(super) generation: u64,
     digest: Digest,
     marks: Vec<ProducerMark>,
     states: Vec<(StateName, LiveState, StateModel)>,
@@ -47,7 +47,7 @@ struct Shown {
     cells: u64,
 }
 
-async fn shown(replica: &Replica, generation: u64) -> Shown {
+pub(super) async fn shown(replica: &Replica, generation: u64) -> Shown {
     let digest = replica.digest(generation).await.digest;
     let view = replica.handle.view();
     let state = |info: &tidemap_map::view::StateInfo| {
@@ -90,7 +90,7 @@ fn named(name: &str, shape: StateShape, reporting: Option<StatedReporting>) -> O
 }
 
 /// A day of observations of states of all kinds; of some, ahead of their time.
-async fn observe(replica: &Replica, round: u64) {
+pub(super) async fn observe(replica: &Replica, round: u64) {
     let mut robot = hello(&replica.handle, "r", round, false).await.expect("accepted");
     let start = NOON - 12 * HOUR - (ROUNDS + 1 - round) as i64 * DAY;
     let changes = StatedReporting::new(RowKind::Changes, None, None).expect("valid");
@@ -141,8 +141,8 @@ async fn observe(replica: &Replica, round: u64) {
     }
 }
 
-async fn scan(replica: &Replica, round: u64) {
-    let mut scanner = scanner(&replica.handle, "scanner", false).await;
+pub(super) async fn scan(replica: &Replica, name: &str, round: u64) {
+    let mut scanner = scanner(&replica.handle, name, false).await;
     let start = NOON - 12 * HOUR - (ROUNDS + 1 - round) as i64 * DAY;
     for slot in 0..12u16 {
         let occupied = [(slot * 5 + round as u16) % 8];
@@ -153,7 +153,7 @@ async fn scan(replica: &Replica, round: u64) {
     assert_eq!(scanner.settled().await, []);
 }
 
-async fn prepare(replica: &Replica) {
+pub(super) async fn prepare(replica: &Replica) {
     let (reply, answer) = oneshot::channel();
     let name = StateName::new("activity").expect("valid");
     let labels = ["sleep", "eat"].map(|label| name.label(label).expect("valid")).to_vec();
@@ -176,7 +176,7 @@ async fn write(dir: &Path) -> Written {
             prepare(&writer).await;
         }
         observe(&writer, round).await;
-        scan(&writer, round).await;
+        scan(&writer, "scanner", round).await;
         let before = writer.handle.position();
         writer.update();
         // Its start and its end.
