@@ -3,6 +3,7 @@
 
 use std::{collections::BTreeMap, fs, path::PathBuf};
 
+use tidemap_grid::mask::TileMasks;
 use tidemap_map::{
     event::{Digest, Dimensions, Event, Position, RowKind, StateShape, StatedReporting},
     live_state::LiveState,
@@ -141,16 +142,20 @@ pub(super) async fn observe(replica: &Replica, round: u64) {
     }
 }
 
-pub(super) async fn scan(replica: &Replica, name: &str, round: u64) {
+/// A day of scans; gives what the last one shows: tiles by x.
+pub(super) async fn scan(replica: &Replica, name: &str, round: u64) -> Vec<(i32, TileMasks)> {
     let mut scanner = scanner(&replica.handle, name, false).await;
     let start = NOON - 12 * HOUR - (ROUNDS + 1 - round) as i64 * DAY;
+    let mut last = Vec::new();
     for slot in 0..12u16 {
         let occupied = [(slot * 5 + round as u16) % 8];
-        let shown =
-            vec![(tile(0), masks(&[0, 1, 2, 3, 4, 5, 6, 7], &occupied)), (tile(round as i32), masks(&[9], &[9]))];
-        scanner.send(&replica.handle, &[(start + i64::from(slot) * 2 * HOUR, shown)]);
+        let seen = [(0, masks(&[0, 1, 2, 3, 4, 5, 6, 7], &occupied)), (round as i32, masks(&[9], &[9]))];
+        let scan = seen.map(|(x, masks)| (tile(x), masks)).to_vec();
+        scanner.send(&replica.handle, &[(start + i64::from(slot) * 2 * HOUR, scan)]);
+        last = seen.to_vec();
     }
     assert_eq!(scanner.settled().await, []);
+    last
 }
 
 pub(super) async fn prepare(replica: &Replica) {

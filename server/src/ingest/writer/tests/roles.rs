@@ -203,20 +203,25 @@ async fn only_the_writer_makes_updates_due_and_says_what_they_made_before_the_ne
 }
 
 #[tokio::test]
-async fn a_midnight_that_was_lost_to_another_writer_is_due_again() {
+async fn a_midnight_whose_update_waited_when_another_daemon_took_over_is_due_again() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     replica.write(1);
-    hello(&replica.handle, "r", 0, false).await.expect("accepted").observe(&replica.handle, NOON).await;
-    log.hold();
+    let mut robot = hello(&replica.handle, "r", 0, false).await.expect("accepted");
+    robot.observe(&replica.handle, NOON).await;
+    let busy = keep_busy(&replica.context);
+    replica.update();
+    log.grown(2).await;
+    robot.observe(&replica.handle, NOON + 1).await;
     replica.clock.0.store(NOON + 13 * HOUR, Ordering::SeqCst);
     looked_at(&replica.clock, &replica.handle).await;
-    log.holds(1).await;
-    log.depose("b");
+    assert_eq!(replica.context.jobs.list().len(), 2);
     replica.follow("b");
-    log.reinstate();
+    assert!(failed(&replica.context.jobs.list()[0]).await.contains("b does"));
+    drop(busy);
+    ended_of(&replica.context.jobs, 1).await;
     replica.write(3);
-    assert_eq!(ended_of(&replica.context.jobs, 1).await, [UpdateCause::Midnight]);
+    assert_eq!(ended_of(&replica.context.jobs, 2).await, [UpdateCause::Request, UpdateCause::Midnight]);
     replica.stop().await;
 }
 

@@ -3,6 +3,7 @@
 use super::{
     follower_file::{observe, prepare, scan, shown, spec},
     replicas::{Replica, SharedMemory, compared},
+    scans::picture,
     *,
 };
 
@@ -46,12 +47,14 @@ async fn daemons_that_write_in_turn_hold_the_same() {
         writer.replica.update();
         writer.replica.reaches(before + 2).await;
         // Without an update between them and the next writer's.
-        scan(&writer.replica, "another", turn).await;
+        let last = scan(&writer.replica, "another", turn).await;
         follower.follow(writer).await;
         compared(&follower.replica, turn, true).await;
         let (written, followed) = (shown(&writer.replica, turn).await, shown(&follower.replica, turn).await);
         assert_eq!(written, followed);
         assert_eq!(written.generation, turn);
+        let (tiles, ..) = picture(&follower.replica.handle);
+        assert!(last.iter().all(|shown| tiles.contains(shown)), "the map shows what was seen last: {tiles:?}");
     }
     for side in sides {
         side.replica.stop().await;
