@@ -1,5 +1,6 @@
 //! A map whose log daemons share: what it takes and does as a follower and as the writer, and between.
 
+use tidemap_cluster::replica::ReplicaEvent;
 use tidemap_map::{
     event::{Envelope, Event, Observations, StateKind, UpdateDone, UpdateStart},
     ids::{NewProducer, StateId},
@@ -9,6 +10,7 @@ use tidemap_model::Sample;
 use tidemap_proto::convert::vectors::DeclaredState;
 
 use super::{
+    backlog::bare,
     replicas::{Replica, SharedMemory, compared, keep_busy},
     *,
 };
@@ -156,6 +158,24 @@ async fn what_was_not_acknowledged_when_another_daemon_writes_is_not_in_the_map(
     assert_eq!(edit(handle).await, Ok(Ok(())));
     assert_eq!((handle.view().observations(), log.events().len()), (4, 5));
     replica.stop().await;
+}
+
+#[tokio::test]
+async fn a_stream_hears_of_what_is_in_the_log_before_it_hears_of_another_writer() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let mut bare = bare(dir.path(), NOON, None);
+    bare.writer.follower = Follower::new(watch::channel(MapRole::default()).0, true);
+    bare.writer.handle(Command::Replica(ReplicaEvent::Writing { epoch: 1 }));
+    let mut robot = bare.robot("r").await;
+    send(&bare.handle, &mut robot, vec![NOON]);
+    // What the robot sends, and the answer of the log.
+    for _ in 0..2 {
+        let command = bare.inbox.recv_timeout(Duration::from_secs(60)).expect("a command");
+        bare.writer.handle(command);
+    }
+    bare.writer.handle(Command::Replica(ReplicaEvent::Following { writer: Some("b".to_owned()) }));
+    assert_eq!(robot.events.recv().await, Some(SessionEvent::Ack { durable_sequence: 1, refused: Vec::new() }));
+    assert_eq!(robot.events.recv().await, moved("b"));
 }
 
 #[tokio::test]
@@ -323,11 +343,9 @@ async fn a_map_with_records_that_the_shared_log_does_not_have_ends_and_is_told()
     let fork = replica.forks.recv().await.expect("a fork");
     assert_eq!(fork, ForkedMap { id: replica.id, map: replica.handle.spec.name.clone(), common: 1 });
     assert_eq!(robot.events.recv().await, Some(SessionEvent::End(Ending::Forked { common: 1 })));
-    assert!(!replica.handle.send(Command::Update {
-        until_nanos: None,
-        cause: UpdateCause::Request,
-        job: replica.context.jobs.create(replica.handle.spec.name.clone(), UpdateCause::Request, NOON),
-    }));
+    replica.handle.stop(Ending::Shutdown).await;
+    let (reply, _) = oneshot::channel();
+    assert!(!replica.handle.send(Command::ListProducers(reply)), "its thread has ended");
     let sizes = replica.context.store.sizes(replica.id);
     assert_eq!(sizes.checkpoint_bytes, 0, "what the shared log does not have is not saved");
     replica.context.store.close();
