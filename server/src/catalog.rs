@@ -28,7 +28,7 @@ use crate::{
     ingest::{
         ending::Ending,
         handle::{MapHandle, OpenProgress, WriterEndpoints},
-        writer::{Context, start_in},
+        writer::{Context, ForkedMap, start_in},
     },
     task::Task,
 };
@@ -58,6 +58,11 @@ pub(crate) enum CatalogError {
         first.0, second.0, name.as_str()
     )]
     Duplicate { name: MapName, first: MapId, second: MapId },
+    #[error(
+        "the log of map {map} on this daemon and the one that daemons share differ after record {common}: this daemon \
+         does not serve it, and the others do"
+    )]
+    Forked { map: MapName, common: u64 },
     #[error("map {map}: {source}. Restore the folder of this map from a backup")]
     Sums { map: MapName, source: SumsUnavailable },
     #[error("nothing is erased: {0}")]
@@ -82,7 +87,7 @@ impl CatalogError {
     fn is_of_one_map(&self) -> bool {
         match self {
             Self::Open(error) => !error.is_shortage(),
-            Self::Inconsistent { .. } | Self::Duplicate { .. } | Self::Sums { .. } => true,
+            Self::Inconsistent { .. } | Self::Duplicate { .. } | Self::Sums { .. } | Self::Forked { .. } => true,
             _ => false,
         }
     }
@@ -104,7 +109,8 @@ mod restore;
 #[cfg(test)]
 mod tests;
 
-use restore::{open_map, restore_map};
+use restore::open_map;
+pub(crate) use restore::restore_map;
 
 /// All maps, by name. Clones are handles to the same maps.
 #[derive(Clone, Debug)]
@@ -213,6 +219,15 @@ impl Catalog {
             maps.remove(name);
             maps
         });
+    }
+
+    /// Sets a map aside whose log and the one that daemons share differ. Its writer has stopped.
+    pub(crate) fn forked(&self, fork: ForkedMap) {
+        let ForkedMap { id, map, common } = fork;
+        // It may have been deleted meanwhile.
+        if self.maps.load().get(&map).is_some_and(|handle| handle.id == id) {
+            self.set_aside(id, &map, &CatalogError::Forked { map: map.clone(), common });
+        }
     }
 
     /// Maps that are set aside.

@@ -104,7 +104,14 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     }
     let store = open_store(&settings, disk).await?;
     let (fatal_sender, mut fatal) = mpsc::unbounded_channel();
-    let (catalog, rest) = open_catalog(&settings, Arc::clone(&store), fatal_sender.clone()).await?;
+    let (forks_sender, mut forks) = mpsc::unbounded_channel();
+    let (catalog, rest) = open_catalog(&settings, Arc::clone(&store), fatal_sender.clone(), forks_sender).await?;
+    let for_forks = Arc::clone(&catalog);
+    crate::task::spawn(async move {
+        while let Some(fork) = forks.recv().await {
+            for_forks.forked(fork);
+        }
+    });
     let (stop_sender, stopping) = watch::channel(false);
     let served = Served { settings: &settings, catalog: &catalog, metrics, stopping, fatal: fatal_sender };
     let mut ports = Ports::serve(served, protection).await?;

@@ -5,11 +5,13 @@
 //! of the log.
 
 pub(crate) mod anomaly_feed;
+pub(crate) mod digests;
 pub(crate) mod ending;
 pub(crate) mod handle;
 pub(crate) mod intake;
 pub(crate) mod probe;
 pub(crate) mod protocol;
+pub(crate) mod role;
 mod sessions;
 pub(crate) mod tile_totals;
 mod training_data;

@@ -29,6 +29,7 @@ const CRATES: [(&str, &str, &[&str]); 17] = [
         "server",
         "tidemapd",
         &[
+            "tidemap-cluster",
             "tidemap-grid",
             "tidemap-map",
             "tidemap-migrations",

@@ -30,7 +30,7 @@ pub(super) fn open_map(context: &Context, id: MapId, spec: &Arc<MapSpec>) -> Res
 /// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off:
 /// the writer repeats it while the map is served from the generation before. `tell` hears now and then how many records
 /// of how many are replayed, and whether to continue.
-pub(super) fn restore_map(
+pub(crate) fn restore_map(
     context: &Context,
     id: MapId,
     spec: &Arc<MapSpec>,
@@ -54,12 +54,16 @@ pub(super) fn restore_map(
     // The last update that the log has begun. It may take long, so that it is run here only if another event shows that
     // it ended.
     let mut begun: Option<UpdateWork> = None;
+    let mut logged = None;
     for entry in opened.replay {
         let (position, event) = entry?;
         if replayed.is_multiple_of(RECORDS_PER_REPORT) && !tell(replayed, total) {
             return Err(CatalogError::Stopping);
         }
         replayed += 1;
+        if let Event::UpdateDone(done) = &event {
+            logged = Some(*done);
+        }
         if position <= known {
             map.recover_pending(position, &event)
         } else {
@@ -78,7 +82,7 @@ pub(super) fn restore_map(
         map = %spec.name, source = opened.source.name(), replayed, states = map.states(), pending = map.pending(),
         "map opened"
     );
-    Ok(RestoredMap { map, log: opened.log, unsaved, begun })
+    Ok(RestoredMap { map, log: Arc::new(opened.log), is_shared: false, logged, unsaved, begun })
 }
 
 /// Repeats updates at the start because others followed them, and holds what is not saved of them.

@@ -25,6 +25,7 @@ fn context(store: Store) -> Context {
         clock: Arc::new(SystemClock),
         update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool")),
         fatal: tokio::sync::mpsc::unbounded_channel().0,
+        forks: tokio::sync::mpsc::unbounded_channel().0,
         max_states: 10,
         max_producers: 10,
         max_pending: tidemap_map::live_map::PendingLimits { observations: 1000, changes: 1000 },

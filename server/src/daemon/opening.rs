@@ -15,7 +15,7 @@ use crate::{
     catalog::{Catalog, RESTORED_FIRST_BYTES, UnopenedMap},
     clock::SystemClock,
     config::Settings,
-    ingest::writer::Context,
+    ingest::writer::{Context, ForkedMap},
     jobs::Jobs,
     telemetry::{self, traces::Span},
 };
@@ -51,7 +51,7 @@ fn open_now(settings: &Settings, disk: Arc<dyn Disk>) -> Result<Store, DaemonErr
 }
 
 /// Opens the maps; gives those that are served from the index, and have to be restored. `fatal` hears of a storage that
-/// fails.
+/// fails, `forks` of maps whose logs are not those that daemons share.
 ///
 /// # Errors
 /// A map cannot be opened, and cannot be set aside.
@@ -59,6 +59,7 @@ pub(super) async fn open_catalog(
     settings: &Settings,
     store: Arc<Store>,
     fatal: mpsc::UnboundedSender<String>,
+    forks: mpsc::UnboundedSender<ForkedMap>,
 ) -> Result<(Arc<Catalog>, Vec<UnopenedMap>), DaemonError> {
     let update_pool = rayon::ThreadPoolBuilder::new()
         .num_threads(settings.update_threads())
@@ -71,6 +72,7 @@ pub(super) async fn open_catalog(
         clock: Arc::new(SystemClock),
         update_pool: Arc::new(update_pool),
         fatal,
+        forks,
         max_states: settings.max_states_per_map,
         max_producers: settings.max_producers_per_map,
         max_pending: PendingLimits {

@@ -6,7 +6,10 @@ use tidemap_store::AppendError;
 
 /// Whether the daemon must stop, because the content of the disk is unknown.
 pub(crate) fn is_fatal(error: &AppendError) -> bool {
-    !matches!(error, AppendError::DiskFull | AppendError::AfterFailure)
+    !matches!(
+        error,
+        AppendError::DiskFull | AppendError::AfterFailure | AppendError::NotWriter { .. } | AppendError::StreamFull(_)
+    )
 }
 
 /// Why the server ends a stream.
@@ -22,6 +25,25 @@ pub(crate) enum Ending {
     MapDeleted,
     /// Something is erased from the map.
     Erasure,
+    /// Another daemon writes the map.
+    Moved {
+        /// The daemon that does, where it is known.
+        writer: Option<String>,
+    },
+    /// The log of the map and the one that daemons share differ.
+    Forked {
+        /// The last position that both have.
+        common: u64,
+    },
     /// The log could not be written.
     Storage(AppendError),
+}
+
+impl From<AppendError> for Ending {
+    fn from(error: AppendError) -> Self {
+        match error {
+            AppendError::NotWriter { writer } => Self::Moved { writer },
+            error => Self::Storage(error),
+        }
+    }
 }

@@ -12,11 +12,12 @@ use std::sync::{
 };
 
 use arc_swap::ArcSwap;
+use tidemap_cluster::replica::ReplicaListener;
 use tidemap_map::{spec::MapSpec, view::MapView};
 use tidemap_store::MapId;
 use tokio::sync::{oneshot, watch};
 
-use super::{ending::Ending, protocol::Command, tile_totals::TileTotals};
+use super::{digests::DigestStatus, ending::Ending, protocol::Command, role::MapRole, tile_totals::TileTotals};
 use crate::clock::Clock;
 
 /// Numbers of handles.
@@ -44,6 +45,8 @@ pub(crate) struct WriterEndpoints {
     pub(super) saturated: watch::Sender<bool>,
     pub(super) tile_bytes: Arc<AtomicU64>,
     pub(crate) opening: watch::Sender<OpenProgress>,
+    pub(crate) role: watch::Sender<MapRole>,
+    pub(super) digest: watch::Sender<Option<DigestStatus>>,
 }
 
 /// The handle of a map.
@@ -61,6 +64,8 @@ pub(crate) struct MapHandle {
     saturated: watch::Receiver<bool>,
     tile_bytes: Arc<AtomicU64>,
     opening: watch::Receiver<OpenProgress>,
+    role: watch::Receiver<MapRole>,
+    digest: watch::Receiver<Option<DigestStatus>>,
     /// Whether the map has another handle, and may have other ids of states.
     replaced: AtomicBool,
     // A lock, because the totals of a generation are counted once; held to copy them, not while counting.
@@ -80,6 +85,8 @@ impl MapHandle {
         let (saturated_sender, saturated) = watch::channel(false);
         let (opening_sender, opening) = watch::channel(OpenProgress::Replay { done: 0, total: 0 });
         let tile_bytes = Arc::new(AtomicU64::new(0));
+        let (role_sender, role) = watch::channel(MapRole::default());
+        let (digest_sender, digest) = watch::channel(None);
         let endpoints = WriterEndpoints {
             view: Arc::clone(&view),
             commands: commands.clone(),
@@ -87,13 +94,28 @@ impl MapHandle {
             saturated: saturated_sender,
             tile_bytes: Arc::clone(&tile_bytes),
             opening: opening_sender,
+            role: role_sender,
+            digest: digest_sender,
         };
         let tile_totals = Mutex::new(None);
         let number = HANDLES.fetch_add(1, Ordering::Relaxed);
         let replaced = AtomicBool::new(false);
         let clock = Arc::clone(clock);
-        let handle =
-            Self { id, number, spec, view, clock, commands, saturated, tile_bytes, opening, replaced, tile_totals };
+        let handle = Self {
+            id,
+            number,
+            spec,
+            view,
+            clock,
+            commands,
+            saturated,
+            tile_bytes,
+            opening,
+            role,
+            digest,
+            replaced,
+            tile_totals,
+        };
         (handle, endpoints)
     }
 
@@ -140,6 +162,37 @@ impl MapHandle {
     pub(crate) fn view(&self) -> Arc<MapView> {
         let view = self.view.load_full();
         if view.depends_on_now() { Arc::new(view.as_of(self.clock.now_nanos())) } else { view }
+    }
+
+    /// What this daemon is to the map.
+    pub(crate) fn role(&self) -> MapRole {
+        self.role.borrow().clone()
+    }
+
+    /// The newest digest of what an update has made here; `None` before the first, and where daemons do not share the
+    /// log.
+    #[cfg_attr(not(test), expect(dead_code, reason = "for the status of a cluster"))]
+    pub(crate) fn digest(&self) -> Option<DigestStatus> {
+        *self.digest.borrow()
+    }
+
+    /// Log position of the last event that the view shows.
+    #[cfg_attr(not(test), expect(dead_code, reason = "for the status of a cluster"))]
+    pub(crate) fn position(&self) -> u64 {
+        self.view.load().position()
+    }
+
+    /// Number of the generation that the view shows.
+    #[cfg_attr(not(test), expect(dead_code, reason = "for the status of a cluster"))]
+    pub(crate) fn generation(&self) -> u64 {
+        self.view.load().generation()
+    }
+
+    /// Hands the writer what a replica tells. After the writer has stopped nothing of it is done.
+    #[cfg_attr(not(test), expect(dead_code, reason = "for the replicas of a cluster"))]
+    pub(crate) fn replica_listener(&self) -> ReplicaListener {
+        let commands = self.commands.clone();
+        Arc::new(move |event| drop(commands.send(Command::Replica(event))))
     }
 
     /// Sends the writer a command. `false`: the writer has stopped.

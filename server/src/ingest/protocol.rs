@@ -4,9 +4,10 @@
 
 use std::sync::Arc;
 
+use tidemap_cluster::replica::ReplicaEvent;
 use tidemap_grid::{paging::SavedTiles, tile::TileSource};
 use tidemap_map::{
-    event::UpdateCause,
+    event::{Digest, UpdateCause},
     ids::ProducerId,
     snapshot::{MapSnapshot, ProducerMark},
     update::UpdateResult,
@@ -64,6 +65,10 @@ pub(crate) enum Command {
     Committed(Result<u64, AppendError>),
     /// The running update has ended; `Err`: it failed.
     UpdateDone { job: Arc<UpdateJob>, result: Result<Box<UpdateResult>, String> },
+    /// The digest of what an update has made, or why there is none.
+    Digested { generation: u64, digest: Result<Digest, String> },
+    /// The replica of a log that daemons share tells something.
+    Replica(ReplicaEvent),
     /// A save has ended; `Err`: it failed, and gives the snapshot back.
     Saved(Result<SavedGrid, (String, MapSnapshot)>),
     /// Add a state.

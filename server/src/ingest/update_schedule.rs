@@ -93,6 +93,13 @@ impl UpdateSchedule {
         }
     }
 
+    /// This daemon writes the map from now on: a midnight that has passed makes an update due, also one that did so
+    /// before.
+    pub(super) fn begin_anew(&mut self) {
+        self.clock_midnight_nanos = i64::MIN;
+        self.data_midnight_nanos = i64::MIN;
+    }
+
     /// Whether an update waits.
     pub(super) fn is_waited_for(&self) -> bool {
         !self.queue.is_empty()

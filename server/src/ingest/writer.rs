@@ -7,7 +7,8 @@
 //! ```
 //!
 //! - [`appends`]: events in flight, and their failures. [`backlog`]: what waits for room. [`edits`]: states and site
-//!   edits of clients. [`update_run`]: updates. [`saves`]: snapshots, and the history that is not stored.
+//!   edits of clients. [`update_run`]: updates. [`saves`]: snapshots, and the history that is not stored. [`follower`]:
+//!   a log that daemons share, which this one writes or follows. [`update_ends`]: what updates have made, in such a log.
 //! - **The writer takes only what it can hold.** Handovers wait in the backlog, with their buffer budgets, while too
 //!   much is in flight or pending. Commands that make room are never behind them.
 //! - **Observations ahead of the clock wait apart** (more than 5 minutes when they are received): they make no update
@@ -29,13 +30,14 @@ use std::{
 
 use arc_swap::ArcSwap;
 use tidemap_map::{
+    event::UpdateDone,
     ids::ProducerId,
     live_map::{LiveMap, PendingLimits},
     snapshot::{MapSnapshot, ProducerMark},
     update::UpdateWork,
     view::MapView,
 };
-use tidemap_store::{MapId, MapLog, Store};
+use tidemap_store::{EventLog, MapId, Store};
 use tokio::sync::{oneshot, watch};
 use tracing::warn;
 
@@ -56,15 +58,20 @@ const BURST: usize = 512;
 mod appends;
 mod backlog;
 mod edits;
+mod follower;
 mod saves;
 #[cfg(test)]
 mod tests;
+mod update_ends;
 mod update_run;
 
 use appends::Appends;
 use backlog::{Backlog, PENDING_LOAD_MAX};
 use edits::Edits;
+use follower::Follower;
+pub(crate) use follower::ForkedMap;
 use saves::{Saves, checkpoint_span};
+use update_ends::UpdateEnds;
 use update_run::Updates;
 
 /// What a writer needs from the daemon.
@@ -76,6 +83,8 @@ pub(crate) struct Context {
     pub update_pool: Arc<rayon::ThreadPool>,
     /// Receives a message when storage has failed for good.
     pub fatal: tokio::sync::mpsc::UnboundedSender<String>,
+    /// Receives the maps whose log and the one that daemons share differ, when their writers have stopped.
+    pub forks: tokio::sync::mpsc::UnboundedSender<ForkedMap>,
     /// Maximum number of states of a map.
     pub max_states: usize,
     /// Maximum number of producer keys of a map.
@@ -95,7 +104,11 @@ pub(crate) struct RestoredMap {
     /// The map.
     pub map: LiveMap,
     /// The log to which the writer appends.
-    pub log: MapLog,
+    pub log: Arc<dyn EventLog>,
+    /// Whether daemons share the log. Then the writer follows it until it is told to write.
+    pub is_shared: bool,
+    /// What the log says of its last update, where it does.
+    pub logged: Option<UpdateDone>,
     /// The unsaved result of updates that were repeated during the start.
     pub unsaved: Option<MapSnapshot>,
     /// An update that the log has begun, and that may have been cut off.
@@ -123,9 +136,7 @@ pub(crate) fn start_in(
     id: MapId,
     restored: RestoredMap,
 ) -> std::io::Result<()> {
-    let RestoredMap { map, log, unsaved, begun } = restored;
-    let (mut writer, inbox) = build(endpoints, context, id, map, log, unsaved);
-    begun.into_iter().for_each(|work| writer.repeat_update(work));
+    let (writer, inbox) = build(endpoints, context, id, restored);
     std::thread::Builder::new().name(format!("map-{}", id.0)).spawn(move || {
         let fatal = writer.context.fatal.clone();
         if catch_unwind(AssertUnwindSafe(|| writer.run(&inbox))).is_err() {
@@ -136,20 +147,21 @@ pub(crate) fn start_in(
     Ok(())
 }
 
-/// A writer that does not run yet, and the receiver of its commands. The map is open when this returns.
+/// A writer that does not run yet, and the receiver of its commands. The map is open when this returns, and an update
+/// that the log has begun runs.
 fn build(
     endpoints: WriterEndpoints,
     context: Context,
     id: MapId,
-    mut map: LiveMap,
-    log: MapLog,
-    unsaved: Option<MapSnapshot>,
+    restored: RestoredMap,
 ) -> (Writer, mpsc::Receiver<Command>) {
+    let RestoredMap { mut map, log, is_shared, logged, unsaved, begun } = restored;
     let spec = Arc::clone(map.spec());
-    let WriterEndpoints { view, commands, inbox, saturated, tile_bytes, opening } = endpoints;
+    let WriterEndpoints { view, commands, inbox, saturated, tile_bytes, opening, role, digest } = endpoints;
     tile_bytes.store(map.tile_memory().bytes, Ordering::Relaxed);
     // First the view: who has waited for the map sees everything that is acknowledged.
     view.store(Arc::new(map.publish()));
+    let follower = Follower::new(role, is_shared);
     opening.send_replace(OpenProgress::Open);
     let limits = SessionLimits {
         states: context.max_states,
@@ -164,7 +176,7 @@ fn build(
         context.max_pending,
         context.update_at_midnight,
     );
-    let writer = Writer {
+    let mut writer = Writer {
         sessions: Sessions::new(spec.zone.offset_cache(), limits),
         context,
         id,
@@ -178,11 +190,14 @@ fn build(
         edits: Edits::default(),
         saves: Saves::new(unsaved, tile_bytes),
         updates: Updates::new(schedule),
+        ends: UpdateEnds::new(logged, digest),
+        follower,
         feed: AnomalyFeed::default(),
         acks: BTreeMap::new(),
         changed: false,
         stopping: None,
     };
+    begun.into_iter().for_each(|work| writer.repeat_update(work));
     (writer, inbox)
 }
 
@@ -197,7 +212,7 @@ struct Writer {
     context: Context,
     id: MapId,
     map: LiveMap,
-    log: MapLog,
+    log: Arc<dyn EventLog>,
     view: Arc<ArcSwap<MapView>>,
     saturated: watch::Sender<bool>,
     commands: mpsc::Sender<Command>,
@@ -207,6 +222,8 @@ struct Writer {
     edits: Edits,
     saves: Saves,
     updates: Updates,
+    ends: UpdateEnds,
+    follower: Follower,
     feed: AnomalyFeed,
     acks: BTreeMap<SessionId, PendingAck>,
     /// Whether the map has changed since the view was published.
@@ -236,20 +253,26 @@ impl Writer {
     }
 
     /// Whether an update must end before the writer stops: an update that goes on after an erasure would write among
-    /// the new files.
+    /// the new files, and likewise where the map is opened again without a part of its log.
     fn must_finish(&self) -> bool {
-        matches!(self.stopping, Some((Ending::Erasure, _))) && self.updates.is_running()
+        matches!(self.stopping, Some((Ending::Erasure | Ending::Forked { .. }, _))) && self.updates.is_running()
     }
 
     fn handle(&mut self, command: Command) {
         match command {
             Command::Hello(hello) => self.hello(hello),
             Command::StreamData { session, data } => self.hand_over(session, data),
-            Command::Update { until_nanos, cause, job } => {
-                self.updates.schedule.push(DueUpdate { until_nanos, cause, job });
-            }
+            Command::Update { until_nanos, cause, job } => match self.not_writer() {
+                Some(refused) => job.end(Err(refused.to_string())),
+                None => self.updates.schedule.push(DueUpdate { until_nanos, cause, job }),
+            },
             Command::Committed(result) => self.committed(result),
             Command::UpdateDone { job, result } => self.update_done(&job, result),
+            Command::Digested { generation, digest } => self.digested(generation, digest),
+            Command::Replica(event) => {
+                self.follower.push(event);
+                self.follow();
+            }
             Command::Saved(result) => self.saved(result),
             Command::AddState(add) => self.add_state(add),
             Command::EditSite(edit) => self.edit_site(edit),
@@ -287,13 +310,15 @@ impl Writer {
     /// due. The order of the steps matters; each step names what must come before it.
     fn pump(&mut self) {
         let now = self.context.clock.now_nanos();
+        // First: events of the log that waited for an update or an answer. `publish` shows and answers them.
+        self.follow();
         for (key, reached) in self.sessions.take_broken() {
             self.updates.schedule.stream_broke(key, reached);
         }
         // What is due is decided before `publish` sends acknowledgements: the producer that has one sees the update
         // that its observations made due.
         let may_update = self.may_update();
-        if self.stopping.is_none() && self.appends.failure().is_none() {
+        if self.stopping.is_none() && self.appends.failure().is_none() && self.follower.is_writing() {
             self.updates.schedule.look_at_data(&self.map, &self.sessions, now);
         }
         if may_update {
@@ -314,6 +339,10 @@ impl Writer {
         }
         self.continue_adding();
         self.continue_editing();
+        // Before `start_update`: the end of an update is in the log before the start of the next.
+        if self.stopping.is_none() && self.appends.failure().is_none() {
+            self.say_update_end();
+        }
         // Before the backlog: an update makes room, so that a due one goes first. The same holds for appends and for a
         // running update.
         if may_update {
@@ -342,6 +371,7 @@ impl Writer {
             self.sessions.tell(id, SessionEvent::Ack { durable_sequence: ack.durable_sequence, refused: ack.refused });
         }
         self.updates.published();
+        self.follower.published();
     }
 
     fn hello(&mut self, hello: Hello) {
@@ -350,6 +380,8 @@ impl Writer {
         }
         let answer = if self.stopping.is_some() {
             Err(HelloError::Closing)
+        } else if let Some(refused) = self.not_writer() {
+            Err(refused.into())
         } else if let Some(error) = self.appends.failure() {
             Err(HelloError::Storage(error.clone()))
         } else if hello.incarnation == 0
@@ -383,6 +415,7 @@ impl Writer {
         let reason = match ending {
             Ending::MapDeleted => "the map was deleted",
             Ending::Erasure => "something is erased from the map: start the update again",
+            Ending::Forked { .. } => "the log of the map and the shared log differ",
             _ => "the daemon is stopping",
         };
         // Commands after the stop are answered, not executed.
@@ -401,15 +434,26 @@ impl Writer {
             let _ = hello.reply.send(Err(HelloError::Closing));
         }
         // History without its snapshot belongs to an update that is abandoned: the log has both.
-        if let Some(snapshot) = self.saves.take_unsaved().filter(|_| ending != Ending::MapDeleted) {
+        let fork = self.follower.fork();
+        // Nor is saved what the shared log does not have.
+        let may_save = |snapshot: &MapSnapshot| {
+            ending != Ending::MapDeleted && fork.is_none_or(|common| snapshot.position <= common)
+        };
+        if let Some(snapshot) = self.saves.take_unsaved().filter(may_save) {
             let span = checkpoint_span(&self.map.spec().name, &snapshot);
             if let Err(error) = self.context.store.save(self.id, &snapshot) {
                 span.fail("not saved: the log says why");
                 warn!(map = %self.map.spec().name, %error, "checkpoint not saved: the log has everything");
             }
         }
+        let forked = fork.map(|common| ForkedMap { id: self.id, map: self.map.spec().name.clone(), common });
+        let forks = self.context.forks.clone();
         // The store too is released before the caller of the stop continues.
         drop(self);
+        if let Some(forked) = forked {
+            // The daemon is stopping if nobody listens.
+            let _ = forks.send(forked);
+        }
         if let Some(done) = done {
             // The caller may not wait.
             let _ = done.send(());

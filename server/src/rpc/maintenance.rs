@@ -182,6 +182,9 @@ impl MaintenanceService for Maintenance {
         let handle = find_map(&self.catalog, &request.map).await?;
         let until_nanos = request.until.map(|until| nanos_from_timestamp("until", until)).transpose();
         let until_nanos = until_nanos.map_err(RpcError::from)?;
+        if let Some(refused) = handle.role().not_writer(&handle.spec.name) {
+            return Err(RpcError::from(refused).into());
+        }
         let context = self.catalog.context();
         let job = context.jobs.create(handle.spec.name.clone(), UpdateCause::Request, context.clock.now_nanos());
         let command = Command::Update { until_nanos, cause: UpdateCause::Request, job: Arc::clone(&job) };

@@ -20,6 +20,7 @@ use crate::{
         ending::{Ending, is_fatal},
         intake::IntakeError,
         protocol::{AddStateError, EditSiteError, HelloError},
+        role::NotWriter,
     },
     model_cache::ModelUnavailable,
 };
@@ -85,6 +86,8 @@ pub(crate) enum RpcError {
     History(#[from] HistoryError),
     #[error("an update has the observations of that time and has not ended within {0} seconds: try again")]
     Updating(u64),
+    #[error(transparent)]
+    NotWriter(#[from] NotWriter),
     #[error("job {0} is not known: it is long past, or the daemon was restarted since")]
     UnknownJob(u64),
     #[error(
@@ -195,12 +198,23 @@ fn ending_text(ending: &Ending) -> String {
                                answer a probe within two seconds"
             .to_owned(),
         Ending::MapDeleted => "the map was deleted".to_owned(),
+        Ending::Moved { writer: None } => "another daemon writes the map; connect again".to_owned(),
+        Ending::Moved { writer: Some(writer) } => format!("{writer} writes the map; connect again"),
+        Ending::Forked { .. } => {
+            "the log of the map and the one that daemons share differ: this daemon does not serve \
+                                  the map; connect to another"
+                .to_owned()
+        }
         Ending::Storage(error) => error.to_string(),
     }
 }
 
 fn append_code(error: &AppendError) -> (Code, &'static str) {
-    if is_fatal(error) { (Code::Unavailable, "STORAGE_FAILED") } else { (Code::ResourceExhausted, "DISK_FULL") }
+    match error {
+        AppendError::NotWriter { .. } => (Code::Unavailable, "NOT_WRITER"),
+        error if is_fatal(error) => (Code::Unavailable, "STORAGE_FAILED"),
+        _ => (Code::ResourceExhausted, "DISK_FULL"),
+    }
 }
 
 /// The name of a code, as gRPC writes it.
@@ -244,6 +258,7 @@ impl RpcError {
                 CatalogError::Open(_)
                 | CatalogError::Inconsistent { .. }
                 | CatalogError::Sums { .. }
+                | CatalogError::Forked { .. }
                 | CatalogError::Duplicate { .. } => (Code::DataLoss, "STORAGE_FAILED"),
                 CatalogError::Thread(_) => (Code::ResourceExhausted, "LIMIT"),
                 CatalogError::NoProducer { .. } => (Code::NotFound, "UNKNOWN_PRODUCER"),
@@ -291,6 +306,7 @@ impl RpcError {
                 HistoryError::Io { .. } => (Code::Internal, "STORAGE_FAILED"),
             },
             Self::Updating(_) => (Code::Unavailable, "UPDATING"),
+            Self::NotWriter(_) => (Code::Unavailable, "NOT_WRITER"),
             Self::UnknownJob(_) => (Code::NotFound, "UNKNOWN_JOB"),
             Self::NoReport(_) => (Code::FailedPrecondition, "NO_REPORT"),
             Self::Limit(_) | Self::Busy { .. } | Self::Overloaded { .. } | Self::Intake(IntakeError::Limit(_)) => {
@@ -302,6 +318,7 @@ impl RpcError {
                 | AddStateError::OtherLabels { .. }
                 | AddStateError::OtherReporting { .. } => (Code::AlreadyExists, "STATE_EXISTS"),
                 AddStateError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
+                AddStateError::NotWriter(_) => (Code::Unavailable, "NOT_WRITER"),
                 AddStateError::Storage(error) => append_code(error),
                 AddStateError::Closing => (Code::Unavailable, "STOPPING"),
             },
@@ -318,6 +335,7 @@ impl RpcError {
                 EditSiteError::Invalid(InvalidEdit::Landmarks(error)) => landmark_refusal(error),
                 EditSiteError::Invalid(InvalidEdit::StateExists { .. }) => (Code::AlreadyExists, "STATE_EXISTS"),
                 EditSiteError::Invalid(_) => (Code::InvalidArgument, "INVALID_FIELD"),
+                EditSiteError::NotWriter(_) => (Code::Unavailable, "NOT_WRITER"),
                 EditSiteError::Storage(error) => append_code(error),
                 EditSiteError::Closing => (Code::Unavailable, "STOPPING"),
             },
@@ -332,6 +350,7 @@ impl RpcError {
                 HelloError::Sensor(InvalidSensor::Own { .. }) => (Code::FailedPrecondition, "SENSOR"),
                 HelloError::SensorWithoutGrid => (Code::FailedPrecondition, "NO_GRID"),
                 HelloError::OtherSensor { .. } => (Code::FailedPrecondition, "OTHER_SENSOR"),
+                HelloError::NotWriter(_) => (Code::Unavailable, "NOT_WRITER"),
                 HelloError::Storage(error) => append_code(error),
                 HelloError::Closing => (Code::Unavailable, "STOPPING"),
             },
@@ -342,6 +361,8 @@ impl RpcError {
                 Ending::Erasure => (Code::Unavailable, "ERASING"),
                 Ending::Superseded | Ending::Unanswered => (Code::Aborted, "SUPERSEDED"),
                 Ending::MapDeleted => (Code::NotFound, "MAP_DELETED"),
+                Ending::Moved { .. } => (Code::Unavailable, "NOT_WRITER"),
+                Ending::Forked { .. } => (Code::Unavailable, "FORKED"),
                 Ending::Storage(error) => append_code(error),
             },
             Self::TooManyRequests { .. } => (Code::ResourceExhausted, "LIMIT"),
@@ -415,5 +436,33 @@ impl From<RpcError> for Status {
         }
         details.set_error_info(reason, DOMAIN, metadata);
         Status::with_error_details(code, error.message(), details)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_map::name::MapName;
+
+    use super::*;
+
+    #[test]
+    fn clients_of_a_daemon_that_does_not_write_a_map_are_told_to_come_again_and_who_writes_it() {
+        let writer = Some("b".to_owned());
+        let refused = NotWriter { map: MapName::new("office").expect("valid"), writer: writer.clone() };
+        let in_flight = AppendError::NotWriter { writer: writer.clone() };
+        let errors = [
+            RpcError::from(HelloError::from(refused.clone())),
+            RpcError::from(AddStateError::from(refused.clone())),
+            RpcError::from(EditSiteError::from(refused.clone())),
+            RpcError::from(refused),
+            RpcError::from(HelloError::Storage(in_flight.clone())),
+            RpcError::Ended(Ending::from(in_flight)),
+        ];
+        for error in errors {
+            assert_eq!(error.code_and_reason(), (Code::Unavailable, "NOT_WRITER"), "{error:?}");
+            assert!(error.message().split_whitespace().any(|word| word == "b"), "{error:?}");
+        }
+        let full = RpcError::Ended(Ending::from(AppendError::StreamFull("office".to_owned())));
+        assert_eq!(full.code_and_reason(), (Code::ResourceExhausted, "DISK_FULL"));
     }
 }

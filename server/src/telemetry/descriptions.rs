@@ -36,6 +36,14 @@ const COUNTERS: &[(&str, &str)] = &[
     ("tidemap_tls_handshakes_failed_total", "TLS handshakes that failed, for example of clients without a certificate"),
     ("tidemap_backups_total", "Backups made, scheduled or asked for"),
     ("tidemap_backup_failures_total", "Backups that failed, scheduled or asked for"),
+    (
+        "tidemap_cluster_digests_equal_total",
+        "Updates that have made the same bits as the writer's; only of maps whose log daemons share",
+    ),
+    (
+        "tidemap_cluster_divergence_total",
+        "Updates that have made other bits than the writer's; only of maps whose log daemons share",
+    ),
     ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
     (
         "tidemap_spans_dropped_total",

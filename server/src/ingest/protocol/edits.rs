@@ -11,6 +11,8 @@ use tidemap_proto::convert::vectors::DeclaredState;
 use tidemap_store::AppendError;
 use tokio::sync::oneshot;
 
+use crate::ingest::role::NotWriter;
+
 /// A state to add.
 #[derive(Debug)]
 pub(crate) struct AddState {
@@ -32,6 +34,8 @@ pub(crate) enum AddStateError {
     #[error("the map has {max} states, as many as setting max_states_per_map allows")]
     TooMany { max: usize },
     #[error(transparent)]
+    NotWriter(#[from] NotWriter),
+    #[error(transparent)]
     Storage(#[from] AppendError),
     #[error("the map is closing")]
     Closing,
@@ -49,6 +53,8 @@ pub(crate) struct EditSite {
 pub(crate) enum EditSiteError {
     #[error(transparent)]
     Invalid(#[from] InvalidEdit),
+    #[error(transparent)]
+    NotWriter(#[from] NotWriter),
     #[error(transparent)]
     Storage(#[from] AppendError),
     #[error("the map is closing")]

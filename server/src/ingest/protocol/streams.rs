@@ -9,7 +9,7 @@ use tidemap_store::AppendError;
 use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot};
 
 use super::batches::{ObservationBatch, RefusedObservation, ReportBatch, ScanBatch};
-use crate::ingest::{ending::Ending, probe::Probe};
+use crate::ingest::{ending::Ending, probe::Probe, role::NotWriter};
 
 /// The number of a stream at its map's writer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -71,6 +71,8 @@ pub(crate) enum HelloError {
          announce the same or none, or use another label", key.producer(), key.label()
     )]
     OtherSensor { key: ProducerKey, fixed: ProducerSensor, announced: ProducerSensor },
+    #[error(transparent)]
+    NotWriter(#[from] NotWriter),
     #[error(transparent)]
     Storage(#[from] AppendError),
     #[error("the map is closing")]

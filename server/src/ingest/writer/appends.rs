@@ -14,7 +14,7 @@ use tracing::{error, warn};
 use super::Writer;
 use crate::{
     ingest::{
-        ending::{Ending, is_fatal},
+        ending::is_fatal,
         protocol::{AddStateError, BufferBudget, Command, EditSiteError, RefusedObservation, SessionId},
     },
     jobs::{JobCause, UpdateJob},
@@ -41,6 +41,8 @@ pub(super) enum InFlight {
     },
     /// The start of an update.
     UpdateStart { event: Event, job: Arc<UpdateJob> },
+    /// The end of an update, in a log that daemons share.
+    UpdateDone { event: Event },
     /// A state to add.
     AddState { event: Event, reply: Reply<AddStateError> },
     /// An edit of the site.
@@ -51,6 +53,7 @@ impl InFlight {
     fn event(&self) -> &Event {
         let (Self::Stream { event, .. }
         | Self::UpdateStart { event, .. }
+        | Self::UpdateDone { event }
         | Self::AddState { event, .. }
         | Self::EditSite { event, .. }) = self;
         event
@@ -158,6 +161,12 @@ impl Appends {
     pub(super) fn is_update_starting(&self) -> bool {
         self.in_flight.iter().any(|append| matches!(append, InFlight::UpdateStart { .. }))
     }
+
+    /// Whether the end of an update is in flight, or fails with what is.
+    pub(super) fn is_update_ending(&self) -> bool {
+        let mut appends = self.in_flight.iter().chain(&self.failed_behind);
+        appends.any(|append| matches!(append, InFlight::UpdateDone { .. }))
+    }
 }
 
 impl Writer {
@@ -193,23 +202,8 @@ impl Writer {
                 if self.apply(position, &event).is_none() {
                     return;
                 }
+                self.tell_applied(&event);
                 let Some(envelope) = event.envelope() else { return };
-                match &event {
-                    Event::Observations(_, event) => {
-                        self.feed.applied(event);
-                        metrics::counter!("tidemap_observations_total").increment(event.states.len() as u64);
-                    }
-                    Event::Scans(_, event) => {
-                        self.feed.scanned(event);
-                        metrics::counter!("tidemap_scans_total").increment(event.scans.len() as u64);
-                    }
-                    Event::UpdateStart(_)
-                    | Event::AddState(_)
-                    | Event::EditSite(_)
-                    | Event::Epoch(_)
-                    | Event::UpdateDone(_) => {}
-                }
-                metrics::counter!("tidemap_refused_total").increment(envelope.refused.len() as u64);
                 let ack = self.acks.entry(session).or_default();
                 ack.durable_sequence = envelope.span.last;
                 ack.refused.extend(refused);
@@ -219,6 +213,11 @@ impl Writer {
                 Some(Some(work)) => self.run_update(work, &job),
                 _ => job.end(Err("the update did not start".to_owned())),
             },
+            (Ok(position), InFlight::UpdateDone { event }) => {
+                if self.apply(position, &event).is_some() {
+                    self.update_end_said(&event);
+                }
+            }
             (Ok(position), InFlight::AddState { event, reply }) => {
                 if self.apply(position, &event).is_some() {
                     self.state_added(&event, reply);
@@ -233,6 +232,27 @@ impl Writer {
         }
     }
 
+    /// Tells those who watch, and counts, what was applied of a producer.
+    pub(super) fn tell_applied(&mut self, event: &Event) {
+        let Some(envelope) = event.envelope() else { return };
+        match event {
+            Event::Observations(_, event) => {
+                self.feed.applied(event);
+                metrics::counter!("tidemap_observations_total").increment(event.states.len() as u64);
+            }
+            Event::Scans(_, event) => {
+                self.feed.scanned(event);
+                metrics::counter!("tidemap_scans_total").increment(event.scans.len() as u64);
+            }
+            Event::UpdateStart(_)
+            | Event::AddState(_)
+            | Event::EditSite(_)
+            | Event::Epoch(_)
+            | Event::UpdateDone(_) => {}
+        }
+        metrics::counter!("tidemap_refused_total").increment(envelope.refused.len() as u64);
+    }
+
     fn append_failed(&mut self, error: AppendError, append: InFlight) {
         let reason = error.to_string();
         let Some(AppendFailure { cause, is_first, is_newly_fatal, appends }) = self.appends.fail(error, append) else {
@@ -243,19 +263,27 @@ impl Writer {
         if is_first {
             warn!(map = %self.map.spec().name, error = reason, "the log could not be written: its appends are not acknowledged");
         }
+        let not_writer = self.not_writer();
         for append in appends {
             let error = cause.clone();
             match append {
-                InFlight::Stream { session, .. } => self.sessions.failed(session, &Ending::Storage(error)),
+                InFlight::Stream { session, .. } => self.sessions.failed(session, &error.into()),
                 InFlight::UpdateStart { job, .. } => {
                     if let JobCause::Update(cause) = job.cause {
                         self.updates.not_started(cause, Instant::now());
                     }
                     job.end(Err(error.to_string()));
                 }
-                // The client may have gone away.
-                InFlight::AddState { reply, .. } => drop(reply.send(Err(AddStateError::Storage(error)))),
-                InFlight::EditSite { reply, .. } => self.site_edited(reply, Err(EditSiteError::Storage(error))),
+                InFlight::UpdateDone { .. } => self.updates.wait(Instant::now()),
+                InFlight::AddState { reply, .. } => {
+                    let error = not_writer.clone().map_or(AddStateError::Storage(error), AddStateError::NotWriter);
+                    // The client may have gone away.
+                    let _ = reply.send(Err(error));
+                }
+                InFlight::EditSite { reply, .. } => {
+                    let error = not_writer.clone().map_or(EditSiteError::Storage(error), EditSiteError::NotWriter);
+                    self.site_edited(reply, Err(error));
+                }
             }
         }
         // Last, so that streams hear this reason and not that the daemon stops.
@@ -270,7 +298,7 @@ impl Writer {
     }
 
     /// Applies a durable event. `None`: the map and its log disagree, and the daemon stops.
-    fn apply(&mut self, position: u64, event: &Event) -> Option<Option<UpdateWork>> {
+    pub(super) fn apply(&mut self, position: u64, event: &Event) -> Option<Option<UpdateWork>> {
         self.changed = true;
         match self.map.apply(position, event) {
             Ok(work) => Some(work),

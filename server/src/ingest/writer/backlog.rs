@@ -10,6 +10,7 @@ use super::{Writer, appends::InFlight};
 use crate::ingest::{
     ending::Ending,
     protocol::{Hello, ReadHistory, SessionId, StreamData},
+    role::NotWriter,
     sessions::StreamEvent,
 };
 
@@ -90,7 +91,10 @@ impl Writer {
             // The end of a stream without a backlog need not wait for other streams.
             StreamData::End { clean } if !self.backlog.has(session) => return self.leave(session, clean),
             // During a stop, and while the log accepts nothing, the stream is informed at once.
-            data if self.stopping.is_some() || (self.appends.failure().is_some() && self.backlog.is_empty()) => {
+            data if self.stopping.is_some()
+                || !self.follower.is_writing()
+                || (self.appends.failure().is_some() && self.backlog.is_empty()) =>
+            {
                 self.take(session, data);
             }
             data => self.backlog.push(session, data),
@@ -119,8 +123,11 @@ impl Writer {
         if self.stopping.is_some() && !is_end {
             return;
         }
+        if let Some(NotWriter { writer, .. }) = self.not_writer().filter(|_| !is_end) {
+            return self.sessions.end(session, &Ending::Moved { writer });
+        }
         if let Some(error) = self.appends.failure().filter(|_| !is_end) {
-            return self.sessions.end(session, &Ending::Storage(error.clone()));
+            return self.sessions.end(session, &error.clone().into());
         }
         let now = self.context.clock.now_nanos();
         let sessions = &mut self.sessions;

@@ -67,6 +67,8 @@ impl Writer {
         }
         let event = if self.stopping.is_some() {
             Err(AddStateError::Closing)
+        } else if let Some(refused) = self.not_writer() {
+            Err(refused.into())
         } else if let Some(error) = self.appends.failure() {
             Err(AddStateError::Storage(error.clone()))
         } else {
@@ -109,6 +111,8 @@ impl Writer {
         while let Some(EditSite { edit, reply }) = self.edits.next() {
             let checked = if self.stopping.is_some() {
                 Err(EditSiteError::Closing)
+            } else if let Some(refused) = self.not_writer() {
+                Err(refused.into())
             } else if let Some(error) = self.appends.failure() {
                 Err(EditSiteError::Storage(error.clone()))
             } else {

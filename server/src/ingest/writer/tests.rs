@@ -25,12 +25,16 @@ use crate::{
 };
 
 pub(super) mod backlog;
+mod follower_file;
 mod repeated;
+mod replicas;
+mod roles;
 pub(super) mod saves;
 mod scans;
 mod states;
 mod training;
 mod traversals;
+mod turns;
 
 const HOUR: i64 = 3_600_000_000_000;
 /// 2016-07-01T12:00 in London, which is then an hour ahead of UTC.
@@ -58,15 +62,22 @@ fn bench(dir: &Path, now: i64) -> Bench {
 }
 
 fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench {
+    let (mut context, clock) = context(dir, now);
+    change(&mut context);
+    let jobs = Arc::clone(&context.jobs);
+    Bench { catalog: Catalog::open(context, 10, u64::MAX).expect("maps").0, clock, jobs }
+}
+
+fn context(dir: &Path, now: i64) -> (Context, Arc<SetClock>) {
     let clock = Arc::new(SetClock(AtomicI64::new(now), AtomicUsize::new(0)));
-    let jobs = Arc::new(Jobs::default());
     let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
-    let mut context = Context {
+    let context = Context {
         store: Arc::new(Store::open(dir, options).expect("a store")),
-        jobs: Arc::clone(&jobs),
+        jobs: Arc::new(Jobs::default()),
         clock: Arc::clone(&clock) as Arc<dyn Clock>,
         update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool")),
         fatal: events::unbounded_channel().0,
+        forks: events::unbounded_channel().0,
         max_states: 10,
         max_producers: 10,
         max_pending: PendingLimits { observations: 1000, changes: 1000 },
@@ -74,8 +85,7 @@ fn bench_with(dir: &Path, now: i64, change: impl FnOnce(&mut Context)) -> Bench 
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
     };
-    change(&mut context);
-    Bench { catalog: Catalog::open(context, 10, u64::MAX).expect("maps").0, clock, jobs }
+    (context, clock)
 }
 
 async fn create(bench: &Bench) -> Arc<MapHandle> {
@@ -158,8 +168,12 @@ async fn generation(handle: &MapHandle, generation: u64) {
 /// Returns when the writer has looked at the clock and has started what is due, without waiting for its tick: it reads
 /// the clock once after each burst of commands, so after the third reading a whole round lies behind it.
 async fn looked(bench: &Bench, handle: &MapHandle) {
-    let before = bench.clock.1.load(Ordering::SeqCst);
-    while bench.clock.1.load(Ordering::SeqCst) < before + 3 {
+    looked_at(&bench.clock, handle).await;
+}
+
+async fn looked_at(clock: &SetClock, handle: &MapHandle) {
+    let before = clock.1.load(Ordering::SeqCst);
+    while clock.1.load(Ordering::SeqCst) < before + 3 {
         let (reply, answer) = oneshot::channel();
         assert!(handle.send(Command::ListProducers(reply)));
         answer.await.expect("an answer");
@@ -175,15 +189,19 @@ fn update_cause(job: &UpdateJob) -> Option<UpdateCause> {
 
 /// Waits until `count` updates have ended; gives their causes, oldest first.
 async fn ended(bench: &Bench, count: usize) -> Vec<UpdateCause> {
+    ended_of(&bench.jobs, count).await
+}
+
+async fn ended_of(jobs: &Jobs, count: usize) -> Vec<UpdateCause> {
     for _ in 0..600 {
-        let jobs = bench.jobs.list();
+        let jobs = jobs.list();
         let done: Vec<_> = jobs.iter().filter(|job| matches!(job.status().phase, Phase::Done(_))).collect();
         if done.len() >= count {
             return done.iter().rev().filter_map(|job| update_cause(job)).collect();
         }
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    panic!("{count} updates have not ended: {:?}", bench.jobs.list());
+    panic!("{count} updates have not ended: {:?}", jobs.list());
 }
 
 #[tokio::test]

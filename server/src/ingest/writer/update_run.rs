@@ -57,14 +57,25 @@ impl Updates {
     }
 
     /// Whether updates may start at `now`, as far as the last failure goes.
-    fn may_start(&self, now: Instant) -> bool {
+    pub(super) fn may_start(&self, now: Instant) -> bool {
         self.wait_until.is_none_or(|until| until <= now)
     }
 
     /// The log did not accept the start of an update.
     pub(super) fn not_started(&mut self, cause: UpdateCause, now: Instant) {
         self.schedule.failed(cause);
+        self.wait(now);
+    }
+
+    /// The log takes no start or end of an update for now.
+    pub(super) fn wait(&mut self, now: Instant) {
         self.wait_until = Some(now + UPDATE_RETRY);
+    }
+
+    /// This daemon writes the map from now on: updates are due as at a start.
+    pub(super) fn become_due_again(&mut self) {
+        self.schedule.begin_anew();
+        self.wait_until = None;
     }
 
     /// An update runs that has the observations from `from_nanos`, if any, to `cut_nanos`.
@@ -166,37 +177,49 @@ fn tell_late_rows(map: &MapName, outcome: &LateRowsOutcome) {
 }
 
 impl Writer {
-    /// Whether an update may start or become due: never while the start of another is in flight.
+    /// Whether an update may start or become due: never while the start of another is in flight, or before the log says
+    /// what the one before has made. Only the writer of the map decides it.
     pub(super) fn may_update(&self) -> bool {
         self.stopping.is_none()
+            && self.follower.is_writing()
+            && !self.owes_update_end()
             && self.appends.failure().is_none()
             && self.updates.may_start(Instant::now())
             && !self.appends.is_update_starting()
     }
 
     pub(super) fn start_update(&mut self, now: i64) {
+        if !self.has_room_for_update(self.updates.schedule.is_waited_for()) {
+            return;
+        }
+        let Some(DueUpdate { until_nanos, cause, job }) = self.updates.schedule.pop() else { return };
+        let event = Event::UpdateStart(self.map.plan_update(until_nanos, now, cause));
+        self.append(InFlight::UpdateStart { event, job });
+    }
+
+    /// Whether an update that the log begins may run here: the one before has ended, with its digest.
+    pub(super) fn may_follow_update(&mut self) -> bool {
+        !self.ends.is_computing() && self.has_room_for_update(true)
+    }
+
+    /// Whether no update runs and no save is in the way. `is_waited_for`: an update waits, so that a due save begins.
+    fn has_room_for_update(&mut self, is_waited_for: bool) -> bool {
         // A save holds what the last update learned: a grid's sums would be copied if they changed meanwhile, and of
         // many states there is no room for one generation more.
         let is_large = self.map.grid().is_some() || self.map.states() > STATES_BESIDE_SAVE_MAX;
         let is_blocked_by_save = |writer: &Self| writer.saves.is_saving() && is_large;
         if self.map.is_updating() || is_blocked_by_save(self) {
-            return;
+            return false;
         }
         // A due save goes first, because its snapshot has no room beside an update. A save that has failed may fail
         // again, and takes time: no update waits for it.
-        if self.updates.schedule.is_waited_for()
-            && self.saves.has_unsaved()
-            && !self.saves.has_failed()
-            && self.is_save_due()
-        {
+        if is_waited_for && self.saves.has_unsaved() && !self.saves.has_failed() && self.is_save_due() {
             self.save();
             if is_blocked_by_save(self) {
-                return;
+                return false;
             }
         }
-        let Some(DueUpdate { until_nanos, cause, job }) = self.updates.schedule.pop() else { return };
-        let event = Event::UpdateStart(self.map.plan_update(until_nanos, now, cause));
-        self.append(InFlight::UpdateStart { event, job });
+        true
     }
 
     /// Repeats an update that the log had begun when the daemon ended. Its job is a new one: jobs are not stored.
@@ -210,6 +233,7 @@ impl Writer {
     pub(super) fn run_update(&mut self, work: UpdateWork, job: &Arc<UpdateJob>) {
         // There is no room beside the update for the snapshot that it replaces.
         self.saves.drop_unsaved();
+        self.begin_digest(work.start().generation);
         job.start(work.states(), work.observations());
         job.step("learn");
         self.updates.begin(job, work.from_nanos(), work.start().cut_nanos);
@@ -256,6 +280,7 @@ impl Writer {
         let tiles = cells.map_or(0, |cells| cells.tiles);
         let snapshot = self.map.finish_update(*result);
         self.changed = true;
+        self.compute_digest(&snapshot);
         metrics::counter!("tidemap_updates_total").increment(1);
         info!(
             map = %self.map.spec().name, cause = job.cause.name(), generation = snapshot.generation, states, tiles,

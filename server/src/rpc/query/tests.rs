@@ -64,6 +64,7 @@ impl Bench {
             clock: Arc::new(SystemClock),
             update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool")),
             fatal: mpsc::unbounded_channel().0,
+            forks: mpsc::unbounded_channel().0,
             max_states: 10,
             max_producers: 10,
             max_pending: tidemap_map::live_map::PendingLimits { observations: 1_000_000, changes: 1_000_000 },

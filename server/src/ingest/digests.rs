@@ -1,0 +1,185 @@
+//! What the updates of a replica have made, compared with what the log says that its writer's have made.
+//!
+//! The replica's own update may end before or after the log says that the writer's has ended. Of each side only the
+//! newest generation is kept: the log begins no update before it has said what the one before has made.
+//!
+//! Invariant: digests are compared only of one generation and of one maths.
+
+use tidemap_map::event::{Digest, UpdateDone};
+
+/// What a comparison says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum DigestVerdict {
+    /// The replica has the writer's bits.
+    Equal,
+    /// It has others.
+    Differs {
+        /// What its own update has made.
+        own: Digest,
+        /// What the log says.
+        logged: Digest,
+    },
+    /// The two come from different maths, so that their bits may differ.
+    OtherMaths,
+}
+
+/// The newest digest of a replica.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct DigestStatus {
+    /// The generation.
+    pub generation: u64,
+    /// What the replica's own update has made.
+    pub digest: Digest,
+    /// Whether the writer's update has made the same; `None`: nothing was to be compared yet, or the replica is the
+    /// writer, or the maths differ.
+    pub is_equal: Option<bool>,
+}
+
+/// The digests of a replica. One that was restored knows no digest of its own until its next update has ended: there is
+/// nothing to compare before.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Digests {
+    own: Option<UpdateDone>,
+    logged: Option<UpdateDone>,
+    /// The generation of the last update that has begun.
+    begun: u64,
+    verdict: Option<DigestVerdict>,
+}
+
+impl Digests {
+    /// `logged`: what the log says of its last update, where it does.
+    pub(crate) fn new(logged: Option<UpdateDone>) -> Self {
+        Self { logged, ..Self::default() }
+    }
+
+    /// An update has begun. What the ones before have made need not be said any more.
+    pub(crate) fn begin(&mut self, generation: u64) {
+        self.begun = generation;
+    }
+
+    /// The replica's own update has ended.
+    pub(crate) fn made(&mut self, own: UpdateDone) -> Option<DigestVerdict> {
+        self.own = Some(own);
+        self.verdict = None;
+        self.compare()
+    }
+
+    /// The log says that the writer's update has ended.
+    pub(crate) fn read(&mut self, logged: UpdateDone) -> Option<DigestVerdict> {
+        self.logged = Some(logged);
+        self.compare()
+    }
+
+    /// The log says what this replica, as the writer, has told it.
+    pub(crate) fn said(&mut self, logged: UpdateDone) {
+        self.logged = Some(logged);
+    }
+
+    /// The end of an update that the log does not say yet, and that the writer owes it.
+    pub(crate) fn owed(&self) -> Option<UpdateDone> {
+        let logged = self.logged.map_or(0, |logged| logged.generation);
+        self.own.filter(|own| own.generation > logged && own.generation >= self.begun)
+    }
+
+    /// The newest digest; `None` until an update has ended here.
+    pub(crate) fn status(&self) -> Option<DigestStatus> {
+        let is_equal = match self.verdict {
+            Some(DigestVerdict::Equal) => Some(true),
+            Some(DigestVerdict::Differs { .. }) => Some(false),
+            Some(DigestVerdict::OtherMaths) | None => None,
+        };
+        self.own.map(|UpdateDone { generation, digest, .. }| DigestStatus { generation, digest, is_equal })
+    }
+
+    fn compare(&mut self) -> Option<DigestVerdict> {
+        let (own, logged) = self.own.zip(self.logged).filter(|(own, logged)| own.generation == logged.generation)?;
+        let verdict = if own.maths != logged.maths {
+            DigestVerdict::OtherMaths
+        } else if own.digest == logged.digest {
+            DigestVerdict::Equal
+        } else {
+            DigestVerdict::Differs { own: own.digest, logged: logged.digest }
+        };
+        self.verdict = Some(verdict);
+        Some(verdict)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn done(generation: u64, digest: u64) -> UpdateDone {
+        UpdateDone { generation, digest: Digest(digest), maths: 1 }
+    }
+
+    fn differs(own: u64, logged: u64) -> DigestVerdict {
+        DigestVerdict::Differs { own: Digest(own), logged: Digest(logged) }
+    }
+
+    #[test]
+    fn digests_of_a_generation_are_compared_when_both_are_known_in_any_order() {
+        let mut own_first = Digests::default();
+        assert_eq!(own_first.made(done(1, 5)), None);
+        assert_eq!(own_first.status().and_then(|status| status.is_equal), None);
+        assert_eq!(own_first.read(done(1, 5)), Some(DigestVerdict::Equal));
+        let mut log_first = Digests::default();
+        assert_eq!(log_first.read(done(1, 5)), None);
+        assert_eq!(log_first.status(), None);
+        assert_eq!(log_first.made(done(1, 5)), Some(DigestVerdict::Equal));
+        for mut digests in [own_first, log_first] {
+            let status = DigestStatus { generation: 1, digest: Digest(5), is_equal: Some(true) };
+            assert_eq!(digests.status(), Some(status));
+            assert_eq!(digests.read(done(2, 6)), None, "of another generation");
+            assert_eq!(digests.made(done(2, 7)), Some(differs(7, 6)));
+            let status = DigestStatus { generation: 2, digest: Digest(7), is_equal: Some(false) };
+            assert_eq!(digests.status(), Some(status));
+        }
+    }
+
+    #[test]
+    fn other_maths_make_no_difference() {
+        let mut digests = Digests::default();
+        digests.made(done(1, 5));
+        assert_eq!(digests.read(UpdateDone { maths: 2, ..done(1, 6) }), Some(DigestVerdict::OtherMaths));
+        assert_eq!(digests.status().map(|status| status.is_equal), Some(None));
+    }
+
+    #[test]
+    fn after_a_restart_nothing_is_compared_that_only_the_log_knows() {
+        let mut digests = Digests::new(Some(done(3, 5)));
+        assert_eq!((digests.status(), digests.owed()), (None, None));
+        // Its last update is repeated, because nothing was saved of it.
+        assert_eq!(digests.made(done(3, 5)), Some(DigestVerdict::Equal));
+        let mut saved = Digests::new(None);
+        assert_eq!(saved.read(done(3, 5)), None, "the own one was saved, and its digest is not known");
+        assert_eq!(saved.made(done(4, 6)), None);
+        assert_eq!(saved.read(done(4, 6)), Some(DigestVerdict::Equal));
+    }
+
+    #[test]
+    fn a_generation_that_the_log_never_says_is_forgotten() {
+        let mut digests = Digests::default();
+        digests.made(done(1, 5));
+        assert_eq!(digests.made(done(2, 6)), None);
+        assert_eq!(digests.read(done(2, 6)), Some(DigestVerdict::Equal));
+    }
+
+    #[test]
+    fn a_writer_owes_the_end_of_its_update_until_the_log_says_it() {
+        let mut digests = Digests::new(Some(done(1, 4)));
+        digests.made(done(2, 5));
+        assert_eq!(digests.owed(), Some(done(2, 5)));
+        digests.said(done(2, 5));
+        assert_eq!(digests.owed(), None);
+        let status = DigestStatus { generation: 2, digest: Digest(5), is_equal: None };
+        assert_eq!(digests.status(), Some(status), "the writer is not compared with itself");
+        digests.made(done(3, 6));
+        digests.begin(4);
+        assert_eq!(digests.owed(), None, "the writer before could not say it, and the log goes on");
+        // The writer before it has said it already.
+        digests.read(done(4, 7));
+        digests.made(done(4, 7));
+        assert_eq!(digests.owed(), None);
+    }
+}
