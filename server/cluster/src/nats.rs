@@ -3,8 +3,8 @@
 //! Each stream is a JetStream stream of one subject; each bucket is a key-value bucket with a history of one. Appends
 //! carry the number of the last message that they expect, and writes of keys the revision.
 //!
-//! Reads are answered by the server that takes itself for the leader. One that has just been cut off from the others, or
-//! stood still, does so until it notices: such a read may miss the newest writes. Conditions are checked by the quorum.
+//! Reads are answered by the server that takes itself for the leader. One that has just been cut off from the others,
+//! or stood still, does so until it notices: such a read may miss the newest writes. The quorum checks conditions.
 //!
 //! Invariant: what a reply does not say is not assumed. A request that may have reached a server and has no reply is
 //! [`EngineError::Unknown`].
