@@ -137,7 +137,7 @@ pub(crate) fn arch() -> Arch {
         0 => Arch::new(),
         place => {
             let chosen = InstructionSet::ALL.get(usize::from(place) - 1).and_then(|set| set.arch());
-            chosen.unwrap_or_else(Arch::new)
+            chosen.unwrap_or_default()
         }
     }
 }

@@ -111,8 +111,8 @@ pub use surprise::{
 };
 pub use update_worth::UpdateWorth;
 
-/// The number of the mathematics, raised with every change of the bits that updates learn from the same log. The digests
-/// of two daemons can be compared where their numbers are equal.
+/// The number of the mathematics, raised with every change of the bits that updates learn from one log. The digests of
+/// two daemons can be compared where their numbers are equal.
 pub const MATHS: u32 = 1;
 
 /// The highest model order: at most this many spectral components are kept and used.

@@ -18,7 +18,7 @@ use crate::{MapId, Store, StoreOptions, digest};
 
 const TILES: u32 = 40;
 
-fn of(snapshot: &MapSnapshot) -> Digest {
+fn digest_of(snapshot: &MapSnapshot) -> Digest {
     digest(snapshot).expect("readable")
 }
 
@@ -50,7 +50,7 @@ fn one_bit_off(spec: &MapSpec, sum: &PhasorSum) -> PhasorSum {
 #[test]
 fn a_bit_anywhere_but_the_grid_changes_the_upper_half() {
     let before = snapshot(&spec("office"), 10, TILES);
-    let (all_else, grid) = halves(of(&before));
+    let (all_else, grid) = halves(digest_of(&before));
     assert!(grid != 0 && all_else != 0);
     let mut changed = vec![before.clone(); 7];
     changed[0].generation += 1;
@@ -61,17 +61,17 @@ fn a_bit_anywhere_but_the_grid_changes_the_upper_half() {
     changed[5].states[0].model = Arc::clone(&before.states[1].model);
     changed[6].site = Arc::new(Site::default());
     for (number, changed) in changed.iter().enumerate() {
-        let (other, same) = halves(of(changed));
+        let (other, same) = halves(digest_of(changed));
         assert!(other != all_else && same == grid, "change {number}");
     }
-    assert_eq!(halves(of(&MapSnapshot { grid: None, ..before })), (all_else, 0));
+    assert_eq!(halves(digest_of(&MapSnapshot { grid: None, ..before })), (all_else, 0));
 }
 
 #[test]
 fn a_bit_of_the_grid_changes_the_lower_half() {
     let spec = spec("office");
     let before = snapshot(&spec, 10, TILES);
-    let (all_else, grid) = halves(of(&before));
+    let (all_else, grid) = halves(digest_of(&before));
     let (at, sums) = some_sums(before.grid.as_ref().expect("a grid"));
     let put = |sums: TileSums| with_grid(&before, |grid| grid.sums[at] = SumsSlot::Resident(Arc::new(sums)));
     let (mut of_cell, mut of_group) = (sums.clone(), sums.clone());
@@ -88,7 +88,7 @@ fn a_bit_of_the_grid_changes_the_lower_half() {
         with_grid(&before, |grid| grid.last_seen = [TileId(1)].into()),
     ];
     for (number, changed) in changed.iter().enumerate() {
-        let (same, other) = halves(of(changed));
+        let (same, other) = halves(digest_of(changed));
         assert!(same == all_else && other != grid, "change {number}");
     }
 }
@@ -101,7 +101,7 @@ fn what_waits_for_a_later_update_and_history_are_not_in_it() {
         (grid.days, grid.future, grid.received_nanos) = (Vec::new(), Vec::new(), Some(77));
     });
     (later.replay_from, later.history) = (0, Vec::new());
-    assert_eq!(of(&later), of(&before));
+    assert_eq!(digest_of(&later), digest_of(&before));
 }
 
 #[test]
@@ -114,7 +114,7 @@ fn sums_that_are_shared_in_memory_count_as_those_that_are_not() {
             *slot = SumsSlot::Resident(Arc::new(sums));
         }
     });
-    assert_eq!(of(&apart), of(&before));
+    assert_eq!(digest_of(&apart), digest_of(&before));
 }
 
 #[test]
@@ -131,7 +131,7 @@ fn a_snapshot_that_is_read_back_has_the_digest_that_it_was_saved_with() {
         }
         let store = Store::open(directory.path(), options()).expect("opens");
         let restored = store.open_map(MapId(1), &spec).expect("opens").snapshot.expect("saved");
-        assert_eq!(of(&restored), of(&before), "{tile_cache_bytes} bytes");
+        assert_eq!(digest_of(&restored), digest_of(&before), "{tile_cache_bytes} bytes");
     }
 }
 

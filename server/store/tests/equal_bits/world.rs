@@ -91,7 +91,7 @@ impl Writer {
 
     fn draw(&mut self, below: u64) -> u64 {
         self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.seed >> 33) * below >> 31
+        ((self.seed >> 33) * below) >> 31
     }
 
     fn envelope(&mut self, producer: u32, count: u64, received_nanos: i64) -> Envelope {
