@@ -25,10 +25,11 @@ use tidemap_store::{EraseError, MapId, OpenError, StoreError};
 use tracing::{error, info, warn};
 
 use crate::{
+    cluster::ClusterError,
     ingest::{
         ending::Ending,
         handle::{MapHandle, OpenProgress, WriterEndpoints},
-        writer::{Context, ForkedMap, start_in},
+        writer::{Context, start_in},
     },
     task::Task,
 };
@@ -78,6 +79,12 @@ pub(crate) enum CatalogError {
         label.as_ref().map_or(String::new(), |label| format!(" with label {label:?}"))
     )]
     NoProducer { map: MapName, producer: String, label: Option<String> },
+    #[error(transparent)]
+    Cluster(#[from] ClusterError),
+    #[error("map {0} is one of a cluster: start the daemon with the section [cluster] that it had")]
+    NoCluster(MapName),
+    #[error("map {0} is one of a cluster, from which nothing can be erased yet. Delete the map to remove its data")]
+    NotErasedInCluster(MapName),
     #[error("the daemon is stopping")]
     Stopping,
 }
@@ -87,7 +94,11 @@ impl CatalogError {
     fn is_of_one_map(&self) -> bool {
         match self {
             Self::Open(error) => !error.is_shortage(),
-            Self::Inconsistent { .. } | Self::Duplicate { .. } | Self::Sums { .. } | Self::Forked { .. } => true,
+            Self::Inconsistent { .. }
+            | Self::Duplicate { .. }
+            | Self::Sums { .. }
+            | Self::Forked { .. }
+            | Self::NoCluster(_) => true,
             _ => false,
         }
     }
@@ -105,12 +116,14 @@ pub(crate) struct UnavailableMap {
 type ByName = BTreeMap<MapName, Arc<MapHandle>>;
 
 pub(crate) mod erasure;
+mod fork;
 mod restore;
 #[cfg(test)]
 mod tests;
 
 use restore::open_map;
 pub(crate) use restore::restore_map;
+pub(crate) use restore::share;
 
 /// All maps, by name. Clones are handles to the same maps.
 #[derive(Clone, Debug)]
@@ -122,7 +135,7 @@ pub(crate) struct Catalog {
     // One change at a time; readers use `maps` and never take this lock. `false`: stopped.
     changing: Arc<tokio::sync::Mutex<bool>>,
     /// Ends the restoring of maps.
-    stopping: Arc<AtomicBool>,
+    pub(crate) is_stopping: Arc<AtomicBool>,
 }
 
 /// A map that shows what the index publishes, and that is still to be restored.
@@ -151,7 +164,7 @@ impl Catalog {
             let name = map.name.unwrap_or_else(|| format!("map number {}", map.id.0));
             unavailable.push(set_aside(map.id, name, map.reason));
         }
-        let stopping = Arc::new(AtomicBool::new(false));
+        let is_stopping = Arc::new(AtomicBool::new(false));
         for (id, spec) in stored {
             let (name, spec) = (spec.name.clone(), Arc::new(spec));
             if let Some(first) = maps.get(&name).map(|handle: &Arc<MapHandle>| handle.id) {
@@ -184,7 +197,7 @@ impl Catalog {
         let changing = Arc::new(tokio::sync::Mutex::new(true));
         let unavailable = Arc::new(ArcSwap::from_pointee(unavailable));
         let maps = Arc::new(ArcSwap::from_pointee(maps));
-        Ok((Self { context, max_maps, maps, unavailable, changing, stopping }, rest))
+        Ok((Self { context, max_maps, maps, unavailable, changing, is_stopping }, rest))
     }
 
     /// Restores the maps that show what the index publishes, one after the other.
@@ -195,10 +208,13 @@ impl Catalog {
         for UnopenedMap { id, spec, endpoints } in rest {
             let tell = |done, total| {
                 endpoints.opening.send_replace(OpenProgress::Replay { done, total });
-                !self.stopping.load(Ordering::Relaxed)
+                !self.is_stopping.load(Ordering::Relaxed)
             };
             match restore_map(&self.context, id, &spec, &tell) {
-                Ok(restored) => drop(start_in(endpoints, self.context.clone(), id, restored)?),
+                Ok(mut restored) => {
+                    share(&self.context, id, &endpoints, &mut restored)?;
+                    start_in(endpoints, self.context.clone(), id, restored)?;
+                }
                 Err(error) if error.is_of_one_map() => {
                     self.set_aside(id, &spec.name, &error);
                     drop(endpoints);
@@ -219,15 +235,6 @@ impl Catalog {
             maps.remove(name);
             maps
         });
-    }
-
-    /// Sets a map aside whose log and the one that daemons share differ. Its writer has stopped.
-    pub(crate) fn forked(&self, fork: ForkedMap) {
-        let ForkedMap { id, map, common } = fork;
-        // It may have been deleted meanwhile.
-        if self.maps.load().get(&map).is_some_and(|handle| handle.id == id) {
-            self.set_aside(id, &map, &CatalogError::Forked { map: map.clone(), common });
-        }
     }
 
     /// Maps that are set aside.
@@ -284,18 +291,60 @@ impl Catalog {
         if !*open {
             return Err(CatalogError::Stopping);
         }
-        let mut maps = ByName::clone(&self.maps.load());
+        self.check_new(&spec)?;
+        let shared = match &self.context.cluster {
+            Some(cluster) => Some(cluster.create(&spec).await?),
+            None => None,
+        };
+        self.add(spec, shared).await
+    }
+
+    /// Holds a map of the cluster, which others may hold already.
+    ///
+    /// # Errors
+    /// See [`CatalogError`].
+    pub(crate) async fn adopt(&self, spec: MapSpec, uid: u64) -> Result<(), CatalogError> {
+        let this = self.clone();
+        ended(crate::task::spawn(async move {
+            let open = this.changing.lock().await;
+            if !*open {
+                return Err(CatalogError::Stopping);
+            }
+            // It may have been created here meanwhile.
+            if let Ok(known) = this.get(spec.name.as_str())
+                && this.context.store.shared(known.id)? == Some(uid)
+            {
+                return Ok(());
+            }
+            this.check_new(&spec)?;
+            this.add(spec, Some(uid)).await.map(drop)
+        }))
+        .await
+    }
+
+    /// Whether a map may be added. Called with the lock of changes.
+    fn check_new(&self, spec: &MapSpec) -> Result<(), CatalogError> {
+        let maps = self.maps.load();
         if maps.contains_key(&spec.name) {
-            return Err(CatalogError::Exists(spec.name));
+            return Err(CatalogError::Exists(spec.name.clone()));
         }
         self.check_available(spec.name.as_str())?;
         if maps.len() >= self.max_maps {
             return Err(CatalogError::TooMany { max: self.max_maps });
         }
+        Ok(())
+    }
+
+    /// Adds a map, which is one of a cluster or not. Called with the lock of changes.
+    async fn add(&self, spec: MapSpec, shared: Option<u64>) -> Result<Arc<MapHandle>, CatalogError> {
+        let mut maps = ByName::clone(&self.maps.load());
         let context = self.context.clone();
         let name = spec.name.clone();
         let handle = ended(crate::task::blocking(move || {
-            let id = context.store.create_map(&spec)?;
+            let id = match shared {
+                Some(uid) => context.store.create_shared_map(&spec, uid)?,
+                None => context.store.create_map(&spec)?,
+            };
             open_map(&context, id, &Arc::new(spec)).inspect_err(|_| {
                 // An unlisted map could be neither used nor deleted, and would take its name at the next start.
                 if let Err(error) = context.store.delete_map(id) {
@@ -333,6 +382,39 @@ impl Catalog {
             return Ok(());
         }
         let handle = self.get(name)?;
+        if let (Some(cluster), Some(uid)) = (&self.context.cluster, self.context.store.shared(handle.id)?) {
+            cluster.delete(&handle.spec.name, uid).await?;
+            cluster.unshare(uid).await;
+        }
+        self.delete_open(handle).await
+    }
+
+    /// Deletes a map here that was deleted from the cluster.
+    ///
+    /// # Errors
+    /// See [`CatalogError`].
+    pub(crate) async fn delete_held(&self, name: &MapName, uid: u64) -> Result<(), CatalogError> {
+        let (this, name) = (self.clone(), name.clone());
+        ended(crate::task::spawn(async move {
+            let open = this.changing.lock().await;
+            if !*open {
+                return Err(CatalogError::Stopping);
+            }
+            if let Some(cluster) = &this.context.cluster {
+                cluster.unshare(uid).await;
+            }
+            let handle = this.get(name.as_str())?;
+            match this.context.store.shared(handle.id)? {
+                Some(found) if found == uid => this.delete_open(handle).await,
+                _ => Ok(()),
+            }
+        }))
+        .await
+    }
+
+    /// Deletes a map that is open. Called with the lock of changes.
+    async fn delete_open(&self, handle: Arc<MapHandle>) -> Result<(), CatalogError> {
+        let name = handle.spec.name.as_str();
         let before = self.all();
         let mut maps = ByName::clone(&before);
         maps.remove(&handle.spec.name);
@@ -355,7 +437,7 @@ impl Catalog {
 
     /// Stops all writers; what is in flight becomes durable and is acknowledged first.
     pub(crate) async fn stop(&self) {
-        self.stopping.store(true, Ordering::Relaxed);
+        self.is_stopping.store(true, Ordering::Relaxed);
         let mut open = self.changing.lock().await;
         *open = false;
         let maps = self.all();

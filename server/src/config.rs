@@ -2,6 +2,7 @@
 //!
 //! Invariant: loaded settings are complete and checked; an unknown key in the file is an error that names it.
 
+pub(crate) mod cluster;
 pub(crate) mod config_text;
 pub(crate) mod instructions;
 mod protection;
@@ -18,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use tidemap_store::is_store_id;
 
 use crate::{access::token_command::TokenCommand, connections::tls::TlsFiles, telemetry, telemetry::LogFormat};
+use cluster::ClusterSettings;
 use protection::{MissingProtection, is_local};
 
 /// tidemapd, the map service that learns when things change.
@@ -170,6 +172,9 @@ macro_rules! settings {
         #[serde(deny_unknown_fields)]
         pub(crate) struct Settings {
             $($($(#[doc = $meaning])* pub $key: $type,)*)*
+            /// The section `[cluster]`; `None`: the daemon is alone.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            pub cluster: Option<ClusterSettings>,
         }
 
         /// The sections of the config file, with their settings.
@@ -181,7 +186,7 @@ macro_rules! settings {
 
         impl Default for Settings {
             fn default() -> Self {
-                Self { $($($key: $default,)*)* }
+                Self { $($($key: $default,)*)* cluster: None }
             }
         }
 
@@ -388,8 +393,12 @@ impl Settings {
             .map(|map| map.into_keys().collect())
             .unwrap_or_default();
         let keys: Vec<&str> = keys.iter().map(String::as_str).collect();
+        // What differs between the daemons of a cluster.
+        let of_cluster = Env::prefixed("TIDEMAP_CLUSTER_").only(&["member", "advertise"]);
+        let of_cluster = of_cluster.map(|key| format!("cluster.{key}").into());
         let settings: Self = figment
             .merge(Env::prefixed("TIDEMAP_").only(&keys))
+            .merge(of_cluster)
             .merge(Serialized::defaults(flags))
             .extract()
             .context("settings")?;
@@ -439,6 +448,7 @@ impl Settings {
         self.check_tls()?;
         self.check_backups()?;
         instructions::chosen(&self.instruction_set)?;
+        self.cluster.as_ref().map_or(Ok(()), ClusterSettings::check)?;
         if !self.expect_store_id.is_empty() && !is_store_id(&self.expect_store_id) {
             let found = &self.expect_store_id;
             bail!("setting expect_store_id is {found:?}: it must be 32 lower-case hexadecimal digits, or empty");
@@ -523,6 +533,12 @@ mod tests {
             ("backup_dir = 'saved'", "backup_dir"),
             ("backup_every_secs = 60", "backup_dir"),
             ("expect_store_id = 'mine'", "expect_store_id"),
+            ("[cluster]\nmember = 'a'", "servers"),
+            ("[cluster]\nservers = ['nats://a:4222']", "member"),
+            ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a b'", "cluster.member"),
+            ("[cluster]\nservers = []\nmember = 'a'", "cluster.servers"),
+            ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a'\nengine_replicas = 2", "engine_replicas"),
+            ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a'\nlease = 2", "lease"),
         ] {
             let error = load(file, Flags::default()).expect_err(file);
             assert!(error.contains(word), "{file}: {error}");

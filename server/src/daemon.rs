@@ -17,6 +17,7 @@ use tracing::{error, info, warn};
 use crate::{
     backups::Schedule,
     catalog::{Catalog, CatalogError, UnopenedMap},
+    cluster::Cluster,
     config::Settings,
     http,
     scrubber::Scrubber,
@@ -105,11 +106,14 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let store = open_store(&settings, disk).await?;
     let (fatal_sender, mut fatal) = mpsc::unbounded_channel();
     let (forks_sender, mut forks) = mpsc::unbounded_channel();
-    let (catalog, rest) = open_catalog(&settings, Arc::clone(&store), fatal_sender.clone(), forks_sender).await?;
+    let cluster = join_cluster(&settings).await?;
+    let fatal_of_maps = fatal_sender.clone();
+    let opened = open_catalog(&settings, Arc::clone(&store), fatal_of_maps, forks_sender, cluster.clone());
+    let (catalog, rest) = opened.await?;
     let for_forks = Arc::clone(&catalog);
     crate::task::spawn(async move {
         while let Some(fork) = forks.recv().await {
-            for_forks.forked(fork);
+            for_forks.forked(fork).await;
         }
     });
     let (stop_sender, stopping) = watch::channel(false);
@@ -117,6 +121,9 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let mut ports = Ports::serve(served, protection).await?;
     tell_ready(&settings, &store, &ports);
 
+    if let Some(cluster) = &cluster {
+        crate::task::spawn(cluster.clone().keep(Arc::clone(&catalog)));
+    }
     let scrubber = Scrubber::start(&store, &settings);
     if let Some(schedule) = Schedule::of(&settings) {
         crate::task::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));
@@ -131,6 +138,10 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     info!("stopping");
     drop(scrubber);
     stop_sender.send_replace(true);
+    if let Some(cluster) = &cluster {
+        // First, so that other daemons write the maps before this one has stopped.
+        cluster.stop().await;
+    }
     if tokio::time::timeout(MAPS_STOP_WITHIN, catalog.stop()).await.is_err() {
         warn!("maps did not stop within {} seconds; nothing acknowledged is lost", MAPS_STOP_WITHIN.as_secs());
     }
@@ -138,6 +149,13 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     close(store).await;
     traces.stop().await;
     result
+}
+
+/// Joins the cluster that the settings name, if they do.
+async fn join_cluster(settings: &Settings) -> Result<Option<Cluster>, DaemonError> {
+    let Some(section) = &settings.cluster else { return Ok(None) };
+    let connected = Cluster::connect(section, &settings.listen, &random_id()?).await;
+    connected.map(Some).map_err(|error| DaemonError::Settings(error.to_string()))
 }
 
 /// Says that requests are served.

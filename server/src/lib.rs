@@ -9,6 +9,7 @@ mod access;
 mod backups;
 mod catalog;
 mod clock;
+mod cluster;
 mod command_texts;
 mod config;
 mod connections;

@@ -6,9 +6,12 @@
 //!
 //! Invariant: consensus is the engine's. What is acknowledged is on the engine's quorum and on the writer's own disk.
 
+pub mod assignment;
+pub mod catalogue;
 pub mod engine;
 pub mod lease;
 pub mod member;
+pub mod membership;
 pub mod message;
 pub mod nats;
 #[cfg(any(test, feature = "testing"))]

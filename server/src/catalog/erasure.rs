@@ -108,6 +108,9 @@ impl Catalog {
             return Err(CatalogError::Stopping);
         }
         let (id, spec, view) = (old.id, Arc::clone(&old.spec), old.view());
+        if self.context.store.shared(id)?.is_some() {
+            return Err(CatalogError::NotErasedInCluster(map.clone()));
+        }
         // States and producers are only added from here on.
         let states = request.state.as_deref().map(|state| states_of(&view, state)).transpose()?;
         let mut selection = None;

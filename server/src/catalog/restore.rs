@@ -10,8 +10,8 @@ use tracing::{info, warn};
 
 use super::CatalogError;
 use crate::ingest::{
-    handle::MapHandle,
-    writer::{Context, RestoredMap, start},
+    handle::{MapHandle, WriterEndpoints},
+    writer::{Context, RestoredMap, start_in},
 };
 
 /// At the start, the updates in the log behind the checkpoint are repeated. Their history is saved each time it takes
@@ -23,8 +23,29 @@ const RECORDS_PER_REPORT: u64 = 256;
 
 /// Restores a map and starts its writer.
 pub(super) fn open_map(context: &Context, id: MapId, spec: &Arc<MapSpec>) -> Result<Arc<MapHandle>, CatalogError> {
-    let restored = restore_map(context, id, spec, &|_, _| true)?;
-    Ok(start(context.clone(), id, restored)?)
+    let mut restored = restore_map(context, id, spec, &|_, _| true)?;
+    let view = restored.map.publish();
+    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(spec), view, &context.clock);
+    share(context, id, &endpoints, &mut restored)?;
+    start_in(endpoints, context.clone(), id, restored)?;
+    Ok(Arc::new(handle))
+}
+
+/// Makes the log of a restored map one that daemons share, if the map is one of a cluster.
+pub(crate) fn share(
+    context: &Context,
+    id: MapId,
+    endpoints: &WriterEndpoints,
+    restored: &mut RestoredMap,
+) -> Result<(), CatalogError> {
+    let Some(uid) = context.store.shared(id)? else { return Ok(()) };
+    let name = &restored.map.spec().name;
+    let no_cluster = || CatalogError::NoCluster(name.clone());
+    let cluster = context.cluster.as_ref().ok_or_else(no_cluster)?;
+    let log = context.store.group_log(id).ok_or_else(no_cluster)?;
+    restored.log = Arc::new(cluster.share(uid, name, log, endpoints.replica_listener()));
+    restored.is_shared = true;
+    Ok(())
 }
 
 /// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off:

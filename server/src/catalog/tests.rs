@@ -32,6 +32,7 @@ fn context(store: Store) -> Context {
         update_at_midnight: true,
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
+        cluster: None,
     }
 }
 

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 use serde_json::Value;
 
-use super::{SECTIONS, Setting, Settings};
+use super::{SECTIONS, Setting, Settings, cluster};
 
 /// Width of the lines, in columns.
 const COLUMNS: usize = 120;
@@ -67,6 +67,7 @@ pub(crate) fn example() -> anyhow::Result<String> {
             writeln!(out, "#{}", assignment(&defaults, setting))?;
         }
     }
+    out.push_str(cluster::EXAMPLE);
     Ok(out)
 }
 
@@ -77,7 +78,14 @@ pub(crate) fn example() -> anyhow::Result<String> {
 pub(crate) fn in_force(settings: &Settings) -> anyhow::Result<String> {
     let values = serde_json::to_value(settings)?;
     let all = SECTIONS.iter().flat_map(|(_, settings)| settings.iter());
-    Ok(all.map(|setting| assignment(&values, setting) + "\n").collect())
+    let mut out: String = all.map(|setting| assignment(&values, setting) + "\n").collect();
+    if let Some(section) = values.get("cluster").and_then(Value::as_object) {
+        out.push_str("\n[cluster]\n");
+        for (key, value) in section {
+            writeln!(out, "{key} = {value}")?;
+        }
+    }
+    Ok(out)
 }
 
 #[cfg(test)]
@@ -104,11 +112,18 @@ mod tests {
     #[test]
     fn the_example_without_comment_signs_gives_the_defaults() {
         let keys = example().expect("text");
+        let (keys, cluster) = keys.split_once("# --- cluster").expect("the last section");
         let keys: Vec<&str> = keys
             .lines()
             .filter_map(|line| line.strip_prefix('#').filter(|rest| rest.starts_with(char::is_alphabetic)))
             .collect();
         assert_eq!(parse(&keys.join("\n")), Settings::default());
+        let has_key = |line: &&str| line.starts_with(char::is_alphabetic) || *line == "[cluster]";
+        let shown: Vec<&str> = cluster.lines().filter_map(|line| line.strip_prefix('#').filter(has_key)).collect();
+        let least = parse("[cluster]\nmember = ''\nservers = []").cluster;
+        assert_eq!(parse(&shown.join("\n")).cluster, least);
+        let in_force = in_force(&Settings { cluster: least.clone(), ..Settings::default() }).expect("text");
+        assert_eq!(parse(&in_force).cluster, least);
     }
 
     #[test]

@@ -14,6 +14,7 @@ use super::DaemonError;
 use crate::{
     catalog::{Catalog, RESTORED_FIRST_BYTES, UnopenedMap},
     clock::SystemClock,
+    cluster::Cluster,
     config::Settings,
     ingest::writer::{Context, ForkedMap},
     jobs::Jobs,
@@ -60,6 +61,7 @@ pub(super) async fn open_catalog(
     store: Arc<Store>,
     fatal: mpsc::UnboundedSender<String>,
     forks: mpsc::UnboundedSender<ForkedMap>,
+    cluster: Option<Cluster>,
 ) -> Result<(Arc<Catalog>, Vec<UnopenedMap>), DaemonError> {
     let update_pool = rayon::ThreadPoolBuilder::new()
         .num_threads(settings.update_threads())
@@ -82,6 +84,7 @@ pub(super) async fn open_catalog(
         update_at_midnight: settings.update_at_midnight,
         max_tiles: settings.max_tiles_per_map,
         tile_cache_bytes: settings.tile_cache_bytes,
+        cluster,
     };
     let max_maps = settings.max_maps;
     let open = move || Catalog::open(context, max_maps, RESTORED_FIRST_BYTES);

@@ -49,6 +49,14 @@ pub(crate) struct WriterEndpoints {
     pub(super) digest: watch::Sender<Option<DigestStatus>>,
 }
 
+impl WriterEndpoints {
+    /// Hands the writer what a replica tells. After the writer has stopped nothing of it is done.
+    pub(crate) fn replica_listener(&self) -> ReplicaListener {
+        let commands = self.commands.clone();
+        Arc::new(move |event| drop(commands.send(Command::Replica(event))))
+    }
+}
+
 /// The handle of a map.
 #[derive(Debug)]
 pub(crate) struct MapHandle {
@@ -188,8 +196,8 @@ impl MapHandle {
         self.view.load().generation()
     }
 
-    /// Hands the writer what a replica tells. After the writer has stopped nothing of it is done.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for the replicas of a cluster"))]
+    /// As [`WriterEndpoints::replica_listener`].
+    #[cfg(test)]
     pub(crate) fn replica_listener(&self) -> ReplicaListener {
         let commands = self.commands.clone();
         Arc::new(move |event| drop(commands.send(Command::Replica(event))))

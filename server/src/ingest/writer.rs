@@ -49,7 +49,7 @@ use super::{
     sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
 };
-use crate::{clock::Clock, jobs::Jobs};
+use crate::{clock::Clock, cluster::Cluster, jobs::Jobs};
 
 /// The writer checks the clock at least this often.
 const TICK: Duration = Duration::from_secs(1);
@@ -85,6 +85,8 @@ pub(crate) struct Context {
     pub fatal: tokio::sync::mpsc::UnboundedSender<String>,
     /// Receives the maps whose log and the one that daemons share differ, when their writers have stopped.
     pub forks: tokio::sync::mpsc::UnboundedSender<ForkedMap>,
+    /// The cluster that the daemon is a member of, if it is.
+    pub cluster: Option<Cluster>,
     /// Maximum number of states of a map.
     pub max_states: usize,
     /// Maximum number of producer keys of a map.
@@ -97,6 +99,13 @@ pub(crate) struct Context {
     pub max_tiles: usize,
     /// Memory for the learned models of a map's tiles, in bytes.
     pub tile_cache_bytes: u64,
+}
+
+impl Context {
+    /// The identity of what producers send to: of the cluster, or of the store of a daemon that is alone.
+    pub(crate) fn identity(&self) -> &str {
+        self.cluster.as_ref().map_or_else(|| self.store.store_id(), Cluster::id)
+    }
 }
 
 /// A map that is restored from its checkpoint and its log.
@@ -113,17 +122,6 @@ pub(crate) struct RestoredMap {
     pub unsaved: Option<MapSnapshot>,
     /// An update that the log has begun, and that may have been cut off.
     pub begun: Option<UpdateWork>,
-}
-
-/// Starts the writer of a restored map, with a handle of its own.
-///
-/// # Errors
-/// The thread cannot be started.
-pub(crate) fn start(context: Context, id: MapId, mut restored: RestoredMap) -> std::io::Result<Arc<MapHandle>> {
-    let (spec, view) = (Arc::clone(restored.map.spec()), restored.map.publish());
-    let (handle, endpoints) = MapHandle::with_endpoints(id, spec, view, &context.clock);
-    start_in(endpoints, context, id, restored)?;
-    Ok(Arc::new(handle))
 }
 
 /// Starts the writer of a restored map at its place, from which on the map is open.

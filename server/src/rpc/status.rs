@@ -16,6 +16,7 @@ use crate::{
     access::{Role, keyring::Denial},
     backups::TargetError,
     catalog::CatalogError,
+    cluster::ClusterError,
     ingest::{
         ending::{Ending, is_fatal},
         intake::IntakeError,
@@ -266,6 +267,10 @@ impl RpcError {
                 CatalogError::NoState { .. } => (Code::NotFound, "UNKNOWN_STATE"),
                 CatalogError::Axis { .. } => (Code::InvalidArgument, "IS_VECTOR"),
                 CatalogError::Stopping => (Code::Unavailable, "STOPPING"),
+                CatalogError::Cluster(ClusterError::Exists(_)) => (Code::AlreadyExists, "MAP_EXISTS"),
+                CatalogError::Cluster(_) => (Code::Unavailable, "ENGINE_UNAVAILABLE"),
+                CatalogError::NoCluster(_) => (Code::FailedPrecondition, "NO_CLUSTER"),
+                CatalogError::NotErasedInCluster(_) => (Code::Unimplemented, "NOT_IN_CLUSTER"),
             },
             Self::UnknownMap { .. } => (Code::NotFound, "UNKNOWN_MAP"),
             Self::UnknownState { .. } => (Code::NotFound, "UNKNOWN_STATE"),

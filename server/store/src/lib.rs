@@ -54,9 +54,10 @@ pub use log::{Done, groups::Groups, replay::Replay};
 pub use map_log::MapLog;
 pub use options::StoreOptions;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
+pub use record::spec::{decode_spec, encode_spec};
 pub use scrub::Pace;
 pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store};
-pub use tidemap_migrations::{manifest::is_store_id, v1::lists::Loss};
+pub use tidemap_migrations::{FORMAT as DISK_FORMAT, manifest::is_store_id, v1::lists::Loss};
 pub use trouble::Trouble;
 
 /// Number of a map within its store, from 1, never reused; also the name of its folder.

@@ -328,13 +328,33 @@ impl Store {
     /// # Errors
     /// [`StoreError`]; the map does not exist then.
     pub fn create_map(&self, spec: &MapSpec) -> Result<MapId, StoreError> {
+        self.create(spec, None)
+    }
+
+    /// Creates a map that is one of a cluster, with its number there; otherwise as [`Self::create_map`].
+    ///
+    /// # Errors
+    /// [`StoreError`]; the map does not exist then.
+    pub fn create_shared_map(&self, spec: &MapSpec, uid: u64) -> Result<MapId, StoreError> {
+        self.create(spec, Some(uid))
+    }
+
+    /// The number in its cluster of a map that is one of a cluster.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the file of it is damaged.
+    pub fn shared(&self, map: MapId) -> Result<Option<u64>, OpenError> {
+        catalogue::read_shared(&*self.inner.disk, &self.inner.directory, map)
+    }
+
+    fn create(&self, spec: &MapSpec, shared: Option<u64>) -> Result<MapId, StoreError> {
         let mut maps = self.inner.maps();
         let map = MapId(maps.next);
         // The number is not used again even if this fails: part of the map may be left.
         maps.next += 1;
         // A map whose folder was moved away by hand may have had this number and left records in the index.
         self.inner.index().purge(map.0);
-        catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec)?;
+        catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec, shared)?;
         maps.entries.insert(map, MapEntry::new(spec.clone()));
         Ok(map)
     }

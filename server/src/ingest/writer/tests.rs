@@ -84,6 +84,7 @@ fn context(dir: &Path, now: i64) -> (Context, Arc<SetClock>) {
         update_at_midnight: true,
         max_tiles: 20,
         tile_cache_bytes: 1 << 30,
+        cluster: None,
     };
     (context, clock)
 }

@@ -99,7 +99,7 @@ impl<'a> Stream<'a> {
     fn welcome(&self) -> v1::Welcome {
         let limits = self.service.limits;
         v1::Welcome {
-            store_id: self.service.catalog.context().store.store_id().to_owned(),
+            store_id: self.service.catalog.context().identity().to_owned(),
             incarnation: self.opened.incarnation,
             durable_sequence: self.opened.durable_sequence,
             content_crc: self.opened.content_crc,

@@ -71,6 +71,7 @@ impl Bench {
             update_at_midnight: true,
             max_tiles: 5000,
             tile_cache_bytes: 1 << 30,
+            cluster: None,
         };
         Arc::new(Catalog::open(context, 10, u64::MAX).expect("maps").0)
     }

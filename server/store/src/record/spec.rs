@@ -2,6 +2,7 @@
 //!
 //! Invariant: `decode(encode(spec)) == spec`.
 
+use prost::Message as _;
 use tidemap_grid::{
     index::{CellBox, CellIndex},
     spec::{GridSpec, Retention, SensorNoise},
@@ -37,6 +38,20 @@ pub(crate) fn encode(spec: &MapSpec) -> v1::MapSpec {
         models: spec.models.to_bits(),
         has_real_clock: spec.has_real_clock,
     }
+}
+
+/// The fixed properties of a map as bytes, for other daemons.
+#[must_use]
+pub fn encode_spec(spec: &MapSpec) -> Vec<u8> {
+    encode(spec).encode_to_vec()
+}
+
+/// The fixed properties of a map from [`encode_spec`].
+///
+/// # Errors
+/// What is wrong with them.
+pub fn decode_spec(bytes: &[u8]) -> Result<MapSpec, String> {
+    decode(v1::MapSpec::decode(bytes).map_err(|error| error.to_string())?)
 }
 
 pub(crate) fn decode(message: v1::MapSpec) -> Result<MapSpec, String> {

@@ -10,15 +10,18 @@ use std::{
 };
 
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::v1::{
-    file::{FileHeader, MAP_MAGIC, RecordKind},
-    lists::{CHECKPOINTS_FILE, CheckpointList, FileList, HISTORY_FILE, MAPS_FILE, MapList},
-    map as v1,
+use tidemap_migrations::{
+    v1::{
+        file::{FileHeader, MAP_MAGIC, RecordKind},
+        lists::{CHECKPOINTS_FILE, CheckpointList, FileList, HISTORY_FILE, MAPS_FILE, MapList},
+        map as v1,
+    },
+    v3::SHARED_FILE,
 };
 
 use crate::{
     MapId,
-    disk::Disk,
+    disk::{Disk, read_all},
     error::{OpenError, Report, StoreError, open_io, store_io},
     folders, list_file,
     log::writer::create_log,
@@ -188,7 +191,13 @@ fn read_spec(disk: &dyn Disk, file: &Path, map: MapId) -> Result<MapSpec, String
 }
 
 /// Creates a map's folder: durable when this returns, and complete or absent at every moment before.
-pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSpec) -> Result<(), StoreError> {
+pub(crate) fn create(
+    disk: &dyn Disk,
+    directory: &Path,
+    map: MapId,
+    spec: &MapSpec,
+    shared: Option<u64>,
+) -> Result<(), StoreError> {
     let folder = folders::map_folder(directory, map);
     let new_folder = folders::with_suffix(&folder, NEW_SUFFIX);
     let file = new_folder.join("MAP");
@@ -202,6 +211,11 @@ pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         disk.create_folder(&new_folder.join("checkpoints"))?;
         disk.sync_folder(&new_folder.join("checkpoints"))?;
         list_file::replace(disk, &new_folder.join(CHECKPOINTS_FILE), &CheckpointList::default())?;
+        if let Some(uid) = shared {
+            let mut file = disk.create(&new_folder.join(SHARED_FILE))?;
+            file.append(format!("{uid:016x}").as_bytes())?;
+            file.sync()?;
+        }
         list_file::replace(disk, &new_folder.join(HISTORY_FILE), &FileList::default())
     };
     let written = write().map_err(store_io(&new_folder)).and_then(|()| match read_spec(disk, &file, map) {
@@ -226,6 +240,21 @@ pub(crate) fn create(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSp
         // A map whose creation has failed must not appear at the next start.
         let _ = disk.rename(&folder, &new_folder);
     })
+}
+
+/// The number in its cluster of a map that is one of a cluster.
+pub(crate) fn read_shared(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<Option<u64>, OpenError> {
+    let file = folders::map_folder(directory, map).join(SHARED_FILE);
+    let text = match read_all(disk, &file) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(open_io(file)(error)),
+    };
+    let uid = std::str::from_utf8(&text).ok().filter(|text| text.len() == 16);
+    match uid.and_then(|uid| u64::from_str_radix(uid, 16).ok()) {
+        Some(uid) => Ok(Some(uid)),
+        None => Err(OpenError::Damaged { file, reason: "it does not hold 16 hexadecimal digits".to_owned() }),
+    }
 }
 
 /// Gives a map's folder the name of a deleted one; durable once the folder of all maps is.

@@ -1,0 +1,68 @@
+//! Which daemons hold a map, and in which order they may become its writer.
+//!
+//! Invariant: a function of the names and capacities alone (rendezvous hashing), so that all daemons that know of the
+//! same members come to the same answer, and a member that comes or goes moves few maps.
+
+/// A daemon that may hold maps.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Candidate {
+    /// Its name.
+    pub name: String,
+    /// Its share of the maps is proportional to it; 0: none.
+    pub capacity: u32,
+}
+
+/// A number that depends on all bits of its input, after Steele, Lea, Flood: Fast splittable pseudorandom number
+/// generators (2014), section 3.
+fn mix(number: u64) -> u64 {
+    let number = (number ^ number >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let number = (number ^ number >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+    number ^ number >> 31
+}
+
+/// The score of a member for a map: the highest is the first. With these scores the shares are proportional to the
+/// capacities (Thaler and Ravishankar 1998; weighted as by Schindelhauer and Schomaker 2005).
+fn score(map: u64, candidate: &Candidate) -> f64 {
+    let hash = candidate.name.bytes().fold(mix(map), |hash, byte| mix(hash ^ u64::from(byte)));
+    // In (0, 1).
+    let uniform = ((hash >> 11) as f64 + 0.5) / (1_u64 << 53) as f64;
+    f64::from(candidate.capacity) / -uniform.ln()
+}
+
+/// The candidates of a map, the first one first.
+#[must_use]
+pub fn order(map: u64, candidates: &[Candidate]) -> Vec<String> {
+    let mut scored: Vec<(f64, &Candidate)> =
+        candidates.iter().filter(|candidate| candidate.capacity > 0).map(|known| (score(map, known), known)).collect();
+    scored.sort_by(|(a, first), (b, second)| b.total_cmp(a).then_with(|| first.name.cmp(&second.name)));
+    scored.into_iter().map(|(_, candidate)| candidate.name.clone()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn candidates(capacities: &[u32]) -> Vec<Candidate> {
+        let name = |index| format!("daemon-{index}");
+        capacities.iter().enumerate().map(|(index, &capacity)| Candidate { name: name(index), capacity }).collect()
+    }
+
+    #[test]
+    fn shares_are_proportional_to_capacities() {
+        let members = candidates(&[1, 2, 1, 0]);
+        let first = |name: &str| (0..4000).filter(|&map| order(map, &members)[0] == name).count();
+        assert!((900..1100).contains(&first("daemon-0")), "{}", first("daemon-0"));
+        assert!((1900..2100).contains(&first("daemon-1")), "{}", first("daemon-1"));
+        assert_eq!(first("daemon-3"), 0);
+    }
+
+    #[test]
+    fn a_member_that_leaves_moves_its_own_maps_only() {
+        let (all, fewer) = (candidates(&[1, 1, 1]), candidates(&[1, 1]));
+        for map in 0..500 {
+            let before = order(map, &all);
+            let expected: Vec<String> = before.into_iter().filter(|name| name != "daemon-2").collect();
+            assert_eq!(order(map, &fewer), expected);
+        }
+    }
+}

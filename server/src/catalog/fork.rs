@@ -1,0 +1,71 @@
+//! A map whose own log has records that the shared log does not have: they are set aside, and the map is opened again
+//! without them.
+//!
+//! Invariant: nothing of the fork is lost: its records stay in a file until an operator has decided about them.
+
+use std::sync::Arc;
+
+use tidemap_map::live_map::LiveMap;
+use tracing::{error, warn};
+
+use super::{ByName, Catalog, CatalogError, ended, restore_map, share};
+use crate::ingest::{handle::MapHandle, writer::ForkedMap, writer::start_in};
+
+impl Catalog {
+    /// Sets the fork of a map aside, whose writer has stopped, and opens the map again. A map that cannot be opened is
+    /// set aside itself.
+    pub(crate) async fn forked(&self, fork: ForkedMap) {
+        let ForkedMap { id, map, common } = fork;
+        let open = self.changing.lock().await;
+        // It may have been deleted meanwhile.
+        let Some(old) = self.maps.load().get(&map).filter(|handle| handle.id == id).map(Arc::clone) else { return };
+        if !*open {
+            return;
+        }
+        if let (Some(cluster), Ok(Some(uid))) = (&self.context.cluster, self.context.store.shared(id)) {
+            cluster.unshare(uid).await;
+        }
+        let spec = Arc::clone(&old.spec);
+        let shown = LiveMap::new(Arc::clone(&spec)).publish();
+        let (new, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), shown, &self.context.clock);
+        let new = Arc::new(new);
+        self.maps.rcu(|all| {
+            let mut maps = ByName::clone(all);
+            maps.insert(map.clone(), Arc::clone(&new));
+            maps
+        });
+        old.replace();
+        let (context, name) = (self.context.clone(), map.clone());
+        let opened = ended(crate::task::blocking(move || {
+            let forked = |_| CatalogError::Forked { map: name.clone(), common };
+            match context.store.set_fork_aside(id, common).map_err(|error| {
+                error!(map = %name, %error, "a fork cannot be set aside");
+                forked(error)
+            })? {
+                Some(fork) if fork.groups > 1 => {
+                    metrics::counter!("tidemap_cluster_forks_total").increment(1);
+                    error!(
+                        map = %name, first = fork.first, last = fork.last, file = fork.name,
+                        "FORKED: this daemon had records that the shared log does not have. They are set aside; tidemap \
+                         cluster heal takes them in again"
+                    );
+                }
+                Some(fork) => warn!(
+                    map = %name, first = fork.first, last = fork.last, file = fork.name,
+                    "this daemon had records that were being decided about when it lost the log. They are set aside; \
+                     their producers were not told that they are durable"
+                ),
+                None => {}
+            }
+            restore_map(&context, id, &spec, &|_, _| true)
+        }))
+        .await;
+        let started = opened.and_then(|mut restored| {
+            share(&self.context, id, &endpoints, &mut restored)?;
+            Ok(start_in(endpoints, self.context.clone(), id, restored)?)
+        });
+        if let Err(error) = started {
+            self.set_aside(id, &map, &error);
+        }
+    }
+}

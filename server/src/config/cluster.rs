@@ -1,0 +1,202 @@
+//! The section `[cluster]` of the config file: the daemon is one of several that share the logs of their maps.
+//!
+//! Invariant: without the section nothing of the cluster runs.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use serde::{Deserialize, Serialize};
+
+/// The section `[cluster]`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ClusterSettings {
+    /// Name of the cluster.
+    #[serde(default = "default_name")]
+    pub name: String,
+    /// Name of this daemon.
+    pub member: String,
+    /// URLs of the engine's servers.
+    pub servers: Vec<String>,
+    /// Where other daemons and clients reach this one.
+    #[serde(default)]
+    pub advertise: String,
+    /// A file with what proves to the engine who connects, as `nsc` writes it.
+    #[serde(default)]
+    pub credentials_file: PathBuf,
+    /// A file with the seed of an nkey.
+    #[serde(default)]
+    pub nkey_file: PathBuf,
+    /// The authority of the engine's certificates.
+    #[serde(default)]
+    pub tls_ca: PathBuf,
+    /// This daemon's certificate for the engine.
+    #[serde(default)]
+    pub tls_certificate: PathBuf,
+    /// The key of that certificate.
+    #[serde(default)]
+    pub tls_key: PathBuf,
+    /// The authority of the certificates of the other daemons.
+    #[serde(default)]
+    pub peer_ca: PathBuf,
+    /// Daemons that hold each map.
+    #[serde(default = "three")]
+    pub replicas: usize,
+    /// Servers of the engine that hold each log.
+    #[serde(default = "three")]
+    pub engine_replicas: usize,
+    /// This daemon's share of the maps.
+    #[serde(default = "one")]
+    pub capacity: u32,
+    /// How long a writer may be silent before another daemon takes its place.
+    #[serde(default = "default_lease")]
+    pub lease_ms: u64,
+    /// How long a new writer waits for a daemon whose log is longer.
+    #[serde(default = "default_heal_wait")]
+    pub heal_wait_secs: u64,
+    /// How long a follower answers without having heard of the end of the log.
+    #[serde(default = "default_staleness")]
+    pub max_staleness_ms: u64,
+    /// Bytes of records that are sent together.
+    #[serde(default = "default_group")]
+    pub group_bytes: usize,
+    /// Whether the engine has to write to its disk before it acknowledges.
+    #[serde(default = "yes")]
+    pub require_synced_engine: bool,
+}
+
+fn default_name() -> String {
+    "tidemap".to_owned()
+}
+fn three() -> usize {
+    3
+}
+fn one() -> u32 {
+    1
+}
+fn default_lease() -> u64 {
+    3000
+}
+fn default_heal_wait() -> u64 {
+    30
+}
+fn default_staleness() -> u64 {
+    10_000
+}
+fn default_group() -> usize {
+    512 << 10
+}
+fn yes() -> bool {
+    true
+}
+
+/// The section as the example config shows it.
+pub(crate) const EXAMPLE: &str = r#"
+# --- cluster: see the page Clusters of the guide ----------------------------------------------------------------------
+#
+# With this section the daemon is one of several that share the logs of their maps through NATS JetStream (nats-server
+# 2.15.1 or newer). All daemons of a cluster have the same section but for `member` and `advertise`, which the environment
+# may set (TIDEMAP_CLUSTER_MEMBER, TIDEMAP_CLUSTER_ADVERTISE). Keys that are set here to no value must be set.
+
+#[cluster]
+
+# Name of the cluster: letters, digits and -. Two clusters may share one engine.
+#name = "tidemap"
+
+# Name of this daemon, another one for each: letters, digits and -.
+#member = ""
+
+# URLs of the engine's servers, for example ["nats://10.0.0.1:4222", "nats://10.0.0.2:4222"].
+#servers = []
+
+# Where the other daemons and clients reach the gRPC port of this daemon, as http://HOST:PORT or https://HOST:PORT. Empty:
+# as `listen` says.
+#advertise = ""
+
+# A file with the JWT and the seed that prove to the engine who connects; empty: none.
+#credentials_file = ""
+
+# A file with the seed of an nkey that proves it; empty: none.
+#nkey_file = ""
+
+# TLS to the engine: the authority of its certificates, and this daemon's certificate and key; empty: as the URLs say.
+#tls_ca = ""
+#tls_certificate = ""
+#tls_key = ""
+
+# The authority of the other daemons' certificates, where they are reached by https; empty: those that the system trusts.
+#peer_ca = ""
+
+# Daemons that hold each map: one writes it, the others follow and can take its place. From 1 to 16.
+#replicas = 3
+
+# Servers of the engine that hold each log. 1 is for trials: what is acknowledged is lost with that server. 1, 3 or 5.
+#engine_replicas = 3
+
+# This daemon's share of the maps is proportional to it; 0: it holds none and passes requests on. From 0 to 1000.
+#capacity = 1
+
+# How long a writer may be silent before another daemon takes its place, in milliseconds. From 1000 to 60000.
+#lease_ms = 3000
+
+# How long a new writer waits for a daemon whose log is longer than the engine's, which has forgotten records, in seconds.
+# From 0 to 3600.
+#heal_wait_secs = 30
+
+# How long a daemon that follows a map answers without having heard of the end of its log, in milliseconds. From 2000 to
+# 600000.
+#max_staleness_ms = 10000
+
+# Bytes of records that are sent to the engine together. From 4096 to 524288.
+#group_bytes = 524288
+
+# Refuse an engine that acknowledges before it has written to its disk, where it says so.
+#require_synced_engine = true
+"#;
+
+fn check_name(key: &str, name: &str) -> anyhow::Result<()> {
+    let is_plain = |character: char| character.is_ascii_alphanumeric() || character == '-';
+    if name.is_empty() || name.len() > 63 || !name.chars().all(is_plain) {
+        bail!("setting cluster.{key} is {name:?}: it must be 1 to 63 letters, digits and -");
+    }
+    Ok(())
+}
+
+impl ClusterSettings {
+    /// Whether the values make sense.
+    ///
+    /// # Errors
+    /// What is wrong, with the key.
+    pub(crate) fn check(&self) -> anyhow::Result<()> {
+        check_name("name", &self.name)?;
+        check_name("member", &self.member)?;
+        if self.servers.is_empty() {
+            bail!(
+                "setting cluster.servers is empty: name the engine's servers, for example [\"nats://10.0.0.1:4222\"]"
+            );
+        }
+        if !self.advertise.is_empty()
+            && !self.advertise.starts_with("http://")
+            && !self.advertise.starts_with("https://")
+        {
+            bail!(
+                "setting cluster.advertise is {:?}: it must be http://HOST:PORT or https://HOST:PORT",
+                self.advertise
+            );
+        }
+        for (key, value, min, max) in [
+            ("replicas", self.replicas as u64, 1, 16),
+            ("capacity", u64::from(self.capacity), 0, 1000),
+            ("lease_ms", self.lease_ms, 1000, 60_000),
+            ("heal_wait_secs", self.heal_wait_secs, 0, 3600),
+            ("max_staleness_ms", self.max_staleness_ms, 2000, 600_000),
+            ("group_bytes", self.group_bytes as u64, 4096, 512 << 10),
+        ] {
+            super::check_range(&format!("cluster.{key}"), value, min, max)?;
+        }
+        if !matches!(self.engine_replicas, 1 | 3 | 5) {
+            bail!("setting cluster.engine_replicas is {}: it must be 1, 3 or 5", self.engine_replicas);
+        }
+        Ok(())
+    }
+}
