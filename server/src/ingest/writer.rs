@@ -7,8 +7,9 @@
 //! ```
 //!
 //! - [`appends`]: events in flight, and their failures. [`backlog`]: what waits for room. [`edits`]: states and site
-//!   edits of clients. [`update_run`]: updates. [`saves`]: snapshots, and the history that is not stored. [`follower`]:
-//!   a log that daemons share, which this one writes or follows. [`update_ends`]: what updates have made, in such a log.
+//!   edits of clients. [`update_run`]: updates. [`saves`]: snapshots, and the history that is not stored.
+//!   [`follower`]: a log that daemons share, which this one writes or follows. [`update_ends`]: what updates have made
+//!   in such a log.
 //! - **The writer takes only what it can hold.** Handovers wait in the backlog, with their buffer budgets, while too
 //!   much is in flight or pending. Commands that make room are never behind them.
 //! - **Observations ahead of the clock wait apart** (more than 5 minutes when they are received): they make no update
@@ -46,6 +47,7 @@ use super::{
     ending::Ending,
     handle::{MapHandle, OpenProgress, WriterEndpoints},
     protocol::{Command, Hello, HelloError, KnownProducer, RefusedObservation, SessionEvent, SessionId, Welcome},
+    role::NotWriter,
     sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
 };
@@ -382,6 +384,9 @@ impl Writer {
             Err(refused.into())
         } else if let Some(error) = self.appends.failure() {
             Err(HelloError::Storage(error.clone()))
+        } else if !self.log.is_current() {
+            // Another daemon may have taken more of the producer's sequence already.
+            Err(NotWriter { map: self.map.spec().name.clone(), writer: None }.into())
         } else if hello.incarnation == 0
             && self.sessions.open_of(&hello.key).is_some_and(|open| self.backlog.has_end(open))
         {

@@ -26,7 +26,7 @@ use crate::ingest::{
 pub(crate) struct ForkedMap {
     /// Its number in the store.
     pub id: MapId,
-    /// Its name.
+    /// The name of the map.
     pub map: MapName,
     /// The last position that both logs have.
     pub common: u64,
@@ -70,6 +70,13 @@ impl Follower {
 
     pub(super) fn fork(&self) -> Option<u64> {
         self.fork
+    }
+
+    /// The log says who writes it from here on.
+    fn name_writer(&self, writer: String) {
+        if !self.is_writing() {
+            self.role.send_replace(MapRole::Following { writer: Some(writer) });
+        }
     }
 
     /// The view shows everything that was applied.
@@ -135,8 +142,10 @@ impl Writer {
                 let job = self.context.jobs.create(name, work.start().cause, now);
                 self.run_update(work, &job);
             }
-            if let Event::UpdateDone(done) = event {
-                self.read_digest(done);
+            match event {
+                Event::UpdateDone(done) => self.read_digest(done),
+                Event::Epoch(epoch) => self.follower.name_writer(epoch.writer),
+                _ => {}
             }
         }
         self.follower.applied.push(batch.applied);

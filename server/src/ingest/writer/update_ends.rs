@@ -13,6 +13,8 @@ use tidemap_map::{
     event::{Digest, Event, UpdateDone},
     snapshot::MapSnapshot,
 };
+use tidemap_model::MATHS;
+use tidemap_store::digest;
 use tokio::sync::watch;
 use tracing::{error, info, warn};
 
@@ -21,31 +23,6 @@ use crate::ingest::{
     digests::{DigestStatus, DigestVerdict, Digests},
     protocol::Command,
 };
-
-/// Number of the maths of updates.
-const MATHS: u32 = 1;
-
-/// The digest of what an update has made.
-fn digest(snapshot: &MapSnapshot) -> Result<Digest, String> {
-    let mut crc = 0;
-    let mut add = |bytes: &[u8]| crc = crc32c::crc32c_append(crc, bytes);
-    for number in [snapshot.position, snapshot.generation, snapshot.cut_nanos as u64, snapshot.newest_nanos as u64] {
-        add(&number.to_le_bytes());
-    }
-    for producer in &snapshot.producers {
-        add(&producer.durable_sequence.to_le_bytes());
-    }
-    for state in &snapshot.states {
-        add(state.name.as_str().as_bytes());
-        add(&state.observations.to_le_bytes());
-        add(format!("{:?}", state.model.published()).as_bytes());
-    }
-    if let Some(grid) = &snapshot.grid {
-        add(&grid.scans.to_le_bytes());
-        add(&grid.cell_observations.to_le_bytes());
-    }
-    Ok(Digest(u64::from(crc)))
-}
 
 /// The digests of the map, and whether one is computed.
 pub(super) struct UpdateEnds {
@@ -95,7 +72,7 @@ impl Writer {
         let (commands, generation) = (self.commands.clone(), snapshot.generation);
         let snapshot = MapSnapshot { history: Vec::new(), ..snapshot.clone() };
         let spawned = std::thread::Builder::new().name(format!("digest-{}", self.id.0)).spawn(move || {
-            let digest = catch_unwind(AssertUnwindSafe(|| digest(&snapshot)))
+            let digest = catch_unwind(AssertUnwindSafe(|| digest(&snapshot).map_err(|error| error.to_string())))
                 .unwrap_or_else(|_| Err("computing it panicked; this is a defect of tidemap".to_owned()));
             // Tiles and sums are released before the next update may change them.
             drop(snapshot);

@@ -2,7 +2,7 @@
 
 use tidemap_cluster::replica::ReplicaEvent;
 use tidemap_map::{
-    event::{Envelope, Event, Observations, StateKind, UpdateDone, UpdateStart},
+    event::{Envelope, Epoch, Event, Observations, StateKind, UpdateDone, UpdateStart},
     ids::{NewProducer, StateId},
     site::SiteEdit,
 };
@@ -179,6 +179,28 @@ async fn a_stream_hears_of_what_is_in_the_log_before_it_hears_of_another_writer(
 }
 
 #[tokio::test]
+async fn a_writer_welcomes_nobody_while_another_daemon_may_be_writing() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let (replica, log) = replica(dir.path());
+    replica.write(1);
+    log.set_stale(true);
+    assert_eq!(hello(&replica.handle, "r", 0, false).await.err(), Some(HelloError::NotWriter(refusal(None))));
+    log.set_stale(false);
+    hello(&replica.handle, "r", 0, false).await.expect("accepted");
+    replica.stop().await;
+}
+
+#[tokio::test]
+async fn the_log_names_its_writer() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let (replica, log) = replica(dir.path());
+    let epoch = Epoch { epoch: 1, writer: "b".to_owned(), version: "1".to_owned(), maths: 1 };
+    replica.tell(log.append_elsewhere(vec![Event::Epoch(epoch)])).await.expect("applied");
+    assert_eq!(hello(&replica.handle, "r", 0, false).await.err(), Some(HelloError::NotWriter(refusal(Some("b")))));
+    replica.stop().await;
+}
+
+#[tokio::test]
 async fn streams_end_as_moved_also_where_the_log_knows_of_the_other_writer_first() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (mut replica, log) = replica(dir.path());
@@ -209,7 +231,7 @@ async fn only_the_writer_makes_updates_due_and_says_what_they_made_before_the_ne
     let job = replica.update();
     job.watch().wait_for(|status| status.phase.has_ended()).await.expect("a job");
     let events = log.grown(5).await;
-    let told: Vec<_> = events
+    let logged: Vec<_> = events
         .iter()
         .skip(1)
         .map(|(_, event)| match event {
@@ -218,7 +240,7 @@ async fn only_the_writer_makes_updates_due_and_says_what_they_made_before_the_ne
             other => panic!("{other:?}"),
         })
         .collect();
-    assert_eq!(told, [("start", 1), ("done", 1), ("start", 2), ("done", 2)]);
+    assert_eq!(logged, [("start", 1), ("done", 1), ("start", 2), ("done", 2)]);
     replica.stop().await;
 }
 
@@ -250,10 +272,10 @@ async fn an_update_that_the_log_begins_waits_for_the_one_before() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let (replica, log) = replica(dir.path());
     let busy = keep_busy(&replica.context);
-    let told = log.append_elsewhere(vec![observed(1..=2, NOON), begun(1), observed(3..=3, NOON)]);
-    replica.tell(told).await.expect("applied while the update runs");
-    let told = log.append_elsewhere(vec![observed(4..=4, NOON), begun(2), observed(5..=5, NOON)]);
-    let mut applied = replica.tell(told);
+    let logged = log.append_elsewhere(vec![observed(1..=2, NOON), begun(1), observed(3..=3, NOON)]);
+    replica.tell(logged).await.expect("applied while the update runs");
+    let logged = log.append_elsewhere(vec![observed(4..=4, NOON), begun(2), observed(5..=5, NOON)]);
+    let mut applied = replica.tell(logged);
     looked_at(&replica.clock, &replica.handle).await;
     assert!(applied.try_recv().is_err(), "so that no more events come");
     assert_eq!((replica.handle.position(), replica.handle.generation()), (4, 0));
