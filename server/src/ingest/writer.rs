@@ -45,7 +45,7 @@ use tracing::warn;
 use super::{
     anomaly_feed::AnomalyFeed,
     ending::Ending,
-    handle::{MapHandle, OpenProgress, WriterEndpoints},
+    handle::{OpenProgress, WriterEndpoints},
     protocol::{Command, Hello, HelloError, KnownProducer, RefusedObservation, SessionEvent, SessionId, Welcome},
     role::NotWriter,
     sessions::{SessionLimits, Sessions},
