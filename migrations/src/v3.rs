@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | [`super::v1::log::FrameKind`] | `W`, an [`Epoch`]; `D`, an [`UpdateDone`] |
 //! | folder of a map | [`FORKS_FOLDER`]: records that the shared log does not have, as segments `POSITION-N.log` |
-//! | folder of a map | [`SHARED_FILE`], of a map of a cluster only: its number in the cluster, as 16 hexadecimal digits |
+//! | folder of a map | [`SHARED_FILE`], of a map of a cluster only: its number there, as 16 hexadecimal digits |
 //!
 //! The step from format 2 rewrites nothing: it makes older programs refuse the folder, which would not understand the
 //! records.
@@ -31,7 +31,7 @@ pub struct Epoch {
     /// Name of the daemon.
     #[prost(string, tag = "2")]
     pub writer: String,
-    /// Its version.
+    /// Version of the daemon.
     #[prost(string, tag = "3")]
     pub version: String,
     /// Number of the maths of its updates.

@@ -1,8 +1,8 @@
 //! This daemon as a member of a cluster: the connection to the engine, the replicas of the maps that it holds, and the
 //! other members.
 //!
-//! Invariant: without a section `[cluster]` none of this runs. A map is deleted here only if the catalogue of the cluster
-//! says that it was deleted.
+//! Invariant: without a section `[cluster]` none of this runs. A map is deleted here only if the catalogue of the
+//! cluster says that it was deleted.
 
 use std::{
     collections::BTreeMap,
@@ -13,22 +13,20 @@ use std::{
 };
 
 use tidemap_cluster::{
+    assignment::Candidate,
     catalogue::{self, ClusterMap},
     engine::{Engine as _, EngineError, SetError},
     member::MemberReport,
     membership::{self, Members},
     nats::{NatsCheckError, NatsCredentials, NatsEngine, NatsSettings, NatsTls, check},
-    replica::{Replica, ReplicaHandle, ReplicaListener, ReplicaSettings},
-    shared_log::SharedLog,
+    replica::{Replica, ReplicaHandle, ReplicaListener, ReplicaSettings, SharedLog},
 };
 use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_store::{EventLog as _, GroupLog, encode_spec};
 use tokio::sync::{Notify, watch};
 use tracing::{info, warn};
 
-use crate::{config::cluster::ClusterSettings, telemetry};
-
-mod keeping;
+use crate::{config::cluster::ClusterSettings, random_id::random_id, telemetry};
 
 /// Pause before the engine is tried again at the start.
 const CONNECT_PAUSE: Duration = Duration::from_secs(1);
@@ -222,7 +220,7 @@ impl Cluster {
         if catalogue::find(engine, name).await?.is_some() {
             return Err(ClusterError::Exists(name.to_owned()));
         }
-        let random = crate::daemon::random_id().unwrap_or_default();
+        let random = random_id().unwrap_or_default();
         let uid = u64::from_str_radix(random.get(..16).unwrap_or_default(), 16)
             .map_err(|_| EngineError::Refused("the system gives no random numbers".to_owned()))?;
         engine.create_stream(&catalogue::stream(uid), self.0.settings.engine_replicas).await?;
@@ -245,6 +243,42 @@ impl Cluster {
     /// [`ClusterError::Engine`]; it can be tried again.
     pub(crate) async fn delete(&self, name: &MapName, uid: u64) -> Result<(), ClusterError> {
         Ok(catalogue::delete(&self.0.engine, name.as_str(), uid).await?)
+    }
+
+    /// The connection to the engine.
+    pub(crate) fn engine(&self) -> &NatsEngine {
+        &self.0.engine
+    }
+
+    /// The section of the config file.
+    pub(crate) fn settings(&self) -> &ClusterSettings {
+        &self.0.settings
+    }
+
+    /// Those that may hold maps; `None` where the engine does not tell.
+    pub(crate) fn candidates(&self) -> Option<Vec<Candidate>> {
+        self.0.members.borrow().as_ref().ok().map(membership::candidates)
+    }
+
+    /// Tells the replica of a map after how many others it may become the writer; `false`: there is no replica here.
+    pub(crate) fn set_candidacy(&self, uid: u64, rank: Option<u32>) -> bool {
+        match self.replicas().get(&uid) {
+            Some(replica) => {
+                replica.handle.set_candidacy(rank);
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// The maps that this daemon holds.
+    pub(crate) fn held(&self) -> Vec<(u64, MapName)> {
+        self.replicas().iter().map(|(&uid, replica)| (uid, replica.name.clone())).collect()
+    }
+
+    /// Returns when a replica was added.
+    pub(crate) async fn changed(&self) {
+        self.0.changed.notified().await;
     }
 
     fn report(&self, counter: u64) -> MemberReport {
@@ -276,9 +310,9 @@ impl Cluster {
     }
 
     /// Reports this daemon and looks at the others, for ever.
-    async fn report_for_ever(self) {
+    pub(crate) async fn report_for_ever(self) {
         let (engine, member) = (self.0.engine.clone(), self.0.settings.member.clone());
-        let told = self.0.members.clone();
-        membership::run(engine, member, move |counter| self.report(counter), told).await;
+        let sender = self.0.members.clone();
+        membership::run(engine, member, move |counter| self.report(counter), sender).await;
     }
 }

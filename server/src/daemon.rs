@@ -20,15 +20,15 @@ use crate::{
     cluster::Cluster,
     config::Settings,
     http,
+    random_id::random_id,
     scrubber::Scrubber,
     silent_producers::SilentProducers,
     telemetry::{self, traces::Traces},
 };
 
+mod keeping;
 mod opening;
 mod ports;
-
-pub(crate) use opening::random_id;
 
 use opening::{open_catalog, open_store};
 use ports::{Ports, Protection, Served, known_hosts, listen_on_ports};
@@ -122,7 +122,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     tell_ready(&settings, &store, &ports);
 
     if let Some(cluster) = &cluster {
-        crate::task::spawn(cluster.clone().keep(Arc::clone(&catalog)));
+        crate::task::spawn(keeping::keep(cluster.clone(), Arc::clone(&catalog)));
     }
     let scrubber = Scrubber::start(&store, &settings);
     if let Some(schedule) = Schedule::of(&settings) {

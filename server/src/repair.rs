@@ -11,7 +11,7 @@ use tidemap_store::{BackupError, Checked, Mode, Outcome, check};
 
 use crate::{
     clock::{Clock as _, SystemClock},
-    daemon::random_id,
+    random_id::random_id,
 };
 
 /// Checks a data folder, and prints what is wrong.

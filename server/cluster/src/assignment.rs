@@ -6,7 +6,7 @@
 /// A daemon that may hold maps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
-    /// Its name.
+    /// Name of the daemon.
     pub name: String,
     /// Its share of the maps is proportional to it; 0: none.
     pub capacity: u32,

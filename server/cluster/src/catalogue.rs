@@ -48,7 +48,7 @@ impl ClusterMap {
     pub fn spec(&self) -> Option<Vec<u8>> {
         let digits = self.spec.as_bytes();
         let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok();
-        if digits.len() % 2 == 0 { digits.chunks(2).map(byte).collect() } else { None }
+        if digits.len().is_multiple_of(2) { digits.chunks(2).map(byte).collect() } else { None }
     }
 
     fn encode(&self) -> Bytes {

@@ -86,13 +86,8 @@ mod tests {
     use super::*;
 
     fn entry(revision: u64, writer: &str, successor: Option<&str>) -> KeyEntry {
-        let lease = Lease {
-            writer: writer.to_owned(),
-            epoch: 1,
-            counter: revision,
-            successor: successor.map(str::to_owned),
-            ..Lease::default()
-        };
+        let lease =
+            Lease { writer: writer.to_owned(), epoch: 1, counter: revision, successor: successor.map(str::to_owned) };
         KeyEntry { value: lease.encode(), revision }
     }
 

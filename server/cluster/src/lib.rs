@@ -17,6 +17,5 @@ pub mod nats;
 #[cfg(any(test, feature = "testing"))]
 pub mod nats_process;
 pub mod replica;
-pub mod shared_log;
 #[cfg(any(test, feature = "testing"))]
 pub mod simulated;

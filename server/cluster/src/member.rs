@@ -13,7 +13,7 @@ pub struct MemberReport {
     /// Where the other daemons and clients reach it.
     #[serde(default)]
     pub address: String,
-    /// Its version.
+    /// Version of the daemon.
     #[serde(default)]
     pub version: String,
     /// The number of its disk format.

@@ -63,13 +63,13 @@ impl Judgement {
     }
 }
 
-/// Reports this daemon and looks at the others, for ever. `report` is asked for each report; `told` hears the members,
+/// Reports this daemon and looks at the others, for ever. `report` is asked for each report; `sender` gets the members,
 /// or why they could not be read.
 pub async fn run<E: Engine>(
     engine: E,
     name: String,
     mut report: impl FnMut(u64) -> MemberReport + Send,
-    told: watch::Sender<Result<Members, EngineError>>,
+    sender: watch::Sender<Result<Members, EngineError>>,
 ) {
     let mut judgement = Judgement::default();
     for counter in 0.. {
@@ -84,7 +84,7 @@ pub async fn run<E: Engine>(
             judgement.judge(entries.into_iter().filter_map(read).collect(), Instant::now())
         });
         // The one before is of no use.
-        drop(told.send_replace(members));
+        drop(sender.send_replace(members));
         sleep(REPORT_EVERY).await;
     }
 }

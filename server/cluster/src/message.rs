@@ -1,8 +1,8 @@
 //! Groups of records as messages of a stream. A group that is longer than a message may be goes in parts.
 //!
 //! A message is a header of [`HEADER_BYTES`] bytes and a part of the frames. All numbers are little-endian: magic 4,
-//! version u8, zero u8, part u16, number of parts u16, zero u16, map u64, epoch u64, first position u64, chain before u32,
-//! number of records u32, chain after u32, CRC-32C of the part u32, zero u32, CRC-32C of the header before u32.
+//! version u8, zero u8, part u16, number of parts u16, zero u16, map u64, epoch u64, first position u64, chain before
+//! u32, number of records u32, chain after u32, CRC-32C of the part u32, zero u32, CRC-32C of the header before u32.
 //!
 //! Invariant: what is decoded has valid checksums and numbers that can follow each other. The layout is part of the
 //! format of the shared log: it changes with [`VERSION`] only.

@@ -1,169 +1,37 @@
-//! A replica of a map: what it tells the thread that holds the map, and what it says of itself.
+//! A replica of a map: a map of a cluster as one daemon has it.
 //!
-//! Invariant: events are told in the order of the shared log, each once, and only when they are in it for good and in
-//! this daemon's own log. The thread of the map applies nothing else.
+//! It compares its own log with the shared one, follows it, becomes its writer and stops being it ([`driver`]).
+//!
+//! Invariant: see [`events`]: the thread of the map hears of everything that is in the shared log, in its order, once.
 
-use std::{fmt, sync::Arc, time::Duration};
+use std::sync::Arc;
 
-use tidemap_map::event::Event;
 use tidemap_store::GroupLog;
-use tokio::{
-    sync::{mpsc, oneshot, watch},
-    time::Instant,
-};
+use tokio::sync::{mpsc, oneshot, watch};
 
-use crate::{
-    engine::Engine,
-    shared_log::{Shared, SharedLog},
-};
+use crate::engine::Engine;
 
 mod compare;
 mod driver;
+mod events;
+mod follow;
 mod lease_keeper;
 mod send;
+mod settings;
+mod shared_log;
 mod take_over;
+#[cfg(test)]
+mod tests;
 mod write;
 
 use driver::Driver;
-
-/// What a replica tells the thread of its map.
-#[derive(Debug)]
-pub enum ReplicaEvent {
-    /// Events that this daemon did not append itself: position and event, in their order. The next ones come when
-    /// `applied` is dropped or used, so that a replica that catches up does not fill the memory.
-    Followed {
-        /// The events.
-        events: Vec<(u64, Event)>,
-        /// To be used when they are applied.
-        applied: oneshot::Sender<()>,
-    },
-    /// This daemon writes the log from now on. Everything in the log before has been told.
-    Writing {
-        /// The epoch, which the log says.
-        epoch: u64,
-    },
-    /// This daemon does not write the log, or no longer. Appends in flight have been answered.
-    Following {
-        /// The daemon that does, where it is known.
-        writer: Option<String>,
-    },
-    /// This daemon's own log holds records behind this position that the shared log does not have. They have been
-    /// applied, so the map has to be opened again without them.
-    Forked {
-        /// The last position that both have.
-        common: u64,
-    },
-}
-
-/// Hears what a replica tells. It must be quick: it hands the event to the thread of the map.
-pub type ReplicaListener = Arc<dyn Fn(ReplicaEvent) + Send + Sync>;
-
-/// What a replica does.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ReplicaRole {
-    /// It compares its log with the shared one.
-    #[default]
-    Starting,
-    /// It reads the log.
-    Following,
-    /// It becomes the writer.
-    TakingOver,
-    /// It writes the log.
-    Writing,
-    /// Its own log goes beyond the shared one, which has forgotten records: it waits to append them again.
-    Ahead,
-    /// Its own log and the shared one differ.
-    Forked,
-}
-
-/// What a replica says of itself.
-#[derive(Clone, Debug, Default)]
-pub struct ReplicaStatus {
-    /// What it does.
-    pub role: ReplicaRole,
-    /// The writer, as far as it is known.
-    pub writer: Option<String>,
-    /// The epoch of the last record of its own log.
-    pub epoch: u64,
-    /// Position of the last record of its own log.
-    pub position: u64,
-    /// Position of the last record of the shared log, as it was heard of last.
-    pub shared_position: u64,
-    /// When it last heard of the end of the shared log.
-    pub heard: Option<Instant>,
-    /// What is wrong, if something is.
-    pub trouble: Option<String>,
-}
-
-impl fmt::Display for ReplicaRole {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            ReplicaRole::Starting => "starting",
-            ReplicaRole::Following => "following",
-            ReplicaRole::TakingOver => "taking over",
-            ReplicaRole::Writing => "writing",
-            ReplicaRole::Ahead => "ahead",
-            ReplicaRole::Forked => "forked",
-        })
-    }
-}
-
-/// What a replica needs to know.
-#[derive(Clone, Debug)]
-pub struct ReplicaSettings {
-    /// Number of the map in the cluster.
-    pub map: u64,
-    /// The stream of the map.
-    pub stream: String,
-    /// Name of this daemon.
-    pub member: String,
-    /// Version of this daemon.
-    pub version: String,
-    /// Number of the maths of its updates.
-    pub maths: u32,
-    /// How long a lease lasts without renewal.
-    pub lease: Duration,
-    /// How long a new writer waits for a daemon that says that its log is longer.
-    pub heal_wait: Duration,
-    /// Bytes of a group.
-    pub group_bytes: usize,
-    /// How long one append may take before it is sent again.
-    pub patience: Duration,
-    /// Whether the disk is worked on by the thread of the replica itself, for a simulation.
-    pub disk_inline: bool,
-    /// A defect that a test must catch.
-    #[cfg(test)]
-    pub planted: Planted,
-}
-
-/// Defects that tests must catch.
+pub use events::{ReplicaEvent, ReplicaListener, ReplicaRole, ReplicaStatus};
+use settings::Order;
 #[cfg(test)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Planted {
-    /// None.
-    #[default]
-    Nothing,
-    /// A group is acknowledged that is not durable on the writer's own disk.
-    AckBeforeSync,
-    /// A writer begins without the record of its epoch.
-    NoEpoch,
-}
-
-impl ReplicaSettings {
-    /// The key of the map in the buckets.
-    #[must_use]
-    pub fn key(&self) -> String {
-        format!("{:016x}", self.map)
-    }
-}
-
-/// What is asked of a replica.
-enum Order {
-    /// To give the log to another daemon, if it writes it.
-    HandOver(Option<String>, oneshot::Sender<bool>),
-    /// To end, in order.
-    Stop,
-}
+pub use settings::Planted;
+pub use settings::ReplicaSettings;
+use shared_log::LogState;
+pub use shared_log::SharedLog;
 
 /// The handle of a replica. Dropped, the replica stops.
 pub struct ReplicaHandle {
@@ -208,7 +76,7 @@ impl<E: Engine> Replica<E> {
         log: GroupLog,
         listener: ReplicaListener,
     ) -> (Replica<E>, ReplicaHandle, SharedLog) {
-        let shared = Arc::new(Shared::new(log));
+        let shared = Arc::new(LogState::new(log));
         let (orders, inbox) = mpsc::unbounded_channel();
         let (stop, stopping) = watch::channel(false);
         let (candidacy, rank) = watch::channel(None);
@@ -221,6 +89,3 @@ impl<E: Engine> Replica<E> {
         self.0.run().await;
     }
 }
-
-#[cfg(test)]
-mod tests;

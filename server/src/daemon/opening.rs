@@ -18,6 +18,7 @@ use crate::{
     config::Settings,
     ingest::writer::{Context, ForkedMap},
     jobs::Jobs,
+    random_id::random_id,
     telemetry::{self, traces::Span},
 };
 
@@ -109,13 +110,6 @@ fn close_to_others(folder: &Path) {
             warn!(%error, "the data folder is open to others with permissions {mode:o}, which cannot be changed");
         }
     }
-}
-
-/// 16 bytes of the system's randomness as hex: the identity of a new data folder.
-pub(crate) fn random_id() -> anyhow::Result<String> {
-    let random = ring::rand::generate::<[u8; 16]>(&ring::rand::SystemRandom::new());
-    let bytes = random.map_err(|_| anyhow::anyhow!("the system gives no random numbers"))?.expose();
-    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// Writes to the log which folder was opened, and what was found in it.

@@ -42,6 +42,8 @@ use tidemap_store::{EventLog, MapId, Store};
 use tokio::sync::{oneshot, watch};
 use tracing::warn;
 
+#[cfg(test)]
+use super::handle::MapHandle;
 use super::{
     anomaly_feed::AnomalyFeed,
     ending::Ending,
@@ -124,6 +126,15 @@ pub(crate) struct RestoredMap {
     pub unsaved: Option<MapSnapshot>,
     /// An update that the log has begun, and that may have been cut off.
     pub begun: Option<UpdateWork>,
+}
+
+/// Starts the writer of a restored map, with a handle of its own.
+#[cfg(test)]
+pub(crate) fn start(context: Context, id: MapId, mut restored: RestoredMap) -> std::io::Result<Arc<MapHandle>> {
+    let (spec, view) = (Arc::clone(restored.map.spec()), restored.map.publish());
+    let (handle, endpoints) = MapHandle::with_endpoints(id, spec, view, &context.clock);
+    start_in(endpoints, context, id, restored)?;
+    Ok(Arc::new(handle))
 }
 
 /// Starts the writer of a restored map at its place, from which on the map is open.

@@ -171,8 +171,8 @@ pub enum AppendError {
         /// The daemon that does, where it is known.
         writer: Option<String>,
     },
-    /// The stream of the shared log has reached its limit. Roll back, call [`EventLog::resume`](crate::EventLog::resume)
-    /// and try again later.
+    /// The stream of the shared log has reached its limit. Roll back, call
+    /// [`EventLog::resume`](crate::EventLog::resume) and try again later.
     #[error("the shared log cannot grow: {0}. Raise the limit of its stream, or free space on the engine's servers")]
     StreamFull(String),
 }

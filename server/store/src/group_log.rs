@@ -20,62 +20,11 @@ use crate::{
     folders,
     log::{
         Done, Log,
-        frame::{Cursor, EncodedEvent, next_frame},
+        frame::EncodedEvent,
         groups::Groups,
+        record_group::{LogPoint, RecordGroup},
     },
 };
-
-/// A point in a log: behind the record of a position, with the chain that the next record must have.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LogPoint {
-    /// Position of the last record before the point; 0 at the beginning.
-    pub position: u64,
-    /// The chain there.
-    pub chain: u32,
-}
-
-impl LogPoint {
-    /// The beginning of every log.
-    pub const BEGINNING: LogPoint = LogPoint { position: 0, chain: FIRST_CHAIN };
-}
-
-/// Records that were written together, as they stand in a segment.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RecordGroup {
-    /// Where they begin.
-    pub before: LogPoint,
-    /// Where they end.
-    pub after: LogPoint,
-    /// Their frames.
-    pub frames: Vec<u8>,
-}
-
-impl RecordGroup {
-    /// Number of the records.
-    #[must_use]
-    pub fn records(&self) -> u64 {
-        self.after.position - self.before.position
-    }
-
-    /// The events of the frames, all of which are checked.
-    ///
-    /// # Errors
-    /// What is wrong with a frame.
-    pub fn events(&self) -> Result<Vec<(u64, Event)>, &'static str> {
-        let mut events = Vec::new();
-        let mut cursor = Cursor { offset: 0, position: self.before.position + 1, chain: self.before.chain };
-        while let Some(frame) = next_frame(&self.frames, &mut cursor).map_err(|bad| bad.reason)? {
-            if u64::from(frame.header.group_index) != events.len() as u64 {
-                return Err("the record has another place in its group than it should");
-            }
-            events.push((frame.header.position, frame.event()?));
-        }
-        if (cursor.position, cursor.chain) != (self.after.position + 1, self.after.chain) || events.is_empty() {
-            return Err("the group does not end where it says");
-        }
-        Ok(events)
-    }
-}
 
 /// An event that is encoded and waits to be written.
 pub struct QueuedEvent(Append);
@@ -127,7 +76,8 @@ pub enum ForeignGroupError {
     Append(#[from] AppendError),
 }
 
-/// The log of a map on this disk, whose groups are also elsewhere. Clones are handles of one log; one of them may write.
+/// The log of a map on this disk, whose groups are also elsewhere. Clones are handles of one log; one of them may
+/// write.
 #[derive(Clone)]
 pub struct GroupLog {
     log: Arc<Log>,

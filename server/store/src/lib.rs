@@ -48,9 +48,14 @@ pub use erasure::Erased;
 pub use error::{AppendError, EraseError, HistoryError, OpenError, Report, StoreError};
 pub use event_log::EventLog;
 pub use fork::{Fork, ForkError};
-pub use group_log::{ForeignGroupError, GroupLog, LogPoint, QueuedEvent, RecordGroup, WrittenGroup};
+pub use group_log::{ForeignGroupError, GroupLog, QueuedEvent, WrittenGroup};
 pub use history::{GridDays, History, HistorySizes, StateFiles};
-pub use log::{Done, groups::Groups, replay::Replay};
+pub use log::{
+    Done,
+    groups::Groups,
+    record_group::{LogPoint, RecordGroup},
+    replay::Replay,
+};
 pub use map_log::MapLog;
 pub use options::StoreOptions;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};

@@ -15,6 +15,7 @@ use crate::{error::AppendError, log::writer::LogWriter};
 
 pub(crate) mod frame;
 pub(crate) mod groups;
+pub(crate) mod record_group;
 pub(crate) mod recovery;
 pub(crate) mod replay;
 pub(crate) mod writer;

@@ -26,7 +26,8 @@ pub use disk::{Fault, SimulatedDisk};
 /// The data directory on simulated disks.
 const DIRECTORY: &str = "/data";
 
-/// Opens a store on a disk that has one, without a thread that commits: only groups of a [`crate::GroupLog`] are written.
+/// Opens a store on a disk that has one, without a thread that commits: only groups of a [`crate::GroupLog`] are
+/// written.
 ///
 /// # Errors
 /// [`OpenError`].

@@ -1,7 +1,7 @@
 //! Keeps a lease: raises its counter until it is lost or given back.
 //!
-//! Invariant: a lease that was given back is not renewed. While the lease is current by this daemon's own clock, no other
-//! daemon has taken it, because others wait longer than it is current.
+//! Invariant: a lease that was given back is not renewed. While the lease is current by this daemon's own clock, no
+//! other daemon has taken it, because others wait longer than it is current.
 
 use std::{
     sync::{
@@ -17,10 +17,10 @@ use tokio::{
     time::{Instant, sleep},
 };
 
+use super::shared_log::LogState;
 use crate::{
     engine::{Bucket, Engine, SetError},
     lease::Lease,
-    shared_log::Shared,
 };
 
 /// What a lease says, and how it is kept.
@@ -40,7 +40,7 @@ pub(super) struct LeaseKeeper {
     is_lost: watch::Receiver<bool>,
     revision: Arc<AtomicU64>,
     epoch: u64,
-    shared: Arc<Shared>,
+    shared: Arc<LogState>,
     key: String,
     member: String,
     task: JoinHandle<()>,
@@ -57,7 +57,7 @@ impl LeaseKeeper {
     /// Keeps the lease that has this revision since `taken`.
     pub(super) fn start<E: Engine>(
         engine: E,
-        shared: Arc<Shared>,
+        shared: Arc<LogState>,
         terms: LeaseTerms,
         revision: u64,
         taken: Instant,

@@ -30,7 +30,7 @@ pub(super) enum Sent {
 }
 
 /// What stands where a message was expected.
-enum Found {
+enum InStream {
     Mine,
     Nothing,
     Other,
@@ -63,14 +63,14 @@ impl<E: Engine> Driver<E> {
                 // The engine has not heeded the condition. The message counts as not there, whatever follows it.
                 Ok(_) => return Sent::Forgotten,
                 Err(AppendIfError::NotExpected) => match self.look_for(message, expected).await {
-                    Ok(Found::Mine) => {
+                    Ok(InStream::Mine) => {
                         self.last_sequence = expected + 1;
                         self.trouble(None);
                         return Sent::Done;
                     }
-                    Ok(Found::Other) => return Sent::Deposed,
-                    Ok(Found::Shorter) => return Sent::Forgotten,
-                    Ok(Found::Nothing) => {}
+                    Ok(InStream::Other) => return Sent::Deposed,
+                    Ok(InStream::Shorter) => return Sent::Forgotten,
+                    Ok(InStream::Nothing) => {}
                     Err(error) => self.trouble(Some(error.to_string())),
                 },
                 Err(AppendIfError::Engine(EngineError::Full(reason))) => {
@@ -88,20 +88,20 @@ impl<E: Engine> Driver<E> {
     }
 
     /// What the stream has behind the message `expected`.
-    async fn look_for(&self, message: &Bytes, expected: u64) -> Result<Found, EngineError> {
+    async fn look_for(&self, message: &Bytes, expected: u64) -> Result<InStream, EngineError> {
         let stream = &self.settings.stream;
         let last = self.engine.ends(stream).await?.last;
         if last < expected {
-            return Ok(Found::Shorter);
+            return Ok(InStream::Shorter);
         }
         if last == expected {
-            return Ok(Found::Nothing);
+            return Ok(InStream::Nothing);
         }
         match self.engine.read(stream, expected + 1).await? {
-            Some(found) if found.content == *message => Ok(Found::Mine),
-            Some(_) => Ok(Found::Other),
+            Some(found) if found.content == *message => Ok(InStream::Mine),
+            Some(_) => Ok(InStream::Other),
             // Purged, or forgotten since.
-            None => Ok(Found::Nothing),
+            None => Ok(InStream::Nothing),
         }
     }
 }

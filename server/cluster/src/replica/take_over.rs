@@ -1,5 +1,5 @@
-//! Becoming the writer: the lease, the rest of the log, the records that the stream has forgotten, and the record of the
-//! epoch, from which on no other writer's append succeeds.
+//! Becoming the writer: the lease, the rest of the log, the records that the stream has forgotten, and the record of
+//! the epoch, from which on no other writer's append succeeds.
 //!
 //! Invariant: a writer has everything that the stream has, and everything that another daemon says it has, unless that
 //! daemon stayed away for the time of healing.
@@ -11,9 +11,9 @@ use tidemap_store::{AppendError, LogPoint, RecordGroup};
 use tokio::time::{Instant, sleep};
 
 use super::{
-    ReplicaRole,
     compare::{CompareError, LOOK_BACK_FOLLOWING, Relation},
     driver::{Driver, Next, READ_BYTES},
+    events::ReplicaRole,
     lease_keeper::{LeaseKeeper, LeaseTerms},
     send::Sent,
 };
@@ -99,7 +99,7 @@ impl<E: Engine> Driver<E> {
             return Ok(None);
         }
         #[cfg(test)]
-        if self.settings.planted == super::Planted::NoEpoch {
+        if self.settings.planted == super::settings::Planted::NoEpoch {
             self.epoch = keeper.epoch();
             return Ok(Some(Next::Write));
         }
@@ -143,7 +143,8 @@ impl<E: Engine> Driver<E> {
             groups = rest;
             let Some(group) = group.transpose()? else { return Ok(()) };
             if group.before.position < end.position {
-                // The forgotten part began within a group of this log: that cannot be, because a group is appended whole.
+                // The forgotten part began within a group of this log: that cannot be, because a group is appended
+                // whole.
                 return Ok(());
             }
             tracing::warn!(

@@ -1,7 +1,8 @@
 //! Three daemons on a simulated engine, clock and disk, with faults by seed.
 //!
-//! What must hold: what was acknowledged is in the log, no sequence number of a producer twice, one writer an epoch, and
-//! equal logs. `TIDEMAP_CLUSTER_SEEDS` is how many seeds are tried, `TIDEMAP_CLUSTER_SEED` tries one and tells more.
+//! What must hold: what was acknowledged is in the log, no sequence number of a producer twice, one writer an epoch,
+//! and equal logs. `TIDEMAP_CLUSTER_SEEDS` is how many seeds are tried, `TIDEMAP_CLUSTER_SEED` tries one and tells
+//! more.
 
 use std::{
     collections::BTreeMap,
@@ -281,8 +282,8 @@ async fn run(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -
             ));
         }
     }
-    let told = check(&world, mode);
-    if told.is_err() && std::env::var_os("TIDEMAP_CLUSTER_SEED").is_some() {
+    let outcome = check(&world, mode);
+    if outcome.is_err() && std::env::var_os("TIDEMAP_CLUSTER_SEED").is_some() {
         println!("{}", world.engine.history().join("\n"));
     }
     for machine in &mut world.machines {
@@ -290,7 +291,7 @@ async fn run(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -
             daemon.tasks.shutdown().await;
         }
     }
-    told
+    outcome
 }
 
 fn check(world: &World, mode: Mode) -> Result<String, String> {
@@ -376,11 +377,11 @@ fn try_seeds(mode: Mode, default: u64) {
     let seeds = seeds(default);
     let mut failed = Vec::new();
     for &seed in &seeds {
-        let told = simulate(seed, mode, Planted::Nothing, PlantedDefects::default());
+        let outcome = simulate(seed, mode, Planted::Nothing, PlantedDefects::default());
         if seeds.len() == 1 {
-            println!("{told:?}");
+            println!("{outcome:?}");
         }
-        if let Err(error) = told {
+        if let Err(error) = outcome {
             failed.push(format!("seed {seed}: {error}"));
         }
     }
@@ -401,7 +402,7 @@ fn what_the_engine_forgets_is_appended_again_or_set_aside() {
 #[track_caller]
 fn catch(mode: Mode, planted: Planted, defects: PlantedDefects) {
     let caught = (1..=200).find_map(|seed| {
-        let run = std::panic::catch_unwind(|| simulate(seed, mode, planted, defects.clone()));
+        let run = std::panic::catch_unwind(|| simulate(seed, mode, planted, defects));
         // A log that no longer fits its map stops the thread of the map.
         match run {
             Ok(Ok(_)) => None,

@@ -8,10 +8,12 @@ use tidemap_store::{AppendError, WrittenGroup};
 use tokio::{sync::oneshot, time::sleep};
 
 use super::{
-    Order, ReplicaEvent, ReplicaRole,
-    driver::{Driver, Next, PROBE, Probe},
+    driver::{Driver, Next, PROBE},
+    events::{ReplicaEvent, ReplicaRole},
+    follow::StreamEnd,
     lease_keeper::LeaseKeeper,
     send::Sent,
+    settings::Order,
 };
 use crate::{engine::Engine, message::encode};
 
@@ -78,7 +80,7 @@ impl<E: Engine> Driver<E> {
         let end = written.records().after.position;
         let log = self.shared.log.clone();
         #[cfg(test)]
-        let skips_sync = self.settings.planted == super::Planted::AckBeforeSync;
+        let skips_sync = self.settings.planted == super::settings::Planted::AckBeforeSync;
         #[cfg(not(test))]
         let skips_sync = false;
         let sync = move || {
@@ -130,9 +132,9 @@ impl<E: Engine> Driver<E> {
             () = sleep(PROBE) => {}
         }
         match self.probe().await {
-            Ok(Probe::End) => None,
+            Ok(StreamEnd::Own) => None,
             // Forgotten, or somebody else has appended.
-            Ok(Probe::More | Probe::Lost) => Some(Next::Align),
+            Ok(StreamEnd::More | StreamEnd::Lost) => Some(Next::Align),
             Err(error) => {
                 self.trouble(Some(error.to_string()));
                 None

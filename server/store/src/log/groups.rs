@@ -9,9 +9,9 @@ use tidemap_migrations::v1::log::{SEGMENT_HEADER_LENGTH, SegmentHeader};
 use crate::{
     disk::{Disk, read_all},
     error::{OpenError, open_io},
-    group_log::{LogPoint, RecordGroup},
     log::{
         frame::{Cursor, next_frame},
+        record_group::{LogPoint, RecordGroup},
         segment_path, segment_position,
     },
 };

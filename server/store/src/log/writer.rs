@@ -1,8 +1,8 @@
 //! Writing groups of records to the newest segment of a log.
 //!
-//! Invariant: the file holds valid records up to `length` and, behind that, at most one group that is not durable yet, or
-//! that a shared log has not accepted yet. A group that cannot be written is cut off again. If that fails too, nothing
-//! more is written.
+//! Invariant: the file holds valid records up to `length` and, behind that, at most one group that is not durable yet,
+//! or that a shared log has not accepted yet. A group that cannot be written is cut off again. If that fails too,
+//! nothing more is written.
 
 use std::{
     path::{Path, PathBuf},

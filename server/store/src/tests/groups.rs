@@ -155,7 +155,7 @@ fn a_fork_is_set_aside_and_the_log_goes_on_from_what_both_have() {
     }
     let fork = daemon.store.set_fork_aside(daemon.map, 5).expect("cut").expect("there was one");
     assert_eq!((fork.first, fork.last), (6, 12));
-    assert_eq!(daemon.store.forks(daemon.map).expect("readable"), [fork.clone()]);
+    assert_eq!(daemon.store.forks(daemon.map).expect("readable"), std::slice::from_ref(&fork));
     assert_eq!(daemon.store.fork_events(daemon.map, &fork.name).expect("readable"), events(6..=12));
     let replayed = daemon.reopen();
     assert_eq!(replayed.last(), events(5..=5).last(), "the checkpoint before the fork and the log up to it");

@@ -120,8 +120,8 @@ impl Daemon {
             planted,
         };
         let (sender, inbox) = mpsc::unbounded_channel();
-        let told = sender.clone();
-        let listener: ReplicaListener = Arc::new(move |event| drop(told.send(Inbox::Told(event))));
+        let listening = sender.clone();
+        let listener: ReplicaListener = Arc::new(move |event| drop(listening.send(Inbox::Told(event))));
         let group_log = store.group_log(map).expect("open");
         let (replica, handle, log) = Replica::new(engine.clone(), settings, group_log, listener);
         handle.set_candidacy(Some(rank));
@@ -194,7 +194,7 @@ impl MapTask {
                     }
                     return;
                 }
-                Inbox::Committed(result) => self.committed(result),
+                Inbox::Committed(result) => self.committed(&result),
                 Inbox::Asked(ask) => self.asked(ask),
             }
             if self.in_flight.is_empty() {
@@ -212,10 +212,10 @@ impl MapTask {
         self.map.apply(position, event).expect("the log fits the map");
     }
 
-    fn committed(&mut self, result: Result<u64, AppendError>) {
+    fn committed(&mut self, result: &Result<u64, AppendError>) {
         let Some((event, reply)) = self.in_flight.pop_front() else { panic!("an answer to nothing") };
         match result {
-            Ok(position) => {
+            &Ok(position) => {
                 self.apply(position, &event);
                 let envelope = event.envelope().expect("of a producer");
                 let mark = &self.map.producer_marks()[envelope.producer.0 as usize];

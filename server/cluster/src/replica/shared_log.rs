@@ -16,14 +16,14 @@ use tokio::{
     time::Instant,
 };
 
-use crate::replica::ReplicaStatus;
+use super::events::ReplicaStatus;
 
 /// Limit of the queue in bytes of frames; a full queue blocks the appending thread.
 const QUEUE_BYTES_MAX: usize = 32 << 20;
 /// Limit of the queue in records.
 const QUEUE_RECORDS_MAX: usize = 65_536;
 
-struct Queue {
+struct AppendQueue {
     events: VecDeque<QueuedEvent>,
     bytes: usize,
     /// Why nothing is accepted.
@@ -31,9 +31,9 @@ struct Queue {
 }
 
 /// What the handles of a shared log and its replica have in common.
-pub(crate) struct Shared {
+pub(super) struct LogState {
     pub(crate) log: GroupLog,
-    queue: Mutex<Queue>,
+    queue: Mutex<AppendQueue>,
     has_room: Condvar,
     /// Wakes the replica.
     pub(crate) has_work: Notify,
@@ -42,13 +42,13 @@ pub(crate) struct Shared {
     current_until: Mutex<Option<Instant>>,
 }
 
-impl Shared {
-    pub(crate) fn new(log: GroupLog) -> Shared {
+impl LogState {
+    pub(crate) fn new(log: GroupLog) -> LogState {
         let position = log.end().position;
         let refusal = Some(AppendError::NotWriter { writer: None });
-        Shared {
+        LogState {
             log,
-            queue: Mutex::new(Queue { events: VecDeque::new(), bytes: 0, refusal }),
+            queue: Mutex::new(AppendQueue { events: VecDeque::new(), bytes: 0, refusal }),
             has_room: Condvar::new(),
             has_work: Notify::new(),
             status: watch::Sender::new(ReplicaStatus { position, ..ReplicaStatus::default() }),
@@ -56,7 +56,7 @@ impl Shared {
         }
     }
 
-    fn queue(&self) -> MutexGuard<'_, Queue> {
+    fn queue(&self) -> MutexGuard<'_, AppendQueue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -109,7 +109,7 @@ impl Shared {
 /// The shared log of a map, as its thread appends to it. Clones append to one log.
 #[derive(Clone)]
 pub struct SharedLog {
-    pub(crate) shared: Arc<Shared>,
+    pub(super) shared: Arc<LogState>,
 }
 
 impl SharedLog {

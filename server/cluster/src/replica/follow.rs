@@ -1,0 +1,227 @@
+//! Following the shared log: the logs are compared, then what others append is taken in, and the lease is watched.
+//!
+//! Invariant: a message is taken in only if it follows what this daemon has; otherwise the logs are compared again.
+
+use std::time::Duration;
+
+use tidemap_map::event::Event;
+use tidemap_store::ForeignGroupError;
+use tokio::{sync::oneshot, time::Instant};
+
+use super::{
+    compare::{CompareError, LOOK_BACK, LOOK_BACK_FOLLOWING, Relation},
+    driver::{Driver, Next, PROBE, READ_BYTES},
+    events::{ReplicaEvent, ReplicaRole},
+    settings::Order,
+};
+use crate::engine::{Bucket, Engine, Message};
+
+/// How long a read waits for the next message. The lease is looked at between reads.
+const READ_PATIENCE: Duration = Duration::from_millis(250);
+/// Pause after an error of the engine.
+const PAUSE: Duration = Duration::from_millis(100);
+/// Candidates take a lease one after the other.
+const RANK_STEP: Duration = Duration::from_millis(500);
+
+/// What is found at the end of the stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum StreamEnd {
+    /// What this daemon has.
+    Own,
+    /// More than this daemon has read.
+    More,
+    /// Less, or another record.
+    Lost,
+}
+
+impl<E: Engine> Driver<E> {
+    /// Compares the logs until this one is a beginning of the shared one.
+    pub(super) async fn align(&mut self) -> Next {
+        self.role(ReplicaRole::Starting);
+        self.assembly.clear();
+        while !self.is_stopping() {
+            let mut is_ahead = false;
+            match self.relation(LOOK_BACK).await {
+                Ok(Relation::Holds { last_sequence }) => {
+                    self.last_sequence = last_sequence;
+                    self.trouble(None);
+                    return Next::Follow;
+                }
+                Ok(Relation::Ahead { end, .. }) => {
+                    is_ahead = true;
+                    self.role(ReplicaRole::Ahead);
+                    self.trouble(Some(format!(
+                        "the shared log ends at position {} and has forgotten what this daemon holds up to {}",
+                        end.position,
+                        self.shared.log.end().position
+                    )));
+                }
+                Ok(Relation::Forked { common }) => return Next::Forked(common),
+                Ok(Relation::Behind { from }) => self.trouble(Some(format!(
+                    "the shared log begins behind position {from}, and this daemon's log ends at {}: it needs the \
+                     checkpoint of another daemon",
+                    self.shared.log.end().position
+                ))),
+                Ok(Relation::Unknown { end }) => self.trouble(Some(format!(
+                    "the shared log ends at position {end}, and this daemon's log begins behind it: another daemon has \
+                     to append what the shared log has forgotten"
+                ))),
+                Err(error) => self.trouble(Some(error.to_string())),
+            }
+            // Whoever is ahead may append what the shared log has forgotten, as its writer.
+            if is_ahead && let Some(revision) = self.look_at_lease().await {
+                return Next::TakeOver(revision);
+            }
+            self.pause(PAUSE).await;
+        }
+        Next::Stop
+    }
+
+    /// Looks at the lease now and then; gives its revision when this daemon may take it.
+    async fn look_at_lease(&mut self) -> Option<u64> {
+        let now = Instant::now();
+        let interval = self.settings.lease / 12;
+        if self.lease_looked.is_some_and(|looked| now.saturating_duration_since(looked) < interval) {
+            return None;
+        }
+        self.lease_looked = Some(now);
+        let entry = match self.engine.get(Bucket::Writers, &self.settings.key()).await {
+            Ok(entry) => entry,
+            Err(error) => {
+                self.trouble(Some(error.to_string()));
+                return None;
+            }
+        };
+        let now = Instant::now();
+        self.lease_watch.look(entry.as_ref(), now);
+        let lease = self.lease_watch.lease().map(|(_, lease)| lease.writer.clone());
+        if let Some(writer) = lease.filter(|writer| !writer.is_empty()) {
+            self.set_writer(Some(writer));
+        }
+        let rank = (*self.rank.borrow())?;
+        let patience = match &entry {
+            // A new map waits for nobody but those before.
+            None => RANK_STEP * rank,
+            Some(_) => self.settings.lease + RANK_STEP * rank,
+        };
+        self.lease_watch.may_take(&self.settings.member, patience, now)
+    }
+
+    async fn relation_is_lost(&mut self) -> Result<bool, CompareError> {
+        let relation = self.relation(LOOK_BACK_FOLLOWING).await?;
+        Ok(relation != Relation::Holds { last_sequence: self.last_sequence })
+    }
+
+    /// Whether the stream ends where this daemon has read it to, and with the record that this daemon has there.
+    pub(super) async fn probe(&mut self) -> Result<StreamEnd, CompareError> {
+        let ends = self.engine.ends(&self.settings.stream).await?;
+        if ends.last < self.last_sequence {
+            return Ok(StreamEnd::Lost);
+        }
+        if ends.last > self.last_sequence {
+            return Ok(StreamEnd::More);
+        }
+        let own = self.shared.log.end();
+        if ends.last > 0 && ends.first <= ends.last && self.probed_stamp != Some((own, ends.stamp)) {
+            // A part that is not the last, or a void message, is compared once more.
+            if self.part_at(ends.last).await?.after != own && self.relation_is_lost().await? {
+                return Ok(StreamEnd::Lost);
+            }
+            self.probed_stamp = Some((own, ends.stamp));
+        }
+        self.trouble(None);
+        self.heard_of(own.position, self.epoch);
+        Ok(StreamEnd::Own)
+    }
+
+    /// Reads the log as others append to it.
+    pub(super) async fn follow(&mut self) -> Next {
+        self.role(ReplicaRole::Following);
+        let mut probed: Option<Instant> = None;
+        while !self.is_stopping() {
+            while let Some(order) = self.next_order() {
+                if let Order::HandOver(_, done) = order {
+                    let _ = done.send(false);
+                }
+            }
+            let (stream, from) = (self.settings.stream.clone(), self.last_sequence + 1);
+            match self.engine.read_from(&stream, from, READ_BYTES, READ_PATIENCE).await {
+                Ok(messages) if !messages.is_empty() => match self.take_in(messages).await {
+                    Ok(true) => {}
+                    Ok(false) => return Next::Align,
+                    Err(error) => {
+                        self.trouble(Some(error.to_string()));
+                        self.pause(PAUSE).await;
+                        return Next::Align;
+                    }
+                },
+                Ok(_) => {}
+                Err(error) => {
+                    self.trouble(Some(error.to_string()));
+                    self.pause(PAUSE).await;
+                }
+            }
+            let now = Instant::now();
+            if probed.is_none_or(|probed| now.saturating_duration_since(probed) >= PROBE) {
+                probed = Some(now);
+                match self.probe().await {
+                    Ok(StreamEnd::Lost) => return Next::Align,
+                    Ok(StreamEnd::Own) | Ok(StreamEnd::More) => {}
+                    Err(error) => self.trouble(Some(error.to_string())),
+                }
+            }
+            if let Some(revision) = self.look_at_lease().await {
+                return Next::TakeOver(revision);
+            }
+        }
+        Next::Stop
+    }
+
+    /// Takes messages of the stream into the own log and tells the map's thread of them. `false`: they do not follow
+    /// what this daemon has, or cannot be written here.
+    pub(super) async fn take_in(&mut self, messages: Vec<Message>) -> Result<bool, CompareError> {
+        let mut followed = Vec::new();
+        let mut is_sound = true;
+        for message in messages {
+            if message.sequence != self.last_sequence + 1 {
+                is_sound = false;
+                break;
+            }
+            let part = self.part(&message)?;
+            let epoch = part.epoch;
+            if let Some(group) = self.assembly.push(part) {
+                let log = self.shared.log.clone();
+                match self.on_disk(move || log.append_group(&group)).await {
+                    Ok(events) => followed.extend(events),
+                    Err(error) => {
+                        if !matches!(error, ForeignGroupError::NotNext { .. }) {
+                            self.trouble(Some(format!("this daemon cannot follow the shared log: {error}")));
+                        }
+                        is_sound = false;
+                        break;
+                    }
+                }
+                self.epoch = epoch;
+            }
+            self.last_sequence = message.sequence;
+        }
+        if !followed.is_empty() {
+            let end = self.shared.log.end().position;
+            self.heard_of(end, self.epoch);
+            self.tell_followed(followed).await;
+        }
+        Ok(is_sound)
+    }
+
+    pub(super) async fn tell_followed(&mut self, events: Vec<(u64, Event)>) {
+        for (_, event) in &events {
+            if let Event::Epoch(epoch) = event {
+                self.set_writer(Some(epoch.writer.clone()));
+            }
+        }
+        let (applied, done) = oneshot::channel();
+        (self.listener)(ReplicaEvent::Followed { events, applied });
+        // A thread that ends answers nothing.
+        let _ = done.await;
+    }
+}
