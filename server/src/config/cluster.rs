@@ -95,8 +95,8 @@ pub(crate) const EXAMPLE: &str = r#"
 # --- cluster: see the page Clusters of the guide ----------------------------------------------------------------------
 #
 # With this section the daemon is one of several that share the logs of their maps through NATS JetStream (nats-server
-# 2.15.1 or newer). All daemons of a cluster have the same section but for `member` and `advertise`, which the environment
-# may set (TIDEMAP_CLUSTER_MEMBER, TIDEMAP_CLUSTER_ADVERTISE). Keys that are set here to no value must be set.
+# 2.15.1 or newer). All daemons of a cluster have the same section but for `member` and `advertise`, which the
+# environment may set (TIDEMAP_CLUSTER_MEMBER, TIDEMAP_CLUSTER_ADVERTISE). `member` and `servers` must be set.
 
 #[cluster]
 
@@ -109,8 +109,8 @@ pub(crate) const EXAMPLE: &str = r#"
 # URLs of the engine's servers, for example ["nats://10.0.0.1:4222", "nats://10.0.0.2:4222"].
 #servers = []
 
-# Where the other daemons and clients reach the gRPC port of this daemon, as http://HOST:PORT or https://HOST:PORT. Empty:
-# as `listen` says.
+# Where the other daemons and clients reach the gRPC port of this daemon, as http://HOST:PORT or https://HOST:PORT.
+# Empty: as `listen` says.
 #advertise = ""
 
 # A file with the JWT and the seed that prove to the engine who connects; empty: none.
@@ -124,7 +124,8 @@ pub(crate) const EXAMPLE: &str = r#"
 #tls_certificate = ""
 #tls_key = ""
 
-# The authority of the other daemons' certificates, where they are reached by https; empty: those that the system trusts.
+# The authority of the other daemons' certificates, where they are reached by https; empty: those that the system
+# trusts.
 #peer_ca = ""
 
 # Daemons that hold each map: one writes it, the others follow and can take its place. From 1 to 16.
@@ -139,8 +140,8 @@ pub(crate) const EXAMPLE: &str = r#"
 # How long a writer may be silent before another daemon takes its place, in milliseconds. From 1000 to 60000.
 #lease_ms = 3000
 
-# How long a new writer waits for a daemon whose log is longer than the engine's, which has forgotten records, in seconds.
-# From 0 to 3600.
+# How long a new writer waits for a daemon whose log is longer than the engine's, which has forgotten records, in
+# seconds. From 0 to 3600.
 #heal_wait_secs = 30
 
 # How long a daemon that follows a map answers without having heard of the end of its log, in milliseconds. From 2000 to

@@ -13,6 +13,7 @@ mod golden_grid;
 mod golden_numbers;
 mod golden_rows;
 mod golden_sensor;
+mod golden_shared;
 mod golden_states;
 mod golden_trained;
 mod grid;
