@@ -106,7 +106,12 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let store = open_store(&settings, disk).await?;
     let (fatal_sender, mut fatal) = mpsc::unbounded_channel();
     let (forks_sender, mut forks) = mpsc::unbounded_channel();
-    let cluster = join_cluster(&settings).await?;
+    let cluster = tokio::select! {
+        cluster = join_cluster(&settings) => cluster?,
+        // The engine may be away for long.
+        _ = terminate.recv() => return stop_before_start(store).await,
+        _ = interrupt.recv() => return stop_before_start(store).await,
+    };
     let fatal_of_maps = fatal_sender.clone();
     let opened = open_catalog(&settings, Arc::clone(&store), fatal_of_maps, forks_sender, cluster.clone());
     let (catalog, rest) = opened.await?;
@@ -149,6 +154,13 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     close(store).await;
     traces.stop().await;
     result
+}
+
+/// Ends a daemon that serves nothing yet.
+async fn stop_before_start(store: Arc<Store>) -> Result<(), DaemonError> {
+    info!("stopping");
+    close(store).await;
+    Ok(())
 }
 
 /// Joins the cluster that the settings name, if they do.
