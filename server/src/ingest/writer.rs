@@ -380,7 +380,7 @@ impl Writer {
         }
         let answer = if self.stopping.is_some() {
             Err(HelloError::Closing)
-        } else if let Some(refused) = self.not_writer() {
+        } else if let Some(refused) = self.not_writer().or_else(|| self.not_current()) {
             Err(refused.into())
         } else if let Some(error) = self.appends.failure() {
             Err(HelloError::Storage(error.clone()))

@@ -154,9 +154,15 @@ struct MemoryState {
     holds: bool,
     held: Vec<(Event, Done)>,
     writer: Option<String>,
+    is_stale: bool,
 }
 
 impl SharedMemory {
+    /// Whether nobody else may be writing is not known, or known again.
+    pub(super) fn set_stale(&self, is_stale: bool) {
+        self.state.lock().expect("not poisoned").is_stale = is_stale;
+    }
+
     /// All events, by position.
     pub(super) fn events(&self) -> Vec<(u64, Event)> {
         (1..).zip(self.state.lock().expect("not poisoned").events.iter().cloned()).collect()
@@ -239,5 +245,9 @@ impl EventLog for SharedMemory {
 
     fn tail_bytes(&self) -> u64 {
         0
+    }
+
+    fn is_current(&self) -> bool {
+        !self.state.lock().expect("not poisoned").is_stale
     }
 }
