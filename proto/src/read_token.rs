@@ -48,10 +48,7 @@ impl ReadToken {
     /// The most of both.
     #[must_use]
     pub fn max(self, other: Self) -> Self {
-        Self {
-            position: self.position.max(other.position),
-            generation: self.generation.max(other.generation),
-        }
+        Self { position: self.position.max(other.position), generation: self.generation.max(other.generation) }
     }
 
     /// The token of a header; `None`: there is none.

@@ -186,7 +186,7 @@ impl Link {
                 reply = self.reply(&mut replies) => match reply? {
                     observe_response::Message::Ack(ack) => self.acknowledge(ack)?,
                     observe_response::Message::Goodbye(goodbye) => {
-                        self.acknowledge(Ack { durable_sequence: goodbye.durable_sequence, refused: Vec::new() })?;
+                        self.acknowledge(Ack { durable_sequence: goodbye.durable_sequence, refused: Vec::new(), position: 0 })?;
                         return Err(ending(goodbye));
                     }
                     // For information: the flow control of the connection throttles sending.

@@ -1,7 +1,7 @@
 //! The map of a request is what prost decodes, whatever the bytes are.
 
-use prost::bytes::Bytes;
 use proptest::prelude::*;
+use prost::bytes::Bytes;
 
 use super::*;
 use crate::v1::{
@@ -41,7 +41,9 @@ fn part() -> impl Strategy<Value = (u8, String, String)> {
 fn encoded(path: &str, (kind, map, other): (u8, String, String)) -> Vec<u8> {
     let message = |message| ObserveRequest { message: Some(message) };
     match (path, kind) {
-        (PREDICT, _) => PredictStatesRequest { map, states: vec![other], ..PredictStatesRequest::default() }.encode_to_vec(),
+        (PREDICT, _) => {
+            PredictStatesRequest { map, states: vec![other], ..PredictStatesRequest::default() }.encode_to_vec()
+        }
         (OBSERVE, 0) => message(observe_request::Message::Batch(ObservationBatch::default())).encode_to_vec(),
         (OBSERVE, _) => {
             let hello = Hello { map, producer: other, nightly: kind == 1, ..Hello::default() };

@@ -23,6 +23,7 @@ use crate::{
         role::NotWriter,
     },
     model_cache::ModelUnavailable,
+    rpc::gateway::GatewayError,
 };
 
 mod misfit;
@@ -105,6 +106,8 @@ pub(crate) enum RpcError {
     Plan(#[from] PlanError),
     #[error(transparent)]
     Route(#[from] RouteError),
+    #[error(transparent)]
+    Gateway(#[from] GatewayError),
     #[error(transparent)]
     Hello(#[from] HelloError),
     #[error(transparent)]
@@ -341,6 +344,7 @@ impl RpcError {
             },
             Self::Plan(error) => error.code_and_reason(),
             Self::Route(error) => error.code_and_reason(),
+            Self::Gateway(error) => error.code_and_reason(),
             Self::Hello(error) => match error {
                 HelloError::AlreadyStreaming { .. } => (Code::AlreadyExists, "ALREADY_STREAMING"),
                 HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),
