@@ -19,6 +19,7 @@ mod index_print;
 mod ingest;
 mod jobs;
 mod model_cache;
+mod peers;
 mod reload;
 mod repair;
 mod rpc;

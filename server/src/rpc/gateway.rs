@@ -25,7 +25,11 @@ use tidemap_proto::{
 use tokio::sync::watch;
 use tonic::{Status, codegen::Service as _};
 
-use super::{lookup::check_scope, observation::HELLO_WITHIN, status::RpcError};
+use super::{
+    lookup::check_scope,
+    observation::HELLO_WITHIN,
+    status::{GatewayError, RpcError},
+};
 use crate::{
     access::{
         Caller,
@@ -36,22 +40,20 @@ use crate::{
         handle::{MapHandle, Shown},
         role::MapRole,
     },
+    peers::{Peers, SharedMaps},
     telemetry::traces::Span,
 };
 
-mod error;
 mod jobs;
 mod late_body;
+mod links;
 mod passed_body;
-mod peers;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use error::GatewayError;
 use late_body::late;
+use links::{Links, PeerPlace};
 use passed_body::{End, PassedBody};
-use peers::{Links, PeerPlace};
-pub(crate) use peers::{PeerTls, Peers};
 
 /// A request waits so long for a writer that is known and answers.
 const WRITER_WITHIN: Duration = Duration::from_secs(2);
@@ -79,15 +81,6 @@ const PASSED: [HeaderName; 6] = [
     HeaderName::from_static("tracestate"),
 ];
 const OWN_PREFIX: &str = "tidemap-";
-
-/// The daemons that share maps, for the gateway.
-#[derive(Clone, Debug)]
-pub(crate) struct SharedMaps {
-    /// Who they are.
-    pub peers: Arc<dyn Peers>,
-    /// For those with an address that begins with `https://`.
-    pub tls: Option<PeerTls>,
-}
 
 /// The gateway of a daemon. Clones share its connections.
 #[derive(Clone, Debug)]

@@ -12,8 +12,8 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 use tracing::debug;
 
-use super::{RpcReply, gateway::Peers, permits::Permits, status::RpcError};
-use crate::{access::Caller, catalog::Catalog, ingest::intake::IntakeLimits, telemetry::traces::Span};
+use super::{RpcReply, permits::Permits, status::RpcError};
+use crate::{access::Caller, catalog::Catalog, ingest::intake::IntakeLimits, peers::Peers, telemetry::traces::Span};
 
 mod channel;
 mod classify;

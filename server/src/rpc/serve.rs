@@ -21,7 +21,7 @@ use tonic_health::{ServingStatus, server::HealthReporter};
 use super::{
     admission::{Admission, AdmittedService, RequestLimits},
     exploration::{Explorations, PlanLimits},
-    gateway::{ClusterGateway, SharedMaps, answer_or_pass, keep_authorization},
+    gateway::{ClusterGateway, answer_or_pass, keep_authorization},
     guard::{Access, serve_caller},
     maintenance::{Maintenance, PageAddress},
     map::Maps,
@@ -31,7 +31,9 @@ use super::{
     route::Routes,
     tasks::Tasks,
 };
-use crate::{catalog::Catalog, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits};
+use crate::{
+    catalog::Catalog, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits, peers::SharedMaps,
+};
 
 /// Maximum size of a request without observations: 100,000 times and thousands of names fit.
 const REQUEST_BYTES: usize = 1 << 20;

@@ -23,13 +23,14 @@ use crate::{
         role::NotWriter,
     },
     model_cache::ModelUnavailable,
-    rpc::gateway::GatewayError,
 };
 
+mod gateway_error;
 mod misfit;
 mod plan_error;
 mod route_error;
 
+pub(crate) use gateway_error::GatewayError;
 pub(crate) use misfit::{Misfit, Problem};
 pub(crate) use plan_error::PlanError;
 pub(crate) use route_error::RouteError;

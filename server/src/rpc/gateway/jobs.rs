@@ -7,8 +7,8 @@ use http_body_util::Full;
 use prost::Message as _;
 use tidemap_proto::{first_message::PeekedBody, v1};
 
-use super::{ClusterGateway, GatewayCall, GatewayError, WRITER_WITHIN};
-use crate::rpc::status::RpcError;
+use super::{ClusterGateway, GatewayCall, WRITER_WITHIN};
+use crate::rpc::status::{GatewayError, RpcError};
 
 /// NOT_FOUND, as gRPC writes it.
 const NOT_FOUND: &str = "5";

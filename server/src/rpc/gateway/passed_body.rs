@@ -13,8 +13,8 @@ use axum::body::Bytes;
 use http_body::{Frame, SizeHint};
 use tonic::{Status, body::Body, codegen::http::HeaderMap};
 
-use super::{GatewayError, peers::PeerPlace};
-use crate::rpc::status::RpcError;
+use super::links::PeerPlace;
+use crate::rpc::status::{GatewayError, RpcError};
 
 /// When a reply that lasts has to end.
 pub(super) type End = Pin<Box<dyn Future<Output = ()> + Send>>;

@@ -1,17 +1,17 @@
-//! The other daemons that share maps with this one: who they are, and connections to them.
+//! Connections to the other daemons that share maps with this one.
 //!
 //! Invariant: connections are kept and used again, their number is bounded, and a call holds its place on one until its
 //! reply has ended.
 
 use std::{
     collections::HashMap,
-    fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant},
+    time::Duration,
 };
 
-use tidemap_map::name::MapName;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+
+use crate::peers::PeerTls;
 
 /// A daemon must answer a connection within this time.
 const CONNECT_WITHIN: Duration = Duration::from_secs(1);
@@ -26,42 +26,6 @@ const CONNECTIONS_MAX: usize = 64;
 const IDLE_KEPT: usize = 2;
 /// Bytes of a call that are sent and not read yet.
 const WINDOW: u32 = 256 * 1024;
-
-/// What the gateway needs to know of the daemons that share maps.
-pub(crate) trait Peers: Send + Sync + fmt::Debug {
-    /// The name of this daemon.
-    fn name(&self) -> &str;
-
-    /// Where a daemon is reached, as `http://HOST:PORT` or `https://HOST:PORT`.
-    fn address_of(&self, member: &str) -> Option<String>;
-
-    /// The names of the other daemons.
-    fn others(&self) -> Vec<String>;
-
-    /// The daemon that writes a map which this one does not hold, if there is such a map and its writer is known.
-    fn writer_of(&self, map: &str) -> Option<String>;
-
-    /// When this daemon last heard where the log of a map ends.
-    fn heard(&self, map: &MapName) -> Option<Instant>;
-
-    /// After so long without that, a map is not shown.
-    fn max_staleness(&self) -> Duration;
-}
-
-/// What two daemons prove to each other. Its `Debug` shows no secret.
-#[derive(Clone)]
-pub(crate) struct PeerTls {
-    /// Certificates of the authorities that the other's certificate may come from, in PEM form.
-    pub ca: Vec<u8>,
-    /// This daemon's certificate and its private key, in PEM form.
-    pub identity: Option<(Vec<u8>, Vec<u8>)>,
-}
-
-impl fmt::Debug for PeerTls {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("PeerTls").field("identity", &self.identity.is_some()).finish_non_exhaustive()
-    }
-}
 
 /// A place on a connection; free again when dropped.
 #[derive(Debug)]

@@ -33,7 +33,7 @@ pub(crate) enum GatewayError {
 }
 
 impl GatewayError {
-    pub(in crate::rpc) fn code_and_reason(&self) -> (Code, &'static str) {
+    pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
         match self {
             Self::NoWriter { .. } => (Code::Unavailable, "NO_WRITER"),
             Self::NoWay { .. } | Self::JobAway { .. } | Self::Broke { .. } => (Code::Unavailable, "UNREACHABLE"),
