@@ -17,7 +17,10 @@ use tonic::{
     transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity},
 };
 
-use crate::error::{Error, root_cause};
+use crate::{
+    error::{Error, root_cause},
+    read_tokens::{ReadTokens, TokenService},
+};
 
 /// Streams that share a connection.
 const STREAMS_PER_CONNECTION: usize = 32;
@@ -32,8 +35,8 @@ const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How a certificate begins.
 const PEM_BEGIN: &[u8] = b"-----BEGIN CERTIFICATE-----";
 
-/// A gRPC channel that sends the token.
-pub type Connection = InterceptedService<Channel, Bearer>;
+/// A gRPC channel that sends the token, and what was seen of a map that daemons share.
+pub type Connection = TokenService<InterceptedService<Channel, Bearer>>;
 
 /// Adds `authorization: Bearer …` to each request if there is a token.
 #[derive(Clone)]
@@ -119,6 +122,7 @@ struct Inner {
     endpoint: Endpoint,
     bearer: Bearer,
     requests: Connection,
+    tokens: ReadTokens,
     /// Number of open streams of each stream connection. The lock is held while counting, when a stream opens or
     /// closes.
     streams: Mutex<Vec<(Connection, usize)>>,
@@ -185,18 +189,25 @@ impl Client {
         if let Some(tls) = tls {
             endpoint = endpoint.tls_config(tls).map_err(|error| Error::Tls(root_cause(&error)))?;
         }
-        let requests = InterceptedService::new(endpoint.connect_lazy(), bearer.clone());
-        let inner = Inner { server, endpoint, bearer, requests, streams: Mutex::new(Vec::new()) };
-        Ok(Self { inner: Arc::new(inner) })
+        Ok(Self::of_parts(server, endpoint, bearer, ReadTokens::default()))
     }
 
     /// A client of the same daemon with the same credentials, and with connections of its own.
     #[must_use]
     pub fn with_own_connections(&self) -> Self {
-        let Inner { server, endpoint, bearer, .. } = &*self.inner;
-        let (server, endpoint, bearer) = (server.clone(), endpoint.clone(), bearer.clone());
-        let requests = InterceptedService::new(endpoint.connect_lazy(), bearer.clone());
-        Self { inner: Arc::new(Inner { server, endpoint, bearer, requests, streams: Mutex::new(Vec::new()) }) }
+        let Inner { server, endpoint, bearer, tokens, .. } = &*self.inner;
+        Self::of_parts(server.clone(), endpoint.clone(), bearer.clone(), tokens.clone())
+    }
+
+    fn of_parts(server: String, endpoint: Endpoint, bearer: Bearer, tokens: ReadTokens) -> Self {
+        let channel = InterceptedService::new(endpoint.connect_lazy(), bearer.clone());
+        let requests = TokenService::new(channel, tokens.clone());
+        Self { inner: Arc::new(Inner { server, endpoint, bearer, requests, tokens, streams: Mutex::new(Vec::new()) }) }
+    }
+
+    /// What was seen of each map. Clients with connections of their own share it.
+    pub(crate) fn tokens(&self) -> &ReadTokens {
+        &self.inner.tokens
     }
 
     /// The daemon's address.
@@ -217,7 +228,8 @@ impl Client {
         let mut streams = self.inner.streams.lock().unwrap_or_else(PoisonError::into_inner);
         let index = streams.iter().position(|(_, open)| *open < STREAMS_PER_CONNECTION).unwrap_or_else(|| {
             let channel = self.inner.endpoint.connect_lazy();
-            streams.push((InterceptedService::new(channel, self.inner.bearer.clone()), 0));
+            let channel = InterceptedService::new(channel, self.inner.bearer.clone());
+            streams.push((TokenService::new(channel, self.inner.tokens.clone()), 0));
             streams.len() - 1
         });
         streams[index].1 += 1;

@@ -15,6 +15,7 @@ pub mod landmarks;
 pub mod maps;
 pub mod observe;
 pub mod queries;
+mod read_tokens;
 pub mod routes;
 pub mod scan_file;
 pub mod tasks;

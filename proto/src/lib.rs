@@ -8,6 +8,9 @@ pub mod bytes_codec;
 pub mod codec;
 #[cfg(feature = "convert")]
 pub mod convert;
+pub mod first_message;
+pub mod map_of;
+pub mod read_token;
 
 /// Generated from `proto/tidemap/v1/*.proto`; each item is documented there.
 #[allow(missing_docs, clippy::all, clippy::pedantic)]

@@ -4,6 +4,7 @@
 //! that does not know its caller may see no map. Tokens are kept as hashes, and no message, log or `Debug` shows one.
 
 pub(crate) mod keyring;
+pub(crate) mod places;
 pub(crate) mod table;
 pub(crate) mod token_command;
 pub(crate) mod token_file;

@@ -220,6 +220,13 @@ pub(crate) struct Jobs {
 }
 
 impl Jobs {
+    /// The jobs of one of several daemons: others have other numbers. They are below 2^52, which JSON readers keep.
+    #[cfg_attr(not(test), expect(dead_code, reason = "for the daemons of a cluster"))]
+    pub(crate) fn of_member(name: &str) -> Self {
+        let number = u64::from(crc32c::crc32c(name.as_bytes()) & 0xF_FFFF).max(1);
+        Self { next_id: AtomicU64::new(number << 32), ..Self::default() }
+    }
+
     /// Adds a waiting job.
     pub(crate) fn create(
         &self,
@@ -317,6 +324,18 @@ mod tests {
         assert!(!reason(&failed[0]).contains("anna"));
         assert!(reason(&failed[1]).contains("anna"), "that of another map stays");
         assert_eq!(reason(&other), "no thread");
+    }
+
+    #[test]
+    fn jobs_of_several_daemons_have_different_numbers() {
+        let first = |jobs: Jobs| jobs.create(None, JobCause::Backup, 0).id;
+        let mut ids: Vec<u64> = ["a", "b", "tidemap-0", "tidemap-1"].map(|name| first(Jobs::of_member(name))).into();
+        ids.push(first(Jobs::default()));
+        assert_eq!(ids.last(), Some(&1));
+        ids.sort_unstable();
+        ids.dedup_by_key(|id| *id >> 32);
+        assert_eq!(ids.len(), 5, "{ids:?}");
+        assert!(ids.iter().all(|id| *id < 1 << 52), "{ids:?}");
     }
 
     #[test]

@@ -20,6 +20,7 @@ mod index_print;
 mod ingest;
 mod jobs;
 mod model_cache;
+mod peers;
 mod random_id;
 mod reload;
 mod repair;

@@ -144,7 +144,7 @@ impl RawStream {
         let mut all = Vec::new();
         loop {
             match self.reply().await? {
-                Message::Ack(Ack { durable_sequence, refused }) => {
+                Message::Ack(Ack { durable_sequence, refused, .. }) => {
                     all.extend(refused);
                     if durable_sequence >= sequence {
                         return Ok(all);

@@ -11,6 +11,7 @@ use std::{
 
 use tidemap_proto::{
     convert::{map::refusal_from_wire, reporting::stated_reporting_to_wire},
+    read_token::ReadToken,
     v1::{
         Ack, Alive, Goodbye, GoodbyeReason, Hello, ObserveRequest, ObserveResponse, ProducerSensor, Welcome,
         observation_service_client::ObservationServiceClient, observe_request, observe_response,
@@ -186,7 +187,7 @@ impl Link {
                 reply = self.reply(&mut replies) => match reply? {
                     observe_response::Message::Ack(ack) => self.acknowledge(ack)?,
                     observe_response::Message::Goodbye(goodbye) => {
-                        self.acknowledge(Ack { durable_sequence: goodbye.durable_sequence, refused: Vec::new() })?;
+                        self.acknowledge(Ack { durable_sequence: goodbye.durable_sequence, refused: Vec::new(), position: 0 })?;
                         return Err(ending(goodbye));
                     }
                     // For information: the flow control of the connection throttles sending.
@@ -260,6 +261,8 @@ impl Link {
     }
 
     fn acknowledge(&mut self, ack: Ack) -> Result<(), End> {
+        let seen = ReadToken { position: ack.position, generation: 0 };
+        self.client.tokens().saw(&self.shared.options.map, seen);
         let dropped = {
             let mut state = self.shared.state();
             let dropped = state.keep_refusals(ack.refused.into_iter().map(refusal));

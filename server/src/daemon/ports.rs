@@ -149,7 +149,7 @@ impl Ports {
         let is_local = http_address.ip().is_loopback();
         let has_tls = http_tls.is_some() && !is_local;
         let page = PageAddress { address: http_address, has_tls };
-        let services = rpc::serve::services(Arc::clone(catalog), settings, page, stopping.clone()).await;
+        let services = rpc::serve::services(Arc::clone(catalog), settings, page, None, stopping.clone()).await;
         services.health().tell(http::readiness(catalog, false).0).await;
         let watched = Arc::downgrade(catalog);
         crate::task::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));

@@ -5,10 +5,13 @@
 //!
 //! Invariant: reading never waits, and the map changes only by commands to its writer.
 
-use std::sync::{
-    Arc, Mutex, PoisonError,
-    atomic::{AtomicBool, AtomicU64, Ordering},
-    mpsc,
+use std::{
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc,
+    },
+    time::Duration,
 };
 
 use arc_swap::ArcSwap;
@@ -37,6 +40,22 @@ pub(crate) enum OpenProgress {
     Open,
 }
 
+/// What a view shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Shown {
+    /// Log position of the last event.
+    pub position: u64,
+    /// Number of the generation.
+    pub generation: u64,
+}
+
+impl Shown {
+    /// What a view shows.
+    pub(super) fn of(view: &MapView) -> Self {
+        Self { position: view.position(), generation: view.generation() }
+    }
+}
+
 /// The endpoints of a map's writer: what it shares with the handle.
 pub(crate) struct WriterEndpoints {
     pub(super) view: Arc<ArcSwap<MapView>>,
@@ -47,6 +66,7 @@ pub(crate) struct WriterEndpoints {
     pub(crate) opening: watch::Sender<OpenProgress>,
     pub(crate) role: watch::Sender<MapRole>,
     pub(super) digest: watch::Sender<Option<DigestStatus>>,
+    pub(super) shown: watch::Sender<Shown>,
 }
 
 impl WriterEndpoints {
@@ -74,6 +94,7 @@ pub(crate) struct MapHandle {
     opening: watch::Receiver<OpenProgress>,
     role: watch::Receiver<MapRole>,
     digest: watch::Receiver<Option<DigestStatus>>,
+    shown: watch::Receiver<Shown>,
     /// Whether the map has another handle, and may have other ids of states.
     replaced: AtomicBool,
     // A lock, because the totals of a generation are counted once; held to copy them, not while counting.
@@ -88,6 +109,7 @@ impl MapHandle {
         view: MapView,
         clock: &Arc<dyn Clock>,
     ) -> (Self, WriterEndpoints) {
+        let (shown_sender, shown) = watch::channel(Shown::of(&view));
         let view = Arc::new(ArcSwap::from_pointee(view));
         let (commands, inbox) = mpsc::channel();
         let (saturated_sender, saturated) = watch::channel(false);
@@ -104,6 +126,7 @@ impl MapHandle {
             opening: opening_sender,
             role: role_sender,
             digest: digest_sender,
+            shown: shown_sender,
         };
         let tile_totals = Mutex::new(None);
         let number = HANDLES.fetch_add(1, Ordering::Relaxed);
@@ -121,6 +144,7 @@ impl MapHandle {
             opening,
             role,
             digest,
+            shown,
             replaced,
             tile_totals,
         };
@@ -184,8 +208,24 @@ impl MapHandle {
         *self.digest.borrow()
     }
 
+    /// Follows what this daemon is to the map.
+    pub(crate) fn watch_role(&self) -> watch::Receiver<MapRole> {
+        self.role.clone()
+    }
+
+    /// What the current view shows.
+    pub(crate) fn shown(&self) -> Shown {
+        Shown::of(&self.view.load())
+    }
+
+    /// Waits until the view shows so much, for a bounded time; gives whether it does.
+    pub(crate) async fn shows(&self, reaches: impl Fn(Shown) -> bool, within: Duration) -> bool {
+        // The writer may have stopped: the view stays as it is.
+        let _ = tokio::time::timeout(within, self.shown.clone().wait_for(|shown| reaches(*shown))).await;
+        reaches(self.shown())
+    }
+
     /// Log position of the last event that the view shows.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for the status of a cluster"))]
     pub(crate) fn position(&self) -> u64 {
         self.view.load().position()
     }

@@ -47,7 +47,7 @@ use super::handle::MapHandle;
 use super::{
     anomaly_feed::AnomalyFeed,
     ending::Ending,
-    handle::{OpenProgress, WriterEndpoints},
+    handle::{OpenProgress, Shown, WriterEndpoints},
     protocol::{Command, Hello, HelloError, KnownProducer, RefusedObservation, SessionEvent, SessionId, Welcome},
     role::NotWriter,
     sessions::{SessionLimits, Sessions},
@@ -168,10 +168,11 @@ fn build(
 ) -> (Writer, mpsc::Receiver<Command>) {
     let RestoredMap { mut map, log, is_shared, logged, unsaved, begun } = restored;
     let spec = Arc::clone(map.spec());
-    let WriterEndpoints { view, commands, inbox, saturated, tile_bytes, opening, role, digest } = endpoints;
+    let WriterEndpoints { view, commands, inbox, saturated, tile_bytes, opening, role, digest, shown } = endpoints;
     tile_bytes.store(map.tile_memory().bytes, Ordering::Relaxed);
     // First the view: who has waited for the map sees everything that is acknowledged.
     view.store(Arc::new(map.publish()));
+    shown.send_replace(Shown::of(&view.load()));
     let follower = Follower::new(role, is_shared);
     opening.send_replace(OpenProgress::Open);
     let limits = SessionLimits {
@@ -194,6 +195,7 @@ fn build(
         map,
         log,
         view,
+        shown,
         saturated,
         commands,
         appends: Appends::default(),
@@ -225,6 +227,7 @@ struct Writer {
     map: LiveMap,
     log: Arc<dyn EventLog>,
     view: Arc<ArcSwap<MapView>>,
+    shown: watch::Sender<Shown>,
     saturated: watch::Sender<bool>,
     commands: mpsc::Sender<Command>,
     sessions: Sessions,
@@ -375,6 +378,7 @@ impl Writer {
     fn publish(&mut self) {
         if std::mem::take(&mut self.changed) {
             self.view.store(Arc::new(self.map.publish()));
+            self.shown.send_replace(Shown::of(&self.view.load()));
         }
         self.feed.tell(&self.view.load());
         self.edits.published();
@@ -391,7 +395,7 @@ impl Writer {
         }
         let answer = if self.stopping.is_some() {
             Err(HelloError::Closing)
-        } else if let Some(refused) = self.not_writer() {
+        } else if let Some(refused) = self.not_writer().or_else(|| self.not_current()) {
             Err(refused.into())
         } else if let Some(error) = self.appends.failure() {
             Err(HelloError::Storage(error.clone()))

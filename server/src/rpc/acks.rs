@@ -9,9 +9,13 @@ use crate::ingest::protocol::RefusedObservation;
 /// Maximum number of refusals of one message: less than 1 MB; clients accept 4 MiB.
 const REFUSALS_MAX: usize = 1000;
 
-/// The messages that acknowledge up to `durable`, after `before`. All but the last repeat the old number, so that a
-/// client which receives only some of them does not take refused observations for accepted.
-pub(super) fn acks(before: u64, durable: u64, refused: Vec<RefusedObservation>) -> impl Iterator<Item = v1::Ack> {
+/// The messages that acknowledge up to `durable`, after `before`, at a position of the log. All but the last repeat the
+/// old number, so that a client which receives only some of them does not take refused observations for accepted.
+pub(super) fn acks(
+    (before, durable): (u64, u64),
+    refused: Vec<RefusedObservation>,
+    position: u64,
+) -> impl Iterator<Item = v1::Ack> {
     let mut left = refused.len();
     let mut refused = refused.into_iter();
     let mut is_first = true;
@@ -22,7 +26,7 @@ pub(super) fn acks(before: u64, durable: u64, refused: Vec<RefusedObservation>) 
         is_first = false;
         let refused: Vec<_> = refused.by_ref().take(REFUSALS_MAX).map(refusal).collect();
         left -= refused.len();
-        Some(v1::Ack { durable_sequence: if left == 0 { durable } else { before }, refused })
+        Some(v1::Ack { durable_sequence: if left == 0 { durable } else { before }, refused, position })
     })
 }
 
@@ -39,7 +43,7 @@ mod tests {
     fn check(count: u64, expected: &[(u64, usize)]) {
         let refused =
             |sequence| RefusedObservation { sequence, reason: RefusalReason::Value, detail: "wrong".to_owned() };
-        let acks: Vec<_> = acks(7, 9000, (8..8 + count).map(refused).collect()).collect();
+        let acks: Vec<_> = acks((7, 9000), (8..8 + count).map(refused).collect(), 5).collect();
         let shape: Vec<_> = acks.iter().map(|ack| (ack.durable_sequence, ack.refused.len())).collect();
         assert_eq!(shape, expected);
         let refused = acks.iter().flat_map(|ack| &ack.refused).map(|refusal| refusal.sequence);

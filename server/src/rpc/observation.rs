@@ -13,7 +13,7 @@ use tonic::{Request, Response, Status, Streaming};
 use tracing::debug;
 
 use super::{RpcReply, permits::Permits, status::RpcError};
-use crate::{access::Caller, catalog::Catalog, ingest::intake::IntakeLimits, telemetry::traces::Span};
+use crate::{access::Caller, catalog::Catalog, ingest::intake::IntakeLimits, peers::Peers, telemetry::traces::Span};
 
 mod channel;
 mod classify;
@@ -25,6 +25,7 @@ mod stream;
 
 use channel::{READ_WITHIN, Requests};
 use open_streams::OpenStreams;
+pub(super) use opening::HELLO_WITHIN;
 use opening::open_and_serve;
 
 /// Replies that wait for the client.
@@ -45,6 +46,8 @@ pub(crate) struct StreamLimits {
 #[derive(Clone, Debug)]
 pub(crate) struct Observations {
     pub catalog: Arc<Catalog>,
+    /// The daemons that share maps, if this is one of them.
+    pub peers: Option<Arc<dyn Peers>>,
     pub limits: StreamLimits,
     /// Room for all streams together, in bytes.
     pub buffers: Arc<Semaphore>,

@@ -4,7 +4,7 @@
 
 use std::{sync::Arc, time::Duration};
 
-use axum::middleware::from_fn_with_state;
+use axum::middleware::{from_fn, from_fn_with_state};
 use tidemap_proto::convert::scans::ScanLimits;
 use tidemap_proto::v1::{
     DESCRIPTORS, exploration_service_server::ExplorationServiceServer, landmark_service_server::LandmarkServiceServer,
@@ -21,6 +21,7 @@ use tonic_health::{ServingStatus, server::HealthReporter};
 use super::{
     admission::{Admission, AdmittedService, RequestLimits},
     exploration::{Explorations, PlanLimits},
+    gateway::{ClusterGateway, answer_or_pass, keep_authorization},
     guard::{Access, serve_caller},
     maintenance::{Maintenance, PageAddress},
     map::Maps,
@@ -30,7 +31,9 @@ use super::{
     route::Routes,
     tasks::Tasks,
 };
-use crate::{catalog::Catalog, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits};
+use crate::{
+    catalog::Catalog, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits, peers::SharedMaps,
+};
 
 /// Maximum size of a request without observations: 100,000 times and thousands of names fit.
 const REQUEST_BYTES: usize = 1 << 20;
@@ -58,6 +61,8 @@ pub(crate) struct Services {
     queries: Arc<Queries>,
     admission: Admission,
     health: Health,
+    /// Where daemons share maps.
+    gateway: Option<ClusterGateway>,
 }
 
 /// What the health service says.
@@ -84,7 +89,15 @@ impl Services {
     /// The services for callers with this access.
     pub(crate) fn guarded(&self, access: Access) -> GuardedServices {
         let serve_caller = from_fn_with_state(access.clone(), serve_caller);
-        let router = self.routes.clone().prepare().into_axum_router().layer(serve_caller);
+        let mut router = self.routes.clone().prepare().into_axum_router();
+        if let Some(gateway) = self.gateway.clone() {
+            router = router.layer(from_fn_with_state(gateway, answer_or_pass));
+        }
+        // The layer that is added last gets a request first.
+        router = router.layer(serve_caller);
+        if self.gateway.is_some() {
+            router = router.layer(from_fn(keep_authorization));
+        }
         // Every request passes it, also one of a method that does not exist.
         self.admission.service(service::Routes::from(router), access)
     }
@@ -95,18 +108,23 @@ impl Services {
     }
 }
 
-/// Makes the services of a daemon that serves its page there.
+/// Makes the services of a daemon that serves its page there. `shared`: the daemons that share maps, if this is one of
+/// them.
 pub(crate) async fn services(
     catalog: Arc<Catalog>,
     settings: &Settings,
     page: PageAddress,
+    shared: Option<SharedMaps>,
     stopping: watch::Receiver<bool>,
 ) -> Services {
     let (health, health_service) = tonic_health::server::health_reporter();
     let health = Health(health);
     health.tell(false).await;
+    let peers = shared.as_ref().map(|shared| Arc::clone(&shared.peers));
+    let gateway = shared.map(|shared| ClusterGateway::new(Arc::clone(&catalog), shared, stopping.clone()));
     let observations = Observations {
         catalog: Arc::clone(&catalog),
+        peers,
         limits: StreamLimits {
             intake: IntakeLimits {
                 batch: settings.max_batch_observations,
@@ -171,7 +189,7 @@ pub(crate) async fn services(
             MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone(), page })
                 .max_decoding_message_size(REQUEST_BYTES),
         );
-    Services { routes, queries, admission, health }
+    Services { routes, queries, admission, health, gateway }
 }
 
 /// Serves the gRPC port to those with access until `stop` becomes true and the connections are closed. Reflection is

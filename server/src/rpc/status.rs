@@ -26,10 +26,12 @@ use crate::{
     model_cache::ModelUnavailable,
 };
 
+mod gateway_error;
 mod misfit;
 mod plan_error;
 mod route_error;
 
+pub(crate) use gateway_error::GatewayError;
 pub(crate) use misfit::{Misfit, Problem};
 pub(crate) use plan_error::PlanError;
 pub(crate) use route_error::RouteError;
@@ -106,6 +108,8 @@ pub(crate) enum RpcError {
     Plan(#[from] PlanError),
     #[error(transparent)]
     Route(#[from] RouteError),
+    #[error(transparent)]
+    Gateway(#[from] GatewayError),
     #[error(transparent)]
     Hello(#[from] HelloError),
     #[error(transparent)]
@@ -346,6 +350,7 @@ impl RpcError {
             },
             Self::Plan(error) => error.code_and_reason(),
             Self::Route(error) => error.code_and_reason(),
+            Self::Gateway(error) => error.code_and_reason(),
             Self::Hello(error) => match error {
                 HelloError::AlreadyStreaming { .. } => (Code::AlreadyExists, "ALREADY_STREAMING"),
                 HelloError::Fenced { .. } => (Code::Aborted, "FENCED"),

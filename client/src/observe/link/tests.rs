@@ -152,7 +152,7 @@ impl Fake {
                     let ack = {
                         let mut stored = self.stored();
                         let refused = stored.take(batch, &mut names);
-                        Ack { durable_sequence: stored.rows.len() as u64, refused }
+                        Ack { durable_sequence: stored.rows.len() as u64, refused, position: 0 }
                     };
                     if matches!(act, Act::ServeUntil(rows) if ack.durable_sequence > rows) {
                         return Ok(());

@@ -100,6 +100,12 @@ impl Writer {
         })
     }
 
+    /// Why nobody is told how far a sequence is durable; `None`: all of the log is known here. A daemon that was cut
+    /// off does not know yet that another one writes, and what that one has acknowledged.
+    pub(super) fn not_current(&self) -> Option<NotWriter> {
+        (!self.log.is_current()).then(|| NotWriter { map: self.map.spec().name.clone(), writer: None })
+    }
+
     /// Does what the replica has told, as far as it can be done now.
     pub(super) fn follow(&mut self) {
         while self.stopping.is_none() && self.follow_next() {}

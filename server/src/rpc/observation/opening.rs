@@ -30,7 +30,7 @@ use crate::{
 };
 
 /// A stream must say hello within this time.
-const HELLO_WITHIN: Duration = Duration::from_secs(10);
+pub(in crate::rpc) const HELLO_WITHIN: Duration = Duration::from_secs(10);
 
 /// Serves a stream from its first message to its end.
 ///

@@ -98,6 +98,7 @@ impl<'a> Stream<'a> {
 
     fn welcome(&self) -> v1::Welcome {
         let limits = self.service.limits;
+        let direct = self.service.peers.as_ref().and_then(|peers| peers.address_of(peers.name()));
         v1::Welcome {
             store_id: self.service.catalog.context().identity().to_owned(),
             incarnation: self.opened.incarnation,
@@ -109,6 +110,7 @@ impl<'a> Stream<'a> {
             max_scan_tiles: u32::try_from(limits.intake.scans.tiles).unwrap_or(u32::MAX),
             max_message_bytes: u32::try_from(limits.max_message_bytes).unwrap_or(u32::MAX),
             max_ahead: Some(duration(FUTURE_MAX_NANOS)),
+            direct: direct.unwrap_or_default(),
         }
     }
 
@@ -269,8 +271,14 @@ impl<'a> Stream<'a> {
 
     /// Answers a message without new observations.
     async fn say_durable(&self) -> Result<(), RpcError> {
-        let ack = v1::Ack { durable_sequence: self.durable, refused: Vec::new() };
+        let ack = v1::Ack { durable_sequence: self.durable, refused: Vec::new(), position: self.position() };
         reply(self.replies, Down::Ack(ack)).await
+    }
+
+    /// A position in the log of a map that daemons share at which it has what is durable; else 0.
+    fn position(&self) -> u64 {
+        // What an acknowledgement tells is published before it is told.
+        if self.handle.role().is_shared() { self.handle.position() } else { 0 }
     }
 
     /// Waits for room, and forwards acknowledgements meanwhile, because they free room.
@@ -302,7 +310,7 @@ impl<'a> Stream<'a> {
                 while let Some((_, sent)) = self.in_flight.pop_front_if(|(last, _)| *last <= durable_sequence) {
                     metrics::histogram!("tidemap_acknowledgement_seconds").record(sent.elapsed());
                 }
-                for ack in acks(before, durable_sequence, refused) {
+                for ack in acks((before, durable_sequence), refused, self.position()) {
                     reply(self.replies, Down::Ack(ack)).await?;
                 }
                 Ok(())

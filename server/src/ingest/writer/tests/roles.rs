@@ -161,6 +161,19 @@ async fn what_was_not_acknowledged_when_another_daemon_writes_is_not_in_the_map(
 }
 
 #[tokio::test]
+async fn a_writer_that_may_have_been_replaced_tells_nobody_how_far_a_sequence_is_durable() {
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let (replica, log) = replica(dir.path());
+    replica.write(1);
+    log.set_stale(true);
+    assert_eq!(hello(&replica.handle, "r", 0, false).await.err(), Some(HelloError::NotWriter(refusal(None))));
+    log.set_stale(false);
+    let opened = hello(&replica.handle, "r", 0, false).await.expect("accepted").opened;
+    assert_eq!(opened.durable_sequence, 0);
+    replica.stop().await;
+}
+
+#[tokio::test]
 async fn a_stream_hears_of_what_is_in_the_log_before_it_hears_of_another_writer() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let mut bare = bare(dir.path(), NOON, None);

@@ -1,0 +1,56 @@
+//! The other daemons that share maps with this one: who they are, and how they prove it.
+//!
+//! Invariant: a daemon that shares no maps has no peers.
+
+use std::{
+    fmt,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use tidemap_map::name::MapName;
+
+/// What a daemon needs to know of the daemons that share maps.
+pub(crate) trait Peers: Send + Sync + fmt::Debug {
+    /// The name of this daemon.
+    fn name(&self) -> &str;
+
+    /// Where a daemon is reached, as `http://HOST:PORT` or `https://HOST:PORT`.
+    fn address_of(&self, member: &str) -> Option<String>;
+
+    /// The names of the other daemons.
+    fn others(&self) -> Vec<String>;
+
+    /// The daemon that writes a map which this one does not hold, if there is such a map and its writer is known.
+    fn writer_of(&self, map: &str) -> Option<String>;
+
+    /// When this daemon last heard where the log of a map ends.
+    fn heard(&self, map: &MapName) -> Option<Instant>;
+
+    /// After so long without that, a map is not shown.
+    fn max_staleness(&self) -> Duration;
+}
+
+/// What two daemons prove to each other. Its `Debug` shows no secret.
+#[derive(Clone)]
+pub(crate) struct PeerTls {
+    /// Certificates of the authorities that the other's certificate may come from, in PEM form.
+    pub ca: Vec<u8>,
+    /// This daemon's certificate and its private key, in PEM form.
+    pub identity: Option<(Vec<u8>, Vec<u8>)>,
+}
+
+impl fmt::Debug for PeerTls {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("PeerTls").field("identity", &self.identity.is_some()).finish_non_exhaustive()
+    }
+}
+
+/// The daemons that share maps.
+#[derive(Clone, Debug)]
+pub(crate) struct SharedMaps {
+    /// Who they are.
+    pub peers: Arc<dyn Peers>,
+    /// For those with an address that begins with `https://`.
+    pub tls: Option<PeerTls>,
+}

@@ -1,0 +1,62 @@
+//! Jobs that other daemons have.
+//!
+//! Invariant: a job that is known here is answered here.
+
+use axum::{body::Body, http::HeaderMap, middleware::Next, response::Response};
+use http_body_util::Full;
+use prost::Message as _;
+use tidemap_proto::{first_message::PeekedBody, v1};
+
+use super::{ClusterGateway, GatewayCall, WRITER_WITHIN};
+use crate::rpc::status::{GatewayError, RpcError};
+
+/// NOT_FOUND, as gRPC writes it.
+const NOT_FOUND: &str = "5";
+
+impl ClusterGateway {
+    /// Answers a request of a job where the job is known: the others are asked one after the other.
+    pub(super) async fn find_job(
+        &self,
+        call: GatewayCall,
+        message: Option<&[u8]>,
+        next: Next,
+    ) -> Result<Response, RpcError> {
+        // All requests of jobs have the number in their first field.
+        let id = message.and_then(|message| v1::GetJobRequest::decode(message).ok()).map(|request| request.id);
+        let (Some(id), Some(message), None) = (id, message, call.passed_by()) else {
+            return Ok(call.answer(next).await);
+        };
+        if self.catalog.context().jobs.get(id).is_some() {
+            return Ok(call.answer(next).await);
+        }
+        let mut silent = None;
+        for member in self.peers.others() {
+            let Some(address) = self.peers.address_of(&member) else { continue };
+            let Ok(Ok(place)) = tokio::time::timeout(WRITER_WITHIN, self.links.place(&address)).await else {
+                silent = Some(member);
+                continue;
+            };
+            let body = PeekedBody::new(Body::new(Full::new(framed(message))));
+            let question = GatewayCall { parts: call.parts.clone(), body, authorization: call.authorization.clone() };
+            match self.pass(question, (member.clone(), &address, place)).await {
+                Ok(reply) if is_unknown(reply.headers()) => {}
+                Err(RpcError::Gateway(GatewayError::Broke { .. })) => silent = Some(member),
+                answer => return answer,
+            }
+        }
+        match silent {
+            Some(member) => Err(GatewayError::JobAway { id, member }.into()),
+            None => Ok(call.answer(next).await),
+        }
+    }
+}
+
+fn is_unknown(headers: &HeaderMap) -> bool {
+    headers.get("grpc-status").is_some_and(|status| status == NOT_FOUND)
+}
+
+/// A message as a body has it.
+fn framed(message: &[u8]) -> axum::body::Bytes {
+    let length = u32::try_from(message.len()).unwrap_or(u32::MAX);
+    [&[0][..], &length.to_be_bytes(), message].concat().into()
+}

@@ -1,0 +1,155 @@
+//! Connections to the other daemons that share maps with this one.
+//!
+//! Invariant: connections are kept and used again, their number is bounded, and a call holds its place on one until its
+//! reply has ended.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+
+use crate::peers::PeerTls;
+
+/// A daemon must answer a connection within this time.
+const CONNECT_WITHIN: Duration = Duration::from_secs(1);
+/// A daemon whose machine is gone is noticed after both.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(2);
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(2);
+/// Calls that share a connection: fewer than the other daemon allows.
+const CALLS_PER_CONNECTION: usize = 48;
+/// Connections to one daemon.
+const CONNECTIONS_MAX: usize = 64;
+/// Idle connections to one daemon that are kept.
+const IDLE_KEPT: usize = 2;
+/// Bytes of a call that are sent and not read yet.
+const WINDOW: u32 = 256 * 1024;
+
+/// A place on a connection; free again when dropped.
+#[derive(Debug)]
+pub(super) struct PeerPlace {
+    pub channel: Channel,
+    place: Arc<()>,
+}
+
+#[derive(Debug)]
+struct PeerChannel {
+    channel: Channel,
+    /// One reference is here, and one in each place.
+    places: Arc<()>,
+}
+
+impl PeerChannel {
+    fn calls(&self) -> usize {
+        Arc::strong_count(&self.places) - 1
+    }
+
+    fn place(&self) -> PeerPlace {
+        PeerPlace { channel: self.channel.clone(), place: Arc::clone(&self.places) }
+    }
+}
+
+/// The connections to one daemon.
+#[derive(Debug, Default)]
+struct PeerLinks {
+    /// One connection is made at a time.
+    connecting: tokio::sync::Mutex<()>,
+    // A lock, because calls come from all tasks; held only to count.
+    open: Mutex<Vec<PeerChannel>>,
+}
+
+impl PeerLinks {
+    fn open(&self) -> MutexGuard<'_, Vec<PeerChannel>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn free_place(&self) -> Option<PeerPlace> {
+        let mut open = self.open();
+        let mut idle = 0;
+        open.retain(|link| {
+            idle += usize::from(link.calls() == 0);
+            link.calls() > 0 || idle <= IDLE_KEPT
+        });
+        // The fullest one with room, so that others become idle.
+        let with_room = open.iter().filter(|link| link.calls() < CALLS_PER_CONNECTION);
+        with_room.max_by_key(|link| link.calls()).map(PeerChannel::place)
+    }
+}
+
+/// The connections to all daemons, by address.
+#[derive(Debug)]
+pub(super) struct Links {
+    tls: Option<PeerTls>,
+    by_address: Mutex<HashMap<String, Arc<PeerLinks>>>,
+}
+
+/// There is no connection to a daemon.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum NoLink {
+    #[error(transparent)]
+    Transport(#[from] tonic::transport::Error),
+    #[error("all connections to it are in use")]
+    Full,
+}
+
+impl Links {
+    pub(super) fn new(tls: Option<PeerTls>) -> Self {
+        Self { tls, by_address: Mutex::default() }
+    }
+
+    fn of(&self, address: &str) -> Arc<PeerLinks> {
+        let mut all = self.by_address.lock().unwrap_or_else(PoisonError::into_inner);
+        Arc::clone(all.entry(address.to_owned()).or_default())
+    }
+
+    /// A place on a connection to an address, which is made if there is none with room.
+    ///
+    /// # Errors
+    /// Nobody answers there, or there are too many connections.
+    pub(super) async fn place(&self, address: &str) -> Result<PeerPlace, NoLink> {
+        let links = self.of(address);
+        if let Some(place) = links.free_place() {
+            return Ok(place);
+        }
+        let _turn = links.connecting.lock().await;
+        // Another call may have made one.
+        if let Some(place) = links.free_place() {
+            return Ok(place);
+        }
+        if links.open().len() >= CONNECTIONS_MAX {
+            return Err(NoLink::Full);
+        }
+        let channel = self.endpoint(address)?.connect().await?;
+        let link = PeerChannel { channel, places: Arc::new(()) };
+        let place = link.place();
+        links.open().push(link);
+        Ok(place)
+    }
+
+    fn endpoint(&self, address: &str) -> Result<Endpoint, tonic::transport::Error> {
+        let mut endpoint = Endpoint::from_shared(address.to_owned())?
+            .connect_timeout(CONNECT_WITHIN)
+            .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
+            .keep_alive_timeout(KEEPALIVE_TIMEOUT)
+            .keep_alive_while_idle(true)
+            .initial_stream_window_size(WINDOW)
+            // A call whose reply is not read does not hold up the others.
+            .initial_connection_window_size(WINDOW * CALLS_PER_CONNECTION as u32)
+            .tcp_nodelay(true);
+        if let Some(tls) = self.tls.as_ref().filter(|_| address.starts_with("https:")) {
+            let config = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(&tls.ca)).timeout(CONNECT_WITHIN);
+            endpoint = endpoint.tls_config(match &tls.identity {
+                Some((certificate, key)) => config.identity(Identity::from_pem(certificate, key)),
+                None => config,
+            })?;
+        }
+        Ok(endpoint)
+    }
+
+    /// The connection of a place has failed: no other call takes it.
+    pub(super) fn forget(&self, address: &str, failed: &PeerPlace) {
+        self.of(address).open().retain(|link| !Arc::ptr_eq(&link.places, &failed.place));
+    }
+}

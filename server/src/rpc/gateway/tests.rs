@@ -1,0 +1,256 @@
+//! Daemons in one process that share a map: what each answers, and what it passes on.
+
+use std::{
+    collections::HashMap,
+    convert::Infallible,
+    pin::Pin,
+    sync::Mutex,
+    task::{Context as TaskContext, Poll},
+    time::Instant,
+};
+
+use tidemap_cluster::replica::ReplicaEvent;
+use tidemap_map::{name::MapName, spec::MapSpec};
+use tidemap_model::Zone;
+use tidemap_proto::v1::{
+    self, maintenance_service_client::MaintenanceServiceClient, map_service_client::MapServiceClient,
+};
+use tidemap_store::{Store, StoreOptions};
+use tokio::{net::TcpListener, sync::mpsc};
+use tonic::{
+    Code,
+    codegen::Service,
+    transport::{Channel, Server, server::TcpIncoming},
+};
+use tonic_types::StatusExt as _;
+
+use super::*;
+use crate::{
+    clock::SystemClock,
+    config::Settings,
+    ingest::writer::Context,
+    jobs::Jobs,
+    rpc::{guard::Access, maintenance::PageAddress, serve::services},
+};
+
+mod passing;
+mod streams;
+mod views;
+
+/// What a daemon knows of the others, as the test says.
+#[derive(Debug)]
+struct Known {
+    name: String,
+    addresses: Mutex<HashMap<String, String>>,
+    writers: Mutex<HashMap<String, String>>,
+    heard: Mutex<Option<Instant>>,
+}
+
+impl Peers for Known {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn address_of(&self, member: &str) -> Option<String> {
+        self.addresses.lock().expect("not poisoned").get(member).cloned()
+    }
+
+    fn others(&self) -> Vec<String> {
+        self.addresses.lock().expect("not poisoned").keys().filter(|member| **member != self.name).cloned().collect()
+    }
+
+    fn writer_of(&self, map: &str) -> Option<String> {
+        self.writers.lock().expect("not poisoned").get(map).cloned()
+    }
+
+    fn heard(&self, _: &MapName) -> Option<Instant> {
+        *self.heard.lock().expect("not poisoned")
+    }
+
+    fn max_staleness(&self) -> Duration {
+        Duration::from_secs(3600)
+    }
+}
+
+/// A daemon with its gRPC port.
+struct Member {
+    catalog: Arc<Catalog>,
+    known: Arc<Known>,
+    address: String,
+    stop: watch::Sender<bool>,
+    _dir: tempfile::TempDir,
+}
+
+impl Member {
+    async fn start(name: &str) -> Self {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
+        let context = Context {
+            store: Arc::new(Store::open(dir.path(), options).expect("a store")),
+            jobs: Arc::new(Jobs::of_member(name)),
+            clock: Arc::new(SystemClock),
+            update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool")),
+            fatal: mpsc::unbounded_channel().0,
+            forks: mpsc::unbounded_channel().0,
+            max_states: 100,
+            max_producers: 10,
+            max_pending: tidemap_map::live_map::PendingLimits { observations: 1_000_000, changes: 1_000_000 },
+            update_at_midnight: false,
+            max_tiles: 20,
+            tile_cache_bytes: 1 << 30,
+        };
+        let catalog = Arc::new(Catalog::open(context, 10, u64::MAX).expect("maps").0);
+        let known = Arc::new(Known {
+            name: name.to_owned(),
+            addresses: Mutex::default(),
+            writers: Mutex::default(),
+            heard: Mutex::new(Some(Instant::now())),
+        });
+        let (stop, stopping) = watch::channel(false);
+        let page = PageAddress { address: ([127, 0, 0, 1], 1).into(), has_tls: false };
+        let shared = SharedMaps { peers: Arc::clone(&known) as Arc<dyn Peers>, tls: None };
+        let services = services(Arc::clone(&catalog), &Settings::default(), page, Some(shared), stopping).await;
+        let address = serve(services.guarded(Access::Anybody)).await;
+        let member = Self { catalog, known, address, stop, _dir: dir };
+        member.knows(name, &member.address);
+        member
+    }
+
+    /// Two daemons that hold the map `office`: `a` follows, and `b` writes.
+    async fn pair() -> (Self, Self) {
+        let (a, b) = (Self::start("a").await, Self::start("b").await);
+        for member in [&a, &b] {
+            member.create().await;
+        }
+        a.knows("b", &b.address);
+        b.knows("a", &a.address);
+        a.tell(ReplicaEvent::Following { writer: Some("b".to_owned()) }).await;
+        b.tell(ReplicaEvent::Writing { epoch: 1 }).await;
+        (a, b)
+    }
+
+    async fn create(&self) {
+        let name = MapName::new("office").expect("valid");
+        let spec = MapSpec { zone: Zone::named("Europe/London").expect("known"), ..MapSpec::new(name) };
+        self.catalog.create(spec).await.expect("created");
+    }
+
+    fn knows(&self, member: &str, address: &str) {
+        self.known.addresses.lock().expect("not poisoned").insert(member.to_owned(), address.to_owned());
+    }
+
+    fn handle(&self) -> Arc<MapHandle> {
+        self.catalog.get("office").expect("the map")
+    }
+
+    /// The replica of the map tells its role, which the map has afterwards.
+    async fn tell(&self, event: ReplicaEvent) {
+        let handle = self.handle();
+        let role = match &event {
+            ReplicaEvent::Following { writer } => MapRole::Following { writer: writer.clone() },
+            ReplicaEvent::Writing { epoch } => MapRole::Writing { epoch: *epoch },
+            other => panic!("no role: {other:?}"),
+        };
+        handle.replica_listener()(event);
+        handle.watch_role().wait_for(|now| *now == role).await.expect("the map is open");
+    }
+
+    async fn channel(&self) -> Channel {
+        let endpoint = Channel::from_shared(self.address.clone()).expect("an address").tcp_nodelay(true);
+        endpoint.connect().await.expect("it listens")
+    }
+
+    async fn maps(&self) -> MapServiceClient<Channel> {
+        MapServiceClient::new(self.channel().await)
+    }
+
+    async fn jobs(&self) -> MaintenanceServiceClient<Channel> {
+        MaintenanceServiceClient::new(self.channel().await)
+    }
+
+    /// The states that a request to this daemon shows, and what the reply says that it shows.
+    async fn states(&self, at_least: Option<ReadToken>) -> Result<(Vec<String>, ReadToken), Status> {
+        let mut request = tonic::Request::new(v1::ListStatesRequest { map: "office".to_owned(), ..Default::default() });
+        mark(&mut request, at_least);
+        let reply = self.maps().await.list_states(request).await?;
+        let shown = shown(reply.metadata());
+        Ok((reply.into_inner().states.into_iter().map(|state| state.name).collect(), shown))
+    }
+
+    async fn add_state(&self, state: &str) -> Result<tonic::Response<v1::AddStateResponse>, Status> {
+        self.maps().await.add_state(new_state(state)).await
+    }
+}
+
+fn new_state(name: &str) -> v1::AddStateRequest {
+    v1::AddStateRequest { map: "office".to_owned(), state: name.to_owned(), ..v1::AddStateRequest::default() }
+}
+
+fn mark<T>(request: &mut tonic::Request<T>, at_least: Option<ReadToken>) {
+    if let Some(token) = at_least {
+        let mut headers = HeaderMap::new();
+        token.put(&mut headers, AT_LEAST);
+        *request.metadata_mut() = tonic::metadata::MetadataMap::from_headers(headers);
+    }
+}
+
+fn shown(metadata: &tonic::metadata::MetadataMap) -> ReadToken {
+    ReadToken::of(metadata.as_ref(), &SHOWN).expect("a token").expect("the reply says what it shows")
+}
+
+/// Serves on a free port; gives its address.
+async fn serve<S>(service: S) -> String
+where
+    S: Service<http::Request<tonic::body::Body>, Response = http::Response<tonic::body::Body>, Error = Infallible>
+        + Clone
+        + Send
+        + 'static,
+    S::Future: Send + 'static,
+{
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let address = format!("http://{}", listener.local_addr().expect("an address"));
+    let serving = Server::builder().serve_with_incoming(service, TcpIncoming::from(listener).with_nodelay(Some(true)));
+    drop(tokio::spawn(serving));
+    address
+}
+
+/// The reason of an error, for programs.
+fn reason(status: &Status) -> (Code, String) {
+    (status.code(), status.get_details_error_info().map(|info| info.reason).unwrap_or_default())
+}
+
+/// A writer that notes what it gets, and never answers.
+#[derive(Clone, Debug)]
+struct Silent {
+    heads: mpsc::UnboundedSender<HeaderMap>,
+    left: mpsc::UnboundedSender<()>,
+}
+
+/// Tells when it is dropped.
+struct TellLeft(mpsc::UnboundedSender<()>);
+
+impl Drop for TellLeft {
+    fn drop(&mut self) {
+        // The test may have ended.
+        let _ = self.0.send(());
+    }
+}
+
+impl Service<http::Request<tonic::body::Body>> for Silent {
+    type Response = http::Response<tonic::body::Body>;
+    type Error = Infallible;
+    type Future = Pin<Box<dyn Future<Output = Result<Self::Response, Infallible>> + Send>>;
+
+    fn poll_ready(&mut self, _: &mut TaskContext<'_>) -> Poll<Result<(), Infallible>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn call(&mut self, request: http::Request<tonic::body::Body>) -> Self::Future {
+        let _ = self.heads.send(request.headers().clone());
+        let left = TellLeft(self.left.clone());
+        Box::pin(async move {
+            let _held = (request, left);
+            std::future::pending().await
+        })
+    }
+}

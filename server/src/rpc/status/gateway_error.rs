@@ -1,0 +1,47 @@
+//! Why a request is neither answered here nor passed on.
+//!
+//! Invariant: the message says whether to try again.
+
+use std::time::Duration;
+
+use tidemap_proto::read_token::{InvalidReadToken, ReadToken};
+use tonic::Code;
+
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum GatewayError {
+    #[error("no daemon is known to write map {map:?} now: try again")]
+    NoWriter { map: String },
+    #[error("map {map:?} is written by {writer}, which this daemon cannot reach: try again")]
+    NoWay { map: String, writer: String },
+    #[error("{by} has passed this on as to the writer of map {map:?}; the writer has moved, try again")]
+    Moved { map: String, by: String },
+    #[error("the connection to {member} broke before the reply had ended: try again")]
+    Broke { member: String },
+    #[error("the time for the request was over before {member} had answered")]
+    Late { member: String },
+    #[error(
+        "this daemon has not heard where the log of map {map:?} ends for {} seconds, and what it would show may be old: \
+         try again, ask another daemon, or send the metadata tidemap-allow-stale: 1", .max.as_secs()
+    )]
+    Stale { map: String, max: Duration },
+    #[error("the writer of map {map:?} does not have {wanted} yet, which the client has seen: try again")]
+    Behind { map: String, wanted: ReadToken },
+    #[error("job {id} is not known here, and {member}, which may know it, cannot be reached: try again")]
+    JobAway { id: u64, member: String },
+    #[error(transparent)]
+    Token(#[from] InvalidReadToken),
+}
+
+impl GatewayError {
+    pub(super) fn code_and_reason(&self) -> (Code, &'static str) {
+        match self {
+            Self::NoWriter { .. } => (Code::Unavailable, "NO_WRITER"),
+            Self::NoWay { .. } | Self::JobAway { .. } | Self::Broke { .. } => (Code::Unavailable, "UNREACHABLE"),
+            Self::Moved { .. } => (Code::Unavailable, "NOT_WRITER"),
+            Self::Late { .. } => (Code::DeadlineExceeded, "LATE"),
+            Self::Stale { .. } => (Code::Unavailable, "STALE"),
+            Self::Behind { .. } => (Code::Unavailable, "BEHIND"),
+            Self::Token(_) => (Code::InvalidArgument, "INVALID_FIELD"),
+        }
+    }
+}
