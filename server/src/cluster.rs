@@ -26,7 +26,7 @@ use tidemap_store::{EventLog as _, GroupLog, encode_spec};
 use tokio::sync::{Notify, watch};
 use tracing::{info, warn};
 
-use crate::{config::cluster::ClusterSettings, random_id::random_id, telemetry};
+use crate::{config::cluster::ClusterSettings, peers::Peers, random_id::random_id, telemetry};
 
 /// Pause before the engine is tried again at the start.
 const CONNECT_PAUSE: Duration = Duration::from_secs(1);
@@ -79,6 +79,8 @@ struct Membership {
     /// Wakes who keeps the catalogue.
     changed: Notify,
     is_draining: watch::Sender<bool>,
+    /// The writers of the maps that this daemon does not hold, by the names of the maps.
+    others: Mutex<BTreeMap<String, String>>,
 }
 
 /// The cluster, as this daemon is a member of it. Clones are handles of one.
@@ -166,6 +168,7 @@ impl Cluster {
             replicas: Mutex::default(),
             changed: Notify::new(),
             is_draining: watch::Sender::new(false),
+            others: Mutex::default(),
         })))
     }
 
@@ -271,6 +274,11 @@ impl Cluster {
         }
     }
 
+    /// From now on these daemons write the maps that this one does not hold.
+    pub(crate) fn set_others(&self, writers: BTreeMap<String, String>) {
+        *self.0.others.lock().unwrap_or_else(PoisonError::into_inner) = writers;
+    }
+
     /// The maps that this daemon holds.
     pub(crate) fn held(&self) -> Vec<(u64, MapName)> {
         self.replicas().iter().map(|(&uid, replica)| (uid, replica.name.clone())).collect()
@@ -314,5 +322,38 @@ impl Cluster {
         let (engine, member) = (self.0.engine.clone(), self.0.settings.member.clone());
         let sender = self.0.members.clone();
         membership::run(engine, member, move |counter| self.report(counter), sender).await;
+    }
+}
+
+impl Peers for Cluster {
+    fn name(&self) -> &str {
+        &self.0.settings.member
+    }
+
+    fn address_of(&self, member: &str) -> Option<String> {
+        let members = self.0.members.borrow();
+        let address = members.as_ref().ok()?.get(member)?.report.address.clone();
+        Some(address).filter(|address| !address.is_empty())
+    }
+
+    fn others(&self) -> Vec<String> {
+        let members = self.0.members.borrow();
+        let Ok(members) = members.as_ref() else { return Vec::new() };
+        let others = members.iter().filter(|(name, member)| member.is_alive && **name != self.0.settings.member);
+        others.map(|(name, _)| name.clone()).collect()
+    }
+
+    fn writer_of(&self, map: &str) -> Option<String> {
+        self.0.others.lock().unwrap_or_else(PoisonError::into_inner).get(map).cloned()
+    }
+
+    fn heard(&self, map: &MapName) -> Option<std::time::Instant> {
+        let replicas = self.replicas();
+        let replica = replicas.values().find(|replica| replica.name == *map)?;
+        replica.log.status().borrow().heard.map(tokio::time::Instant::into_std)
+    }
+
+    fn max_staleness(&self) -> Duration {
+        Duration::from_millis(self.0.settings.max_staleness_ms)
     }
 }

@@ -221,7 +221,6 @@ pub(crate) struct Jobs {
 
 impl Jobs {
     /// The jobs of one of several daemons: others have other numbers. They are below 2^52, which JSON readers keep.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for the daemons of a cluster"))]
     pub(crate) fn of_member(name: &str) -> Self {
         let number = u64::from(crc32c::crc32c(name.as_bytes()) & 0xF_FFFF).max(1);
         Self { next_id: AtomicU64::new(number << 32), ..Self::default() }

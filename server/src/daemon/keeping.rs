@@ -4,7 +4,7 @@
 //! Invariant: nothing is deleted because something is missing in the catalogue.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     sync::{Arc, atomic::Ordering},
     time::Duration,
 };
@@ -12,7 +12,8 @@ use std::{
 use tidemap_cluster::{
     assignment::{self, Candidate},
     catalogue::{self, ClusterMap, Listing},
-    engine::SetError,
+    engine::{Bucket, Engine as _, SetError},
+    lease::Lease,
 };
 use tidemap_map::name::MapName;
 use tidemap_store::{decode_spec, encode_spec};
@@ -65,6 +66,24 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, said: &mut Said) {
         }
     }
     keep_held(cluster, catalog, &listing, &listed, said).await;
+    find_writers(cluster, &listing).await;
+}
+
+/// Finds out who writes the maps that this daemon does not hold, so that it can pass requests on.
+async fn find_writers(cluster: &Cluster, listing: &Listing) {
+    let held: BTreeSet<u64> = cluster.held().into_iter().map(|(uid, _)| uid).collect();
+    let is_elsewhere = |map: &ClusterMap| map.uid().is_some_and(|uid| !held.contains(&uid));
+    if !listing.maps.iter().any(|(_, map, _)| is_elsewhere(map)) {
+        return cluster.set_others(BTreeMap::new());
+    }
+    let Ok(leases) = cluster.engine().list(Bucket::Writers).await else { return };
+    let writer = |uid: u64| {
+        let key = format!("{uid:016x}");
+        let lease = leases.iter().find(|(known, _)| *known == key).map(|(_, entry)| Lease::decode(&entry.value))?;
+        Some(lease.writer).filter(|writer| !writer.is_empty())
+    };
+    let others = listing.maps.iter().filter(|(_, map, _)| is_elsewhere(map));
+    cluster.set_others(others.filter_map(|(name, map, _)| Some((name.clone(), writer(map.uid()?)?))).collect());
 }
 
 /// Tells the replica of a map its rank, or makes a replica where this daemon is to hold the map.

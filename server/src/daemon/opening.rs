@@ -69,9 +69,11 @@ pub(super) async fn open_catalog(
         .thread_name(|index| format!("learn-{index}"))
         .build()
         .map_err(anyhow::Error::from)?;
+    let member = cluster.as_ref().map(|cluster| Jobs::of_member(&cluster.settings().member));
+    let jobs = member.unwrap_or_default();
     let context = Context {
         store,
-        jobs: Arc::new(Jobs::default()),
+        jobs: Arc::new(jobs),
         clock: Arc::new(SystemClock),
         update_pool: Arc::new(update_pool),
         fatal,

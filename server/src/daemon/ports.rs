@@ -2,7 +2,7 @@
 //!
 //! Invariant: both ports are bound before anything is served, and stop when they are told.
 
-use std::{net::SocketAddr, sync::Arc, time::Duration};
+use std::{net::SocketAddr, path::Path, sync::Arc, time::Duration};
 
 use rustix::process::{Resource, getrlimit, setrlimit};
 use tokio::{
@@ -24,6 +24,7 @@ use crate::{
         tls::{Protocol, Tls, TlsFiles},
     },
     http,
+    peers::{PeerTls, SharedMaps},
     reload::FileWatch,
     rpc::{self, guard::Access, maintenance::PageAddress, serve::Services},
     storage_watch,
@@ -149,7 +150,8 @@ impl Ports {
         let is_local = http_address.ip().is_loopback();
         let has_tls = http_tls.is_some() && !is_local;
         let page = PageAddress { address: http_address, has_tls };
-        let services = rpc::serve::services(Arc::clone(catalog), settings, page, None, stopping.clone()).await;
+        let shared = shared_maps(settings, catalog)?;
+        let services = rpc::serve::services(Arc::clone(catalog), settings, page, shared, stopping.clone()).await;
         services.health().tell(http::readiness(catalog, false).0).await;
         let watched = Arc::downgrade(catalog);
         crate::task::spawn(storage_watch::run(watched, services.health(), stopping.clone(), fatal));
@@ -193,6 +195,26 @@ impl Ports {
             info!("open connections are closed");
         }
     }
+}
+
+/// The daemons that share maps with this one.
+fn shared_maps(settings: &Settings, catalog: &Catalog) -> Result<Option<SharedMaps>, DaemonError> {
+    let Some(cluster) = catalog.context().cluster.clone() else { return Ok(None) };
+    let ca = &cluster.settings().peer_ca;
+    let tls = if ca.as_os_str().is_empty() {
+        None
+    } else {
+        let read = |path: &Path| {
+            std::fs::read(path)
+                .map_err(|error| DaemonError::Settings(format!("{} cannot be read: {error}", path.display())))
+        };
+        let identity = match settings.tls_files() {
+            Some(files) => Some((read(&files.certificate)?, read(&files.key)?)),
+            None => None,
+        };
+        Some(PeerTls { ca: read(ca)?, identity })
+    };
+    Ok(Some(SharedMaps { peers: Arc::new(cluster), tls }))
 }
 
 /// The connections of the gRPC port and of its socket.

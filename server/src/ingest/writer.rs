@@ -49,7 +49,6 @@ use super::{
     ending::Ending,
     handle::{OpenProgress, Shown, WriterEndpoints},
     protocol::{Command, Hello, HelloError, KnownProducer, RefusedObservation, SessionEvent, SessionId, Welcome},
-    role::NotWriter,
     sessions::{SessionLimits, Sessions},
     update_schedule::{DueUpdate, UpdateSchedule},
 };
@@ -399,9 +398,6 @@ impl Writer {
             Err(refused.into())
         } else if let Some(error) = self.appends.failure() {
             Err(HelloError::Storage(error.clone()))
-        } else if !self.log.is_current() {
-            // Another daemon may have taken more of the producer's sequence already.
-            Err(NotWriter { map: self.map.spec().name.clone(), writer: None }.into())
         } else if hello.incarnation == 0
             && self.sessions.open_of(&hello.key).is_some_and(|open| self.backlog.has_end(open))
         {
