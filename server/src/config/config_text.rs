@@ -92,13 +92,14 @@ pub(crate) fn in_force(settings: &Settings) -> anyhow::Result<String> {
 mod tests {
     use figment::{
         Figment,
-        providers::{Format as _, Toml},
+        providers::{Format as _, Serialized, Toml},
     };
 
     use super::*;
 
     fn parse(text: &str) -> Settings {
-        Figment::from(Toml::string(text)).extract().expect("settings in TOML")
+        let defaults = Serialized::defaults(Settings::default());
+        Figment::from(defaults).merge(Toml::string(text)).extract().expect("settings in TOML")
     }
 
     #[test]
