@@ -1,5 +1,5 @@
-//! What operators ask of a cluster: who its members are, what this daemon is to each map, and which member is to write a
-//! map.
+//! What operators ask of a cluster: who its members are, what this daemon is to each map, and which member is to write
+//! a map.
 //!
 //! Invariant: every answer is this daemon's own. Nothing here waits for another daemon, and nothing is decided about a
 //! log: a move changes an entry of the catalogue, and the writer follows it.

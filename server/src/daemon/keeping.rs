@@ -70,8 +70,8 @@ impl KeepingNotes {
     }
 }
 
-/// The daemon that is to write a map in place of this one, which has this rank, if it writes it: one that an operator has
-/// named, or the first one where this daemon is to hold the map no longer.
+/// The daemon that is to write a map in place of this one, which has this rank, if it writes it: one that an operator
+/// has named, or the first one where this daemon is to hold the map no longer.
 fn successor(order: &[String], rank: Option<u32>, map: &ClusterMap) -> Option<String> {
     let first = order.first()?;
     match rank {

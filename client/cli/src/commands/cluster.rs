@@ -1,4 +1,5 @@
-//! `tidemap cluster`: the members and maps of a cluster, as all of its daemons see them, and what operators do with them.
+//! `tidemap cluster`: the members and maps of a cluster, as all of its daemons see them, and what operators do with
+//! them.
 //!
 //! Invariant: the exit status says how the cluster is: 0 all is well, 1 something needs a look, 2 it is bad, which
 //! includes that nobody answers. What is wrong goes to stderr, one line each.
@@ -15,7 +16,7 @@ use tidemap_formats::table::Cell;
 
 use self::{
     concerns::{Severity, concerns, worst},
-    view::{ClusterView, answer_of},
+    view::{ClusterView, answer_of, is_writing},
 };
 use super::Session;
 use crate::progress::status_line;
@@ -169,7 +170,7 @@ async fn move_map(session: &Session, credentials: &Credentials, args: MoveArgs) 
     let epoch = wait_for(&format!("{member} did not become the writer of map {}", args.map), async || {
         let answer = answer_of(&client, false).await?;
         let replica = answer.maps.into_iter().find(|map| map.map == args.map).and_then(|map| map.replica);
-        Ok(replica.filter(rows::is_writing).map(|replica| replica.epoch))
+        Ok(replica.filter(is_writing).map(|replica| replica.epoch))
     })
     .await?;
     let secs = Cell::Secs(i64::try_from(begun.elapsed().as_nanos()).unwrap_or(i64::MAX));
@@ -191,7 +192,7 @@ async fn drain(session: &Session, credentials: &Credentials, args: DrainArgs) ->
     let client = member_client(&session.client, credentials, &args.member).await?;
     let written = async || -> anyhow::Result<Vec<String>> {
         let maps = answer_of(&client, false).await?.maps.into_iter();
-        Ok(maps.filter(|map| map.replica.as_ref().is_some_and(rows::is_writing)).map(|map| map.map).collect())
+        Ok(maps.filter(|map| map.replica.as_ref().is_some_and(is_writing)).map(|map| map.map).collect())
     };
     let before = written().await?;
     client.drain(args.undo).await?;

@@ -8,7 +8,7 @@ use tidemap_proto::{
     v1::{self, ReplicaRole},
 };
 
-use super::view::ClusterView;
+use super::view::{ClusterView, is_writing};
 
 pub(super) const MEMBER_COLUMNS: [&str; 11] = [
     "member",
@@ -40,11 +40,6 @@ pub(super) const MAP_COLUMNS: [&str; 14] = [
     "forks",
     "trouble",
 ];
-
-/// Whether a member writes the map.
-pub(super) fn is_writing(replica: &v1::MapReplica) -> bool {
-    replica.role() == ReplicaRole::Writing
-}
 
 /// A role, for people.
 pub(super) fn role_name(role: ReplicaRole) -> &'static str {

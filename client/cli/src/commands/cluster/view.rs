@@ -8,8 +8,6 @@ use anyhow::Context as _;
 use tidemap_client::{Client, connection::Credentials};
 use tidemap_proto::v1;
 
-use super::rows::is_writing;
-
 /// How long a daemon may take to answer.
 const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 
@@ -20,6 +18,11 @@ pub(super) struct ClusterView {
     pub asked: v1::GetClusterStatusResponse,
     /// What each member said, or why it did not.
     pub answers: BTreeMap<String, Result<v1::GetClusterStatusResponse, String>>,
+}
+
+/// Whether a member writes the map.
+pub(super) fn is_writing(replica: &v1::MapReplica) -> bool {
+    replica.role() == v1::ReplicaRole::Writing
 }
 
 /// What a daemon says; in time, or not at all.
