@@ -5,7 +5,7 @@ use std::{env, error::Error, fs, path::PathBuf};
 
 use prost::Message as _;
 
-const FILES: [&str; 11] = [
+const FILES: [&str; 12] = [
     "types",
     "map",
     "observation",
@@ -17,6 +17,7 @@ const FILES: [&str; 11] = [
     "landmark",
     "task",
     "maintenance",
+    "cluster",
 ];
 
 fn main() -> Result<(), Box<dyn Error>> {

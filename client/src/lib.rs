@@ -1,6 +1,6 @@
 //! The tidemap client library: connects to a daemon, sends observations and asks questions.
 //!
-//! [`Client`] connects to a daemon; its methods are in [`maps`], [`queries`], [`exploration`], [`routes`],
+//! [`Client`] connects to a daemon; its methods are in [`cluster`], [`maps`], [`queries`], [`exploration`], [`routes`],
 //! [`tasks`] and [`updates`]. [`observe::Producer`] sends observations and scans, each exactly once, even if
 //! connections break; [`scan_file`] reads and writes scans in files.
 //!
@@ -8,6 +8,7 @@
 
 pub mod classify;
 pub mod clock;
+pub mod cluster;
 pub mod connection;
 pub mod error;
 pub mod exploration;

@@ -28,6 +28,8 @@ use tracing::{info, warn};
 
 use crate::{config::cluster::ClusterSettings, peers::Peers, random_id::random_id, telemetry};
 
+pub(crate) mod operations;
+
 /// Pause before the engine is tried again at the start.
 const CONNECT_PAUSE: Duration = Duration::from_secs(1);
 /// How long a replica may take to stop.

@@ -3,6 +3,7 @@
 //! Invariant: nothing about maps is decided here, and every error becomes a status in [`status`] only.
 
 pub(crate) mod admission;
+pub(crate) mod cluster;
 pub(crate) mod exploration;
 pub(crate) mod gateway;
 pub(crate) mod guard;

@@ -52,6 +52,7 @@ pages! {
     api: "docs/src/api.md",
     backup: "docs/src/backup.md",
     certainty: "docs/src/certainty.md",
+    clusters: "docs/src/clusters.md",
     commands: "docs/src/commands.md",
     configuration: "docs/src/configuration.md",
     durability: "docs/src/durability.md",

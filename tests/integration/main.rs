@@ -6,6 +6,7 @@ mod backups;
 mod bad_input;
 mod categories;
 mod changes_and_events;
+mod cluster;
 mod crowds;
 mod deploy;
 mod durability;

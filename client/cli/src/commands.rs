@@ -6,6 +6,7 @@ mod anomalies;
 mod backup;
 mod bench;
 mod classify;
+mod cluster;
 mod command_texts;
 mod day;
 mod erase;
@@ -52,6 +53,7 @@ mod update;
 mod visit;
 
 pub(crate) use bench::record_office;
+pub(crate) use cluster::ClusterLost;
 
 use std::{
     fs,
@@ -300,6 +302,9 @@ enum Command {
     /// History, models, log, checkpoints, index and later backups hold nothing of it afterwards. Earlier backups keep
     /// what they have. A daemon that ends meanwhile completes it at its next start.
     Erase(erase::EraseArgs),
+    /// Shows and operates a cluster: daemons that share the logs of their maps
+    #[command(subcommand)]
+    Cluster(cluster::ClusterCommand),
     /// Compares temporal models on recordings, by a protocol, without a daemon
     ///
     /// A protocol is a YAML file: training and test data, models with their parameters, the tuning of parameter lists
@@ -412,7 +417,8 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::ManPages(args) => return command_texts::man_pages(args),
         _ => {}
     }
-    let client = Client::with_credentials(&line.server, &credentials(&line)?);
+    let credentials = credentials(&line)?;
+    let client = Client::with_credentials(&line.server, &credentials);
     let client = client.map_err(|error| UsageError(error.to_string()))?;
     if let Command::Open(args) = &line.command {
         return open::run(&client, args, &line.server).await;
@@ -456,6 +462,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Stats(args) => stats::run(&session, &args).await,
         Command::Backup(command) => backup::run(&session, &command).await,
         Command::Erase(args) => erase::run(&session, &args).await,
+        Command::Cluster(command) => cluster::run(&session, &credentials, command).await,
         Command::Bench(command) => bench::run(&session, &command).await,
         // Handled above.
         #[cfg(feature = "experiment")]

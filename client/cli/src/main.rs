@@ -1,7 +1,7 @@
 //! `tidemap`, the command line.
 //!
 //! Invariant: results go to stdout, everything else to stderr. The exit status is 0 after success, 1 after a failure or
-//! a refusal, 2 after a usage error, 130 after Ctrl-C.
+//! a refusal, 2 after a usage error and for a cluster that is lost, 130 after Ctrl-C.
 
 mod commands;
 mod demo;
@@ -10,7 +10,7 @@ mod progress;
 
 use std::{io, process::ExitCode};
 
-use commands::UsageError;
+use commands::{ClusterLost, UsageError};
 
 fn main() -> ExitCode {
     let (command_line, subject) = match commands::parse() {
@@ -52,7 +52,7 @@ fn failed(error: &anyhow::Error, as_json: bool) -> ExitCode {
     let is_usage = error.is::<UsageError>();
     let line = if as_json { json_of(error, is_usage) } else { format!("error: {error:#}") };
     progress::status_line(&line);
-    if is_usage { ExitCode::from(2) } else { ExitCode::FAILURE }
+    if is_usage || error.is::<ClusterLost>() { ExitCode::from(2) } else { ExitCode::FAILURE }
 }
 
 /// `{"error":{"code":…,"message":…}}`: the code of the daemon's status, UNAVAILABLE if it cannot be reached,

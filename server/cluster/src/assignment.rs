@@ -38,6 +38,18 @@ pub fn order(map: u64, candidates: &[Candidate]) -> Vec<String> {
     scored.into_iter().map(|(_, candidate)| candidate.name.clone()).collect()
 }
 
+/// The daemons that are to hold a map, those first that may write it first. One that an operator has named is the first
+/// while it is a candidate.
+#[must_use]
+pub fn holders(map: u64, candidates: &[Candidate], pinned: Option<&str>, replicas: usize) -> Vec<String> {
+    let mut order = order(map, candidates);
+    if let Some(at) = order.iter().position(|member| pinned == Some(member)) {
+        order[..=at].rotate_right(1);
+    }
+    order.truncate(replicas);
+    order
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -54,6 +66,16 @@ mod tests {
         assert!((900..1100).contains(&first("daemon-0")), "{}", first("daemon-0"));
         assert!((1900..2100).contains(&first("daemon-1")), "{}", first("daemon-1"));
         assert_eq!(first("daemon-3"), 0);
+    }
+
+    #[test]
+    fn a_pinned_member_is_the_first_holder_and_the_others_keep_their_order() {
+        let members = candidates(&[1, 1, 1, 1]);
+        let order = order(7, &members);
+        let pinned = |name: &str, replicas| holders(7, &members, Some(name), replicas);
+        assert_eq!(pinned(&order[3], 3), [&order[3], &order[0], &order[1]].map(String::clone));
+        assert_eq!(pinned(&order[1], 2), [&order[1], &order[0]].map(String::clone));
+        assert_eq!(pinned("gone", 3), order[..3]);
     }
 
     #[test]

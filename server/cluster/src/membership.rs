@@ -28,6 +28,8 @@ pub struct Member {
     pub report: MemberReport,
     /// Whether its report has changed lately, or is new to this daemon.
     pub is_alive: bool,
+    /// Time since its report changed, or since this daemon saw it first.
+    pub unchanged_for: Duration,
 }
 
 /// All members by name.
@@ -56,8 +58,8 @@ impl Judgement {
             if (seen.0, seen.1) != sign {
                 *seen = (sign.0, sign.1, now);
             }
-            let is_alive = now.saturating_duration_since(seen.2) < GONE_AFTER;
-            (name, Member { report, is_alive })
+            let unchanged_for = now.saturating_duration_since(seen.2);
+            (name, Member { report, is_alive: unchanged_for < GONE_AFTER, unchanged_for })
         });
         judged.collect()
     }
@@ -102,6 +104,7 @@ mod tests {
         assert_eq!(candidates(&judgement.judge(both(1, 1), start)).len(), 2);
         let later = judgement.judge(both(2, 1), start + GONE_AFTER);
         assert!(later["a"].is_alive && !later["b"].is_alive);
+        assert_eq!(["a", "b"].map(|name| later[name].unchanged_for), [Duration::ZERO, GONE_AFTER]);
         // A restart begins to count anew.
         let boot = MemberReport { boot: 9, ..report(1) };
         let back = judgement.judge(vec![("b".to_owned(), boot)], start + GONE_AFTER);

@@ -46,10 +46,12 @@ impl ReplicaHandle {
         self.candidacy.send_if_modified(|known| std::mem::replace(known, rank) != rank);
     }
 
-    /// Gives the log to another daemon, or to any; gives whether this replica was the writer.
-    pub async fn hand_over(&self, successor: Option<String>) -> bool {
+    /// Gives the log to another daemon, or to any; gives whether this replica was the writer. It is asked at once, not
+    /// when the answer is awaited.
+    pub fn hand_over(&self, successor: Option<String>) -> impl Future<Output = bool> + Send + use<> {
         let (done, answer) = oneshot::channel();
-        self.orders.send(Order::HandOver(successor, done)).is_ok() && answer.await.unwrap_or(false)
+        let asked = self.orders.send(Order::HandOver(successor, done));
+        async move { asked.is_ok() && answer.await.unwrap_or(false) }
     }
 
     /// Ends the replica; [`Replica::run`] returns when everything in flight is answered.

@@ -90,6 +90,12 @@ const PLACES: &[(&str, Place)] = &[
     ("/tidemap.v1.MaintenanceService/ListProducers", Place::Writer),
     ("/tidemap.v1.MaintenanceService/CreateBackup", Place::Anywhere),
     ("/tidemap.v1.MaintenanceService/Erase", Place::Writer),
+    // Each member says what it knows and has.
+    ("/tidemap.v1.ClusterService/GetClusterStatus", Place::Anywhere),
+    ("/tidemap.v1.ClusterService/MoveMap", Place::Anywhere),
+    ("/tidemap.v1.ClusterService/GetLogPoint", Place::Anywhere),
+    ("/tidemap.v1.ClusterService/DiscardFork", Place::Anywhere),
+    ("/tidemap.v1.ClusterService/Drain", Place::Anywhere),
 ];
 
 /// Where the requests of a path can be answered; a method that does not exist is refused anywhere.

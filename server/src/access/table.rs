@@ -97,6 +97,12 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.MaintenanceService/ListProducers", role(Planner)),
     ("/tidemap.v1.MaintenanceService/CreateBackup", Need::AllMaps(Admin)),
     ("/tidemap.v1.MaintenanceService/Erase", role(Admin)),
+    // Maps that the token is not for are not shown.
+    ("/tidemap.v1.ClusterService/GetClusterStatus", role(Planner)),
+    ("/tidemap.v1.ClusterService/MoveMap", role(Admin)),
+    ("/tidemap.v1.ClusterService/GetLogPoint", role(Planner)),
+    ("/tidemap.v1.ClusterService/DiscardFork", role(Admin)),
+    ("/tidemap.v1.ClusterService/Drain", Need::AllMaps(Admin)),
 ];
 
 /// What the method of a path needs; `None` if there is no such method.
@@ -157,7 +163,7 @@ mod tests {
     }
 
     /// Methods whose requests name no map, and which show or change only what belongs to the token's maps.
-    const LIMITED_TO_MAPS: [&str; 8] = [
+    const LIMITED_TO_MAPS: [&str; 9] = [
         "ListMaps",
         "Observe",        // its Hello names the map
         "EvaluateStates", // its first message names the map
@@ -166,6 +172,7 @@ mod tests {
         "WatchJob",
         "GetUpdateReport",
         "GetStatistics", // without a map it needs all
+        "GetClusterStatus",
     ];
 
     #[test]

@@ -6,7 +6,7 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     sync::{Arc, atomic::Ordering},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use tidemap_cluster::{
@@ -24,32 +24,77 @@ use crate::{catalog::Catalog, cluster::Cluster};
 /// How often the catalogue is looked at.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// What was said, so that it is said once.
-#[derive(Default)]
-struct Said(BTreeSet<String>);
+/// A daemon that is to write a map gets its log when it has everything that was there so long ago, so that the map
+/// stands still only for what came since.
+const HAND_OVER_BEHIND: Duration = Duration::from_secs(2);
 
-impl Said {
+/// A map that another daemon is to write.
+struct Leaving {
+    to: String,
+    /// What that daemon must have.
+    end: u64,
+    since: Instant,
+}
+
+/// What is known between two looks at the catalogue.
+#[derive(Default)]
+struct KeepingNotes {
+    /// What was said, so that it is said once.
+    said: BTreeSet<String>,
+    /// By the number of the map.
+    leaving: BTreeMap<u64, Leaving>,
+}
+
+impl KeepingNotes {
     fn warn(&mut self, text: String) {
-        if !self.0.contains(&text) {
+        if !self.said.contains(&text) {
             warn!("{text}");
-            self.0.insert(text);
+            self.said.insert(text);
         }
+    }
+
+    /// Whether a map is to be given over now, whose log ends at `end`, to a daemon that says that it has `has`.
+    fn may_give_over(&mut self, uid: u64, to: &str, (has, end): (Option<u64>, u64), now: Instant) -> bool {
+        let new = || Leaving { to: to.to_owned(), end, since: now };
+        let leaving = self.leaving.entry(uid).or_insert_with(new);
+        let has_it = has.is_some_and(|has| has >= leaving.end);
+        if leaving.to != to {
+            *leaving = new();
+            return false;
+        }
+        if has_it {
+            self.leaving.remove(&uid);
+        } else if now.saturating_duration_since(leaving.since) > HAND_OVER_BEHIND {
+            *leaving = new();
+        }
+        has_it
+    }
+}
+
+/// The daemon that is to write a map in place of this one, which has this rank, if it writes it: one that an operator
+/// has named, or the first one where this daemon is to hold the map no longer.
+fn successor(order: &[String], rank: Option<u32>, map: &ClusterMap) -> Option<String> {
+    let first = order.first()?;
+    match rank {
+        Some(0) => None,
+        Some(_) => Some(first).filter(|first| map.pinned.as_ref() == Some(first)).cloned(),
+        None => Some(first.clone()),
     }
 }
 
 /// Reports this daemon, and keeps it as the catalogue says, until the daemon stops.
 pub(super) async fn keep(cluster: Cluster, catalog: Arc<Catalog>) {
     let reporting = tokio::spawn(cluster.clone().report_for_ever());
-    let mut said = Said::default();
+    let mut notes = KeepingNotes::default();
     while !catalog.is_stopping.load(Ordering::Relaxed) {
-        keep_once(&cluster, &catalog, &mut said).await;
+        keep_once(&cluster, &catalog, &mut notes).await;
         // Whichever comes first.
         let _ = tokio::time::timeout(EVERY, cluster.changed()).await;
     }
     reporting.abort();
 }
 
-async fn keep_once(cluster: &Cluster, catalog: &Catalog, said: &mut Said) {
+async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNotes) {
     // Whoever may write stays as it is while the engine does not tell.
     let Some(candidates) = cluster.candidates() else { return };
     let Ok(listing) = catalogue::list(cluster.engine()).await else { return };
@@ -59,13 +104,13 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, said: &mut Said) {
             (Some(uid), Ok(name)) => {
                 listed.insert(uid);
                 if !listing.deleted.contains(&uid) {
-                    keep_map(cluster, catalog, (uid, &name, map), &candidates, said).await;
+                    keep_map(cluster, catalog, (uid, &name, map), &candidates, notes).await;
                 }
             }
-            _ => said.warn(format!("the entry of map {name:?} in the catalogue of the cluster is damaged")),
+            _ => notes.warn(format!("the entry of map {name:?} in the catalogue of the cluster is damaged")),
         }
     }
-    keep_held(cluster, catalog, &listing, &listed, said).await;
+    keep_held(cluster, catalog, &listing, &listed, notes).await;
     find_writers(cluster, &listing).await;
 }
 
@@ -92,34 +137,51 @@ async fn keep_map(
     catalog: &Catalog,
     (uid, name, map): (u64, &MapName, &ClusterMap),
     candidates: &[Candidate],
-    said: &mut Said,
+    notes: &mut KeepingNotes,
 ) {
-    let mut order = assignment::order(uid, candidates);
-    if let Some(at) = order.iter().position(|member| map.pinned.as_ref() == Some(member)) {
-        let first = order.remove(at);
-        order.insert(0, first);
-    }
-    order.truncate(cluster.settings().replicas);
+    let order = assignment::holders(uid, candidates, map.pinned.as_deref(), cluster.settings().replicas);
     let rank = order.iter().position(|member| *member == cluster.settings().member);
     let rank = rank.and_then(|rank| u32::try_from(rank).ok());
-    if cluster.set_candidacy(uid, rank) || rank.is_none() {
+    if cluster.set_candidacy(uid, rank) {
+        give_over(cluster, (uid, name), successor(&order, rank, map), notes);
+        return;
+    }
+    if rank.is_none() {
         return;
     }
     match map.spec().map(|spec| decode_spec(&spec)) {
         Some(Ok(spec)) => match catalog.adopt(spec, uid).await {
             Ok(()) => info!(map = %name, uid = format!("{uid:016x}"), "map of the cluster held"),
-            Err(error) => said.warn(format!("map {name} of the cluster cannot be held here: {error}")),
+            Err(error) => notes.warn(format!("map {name} of the cluster cannot be held here: {error}")),
         },
-        _ => said.warn(format!("map {name} of the cluster cannot be held by this version of tidemapd")),
+        _ => notes.warn(format!("map {name} of the cluster cannot be held by this version of tidemapd")),
+    }
+}
+
+/// Gives a map that this daemon writes to the daemon that is to write it, once that one has caught up.
+fn give_over(cluster: &Cluster, (uid, name): (u64, &MapName), to: Option<String>, notes: &mut KeepingNotes) {
+    let Some((to, progress)) = to.and_then(|to| cluster.progress_of(uid, &to).map(|progress| (to, progress))) else {
+        notes.leaving.remove(&uid);
+        return;
+    };
+    if notes.may_give_over(uid, &to, progress, Instant::now()) {
+        info!(map = %name, to, "the log of the map is given over");
+        cluster.give_over(uid, to);
     }
 }
 
 /// Deletes what was deleted, and lists again what the catalogue has forgotten.
-async fn keep_held(cluster: &Cluster, catalog: &Catalog, listing: &Listing, listed: &BTreeSet<u64>, said: &mut Said) {
+async fn keep_held(
+    cluster: &Cluster,
+    catalog: &Catalog,
+    listing: &Listing,
+    listed: &BTreeSet<u64>,
+    notes: &mut KeepingNotes,
+) {
     for (uid, name) in cluster.held() {
         if listing.deleted.contains(&uid) {
             if let Err(error) = catalog.delete_held(&name, uid).await {
-                said.warn(format!("map {name}, which was deleted from the cluster, is not deleted here: {error}"));
+                notes.warn(format!("map {name}, which was deleted from the cluster, is not deleted here: {error}"));
             }
         } else if !listed.contains(&uid)
             && let Ok(handle) = catalog.get(name.as_str())
@@ -127,12 +189,49 @@ async fn keep_held(cluster: &Cluster, catalog: &Catalog, listing: &Listing, list
             let map = ClusterMap::new(uid, &encode_spec(&handle.spec));
             match catalogue::add(cluster.engine(), name.as_str(), &map).await {
                 Ok(_) => warn!(map = %name, "the catalogue of the cluster had forgotten a map: it is listed again"),
-                Err(SetError::NotExpected) => said.warn(format!(
+                Err(SetError::NotExpected) => notes.warn(format!(
                     "map {name} is held here as number {uid:016x}, and the catalogue of the cluster knows another map of \
                      this name"
                 )),
                 Err(SetError::Engine(_)) => {}
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_goes_to_a_pinned_member_and_away_from_one_that_is_to_hold_it_no_longer() {
+        let order = ["a", "b"].map(str::to_owned);
+        let pinned = |member: Option<&str>| {
+            let mut map = ClusterMap::new(1, &[]);
+            map.pinned = member.map(str::to_owned);
+            map
+        };
+        let to = |rank, map: &ClusterMap| successor(&order, rank, map);
+        assert_eq!(to(Some(0), &pinned(None)), None);
+        assert_eq!(to(Some(1), &pinned(None)), None, "a writer stays where it is");
+        assert_eq!(to(Some(1), &pinned(Some("a"))), Some("a".to_owned()));
+        assert_eq!(to(Some(1), &pinned(Some("gone"))), None);
+        assert_eq!(to(None, &pinned(None)), Some("a".to_owned()), "it drains");
+        assert_eq!(successor(&[], None, &pinned(None)), None, "there is nobody else");
+    }
+
+    #[test]
+    fn a_map_is_given_over_when_the_other_daemon_has_what_was_there_a_while_ago() {
+        let (mut notes, start) = (KeepingNotes::default(), Instant::now());
+        let later = |secs| start + Duration::from_secs(secs);
+        assert!(!notes.may_give_over(1, "a", (None, 100), start), "it does not hold the map");
+        assert!(!notes.may_give_over(1, "a", (Some(90), 110), later(1)));
+        assert!(notes.may_give_over(1, "a", (Some(105), 120), later(2)), "it has 100, and the log goes on");
+        assert!(!notes.may_give_over(1, "a", (Some(0), 130), later(3)));
+        assert!(!notes.may_give_over(1, "a", (Some(100), 200), later(6)), "it has to have 200 from now on");
+        assert!(!notes.may_give_over(1, "a", (Some(150), 210), later(7)));
+        assert!(!notes.may_give_over(1, "b", (Some(210), 210), later(8)), "another one is meant");
+        assert!(notes.may_give_over(1, "b", (Some(210), 210), later(9)));
+        assert!(notes.may_give_over(2, "a", (Some(5), 5), later(9)), "nothing is written");
     }
 }

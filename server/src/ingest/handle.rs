@@ -203,7 +203,6 @@ impl MapHandle {
 
     /// The newest digest of what an update has made here; `None` before the first, and where daemons do not share the
     /// log.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for the status of a cluster"))]
     pub(crate) fn digest(&self) -> Option<DigestStatus> {
         *self.digest.borrow()
     }

@@ -7,11 +7,12 @@ use std::{sync::Arc, time::Duration};
 use axum::middleware::{from_fn, from_fn_with_state};
 use tidemap_proto::convert::scans::ScanLimits;
 use tidemap_proto::v1::{
-    DESCRIPTORS, exploration_service_server::ExplorationServiceServer, landmark_service_server::LandmarkServiceServer,
-    maintenance_service_server::MaintenanceServiceServer, map_service_server::MapServiceServer,
-    observation_service_server::ObservationServiceServer, query_service_server::QueryServiceServer,
-    route_service_server::RouteServiceServer, search_service_server::SearchServiceServer,
-    task_service_server::TaskServiceServer, topology_service_server::TopologyServiceServer,
+    DESCRIPTORS, cluster_service_server::ClusterServiceServer, exploration_service_server::ExplorationServiceServer,
+    landmark_service_server::LandmarkServiceServer, maintenance_service_server::MaintenanceServiceServer,
+    map_service_server::MapServiceServer, observation_service_server::ObservationServiceServer,
+    query_service_server::QueryServiceServer, route_service_server::RouteServiceServer,
+    search_service_server::SearchServiceServer, task_service_server::TaskServiceServer,
+    topology_service_server::TopologyServiceServer,
 };
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
@@ -20,6 +21,7 @@ use tonic_health::{ServingStatus, server::HealthReporter};
 
 use super::{
     admission::{Admission, AdmittedService, RequestLimits},
+    cluster::ClusterCalls,
     exploration::{Explorations, PlanLimits},
     gateway::{ClusterGateway, answer_or_pass, keep_authorization},
     guard::{Access, serve_caller},
@@ -185,6 +187,10 @@ pub(crate) async fn services(
         .add_service(LandmarkServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(LANDMARK_BYTES))
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
         .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
+        .add_service(
+            ClusterServiceServer::new(ClusterCalls { catalog: Arc::clone(&catalog) })
+                .max_decoding_message_size(REQUEST_BYTES),
+        )
         .add_service(
             MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone(), page })
                 .max_decoding_message_size(REQUEST_BYTES),

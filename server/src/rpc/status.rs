@@ -16,7 +16,7 @@ use crate::{
     access::{Role, keyring::Denial},
     backups::TargetError,
     catalog::CatalogError,
-    cluster::ClusterError,
+    cluster::{ClusterError, operations::OperationError},
     ingest::{
         ending::{Ending, is_fatal},
         intake::IntakeError,
@@ -91,6 +91,8 @@ pub(crate) enum RpcError {
     Updating(u64),
     #[error(transparent)]
     NotWriter(#[from] NotWriter),
+    #[error(transparent)]
+    Operation(#[from] OperationError),
     #[error("job {0} is not known: it is long past, or the daemon was restarted since")]
     UnknownJob(u64),
     #[error(
@@ -222,6 +224,22 @@ fn append_code(error: &AppendError) -> (Code, &'static str) {
     }
 }
 
+fn operation_code(error: &OperationError) -> (Code, &'static str) {
+    match error {
+        OperationError::NoCluster => (Code::FailedPrecondition, "NO_CLUSTER"),
+        OperationError::UnknownMap(_) => (Code::NotFound, "UNKNOWN_MAP"),
+        OperationError::UnknownMember { .. } => (Code::NotFound, "UNKNOWN_MEMBER"),
+        OperationError::UnknownFork { .. } => (Code::NotFound, "UNKNOWN_FORK"),
+        OperationError::NotHeld(_) => (Code::FailedPrecondition, "NOT_HELD"),
+        OperationError::Gone(_) => (Code::FailedPrecondition, "MEMBER_GONE"),
+        OperationError::Draining(_) => (Code::FailedPrecondition, "MEMBER_DRAINS"),
+        OperationError::NoCapacity(_) | OperationError::DoesNotHold { .. } => (Code::FailedPrecondition, "NOT_HELD"),
+        OperationError::Changed(_) => (Code::Aborted, "CHANGED"),
+        OperationError::Engine(_) => (Code::Unavailable, "ENGINE_UNAVAILABLE"),
+        OperationError::Log(_) => (Code::DataLoss, "STORAGE_FAILED"),
+    }
+}
+
 /// The name of a code, as gRPC writes it.
 pub(crate) fn code_name(code: Code) -> &'static str {
     match code {
@@ -316,6 +334,7 @@ impl RpcError {
             },
             Self::Updating(_) => (Code::Unavailable, "UPDATING"),
             Self::NotWriter(_) => (Code::Unavailable, "NOT_WRITER"),
+            Self::Operation(error) => operation_code(error),
             Self::UnknownJob(_) => (Code::NotFound, "UNKNOWN_JOB"),
             Self::NoReport(_) => (Code::FailedPrecondition, "NO_REPORT"),
             Self::Limit(_) | Self::Busy { .. } | Self::Overloaded { .. } | Self::Intake(IntakeError::Limit(_)) => {

@@ -15,7 +15,7 @@ const GROUPS: [(&str, &[&str]); 8] = [
     ("Predict, and look back", &["predict", "classify", "position", "presence", "joint", "reconstruct", "anomalies"]),
     ("Explore", &["info", "slot", "day", "tour", "reachability"]),
     ("Drive, work and search", &["topology", "landmark", "no-go", "task", "plan", "route", "policy", "search"]),
-    ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "schema", "bench"]),
+    ("Run the daemon", &["job", "producer", "stats", "backup", "erase", "cluster", "schema", "bench"]),
 ];
 
 /// Examples by the words of their commands.
@@ -107,6 +107,12 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("stats", "tidemap stats office"),
     ("backup create", "tidemap backup create /backups/tidemap"),
     ("erase", "tidemap erase office --producer robot-2 --from 2025-02-18T09:00:00Z --to 2025-02-18T10:00:00Z"),
+    ("cluster status", "tidemap cluster status"),
+    ("cluster maps", "tidemap cluster maps --output json"),
+    ("cluster move", "tidemap cluster move office north"),
+    ("cluster drain", "tidemap cluster drain north"),
+    ("cluster verify", "tidemap cluster verify office"),
+    ("cluster heal", "tidemap cluster heal office"),
     ("schema", "tidemap schema map show"),
     ("bench observe", "tidemap bench observe"),
     ("bench latency", "tidemap bench latency"),

@@ -10,7 +10,7 @@ use std::{
 };
 
 use tidemap_map::event::Event;
-use tidemap_store::{AppendError, Done, EventLog, GroupLog, QueuedEvent};
+use tidemap_store::{AppendError, Done, EventLog, GroupLog, OpenError, QueuedEvent};
 use tokio::{
     sync::{Notify, watch},
     time::Instant,
@@ -117,6 +117,14 @@ impl SharedLog {
     #[must_use]
     pub fn status(&self) -> watch::Receiver<ReplicaStatus> {
         self.shared.status.subscribe()
+    }
+
+    /// The chain behind a record of this daemon's own log; see [`GroupLog::chain_at`]. Reads the disk.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the log cannot be read.
+    pub fn chain_at(&self, position: u64) -> Result<Option<u32>, OpenError> {
+        self.shared.log.chain_at(position)
     }
 }
 

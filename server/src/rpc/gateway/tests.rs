@@ -98,6 +98,7 @@ impl Member {
             update_at_midnight: false,
             max_tiles: 20,
             tile_cache_bytes: 1 << 30,
+            cluster: None,
         };
         let catalog = Arc::new(Catalog::open(context, 10, u64::MAX).expect("maps").0);
         let known = Arc::new(Known {

@@ -1,0 +1,216 @@
+//! `tidemap cluster`: the members and maps of a cluster, as all of its daemons see them, and what operators do with
+//! them.
+//!
+//! Invariant: the exit status says how the cluster is: 0 all is well, 1 something needs a look, 2 it is bad, which
+//! includes that nobody answers. What is wrong goes to stderr, one line each.
+
+use std::{
+    process::ExitCode,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context as _;
+use clap::{Args, Subcommand};
+use tidemap_client::{Client, connection::Credentials};
+use tidemap_formats::table::Cell;
+
+use self::{
+    concerns::{Severity, concerns, worst},
+    view::{ClusterView, answer_of, is_writing},
+};
+use super::Session;
+use crate::progress::status_line;
+
+mod concerns;
+mod heal;
+mod rows;
+mod verify;
+mod view;
+
+/// How long a change of the cluster is waited for.
+const CHANGE_WITHIN: Duration = Duration::from_secs(60);
+/// How often a change is looked for.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+
+/// The cluster cannot be asked or is bad: the command ends with status 2.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct ClusterLost(pub(crate) String);
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub(crate) enum ClusterCommand {
+    /// Shows the members of the cluster, and says what needs a look
+    ///
+    /// All members are asked. The exit status is 0 if all is well, 1 if something needs a look, and 2 if a map has no
+    /// writer, a log has forked, digests differ or nobody answers. What is wrong goes to stderr.
+    Status,
+    /// Shows what each member is to each map
+    ///
+    /// lag_records is how far the member is behind the others; heard_secs is the time since it heard where the shared
+    /// log ends. digest is that of the newest generation since the member's start, and equal says whether it is the
+    /// writer's. The exit status is that of status.
+    Maps,
+    /// Names the member that is to write a map, and waits until it does
+    Move(MoveArgs),
+    /// Lets a member give its maps away and take no others, and waits until it writes none
+    ///
+    /// A member that starts again takes maps again.
+    Drain(DrainArgs),
+    /// Compares the logs and the newest generations of a map on all members
+    Verify(VerifyArgs),
+    /// Shows the forks of a map, and removes those whose observations the map has
+    ///
+    /// A fork is records that a member set aside because the shared log does not have them. Their producers send them
+    /// again, where they still have them. With --accept-loss forks are removed although the map lacks something. The
+    /// exit status is 2 while forks are left.
+    Heal(HealArgs),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct MoveArgs {
+    /// Name of the map
+    map: String,
+    /// Name of the member
+    #[arg(required_unless_present = "unpin", conflicts_with = "unpin")]
+    member: Option<String>,
+    /// Let the cluster choose again, as for a new map
+    #[arg(long)]
+    unpin: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct DrainArgs {
+    /// Name of the member
+    member: String,
+    /// Let the member take maps again
+    #[arg(long)]
+    undo: bool,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct VerifyArgs {
+    /// Name of the map
+    map: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct HealArgs {
+    /// Name of the map
+    map: String,
+    /// Remove forks although the map lacks some of their records
+    #[arg(long)]
+    accept_loss: bool,
+}
+
+/// Runs a command. Whatever goes wrong ends with status 2.
+pub(crate) async fn run(
+    session: &Session,
+    credentials: &Credentials,
+    command: ClusterCommand,
+) -> anyhow::Result<ExitCode> {
+    let ran = match command {
+        ClusterCommand::Status => status(session, credentials, false).await,
+        ClusterCommand::Maps => status(session, credentials, true).await,
+        ClusterCommand::Move(args) => move_map(session, credentials, args).await,
+        ClusterCommand::Drain(args) => drain(session, credentials, args).await,
+        ClusterCommand::Verify(args) => verify::run(session, credentials, &args.map).await,
+        ClusterCommand::Heal(args) => heal::run(session, credentials, &args.map, args.accept_loss).await,
+    };
+    ran.map_err(|error| if error.is::<ClusterLost>() { error } else { lost(error) })
+}
+
+/// An error that ends the command with status 2.
+fn lost(error: anyhow::Error) -> anyhow::Error {
+    error.context(ClusterLost("the cluster".to_owned()))
+}
+
+fn exit(severity: Severity) -> ExitCode {
+    ExitCode::from(severity as u8)
+}
+
+async fn status(session: &Session, credentials: &Credentials, of_maps: bool) -> anyhow::Result<ExitCode> {
+    let view = ClusterView::ask(&session.client, credentials).await?;
+    if of_maps {
+        session.print(&rows::MAP_COLUMNS, rows::maps(&view))?;
+    } else {
+        session.print(&rows::MEMBER_COLUMNS, rows::members(&view))?;
+    }
+    let concerns = concerns(&view);
+    for (severity, text) in &concerns {
+        status_line(&format!("{}: {text}", severity.word()));
+    }
+    Ok(exit(worst(&concerns)))
+}
+
+/// Waits for something to be true of the cluster.
+async fn wait_for<T>(what: &str, mut look: impl AsyncFnMut() -> anyhow::Result<Option<T>>) -> anyhow::Result<T> {
+    let begun = Instant::now();
+    loop {
+        let seen = look().await;
+        match seen {
+            Ok(Some(found)) => return Ok(found),
+            // A daemon may be slow to answer for a moment.
+            Ok(None) | Err(_) if begun.elapsed() < CHANGE_WITHIN => tokio::time::sleep(LOOK_EVERY).await,
+            Ok(None) => anyhow::bail!("{what} within {} seconds: see tidemap cluster status", CHANGE_WITHIN.as_secs()),
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+async fn move_map(session: &Session, credentials: &Credentials, args: MoveArgs) -> anyhow::Result<ExitCode> {
+    let begun = Instant::now();
+    session.client.move_map(&args.map, args.member.as_deref()).await?;
+    let columns = ["map", "writer", "epoch", "secs"];
+    let Some(member) = args.member else {
+        status_line(&format!("the cluster chooses who writes map {}", args.map));
+        return session.print(&columns, []);
+    };
+    let client = member_client(&session.client, credentials, &member).await?;
+    let epoch = wait_for(&format!("{member} did not become the writer of map {}", args.map), async || {
+        let answer = answer_of(&client, false).await?;
+        let replica = answer.maps.into_iter().find(|map| map.map == args.map).and_then(|map| map.replica);
+        Ok(replica.filter(is_writing).map(|replica| replica.epoch))
+    })
+    .await?;
+    let secs = Cell::Secs(i64::try_from(begun.elapsed().as_nanos()).unwrap_or(i64::MAX));
+    session.print(&columns, [vec![Cell::Text(args.map), Cell::Text(member), epoch.into(), secs]])
+}
+
+/// A client of a member, by the address that it reports.
+async fn member_client(client: &Client, credentials: &Credentials, member: &str) -> anyhow::Result<Client> {
+    let asked = answer_of(client, false).await?;
+    let found = asked.members.iter().find(|known| known.name == member);
+    let address = found.map(|known| known.address.clone()).with_context(|| {
+        let known: Vec<&str> = asked.members.iter().map(|known| known.name.as_str()).collect();
+        format!("{member:?} is no member of the cluster; members: {}", known.join(", "))
+    })?;
+    Ok(if asked.member == member { client.clone() } else { Client::with_credentials(&address, credentials)? })
+}
+
+async fn drain(session: &Session, credentials: &Credentials, args: DrainArgs) -> anyhow::Result<ExitCode> {
+    let client = member_client(&session.client, credentials, &args.member).await?;
+    let written = async || -> anyhow::Result<Vec<String>> {
+        let maps = answer_of(&client, false).await?.maps.into_iter();
+        Ok(maps.filter(|map| map.replica.as_ref().is_some_and(is_writing)).map(|map| map.map).collect())
+    };
+    let before = written().await?;
+    client.drain(args.undo).await?;
+    if args.undo {
+        status_line(&format!("{} takes maps again", args.member));
+        return session.print(&["map", "writer"], []);
+    }
+    wait_for(&format!("{} did not give all of its maps away", args.member), async || {
+        Ok(written().await?.is_empty().then_some(()))
+    })
+    .await?;
+    // Whoever has taken a map is known when it has.
+    let writers = wait_for("not all maps have a writer", async || {
+        let view = ClusterView::ask(&session.client, credentials).await?;
+        let writers: Vec<Option<String>> = before.iter().map(|map| view.writer(map)).collect();
+        Ok(writers.into_iter().collect::<Option<Vec<String>>>())
+    })
+    .await?;
+    let row = |(map, writer): (String, String)| vec![Cell::Text(map), Cell::Text(writer)];
+    session.print(&["map", "writer"], before.into_iter().zip(writers).map(row))
+}

@@ -1,0 +1,118 @@
+//! `tidemap cluster heal`: what forks hold, and their removal.
+//!
+//! Invariant: a fork of which the map lacks something is removed only where the loss is accepted in words.
+
+use std::process::ExitCode;
+
+use tidemap_client::connection::Credentials;
+use tidemap_formats::table::Cell;
+use tidemap_proto::v1;
+
+use super::{ClusterLost, Session, concerns::Severity, exit, view::ClusterView};
+use crate::progress::status_line;
+
+const COLUMNS: [&str; 10] = [
+    "map",
+    "member",
+    "fork",
+    "producer",
+    "label",
+    "first_sequence",
+    "last_sequence",
+    "observations",
+    "in_map",
+    "removed",
+];
+
+/// Records of a fork that the map lacks: observations, and others, of which it is not known.
+fn missing(fork: &v1::LogFork) -> u64 {
+    let observations = fork.producers.iter().map(|row| row.observations.saturating_sub(row.known_observations));
+    observations.sum::<u64>() + fork.other_records
+}
+
+fn rows(map: &str, member: &str, fork: &v1::LogFork, is_removed: bool) -> Vec<Vec<Cell>> {
+    let head = || vec![map.into(), member.into(), Cell::Text(fork.name.clone())];
+    let mut rows: Vec<Vec<Cell>> = Vec::new();
+    for row in &fork.producers {
+        let mut cells = head();
+        cells.extend([row.producer.as_str().into(), row.label.as_str().into()]);
+        cells
+            .extend([row.first_sequence, row.last_sequence, row.observations, row.known_observations].map(Cell::Count));
+        cells.push(Cell::Flag(is_removed));
+        rows.push(cells);
+    }
+    // A fork may hold nothing of a producer.
+    if rows.is_empty() {
+        let mut cells = head();
+        cells.resize_with(COLUMNS.len() - 1, || Cell::Empty);
+        cells.push(Cell::Flag(is_removed));
+        rows.push(cells);
+    }
+    rows
+}
+
+pub(super) async fn run(
+    session: &Session,
+    credentials: &Credentials,
+    map: &str,
+    accepts_loss: bool,
+) -> anyhow::Result<ExitCode> {
+    let view = ClusterView::ask(&session.client, credentials).await?;
+    let clients = view.clients(&session.client, credentials)?;
+    if view.asked.maps.iter().all(|known| known.map != map) {
+        return Err(ClusterLost(format!("map {map:?} does not exist in the cluster")).into());
+    }
+    let (mut printed, mut left) = (Vec::new(), 0);
+    for (member, replica) in view.replicas(map) {
+        let Some(client) = clients.get(member) else { continue };
+        for fork in &replica.forks {
+            let missing = missing(fork);
+            let is_removed = accepts_loss || missing == 0;
+            if is_removed {
+                client.discard_fork(map, &fork.name).await?;
+            } else {
+                left += 1;
+                status_line(&format!(
+                    "bad: the map lacks {missing} records of fork {} on {member}. Let its producers connect again, which \
+                     send what they still have; --accept-loss gives the rest up",
+                    fork.name
+                ));
+            }
+            if fork.other_records > 0 {
+                status_line(&format!(
+                    "look: fork {} on {member} holds {} changes of states or of the site: compare them with the map",
+                    fork.name, fork.other_records
+                ));
+            }
+            printed.extend(rows(map, member, fork, is_removed));
+        }
+    }
+    let silent: Vec<&str> =
+        view.answers.iter().filter(|(_, answer)| answer.is_err()).map(|(member, _)| member.as_str()).collect();
+    if !silent.is_empty() {
+        status_line(&format!("look: {} did not answer; there may be forks", silent.join(", ")));
+    }
+    session.print(&COLUMNS, printed)?;
+    Ok(exit(if left > 0 {
+        Severity::Bad
+    } else if silent.is_empty() {
+        Severity::Well
+    } else {
+        Severity::Look
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fork_lacks_nothing_when_all_of_its_observations_are_in_the_map_and_it_holds_nothing_else() {
+        let producer = v1::ForkedProducer { observations: 5, known_observations: 5, ..v1::ForkedProducer::default() };
+        let fork = v1::LogFork { producers: vec![producer.clone()], ..v1::LogFork::default() };
+        assert_eq!(missing(&fork), 0);
+        assert_eq!(missing(&v1::LogFork { other_records: 2, ..fork.clone() }), 2);
+        let less = v1::ForkedProducer { known_observations: 1, ..producer };
+        assert_eq!(missing(&v1::LogFork { producers: vec![less], ..fork }), 4);
+    }
+}

@@ -1,0 +1,67 @@
+//! Clusters: their members and maps as one daemon sees them, and what operators ask of a daemon.
+//!
+//! Invariant: each call is answered by the daemon that this client is of, for itself. Answers are messages of the wire.
+
+use tidemap_proto::v1::{self, cluster_service_client::ClusterServiceClient};
+
+use crate::{
+    connection::{Client, Connection, REPLY_BYTES_MAX},
+    error::Error,
+};
+
+impl Client {
+    fn cluster_service(&self) -> ClusterServiceClient<Connection> {
+        ClusterServiceClient::new(self.requests()).max_decoding_message_size(REPLY_BYTES_MAX)
+    }
+
+    /// The members and maps of the daemon's cluster, and what the daemon is to each map. `with_engine`: also what the
+    /// engine says of its servers and logs.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `FAILED_PRECONDITION` if the daemon is not a member of a cluster.
+    pub async fn cluster_status(&self, with_engine: bool) -> Result<v1::GetClusterStatusResponse, Error> {
+        let request = v1::GetClusterStatusRequest { with_engine };
+        let answer = self.cluster_service().get_cluster_status(request).await;
+        Ok(answer.map_err(|status| self.error(&status))?.into_inner())
+    }
+
+    /// Makes a member the one that is to write a map; `None`: the first candidate is.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` or `FAILED_PRECONDITION` if the member cannot write it.
+    pub async fn move_map(&self, map: &str, member: Option<&str>) -> Result<(), Error> {
+        let request = v1::MoveMapRequest { map: map.to_owned(), member: member.unwrap_or_default().to_owned() };
+        self.cluster_service().move_map(request).await.map_err(|status| self.error(&status))?;
+        Ok(())
+    }
+
+    /// The end of the daemon's own log of a map, and the chain at a position; 0: at the end.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `FAILED_PRECONDITION` if the daemon does not hold the map.
+    pub async fn log_point(&self, map: &str, position: u64) -> Result<v1::GetLogPointResponse, Error> {
+        let request = v1::GetLogPointRequest { map: map.to_owned(), position };
+        let answer = self.cluster_service().get_log_point(request).await;
+        Ok(answer.map_err(|status| self.error(&status))?.into_inner())
+    }
+
+    /// Gives up what a fork of a map on this daemon holds.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if there is no such fork.
+    pub async fn discard_fork(&self, map: &str, fork: &str) -> Result<(), Error> {
+        let request = v1::DiscardForkRequest { map: map.to_owned(), fork: fork.to_owned() };
+        self.cluster_service().discard_fork(request).await.map_err(|status| self.error(&status))?;
+        Ok(())
+    }
+
+    /// Lets the daemon give its maps away and take no others, or ends that.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `FAILED_PRECONDITION` if the daemon is not a member of a cluster.
+    pub async fn drain(&self, undo: bool) -> Result<(), Error> {
+        let request = v1::DrainRequest { undo };
+        self.cluster_service().drain(request).await.map_err(|status| self.error(&status))?;
+        Ok(())
+    }
+}

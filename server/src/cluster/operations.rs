@@ -1,0 +1,258 @@
+//! What operators ask of a cluster: who its members are, what this daemon is to each map, and which member is to write
+//! a map.
+//!
+//! Invariant: every answer is this daemon's own. Nothing here waits for another daemon, and nothing is decided about a
+//! log: a move changes an entry of the catalogue, and the writer follows it.
+
+use tidemap_cluster::{
+    assignment,
+    catalogue::{self, ClusterMap},
+    engine::{Engine as _, EngineError, EngineServer, SetError, StreamHealth},
+    membership::{self, Members},
+    replica::{ReplicaRole, ReplicaStatus},
+};
+use tidemap_store::{EventLog as _, OpenError};
+
+use super::Cluster;
+
+/// How often a change of the catalogue is tried again that another one came before.
+const ATTEMPTS: usize = 5;
+
+/// Why an operator's request is refused.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum OperationError {
+    #[error("this daemon is not a member of a cluster: its config file has no section [cluster]")]
+    NoCluster,
+    #[error("map {0:?} does not exist in the cluster")]
+    UnknownMap(String),
+    #[error("this daemon does not hold map {0:?}: tidemap cluster maps shows which do")]
+    NotHeld(String),
+    #[error("{member:?} is no member of the cluster; members: {}", known.join(", "))]
+    UnknownMember { member: String, known: Vec<String> },
+    #[error("member {0} is gone: it has not reported itself for a while")]
+    Gone(String),
+    #[error("member {0} gives its maps away: tidemap cluster drain {0} --undo ends that")]
+    Draining(String),
+    #[error("member {0} has capacity 0: it holds no maps")]
+    NoCapacity(String),
+    #[error("member {member} does not hold map {map}; it is held by {}", holders.join(", "))]
+    DoesNotHold { member: String, map: String, holders: Vec<String> },
+    #[error("the entry of map {0:?} in the catalogue was changed meanwhile, again and again: try again")]
+    Changed(String),
+    #[error("map {map:?} has no fork {fork:?} on this daemon")]
+    UnknownFork { map: String, fork: String },
+    #[error("the engine of the cluster: {0}")]
+    Engine(#[from] EngineError),
+    #[error(transparent)]
+    Log(#[from] OpenError),
+}
+
+/// A map as the catalogue lists it.
+#[derive(Clone, Debug)]
+pub(crate) struct ListedMap {
+    pub name: String,
+    /// Number of the map; `None`: its entry is damaged.
+    pub uid: Option<u64>,
+    pub pinned: Option<String>,
+    /// Members that are to hold it, those first that may write it first.
+    pub holders: Vec<String>,
+}
+
+/// Whether a member can be the one that writes a map.
+fn check_target(members: &Members, member: &str, (map, uid): (&str, Option<u64>)) -> Result<(), OperationError> {
+    let Some(found) = members.get(member) else {
+        return Err(OperationError::UnknownMember {
+            member: member.chars().take(80).collect(),
+            known: members.keys().cloned().collect(),
+        });
+    };
+    let name = || member.to_owned();
+    let holds = |report: &tidemap_cluster::member::MemberReport| uid.is_some_and(|uid| report.logs.contains_key(&uid));
+    if !found.is_alive {
+        Err(OperationError::Gone(name()))
+    } else if found.report.draining {
+        Err(OperationError::Draining(name()))
+    } else if found.report.capacity == 0 {
+        Err(OperationError::NoCapacity(name()))
+    } else if !holds(&found.report) {
+        let holders = members.iter().filter(|(_, other)| other.is_alive && holds(&other.report));
+        let holders = holders.map(|(name, _)| name.clone()).collect();
+        Err(OperationError::DoesNotHold { member: name(), map: map.to_owned(), holders })
+    } else {
+        Ok(())
+    }
+}
+
+impl Cluster {
+    /// Name of the cluster.
+    pub(crate) fn name(&self) -> &str {
+        &self.0.settings.name
+    }
+
+    /// Name of this daemon.
+    pub(crate) fn member(&self) -> &str {
+        &self.0.settings.member
+    }
+
+    /// The members, as this daemon saw them last.
+    ///
+    /// # Errors
+    /// [`EngineError`] where they could not be read.
+    pub(crate) fn members(&self) -> Result<Members, EngineError> {
+        self.0.members.borrow().clone()
+    }
+
+    /// The maps that the catalogue lists.
+    ///
+    /// # Errors
+    /// [`EngineError`].
+    pub(crate) async fn listed_maps(&self) -> Result<Vec<ListedMap>, EngineError> {
+        let candidates = membership::candidates(&self.members()?);
+        let listing = catalogue::list(self.engine()).await?;
+        let is_deleted = |uid: Option<u64>| uid.is_some_and(|uid| listing.deleted.contains(&uid));
+        let listed = |(name, map, _): &(String, ClusterMap, u64)| {
+            let (uid, pinned) = (map.uid(), map.pinned.clone());
+            let holders = |uid| assignment::holders(uid, &candidates, pinned.as_deref(), self.0.settings.replicas);
+            ListedMap { name: name.clone(), uid, holders: uid.map(holders).unwrap_or_default(), pinned }
+        };
+        Ok(listing.maps.iter().map(listed).filter(|map| !is_deleted(map.uid)).collect())
+    }
+
+    /// The maps that this daemon holds, for when the engine does not answer.
+    pub(crate) fn held_maps(&self) -> Vec<ListedMap> {
+        let held = self.replicas();
+        let listed = held.iter().map(|(&uid, replica)| ListedMap {
+            name: replica.name.as_str().to_owned(),
+            uid: Some(uid),
+            pinned: None,
+            holders: Vec::new(),
+        });
+        let mut listed: Vec<ListedMap> = listed.collect();
+        listed.sort_by(|a, b| a.name.cmp(&b.name));
+        listed
+    }
+
+    /// What this daemon is to a map; `None`: it does not hold it.
+    pub(crate) fn replica_status(&self, uid: u64) -> Option<ReplicaStatus> {
+        self.replicas().get(&uid).map(|replica| replica.log.status().borrow().clone())
+    }
+
+    /// How far a member is with a map that this daemon writes, as it has reported, and where the log ends; `None`: this
+    /// daemon does not write it.
+    pub(crate) fn progress_of(&self, uid: u64, member: &str) -> Option<(Option<u64>, u64)> {
+        let replicas = self.replicas();
+        let log = replicas.get(&uid).map(|replica| &replica.log)?;
+        if log.status().borrow().role != ReplicaRole::Writing {
+            return None;
+        }
+        let members = self.0.members.borrow();
+        let report = members.as_ref().ok().and_then(|members| members.get(member)).map(|member| &member.report);
+        Some((report.and_then(|report| report.logs.get(&uid).copied()), log.end()))
+    }
+
+    /// Gives the log of a map to a member, if this daemon writes it. Whether it was done is seen later.
+    pub(crate) fn give_over(&self, uid: u64, to: String) {
+        if let Some(replica) = self.replicas().get(&uid) {
+            drop(replica.handle.hand_over(Some(to)));
+        }
+    }
+
+    /// The servers of the engine that answer.
+    ///
+    /// # Errors
+    /// [`EngineError`].
+    pub(crate) async fn engine_servers(&self) -> Result<Vec<EngineServer>, EngineError> {
+        self.engine().servers().await
+    }
+
+    /// What the engine says of the log of a map.
+    ///
+    /// # Errors
+    /// [`EngineError`].
+    pub(crate) async fn log_health(&self, uid: u64) -> Result<StreamHealth, EngineError> {
+        self.engine().health(&catalogue::stream(uid)).await
+    }
+
+    /// Makes a member the one that is to write a map; `None`: the first candidate is.
+    ///
+    /// # Errors
+    /// See [`OperationError`].
+    pub(crate) async fn pin(&self, map: &str, member: Option<&str>) -> Result<(), OperationError> {
+        for _ in 0..ATTEMPTS {
+            let Some((mut entry, revision)) = catalogue::find(self.engine(), map).await? else {
+                return Err(OperationError::UnknownMap(map.chars().take(80).collect()));
+            };
+            if let Some(member) = member {
+                check_target(&self.members()?, member, (map, entry.uid()))?;
+            }
+            if entry.pinned.as_deref() == member {
+                return Ok(());
+            }
+            entry.pinned = member.map(str::to_owned);
+            match catalogue::change(self.engine(), map, revision, &entry).await {
+                Ok(_) => {
+                    self.0.changed.notify_one();
+                    return Ok(());
+                }
+                Err(SetError::NotExpected) => {}
+                Err(SetError::Engine(error)) => return Err(error.into()),
+            }
+        }
+        Err(OperationError::Changed(map.to_owned()))
+    }
+
+    /// Gives the maps of this daemon away and takes no others, until it is told otherwise or starts again.
+    pub(crate) fn drain(&self, is_draining: bool) {
+        self.0.is_draining.send_replace(is_draining);
+        self.0.changed.notify_one();
+        tracing::info!(member = self.member(), is_draining, "an operator drains this member, or ends that");
+    }
+
+    /// The end of this daemon's own log of a map, and the chain at a position; 0: at the end. Reads the disk.
+    ///
+    /// # Errors
+    /// See [`OperationError`].
+    pub(crate) async fn chain_at(
+        &self,
+        (map, uid): (&str, u64),
+        position: u64,
+    ) -> Result<(u64, Option<u32>), OperationError> {
+        let not_held = || OperationError::NotHeld(map.to_owned());
+        let log = self.replicas().get(&uid).map(|replica| replica.log.clone()).ok_or_else(not_held)?;
+        let end = log.end();
+        let at = if position == 0 { end } else { position };
+        let chain = crate::task::blocking(move || log.chain_at(at)).await.map_err(|_| not_held())??;
+        Ok((end, chain))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use tidemap_cluster::{member::MemberReport, membership::Member};
+
+    use super::*;
+
+    #[test]
+    fn a_map_moves_only_to_a_member_that_is_alive_and_holds_it() {
+        let report = MemberReport { capacity: 1, logs: BTreeMap::from([(7, 100)]), ..MemberReport::default() };
+        let member = |report: MemberReport, is_alive| Member { report, is_alive, ..Member::default() };
+        let members = Members::from([
+            ("north".to_owned(), member(report.clone(), true)),
+            ("gone".to_owned(), member(report.clone(), false)),
+            ("drains".to_owned(), member(MemberReport { draining: true, ..report.clone() }, true)),
+            ("gateway".to_owned(), member(MemberReport { capacity: 0, ..report.clone() }, true)),
+            ("new".to_owned(), member(MemberReport { logs: BTreeMap::new(), ..report }, true)),
+        ]);
+        let check = |name: &str| check_target(&members, name, ("office", Some(7)));
+        assert!(check("north").is_ok());
+        assert!(matches!(check("gone"), Err(OperationError::Gone(_))));
+        assert!(matches!(check("drains"), Err(OperationError::Draining(_))));
+        assert!(matches!(check("gateway"), Err(OperationError::NoCapacity(_))));
+        let Err(OperationError::DoesNotHold { holders, .. }) = check("new") else { panic!("it holds nothing") };
+        assert!(holders.contains(&"north".to_owned()) && !holders.contains(&"new".to_owned()), "{holders:?}");
+        let Err(OperationError::UnknownMember { known, .. }) = check("nowhere") else { panic!("it is unknown") };
+        assert_eq!(known.len(), members.len());
+    }
+}

@@ -1,0 +1,171 @@
+//! A cluster as its operator sees it: three engines and three daemons on this machine, and `tidemap cluster`.
+//!
+//! Invariant: skipped with the reason where there is no nats-server. Every deadline only detects what hangs.
+
+use std::{
+    fs,
+    path::Path,
+    time::{Duration, Instant},
+};
+
+use serde_json::Value;
+use tempfile::tempdir;
+use tidemap_cluster::nats_process::NatsServers;
+use tidemap_tests::{
+    cli::{Outcome, tidemap},
+    daemon::{Daemon, Launch, lasting_port},
+};
+
+use crate::json_output::validate;
+
+/// By then whatever is waited for has happened, or hangs.
+const WITHIN: Duration = Duration::from_secs(120);
+const POLL: Duration = Duration::from_millis(200);
+const NAMES: [&str; 3] = ["north", "east", "west"];
+
+fn start(folder: &Path, name: &str, engine: &NatsServers) -> Daemon {
+    let servers: Vec<String> = (0..3).map(|index| format!("{:?}", engine.url(index))).collect();
+    let port = lasting_port();
+    let config = folder.join(format!("{name}.toml"));
+    let text =
+        format!("listen = \"127.0.0.1:{port}\"\n[cluster]\nmember = \"{name}\"\nservers = [{}]\n", servers.join(", "));
+    fs::write(&config, text).expect("a config file");
+    // The address that a member reports is the one of its config file.
+    let launch = Launch::bare().setting("http_listen", "127.0.0.1:0").setting("data_dir", folder.join(name).display());
+    launch.args(["--config".into(), config.into_os_string()]).start()
+}
+
+/// Repeats a command until its outcome is as expected.
+fn eventually(daemon: &Daemon, line: &str, is_expected: impl Fn(&Outcome) -> bool) -> Outcome {
+    let begun = Instant::now();
+    loop {
+        let outcome = tidemap(daemon, line.split(' '));
+        if is_expected(&outcome) {
+            return outcome;
+        }
+        assert!(begun.elapsed() < WITHIN, "{line}: {outcome:?}");
+        std::thread::sleep(POLL);
+    }
+}
+
+/// The member that writes the map, if one does.
+fn writer(outcome: &Outcome) -> Option<String> {
+    if outcome.code == Some(2) && outcome.stdout.is_empty() {
+        return None;
+    }
+    let table = tidemap_tests::cli::Table::parse(&outcome.stdout);
+    let rows = table.column("role").into_iter().zip(table.column("member"));
+    rows.filter(|(role, _)| *role == "writing").map(|(_, member)| member.to_owned()).next()
+}
+
+/// Whether all three members hold the map, without lag.
+fn is_held_by_all(outcome: &Outcome) -> bool {
+    outcome.code == Some(0) && tidemap_tests::cli::Table::parse(&outcome.stdout).rows.len() == 3
+}
+
+/// What a command prints as JSON is what its schema says.
+fn check_json(daemon: &Daemon, line: &str) -> Value {
+    let root: Value = serde_json::from_str(&tidemap(daemon, ["schema"]).stdout).expect("a schema");
+    let outcome = tidemap(daemon, line.split(' ').chain(["--output", "json"]));
+    let value = serde_json::from_str(&outcome.stdout).unwrap_or_else(|error| panic!("{error}: {outcome:?}"));
+    let words = line.split(' ').take(2).collect::<Vec<_>>().join(" ");
+    validate(&root, &root["$defs"][&words], &value, line).unwrap_or_else(|error| panic!("{error}"));
+    value
+}
+
+/// Observations of a day, of a door that is open in every other hour.
+fn day(folder: &Path, number: i64) -> String {
+    let row = |minute: i64| format!("{},door,{}\n", 1_451_865_600 + number * 86_400 + minute * 60, minute / 60 % 2);
+    let rows: String = (0..1440).step_by(10).map(row).collect();
+    let file = folder.join(format!("day-{number}.csv"));
+    fs::write(&file, format!("time,state,value\n{rows}")).expect("a file");
+    file.display().to_string()
+}
+
+struct Members(Vec<(&'static str, Daemon)>);
+
+impl Members {
+    fn of(&self, name: &str) -> &Daemon {
+        &self.0.iter().find(|(known, _)| *known == name).unwrap_or_else(|| panic!("{name} does not run")).1
+    }
+
+    fn first(&self) -> &Daemon {
+        &self.0[0].1
+    }
+
+    fn take(&mut self, name: &str) -> Daemon {
+        let at = self.0.iter().position(|(known, _)| *known == name).expect("it runs");
+        self.0.remove(at).1
+    }
+
+    /// Sends a day to the writer, learns it there, and waits until all members have learned the same.
+    fn learn(&self, folder: &Path, number: i64) {
+        let found = eventually(self.first(), "cluster maps", |outcome| writer(outcome).is_some());
+        let writer = self.of(&writer(&found).expect("a writer"));
+        let sent = tidemap(writer, ["observe", "office", &day(folder, number), "--producer", "robot-1"]).table();
+        assert_eq!(sent.number("accepted"), 144.0, "each day is new");
+        assert_eq!(tidemap(writer, ["update", "office"]).table().rows.len(), 1);
+        let members = self.0.len();
+        eventually(self.first(), "cluster verify office", |outcome| {
+            let text = format!("of {members} members: equal");
+            // Of all of them, the logs and the generation.
+            outcome.stderr.matches(&text).count() == 1 && outcome.stderr.matches(": equal").count() == 2
+        });
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_sees_moves_drains_and_verifies_maps_and_a_killed_writer_is_replaced() {
+    let engine = match NatsServers::start(3).await {
+        Ok(engine) => engine,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let work = tempdir().expect("a folder");
+    let folder = work.path();
+    let mut members = Members(NAMES.map(|name| (name, start(folder, name, &engine))).into());
+    tidemap(members.first(), ["map", "create", "office"]).table();
+    let held = eventually(members.first(), "cluster maps", is_held_by_all);
+    let before = writer(&held).expect("a writer");
+    check_json(members.first(), "cluster status");
+    check_json(members.first(), "cluster maps");
+    members.learn(folder, 0);
+    check_json(members.first(), "cluster verify office");
+
+    // To each member once, asked of any.
+    for name in NAMES.iter().filter(|name| **name != before).chain([&before.as_str()]) {
+        let moved = check_json(members.first(), &format!("cluster move office {name}"));
+        assert_eq!(moved[0]["writer"], *name);
+        let found = eventually(members.first(), "cluster maps", |outcome| writer(outcome).is_some());
+        assert_eq!(writer(&found).as_deref(), Some(*name));
+    }
+    tidemap(members.first(), ["cluster", "move", "office", "south"]).fails(2, &["south", "north"]);
+    check_json(members.first(), "cluster move office --unpin");
+    members.learn(folder, 1);
+
+    let drained = check_json(members.first(), &format!("cluster drain {before}"));
+    assert_eq!(drained[0]["map"], "office");
+    let taken = drained[0]["writer"].as_str().expect("a writer").to_owned();
+    assert_ne!(taken, before, "it gives its maps away");
+    tidemap(members.first(), ["cluster", "move", "office", &before]).fails(2, &[&before, "--undo"]);
+    tidemap(members.first(), ["cluster", "drain", &before, "--undo"]).table();
+    assert_eq!(check_json(members.first(), "cluster heal office").as_array().map(Vec::len), Some(0));
+    eventually(members.first(), "cluster status", |outcome| outcome.code == Some(0));
+
+    members.take(&taken).kill();
+    let found = eventually(members.first(), "cluster maps", |outcome| writer(outcome).is_some_and(|now| now != taken));
+    assert_ne!(writer(&found).as_deref(), Some(taken.as_str()));
+    let seen = eventually(members.first(), "cluster status", |outcome| outcome.stderr.contains("is gone"));
+    assert!(seen.code == Some(1) && seen.stderr.contains(&format!("member {taken} is gone")), "{seen:?}");
+    members.learn(folder, 2);
+    drop(members);
+}
+
+#[test]
+fn a_daemon_that_is_alone_says_so() {
+    let work = tempdir().expect("a folder");
+    let daemon = Launch::on(work.path()).start();
+    for line in ["cluster status", "cluster maps", "cluster verify office", "cluster drain north"] {
+        tidemap(&daemon, line.split(' ')).fails(2, &["not a member of a cluster", "[cluster]"]);
+    }
+    daemon.stop_in_order();
+}
