@@ -122,7 +122,8 @@ mod tests {
 
     #[test]
     fn a_method_that_depends_on_a_map_names_one() {
-        for (path, place) in PLACES {
+        // Members answer for themselves, also where a map is named.
+        for (path, place) in PLACES.iter().filter(|(path, _)| !path.contains(".ClusterService/")) {
             let depends = matches!(place, Place::Reader | Place::Writer);
             assert_eq!(depends, names_a_map(path), "{path}");
         }

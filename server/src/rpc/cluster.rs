@@ -272,6 +272,7 @@ impl ClusterService for ClusterCalls {
 
     async fn get_log_point(&self, request: Request<v1::GetLogPointRequest>) -> RpcReply<v1::GetLogPointResponse> {
         let v1::GetLogPointRequest { map, position } = request.into_inner();
+        check_scope(&map)?;
         let cluster = self.cluster()?;
         let (handle, uid) = self.held(&map).await?;
         let (end_position, chain) = cluster.chain_at((&map, uid), position).await.map_err(RpcError::from)?;
@@ -281,6 +282,7 @@ impl ClusterService for ClusterCalls {
 
     async fn discard_fork(&self, request: Request<v1::DiscardForkRequest>) -> RpcReply<v1::DiscardForkResponse> {
         let v1::DiscardForkRequest { map, fork } = request.into_inner();
+        check_scope(&map)?;
         self.cluster()?;
         let handle = find_published(&self.catalog, &map)?;
         let (store, id) = (Arc::clone(&self.catalog.context().store), handle.id);

@@ -50,9 +50,9 @@ fn roles_of(method: &str) -> &'static [&'static str] {
         "SetCharger" | "SetLocation" | "DeleteLocation" | "LoadTopology" | "EditTopology" | "RunUpdate" => {
             &["operator", "admin"]
         }
-        "CreateMap" | "DeleteMap" | "Erase" => &["admin"],
-        // It copies all maps, and none of these tokens is for all.
-        "CreateBackup" => &[],
+        "CreateMap" | "DeleteMap" | "Erase" | "MoveMap" | "DiscardFork" => &["admin"],
+        // They act on all maps, and none of these tokens is for all.
+        "CreateBackup" | "Drain" => &[],
         _ => &["planner", "operator", "admin"],
     }
 }
