@@ -329,7 +329,8 @@ impl Cluster {
 
 impl Peers for Cluster {
     fn name(&self) -> &str {
-        &self.0.settings.member
+        let ClusterSettings { member, .. } = &self.0.settings;
+        member
     }
 
     fn address_of(&self, member: &str) -> Option<String> {
