@@ -191,7 +191,7 @@ impl Committer {
             group.dones.push(append.done);
         }
         // All writes come before the first fdatasync, so that the kernel can start on the other files meanwhile.
-        let written: Vec<Group> = groups.into_values().filter_map(|group| self.write(group)).collect();
+        let written: Vec<Group> = groups.into_values().filter_map(|group| self.write(group).ok()).collect();
         for group in written {
             self.sync(group);
         }
@@ -205,8 +205,8 @@ impl Committer {
         None
     }
 
-    /// Writes a group; `None` if that failed.
-    fn write(&self, mut group: Group) -> Option<Group> {
+    /// Writes a group. Where that fails, its completions have heard of it.
+    fn write(&self, mut group: Group) -> Result<Group, AppendError> {
         group.follower = self.followed.begin(group.log.map, group.events.iter().map(EncodedEvent::frame_length));
         let result = match &mut *group.log.writer.lock().unwrap_or_else(PoisonError::into_inner) {
             _ if self.poison.get().is_some() => Err(AppendError::AfterFailure),
@@ -216,11 +216,11 @@ impl Committer {
         match result {
             Ok(()) => {
                 group.step(CommitStep::Written);
-                Some(group)
+                Ok(group)
             }
             Err(error) => {
-                self.fail(group, error);
-                None
+                self.fail(group, error.clone());
+                Err(error)
             }
         }
     }

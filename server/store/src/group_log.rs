@@ -136,6 +136,12 @@ impl GroupLog {
         }
     }
 
+    /// Position of the last record; does not wait for the disk, as [`Self::end`] does.
+    #[must_use]
+    pub fn position(&self) -> u64 {
+        self.log.end.load(Ordering::Acquire)
+    }
+
     /// See [`crate::EventLog::tail_bytes`].
     #[must_use]
     pub fn tail_bytes(&self) -> u64 {
@@ -143,19 +149,22 @@ impl GroupLog {
         progress.bytes.saturating_sub(progress.covered)
     }
 
-    /// Writes events as a group behind the end, not durably. `None`: they have failed and heard of it.
-    pub fn write(&self, events: Vec<QueuedEvent>) -> Option<WrittenGroup> {
+    /// Writes events as a group behind the end, not durably.
+    ///
+    /// # Errors
+    /// Why they have failed; their completions have heard of it.
+    pub fn write(&self, events: Vec<QueuedEvent>) -> Result<WrittenGroup, AppendError> {
         let before = self.end();
         let group = self.committer.begin(events.into_iter().map(|event| event.0).collect())?;
         let written = group.with_writer(|writer| Ok((writer.written_chain(), writer.written_frames().to_vec())));
         match written {
             Ok((chain, frames)) => {
                 let after = LogPoint { position: before.position + group.records() as u64, chain };
-                Some(WrittenGroup { group, records: RecordGroup { before, after, frames } })
+                Ok(WrittenGroup { group, records: RecordGroup { before, after, frames } })
             }
             Err(error) => {
-                self.committer.end(group, Err(error));
-                None
+                self.committer.end(group, Err(error.clone()));
+                Err(error)
             }
         }
     }

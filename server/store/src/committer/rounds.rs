@@ -9,8 +9,9 @@ use super::{Append, Committer, Group};
 use crate::{error::AppendError, log::writer::LogWriter};
 
 impl Committer {
-    /// Writes the appends, all of one log; `None` if there is nothing to decide about, because they have failed.
-    pub(crate) fn begin(&self, appends: Vec<Append>) -> Option<Group> {
+    /// Writes the appends, all of one log. Where that fails, their completions have heard of it;
+    /// [`AppendError::AfterFailure`] where each of them had failed before.
+    pub(crate) fn begin(&self, appends: Vec<Append>) -> Result<Group, AppendError> {
         let mut group: Option<Group> = None;
         for append in appends.into_iter().filter_map(|append| self.admit(append)) {
             let Append { log, event, done, .. } = append;
@@ -19,7 +20,7 @@ impl Committer {
             group.events.push(event);
             group.dones.push(done);
         }
-        self.write(group?)
+        self.write(group.ok_or(AppendError::AfterFailure)?)
     }
 
     /// Makes a written group durable. After an error, [`Self::end`] must hear of it.

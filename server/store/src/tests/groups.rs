@@ -46,7 +46,7 @@ impl Daemon {
             let answers = Arc::clone(&self.answers);
             self.log.queue(&event(position), Box::new(move |answer| answers.lock().expect("sound").push(answer))).ok()
         });
-        let written = self.log.write(queued.collect())?;
+        let written = self.log.write(queued.collect()).ok()?;
         self.log.sync(&written).expect("durable");
         let records = written.records().clone();
         self.log.end_group(written, outcome);
