@@ -18,8 +18,8 @@ pub const VERSION: u8 = 1;
 pub const HEADER_BYTES: usize = 60;
 
 const MAGIC: [u8; 4] = *b"tmgr";
-/// Bytes of frames in one message. The engine adds headers of its own.
-const PART_BYTES: usize = MESSAGE_BYTES_MAX - HEADER_BYTES - 4096;
+/// Bytes of frames in one message. The engine adds headers of its own. Tests cut small groups.
+const PART_BYTES: usize = if cfg!(test) { 600 } else { MESSAGE_BYTES_MAX - HEADER_BYTES - 4096 };
 
 /// A part of a group.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,19 +47,19 @@ impl GroupPart {
         self.part + 1 == self.parts
     }
 
-    /// Reads a message.
+    /// Reads a message; `None` for one that tidemap has not written.
     ///
     /// # Errors
-    /// What is wrong with it.
-    pub fn decode(message: &Bytes) -> Result<GroupPart, &'static str> {
+    /// What is wrong with a message of tidemap.
+    pub fn decode(message: &Bytes) -> Result<Option<GroupPart>, &'static str> {
+        if message.get(..MAGIC.len()) != Some(&MAGIC) {
+            return Ok(None);
+        }
         let header: &[u8; HEADER_BYTES] =
             message.get(..HEADER_BYTES).and_then(|header| header.try_into().ok()).ok_or("it is too short")?;
         let u16_at = |at: usize| u16::from_le_bytes([header[at], header[at + 1]]);
         let u32_at = |at: usize| header[at..at + 4].iter().rev().fold(0, |number, &byte| number << 8 | u32::from(byte));
         let u64_at = |at: usize| u64::from(u32_at(at)) | u64::from(u32_at(at + 4)) << 32;
-        if header[..4] != MAGIC {
-            return Err("it is no group of records");
-        }
         if u32_at(HEADER_BYTES - 4) != crc32c::crc32c(&header[..HEADER_BYTES - 4]) {
             return Err("the checksum of its header does not match");
         }
@@ -78,7 +78,7 @@ impl GroupPart {
         if part >= parts || records == 0 || frames.is_empty() {
             return Err("it is empty, or has more parts than it says");
         }
-        Ok(GroupPart {
+        Ok(Some(GroupPart {
             map: u64_at(12),
             epoch: u64_at(20),
             part,
@@ -86,7 +86,7 @@ impl GroupPart {
             before: LogPoint { position: before, chain: u32_at(36) },
             after: LogPoint { position: after, chain: u32_at(44) },
             frames,
-        })
+        }))
     }
 }
 
@@ -178,7 +178,7 @@ mod tests {
             let mut assembly = Assembly::default();
             let mut found = Vec::new();
             for message in &messages {
-                let part = GroupPart::decode(message).expect("valid");
+                let part = GroupPart::decode(message).expect("valid").expect("of tidemap");
                 assert_eq!((part.map, part.epoch, usize::from(part.parts)), (77, 3, messages.len()));
                 found.extend(assembly.push(part));
             }
@@ -192,9 +192,12 @@ mod tests {
         for at in 0..message.len() {
             let mut changed = message.to_vec();
             changed[at] ^= 0x10;
-            assert!(GroupPart::decode(&Bytes::from(changed)).is_err(), "byte {at}");
-            assert!(GroupPart::decode(&message.slice(..at)).is_err(), "cut at {at}");
+            // Without its first bytes it is no message of tidemap.
+            let is_read = |message: &Bytes| GroupPart::decode(message).is_ok_and(|part| part.is_some());
+            assert!(!is_read(&Bytes::from(changed)), "byte {at}");
+            assert!(!is_read(&message.slice(..at)), "cut at {at}");
         }
+        assert_eq!(GroupPart::decode(&Bytes::from_static(b"hello")), Ok(None));
     }
 
     #[test]
@@ -204,8 +207,12 @@ mod tests {
         other.after.chain = 6;
         let short = encode(&other, 1, 2).remove(0);
         let mut assembly = Assembly::default();
-        assert_eq!(assembly.push(GroupPart::decode(&long[0]).expect("valid")), None);
-        assert_eq!(assembly.push(GroupPart::decode(&short).expect("valid")), Some(other));
-        assert_eq!(assembly.push(GroupPart::decode(&long[1]).expect("valid")), None, "its beginning is gone");
+        assert_eq!(assembly.push(GroupPart::decode(&long[0]).expect("valid").expect("of tidemap")), None);
+        assert_eq!(assembly.push(GroupPart::decode(&short).expect("valid").expect("of tidemap")), Some(other));
+        assert_eq!(
+            assembly.push(GroupPart::decode(&long[1]).expect("valid").expect("of tidemap")),
+            None,
+            "its beginning is gone"
+        );
     }
 }

@@ -1,8 +1,9 @@
 //! Comparing this daemon's own log with the shared one.
 //!
-//! A message of the stream is **void** if its group does not begin where the group before it ended. That happens only
-//! where the stream had forgotten messages: an old writer appended behind a number that had been given again. Void
-//! messages are part of no log, and each daemon leaves them out, because each reads the messages in their order.
+//! A message of the stream is **void** if tidemap has not written it, or if its group does not begin where the group
+//! before it ended. The latter happens only where the stream had forgotten messages: an old writer appended behind a
+//! number that had been given again. Void messages are part of no log, and each daemon leaves them out, because each
+//! reads the messages in their order.
 //!
 //! Invariant: logs are compared by the chain at a position, never by lengths alone, and nothing is changed.
 
@@ -15,7 +16,7 @@ use crate::{
 };
 
 /// How many messages before the end are read to find void ones, by a daemon that has not read them before.
-pub(super) const LOOK_BACK: u64 = 4096;
+pub(super) const LOOK_BACK: u64 = 1024;
 /// By a daemon that has read all messages in their order up to one: how many before that one.
 pub(super) const LOOK_BACK_FOLLOWING: u64 = 64;
 
@@ -26,6 +27,8 @@ pub(super) enum Relation {
     Holds {
         /// Number of the last message that the own log has, or that is void.
         last_sequence: u64,
+        /// Whether a complete group comes behind it.
+        has_more: bool,
     },
     /// The shared log ends before the own one, of which it is a part.
     Ahead {
@@ -89,8 +92,12 @@ impl Scan {
         self.marks.last().copied().or(self.begin)
     }
 
-    fn take(&mut self, sequence: u64, part: GroupPart) {
+    fn take(&mut self, sequence: u64, part: Option<GroupPart>) {
         self.last = sequence;
+        let Some(part) = part else {
+            self.open = None;
+            return;
+        };
         if self.begin.is_none() && part.part == 0 {
             self.begin = Some(Mark { first: sequence, after: part.before });
         }
@@ -112,33 +119,42 @@ impl Scan {
         }
     }
 
-    /// The last message before the group that follows a point; `None` where no group ends there.
-    fn last_before_next(&self, point: LogPoint) -> Option<u64> {
+    /// The last message before the group that follows a point, and whether that group is complete; `None` where no
+    /// group ends at the point.
+    fn last_before_next(&self, point: LogPoint) -> Option<(u64, bool)> {
         let points: Vec<&Mark> = self.begin.iter().chain(&self.marks).collect();
         let found = points.iter().rposition(|mark| mark.after == point)?;
         let next = points.get(found + 1).map(|next| next.first);
         let open = self.open.as_ref().map(|&(first, ..)| first);
-        Some(next.or(open).map_or(self.last, |first| first - 1))
+        Some((next.or(open).map_or(self.last, |first| first - 1), next.is_some()))
     }
 }
 
 impl<E: Engine> Driver<E> {
-    pub(super) fn part(&self, message: &Message) -> Result<GroupPart, CompareError> {
+    /// The part in a message; `None` for a message that is not of the map.
+    pub(super) fn part(&self, message: &Message) -> Result<Option<GroupPart>, CompareError> {
         let invalid =
             |reason| CompareError::Invalid { stream: self.settings.stream.clone(), sequence: message.sequence, reason };
         let part = GroupPart::decode(&message.content).map_err(invalid)?;
-        if part.map != self.settings.map {
-            return Err(invalid("it belongs to another map"));
-        }
-        Ok(part)
+        Ok(part.filter(|part| part.map == self.settings.map))
     }
 
     /// The part in a message, which the stream holds.
-    pub(super) async fn part_at(&self, sequence: u64) -> Result<GroupPart, CompareError> {
+    pub(super) async fn part_at(&self, sequence: u64) -> Result<Option<GroupPart>, CompareError> {
         let message = self.engine.read(&self.settings.stream, sequence).await?;
         // It was purged or forgotten since: the caller compares again.
         let gone = || EngineError::Unavailable(format!("message {sequence} is gone"));
         self.part(&message.ok_or_else(gone)?)
+    }
+
+    /// The part in the last message of the map from `first` to `sequence`; `None` where there is none.
+    pub(super) async fn part_up_to(&self, sequence: u64, first: u64) -> Result<Option<GroupPart>, CompareError> {
+        for sequence in (first..=sequence).rev() {
+            if let Some(part) = self.part_at(sequence).await? {
+                return Ok(Some(part));
+            }
+        }
+        Ok(None)
     }
 
     async fn chain_at(&self, position: u64) -> Result<Option<u32>, CompareError> {
@@ -173,14 +189,13 @@ impl<E: Engine> Driver<E> {
     pub(super) async fn relation(&mut self, look_back: u64) -> Result<Relation, CompareError> {
         let ends = self.engine.ends(&self.settings.stream).await?;
         let own = self.shared.log.end();
-        if ends.last == 0 || ends.first > ends.last {
+        // As the last message says it, which may follow nothing.
+        let Some(last) = self.part_up_to(ends.last, ends.first.max(1)).await? else {
             return Ok(match own.position {
-                0 => Relation::Holds { last_sequence: ends.last },
+                0 => Relation::Holds { last_sequence: ends.last, has_more: false },
                 _ => Relation::Ahead { end: LogPoint::BEGINNING, last_sequence: ends.last },
             });
-        }
-        // As the last message says it, which may be void.
-        let last = self.part_at(ends.last).await?;
+        };
         let (from, to) = if own.position < last.before.position {
             let near = self.near(own.position, ends.first, ends.last).await?;
             (near.saturating_sub(LOOK_BACK_FOLLOWING), (near + LOOK_BACK_FOLLOWING).min(ends.last))
@@ -196,10 +211,10 @@ impl<E: Engine> Driver<E> {
             return Ok(Relation::Behind { from: last.after.position });
         };
         if to == ends.last {
-            self.heard_of(end.after.position, self.epoch);
+            self.sees_end(end.after.position);
         }
-        if let Some(last_sequence) = scan.last_before_next(own) {
-            return Ok(Relation::Holds { last_sequence });
+        if let Some((last_sequence, has_more)) = scan.last_before_next(own) {
+            return Ok(Relation::Holds { last_sequence, has_more: has_more || to < ends.last });
         }
         if own.position > end.after.position && to == ends.last {
             return match self.chain_at(end.after.position).await? {
@@ -221,7 +236,8 @@ impl<E: Engine> Driver<E> {
         let (mut low, mut high) = (first, last);
         while low < high {
             let middle = low + (high - low) / 2;
-            if self.part_at(middle).await?.after.position > position { high = middle } else { low = middle + 1 }
+            let part = self.part_up_to(middle, low).await?;
+            if part.is_some_and(|part| part.after.position > position) { high = middle } else { low = middle + 1 }
         }
         Ok(low)
     }
@@ -237,14 +253,16 @@ impl<E: Engine> Driver<E> {
         let (mut low, mut high) = (first, last + 1);
         while low < high {
             let middle = low + (high - low) / 2;
-            if self.is_own(self.part_at(middle).await?.after).await? { low = middle + 1 } else { high = middle }
+            let is_common = match self.part_up_to(middle, low).await? {
+                Some(part) => self.is_own(part.after).await?,
+                None => true,
+            };
+            if is_common { low = middle + 1 } else { high = middle }
         }
-        let point = match low.checked_sub(1).filter(|&sequence| sequence >= first) {
-            Some(sequence) => {
-                let part = self.part_at(sequence).await?;
-                if part.is_last() { part.after } else { part.before }
-            }
-            None => self.part_at(first).await?.before,
+        let point = match self.part_up_to(low.saturating_sub(1), first).await? {
+            Some(part) if part.is_last() => part.after,
+            Some(part) => part.before,
+            None => self.part_at(first).await?.map_or(LogPoint::BEGINNING, |part| part.before),
         };
         let common = if self.is_own(point).await? { point.position } else { 0 };
         Ok(Relation::Forked { common })

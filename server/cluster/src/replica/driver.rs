@@ -22,6 +22,8 @@ use crate::{engine::Engine, lease::LeaseWatch, message::Assembly};
 pub(super) const READ_BYTES: usize = 8 << 20;
 /// How often the end of the stream is asked for.
 pub(super) const PROBE: Duration = Duration::from_secs(1);
+/// How long a daemon that cannot write its own log leaves the lease to others.
+const LET_OTHERS_WRITE: Duration = Duration::from_secs(10);
 
 /// What a replica does next.
 #[derive(Debug)]
@@ -43,7 +45,7 @@ pub(super) struct Driver<E: Engine> {
     pub(super) orders: mpsc::UnboundedReceiver<Order>,
     /// An order that came while the replica waited for something else.
     pub(super) order: Option<Order>,
-    stopping: watch::Receiver<bool>,
+    pub(super) stopping: watch::Receiver<bool>,
     pub(super) rank: watch::Receiver<Option<u32>>,
     /// Number of the last message whose records the own log has, or that is known to hold none.
     pub(super) last_sequence: u64,
@@ -53,6 +55,10 @@ pub(super) struct Driver<E: Engine> {
     pub(super) lease_looked: Option<Instant>,
     /// The own end and the stamp of the stream's last message when they were last found to be equal.
     pub(super) probed_stamp: Option<(LogPoint, u64)>,
+    /// When the end of the stream was asked for, and the number of its last message then.
+    pub(super) end_heard: Option<(Instant, u64)>,
+    /// Whether this daemon has looked far back for void messages.
+    pub(super) has_looked_back: bool,
     /// The lease, between taking the log over and writing it.
     pub(super) keeper: Option<LeaseKeeper>,
 }
@@ -82,6 +88,8 @@ impl<E: Engine> Driver<E> {
             lease_watch: LeaseWatch::default(),
             lease_looked: None,
             probed_stamp: None,
+            end_heard: None,
+            has_looked_back: false,
             keeper: None,
         }
     }
@@ -111,7 +119,8 @@ impl<E: Engine> Driver<E> {
                     return;
                 }
                 Next::Stop => {
-                    self.shared.close(&AppendError::Closed);
+                    // Not fatal: the log is sound, and another daemon may write it.
+                    self.shared.close(&AppendError::NotWriter { writer: None });
                     return;
                 }
             };
@@ -138,15 +147,25 @@ impl<E: Engine> Driver<E> {
     }
 
     pub(super) fn role(&self, role: ReplicaRole) {
-        let end = self.shared.log.end().position;
+        let end = self.shared.log.position();
         self.shared.status.send_modify(|status| {
             status.role = role;
             status.position = end;
         });
     }
 
+    /// The daemon that writes the log, as far as it is known. The map's thread of a follower hears of a change.
     pub(super) fn set_writer(&self, writer: Option<String>) {
-        self.shared.status.send_modify(|status| status.writer = writer);
+        let mut role = ReplicaRole::Starting;
+        let is_new = self.shared.status.send_if_modified(|status| {
+            role = status.role;
+            let differs = status.writer != writer;
+            status.writer.clone_from(&writer);
+            differs
+        });
+        if is_new && !matches!(role, ReplicaRole::Writing | ReplicaRole::TakingOver) {
+            (self.listener)(ReplicaEvent::Following { writer });
+        }
     }
 
     pub(super) fn trouble(&self, trouble: Option<String>) {
@@ -157,15 +176,30 @@ impl<E: Engine> Driver<E> {
         });
     }
 
-    /// The shared log ends there now.
-    pub(super) fn heard_of(&self, position: u64, epoch: u64) {
-        let own = self.shared.log.end().position;
+    /// The shared log ends there, as far as it was seen.
+    pub(super) fn sees_end(&self, position: u64) {
+        let (own, epoch) = (self.shared.log.position(), self.epoch);
         self.shared.status.send_modify(|status| {
             status.shared_position = position;
             status.position = own;
             status.epoch = epoch;
-            status.heard = Some(Instant::now());
         });
+    }
+
+    /// This daemon has all of the shared log as of a moment; it ended there.
+    pub(super) fn heard_of(&self, position: u64, moment: Instant) {
+        self.sees_end(position);
+        self.shared.status.send_modify(|status| status.heard = status.heard.max(Some(moment)));
+    }
+
+    /// This daemon cannot write its own log: for a while it does not look at the lease, so that others take it.
+    pub(super) fn let_others_write(&mut self) {
+        self.lease_looked = Some(Instant::now() + LET_OTHERS_WRITE);
+    }
+
+    /// Whether it is for others to take the lease.
+    pub(super) fn lets_others_write(&self) -> bool {
+        self.lease_looked.is_some_and(|looked| looked > Instant::now())
     }
 
     /// Waits a little, or for an order to stop.

@@ -14,7 +14,10 @@ use super::{
     events::{ReplicaEvent, ReplicaRole},
     settings::Order,
 };
-use crate::engine::{Bucket, Engine, Message};
+use crate::{
+    catalogue,
+    engine::{Bucket, Engine, EngineError, Message},
+};
 
 /// How long a read waits for the next message. The lease is looked at between reads.
 const READ_PATIENCE: Duration = Duration::from_millis(250);
@@ -41,10 +44,15 @@ impl<E: Engine> Driver<E> {
         self.assembly.clear();
         while !self.is_stopping() {
             let mut is_ahead = false;
-            match self.relation(LOOK_BACK).await {
-                Ok(Relation::Holds { last_sequence }) => {
+            let look_back = if self.has_looked_back { LOOK_BACK_FOLLOWING } else { LOOK_BACK };
+            let relation = self.relation(look_back).await;
+            self.has_looked_back |= relation.is_ok();
+            match relation {
+                Ok(Relation::Holds { last_sequence, .. }) => {
                     self.last_sequence = last_sequence;
-                    self.trouble(None);
+                    if !self.lets_others_write() {
+                        self.trouble(None);
+                    }
                     return Next::Follow;
                 }
                 Ok(Relation::Ahead { end, .. }) => {
@@ -66,6 +74,10 @@ impl<E: Engine> Driver<E> {
                     "the shared log ends at position {end}, and this daemon's log begins behind it: another daemon has \
                      to append what the shared log has forgotten"
                 ))),
+                Err(CompareError::Engine(EngineError::Missing(what))) => {
+                    self.trouble(Some(format!("the engine has no {what}")));
+                    self.make_stream().await;
+                }
                 Err(error) => self.trouble(Some(error.to_string())),
             }
             // Whoever is ahead may append what the shared log has forgotten, as its writer.
@@ -75,6 +87,20 @@ impl<E: Engine> Driver<E> {
             self.pause(PAUSE).await;
         }
         Next::Stop
+    }
+
+    /// Makes the stream again, which the engine has lost, unless the map was deleted.
+    async fn make_stream(&mut self) {
+        let (engine, settings) = (&self.engine, &self.settings);
+        if !matches!(catalogue::is_deleted(engine, settings.map).await, Ok(false)) {
+            return;
+        }
+        match engine.create_stream(&settings.stream, settings.engine_replicas).await {
+            Ok(()) => {
+                tracing::warn!(stream = settings.stream, "the engine had lost the stream of a map: it is made again")
+            }
+            Err(error) => self.trouble(Some(error.to_string())),
+        }
     }
 
     /// Looks at the lease now and then; gives its revision when this daemon may take it.
@@ -95,7 +121,7 @@ impl<E: Engine> Driver<E> {
         let now = Instant::now();
         self.lease_watch.look(entry.as_ref(), now);
         let lease = self.lease_watch.lease().map(|(_, lease)| lease.writer.clone());
-        if let Some(writer) = lease.filter(|writer| !writer.is_empty()) {
+        if let Some(writer) = lease.filter(|writer| !writer.is_empty() && *writer != self.settings.member) {
             self.set_writer(Some(writer));
         }
         let rank = (*self.rank.borrow())?;
@@ -109,28 +135,38 @@ impl<E: Engine> Driver<E> {
 
     async fn relation_is_lost(&mut self) -> Result<bool, CompareError> {
         let relation = self.relation(LOOK_BACK_FOLLOWING).await?;
-        Ok(relation != Relation::Holds { last_sequence: self.last_sequence })
+        // A group that is not complete may come behind it.
+        Ok(!matches!(relation, Relation::Holds { has_more: false, .. }))
     }
 
     /// Whether the stream ends where this daemon has read it to, and with the record that this daemon has there.
     pub(super) async fn probe(&mut self) -> Result<StreamEnd, CompareError> {
+        let asked = Instant::now();
         let ends = self.engine.ends(&self.settings.stream).await?;
         if ends.last < self.last_sequence {
             return Ok(StreamEnd::Lost);
         }
         if ends.last > self.last_sequence {
+            // Once this daemon has read to there, it knows the log as of this moment.
+            self.end_heard = Some((asked, ends.last));
+            if let Some(part) = self.part_up_to(ends.last, self.last_sequence + 1).await? {
+                self.sees_end(part.after.position);
+            }
             return Ok(StreamEnd::More);
         }
         let own = self.shared.log.end();
         if ends.last > 0 && ends.first <= ends.last && self.probed_stamp != Some((own, ends.stamp)) {
             // A part that is not the last, or a void message, is compared once more.
-            if self.part_at(ends.last).await?.after != own && self.relation_is_lost().await? {
+            let last = self.part_at(ends.last).await?;
+            if last.is_none_or(|part| part.after != own) && self.relation_is_lost().await? {
                 return Ok(StreamEnd::Lost);
             }
             self.probed_stamp = Some((own, ends.stamp));
         }
-        self.trouble(None);
-        self.heard_of(own.position, self.epoch);
+        if !self.lets_others_write() {
+            self.trouble(None);
+        }
+        self.heard_of(own.position, asked);
         Ok(StreamEnd::Own)
     }
 
@@ -138,17 +174,24 @@ impl<E: Engine> Driver<E> {
     pub(super) async fn follow(&mut self) -> Next {
         self.role(ReplicaRole::Following);
         let mut probed: Option<Instant> = None;
+        let mut probed_sequence = None;
         while !self.is_stopping() {
             while let Some(order) = self.next_order() {
                 if let Order::HandOver(_, done) = order {
                     let _ = done.send(false);
                 }
             }
+            if let Some(revision) = self.look_at_lease().await {
+                return Next::TakeOver(revision);
+            }
             let (stream, from) = (self.settings.stream.clone(), self.last_sequence + 1);
             match self.engine.read_from(&stream, from, READ_BYTES, READ_PATIENCE).await {
                 Ok(messages) if !messages.is_empty() => match self.take_in(messages).await {
                     Ok(true) => {}
-                    Ok(false) => return Next::Align,
+                    Ok(false) => {
+                        self.pause(PAUSE).await;
+                        return Next::Align;
+                    }
                     Err(error) => {
                         self.trouble(Some(error.to_string()));
                         self.pause(PAUSE).await;
@@ -165,13 +208,15 @@ impl<E: Engine> Driver<E> {
             if probed.is_none_or(|probed| now.saturating_duration_since(probed) >= PROBE) {
                 probed = Some(now);
                 match self.probe().await {
-                    Ok(StreamEnd::Lost) => return Next::Align,
-                    Ok(StreamEnd::Own) | Ok(StreamEnd::More) => {}
+                    Ok(StreamEnd::Lost) => {
+                        self.pause(PAUSE).await;
+                        return Next::Align;
+                    }
+                    // There is more, and nothing of it came since the last look: it was purged.
+                    Ok(StreamEnd::More) if probed_sequence == Some(self.last_sequence) => return Next::Align,
+                    Ok(StreamEnd::Own | StreamEnd::More) => probed_sequence = Some(self.last_sequence),
                     Err(error) => self.trouble(Some(error.to_string())),
                 }
-            }
-            if let Some(revision) = self.look_at_lease().await {
-                return Next::TakeOver(revision);
             }
         }
         Next::Stop
@@ -181,36 +226,48 @@ impl<E: Engine> Driver<E> {
     /// what this daemon has, or cannot be written here.
     pub(super) async fn take_in(&mut self, messages: Vec<Message>) -> Result<bool, CompareError> {
         let mut followed = Vec::new();
-        let mut is_sound = true;
+        let mut taken = Ok(true);
         for message in messages {
-            if message.sequence != self.last_sequence + 1 {
-                is_sound = false;
+            taken = self.take_in_one(&message, &mut followed).await;
+            if !matches!(taken, Ok(true)) {
                 break;
             }
-            let part = self.part(&message)?;
-            let epoch = part.epoch;
-            if let Some(group) = self.assembly.push(part) {
-                let log = self.shared.log.clone();
-                match self.on_disk(move || log.append_group(&group)).await {
-                    Ok(events) => followed.extend(events),
-                    Err(error) => {
-                        if !matches!(error, ForeignGroupError::NotNext { .. }) {
-                            self.trouble(Some(format!("this daemon cannot follow the shared log: {error}")));
-                        }
-                        is_sound = false;
-                        break;
-                    }
-                }
-                self.epoch = epoch;
-            }
-            self.last_sequence = message.sequence;
         }
+        // Whatever came after them: they are in the own log.
         if !followed.is_empty() {
-            let end = self.shared.log.end().position;
-            self.heard_of(end, self.epoch);
             self.tell_followed(followed).await;
+            if let Some((asked, _)) = self.end_heard.filter(|&(_, last)| self.last_sequence >= last) {
+                self.heard_of(self.shared.log.position(), asked);
+            }
         }
-        Ok(is_sound)
+        taken
+    }
+
+    async fn take_in_one(&mut self, message: &Message, followed: &mut Vec<(u64, Event)>) -> Result<bool, CompareError> {
+        if message.sequence != self.last_sequence + 1 {
+            return Ok(false);
+        }
+        let Some(part) = self.part(message)? else {
+            tracing::warn!(stream = self.settings.stream, message = message.sequence, "a message is not tidemap's");
+            self.last_sequence = message.sequence;
+            return Ok(true);
+        };
+        let epoch = part.epoch;
+        if let Some(group) = self.assembly.push(part) {
+            let log = self.shared.log.clone();
+            match self.on_disk(move || log.append_group(&group)).await {
+                Ok(events) => followed.extend(events),
+                Err(ForeignGroupError::NotNext { .. }) => return Ok(false),
+                Err(error) => {
+                    self.trouble(Some(format!("this daemon cannot follow the shared log: {error}")));
+                    self.let_others_write();
+                    return Ok(false);
+                }
+            }
+            self.epoch = epoch;
+        }
+        self.last_sequence = message.sequence;
+        Ok(true)
     }
 
     pub(super) async fn tell_followed(&mut self, events: Vec<(u64, Event)>) {
@@ -221,7 +278,11 @@ impl<E: Engine> Driver<E> {
         }
         let (applied, done) = oneshot::channel();
         (self.listener)(ReplicaEvent::Followed { events, applied });
-        // A thread that ends answers nothing.
-        let _ = done.await;
+        let mut stopping = self.stopping.clone();
+        // A thread that ends answers nothing, and one that waits for an update does not answer soon.
+        tokio::select! {
+            _ = done => {}
+            _ = stopping.wait_for(|stopping| *stopping) => {}
+        }
     }
 }

@@ -19,6 +19,8 @@ pub struct ReplicaSettings {
     pub version: String,
     /// Number of the maths of its updates.
     pub maths: u32,
+    /// Servers of the engine that hold the stream, where it has to be made again.
+    pub engine_replicas: usize,
     /// How long a lease lasts without renewal.
     pub lease: Duration,
     /// How long a new writer waits for a daemon that says that its log is longer.

@@ -158,7 +158,7 @@ impl EventLog for SharedLog {
     }
 
     fn end(&self) -> u64 {
-        self.shared.log.end().position
+        self.shared.log.position()
     }
 
     fn tail_bytes(&self) -> u64 {

@@ -49,7 +49,13 @@ impl<E: Engine> Driver<E> {
         };
         let terms = LeaseTerms { key, member: self.settings.member.clone(), epoch, lasts: self.settings.lease };
         let keeper = LeaseKeeper::start(self.engine.clone(), Arc::clone(&self.shared), terms, revision, begun);
-        while !self.is_stopping() && !keeper.is_lost() {
+        // A daemon that cannot take the log over must not keep others from it.
+        let patience = self.settings.heal_wait + 2 * self.settings.lease;
+        while !self.is_stopping() && !keeper.is_lost() && !self.lets_others_write() {
+            if begun.elapsed() > patience || self.rank.borrow().is_none() {
+                self.let_others_write();
+                break;
+            }
             match self.try_to_take_over(&keeper, begun).await {
                 Ok(None) => sleep(PAUSE).await,
                 // The next writer may be one that can.
@@ -67,7 +73,7 @@ impl<E: Engine> Driver<E> {
                 }
             }
         }
-        if self.is_stopping() {
+        if !keeper.is_lost() {
             keeper.give_back(&self.engine, None).await;
         }
         Next::Align
@@ -76,7 +82,7 @@ impl<E: Engine> Driver<E> {
     /// One attempt; `None`: again.
     async fn try_to_take_over(&mut self, keeper: &LeaseKeeper, begun: Instant) -> Result<Option<Next>, CompareError> {
         match self.relation(LOOK_BACK_FOLLOWING).await? {
-            Relation::Holds { last_sequence } => {
+            Relation::Holds { last_sequence, .. } => {
                 self.last_sequence = last_sequence;
                 self.assembly.clear();
                 if !self.catch_up().await? {
@@ -161,7 +167,7 @@ impl<E: Engine> Driver<E> {
                 return Ok(());
             }
             metrics::counter!("tidemap_cluster_healed_records_total").increment(group.records());
-            self.heard_of(group.after.position, self.epoch);
+            self.sees_end(group.after.position);
         }
     }
 
@@ -183,13 +189,14 @@ impl<E: Engine> Driver<E> {
         let written = self
             .on_disk(move || {
                 let queued = log.queue(&event, Box::new(|_| {})).ok()?;
-                let written = log.write(vec![queued])?;
+                let written = log.write(vec![queued]).ok()?;
                 let synced = log.sync(&written);
                 Some((written, synced, event))
             })
             .await;
         let Some((written, synced, event)) = written else {
-            self.trouble(Some("this daemon's own log cannot be written".to_owned()));
+            self.trouble(Some("this daemon's own log cannot be written: another one takes its place".to_owned()));
+            self.let_others_write();
             return Ok(None);
         };
         let records: RecordGroup = written.records().clone();
@@ -209,7 +216,7 @@ impl<E: Engine> Driver<E> {
             return Ok(if self.is_stopping() { Some(Next::Stop) } else { None });
         }
         self.epoch = epoch;
-        self.heard_of(records.after.position, epoch);
+        self.heard_of(records.after.position, Instant::now());
         self.tell_followed(vec![(records.after.position, event)]).await;
         self.set_writer(Some(self.settings.member.clone()));
         Ok(Some(Next::Write))

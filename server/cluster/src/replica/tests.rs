@@ -10,9 +10,13 @@ use std::{
     time::Duration,
 };
 
+use bytes::Bytes;
 use rand::{Rng as _, SeedableRng as _, rngs::SmallRng};
 use tidemap_map::event::Event;
-use tidemap_store::{Fork, simulation::SimulatedDisk};
+use tidemap_store::{
+    Fork,
+    simulation::{Fault, SimulatedDisk},
+};
 use tokio::{
     sync::oneshot,
     time::{Instant, sleep, timeout},
@@ -158,7 +162,7 @@ impl World {
     async fn disturb(&mut self) {
         let index = self.random.random_range(0..DAEMONS);
         let name = self.machines[index].name.clone();
-        match self.random.random_range(0..8) {
+        match self.random.random_range(0..10) {
             0 | 1 => self.kill(index, false).await,
             2 => self.kill(index, true).await,
             3 => {
@@ -175,6 +179,21 @@ impl World {
             5 => {
                 for index in 0..DAEMONS {
                     self.kill(index, index == 1).await;
+                }
+            }
+            6 => {
+                let disk = self.machines[index].disk.clone();
+                let fault = Fault { call: disk.calls(), kind: std::io::ErrorKind::StorageFull, is_sticky: true };
+                disk.set_fault(Some(fault));
+                sleep(Duration::from_millis(self.random.random_range(100..15_000))).await;
+                disk.set_fault(None);
+            }
+            7 => {
+                // Somebody publishes what is no record.
+                let client = self.engine.client("stranger");
+                if let Ok(ends) = client.ends("tm").await {
+                    let content = Bytes::from_static(b"hello");
+                    let _ = client.append_if("tm", ends.last, content, Duration::from_millis(500)).await;
                 }
             }
             _ => {
@@ -272,7 +291,7 @@ async fn run(seed: u64, mode: Mode, planted: Planted, defects: PlantedDefects) -
             });
             let parts = world.engine.present("tm");
             let parts =
-                parts.iter().filter_map(|message| Some((message.sequence, GroupPart::decode(&message.content).ok()?)));
+                parts.iter().filter_map(|message| Some((message.sequence, GroupPart::decode(&message.content).ok()??)));
             let parts =
                 parts.map(|(at, part)| format!("{at}: epoch {}, {:?} to {:?}", part.epoch, part.before, part.after));
             return Err(format!(

@@ -5,7 +5,10 @@
 use std::time::Duration;
 
 use tidemap_store::{AppendError, WrittenGroup};
-use tokio::{sync::oneshot, time::sleep};
+use tokio::{
+    sync::oneshot,
+    time::{Instant, sleep},
+};
 
 use super::{
     driver::{Driver, Next, PROBE},
@@ -66,9 +69,17 @@ impl<E: Engine> Driver<E> {
                 }
             }
             let log = self.shared.log.clone();
-            if let Some(written) = self.on_disk(move || log.write(events)).await
-                && let Some(next) = self.commit(written).await
-            {
+            let next = match self.on_disk(move || log.write(events)).await {
+                Ok(written) => self.commit(written).await,
+                // They wait for what the map's thread undoes, or nothing was left to write.
+                Err(AppendError::AfterFailure) => None,
+                Err(error) => {
+                    self.trouble(Some(format!("another daemon takes this one's place: {error}")));
+                    self.let_others_write();
+                    Some(Next::Follow)
+                }
+            };
+            if let Some(next) = next {
                 return next;
             }
         }
@@ -101,15 +112,15 @@ impl<E: Engine> Driver<E> {
             (Err(error), _) => Err(error),
             (Ok(()), Sent::Done) => Ok(()),
             (Ok(()), Sent::Full(reason)) => Err(AppendError::StreamFull(reason.clone())),
-            (Ok(()), Sent::Deposed | Sent::Forgotten) => Err(AppendError::NotWriter { writer: None }),
-            (Ok(()), Sent::Stopped) => Err(AppendError::Closed),
+            // Whether the stream has a group that was given up is not known: it is not acknowledged.
+            (Ok(()), Sent::Deposed | Sent::Forgotten | Sent::Stopped) => Err(AppendError::NotWriter { writer: None }),
         };
         let is_fatal = matches!(outcome, Err(AppendError::Poisoned { .. }));
         let log = self.shared.log.clone();
         let is_in = outcome.is_ok();
         self.on_disk(move || log.end_group(written, outcome)).await;
         if is_in {
-            self.heard_of(end, self.epoch);
+            self.heard_of(end, Instant::now());
         }
         match sent {
             _ if is_fatal => Some(Next::Stop),

@@ -112,6 +112,7 @@ impl Daemon {
             member: name.to_owned(),
             version: "test".to_owned(),
             maths: 1,
+            engine_replicas: 3,
             lease: Duration::from_secs(3),
             heal_wait: Duration::from_secs(30),
             group_bytes: 2000,
