@@ -189,6 +189,7 @@ impl Cluster {
         let settings = ReplicaSettings {
             map: uid,
             stream: catalogue::stream(uid),
+            engine_replicas: settings.engine_replicas,
             member: settings.member.clone(),
             version: telemetry::VERSION.to_owned(),
             maths: tidemap_model::MATHS,
