@@ -377,7 +377,7 @@ impl Settings {
         self.check_tls()?;
         self.check_backups()?;
         instructions::chosen(&self.instruction_set)?;
-        self.cluster.as_ref().map_or(Ok(()), ClusterSettings::check)?;
+        self.cluster.as_ref().map_or(Ok(()), |cluster| cluster.check(&self.listen))?;
         if !self.expect_store_id.is_empty() && !is_store_id(&self.expect_store_id) {
             let found = &self.expect_store_id;
             bail!("setting expect_store_id is {found:?}: it must be 32 lower-case hexadecimal digits, or empty");
@@ -464,6 +464,7 @@ mod tests {
             ("expect_store_id = 'mine'", "expect_store_id"),
             ("[cluster]\nmember = 'a'", "servers"),
             ("[cluster]\nservers = ['nats://a:4222']", "member"),
+            ("listen = '127.0.0.1:0'\n[cluster]\nservers = ['nats://a:4222']\nmember = 'a'", "cluster.advertise"),
             ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a b'", "cluster.member"),
             ("[cluster]\nservers = []\nmember = 'a'", "cluster.servers"),
             ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a'\nengine_replicas = 2", "engine_replicas"),

@@ -2,7 +2,7 @@
 //!
 //! Invariant: without the section nothing of the cluster runs.
 
-use std::path::PathBuf;
+use std::{net::SocketAddr, path::PathBuf};
 
 use anyhow::bail;
 use serde::{Deserialize, Serialize};
@@ -164,16 +164,26 @@ fn check_name(key: &str, name: &str) -> anyhow::Result<()> {
 }
 
 impl ClusterSettings {
-    /// Whether the values make sense.
+    /// Whether the values make sense beside `listen`, the address of the gRPC port.
     ///
     /// # Errors
     /// What is wrong, with the key.
-    pub(crate) fn check(&self) -> anyhow::Result<()> {
+    pub(crate) fn check(&self, listen: &str) -> anyhow::Result<()> {
         check_name("name", &self.name)?;
         check_name("member", &self.member)?;
         if self.servers.is_empty() {
             bail!(
                 "setting cluster.servers is empty: name the engine's servers, for example [\"nats://10.0.0.1:4222\"]"
+            );
+        }
+        let listens_on = listen.parse::<SocketAddr>();
+        if self.advertise.is_empty()
+            && let Ok(address) = listens_on
+            && (address.ip().is_unspecified() || address.port() == 0)
+        {
+            bail!(
+                "setting cluster.advertise is empty, and other daemons cannot reach this one at {listen}, its setting \
+                 listen: set cluster.advertise to http://HOST:PORT or https://HOST:PORT"
             );
         }
         if !self.advertise.is_empty()

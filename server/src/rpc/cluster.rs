@@ -9,7 +9,11 @@ use tidemap_cluster::{
     membership::Member,
     replica::{ReplicaRole, ReplicaStatus},
 };
-use tidemap_map::{event::Event, ids::ProducerId};
+use tidemap_map::{
+    event::{Event, SequenceSpan},
+    ids::ProducerId,
+    snapshot::ProducerMark,
+};
 use tidemap_proto::{
     convert::time::duration,
     v1::{self, cluster_service_server::ClusterService},
@@ -118,6 +122,14 @@ async fn known_producers(handle: &MapHandle) -> BTreeMap<ProducerId, KnownProduc
     known.into_iter().map(|producer| (producer.id, producer)).collect()
 }
 
+/// Up to which number of a part of a producer's sequence the map has the very observations of a fork. A producer that
+/// began anew has sent others under the numbers.
+fn known_to(mark: &ProducerMark, incarnation: u64, span: SequenceSpan) -> u64 {
+    let at_last = mark.content_marks().into_iter().find(|content| content.sequence == span.last);
+    let is_same = at_last.map_or(mark.incarnation == incarnation, |content| content.crc == span.content_crc);
+    if is_same { span.last.min(mark.durable_sequence) } else { 0 }
+}
+
 /// What a fork holds, beside what the map has meanwhile.
 fn fork_to_wire(
     store: &Store,
@@ -144,8 +156,9 @@ fn fork_to_wire(
             |key| (key.producer().to_owned(), key.label().to_owned()),
         );
         let same = |known: &&KnownProducer| known.mark.key.producer() == producer && known.mark.key.label() == label;
-        let durable = known.values().find(same).map_or(0, |known| known.mark.durable_sequence);
+        let mark = known.values().find(same).map(|known| &known.mark);
         let span = envelope.span;
+        let known_to = mark.map_or(0, |mark| known_to(mark, envelope.incarnation, span));
         let row = producers.entry((producer.clone(), label.clone())).or_insert_with(|| v1::ForkedProducer {
             producer,
             label,
@@ -154,7 +167,7 @@ fn fork_to_wire(
         });
         row.last_sequence = span.last;
         row.observations += (span.last + 1).saturating_sub(span.first);
-        row.known_observations += (span.last.min(durable) + 1).saturating_sub(span.first);
+        row.known_observations += (known_to + 1).saturating_sub(span.first);
     }
     Ok(v1::LogFork {
         name: fork.name,
@@ -228,10 +241,9 @@ impl ClusterService for ClusterCalls {
             member: cluster.member().to_owned(),
             ..v1::GetClusterStatusResponse::default()
         };
-        match cluster.members() {
-            Ok(members) => reply.members = members.iter().map(member_to_wire).collect(),
-            Err(error) => reply.engine_trouble = error.to_string(),
-        }
+        let view = cluster.members_view();
+        reply.members = view.members.iter().map(member_to_wire).collect();
+        reply.engine_trouble = view.trouble.map(|trouble| trouble.to_string()).unwrap_or_default();
         let mut listed = cluster.listed_maps().await.unwrap_or_else(|error| {
             reply.engine_trouble = error.to_string();
             cluster.held_maps()
@@ -302,5 +314,33 @@ impl ClusterService for ClusterCalls {
     async fn drain(&self, request: Request<v1::DrainRequest>) -> Result<Response<v1::DrainResponse>, Status> {
         self.cluster()?.drain(!request.get_ref().undo);
         Ok(Response::new(v1::DrainResponse {}))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tidemap_map::{name::ProducerKey, snapshot::ContentMark};
+
+    use super::*;
+
+    #[test]
+    fn the_map_has_observations_of_a_fork_only_if_the_producer_has_not_begun_anew() {
+        let mark = ProducerMark {
+            key: ProducerKey::new("robot", "").expect("valid"),
+            incarnation: 3,
+            durable_sequence: 20,
+            content_crc: 0xB,
+            sensor: None,
+            received_nanos: 0,
+            newest_nanos: 0,
+            recent: vec![ContentMark { sequence: 15, crc: 0xA }],
+            has_scans: false,
+        };
+        let span = |first, last, content_crc| SequenceSpan { first, last, content_crc };
+        assert_eq!(known_to(&mark, 3, span(9, 12, 0)), 12, "it is the producer that the fork knew");
+        assert_eq!(known_to(&mark, 3, span(19, 24, 0)), 20, "some came after");
+        assert_eq!(known_to(&mark, 2, span(9, 12, 0)), 0, "it began anew, and may have sent others");
+        assert_eq!(known_to(&mark, 2, span(9, 15, 0xA)), 15, "it sent the very observations");
+        assert_eq!(known_to(&mark, 3, span(19, 20, 0xC)), 0, "the map has others");
     }
 }
