@@ -5,7 +5,7 @@
 //! cluster says that it was deleted.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fmt,
     path::{Path, PathBuf},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
@@ -17,13 +17,16 @@ use tidemap_cluster::{
     catalogue::{self, ClusterMap},
     engine::{Engine as _, EngineError, SetError},
     member::MemberReport,
-    membership::{self, Members},
+    membership::{self, MembersView, NameTaken},
     nats::{NatsCheckError, NatsCredentials, NatsEngine, NatsSettings, NatsTls, check},
     replica::{Replica, ReplicaHandle, ReplicaListener, ReplicaSettings, SharedLog},
 };
 use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_store::{EventLog as _, GroupLog, encode_spec};
-use tokio::sync::{Notify, watch};
+use tokio::{
+    sync::{Notify, mpsc, watch},
+    time::{Instant, timeout_at},
+};
 use tracing::{info, warn};
 
 use crate::{config::cluster::ClusterSettings, peers::Peers, random_id::random_id, telemetry};
@@ -32,7 +35,7 @@ pub(crate) mod operations;
 
 /// Pause before the engine is tried again at the start.
 const CONNECT_PAUSE: Duration = Duration::from_secs(1);
-/// How long a replica may take to stop.
+/// How long replicas may take to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 
 /// Why something cannot be done in the cluster.
@@ -75,9 +78,14 @@ struct Membership {
     address: String,
     id: String,
     boot: u64,
-    members: watch::Sender<Result<Members, EngineError>>,
+    members: watch::Sender<MembersView>,
     /// By the number of the map in the cluster. Held for a look-up.
     replicas: Mutex<BTreeMap<u64, RunningReplica>>,
+    /// How far the own logs of maps go whose replicas do not run yet, or no longer. A daemon that takes over a map waits
+    /// for one with a longer log only if that one is known to have it.
+    ends: Mutex<BTreeMap<u64, u64>>,
+    /// Hears of what makes this daemon end.
+    fatal: mpsc::UnboundedSender<String>,
     /// Wakes who keeps the catalogue.
     changed: Notify,
     is_draining: watch::Sender<bool>,
@@ -117,38 +125,58 @@ fn nats_settings(settings: &ClusterSettings) -> NatsSettings {
     }
 }
 
-async fn try_to_connect(settings: &ClusterSettings, proposed: &str) -> Result<(NatsEngine, String), ClusterError> {
+/// The engine, the identity of the cluster, and how far the own logs of this daemon went at its last report.
+type Connected = (NatsEngine, String, BTreeMap<u64, u64>);
+
+async fn try_to_connect(settings: &ClusterSettings, proposed: &str) -> Result<Connected, ClusterError> {
     let engine = NatsEngine::connect(nats_settings(settings)).await?;
-    let servers = check(&engine, settings.require_synced_engine).await?;
-    if servers.iter().any(|server| server.syncs_always.is_none()) {
-        warn!(
-            "whether the engine writes to its disk before it acknowledges is not known: let this account ask \
-             $SYS.REQ.SERVER.PING.VARZ, and set `sync_interval: always`"
-        );
-    }
+    check(&engine, settings.require_synced_engine).await?;
     engine.create_buckets(settings.engine_replicas).await?;
     let id = catalogue::cluster_id(&engine, proposed).await?;
-    Ok((engine, id))
+    let before = membership::last_report(&engine, &settings.member).await?;
+    Ok((engine, id, before.unwrap_or_default().logs))
+}
+
+/// The URLs of servers as a log may show them: without user and password.
+fn without_secrets(servers: &[String]) -> Vec<String> {
+    let shown = |url: &String| match url.rsplit_once('@') {
+        Some((secret, host)) => match secret.split_once("://") {
+            Some((scheme, _)) => format!("{scheme}://{host}"),
+            None => host.to_owned(),
+        },
+        None => url.clone(),
+    };
+    servers.iter().map(shown).collect()
+}
+
+/// Where a daemon starts.
+#[derive(Clone, Debug)]
+pub(crate) struct ClusterStart {
+    /// Address of the gRPC port.
+    pub listen: String,
+    /// Becomes the identity of a new cluster.
+    pub proposed_id: String,
+    /// Numbers of the shared maps that are on this daemon's disk.
+    pub held: BTreeSet<u64>,
+    /// Hears of what makes this daemon end.
+    pub fatal: mpsc::UnboundedSender<String>,
 }
 
 impl Cluster {
-    /// Connects to the engine, and waits for it as long as it takes. `listen` is the address of the gRPC port,
-    /// `proposed_id` becomes the identity of a new cluster.
+    /// Connects to the engine, and waits for it as long as it takes.
     ///
     /// # Errors
     /// The engine cannot be used.
-    pub(crate) async fn connect(
-        settings: &ClusterSettings,
-        listen: &str,
-        proposed_id: &str,
-    ) -> Result<Cluster, ClusterError> {
+    pub(crate) async fn connect(settings: &ClusterSettings, start: ClusterStart) -> Result<Cluster, ClusterError> {
+        let ClusterStart { listen, proposed_id, held, fatal } = start;
         let mut attempts = 0_u64;
-        let (engine, id) = loop {
-            match try_to_connect(settings, proposed_id).await {
+        let (engine, id, ends) = loop {
+            match try_to_connect(settings, &proposed_id).await {
                 Ok(connected) => break connected,
                 Err(error) if error.is_passing() => {
                     if attempts.is_multiple_of(10) {
-                        warn!(%error, servers = ?settings.servers, "the engine of the cluster is not there yet");
+                        let servers = without_secrets(&settings.servers);
+                        warn!(%error, ?servers, "the engine of the cluster is not there yet");
                     }
                     attempts += 1;
                     tokio::time::sleep(CONNECT_PAUSE).await;
@@ -166,8 +194,10 @@ impl Cluster {
             address,
             id,
             boot,
-            members: watch::Sender::new(Ok(Members::new())),
+            members: watch::Sender::default(),
             replicas: Mutex::default(),
+            ends: Mutex::new(ends.into_iter().filter(|(uid, _)| held.contains(uid)).collect()),
+            fatal,
             changed: Notify::new(),
             is_draining: watch::Sender::new(false),
             others: Mutex::default(),
@@ -176,6 +206,10 @@ impl Cluster {
 
     fn replicas(&self) -> MutexGuard<'_, BTreeMap<u64, RunningReplica>> {
         self.0.replicas.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn ends(&self) -> MutexGuard<'_, BTreeMap<u64, u64>> {
+        self.0.ends.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The identity of the cluster, which its producers know in place of a store's.
@@ -201,7 +235,12 @@ impl Cluster {
         };
         // A clone follows its stream on its own.
         let (replica, handle, log) = Replica::new(self.0.engine.clone(), settings, log, listener);
-        let ended = crate::task::spawn(replica.run());
+        let (run, fatal) = (crate::task::spawn(replica.run()), self.0.fatal.clone());
+        let ended = crate::task::spawn(async move {
+            if run.await.is_err() {
+                drop(fatal.send("the replica of a map panicked; this is a defect of tidemap".to_owned()));
+            }
+        });
         let running = RunningReplica { handle, log: log.clone(), name: name.clone(), ended };
         self.replicas().insert(uid, running);
         self.0.changed.notify_one();
@@ -210,6 +249,8 @@ impl Cluster {
 
     /// Ends the replica of a map, in order.
     pub(crate) async fn unshare(&self, uid: u64) {
+        // A log that is opened again may have become shorter.
+        self.ends().remove(&uid);
         let Some(replica) = self.replicas().remove(&uid) else { return };
         replica.handle.stop();
         if tokio::time::timeout(STOP_WITHIN, replica.ended).await.is_err() {
@@ -232,14 +273,21 @@ impl Cluster {
         engine.create_stream(&catalogue::stream(uid), self.0.settings.engine_replicas).await?;
         match catalogue::add(engine, name, &ClusterMap::new(uid, &encode_spec(spec))).await {
             Ok(_) => Ok(uid),
-            Err(error) => {
+            Err(SetError::NotExpected) => {
                 // Nobody knows the stream.
                 drop(engine.delete_stream(&catalogue::stream(uid)).await);
-                Err(match error {
-                    SetError::NotExpected => ClusterError::Exists(name.to_owned()),
-                    SetError::Engine(error) => error.into(),
-                })
+                Err(ClusterError::Exists(name.to_owned()))
             }
+            // The entry may be there all the same.
+            Err(SetError::Engine(error)) => match catalogue::find(engine, name).await? {
+                Some((map, _)) if map.uid() == Some(uid) => Ok(uid),
+                Some(_) => {
+                    drop(engine.delete_stream(&catalogue::stream(uid)).await);
+                    Err(ClusterError::Exists(name.to_owned()))
+                }
+                // It may still come, and must then have its stream.
+                None => Err(error.into()),
+            },
         }
     }
 
@@ -263,7 +311,8 @@ impl Cluster {
 
     /// Those that may hold maps; `None` where the engine does not tell.
     pub(crate) fn candidates(&self) -> Option<Vec<Candidate>> {
-        self.0.members.borrow().as_ref().ok().map(membership::candidates)
+        let view = self.0.members.borrow();
+        view.trouble.is_none().then(|| membership::candidates(&view.members))
     }
 
     /// Tells the replica of a map after how many others it may become the writer; `false`: there is no replica here.
@@ -294,7 +343,8 @@ impl Cluster {
 
     fn report(&self, counter: u64) -> MemberReport {
         let inner = &self.0;
-        let logs = self.replicas().iter().map(|(&uid, replica)| (uid, replica.log.end())).collect();
+        let mut logs = self.ends().clone();
+        logs.extend(self.replicas().iter().map(|(&uid, replica)| (uid, replica.log.end())));
         MemberReport {
             address: inner.address.clone(),
             version: telemetry::VERSION.to_owned(),
@@ -313,18 +363,20 @@ impl Cluster {
         self.0.is_draining.send_replace(true);
         let replicas = std::mem::take(&mut *self.replicas());
         replicas.values().for_each(|replica| replica.handle.stop());
-        for (_, replica) in replicas {
-            if tokio::time::timeout(STOP_WITHIN, replica.ended).await.is_err() {
+        let deadline = Instant::now() + STOP_WITHIN;
+        for (uid, replica) in replicas {
+            if timeout_at(deadline, replica.ended).await.is_err() {
                 warn!(map = %replica.name, "the replica did not stop in time");
             }
+            self.ends().insert(uid, replica.log.end());
         }
     }
 
-    /// Reports this daemon and looks at the others, for ever.
-    pub(crate) async fn report_for_ever(self) {
+    /// Reports this daemon and looks at the others, for as long as no other one has its name.
+    pub(crate) async fn keep_reporting(self) -> NameTaken {
         let (engine, member) = (self.0.engine.clone(), self.0.settings.member.clone());
         let sender = self.0.members.clone();
-        membership::run(engine, member, move |counter| self.report(counter), sender).await;
+        membership::run(engine, member, move |counter| self.report(counter), sender).await
     }
 }
 
@@ -336,14 +388,13 @@ impl Peers for Cluster {
 
     fn address_of(&self, member: &str) -> Option<String> {
         let members = self.0.members.borrow();
-        let address = members.as_ref().ok()?.get(member)?.report.address.clone();
+        let address = members.members.get(member)?.report.address.clone();
         Some(address).filter(|address| !address.is_empty())
     }
 
     fn others(&self) -> Vec<String> {
-        let members = self.0.members.borrow();
-        let Ok(members) = members.as_ref() else { return Vec::new() };
-        let others = members.iter().filter(|(name, member)| member.is_alive && **name != self.0.settings.member);
+        let view = self.0.members.borrow();
+        let others = view.members.iter().filter(|(name, member)| member.is_alive && **name != self.0.settings.member);
         others.map(|(name, _)| name.clone()).collect()
     }
 
@@ -359,5 +410,16 @@ impl Peers for Cluster {
 
     fn max_staleness(&self) -> Duration {
         Duration::from_millis(self.0.settings.max_staleness_ms)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_log_shows_no_password_of_an_engine() {
+        let servers = ["nats://user:p@ss@host:4222", "nats://host:4222", "user:pass@host"].map(str::to_owned);
+        assert_eq!(without_secrets(&servers), ["nats://host:4222", "nats://host:4222", "host"]);
     }
 }

@@ -17,7 +17,7 @@ use tracing::{error, info, warn};
 use crate::{
     backups::Schedule,
     catalog::{Catalog, CatalogError, UnopenedMap},
-    cluster::Cluster,
+    cluster::{Cluster, ClusterStart},
     config::Settings,
     http,
     random_id::random_id,
@@ -107,7 +107,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let (fatal_sender, mut fatal) = mpsc::unbounded_channel();
     let (forks_sender, mut forks) = mpsc::unbounded_channel();
     let cluster = tokio::select! {
-        cluster = join_cluster(&settings) => cluster?,
+        cluster = join_cluster(&settings, &store, fatal_sender.clone()) => cluster?,
         // The engine may be away for long.
         _ = terminate.recv() => return stop_before_start(store).await,
         _ = interrupt.recv() => return stop_before_start(store).await,
@@ -126,9 +126,8 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let mut ports = Ports::serve(served, protection).await?;
     tell_ready(&settings, &store, &ports);
 
-    if let Some(cluster) = &cluster {
-        crate::task::spawn(keeping::keep(cluster.clone(), Arc::clone(&catalog)));
-    }
+    let keep = |cluster: &Cluster| crate::task::spawn(keeping::keep(cluster.clone(), Arc::clone(&catalog)));
+    let keeping = cluster.as_ref().map(keep);
     let scrubber = Scrubber::start(&store, &settings);
     if let Some(schedule) = Schedule::of(&settings) {
         crate::task::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));
@@ -138,6 +137,7 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
         _ = interrupt.recv() => Ok(()),
         error = cannot_restore(Arc::clone(&catalog), rest) => Err(error),
         Some(reason) = fatal.recv() => Err(DaemonError::Storage(reason)),
+        taken = keeping::name_taken(keeping) => Err(DaemonError::Settings(taken.to_string())),
         error = ports.closed() => Err(error),
     };
     info!("stopping");
@@ -164,9 +164,16 @@ async fn stop_before_start(store: Arc<Store>) -> Result<(), DaemonError> {
 }
 
 /// Joins the cluster that the settings name, if they do.
-async fn join_cluster(settings: &Settings) -> Result<Option<Cluster>, DaemonError> {
+async fn join_cluster(
+    settings: &Settings,
+    store: &Store,
+    fatal: mpsc::UnboundedSender<String>,
+) -> Result<Option<Cluster>, DaemonError> {
     let Some(section) = &settings.cluster else { return Ok(None) };
-    let connected = Cluster::connect(section, &settings.listen, &random_id()?).await;
+    // A map that cannot be opened says so when it is opened.
+    let held = store.maps().into_iter().filter_map(|(id, _)| store.shared(id).ok().flatten()).collect();
+    let start = ClusterStart { listen: settings.listen.clone(), proposed_id: random_id()?, held, fatal };
+    let connected = Cluster::connect(section, start).await;
     connected.map(Some).map_err(|error| DaemonError::Settings(error.to_string()))
 }
 

@@ -20,6 +20,10 @@ use crate::{
 pub const REPORT_EVERY: Duration = Duration::from_millis(750);
 /// A member whose report has not changed for so long counts as gone.
 pub const GONE_AFTER: Duration = Duration::from_secs(5);
+/// A daemon that finds another one under its name within so many of its first reports is the newer one.
+const FIRST_REPORTS: u64 = 8;
+/// So many reports of the other daemon are needed: one may have been on its way when this daemon was started again.
+const FOREIGN_REPORTS: u32 = 2;
 
 /// A member, as this daemon sees it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -34,6 +38,28 @@ pub struct Member {
 
 /// All members by name.
 pub type Members = BTreeMap<String, Member>;
+
+/// What this daemon knows of the members.
+#[derive(Clone, Debug)]
+pub struct MembersView {
+    /// The members as they were read last.
+    pub members: Members,
+    /// Why they cannot be read now.
+    pub trouble: Option<EngineError>,
+}
+
+impl Default for MembersView {
+    /// Before the first attempt.
+    fn default() -> MembersView {
+        let trouble = EngineError::Unavailable("the members have not been read yet".to_owned());
+        MembersView { members: Members::new(), trouble: Some(trouble) }
+    }
+}
+
+/// Another daemon reports itself under the name of this one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("another running daemon is member {0:?} of the cluster: give each daemon a name of its own (cluster.member)")]
+pub struct NameTaken(pub String);
 
 /// Those that may hold maps.
 #[must_use]
@@ -65,35 +91,70 @@ impl Judgement {
     }
 }
 
-/// Reports this daemon and looks at the others, for ever. `report` is asked for each report; `sender` gets the members,
-/// or why they could not be read.
+/// The report of a member that the engine has; `None`: it has none that can be read.
+///
+/// # Errors
+/// [`EngineError`].
+pub async fn last_report<E: Engine>(engine: &E, name: &str) -> Result<Option<MemberReport>, EngineError> {
+    let entry = engine.get(Bucket::Members, name).await?;
+    Ok(entry.and_then(|entry| MemberReport::decode(&entry.value)))
+}
+
+/// Gives the reports of all members as they were, and reports this daemon.
+async fn exchange<E: Engine>(
+    engine: &E,
+    name: &str,
+    report: &MemberReport,
+) -> Result<Vec<(String, MemberReport)>, EngineError> {
+    let entries = engine.list(Bucket::Members).await?;
+    engine.set(Bucket::Members, name, report.encode()).await?;
+    Ok(entries.into_iter().filter_map(|(name, entry)| Some((name, MemberReport::decode(&entry.value)?))).collect())
+}
+
+/// Reports this daemon and looks at the others. `report` is asked for each report; `sender` gets what is known of the
+/// members. Returns only where this daemon has started under the name of another one that runs.
 pub async fn run<E: Engine>(
     engine: E,
     name: String,
     mut report: impl FnMut(u64) -> MemberReport + Send,
-    sender: watch::Sender<Result<Members, EngineError>>,
-) {
+    sender: watch::Sender<MembersView>,
+) -> NameTaken {
     let mut judgement = Judgement::default();
+    let (mut foreign, mut has_reported) = (0, false);
     for counter in 0.. {
-        let reported = engine.set(Bucket::Members, &name, report(counter).encode()).await;
-        let members = match reported {
-            Ok(_) => engine.list(Bucket::Members).await,
-            Err(error) => Err(error),
-        };
-        let members = members.map(|entries| {
-            let read =
-                |(name, entry): (String, crate::engine::KeyEntry)| Some((name, MemberReport::decode(&entry.value)?));
-            judgement.judge(entries.into_iter().filter_map(read).collect(), Instant::now())
-        });
-        // The one before is of no use.
-        drop(sender.send_replace(members));
+        let own = report(counter);
+        match exchange(&engine, &name, &own).await {
+            Ok(mut reports) => {
+                let is_foreign = |(member, report): &(String, MemberReport)| *member == name && report.boot != own.boot;
+                // The first time, it is the report of this daemon before its start.
+                if has_reported && reports.iter().any(is_foreign) {
+                    foreign += 1;
+                    tracing::error!(member = name, "another daemon is a member of this name");
+                }
+                has_reported = true;
+                reports.retain(|(member, _)| *member != name);
+                reports.push((name.clone(), own));
+                let members = judgement.judge(reports, Instant::now());
+                sender.send_replace(MembersView { members, trouble: None });
+            }
+            Err(error) => {
+                // For as long as nothing is read, nobody can be seen to report anything new.
+                judgement = Judgement::default();
+                sender.send_modify(|view| view.trouble = Some(error));
+            }
+        }
+        if foreign >= FOREIGN_REPORTS && counter < FIRST_REPORTS {
+            break;
+        }
         sleep(REPORT_EVERY).await;
     }
+    NameTaken(name)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulated::{EngineFaults, Simulation};
 
     #[tokio::test(start_paused = true)]
     async fn a_member_that_reports_nothing_new_is_gone() {
@@ -109,5 +170,48 @@ mod tests {
         let boot = MemberReport { boot: 9, ..report(1) };
         let back = judgement.judge(vec![("b".to_owned(), boot)], start + GONE_AFTER);
         assert!(back["b"].is_alive);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_daemon_that_starts_under_the_name_of_another_one_is_the_one_that_ends() {
+        let simulation = Simulation::new(1, EngineFaults::none());
+        simulation.client("a").create_buckets(3).await.expect("made");
+        let start = |boot| {
+            let (engine, view) = (simulation.client(&format!("{boot}")), watch::Sender::default());
+            let report = move |counter| MemberReport { boot, counter, ..MemberReport::default() };
+            tokio::spawn(run(engine, "north".to_owned(), report, view))
+        };
+        let first = start(1);
+        sleep(REPORT_EVERY * 20).await;
+        let second = start(2);
+        sleep(REPORT_EVERY * 20).await;
+        assert_eq!(second.await.expect("ended"), NameTaken("north".to_owned()));
+        assert!(!first.is_finished());
+        // The first one ends, and another one starts in its place.
+        first.abort();
+        let third = start(3);
+        sleep(REPORT_EVERY * 20).await;
+        assert!(!third.is_finished());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn members_are_known_while_the_engine_is_away_and_alive_when_it_is_back() {
+        let simulation = Simulation::new(1, EngineFaults::none());
+        let engine = simulation.client("a");
+        engine.create_buckets(3).await.expect("made");
+        engine.set(Bucket::Members, "south", MemberReport::default().encode()).await.expect("set");
+        let view = watch::Sender::<MembersView>::default();
+        let mut seen = view.subscribe();
+        assert!(seen.borrow().trouble.is_some(), "nothing has been read");
+        tokio::spawn(run(engine, "north".to_owned(), |counter| MemberReport { counter, ..Default::default() }, view));
+        sleep(REPORT_EVERY * 2).await;
+        simulation.cut_off("a");
+        sleep(GONE_AFTER * 2).await;
+        let away = seen.borrow_and_update().clone();
+        assert!(away.trouble.is_some() && away.members["south"].is_alive, "{away:?}");
+        simulation.join("a");
+        sleep(REPORT_EVERY * 4).await;
+        let back = seen.borrow_and_update().clone();
+        assert!(back.trouble.is_none() && back.members["south"].is_alive, "{back:?}");
     }
 }

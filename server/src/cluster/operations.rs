@@ -8,7 +8,7 @@ use tidemap_cluster::{
     assignment,
     catalogue::{self, ClusterMap},
     engine::{Engine as _, EngineError, EngineServer, SetError, StreamHealth},
-    membership::{self, Members},
+    membership::{self, Members, MembersView},
     replica::{ReplicaRole, ReplicaStatus},
 };
 use tidemap_store::{EventLog as _, OpenError};
@@ -94,11 +94,17 @@ impl Cluster {
         &self.0.settings.member
     }
 
-    /// The members, as this daemon saw them last.
+    /// The members.
     ///
     /// # Errors
-    /// [`EngineError`] where they could not be read.
+    /// [`EngineError`] where they cannot be read now.
     pub(crate) fn members(&self) -> Result<Members, EngineError> {
+        let MembersView { members, trouble } = self.0.members.borrow().clone();
+        trouble.map_or(Ok(members), Err)
+    }
+
+    /// The members as this daemon saw them last, and why they cannot be read now.
+    pub(crate) fn members_view(&self) -> MembersView {
         self.0.members.borrow().clone()
     }
 
@@ -145,8 +151,8 @@ impl Cluster {
         if log.status().borrow().role != ReplicaRole::Writing {
             return None;
         }
-        let members = self.0.members.borrow();
-        let report = members.as_ref().ok().and_then(|members| members.get(member)).map(|member| &member.report);
+        let view = self.0.members.borrow();
+        let report = view.members.get(member).map(|member| &member.report);
         Some((report.and_then(|report| report.logs.get(&uid).copied()), log.end()))
     }
 

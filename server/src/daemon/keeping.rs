@@ -14,12 +14,13 @@ use tidemap_cluster::{
     catalogue::{self, ClusterMap, Listing},
     engine::{Bucket, Engine as _, SetError},
     lease::Lease,
+    membership::NameTaken,
 };
 use tidemap_map::name::MapName;
 use tidemap_store::{decode_spec, encode_spec};
 use tracing::{info, warn};
 
-use crate::{catalog::Catalog, cluster::Cluster};
+use crate::{catalog::Catalog, cluster::Cluster, task::Task};
 
 /// How often the catalogue is looked at.
 const EVERY: Duration = Duration::from_secs(1);
@@ -82,16 +83,34 @@ fn successor(order: &[String], rank: Option<u32>, map: &ClusterMap) -> Option<St
     }
 }
 
-/// Reports this daemon, and keeps it as the catalogue says, until the daemon stops.
-pub(super) async fn keep(cluster: Cluster, catalog: Arc<Catalog>) {
-    let reporting = tokio::spawn(cluster.clone().report_for_ever());
-    let mut notes = KeepingNotes::default();
-    while !catalog.is_stopping.load(Ordering::Relaxed) {
-        keep_once(&cluster, &catalog, &mut notes).await;
-        // Whichever comes first.
-        let _ = tokio::time::timeout(EVERY, cluster.changed()).await;
-    }
+/// Reports this daemon, and keeps it as the catalogue says, until the daemon stops or has to: another one has its name.
+pub(super) async fn keep(cluster: Cluster, catalog: Arc<Catalog>) -> Option<NameTaken> {
+    let keeping = async {
+        let mut notes = KeepingNotes::default();
+        while !catalog.is_stopping.load(Ordering::Relaxed) {
+            keep_once(&cluster, &catalog, &mut notes).await;
+            // Whichever comes first.
+            let _ = tokio::time::timeout(EVERY, cluster.changed()).await;
+        }
+    };
+    // What is read of the engine must not wait for the work on a map.
+    let mut reporting = tokio::spawn(cluster.clone().keep_reporting());
+    let taken = tokio::select! {
+        () = keeping => None,
+        taken = &mut reporting => taken.ok(),
+    };
     reporting.abort();
+    taken
+}
+
+/// Why a daemon that runs as `keep` says has to end; for ever nothing, where it is no member of a cluster.
+pub(super) async fn name_taken(keeping: Option<Task<Option<NameTaken>>>) -> NameTaken {
+    if let Some(keeping) = keeping
+        && let Ok(Some(taken)) = keeping.await
+    {
+        return taken;
+    }
+    std::future::pending().await
 }
 
 async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNotes) {
@@ -103,7 +122,10 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNote
         match (map.uid(), MapName::new(name)) {
             (Some(uid), Ok(name)) => {
                 listed.insert(uid);
-                if !listing.deleted.contains(&uid) {
+                if listing.deleted.contains(&uid) {
+                    // Whoever deleted it was interrupted. What fails now is tried again at the next look.
+                    drop(catalogue::delete(cluster.engine(), name.as_str(), uid).await);
+                } else {
                     keep_map(cluster, catalog, (uid, &name, map), &candidates, notes).await;
                 }
             }

@@ -149,7 +149,8 @@ pub async fn check(engine: &NatsEngine, require_synced: bool) -> Result<Vec<Engi
             Some(false) if require_synced => return Err(NatsCheckError::NotSynced { server: server.name.clone() }),
             None => tracing::warn!(
                 server = server.name,
-                "the engine's server does not say whether it has sync_interval: always; its account may not ask {VARZ}"
+                "the engine's server does not say whether it writes to its disk before it acknowledges: let this account \
+                 ask {VARZ}, and set sync_interval: always"
             ),
             _ => {}
         }
