@@ -137,21 +137,16 @@ fn is_new_enough(version: &str) -> bool {
     }
 }
 
-/// Checks the servers before the first call. Where a server does not say whether it makes messages durable before it
-/// acknowledges them, that is logged. Returns what the servers say.
+/// Checks the servers before the first call. Returns what they say; some may not say whether they make messages durable
+/// before they acknowledge them.
 pub async fn check(engine: &NatsEngine, require_synced: bool) -> Result<Vec<EngineServer>, NatsCheckError> {
     let servers = engine.servers().await?;
     for server in &servers {
         if !is_new_enough(&server.version) {
             return Err(NatsCheckError::Version { server: server.name.clone(), version: server.version.clone() });
         }
-        match server.syncs_always {
-            Some(false) if require_synced => return Err(NatsCheckError::NotSynced { server: server.name.clone() }),
-            None => tracing::warn!(
-                server = server.name,
-                "the engine's server does not say whether it has sync_interval: always; its account may not ask {VARZ}"
-            ),
-            _ => {}
+        if require_synced && server.syncs_always == Some(false) {
+            return Err(NatsCheckError::NotSynced { server: server.name.clone() });
         }
     }
     let own = engine.calls.server();
