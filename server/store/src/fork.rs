@@ -226,7 +226,7 @@ impl Store {
         read_fork(&*self.inner().disk, &self.forks_folder(map).join(fork)).map(|(events, _)| events)
     }
 
-    /// Removes a fork whose records were taken in again, or given up.
+    /// Removes a fork. What the map lacks of it is lost.
     ///
     /// # Errors
     /// [`StoreError`].
