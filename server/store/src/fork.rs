@@ -1,7 +1,8 @@
 //! Forks: records of this disk that a shared log does not have. They are set aside in a file of their own, and the log
 //! is cut back to what both have.
 //!
-//! Invariant: a record is cut off only when the file that holds it is durable. A fork stays until an operator removes it.
+//! Invariant: a record is cut off only when the file that holds it is durable. A fork stays until an operator removes
+//! it.
 
 use std::{
     path::{Path, PathBuf},
