@@ -25,7 +25,7 @@ impl Client {
         Ok(answer.map_err(|status| self.error(&status))?.into_inner())
     }
 
-    /// Makes a member the one that is to write a map; `None`: the first candidate is.
+    /// Pins a map to a member, which is to write it; `None`: removes the pin, and the present writer stays.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` or `FAILED_PRECONDITION` if the member cannot write it.
@@ -45,7 +45,7 @@ impl Client {
         Ok(answer.map_err(|status| self.error(&status))?.into_inner())
     }
 
-    /// Gives up what a fork of a map on this daemon holds.
+    /// Removes one fork of a map from this daemon. Its records are lost.
     ///
     /// # Errors
     /// [`Error`]; the code is `NOT_FOUND` if there is no such fork.
@@ -55,7 +55,7 @@ impl Client {
         Ok(())
     }
 
-    /// Lets the daemon give its maps away and take no others, or ends that.
+    /// Drains the daemon, which hands over its maps and takes no new ones, or ends the drain.
     ///
     /// # Errors
     /// [`Error`]; the code is `FAILED_PRECONDITION` if the daemon is not a member of a cluster.

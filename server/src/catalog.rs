@@ -81,9 +81,9 @@ pub(crate) enum CatalogError {
     NoProducer { map: MapName, producer: String, label: Option<String> },
     #[error(transparent)]
     Cluster(#[from] ClusterError),
-    #[error("map {0} is one of a cluster: start the daemon with the section [cluster] that it had")]
+    #[error("map {0} belongs to a cluster: start the daemon with its section [cluster]")]
     NoCluster(MapName),
-    #[error("map {0} is one of a cluster, from which nothing can be erased yet. Delete the map to remove its data")]
+    #[error("map {0} belongs to a cluster, from which nothing can be erased yet: delete the map to remove its data")]
     NotErasedInCluster(MapName),
     #[error("the daemon is stopping")]
     Stopping,

@@ -31,7 +31,7 @@ pub struct MemberReport {
     /// Counts its reports since its start.
     #[serde(default)]
     pub counter: u64,
-    /// Whether it gives its maps away and takes no others.
+    /// Whether it is draining: it hands over its maps and takes no new ones.
     #[serde(default)]
     pub draining: bool,
     /// By the number of the map in the cluster: the position up to which its own log is durable.

@@ -46,14 +46,14 @@ impl Catalog {
                     metrics::counter!("tidemap_cluster_forks_total").increment(1);
                     error!(
                         map = %name, first = fork.first, last = fork.last, file = fork.name,
-                        "FORKED: this daemon had records that the shared log does not have. They are set aside; tidemap \
-                         cluster heal takes them in again"
+                        "FORKED: the own log of this daemon had records that the shared log does not have. The daemon has \
+                         set them aside. `tidemap cluster heal {name}` shows them; it does not add them to the map"
                     );
                 }
                 Some(fork) => warn!(
                     map = %name, first = fork.first, last = fork.last, file = fork.name,
-                    "this daemon had records that were being decided about when it lost the log. They are set aside; \
-                     their producers were not told that they are durable"
+                    "this daemon has set records aside whose append was not confirmed when it lost the log. Their \
+                     producers have no acknowledgement of them"
                 ),
                 None => {}
             }

@@ -25,13 +25,13 @@ pub(crate) enum OperationError {
     NoCluster,
     #[error("map {0:?} does not exist in the cluster")]
     UnknownMap(String),
-    #[error("this daemon does not hold map {0:?}: tidemap cluster maps shows which do")]
+    #[error("this daemon does not hold map {0:?}: `tidemap cluster maps` shows the members that hold it")]
     NotHeld(String),
     #[error("{member:?} is no member of the cluster; members: {}", known.join(", "))]
     UnknownMember { member: String, known: Vec<String> },
     #[error("member {0} is gone: it has not reported itself for a while")]
     Gone(String),
-    #[error("member {0} gives its maps away: tidemap cluster drain {0} --undo ends that")]
+    #[error("member {0} is draining: `tidemap cluster drain {0} --undo` ends that")]
     Draining(String),
     #[error("member {0} has capacity 0: it holds no maps")]
     NoCapacity(String),
@@ -156,7 +156,7 @@ impl Cluster {
         Some((report.and_then(|report| report.logs.get(&uid).copied()), log.end()))
     }
 
-    /// Gives the log of a map to a member, if this daemon writes it. Whether it was done is seen later.
+    /// Hands the log of a map over to a member, if this daemon writes it. Whether it was done is seen later.
     pub(crate) fn give_over(&self, uid: u64, to: String) {
         if let Some(replica) = self.replicas().get(&uid) {
             drop(replica.handle.hand_over(Some(to)));
@@ -207,11 +207,16 @@ impl Cluster {
         Err(OperationError::Changed(map.to_owned()))
     }
 
-    /// Gives the maps of this daemon away and takes no others, until it is told otherwise or starts again.
+    /// Hands over the maps that this daemon writes and takes no new ones, until it is told otherwise or starts again.
     pub(crate) fn drain(&self, is_draining: bool) {
         self.0.is_draining.send_replace(is_draining);
         self.0.changed.notify_one();
-        tracing::info!(member = self.member(), is_draining, "an operator drains this member, or ends that");
+        let member = self.member();
+        if is_draining {
+            tracing::info!(member, "an operator drains this member: it hands over its maps and takes no new ones");
+        } else {
+            tracing::info!(member, "an operator has ended the drain of this member: it may take maps again");
+        }
     }
 
     /// The end of this daemon's own log of a map, and the chain at a position; 0: at the end. Reads the disk.

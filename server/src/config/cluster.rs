@@ -95,25 +95,29 @@ pub(crate) const EXAMPLE: &str = r#"
 # --- cluster: see the page Clusters of the guide ----------------------------------------------------------------------
 #
 # With this section the daemon is one of several that share the logs of their maps through NATS JetStream (nats-server
-# 2.15.1 or newer). All daemons of a cluster have the same section but for `member` and `advertise`, which the
-# environment may set (TIDEMAP_CLUSTER_MEMBER, TIDEMAP_CLUSTER_ADVERTISE). `member` and `servers` must be set.
+# 2.15.1 or newer). All daemons of a cluster have the same section but for `member`, `advertise`, `capacity`, and the
+# certificate and the key for the engine. The environment may set `member` and `advertise` (TIDEMAP_CLUSTER_MEMBER,
+# TIDEMAP_CLUSTER_ADVERTISE). `member` and `servers` must be set.
 
 #[cluster]
 
 # Name of the cluster: letters, digits and -. Two clusters may share one engine.
 #name = "tidemap"
 
-# Name of this daemon, another one for each: letters, digits and -.
+# Name of this daemon: letters, digits and -. Each member has its own name; a second one of that name does not start.
 #member = ""
 
-# URLs of the engine's servers, for example ["nats://10.0.0.1:4222", "nats://10.0.0.2:4222"].
+# URLs of the engine's servers, for example ["nats://10.0.0.1:4222", "nats://10.0.0.2:4222"]. A URL may hold user and
+# password, as nats://USER:PASSWORD@HOST:PORT; they are not logged.
 #servers = []
 
 # Where the other daemons and clients reach the gRPC port of this daemon, as http://HOST:PORT or https://HOST:PORT.
-# Empty: as `listen` says.
+# Empty: http:// and the value of `listen`; set it if the daemon has TLS or listens on all addresses. A daemon with
+# tokens passes requests on over https:// only, or within its machine.
 #advertise = ""
 
-# A file with the JWT and the seed that prove to the engine who connects; empty: none.
+# A file with the JWT and the seed that prove to the engine who connects; empty: none. If nkey_file is set too, this
+# file is used.
 #credentials_file = ""
 
 # A file with the seed of an nkey that proves it; empty: none.
@@ -131,27 +135,28 @@ pub(crate) const EXAMPLE: &str = r#"
 # Daemons that hold each map: one writes it, the others follow and can take its place. From 1 to 16.
 #replicas = 3
 
-# Servers of the engine that hold each log. 1 is for trials: what is acknowledged is lost with that server. 1, 3 or 5.
+# Servers of the engine that hold each log: 1, 3 or 5. 1 is for trials: what is acknowledged is lost with that server.
+# It cannot be changed later.
 #engine_replicas = 3
 
 # This daemon's share of the maps is proportional to it; 0: it holds none and passes requests on. From 0 to 1000.
 #capacity = 1
 
-# How long a writer may be silent before another daemon takes its place, in milliseconds. From 1000 to 60000.
+# Time that a writer may be silent before another daemon takes its place, in milliseconds. From 1000 to 60000.
 #lease_ms = 3000
 
-# How long a new writer waits for a daemon whose log is longer than the engine's, which has forgotten records, in
-# seconds. From 0 to 3600.
+# Time that a new writer waits for a daemon with a longer log, in seconds. That daemon appends again what the engine has
+# forgotten. From 0 to 3600.
 #heal_wait_secs = 30
 
-# How long a daemon that follows a map answers without having heard of the end of its log, in milliseconds. From 2000 to
-# 600000.
+# Time that a daemon that follows a map answers queries without having heard where the shared log ends, in milliseconds.
+# After that it refuses queries with UNAVAILABLE, reason STALE. From 2000 to 600000.
 #max_staleness_ms = 10000
 
 # Bytes of records that are sent to the engine together. From 4096 to 524288.
 #group_bytes = 524288
 
-# Refuse an engine that acknowledges before it has written to its disk, where it says so.
+# Refuse to start with an engine that says that it acknowledges before it has written to its disk.
 #require_synced_engine = true
 "#;
 

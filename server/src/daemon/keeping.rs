@@ -54,7 +54,7 @@ impl KeepingNotes {
         }
     }
 
-    /// Whether a map is to be given over now, whose log ends at `end`, to a daemon that says that it has `has`.
+    /// Whether a map is to be handed over now, whose log ends at `end`, to a daemon that says that it has `has`.
     fn may_give_over(&mut self, uid: u64, to: &str, (has, end): (Option<u64>, u64), now: Instant) -> bool {
         let new = || Leaving { to: to.to_owned(), end, since: now };
         let leaving = self.leaving.entry(uid).or_insert_with(new);
@@ -180,14 +180,14 @@ async fn keep_map(
     }
 }
 
-/// Gives a map that this daemon writes to the daemon that is to write it, once that one has caught up.
+/// Hands a map that this daemon writes over to the daemon that is to write it, once that one has caught up.
 fn give_over(cluster: &Cluster, (uid, name): (u64, &MapName), to: Option<String>, notes: &mut KeepingNotes) {
     let Some((to, progress)) = to.and_then(|to| cluster.progress_of(uid, &to).map(|progress| (to, progress))) else {
         notes.leaving.remove(&uid);
         return;
     };
     if notes.may_give_over(uid, &to, progress, Instant::now()) {
-        info!(map = %name, to, "the log of the map is given over");
+        info!(map = %name, to, "the log of the map is handed over");
         cluster.give_over(uid, to);
     }
 }

@@ -44,6 +44,14 @@ const COUNTERS: &[(&str, &str)] = &[
         "tidemap_cluster_divergence_total",
         "Updates that have made other bits than the writer's; only of maps whose log daemons share",
     ),
+    (
+        "tidemap_cluster_forks_total",
+        "Forks set aside, without those of one group; only of maps whose log daemons share",
+    ),
+    (
+        "tidemap_cluster_healed_records_total",
+        "Records appended to a shared log again, because the engine had forgotten them",
+    ),
     ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
     (
         "tidemap_spans_dropped_total",

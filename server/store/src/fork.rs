@@ -1,8 +1,8 @@
 //! Forks: records of this disk that a shared log does not have. They are set aside in a file of their own, and the log
 //! is cut back to what both have.
 //!
-//! Invariant: a record is cut off only when the file that holds it is durable. A fork stays until somebody who has
-//! taken its records in again removes it.
+//! Invariant: a record is cut off only when the file that holds it is durable. A fork stays until an operator removes
+//! it.
 
 use std::{
     path::{Path, PathBuf},
@@ -227,7 +227,7 @@ impl Store {
         read_fork(&*self.inner().disk, &self.forks_folder(map).join(fork)).map(|(events, _)| events)
     }
 
-    /// Removes a fork whose records were taken in again, or given up.
+    /// Removes a fork. What the map lacks of it is lost.
     ///
     /// # Errors
     /// [`StoreError`].

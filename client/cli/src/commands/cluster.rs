@@ -1,8 +1,8 @@
 //! `tidemap cluster`: the members and maps of a cluster, as all of its daemons see them, and what operators do with
 //! them.
 //!
-//! Invariant: the exit status says how the cluster is: 0 all is well, 1 something needs a look, 2 it is bad, which
-//! includes that nobody answers. What is wrong goes to stderr, one line each.
+//! Invariant: the exit status says how the cluster is: 0 all is well, 1 there is a warning, 2 there is an error, such
+//! as that nobody answers. Warnings and errors go to stderr, one line each.
 
 use std::{
     process::ExitCode,
@@ -29,10 +29,10 @@ mod view;
 
 /// How long a change of the cluster is waited for.
 const CHANGE_WITHIN: Duration = Duration::from_secs(60);
-/// How often a change is looked for.
-const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// Pause between two questions whether it has happened.
+const ASK_EVERY: Duration = Duration::from_millis(200);
 
-/// The cluster cannot be asked or is bad: the command ends with status 2.
+/// The cluster cannot be asked, or does not do what was asked: the command ends with status 2.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct ClusterLost(pub(crate) String);
@@ -40,30 +40,39 @@ pub(crate) struct ClusterLost(pub(crate) String);
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub(crate) enum ClusterCommand {
-    /// Shows the members of the cluster, and says what needs a look
+    /// Shows the members of the cluster, and says what needs attention
     ///
-    /// All members are asked. The exit status is 0 if all is well, 1 if something needs a look, and 2 if a map has no
-    /// writer, a log has forked, digests differ or nobody answers. What is wrong goes to stderr.
+    /// All members are asked. The exit status is 0 if all is well, 1 if there is a warning, and 2 if there is an error:
+    /// a map has no writer, a log has forked, digests differ, or the engine or nobody answers. Warnings and errors go
+    /// to stderr.
     Status,
-    /// Shows what each member is to each map
+    /// Shows the role of each member for each map
     ///
     /// lag_records is how far the member is behind the others; heard_secs is the time since it heard where the shared
     /// log ends. digest is that of the newest generation since the member's start, and equal says whether it is the
-    /// writer's. The exit status is that of status.
+    /// writer's. The exit status means what that of `cluster status` means.
     Maps,
-    /// Names the member that is to write a map, and waits until it does
+    /// Pins a map to a member, which is to write it, and waits until it does
+    ///
+    /// The member must be alive and hold the map. The present writer hands the map over when the member has all of its
+    /// log. The command waits 60 seconds at most.
     Move(MoveArgs),
-    /// Lets a member give its maps away and take no others, and waits until it writes none
+    /// Makes a member hand over all maps that it writes and take no new ones, and waits until it writes none
     ///
-    /// A member that starts again takes maps again.
+    /// The member still follows the maps that it holds. The command waits 60 seconds and ends with 2 if a map has no
+    /// other holder. --undo ends the drain, and so does a restart of the member.
     Drain(DrainArgs),
-    /// Compares the logs and the newest generations of a map on all members
-    Verify(VerifyArgs),
-    /// Shows the forks of a map, and removes those whose observations the map has
+    /// Compares the logs and the newest digests of a map on all members that answer
     ///
-    /// A fork is records that a member set aside because the shared log does not have them. Their producers send them
-    /// again, where they still have them. With --accept-loss forks are removed although the map lacks something. The
-    /// exit status is 2 while forks are left.
+    /// Logs are compared at a position that all of these members have. The exit status is 2 if something differs, and 1
+    /// if a member does not answer or no longer keeps the records.
+    Verify(VerifyArgs),
+    /// Shows the forks of a map, and removes those of which the map has everything
+    ///
+    /// A fork is records that a member set aside because the shared log does not have them. Nothing of a fork is added
+    /// to the map. A fork is removed if the map has the sequence numbers of all its observations, from the same starts
+    /// of their producers, and if it holds no changes of states or of the site. Values are not compared. With
+    /// --accept-loss all forks are removed; their records are lost. The exit status is 2 while forks are left.
     Heal(HealArgs),
 }
 
@@ -74,7 +83,7 @@ pub(crate) struct MoveArgs {
     /// Name of the member
     #[arg(required_unless_present = "unpin", conflicts_with = "unpin")]
     member: Option<String>,
-    /// Let the cluster choose again, as for a new map
+    /// Remove the pin; the present writer stays until it is lost, drains, or no longer has to hold the map
     #[arg(long)]
     unpin: bool,
 }
@@ -83,7 +92,7 @@ pub(crate) struct MoveArgs {
 pub(crate) struct DrainArgs {
     /// Name of the member
     member: String,
-    /// Let the member take maps again
+    /// End the drain: the member may take maps again
     #[arg(long)]
     undo: bool,
 }
@@ -98,7 +107,7 @@ pub(crate) struct VerifyArgs {
 pub(crate) struct HealArgs {
     /// Name of the map
     map: String,
-    /// Remove forks although the map lacks some of their records
+    /// Remove all forks, also those of which the map lacks something; their records are lost
     #[arg(long)]
     accept_loss: bool,
 }
@@ -151,7 +160,7 @@ async fn wait_for<T>(what: &str, mut look: impl AsyncFnMut() -> anyhow::Result<O
         match seen {
             Ok(Some(found)) => return Ok(found),
             // A daemon may be slow to answer for a moment.
-            Ok(None) | Err(_) if begun.elapsed() < CHANGE_WITHIN => tokio::time::sleep(LOOK_EVERY).await,
+            Ok(None) | Err(_) if begun.elapsed() < CHANGE_WITHIN => tokio::time::sleep(ASK_EVERY).await,
             Ok(None) => anyhow::bail!("{what} within {} seconds: see tidemap cluster status", CHANGE_WITHIN.as_secs()),
             Err(error) => return Err(error),
         }
@@ -163,7 +172,7 @@ async fn move_map(session: &Session, credentials: &Credentials, args: MoveArgs) 
     session.client.move_map(&args.map, args.member.as_deref()).await?;
     let columns = ["map", "writer", "epoch", "secs"];
     let Some(member) = args.member else {
-        status_line(&format!("the cluster chooses who writes map {}", args.map));
+        status_line(&format!("map {} is no longer pinned; its present writer stays", args.map));
         return session.print(&columns, []);
     };
     let client = member_client(&session.client, credentials, &member).await?;
@@ -197,10 +206,10 @@ async fn drain(session: &Session, credentials: &Credentials, args: DrainArgs) ->
     let before = written().await?;
     client.drain(args.undo).await?;
     if args.undo {
-        status_line(&format!("{} takes maps again", args.member));
+        status_line(&format!("{} may take maps again", args.member));
         return session.print(&["map", "writer"], []);
     }
-    wait_for(&format!("{} did not give all of its maps away", args.member), async || {
+    wait_for(&format!("{} did not hand over all of its maps", args.member), async || {
         Ok(written().await?.is_empty().then_some(()))
     })
     .await?;

@@ -190,7 +190,7 @@ impl Writer {
     fn fork(&mut self, common: u64) {
         error!(
             map = %self.map.spec().name, common, position = self.map.position(),
-            "the log of a map and the shared log differ: the map is not served"
+            "the own log and the shared log differ: this daemon sets its records aside and opens the map again"
         );
         self.follower.fork = Some(common);
         self.stopping = Some((Ending::Forked { common }, oneshot::channel().0));

@@ -13,15 +13,15 @@ pub(crate) enum GatewayError {
     NoWriter { map: String },
     #[error("map {map:?} is written by {writer}, which this daemon cannot reach: try again")]
     NoWay { map: String, writer: String },
-    #[error("{by} has passed this on as to the writer of map {map:?}; the writer has moved, try again")]
+    #[error("{by} passed the request to this daemon, but this daemon no longer writes map {map:?}: try again")]
     Moved { map: String, by: String },
     #[error("the connection to {member} broke before the reply had ended: try again")]
     Broke { member: String },
     #[error("the time for the request was over before {member} had answered")]
     Late { member: String },
     #[error(
-        "this daemon has not heard where the log of map {map:?} ends for {} seconds, and what it would show may be old: \
-         try again, ask another daemon, or send the metadata tidemap-allow-stale: 1", .max.as_secs()
+        "this daemon has not heard where the log of map {map:?} ends for {} seconds, and its data may be old: try again, \
+         ask another daemon, or send the metadata tidemap-allow-stale: 1", .max.as_secs()
     )]
     Stale { map: String, max: Duration },
     #[error("the writer of map {map:?} does not have {wanted} yet, which the client has seen: try again")]

@@ -11,7 +11,7 @@ use tidemap_proto::{
 
 use super::{rows::state, view::ClusterView};
 
-/// A follower that has not heard of the end of the log for so long needs a look.
+/// A follower that has not heard of the end of the log for so long needs attention.
 const HEARD_WITHIN_NANOS: i64 = 10_000_000_000;
 
 /// How bad something is; as a number, the exit status.
@@ -19,10 +19,10 @@ const HEARD_WITHIN_NANOS: i64 = 10_000_000_000;
 pub(super) enum Severity {
     /// All is well.
     Well = 0,
-    /// Something needs a look; the maps are served.
-    Look = 1,
+    /// Something needs attention; the maps are served.
+    Warning = 1,
     /// A map is not written, or data is in danger.
-    Bad = 2,
+    Error = 2,
 }
 
 impl Severity {
@@ -30,8 +30,8 @@ impl Severity {
     pub(super) fn word(self) -> &'static str {
         match self {
             Self::Well => "well",
-            Self::Look => "look",
-            Self::Bad => "bad",
+            Self::Warning => "warning",
+            Self::Error => "error",
         }
     }
 }
@@ -46,19 +46,21 @@ pub(super) fn concerns(view: &ClusterView) -> Vec<(Severity, String)> {
     let mut found = Vec::new();
     let asked = &view.asked;
     if !asked.engine_trouble.is_empty() {
-        found.push((Severity::Bad, asked.engine_trouble.clone()));
+        found.push((Severity::Error, asked.engine_trouble.clone()));
     }
     for server in asked.engine_servers.iter().filter(|server| server.syncs_always == Some(false)) {
-        found
-            .push((Severity::Look, format!("engine server {} acknowledges before it writes to its disk", server.name)));
+        found.push((
+            Severity::Warning,
+            format!("engine server {} acknowledges before it writes to its disk", server.name),
+        ));
     }
     for member in &asked.members {
         match state(view, member) {
-            "gone" => found.push((Severity::Look, format!("member {} is gone", member.name))),
+            "gone" => found.push((Severity::Warning, format!("member {} is gone", member.name))),
             "silent" => {
                 let reason = view.answers.get(&member.name).and_then(|answer| answer.as_ref().err());
                 let reason = reason.map_or_else(String::new, |reason| format!(": {reason}"));
-                found.push((Severity::Look, format!("member {} does not answer{reason}", member.name)));
+                found.push((Severity::Warning, format!("member {} does not answer{reason}", member.name)));
             }
             _ => {}
         }
@@ -74,21 +76,18 @@ fn of_map(view: &ClusterView, map: &v1::ClusterMapStatus, found: &mut Vec<(Sever
     let name = &map.map;
     let replicas = view.replicas(name);
     if map.uid.is_empty() {
-        found.push((Severity::Bad, format!("the entry of map {name} in the catalogue is damaged")));
+        found.push((Severity::Error, format!("the entry of map {name} in the catalogue is damaged")));
     }
     match view.writer(name) {
-        None => found.push((Severity::Bad, format!("map {name} has no writer"))),
+        None => found.push((Severity::Error, format!("map {name} has no writer"))),
         Some(writer) if !map.pinned.is_empty() && map.pinned != writer => {
-            found.push((
-                Severity::Look,
-                format!("map {name} is written by {writer}, and {} is to write it", map.pinned),
-            ));
+            found.push((Severity::Warning, format!("map {name} is pinned to {}, and {writer} writes it", map.pinned)));
         }
         Some(_) => {}
     }
     for member in map.candidates.iter().filter(|member| replicas.iter().all(|(holder, _)| holder != member)) {
         if view.answers.get(member).is_some_and(Result::is_ok) {
-            found.push((Severity::Look, format!("{member} is to hold map {name} and does not yet")));
+            found.push((Severity::Warning, format!("member {member} has to hold map {name} and does not yet")));
         }
     }
     for (member, replica) in &replicas {
@@ -98,16 +97,16 @@ fn of_map(view: &ClusterView, map: &v1::ClusterMapStatus, found: &mut Vec<(Sever
         if digests.iter().any(|(_, digest)| *digest != digests[0].1) {
             let members: Vec<&str> = digests.iter().map(|(member, _)| *member).collect();
             let members = members.join(", ");
-            found.push((Severity::Bad, format!("map {name}: generation {generation} differs between {members}")));
+            found.push((Severity::Error, format!("map {name}: generation {generation} differs between {members}")));
         }
     }
     if let Some(log) = &map.log {
         let others = u32::try_from(log.followers.len()).unwrap_or(u32::MAX);
         if log.leader.is_empty() {
-            found.push((Severity::Look, format!("the log of map {name} has no leader in the engine")));
+            found.push((Severity::Warning, format!("the log of map {name} has no leader in the engine")));
         } else if others.saturating_add(1) < log.replicas {
             let text = format!("the log of map {name} is on {} of {} servers of the engine", others + 1, log.replicas);
-            found.push((Severity::Look, text));
+            found.push((Severity::Warning, text));
         }
     }
 }
@@ -115,29 +114,32 @@ fn of_map(view: &ClusterView, map: &v1::ClusterMapStatus, found: &mut Vec<(Sever
 fn of_replica(map: &str, member: &str, replica: &v1::MapReplica, found: &mut Vec<(Severity, String)>) {
     let mut add = |severity, text: String| found.push((severity, format!("map {map} on {member}: {text}")));
     if replica.role() == ReplicaRole::Forked {
-        add(Severity::Bad, "FORKED: its log and the shared one differ".to_owned());
+        add(Severity::Error, "FORKED: its own log and the shared log differ".to_owned());
     }
     for fork in &replica.forks {
         let text = format!(
-            "{}records {} to {} are set aside: tidemap cluster heal {map}",
+            "{}records {} to {} are set aside: see `tidemap cluster heal {map}`",
             if fork.groups > 1 { "FORKED: " } else { "" },
             fork.first_position,
             fork.last_position
         );
-        add(if fork.groups > 1 { Severity::Bad } else { Severity::Look }, text);
+        add(if fork.groups > 1 { Severity::Error } else { Severity::Warning }, text);
     }
     if !replica.trouble.is_empty() {
-        add(Severity::Look, replica.trouble.clone());
+        add(Severity::Warning, replica.trouble.clone());
     }
     if replica.digest.as_ref().is_some_and(|digest| digest.is_equal == Some(false)) {
-        add(Severity::Bad, "its newest generation differs from the writer's".to_owned());
+        add(Severity::Error, "its newest generation differs from the writer's".to_owned());
     }
     match span(replica.heard_age) {
         Some(heard) if heard <= HEARD_WITHIN_NANOS => {}
         Some(heard) => {
-            add(Severity::Look, format!("it has not heard of the end of the log for {} s", heard / 1_000_000_000));
+            add(
+                Severity::Warning,
+                format!("it has not confirmed the end of the shared log for {} s", heard / 1_000_000_000),
+            );
         }
-        None => add(Severity::Look, "it has never heard of the end of the log".to_owned()),
+        None => add(Severity::Warning, "it has never confirmed the end of the shared log".to_owned()),
     }
 }
 
@@ -202,29 +204,29 @@ mod tests {
             assert_eq!(found.len(), 1, "{found:?}");
             assert!(found[0].0 == severity && found[0].1.contains(part), "{part}: {found:?}");
         };
-        check(&cluster(replica(ReplicaRole::Following, "0b")), Severity::Bad, "generation 3 differs between a, b");
+        check(&cluster(replica(ReplicaRole::Following, "0b")), Severity::Error, "generation 3 differs between a, b");
         let following = || replica(ReplicaRole::Following, "0a");
-        check(&cluster(v1::MapReplica { trouble: "no room".into(), ..following() }), Severity::Look, "no room");
-        check(&cluster(v1::MapReplica { heard_age: None, ..following() }), Severity::Look, "never heard");
+        check(&cluster(v1::MapReplica { trouble: "no room".into(), ..following() }), Severity::Warning, "no room");
+        check(&cluster(v1::MapReplica { heard_age: None, ..following() }), Severity::Warning, "never confirmed");
         let late = Some(duration(11_000_000_000));
-        check(&cluster(v1::MapReplica { heard_age: late, ..following() }), Severity::Look, "for 11 s");
-        for (groups, severity) in [(1, Severity::Look), (2, Severity::Bad)] {
+        check(&cluster(v1::MapReplica { heard_age: late, ..following() }), Severity::Warning, "for 11 s");
+        for (groups, severity) in [(1, Severity::Warning), (2, Severity::Error)] {
             let fork = v1::LogFork { groups, first_position: 7, last_position: 9, ..v1::LogFork::default() };
             check(&cluster(v1::MapReplica { forks: vec![fork], ..following() }), severity, "7 to 9");
         }
         let mut gone = cluster(following());
         gone.asked.members[1].is_alive = false;
         gone.answers.insert("b".to_owned(), Err("refused".to_owned()));
-        check(&gone, Severity::Look, "member b is gone");
+        check(&gone, Severity::Warning, "member b is gone");
         let mut unwritten = cluster(following());
         unwritten.asked.maps[0].replica = Some(following());
         unwritten.answers.insert("a".to_owned(), Ok(unwritten.asked.clone()));
-        check(&unwritten, Severity::Bad, "no writer");
+        check(&unwritten, Severity::Error, "no writer");
         let mut silent = cluster(following());
         silent.answers.insert("b".to_owned(), Err("late".to_owned()));
-        check(&silent, Severity::Look, "member b does not answer: late");
+        check(&silent, Severity::Warning, "member b does not answer: late");
         let mut without_engine = cluster(following());
         without_engine.asked.engine_trouble = "no connection".to_owned();
-        check(&without_engine, Severity::Bad, "no connection");
+        check(&without_engine, Severity::Error, "no connection");
     }
 }

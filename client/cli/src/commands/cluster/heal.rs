@@ -73,14 +73,16 @@ pub(super) async fn run(
             } else {
                 left += 1;
                 status_line(&format!(
-                    "bad: the map lacks {missing} records of fork {} on {member}. Let its producers connect again, which \
-                     send what they still have; --accept-loss gives the rest up",
+                    "error: the map lacks {missing} records of fork {} on {member}. A producer that keeps its own copy can \
+                     send it again, for example with `tidemap observe`. --accept-loss removes the fork; its records are \
+                     lost",
                     fork.name
                 ));
             }
             if fork.other_records > 0 {
                 status_line(&format!(
-                    "look: fork {} on {member} holds {} changes of states or of the site: compare them with the map",
+                    "warning: fork {} on {member} holds {} changes of states or of the site: only you can compare them with the \
+                     map",
                     fork.name, fork.other_records
                 ));
             }
@@ -90,15 +92,15 @@ pub(super) async fn run(
     let silent: Vec<&str> =
         view.answers.iter().filter(|(_, answer)| answer.is_err()).map(|(member, _)| member.as_str()).collect();
     if !silent.is_empty() {
-        status_line(&format!("look: {} did not answer; there may be forks", silent.join(", ")));
+        status_line(&format!("warning: {} did not answer; there may be forks", silent.join(", ")));
     }
     session.print(&COLUMNS, printed)?;
     Ok(exit(if left > 0 {
-        Severity::Bad
+        Severity::Error
     } else if silent.is_empty() {
         Severity::Well
     } else {
-        Severity::Look
+        Severity::Warning
     }))
 }
 

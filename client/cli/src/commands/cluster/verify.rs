@@ -75,12 +75,12 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, map: &str)
         status_line(&format!("generation {newest} of {} members: {}", digests.len(), word(generation)));
     }
     for (member, _) in view.answers.iter().filter(|(_, answer)| answer.is_err()) {
-        status_line(&format!("look: member {member} does not answer"));
+        status_line(&format!("warning: member {member} does not answer"));
     }
     Ok(exit(if !logs || !generation {
-        Severity::Bad
+        Severity::Error
     } else if view.answers.values().any(Result::is_err) || chains.len() < found.len() {
-        Severity::Look
+        Severity::Warning
     } else {
         Severity::Well
     }))
