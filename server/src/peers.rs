@@ -24,6 +24,9 @@ pub(crate) trait Peers: Send + Sync + fmt::Debug {
     /// The daemon that writes a map which this one does not hold, if there is such a map and its writer is known.
     fn writer_of(&self, map: &str) -> Option<String>;
 
+    /// The daemon that writes a map which this one holds, where that is known, also while its role does not say it.
+    fn writer_of_held(&self, map: &MapName) -> Option<String>;
+
     /// When this daemon last heard where the log of a map ends.
     fn heard(&self, map: &MapName) -> Option<Instant>;
 

@@ -209,8 +209,7 @@ impl ClusterCalls {
     /// The map of this name that this daemon holds, with its number in the cluster.
     async fn held(&self, name: &str) -> Result<(Arc<MapHandle>, u64), RpcError> {
         let handle = find_map(&self.catalog, name).await?;
-        let shared = self.catalog.context().store.shared(handle.id).map_err(OperationError::from)?;
-        let uid = shared.ok_or_else(|| OperationError::NotHeld(name.to_owned()))?;
+        let uid = handle.shared_uid.ok_or_else(|| OperationError::NotHeld(name.to_owned()))?;
         Ok((handle, uid))
     }
 }

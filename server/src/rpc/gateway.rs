@@ -37,7 +37,7 @@ use crate::{
     },
     catalog::Catalog,
     ingest::{
-        handle::{MapHandle, Shown},
+        handle::{MapHandle, OpenProgress, Shown},
         role::MapRole,
     },
     peers::{Peers, SharedMaps},
@@ -235,10 +235,13 @@ impl ClusterGateway {
         if !role.is_shared() || (place == Place::Writer && role.is_writing()) {
             return Ok(true);
         }
-        if place == Place::Writer {
+        let allows_stale = allows_stale(headers);
+        // One that is being opened shows an older generation, and hears nothing of its log yet.
+        let is_open = handle.opening() == OpenProgress::Open;
+        if place == Place::Writer || !(is_open || allows_stale) {
             return Ok(false);
         }
-        if !role.is_writing() && !allows_stale(headers) {
+        if !role.is_writing() && !allows_stale {
             let max = self.peers.max_staleness();
             let is_fresh = self.peers.heard(&handle.spec.name).is_some_and(|heard| heard.elapsed() <= max);
             if !is_fresh {
@@ -256,17 +259,24 @@ impl ClusterGateway {
         Ok(false)
     }
 
+    /// Who writes a map, as far as the role in it or something else says.
+    fn known_writer(&self, map: &str, handle: Option<&Arc<MapHandle>>, by_role: Option<String>) -> Option<String> {
+        let held = || self.peers.writer_of_held(&handle?.spec.name);
+        by_role.or_else(held).or_else(|| self.peers.writer_of(map))
+    }
+
     /// A connection to the writer of a map. Waits for one that is known and answers.
     async fn writer(&self, map: &str, handle: Option<&Arc<MapHandle>>) -> Result<Answerer, GatewayError> {
         let deadline = tokio::time::Instant::now() + WRITER_WITHIN;
         let mut role = handle.map(|handle| handle.watch_role());
         let mut silent = None;
         loop {
-            let writer = match role.as_mut().map(|role| role.borrow_and_update().clone()) {
+            let by_role = match role.as_mut().map(|role| role.borrow_and_update().clone()) {
                 Some(MapRole::Following { writer }) => writer,
                 Some(MapRole::Alone | MapRole::Writing { .. }) => return Ok(Answerer::Here),
-                None => self.peers.writer_of(map),
+                None => None,
             };
+            let writer = self.known_writer(map, handle, by_role);
             // Its own name is what a daemon knows that is about to write.
             if let Some(member) = writer.filter(|writer| writer != self.peers.name()) {
                 if let Some(address) = self.peers.address_of(&member)
