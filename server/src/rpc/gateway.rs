@@ -165,10 +165,9 @@ enum Answerer {
     There { member: String, address: String, place: PeerPlace },
 }
 
-impl From<Shown> for ReadToken {
-    fn from(Shown { position, generation }: Shown) -> Self {
-        Self { position, generation }
-    }
+/// What a view of a map shows, as a token.
+fn token(map: &MapHandle, Shown { position, generation }: Shown) -> ReadToken {
+    ReadToken { map_uid: map.shared_uid.unwrap_or_default(), position, generation }
 }
 
 impl ClusterGateway {
@@ -214,7 +213,7 @@ impl ClusterGateway {
                 if let Some(handle) = handle {
                     // An upper bound of what the reply shows. Taken before the answer, it could be less than the
                     // reply shows, and a later reply could show less than this one.
-                    ReadToken::from(handle.shown()).put(reply.headers_mut(), SHOWN);
+                    token(&handle, handle.shown()).put(reply.headers_mut(), SHOWN);
                 }
                 Ok(reply)
             }
@@ -249,7 +248,7 @@ impl ClusterGateway {
             }
         }
         let Some(wanted) = ReadToken::of(headers, &AT_LEAST)? else { return Ok(true) };
-        if handle.shows(|shown| ReadToken::from(shown).reaches(wanted), SHOWN_WITHIN).await {
+        if handle.shows(|shown| token(handle, shown).reaches(wanted), SHOWN_WITHIN).await {
             return Ok(true);
         }
         // One that was cut off may not know yet that it writes no more: it does not show less either.

@@ -79,6 +79,17 @@ async fn the_writer_answers_for_a_map_that_is_being_opened() {
 }
 
 #[tokio::test]
+async fn what_was_seen_of_a_map_that_is_gone_is_asked_of_none_that_has_its_name() {
+    let (a, _unopened, _b) = opening_and_writer().await;
+    let shown = a.predict(true, None).await.expect("it may be old");
+    assert_eq!((shown.map_uid, shown.generation), (UID, 1));
+    let before = ReadToken { map_uid: UID + 1, position: 500, generation: 9 };
+    assert_eq!(a.predict(true, Some(before)).await.expect("another map"), shown);
+    let more = a.predict(true, Some(ReadToken { map_uid: UID, ..before })).await.expect_err("nobody has so much");
+    assert_eq!(more.code(), Code::Unavailable, "{more:?}");
+}
+
+#[tokio::test]
 async fn a_follower_that_does_not_hear_who_writes_asks_the_cluster() {
     let (a, b) = Member::pair().await;
     a.tell(ReplicaEvent::Following { writer: None }).await;
