@@ -196,11 +196,11 @@ impl ClusterGateway {
     ) -> Result<Response, RpcError> {
         // Without a map the request is wrong, or about the daemon.
         let Some(map) = map else { return Ok(call.answer(next).await) };
+        check_scope(&map)?;
         let handle = self.catalog.get(&map).ok();
         let answerer = if self.is_answered_here(place, &call.parts.headers, &map, handle.as_ref()).await? {
             Answerer::Here
         } else {
-            check_scope(&map)?;
             if let Some(by) = call.passed_by() {
                 return Err(GatewayError::Moved { map, by }.into());
             }

@@ -38,6 +38,7 @@ use crate::{
 mod openings;
 mod passing;
 mod streams;
+mod tokens;
 mod views;
 
 /// What a daemon knows of the others, as the test says.
