@@ -22,7 +22,8 @@ use tidemap_store::is_store_id;
 use crate::{connections::tls::TlsFiles, telemetry, telemetry::LogFormat};
 use cluster::ClusterSettings;
 pub(crate) use offline::{BackupCommand, OfflineCommand};
-use protection::{MissingProtection, is_local};
+use protection::MissingProtection;
+pub(crate) use protection::is_local;
 
 /// tidemapd, the map service that learns when things change.
 ///

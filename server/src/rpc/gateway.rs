@@ -172,7 +172,7 @@ fn token(map: &MapHandle, Shown { position, generation }: Shown) -> ReadToken {
 
 impl ClusterGateway {
     pub(super) fn new(catalog: Arc<Catalog>, shared: SharedMaps, stopping: watch::Receiver<bool>) -> Self {
-        Self { catalog, peers: shared.peers, links: Arc::new(Links::new(shared.tls)), stopping }
+        Self { catalog, peers: shared.peers, links: Arc::new(Links::new(shared.tls, shared.tokens_in_clear)), stopping }
     }
 
     async fn answer(&self, place: Place, mut call: GatewayCall, next: Next) -> Result<Response, Status> {
@@ -204,7 +204,7 @@ impl ClusterGateway {
             if let Some(by) = call.passed_by() {
                 return Err(GatewayError::Moved { map, by }.into());
             }
-            self.writer(&map, handle.as_ref()).await?
+            self.writer(&map, handle.as_ref(), call.authorization.is_some()).await?
         };
         match answerer {
             Answerer::There { member, address, place } => self.pass(call, (member, &address, place)).await,
@@ -264,8 +264,21 @@ impl ClusterGateway {
         by_role.or_else(held).or_else(|| self.peers.writer_of(map))
     }
 
+    /// A place on a connection to a daemon, by its address.
+    async fn place(&self, address: &str, has_token: bool, deadline: tokio::time::Instant) -> Result<PeerPlace, String> {
+        match tokio::time::timeout_at(deadline, self.links.place(address, has_token)).await {
+            Ok(place) => place.map_err(|error| error.to_string()),
+            Err(_) => Err(format!("{address} does not answer")),
+        }
+    }
+
     /// A connection to the writer of a map. Waits for one that is known and answers.
-    async fn writer(&self, map: &str, handle: Option<&Arc<MapHandle>>) -> Result<Answerer, GatewayError> {
+    async fn writer(
+        &self,
+        map: &str,
+        handle: Option<&Arc<MapHandle>>,
+        has_token: bool,
+    ) -> Result<Answerer, GatewayError> {
         let deadline = tokio::time::Instant::now() + WRITER_WITHIN;
         let mut role = handle.map(|handle| handle.watch_role());
         let mut silent = None;
@@ -278,17 +291,19 @@ impl ClusterGateway {
             let writer = self.known_writer(map, handle, by_role);
             // Its own name is what a daemon knows that is about to write.
             if let Some(member) = writer.filter(|writer| writer != self.peers.name()) {
-                if let Some(address) = self.peers.address_of(&member)
-                    && let Ok(Ok(place)) = tokio::time::timeout_at(deadline, self.links.place(&address)).await
-                {
-                    return Ok(Answerer::There { member, address, place });
-                }
-                silent = Some(member);
+                let why = match self.peers.address_of(&member) {
+                    None => "its address is not known".to_owned(),
+                    Some(address) => match self.place(&address, has_token, deadline).await {
+                        Ok(place) => return Ok(Answerer::There { member, address, place }),
+                        Err(why) => why,
+                    },
+                };
+                silent = Some((member, why));
             }
             if tokio::time::Instant::now() + LOOK_EVERY >= deadline {
                 let map = map.to_owned();
                 return Err(match silent {
-                    Some(writer) => GatewayError::NoWay { map, writer },
+                    Some((writer, why)) => GatewayError::NoWay { map, writer, why },
                     None => GatewayError::NoWriter { map },
                 });
             }

@@ -130,7 +130,7 @@ impl Member {
         });
         let (stop, stopping) = watch::channel(false);
         let page = PageAddress { address: ([127, 0, 0, 1], 1).into(), has_tls: false };
-        let shared = SharedMaps { peers: Arc::clone(&known) as Arc<dyn Peers>, tls: None };
+        let shared = SharedMaps { peers: Arc::clone(&known) as Arc<dyn Peers>, tls: None, tokens_in_clear: false };
         let services = services(Arc::clone(&catalog), &Settings::default(), page, Some(shared), stopping).await;
         let address = serve(services.guarded(access)).await;
         let member = Self { catalog, known, address, stop, _dir: dir };

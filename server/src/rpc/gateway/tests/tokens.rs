@@ -1,4 +1,4 @@
-//! Callers with tokens: which maps they hear of.
+//! Callers with tokens: which maps they hear of, and where their tokens go.
 
 use std::{io::Write as _, os::unix::fs::OpenOptionsExt as _};
 
@@ -38,4 +38,27 @@ async fn a_token_for_other_maps_does_not_hear_how_a_map_is_doing() {
     for map in ["office", "no-map"] {
         assert_eq!(reason(&a.refusal(map).await), (Code::PermissionDenied, "NOT_FOR_MAP".to_owned()), "{map}");
     }
+}
+
+#[tokio::test]
+async fn a_token_does_not_go_over_a_network_without_tls() {
+    let a = member("a").await;
+    a.known.writers.lock().expect("not poisoned").insert("lab".to_owned(), "b".to_owned());
+    // Of an address that nobody has: a daemon that tried it would say that it does not answer.
+    for (address, words) in [
+        ("http://192.0.2.1:7435", "a token is not sent to http://192.0.2.1:7435 without TLS"),
+        ("HTTP://192.0.2.1:7435", "a token is not sent"),
+        ("http://127.0.0.1.example.org:7435", "a token is not sent"),
+        ("http://localhost:1@192.0.2.1:7435", "a token is not sent"),
+        ("https://192.0.2.1:7435", "cluster.peer_ca"),
+    ] {
+        a.knows("b", address);
+        let refused = a.refusal("lab").await;
+        assert_eq!(reason(&refused), (Code::Unavailable, "UNREACHABLE".to_owned()), "{refused:?}");
+        assert!(refused.message().contains(words), "{refused:?}");
+    }
+    let b = Member::start("b").await;
+    a.knows("b", &b.address);
+    let refused = a.refusal("lab").await;
+    assert_eq!(reason(&refused), (Code::NotFound, "UNKNOWN_MAP".to_owned()), "it goes to a daemon on this machine");
 }
