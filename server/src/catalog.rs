@@ -360,14 +360,26 @@ impl Catalog {
         if !*open {
             return Err(CatalogError::Stopping);
         }
+        let cluster = self.context.cluster.as_ref().zip(MapName::new(name).ok());
         if let Some(map) = self.unavailable().iter().find(|map| map.name == name && self.get(name).is_err()) {
+            // Where the number cannot be read, only what is here is deleted.
+            if let (Some((cluster, name)), Ok(Some(uid))) = (&cluster, self.context.store.shared(map.id)) {
+                cluster.delete_unheld(name, Some(uid)).await.map_err(ClusterError::from)?;
+            }
             let (store, id) = (Arc::clone(&self.context.store), map.id);
             ended(crate::task::blocking(move || Ok(store.delete_map(id)?))).await?;
             self.unavailable.rcu(|all| all.iter().filter(|other| other.id != id).cloned().collect::<Vec<_>>());
             info!(map = name, id = id.0, "unavailable map deleted");
             return Ok(());
         }
-        let handle = self.get(name)?;
+        let found = self.get(name);
+        if let (Err(CatalogError::Unknown(_)), Some((cluster, name))) = (&found, &cluster)
+            && cluster.delete_unheld(name, None).await.map_err(ClusterError::from)?
+        {
+            info!(map = %name, "map of the cluster deleted, which this daemon does not hold");
+            return Ok(());
+        }
+        let handle = found?;
         if let (Some(cluster), Some(uid)) = (&self.context.cluster, handle.shared_uid) {
             cluster.delete(&handle.spec.name, uid).await?;
             cluster.unshare(uid).await;

@@ -4,6 +4,8 @@
 //! Invariant: every answer is this daemon's own. Nothing here waits for another daemon, and nothing is decided about a
 //! log: a move changes an entry of the catalogue, and the writer follows it.
 
+use std::sync::PoisonError;
+
 use tidemap_cluster::{
     assignment,
     catalogue::{self, ClusterMap},
@@ -11,6 +13,7 @@ use tidemap_cluster::{
     membership::{self, Members},
     replica::{ReplicaRole, ReplicaStatus},
 };
+use tidemap_map::name::MapName;
 use tidemap_store::{EventLog as _, OpenError};
 
 use super::Cluster;
@@ -199,6 +202,21 @@ impl Cluster {
             }
         }
         Err(OperationError::Changed(map.to_owned()))
+    }
+
+    /// Deletes the map of a name from the cluster, if there is one, which this daemon does not hold or cannot use; with
+    /// a number: only the map of this number. Whether there was one.
+    ///
+    /// # Errors
+    /// [`EngineError`]; it can be tried again.
+    pub(crate) async fn delete_unheld(&self, name: &MapName, uid: Option<u64>) -> Result<bool, EngineError> {
+        let Some((entry, _)) = catalogue::find(self.engine(), name.as_str()).await? else { return Ok(false) };
+        let found = entry.uid().filter(|found| uid.is_none_or(|uid| uid == *found));
+        let Some(uid) = found else { return Ok(false) };
+        catalogue::delete(self.engine(), name.as_str(), uid).await?;
+        self.0.others.lock().unwrap_or_else(PoisonError::into_inner).remove(name.as_str());
+        self.0.changed.notify_one();
+        Ok(true)
     }
 
     /// Gives the maps of this daemon away and takes no others, until it is told otherwise or starts again.
