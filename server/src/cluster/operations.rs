@@ -16,7 +16,7 @@ use tidemap_cluster::{
 use tidemap_map::name::MapName;
 use tidemap_store::{EventLog as _, OpenError};
 
-use super::Cluster;
+use super::{Cluster, SharedLog};
 
 /// How often a change of the catalogue is tried again that another one came before.
 const ATTEMPTS: usize = 5;
@@ -226,21 +226,13 @@ impl Cluster {
         tracing::info!(member = self.member(), is_draining, "an operator drains this member, or ends that");
     }
 
-    /// The end of this daemon's own log of a map, and the chain at a position; 0: at the end. Reads the disk.
+    /// The log of a map that this daemon holds.
     ///
     /// # Errors
-    /// See [`OperationError`].
-    pub(crate) async fn chain_at(
-        &self,
-        (map, uid): (&str, u64),
-        position: u64,
-    ) -> Result<(u64, Option<u32>), OperationError> {
-        let not_held = || OperationError::NotHeld(map.to_owned());
-        let log = self.replicas().get(&uid).map(|replica| replica.log.clone()).ok_or_else(not_held)?;
-        let end = log.end();
-        let at = if position == 0 { end } else { position };
-        let chain = crate::task::blocking(move || log.chain_at(at)).await.map_err(|_| not_held())??;
-        Ok((end, chain))
+    /// [`OperationError::NotHeld`].
+    pub(crate) fn log_of(&self, map: &str, uid: u64) -> Result<SharedLog, OperationError> {
+        let log = self.replicas().get(&uid).map(|replica| replica.log.clone());
+        log.ok_or_else(|| OperationError::NotHeld(map.to_owned()))
     }
 }
 
