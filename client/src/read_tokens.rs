@@ -1,7 +1,7 @@
 //! What a client has seen of each map, for daemons that share maps: each request carries it, and no later reply shows
 //! less.
 //!
-//! Invariant: a token only grows, until the map is created or deleted by this client. A daemon that is alone tells
+//! Invariant: a token only grows, until there is another map of the name. A daemon that is alone tells
 //! none, and gets none.
 
 use std::{
@@ -48,7 +48,7 @@ impl ReadTokens {
 
     /// So much was seen of a map.
     pub(crate) fn saw(&self, map: &str, token: ReadToken) {
-        if token == ReadToken::default() {
+        if token.is_nothing() {
             return;
         }
         let mut all = self.all();
@@ -137,7 +137,7 @@ mod tests {
     const PREDICT: &str = "/tidemap.v1.QueryService/PredictStates";
 
     fn token(position: u64, generation: u64) -> ReadToken {
-        ReadToken { position, generation }
+        ReadToken { map_uid: 7, position, generation }
     }
 
     /// A daemon that shows so much, and notes what it was asked.
@@ -204,8 +204,12 @@ mod tests {
         assert_eq!(ask(&mut service, Some(token(5, 3)), "office").await, Some(token(7, 2)));
         assert_eq!(ask(&mut service, None, "office").await, Some(token(7, 3)));
         assert_eq!(ask(&mut service, None, "home").await, None);
+        tokens.saw("office", ReadToken::default());
         tokens.saw("office", token(9, 0));
         assert_eq!(ask(&mut service.clone(), None, "office").await, Some(token(9, 3)), "clones share the tokens");
+        let another = ReadToken { map_uid: 8, ..token(1, 0) };
+        assert_eq!(ask(&mut service, Some(another), "office").await, Some(token(9, 3)));
+        assert_eq!(ask(&mut service, None, "office").await, Some(another), "somebody has made the map anew");
         let created =
             v1::CreateMapRequest { name: "office".to_owned(), time_zone: "UTC".to_owned(), ..Default::default() };
         send(&mut service, RENEWING[0], &created.encode_to_vec()).await;

@@ -4,12 +4,12 @@
 //! message and what arrived with it.
 
 use std::{
-    collections::VecDeque,
     pin::Pin,
     task::{Context, Poll},
 };
 
 use http_body::{Body, Frame, SizeHint};
+use prost::bytes::BytesMut;
 use tonic::codegen::Bytes;
 
 /// Bytes before a message: whether it is compressed, and its length.
@@ -18,14 +18,19 @@ const PREFIX: usize = 5;
 /// A body of which the beginning was read.
 #[derive(Debug)]
 pub struct PeekedBody<B> {
-    read: VecDeque<Frame<Bytes>>,
+    /// What was read, if it arrived in one part.
+    whole: Bytes,
+    /// What was read, if it arrived in several: however many there are, they take the room of their bytes.
+    gathered: BytesMut,
+    /// The end of a body, if it came before its first message.
+    trailers: Option<Frame<Bytes>>,
     rest: B,
 }
 
 impl<B: Body<Data = Bytes> + Unpin> PeekedBody<B> {
     /// A body of which nothing was read.
     pub fn new(body: B) -> Self {
-        Self { read: VecDeque::new(), rest: body }
+        Self { whole: Bytes::new(), gathered: BytesMut::new(), trailers: None, rest: body }
     }
 
     /// The first message; `None`: there is none, it is longer than `max` bytes, or it is compressed.
@@ -34,49 +39,64 @@ impl<B: Body<Data = Bytes> + Unpin> PeekedBody<B> {
     /// The body broke off.
     pub async fn first_message(&mut self, max: usize) -> Result<Option<Bytes>, B::Error> {
         loop {
-            match self.arrived(max) {
-                Arrived::Whole(message) => return Ok(Some(message)),
+            match arrived(self.read(), max) {
+                Arrived::Whole(end) => return Ok(Some(self.take_read().slice(PREFIX..end))),
                 Arrived::Unreadable => return Ok(None),
                 Arrived::Part => {}
             }
             let frame = std::future::poll_fn(|context| Pin::new(&mut self.rest).poll_frame(context)).await;
-            let Some(frame) = frame.transpose()? else { return Ok(None) };
-            let is_data = frame.is_data();
-            self.read.push_back(frame);
-            if !is_data {
-                return Ok(None);
+            match frame.transpose()?.map(Frame::into_data) {
+                Some(Ok(part)) => self.push(part),
+                Some(Err(trailers)) => {
+                    self.trailers = Some(trailers);
+                    return Ok(None);
+                }
+                None => return Ok(None),
             }
         }
     }
 
-    fn arrived(&self, max: usize) -> Arrived {
-        let data = || self.read.iter().filter_map(Frame::data_ref);
-        let prefix: Vec<u8> = data().flatten().copied().take(PREFIX).collect();
-        let Some((0, length)) = prefix.split_first().filter(|_| prefix.len() == PREFIX) else {
-            return if prefix.first().is_none_or(|flag| *flag == 0) { Arrived::Part } else { Arrived::Unreadable };
-        };
-        let length = length.iter().fold(0_usize, |length, byte| length << 8 | usize::from(*byte));
-        if length > max {
-            return Arrived::Unreadable;
+    fn read(&self) -> &[u8] {
+        if self.gathered.is_empty() { &self.whole } else { &self.gathered }
+    }
+
+    fn push(&mut self, part: Bytes) {
+        if self.read().is_empty() {
+            self.whole = part;
+            return;
         }
-        if data().map(Bytes::len).sum::<usize>() < PREFIX + length {
-            return Arrived::Part;
+        self.gathered.extend_from_slice(&std::mem::take(&mut self.whole));
+        self.gathered.extend_from_slice(&part);
+    }
+
+    /// What was read, which stays read.
+    fn take_read(&mut self) -> Bytes {
+        if !self.gathered.is_empty() {
+            self.whole = self.gathered.split().freeze();
         }
-        Arrived::Whole(match self.read.front().and_then(Frame::data_ref) {
-            Some(first) if first.len() >= PREFIX + length => first.slice(PREFIX..PREFIX + length),
-            _ => {
-                let mut message: Vec<u8> = Vec::with_capacity(PREFIX + length);
-                data().for_each(|part| message.extend_from_slice(part));
-                Bytes::from(message).slice(PREFIX..PREFIX + length)
-            }
-        })
+        self.whole.clone()
+    }
+}
+
+/// How much of the first message these bytes have.
+fn arrived(read: &[u8], max: usize) -> Arrived {
+    let Some((&[flag, ref length @ ..], message)) = read.split_first_chunk::<PREFIX>() else {
+        return if read.first().is_none_or(|flag| *flag == 0) { Arrived::Part } else { Arrived::Unreadable };
+    };
+    let length = length.iter().fold(0_usize, |length, byte| length << 8 | usize::from(*byte));
+    match (flag, length) {
+        (0, length) if length > max => Arrived::Unreadable,
+        (0, length) if message.len() < length => Arrived::Part,
+        (0, length) => Arrived::Whole(PREFIX + length),
+        _ => Arrived::Unreadable,
     }
 }
 
 /// How much of the first message is there.
 enum Arrived {
     Part,
-    Whole(Bytes),
+    /// With where it ends.
+    Whole(usize),
     Unreadable,
 }
 
@@ -85,24 +105,29 @@ impl<B: Body<Data = Bytes> + Unpin> Body for PeekedBody<B> {
     type Error = B::Error;
 
     fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, B::Error>>> {
-        match self.read.pop_front() {
-            Some(frame) => Poll::Ready(Some(Ok(frame))),
+        let read = self.take_read();
+        self.whole = Bytes::new();
+        if !read.is_empty() {
+            return Poll::Ready(Some(Ok(Frame::data(read))));
+        }
+        match self.trailers.take() {
+            Some(trailers) => Poll::Ready(Some(Ok(trailers))),
             None => Pin::new(&mut self.rest).poll_frame(context),
         }
     }
 
     fn is_end_stream(&self) -> bool {
-        self.read.is_empty() && self.rest.is_end_stream()
+        self.read().is_empty() && self.trailers.is_none() && self.rest.is_end_stream()
     }
 
     fn size_hint(&self) -> SizeHint {
-        if self.read.is_empty() { self.rest.size_hint() } else { SizeHint::default() }
+        if self.read().is_empty() && self.trailers.is_none() { self.rest.size_hint() } else { SizeHint::default() }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::convert::Infallible;
+    use std::{collections::VecDeque, convert::Infallible};
 
     use proptest::prelude::*;
 
@@ -163,5 +188,17 @@ mod tests {
             assert_eq!(now(body.first_message(64)), Ok(None), "{bytes:?}");
             assert_eq!(rest(body), bytes);
         }
+    }
+
+    #[test]
+    fn parts_that_say_little_or_nothing_are_not_kept_one_by_one() {
+        let message = [7; 1000];
+        let bytes = [&[0, 0, 0, 3, 232][..], &message].concat();
+        let parts = bytes.iter().flat_map(|byte| [Bytes::copy_from_slice(&[*byte]), Bytes::new()]).collect();
+        let mut body = PeekedBody::new(Parts(parts));
+        assert_eq!(now(body.first_message(1000)), Ok(Some(Bytes::copy_from_slice(&message))));
+        let read = now(std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context)));
+        let read = read.expect("a frame").expect("no error").into_data().expect("data");
+        assert_eq!(read, bytes, "what was read is one piece");
     }
 }

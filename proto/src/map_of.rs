@@ -30,6 +30,9 @@ enum MapField {
     },
 }
 
+/// The request that asks for a map itself, and names it in the field `name`.
+const NAMED: &str = "GetMapRequest";
+
 /// By path.
 static FIELDS: LazyLock<HashMap<String, MapField>> = LazyLock::new(fields);
 
@@ -60,7 +63,8 @@ fn fields() -> HashMap<String, MapField> {
 
 /// The number of the field with the name of a map.
 fn map_field(message: &DescriptorProto) -> Option<u32> {
-    message.field.iter().find(|field| field.name() == "map").map(|field| field.number().unsigned_abs())
+    let name = if message.name() == NAMED { "name" } else { "map" };
+    message.field.iter().find(|field| field.name() == name).map(|field| field.number().unsigned_abs())
 }
 
 fn nested(request: &DescriptorProto, messages: &HashMap<String, &DescriptorProto>) -> Option<MapField> {

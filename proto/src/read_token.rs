@@ -1,6 +1,7 @@
 //! What a client has seen of a map that daemons share: requests carry it, so that no later reply shows less.
 //!
-//! Invariant: 16 bytes on the wire, the position and the generation, both big-endian; anything else is no token.
+//! Invariant: 24 bytes on the wire, the number of the map, the position and the generation, all big-endian; anything
+//! else is no token. A token of another map, which had the name before, asks for nothing.
 
 use std::fmt;
 
@@ -21,6 +22,8 @@ pub const FORWARDED: HeaderName = HeaderName::from_static("tidemap-forwarded");
 /// How much of a map was seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReadToken {
+    /// Number of the map in the cluster; 0: it has none.
+    pub map_uid: u64,
     /// Position in the log of the map.
     pub position: u64,
     /// Number of the generation.
@@ -29,7 +32,7 @@ pub struct ReadToken {
 
 /// A header that is no token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("tidemap-at-least-bin: not the 16 bytes of a position and a generation")]
+#[error("tidemap-at-least-bin: not the 24 bytes of a map, a position and a generation")]
 pub struct InvalidReadToken;
 
 impl fmt::Display for ReadToken {
@@ -39,16 +42,26 @@ impl fmt::Display for ReadToken {
 }
 
 impl ReadToken {
-    /// Whether who has seen this has seen all of the other, too.
+    /// Whether who has seen this has seen all of the other, too, or the other is of another map.
     #[must_use]
     pub fn reaches(self, other: Self) -> bool {
-        self.position >= other.position && self.generation >= other.generation
+        self.map_uid != other.map_uid || (self.position >= other.position && self.generation >= other.generation)
     }
 
-    /// The most of both.
+    /// The most of both; the newer one, if it is of another map.
     #[must_use]
-    pub fn max(self, other: Self) -> Self {
-        Self { position: self.position.max(other.position), generation: self.generation.max(other.generation) }
+    pub fn max(self, newer: Self) -> Self {
+        if self.map_uid != newer.map_uid {
+            return newer;
+        }
+        let (position, generation) = (self.position.max(newer.position), self.generation.max(newer.generation));
+        Self { position, generation, ..self }
+    }
+
+    /// Whether nothing was seen.
+    #[must_use]
+    pub fn is_nothing(self) -> bool {
+        self.position == 0 && self.generation == 0
     }
 
     /// The token of a header; `None`: there is none.
@@ -60,16 +73,15 @@ impl ReadToken {
         let one = HeaderMap::from_iter([(name.clone(), value.clone())]);
         let metadata = MetadataMap::from_headers(one);
         let bytes = metadata.get_bin(name.as_str()).and_then(|value| value.to_bytes().ok()).ok_or(InvalidReadToken)?;
-        let (position, generation) = bytes.split_first_chunk().ok_or(InvalidReadToken)?;
-        let generation = generation.try_into().map_err(|_| InvalidReadToken)?;
-        Ok(Some(Self { position: u64::from_be_bytes(*position), generation: u64::from_be_bytes(generation) }))
+        let (numbers, []) = bytes.as_chunks() else { return Err(InvalidReadToken) };
+        let [map_uid, position, generation] = numbers else { return Err(InvalidReadToken) };
+        let [map_uid, position, generation] = [map_uid, position, generation].map(|bytes| u64::from_be_bytes(*bytes));
+        Ok(Some(Self { map_uid, position, generation }))
     }
 
     /// Puts the token into a header, in the place of one that is there.
     pub fn put(self, headers: &mut HeaderMap, name: HeaderName) {
-        let mut bytes = [0; 16];
-        bytes[..8].copy_from_slice(&self.position.to_be_bytes());
-        bytes[8..].copy_from_slice(&self.generation.to_be_bytes());
+        let bytes = [self.map_uid, self.position, self.generation].map(u64::to_be_bytes).concat();
         let value = MetadataValue::<Binary>::from_bytes(&bytes);
         // Base64 is always a valid value.
         if let Ok(value) = HeaderValue::from_bytes(value.as_encoded_bytes()) {
@@ -86,10 +98,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_token_survives_the_wire(position: u64, generation: u64) {
-            let token = ReadToken { position, generation };
+        fn a_token_survives_the_wire(map_uid: u64, position: u64, generation: u64) {
+            let token = ReadToken { map_uid, position, generation };
             let mut headers = HeaderMap::new();
-            ReadToken { position: 1, generation: 2 }.put(&mut headers, AT_LEAST);
+            ReadToken { map_uid: 3, position: 1, generation: 2 }.put(&mut headers, AT_LEAST);
             token.put(&mut headers, AT_LEAST);
             prop_assert_eq!(ReadToken::of(&headers, &AT_LEAST), Ok(Some(token)));
             prop_assert_eq!(ReadToken::of(&headers, &SHOWN), Ok(None));
@@ -97,7 +109,7 @@ mod tests {
 
         #[test]
         fn the_most_of_two_tokens_reaches_both(a: (u64, u64), b: (u64, u64)) {
-            let token = |(position, generation)| ReadToken { position, generation };
+            let token = |(position, generation)| ReadToken { map_uid: 7, position, generation };
             let both = token(a).max(token(b));
             prop_assert!(both.reaches(token(a)) && both.reaches(token(b)));
             prop_assert_eq!(token(a).reaches(token(b)), a.0 >= b.0 && a.1 >= b.1);
@@ -106,7 +118,7 @@ mod tests {
 
     #[test]
     fn other_bytes_are_no_token() {
-        for text in ["", "AAAA", "?", "AAAAAAAAAAAAAAAAAAAAAAAA"] {
+        for text in ["", "AAAA", "?", "AAAAAAAAAAEAAAAAAAAAAg", "AAAAAAAAAAEAAAAAAAAAAgAAAAAAAAADAA"] {
             let headers = HeaderMap::from_iter([(AT_LEAST, HeaderValue::from_static(text))]);
             assert_eq!(ReadToken::of(&headers, &AT_LEAST), Err(InvalidReadToken), "{text}");
         }
@@ -115,7 +127,16 @@ mod tests {
     #[test]
     fn a_token_is_big_endian() {
         let mut headers = HeaderMap::new();
-        ReadToken { position: 1, generation: 2 }.put(&mut headers, SHOWN);
-        assert_eq!(headers[SHOWN], "AAAAAAAAAAEAAAAAAAAAAg");
+        ReadToken { map_uid: 1, position: 2, generation: 3 }.put(&mut headers, SHOWN);
+        assert_eq!(headers[SHOWN], "AAAAAAAAAAEAAAAAAAAAAgAAAAAAAAAD");
+    }
+
+    #[test]
+    fn a_token_of_the_map_that_had_the_name_before_asks_for_nothing_and_is_forgotten() {
+        let before = ReadToken { map_uid: 1, position: 500, generation: 9 };
+        let now = ReadToken { map_uid: 2, position: 3, generation: 0 };
+        assert!(now.reaches(before));
+        assert_eq!(before.max(now), now);
+        assert!(!now.reaches(ReadToken { map_uid: 2, ..before }));
     }
 }

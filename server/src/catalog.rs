@@ -141,6 +141,7 @@ pub(crate) struct Catalog {
 /// A map that shows what the index publishes, and that is still to be restored.
 pub(crate) struct UnopenedMap {
     id: MapId,
+    shared_uid: Option<u64>,
     spec: Arc<MapSpec>,
     endpoints: WriterEndpoints,
 }
@@ -172,27 +173,13 @@ impl Catalog {
                 unavailable.push(set_aside(id, name.as_str().to_owned(), error.to_string()));
                 continue;
             }
-            let sizes = context.store.sizes(id);
-            let is_large = sizes.log_bytes + sizes.checkpoint_bytes > restored_first_bytes;
-            let handle = match context.store.published(id, &spec).filter(|_| is_large) {
-                Some(published) => {
-                    let generation = published.generation;
-                    let view = LiveMap::restore(Arc::clone(&spec), published).publish();
-                    info!(map = %name, states = view.len(), generation, "map served from the index");
-                    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), view, &context.clock);
-                    rest.push(UnopenedMap { id, spec, endpoints });
-                    Arc::new(handle)
+            match open_or_publish(&context, id, spec, restored_first_bytes, &mut rest) {
+                Ok(handle) => drop(maps.insert(name, handle)),
+                Err(error) if error.is_of_one_map() => {
+                    unavailable.push(set_aside(id, name.as_str().to_owned(), error.to_string()));
                 }
-                None => match open_map(&context, id, &spec) {
-                    Ok(handle) => handle,
-                    Err(error) if error.is_of_one_map() => {
-                        unavailable.push(set_aside(id, name.as_str().to_owned(), error.to_string()));
-                        continue;
-                    }
-                    Err(error) => return Err(error),
-                },
-            };
-            maps.insert(name, handle);
+                Err(error) => return Err(error),
+            }
         }
         let changing = Arc::new(tokio::sync::Mutex::new(true));
         let unavailable = Arc::new(ArcSwap::from_pointee(unavailable));
@@ -205,16 +192,15 @@ impl Catalog {
     /// # Errors
     /// As [`Self::open`]; [`CatalogError::Stopping`].
     pub(crate) fn restore_rest(&self, rest: Vec<UnopenedMap>) -> Result<(), CatalogError> {
-        for UnopenedMap { id, spec, endpoints } in rest {
+        for UnopenedMap { id, shared_uid, spec, endpoints } in rest {
             let tell = |done, total| {
                 endpoints.opening.send_replace(OpenProgress::Replay { done, total });
                 !self.is_stopping.load(Ordering::Relaxed)
             };
-            match restore_map(&self.context, id, &spec, &tell) {
-                Ok(mut restored) => {
-                    share(&self.context, id, &endpoints, &mut restored)?;
-                    start_in(endpoints, self.context.clone(), id, restored)?;
-                }
+            let restored = restore_map(&self.context, id, &spec, &tell)
+                .and_then(|restored| share(&self.context, (id, shared_uid), &endpoints, restored));
+            match restored {
+                Ok(restored) => start_in(endpoints, self.context.clone(), id, restored)?,
                 Err(error) if error.is_of_one_map() => {
                     self.set_aside(id, &spec.name, &error);
                     drop(endpoints);
@@ -312,7 +298,7 @@ impl Catalog {
             }
             // It may have been created here meanwhile.
             if let Ok(known) = this.get(spec.name.as_str())
-                && this.context.store.shared(known.id)? == Some(uid)
+                && known.shared_uid == Some(uid)
             {
                 return Ok(());
             }
@@ -345,7 +331,7 @@ impl Catalog {
                 Some(uid) => context.store.create_shared_map(&spec, uid)?,
                 None => context.store.create_map(&spec)?,
             };
-            open_map(&context, id, &Arc::new(spec)).inspect_err(|_| {
+            open_map(&context, (id, shared), &Arc::new(spec)).inspect_err(|_| {
                 // An unlisted map could be neither used nor deleted, and would take its name at the next start.
                 if let Err(error) = context.store.delete_map(id) {
                     warn!(id = id.0, %error, "a map that could not be opened is left in the store");
@@ -374,15 +360,27 @@ impl Catalog {
         if !*open {
             return Err(CatalogError::Stopping);
         }
+        let cluster = self.context.cluster.as_ref().zip(MapName::new(name).ok());
         if let Some(map) = self.unavailable().iter().find(|map| map.name == name && self.get(name).is_err()) {
+            // Where the number cannot be read, only what is here is deleted.
+            if let (Some((cluster, name)), Ok(Some(uid))) = (&cluster, self.context.store.shared(map.id)) {
+                cluster.delete_unheld(name, Some(uid)).await.map_err(ClusterError::from)?;
+            }
             let (store, id) = (Arc::clone(&self.context.store), map.id);
             ended(crate::task::blocking(move || Ok(store.delete_map(id)?))).await?;
             self.unavailable.rcu(|all| all.iter().filter(|other| other.id != id).cloned().collect::<Vec<_>>());
             info!(map = name, id = id.0, "unavailable map deleted");
             return Ok(());
         }
-        let handle = self.get(name)?;
-        if let (Some(cluster), Some(uid)) = (&self.context.cluster, self.context.store.shared(handle.id)?) {
+        let found = self.get(name);
+        if let (Err(CatalogError::Unknown(_)), Some((cluster, name))) = (&found, &cluster)
+            && cluster.delete_unheld(name, None).await.map_err(ClusterError::from)?
+        {
+            info!(map = %name, "map of the cluster deleted, which this daemon does not hold");
+            return Ok(());
+        }
+        let handle = found?;
+        if let (Some(cluster), Some(uid)) = (&self.context.cluster, handle.shared_uid) {
             cluster.delete(&handle.spec.name, uid).await?;
             cluster.unshare(uid).await;
         }
@@ -404,10 +402,7 @@ impl Catalog {
                 cluster.unshare(uid).await;
             }
             let handle = this.get(name.as_str())?;
-            match this.context.store.shared(handle.id)? {
-                Some(found) if found == uid => this.delete_open(handle).await,
-                _ => Ok(()),
-            }
+            if handle.shared_uid == Some(uid) { this.delete_open(handle).await } else { Ok(()) }
         }))
         .await
     }
@@ -452,6 +447,28 @@ impl Catalog {
             }
         }
     }
+}
+
+/// Opens a map; one with more bytes of checkpoints and log shows what the index publishes, where that does.
+fn open_or_publish(
+    context: &Context,
+    id: MapId,
+    spec: Arc<MapSpec>,
+    restored_first_bytes: u64,
+    rest: &mut Vec<UnopenedMap>,
+) -> Result<Arc<MapHandle>, CatalogError> {
+    let shared_uid = context.store.shared(id)?;
+    let sizes = context.store.sizes(id);
+    let is_large = sizes.log_bytes + sizes.checkpoint_bytes > restored_first_bytes;
+    let Some(published) = context.store.published(id, &spec).filter(|_| is_large) else {
+        return open_map(context, (id, shared_uid), &spec);
+    };
+    let generation = published.generation;
+    let view = LiveMap::restore(Arc::clone(&spec), published).publish();
+    info!(map = %spec.name, states = view.len(), generation, "map served from the index");
+    let (handle, endpoints) = MapHandle::with_endpoints((id, shared_uid), Arc::clone(&spec), view, &context.clock);
+    rest.push(UnopenedMap { id, shared_uid, spec, endpoints });
+    Ok(Arc::new(handle))
 }
 
 /// Reports a map that cannot be used.

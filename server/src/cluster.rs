@@ -402,6 +402,12 @@ impl Peers for Cluster {
         self.0.others.lock().unwrap_or_else(PoisonError::into_inner).get(map).cloned()
     }
 
+    fn writer_of_held(&self, map: &MapName) -> Option<String> {
+        let replicas = self.replicas();
+        let replica = replicas.values().find(|replica| replica.name == *map)?;
+        replica.log.status().borrow().writer.clone()
+    }
+
     fn heard(&self, map: &MapName) -> Option<std::time::Instant> {
         let replicas = self.replicas();
         let replica = replicas.values().find(|replica| replica.name == *map)?;

@@ -22,7 +22,8 @@ use tidemap_store::is_store_id;
 use crate::{connections::tls::TlsFiles, telemetry, telemetry::LogFormat};
 use cluster::ClusterSettings;
 pub(crate) use offline::{BackupCommand, OfflineCommand};
-use protection::{MissingProtection, is_local};
+use protection::MissingProtection;
+pub(crate) use protection::is_local;
 
 /// tidemapd, the map service that learns when things change.
 ///
@@ -377,7 +378,7 @@ impl Settings {
         self.check_tls()?;
         self.check_backups()?;
         instructions::chosen(&self.instruction_set)?;
-        self.cluster.as_ref().map_or(Ok(()), |cluster| cluster.check(&self.listen))?;
+        self.cluster.as_ref().map_or(Ok(()), |cluster| cluster.check(&self.listen, self.tls_files().is_some()))?;
         if !self.expect_store_id.is_empty() && !is_store_id(&self.expect_store_id) {
             let found = &self.expect_store_id;
             bail!("setting expect_store_id is {found:?}: it must be 32 lower-case hexadecimal digits, or empty");
@@ -469,11 +470,20 @@ mod tests {
             ("[cluster]\nservers = []\nmember = 'a'", "cluster.servers"),
             ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a'\nengine_replicas = 2", "engine_replicas"),
             ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a'\nlease = 2", "lease"),
+            ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a'\nadvertise = 'a:1'", "cluster.advertise"),
+            ("[cluster]\nservers = ['nats://a:4222']\nmember = 'a'\nadvertise = 'https://a:1'", "cluster.peer_ca"),
+            (
+                "tls_certificate = 'c'\ntls_key = 'k'\n[cluster]\nservers = ['nats://a:4222']\nmember = 'a'",
+                "tls_certificate is set",
+            ),
         ] {
             let error = load(file, Flags::default()).expect_err(file);
             assert!(error.contains(word), "{file}: {error}");
         }
         assert!(load("listen = '0.0.0.0:7435'\nallow_insecure_remote = true", Flags::default()).is_ok());
+        let cluster = "servers = ['nats://a:4222']\nmember = 'a'\nadvertise = 'https://a:1'\npeer_ca = 'c'";
+        let files = "tls_certificate = 'c'\ntls_key = 'k'";
+        assert!(load(&format!("{files}\n[cluster]\n{cluster}"), Flags::default()).is_ok());
     }
 
     #[test]

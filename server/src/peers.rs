@@ -3,7 +3,8 @@
 //! Invariant: a daemon that shares no maps has no peers.
 
 use std::{
-    fmt,
+    fmt, io,
+    path::{Path, PathBuf},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -24,6 +25,9 @@ pub(crate) trait Peers: Send + Sync + fmt::Debug {
     /// The daemon that writes a map which this one does not hold, if there is such a map and its writer is known.
     fn writer_of(&self, map: &str) -> Option<String>;
 
+    /// The daemon that writes a map which this one holds, where that is known, also while its role does not say it.
+    fn writer_of_held(&self, map: &MapName) -> Option<String>;
+
     /// When this daemon last heard where the log of a map ends.
     fn heard(&self, map: &MapName) -> Option<Instant>;
 
@@ -31,18 +35,44 @@ pub(crate) trait Peers: Send + Sync + fmt::Debug {
     fn max_staleness(&self) -> Duration;
 }
 
-/// What two daemons prove to each other. Its `Debug` shows no secret.
-#[derive(Clone)]
+/// What two daemons prove to each other, in PEM form.
 pub(crate) struct PeerTls {
-    /// Certificates of the authorities that the other's certificate may come from, in PEM form.
+    /// Certificates of the authorities that the other's certificate may come from.
     pub ca: Vec<u8>,
-    /// This daemon's certificate and its private key, in PEM form.
+    /// This daemon's certificate and its private key.
     pub identity: Option<(Vec<u8>, Vec<u8>)>,
 }
 
-impl fmt::Debug for PeerTls {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("PeerTls").field("identity", &self.identity.is_some()).finish_non_exhaustive()
+/// The files of [`PeerTls`]. They are read for each connection: they may have been replaced.
+#[derive(Clone, Debug)]
+pub(crate) struct PeerTlsFiles {
+    /// The authorities.
+    pub ca: PathBuf,
+    /// This daemon's certificate and its private key.
+    pub identity: Option<(PathBuf, PathBuf)>,
+}
+
+/// A file of [`PeerTlsFiles`] that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("{} cannot be read: {source}", .path.display())]
+pub(crate) struct UnreadablePeerTls {
+    path: PathBuf,
+    source: io::Error,
+}
+
+impl PeerTlsFiles {
+    /// What they hold now. Reads the disk.
+    ///
+    /// # Errors
+    /// One cannot be read.
+    pub(crate) fn read(&self) -> Result<PeerTls, UnreadablePeerTls> {
+        let read =
+            |path: &Path| std::fs::read(path).map_err(|source| UnreadablePeerTls { path: path.to_owned(), source });
+        let identity = match &self.identity {
+            Some((certificate, key)) => Some((read(certificate)?, read(key)?)),
+            None => None,
+        };
+        Ok(PeerTls { ca: read(&self.ca)?, identity })
     }
 }
 
@@ -52,5 +82,7 @@ pub(crate) struct SharedMaps {
     /// Who they are.
     pub peers: Arc<dyn Peers>,
     /// For those with an address that begins with `https://`.
-    pub tls: Option<PeerTls>,
+    pub tls: Option<PeerTlsFiles>,
+    /// Whether tokens are sent to those with an address of another machine that begins with `http://`.
+    pub tokens_in_clear: bool,
 }

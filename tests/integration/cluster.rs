@@ -10,11 +10,13 @@ use std::{
 
 use serde_json::Value;
 use tempfile::tempdir;
+use tidemap_client::maps::{NewMap, StateKind, StateShape};
 use tidemap_cluster::nats_process::NatsServers;
 use tidemap_tests::{
     cli::{Outcome, tidemap},
     daemon::{Daemon, Launch, lasting_port},
 };
+use tonic::Code;
 
 use crate::json_output::validate;
 
@@ -24,11 +26,18 @@ const POLL: Duration = Duration::from_millis(200);
 const NAMES: [&str; 3] = ["north", "east", "west"];
 
 fn start(folder: &Path, name: &str, engine: &NatsServers) -> Daemon {
-    let servers: Vec<String> = (0..3).map(|index| format!("{:?}", engine.url(index))).collect();
+    start_with(folder, name, (engine, 3), "")
+}
+
+/// With so many servers of the engine, and more lines of the section.
+fn start_with(folder: &Path, name: &str, (engine, count): (&NatsServers, usize), more: &str) -> Daemon {
+    let servers: Vec<String> = (0..count).map(|index| format!("{:?}", engine.url(index))).collect();
     let port = lasting_port();
     let config = folder.join(format!("{name}.toml"));
-    let text =
-        format!("listen = \"127.0.0.1:{port}\"\n[cluster]\nmember = \"{name}\"\nservers = [{}]\n", servers.join(", "));
+    let text = format!(
+        "listen = \"127.0.0.1:{port}\"\n[cluster]\nmember = \"{name}\"\nservers = [{}]\n{more}",
+        servers.join(", ")
+    );
     fs::write(&config, text).expect("a config file");
     // The address that a member reports is the one of its config file.
     let launch = Launch::bare().setting("http_listen", "127.0.0.1:0").setting("data_dir", folder.join(name).display());
@@ -158,6 +167,51 @@ async fn an_operator_sees_moves_drains_and_verifies_maps_and_a_killed_writer_is_
     assert!(seen.code == Some(1) && seen.stderr.contains(&format!("member {taken} is gone")), "{seen:?}");
     members.learn(folder, 2);
     drop(members);
+}
+
+/// Repeats a question until its answer is as expected.
+async fn until<T: std::fmt::Debug>(what: &str, ask: impl AsyncFn() -> T, is_expected: impl Fn(&T) -> bool) -> T {
+    let begun = Instant::now();
+    loop {
+        let answer = ask().await;
+        if is_expected(&answer) {
+            return answer;
+        }
+        assert!(begun.elapsed() < WITHIN, "{what}: {answer:?}");
+        tokio::time::sleep(POLL).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_member_that_holds_no_maps_shows_deletes_and_creates_those_of_others() {
+    let engine = match NatsServers::start(1).await {
+        Ok(engine) => engine,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let work = tempdir().expect("a folder");
+    let holder = start_with(work.path(), "north", (&engine, 1), "engine_replicas = 1\n");
+    let gateway = start_with(work.path(), "west", (&engine, 1), "engine_replicas = 1\ncapacity = 0\n");
+    let (at_holder, at_gateway) = (holder.client(), gateway.client());
+    let office = || NewMap { name: "office".to_owned(), ..NewMap::default() };
+    at_holder.create_map(office()).await.expect("created");
+    for number in 0..10 {
+        let (state, shape) = (format!("door-{number}"), StateShape::Scalar(StateKind::Probability));
+        let add = async || at_holder.add_state("office", &state, shape, None, None).await;
+        until("a writer", add, Result::is_ok).await.expect("added");
+    }
+    let map = until("its map", async || at_gateway.map("office").await, Result::is_ok).await.expect("passed on");
+    assert_eq!((map.name.as_str(), map.states), ("office", 10));
+
+    at_gateway.delete_map("office").await.expect("deleted where it is");
+    until("no map", async || at_holder.maps().await.expect("a list"), Vec::is_empty).await;
+    let gone = at_gateway.delete_map("office").await.expect_err("there is none");
+    assert_eq!(gone.code(), Some(Code::NotFound), "{gone}");
+
+    at_gateway.create_map(office()).await.expect("the name is free");
+    eventually(&holder, "cluster maps", |outcome| writer(outcome).as_deref() == Some("north"));
+    // This client has seen more of the map that had the name before.
+    let (states, _) = at_holder.states("office", "").await.expect("another map");
+    assert!(states.is_empty(), "{states:?}");
 }
 
 #[test]

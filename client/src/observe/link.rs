@@ -58,6 +58,8 @@ pub(super) struct Link {
     client: Client,
     place: StreamPlace,
     shared: Arc<Shared>,
+    /// Number of the map in its cluster, as the last Welcome says.
+    map_uid: u64,
     /// The incarnation of the last Welcome; 0 before the first.
     incarnation: u64,
     outage: Outage,
@@ -67,7 +69,7 @@ pub(super) struct Link {
 impl Link {
     pub(super) fn new(client: Client, shared: Arc<Shared>) -> Self {
         let (place, outage) = (client.stream_place(), Outage::new(shared.options.patience));
-        Self { client, place, shared, incarnation: 0, outage, epoch: Instant::now() }
+        Self { client, place, shared, map_uid: 0, incarnation: 0, outage, epoch: Instant::now() }
     }
 
     pub(super) async fn run(mut self) {
@@ -244,6 +246,7 @@ impl Link {
             unreported
         };
         self.incarnation = welcome.incarnation;
+        self.map_uid = welcome.map_uid;
         self.outage.connected(self.epoch.elapsed());
         if unreported > 0 {
             self.outage.progressed();
@@ -261,7 +264,7 @@ impl Link {
     }
 
     fn acknowledge(&mut self, ack: Ack) -> Result<(), End> {
-        let seen = ReadToken { position: ack.position, generation: 0 };
+        let seen = ReadToken { map_uid: self.map_uid, position: ack.position, generation: 0 };
         self.client.tokens().saw(&self.shared.options.map, seen);
         let dropped = {
             let mut state = self.shared.state();

@@ -99,3 +99,10 @@ fn each_method_with_a_map_is_known() {
     assert!(FIELDS.len() > 55, "{}", FIELDS.len());
     assert_eq!(map_of(PREDICT, &Bytes::new()), None);
 }
+
+#[test]
+fn a_map_is_asked_for_by_its_name() {
+    let get = crate::v1::GetMapRequest { name: "office".to_owned() };
+    assert_eq!(map_of("/tidemap.v1.MapService/GetMap", &get.encode_to_vec()), Some("office"));
+    assert!(!names_a_map("/tidemap.v1.MapService/DeleteMap"));
+}

@@ -21,9 +21,10 @@ const PLACES: &[(&str, Place)] = &[
     ("/grpc.health.v1.Health/Watch", Place::Anywhere),
     ("/grpc.reflection.v1.ServerReflection/ServerReflectionInfo", Place::Anywhere),
     ("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", Place::Anywhere),
-    // The maps themselves: each daemon knows them all.
+    // Each daemon can change the list of maps that they share.
     ("/tidemap.v1.MapService/CreateMap", Place::Anywhere),
-    ("/tidemap.v1.MapService/GetMap", Place::Anywhere),
+    ("/tidemap.v1.MapService/GetMap", Place::Reader),
+    // The maps that a daemon holds.
     ("/tidemap.v1.MapService/ListMaps", Place::Anywhere),
     ("/tidemap.v1.MapService/DeleteMap", Place::Anywhere),
     ("/tidemap.v1.MapService/AddState", Place::Writer),

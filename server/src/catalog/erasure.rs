@@ -108,7 +108,7 @@ impl Catalog {
             return Err(CatalogError::Stopping);
         }
         let (id, spec, view) = (old.id, Arc::clone(&old.spec), old.view());
-        if self.context.store.shared(id)?.is_some() {
+        if old.shared_uid.is_some() {
             return Err(CatalogError::NotErasedInCluster(map.clone()));
         }
         // States and producers are only added from here on.
@@ -126,7 +126,7 @@ impl Catalog {
         job.step("stop the writer");
         job.start(states.as_ref().map_or(0, |states| states.len() as u64), 0);
         let shown = LiveMap::new(Arc::clone(&spec)).publish();
-        let (new, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), shown, &self.context.clock);
+        let (new, endpoints) = MapHandle::with_endpoints((id, None), Arc::clone(&spec), shown, &self.context.clock);
         let new = Arc::new(new);
         self.maps.rcu(|all| {
             let mut maps = ByName::clone(all);

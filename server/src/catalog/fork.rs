@@ -22,12 +22,13 @@ impl Catalog {
         if !*open {
             return;
         }
-        if let (Some(cluster), Ok(Some(uid))) = (&self.context.cluster, self.context.store.shared(id)) {
+        if let (Some(cluster), Some(uid)) = (&self.context.cluster, old.shared_uid) {
             cluster.unshare(uid).await;
         }
         let spec = Arc::clone(&old.spec);
         let shown = LiveMap::new(Arc::clone(&spec)).publish();
-        let (new, endpoints) = MapHandle::with_endpoints(id, Arc::clone(&spec), shown, &self.context.clock);
+        let (new, endpoints) =
+            MapHandle::with_endpoints((id, old.shared_uid), Arc::clone(&spec), shown, &self.context.clock);
         let new = Arc::new(new);
         self.maps.rcu(|all| {
             let mut maps = ByName::clone(all);
@@ -60,8 +61,8 @@ impl Catalog {
             restore_map(&context, id, &spec, &|_, _| true)
         }))
         .await;
-        let started = opened.and_then(|mut restored| {
-            share(&self.context, id, &endpoints, &mut restored)?;
+        let started = opened.and_then(|restored| {
+            let restored = share(&self.context, (id, old.shared_uid), &endpoints, restored)?;
             Ok(start_in(endpoints, self.context.clone(), id, restored)?)
         });
         if let Err(error) = started {

@@ -22,11 +22,15 @@ const HISTORY_BYTES: usize = 64 << 20;
 const RECORDS_PER_REPORT: u64 = 256;
 
 /// Restores a map and starts its writer.
-pub(super) fn open_map(context: &Context, id: MapId, spec: &Arc<MapSpec>) -> Result<Arc<MapHandle>, CatalogError> {
+pub(super) fn open_map(
+    context: &Context,
+    (id, shared_uid): (MapId, Option<u64>),
+    spec: &Arc<MapSpec>,
+) -> Result<Arc<MapHandle>, CatalogError> {
     let mut restored = restore_map(context, id, spec, &|_, _| true)?;
     let view = restored.map.publish();
-    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(spec), view, &context.clock);
-    share(context, id, &endpoints, &mut restored)?;
+    let (handle, endpoints) = MapHandle::with_endpoints((id, shared_uid), Arc::clone(spec), view, &context.clock);
+    let restored = share(context, (id, shared_uid), &endpoints, restored)?;
     start_in(endpoints, context.clone(), id, restored)?;
     Ok(Arc::new(handle))
 }
@@ -34,18 +38,17 @@ pub(super) fn open_map(context: &Context, id: MapId, spec: &Arc<MapSpec>) -> Res
 /// Makes the log of a restored map one that daemons share, if the map is one of a cluster.
 pub(crate) fn share(
     context: &Context,
-    id: MapId,
+    (id, shared_uid): (MapId, Option<u64>),
     endpoints: &WriterEndpoints,
-    restored: &mut RestoredMap,
-) -> Result<(), CatalogError> {
-    let Some(uid) = context.store.shared(id)? else { return Ok(()) };
+    restored: RestoredMap,
+) -> Result<RestoredMap, CatalogError> {
+    let Some(uid) = shared_uid else { return Ok(restored) };
     let name = &restored.map.spec().name;
     let no_cluster = || CatalogError::NoCluster(name.clone());
     let cluster = context.cluster.as_ref().ok_or_else(no_cluster)?;
     let log = context.store.group_log(id).ok_or_else(no_cluster)?;
-    restored.log = Arc::new(cluster.share(uid, name, log, endpoints.replica_listener()));
-    restored.is_shared = true;
-    Ok(())
+    let log = Arc::new(cluster.share(uid, name, log, endpoints.replica_listener()));
+    Ok(RestoredMap { log, is_shared: true, ..restored })
 }
 
 /// Restores a map from its newest checkpoint and the log after it. The last update in the log may have been cut off:

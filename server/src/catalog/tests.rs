@@ -167,7 +167,8 @@ async fn a_stop_does_not_wait_for_a_map_that_is_never_restored() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let catalog = catalog(store(dir.path())).expect("no maps");
     let map = LiveMap::new(Arc::new(spec())).publish();
-    let (handle, endpoints) = MapHandle::with_endpoints(MapId(1), Arc::new(spec()), map, &catalog.context().clock);
+    let (handle, endpoints) =
+        MapHandle::with_endpoints((MapId(1), None), Arc::new(spec()), map, &catalog.context().clock);
     drop(endpoints);
     assert!(!handle.opened().await);
     catalog.stop().await;

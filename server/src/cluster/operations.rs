@@ -4,6 +4,8 @@
 //! Invariant: every answer is this daemon's own. Nothing here waits for another daemon, and nothing is decided about a
 //! log: a move changes an entry of the catalogue, and the writer follows it.
 
+use std::sync::PoisonError;
+
 use tidemap_cluster::{
     assignment,
     catalogue::{self, ClusterMap},
@@ -11,9 +13,10 @@ use tidemap_cluster::{
     membership::{self, Members, MembersView},
     replica::{ReplicaRole, ReplicaStatus},
 };
+use tidemap_map::name::MapName;
 use tidemap_store::{EventLog as _, OpenError};
 
-use super::Cluster;
+use super::{Cluster, SharedLog};
 
 /// How often a change of the catalogue is tried again that another one came before.
 const ATTEMPTS: usize = 5;
@@ -207,6 +210,21 @@ impl Cluster {
         Err(OperationError::Changed(map.to_owned()))
     }
 
+    /// Deletes the map of a name from the cluster, if there is one, which this daemon does not hold or cannot use; with
+    /// a number: only the map of this number. Whether there was one.
+    ///
+    /// # Errors
+    /// [`EngineError`]; it can be tried again.
+    pub(crate) async fn delete_unheld(&self, name: &MapName, uid: Option<u64>) -> Result<bool, EngineError> {
+        let Some((entry, _)) = catalogue::find(self.engine(), name.as_str()).await? else { return Ok(false) };
+        let found = entry.uid().filter(|found| uid.is_none_or(|uid| uid == *found));
+        let Some(uid) = found else { return Ok(false) };
+        catalogue::delete(self.engine(), name.as_str(), uid).await?;
+        self.0.others.lock().unwrap_or_else(PoisonError::into_inner).remove(name.as_str());
+        self.0.changed.notify_one();
+        Ok(true)
+    }
+
     /// Hands over the maps that this daemon writes and takes no new ones, until it is told otherwise or starts again.
     pub(crate) fn drain(&self, is_draining: bool) {
         self.0.is_draining.send_replace(is_draining);
@@ -219,21 +237,13 @@ impl Cluster {
         }
     }
 
-    /// The end of this daemon's own log of a map, and the chain at a position; 0: at the end. Reads the disk.
+    /// The log of a map that this daemon holds.
     ///
     /// # Errors
-    /// See [`OperationError`].
-    pub(crate) async fn chain_at(
-        &self,
-        (map, uid): (&str, u64),
-        position: u64,
-    ) -> Result<(u64, Option<u32>), OperationError> {
-        let not_held = || OperationError::NotHeld(map.to_owned());
-        let log = self.replicas().get(&uid).map(|replica| replica.log.clone()).ok_or_else(not_held)?;
-        let end = log.end();
-        let at = if position == 0 { end } else { position };
-        let chain = crate::task::blocking(move || log.chain_at(at)).await.map_err(|_| not_held())??;
-        Ok((end, chain))
+    /// [`OperationError::NotHeld`].
+    pub(crate) fn log_of(&self, map: &str, uid: u64) -> Result<SharedLog, OperationError> {
+        let log = self.replicas().get(&uid).map(|replica| replica.log.clone());
+        log.ok_or_else(|| OperationError::NotHeld(map.to_owned()))
     }
 }
 

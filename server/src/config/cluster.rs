@@ -128,8 +128,7 @@ pub(crate) const EXAMPLE: &str = r#"
 #tls_certificate = ""
 #tls_key = ""
 
-# The authority of the other daemons' certificates, where they are reached by https; empty: those that the system
-# trusts.
+# A file with the authority of the daemons' certificates. It must be set where daemons are reached by https.
 #peer_ca = ""
 
 # Daemons that hold each map: one writes it, the others follow and can take its place. From 1 to 16.
@@ -169,21 +168,11 @@ fn check_name(key: &str, name: &str) -> anyhow::Result<()> {
 }
 
 impl ClusterSettings {
-    /// Whether the values make sense beside `listen`, the address of the gRPC port.
-    ///
-    /// # Errors
-    /// What is wrong, with the key.
-    pub(crate) fn check(&self, listen: &str) -> anyhow::Result<()> {
-        check_name("name", &self.name)?;
-        check_name("member", &self.member)?;
-        if self.servers.is_empty() {
-            bail!(
-                "setting cluster.servers is empty: name the engine's servers, for example [\"nats://10.0.0.1:4222\"]"
-            );
-        }
-        let listens_on = listen.parse::<SocketAddr>();
-        if self.advertise.is_empty()
-            && let Ok(address) = listens_on
+    /// Whether other daemons can reach this one, whose gRPC port is at `listen`, with TLS or not.
+    fn check_address(&self, listen: &str, has_tls: bool) -> anyhow::Result<()> {
+        let advertise = &self.advertise;
+        if advertise.is_empty()
+            && let Ok(address) = listen.parse::<SocketAddr>()
             && (address.ip().is_unspecified() || address.port() == 0)
         {
             bail!(
@@ -191,15 +180,38 @@ impl ClusterSettings {
                  listen: set cluster.advertise to http://HOST:PORT or https://HOST:PORT"
             );
         }
-        if !self.advertise.is_empty()
-            && !self.advertise.starts_with("http://")
-            && !self.advertise.starts_with("https://")
-        {
+        let is_https = advertise.starts_with("https://");
+        if !advertise.is_empty() && !advertise.starts_with("http://") && !is_https {
+            bail!("setting cluster.advertise is {advertise:?}: it must be http://HOST:PORT or https://HOST:PORT");
+        }
+        if has_tls && !is_https {
             bail!(
-                "setting cluster.advertise is {:?}: it must be http://HOST:PORT or https://HOST:PORT",
-                self.advertise
+                "setting cluster.advertise is {advertise:?}, and tls_certificate is set: it must be https://HOST:PORT, \
+                 with a name or an address that is in the certificate"
             );
         }
+        if is_https && self.peer_ca.as_os_str().is_empty() {
+            bail!(
+                "setting cluster.advertise is {advertise:?}, and cluster.peer_ca is not set: name the file with the \
+                 authority of the daemons' certificates"
+            );
+        }
+        Ok(())
+    }
+
+    /// Whether the values make sense, for a gRPC port at `listen` with TLS or without.
+    ///
+    /// # Errors
+    /// What is wrong, with the key.
+    pub(crate) fn check(&self, listen: &str, has_tls: bool) -> anyhow::Result<()> {
+        check_name("name", &self.name)?;
+        check_name("member", &self.member)?;
+        if self.servers.is_empty() {
+            bail!(
+                "setting cluster.servers is empty: name the engine's servers, for example [\"nats://10.0.0.1:4222\"]"
+            );
+        }
+        self.check_address(listen, has_tls)?;
         for (key, value, min, max) in [
             ("replicas", self.replicas as u64, 1, 16),
             ("capacity", u64::from(self.capacity), 0, 1000),

@@ -44,7 +44,7 @@ impl MissingProtection {
 }
 
 /// Whether only this machine can reach an address.
-pub(super) fn is_local(address: &str) -> bool {
+pub(crate) fn is_local(address: &str) -> bool {
     match address.parse::<SocketAddr>() {
         Ok(parsed) => parsed.ip().is_loopback(),
         Err(_) => address.rsplit_once(':').is_some_and(|(host, port)| {

@@ -2,7 +2,7 @@
 //!
 //! Invariant: both ports are bound before anything is served, and stop when they are told.
 
-use std::{net::SocketAddr, path::Path, sync::Arc, time::Duration};
+use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use rustix::process::{Resource, getrlimit, setrlimit};
 use tokio::{
@@ -24,7 +24,7 @@ use crate::{
         tls::{Protocol, Tls, TlsFiles},
     },
     http,
-    peers::{PeerTls, SharedMaps},
+    peers::{PeerTlsFiles, SharedMaps},
     reload::FileWatch,
     rpc::{self, guard::Access, maintenance::PageAddress, serve::Services},
     storage_watch,
@@ -204,17 +204,13 @@ fn shared_maps(settings: &Settings, catalog: &Catalog) -> Result<Option<SharedMa
     let tls = if ca.as_os_str().is_empty() {
         None
     } else {
-        let read = |path: &Path| {
-            std::fs::read(path)
-                .map_err(|error| DaemonError::Settings(format!("{} cannot be read: {error}", path.display())))
-        };
-        let identity = match settings.tls_files() {
-            Some(files) => Some((read(&files.certificate)?, read(&files.key)?)),
-            None => None,
-        };
-        Some(PeerTls { ca: read(ca)?, identity })
+        let identity = settings.tls_files().map(|files| (files.certificate, files.key));
+        let files = PeerTlsFiles { ca: ca.clone(), identity };
+        files.read().map_err(|error| DaemonError::Settings(error.to_string()))?;
+        Some(files)
     };
-    Ok(Some(SharedMaps { peers: Arc::new(cluster), tls }))
+    let tokens_in_clear = settings.allow_insecure_remote;
+    Ok(Some(SharedMaps { peers: Arc::new(cluster), tls, tokens_in_clear }))
 }
 
 /// The connections of the gRPC port and of its socket.

@@ -86,6 +86,8 @@ pub(crate) struct MapHandle {
     pub number: u64,
     /// The fixed properties of the map.
     pub spec: Arc<MapSpec>,
+    /// Its number in the cluster; `None`: the log is this daemon's alone.
+    pub shared_uid: Option<u64>,
     view: Arc<ArcSwap<MapView>>,
     clock: Arc<dyn Clock>,
     commands: mpsc::Sender<Command>,
@@ -102,9 +104,10 @@ pub(crate) struct MapHandle {
 }
 
 impl MapHandle {
-    /// The handle of a map that shows `view`, and the endpoints of its writer.
+    /// The handle of a map that shows `view`, and the endpoints of its writer. A map with a number in a cluster is
+    /// written by another daemon, as far as is known, until its replica says something else.
     pub(crate) fn with_endpoints(
-        id: MapId,
+        (id, shared_uid): (MapId, Option<u64>),
         spec: Arc<MapSpec>,
         view: MapView,
         clock: &Arc<dyn Clock>,
@@ -115,7 +118,7 @@ impl MapHandle {
         let (saturated_sender, saturated) = watch::channel(false);
         let (opening_sender, opening) = watch::channel(OpenProgress::Replay { done: 0, total: 0 });
         let tile_bytes = Arc::new(AtomicU64::new(0));
-        let (role_sender, role) = watch::channel(MapRole::default());
+        let (role_sender, role) = watch::channel(MapRole::at_first(shared_uid.is_some()));
         let (digest_sender, digest) = watch::channel(None);
         let endpoints = WriterEndpoints {
             view: Arc::clone(&view),
@@ -136,6 +139,7 @@ impl MapHandle {
             id,
             number,
             spec,
+            shared_uid,
             view,
             clock,
             commands,

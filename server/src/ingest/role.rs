@@ -26,6 +26,11 @@ impl MapRole {
     /// The role in a log that daemons share, before more is known.
     pub(crate) const UNKNOWN: MapRole = MapRole::Following { writer: None };
 
+    /// The role before the replica of the map, if there is one, has told anything.
+    pub(crate) fn at_first(is_shared: bool) -> MapRole {
+        if is_shared { Self::UNKNOWN } else { Self::Alone }
+    }
+
     /// Whether daemons share the log.
     pub(crate) fn is_shared(&self) -> bool {
         *self != Self::Alone

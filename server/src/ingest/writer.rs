@@ -131,7 +131,7 @@ pub(crate) struct RestoredMap {
 #[cfg(test)]
 pub(crate) fn start(context: Context, id: MapId, mut restored: RestoredMap) -> std::io::Result<Arc<MapHandle>> {
     let (spec, view) = (Arc::clone(restored.map.spec()), restored.map.publish());
-    let (handle, endpoints) = MapHandle::with_endpoints(id, spec, view, &context.clock);
+    let (handle, endpoints) = MapHandle::with_endpoints((id, None), spec, view, &context.clock);
     start_in(endpoints, context, id, restored)?;
     Ok(Arc::new(handle))
 }

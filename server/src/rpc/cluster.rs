@@ -18,13 +18,14 @@ use tidemap_proto::{
     convert::time::duration,
     v1::{self, cluster_service_server::ClusterService},
 };
-use tidemap_store::{Fork, MapId, Store};
+use tidemap_store::{EventLog as _, Fork, MapId, Store};
 use tokio::{sync::oneshot, time::Instant};
 use tonic::{Request, Response, Status};
 
 use super::{
     RpcReply,
     lookup::{check_scope, find_map, find_published},
+    permits::{Permits, run_blocking},
     status::RpcError,
 };
 use crate::{
@@ -48,6 +49,8 @@ const PRODUCERS_WITHIN: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(crate) struct ClusterCalls {
     pub catalog: Arc<Catalog>,
+    /// For what reads a log.
+    pub(super) permits: Permits,
 }
 
 /// An age in nanoseconds.
@@ -222,8 +225,7 @@ impl ClusterCalls {
     /// The map of this name that this daemon holds, with its number in the cluster.
     async fn held(&self, name: &str) -> Result<(Arc<MapHandle>, u64), RpcError> {
         let handle = find_map(&self.catalog, name).await?;
-        let shared = self.catalog.context().store.shared(handle.id).map_err(OperationError::from)?;
-        let uid = shared.ok_or_else(|| OperationError::NotHeld(name.to_owned()))?;
+        let uid = handle.shared_uid.ok_or_else(|| OperationError::NotHeld(name.to_owned()))?;
         Ok((handle, uid))
     }
 }
@@ -287,7 +289,13 @@ impl ClusterService for ClusterCalls {
         check_scope(&map)?;
         let cluster = self.cluster()?;
         let (handle, uid) = self.held(&map).await?;
-        let (end_position, chain) = cluster.chain_at((&map, uid), position).await.map_err(RpcError::from)?;
+        let log = cluster.log_of(&map, uid).map_err(RpcError::from)?;
+        // A part of the log is read whole.
+        let permit = self.permits.take().await?;
+        let end_position = log.end();
+        let at = if position == 0 { end_position } else { position };
+        let chain = run_blocking(permit, move || log.chain_at(at)).await?;
+        let chain = chain.map_err(|error| RpcError::from(OperationError::from(error)))?;
         let digest = handle.digest().map(digest_to_wire);
         Ok(Response::new(v1::GetLogPointResponse { end_position, chain, digest }))
     }

@@ -37,7 +37,7 @@ use crate::{
     },
     catalog::Catalog,
     ingest::{
-        handle::{MapHandle, Shown},
+        handle::{MapHandle, OpenProgress, Shown},
         role::MapRole,
     },
     peers::{Peers, SharedMaps},
@@ -165,15 +165,14 @@ enum Answerer {
     There { member: String, address: String, place: PeerPlace },
 }
 
-impl From<Shown> for ReadToken {
-    fn from(Shown { position, generation }: Shown) -> Self {
-        Self { position, generation }
-    }
+/// What a view of a map shows, as a token.
+fn token(map: &MapHandle, Shown { position, generation }: Shown) -> ReadToken {
+    ReadToken { map_uid: map.shared_uid.unwrap_or_default(), position, generation }
 }
 
 impl ClusterGateway {
     pub(super) fn new(catalog: Arc<Catalog>, shared: SharedMaps, stopping: watch::Receiver<bool>) -> Self {
-        Self { catalog, peers: shared.peers, links: Arc::new(Links::new(shared.tls)), stopping }
+        Self { catalog, peers: shared.peers, links: Arc::new(Links::new(shared.tls, shared.tokens_in_clear)), stopping }
     }
 
     async fn answer(&self, place: Place, mut call: GatewayCall, next: Next) -> Result<Response, Status> {
@@ -197,15 +196,15 @@ impl ClusterGateway {
     ) -> Result<Response, RpcError> {
         // Without a map the request is wrong, or about the daemon.
         let Some(map) = map else { return Ok(call.answer(next).await) };
+        check_scope(&map)?;
         let handle = self.catalog.get(&map).ok();
         let answerer = if self.is_answered_here(place, &call.parts.headers, &map, handle.as_ref()).await? {
             Answerer::Here
         } else {
-            check_scope(&map)?;
             if let Some(by) = call.passed_by() {
                 return Err(GatewayError::Moved { map, by }.into());
             }
-            self.writer(&map, handle.as_ref()).await?
+            self.writer(&map, handle.as_ref(), call.authorization.is_some()).await?
         };
         match answerer {
             Answerer::There { member, address, place } => self.pass(call, (member, &address, place)).await,
@@ -214,7 +213,7 @@ impl ClusterGateway {
                 if let Some(handle) = handle {
                     // An upper bound of what the reply shows. Taken before the answer, it could be less than the
                     // reply shows, and a later reply could show less than this one.
-                    ReadToken::from(handle.shown()).put(reply.headers_mut(), SHOWN);
+                    token(&handle, handle.shown()).put(reply.headers_mut(), SHOWN);
                 }
                 Ok(reply)
             }
@@ -235,10 +234,13 @@ impl ClusterGateway {
         if !role.is_shared() || (place == Place::Writer && role.is_writing()) {
             return Ok(true);
         }
-        if place == Place::Writer {
+        let allows_stale = allows_stale(headers);
+        // One that is being opened shows an older generation, and hears nothing of its log yet.
+        let is_open = handle.opening() == OpenProgress::Open;
+        if place == Place::Writer || !(is_open || allows_stale) {
             return Ok(false);
         }
-        if !role.is_writing() && !allows_stale(headers) {
+        if !role.is_writing() && !allows_stale {
             let max = self.peers.max_staleness();
             let is_fresh = self.peers.heard(&handle.spec.name).is_some_and(|heard| heard.elapsed() <= max);
             if !is_fresh {
@@ -246,7 +248,7 @@ impl ClusterGateway {
             }
         }
         let Some(wanted) = ReadToken::of(headers, &AT_LEAST)? else { return Ok(true) };
-        if handle.shows(|shown| ReadToken::from(shown).reaches(wanted), SHOWN_WITHIN).await {
+        if handle.shows(|shown| token(handle, shown).reaches(wanted), SHOWN_WITHIN).await {
             return Ok(true);
         }
         // One that was cut off may not know yet that it writes no more: it does not show less either.
@@ -256,30 +258,52 @@ impl ClusterGateway {
         Ok(false)
     }
 
+    /// Who writes a map, as far as the role in it or something else says.
+    fn known_writer(&self, map: &str, handle: Option<&Arc<MapHandle>>, by_role: Option<String>) -> Option<String> {
+        let held = || self.peers.writer_of_held(&handle?.spec.name);
+        by_role.or_else(held).or_else(|| self.peers.writer_of(map))
+    }
+
+    /// A place on a connection to a daemon, by its address.
+    async fn place(&self, address: &str, has_token: bool, deadline: tokio::time::Instant) -> Result<PeerPlace, String> {
+        match tokio::time::timeout_at(deadline, self.links.place(address, has_token)).await {
+            Ok(place) => place.map_err(|error| error.to_string()),
+            Err(_) => Err(format!("{address} does not answer")),
+        }
+    }
+
     /// A connection to the writer of a map. Waits for one that is known and answers.
-    async fn writer(&self, map: &str, handle: Option<&Arc<MapHandle>>) -> Result<Answerer, GatewayError> {
+    async fn writer(
+        &self,
+        map: &str,
+        handle: Option<&Arc<MapHandle>>,
+        has_token: bool,
+    ) -> Result<Answerer, GatewayError> {
         let deadline = tokio::time::Instant::now() + WRITER_WITHIN;
         let mut role = handle.map(|handle| handle.watch_role());
         let mut silent = None;
         loop {
-            let writer = match role.as_mut().map(|role| role.borrow_and_update().clone()) {
+            let by_role = match role.as_mut().map(|role| role.borrow_and_update().clone()) {
                 Some(MapRole::Following { writer }) => writer,
                 Some(MapRole::Alone | MapRole::Writing { .. }) => return Ok(Answerer::Here),
-                None => self.peers.writer_of(map),
+                None => None,
             };
+            let writer = self.known_writer(map, handle, by_role);
             // Its own name is what a daemon knows that is about to write.
             if let Some(member) = writer.filter(|writer| writer != self.peers.name()) {
-                if let Some(address) = self.peers.address_of(&member)
-                    && let Ok(Ok(place)) = tokio::time::timeout_at(deadline, self.links.place(&address)).await
-                {
-                    return Ok(Answerer::There { member, address, place });
-                }
-                silent = Some(member);
+                let why = match self.peers.address_of(&member) {
+                    None => "its address is not known".to_owned(),
+                    Some(address) => match self.place(&address, has_token, deadline).await {
+                        Ok(place) => return Ok(Answerer::There { member, address, place }),
+                        Err(why) => why,
+                    },
+                };
+                silent = Some((member, why));
             }
             if tokio::time::Instant::now() + LOOK_EVERY >= deadline {
                 let map = map.to_owned();
                 return Err(match silent {
-                    Some(writer) => GatewayError::NoWay { map, writer },
+                    Some((writer, why)) => GatewayError::NoWay { map, writer, why },
                     None => GatewayError::NoWriter { map },
                 });
             }

@@ -89,13 +89,18 @@ impl MapService for Maps {
 
     async fn delete_map(&self, request: Request<v1::DeleteMapRequest>) -> RpcReply<v1::DeleteMapResponse> {
         let name = request.into_inner().name;
-        // An unavailable map can be deleted as well.
-        match find_map(&self.catalog, &name).await {
-            Ok(_) | Err(RpcError::Catalog(CatalogError::Unavailable { .. })) => {}
+        // An unavailable map can be deleted as well, and one that only other daemons hold.
+        let unknown = match find_map(&self.catalog, &name).await {
+            Ok(_) | Err(RpcError::Catalog(CatalogError::Unavailable { .. })) => None,
+            Err(error @ RpcError::UnknownMap { .. }) => Some(error),
             Err(error) => return Err(error.into()),
+        };
+        match (self.catalog.delete(&name).await, unknown) {
+            (Ok(()), _) => Ok(Response::new(v1::DeleteMapResponse {})),
+            // It lists those that there are.
+            (Err(CatalogError::Unknown(_)), Some(unknown)) => Err(unknown.into()),
+            (Err(error), _) => Err(RpcError::from(error).into()),
         }
-        self.catalog.delete(&name).await.map_err(RpcError::from)?;
-        Ok(Response::new(v1::DeleteMapResponse {}))
     }
 
     async fn add_state(&self, request: Request<v1::AddStateRequest>) -> RpcReply<v1::AddStateResponse> {

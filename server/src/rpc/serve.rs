@@ -188,7 +188,7 @@ pub(crate) async fn services(
         .add_service(RouteServiceServer::from_arc(Arc::clone(&routes)).max_decoding_message_size(REQUEST_BYTES))
         .add_service(SearchServiceServer::from_arc(routes).max_decoding_message_size(REQUEST_BYTES))
         .add_service(
-            ClusterServiceServer::new(ClusterCalls { catalog: Arc::clone(&catalog) })
+            ClusterServiceServer::new(ClusterCalls { catalog: Arc::clone(&catalog), permits: Permits::default() })
                 .max_decoding_message_size(REQUEST_BYTES),
         )
         .add_service(

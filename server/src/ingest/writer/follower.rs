@@ -52,7 +52,7 @@ pub(super) struct Follower {
 impl Follower {
     /// `is_shared`: daemons share the log; then this one writes it only when the replica says so.
     pub(super) fn new(role: watch::Sender<MapRole>, is_shared: bool) -> Self {
-        role.send_replace(if is_shared { MapRole::UNKNOWN } else { MapRole::Alone });
+        role.send_replace(MapRole::at_first(is_shared));
         Self { role, queue: VecDeque::new(), batch: None, applied: Vec::new(), fork: None }
     }
 

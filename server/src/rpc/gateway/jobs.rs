@@ -32,20 +32,26 @@ impl ClusterGateway {
         let mut silent = None;
         for member in self.peers.others() {
             let Some(address) = self.peers.address_of(&member) else { continue };
-            let Ok(Ok(place)) = tokio::time::timeout(WRITER_WITHIN, self.links.place(&address)).await else {
-                silent = Some(member);
-                continue;
+            let deadline = tokio::time::Instant::now() + WRITER_WITHIN;
+            let place = match self.place(&address, call.authorization.is_some(), deadline).await {
+                Ok(place) => place,
+                Err(why) => {
+                    silent = Some((member, why));
+                    continue;
+                }
             };
             let body = PeekedBody::new(Body::new(Full::new(framed(message))));
             let question = GatewayCall { parts: call.parts.clone(), body, authorization: call.authorization.clone() };
             match self.pass(question, (member.clone(), &address, place)).await {
                 Ok(reply) if is_unknown(reply.headers()) => {}
-                Err(RpcError::Gateway(GatewayError::Broke { .. })) => silent = Some(member),
+                Err(RpcError::Gateway(GatewayError::Broke { .. })) => {
+                    silent = Some((member, "the connection broke".to_owned()));
+                }
                 answer => return answer,
             }
         }
         match silent {
-            Some(member) => Err(GatewayError::JobAway { id, member }.into()),
+            Some((member, why)) => Err(GatewayError::JobAway { id, member, why }.into()),
             None => Ok(call.answer(next).await),
         }
     }

@@ -1,7 +1,7 @@
 //! Connections to the other daemons that share maps with this one.
 //!
 //! Invariant: connections are kept and used again, their number is bounded, and a call holds its place on one until its
-//! reply has ended.
+//! reply has ended. Over a network no token goes without TLS, unless an operator has allowed that.
 
 use std::{
     collections::HashMap,
@@ -9,9 +9,13 @@ use std::{
     time::Duration,
 };
 
+use axum::http::{Uri, uri::Scheme};
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 
-use crate::peers::PeerTls;
+use crate::{
+    config::is_local,
+    peers::{PeerTlsFiles, UnreadablePeerTls},
+};
 
 /// A daemon must answer a connection within this time.
 const CONNECT_WITHIN: Duration = Duration::from_secs(1);
@@ -81,22 +85,45 @@ impl PeerLinks {
 /// The connections to all daemons, by address.
 #[derive(Debug)]
 pub(super) struct Links {
-    tls: Option<PeerTls>,
+    tls: Option<PeerTlsFiles>,
+    tokens_in_clear: bool,
     by_address: Mutex<HashMap<String, Arc<PeerLinks>>>,
 }
 
 /// There is no connection to a daemon.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum NoLink {
-    #[error(transparent)]
+    #[error("{}", root_cause(.0))]
     Transport(#[from] tonic::transport::Error),
     #[error("all connections to it are in use")]
     Full,
+    #[error(
+        "a token is not sent to {address} without TLS, because others could read it: give that daemon an https:// \
+         address, or set allow_insecure_remote here"
+    )]
+    InClear { address: String },
+    #[error("its address is {address}, and setting cluster.peer_ca, which https:// needs, is not set here")]
+    NoAuthority { address: String },
+    #[error(transparent)]
+    Files(#[from] UnreadablePeerTls),
+    #[error("this daemon stops")]
+    Stopping,
+}
+
+/// Whether others could read what is sent to an address.
+fn is_in_clear(address: &str) -> bool {
+    let Ok(uri) = address.parse::<Uri>() else { return true };
+    uri.scheme() != Some(&Scheme::HTTPS) && !uri.authority().is_some_and(|authority| is_local(authority.as_str()))
+}
+
+/// What a chain of errors began with: the others only say that there is one.
+fn root_cause(error: &dyn std::error::Error) -> String {
+    error.source().map_or_else(|| error.to_string(), root_cause)
 }
 
 impl Links {
-    pub(super) fn new(tls: Option<PeerTls>) -> Self {
-        Self { tls, by_address: Mutex::default() }
+    pub(super) fn new(tls: Option<PeerTlsFiles>, tokens_in_clear: bool) -> Self {
+        Self { tls, tokens_in_clear, by_address: Mutex::default() }
     }
 
     fn of(&self, address: &str) -> Arc<PeerLinks> {
@@ -104,11 +131,15 @@ impl Links {
         Arc::clone(all.entry(address.to_owned()).or_default())
     }
 
-    /// A place on a connection to an address, which is made if there is none with room.
+    /// A place on a connection to an address, which is made if there is none with room, for a call with or without a
+    /// token.
     ///
     /// # Errors
-    /// Nobody answers there, or there are too many connections.
-    pub(super) async fn place(&self, address: &str) -> Result<PeerPlace, NoLink> {
+    /// See [`NoLink`].
+    pub(super) async fn place(&self, address: &str, has_token: bool) -> Result<PeerPlace, NoLink> {
+        if has_token && !self.tokens_in_clear && is_in_clear(address) {
+            return Err(NoLink::InClear { address: address.to_owned() });
+        }
         let links = self.of(address);
         if let Some(place) = links.free_place() {
             return Ok(place);
@@ -121,14 +152,14 @@ impl Links {
         if links.open().len() >= CONNECTIONS_MAX {
             return Err(NoLink::Full);
         }
-        let channel = self.endpoint(address)?.connect().await?;
+        let channel = self.endpoint(address).await?.connect().await?;
         let link = PeerChannel { channel, places: Arc::new(()) };
         let place = link.place();
         links.open().push(link);
         Ok(place)
     }
 
-    fn endpoint(&self, address: &str) -> Result<Endpoint, tonic::transport::Error> {
+    async fn endpoint(&self, address: &str) -> Result<Endpoint, NoLink> {
         let mut endpoint = Endpoint::from_shared(address.to_owned())?
             .connect_timeout(CONNECT_WITHIN)
             .http2_keep_alive_interval(KEEPALIVE_INTERVAL)
@@ -138,7 +169,10 @@ impl Links {
             // A call whose reply is not read does not hold up the others.
             .initial_connection_window_size(WINDOW * CALLS_PER_CONNECTION as u32)
             .tcp_nodelay(true);
-        if let Some(tls) = self.tls.as_ref().filter(|_| address.starts_with("https:")) {
+        if address.starts_with("https:") {
+            let no_authority = || NoLink::NoAuthority { address: address.to_owned() };
+            let files = self.tls.clone().ok_or_else(no_authority)?;
+            let tls = crate::task::blocking(move || files.read()).await.map_err(|_| NoLink::Stopping)??;
             let config = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(&tls.ca)).timeout(CONNECT_WITHIN);
             endpoint = endpoint.tls_config(match &tls.identity {
                 Some((certificate, key)) => config.identity(Identity::from_pem(certificate, key)),
@@ -151,5 +185,21 @@ impl Links {
     /// The connection of a place has failed: no other call takes it.
     pub(super) fn forget(&self, address: &str, failed: &PeerPlace) {
         self.of(address).open().retain(|link| !Arc::ptr_eq(&link.places, &failed.place));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn the_files_of_tls_are_read_for_each_connection() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let ca = dir.path().join("ca.pem");
+        let links = Links::new(Some(PeerTlsFiles { ca: ca.clone(), identity: None }), false);
+        let place = || links.place("https://127.0.0.1:1", true);
+        assert!(matches!(place().await, Err(NoLink::Files(_))), "there is no file");
+        std::fs::write(&ca, "no certificate").expect("written");
+        assert!(matches!(place().await, Err(NoLink::Transport(_))), "there is one");
     }
 }

@@ -3,6 +3,7 @@
 use std::{
     collections::HashMap,
     convert::Infallible,
+    path::Path,
     pin::Pin,
     sync::Mutex,
     task::{Context as TaskContext, Poll},
@@ -26,6 +27,7 @@ use tonic_types::StatusExt as _;
 
 use super::*;
 use crate::{
+    catalog::UnopenedMap,
     clock::SystemClock,
     config::Settings,
     ingest::writer::Context,
@@ -33,8 +35,10 @@ use crate::{
     rpc::{guard::Access, maintenance::PageAddress, serve::services},
 };
 
+mod openings;
 mod passing;
 mod streams;
+mod tokens;
 mod views;
 
 /// What a daemon knows of the others, as the test says.
@@ -43,6 +47,8 @@ struct Known {
     name: String,
     addresses: Mutex<HashMap<String, String>>,
     writers: Mutex<HashMap<String, String>>,
+    /// Who writes the maps that are held.
+    writer_of_held: Mutex<Option<String>>,
     heard: Mutex<Option<Instant>>,
 }
 
@@ -61,6 +67,10 @@ impl Peers for Known {
 
     fn writer_of(&self, map: &str) -> Option<String> {
         self.writers.lock().expect("not poisoned").get(map).cloned()
+    }
+
+    fn writer_of_held(&self, _: &MapName) -> Option<String> {
+        self.writer_of_held.lock().expect("not poisoned").clone()
     }
 
     fn heard(&self, _: &MapName) -> Option<Instant> {
@@ -84,9 +94,18 @@ struct Member {
 impl Member {
     async fn start(name: &str) -> Self {
         let dir = tempfile::tempdir().expect("temporary folder");
-        let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
+        Self::start_in(name, dir, u64::MAX, Access::Anybody).await.0
+    }
+
+    /// With the maps that are still to be restored: those with more bytes of checkpoints and log.
+    async fn start_in(
+        name: &str,
+        dir: tempfile::TempDir,
+        restored_first_bytes: u64,
+        access: Access,
+    ) -> (Self, Vec<UnopenedMap>) {
         let context = Context {
-            store: Arc::new(Store::open(dir.path(), options).expect("a store")),
+            store: Arc::new(store(dir.path())),
             jobs: Arc::new(Jobs::of_member(name)),
             clock: Arc::new(SystemClock),
             update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool")),
@@ -100,21 +119,23 @@ impl Member {
             tile_cache_bytes: 1 << 30,
             cluster: None,
         };
-        let catalog = Arc::new(Catalog::open(context, 10, u64::MAX).expect("maps").0);
+        let (catalog, unopened) = Catalog::open(context, 10, restored_first_bytes).expect("maps");
+        let catalog = Arc::new(catalog);
         let known = Arc::new(Known {
             name: name.to_owned(),
             addresses: Mutex::default(),
             writers: Mutex::default(),
+            writer_of_held: Mutex::default(),
             heard: Mutex::new(Some(Instant::now())),
         });
         let (stop, stopping) = watch::channel(false);
         let page = PageAddress { address: ([127, 0, 0, 1], 1).into(), has_tls: false };
-        let shared = SharedMaps { peers: Arc::clone(&known) as Arc<dyn Peers>, tls: None };
+        let shared = SharedMaps { peers: Arc::clone(&known) as Arc<dyn Peers>, tls: None, tokens_in_clear: false };
         let services = services(Arc::clone(&catalog), &Settings::default(), page, Some(shared), stopping).await;
-        let address = serve(services.guarded(Access::Anybody)).await;
+        let address = serve(services.guarded(access)).await;
         let member = Self { catalog, known, address, stop, _dir: dir };
         member.knows(name, &member.address);
-        member
+        (member, unopened)
     }
 
     /// Two daemons that hold the map `office`: `a` follows, and `b` writes.
@@ -131,9 +152,7 @@ impl Member {
     }
 
     async fn create(&self) {
-        let name = MapName::new("office").expect("valid");
-        let spec = MapSpec { zone: Zone::named("Europe/London").expect("known"), ..MapSpec::new(name) };
-        self.catalog.create(spec).await.expect("created");
+        self.catalog.create(spec()).await.expect("created");
     }
 
     fn knows(&self, member: &str, address: &str) {
@@ -181,6 +200,16 @@ impl Member {
     async fn add_state(&self, state: &str) -> Result<tonic::Response<v1::AddStateResponse>, Status> {
         self.maps().await.add_state(new_state(state)).await
     }
+}
+
+fn store(dir: &Path) -> Store {
+    let options = StoreOptions { new_store_id: "00".repeat(16), ..StoreOptions::default() };
+    Store::open(dir, options).expect("a store")
+}
+
+fn spec() -> MapSpec {
+    let name = MapName::new("office").expect("valid");
+    MapSpec { zone: Zone::named("Europe/London").expect("known"), ..MapSpec::new(name) }
 }
 
 fn new_state(name: &str) -> v1::AddStateRequest {

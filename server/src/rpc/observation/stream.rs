@@ -111,6 +111,7 @@ impl<'a> Stream<'a> {
             max_message_bytes: u32::try_from(limits.max_message_bytes).unwrap_or(u32::MAX),
             max_ahead: Some(duration(FUTURE_MAX_NANOS)),
             direct: direct.unwrap_or_default(),
+            map_uid: self.handle.shared_uid.unwrap_or_default(),
         }
     }
 

@@ -11,8 +11,8 @@ use tonic::Code;
 pub(crate) enum GatewayError {
     #[error("no daemon is known to write map {map:?} now: try again")]
     NoWriter { map: String },
-    #[error("map {map:?} is written by {writer}, which this daemon cannot reach: try again")]
-    NoWay { map: String, writer: String },
+    #[error("map {map:?} is written by {writer}, which this daemon cannot reach: {why}. Try again")]
+    NoWay { map: String, writer: String, why: String },
     #[error("{by} passed the request to this daemon, but this daemon no longer writes map {map:?}: try again")]
     Moved { map: String, by: String },
     #[error("the connection to {member} broke before the reply had ended: try again")]
@@ -26,8 +26,8 @@ pub(crate) enum GatewayError {
     Stale { map: String, max: Duration },
     #[error("the writer of map {map:?} does not have {wanted} yet, which the client has seen: try again")]
     Behind { map: String, wanted: ReadToken },
-    #[error("job {id} is not known here, and {member}, which may know it, cannot be reached: try again")]
-    JobAway { id: u64, member: String },
+    #[error("job {id} is not known here, and {member}, which may know it, cannot be reached: {why}. Try again")]
+    JobAway { id: u64, member: String, why: String },
     #[error(transparent)]
     Token(#[from] InvalidReadToken),
 }

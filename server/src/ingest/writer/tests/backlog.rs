@@ -22,7 +22,8 @@ pub(super) fn bare(dir: &Path, now: i64, grid: Option<GridSpec>) -> Bare {
     let id = context.store.create_map(&spec).expect("created");
     let log = Arc::new(context.store.open_map(id, &spec).expect("opened").log);
     let mut map = LiveMap::new(Arc::new(spec));
-    let (handle, endpoints) = MapHandle::with_endpoints(id, Arc::clone(map.spec()), map.publish(), &context.clock);
+    let (handle, endpoints) =
+        MapHandle::with_endpoints((id, None), Arc::clone(map.spec()), map.publish(), &context.clock);
     let restored = RestoredMap { map, log, is_shared: false, logged: None, unsaved: None, begun: None };
     let (writer, inbox) = build(endpoints, context, id, restored);
     Bare { bench, writer, inbox, handle: Arc::new(handle), kept: Vec::new() }

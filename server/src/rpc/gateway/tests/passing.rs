@@ -6,7 +6,7 @@ use super::*;
 async fn the_writer_does_what_a_follower_is_asked() {
     let (a, b) = Member::pair().await;
     let reply = a.add_state("door").await.expect("the writer takes it");
-    assert_eq!(shown(reply.metadata()), b.handle().shown().into(), "the writer says what it shows");
+    assert_eq!(shown(reply.metadata()), token(&b.handle(), b.handle().shown()), "the writer says what it shows");
     assert_eq!(b.handle().view().len(), 1);
     assert_eq!(a.handle().view().len(), 0);
     let again = a.add_state("door/x").await.expect_err("no name of a state");

@@ -97,7 +97,7 @@ async fn observations_through_another_daemon_are_taken_exactly_once() {
     }
     let position = robot.acknowledged(ALL).await;
     assert_eq!(b.handle().view().observations(), ALL);
-    let token = ReadToken { position, generation: 0 };
+    let token = ReadToken { map_uid: 0, position, generation: 0 };
     assert_eq!(a.states(Some(token)).await.expect("who has it answers").0, ["door"]);
 }
 

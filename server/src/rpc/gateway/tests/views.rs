@@ -28,7 +28,7 @@ impl Member {
 }
 
 fn at(position: u64) -> Option<ReadToken> {
-    Some(ReadToken { position, generation: 0 })
+    Some(ReadToken { map_uid: 0, position, generation: 0 })
 }
 
 #[tokio::test]
@@ -73,7 +73,7 @@ async fn a_follower_that_stays_behind_asks_the_writer() {
     assert_eq!(states, ["door", "window"]);
     assert!(shown.reaches(seen), "{shown:?} {seen:?}");
     assert!(a.states(None).await.expect("without a token").0.is_empty());
-    let unseen = ReadToken { position: seen.position, generation: 9 };
+    let unseen = ReadToken { generation: 9, ..seen };
     let refused = a.states(Some(unseen)).await.expect_err("nobody has it");
     assert_eq!(reason(&refused), (Code::Unavailable, "BEHIND".to_owned()));
 }
