@@ -2,12 +2,32 @@
 //!
 //! Invariant: each call is answered by the daemon that this client is of, for itself. Answers are messages of the wire.
 
+pub use tidemap_proto::v1::read_fork_response::Part as ForkPart;
 use tidemap_proto::v1::{self, cluster_service_client::ClusterServiceClient};
+use tonic::Streaming;
 
 use crate::{
     connection::{Client, Connection, REPLY_BYTES_MAX},
     error::Error,
 };
+
+/// The parts of a fork, as they arrive.
+#[derive(Debug)]
+pub struct ForkParts {
+    parts: Streaming<v1::ReadForkResponse>,
+    client: Client,
+}
+
+impl ForkParts {
+    /// The next part; `None`: that was the last one.
+    ///
+    /// # Errors
+    /// [`Error`] where not everything could be read.
+    pub async fn next(&mut self) -> Result<Option<ForkPart>, Error> {
+        let message = self.parts.message().await.map_err(|status| self.client.error(&status))?;
+        Ok(message.and_then(|message| message.part))
+    }
+}
 
 impl Client {
     fn cluster_service(&self) -> ClusterServiceClient<Connection> {
@@ -53,6 +73,16 @@ impl Client {
         let request = v1::DiscardForkRequest { map: map.to_owned(), fork: fork.to_owned() };
         self.cluster_service().discard_fork(request).await.map_err(|status| self.error(&status))?;
         Ok(())
+    }
+
+    /// Reads a fork of a map of this daemon: what it holds, in its order.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if there is no such fork.
+    pub async fn read_fork(&self, map: &str, fork: &str) -> Result<ForkParts, Error> {
+        let request = v1::ReadForkRequest { map: map.to_owned(), fork: fork.to_owned() };
+        let parts = self.cluster_service().read_fork(request).await.map_err(|status| self.error(&status))?;
+        Ok(ForkParts { parts: parts.into_inner(), client: self.clone() })
     }
 
     /// Drains the daemon, which hands over its maps and takes no new ones, or ends the drain.

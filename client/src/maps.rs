@@ -259,6 +259,14 @@ impl Client {
         self.added(request).await
     }
 
+    /// Adds a state as a request of the wire says; it is durable when this returns.
+    ///
+    /// # Errors
+    /// As [`Client::add_state`] and [`Client::add_categorical`].
+    pub async fn add_requested_state(&self, request: v1::AddStateRequest) -> Result<State, Error> {
+        self.added(request).await
+    }
+
     /// Adds a categorical state with these labels, 2 to 64; it is durable when this returns. Succeeds if it exists with
     /// the same labels in this order.
     ///

@@ -29,6 +29,7 @@ pub mod columns;
 pub mod enabled;
 pub mod erasure;
 pub mod exploration;
+pub mod forks;
 pub mod grid;
 pub mod labels;
 pub mod landmarks;

@@ -17,6 +17,7 @@ pub(crate) mod status;
 pub(crate) mod tasks;
 
 mod acks;
+mod forks;
 mod lookup;
 mod peer;
 mod permits;

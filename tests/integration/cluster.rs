@@ -223,3 +223,65 @@ fn a_daemon_that_is_alone_says_so() {
     }
     daemon.stop_in_order();
 }
+
+/// Ends all servers of the engine, and starts them again after something was done to their disks.
+fn restart_engine(engine: &mut NatsServers, meanwhile: impl FnOnce(&NatsServers)) {
+    (0..3).for_each(|index| engine.kill(index));
+    meanwhile(engine);
+    (0..3).for_each(|index| engine.run(index));
+}
+
+/// A fork needs an engine that forgets, and a writer that was alone with what was forgotten.
+#[tokio::test(flavor = "multi_thread")]
+async fn observations_of_a_fork_are_taken_into_the_map_again_by_an_operators_word() {
+    let mut engine = match NatsServers::start(3).await {
+        Ok(engine) => engine,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let work = tempdir().expect("a folder");
+    let folder = work.path();
+    let begin = |name: &'static str, engine: &NatsServers| {
+        (name, start_with(folder, name, (engine, 3), "heal_wait_secs = 0\n"))
+    };
+    let mut members = Members(NAMES.map(|name| begin(name, &engine)).into());
+    tidemap(members.first(), ["map", "create", "office"]).table();
+    let held = eventually(members.first(), "cluster maps", is_held_by_all);
+    members.learn(folder, 0);
+    let alone = NAMES.into_iter().find(|name| writer(&held).as_deref() == Some(name)).expect("a writer");
+    NAMES.iter().filter(|name| **name != alone).for_each(|name| drop(members.take(name).kill()));
+
+    restart_engine(&mut engine, NatsServers::save);
+    let rows = (0..40).map(|i| format!("{},{},1\n", 1_452_000_000 + i * 60, if i % 2 == 0 { "door" } else { "gate" }));
+    let file = folder.join("forked.csv");
+    fs::write(&file, format!("time,state,value\n{}", rows.collect::<String>())).expect("a file");
+    let observe = ["observe", "office", file.to_str().expect("a path"), "--producer", "robot-1", "--label", "forked"];
+    assert_eq!(tidemap(members.of(alone), observe).table().number("accepted"), 40.0);
+    // A single group may never have been acknowledged, and is not said to be a fork.
+    let more = ["observe", "office", &day(folder, 2), "--producer", "robot-3"];
+    assert_eq!(tidemap(members.of(alone), more).table().number("accepted"), 144.0);
+    drop(members.take(alone).kill());
+    restart_engine(&mut engine, NatsServers::set_back);
+    members.0.extend(NAMES.iter().filter(|name| **name != alone).map(|name| begin(name, &engine)));
+    eventually(members.first(), "cluster maps", |outcome| writer(outcome).is_some());
+    let other = tidemap(members.first(), ["observe", "office", &day(folder, 1), "--producer", "robot-2"]);
+    assert_eq!(other.table().number("accepted"), 144.0, "the log goes on without the forgotten records");
+    members.0.push(begin(alone, &engine));
+
+    let shown = eventually(members.first(), "cluster heal office --dry-run", |outcome| outcome.code == Some(2));
+    let row = shown.stdout.lines().nth(1).expect("a fork").to_owned();
+    assert!(row.starts_with(&format!("office,{alone},")) && row.ends_with(",robot-1,forked,1,40,40,0,false"), "{row}");
+    assert!(shown.stderr.contains("the map lacks 184 records"), "{shown:?}");
+    let seen = tidemap(members.first(), ["cluster", "status"]);
+    assert!(seen.code == Some(2) && seen.stderr.contains("FORKED"), "{seen:?}");
+    let healed = tidemap(members.first(), ["cluster", "heal", "office"]);
+    assert_eq!(healed.code, Some(0), "{healed:?}");
+    assert!(healed.stdout.contains(",robot-1,forked,1,40,40,40,true\n"), "{healed:?}");
+    assert!(healed.stdout.contains(",robot-3,day-2.csv,1,144,144,144,true\n"), "{healed:?}");
+    eventually(members.first(), "cluster verify office", |outcome| outcome.code == Some(0));
+    let states = tidemap(members.first(), ["state", "list", "office"]).table();
+    let seen: Vec<(&str, &str)> = states.column("state").into_iter().zip(states.column("observations")).collect();
+    assert_eq!(seen, [("door", "452"), ("gate", "20")]);
+    // What it has is not taken twice.
+    let again = tidemap(members.first(), observe).table();
+    assert_eq!((again.number("accepted"), again.number("duplicate")), (0.0, 40.0));
+}

@@ -60,7 +60,7 @@ pub(super) struct Link {
     shared: Arc<Shared>,
     /// Number of the map in its cluster, as the last Welcome says.
     map_uid: u64,
-    /// The incarnation of the last Welcome; 0 before the first.
+    /// The incarnation of the last Welcome; before the first, that of the options.
     incarnation: u64,
     outage: Outage,
     epoch: Instant,
@@ -69,7 +69,8 @@ pub(super) struct Link {
 impl Link {
     pub(super) fn new(client: Client, shared: Arc<Shared>) -> Self {
         let (place, outage) = (client.stream_place(), Outage::new(shared.options.patience));
-        Self { client, place, shared, map_uid: 0, incarnation: 0, outage, epoch: Instant::now() }
+        let incarnation = shared.options.incarnation;
+        Self { client, place, shared, map_uid: 0, incarnation, outage, epoch: Instant::now() }
     }
 
     pub(super) async fn run(mut self) {

@@ -47,6 +47,9 @@ pub struct ProducerOptions {
     /// How long to wait at first for the key (producer, label, map) if another stream holds it: the daemon needs a
     /// moment to notice that a stream has ended.
     pub key_patience: Duration,
+    /// The incarnation that it presents at first; 0, the usual one: the daemon gives it a new one. With that of an
+    /// earlier run it continues as that one, and is refused if the producer has begun anew since.
+    pub incarnation: u64,
 }
 
 impl ProducerOptions {
@@ -65,6 +68,7 @@ impl ProducerOptions {
             window_bytes: WINDOW_BYTES,
             patience: Duration::from_secs(60),
             key_patience: Duration::from_secs(30),
+            incarnation: 0,
         }
     }
 }

@@ -162,6 +162,24 @@ impl NatsServers {
         self.servers[index].child = Some(child);
     }
 
+    /// Keeps what the servers, which do not run, have on their disks.
+    pub fn save(&self) {
+        self.servers.iter().for_each(|server| self.copy(&server.name, "data", "image"));
+    }
+
+    /// Sets the disks of the servers, which do not run, back to what was kept.
+    pub fn set_back(&self) {
+        self.servers.iter().for_each(|server| self.copy(&server.name, "image", "data"));
+    }
+
+    fn copy(&self, server: &str, from: &str, to: &str) {
+        let base = self.folder.path().join(server);
+        // It may not be there.
+        drop(fs::remove_dir_all(base.join(to)));
+        let status = Command::new("cp").arg("-a").arg(base.join(from)).arg(base.join(to)).status();
+        assert!(status.is_ok_and(|status| status.success()), "cp {from} {to} in {}", base.display());
+    }
+
     /// Sends a signal such as `STOP` or `CONT`.
     pub fn signal(&self, index: usize, signal: &str) {
         if let Some(child) = &self.servers[index].child {

@@ -96,6 +96,7 @@ const PLACES: &[(&str, Place)] = &[
     ("/tidemap.v1.ClusterService/MoveMap", Place::Anywhere),
     ("/tidemap.v1.ClusterService/GetLogPoint", Place::Anywhere),
     ("/tidemap.v1.ClusterService/DiscardFork", Place::Anywhere),
+    ("/tidemap.v1.ClusterService/ReadFork", Place::Anywhere),
     ("/tidemap.v1.ClusterService/Drain", Place::Anywhere),
 ];
 

@@ -102,6 +102,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.ClusterService/MoveMap", role(Admin)),
     ("/tidemap.v1.ClusterService/GetLogPoint", role(Planner)),
     ("/tidemap.v1.ClusterService/DiscardFork", role(Admin)),
+    ("/tidemap.v1.ClusterService/ReadFork", role(Admin)),
     ("/tidemap.v1.ClusterService/Drain", Need::AllMaps(Admin)),
 ];
 

@@ -2,30 +2,27 @@
 //!
 //! Invariant: a caller is shown only maps that its token is for.
 
-use std::{collections::BTreeMap, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use tidemap_cluster::{
     engine::{EngineServer, StreamHealth},
     membership::Member,
     replica::{ReplicaRole, ReplicaStatus},
 };
-use tidemap_map::{
-    event::{Event, SequenceSpan},
-    ids::ProducerId,
-    snapshot::ProducerMark,
-};
 use tidemap_proto::{
     convert::time::duration,
     v1::{self, cluster_service_server::ClusterService},
 };
-use tidemap_store::{EventLog as _, Fork, MapId, Store};
-use tokio::{sync::oneshot, time::Instant};
+use tidemap_store::EventLog as _;
+use tokio::time::Instant;
 use tonic::{Request, Response, Status};
 
 use super::{
     RpcReply,
+    forks::{fork_to_wire, known_producers, read_fork},
     lookup::{check_scope, find_map, find_published},
     permits::{Permits, run_blocking},
+    replies::{Replies, compute_replies},
     status::RpcError,
 };
 use crate::{
@@ -35,15 +32,8 @@ use crate::{
         Cluster,
         operations::{ListedMap, OperationError},
     },
-    ingest::{
-        digests::DigestStatus,
-        handle::MapHandle,
-        protocol::{Command, KnownProducer},
-    },
+    ingest::{digests::DigestStatus, handle::MapHandle},
 };
-
-/// How long the thread of a map may take to say which producers it knows.
-const PRODUCERS_WITHIN: Duration = Duration::from_secs(1);
 
 /// The service.
 #[derive(Debug)]
@@ -117,71 +107,6 @@ fn replica_to_wire(status: ReplicaStatus, now: Instant) -> v1::MapReplica {
     }
 }
 
-/// The producers of a map, by their number in it; none where the map does not answer.
-async fn known_producers(handle: &MapHandle) -> BTreeMap<ProducerId, KnownProducer> {
-    let (reply, known) = oneshot::channel();
-    let answer = async { if handle.send(Command::ListProducers(reply)) { known.await.ok() } else { None } };
-    let known = tokio::time::timeout(PRODUCERS_WITHIN, answer).await.ok().flatten().unwrap_or_default();
-    known.into_iter().map(|producer| (producer.id, producer)).collect()
-}
-
-/// Up to which number of a part of a producer's sequence the map has the very observations of a fork. A producer that
-/// began anew has sent others under the numbers.
-fn known_to(mark: &ProducerMark, incarnation: u64, span: SequenceSpan) -> u64 {
-    let at_last = mark.content_marks().into_iter().find(|content| content.sequence == span.last);
-    let is_same = at_last.map_or(mark.incarnation == incarnation, |content| content.crc == span.content_crc);
-    if is_same { span.last.min(mark.durable_sequence) } else { 0 }
-}
-
-/// What a fork holds, beside what the map has meanwhile.
-fn fork_to_wire(
-    store: &Store,
-    map: MapId,
-    fork: Fork,
-    known: &BTreeMap<ProducerId, KnownProducer>,
-) -> Result<v1::LogFork, OperationError> {
-    let mut producers: BTreeMap<(String, String), v1::ForkedProducer> = BTreeMap::new();
-    // A producer that is new in the fork may have another number in the map.
-    let mut new = BTreeMap::new();
-    let mut other_records = 0;
-    for (_, event) in store.fork_events(map, &fork.name)? {
-        let Some(envelope) = event.envelope() else {
-            // Neither says anything that the map lacks.
-            other_records += u64::from(!matches!(event, Event::Epoch(_) | Event::UpdateDone(_)));
-            continue;
-        };
-        if let Some(first) = &envelope.new_producer {
-            new.insert(envelope.producer, first.key.clone());
-        }
-        let key = new.get(&envelope.producer).or_else(|| known.get(&envelope.producer).map(|known| &known.mark.key));
-        let (producer, label) = key.map_or_else(
-            || (format!("number {}", envelope.producer.0), String::new()),
-            |key| (key.producer().to_owned(), key.label().to_owned()),
-        );
-        let same = |known: &&KnownProducer| known.mark.key.producer() == producer && known.mark.key.label() == label;
-        let mark = known.values().find(same).map(|known| &known.mark);
-        let span = envelope.span;
-        let known_to = mark.map_or(0, |mark| known_to(mark, envelope.incarnation, span));
-        let row = producers.entry((producer.clone(), label.clone())).or_insert_with(|| v1::ForkedProducer {
-            producer,
-            label,
-            first_sequence: span.first,
-            ..v1::ForkedProducer::default()
-        });
-        row.last_sequence = span.last;
-        row.observations += (span.last + 1).saturating_sub(span.first);
-        row.known_observations += (known_to + 1).saturating_sub(span.first);
-    }
-    Ok(v1::LogFork {
-        name: fork.name,
-        first_position: fork.first,
-        last_position: fork.last,
-        groups: fork.groups as u64,
-        producers: producers.into_values().collect(),
-        other_records,
-    })
-}
-
 impl ClusterCalls {
     fn cluster(&self) -> Result<&Cluster, RpcError> {
         self.catalog.context().cluster.as_ref().ok_or(RpcError::Operation(OperationError::NoCluster))
@@ -196,8 +121,8 @@ impl ClusterCalls {
         if forks.is_empty() {
             return Ok(Vec::new());
         }
-        let known = known_producers(handle).await;
-        let read = move || forks.into_iter().map(|fork| fork_to_wire(&store, id, fork, &known)).collect();
+        let (view, known) = (handle.view(), known_producers(handle).await);
+        let read = move || forks.into_iter().map(|fork| fork_to_wire(&store, id, fork, (&*view, &known))).collect();
         crate::task::blocking(read).await.map_err(|_| stopping())?
     }
 
@@ -232,6 +157,8 @@ impl ClusterCalls {
 
 #[tonic::async_trait]
 impl ClusterService for ClusterCalls {
+    type ReadForkStream = Replies<v1::ReadForkResponse>;
+
     async fn get_cluster_status(
         &self,
         request: Request<v1::GetClusterStatusRequest>,
@@ -319,36 +246,25 @@ impl ClusterService for ClusterCalls {
         Ok(Response::new(v1::DiscardForkResponse {}))
     }
 
+    async fn read_fork(&self, request: Request<v1::ReadForkRequest>) -> RpcReply<Self::ReadForkStream> {
+        let v1::ReadForkRequest { map, fork } = request.into_inner();
+        check_scope(&map)?;
+        self.cluster()?;
+        let handle = find_published(&self.catalog, &map)?;
+        let store = Arc::clone(&self.catalog.context().store);
+        let forks = store.forks(handle.id).map_err(OperationError::from).map_err(RpcError::from)?;
+        if forks.iter().all(|known| known.name != fork) {
+            let fork = fork.chars().take(80).collect();
+            return Err(RpcError::from(OperationError::UnknownFork { map, fork }).into());
+        }
+        let known = known_producers(&handle).await;
+        // The whole fork is read.
+        let permit = self.permits.take().await?;
+        Ok(Response::new(compute_replies(vec![permit], move |sink| read_fork(&store, &handle, &fork, &known, sink))))
+    }
+
     async fn drain(&self, request: Request<v1::DrainRequest>) -> Result<Response<v1::DrainResponse>, Status> {
         self.cluster()?.drain(!request.get_ref().undo);
         Ok(Response::new(v1::DrainResponse {}))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use tidemap_map::{name::ProducerKey, snapshot::ContentMark};
-
-    use super::*;
-
-    #[test]
-    fn the_map_has_observations_of_a_fork_only_if_the_producer_has_not_begun_anew() {
-        let mark = ProducerMark {
-            key: ProducerKey::new("robot", "").expect("valid"),
-            incarnation: 3,
-            durable_sequence: 20,
-            content_crc: 0xB,
-            sensor: None,
-            received_nanos: 0,
-            newest_nanos: 0,
-            recent: vec![ContentMark { sequence: 15, crc: 0xA }],
-            has_scans: false,
-        };
-        let span = |first, last, content_crc| SequenceSpan { first, last, content_crc };
-        assert_eq!(known_to(&mark, 3, span(9, 12, 0)), 12, "it is the producer that the fork knew");
-        assert_eq!(known_to(&mark, 3, span(19, 24, 0)), 20, "some came after");
-        assert_eq!(known_to(&mark, 2, span(9, 12, 0)), 0, "it began anew, and may have sent others");
-        assert_eq!(known_to(&mark, 2, span(9, 15, 0xA)), 15, "it sent the very observations");
-        assert_eq!(known_to(&mark, 3, span(19, 20, 0xC)), 0, "the map has others");
     }
 }

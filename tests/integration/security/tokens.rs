@@ -50,7 +50,7 @@ fn roles_of(method: &str) -> &'static [&'static str] {
         "SetCharger" | "SetLocation" | "DeleteLocation" | "LoadTopology" | "EditTopology" | "RunUpdate" => {
             &["operator", "admin"]
         }
-        "CreateMap" | "DeleteMap" | "Erase" | "MoveMap" | "DiscardFork" => &["admin"],
+        "CreateMap" | "DeleteMap" | "Erase" | "MoveMap" | "DiscardFork" | "ReadFork" => &["admin"],
         // They act on all maps, and none of these tokens is for all.
         "CreateBackup" | "Drain" => &[],
         _ => &["planner", "operator", "admin"],

@@ -24,6 +24,7 @@ use crate::progress::status_line;
 mod concerns;
 mod heal;
 mod rows;
+mod take_in;
 mod verify;
 mod view;
 
@@ -67,12 +68,13 @@ pub(crate) enum ClusterCommand {
     /// Logs are compared at a position that all of these members have. The exit status is 2 if something differs, and 1
     /// if a member does not answer or no longer keeps the records.
     Verify(VerifyArgs),
-    /// Shows the forks of a map, and removes those of which the map has everything
+    /// Takes the observations of a map's forks into the map again, and removes forks of which it has everything
     ///
-    /// A fork is records that a member set aside because the shared log does not have them. Nothing of a fork is added
-    /// to the map. A fork is removed if the map has the sequence numbers of all its observations, from the same starts
-    /// of their producers, and if it holds no changes of states or of the site. Values are not compared. With
-    /// --accept-loss all forks are removed; their records are lost. The exit status is 2 while forks are left.
+    /// A fork is records that a member set aside because the shared log does not have them. Their observations are sent
+    /// to the map as from their producers, under their numbers, so that it has each of them once. Scans, traversals,
+    /// sightings and reports of tasks cannot be sent again, and neither can what follows them in their sequences, or
+    /// observations of a producer that has begun anew. Values that the map has are not compared. With --accept-loss the
+    /// forks are removed all the same; what the map lacks of them is lost. The exit status is 2 while forks are left.
     Heal(HealArgs),
 }
 
@@ -107,9 +109,12 @@ pub(crate) struct VerifyArgs {
 pub(crate) struct HealArgs {
     /// Name of the map
     map: String,
-    /// Remove all forks, also those of which the map lacks something; their records are lost
+    /// Remove all forks, also those of which the map lacks something; those records are lost
     #[arg(long)]
     accept_loss: bool,
+    /// Show what the forks hold; take in nothing and remove nothing
+    #[arg(long, conflicts_with = "accept_loss")]
+    dry_run: bool,
 }
 
 /// Runs a command. Whatever goes wrong ends with status 2.
@@ -124,7 +129,7 @@ pub(crate) async fn run(
         ClusterCommand::Move(args) => move_map(session, credentials, args).await,
         ClusterCommand::Drain(args) => drain(session, credentials, args).await,
         ClusterCommand::Verify(args) => verify::run(session, credentials, &args.map).await,
-        ClusterCommand::Heal(args) => heal::run(session, credentials, &args.map, args.accept_loss).await,
+        ClusterCommand::Heal(args) => heal::run(session, credentials, args).await,
     };
     ran.map_err(|error| if error.is::<ClusterLost>() { error } else { lost(error) })
 }

@@ -1,15 +1,28 @@
-//! `tidemap cluster heal`: what forks hold, and their removal.
+//! `tidemap cluster heal`: what forks hold is taken into the map again, and forks of which it has everything are removed.
 //!
 //! Invariant: a fork of which the map lacks something is removed only where the loss is accepted in words.
 
-use std::process::ExitCode;
+use std::{
+    process::ExitCode,
+    time::{Duration, Instant},
+};
 
-use tidemap_client::connection::Credentials;
+use tidemap_client::{Client, connection::Credentials};
 use tidemap_formats::table::Cell;
 use tidemap_proto::v1;
 
-use super::{ClusterLost, Session, concerns::Severity, exit, view::ClusterView};
+use super::{
+    ClusterLost, HealArgs, Session,
+    concerns::Severity,
+    exit,
+    take_in::{TakenIn, take_in},
+    view::{ClusterView, answer_of},
+};
 use crate::progress::status_line;
+
+/// How long a member may take to follow the map.
+const FOLLOW_WITHIN: Duration = Duration::from_secs(10);
+const POLL: Duration = Duration::from_millis(100);
 
 const COLUMNS: [&str; 10] = [
     "map",
@@ -51,42 +64,72 @@ fn rows(map: &str, member: &str, fork: &v1::LogFork, is_removed: bool) -> Vec<Ve
     rows
 }
 
-pub(super) async fn run(
+/// A fork of a member, as it stands.
+async fn fork_now(client: &Client, map: &str, fork: &str) -> anyhow::Result<Option<v1::LogFork>> {
+    let answer = answer_of(client, false).await?;
+    let replica = answer.maps.into_iter().find(|found| found.map == map).and_then(|found| found.replica);
+    Ok(replica.and_then(|replica| replica.forks.into_iter().find(|found| found.name == fork)))
+}
+
+/// Sends what the map lacks of a fork, and says what cannot be sent. Gives the fork as it stands then.
+async fn take_in_fork(
     session: &Session,
-    credentials: &Credentials,
+    (member, client): (&str, &Client),
     map: &str,
-    accepts_loss: bool,
-) -> anyhow::Result<ExitCode> {
+    fork: &v1::LogFork,
+) -> anyhow::Result<v1::LogFork> {
+    let TakenIn { taken, reasons } = take_in(&session.client, client, map, &fork.name).await?;
+    status_line(&format!("{taken} observations of fork {} on {member} are in the map now", fork.name));
+    for reason in reasons {
+        status_line(&format!("warning: fork {} on {member}: {reason}", fork.name));
+    }
+    // A member that follows the map has it a moment later.
+    let (goal, begun) = (missing(fork).saturating_sub(taken), Instant::now());
+    loop {
+        let Some(now) = fork_now(client, map, &fork.name).await? else { return Ok(fork.clone()) };
+        if missing(&now) <= goal || begun.elapsed() > FOLLOW_WITHIN {
+            return Ok(now);
+        }
+        tokio::time::sleep(POLL).await;
+    }
+}
+
+pub(super) async fn run(session: &Session, credentials: &Credentials, args: HealArgs) -> anyhow::Result<ExitCode> {
+    let HealArgs { map, accept_loss, dry_run } = args;
     let view = ClusterView::ask(&session.client, credentials).await?;
     let clients = view.clients(&session.client, credentials)?;
     if view.asked.maps.iter().all(|known| known.map != map) {
         return Err(ClusterLost(format!("map {map:?} does not exist in the cluster")).into());
     }
     let (mut printed, mut left) = (Vec::new(), 0);
-    for (member, replica) in view.replicas(map) {
+    for (member, replica) in view.replicas(&map) {
         let Some(client) = clients.get(member) else { continue };
         for fork in &replica.forks {
-            let missing = missing(fork);
-            let is_removed = accepts_loss || missing == 0;
+            let fork = match missing(fork) {
+                0 => fork.clone(),
+                _ if dry_run => fork.clone(),
+                _ => take_in_fork(session, (member, client), &map, fork).await?,
+            };
+            let missing = missing(&fork);
+            let is_removed = !dry_run && (accept_loss || missing == 0);
             if is_removed {
-                client.discard_fork(map, &fork.name).await?;
-            } else {
-                left += 1;
+                client.discard_fork(&map, &fork.name).await?;
+            } else if missing > 0 {
                 status_line(&format!(
-                    "error: the map lacks {missing} records of fork {} on {member}. A producer that keeps its own copy can \
-                     send it again, for example with `tidemap observe`. --accept-loss removes the fork; its records are \
-                     lost",
-                    fork.name
+                    "error: the map lacks {missing} records of fork {} on {member}{}",
+                    fork.name,
+                    if dry_run { "" } else { ". --accept-loss removes the fork; its records are lost" }
                 ));
             }
+            left += usize::from(!is_removed);
             if fork.other_records > 0 {
                 status_line(&format!(
-                    "warning: fork {} on {member} holds {} changes of states or of the site: only you can compare them with the \
-                     map",
+                    "warning: fork {} on {member} holds {} changes of states or of the site that the map lacks: only you \
+                     can compare them with the map",
                     fork.name, fork.other_records
                 ));
             }
-            printed.extend(rows(map, member, fork, is_removed));
+            printed.extend(rows(&map, member, &fork, is_removed));
         }
     }
     let silent: Vec<&str> =
