@@ -13,6 +13,7 @@ use tempfile::tempdir;
 use tidemap_client::maps::{NewMap, StateKind, StateShape};
 use tidemap_cluster::nats_process::NatsServers;
 use tidemap_tests::{
+    certificates::{Authority, Validity, private_file},
     cli::{Outcome, tidemap},
     daemon::{Daemon, Launch, lasting_port},
 };
@@ -30,9 +31,15 @@ fn start(folder: &Path, name: &str, engine: &NatsServers) -> Daemon {
 }
 
 /// With so many servers of the engine, and more lines of the section.
-fn start_with(folder: &Path, name: &str, (engine, count): (&NatsServers, usize), more: &str) -> Daemon {
+fn start_with(folder: &Path, name: &str, engine: (&NatsServers, usize), more: &str) -> Daemon {
+    launch(folder, name, engine, more).start()
+}
+
+/// In the lines, PORT is the port of the daemon.
+fn launch(folder: &Path, name: &str, (engine, count): (&NatsServers, usize), more: &str) -> Launch {
     let servers: Vec<String> = (0..count).map(|index| format!("{:?}", engine.url(index))).collect();
     let port = lasting_port();
+    let more = more.replace("PORT", &port.to_string());
     let config = folder.join(format!("{name}.toml"));
     let text = format!(
         "listen = \"127.0.0.1:{port}\"\n[cluster]\nmember = \"{name}\"\nservers = [{}]\n{more}",
@@ -41,7 +48,7 @@ fn start_with(folder: &Path, name: &str, (engine, count): (&NatsServers, usize),
     fs::write(&config, text).expect("a config file");
     // The address that a member reports is the one of its config file.
     let launch = Launch::bare().setting("http_listen", "127.0.0.1:0").setting("data_dir", folder.join(name).display());
-    launch.args(["--config".into(), config.into_os_string()]).start()
+    launch.args(["--config".into(), config.into_os_string()])
 }
 
 /// Repeats a command until its outcome is as expected.
@@ -212,6 +219,38 @@ async fn a_member_that_holds_no_maps_shows_deletes_and_creates_those_of_others()
     // This client has seen more of the map that had the name before.
     let (states, _) = at_holder.states("office", "").await.expect("another map");
     assert!(states.is_empty(), "{states:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn members_with_tls_know_each_other_by_the_files_of_now() {
+    let engine = match NatsServers::start(1).await {
+        Ok(engine) => engine,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let work = tempdir().expect("a folder");
+    let (authority, other) = (Authority::new("ours"), Authority::new("theirs"));
+    let ours = private_file(&work.path().join("ours.pem"), authority.pem());
+    let of_peers = private_file(&work.path().join("peers.pem"), other.pem());
+    let pair = authority.sign(Validity::Years);
+    let [certificate, key] = pair.write(work.path());
+    let start = |name, capacity| {
+        let section = format!(
+            "engine_replicas = 1\ncapacity = {capacity}\nadvertise = \"https://localhost:PORT\"\npeer_ca = {of_peers:?}\n"
+        );
+        let launch = launch(work.path(), name, (&engine, 1), &section);
+        let launch = launch.setting("tls_certificate", certificate.display()).setting("tls_key", key.display());
+        launch.setting("tls_client_ca", ours.display()).start()
+    };
+    let (holder, gateway) = (start("north", 1), start("west", 0));
+    let [at_holder, at_gateway] = [&holder, &gateway].map(|daemon| authority.client(daemon, Some(&pair), None));
+    at_holder.create_map(NewMap { name: "office".to_owned(), ..NewMap::default() }).await.expect("created");
+    let ask = async || at_gateway.map("office").await.map_err(|error| error.to_string());
+    let is_unknown_issuer = |answer: &Result<_, String>| {
+        answer.as_ref().is_err_and(|error| error.contains("cannot reach: invalid peer certificate"))
+    };
+    until("the authority is another", ask, is_unknown_issuer).await.expect_err("not reached");
+    private_file(&of_peers, authority.pem());
+    assert_eq!(ask().await.expect("passed on").name, "office");
 }
 
 #[test]

@@ -334,7 +334,8 @@ impl Daemon {
 pub fn lasting_port() -> u16 {
     /// Ports used so far: tests of one process must not get the same port while it is free between two daemons.
     static GIVEN: AtomicU16 = AtomicU16::new(0);
-    let first = 20_000 + u16::try_from(std::process::id() % 6_000).unwrap_or(0);
+    // Tests that run at once are processes of neighbouring numbers, and each asks for a few ports.
+    let first = 20_000 + u16::try_from(std::process::id() % 750 * 8).unwrap_or(0);
     let free = |port: &u16| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok();
     let port = std::iter::repeat_with(|| first + GIVEN.fetch_add(1, Ordering::Relaxed)).take(5_000).find(free);
     port.expect("a free port")

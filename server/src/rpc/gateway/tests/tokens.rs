@@ -14,7 +14,7 @@ async fn member(name: &str) -> Member {
     let hash = ring::digest::digest(&ring::digest::SHA256, TOKEN.as_bytes());
     let hash: String = hash.as_ref().iter().map(|byte| format!("{byte:02x}")).collect();
     let path = dir.path().join("tokens.toml");
-    let mut file = std::fs::File::options().write(true).create(true).mode(0o600).open(&path).expect("a file");
+    let mut file = std::fs::File::options().write(true).create_new(true).mode(0o600).open(&path).expect("a file");
     writeln!(file, "[[token]]\nid = '0a'\nsha256 = '{hash}'\nroles = ['operator']\nmaps = ['lab']").expect("written");
     let access = Access::Tokens(Keyring::open(path).expect("tokens"));
     Member::start_in(name, dir, u64::MAX, access).await.0
