@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Shows a cluster: three engines and three daemons on this machine, and a writer that is killed while robots send.
 
-Three robots send two weeks of a simulated office through one daemon. The daemon that writes the map is killed with SIGKILL
-in the middle. The robots come back at another daemon and send what was not acknowledged. At the end every observation
-that was acknowledged must be in the map once, as a third daemon shows it, and the logs of all daemons must be equal.
+Three robots send two weeks of a simulated office through one daemon. The daemon that writes the map is killed with
+SIGKILL in the middle. The robots come back at another daemon and send what was not acknowledged. At the end every
+observation that was acknowledged must be in the map once, as a third daemon shows it, and all logs must be equal.
 
 Invariant: the last line is "lost: N", and the exit status is 0 only if nothing was lost, doubled or different. All
 processes and files are gone afterwards, also after Ctrl-C.

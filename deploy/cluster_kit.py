@@ -1,7 +1,7 @@
-"""A cluster of tidemap on one machine, for demonstrations and tests: engines and daemons as processes, with their files.
+"""A cluster of tidemap on one machine, for demonstrations and tests: engines and daemons as processes.
 
-A host stands for a machine: one nats-server and one tidemapd, with a folder each. Hosts are all on loopback, or each in a
-network namespace.
+A host stands for a machine: one nats-server and one tidemapd, with a folder each. Hosts are all on loopback, or each in
+a network namespace.
 
 Invariant: no process outlives the cluster that started it, also after an error or a signal.
 """
