@@ -39,6 +39,8 @@ MAP = "office"
 CHECK_EVERY = 5
 # All producers are acknowledged again by then: elections, the wait for a daemon with a longer log, and a slow machine.
 RECOVERS_WITHIN = 180
+# After this it is written down how the engines see their streams.
+STALLS_AFTER = 30
 ALONE = "127.0.0.1:27900"
 COLUMNS = ("fault", "seed", "life", "kind", "host", "was_writer", "harm_secs", "failover_secs", "after_heal_secs",
            "all_back_secs", "set_back", "load", "result")
@@ -150,6 +152,36 @@ class Life:
         # What the record of a run that was killed does not know.
         self.lanes.complaints()
 
+    def recover(self, what, look, pause=0.2):
+        """Waits until something is true, and writes down how the engines are if that takes long."""
+        try:
+            return kit.wait_until(what, look, within=STALLS_AFTER, pause=pause)
+        except kit.Failed:
+            self.write_engines()
+            return kit.wait_until(what, look, within=RECOVERS_WITHIN - STALLS_AFTER, pause=pause)
+
+    def write_engines(self):
+        stalls = self.folder / "stalls"
+        stalls.mkdir(exist_ok=True)
+        ask = f"http://{kit.MONITOR}/jsz?accounts=1&streams=1&consumers=1&raft=1"
+        for host in self.cluster.hosts:
+            with open(stalls / f"{time.strftime('%H-%M-%S')}-{host.name}.json", "w") as out:
+                subprocess.run([*host.prefix, "curl", "-s", "-m", "5", ask], stdout=out, stderr=subprocess.DEVNULL)
+
+    def answered(self, *words):
+        """Gives a command of the producers; daemons that do not answer yet are asked again."""
+        wrong = []
+
+        def look():
+            wrong[:] = self.lanes.ask(*words)
+            return not wrong or not all(text.startswith("no answer") for text in wrong)
+
+        try:
+            self.recover(" ".join(map(str, words)), look, pause=1)
+        except kit.Failed:
+            pass
+        return wrong
+
     def wait_well(self):
         """Waits until nothing is wrong but records that were set aside, which a check deals with."""
         first = self.cluster.hosts[0]
@@ -160,7 +192,7 @@ class Life:
             return code == 0 or (self.said and not bad)
 
         try:
-            kit.wait_until("all is well", look, within=RECOVERS_WITHIN)
+            self.recover("all is well", look)
         except kit.Failed as failed:
             raise kit.Failed(f"{failed}: {self.said}") from None
 
@@ -186,16 +218,14 @@ class Life:
         reach = "all" if self.checks % 4 == 1 else "new"
         alone = self.start_alone()
         try:
-            wrong += self.lanes.ask("sums", 0)
+            wrong += self.answered("sums", 0)
             for index, host in enumerate(self.cluster.hosts):
-                wrong += [f"{host.name}: {text}" for text in self.lanes.ask("check", index, reach)]
-            wrong += self.lanes.ask("update", 0)
-            wrong += self.lanes.ask("alone", ALONE)
-            code, rows, said = self.cluster.tidemap(self.cluster.hosts[0], "cluster", "verify", MAP)
-            if code or len(rows) != 3:
-                wrong.append(f"cluster verify ended with {code}: {said} {rows}")
+                wrong += [f"{host.name}: {text}" for text in self.answered("check", index, reach)]
+            wrong += self.answered("update", 0)
+            wrong += self.answered("alone", ALONE)
+            wrong += self.verify()
             for index, host in enumerate(self.cluster.hosts):
-                wrong += [f"{host.name}: {text}" for text in self.lanes.ask("compare", index, ALONE)]
+                wrong += [f"{host.name}: {text}" for text in self.answered("compare", index, ALONE)]
         finally:
             alone.terminate()
             alone.wait(60)
@@ -203,6 +233,20 @@ class Life:
             self.lanes.ask("checked")
             self.stream()
         return forks, wrong
+
+    def verify(self):
+        """Compares logs and digests; a member that is behind is asked again."""
+        first = self.cluster.hosts[0]
+
+        def look():
+            self.verified = self.cluster.tidemap(first, "cluster", "verify", MAP)
+            return self.verified[0] == 0 and len(self.verified[1]) == 3
+
+        try:
+            self.recover("equal logs", look, pause=1)
+        except kit.Failed:
+            return [f"cluster verify ended with {self.verified[0]}: {self.verified[2]} {self.verified[1]}"]
+        return []
 
     def start_alone(self):
         """A daemon without a cluster, in the hub."""
@@ -281,8 +325,8 @@ class Run:
             begun = harm.begun
             healed = time.time()
             row["harm_secs"] = f"{healed - begun:.1f}"
-            kit.wait_until("all producers are acknowledged again", lambda: life.lanes.are_back(max(healed, begun)),
-                           within=RECOVERS_WITHIN, pause=0.05)
+            life.recover("all producers are acknowledged again", lambda: life.lanes.are_back(max(healed, begun)),
+                         pause=0.05)
             row["failover_secs"] = f"{life.lanes.gap(begun):.2f}"
             row["all_back_secs"] = f"{time.time() - begun:.2f}"
             row["after_heal_secs"] = f"{life.lanes.first_after(healed) or 0:.2f}"

@@ -23,12 +23,14 @@ NATS = pathlib.Path(os.environ.get("TIDEMAP_NATS_SERVER", ROOT / "target" / "nat
 NAMES = ("north", "east", "west")
 # Whatever is waited for has happened by then, or hangs.
 WITHIN_SECS = 120
+# Where an engine with a network of its own tells how it is.
+MONITOR = "127.0.0.1:8222"
 
 ENGINE = """\
 server_name: {name}
 listen: "{ip}:{engine_port}"
 max_payload: 2MB
-jetstream {{ store_dir: "{store}", sync_interval: always, max_file_store: 4GB }}
+{monitor}jetstream {{ store_dir: "{store}", sync_interval: always, max_file_store: 4GB }}
 cluster {{ name: tidemap, listen: "{ip}:{route_port}", routes: [{routes}] }}
 system_account: SYS
 accounts {{
@@ -121,11 +123,12 @@ class Cluster:
 
     def write_files(self, host):
         is_remote = "false" if host.ip == "127.0.0.1" else "true"
+        monitor = f"http: {MONITOR}\n" if host.prefix else ""
         routes = ", ".join(f'"nats://{other.ip}:{other.route_port}"' for other in self.hosts)
         # A daemon asks the engine beside it first.
         order = [host] + [other for other in self.hosts if other is not host]
         servers = ", ".join(f'"nats://tidemap:tidemap@{other.ip}:{other.engine_port}"' for other in order)
-        values = dict(vars(host), routes=routes, servers=servers, store=host.store, data=host.data, is_remote=is_remote,
+        values = dict(vars(host), routes=routes, servers=servers, store=host.store, data=host.data, is_remote=is_remote, monitor=monitor,
                       at_midnight=self.at_midnight)
         (host.folder / "nats.conf").write_text(ENGINE.format(**values))
         (host.folder / "tidemapd.toml").write_text(DAEMON.format(**values))

@@ -128,7 +128,7 @@ pub async fn check_sums(address: &str, map: &str, feed: &Feed, marks: &[Mark]) -
         let (mut stream, welcome) = match RawStream::open(address, hello(&name, map)).await {
             Ok(opened) => opened,
             Err(ended) => {
-                wrong.push(format!("{name} is not welcome: {ended:?}"));
+                wrong.push(format!("no answer: {name} is not welcome: {ended:?}"));
                 continue;
             }
         };
@@ -169,7 +169,7 @@ pub async fn update(client: &Client, map: &str, until_nanos: i64) -> Result<(), 
     match tokio::time::timeout(WITHIN, updating).await {
         Ok(Ok(job)) if job.state == JobState::Done => Ok(()),
         Ok(Ok(job)) => Err(format!("the update ended: {}", job.error)),
-        Ok(Err(error)) => Err(format!("the update: {error}")),
+        Ok(Err(error)) => Err(format!("no answer: the update: {error}")),
         Err(_) => Err(format!("the update did not end in {} s", WITHIN.as_secs())),
     }
 }

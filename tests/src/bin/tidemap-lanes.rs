@@ -74,9 +74,9 @@ struct Kit {
 }
 
 impl Kit {
-    /// What is wrong, in words; an answer that did not come is wrong too.
+    /// What is wrong, in words; an answer that did not come is wrong too, until it comes.
     fn wrong(found: Result<Vec<String>, Error>) -> Vec<String> {
-        found.unwrap_or_else(|error| vec![error.to_string()])
+        found.unwrap_or_else(|error| vec![format!("no answer: {error}")])
     }
 
     async fn answer(&mut self, words: &[&str]) -> Vec<String> {
