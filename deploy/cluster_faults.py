@@ -38,9 +38,11 @@ FOLDER = pathlib.Path(os.environ.get("TIDEMAP_FAULTS_FOLDER", kit.ROOT / "target
 MAP = "office"
 CHECK_EVERY = 5
 # All producers are acknowledged again by then: elections, the wait for a daemon with a longer log, and a slow machine.
-RECOVERS_WITHIN = 180
+RECOVERS_WITHIN = 300
 # After this it is written down how the engines see their streams.
 STALLS_AFTER = 30
+# Engines that were set back catch up with the next snapshot of their leader, which comes every two minutes.
+RESET_AFTER = 200
 ALONE = "127.0.0.1:27900"
 COLUMNS = ("fault", "seed", "life", "kind", "host", "was_writer", "harm_secs", "failover_secs", "after_heal_secs",
            "all_back_secs", "set_back", "load", "result")
@@ -132,7 +134,7 @@ class Life:
                  for index, name in enumerate(kit.NAMES)]
         self.disks = {host.name: Disk(host.data, self.folder / f"{host.name}.img") for host in hosts}
         self.cluster = kit.Cluster(hosts, programs, prefix(HUB), "false")
-        self.network, self.lanes, self.checks = network, None, 0
+        self.network, self.lanes, self.checks, self.resets = network, None, 0, 0
         try:
             self.start(seed * 1000 + number)
         except BaseException:
@@ -158,7 +160,26 @@ class Life:
             return kit.wait_until(what, look, within=STALLS_AFTER, pause=pause)
         except kit.Failed:
             self.write_engines()
-            return kit.wait_until(what, look, within=RECOVERS_WITHIN - STALLS_AFTER, pause=pause)
+        try:
+            return kit.wait_until(what, look, within=RESET_AFTER - STALLS_AFTER, pause=pause)
+        except kit.Failed:
+            self.write_engines()
+            self.reset_stuck_engines()
+            return kit.wait_until(what, look, within=RECOVERS_WITHIN - RESET_AFTER, pause=pause)
+
+    def reset_stuck_engines(self):
+        """What an operator does with engines that were set back and cannot catch up: they start with empty folders, one
+        after the other."""
+        for host in self.cluster.hosts:
+            with open(host.folder / "engine.log", "rb") as log:
+                log.seek(max(0, log.seek(0, os.SEEK_END) - 2000))
+                if b"Expected first catchup entry" not in log.read():
+                    continue
+            self.resets += 1
+            self.cluster.kill(host, "engine")
+            shutil.rmtree(host.store, ignore_errors=True)
+            self.cluster.start(host, "engine")
+            time.sleep(10)
 
     def write_engines(self):
         stalls = self.folder / "stalls"
@@ -338,6 +359,7 @@ class Run:
     def step(self, is_last):
         """One fault, and a check if it is time; whether all is well."""
         self.open_life()
+        resets = self.life.resets
         row, wrong = self.fault()
         if not wrong and (is_last or self.state["next"] % CHECK_EVERY == 0):
             try:
@@ -348,6 +370,9 @@ class Run:
             except kit.Failed as failed:
                 wrong = [f"check: {failed}"]
         row["result"] = row["result"] or "ok"
+        if self.life.resets > resets:
+            row["result"] += f", {self.life.resets - resets} engines reset"
+            self.state["resets"] = self.state.get("resets", 0) + self.life.resets - resets
         if wrong:
             row["result"] = "WRONG: " + wrong[0][:300]
             self.keep(row, wrong)
@@ -424,7 +449,9 @@ def table(state):
         wrong = sum(row["result"].startswith("WRONG") for row in group)
         shown = [f"{quantile(secs, share):7.2f}" if secs else "      -" for share in (0.5, 0.99)]
         lines.append(f"{kind:15} {writer:6} {len(group):6} {wrong:5} {' '.join(shown)}")
-    lines.append(f"checks of everything: {state.get('checks', 0)}; forks that were healed: {state.get('forks', 0)}")
+    for what, name in (("checks of everything", "checks"), ("sets of records set aside, and healed", "forks"),
+                       ("engines that could not catch up, and were started empty", "resets")):
+        lines.append(f"{what}: {state.get(name, 0)}")
     return "\n".join(lines)
 
 

@@ -128,8 +128,8 @@ class Cluster:
         # A daemon asks the engine beside it first.
         order = [host] + [other for other in self.hosts if other is not host]
         servers = ", ".join(f'"nats://tidemap:tidemap@{other.ip}:{other.engine_port}"' for other in order)
-        values = dict(vars(host), routes=routes, servers=servers, store=host.store, data=host.data, is_remote=is_remote, monitor=monitor,
-                      at_midnight=self.at_midnight)
+        values = dict(vars(host), routes=routes, servers=servers, store=host.store, data=host.data, monitor=monitor,
+                      is_remote=is_remote, at_midnight=self.at_midnight)
         (host.folder / "nats.conf").write_text(ENGINE.format(**values))
         (host.folder / "tidemapd.toml").write_text(DAEMON.format(**values))
 

@@ -5,7 +5,8 @@
 //! larger pulls.
 //!
 //! Invariant: messages are returned in order and without a gap from the number that was asked for. A consumer that
-//! gives another one is thrown away.
+//! gives another one is thrown away, and so is one that gives nothing although the leader of the stream has the message:
+//! it is on a server that does not catch up.
 
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
@@ -17,6 +18,7 @@ use async_nats::{
         stream::ConsumerErrorKind,
     },
 };
+use serde_json::json;
 use tokio::{
     sync::Mutex,
     time::{Instant, sleep_until, timeout_at},
@@ -44,6 +46,15 @@ const EXPIRES: Duration = Duration::from_secs(20);
 /// How long a call waits before it makes a consumer again, so that its caller does not do so all the time.
 const PAUSE: Duration = Duration::from_millis(50);
 
+/// How long a consumer is silent before the leader is asked whether there is more. Twice that the next time, and so on.
+const SILENT: Duration = Duration::from_secs(2);
+
+/// How long the leader may take to answer.
+const ANSWERS: Duration = Duration::from_millis(500);
+
+/// The longest time between two such questions.
+const SILENT_MAX: Duration = Duration::from_secs(30);
+
 /// What becomes of a consumer.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Then {
@@ -59,6 +70,9 @@ struct Follow {
     next: u64,
     /// A message that had no room in the reply before.
     left: Option<Message>,
+    /// When the leader is asked next, and how long it was silent then.
+    ask: Instant,
+    silent: Duration,
 }
 
 /// The streams that an engine follows.
@@ -97,6 +111,10 @@ impl FollowedStreams {
             };
             let (messages, then) = follow.take(bytes_max, deadline).await;
             if then == Then::GoesOn {
+                if messages.is_empty() && follow.is_behind(calls, name).await {
+                    tracing::debug!(stream, sequence, "a consumer is silent, and its stream is not");
+                    return Ok(messages);
+                }
                 *slot = Some(follow);
                 return Ok(messages);
             }
@@ -144,7 +162,20 @@ impl Follow {
             }
             self.next = message.sequence + 1;
             messages.push(message);
+            self.silent = SILENT;
+            self.ask = Instant::now() + SILENT;
         }
+    }
+
+    /// Whether a consumer that has been silent for a while lacks a message that the leader of its stream has.
+    async fn is_behind(&mut self, calls: &NatsCalls, name: &str) -> bool {
+        if Instant::now() < self.ask {
+            return false;
+        }
+        self.silent = SILENT_MAX.min(self.silent * 2);
+        self.ask = Instant::now() + self.silent;
+        let wanted = json!({ "seq": self.next });
+        matches!(timeout_at(Instant::now() + ANSWERS, calls.message(name, &wanted)).await, Ok(Ok(Some(_))))
     }
 }
 
@@ -168,7 +199,7 @@ async fn open_at(calls: &NatsCalls, name: &str, sequence: u64) -> Result<Follow,
     let pulls = consumer.stream().max_messages_per_batch(PULLED_MESSAGES_MAX).max_bytes_per_batch(PULLED_BYTES_MAX);
     let messages = pulls.heartbeat(HEARTBEAT).expires(EXPIRES).messages().await;
     let messages = messages.map_err(|error| EngineError::Unknown(error.to_string()))?;
-    Ok(Follow { messages, next: sequence, left: None })
+    Ok(Follow { messages, next: sequence, left: None, ask: Instant::now() + SILENT, silent: SILENT })
 }
 
 /// Why a consumer could not be made. None that was made without our knowledge harms.
