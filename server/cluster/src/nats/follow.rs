@@ -6,7 +6,7 @@
 //!
 //! Invariant: messages are returned in order and without a gap from the number that was asked for. A consumer that
 //! gives another one is thrown away, and so is one that gives nothing although the leader of the stream has the message:
-//! it is on a server that does not catch up.
+//! it is on a server that does not catch up. The leader gives the messages then.
 
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
@@ -47,7 +47,10 @@ const EXPIRES: Duration = Duration::from_secs(20);
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// How long a consumer is silent before the leader is asked whether there is more. Twice that the next time, and so on.
-const SILENT: Duration = Duration::from_secs(2);
+const SILENT: Duration = Duration::from_secs(1);
+
+/// Messages that are read from the leader, one request each, when a consumer does not give them.
+const READ_BY_LEADER_MAX: u64 = 64;
 
 /// How long the leader may take to answer.
 const ANSWERS: Duration = Duration::from_millis(500);
@@ -111,9 +114,12 @@ impl FollowedStreams {
             };
             let (messages, then) = follow.take(bytes_max, deadline).await;
             if then == Then::GoesOn {
-                if messages.is_empty() && follow.is_behind(calls, name).await {
-                    tracing::debug!(stream, sequence, "a consumer is silent, and its stream is not");
-                    return Ok(messages);
+                if messages.is_empty() && follow.is_to_be_doubted() {
+                    let messages = read_by_leader(calls, name, sequence, bytes_max).await;
+                    if !messages.is_empty() {
+                        tracing::debug!(stream, sequence, "a consumer is silent, and its stream is not");
+                        return Ok(messages);
+                    }
                 }
                 *slot = Some(follow);
                 return Ok(messages);
@@ -167,16 +173,32 @@ impl Follow {
         }
     }
 
-    /// Whether a consumer that has been silent for a while lacks a message that the leader of its stream has.
-    async fn is_behind(&mut self, calls: &NatsCalls, name: &str) -> bool {
-        if Instant::now() < self.ask {
-            return false;
+    /// Whether the consumer has been silent for so long that the leader is to be asked.
+    fn is_to_be_doubted(&mut self) -> bool {
+        let is_due = Instant::now() >= self.ask;
+        if is_due {
+            self.silent = SILENT_MAX.min(self.silent * 2);
+            self.ask = Instant::now() + self.silent;
         }
-        self.silent = SILENT_MAX.min(self.silent * 2);
-        self.ask = Instant::now() + self.silent;
-        let wanted = json!({ "seq": self.next });
-        matches!(timeout_at(Instant::now() + ANSWERS, calls.message(name, &wanted)).await, Ok(Ok(Some(_))))
+        is_due
     }
+}
+
+/// The messages from a number on, as far as the leader of the stream gives them.
+async fn read_by_leader(calls: &NatsCalls, name: &str, sequence: u64, bytes_max: usize) -> Vec<Message> {
+    let (mut messages, mut bytes) = (Vec::new(), 0);
+    for sequence in sequence..sequence + READ_BY_LEADER_MAX {
+        let wanted = json!({ "seq": sequence });
+        let Ok(Ok(Some(read))) = timeout_at(Instant::now() + ANSWERS, calls.message(name, &wanted)).await else {
+            break;
+        };
+        bytes += read.payload.len();
+        if bytes > bytes_max && !messages.is_empty() {
+            break;
+        }
+        messages.push(Message { sequence: read.sequence, content: read.payload });
+    }
+    messages
 }
 
 fn message_of(message: jetstream::Message) -> Option<Message> {

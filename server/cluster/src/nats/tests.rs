@@ -271,9 +271,11 @@ async fn a_consumer_that_is_silent_while_its_stream_goes_on_is_replaced() {
             }
         }
     };
-    let messages = tokio::time::timeout(PATIENCE, read).await.expect("the message comes by another consumer");
+    let messages = tokio::time::timeout(PATIENCE, read).await.expect("the message comes without that consumer");
     assert_eq!((messages.len(), messages[0].sequence), (1, 2));
-    assert_ne!(consumers(&engine, &name).await, before);
+    assert_eq!(engine.append_if(STREAM, 2, bytes("c"), PATIENCE).await, Ok(3));
+    assert_eq!(engine.read_from(STREAM, 3, 1 << 20, PATIENCE).await.expect("read").len(), 1);
+    assert_ne!(consumers(&engine, &name).await, before, "another one takes its place");
 }
 
 /// The public key of a user, and its seed: the example of the documentation of NATS.
