@@ -89,8 +89,9 @@ struct Membership {
     /// Wakes who keeps the catalogue.
     changed: Notify,
     is_draining: watch::Sender<bool>,
-    /// The writers of the maps that this daemon does not hold, by the names of the maps.
-    others: Mutex<BTreeMap<String, String>>,
+    /// The maps that this daemon does not hold, and their writers as far as they are known; `None`: the catalogue has
+    /// not been read yet.
+    others: Mutex<Option<BTreeMap<String, Option<String>>>>,
 }
 
 /// The cluster, as this daemon is a member of it. Clones are handles of one.
@@ -326,9 +327,9 @@ impl Cluster {
         }
     }
 
-    /// From now on these daemons write the maps that this one does not hold.
-    pub(crate) fn set_others(&self, writers: BTreeMap<String, String>) {
-        *self.0.others.lock().unwrap_or_else(PoisonError::into_inner) = writers;
+    /// From now on these are the maps that this daemon does not hold, and their writers where they are known.
+    pub(crate) fn set_others(&self, writers: BTreeMap<String, Option<String>>) {
+        *self.0.others.lock().unwrap_or_else(PoisonError::into_inner) = Some(writers);
     }
 
     /// The maps that this daemon holds.
@@ -398,8 +399,14 @@ impl Peers for Cluster {
         others.map(|(name, _)| name.clone()).collect()
     }
 
+    fn may_hold(&self, map: &str) -> bool {
+        let others = self.0.others.lock().unwrap_or_else(PoisonError::into_inner);
+        others.as_ref().is_none_or(|others| others.contains_key(map))
+    }
+
     fn writer_of(&self, map: &str) -> Option<String> {
-        self.0.others.lock().unwrap_or_else(PoisonError::into_inner).get(map).cloned()
+        let others = self.0.others.lock().unwrap_or_else(PoisonError::into_inner);
+        others.as_ref()?.get(map)?.clone()
     }
 
     fn writer_of_held(&self, map: &MapName) -> Option<String> {

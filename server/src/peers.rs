@@ -22,6 +22,10 @@ pub(crate) trait Peers: Send + Sync + fmt::Debug {
     /// The names of the other daemons.
     fn others(&self) -> Vec<String>;
 
+    /// Whether other daemons may hold a map that this one does not hold. They may while this one has not read the
+    /// catalogue of the cluster.
+    fn may_hold(&self, map: &str) -> bool;
+
     /// The daemon that writes a map which this one does not hold, if there is such a map and its writer is known.
     fn writer_of(&self, map: &str) -> Option<String>;
 

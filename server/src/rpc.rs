@@ -5,6 +5,7 @@
 pub(crate) mod admission;
 pub(crate) mod cluster;
 pub(crate) mod exploration;
+pub(crate) mod forks;
 pub(crate) mod gateway;
 pub(crate) mod guard;
 pub(crate) mod maintenance;
@@ -17,7 +18,6 @@ pub(crate) mod status;
 pub(crate) mod tasks;
 
 mod acks;
-mod forks;
 mod lookup;
 mod peer;
 mod permits;

@@ -223,7 +223,9 @@ impl Cluster {
         let found = entry.uid().filter(|found| uid.is_none_or(|uid| uid == *found));
         let Some(uid) = found else { return Ok(false) };
         catalogue::delete(self.engine(), name.as_str(), uid).await?;
-        self.0.others.lock().unwrap_or_else(PoisonError::into_inner).remove(name.as_str());
+        if let Some(others) = &mut *self.0.others.lock().unwrap_or_else(PoisonError::into_inner) {
+            others.remove(name.as_str());
+        }
         self.0.changed.notify_one();
         Ok(true)
     }

@@ -20,7 +20,7 @@ use tidemap_map::name::MapName;
 use tidemap_store::{decode_spec, encode_spec};
 use tracing::{info, warn};
 
-use crate::{catalog::Catalog, cluster::Cluster, task::Task};
+use crate::{catalog::Catalog, cluster::Cluster, rpc::forks, task::Task};
 
 /// How often the catalogue is looked at.
 const EVERY: Duration = Duration::from_secs(1);
@@ -28,6 +28,9 @@ const EVERY: Duration = Duration::from_secs(1);
 /// A daemon that is to write a map gets its log when it has everything that was there so long ago, so that the map
 /// stands still only for what came since.
 const HAND_OVER_BEHIND: Duration = Duration::from_secs(2);
+
+/// How often forks are looked at.
+const FORKS_EVERY: Duration = Duration::from_secs(10);
 
 /// A map that another daemon is to write.
 struct Leaving {
@@ -44,6 +47,7 @@ struct KeepingNotes {
     said: BTreeSet<String>,
     /// By the number of the map.
     leaving: BTreeMap<u64, Leaving>,
+    forks_seen: Option<Instant>,
 }
 
 impl KeepingNotes {
@@ -117,6 +121,8 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNote
     // Whoever may write stays as it is while the engine does not tell.
     let Some(candidates) = cluster.candidates() else { return };
     let Ok(listing) = catalogue::list(cluster.engine()).await else { return };
+    // First: a map that comes here takes a while, and others have it.
+    find_writers(cluster, &listing).await;
     let mut listed = BTreeSet::new();
     for (name, map, _) in &listing.maps {
         match (map.uid(), MapName::new(name)) {
@@ -133,24 +139,43 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNote
         }
     }
     keep_held(cluster, catalog, &listing, &listed, notes).await;
+    let now = Instant::now();
+    if notes.forks_seen.is_none_or(|seen| now.saturating_duration_since(seen) >= FORKS_EVERY) {
+        notes.forks_seen = Some(now);
+        remove_known_forks(cluster, catalog, notes).await;
+    }
     find_writers(cluster, &listing).await;
+}
+
+/// Removes forks of a single group of which the map has everything.
+async fn remove_known_forks(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNotes) {
+    for (_, name) in cluster.held() {
+        let Ok(handle) = catalog.get(name.as_str()) else { continue };
+        match forks::remove_known(&catalog.context().store, &handle).await {
+            Ok(removed) => removed.into_iter().for_each(|fork| {
+                info!(map = %name, fork, "the map has all records that were set aside: they are removed");
+            }),
+            Err(error) => notes.warn(format!("forks of map {name} cannot be removed: {error}")),
+        }
+    }
 }
 
 /// Finds out who writes the maps that this daemon does not hold, so that it can pass requests on.
 async fn find_writers(cluster: &Cluster, listing: &Listing) {
     let held: BTreeSet<u64> = cluster.held().into_iter().map(|(uid, _)| uid).collect();
-    let is_elsewhere = |map: &ClusterMap| map.uid().is_some_and(|uid| !held.contains(&uid));
+    let is_elsewhere =
+        |map: &ClusterMap| map.uid().is_some_and(|uid| !held.contains(&uid) && !listing.deleted.contains(&uid));
     if !listing.maps.iter().any(|(_, map, _)| is_elsewhere(map)) {
         return cluster.set_others(BTreeMap::new());
     }
-    let Ok(leases) = cluster.engine().list(Bucket::Writers).await else { return };
+    let leases = cluster.engine().list(Bucket::Writers).await.unwrap_or_default();
     let writer = |uid: u64| {
         let key = format!("{uid:016x}");
         let lease = leases.iter().find(|(known, _)| *known == key).map(|(_, entry)| Lease::decode(&entry.value))?;
         Some(lease.writer).filter(|writer| !writer.is_empty())
     };
     let others = listing.maps.iter().filter(|(_, map, _)| is_elsewhere(map));
-    cluster.set_others(others.filter_map(|(name, map, _)| Some((name.clone(), writer(map.uid()?)?))).collect());
+    cluster.set_others(others.map(|(name, map, _)| (name.clone(), map.uid().and_then(writer))).collect());
 }
 
 /// Tells the replica of a map its rank, or makes a replica where this daemon is to hold the map.

@@ -6,6 +6,7 @@
 
 use std::{
     collections::{BTreeMap, HashMap},
+    sync::Arc,
     time::Duration,
 };
 
@@ -25,6 +26,7 @@ use tokio::sync::oneshot;
 
 use super::{replies::ReplySink, status::RpcError};
 use crate::{
+    catalog::CatalogError,
     cluster::operations::OperationError,
     ingest::{
         handle::MapHandle,
@@ -153,6 +155,36 @@ pub(super) fn fork_to_wire(
         producers: producers.into_values().collect(),
         other_records,
     })
+}
+
+/// Removes forks of a single group of which the map has everything. A daemon that is lost while a group is decided about
+/// leaves one behind, and its producers have sent the observations again. Gives the names of those removed.
+///
+/// # Errors
+/// A fork cannot be read or removed.
+pub(crate) async fn remove_known(store: &Arc<Store>, handle: &MapHandle) -> Result<Vec<String>, CatalogError> {
+    let (for_list, id) = (Arc::clone(store), handle.id);
+    let Ok(forks) = crate::task::blocking(move || for_list.forks(id)).await else { return Ok(Vec::new()) };
+    let forks: Vec<Fork> = forks?.into_iter().filter(|fork| fork.groups == 1).collect();
+    if forks.is_empty() {
+        return Ok(Vec::new());
+    }
+    let (store, view, known) = (Arc::clone(store), handle.view(), known_producers(handle).await);
+    let remove = move || {
+        let mut removed = Vec::new();
+        for fork in forks {
+            let name = fork.name.clone();
+            // One that cannot be read stays for the operator.
+            let Ok(held) = fork_to_wire(&store, id, fork, (&view, &known)) else { continue };
+            let is_known = |row: &v1::ForkedProducer| row.known_observations == row.observations;
+            if held.other_records == 0 && held.producers.iter().all(is_known) {
+                store.remove_fork(id, &name)?;
+                removed.push(name);
+            }
+        }
+        Ok(removed)
+    };
+    crate::task::blocking(remove).await.unwrap_or(Ok(Vec::new()))
 }
 
 /// Sends the records of a fork, in its order.

@@ -229,7 +229,7 @@ impl ClusterGateway {
         handle: Option<&Arc<MapHandle>>,
     ) -> Result<bool, GatewayError> {
         // A map that no daemon has is refused here.
-        let Some(handle) = handle else { return Ok(self.peers.writer_of(map).is_none()) };
+        let Some(handle) = handle else { return Ok(!self.peers.may_hold(map)) };
         let role = handle.role();
         if !role.is_shared() || (place == Place::Writer && role.is_writing()) {
             return Ok(true);

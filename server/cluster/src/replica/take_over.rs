@@ -144,6 +144,10 @@ impl<E: Engine> Driver<E> {
     async fn heal(&mut self, end: LogPoint) -> Result<(), CompareError> {
         let log = self.shared.log.clone();
         let mut groups = self.on_disk(move || log.groups(end.position + 1)).await?;
+        tracing::warn!(
+            map = %self.settings.key(), from = end.position + 1, to = self.shared.log.position(),
+            "the shared log had forgotten records: they are appended again"
+        );
         loop {
             let (group, rest) = self.on_disk(move || (groups.next(), groups)).await;
             groups = rest;
@@ -153,10 +157,6 @@ impl<E: Engine> Driver<E> {
                 // whole.
                 return Ok(());
             }
-            tracing::warn!(
-                map = %self.settings.key(), from = group.before.position + 1, to = group.after.position,
-                "the shared log had forgotten records: they are appended again"
-            );
             for (_, event) in group.events().unwrap_or_default() {
                 if let Event::Epoch(record) = event {
                     self.epoch = self.epoch.max(record.epoch);

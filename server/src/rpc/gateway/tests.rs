@@ -65,6 +65,10 @@ impl Peers for Known {
         self.addresses.lock().expect("not poisoned").keys().filter(|member| **member != self.name).cloned().collect()
     }
 
+    fn may_hold(&self, map: &str) -> bool {
+        self.writer_of(map).is_some()
+    }
+
     fn writer_of(&self, map: &str) -> Option<String> {
         self.writers.lock().expect("not poisoned").get(map).cloned()
     }
