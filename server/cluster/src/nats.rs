@@ -17,7 +17,10 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use async_nats::{
     HeaderMap, HeaderValue, header,
@@ -178,7 +181,10 @@ impl Engine for NatsEngine {
         let mut headers = HeaderMap::new();
         headers.insert(header::NATS_EXPECTED_LAST_SEQUENCE, HeaderValue::from(expected_last));
         let name = self.stream_name(stream);
-        match self.publish(&name, self.subject(stream), headers, content, patience).await? {
+        let begun = Instant::now();
+        let published = self.publish(&name, self.subject(stream), headers, content, patience).await;
+        metrics::histogram!("tidemap_cluster_append_seconds").record(begun.elapsed());
+        match published? {
             Published::Appended(sequence) => Ok(sequence),
             Published::NotExpected => Err(AppendIfError::NotExpected),
         }
