@@ -191,7 +191,13 @@ impl Engine for NatsEngine {
     }
 
     async fn ends(&self, stream: &str) -> Result<StreamEnds, EngineError> {
-        Ok(ends_of(&self.info(&self.stream_name(stream)).await?))
+        let info = self.info(&self.stream_name(stream)).await?;
+        // Where most servers are lost, one that is left answers for the stream without knowing what the others have.
+        let has_leader = info.cluster.as_ref().is_some_and(|cluster| cluster.leader.is_some());
+        if info.config.num_replicas > 1 && !has_leader {
+            return Err(EngineError::Unavailable(format!("stream {stream} has no leader")));
+        }
+        Ok(ends_of(&info))
     }
 
     async fn read(&self, stream: &str, sequence: u64) -> Result<Option<Message>, EngineError> {
