@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts schemathesis api-page palette web web-check demo test wheel python docs lint sbom bench soak fuzz durability install deb clean
+.PHONY: help build texts schemathesis api-page palette web web-check demo cluster-demo test wheel python docs lint sbom bench soak cluster-faults fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -23,7 +23,7 @@ FEATURES := --no-default-features --features tidemapd/traces,tidemap/experiment
 
 ## help: the targets of this file
 help:
-	@sed -n 's/^## \([a-z-]*\): /  make \1\t/p' Makefile | expand -t 20
+	@sed -n 's/^## \([a-z-]*\): /  make \1\t/p' Makefile | expand -t 22
 
 ## build: the daemon and the command line, optimised
 build:
@@ -65,6 +65,12 @@ demo:
 	@$(SETUP)
 	@$(ENV); cargo build --profile demo --no-default-features --locked -p tidemapd -p tidemap
 	@$${CARGO_TARGET_DIR:-target}/demo/tidemap demo $(ARGS)
+
+## cluster-demo: three daemons hold one map; the one that writes it is killed while robots send, and nothing is lost
+cluster-demo:
+	@$(SETUP) cluster
+	@$(ENV); cargo build --profile demo --no-default-features --locked -p tidemapd -p tidemap
+	@$(ENV); python3 deploy/cluster_demo.py $${CARGO_TARGET_DIR:-target}/demo
 
 ## test: all tests
 test:
@@ -117,6 +123,13 @@ bench:
 soak:
 	@$(SETUP) test
 	@$(ENV); python3 deploy/soak.py $(or $(HOURS),1) $(ROWS)
+
+## cluster-faults: CLUSTER_FAULTS faults (300) of three hosts in network namespaces; SEED=n; goes on where it ended; root
+cluster-faults: export CLUSTER_FAULTS ?= 300
+cluster-faults:
+	@$(SETUP) cluster
+	@$(ENV); cargo build --release --locked $(FEATURES) -p tidemapd -p tidemap -p tidemap-tests --bins
+	@$(ENV); python3 deploy/cluster_faults.py "$(BUILT)" $(CLUSTER_FAULTS) $(or $(SEED),1) $(KINDS)
 
 ## fuzz: any bytes for the readers of the wire, of CSV and of every file, SECS seconds each (default 60)
 fuzz:

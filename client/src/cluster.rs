@@ -85,6 +85,16 @@ impl Client {
         Ok(ForkParts { parts: parts.into_inner(), client: self.clone() })
     }
 
+    /// Removes a member that no longer runs from the list of members.
+    ///
+    /// # Errors
+    /// [`Error`]; the code is `NOT_FOUND` if there is no such member, `FAILED_PRECONDITION` if it is alive.
+    pub async fn forget_member(&self, member: &str) -> Result<(), Error> {
+        let request = v1::ForgetMemberRequest { member: member.to_owned() };
+        self.cluster_service().forget_member(request).await.map_err(|status| self.error(&status))?;
+        Ok(())
+    }
+
     /// Drains the daemon, which hands over its maps and takes no new ones, or ends the drain.
     ///
     /// # Errors

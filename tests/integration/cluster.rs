@@ -175,6 +175,11 @@ async fn an_operator_sees_moves_drains_and_verifies_maps_and_a_killed_writer_is_
     let seen = eventually(members.first(), "cluster status", |outcome| outcome.stderr.contains("is gone"));
     assert!(seen.code == Some(1) && seen.stderr.contains(&format!("member {taken} is gone")), "{seen:?}");
     members.learn(folder, 2);
+    let left = check_json(members.first(), &format!("cluster forget {taken}"));
+    assert_eq!(left.as_array().map(Vec::len), Some(2));
+    eventually(members.first(), "cluster status", |outcome| !outcome.stderr.contains("is gone"));
+    let alive = members.0[1].0;
+    tidemap(members.first(), ["cluster", "forget", alive]).fails(2, &[alive, "is alive"]);
     drop(members);
 }
 

@@ -14,11 +14,12 @@ use tidemap_tests::{
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run. Those of a cluster are run
 /// where there is one, in `cluster.rs`.
-const NOT_RUN: [&str; 22] = [
+const NOT_RUN: [&str; 23] = [
     "cluster status",
     "cluster maps",
     "cluster move",
     "cluster drain",
+    "cluster forget",
     "cluster verify",
     "cluster heal",
     "bench latency",

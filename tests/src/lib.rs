@@ -16,6 +16,8 @@ pub mod film;
 pub mod flood;
 pub mod garbage;
 pub mod herd;
+pub mod lane_oracle;
+pub mod lanes;
 pub mod oracle;
 pub mod raw_calls;
 pub mod recordings;

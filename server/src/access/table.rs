@@ -104,6 +104,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.ClusterService/DiscardFork", role(Admin)),
     ("/tidemap.v1.ClusterService/ReadFork", role(Admin)),
     ("/tidemap.v1.ClusterService/Drain", Need::AllMaps(Admin)),
+    ("/tidemap.v1.ClusterService/ForgetMember", Need::AllMaps(Admin)),
 ];
 
 /// What the method of a path needs; `None` if there is no such method.

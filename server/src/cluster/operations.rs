@@ -9,7 +9,8 @@ use std::sync::PoisonError;
 use tidemap_cluster::{
     assignment,
     catalogue::{self, ClusterMap},
-    engine::{Engine as _, EngineError, EngineServer, SetError, StreamHealth},
+    engine::{Bucket, Engine as _, EngineError, EngineServer, SetError, StreamHealth},
+    member::MemberReport,
     membership::{self, Members, MembersView},
     replica::{ReplicaRole, ReplicaStatus},
 };
@@ -36,6 +37,8 @@ pub(crate) enum OperationError {
     Gone(String),
     #[error("member {0} is draining: `tidemap cluster drain {0} --undo` ends that")]
     Draining(String),
+    #[error("member {0} is alive: stop its daemon first. A daemon counts as alive for 5 seconds after its last report")]
+    Alive(String),
     #[error("member {0} has capacity 0: it holds no maps")]
     NoCapacity(String),
     #[error("member {member} does not hold map {map}; it is held by {}", holders.join(", "))]
@@ -61,16 +64,16 @@ pub(crate) struct ListedMap {
     pub holders: Vec<String>,
 }
 
+fn unknown_member(members: &Members, member: &str) -> OperationError {
+    let known = members.keys().cloned().collect();
+    OperationError::UnknownMember { member: member.chars().take(80).collect(), known }
+}
+
 /// Whether a member can be the one that writes a map.
 fn check_target(members: &Members, member: &str, (map, uid): (&str, Option<u64>)) -> Result<(), OperationError> {
-    let Some(found) = members.get(member) else {
-        return Err(OperationError::UnknownMember {
-            member: member.chars().take(80).collect(),
-            known: members.keys().cloned().collect(),
-        });
-    };
+    let found = members.get(member).ok_or_else(|| unknown_member(members, member))?;
     let name = || member.to_owned();
-    let holds = |report: &tidemap_cluster::member::MemberReport| uid.is_some_and(|uid| report.logs.contains_key(&uid));
+    let holds = |report: &MemberReport| uid.is_some_and(|uid| report.logs.contains_key(&uid));
     if !found.is_alive {
         Err(OperationError::Gone(name()))
     } else if found.report.draining {
@@ -235,6 +238,28 @@ impl Cluster {
         Ok(true)
     }
 
+    /// Removes a member that no longer runs from the list of members.
+    ///
+    /// # Errors
+    /// See [`OperationError`].
+    pub(crate) async fn forget(&self, member: &str) -> Result<(), OperationError> {
+        let members = self.members()?;
+        let known = members.get(member).ok_or_else(|| unknown_member(&members, member))?;
+        let alive = || OperationError::Alive(member.to_owned());
+        if known.is_alive {
+            return Err(alive());
+        }
+        let Some(entry) = self.engine().get(Bucket::Members, member).await? else { return Ok(()) };
+        if MemberReport::decode(&entry.value).is_some_and(|report| report != known.report) {
+            return Err(alive());
+        }
+        match self.engine().delete_if(Bucket::Members, member, entry.revision).await {
+            Ok(()) => Ok(()),
+            Err(SetError::NotExpected) => Err(alive()),
+            Err(SetError::Engine(error)) => Err(error.into()),
+        }
+    }
+
     /// Hands over the maps that this daemon writes and takes no new ones, until it is told otherwise or starts again.
     pub(crate) fn drain(&self, is_draining: bool) {
         self.0.is_draining.send_replace(is_draining);
@@ -261,7 +286,7 @@ impl Cluster {
 mod tests {
     use std::collections::BTreeMap;
 
-    use tidemap_cluster::{member::MemberReport, membership::Member};
+    use tidemap_cluster::membership::Member;
 
     use super::*;
 

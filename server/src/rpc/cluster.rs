@@ -263,6 +263,11 @@ impl ClusterService for ClusterCalls {
         Ok(Response::new(compute_replies(vec![permit], move |sink| read_fork(&store, &handle, &fork, &known, sink))))
     }
 
+    async fn forget_member(&self, request: Request<v1::ForgetMemberRequest>) -> RpcReply<v1::ForgetMemberResponse> {
+        self.cluster()?.forget(&request.get_ref().member).await.map_err(RpcError::from)?;
+        Ok(Response::new(v1::ForgetMemberResponse {}))
+    }
+
     async fn drain(&self, request: Request<v1::DrainRequest>) -> Result<Response<v1::DrainResponse>, Status> {
         self.cluster()?.drain(!request.get_ref().undo);
         Ok(Response::new(v1::DrainResponse {}))

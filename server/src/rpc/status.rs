@@ -232,6 +232,7 @@ fn operation_code(error: &OperationError) -> (Code, &'static str) {
         OperationError::UnknownFork { .. } => (Code::NotFound, "UNKNOWN_FORK"),
         OperationError::NotHeld(_) => (Code::FailedPrecondition, "NOT_HELD"),
         OperationError::Gone(_) => (Code::FailedPrecondition, "MEMBER_GONE"),
+        OperationError::Alive(_) => (Code::FailedPrecondition, "MEMBER_ALIVE"),
         OperationError::Draining(_) => (Code::FailedPrecondition, "MEMBER_DRAINS"),
         OperationError::NoCapacity(_) | OperationError::DoesNotHold { .. } => (Code::FailedPrecondition, "NOT_HELD"),
         OperationError::Changed(_) => (Code::Aborted, "CHANGED"),

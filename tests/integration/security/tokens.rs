@@ -52,7 +52,7 @@ fn roles_of(method: &str) -> &'static [&'static str] {
         }
         "CreateMap" | "DeleteMap" | "Erase" | "MoveMap" | "DiscardFork" | "ReadFork" => &["admin"],
         // They act on all maps, and none of these tokens is for all.
-        "CreateBackup" | "Drain" => &[],
+        "CreateBackup" | "Drain" | "ForgetMember" => &[],
         _ => &["planner", "operator", "admin"],
     }
 }

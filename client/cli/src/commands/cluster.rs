@@ -63,6 +63,11 @@ pub(crate) enum ClusterCommand {
     /// The member still follows the maps that it holds. The command waits 60 seconds and ends with 2 if a map has no
     /// other holder. --undo ends the drain, and so does a restart of the member.
     Drain(DrainArgs),
+    /// Removes a member that no longer runs from the list of members
+    ///
+    /// For a machine that does not come back. The member must have been silent for 5 seconds. If its daemon starts
+    /// again, it is listed again.
+    Forget(ForgetArgs),
     /// Compares the logs and the newest digests of a map on all members that answer
     ///
     /// Logs are compared at a position that all of these members have. The exit status is 2 if something differs, and 1
@@ -100,6 +105,12 @@ pub(crate) struct DrainArgs {
 }
 
 #[derive(Debug, Args)]
+pub(crate) struct ForgetArgs {
+    /// Name of the member
+    member: String,
+}
+
+#[derive(Debug, Args)]
 pub(crate) struct VerifyArgs {
     /// Name of the map
     map: String,
@@ -128,6 +139,7 @@ pub(crate) async fn run(
         ClusterCommand::Maps => status(session, credentials, true).await,
         ClusterCommand::Move(args) => move_map(session, credentials, args).await,
         ClusterCommand::Drain(args) => drain(session, credentials, args).await,
+        ClusterCommand::Forget(args) => forget(session, args).await,
         ClusterCommand::Verify(args) => verify::run(session, credentials, &args.map).await,
         ClusterCommand::Heal(args) => heal::run(session, credentials, args).await,
     };
@@ -200,6 +212,13 @@ async fn member_client(client: &Client, credentials: &Credentials, member: &str)
         format!("{member:?} is no member of the cluster; members: {}", known.join(", "))
     })?;
     Ok(if asked.member == member { client.clone() } else { Client::with_credentials(&address, credentials)? })
+}
+
+async fn forget(session: &Session, args: ForgetArgs) -> anyhow::Result<ExitCode> {
+    session.client.forget_member(&args.member).await?;
+    let left = answer_of(&session.client, false).await?.members.into_iter().map(|member| member.name);
+    let left = left.filter(|name| *name != args.member);
+    session.print(&["member"], left.map(|name| vec![Cell::Text(name)]))
 }
 
 async fn drain(session: &Session, credentials: &Credentials, args: DrainArgs) -> anyhow::Result<ExitCode> {

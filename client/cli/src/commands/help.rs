@@ -110,6 +110,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("cluster status", "tidemap cluster status"),
     ("cluster maps", "tidemap cluster maps --output json"),
     ("cluster move", "tidemap cluster move office north"),
+    ("cluster forget", "tidemap cluster forget north"),
     ("cluster drain", "tidemap cluster drain north"),
     ("cluster verify", "tidemap cluster verify office"),
     ("cluster heal", "tidemap cluster heal office"),

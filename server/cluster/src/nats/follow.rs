@@ -5,7 +5,8 @@
 //! larger pulls.
 //!
 //! Invariant: messages are returned in order and without a gap from the number that was asked for. A consumer that
-//! gives another one is thrown away.
+//! gives another one is thrown away, and so is one that gives nothing although the leader of the stream has the message:
+//! it is on a server that does not catch up. The leader gives the messages then.
 
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
@@ -17,6 +18,7 @@ use async_nats::{
         stream::ConsumerErrorKind,
     },
 };
+use serde_json::json;
 use tokio::{
     sync::Mutex,
     time::{Instant, sleep_until, timeout_at},
@@ -44,6 +46,18 @@ const EXPIRES: Duration = Duration::from_secs(20);
 /// How long a call waits before it makes a consumer again, so that its caller does not do so all the time.
 const PAUSE: Duration = Duration::from_millis(50);
 
+/// How long a consumer is silent before the leader is asked whether there is more. Twice that the next time, and so on.
+const SILENT: Duration = Duration::from_secs(1);
+
+/// Messages that are read from the leader, one request each, when a consumer does not give them.
+const READ_BY_LEADER_MAX: u64 = 64;
+
+/// How long the leader may take to answer.
+const ANSWERS: Duration = Duration::from_millis(500);
+
+/// The longest time between two such questions.
+const SILENT_MAX: Duration = Duration::from_secs(30);
+
 /// What becomes of a consumer.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Then {
@@ -59,6 +73,9 @@ struct Follow {
     next: u64,
     /// A message that had no room in the reply before.
     left: Option<Message>,
+    /// When the leader is asked next, and how long it was silent then.
+    ask: Instant,
+    silent: Duration,
 }
 
 /// The streams that an engine follows.
@@ -97,6 +114,13 @@ impl FollowedStreams {
             };
             let (messages, then) = follow.take(bytes_max, deadline).await;
             if then == Then::GoesOn {
+                if messages.is_empty() && follow.is_to_be_doubted() {
+                    let messages = read_by_leader(calls, name, sequence, bytes_max).await;
+                    if !messages.is_empty() {
+                        tracing::debug!(stream, sequence, "a consumer is silent, and its stream is not");
+                        return Ok(messages);
+                    }
+                }
                 *slot = Some(follow);
                 return Ok(messages);
             }
@@ -144,8 +168,37 @@ impl Follow {
             }
             self.next = message.sequence + 1;
             messages.push(message);
+            self.silent = SILENT;
+            self.ask = Instant::now() + SILENT;
         }
     }
+
+    /// Whether the consumer has been silent for so long that the leader is to be asked.
+    fn is_to_be_doubted(&mut self) -> bool {
+        let is_due = Instant::now() >= self.ask;
+        if is_due {
+            self.silent = SILENT_MAX.min(self.silent * 2);
+            self.ask = Instant::now() + self.silent;
+        }
+        is_due
+    }
+}
+
+/// The messages from a number on, as far as the leader of the stream gives them.
+async fn read_by_leader(calls: &NatsCalls, name: &str, sequence: u64, bytes_max: usize) -> Vec<Message> {
+    let (mut messages, mut bytes) = (Vec::new(), 0);
+    for sequence in sequence..sequence + READ_BY_LEADER_MAX {
+        let wanted = json!({ "seq": sequence });
+        let Ok(Ok(Some(read))) = timeout_at(Instant::now() + ANSWERS, calls.message(name, &wanted)).await else {
+            break;
+        };
+        bytes += read.payload.len();
+        if bytes > bytes_max && !messages.is_empty() {
+            break;
+        }
+        messages.push(Message { sequence: read.sequence, content: read.payload });
+    }
+    messages
 }
 
 fn message_of(message: jetstream::Message) -> Option<Message> {
@@ -168,7 +221,7 @@ async fn open_at(calls: &NatsCalls, name: &str, sequence: u64) -> Result<Follow,
     let pulls = consumer.stream().max_messages_per_batch(PULLED_MESSAGES_MAX).max_bytes_per_batch(PULLED_BYTES_MAX);
     let messages = pulls.heartbeat(HEARTBEAT).expires(EXPIRES).messages().await;
     let messages = messages.map_err(|error| EngineError::Unknown(error.to_string()))?;
-    Ok(Follow { messages, next: sequence, left: None })
+    Ok(Follow { messages, next: sequence, left: None, ask: Instant::now() + SILENT, silent: SILENT })
 }
 
 /// Why a consumer could not be made. None that was made without our knowledge harms.

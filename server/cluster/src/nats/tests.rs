@@ -237,6 +237,47 @@ async fn a_killed_leader_loses_nothing_and_appends_come_back() {
     }
 }
 
+/// The names of the consumers of a stream.
+async fn consumers(engine: &NatsEngine, name: &str) -> Vec<String> {
+    let listed: serde_json::Value =
+        engine.calls.api(&format!("CONSUMER.NAMES.{name}"), &json!({}), PATIENCE).await.expect("names");
+    let names = listed["consumers"].as_array().into_iter().flatten();
+    names.filter_map(|name| name.as_str().map(str::to_owned)).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_consumer_that_is_silent_while_its_stream_goes_on_is_replaced() {
+    let servers = match NatsServers::start(1).await {
+        Ok(servers) => servers,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let engine = connect(patient(servers.settings())).await;
+    engine.create_stream(STREAM, 1).await.expect("create");
+    assert_eq!(engine.append_if(STREAM, 0, bytes("a"), PATIENCE).await, Ok(1));
+    assert_eq!(engine.read_from(STREAM, 1, 1 << 20, PATIENCE).await.expect("read").len(), 1);
+    // It is as silent as one on a server that does not catch up: it lives, and gives nothing.
+    let name = engine.stream_name(STREAM);
+    let before = consumers(&engine, &name).await;
+    assert_eq!(before.len(), 1, "{before:?}");
+    let until = json!({ "pause_until": "2100-01-01T00:00:00Z" });
+    let api = format!("CONSUMER.PAUSE.{name}.{}", before[0]);
+    engine.calls.api::<serde_json::Value>(&api, &until, PATIENCE).await.expect("a pause");
+    assert_eq!(engine.append_if(STREAM, 1, bytes("b"), PATIENCE).await, Ok(2));
+    let read = async {
+        loop {
+            let messages = engine.read_from(STREAM, 2, 1 << 20, Duration::from_millis(250)).await.expect("read");
+            if !messages.is_empty() {
+                return messages;
+            }
+        }
+    };
+    let messages = tokio::time::timeout(PATIENCE, read).await.expect("the message comes without that consumer");
+    assert_eq!((messages.len(), messages[0].sequence), (1, 2));
+    assert_eq!(engine.append_if(STREAM, 2, bytes("c"), PATIENCE).await, Ok(3));
+    assert_eq!(engine.read_from(STREAM, 3, 1 << 20, PATIENCE).await.expect("read").len(), 1);
+    assert_ne!(consumers(&engine, &name).await, before, "another one takes its place");
+}
+
 /// The public key of a user, and its seed: the example of the documentation of NATS.
 const NKEY: (&str, &str) = (
     "UDXU4RCSJNZOIQHZNWXHXORDPRTGNJAHAHFRGZNEEJCPQTT2M7NLCNF4",
