@@ -324,7 +324,7 @@ impl Settings {
             .unwrap_or_default();
         let keys: Vec<&str> = keys.iter().map(String::as_str).collect();
         // What differs between the daemons of a cluster.
-        let of_cluster = Env::prefixed("TIDEMAP_CLUSTER_").only(&["member", "advertise"]);
+        let of_cluster = Env::prefixed("TIDEMAP_CLUSTER_").only(&["member", "advertise", "servers"]);
         let of_cluster = of_cluster.map(|key| format!("cluster.{key}").into());
         let settings: Self = figment
             .merge(Env::prefixed("TIDEMAP_").only(&keys))

@@ -23,6 +23,7 @@ use tokio::sync::watch;
 use crate::{
     backups::Schedule,
     catalog::Catalog,
+    cluster_figures::figures,
     connections::{Remote, accept::HttpListener},
     ingest::handle::{MapHandle, OpenProgress},
     rpc::{admission::note_denial, guard::Access, status::RpcError},
@@ -181,6 +182,9 @@ pub(crate) async fn serve(
                     let backups = metrics.backups.iter().flat_map(|backups| backups.metrics(id, now));
                     for (name, value) in statistics::of_updates(&catalog).into_iter().chain(process).chain(backups) {
                         metrics::gauge!(name).set(value);
+                    }
+                    for (name, label, value) in figures(&catalog) {
+                        metrics::gauge!(name, label.as_slice()).set(value);
                     }
                     metrics.handle.render() + &silent
                 });

@@ -10,6 +10,7 @@ mod backups;
 mod catalog;
 mod clock;
 mod cluster;
+mod cluster_figures;
 mod command_texts;
 mod config;
 mod connections;

@@ -145,6 +145,26 @@ const PLAYED: &[(&str, &[Played], u32)] = &[
     ),
     ("TidemapProducerSilent", &[("tidemap_producer_silent_seconds{map=\"lab\",producer=\"robot\"}", "90000x20")], 10),
     ("TidemapCertificateEnds", &[("tidemap_certificate_expiry_seconds", "600000x20")], 10),
+    (
+        "TidemapClusterMapWithoutWriter",
+        &[
+            ("tidemap_cluster_maps{instance=\"a\"}", "2x20"),
+            ("tidemap_cluster_maps{instance=\"b\"}", "2x20"),
+            ("tidemap_cluster_maps_written{instance=\"a\"}", "1x4 0x20"),
+            ("tidemap_cluster_maps_written{instance=\"b\"}", "1x20"),
+        ],
+        10,
+    ),
+    ("TidemapClusterEngineSilent", &[("tidemap_cluster_engine_unavailable", "0x4 1x20")], 10),
+    ("TidemapClusterFork", &[("tidemap_cluster_forks{groups=\"more\"}", "0x4 1x20")], 10),
+    ("TidemapClusterRecordsAside", &[("tidemap_cluster_forks{groups=\"1\"}", "0x4 1x40")], 30),
+    ("TidemapClusterDigestsDiffer", &[("tidemap_cluster_divergence_total", "0x4 1x20")], 10),
+    (
+        "TidemapClusterFollowerBehind",
+        &[("tidemap_cluster_heard_age_seconds", "0x4 Inf+0x20"), ("tidemap_cluster_lag_records", "0x20")],
+        10,
+    ),
+    ("TidemapClusterMemberGone", &[("tidemap_cluster_members{state=\"gone\"}", "0x4 1x20")], 10),
 ];
 
 #[test]

@@ -21,6 +21,8 @@ use tonic::Code;
 
 use crate::json_output::validate;
 
+mod metrics;
+
 /// By then whatever is waited for has happened, or hangs.
 const WITHIN: Duration = Duration::from_secs(120);
 const POLL: Duration = Duration::from_millis(200);
@@ -317,10 +319,13 @@ async fn observations_of_a_fork_are_taken_into_the_map_again_by_an_operators_wor
     assert!(shown.stderr.contains("the map lacks 184 records"), "{shown:?}");
     let seen = tidemap(members.first(), ["cluster", "status"]);
     assert!(seen.code == Some(2) && seen.stderr.contains("FORKED"), "{seen:?}");
+    let forks = || metrics::value(members.of(alone), "tidemap_cluster_forks{groups=\"more\"}");
+    assert_eq!(forks(), Some(1.0));
     let healed = tidemap(members.first(), ["cluster", "heal", "office"]);
     assert_eq!(healed.code, Some(0), "{healed:?}");
     assert!(healed.stdout.contains(",robot-1,forked,1,40,40,40,true\n"), "{healed:?}");
     assert!(healed.stdout.contains(",robot-3,day-2.csv,1,144,144,144,true\n"), "{healed:?}");
+    assert_eq!(forks(), Some(0.0));
     eventually(members.first(), "cluster verify office", |outcome| outcome.code == Some(0));
     let states = tidemap(members.first(), ["state", "list", "office"]).table();
     let seen: Vec<(&str, &str)> = states.column("state").into_iter().zip(states.column("observations")).collect();

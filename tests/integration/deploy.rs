@@ -12,6 +12,8 @@ use std::{
 use serde_json::Value;
 use tidemap_tests::binaries;
 
+mod cluster;
+
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the crate is in a workspace").join("deploy")
 }

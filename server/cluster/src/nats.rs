@@ -17,7 +17,10 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use async_nats::{
     HeaderMap, HeaderValue, header,
@@ -178,14 +181,23 @@ impl Engine for NatsEngine {
         let mut headers = HeaderMap::new();
         headers.insert(header::NATS_EXPECTED_LAST_SEQUENCE, HeaderValue::from(expected_last));
         let name = self.stream_name(stream);
-        match self.publish(&name, self.subject(stream), headers, content, patience).await? {
+        let begun = Instant::now();
+        let published = self.publish(&name, self.subject(stream), headers, content, patience).await;
+        metrics::histogram!("tidemap_cluster_append_seconds").record(begun.elapsed());
+        match published? {
             Published::Appended(sequence) => Ok(sequence),
             Published::NotExpected => Err(AppendIfError::NotExpected),
         }
     }
 
     async fn ends(&self, stream: &str) -> Result<StreamEnds, EngineError> {
-        Ok(ends_of(&self.info(&self.stream_name(stream)).await?))
+        let info = self.info(&self.stream_name(stream)).await?;
+        // Where most servers are lost, one that is left answers for the stream without knowing what the others have.
+        let has_leader = info.cluster.as_ref().is_some_and(|cluster| cluster.leader.is_some());
+        if info.config.num_replicas > 1 && !has_leader {
+            return Err(EngineError::Unavailable(format!("stream {stream} has no leader")));
+        }
+        Ok(ends_of(&info))
     }
 
     async fn read(&self, stream: &str, sequence: u64) -> Result<Option<Message>, EngineError> {

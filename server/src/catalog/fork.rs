@@ -48,13 +48,13 @@ impl Catalog {
                     error!(
                         map = %name, first = fork.first, last = fork.last, file = fork.name,
                         "FORKED: the own log of this daemon had records that the shared log does not have. The daemon has \
-                         set them aside. `tidemap cluster heal {name}` shows them; it does not add them to the map"
+                         set them aside. `tidemap cluster heal {name}` takes their observations into the map again"
                     );
                 }
                 Some(fork) => warn!(
                     map = %name, first = fork.first, last = fork.last, file = fork.name,
-                    "this daemon has set records aside whose append was not confirmed when it lost the log. Their \
-                     producers have no acknowledgement of them"
+                    "this daemon has set records aside whose append may not have been confirmed when it lost the log. \
+                     `tidemap cluster heal {name}` takes in what the map lacks of them"
                 ),
                 None => {}
             }

@@ -149,6 +149,16 @@ impl Cluster {
         self.replicas().get(&uid).map(|replica| replica.log.status().borrow().clone())
     }
 
+    /// What this daemon is to the maps that it holds.
+    pub(crate) fn replica_statuses(&self) -> Vec<ReplicaStatus> {
+        self.replicas().values().map(|replica| replica.log.status().borrow().clone()).collect()
+    }
+
+    /// The number of maps that this daemon does not hold, and whose writers it knows.
+    pub(crate) fn known_elsewhere(&self) -> usize {
+        self.0.others.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+
     /// How far a member is with a map that this daemon writes, as it has reported, and where the log ends; `None`: this
     /// daemon does not write it.
     pub(crate) fn progress_of(&self, uid: u64, member: &str) -> Option<(Option<u64>, u64)> {

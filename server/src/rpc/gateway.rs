@@ -301,6 +301,7 @@ impl ClusterGateway {
                 silent = Some((member, why));
             }
             if tokio::time::Instant::now() + LOOK_EVERY >= deadline {
+                count_failure();
                 let map = map.to_owned();
                 return Err(match silent {
                     Some((writer, why)) => GatewayError::NoWay { map, writer, why },
@@ -336,11 +337,13 @@ impl ClusterGateway {
         };
         match sent.await {
             Ok(reply) => {
+                metrics::counter!("tidemap_cluster_passed_requests_total").increment(1);
                 let end = LASTING.contains(&path.as_str()).then(|| self.stopped());
                 Ok(reply.map(|body| Body::new(PassedBody::new(body, member, end, place))))
             }
             Err(error) if is_late(&error) => Err(GatewayError::Late { member }.into()),
             Err(_) => {
+                count_failure();
                 self.links.forget(address, &place);
                 Err(GatewayError::Broke { member }.into())
             }
@@ -370,6 +373,10 @@ impl ClusterGateway {
             let _ = stopping.wait_for(|stopping| *stopping).await;
         })
     }
+}
+
+fn count_failure() {
+    metrics::counter!("tidemap_cluster_pass_failures_total").increment(1);
 }
 
 fn allows_stale(headers: &HeaderMap) -> bool {

@@ -52,6 +52,16 @@ const COUNTERS: &[(&str, &str)] = &[
         "tidemap_cluster_healed_records_total",
         "Records appended to a shared log again, because the engine had forgotten them",
     ),
+    ("tidemap_cluster_takeovers_total", "Times that this daemon began to write a map whose log daemons share"),
+    (
+        "tidemap_cluster_depositions_total",
+        "Times that this daemon ceased to write a map: it handed the map over, or could not renew its lease in time",
+    ),
+    ("tidemap_cluster_passed_requests_total", "Requests passed on to the daemon that writes the map"),
+    (
+        "tidemap_cluster_pass_failures_total",
+        "Requests that could not be passed on: the writer was not known, did not answer, or was lost meanwhile",
+    ),
     ("tidemap_spans_exported_total", "Spans that the collector of traces has taken; with otlp_endpoint only"),
     (
         "tidemap_spans_dropped_total",
@@ -131,6 +141,30 @@ const GAUGES: &[(&str, &str)] = &[
         "tidemap_producer_silent_seconds",
         "Time since a producer was heard, of those heard within 7 days that are silent for longest",
     ),
+    (
+        "tidemap_cluster_maps",
+        "Maps of the cluster that this daemon holds, or whose writer it knows; 0 without a cluster",
+    ),
+    ("tidemap_cluster_maps_written", "Maps of the cluster that this daemon writes"),
+    ("tidemap_cluster_maps_followed", "Maps of the cluster that this daemon holds and does not write"),
+    (
+        "tidemap_cluster_replicas_in_trouble",
+        "Maps of the cluster that this daemon holds and that `tidemap cluster status` names as in trouble on it",
+    ),
+    (
+        "tidemap_cluster_lag_records",
+        "Records of a shared log that this daemon has heard of and does not have yet, of the map where they are the most",
+    ),
+    (
+        "tidemap_cluster_heard_age_seconds",
+        "Time since this daemon heard where a shared log ends, of the map where it is longest; +Inf if it never did",
+    ),
+    ("tidemap_cluster_members", "Members of the cluster as this daemon sees them, by state: alive or gone"),
+    ("tidemap_cluster_engine_unavailable", "1 if the engine of the cluster does not answer this daemon"),
+    (
+        "tidemap_cluster_forks",
+        "Forks that are set aside on this daemon, by groups of records: 1, or more, which is FORKED",
+    ),
     ("tidemap_build_info", "1; the labels say version and commit of the daemon, and the identity of its data folder"),
     ("tidemap_fdatasyncs", "Calls of fdatasync since the start"),
     ("tidemap_fdatasync_p50_secs", "Median of the last fdatasync calls, seconds"),
@@ -146,6 +180,10 @@ const HISTOGRAMS: &[(&str, &str)] = &[
     (
         "tidemap_acknowledgement_seconds",
         "From a batch of observations to its acknowledgement, which is sent when it is durable",
+    ),
+    (
+        "tidemap_cluster_append_seconds",
+        "From an append to a shared log to its outcome: the engine has it on a majority of its servers, or refuses it",
     ),
 ];
 
@@ -171,7 +209,9 @@ fn begin() {
         }
         let _ = histogram!("tidemap_request_duration_seconds", "method" => method);
     }
-    let _ = histogram!("tidemap_acknowledgement_seconds");
+    for name in ["tidemap_acknowledgement_seconds", "tidemap_cluster_append_seconds"] {
+        let _ = histogram!(name);
+    }
 }
 
 /// Describes all metrics, and begins those that count.

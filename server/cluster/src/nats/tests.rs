@@ -408,3 +408,32 @@ async fn a_server_that_is_too_old_is_refused() {
         server.abort();
     }
 }
+
+/// A server that is left alone shows its own part of a stream, which is not where the stream ends.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nobody_says_where_a_stream_ends_that_has_lost_most_servers() {
+    let mut servers = match NatsServers::start(3).await {
+        Ok(servers) => servers,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let engine = connect(servers.settings()).await;
+    engine.create_stream(STREAM, 3).await.expect("create");
+    write(&engine, 3, &mut BTreeMap::new()).await;
+    servers.kill(0);
+    servers.kill(1);
+    // Its leader notices after a while that it is alone, and is the leader until then.
+    loop {
+        match engine.health(STREAM).await {
+            Ok(StreamHealth { leader: None, .. }) => break,
+            _ => sleep(Duration::from_millis(200)).await,
+        }
+    }
+    for _ in 0..5 {
+        let ends = engine.ends(STREAM).await;
+        assert!(matches!(ends, Err(EngineError::Unavailable(_) | EngineError::Unknown(_))), "{ends:?}");
+    }
+    servers.run(0);
+    while engine.ends(STREAM).await.map(|ends| ends.last) != Ok(3) {
+        sleep(Duration::from_millis(200)).await;
+    }
+}

@@ -168,7 +168,9 @@ impl Writer {
         self.publish();
         let map = &self.map.spec().name;
         info!(%map, writer = writer.as_deref().unwrap_or("unknown"), "another daemon writes the map");
-        self.follower.role.send_replace(role);
+        if self.follower.role.send_replace(role).is_writing() {
+            metrics::counter!("tidemap_cluster_depositions_total").increment(1);
+        }
         self.backlog.clear();
         self.sessions.end_all(&Ending::Moved { writer });
         // Hellos and edits that wait are answered by `pump`.
@@ -181,6 +183,7 @@ impl Writer {
     fn become_writer(&mut self, epoch: u64) {
         info!(map = %self.map.spec().name, epoch, position = self.map.position(), "this daemon writes the map");
         self.follower.role.send_replace(MapRole::Writing { epoch });
+        metrics::counter!("tidemap_cluster_takeovers_total").increment(1);
         // What was known of the end of the log is of another time.
         self.sessions.roll_back();
         self.updates.become_due_again();
