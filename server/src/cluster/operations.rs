@@ -4,7 +4,7 @@
 //! Invariant: every answer is this daemon's own. Nothing here waits for another daemon, and nothing is decided about a
 //! log: a move changes an entry of the catalogue, and the writer follows it.
 
-use std::sync::PoisonError;
+use std::{collections::BTreeMap, sync::PoisonError};
 
 use tidemap_cluster::{
     assignment,
@@ -156,7 +156,8 @@ impl Cluster {
 
     /// The number of maps that this daemon does not hold, and whose writers it knows.
     pub(crate) fn known_elsewhere(&self) -> usize {
-        self.0.others.lock().unwrap_or_else(PoisonError::into_inner).len()
+        let others = self.0.others.lock().unwrap_or_else(PoisonError::into_inner);
+        others.iter().flat_map(BTreeMap::values).flatten().count()
     }
 
     /// How far a member is with a map that this daemon writes, as it has reported, and where the log ends; `None`: this
