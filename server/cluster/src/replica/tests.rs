@@ -31,6 +31,7 @@ use crate::{
 
 mod contest;
 mod daemon;
+mod durability;
 
 use daemon::{Ask, Daemon};
 
