@@ -1,7 +1,8 @@
 //! Every operation of a daemon's disk is once the last one before a kill or a power cut. What the shared log has
 //! acknowledged is there afterwards, in order, once.
 //!
-//! `TIDEMAP_SIMULATED_SEEDS` is how many hundreds of seeds are tried; `make durability` sets it.
+//! `TIDEMAP_SIMULATED_SEEDS` is how many hundreds of seeds are tried, from `TIDEMAP_SEED` on; `make durability` and
+//! `make soak` set them.
 
 use tidemap_store::{LogPoint, RecordGroup};
 
@@ -190,11 +191,12 @@ fn simulate_trial(seed: u64, scene: Scene, cut: Option<usize>, planted: Planted)
 
 /// All operations of a scene, or some of them.
 fn try_all(scene: Scene) {
-    let seeds = std::env::var("TIDEMAP_SIMULATED_SEEDS").ok().and_then(|text| text.parse::<u64>().ok());
+    let number = |name| std::env::var(name).ok().and_then(|text: String| text.parse::<u64>().ok());
+    let first = number("TIDEMAP_SEED").unwrap_or(1);
     // A few in each run of all tests.
-    let (seeds, apart) = seeds.map_or((1, 3), |seeds| ((seeds / 100).max(1), 1));
+    let (seeds, apart) = number("TIDEMAP_SIMULATED_SEEDS").map_or((1, 3), |seeds| ((seeds / 100).max(1), 1));
     let (mut tried, mut runs) = (Tried::default(), 0);
-    for seed in 1..=seeds {
+    for seed in first..first + seeds {
         let whole = simulate_trial(seed, scene, None, Planted::Nothing).unwrap_or_else(|error| panic!("{error}"));
         assert!(whole.calls > 60 && whole.acknowledged > 25, "too little was tried: {whole:?}");
         for cut in (0..whole.calls).step_by(apart) {
