@@ -4,7 +4,7 @@
 .DEFAULT_GOAL := help
 .PHONY: help build texts schemathesis api-page palette web web-check demo cluster-demo test wheel python docs lint sbom bench soak cluster-faults fuzz durability install deb clean
 # The tests of `make durability`.
-HARD := test(durability) or package(tidemap-store) or test(random_operations)
+HARD := test(durability) or package(tidemap-store) or test(random_operations) or test(gateway::tests::forward)
 # The recipes of this file share one cargo, and cargo has its own jobs.
 .NOTPARALLEL:
 
@@ -145,6 +145,7 @@ durability: export TIDEMAP_CALL_KILLS ?= 300
 durability: export TIDEMAP_FULL_ROUNDS ?= 100
 durability: export TIDEMAP_SIMULATED_SEEDS ?= 5000
 durability: export TIDEMAP_OPERATIONS ?= 20000
+durability: export TIDEMAP_TOKEN_READS ?= 100000
 durability: export TIDEMAP_FULL := 1
 # With what ships.
 durability: FEATURES :=

@@ -2,6 +2,8 @@
 //!
 //! Invariant: skipped with the reason where there is no nats-server. Every deadline only detects what hangs.
 
+mod other_bits;
+
 use std::{
     fs,
     path::Path,

@@ -53,7 +53,7 @@ const CRATES: [(&str, &str, &[&str]); 17] = [
     ),
     ("client/formats", "tidemap-formats", &["tidemap-map", "tidemap-model", "tidemap-picture"]),
     ("client/sim", "tidemap-sim", &[]),
-    ("tests", "tidemap-tests", &["tidemap-client", "tidemap-cluster", "tidemap-proto", "tidemap-sim"]),
+    ("tests", "tidemap-tests", &["tidemap-client", "tidemap-cluster", "tidemap-proto", "tidemap-sim", "tidemap-store"]),
     // The daemon on a disk with a planted fault. Nothing depends on it.
     ("tests/planted_fault", "tidemapd-planted-fault", &["tidemapd", "tidemap-store"]),
 ];

@@ -282,7 +282,7 @@ impl SimulatedEngine {
     ) -> Result<u64, SetError> {
         let key = key.to_owned();
         self.call(what, PATIENCE, move |world, client| {
-            let ignore_expected = world.defects.ignore_expected;
+            let ignore_expected = world.defects.ignore_expected || world.defects.useless_leases;
             let name = stream_of(bucket);
             let stream = world.led(&name, client)?;
             let newest = stream.seen_by(client).newest(&key);
@@ -342,9 +342,7 @@ impl Engine for SimulatedEngine {
         let what = format!("append to {stream} after {expected_last}");
         let outcome = self
             .call(what, patience, move |world, client| {
-                let ignore_expected = world.defects.ignore_expected;
-                let last = world.led(&name, client)?.seen_by(client).last();
-                if last != expected_last && !ignore_expected {
+                if !world.takes_after(&name, client, expected_last)? {
                     return Err(AppendIfError::NotExpected);
                 }
                 Ok(world.push(&name, client, kept)?)
@@ -471,8 +469,10 @@ impl Engine for SimulatedEngine {
     async fn get(&self, bucket: Bucket, key: &str) -> Result<Option<KeyEntry>, EngineError> {
         let wanted = key.to_owned();
         self.call(format!("get {key} of {bucket:?}"), PATIENCE, move |world, client| {
+            let is_oldest = world.defects.useless_leases && bucket == Bucket::Writers;
             let numbered = world.led(&stream_of(bucket), client)?.seen_by(client);
-            let newest = numbered.newest(&wanted);
+            let oldest = || numbered.all().find(|(_, kept)| kept.key == wanted);
+            let newest = if is_oldest { oldest() } else { numbered.newest(&wanted) };
             Ok(newest.and_then(|(revision, kept)| Some(KeyEntry { value: kept.content.clone()?, revision })))
         })
         .await

@@ -1,5 +1,7 @@
 //! The catalogue on a real store: callers that go away, and a failing store.
 
+mod on_log;
+
 use std::{path::Path, time::Duration};
 
 use tidemap_map::{

@@ -107,6 +107,8 @@ pub(super) struct SimulatedStream {
     pub(super) held: [u64; SERVERS],
     pub(super) leaderless_until: Instant,
     pub(super) full_until: Option<Instant>,
+    /// When the last message came.
+    pub(super) pushed: Option<Instant>,
     pub(super) side: Option<SplitSide>,
 }
 
@@ -119,6 +121,7 @@ impl SimulatedStream {
             held: [0; SERVERS],
             leaderless_until: now,
             full_until: None,
+            pushed: None,
             side: None,
         }
     }

@@ -40,7 +40,7 @@ async fn it_behaves_as_an_engine() {
 #[tokio::test(start_paused = true)]
 async fn an_engine_without_a_fence_does_not_pass_the_suite() {
     let simulation = Simulation::new(1, EngineFaults::none());
-    simulation.plant(PlantedDefects { ignore_expected: true, stale_reads: false });
+    simulation.plant(PlantedDefects { ignore_expected: true, ..PlantedDefects::default() });
     let suite = tokio::spawn(behaves(simulation.client("first"), simulation.client("second"), 3));
     assert!(suite.await.is_err_and(|error| error.is_panic()));
 }
@@ -222,10 +222,10 @@ async fn a_split_acknowledges_on_both_sides_and_keeps_one() {
 #[tokio::test(start_paused = true)]
 async fn planted_defects_show() {
     let (simulation, first, second) = quiet().await;
-    simulation.plant(PlantedDefects { ignore_expected: true, stale_reads: false });
+    simulation.plant(PlantedDefects { ignore_expected: true, ..PlantedDefects::default() });
     assert_eq!(append(&first, 0, "a").await, Ok(1));
     assert_eq!(append(&second, 0, "b").await, Ok(2));
-    simulation.plant(PlantedDefects { ignore_expected: false, stale_reads: true });
+    simulation.plant(PlantedDefects { stale_reads: true, ..PlantedDefects::default() });
     assert_eq!(append(&first, 2, "c").await, Ok(3));
     assert!(second.ends(STREAM).await.expect("ends").last < 3);
     assert_eq!(second.read(STREAM, 3).await, Ok(None));

@@ -18,6 +18,9 @@ use super::{
 };
 use crate::engine::{EngineError, Message};
 
+/// Messages that come within this time come together, for a stream that then takes two.
+const TOGETHER: Duration = Duration::from_millis(50);
+
 /// A message that a client has appended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Acknowledged {
@@ -38,6 +41,10 @@ pub struct PlantedDefects {
     pub ignore_expected: bool,
     /// The ends of a stream and its messages come from a server that lags.
     pub stale_reads: bool,
+    /// A stream takes two messages after the one that both expect, if they come together.
+    pub two_at_one_position: bool,
+    /// A lease looks as if nobody renewed it, and everybody may take it.
+    pub useless_leases: bool,
 }
 
 /// What happens to a request and its reply.
@@ -290,6 +297,16 @@ impl EngineWorld {
         Ok(stream)
     }
 
+    /// Whether a stream takes a message after the one that its sender expects.
+    pub(super) fn takes_after(&mut self, name: &str, client: &str, expected: u64) -> Result<bool, EngineError> {
+        let defects = self.defects;
+        let stream = self.led(name, client)?;
+        let last = stream.seen_by(client).last();
+        let is_together = stream.pushed.is_some_and(|pushed| pushed.elapsed() < TOGETHER);
+        let is_second = defects.two_at_one_position && is_together && expected + 1 == last;
+        Ok(expected == last || is_second || defects.ignore_expected)
+    }
+
     /// Puts a message at the end of a stream.
     pub(super) fn push(&mut self, name: &str, client: &str, kept: Kept) -> Result<u64, EngineError> {
         let runs = self.runs();
@@ -300,6 +317,7 @@ impl EngineWorld {
         }
         let is_split = stream.is_split_for(client);
         let sequence = stream.seen_by(client).push(kept);
+        stream.pushed = Some(Instant::now());
         if !is_split {
             stream.replicate(&runs, lag);
         }

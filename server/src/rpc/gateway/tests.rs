@@ -35,6 +35,7 @@ use crate::{
     rpc::{guard::Access, maintenance::PageAddress, serve::services},
 };
 
+mod forward;
 mod openings;
 mod passing;
 mod streams;
@@ -108,6 +109,11 @@ impl Member {
         restored_first_bytes: u64,
         access: Access,
     ) -> (Self, Vec<UnopenedMap>) {
+        Self::make(name, dir, Making { restored_first_bytes, access, max_states: 100, is_deaf: false }).await
+    }
+
+    async fn make(name: &str, dir: tempfile::TempDir, making: Making) -> (Self, Vec<UnopenedMap>) {
+        let Making { restored_first_bytes, access, max_states, is_deaf } = making;
         let context = Context {
             store: Arc::new(store(dir.path())),
             jobs: Arc::new(Jobs::of_member(name)),
@@ -115,7 +121,7 @@ impl Member {
             update_pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool")),
             fatal: mpsc::unbounded_channel().0,
             forks: mpsc::unbounded_channel().0,
-            max_states: 100,
+            max_states,
             max_producers: 10,
             max_pending: tidemap_map::live_map::PendingLimits { observations: 1_000_000, changes: 1_000_000 },
             update_at_midnight: false,
@@ -136,7 +142,7 @@ impl Member {
         let page = PageAddress { address: ([127, 0, 0, 1], 1).into(), has_tls: false };
         let shared = SharedMaps { peers: Arc::clone(&known) as Arc<dyn Peers>, tls: None, tokens_in_clear: false };
         let services = services(Arc::clone(&catalog), &Settings::default(), page, Some(shared), stopping).await;
-        let address = serve(services.guarded(access)).await;
+        let address = serve(Ears { inner: services.guarded(access), is_deaf }).await;
         let member = Self { catalog, known, address, stop, _dir: dir };
         member.knows(name, &member.address);
         (member, unopened)
@@ -203,6 +209,39 @@ impl Member {
 
     async fn add_state(&self, state: &str) -> Result<tonic::Response<v1::AddStateResponse>, Status> {
         self.maps().await.add_state(new_state(state)).await
+    }
+}
+
+/// How a daemon is made.
+struct Making {
+    restored_first_bytes: u64,
+    access: Access,
+    max_states: usize,
+    /// A planted defect: it does not hear what its clients have seen.
+    is_deaf: bool,
+}
+
+/// A service that hears of what clients have seen, or not.
+#[derive(Clone, Debug)]
+struct Ears<S> {
+    inner: S,
+    is_deaf: bool,
+}
+
+impl<S: Service<http::Request<tonic::body::Body>>> Service<http::Request<tonic::body::Body>> for Ears<S> {
+    type Response = S::Response;
+    type Error = S::Error;
+    type Future = S::Future;
+
+    fn poll_ready(&mut self, context: &mut TaskContext<'_>) -> Poll<Result<(), S::Error>> {
+        self.inner.poll_ready(context)
+    }
+
+    fn call(&mut self, mut request: http::Request<tonic::body::Body>) -> S::Future {
+        if self.is_deaf {
+            request.headers_mut().remove(AT_LEAST);
+        }
+        self.inner.call(request)
     }
 }
 

@@ -4,16 +4,17 @@
 
 use std::{
     collections::{BTreeMap, VecDeque},
-    sync::{Arc, Mutex},
+    sync::{Arc, Mutex, atomic::AtomicU64},
     time::Duration,
 };
 
 use rand::{SeedableRng as _, rngs::SmallRng};
 use tidemap_map::{
-    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind},
+    event::{Envelope, Event, NewState, Observations, OffsetRun, SequenceSpan, StateKind, UpdateCause, UpdateStart},
     ids::{ProducerId, StateId},
     live_map::LiveMap,
     name::{MapName, ProducerKey, StateName},
+    snapshot::MapSnapshot,
     spec::MapSpec,
 };
 use tidemap_store::{
@@ -29,12 +30,17 @@ use tokio::{
 use super::{super::*, Seen, UID};
 use crate::{engine::Bucket, member::MemberReport, simulated::SimulatedEngine};
 
+/// Each update learns so much more of the producers' time.
+const LEARNED_NANOS: i64 = 8_000_000_000;
+
 /// What a producer asks of the map.
 pub(super) enum Ask {
     /// How far its sequence is durable; `None`: this daemon does not write the map.
     Welcome(String, oneshot::Sender<Option<u64>>),
     /// To take so many observations from a sequence number on; answered with the durable one.
     Observe(String, u64, u32, oneshot::Sender<Option<u64>>),
+    /// To learn what was observed so far; answered with the number of the generation.
+    Update(oneshot::Sender<Option<u64>>),
 }
 
 enum Inbox {
@@ -65,13 +71,63 @@ pub(super) fn new_disk(seed: u64) -> SimulatedDisk {
 }
 
 fn options() -> StoreOptions {
-    StoreOptions { segment_bytes: 4000, ..StoreOptions::default() }
+    StoreOptions { segment_bytes: 900, ..StoreOptions::default() }
+}
+
+/// A disk with its map, as a start finds it.
+pub(super) struct OpenedDisk {
+    store: Store,
+    id: MapId,
+    pub(super) map: LiveMap,
+    pub(super) generation: u64,
+}
+
+impl OpenedDisk {
+    /// Whether checkpoints have taken the place of the log's beginning.
+    pub(super) fn is_shortened(&self) -> bool {
+        self.store.group_log(self.id).expect("open").groups(1).is_err()
+    }
+}
+
+/// Opens the store of a disk and the map in it, which is made where there is none.
+pub(super) fn open_disk(disk: &SimulatedDisk) -> Result<OpenedDisk, String> {
+    let store = simulation::open(disk, options()).map_err(|error| error.to_string())?;
+    let id = match store.maps().first() {
+        Some(&(map, _)) => map,
+        None => store.create_map(&spec()).map_err(|error| error.to_string())?,
+    };
+    let opened = store.open_map(id, &spec()).map_err(|error| error.to_string())?;
+    let (known, mut generation) =
+        opened.snapshot.as_ref().map_or((0, 0), |snapshot| (snapshot.position, snapshot.generation));
+    let mut map = match opened.snapshot {
+        Some(snapshot) => LiveMap::restore(Arc::new(spec()), snapshot),
+        None => LiveMap::new(Arc::new(spec())),
+    };
+    for entry in opened.replay {
+        let (position, event) = entry.map_err(|error| error.to_string())?;
+        if position <= known {
+            map.recover_pending(position, &event).map_err(|error| error.to_string())?;
+        } else if let Some(snapshot) = applied(&mut map, position, &event)? {
+            generation = snapshot.generation;
+        }
+    }
+    Ok(OpenedDisk { store, id, map, generation })
+}
+
+/// Applies an event. An update runs at once; gives what it has made.
+fn applied(map: &mut LiveMap, position: u64, event: &Event) -> Result<Option<MapSnapshot>, String> {
+    let Some(work) = map.apply(position, event).map_err(|error| error.to_string())? else { return Ok(None) };
+    let result = work.run(&AtomicU64::new(0)).map_err(|error| error.to_string())?;
+    Ok(Some(map.finish_update(result)))
 }
 
 /// The thread of the map.
 struct MapTask {
     name: String,
+    store: Store,
+    id: MapId,
     map: LiveMap,
+    generation: u64,
     log: SharedLog,
     inbox: mpsc::UnboundedReceiver<Inbox>,
     sender: mpsc::UnboundedSender<Inbox>,
@@ -95,17 +151,7 @@ impl Daemon {
         forked: oneshot::Sender<u64>,
         planted: Planted,
     ) -> Daemon {
-        let store = simulation::open(disk, options()).expect("the disk is sound");
-        let map = match store.maps().first() {
-            Some(&(map, _)) => map,
-            None => store.create_map(&spec()).expect("created"),
-        };
-        let opened = store.open_map(map, &spec()).expect("the log is sound");
-        let mut live = LiveMap::new(Arc::new(spec()));
-        for entry in opened.replay {
-            let (position, event) = entry.expect("sound");
-            live.apply(position, &event).expect("follows");
-        }
+        let OpenedDisk { store, id, map: live, generation } = open_disk(disk).expect("the disk is sound");
         let settings = ReplicaSettings {
             map: UID,
             stream: "tm".to_owned(),
@@ -123,12 +169,15 @@ impl Daemon {
         let (sender, inbox) = mpsc::unbounded_channel();
         let listening = sender.clone();
         let listener: ReplicaListener = Arc::new(move |event| drop(listening.send(Inbox::Told(event))));
-        let group_log = store.group_log(map).expect("open");
+        let group_log = store.group_log(id).expect("open");
         let (replica, handle, log) = Replica::new(engine.clone(), settings, group_log, listener);
         handle.set_candidacy(Some(rank));
         let task = MapTask {
             name: name.to_owned(),
+            store: store.clone(),
+            id,
             map: live,
+            generation,
             log: log.clone(),
             inbox,
             sender: sender.clone(),
@@ -144,7 +193,7 @@ impl Daemon {
         tasks.spawn(task.run());
         tasks.spawn(replica.run());
         tasks.spawn(report(name.to_owned(), engine, log.clone()));
-        Daemon { handle, log, store, map, asks: sender, tasks }
+        Daemon { handle, log, store, map: id, asks: sender, tasks }
     }
 
     pub(super) async fn ask(&self, ask: Ask) {
@@ -210,7 +259,11 @@ impl MapTask {
     }
 
     fn apply(&mut self, position: u64, event: &Event) {
-        self.map.apply(position, event).expect("the log fits the map");
+        if let Some(snapshot) = applied(&mut self.map, position, event).expect("the log fits the map") {
+            self.generation = snapshot.generation;
+            // A save that fails leaves the one before and the log.
+            let _ = self.store.save(self.id, &snapshot);
+        }
     }
 
     fn committed(&mut self, result: &Result<u64, AppendError>) {
@@ -218,7 +271,10 @@ impl MapTask {
         match result {
             &Ok(position) => {
                 self.apply(position, &event);
-                let envelope = event.envelope().expect("of a producer");
+                let Some(envelope) = event.envelope() else {
+                    let _ = reply.send(Some(self.generation));
+                    return;
+                };
                 let mark = &self.map.producer_marks()[envelope.producer.0 as usize];
                 let mut seen = self.seen.lock().expect("sound");
                 seen.acknowledged(mark.key.producer(), envelope.span.last, self.epoch, position);
@@ -243,10 +299,19 @@ impl MapTask {
                 let durable = self.durable(&producer).map_or(0, |(_, durable)| durable);
                 let _ = reply.send((self.is_writing && self.log.is_current()).then_some(durable));
             }
-            Ask::Observe(_, _, _, reply) if !self.is_writing => {
+            Ask::Observe(_, _, _, reply) | Ask::Update(reply) if !self.is_writing => {
                 let _ = reply.send(None);
             }
             ask @ Ask::Observe(..) if self.has_failed => self.waiting.push(ask),
+            ask @ Ask::Update(_) if self.has_failed || !self.in_flight.is_empty() => self.waiting.push(ask),
+            Ask::Update(reply) => {
+                let generation = self.generation + 1;
+                let cut_nanos = generation as i64 * LEARNED_NANOS;
+                self.append(
+                    Event::UpdateStart(UpdateStart { generation, cut_nanos, cause: UpdateCause::Request }),
+                    reply,
+                );
+            }
             Ask::Observe(producer, first, count, reply) => {
                 let known = self.durable(&producer);
                 let in_flight = |(event, _): &(Event, _)| {
@@ -263,13 +328,17 @@ impl MapTask {
                     return;
                 }
                 let event = self.event(&producer, known.map(|(id, _)| id), first, count);
-                let sender = self.sender.clone();
-                match self.log.append(&event, Box::new(move |result| drop(sender.send(Inbox::Committed(result))))) {
-                    Ok(()) => self.in_flight.push_back((event, reply)),
-                    Err(_) => {
-                        let _ = reply.send(None);
-                    }
-                }
+                self.append(event, reply);
+            }
+        }
+    }
+
+    fn append(&mut self, event: Event, reply: oneshot::Sender<Option<u64>>) {
+        let sender = self.sender.clone();
+        match self.log.append(&event, Box::new(move |result| drop(sender.send(Inbox::Committed(result))))) {
+            Ok(()) => self.in_flight.push_back((event, reply)),
+            Err(_) => {
+                let _ = reply.send(None);
             }
         }
     }
