@@ -15,13 +15,16 @@ use std::{
 };
 
 use tidemap_map::spec::MapSpec;
-use tidemap_migrations::v1::lists::{CHECKPOINTS_FILE, NEWEST_FILE, NewestSegment};
+use tidemap_migrations::{
+    v1::lists::{CHECKPOINTS_FILE, NEWEST_FILE, NewestSegment},
+    v3::FORKS_FOLDER,
+};
 
 use super::{ArrivedNames, CopiedFile, CopyError, CopyPart, CopyTotal, arriving::ArrivingFile, invalid};
 use crate::{
     MapId, Store,
     checkpoint::Checkpoints,
-    disk::Disk,
+    disk::{Disk, read_all},
     error::{OpenError, Report, StoreError, open_io, store_io},
     folders,
     history::History,
@@ -174,6 +177,7 @@ impl MapCopy {
         let entry = inner.close_log(map).ok_or(StoreError::UnknownMap(map))?;
         let _busy = entry.busy.lock().unwrap_or_else(PoisonError::into_inner);
         let (disk, copied) = (&*inner.disk, copied_folder(&inner.directory, map));
+        keep_forks(disk, &folders::map_folder(&inner.directory, map), &self.folder)?;
         disk.rename(&self.folder, &copied).map_err(store_io(&copied))?;
         self.is_installed = true;
         let maps = folders::maps_folder(&inner.directory);
@@ -190,6 +194,26 @@ impl Drop for MapCopy {
             let _ = self.store.inner().disk.remove_folder(&self.folder);
         }
     }
+}
+
+/// Copies the forks of a map, which are this store's own, from its folder to another one; durable when this returns.
+fn keep_forks(disk: &dyn Disk, from: &Path, to: &Path) -> Result<(), StoreError> {
+    let (from, forks) = (from.join(FORKS_FOLDER), to.join(FORKS_FOLDER));
+    let names = match disk.list(&from) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        names => names.map_err(store_io(&from))?,
+    };
+    let copy = || {
+        disk.create_folder(&forks)?;
+        for name in names {
+            let mut file = disk.create(&forks.join(&name))?;
+            file.append(&read_all(disk, &from.join(&name))?)?;
+            file.sync()?;
+        }
+        disk.sync_folder(&forks)?;
+        disk.sync_folder(to)
+    };
+    copy().map_err(store_io(&forks))
 }
 
 fn copied_folder(directory: &Path, map: MapId) -> PathBuf {

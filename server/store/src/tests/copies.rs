@@ -105,8 +105,12 @@ fn a_map_that_is_replaced_is_set_aside_also_by_the_next_start() {
     let map = store.create_shared_map(&spec, UID).expect("creates");
     let log = store.open_map(map, &spec).expect("opens").log;
     append(&log, &event(1)).expect("appends");
+    append(&log, &event(2)).expect("appends");
+    let fork = store.set_fork_aside(map, 1).expect("readable").expect("a fork");
+    store.open_map(map, &spec).expect("opens");
     assert_eq!(take(&store, &spec, Some(map), &parts), map);
     assert!(append(&log, &event(2)).is_err(), "the old log is closed");
+    assert_eq!(store.forks(map).expect("readable"), [fork]);
     assert_eq!(store.open_map(map, &spec).expect("opens").log.end(), 40);
     assert_eq!(names(&to), ["00000001", "00000001.replaced-1"]);
     drop((log, store));
