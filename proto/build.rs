@@ -5,7 +5,7 @@ use std::{env, error::Error, fs, path::PathBuf};
 
 use prost::Message as _;
 
-const FILES: [&str; 12] = [
+const FILES: [&str; 13] = [
     "types",
     "map",
     "observation",
@@ -18,6 +18,7 @@ const FILES: [&str; 12] = [
     "task",
     "maintenance",
     "cluster",
+    "peer",
 ];
 
 fn main() -> Result<(), Box<dyn Error>> {

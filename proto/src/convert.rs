@@ -26,6 +26,7 @@ pub mod anomaly;
 pub mod cells;
 pub mod classify;
 pub mod columns;
+pub mod copies;
 pub mod enabled;
 pub mod erasure;
 pub mod exploration;

@@ -4,6 +4,7 @@
 //! that does not know its caller may see no map. Tokens are kept as hashes, and no message, log or `Debug` shows one.
 
 pub(crate) mod keyring;
+pub(crate) mod peer_secret;
 pub(crate) mod places;
 pub(crate) mod table;
 pub(crate) mod token_command;
@@ -138,6 +139,8 @@ pub(crate) enum Caller {
     Reader,
     /// Somebody without a token, where tokens are configured: nothing is allowed beyond what is open.
     Stranger,
+    /// Another daemon of the cluster: only what is for daemons is allowed.
+    Peer,
     /// The holder of a token.
     Holder(Arc<Token>),
 }
@@ -165,6 +168,7 @@ impl Caller {
         match self {
             Self::Anybody | Self::Reader => "anybody",
             Self::Stranger => "stranger",
+            Self::Peer => "another daemon",
             Self::Holder(token) => &token.id,
         }
     }
@@ -174,7 +178,7 @@ impl Caller {
         match self {
             Self::Anybody => true,
             Self::Reader => role == Role::Planner,
-            Self::Stranger => false,
+            Self::Stranger | Self::Peer => false,
             Self::Holder(token) => token.roles.iter().any(|held| held.includes(role)),
         }
     }
@@ -183,7 +187,7 @@ impl Caller {
     pub(crate) fn covers(&self, map: &str) -> bool {
         match self {
             Self::Anybody | Self::Reader => true,
-            Self::Stranger => false,
+            Self::Stranger | Self::Peer => false,
             Self::Holder(token) => token.maps.iter().any(|pattern| pattern.matches(map)),
         }
     }
@@ -192,7 +196,7 @@ impl Caller {
     pub(crate) fn may_send_as(&self, producer: &str) -> bool {
         match self {
             Self::Anybody => true,
-            Self::Reader | Self::Stranger => false,
+            Self::Reader | Self::Stranger | Self::Peer => false,
             Self::Holder(token) => token.producers.iter().any(|pattern| pattern.matches(producer)),
         }
     }
@@ -201,7 +205,7 @@ impl Caller {
     pub(crate) fn covers_all(&self) -> bool {
         match self {
             Self::Anybody | Self::Reader => true,
-            Self::Stranger => false,
+            Self::Stranger | Self::Peer => false,
             Self::Holder(token) => token.maps.iter().any(|pattern| pattern.0 == "*"),
         }
     }

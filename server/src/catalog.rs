@@ -21,7 +21,7 @@ use std::{
 
 use arc_swap::ArcSwap;
 use tidemap_map::{live_map::LiveMap, name::MapName, spec::MapSpec, update::SumsUnavailable};
-use tidemap_store::{EraseError, MapId, OpenError, StoreError};
+use tidemap_store::{CopyError, EraseError, MapCopy, MapId, OpenError, StoreError};
 use tracing::{error, info, warn};
 
 use crate::{
@@ -81,6 +81,8 @@ pub(crate) enum CatalogError {
     NoProducer { map: MapName, producer: String, label: Option<String> },
     #[error(transparent)]
     Cluster(#[from] ClusterError),
+    #[error(transparent)]
+    Copy(#[from] CopyError),
     #[error("map {0} belongs to a cluster: start the daemon with its section [cluster]")]
     NoCluster(MapName),
     #[error("map {0} belongs to a cluster, from which nothing can be erased yet: delete the map to remove its data")]
@@ -115,6 +117,7 @@ pub(crate) struct UnavailableMap {
 
 type ByName = BTreeMap<MapName, Arc<MapHandle>>;
 
+mod copies;
 pub(crate) mod erasure;
 mod fork;
 mod restore;
@@ -136,6 +139,16 @@ pub(crate) struct Catalog {
     changing: Arc<tokio::sync::Mutex<bool>>,
     /// Ends the restoring of maps.
     pub(crate) is_stopping: Arc<AtomicBool>,
+}
+
+/// How a map comes to be.
+enum MapOrigin {
+    /// Empty, and of this daemon alone.
+    Alone,
+    /// Empty, and one of a cluster.
+    Shared(u64),
+    /// Of a copy of another daemon's, which is complete.
+    Copied(Box<MapCopy>, u64),
 }
 
 /// A map that shows what the index publishes, and that is still to be restored.
@@ -279,8 +292,8 @@ impl Catalog {
         }
         self.check_new(&spec)?;
         let shared = match &self.context.cluster {
-            Some(cluster) => Some(cluster.create(&spec).await?),
-            None => None,
+            Some(cluster) => MapOrigin::Shared(cluster.create(&spec).await?),
+            None => MapOrigin::Alone,
         };
         self.add(spec, shared).await
     }
@@ -303,7 +316,7 @@ impl Catalog {
                 return Ok(());
             }
             this.check_new(&spec)?;
-            this.add(spec, Some(uid)).await.map(drop)
+            this.add(spec, MapOrigin::Shared(uid)).await.map(drop)
         }))
         .await
     }
@@ -321,15 +334,16 @@ impl Catalog {
         Ok(())
     }
 
-    /// Adds a map, which is one of a cluster or not. Called with the lock of changes.
-    async fn add(&self, spec: MapSpec, shared: Option<u64>) -> Result<Arc<MapHandle>, CatalogError> {
+    /// Adds a map. Called with the lock of changes.
+    async fn add(&self, spec: MapSpec, new: MapOrigin) -> Result<Arc<MapHandle>, CatalogError> {
         let mut maps = ByName::clone(&self.maps.load());
         let context = self.context.clone();
         let name = spec.name.clone();
         let handle = ended(crate::task::blocking(move || {
-            let id = match shared {
-                Some(uid) => context.store.create_shared_map(&spec, uid)?,
-                None => context.store.create_map(&spec)?,
+            let (id, shared) = match new {
+                MapOrigin::Alone => (context.store.create_map(&spec)?, None),
+                MapOrigin::Shared(uid) => (context.store.create_shared_map(&spec, uid)?, Some(uid)),
+                MapOrigin::Copied(copy, uid) => (copy.install()?.0, Some(uid)),
             };
             open_map(&context, (id, shared), &Arc::new(spec)).inspect_err(|_| {
                 // An unlisted map could be neither used nor deleted, and would take its name at the next start.

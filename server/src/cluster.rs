@@ -29,8 +29,12 @@ use tokio::{
 };
 use tracing::{info, warn};
 
-use crate::{config::cluster::ClusterSettings, peers::Peers, random_id::random_id, telemetry};
+use self::copies::CopyWishes;
+use crate::{
+    access::peer_secret::PeerSecret, config::cluster::ClusterSettings, peers::Peers, random_id::random_id, telemetry,
+};
 
+pub(crate) mod copies;
 pub(crate) mod operations;
 
 /// Pause before the engine is tried again at the start.
@@ -89,6 +93,8 @@ struct Membership {
     /// Wakes who keeps the catalogue.
     changed: Notify,
     is_draining: watch::Sender<bool>,
+    secret: PeerSecret,
+    wishes: Mutex<CopyWishes>,
     /// The maps that this daemon does not hold, and their writers as far as they are known; `None`: the catalogue has
     /// not been read yet.
     others: Mutex<Option<BTreeMap<String, Option<String>>>>,
@@ -126,16 +132,17 @@ fn nats_settings(settings: &ClusterSettings) -> NatsSettings {
     }
 }
 
-/// The engine, the identity of the cluster, and how far the own logs of this daemon went at its last report.
-type Connected = (NatsEngine, String, BTreeMap<u64, u64>);
+/// The engine, the identity and the secret of the cluster, and how far the own logs of this daemon went at its last report.
+type Connected = (NatsEngine, String, PeerSecret, BTreeMap<u64, u64>);
 
 async fn try_to_connect(settings: &ClusterSettings, proposed: &str) -> Result<Connected, ClusterError> {
     let engine = NatsEngine::connect(nats_settings(settings)).await?;
     check(&engine, settings.require_synced_engine).await?;
     engine.create_buckets(settings.engine_replicas).await?;
     let id = catalogue::cluster_id(&engine, proposed).await?;
+    let secret = catalogue::cluster_secret(&engine, &random_id().unwrap_or_default()).await?;
     let before = membership::last_report(&engine, &settings.member).await?;
-    Ok((engine, id, before.unwrap_or_default().logs))
+    Ok((engine, id, PeerSecret::new(secret), before.unwrap_or_default().logs))
 }
 
 /// The URLs of servers as a log may show them: without user and password.
@@ -171,7 +178,7 @@ impl Cluster {
     pub(crate) async fn connect(settings: &ClusterSettings, start: ClusterStart) -> Result<Cluster, ClusterError> {
         let ClusterStart { listen, proposed_id, held, fatal } = start;
         let mut attempts = 0_u64;
-        let (engine, id, ends) = loop {
+        let (engine, id, secret, ends) = loop {
             match try_to_connect(settings, &proposed_id).await {
                 Ok(connected) => break connected,
                 Err(error) if error.is_passing() => {
@@ -201,6 +208,8 @@ impl Cluster {
             fatal,
             changed: Notify::new(),
             is_draining: watch::Sender::new(false),
+            secret,
+            wishes: Mutex::default(),
             others: Mutex::default(),
         })))
     }
@@ -345,6 +354,7 @@ impl Cluster {
     fn report(&self, counter: u64) -> MemberReport {
         let inner = &self.0;
         let mut logs = self.ends().clone();
+        let covers = self.replicas().iter().map(|(&uid, replica)| (uid, replica.log.checkpoint())).collect();
         logs.extend(self.replicas().iter().map(|(&uid, replica)| (uid, replica.log.end())));
         MemberReport {
             address: inner.address.clone(),
@@ -356,6 +366,7 @@ impl Cluster {
             counter,
             draining: *inner.is_draining.borrow(),
             logs,
+            covers,
         }
     }
 

@@ -21,11 +21,13 @@ use crate::{
     config::Settings,
     http,
     random_id::random_id,
+    rpc::copies::CopyClient,
     scrubber::Scrubber,
     silent_producers::SilentProducers,
     telemetry::{self, traces::Traces},
 };
 
+mod copying;
 mod keeping;
 mod opening;
 mod ports;
@@ -126,8 +128,13 @@ pub(crate) async fn run(settings: Settings, disk: Arc<dyn Disk>) -> Result<(), D
     let mut ports = Ports::serve(served, protection).await?;
     tell_ready(&settings, &store, &ports);
 
-    let keep = |cluster: &Cluster| crate::task::spawn(keeping::keep(cluster.clone(), Arc::clone(&catalog)));
-    let keeping = cluster.as_ref().map(keep);
+    let keeping = match (cluster.clone(), ports::shared_maps(&settings, &catalog)?) {
+        (Some(cluster), Some(shared)) => {
+            let client = CopyClient::new(shared, cluster.secret());
+            Some(crate::task::spawn(keeping::keep(cluster, Arc::clone(&catalog), client)))
+        }
+        _ => None,
+    };
     let scrubber = Scrubber::start(&store, &settings);
     if let Some(schedule) = Schedule::of(&settings) {
         crate::task::spawn(schedule.run(Arc::clone(&catalog), stop_sender.subscribe()));

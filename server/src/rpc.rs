@@ -4,6 +4,7 @@
 
 pub(crate) mod admission;
 pub(crate) mod cluster;
+pub(crate) mod copies;
 pub(crate) mod exploration;
 pub(crate) mod forks;
 pub(crate) mod gateway;

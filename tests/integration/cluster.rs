@@ -26,8 +26,8 @@ use crate::json_output::validate;
 mod metrics;
 
 /// By then whatever is waited for has happened, or hangs.
-const WITHIN: Duration = Duration::from_secs(120);
-const POLL: Duration = Duration::from_millis(200);
+pub(crate) const WITHIN: Duration = Duration::from_secs(120);
+pub(crate) const POLL: Duration = Duration::from_millis(200);
 const NAMES: [&str; 3] = ["north", "east", "west"];
 
 fn start(folder: &Path, name: &str, engine: &NatsServers) -> Daemon {
@@ -35,7 +35,7 @@ fn start(folder: &Path, name: &str, engine: &NatsServers) -> Daemon {
 }
 
 /// With so many servers of the engine, and more lines of the section.
-fn start_with(folder: &Path, name: &str, engine: (&NatsServers, usize), more: &str) -> Daemon {
+pub(crate) fn start_with(folder: &Path, name: &str, engine: (&NatsServers, usize), more: &str) -> Daemon {
     launch(folder, name, engine, more).start()
 }
 
@@ -56,7 +56,7 @@ fn launch(folder: &Path, name: &str, (engine, count): (&NatsServers, usize), mor
 }
 
 /// Repeats a command until its outcome is as expected.
-fn eventually(daemon: &Daemon, line: &str, is_expected: impl Fn(&Outcome) -> bool) -> Outcome {
+pub(crate) fn eventually(daemon: &Daemon, line: &str, is_expected: impl Fn(&Outcome) -> bool) -> Outcome {
     let begun = Instant::now();
     loop {
         let outcome = tidemap(daemon, line.split(' '));
@@ -69,7 +69,7 @@ fn eventually(daemon: &Daemon, line: &str, is_expected: impl Fn(&Outcome) -> boo
 }
 
 /// The member that writes the map, if one does.
-fn writer(outcome: &Outcome) -> Option<String> {
+pub(crate) fn writer(outcome: &Outcome) -> Option<String> {
     if outcome.code == Some(2) && outcome.stdout.is_empty() {
         return None;
     }
@@ -102,18 +102,18 @@ fn day(folder: &Path, number: i64) -> String {
     file.display().to_string()
 }
 
-struct Members(Vec<(&'static str, Daemon)>);
+pub(crate) struct Members(pub(crate) Vec<(&'static str, Daemon)>);
 
 impl Members {
-    fn of(&self, name: &str) -> &Daemon {
+    pub(crate) fn of(&self, name: &str) -> &Daemon {
         &self.0.iter().find(|(known, _)| *known == name).unwrap_or_else(|| panic!("{name} does not run")).1
     }
 
-    fn first(&self) -> &Daemon {
+    pub(crate) fn first(&self) -> &Daemon {
         &self.0[0].1
     }
 
-    fn take(&mut self, name: &str) -> Daemon {
+    pub(crate) fn take(&mut self, name: &str) -> Daemon {
         let at = self.0.iter().position(|(known, _)| *known == name).expect("it runs");
         self.0.remove(at).1
     }

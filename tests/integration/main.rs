@@ -7,6 +7,7 @@ mod bad_input;
 mod categories;
 mod changes_and_events;
 mod cluster;
+mod cluster_joining;
 mod crowds;
 mod deploy;
 mod durability;

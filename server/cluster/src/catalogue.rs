@@ -13,6 +13,7 @@ use crate::engine::{Bucket, Engine, EngineError, SetError};
 const NAME_PREFIX: &str = "name.";
 const DELETED_PREFIX: &str = "deleted.";
 const ID_KEY: &str = "cluster";
+const SECRET_KEY: &str = "secret";
 
 /// A map of the cluster.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -76,11 +77,25 @@ pub struct Listing {
 /// # Errors
 /// [`EngineError`].
 pub async fn cluster_id<E: Engine>(engine: &E, proposed: &str) -> Result<String, EngineError> {
-    match engine.set_if(Bucket::Maps, ID_KEY, 0, Bytes::from(proposed.to_owned())).await {
+    made_once(engine, ID_KEY, proposed).await
+}
+
+/// The secret by which the daemons of the cluster know each other, which is made by the first daemon that asks. Whoever
+/// can read it can read the logs of the maps as well.
+///
+/// # Errors
+/// [`EngineError`].
+pub async fn cluster_secret<E: Engine>(engine: &E, proposed: &str) -> Result<String, EngineError> {
+    made_once(engine, SECRET_KEY, proposed).await
+}
+
+/// The value of a key that is set once.
+async fn made_once<E: Engine>(engine: &E, key: &str, proposed: &str) -> Result<String, EngineError> {
+    match engine.set_if(Bucket::Maps, key, 0, Bytes::from(proposed.to_owned())).await {
         Ok(_) => Ok(proposed.to_owned()),
         Err(_) => {
-            let entry = engine.get(Bucket::Maps, ID_KEY).await?;
-            let missing = || EngineError::Unavailable("the cluster has no id yet".to_owned());
+            let entry = engine.get(Bucket::Maps, key).await?;
+            let missing = || EngineError::Unavailable(format!("the cluster has no {key} yet"));
             Ok(String::from_utf8_lossy(&entry.ok_or_else(missing)?.value).into_owned())
         }
     }
@@ -165,6 +180,11 @@ mod tests {
         engine.create_buckets(3).await.expect("made");
         let id = cluster_id(&engine, "one").await.expect("made");
         assert_eq!((id.as_str(), cluster_id(&engine, "two").await.expect("there").as_str()), ("one", "one"));
+        let secret = cluster_secret(&engine, "first").await.expect("made");
+        assert_eq!(
+            (secret.as_str(), cluster_secret(&engine, "second").await.expect("there").as_str()),
+            ("first", "first")
+        );
         let map = ClusterMap::new(0xAB, &[1, 2, 255]);
         add(&engine, "office", &map).await.expect("new");
         assert_eq!(add(&engine, "office", &ClusterMap::new(2, &[])).await, Err(SetError::NotExpected));

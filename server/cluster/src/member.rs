@@ -37,6 +37,9 @@ pub struct MemberReport {
     /// By the number of the map in the cluster: the position up to which its own log is durable.
     #[serde(default)]
     pub logs: BTreeMap<u64, u64>,
+    /// By the number of the map in the cluster: the position that its newest checkpoint covers.
+    #[serde(default)]
+    pub covers: BTreeMap<u64, u64>,
 }
 
 impl MemberReport {

@@ -70,6 +70,18 @@ pub fn candidates(members: &Members) -> Vec<Candidate> {
     members.iter().filter(usable).map(candidate).collect()
 }
 
+/// The last record of a map that the checkpoints of two members cover, of all members where fewer hold the map; 0: none.
+/// A member that is gone covers nothing, and may come back without its disk.
+#[must_use]
+pub fn covered(members: &Members, uid: u64) -> u64 {
+    let holders: Vec<&Member> = members.values().filter(|member| member.report.logs.contains_key(&uid)).collect();
+    let alive = holders.iter().filter(|member| member.is_alive);
+    let mut covers: Vec<u64> = alive.filter_map(|member| member.report.covers.get(&uid).copied()).collect();
+    covers.sort_unstable_by(|a, b| b.cmp(a));
+    let needed = holders.len().min(2);
+    needed.checked_sub(1).and_then(|at| covers.get(at)).copied().unwrap_or(0)
+}
+
 /// Judges which members are alive.
 #[derive(Debug, Default)]
 struct Judgement {
@@ -155,6 +167,24 @@ pub async fn run<E: Engine>(
 mod tests {
     use super::*;
     use crate::simulated::{EngineFaults, Simulation};
+
+    #[test]
+    fn what_two_members_cover_that_are_alive_is_covered() {
+        let member = |name: &str, cover: u64, is_alive| {
+            let map = |position| BTreeMap::from([(7, position)]);
+            let report = MemberReport { logs: map(100), covers: map(cover), ..MemberReport::default() };
+            (name.to_owned(), Member { report, is_alive, ..Member::default() })
+        };
+        let both = |members: &[(String, Member)]| covered(&members.iter().cloned().collect(), 7);
+        let (a, b, c) = (member("a", 90, true), member("b", 50, true), member("c", 70, true));
+        assert_eq!(both(&[]), 0);
+        assert_eq!(both(std::slice::from_ref(&a)), 90, "nobody else holds it");
+        assert_eq!(both(&[a.clone(), b.clone(), c.clone()]), 70);
+        let (gone, new) = (member("c", 70, false), member("d", 0, true));
+        assert_eq!(both(&[a.clone(), b, gone.clone()]), 50);
+        assert_eq!(both(&[a.clone(), gone]), 0, "only one that is alive covers anything");
+        assert_eq!(both(&[a, new]), 0);
+    }
 
     #[tokio::test(start_paused = true)]
     async fn a_member_that_reports_nothing_new_is_gone() {

@@ -19,6 +19,7 @@ mod lease_keeper;
 mod send;
 mod settings;
 mod shared_log;
+mod shorten;
 mod take_over;
 #[cfg(test)]
 mod tests;
@@ -32,6 +33,7 @@ pub use settings::Planted;
 pub use settings::ReplicaSettings;
 use shared_log::LogState;
 pub use shared_log::SharedLog;
+pub use shorten::{Shortening, shorten};
 
 /// The handle of a replica. Dropped, the replica stops.
 pub struct ReplicaHandle {

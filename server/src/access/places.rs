@@ -99,6 +99,7 @@ const PLACES: &[(&str, Place)] = &[
     ("/tidemap.v1.ClusterService/ReadFork", Place::Anywhere),
     ("/tidemap.v1.ClusterService/Drain", Place::Anywhere),
     ("/tidemap.v1.ClusterService/ForgetMember", Place::Anywhere),
+    ("/tidemap.v1.PeerService/FetchMap", Place::Anywhere),
 ];
 
 /// Where the requests of a path can be answered; a method that does not exist is refused anywhere.

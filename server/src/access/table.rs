@@ -16,6 +16,8 @@ pub(crate) enum Need {
     Role(Role),
     /// A token with this role, or one that includes it, for all maps: the method acts on the daemon as a whole.
     AllMaps(Role),
+    /// The secret of the cluster: the method is for the other daemons.
+    Peer,
 }
 
 const fn role(role: Role) -> Need {
@@ -105,6 +107,7 @@ const TABLE: &[(&str, Need)] = &[
     ("/tidemap.v1.ClusterService/ReadFork", role(Admin)),
     ("/tidemap.v1.ClusterService/Drain", Need::AllMaps(Admin)),
     ("/tidemap.v1.ClusterService/ForgetMember", Need::AllMaps(Admin)),
+    ("/tidemap.v1.PeerService/FetchMap", Need::Peer),
 ];
 
 /// What the method of a path needs; `None` if there is no such method.
@@ -188,8 +191,10 @@ mod tests {
                 let request = messages.iter().find(|message| message.name() == name).expect("a request");
                 let is_map = |field: &str| field == "map" || (field == "name" && method.name().ends_with("Map"));
                 let names_a_map = request.field.iter().any(|field| is_map(field.name()));
-                if !LIMITED_TO_MAPS.contains(&method.name()) && !names_a_map {
-                    of_daemon.push(format!("/tidemap.v1.{}/{}", service.name(), method.name()));
+                let path = format!("/tidemap.v1.{}/{}", service.name(), method.name());
+                let is_for_peers = need(&path) == Some(Need::Peer);
+                if !LIMITED_TO_MAPS.contains(&method.name()) && !names_a_map && !is_for_peers {
+                    of_daemon.push(path);
                 }
             }
         }

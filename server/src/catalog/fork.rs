@@ -5,11 +5,15 @@
 
 use std::sync::Arc;
 
-use tidemap_map::live_map::LiveMap;
+use tidemap_map::{live_map::LiveMap, name::MapName};
+use tidemap_store::MapId;
 use tracing::{error, warn};
 
 use super::{ByName, Catalog, CatalogError, ended, restore_map, share};
-use crate::ingest::{handle::MapHandle, writer::ForkedMap, writer::start_in};
+use crate::ingest::{
+    handle::MapHandle,
+    writer::{Context, ForkedMap, start_in},
+};
 
 impl Catalog {
     /// Sets the fork of a map aside, whose writer has stopped, and opens the map again. A map that cannot be opened is
@@ -25,40 +29,31 @@ impl Catalog {
         if let (Some(cluster), Some(uid)) = (&self.context.cluster, old.shared_uid) {
             cluster.unshare(uid).await;
         }
-        let spec = Arc::clone(&old.spec);
+        self.open_again(old, move |context| set_aside(context, id, &map, common)).await;
+    }
+
+    /// Opens a map again whose writer has stopped, after something was done to its files. A map that cannot be opened
+    /// is set aside. Called with the lock of changes.
+    pub(super) async fn open_again(
+        &self,
+        old: Arc<MapHandle>,
+        change: impl FnOnce(&Context) -> Result<(), CatalogError> + Send + 'static,
+    ) {
+        let (id, spec) = (old.id, Arc::clone(&old.spec));
         let shown = LiveMap::new(Arc::clone(&spec)).publish();
         let (new, endpoints) =
             MapHandle::with_endpoints((id, old.shared_uid), Arc::clone(&spec), shown, &self.context.clock);
         let new = Arc::new(new);
         self.maps.rcu(|all| {
             let mut maps = ByName::clone(all);
-            maps.insert(map.clone(), Arc::clone(&new));
+            maps.insert(spec.name.clone(), Arc::clone(&new));
             maps
         });
         old.replace();
-        let (context, name) = (self.context.clone(), map.clone());
+        let (context, of_map) = (self.context.clone(), Arc::clone(&spec));
         let opened = ended(crate::task::blocking(move || {
-            let forked = |_| CatalogError::Forked { map: name.clone(), common };
-            match context.store.set_fork_aside(id, common).map_err(|error| {
-                error!(map = %name, %error, "a fork cannot be set aside");
-                forked(error)
-            })? {
-                Some(fork) if fork.groups > 1 => {
-                    metrics::counter!("tidemap_cluster_forks_total").increment(1);
-                    error!(
-                        map = %name, first = fork.first, last = fork.last, file = fork.name,
-                        "FORKED: the own log of this daemon had records that the shared log does not have. The daemon has \
-                         set them aside. `tidemap cluster heal {name}` takes their observations into the map again"
-                    );
-                }
-                Some(fork) => warn!(
-                    map = %name, first = fork.first, last = fork.last, file = fork.name,
-                    "this daemon has set records aside whose append may not have been confirmed when it lost the log. \
-                     `tidemap cluster heal {name}` takes in what the map lacks of them"
-                ),
-                None => {}
-            }
-            restore_map(&context, id, &spec, &|_, _| true)
+            change(&context)?;
+            restore_map(&context, id, &of_map, &|_, _| true)
         }))
         .await;
         let started = opened.and_then(|restored| {
@@ -66,7 +61,32 @@ impl Catalog {
             Ok(start_in(endpoints, self.context.clone(), id, restored)?)
         });
         if let Err(error) = started {
-            self.set_aside(id, &map, &error);
+            self.set_aside(id, &spec.name, &error);
         }
     }
+}
+
+/// Sets the records of a map aside that the shared log does not have.
+fn set_aside(context: &Context, id: MapId, map: &MapName, common: u64) -> Result<(), CatalogError> {
+    let fork = context.store.set_fork_aside(id, common).map_err(|error| {
+        error!(%map, %error, "a fork cannot be set aside");
+        CatalogError::Forked { map: map.clone(), common }
+    })?;
+    match fork {
+        Some(fork) if fork.groups > 1 => {
+            metrics::counter!("tidemap_cluster_forks_total").increment(1);
+            error!(
+                %map, first = fork.first, last = fork.last, file = fork.name,
+                "FORKED: the own log of this daemon had records that the shared log does not have. The daemon has set \
+                 them aside. `tidemap cluster heal {map}` takes their observations into the map again"
+            );
+        }
+        Some(fork) => warn!(
+            %map, first = fork.first, last = fork.last, file = fork.name,
+            "this daemon has set records aside whose append may not have been confirmed when it lost the log. \
+             `tidemap cluster heal {map}` takes in what the map lacks of them"
+        ),
+        None => {}
+    }
+    Ok(())
 }

@@ -15,7 +15,7 @@ use tidemap_cluster::{
     replica::{ReplicaRole, ReplicaStatus},
 };
 use tidemap_map::name::MapName;
-use tidemap_store::{EventLog as _, OpenError};
+use tidemap_store::{CopyError, EventLog as _, OpenError};
 
 use super::{Cluster, SharedLog};
 
@@ -51,6 +51,10 @@ pub(crate) enum OperationError {
     Engine(#[from] EngineError),
     #[error(transparent)]
     Log(#[from] OpenError),
+    #[error("the log of map {0:?} on this daemon and the shared one are being compared, or differ")]
+    NotAligned(String),
+    #[error(transparent)]
+    Copy(#[from] CopyError),
 }
 
 /// A map as the catalogue lists it.

@@ -60,6 +60,9 @@ pub(crate) struct ClusterSettings {
     /// Bytes of records that are sent together.
     #[serde(default = "default_group")]
     pub group_bytes: usize,
+    /// Mebibytes of a log that the engine keeps, also where checkpoints cover them.
+    #[serde(default = "default_kept")]
+    pub keep_log_mib: u64,
     /// Whether the engine has to write to its disk before it acknowledges.
     #[serde(default = "yes")]
     pub require_synced_engine: bool,
@@ -85,6 +88,9 @@ fn default_staleness() -> u64 {
 }
 fn default_group() -> usize {
     512 << 10
+}
+fn default_kept() -> u64 {
+    256
 }
 fn yes() -> bool {
     true
@@ -155,6 +161,10 @@ pub(crate) const EXAMPLE: &str = r#"
 # Bytes of records that are sent to the engine together. From 4096 to 524288.
 #group_bytes = 524288
 
+# The engine keeps about so many MiB of the log of each map. What is older goes when the checkpoints of two daemons cover
+# it. A daemon that was away for longer needs a copy of the map. From 1 to 1048576.
+#keep_log_mib = 256
+
 # Refuse to start with an engine that says that it acknowledges before it has written to its disk.
 #require_synced_engine = true
 "#;
@@ -219,6 +229,7 @@ impl ClusterSettings {
             ("heal_wait_secs", self.heal_wait_secs, 0, 3600),
             ("max_staleness_ms", self.max_staleness_ms, 2000, 600_000),
             ("group_bytes", self.group_bytes as u64, 4096, 512 << 10),
+            ("keep_log_mib", self.keep_log_mib, 1, 1 << 20),
         ] {
             super::check_range(&format!("cluster.{key}"), value, min, max)?;
         }

@@ -20,7 +20,13 @@ use tidemap_map::name::MapName;
 use tidemap_store::{decode_spec, encode_spec};
 use tracing::{info, warn};
 
-use crate::{catalog::Catalog, cluster::Cluster, rpc::forks, task::Task};
+use super::copying::CopyNotes;
+use crate::{
+    catalog::{Catalog, CatalogError},
+    cluster::Cluster,
+    rpc::{copies::CopyClient, forks},
+    task::Task,
+};
 
 /// How often the catalogue is looked at.
 const EVERY: Duration = Duration::from_secs(1);
@@ -88,11 +94,11 @@ fn successor(order: &[String], rank: Option<u32>, map: &ClusterMap) -> Option<St
 }
 
 /// Reports this daemon, and keeps it as the catalogue says, until the daemon stops or has to: another one has its name.
-pub(super) async fn keep(cluster: Cluster, catalog: Arc<Catalog>) -> Option<NameTaken> {
+pub(super) async fn keep(cluster: Cluster, catalog: Arc<Catalog>, client: CopyClient) -> Option<NameTaken> {
     let keeping = async {
-        let mut notes = KeepingNotes::default();
+        let (mut notes, mut copies) = (KeepingNotes::default(), CopyNotes::new(client));
         while !catalog.is_stopping.load(Ordering::Relaxed) {
-            keep_once(&cluster, &catalog, &mut notes).await;
+            keep_once(&cluster, &catalog, &mut notes, &mut copies).await;
             // Whichever comes first.
             let _ = tokio::time::timeout(EVERY, cluster.changed()).await;
         }
@@ -117,7 +123,7 @@ pub(super) async fn name_taken(keeping: Option<Task<Option<NameTaken>>>) -> Name
     std::future::pending().await
 }
 
-async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNotes) {
+async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNotes, copies: &mut CopyNotes) {
     // Whoever may write stays as it is while the engine does not tell.
     let Some(candidates) = cluster.candidates() else { return };
     let Ok(listing) = catalogue::list(cluster.engine()).await else { return };
@@ -132,7 +138,8 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNote
                     // Whoever deleted it was interrupted. What fails now is tried again at the next look.
                     drop(catalogue::delete(cluster.engine(), name.as_str(), uid).await);
                 } else {
-                    keep_map(cluster, catalog, (uid, &name, map), &candidates, notes).await;
+                    let places = Keeper { cluster, catalog, candidates: &candidates };
+                    places.keep_map((uid, &name, map), notes, copies).await;
                 }
             }
             _ => notes.warn(format!("the entry of map {name:?} in the catalogue of the cluster is damaged")),
@@ -178,30 +185,48 @@ async fn find_writers(cluster: &Cluster, listing: &Listing) {
     cluster.set_others(others.map(|(name, map, _)| (name.clone(), map.uid().and_then(writer))).collect());
 }
 
-/// Tells the replica of a map its rank, or makes a replica where this daemon is to hold the map.
-async fn keep_map(
-    cluster: &Cluster,
-    catalog: &Catalog,
-    (uid, name, map): (u64, &MapName, &ClusterMap),
-    candidates: &[Candidate],
-    notes: &mut KeepingNotes,
-) {
-    let order = assignment::holders(uid, candidates, map.pinned.as_deref(), cluster.settings().replicas);
-    let rank = order.iter().position(|member| *member == cluster.settings().member);
-    let rank = rank.and_then(|rank| u32::try_from(rank).ok());
-    if cluster.set_candidacy(uid, rank) {
-        give_over(cluster, (uid, name), successor(&order, rank, map), notes);
-        return;
-    }
-    if rank.is_none() {
-        return;
-    }
-    match map.spec().map(|spec| decode_spec(&spec)) {
-        Some(Ok(spec)) => match catalog.adopt(spec, uid).await {
+/// What a look at a map needs.
+struct Keeper<'a> {
+    cluster: &'a Cluster,
+    catalog: &'a Catalog,
+    candidates: &'a [Candidate],
+}
+
+impl Keeper<'_> {
+    /// Tells the replica of a map its rank, or makes a replica where this daemon is to hold the map.
+    async fn keep_map(
+        &self,
+        (uid, name, map): (u64, &MapName, &ClusterMap),
+        notes: &mut KeepingNotes,
+        copies: &mut CopyNotes,
+    ) {
+        let Keeper { cluster, catalog, candidates } = *self;
+        let order = assignment::holders(uid, candidates, map.pinned.as_deref(), cluster.settings().replicas);
+        let rank = order.iter().position(|member| *member == cluster.settings().member);
+        let rank = rank.and_then(|rank| u32::try_from(rank).ok());
+        let is_copied = copies.is_running(uid).await;
+        if cluster.set_candidacy(uid, rank) {
+            give_over(cluster, (uid, name), successor(&order, rank, map), notes);
+            if !is_copied {
+                copies.replace(cluster, catalog, uid, name);
+                copies.shorten(cluster, uid, name);
+            }
+            return;
+        }
+        if rank.is_none() || is_copied {
+            return;
+        }
+        let Some(Ok(spec)) = map.spec().map(|spec| decode_spec(&spec)) else {
+            return notes.warn(format!("map {name} of the cluster cannot be held by this version of tidemapd"));
+        };
+        let is_unknown = matches!(catalog.get(name.as_str()), Err(CatalogError::Unknown(_)));
+        if is_unknown && !copies.join(cluster, catalog, uid, &spec).await {
+            return;
+        }
+        match catalog.adopt(spec, uid).await {
             Ok(()) => info!(map = %name, uid = format!("{uid:016x}"), "map of the cluster held"),
             Err(error) => notes.warn(format!("map {name} of the cluster cannot be held here: {error}")),
-        },
-        _ => notes.warn(format!("map {name} of the cluster cannot be held by this version of tidemapd")),
+        }
     }
 }
 

@@ -198,7 +198,7 @@ impl Ports {
 }
 
 /// The daemons that share maps with this one.
-fn shared_maps(settings: &Settings, catalog: &Catalog) -> Result<Option<SharedMaps>, DaemonError> {
+pub(super) fn shared_maps(settings: &Settings, catalog: &Catalog) -> Result<Option<SharedMaps>, DaemonError> {
     let Some(cluster) = catalog.context().cluster.clone() else { return Ok(None) };
     let ca = &cluster.settings().peer_ca;
     let tls = if ca.as_os_str().is_empty() {

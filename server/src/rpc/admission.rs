@@ -26,6 +26,7 @@ use super::{
 use crate::{
     access::{
         Caller,
+        peer_secret::PeerSecret,
         table::{Need, method_name, need},
     },
     connections::{Busy, Peer, Remote},
@@ -66,17 +67,21 @@ pub(crate) struct RequestLimits {
 
 /// What the requests of all ports hold. Clones share it.
 #[derive(Clone, Debug)]
-pub(crate) struct Admission(Shares);
+pub(crate) struct Admission {
+    shares: Shares,
+    /// What other daemons prove themselves by, where this one is a member of a cluster.
+    peers: Option<PeerSecret>,
+}
 
 impl Admission {
     /// Nothing is under way.
-    pub(crate) fn new(limits: RequestLimits) -> Self {
-        Self(Shares::new(limits))
+    pub(crate) fn new(limits: RequestLimits, peers: Option<PeerSecret>) -> Self {
+        Self { shares: Shares::new(limits), peers }
     }
 
     /// A service for callers with this access.
     pub(crate) fn service<S>(&self, inner: S, access: Access) -> AdmittedService<S> {
-        AdmittedService { inner, access, shares: self.0.clone() }
+        AdmittedService { inner, access, shares: self.shares.clone(), peers: self.peers.clone() }
     }
 }
 
@@ -103,6 +108,7 @@ pub(crate) struct AdmittedService<S> {
     inner: S,
     access: Access,
     shares: Shares,
+    peers: Option<PeerSecret>,
 }
 
 impl<S> AdmittedService<S> {
@@ -131,6 +137,13 @@ impl<S> AdmittedService<S> {
         answer
     }
 
+    fn caller(&self, path: &str, headers: &http::HeaderMap) -> Result<Caller, RpcError> {
+        match (need(path), &self.peers) {
+            (Some(Need::Peer), Some(secret)) => secret.check(headers).map(|()| Caller::Peer).map_err(RpcError::Denial),
+            _ => self.access.check(path, headers),
+        }
+    }
+
     /// Admits a request by its head. The service takes the answer from the extensions of a request that has one.
     ///
     /// # Errors
@@ -144,7 +157,7 @@ impl<S> AdmittedService<S> {
         let remote = extensions.get::<Remote>().inspect(|remote| remote.note_request());
         let peer = remote.map_or(Peer::Local, Remote::peer);
         let method = method_name(path);
-        let caller = self.access.check(path, headers).inspect_err(|error| {
+        let caller = self.caller(path, headers).inspect_err(|error| {
             note_denial(peer, method, error);
             let code = code_name(error.code_and_reason().0);
             metrics::counter!("tidemap_requests_total", "method" => method, "code" => code).increment(1);

@@ -137,6 +137,11 @@ impl ClusterCalls {
                 Err(error) => replica.trouble = format!("its forks cannot be read: {error}"),
             }
         }
+        if replica.is_none() {
+            let waits =
+                |trouble| v1::MapReplica { role: v1::ReplicaRole::Starting.into(), trouble, ..Default::default() };
+            replica = listed.uid.and_then(|uid| cluster.waiting(uid)).map(waits);
+        }
         v1::ClusterMapStatus {
             map: listed.name,
             uid: listed.uid.map(|uid| format!("{uid:016x}")).unwrap_or_default(),

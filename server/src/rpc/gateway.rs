@@ -46,7 +46,7 @@ use crate::{
 
 mod jobs;
 mod late_body;
-mod links;
+pub(super) mod links;
 mod passed_body;
 #[cfg(test)]
 mod tests;

@@ -42,6 +42,8 @@ impl Access {
     pub(super) fn check(&self, path: &str, headers: &HeaderMap) -> Result<Caller, RpcError> {
         let need = need(path).ok_or(RpcError::UnknownMethod)?;
         let keyring = match (self, need) {
+            // No token is the secret of the cluster, which admission checks.
+            (_, Need::Peer) => return Err(RpcError::Denial(Denial::Unknown)),
             (Self::Tokens(keyring), _) => keyring,
             (Self::Readers, Need::Role(role) | Need::AllMaps(role)) if role != Role::Planner => {
                 return Err(RpcError::ReadOnly { method: path.to_owned() });

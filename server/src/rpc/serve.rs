@@ -10,9 +10,9 @@ use tidemap_proto::v1::{
     DESCRIPTORS, cluster_service_server::ClusterServiceServer, exploration_service_server::ExplorationServiceServer,
     landmark_service_server::LandmarkServiceServer, maintenance_service_server::MaintenanceServiceServer,
     map_service_server::MapServiceServer, observation_service_server::ObservationServiceServer,
-    query_service_server::QueryServiceServer, route_service_server::RouteServiceServer,
-    search_service_server::SearchServiceServer, task_service_server::TaskServiceServer,
-    topology_service_server::TopologyServiceServer,
+    peer_service_server::PeerServiceServer, query_service_server::QueryServiceServer,
+    route_service_server::RouteServiceServer, search_service_server::SearchServiceServer,
+    task_service_server::TaskServiceServer, topology_service_server::TopologyServiceServer,
 };
 use tokio::sync::{Semaphore, mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
@@ -22,6 +22,7 @@ use tonic_health::{ServingStatus, server::HealthReporter};
 use super::{
     admission::{Admission, AdmittedService, RequestLimits},
     cluster::ClusterCalls,
+    copies::PeerCalls,
     exploration::{Explorations, PlanLimits},
     gateway::{ClusterGateway, answer_or_pass, keep_authorization},
     guard::{Access, serve_caller},
@@ -34,7 +35,8 @@ use super::{
     tasks::Tasks,
 };
 use crate::{
-    catalog::Catalog, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits, peers::SharedMaps,
+    catalog::Catalog, cluster::Cluster, config::Settings, connections::accept::Accepted, ingest::intake::IntakeLimits,
+    peers::SharedMaps,
 };
 
 /// Maximum size of a request without observations: 100,000 times and thousands of names fit.
@@ -168,8 +170,8 @@ pub(crate) async fn services(
         permits: Permits::new(processors().max(2)),
     };
     let message_bytes = settings.max_message_bytes + MESSAGE_OVERHEAD;
-    let admission =
-        Admission::new(RequestLimits { total: settings.max_requests, per_client: settings.max_requests_per_client });
+    let limits = RequestLimits { total: settings.max_requests, per_client: settings.max_requests_per_client };
+    let admission = Admission::new(limits, catalog.context().cluster.as_ref().map(Cluster::secret));
     let routes = service::Routes::default()
         .add_service(health_service)
         .add_service(
@@ -191,6 +193,7 @@ pub(crate) async fn services(
             ClusterServiceServer::new(ClusterCalls { catalog: Arc::clone(&catalog), permits: Permits::default() })
                 .max_decoding_message_size(REQUEST_BYTES),
         )
+        .add_service(PeerServiceServer::new(PeerCalls::new(Arc::clone(&catalog))).max_decoding_message_size(4096))
         .add_service(
             MaintenanceServiceServer::new(Maintenance { catalog, backup_dir: settings.backup_dir.clone(), page })
                 .max_decoding_message_size(REQUEST_BYTES),

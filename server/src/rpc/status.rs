@@ -237,7 +237,8 @@ fn operation_code(error: &OperationError) -> (Code, &'static str) {
         OperationError::NoCapacity(_) | OperationError::DoesNotHold { .. } => (Code::FailedPrecondition, "NOT_HELD"),
         OperationError::Changed(_) => (Code::Aborted, "CHANGED"),
         OperationError::Engine(_) => (Code::Unavailable, "ENGINE_UNAVAILABLE"),
-        OperationError::Log(_) => (Code::DataLoss, "STORAGE_FAILED"),
+        OperationError::NotAligned(_) => (Code::Unavailable, "NOT_ALIGNED"),
+        OperationError::Log(_) | OperationError::Copy(_) => (Code::DataLoss, "STORAGE_FAILED"),
     }
 }
 
@@ -276,7 +277,7 @@ impl RpcError {
                 CatalogError::Exists(_) => (Code::AlreadyExists, "MAP_EXISTS"),
                 CatalogError::Unknown(_) => (Code::NotFound, "UNKNOWN_MAP"),
                 CatalogError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
-                CatalogError::Store(_) => (Code::Internal, "STORAGE_FAILED"),
+                CatalogError::Store(_) | CatalogError::Copy(_) => (Code::Internal, "STORAGE_FAILED"),
                 CatalogError::Unavailable { .. } => (Code::DataLoss, "MAP_UNAVAILABLE"),
                 CatalogError::Open(error) if error.is_shortage() => (Code::Unavailable, "SHORTAGE"),
                 CatalogError::Open(_)

@@ -90,6 +90,7 @@ fn role(method: &MethodDescriptor) -> String {
         Some(Need::AllMaps(role)) => format!("{}, for all maps", role.name()),
         Some(Need::Token) => "any".to_owned(),
         Some(Need::Open) => "none".to_owned(),
+        Some(Need::Peer) => "none; the secret of the cluster".to_owned(),
         None => panic!("{path} has no row in the table of roles"),
     }
 }

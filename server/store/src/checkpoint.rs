@@ -345,7 +345,8 @@ fn read_site(reader: &mut RecordReader, snapshot: &v1::Snapshot) -> Result<Site,
     landmark::decode_into(site, &places)
 }
 
-fn position(name: &str) -> Option<u64> {
+/// Position of a checkpoint of that name; `None` for other files.
+pub(crate) fn position(name: &str) -> Option<u64> {
     let digits = name.strip_suffix(SUFFIX)?;
     let is_position = digits.len() == 20 && digits.bytes().all(|byte| byte.is_ascii_digit());
     if is_position { digits.parse().ok() } else { None }

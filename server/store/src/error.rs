@@ -240,6 +240,8 @@ pub enum Report {
     LeftoverRemoved { file: PathBuf },
     /// An erasure that was interrupted has been completed.
     ErasureCompleted { map: MapId },
+    /// A copy of a map has taken the map's place, which was interrupted.
+    CopyCompleted { map: MapId },
 }
 
 impl fmt::Display for Report {
@@ -268,6 +270,9 @@ impl fmt::Display for Report {
             Report::LeftoverRemoved { file } => write!(f, "removed {}, left by an interruption", shown(file)),
             Report::ErasureCompleted { map } => {
                 write!(f, "completed an erasure from map number {}, which was interrupted", map.0)
+            }
+            Report::CopyCompleted { map } => {
+                write!(f, "put the copy of map number {} in its place, which was interrupted", map.0)
             }
         }
     }

@@ -16,13 +16,14 @@ use crate::{
     MapId, Store,
     committer::{Append, Committer, Group},
     disk::Disk,
-    error::{AppendError, OpenError},
+    error::{AppendError, OpenError, open_io},
     folders,
     log::{
         Done, Log,
         frame::EncodedEvent,
         groups::Groups,
         record_group::{LogPoint, RecordGroup},
+        segment_position,
     },
 };
 
@@ -140,6 +141,21 @@ impl GroupLog {
     #[must_use]
     pub fn position(&self) -> u64 {
         self.log.end.load(Ordering::Acquire)
+    }
+
+    /// Position of the newest checkpoint; 0 without one.
+    #[must_use]
+    pub fn checkpoint(&self) -> u64 {
+        self.log.saved.load(Ordering::Acquire)
+    }
+
+    /// Position of the first record that this disk keeps, if there is one behind it.
+    ///
+    /// # Errors
+    /// [`OpenError`] where the log cannot be read.
+    pub fn first_position(&self) -> Result<u64, OpenError> {
+        let names = self.disk.list(&self.folder).map_err(open_io(&self.folder))?;
+        Ok(names.iter().find_map(|name| segment_position(name)).unwrap_or(1))
     }
 
     /// See [`crate::EventLog::tail_bytes`].

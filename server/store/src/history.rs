@@ -69,6 +69,11 @@ impl Part {
     }
 }
 
+/// Whether history files have such a name.
+pub(crate) fn is_file(name: &str) -> bool {
+    Part::of(name).is_some_and(|(generation, part)| part.name(generation) == name)
+}
+
 /// Bytes of history on the disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HistorySizes {

@@ -27,6 +27,7 @@ mod list_file;
 mod lock;
 mod log;
 mod losses;
+mod map_copy;
 mod map_log;
 mod options;
 mod record;
@@ -56,6 +57,7 @@ pub use log::{
     record_group::{LogPoint, RecordGroup},
     replay::Replay,
 };
+pub use map_copy::{COPY_PART_BYTES, CopyError, CopyPart, CopySource, CopyTotal, MapCopy};
 pub use map_log::MapLog;
 pub use options::StoreOptions;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};

@@ -35,6 +35,8 @@ pub(crate) struct Log {
     /// Position of the last durable record.
     pub(crate) end: AtomicU64,
     pub(crate) progress: Mutex<Progress>,
+    /// Position of the newest snapshot that is saved; 0 without one.
+    pub(crate) saved: AtomicU64,
 }
 
 /// Bytes of the log; they decide when a checkpoint is due.
@@ -58,6 +60,7 @@ impl Log {
             failed_epoch: AtomicU64::new(0),
             end,
             progress: Mutex::new(progress),
+            saved: AtomicU64::new(0),
         }
     }
 
@@ -83,6 +86,7 @@ impl Log {
 
     /// Records that a snapshot covers everything up to a position.
     pub(crate) fn cover(&self, position: u64) {
+        self.saved.fetch_max(position, Ordering::AcqRel);
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(&(_, bytes)) = progress.updates.iter().rev().find(|&&(start, _)| start <= position) {
             progress.covered = bytes;

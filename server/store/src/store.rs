@@ -72,8 +72,8 @@ pub(crate) struct OpenStore {
     _lock: Option<Arc<Lock>>,
 }
 
-struct Maps {
-    entries: BTreeMap<MapId, MapEntry>,
+pub(crate) struct Maps {
+    pub(crate) entries: BTreeMap<MapId, MapEntry>,
     set_aside: BTreeMap<MapId, SetAside>,
     next: u32,
 }
@@ -88,7 +88,7 @@ pub(crate) struct MapEntry {
 }
 
 impl MapEntry {
-    fn new(spec: MapSpec) -> MapEntry {
+    pub(crate) fn new(spec: MapSpec) -> MapEntry {
         MapEntry { spec: Arc::new(spec), log: None, busy: Arc::default() }
     }
 
@@ -154,8 +154,19 @@ pub struct Sizes {
 }
 
 impl OpenStore {
-    fn maps(&self) -> MutexGuard<'_, Maps> {
+    pub(crate) fn maps(&self) -> MutexGuard<'_, Maps> {
         self.maps.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The number of a new map. It is not used again even if its creation fails: part of the map may be left.
+    pub(crate) fn take_number(&self) -> MapId {
+        let mut maps = self.maps();
+        let map = MapId(maps.next);
+        maps.next += 1;
+        drop(maps);
+        // A map whose folder was moved away by hand may have had this number and left records in the index.
+        self.index().purge(map.0);
+        map
     }
 
     pub(crate) fn entry(&self, map: MapId) -> Option<MapEntry> {
@@ -348,12 +359,8 @@ impl Store {
     }
 
     fn create(&self, spec: &MapSpec, shared: Option<u64>) -> Result<MapId, StoreError> {
+        let map = self.inner.take_number();
         let mut maps = self.inner.maps();
-        let map = MapId(maps.next);
-        // The number is not used again even if this fails: part of the map may be left.
-        maps.next += 1;
-        // A map whose folder was moved away by hand may have had this number and left records in the index.
-        self.inner.index().purge(map.0);
         catalogue::create(&*self.inner.disk, &self.inner.directory, map, spec, shared)?;
         maps.entries.insert(map, MapEntry::new(spec.clone()));
         Ok(map)

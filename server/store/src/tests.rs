@@ -2,6 +2,7 @@
 
 mod backups;
 mod bit_flips;
+mod copies;
 mod damage;
 mod digests;
 pub(crate) mod example;

@@ -42,7 +42,8 @@ pub(super) enum Relation {
         /// The last position that both have.
         common: u64,
     },
-    /// The shared log begins behind the end of the own one: what is between is in checkpoints of others only.
+    /// The shared log begins behind the end of the own one, or behind where they begin to differ: what is between is in
+    /// checkpoints of others only.
     Behind {
         /// The position before its first record.
         from: u64,
@@ -67,19 +68,19 @@ pub(super) enum CompareError {
 
 /// Where the log stands behind a group that is not void.
 #[derive(Clone, Copy, Debug)]
-struct Mark {
+pub(super) struct Mark {
     /// Number of the group's first message.
-    first: u64,
-    after: LogPoint,
+    pub(super) first: u64,
+    pub(super) after: LogPoint,
 }
 
 /// What consecutive messages say.
 #[derive(Debug, Default)]
-struct Scan {
+pub(super) struct Scan {
     /// Where the first group begins, and the message before it.
     begin: Option<Mark>,
     /// Where groups that are not void end.
-    marks: Vec<Mark>,
+    pub(super) marks: Vec<Mark>,
     epoch: u64,
     /// A group that is not complete yet: number of its first message, its first part, and which part is next.
     open: Option<(u64, GroupPart, u16)>,
@@ -92,7 +93,7 @@ impl Scan {
         self.marks.last().copied().or(self.begin)
     }
 
-    fn take(&mut self, sequence: u64, part: Option<GroupPart>) {
+    pub(super) fn take(&mut self, sequence: u64, part: Option<GroupPart>) {
         self.last = sequence;
         let Some(part) = part else {
             self.open = None;
@@ -264,7 +265,10 @@ impl<E: Engine> Driver<E> {
             Some(part) => part.before,
             None => self.part_at(first).await?.map_or(LogPoint::BEGINNING, |part| part.before),
         };
-        let common = if self.is_own(point).await? { point.position } else { 0 };
-        Ok(Relation::Forked { common })
+        if self.is_own(point).await? {
+            return Ok(Relation::Forked { common: point.position });
+        }
+        // What they have in common is no longer in the stream.
+        Ok(if first > 1 { Relation::Behind { from: point.position } } else { Relation::Forked { common: 0 } })
     }
 }

@@ -176,6 +176,13 @@ impl<E: Engine> Driver<E> {
         });
     }
 
+    /// Whether the map needs a copy of another daemon's.
+    pub(super) fn set_needs_copy(&self, needs_copy: bool) {
+        self.shared
+            .status
+            .send_if_modified(|status| std::mem::replace(&mut status.needs_copy, needs_copy) != needs_copy);
+    }
+
     /// The shared log ends there, as far as it was seen.
     pub(super) fn sees_end(&self, position: u64) {
         let (own, epoch) = (self.shared.log.position(), self.epoch);

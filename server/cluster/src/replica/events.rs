@@ -75,6 +75,8 @@ pub struct ReplicaStatus {
     pub heard: Option<Instant>,
     /// What is wrong, if something is.
     pub trouble: Option<String>,
+    /// Whether the shared log begins behind the end of the own one, so that the map needs a copy of another daemon's.
+    pub needs_copy: bool,
 }
 
 impl fmt::Display for ReplicaRole {

@@ -119,6 +119,12 @@ impl SharedLog {
         self.shared.status.subscribe()
     }
 
+    /// Position of the newest checkpoint of this daemon; 0 without one.
+    #[must_use]
+    pub fn checkpoint(&self) -> u64 {
+        self.shared.log.checkpoint()
+    }
+
     /// The chain behind a record of this daemon's own log; see [`GroupLog::chain_at`]. Reads the disk.
     ///
     /// # Errors

@@ -143,7 +143,12 @@ impl<E: Engine> Driver<E> {
     /// Appends again what the stream has forgotten: everything behind its end, from this daemon's own log.
     async fn heal(&mut self, end: LogPoint) -> Result<(), CompareError> {
         let log = self.shared.log.clone();
-        let mut groups = self.on_disk(move || log.groups(end.position + 1)).await?;
+        let open = move || {
+            // A stream that holds nothing may begin with any record: checkpoints have what is before.
+            let first = if end == LogPoint::BEGINNING { log.first_position()? } else { end.position + 1 };
+            log.groups(first)
+        };
+        let mut groups = self.on_disk(open).await?;
         tracing::warn!(
             map = %self.settings.key(), from = end.position + 1, to = self.shared.log.position(),
             "the shared log had forgotten records: they are appended again"

@@ -22,7 +22,7 @@ use tokio::{
     time::{Instant, sleep, timeout},
 };
 
-use super::{Planted, ReplicaRole};
+use super::{Planted, ReplicaRole, Shortening, shorten};
 use crate::{
     engine::Engine as _,
     message::GroupPart,
@@ -78,6 +78,8 @@ struct Machine {
     daemon: Option<Daemon>,
     forked: Option<oneshot::Receiver<u64>>,
     forks: Vec<Fork>,
+    /// Logs that were replaced by copies and that had records which the copies did not have.
+    replaced: usize,
     /// When it starts again.
     starts: Option<Instant>,
 }
@@ -117,6 +119,7 @@ impl World {
             daemon: None,
             forked: None,
             forks: Vec::new(),
+            replaced: 0,
             starts: None,
         };
         World {
@@ -158,6 +161,11 @@ impl World {
                 self.start(index);
                 continue;
             }
+            let needs_copy = |daemon: &Daemon| daemon.log.status().borrow().needs_copy;
+            if machine.daemon.as_ref().is_some_and(needs_copy) {
+                self.copy_from_another(index).await;
+                continue;
+            }
             let Some(common) = machine.forked.as_mut().and_then(|forked| forked.try_recv().ok()) else { continue };
             let Some(mut daemon) = machine.daemon.take() else { continue };
             daemon.tasks.shutdown().await;
@@ -168,10 +176,48 @@ impl World {
         }
     }
 
+    /// Puts a copy of another daemon's log in the place of one that the shared log has left behind.
+    async fn copy_from_another(&mut self, index: usize) {
+        let is_sound = |role| matches!(role, ReplicaRole::Following | ReplicaRole::Writing);
+        let mut others = self.machines.iter().filter_map(|machine| machine.daemon.as_ref());
+        let Some(donor) = others.find(|daemon| is_sound(daemon.log.status().borrow().role)) else { return };
+        let (source, given) = (donor.store.copy_source(donor.map).expect("readable"), donor.records());
+        let machine = &mut self.machines[index];
+        let Some(mut daemon) = machine.daemon.take() else { return };
+        daemon.tasks.shutdown().await;
+        let own = daemon.records();
+        machine.replaced += usize::from(!given.starts_with(&own));
+        let take = || {
+            let mut copy = daemon.store.begin_copy(&daemon::spec(), UID, Some(daemon.map))?;
+            let total = source.total();
+            source.into_iter().try_for_each(|part| copy.take(&part?))?;
+            copy.check(total)?;
+            copy.install()
+        };
+        // A disk that is full takes none: it is tried again.
+        let _ = take();
+        drop(daemon);
+        machine.disk = machine.disk.kill();
+        self.start(index);
+    }
+
+    /// Shortens the stream to what two daemons have, as the writer does.
+    async fn shorten(&self) {
+        let daemons = self.machines.iter().filter_map(|machine| Some((machine.name.clone(), machine.daemon.as_ref()?)));
+        let mut ends: Vec<u64> = daemons.clone().map(|(_, daemon)| daemon.end().position).collect();
+        ends.sort_unstable();
+        let is_writing = |daemon: &Daemon| daemon.log.status().borrow().role == ReplicaRole::Writing;
+        let Some((name, _)) = daemons.clone().find(|(_, daemon)| is_writing(daemon)) else { return };
+        let Some(&covered) = ends.iter().rev().nth(1) else { return };
+        let shortening = Shortening { map: UID, stream: "tm".to_owned(), covered, keep_bytes: 0 };
+        // An engine that does not answer is asked again later.
+        let _ = shorten(&self.engine.client(&name), &shortening).await;
+    }
+
     async fn disturb(&mut self) {
         let index = self.random.random_range(0..DAEMONS);
         let name = self.machines[index].name.clone();
-        match self.random.random_range(0..10) {
+        match self.random.random_range(0..12) {
             0 | 1 => self.kill(index, false).await,
             2 => self.kill(index, true).await,
             3 => {
@@ -205,6 +251,7 @@ impl World {
                     let _ = client.append_if("tm", ends.last, content, Duration::from_millis(500)).await;
                 }
             }
+            8 | 9 => self.shorten().await,
             _ => {
                 let successor = self.random.random_bool(0.5).then(|| format!("daemon-{}", (index + 1) % DAEMONS));
                 if let Some(daemon) = &self.machines[index].daemon {
@@ -389,7 +436,7 @@ fn check(world: &World, mode: Mode) -> Result<String, String> {
         if let Some(violation) = seen.violations.first() {
             return Err(violation.clone());
         }
-    } else if forks.is_empty() {
+    } else if forks.is_empty() && world.machines.iter().all(|machine| machine.replaced == 0) {
         for (producer, acknowledged) in &seen.acknowledged {
             if there.get(producer.as_str()).copied().unwrap_or(0) < *acknowledged {
                 return Err(format!(
@@ -398,11 +445,13 @@ fn check(world: &World, mode: Mode) -> Result<String, String> {
             }
         }
     }
+    let first = world.engine.present("tm").first().map_or(0, |message| message.sequence);
     Ok(format!(
-        "{} records, {epoch} epochs, {} acknowledged, {} forks",
+        "{} records, {epoch} epochs, {} acknowledged, {} forks, {} replaced, the stream begins at {first}",
         logs[0].len(),
         seen.acknowledged.values().sum::<u64>(),
-        forks.len()
+        forks.len(),
+        world.machines.iter().map(|machine| machine.replaced).sum::<usize>(),
     ))
 }
 

@@ -33,7 +33,7 @@ const WINDOW: u32 = 256 * 1024;
 
 /// A place on a connection; free again when dropped.
 #[derive(Debug)]
-pub(super) struct PeerPlace {
+pub(in crate::rpc) struct PeerPlace {
     pub channel: Channel,
     place: Arc<()>,
 }
@@ -84,7 +84,7 @@ impl PeerLinks {
 
 /// The connections to all daemons, by address.
 #[derive(Debug)]
-pub(super) struct Links {
+pub(in crate::rpc) struct Links {
     tls: Option<PeerTlsFiles>,
     tokens_in_clear: bool,
     by_address: Mutex<HashMap<String, Arc<PeerLinks>>>,
@@ -92,7 +92,7 @@ pub(super) struct Links {
 
 /// There is no connection to a daemon.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum NoLink {
+pub(crate) enum NoLink {
     #[error("{}", root_cause(.0))]
     Transport(#[from] tonic::transport::Error),
     #[error("all connections to it are in use")]
@@ -122,7 +122,7 @@ fn root_cause(error: &dyn std::error::Error) -> String {
 }
 
 impl Links {
-    pub(super) fn new(tls: Option<PeerTlsFiles>, tokens_in_clear: bool) -> Self {
+    pub(in crate::rpc) fn new(tls: Option<PeerTlsFiles>, tokens_in_clear: bool) -> Self {
         Self { tls, tokens_in_clear, by_address: Mutex::default() }
     }
 
@@ -136,7 +136,7 @@ impl Links {
     ///
     /// # Errors
     /// See [`NoLink`].
-    pub(super) async fn place(&self, address: &str, has_token: bool) -> Result<PeerPlace, NoLink> {
+    pub(in crate::rpc) async fn place(&self, address: &str, has_token: bool) -> Result<PeerPlace, NoLink> {
         if has_token && !self.tokens_in_clear && is_in_clear(address) {
             return Err(NoLink::InClear { address: address.to_owned() });
         }
@@ -183,7 +183,7 @@ impl Links {
     }
 
     /// The connection of a place has failed: no other call takes it.
-    pub(super) fn forget(&self, address: &str, failed: &PeerPlace) {
+    pub(in crate::rpc) fn forget(&self, address: &str, failed: &PeerPlace) {
         self.of(address).open().retain(|link| !Arc::ptr_eq(&link.places, &failed.place));
     }
 }

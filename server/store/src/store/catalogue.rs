@@ -6,7 +6,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    path::Path,
+    path::{Path, PathBuf},
 };
 
 use tidemap_map::spec::MapSpec;
@@ -198,36 +198,63 @@ pub(crate) fn create(
     spec: &MapSpec,
     shared: Option<u64>,
 ) -> Result<(), StoreError> {
-    let folder = folders::map_folder(directory, map);
-    let new_folder = folders::with_suffix(&folder, NEW_SUFFIX);
-    let file = new_folder.join("MAP");
+    let new_folder = new_folder(directory, map);
     let write = || {
         disk.create_folder(&new_folder)?;
-        let header = FileHeader { magic: MAP_MAGIC, map: map.0, position: 0 };
-        let mut writer = RecordWriter::create(disk, &file, &header)?;
-        writer.record(RecordKind::Spec, &record::spec::encode(spec))?;
-        writer.finish()?;
         create_log(disk, &new_folder.join("log"), map.0, 1)?;
         disk.create_folder(&new_folder.join("checkpoints"))?;
         disk.sync_folder(&new_folder.join("checkpoints"))?;
         list_file::replace(disk, &new_folder.join(CHECKPOINTS_FILE), &CheckpointList::default())?;
-        if let Some(uid) = shared {
-            let mut file = disk.create(&new_folder.join(SHARED_FILE))?;
-            file.append(format!("{uid:016x}").as_bytes())?;
-            file.sync()?;
-        }
         list_file::replace(disk, &new_folder.join(HISTORY_FILE), &FileList::default())
     };
-    let written = write().map_err(store_io(&new_folder)).and_then(|()| match read_spec(disk, &file, map) {
-        Ok(read) if read == *spec => Ok(()),
-        Ok(_) => Err(StoreError::NotReadBack { file: file.clone(), reason: "the content differs".to_owned() }),
-        Err(reason) => Err(StoreError::NotReadBack { file: file.clone(), reason }),
-    });
+    let written = write().map_err(store_io(&new_folder));
+    let written = written.and_then(|()| write_properties(disk, &new_folder, map, spec, shared));
     if let Err(error) = written {
         // Frees the space now; if this fails, the next start removes the folder.
         let _ = disk.remove_folder(&new_folder);
         return Err(error);
     }
+    publish(disk, directory, map, spec)
+}
+
+/// The folder of a map that is being created. A start removes it.
+pub(crate) fn new_folder(directory: &Path, map: MapId) -> PathBuf {
+    folders::with_suffix(&folders::map_folder(directory, map), NEW_SUFFIX)
+}
+
+/// Writes what makes a folder that of a map: its fixed properties, and its number in the cluster; durable with the
+/// names when this returns.
+pub(crate) fn write_properties(
+    disk: &dyn Disk,
+    folder: &Path,
+    map: MapId,
+    spec: &MapSpec,
+    shared: Option<u64>,
+) -> Result<(), StoreError> {
+    let file = folder.join("MAP");
+    let write = || {
+        let header = FileHeader { magic: MAP_MAGIC, map: map.0, position: 0 };
+        let mut writer = RecordWriter::create(disk, &file, &header)?;
+        writer.record(RecordKind::Spec, &record::spec::encode(spec))?;
+        writer.finish()?;
+        if let Some(uid) = shared {
+            let mut file = disk.create(&folder.join(SHARED_FILE))?;
+            file.append(format!("{uid:016x}").as_bytes())?;
+            file.sync()?;
+        }
+        disk.sync_folder(folder)
+    };
+    write().map_err(store_io(folder))?;
+    match read_spec(disk, &file, map) {
+        Ok(read) if read == *spec => Ok(()),
+        Ok(_) => Err(StoreError::NotReadBack { file, reason: "the content differs".to_owned() }),
+        Err(reason) => Err(StoreError::NotReadBack { file, reason }),
+    }
+}
+
+/// Gives the complete folder of a new map its final name, and lists the map; durable when this returns.
+pub(crate) fn publish(disk: &dyn Disk, directory: &Path, map: MapId, spec: &MapSpec) -> Result<(), StoreError> {
+    let (folder, new_folder) = (folders::map_folder(directory, map), new_folder(directory, map));
     disk.rename(&new_folder, &folder).map_err(store_io(&folder))?;
     let maps = folders::maps_folder(directory);
     let listed = disk.sync_folder(&maps).map_err(store_io(maps)).and_then(|()| {

@@ -25,7 +25,7 @@ use crate::{
     error::{OpenError, Report, open_io},
     folders,
     index::{Index, IndexInUse, is_present},
-    list_file,
+    list_file, map_copy,
     options::StoreOptions,
 };
 
@@ -126,6 +126,7 @@ impl Store {
         let maps_folder = folders::maps_folder(&directory);
         disk.sync_folder(&maps_folder).map_err(open_io(&maps_folder))?;
         erasure::complete(&*disk, &directory, &mut index, &mut reports)?;
+        map_copy::complete(&*disk, &directory, &mut index, &mut reports)?;
         let mut catalogue = catalogue::read(&*disk, &directory, &mut reports)?;
         committer.watch.lost(lists::lost(&disk, &directory, &mut catalogue, &mut reports)?);
         let unfinished = catalogue.maps.iter().filter_map(|(&map, known)| {

@@ -4,7 +4,7 @@
 
 use std::{
     path::Path,
-    sync::{Arc, PoisonError},
+    sync::{Arc, PoisonError, atomic::Ordering},
 };
 
 use tidemap_map::{snapshot::MapSnapshot, spec::MapSpec};
@@ -67,6 +67,10 @@ impl Store {
         let expected = Expectation { map: map.0, replay_from, known: newest.known, is_listed: true };
         let recovered = recover(&*inner.disk, &folder, &expected)?;
         let (log, replay, mut reports) = inner.open_log(map, &folder, replay_from, recovered)?;
+
+        if let (Some(log), Some(snapshot)) = (inner.entry(map).and_then(|entry| entry.log), &newest.snapshot) {
+            log.saved.store(snapshot.position, Ordering::Release);
+        }
 
         let checkpoints = inner.checkpoints(map);
         inner.miss_spares(map, &folder, &mut reports)?;

@@ -1,0 +1,76 @@
+//! The secret by which the daemons of a cluster know each other, sent in place of a token.
+//!
+//! Invariant: a daemon without a cluster takes none. A comparison takes equally long whatever was sent, and no message,
+//! log or `Debug` shows the secret.
+
+use std::fmt;
+
+use axum::http::{HeaderMap, HeaderValue, header::AUTHORIZATION};
+use subtle::ConstantTimeEq as _;
+
+use super::{
+    keyring::Denial,
+    token_file::{TokenHash, hash},
+};
+
+/// A longer text is no secret.
+const SECRET_BYTES_MAX: usize = 256;
+
+/// The secret of a cluster.
+#[derive(Clone)]
+pub(crate) struct PeerSecret {
+    text: String,
+    hash: TokenHash,
+}
+
+impl fmt::Debug for PeerSecret {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("PeerSecret(..)")
+    }
+}
+
+impl PeerSecret {
+    pub(crate) fn new(text: String) -> Self {
+        let hash = hash(text.as_bytes());
+        Self { text, hash }
+    }
+
+    /// What proves that a request is of a daemon that knows the secret; `None` for a secret that cannot be sent.
+    pub(crate) fn header(&self) -> Option<HeaderValue> {
+        let mut header = HeaderValue::from_str(&format!("Bearer {}", self.text)).ok()?;
+        header.set_sensitive(true);
+        Some(header)
+    }
+
+    /// Whether the sender of these headers knows the secret.
+    ///
+    /// # Errors
+    /// Why not.
+    pub(crate) fn check(&self, headers: &HeaderMap) -> Result<(), Denial> {
+        let header = headers.get(AUTHORIZATION).ok_or(Denial::Missing)?.as_bytes();
+        let (scheme, text) = header.split_at_checked(7).ok_or(Denial::Unknown)?;
+        if !scheme.eq_ignore_ascii_case(b"Bearer ") || text.len() > SECRET_BYTES_MAX || self.text.is_empty() {
+            return Err(Denial::Unknown);
+        }
+        if bool::from(self.hash.as_slice().ct_eq(hash(text).as_slice())) { Ok(()) } else { Err(Denial::Unknown) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_who_knows_the_secret_is_another_daemon() {
+        let secret = PeerSecret::new("0123abcd".to_owned());
+        let with = |value: &str| HeaderMap::from_iter([(AUTHORIZATION, HeaderValue::from_str(value).expect("text"))]);
+        assert_eq!(secret.check(&HeaderMap::new()), Err(Denial::Missing));
+        for value in ["Bearer 0123abce", "Bearer ", "Basic 0123abcd", "0123abcd"] {
+            assert_eq!(secret.check(&with(value)), Err(Denial::Unknown), "{value}");
+        }
+        let sent = HeaderMap::from_iter([(AUTHORIZATION, secret.header().expect("text"))]);
+        assert_eq!(secret.check(&sent), Ok(()));
+        assert_eq!(PeerSecret::new(String::new()).check(&with("Bearer ")), Err(Denial::Unknown));
+        assert!(!format!("{secret:?}").contains("0123"));
+    }
+}

@@ -1,0 +1,67 @@
+//! Maps that are made of a copy of another daemon's: new ones, and such as take the place of one that is here.
+//!
+//! Invariant: a map that is replaced answers until its copy is complete and durable. Its files are set aside.
+
+use tidemap_map::{name::MapName, spec::MapSpec};
+use tidemap_store::MapCopy;
+use tracing::{error, warn};
+
+use super::{Catalog, CatalogError, MapOrigin, ended};
+use crate::ingest::ending::Ending;
+
+impl Catalog {
+    /// Holds a map of the cluster that was copied from another daemon.
+    ///
+    /// # Errors
+    /// See [`CatalogError`].
+    pub(crate) async fn adopt_copy(&self, spec: MapSpec, uid: u64, copy: MapCopy) -> Result<(), CatalogError> {
+        let this = self.clone();
+        ended(crate::task::spawn(async move {
+            let open = this.changing.lock().await;
+            if !*open {
+                return Err(CatalogError::Stopping);
+            }
+            this.check_new(&spec)?;
+            this.add(spec, MapOrigin::Copied(Box::new(copy), uid)).await.map(drop)
+        }))
+        .await
+    }
+
+    /// Puts a copy in the place of a map of the cluster that is open here.
+    ///
+    /// # Errors
+    /// See [`CatalogError`]; the map is as it was, or set aside.
+    pub(crate) async fn replace_by_copy(&self, name: MapName, uid: u64, copy: MapCopy) -> Result<(), CatalogError> {
+        let this = self.clone();
+        ended(crate::task::spawn(async move {
+            let open = this.changing.lock().await;
+            if !*open {
+                return Err(CatalogError::Stopping);
+            }
+            let old = this.get(name.as_str())?;
+            if old.shared_uid != Some(uid) {
+                return Err(CatalogError::Unknown(name.as_str().to_owned()));
+            }
+            if let Some(cluster) = &this.context.cluster {
+                cluster.unshare(uid).await;
+            }
+            old.stop(Ending::Moved { writer: None }).await;
+            this.open_again(old, move |_| {
+                match copy.install() {
+                    Ok((_, Some(aside))) => warn!(
+                        map = %name, folder = %aside.display(),
+                        "a copy of another daemon's takes the place of the map. The folder that it had is set aside: \
+                         remove it when nobody needs it"
+                    ),
+                    Ok((_, None)) => {}
+                    // What is there is opened.
+                    Err(error) => error!(map = %name, %error, "a copy of the map cannot be put in its place"),
+                }
+                Ok(())
+            })
+            .await;
+            Ok(())
+        }))
+        .await
+    }
+}
