@@ -81,8 +81,8 @@ struct Membership {
     members: watch::Sender<MembersView>,
     /// By the number of the map in the cluster. Held for a look-up.
     replicas: Mutex<BTreeMap<u64, RunningReplica>>,
-    /// How far the own logs of maps go whose replicas do not run yet, or no longer. A daemon that takes over a map waits
-    /// for one with a longer log only if that one is known to have it.
+    /// How far the own logs of maps go whose replicas do not run yet, or no longer. A daemon that takes over a map
+    /// waits for one with a longer log only if that one is known to have it.
     ends: Mutex<BTreeMap<u64, u64>>,
     /// Hears of what makes this daemon end.
     fatal: mpsc::UnboundedSender<String>,

@@ -5,8 +5,8 @@
 //! larger pulls.
 //!
 //! Invariant: messages are returned in order and without a gap from the number that was asked for. A consumer that
-//! gives another one is thrown away, and so is one that gives nothing although the leader of the stream has the message:
-//! it is on a server that does not catch up. The leader gives the messages then.
+//! gives another one is thrown away, and so is one that gives nothing although the leader of the stream has the
+//! message: it is on a server that does not catch up. The leader gives the messages then.
 
 use std::{collections::HashMap, sync::Arc, time::Duration};
 

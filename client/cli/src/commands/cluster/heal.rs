@@ -1,4 +1,5 @@
-//! `tidemap cluster heal`: what forks hold is taken into the map again, and forks of which it has everything are removed.
+//! `tidemap cluster heal`: what forks hold is taken into the map again, and forks of which it has everything are
+//! removed.
 //!
 //! Invariant: a fork of which the map lacks something is removed only where the loss is accepted in words.
 

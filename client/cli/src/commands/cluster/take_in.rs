@@ -186,14 +186,17 @@ mod tests {
 
     #[test]
     fn observations_are_sent_in_their_order_and_without_gaps() {
-        let of = |sequence, content| v1::ForkedObservation { sequence, content, ..v1::ForkedObservation::default() };
-        assert!(matches!(step(&of(3, Some(Content::Value(1.0))), 4), Step::Known));
-        assert!(matches!(step(&of(4, Some(Content::Value(1.0))), 4), Step::Send));
-        assert!(matches!(step(&of(4, None), 4), Step::Send), "its number is used up again");
-        let Step::End(why) = step(&of(6, Some(Content::Value(1.0))), 4) else { panic!("a gap") };
+        let observation =
+            |sequence, content| v1::ForkedObservation { sequence, content, ..v1::ForkedObservation::default() };
+        assert!(matches!(step(&observation(3, Some(Content::Value(1.0))), 4), Step::Known));
+        assert!(matches!(step(&observation(4, Some(Content::Value(1.0))), 4), Step::Send));
+        assert!(matches!(step(&observation(4, None), 4), Step::Send), "its number is used up again");
+        let Step::End(why) = step(&observation(6, Some(Content::Value(1.0))), 4) else { panic!("a gap") };
         assert!(why.contains("4 to 5"), "{why}");
-        let Step::End(why) = step(&of(4, Some(Content::Left("a scan".to_owned()))), 4) else { panic!("a scan") };
+        let Step::End(why) = step(&observation(4, Some(Content::Left("a scan".to_owned()))), 4) else {
+            panic!("a scan")
+        };
         assert!(why.contains("a scan"), "{why}");
-        assert!(matches!(step(&of(3, Some(Content::Left("a scan".to_owned()))), 4), Step::Known));
+        assert!(matches!(step(&observation(3, Some(Content::Left("a scan".to_owned()))), 4), Step::Known));
     }
 }

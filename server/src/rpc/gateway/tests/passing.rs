@@ -21,7 +21,7 @@ async fn what_was_passed_on_once_is_not_passed_on_again() {
     b.tell(ReplicaEvent::Following { writer: Some("a".to_owned()) }).await;
     let refused = a.add_state("door").await.expect_err("each takes the other for the writer");
     assert_eq!(reason(&refused), (Code::Unavailable, "NOT_WRITER".to_owned()));
-    assert!(refused.message().starts_with("a has passed this on"), "{refused:?}");
+    assert!(refused.message().starts_with("a passed the request to this daemon"), "{refused:?}");
 }
 
 #[tokio::test]
