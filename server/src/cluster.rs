@@ -309,6 +309,24 @@ impl Cluster {
         Ok(catalogue::delete(&self.0.engine, name.as_str(), uid).await?)
     }
 
+    /// Makes the buckets of the cluster again where the engine has lost them, with what they say of the cluster.
+    pub(crate) async fn restore_buckets(&self) {
+        let inner = &self.0;
+        let restored = async {
+            inner.engine.create_buckets(inner.settings.engine_replicas).await?;
+            let id = catalogue::cluster_id(&inner.engine, &inner.id).await?;
+            catalogue::cluster_secret(&inner.engine, inner.secret.text()).await?;
+            Ok::<_, EngineError>(id)
+        };
+        match restored.await {
+            Ok(id) if id == inner.id => warn!(id, "the engine had lost what it knew of the cluster: it is there again"),
+            Ok(id) => {
+                warn!(id, own = inner.id, "the engine now serves a cluster of another identity: restart this daemon")
+            }
+            Err(error) => warn!(%error, "the engine has lost what it knew of the cluster"),
+        }
+    }
+
     /// The connection to the engine.
     pub(crate) fn engine(&self) -> &NatsEngine {
         &self.0.engine

@@ -279,6 +279,30 @@ fn restart_engine(engine: &mut NatsServers, meanwhile: impl FnOnce(&NatsServers)
     (0..3).for_each(|index| engine.run(index));
 }
 
+/// Daemons that run make everything again that an engine with empty disks does not have.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_engine_that_has_lost_all_disks_gets_everything_from_the_daemons() {
+    let mut engine = match NatsServers::start(3).await {
+        Ok(engine) => engine,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    restart_engine(&mut engine, NatsServers::save);
+    let work = tempdir().expect("a folder");
+    let folder = work.path();
+    let members = Members(NAMES.map(|name| (name, start(folder, name, &engine))).into());
+    tidemap(members.first(), ["map", "create", "office"]).table();
+    eventually(members.first(), "cluster maps", is_held_by_all);
+    members.learn(folder, 0);
+    let identity = members.first().client().cluster_status(false).await.expect("answered").cluster_id;
+    restart_engine(&mut engine, NatsServers::set_back);
+    eventually(members.first(), "cluster status", |outcome| {
+        outcome.code == Some(0) && writer(&tidemap(members.first(), ["cluster", "maps"])).is_some()
+    });
+    members.learn(folder, 1);
+    let now = members.first().client().cluster_status(false).await.expect("answered").cluster_id;
+    assert_eq!(now, identity, "producers do not see another cluster");
+}
+
 /// A fork needs an engine that forgets, and a writer that was alone with what was forgotten.
 #[tokio::test(flavor = "multi_thread")]
 async fn observations_of_a_fork_are_taken_into_the_map_again_by_an_operators_word() {

@@ -35,6 +35,11 @@ impl PeerSecret {
         Self { text, hash }
     }
 
+    /// The secret itself, for the engine.
+    pub(crate) fn text(&self) -> &str {
+        &self.text
+    }
+
     /// What proves that a request is of a daemon that knows the secret; `None` for a secret that cannot be sent.
     pub(crate) fn header(&self) -> Option<HeaderValue> {
         let mut header = HeaderValue::from_str(&format!("Bearer {}", self.text)).ok()?;

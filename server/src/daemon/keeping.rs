@@ -12,7 +12,7 @@ use std::{
 use tidemap_cluster::{
     assignment::{self, Candidate},
     catalogue::{self, ClusterMap, Listing},
-    engine::{Bucket, Engine as _, SetError},
+    engine::{Bucket, Engine as _, EngineError, SetError},
     lease::Lease,
     membership::NameTaken,
 };
@@ -124,9 +124,16 @@ pub(super) async fn name_taken(keeping: Option<Task<Option<NameTaken>>>) -> Name
 }
 
 async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNotes, copies: &mut CopyNotes) {
+    if matches!(cluster.members(), Err(EngineError::Missing(_))) {
+        cluster.restore_buckets().await;
+    }
     // Whoever may write stays as it is while the engine does not tell.
     let Some(candidates) = cluster.candidates() else { return };
-    let Ok(listing) = catalogue::list(cluster.engine()).await else { return };
+    let listing = match catalogue::list(cluster.engine()).await {
+        Ok(listing) => listing,
+        Err(EngineError::Missing(_)) => return cluster.restore_buckets().await,
+        Err(_) => return,
+    };
     // First: a map that comes here takes a while, and others have it.
     find_writers(cluster, &listing).await;
     let mut listed = BTreeSet::new();
@@ -175,7 +182,10 @@ async fn find_writers(cluster: &Cluster, listing: &Listing) {
     if !listing.maps.iter().any(|(_, map, _)| is_elsewhere(map)) {
         return cluster.set_others(BTreeMap::new());
     }
-    let leases = cluster.engine().list(Bucket::Writers).await.unwrap_or_default();
+    let leases = match cluster.engine().list(Bucket::Writers).await {
+        Err(EngineError::Missing(_)) => return cluster.restore_buckets().await,
+        leases => leases.unwrap_or_default(),
+    };
     let writer = |uid: u64| {
         let key = format!("{uid:016x}");
         let lease = leases.iter().find(|(known, _)| *known == key).map(|(_, entry)| Lease::decode(&entry.value))?;

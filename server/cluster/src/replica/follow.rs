@@ -201,8 +201,12 @@ impl<E: Engine> Driver<E> {
                 },
                 Ok(_) => {}
                 Err(error) => {
+                    let is_gone = matches!(error, EngineError::Missing(_));
                     self.trouble(Some(error.to_string()));
                     self.pause(PAUSE).await;
+                    if is_gone {
+                        return Next::Align;
+                    }
                 }
             }
             let now = Instant::now();

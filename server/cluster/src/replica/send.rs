@@ -78,7 +78,12 @@ impl<E: Engine> Driver<E> {
                     return Sent::Full(reason);
                 }
                 // It can be sent again with the same condition: it can succeed once only.
-                Err(AppendIfError::Engine(error)) => self.trouble(Some(error.to_string())),
+                Err(AppendIfError::Engine(error)) => {
+                    self.trouble(Some(error.to_string()));
+                    if matches!(self.engine.ends(&self.settings.stream).await, Err(EngineError::Missing(_))) {
+                        return Sent::Forgotten;
+                    }
+                }
             }
             if self.is_stopping() {
                 return Sent::Stopped;

@@ -11,6 +11,7 @@ use tokio::{
 };
 
 use super::{
+    compare::CompareError,
     driver::{Driver, Next, PROBE},
     events::{ReplicaEvent, ReplicaRole},
     follow::StreamEnd,
@@ -18,7 +19,10 @@ use super::{
     send::Sent,
     settings::Order,
 };
-use crate::{engine::Engine, message::encode};
+use crate::{
+    engine::{Engine, EngineError},
+    message::encode,
+};
 
 /// Who is to write next, and who waits for it.
 type HandOver = (Option<String>, oneshot::Sender<bool>);
@@ -145,7 +149,9 @@ impl<E: Engine> Driver<E> {
         match self.probe().await {
             Ok(StreamEnd::Own) => None,
             // Forgotten, or somebody else has appended.
-            Ok(StreamEnd::More | StreamEnd::Lost) => Some(Next::Align),
+            Ok(StreamEnd::More | StreamEnd::Lost) | Err(CompareError::Engine(EngineError::Missing(_))) => {
+                Some(Next::Align)
+            }
             Err(error) => {
                 self.trouble(Some(error.to_string()));
                 None
