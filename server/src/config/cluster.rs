@@ -161,8 +161,8 @@ pub(crate) const EXAMPLE: &str = r#"
 # Bytes of records that are sent to the engine together. From 4096 to 524288.
 #group_bytes = 524288
 
-# The engine keeps about so many MiB of the log of each map. What is older goes when the checkpoints of two daemons cover
-# it. A daemon that was away for longer needs a copy of the map. From 1 to 1048576.
+# The engine keeps about so many MiB of the log of each map. What is older goes when the checkpoints of two daemons have
+# it. A daemon that was away for longer fetches a copy of the map. From 1 to 1048576.
 #keep_log_mib = 256
 
 # Refuse to start with an engine that says that it acknowledges before it has written to its disk.

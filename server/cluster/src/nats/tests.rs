@@ -120,6 +120,8 @@ async fn errors_say_what_is_known_of_the_effect() {
 
     // A server that stands still may have taken the message.
     servers.signal(0, "STOP");
+    // The signal may not have come yet.
+    sleep(Duration::from_millis(200)).await;
     let unknown = engine.append_if(STREAM, 4, bytes("b"), Duration::from_millis(300)).await;
     assert!(matches!(unknown, Err(AppendIfError::Engine(EngineError::Unknown(_)))), "{unknown:?}");
     servers.signal(0, "CONT");

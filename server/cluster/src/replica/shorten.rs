@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// Messages before the cut that are looked at to find a group that is not void, and that stay if none is found.
-const WINDOW: u64 = if cfg!(test) { 24 } else { 256 };
+const WINDOW: u64 = if cfg!(test) { 8 } else { 256 };
 /// Messages whose lengths are looked at to judge those of all.
 const SAMPLES: u64 = 16;
 

@@ -176,6 +176,18 @@ impl<E: Engine> Driver<E> {
         }
     }
 
+    /// Whether all who read the stream find the end of the own log in it.
+    async fn is_in_log(&mut self, keeper: &LeaseKeeper) -> bool {
+        while !self.is_stopping() && !keeper.is_lost() {
+            match self.relation(LOOK_BACK_FOLLOWING).await {
+                Ok(relation) => return matches!(relation, Relation::Holds { .. }),
+                Err(error) => self.trouble(Some(error.to_string())),
+            }
+            sleep(PAUSE).await;
+        }
+        false
+    }
+
     /// Appends the record of the epoch. `None`: somebody else has appended, or it could not be written here.
     async fn append_epoch(&mut self, keeper: &LeaseKeeper) -> Result<Option<Next>, CompareError> {
         let epoch = keeper.epoch();
@@ -219,6 +231,11 @@ impl<E: Engine> Driver<E> {
         self.on_disk(move || log.end_group(written, outcome)).await;
         if !is_in {
             return Ok(if self.is_stopping() { Some(Next::Stop) } else { None });
+        }
+        // An engine that forgets may have had another message under the number that was expected. Then the epoch is
+        // void for all who read the log, and so would be what follows.
+        if !self.is_in_log(keeper).await {
+            return Ok(Some(Next::Align));
         }
         self.epoch = epoch;
         self.heard_of(records.after.position, Instant::now());

@@ -217,7 +217,7 @@ impl World {
     async fn disturb(&mut self) {
         let index = self.random.random_range(0..DAEMONS);
         let name = self.machines[index].name.clone();
-        match self.random.random_range(0..12) {
+        match self.random.random_range(0..14) {
             0 | 1 => self.kill(index, false).await,
             2 => self.kill(index, true).await,
             3 => {
@@ -251,7 +251,7 @@ impl World {
                     let _ = client.append_if("tm", ends.last, content, Duration::from_millis(500)).await;
                 }
             }
-            8 | 9 => self.shorten().await,
+            8..12 => self.shorten().await,
             _ => {
                 let successor = self.random.random_bool(0.5).then(|| format!("daemon-{}", (index + 1) % DAEMONS));
                 if let Some(daemon) = &self.machines[index].daemon {
