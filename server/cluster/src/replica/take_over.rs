@@ -232,14 +232,14 @@ impl<E: Engine> Driver<E> {
         if !is_in {
             return Ok(if self.is_stopping() { Some(Next::Stop) } else { None });
         }
+        self.epoch = epoch;
+        self.heard_of(records.after.position, Instant::now());
+        self.tell_followed(vec![(records.after.position, event)]).await;
         // An engine that forgets may have had another message under the number that was expected. Then the epoch is
         // void for all who read the log, and so would be what follows.
         if !self.is_in_log(keeper).await {
             return Ok(Some(Next::Align));
         }
-        self.epoch = epoch;
-        self.heard_of(records.after.position, Instant::now());
-        self.tell_followed(vec![(records.after.position, event)]).await;
         self.set_writer(Some(self.settings.member.clone()));
         Ok(Some(Next::Write))
     }
