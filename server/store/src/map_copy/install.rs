@@ -139,7 +139,7 @@ impl MapCopy {
             return Err(invalid("", "it has no log, or a checkpoint that cannot be read"));
         }
         let names = disk.list(&log).map_err(open_io(&log))?;
-        let newest = names.iter().filter_map(|name| crate::log::segment_position(name)).last().unwrap_or(1);
+        let newest = names.iter().filter_map(|name| crate::log::segment_position(name)).next_back().unwrap_or(1);
         let list = log.join(NEWEST_FILE);
         list_file::replace(&**disk, &list, &NewestSegment { first_position: newest }).map_err(store_io(&list))?;
         let list = self.folder.join(CHECKPOINTS_FILE);
