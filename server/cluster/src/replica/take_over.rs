@@ -180,7 +180,8 @@ impl<E: Engine> Driver<E> {
     async fn is_in_log(&mut self, keeper: &LeaseKeeper) -> bool {
         while !self.is_stopping() && !keeper.is_lost() {
             match self.relation(LOOK_BACK_FOLLOWING).await {
-                Ok(relation) => return matches!(relation, Relation::Holds { .. }),
+                // What comes behind it is of the next writer.
+                Ok(relation) => return matches!(relation, Relation::Holds { has_more: false, .. }),
                 Err(error) => self.trouble(Some(error.to_string())),
             }
             sleep(PAUSE).await;
