@@ -132,7 +132,7 @@ fn nats_settings(settings: &ClusterSettings) -> NatsSettings {
     }
 }
 
-/// The engine, the identity and the secret of the cluster, and how far the own logs of this daemon went at its last report.
+/// The engine, identity and secret of the cluster, and how far the own logs of this daemon went at its last report.
 type Connected = (NatsEngine, String, PeerSecret, BTreeMap<u64, u64>);
 
 async fn try_to_connect(settings: &ClusterSettings, proposed: &str) -> Result<Connected, ClusterError> {

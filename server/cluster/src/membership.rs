@@ -70,7 +70,8 @@ pub fn candidates(members: &Members) -> Vec<Candidate> {
     members.iter().filter(usable).map(candidate).collect()
 }
 
-/// The last record of a map that the checkpoints of two members cover, of all members where fewer hold the map; 0: none.
+/// The last record of a map that the checkpoints of two members cover, or of all members that hold it where these are
+/// fewer; 0: none.
 /// A member that is gone covers nothing, and may come back without its disk.
 #[must_use]
 pub fn covered(members: &Members, uid: u64) -> u64 {

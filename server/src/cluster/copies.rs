@@ -70,12 +70,12 @@ impl Cluster {
         self.0.secret.clone()
     }
 
-    /// Why an open map needs a copy of another daemon's; `None`: it needs none. `is_diverged`: its newest update has made
-    /// other bits than the writer's.
+    /// Why an open map needs a copy of another daemon's; `None`: it needs none. `is_diverged`: its newest update has
+    /// made other bits than the writer's.
     pub(crate) fn copy_cause(&self, uid: u64, is_diverged: bool) -> Option<CopyCause> {
         let status = self.replica_status(uid)?;
         match status.role {
-            // Its bits count.
+            // The bits of the writer are those that count.
             ReplicaRole::Writing => None,
             _ if status.needs_copy => Some(CopyCause::Behind),
             _ => is_diverged.then_some(CopyCause::Diverged),

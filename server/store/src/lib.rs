@@ -27,7 +27,6 @@ mod list_file;
 mod lock;
 mod log;
 mod losses;
-mod map_copy;
 mod map_log;
 mod options;
 mod record;
@@ -57,12 +56,12 @@ pub use log::{
     record_group::{LogPoint, RecordGroup},
     replay::Replay,
 };
-pub use map_copy::{COPY_PART_BYTES, CopyError, CopyPart, CopySource, CopyTotal, MapCopy};
 pub use map_log::MapLog;
 pub use options::StoreOptions;
 pub use record::scans::{SCANS_MAX, SEEN_TILES_MAX};
 pub use record::spec::{decode_spec, encode_spec};
 pub use scrub::Pace;
+pub use store::map_copy::{COPY_PART_BYTES, CopyError, CopyPart, CopySource, CopyTotal, MapCopy};
 pub use store::{IndexContents, IndexedRows, OpenedMap, SetAside, Sizes, Source, Store};
 pub use tidemap_migrations::{FORMAT as DISK_FORMAT, manifest::is_store_id, v1::lists::Loss};
 pub use trouble::Trouble;

@@ -34,6 +34,7 @@ pub(crate) mod catalogue;
 mod contents;
 mod erase;
 pub(crate) mod lists;
+pub(crate) mod map_copy;
 pub(crate) mod open;
 mod open_map;
 mod save;

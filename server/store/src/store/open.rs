@@ -17,7 +17,7 @@ use tidemap_migrations::{
     v1::lists::MAPS_FILE,
 };
 
-use super::{Lock, MapEntry, Maps, OpenStore, Store, catalogue, lists};
+use super::{Lock, MapEntry, Maps, OpenStore, Store, catalogue, lists, map_copy};
 use crate::{
     committer::Committer,
     disk::{Disk, RealDisk},
@@ -25,7 +25,7 @@ use crate::{
     error::{OpenError, Report, open_io},
     folders,
     index::{Index, IndexInUse, is_present},
-    list_file, map_copy,
+    list_file,
     options::StoreOptions,
 };
 
