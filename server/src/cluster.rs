@@ -321,7 +321,7 @@ impl Cluster {
         match restored.await {
             Ok(id) if id == inner.id => warn!(id, "the engine had lost what it knew of the cluster: it is there again"),
             Ok(id) => {
-                warn!(id, own = inner.id, "the engine now serves a cluster of another identity: restart this daemon")
+                warn!(id, own = inner.id, "the engine now serves a cluster of another identity: restart this daemon");
             }
             Err(error) => warn!(%error, "the engine has lost what it knew of the cluster"),
         }
