@@ -107,17 +107,18 @@ async fn check_disks(world: &mut World) -> Result<Tried, String> {
         }
         *mark = envelope.span.last;
     }
-    let seen = world.seen.lock().expect("sound");
-    if let Some(violation) = seen.violations.first() {
-        return Err(violation.clone());
-    }
-    for (producer, acknowledged) in &seen.acknowledged {
-        if marks.get(producer).is_none_or(|mark| mark < acknowledged) {
-            return Err(format!("{producer}: {acknowledged} was acknowledged, {marks:?} is there"));
+    let mut tried = {
+        let seen = world.seen.lock().expect("sound");
+        if let Some(violation) = seen.violations.first() {
+            return Err(violation.clone());
         }
-    }
-    let mut tried = Tried { acknowledged: seen.acknowledged.values().sum(), ..Tried::default() };
-    drop(seen);
+        for (producer, acknowledged) in &seen.acknowledged {
+            if marks.get(producer).is_none_or(|mark| mark < acknowledged) {
+                return Err(format!("{producer}: {acknowledged} was acknowledged, {marks:?} is there"));
+            }
+        }
+        Tried { acknowledged: seen.acknowledged.values().sum(), ..Tried::default() }
+    };
     for machine in &mut world.machines {
         let mut daemon = machine.daemon.take().ok_or("a daemon does not run")?;
         let own = daemon.end();
