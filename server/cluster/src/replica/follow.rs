@@ -97,7 +97,7 @@ impl<E: Engine> Driver<E> {
         }
         match engine.create_stream(&settings.stream, settings.engine_replicas).await {
             Ok(()) => {
-                tracing::warn!(stream = settings.stream, "the engine had lost the stream of a map: it is made again")
+                tracing::warn!(stream = settings.stream, "the engine had lost the stream of a map: it is made again");
             }
             Err(error) => self.trouble(Some(error.to_string())),
         }
