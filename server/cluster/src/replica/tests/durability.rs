@@ -90,9 +90,8 @@ fn shared_log(world: &World) -> Result<(Vec<RecordGroup>, LogPoint), String> {
     Ok((groups, end))
 }
 
-/// What was acknowledged is in the shared log, and each disk has that log and the map that it makes. Gives how much was
-/// tried.
-async fn check_disks(world: &mut World) -> Result<Tried, String> {
+/// What was acknowledged is in the shared log. Gives where it ends, and the producers' numbers that it has.
+fn check_shared(world: &World) -> Result<(LogPoint, BTreeMap<String, u64>), String> {
     let (groups, end) = shared_log(world)?;
     let mut marks: BTreeMap<String, u64> = BTreeMap::new();
     let mut names = BTreeMap::new();
@@ -116,8 +115,14 @@ async fn check_disks(world: &mut World) -> Result<Tried, String> {
             return Err(format!("{producer}: {acknowledged} was acknowledged, {marks:?} is there"));
         }
     }
-    let mut tried = Tried { acknowledged: seen.acknowledged.values().sum(), ..Tried::default() };
-    drop(seen);
+    Ok((end, marks))
+}
+
+/// Each disk has the shared log and the map that it makes. Gives how much was tried.
+async fn check_disks(world: &mut World) -> Result<Tried, String> {
+    let (end, marks) = check_shared(world)?;
+    let acknowledged = world.seen.lock().expect("sound").acknowledged.values().sum();
+    let mut tried = Tried { acknowledged, ..Tried::default() };
     for machine in &mut world.machines {
         let mut daemon = machine.daemon.take().ok_or("a daemon does not run")?;
         let own = daemon.end();
