@@ -114,7 +114,8 @@ fn named(path: &Path) -> Option<PathBuf> {
     Some(path.to_owned()).filter(|path| !path.as_os_str().is_empty())
 }
 
-fn nats_settings(settings: &ClusterSettings) -> NatsSettings {
+/// How the engine of a section is reached.
+pub(crate) fn nats_settings(settings: &ClusterSettings) -> NatsSettings {
     let credentials = match (named(&settings.credentials_file), named(&settings.nkey_file)) {
         (Some(file), _) => NatsCredentials::File(file),
         (None, Some(file)) => NatsCredentials::NkeySeed(file),

@@ -36,7 +36,7 @@ pub(crate) struct Flags {
     #[serde(skip)]
     pub command: Option<OfflineCommand>,
     /// Config file (TOML).
-    #[arg(long, value_name = "FILE", env = "TIDEMAP_CONFIG")]
+    #[arg(long, value_name = "FILE", env = "TIDEMAP_CONFIG", global = true)]
     #[serde(skip)]
     pub config: Option<PathBuf>,
     /// Folder of all data [default: ./tidemap-data].

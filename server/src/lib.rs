@@ -15,6 +15,7 @@ mod command_texts;
 mod config;
 mod connections;
 mod daemon;
+mod engine_check;
 mod evaluation;
 mod http;
 mod index_print;
@@ -64,7 +65,9 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
         _ => {}
     }
     let settings = match Settings::load(&flags).and_then(|settings| {
-        telemetry::start_logs(settings.log_format, &settings.log_level)?;
+        // A check tells of the engine itself: not of each connection, too.
+        let is_check = matches!(flags.command, Some(OfflineCommand::CheckEngine { .. }));
+        telemetry::start_logs(settings.log_format, if is_check { "warn" } else { &settings.log_level })?;
         config::instructions::apply(&settings.instruction_set)?;
         Ok(settings)
     }) {
@@ -79,6 +82,9 @@ pub fn run(disk: Arc<dyn Disk>) -> ExitCode {
             eprintln!("tidemapd: {error:#}");
             ExitCode::FAILURE
         });
+    }
+    if let Some(OfflineCommand::CheckEngine { seconds }) = flags.command {
+        return engine_check::run(&settings, seconds);
     }
     if let Some(missing) = settings.missing_protection().filter(|_| settings.allow_insecure_remote) {
         tracing::warn!("the ports are open beyond this machine without {missing}: {}", missing.consequence());

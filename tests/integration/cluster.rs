@@ -2,6 +2,7 @@
 //!
 //! Invariant: skipped with the reason where there is no nats-server. Every deadline only detects what hangs.
 
+mod check_engine;
 mod other_bits;
 
 use std::{

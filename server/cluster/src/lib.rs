@@ -16,6 +16,7 @@ pub mod message;
 pub mod nats;
 #[cfg(any(test, feature = "testing"))]
 pub mod nats_process;
+pub mod race;
 pub mod replica;
 #[cfg(any(test, feature = "testing"))]
 pub mod simulated;

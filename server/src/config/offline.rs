@@ -39,6 +39,14 @@ pub(crate) enum OfflineCommand {
         #[arg(long)]
         accept_loss: bool,
     },
+    /// Check the engine of a cluster before daemons use it: print version and sync of its servers, and let writers race
+    /// for the positions of a stream, which is made for that and deleted. The exit status is 0 if no position was taken
+    /// twice and nothing was lost, 1 if not, and 78 if the engine cannot be used or asked, or the settings are wrong.
+    CheckEngine {
+        /// How long the writers race, in seconds, from 1 to 3600.
+        #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=3600))]
+        seconds: u64,
+    },
     /// Restore a backup, which `tidemap backup create` made.
     #[command(subcommand)]
     Backup(BackupCommand),

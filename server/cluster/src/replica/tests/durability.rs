@@ -90,9 +90,8 @@ fn shared_log(world: &World) -> Result<(Vec<RecordGroup>, LogPoint), String> {
     Ok((groups, end))
 }
 
-/// What was acknowledged is in the shared log, and each disk has that log and the map that it makes. Gives how much was
-/// tried.
-async fn check_disks(world: &mut World) -> Result<Tried, String> {
+/// What was acknowledged is in the shared log. Gives where it ends, and the producers' numbers that it has.
+fn check_shared(world: &World) -> Result<(LogPoint, BTreeMap<String, u64>), String> {
     let (groups, end) = shared_log(world)?;
     let mut marks: BTreeMap<String, u64> = BTreeMap::new();
     let mut names = BTreeMap::new();
@@ -107,18 +106,23 @@ async fn check_disks(world: &mut World) -> Result<Tried, String> {
         }
         *mark = envelope.span.last;
     }
-    let mut tried = {
-        let seen = world.seen.lock().expect("sound");
-        if let Some(violation) = seen.violations.first() {
-            return Err(violation.clone());
+    let seen = world.seen.lock().expect("sound");
+    if let Some(violation) = seen.violations.first() {
+        return Err(violation.clone());
+    }
+    for (producer, acknowledged) in &seen.acknowledged {
+        if marks.get(producer).is_none_or(|mark| mark < acknowledged) {
+            return Err(format!("{producer}: {acknowledged} was acknowledged, {marks:?} is there"));
         }
-        for (producer, acknowledged) in &seen.acknowledged {
-            if marks.get(producer).is_none_or(|mark| mark < acknowledged) {
-                return Err(format!("{producer}: {acknowledged} was acknowledged, {marks:?} is there"));
-            }
-        }
-        Tried { acknowledged: seen.acknowledged.values().sum(), ..Tried::default() }
-    };
+    }
+    Ok((end, marks))
+}
+
+/// Each disk has the shared log and the map that it makes. Gives how much was tried.
+async fn check_disks(world: &mut World) -> Result<Tried, String> {
+    let (end, marks) = check_shared(world)?;
+    let acknowledged = world.seen.lock().expect("sound").acknowledged.values().sum();
+    let mut tried = Tried { acknowledged, ..Tried::default() };
     for machine in &mut world.machines {
         let mut daemon = machine.daemon.take().ok_or("a daemon does not run")?;
         let own = daemon.end();

@@ -128,9 +128,9 @@ impl Members {
                 if stalled[index] > Instant::now() {
                     continue;
                 }
-                if random.random_bool(0.03) {
+                if random.random_bool(0.008) {
                     // Longer than a request waits.
-                    stalled[index] = Instant::now() + Duration::from_millis(random.random_range(50..500));
+                    stalled[index] = Instant::now() + Duration::from_millis(random.random_range(50..400));
                 }
                 let last = random.random_range(fed[index]..=self.log.end());
                 self.feed(index, &mut fed[index], last).await;
@@ -248,7 +248,7 @@ async fn no_reply_shows_less_than_its_token_while_writers_change_and_followers_l
     let reads = reads();
     let tally = views_go_only_forward(false, reads).await.expect("no reply shows less");
     println!("{tally:?}");
-    assert!(tally.behind.load(Ordering::Relaxed) > reads / 30, "too few reads were of what lags: {tally:?}");
+    assert!(tally.behind.load(Ordering::Relaxed) > reads / 50, "too few reads were of what lags: {tally:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
