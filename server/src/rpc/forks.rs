@@ -157,8 +157,8 @@ pub(super) fn fork_to_wire(
     })
 }
 
-/// Removes forks of a single group of which the map has everything. A daemon that is lost while a group is decided about
-/// leaves one behind, and its producers have sent the observations again. Gives the names of those removed.
+/// Removes forks of a single group of which the map has everything. A daemon that is lost while a group is decided
+/// about leaves one behind, and its producers have sent the observations again. Gives the names of those removed.
 ///
 /// # Errors
 /// A fork cannot be read or removed.
