@@ -124,7 +124,7 @@ soak:
 	@$(SETUP) test
 	@$(ENV); python3 deploy/soak.py $(or $(HOURS),1) $(ROWS)
 
-## cluster-faults: CLUSTER_FAULTS faults (300) of three hosts in network namespaces; SEED=n; goes on where it ended; root
+## cluster-faults: harms a cluster in network namespaces with CLUSTER_FAULTS faults (300); SEED=n; can be resumed; root
 cluster-faults: export CLUSTER_FAULTS ?= 300
 cluster-faults:
 	@$(SETUP) cluster

@@ -119,7 +119,7 @@ pub(crate) const EXAMPLE: &str = r#"
 
 # Where the other daemons and clients reach the gRPC port of this daemon, as http://HOST:PORT or https://HOST:PORT.
 # Empty: http:// and the value of `listen`; set it if the daemon has TLS or listens on all addresses. A daemon with
-# tokens passes requests on over https:// only, or within its machine.
+# tokens passes requests on over https:// or within its machine; with allow_insecure_remote also without TLS.
 #advertise = ""
 
 # A file with the JWT and the seed that prove to the engine who connects; empty: none. If nkey_file is set too, this

@@ -247,7 +247,7 @@ impl ClusterService for ClusterCalls {
             store.remove_fork(id, &fork).map_err(|error| RpcError::from(CatalogError::from(error)))
         };
         crate::task::blocking(discard).await.map_err(|_| RpcError::Stopping)??;
-        tracing::warn!(map = %handle.spec.name, "an operator has given up the records of a fork");
+        tracing::warn!(map = %handle.spec.name, "an operator has removed a fork");
         Ok(Response::new(v1::DiscardForkResponse {}))
     }
 

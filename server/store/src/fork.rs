@@ -2,7 +2,7 @@
 //! is cut back to what both have.
 //!
 //! Invariant: a record is cut off only when the file that holds it is durable. A fork stays until an operator removes
-//! it.
+//! it, or, if it has a single group, until the map has all of it.
 
 use std::{
     path::{Path, PathBuf},

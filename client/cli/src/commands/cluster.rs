@@ -78,8 +78,9 @@ pub(crate) enum ClusterCommand {
     /// A fork is records that a member set aside because the shared log does not have them. Their observations are sent
     /// to the map as from their producers, under their numbers, so that it has each of them once. Scans, traversals,
     /// sightings and reports of tasks cannot be sent again, and neither can what follows them in their sequences, or
-    /// observations of a producer that has begun anew. Values that the map has are not compared. With --accept-loss the
-    /// forks are removed all the same; what the map lacks of them is lost. The exit status is 2 while forks are left.
+    /// observations of a producer that has begun anew. Values are compared by a checksum only, where the map still has
+    /// one. With --accept-loss the forks are removed all the same; what the map lacks of them is lost. The exit status is
+    /// 2 while forks are left, and 1 if a member does not answer.
     Heal(HealArgs),
 }
 

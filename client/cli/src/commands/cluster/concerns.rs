@@ -136,10 +136,10 @@ fn of_replica(map: &str, member: &str, replica: &v1::MapReplica, found: &mut Vec
         Some(heard) => {
             add(
                 Severity::Warning,
-                format!("it has not confirmed the end of the shared log for {} s", heard / 1_000_000_000),
+                format!("it has not heard for {} s where the shared log ends", heard / 1_000_000_000),
             );
         }
-        None => add(Severity::Warning, "it has never confirmed the end of the shared log".to_owned()),
+        None => add(Severity::Warning, "it has never heard where the shared log ends".to_owned()),
     }
 }
 
@@ -207,7 +207,7 @@ mod tests {
         check(&cluster(replica(ReplicaRole::Following, "0b")), Severity::Error, "generation 3 differs between a, b");
         let following = || replica(ReplicaRole::Following, "0a");
         check(&cluster(v1::MapReplica { trouble: "no room".into(), ..following() }), Severity::Warning, "no room");
-        check(&cluster(v1::MapReplica { heard_age: None, ..following() }), Severity::Warning, "never confirmed");
+        check(&cluster(v1::MapReplica { heard_age: None, ..following() }), Severity::Warning, "never heard");
         let late = Some(duration(11_000_000_000));
         check(&cluster(v1::MapReplica { heard_age: late, ..following() }), Severity::Warning, "for 11 s");
         for (groups, severity) in [(1, Severity::Warning), (2, Severity::Error)] {

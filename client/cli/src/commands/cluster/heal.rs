@@ -117,7 +117,7 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, args: Heal
                 client.discard_fork(&map, &fork.name).await?;
             } else if missing > 0 {
                 status_line(&format!(
-                    "error: the map lacks {missing} records of fork {} on {member}{}",
+                    "error: fork {} on {member} has {missing} records that the map lacks, or may lack{}",
                     fork.name,
                     if dry_run { "" } else { ". --accept-loss removes the fork; its records are lost" }
                 ));
@@ -125,8 +125,8 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, args: Heal
             left += usize::from(!is_removed);
             if fork.other_records > 0 {
                 status_line(&format!(
-                    "warning: fork {} on {member} holds {} changes of states or of the site that the map lacks: only you \
-                     can compare them with the map",
+                    "warning: fork {} on {member} holds {} changes of states or of the site. This command cannot tell \
+                     whether the map has them: compare them yourself",
                     fork.name, fork.other_records
                 ));
             }
