@@ -144,29 +144,25 @@ class Harm:
 
     def forget_live(self):
         """Two engines are set back by a few seconds, to copies that were taken while they ran."""
-        hit = [self.host, self.draws.choice(self.others)]
-        for host in hit:
-            self.keep_image(host)
-        self.pause(3, 6)
-        self.forget(hit)
+        self.forget(self.keep_two_images())
 
-    def forget_first(self):
-        """All engines die. Two are set back by a few seconds, and elect before the third one comes."""
+    def keep_two_images(self):
+        """Two hosts whose engines can be set back by a few seconds."""
         hit = [self.host, self.draws.choice(self.others)]
         for host in hit:
             self.keep_image(host)
         self.pause(3, 6)
+        return hit
+
+    def forget_first(self, parts=("engine",)):
+        """All engines die. Two are set back by a few seconds, and elect before the third one comes."""
+        hit = self.keep_two_images()
         self.begun = time.time()
-        self.restart_forgetting(hit, ("engine",))
+        self.restart_forgetting(hit, parts)
 
     def forget_all(self):
         """As `forget_first`, and the daemons die too."""
-        hit = [self.host, self.draws.choice(self.others)]
-        for host in hit:
-            self.keep_image(host)
-        self.pause(3, 6)
-        self.begun = time.time()
-        self.restart_forgetting(hit, ("engine", "daemon"))
+        self.forget_first(("engine", "daemon"))
 
     def restart_forgetting(self, hit, whats):
         for host in self.cluster.hosts:

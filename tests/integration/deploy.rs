@@ -37,6 +37,16 @@ fn settings(config: Option<&Path>, environment: &BTreeMap<String, String>) -> St
     String::from_utf8(shown.stdout).expect("text")
 }
 
+/// The files and folders that settings name lie where a container has something mounted.
+fn check_mounted(taken: &str, container: &Value) {
+    let mounts = container["volumeMounts"].as_array().expect("mounts");
+    let mounts: Vec<&str> = mounts.iter().filter_map(|mount| mount["mountPath"].as_str()).collect();
+    for line in taken.lines().filter(|line| line.contains("\"/")) {
+        let path = line.split('"').nth(1).expect("a path");
+        assert!(mounts.iter().any(|mount| path.starts_with(mount)), "{line} lies in none of {mounts:?}");
+    }
+}
+
 #[test]
 fn the_daemon_takes_the_settings_of_the_cluster_and_probes_ask_what_it_serves() {
     let taken = settings(Some(&root().join("kubernetes/tidemapd.toml")), &BTreeMap::new());
@@ -54,16 +64,7 @@ fn the_daemon_takes_the_settings_of_the_cluster_and_probes_ask_what_it_serves() 
         assert_eq!(daemon[probe]["httpGet"]["scheme"], "HTTPS", "{probe}: there are TLS and tokens");
     }
     // Files that the settings name lie where something is mounted, and the data where the volume is.
-    let mounts: Vec<&str> = daemon["volumeMounts"]
-        .as_array()
-        .expect("mounts")
-        .iter()
-        .filter_map(|mount| mount["mountPath"].as_str())
-        .collect();
-    for line in taken.lines().filter(|line| line.contains("\"/")) {
-        let path = line.split('"').nth(1).expect("a path");
-        assert!(mounts.iter().any(|mount| path.starts_with(mount)), "{line} lies in none of {mounts:?}");
-    }
+    check_mounted(&taken, daemon);
     assert_eq!(set["spec"]["replicas"], 1, "a folder belongs to one daemon");
     let budget = objects.iter().find(|object| object["kind"] == "PodDisruptionBudget").expect("a PodDisruptionBudget");
     assert_eq!(budget["spec"]["selector"], set["spec"]["selector"]);

@@ -271,14 +271,6 @@ pub(crate) fn with(disk: &dyn Disk, directory: &Path, suffix: &str) -> Result<Ve
     Ok(names.iter().filter_map(|name| folders::map_number(name.strip_suffix(suffix)?)).collect())
 }
 
-fn opening(directory: &Path) -> impl FnOnce(StoreError) -> OpenError {
-    let maps = folders::maps_folder(directory);
-    move |error| match error {
-        StoreError::Io { file, source } => OpenError::Io { file, source },
-        other => OpenError::Io { file: maps, source: io::Error::other(other.to_string()) },
-    }
-}
-
 /// Before the maps are listed: completes erasures whose new folder is complete, and removes those that are not.
 pub(crate) fn complete(
     disk: &dyn Disk,
@@ -287,7 +279,7 @@ pub(crate) fn complete(
     reports: &mut Vec<Report>,
 ) -> Result<(), OpenError> {
     for map in with(disk, directory, ERASED_SUFFIX)? {
-        swap(disk, directory, map).map_err(opening(directory))?;
+        swap(disk, directory, map).map_err(|error| error.opening(&folders::maps_folder(directory)))?;
         reports.push(Report::ErasureCompleted { map });
     }
     for map in with(disk, directory, REPLACED_SUFFIX)? {

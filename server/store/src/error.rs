@@ -140,6 +140,14 @@ impl StoreError {
     pub(crate) fn from_io(file: PathBuf, source: io::Error) -> StoreError {
         if is_disk_full(&source) { StoreError::DiskFull { file } } else { StoreError::Io { file, source } }
     }
+
+    /// This error, where it keeps a store from being opened. `folder` is named where the error names no file.
+    pub(crate) fn opening(self, folder: &Path) -> OpenError {
+        match self {
+            StoreError::Io { file, source } => OpenError::Io { file, source },
+            other => OpenError::Io { file: folder.to_owned(), source: io::Error::other(other.to_string()) },
+        }
+    }
 }
 
 /// Why an append has failed: the event is not in the log.

@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, fs, process::Command};
 use serde_json::Value;
 use tidemap_cluster::nats_process::nats_server;
 
-use super::{documents, root, settings};
+use super::{check_mounted, documents, root, settings};
 
 type Environment = BTreeMap<String, String>;
 
@@ -237,16 +237,7 @@ fn in_kubernetes_daemons_and_engines_take_their_settings_and_find_each_other() {
     let taken = settings(Some(&config), &environment_of_container(daemon, "tidemap-cluster-2"));
     let address = "https://tidemap-cluster-2.tidemap-members.maps.svc:7435";
     check_member(&taken, "tidemap-cluster-2", address, &servers);
-    let mounts: Vec<&str> = daemon["volumeMounts"]
-        .as_array()
-        .expect("mounts")
-        .iter()
-        .filter_map(|mount| mount["mountPath"].as_str())
-        .collect();
-    for line in taken.lines().filter(|line| line.contains("\"/")) {
-        let path = line.split('"').nth(1).expect("a path");
-        assert!(mounts.iter().any(|mount| path.starts_with(mount)), "{line} lies in none of {mounts:?}");
-    }
+    check_mounted(&taken, daemon);
     // The files are where the pods look for them.
     let kustomization = documents("kubernetes/cluster/kustomization.yaml").remove(0);
     for map in kustomization["configMapGenerator"].as_array().expect("config maps") {

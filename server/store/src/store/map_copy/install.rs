@@ -249,10 +249,7 @@ pub(crate) fn complete(
     for name in disk.list(&maps).map_err(open_io(&maps))? {
         let Some(map) = name.strip_suffix(COPIED_SUFFIX).and_then(folders::map_number) else { continue };
         index.purge(map.0);
-        put_in_place(disk, directory, map).map_err(|error| match error {
-            StoreError::Io { file, source } => OpenError::Io { file, source },
-            other => OpenError::Io { file: maps.clone(), source: std::io::Error::other(other.to_string()) },
-        })?;
+        put_in_place(disk, directory, map).map_err(|error| error.opening(&maps))?;
         reports.push(Report::CopyCompleted { map });
     }
     Ok(())
