@@ -29,7 +29,6 @@ use tokio::{
 };
 use tracing::{info, warn};
 
-use self::copies::CopyWishes;
 use crate::{
     access::peer_secret::PeerSecret, config::cluster::ClusterSettings, peers::Peers, random_id::random_id, telemetry,
 };
@@ -94,7 +93,8 @@ struct Membership {
     changed: Notify,
     is_draining: watch::Sender<bool>,
     secret: PeerSecret,
-    wishes: Mutex<CopyWishes>,
+    /// Why maps are not held yet that this daemon is to hold, by the number of the map in the cluster.
+    waiting_maps: Mutex<BTreeMap<u64, String>>,
     /// The maps that this daemon does not hold, and their writers as far as they are known; `None`: the catalogue has
     /// not been read yet.
     others: Mutex<Option<BTreeMap<String, Option<String>>>>,
@@ -210,7 +210,7 @@ impl Cluster {
             changed: Notify::new(),
             is_draining: watch::Sender::new(false),
             secret,
-            wishes: Mutex::default(),
+            waiting_maps: Mutex::default(),
             others: Mutex::default(),
         })))
     }

@@ -4,6 +4,7 @@
 
 use tidemap_map::{name::MapName, spec::MapSpec};
 use tidemap_store::MapCopy;
+use tokio::sync::oneshot;
 use tracing::{error, warn};
 
 use super::{Catalog, CatalogError, MapOrigin, ended};
@@ -46,8 +47,10 @@ impl Catalog {
                 cluster.unshare(uid).await;
             }
             old.stop(Ending::Moved { writer: None }).await;
+            let (sender, installed) = oneshot::channel();
             this.open_again(old, move |_| {
-                match copy.install() {
+                let outcome = copy.install();
+                match &outcome {
                     Ok((_, Some(aside))) => warn!(
                         map = %name, folder = %aside.display(),
                         "a copy of another daemon's takes the place of the map. The folder that it had is set aside: \
@@ -57,10 +60,12 @@ impl Catalog {
                     // What is there is opened.
                     Err(error) => error!(map = %name, %error, "a copy of the map cannot be put in its place"),
                 }
+                // Whoever asked for the copy may have gone.
+                let _ = sender.send(outcome.map(drop));
                 Ok(())
             })
             .await;
-            Ok(())
+            Ok(installed.await.map_err(|_| CatalogError::Stopping)??)
         }))
         .await
     }

@@ -31,13 +31,6 @@ pub(crate) enum CopyCause {
     Diverged,
 }
 
-/// What is known of copies.
-#[derive(Debug, Default)]
-pub(super) struct CopyWishes {
-    /// Why maps are not held yet that this daemon is to hold.
-    waiting: BTreeMap<u64, String>,
-}
-
 /// What the stream of a map has for a daemon that has nothing of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct LogStart {
@@ -61,8 +54,8 @@ fn donors(members: &Members, own: &str, uid: u64, writer: Option<&str>) -> Vec<(
 }
 
 impl Cluster {
-    fn wishes(&self) -> MutexGuard<'_, CopyWishes> {
-        self.0.wishes.lock().unwrap_or_else(PoisonError::into_inner)
+    fn waiting_maps(&self) -> MutexGuard<'_, BTreeMap<u64, String>> {
+        self.0.waiting_maps.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What the daemons of the cluster prove themselves by.
@@ -107,14 +100,14 @@ impl Cluster {
     /// Why a map that this daemon is to hold is not held yet; `None`: it is.
     pub(crate) fn set_waiting(&self, uid: u64, why: Option<String>) {
         match why {
-            Some(why) => self.wishes().waiting.insert(uid, why),
-            None => self.wishes().waiting.remove(&uid),
+            Some(why) => self.waiting_maps().insert(uid, why),
+            None => self.waiting_maps().remove(&uid),
         };
     }
 
     /// Why a map that this daemon is to hold is not held yet.
     pub(crate) fn waiting(&self, uid: u64) -> Option<String> {
-        self.wishes().waiting.get(&uid).cloned()
+        self.waiting_maps().get(&uid).cloned()
     }
 
     /// What may be removed from the stream of a map, if this daemon writes it.

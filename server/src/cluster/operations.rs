@@ -178,7 +178,7 @@ impl Cluster {
     }
 
     /// Hands the log of a map over to a member, if this daemon writes it. Whether it was done is seen later.
-    pub(crate) fn give_over(&self, uid: u64, to: String) {
+    pub(crate) fn hand_over(&self, uid: u64, to: String) {
         if let Some(replica) = self.replicas().get(&uid) {
             drop(replica.handle.hand_over(Some(to)));
         }

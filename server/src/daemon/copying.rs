@@ -233,7 +233,7 @@ async fn take_copy(cluster: &Cluster, catalog: &Catalog, client: &CopyClient, or
         match placed {
             Ok(()) => {
                 let secs = begun.elapsed().as_secs_f64();
-                info!(map = %name, from = member, bytes, secs, "the map is a copy of another daemon's");
+                info!(map = %name, from = member, bytes, secs, "a copy of another daemon's map is in place");
                 cluster.set_waiting(uid, None);
                 return true;
             }

@@ -65,7 +65,7 @@ impl KeepingNotes {
     }
 
     /// Whether a map is to be handed over now, whose log ends at `end`, to a daemon that says that it has `has`.
-    fn may_give_over(&mut self, uid: u64, to: &str, (has, end): (Option<u64>, u64), now: Instant) -> bool {
+    fn may_hand_over(&mut self, uid: u64, to: &str, (has, end): (Option<u64>, u64), now: Instant) -> bool {
         let new = || Leaving { to: to.to_owned(), end, since: now };
         let leaving = self.leaving.entry(uid).or_insert_with(new);
         let has_it = has.is_some_and(|has| has >= leaving.end);
@@ -216,7 +216,7 @@ impl Keeper<'_> {
         let rank = rank.and_then(|rank| u32::try_from(rank).ok());
         let is_copied = copies.is_running(uid).await;
         if cluster.set_candidacy(uid, rank) {
-            give_over(cluster, (uid, name), successor(&order, rank, map), notes);
+            hand_over(cluster, (uid, name), successor(&order, rank, map), notes);
             if !is_copied {
                 copies.replace(cluster, catalog, uid, name);
                 copies.shorten(cluster, uid, name);
@@ -241,14 +241,14 @@ impl Keeper<'_> {
 }
 
 /// Hands a map that this daemon writes over to the daemon that is to write it, once that one has caught up.
-fn give_over(cluster: &Cluster, (uid, name): (u64, &MapName), to: Option<String>, notes: &mut KeepingNotes) {
+fn hand_over(cluster: &Cluster, (uid, name): (u64, &MapName), to: Option<String>, notes: &mut KeepingNotes) {
     let Some((to, progress)) = to.and_then(|to| cluster.progress_of(uid, &to).map(|progress| (to, progress))) else {
         notes.leaving.remove(&uid);
         return;
     };
-    if notes.may_give_over(uid, &to, progress, Instant::now()) {
+    if notes.may_hand_over(uid, &to, progress, Instant::now()) {
         info!(map = %name, to, "the log of the map is handed over");
-        cluster.give_over(uid, to);
+        cluster.hand_over(uid, to);
     }
 }
 
@@ -306,14 +306,14 @@ mod tests {
     fn a_map_is_given_over_when_the_other_daemon_has_what_was_there_a_while_ago() {
         let (mut notes, start) = (KeepingNotes::default(), Instant::now());
         let later = |secs| start + Duration::from_secs(secs);
-        assert!(!notes.may_give_over(1, "a", (None, 100), start), "it does not hold the map");
-        assert!(!notes.may_give_over(1, "a", (Some(90), 110), later(1)));
-        assert!(notes.may_give_over(1, "a", (Some(105), 120), later(2)), "it has 100, and the log goes on");
-        assert!(!notes.may_give_over(1, "a", (Some(0), 130), later(3)));
-        assert!(!notes.may_give_over(1, "a", (Some(100), 200), later(6)), "it has to have 200 from now on");
-        assert!(!notes.may_give_over(1, "a", (Some(150), 210), later(7)));
-        assert!(!notes.may_give_over(1, "b", (Some(210), 210), later(8)), "another one is meant");
-        assert!(notes.may_give_over(1, "b", (Some(210), 210), later(9)));
-        assert!(notes.may_give_over(2, "a", (Some(5), 5), later(9)), "nothing is written");
+        assert!(!notes.may_hand_over(1, "a", (None, 100), start), "it does not hold the map");
+        assert!(!notes.may_hand_over(1, "a", (Some(90), 110), later(1)));
+        assert!(notes.may_hand_over(1, "a", (Some(105), 120), later(2)), "it has 100, and the log goes on");
+        assert!(!notes.may_hand_over(1, "a", (Some(0), 130), later(3)));
+        assert!(!notes.may_hand_over(1, "a", (Some(100), 200), later(6)), "it has to have 200 from now on");
+        assert!(!notes.may_hand_over(1, "a", (Some(150), 210), later(7)));
+        assert!(!notes.may_hand_over(1, "b", (Some(210), 210), later(8)), "another one is meant");
+        assert!(notes.may_hand_over(1, "b", (Some(210), 210), later(9)));
+        assert!(notes.may_hand_over(2, "a", (Some(5), 5), later(9)), "nothing is written");
     }
 }
