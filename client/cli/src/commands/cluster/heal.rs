@@ -65,6 +65,21 @@ fn rows(map: &str, member: &str, fork: &v1::LogFork, is_removed: bool) -> Vec<Ve
     rows
 }
 
+/// A fork of which the map has everything.
+fn all_known(fork: &v1::LogFork) -> v1::LogFork {
+    let mut fork = fork.clone();
+    fork.producers.iter_mut().for_each(|row| row.known_observations = row.observations);
+    fork
+}
+
+/// Removes a fork. Its member may have done so before.
+async fn discard(client: &Client, map: &str, fork: &str) -> anyhow::Result<()> {
+    match client.discard_fork(map, fork).await {
+        Err(_) if fork_now(client, map, fork).await?.is_none() => Ok(()),
+        discarded => Ok(discarded?),
+    }
+}
+
 /// A fork of a member, as it stands.
 async fn fork_now(client: &Client, map: &str, fork: &str) -> anyhow::Result<Option<v1::LogFork>> {
     let answer = answer_of(client, false).await?;
@@ -72,14 +87,15 @@ async fn fork_now(client: &Client, map: &str, fork: &str) -> anyhow::Result<Opti
     Ok(replica.and_then(|replica| replica.forks.into_iter().find(|found| found.name == fork)))
 }
 
-/// Sends what the map lacks of a fork, and says what cannot be sent. Gives the fork as it stands then.
+/// Sends what the map lacks of a fork, and says what cannot be sent. Gives the fork as it stands then; `None`: its member
+/// has removed it, because the map has everything.
 async fn take_in_fork(
     session: &Session,
     (member, client): (&str, &Client),
     map: &str,
     fork: &v1::LogFork,
-) -> anyhow::Result<v1::LogFork> {
-    let TakenIn { taken, reasons } = take_in(&session.client, client, map, &fork.name).await?;
+) -> anyhow::Result<Option<v1::LogFork>> {
+    let TakenIn { taken, reasons } = take_in(&session.client, client, map, fork).await?;
     status_line(&format!("{taken} observations of fork {} on {member} are in the map now", fork.name));
     for reason in reasons {
         status_line(&format!("warning: fork {} on {member}: {reason}", fork.name));
@@ -87,8 +103,8 @@ async fn take_in_fork(
     // A member that follows the map has it a moment later.
     let (goal, begun) = (missing(fork).saturating_sub(taken), Instant::now());
     loop {
-        let Some(now) = fork_now(client, map, &fork.name).await? else { return Ok(fork.clone()) };
-        if missing(&now) <= goal || begun.elapsed() > FOLLOW_WITHIN {
+        let now = fork_now(client, map, &fork.name).await?;
+        if now.as_ref().is_none_or(|now| missing(now) <= goal) || begun.elapsed() > FOLLOW_WITHIN {
             return Ok(now);
         }
         tokio::time::sleep(POLL).await;
@@ -106,15 +122,19 @@ pub(super) async fn run(session: &Session, credentials: &Credentials, args: Heal
     for (member, replica) in view.replicas(&map) {
         let Some(client) = clients.get(member) else { continue };
         for fork in &replica.forks {
-            let fork = match missing(fork) {
-                0 => fork.clone(),
-                _ if dry_run => fork.clone(),
+            let now = match missing(fork) {
+                0 => Some(fork.clone()),
+                _ if dry_run => Some(fork.clone()),
                 _ => take_in_fork(session, (member, client), &map, fork).await?,
+            };
+            let Some(fork) = now else {
+                printed.extend(rows(&map, member, &all_known(fork), true));
+                continue;
             };
             let missing = missing(&fork);
             let is_removed = !dry_run && (accept_loss || missing == 0);
             if is_removed {
-                client.discard_fork(&map, &fork.name).await?;
+                discard(client, &map, &fork.name).await?;
             } else if missing > 0 {
                 status_line(&format!(
                     "error: fork {} on {member} has {missing} records that the map lacks, or may lack{}",

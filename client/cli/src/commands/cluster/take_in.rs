@@ -18,9 +18,6 @@ use tidemap_proto::v1::{self, forked_observation::Content};
 
 /// How long the map may be without a writer meanwhile.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// A robot that streams under the name goes on; this waits for it only briefly.
-const KEY_PATIENCE: Duration = Duration::from_secs(5);
-
 /// What became of a fork.
 #[derive(Debug, Default)]
 pub(super) struct TakenIn {
@@ -32,6 +29,8 @@ pub(super) struct TakenIn {
 
 /// A producer of the fork.
 enum Sending {
+    /// Nothing of it has come yet.
+    Waits,
     Open(Box<Resent>),
     /// Nothing more of it is sent.
     Ended,
@@ -40,6 +39,8 @@ enum Sending {
 /// A stream in the name of a producer.
 struct Resent {
     producer: Producer,
+    /// That of the fork, which the stream has presented.
+    incarnation: u64,
     /// Numbers of observations that the map refused the first time, too.
     refused: BTreeSet<u64>,
     sent: u64,
@@ -73,11 +74,10 @@ impl Resent {
         let options = ProducerOptions {
             incarnation: part.incarnation,
             patience: PATIENCE,
-            key_patience: KEY_PATIENCE,
             ..ProducerOptions::new(&part.producer, &part.label, map)
         };
         let producer = Producer::open(client, options).await?;
-        Ok(Resent { producer, refused: BTreeSet::new(), sent: 0 })
+        Ok(Resent { producer, incarnation: part.incarnation, refused: BTreeSet::new(), sent: 0 })
     }
 
     async fn send(&mut self, observation: v1::ForkedObservation) -> Result<(), ProducerError> {
@@ -112,14 +112,37 @@ impl Resent {
     }
 }
 
+/// Producers, with label, of whose observations in a fork the map lacks some, and those of them that stream now.
+async fn lacking(to: &Client, map: &str, fork: &v1::LogFork) -> anyhow::Result<BTreeMap<(String, String), bool>> {
+    let rows = fork.producers.iter().filter(|row| row.known_observations < row.observations);
+    let mut lacking: BTreeMap<(String, String), bool> =
+        rows.map(|row| ((row.producer.clone(), row.label.clone()), false)).collect();
+    if !lacking.is_empty() {
+        for known in to.producers(map).await?.into_iter().filter(|known| known.is_connected) {
+            lacking.entry((known.producer, known.label)).and_modify(|is_streaming| *is_streaming = true);
+        }
+    }
+    Ok(lacking)
+}
+
 /// Sends what a fork of the daemon `from` holds, and the map lacks, through the daemon `to`.
 ///
 /// # Errors
-/// The fork cannot be read, or a state of it not be added.
-pub(super) async fn take_in(to: &Client, from: &Client, map: &str, fork: &str) -> anyhow::Result<TakenIn> {
+/// The fork or the producers of the map cannot be read.
+pub(super) async fn take_in(to: &Client, from: &Client, map: &str, fork: &v1::LogFork) -> anyhow::Result<TakenIn> {
     let mut taken_in = TakenIn::default();
     let mut producers: BTreeMap<(String, String), Sending> = BTreeMap::new();
-    let mut parts = from.read_fork(map, fork).await?;
+    for (key, is_streaming) in lacking(to, map, fork).await? {
+        // Another stream with its incarnation would end the one that it has.
+        if is_streaming {
+            let why = "it sends observations now. Stop it, and run the command again";
+            taken_in.reasons.insert(format!("producer {:?}: {why}", key.0));
+            producers.insert(key, Sending::Ended);
+        } else {
+            producers.insert(key, Sending::Waits);
+        }
+    }
+    let mut parts = from.read_fork(map, &fork.name).await?;
     while let Some(part) = parts.next().await? {
         match part {
             ForkPart::State(request) => {
@@ -131,19 +154,21 @@ pub(super) async fn take_in(to: &Client, from: &Client, map: &str, fork: &str) -
             ForkPart::Other(what) => drop(taken_in.reasons.insert(format!("it holds {what}"))),
             ForkPart::Observations(part) => {
                 let key = (part.producer.clone(), part.label.clone());
-                let sending = match producers.remove(&key) {
-                    Some(sending) => sending,
-                    None => match Resent::open(to, map, &part).await {
-                        Ok(resent) => Sending::Open(Box::new(resent)),
-                        Err(error) => {
-                            taken_in.reasons.insert(format!("producer {:?}: {error}", part.producer));
-                            Sending::Ended
-                        }
-                    },
+                // The map has everything of the others.
+                let Some(sending) = producers.remove(&key) else { continue };
+                let sending = match sending {
+                    Sending::Open(resent) if resent.incarnation == part.incarnation => Sending::Open(resent),
+                    // The producer began anew within the fork.
+                    Sending::Open(resent) => {
+                        end(*resent, &part.producer, &mut taken_in).await;
+                        open(to, map, &part, &mut taken_in).await
+                    }
+                    Sending::Waits => open(to, map, &part, &mut taken_in).await,
+                    Sending::Ended => Sending::Ended,
                 };
                 let sending = match sending {
                     Sending::Open(resent) => send_part(resent, part, &mut taken_in).await,
-                    Sending::Ended => Sending::Ended,
+                    other => other,
                 };
                 producers.insert(key, sending);
             }
@@ -155,6 +180,16 @@ pub(super) async fn take_in(to: &Client, from: &Client, map: &str, fork: &str) -
         }
     }
     Ok(taken_in)
+}
+
+async fn open(to: &Client, map: &str, part: &v1::ForkedObservations, taken_in: &mut TakenIn) -> Sending {
+    match Resent::open(to, map, part).await {
+        Ok(resent) => Sending::Open(Box::new(resent)),
+        Err(error) => {
+            taken_in.reasons.insert(format!("producer {:?}: {error}", part.producer));
+            Sending::Ended
+        }
+    }
 }
 
 async fn end(resent: Resent, producer: &str, taken_in: &mut TakenIn) {
