@@ -83,6 +83,9 @@ pub(crate) enum CatalogError {
     Cluster(#[from] ClusterError),
     #[error(transparent)]
     Copy(#[from] CopyError),
+    /// A map that was to be replaced by a copy needs none any more.
+    #[error("map {0} needs no copy of another daemon's any more")]
+    NoCopyNeeded(MapName),
     #[error("map {0} belongs to a cluster: start the daemon with its section [cluster]")]
     NoCluster(MapName),
     #[error("map {0} belongs to a cluster, from which nothing can be erased yet: delete the map to remove its data")]
@@ -321,8 +324,8 @@ impl Catalog {
         .await
     }
 
-    /// Whether a map may be added. Called with the lock of changes.
-    fn check_new(&self, spec: &MapSpec) -> Result<(), CatalogError> {
+    /// Whether a map may be added. For sure only with the lock of changes.
+    pub(crate) fn check_new(&self, spec: &MapSpec) -> Result<(), CatalogError> {
         let maps = self.maps.load();
         if maps.contains_key(&spec.name) {
             return Err(CatalogError::Exists(spec.name.clone()));

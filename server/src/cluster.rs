@@ -141,7 +141,8 @@ async fn try_to_connect(settings: &ClusterSettings, proposed: &str) -> Result<Co
     check(&engine, settings.require_synced_engine).await?;
     engine.create_buckets(settings.engine_replicas).await?;
     let id = catalogue::cluster_id(&engine, proposed).await?;
-    let secret = catalogue::cluster_secret(&engine, &random_id().unwrap_or_default()).await?;
+    let random = random_id().map_err(|_| EngineError::Refused("the system gives no random numbers".to_owned()))?;
+    let secret = catalogue::cluster_secret(&engine, &random).await?;
     let before = membership::last_report(&engine, &settings.member).await?;
     Ok((engine, id, PeerSecret::new(secret), before.unwrap_or_default().logs))
 }
@@ -258,9 +259,14 @@ impl Cluster {
         log
     }
 
+    /// Ends the replica of a map that is opened again, in order. `end` is what its log has then at least.
+    pub(crate) async fn unshare_at(&self, uid: u64, end: u64) {
+        self.unshare(uid).await;
+        self.ends().insert(uid, end);
+    }
+
     /// Ends the replica of a map, in order.
     pub(crate) async fn unshare(&self, uid: u64) {
-        // A log that is opened again may have become shorter.
         self.ends().remove(&uid);
         let Some(replica) = self.replicas().remove(&uid) else { return };
         replica.handle.stop();
@@ -316,13 +322,19 @@ impl Cluster {
         let restored = async {
             inner.engine.create_buckets(inner.settings.engine_replicas).await?;
             let id = catalogue::cluster_id(&inner.engine, &inner.id).await?;
-            catalogue::cluster_secret(&inner.engine, inner.secret.text()).await?;
-            Ok::<_, EngineError>(id)
+            let secret = catalogue::cluster_secret(&inner.engine, inner.secret.text()).await?;
+            Ok::<_, EngineError>((id, secret == inner.secret.text()))
         };
         match restored.await {
-            Ok(id) if id == inner.id => warn!(id, "the engine had lost what it knew of the cluster: it is there again"),
-            Ok(id) => {
-                warn!(id, own = inner.id, "the engine now serves a cluster of another identity: restart this daemon");
+            Ok((id, true)) if id == inner.id => {
+                warn!(id, "the engine had lost what it knew of the cluster: it is there again");
+            }
+            Ok((id, _)) => {
+                warn!(
+                    id,
+                    own = inner.id,
+                    "the engine now serves a cluster of another identity or with another secret: restart this daemon"
+                );
             }
             Err(error) => warn!(%error, "the engine has lost what it knew of the cluster"),
         }

@@ -70,16 +70,14 @@ pub fn candidates(members: &Members) -> Vec<Candidate> {
     members.iter().filter(usable).map(candidate).collect()
 }
 
-/// The last record of a map that the checkpoints of two members cover, or of all members that hold it where these are
-/// fewer; 0: none.
-/// A member that is gone covers nothing, and may come back without its disk.
+/// The last record of a map that the checkpoints of two members cover, of one member where a single one is to hold a map
+/// (`replicas` is 1); 0: none. A member that is gone covers nothing, and may come back without its disk.
 #[must_use]
-pub fn covered(members: &Members, uid: u64) -> u64 {
-    let holders: Vec<&Member> = members.values().filter(|member| member.report.logs.contains_key(&uid)).collect();
-    let alive = holders.iter().filter(|member| member.is_alive);
+pub fn covered(members: &Members, uid: u64, replicas: usize) -> u64 {
+    let alive = members.values().filter(|member| member.is_alive);
     let mut covers: Vec<u64> = alive.filter_map(|member| member.report.covers.get(&uid).copied()).collect();
     covers.sort_unstable_by(|a, b| b.cmp(a));
-    let needed = holders.len().min(2);
+    let needed = replicas.min(2);
     needed.checked_sub(1).and_then(|at| covers.get(at)).copied().unwrap_or(0)
 }
 
@@ -176,10 +174,11 @@ mod tests {
             let report = MemberReport { logs: map(100), covers: map(cover), ..MemberReport::default() };
             (name.to_owned(), Member { report, is_alive, ..Member::default() })
         };
-        let both = |members: &[(String, Member)]| covered(&members.iter().cloned().collect(), 7);
+        let both = |members: &[(String, Member)]| covered(&members.iter().cloned().collect(), 7, 3);
         let (a, b, c) = (member("a", 90, true), member("b", 50, true), member("c", 70, true));
         assert_eq!(both(&[]), 0);
-        assert_eq!(both(std::slice::from_ref(&a)), 90, "nobody else holds it");
+        assert_eq!(both(std::slice::from_ref(&a)), 0, "nobody else holds it yet");
+        assert_eq!(covered(&[a.clone()].into(), 7, 1), 90, "nobody else is to hold it");
         assert_eq!(both(&[a.clone(), b.clone(), c.clone()]), 70);
         let (gone, new) = (member("c", 70, false), member("d", 0, true));
         assert_eq!(both(&[a.clone(), b, gone.clone()]), 50);

@@ -3,7 +3,7 @@
 //! Invariant: a map that is replaced answers until its copy is complete and durable. Its files are set aside.
 
 use tidemap_map::{name::MapName, spec::MapSpec};
-use tidemap_store::MapCopy;
+use tidemap_store::{CopyError, MapCopy};
 use tokio::sync::oneshot;
 use tracing::{error, warn};
 
@@ -40,14 +40,21 @@ impl Catalog {
                 return Err(CatalogError::Stopping);
             }
             let old = this.get(name.as_str())?;
-            if old.shared_uid != Some(uid) {
+            let Some(cluster) =
+                this.context.cluster.as_ref().filter(|_| old.shared_uid == Some(uid) && old.id == copy.map())
+            else {
                 return Err(CatalogError::Unknown(name.as_str().to_owned()));
+            };
+            // The copy took long. Meanwhile this daemon may have begun to write the map; from here on it does not.
+            cluster.set_candidacy(uid, None);
+            let is_diverged = old.digest().is_some_and(|digest| digest.is_equal == Some(false));
+            if cluster.copy_cause(uid, is_diverged).is_none() {
+                return Err(CatalogError::NoCopyNeeded(name));
             }
-            if let Some(cluster) = &this.context.cluster {
-                cluster.unshare(uid).await;
-            }
-            old.stop(Ending::Moved { writer: None }).await;
+            cluster.unshare_at(uid, copy.end()).await;
+            old.stop(Ending::Replaced).await;
             let (sender, installed) = oneshot::channel();
+            let fatal = this.context.fatal.clone();
             this.open_again(old, move |_| {
                 let outcome = copy.install();
                 match &outcome {
@@ -57,6 +64,10 @@ impl Catalog {
                          remove it when nobody needs it"
                     ),
                     Ok((_, None)) => {}
+                    Err(error @ CopyError::Unfinished(_)) => {
+                        // The next start completes it. Whatever the map took until then would be lost.
+                        let _ = fatal.send(format!("a copy of map {name} cannot be put in its place: {error}"));
+                    }
                     // What is there is opened.
                     Err(error) => error!(map = %name, %error, "a copy of the map cannot be put in its place"),
                 }

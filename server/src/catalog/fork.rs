@@ -27,7 +27,7 @@ impl Catalog {
             return;
         }
         if let (Some(cluster), Some(uid)) = (&self.context.cluster, old.shared_uid) {
-            cluster.unshare(uid).await;
+            cluster.unshare_at(uid, common).await;
         }
         self.open_again(old, move |context| set_aside(context, id, &map, common)).await;
     }

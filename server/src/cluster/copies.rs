@@ -68,8 +68,8 @@ impl Cluster {
     pub(crate) fn copy_cause(&self, uid: u64, is_diverged: bool) -> Option<CopyCause> {
         let status = self.replica_status(uid)?;
         match status.role {
-            // The bits of the writer are those that count.
-            ReplicaRole::Writing => None,
+            // The bits of the writer are those that count, and so are the records that this daemon is to append.
+            ReplicaRole::Writing | ReplicaRole::TakingOver | ReplicaRole::Ahead => None,
             _ if status.needs_copy => Some(CopyCause::Behind),
             _ => is_diverged.then_some(CopyCause::Diverged),
         }
@@ -113,7 +113,7 @@ impl Cluster {
     /// What may be removed from the stream of a map, if this daemon writes it.
     pub(crate) fn shortening(&self, uid: u64) -> Option<Shortening> {
         let is_writing = self.replica_status(uid)?.role == ReplicaRole::Writing;
-        let covered = covered(&self.0.members.borrow().members, uid);
+        let covered = covered(&self.0.members.borrow().members, uid, self.settings().replicas);
         (is_writing && covered > 0).then(|| Shortening {
             map: uid,
             stream: catalogue::stream(uid),

@@ -27,7 +27,11 @@ use crate::{
 /// A copy that nobody could give is asked for again after this time.
 const AGAIN_AFTER: Duration = Duration::from_secs(10);
 /// A map that differs from its writer's is not replaced again before.
-const REPLACED_EVERY: Duration = Duration::from_secs(24 * 3600);
+const DIVERGED_EVERY: Duration = Duration::from_secs(24 * 3600);
+/// A map that the shared log has left behind is not replaced again before: each time its folder is set aside.
+const BEHIND_EVERY: Duration = Duration::from_secs(600);
+/// Copies that are taken at once.
+const COPIES_MAX: usize = 2;
 /// How often a log is shortened at least.
 const SHORTEN_EVERY: Duration = Duration::from_secs(3600);
 /// A log is shortened in so many steps at once at most.
@@ -69,8 +73,8 @@ struct CopyOrder {
 /// A copy that is being taken; whether it became a map.
 struct RunningCopy {
     ended: Task<bool>,
-    /// Why an open map is to be replaced; `None`: the map is new here.
-    cause: Option<CopyCause>,
+    /// Whether an open map is to be replaced.
+    is_replacement: bool,
 }
 
 /// What is known of copies and of shortened logs between two looks at the catalogue.
@@ -79,7 +83,7 @@ pub(super) struct CopyNotes {
     running: BTreeMap<u64, RunningCopy>,
     /// When a copy has failed last.
     failed: BTreeMap<u64, Instant>,
-    /// When a map was last replaced because it differed.
+    /// When a map was last replaced.
     replaced: BTreeMap<u64, Instant>,
     /// When a log was last shortened, and what was covered then.
     shortened: BTreeMap<u64, (Instant, u64)>,
@@ -106,7 +110,7 @@ impl CopyNotes {
             }
             Some(true) => {
                 self.failed.remove(&uid);
-                if running.cause == Some(CopyCause::Diverged) {
+                if running.is_replacement {
                     self.replaced.insert(uid, Instant::now());
                 }
             }
@@ -119,10 +123,15 @@ impl CopyNotes {
         self.failed.get(&uid).is_some_and(|failed| failed.elapsed() < AGAIN_AFTER)
     }
 
-    fn start(&mut self, cluster: &Cluster, catalog: &Catalog, order: CopyOrder, cause: Option<CopyCause>) {
-        let (uid, cluster, catalog, client) = (order.uid, cluster.clone(), catalog.clone(), Arc::clone(&self.client));
+    /// Begins to take a copy, unless enough of them are being taken: then it is asked for again at the next look.
+    fn start(&mut self, cluster: &Cluster, catalog: &Catalog, order: CopyOrder) {
+        if self.running.len() >= COPIES_MAX {
+            return;
+        }
+        let (uid, is_replacement) = (order.uid, order.replaces.is_some());
+        let (cluster, catalog, client) = (cluster.clone(), catalog.clone(), Arc::clone(&self.client));
         let ended = crate::task::spawn(async move { take_copy(&cluster, &catalog, &client, order).await });
-        self.running.insert(uid, RunningCopy { ended, cause });
+        self.running.insert(uid, RunningCopy { ended, is_replacement });
     }
 
     /// Takes a copy of a map of which this daemon has nothing, where that is the way to it. `true`: its log is to be
@@ -138,7 +147,7 @@ impl CopyNotes {
             Join::Copy if self.failed_lately(uid) => {}
             Join::Copy => {
                 let order = CopyOrder { uid, name: spec.name.clone(), spec: spec.clone(), replaces: None, donors };
-                self.start(cluster, catalog, order, None);
+                self.start(cluster, catalog, order);
             }
             Join::Wait => {
                 let why = "the shared log no longer has its first records, and no other daemon that runs holds the map: \
@@ -157,8 +166,9 @@ impl CopyNotes {
         let Ok(handle) = catalog.get(name.as_str()) else { return };
         let is_diverged = handle.digest().is_some_and(|digest| digest.is_equal == Some(false));
         let Some(cause) = cluster.copy_cause(uid, is_diverged) else { return };
-        let was_replaced = self.replaced.get(&uid).is_some_and(|replaced| replaced.elapsed() < REPLACED_EVERY);
-        if self.failed_lately(uid) || (cause == CopyCause::Diverged && was_replaced) {
+        let again_after = if cause == CopyCause::Diverged { DIVERGED_EVERY } else { BEHIND_EVERY };
+        let was_replaced = self.replaced.get(&uid).is_some_and(|replaced| replaced.elapsed() < again_after);
+        if self.failed_lately(uid) || was_replaced {
             return;
         }
         let donors = cluster.donors(uid, name, Some(cause));
@@ -168,7 +178,7 @@ impl CopyNotes {
         info!(map = %name, ?cause, "the map needs a copy of another daemon's");
         let spec = MapSpec::clone(&handle.spec);
         let order = CopyOrder { uid, name: name.clone(), spec, replaces: Some(handle.id), donors };
-        self.start(cluster, catalog, order, Some(cause));
+        self.start(cluster, catalog, order);
     }
 
     /// Removes from the log of a map what checkpoints cover, if this daemon writes it.
@@ -206,6 +216,14 @@ async fn take_copy(cluster: &Cluster, catalog: &Catalog, client: &CopyClient, or
     let CopyOrder { uid, name, spec, replaces, donors } = order;
     let begun = Instant::now();
     let mut why = "no other daemon that runs holds the map".to_owned();
+    // Before much is fetched.
+    let donors = match replaces.map_or_else(|| catalog.check_new(&spec), |_| Ok(())) {
+        Ok(()) => donors,
+        Err(error) => {
+            why = error.to_string();
+            Vec::new()
+        }
+    };
     for (member, address) in donors {
         let (store, of_map) = (Arc::clone(&catalog.context().store), spec.clone());
         let copy = match crate::task::blocking(move || store.begin_copy(&of_map, uid, replaces)).await {

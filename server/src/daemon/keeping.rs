@@ -145,8 +145,8 @@ async fn keep_once(cluster: &Cluster, catalog: &Catalog, notes: &mut KeepingNote
                     // Whoever deleted it was interrupted. What fails now is tried again at the next look.
                     drop(catalogue::delete(cluster.engine(), name.as_str(), uid).await);
                 } else {
-                    let places = Keeper { cluster, catalog, candidates: &candidates };
-                    places.keep_map((uid, &name, map), notes, copies).await;
+                    let keeper = Keeper { cluster, catalog, candidates: &candidates };
+                    keeper.keep_map((uid, &name, map), notes, copies).await;
                 }
             }
             _ => notes.warn(format!("the entry of map {name:?} in the catalogue of the cluster is damaged")),

@@ -35,6 +35,8 @@ pub(crate) enum Ending {
         /// The last position that both have.
         common: u64,
     },
+    /// A copy of another daemon's map takes its place.
+    Replaced,
     /// The log could not be written.
     Storage(AppendError),
 }

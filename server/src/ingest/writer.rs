@@ -266,9 +266,11 @@ impl Writer {
     }
 
     /// Whether an update must end before the writer stops: an update that goes on after an erasure would write among
-    /// the new files, and likewise where the map is opened again without a part of its log.
+    /// the new files, and likewise where the map is opened again without a part of its log, or from a copy.
     fn must_finish(&self) -> bool {
-        matches!(self.stopping, Some((Ending::Erasure | Ending::Forked { .. }, _))) && self.updates.is_running()
+        let opens_again =
+            matches!(self.stopping, Some((Ending::Erasure | Ending::Forked { .. } | Ending::Replaced, _)));
+        opens_again && self.updates.is_running()
     }
 
     fn handle(&mut self, command: Command) {
@@ -430,6 +432,7 @@ impl Writer {
             Ending::MapDeleted => "the map was deleted",
             Ending::Erasure => "something is erased from the map: start the update again",
             Ending::Forked { .. } => "the log of the map and the shared log differ",
+            Ending::Replaced => "a copy of another daemon's map takes the place of the map",
             _ => "the daemon is stopping",
         };
         // Commands after the stop are answered, not executed.

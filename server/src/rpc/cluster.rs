@@ -257,7 +257,9 @@ impl ClusterService for ClusterCalls {
         self.cluster()?;
         let handle = find_published(&self.catalog, &map)?;
         let store = Arc::clone(&self.catalog.context().store);
-        let forks = store.forks(handle.id).map_err(OperationError::from).map_err(RpcError::from)?;
+        let (for_list, id) = (Arc::clone(&store), handle.id);
+        let forks = crate::task::blocking(move || for_list.forks(id)).await.map_err(|_| RpcError::Stopping)?;
+        let forks = forks.map_err(OperationError::from).map_err(RpcError::from)?;
         if forks.iter().all(|known| known.name != fork) {
             let fork = fork.chars().take(80).collect();
             return Err(RpcError::from(OperationError::UnknownFork { map, fork }).into());

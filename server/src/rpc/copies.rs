@@ -166,7 +166,8 @@ impl CopyClient {
         fetched
     }
 
-    async fn fetch_over(&self, place: &PeerPlace, uid: u64, mut copy: MapCopy) -> Result<MapCopy, FetchError> {
+    async fn fetch_over(&self, place: &PeerPlace, uid: u64, copy: MapCopy) -> Result<MapCopy, FetchError> {
+        let mut copy = ArrivingCopy(Some(copy));
         let mut client =
             PeerServiceClient::new(place.channel.clone()).max_decoding_message_size(COPY_PART_BYTES + (64 << 10));
         let mut request = Request::new(v1::FetchMapRequest { uid });
@@ -181,21 +182,39 @@ impl CopyClient {
             match message_from_wire(message).map_err(FetchError::Invalid)? {
                 CopyMessage::Part(FilePart { name, offset, bytes, is_last }) => {
                     let part = CopyPart { name, offset, bytes, is_last };
-                    copy = with(copy, move |copy| copy.take(&part)).await?;
+                    copy.0 = Some(with(copy.take(), move |copy| copy.take(&part)).await?);
                 }
                 CopyMessage::End(files, bytes) => {
-                    return with(copy, move |copy| copy.check(CopyTotal { files, bytes }).map(drop)).await;
+                    return with(copy.take(), move |copy| copy.check(CopyTotal { files, bytes })).await;
                 }
             }
         }
     }
 }
 
-/// Works on a copy on a blocking thread.
+/// A copy that arrives. Dropped, it is deleted on a blocking thread: it may be large.
+struct ArrivingCopy(Option<MapCopy>);
+
+impl ArrivingCopy {
+    fn take(&mut self) -> Option<MapCopy> {
+        self.0.take()
+    }
+}
+
+impl Drop for ArrivingCopy {
+    fn drop(&mut self) {
+        if let Some(copy) = self.0.take() {
+            drop(crate::task::blocking(move || drop(copy)));
+        }
+    }
+}
+
+/// Works on a copy on a blocking thread. `None`: a part before could not be taken.
 async fn with(
-    mut copy: MapCopy,
+    copy: Option<MapCopy>,
     work: impl FnOnce(&mut MapCopy) -> Result<(), CopyError> + Send + 'static,
 ) -> Result<MapCopy, FetchError> {
+    let mut copy = copy.ok_or(FetchError::Cut)?;
     let done = crate::task::blocking(move || work(&mut copy).map(|()| copy)).await;
     Ok(done.map_err(|_| FetchError::Stopping)??)
 }

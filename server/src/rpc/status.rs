@@ -207,6 +207,7 @@ fn ending_text(ending: &Ending) -> String {
         Ending::MapDeleted => "the map was deleted".to_owned(),
         Ending::Moved { writer: None } => "another daemon writes the map; connect again".to_owned(),
         Ending::Moved { writer: Some(writer) } => format!("{writer} writes the map; connect again"),
+        Ending::Replaced => "a copy of another daemon's map takes the place of the map; connect again".to_owned(),
         Ending::Forked { .. } => {
             "the log of the map and the one that daemons share differ: this daemon does not serve \
                                   the map; connect to another"
@@ -277,7 +278,9 @@ impl RpcError {
                 CatalogError::Exists(_) => (Code::AlreadyExists, "MAP_EXISTS"),
                 CatalogError::Unknown(_) => (Code::NotFound, "UNKNOWN_MAP"),
                 CatalogError::TooMany { .. } => (Code::ResourceExhausted, "LIMIT"),
-                CatalogError::Store(_) | CatalogError::Copy(_) => (Code::Internal, "STORAGE_FAILED"),
+                CatalogError::Store(_) | CatalogError::Copy(_) | CatalogError::NoCopyNeeded(_) => {
+                    (Code::Internal, "STORAGE_FAILED")
+                }
                 CatalogError::Unavailable { .. } => (Code::DataLoss, "MAP_UNAVAILABLE"),
                 CatalogError::Open(error) if error.is_shortage() => (Code::Unavailable, "SHORTAGE"),
                 CatalogError::Open(_)
@@ -392,7 +395,7 @@ impl RpcError {
                 Ending::Erasure => (Code::Unavailable, "ERASING"),
                 Ending::Superseded | Ending::Unanswered => (Code::Aborted, "SUPERSEDED"),
                 Ending::MapDeleted => (Code::NotFound, "MAP_DELETED"),
-                Ending::Moved { .. } => (Code::Unavailable, "NOT_WRITER"),
+                Ending::Moved { .. } | Ending::Replaced => (Code::Unavailable, "NOT_WRITER"),
                 Ending::Forked { .. } => (Code::Unavailable, "FORKED"),
                 Ending::Storage(error) => append_code(error),
             },

@@ -47,6 +47,8 @@ pub(super) enum Relation {
     Behind {
         /// The position before its first record.
         from: u64,
+        /// Whether they are known to differ before: the own log has records that the shared one never gets.
+        differs: bool,
     },
     /// The own log no longer holds the records at the end of the shared one, which is shorter: they cannot be compared.
     Unknown {
@@ -190,7 +192,7 @@ impl<E: Engine> Driver<E> {
     pub(super) async fn relation(&mut self, look_back: u64) -> Result<Relation, CompareError> {
         let ends = self.engine.ends(&self.settings.stream).await?;
         let own = self.shared.log.end();
-        // As the last message says it, which may follow nothing.
+        // The last message may be void: what it says of the log is not relied on.
         let Some(last) = self.part_up_to(ends.last, ends.first.max(1)).await? else {
             return Ok(match own.position {
                 0 => Relation::Holds { last_sequence: ends.last, has_more: false },
@@ -209,7 +211,7 @@ impl<E: Engine> Driver<E> {
         self.epoch = self.epoch.max(scan.epoch);
         let Some(end) = scan.end() else {
             // Parts only, of a group whose beginning is purged.
-            return Ok(Relation::Behind { from: last.after.position });
+            return Ok(Relation::Behind { from: last.after.position, differs: false });
         };
         if to == ends.last {
             self.sees_end(end.after.position);
@@ -227,7 +229,9 @@ impl<E: Engine> Driver<E> {
             };
         }
         match scan.begin {
-            Some(begin) if begin.after.position > own.position => Ok(Relation::Behind { from: begin.after.position }),
+            Some(begin) if begin.after.position > own.position => {
+                Ok(Relation::Behind { from: begin.after.position, differs: false })
+            }
             _ => self.fork(&scan, ends.first, to).await,
         }
     }
@@ -269,6 +273,7 @@ impl<E: Engine> Driver<E> {
             return Ok(Relation::Forked { common: point.position });
         }
         // What they have in common is no longer in the stream.
-        Ok(if first > 1 { Relation::Behind { from: point.position } } else { Relation::Forked { common: 0 } })
+        let behind = Relation::Behind { from: point.position, differs: true };
+        Ok(if first > 1 { behind } else { Relation::Forked { common: 0 } })
     }
 }

@@ -47,7 +47,7 @@ impl<E: Engine> Driver<E> {
             let look_back = if self.has_looked_back { LOOK_BACK_FOLLOWING } else { LOOK_BACK };
             let relation = self.relation(look_back).await;
             self.has_looked_back |= relation.is_ok();
-            self.set_needs_copy(matches!(relation, Ok(Relation::Behind { .. })));
+            self.set_needs_copy(&relation);
             match relation {
                 Ok(Relation::Holds { last_sequence, .. }) => {
                     self.last_sequence = last_sequence;
@@ -66,7 +66,7 @@ impl<E: Engine> Driver<E> {
                     )));
                 }
                 Ok(Relation::Forked { common }) => return Next::Forked(common),
-                Ok(Relation::Behind { from }) => self.trouble(Some(format!(
+                Ok(Relation::Behind { from, .. }) => self.trouble(Some(format!(
                     "the shared log begins behind position {from}, and this daemon's log ends at {}, or differs before: it \
                      needs a copy of another daemon's",
                     self.shared.log.end().position

@@ -36,13 +36,15 @@ pub struct Shortening {
 pub async fn shorten<E: Engine>(engine: &E, shortening: &Shortening) -> Result<u64, EngineError> {
     let Shortening { map, stream, covered, keep_bytes } = shortening;
     let ends = engine.ends(stream).await?;
-    let excess = engine.health(stream).await?.bytes.saturating_sub(*keep_bytes);
+    let bytes = engine.health(stream).await?.bytes;
+    let excess = bytes.saturating_sub(*keep_bytes);
     if excess == 0 || ends.first > ends.last {
         return Ok(0);
     }
     let reader = StreamReader { engine, stream, map: *map };
     let covered = reader.first_behind(*covered, (ends.first, ends.last)).await?;
-    let by_size = ends.first.saturating_add(excess / reader.length(ends.first, covered).await?.max(1));
+    let average = bytes / (ends.last - ends.first + 1);
+    let by_size = ends.first.saturating_add(excess / reader.length(ends.first, covered).await?.max(average).max(1));
     let cut = reader.group_before(covered.min(by_size), ends.first).await?;
     if cut <= ends.first {
         return Ok(0);

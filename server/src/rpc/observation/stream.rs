@@ -327,7 +327,9 @@ impl<'a> Stream<'a> {
             // The status says it. Clients connect again after it, as they do when a connection breaks.
             RpcError::Revoked | RpcError::Idle(_) => return,
             // Clients connect again, and to another daemon if need be.
-            RpcError::Ended(Ending::Shutdown | Ending::Erasure | Ending::Moved { .. } | Ending::Forked { .. })
+            RpcError::Ended(
+                Ending::Shutdown | Ending::Erasure | Ending::Moved { .. } | Ending::Replaced | Ending::Forked { .. },
+            )
             | RpcError::Stopping => v1::GoodbyeReason::Shutdown,
             RpcError::Ended(Ending::Superseded | Ending::Unanswered) => v1::GoodbyeReason::Superseded,
             RpcError::Ended(Ending::MapDeleted) => v1::GoodbyeReason::MapDeleted,

@@ -292,6 +292,7 @@ pub(crate) fn mark_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Res
 
 /// Removes the folder of a deleted map, which is no longer listed.
 pub(crate) fn remove_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
+    super::map_copy::remove_replaced(disk, directory, map)?;
     let folder = folders::with_suffix(&folders::map_folder(directory, map), DELETED_SUFFIX);
     match disk.remove_folder(&folder) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(store_io(folder)(error)),

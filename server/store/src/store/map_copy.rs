@@ -21,7 +21,7 @@ mod install;
 mod source;
 
 pub use install::MapCopy;
-pub(crate) use install::complete;
+pub(crate) use install::{complete, remove_replaced};
 pub use source::CopySource;
 
 /// Limit of a part, in bytes.
@@ -62,6 +62,9 @@ pub enum CopyError {
     /// A file of the copy cannot be written.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// A copy that counts cannot take the place of the map that it replaces.
+    #[error("{0}; the next start puts the copy in its place")]
+    Unfinished(#[source] StoreError),
     /// A file of the map cannot be read.
     #[error(transparent)]
     Open(#[from] OpenError),

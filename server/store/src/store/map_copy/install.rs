@@ -47,7 +47,8 @@ pub struct MapCopy {
     arrived: ArrivedNames,
     open: Option<ArrivingFile>,
     bytes: u64,
-    is_checked: bool,
+    /// Position of the last record, once the copy is checked.
+    end: Option<u64>,
     is_installed: bool,
 }
 
@@ -82,13 +83,25 @@ impl Store {
             arrived: ArrivedNames::default(),
             open: None,
             bytes: 0,
-            is_checked: false,
+            end: None,
             is_installed: false,
         })
     }
 }
 
 impl MapCopy {
+    /// The map that the copy becomes.
+    #[must_use]
+    pub fn map(&self) -> MapId {
+        self.map
+    }
+
+    /// Position of the last record of a copy that was checked; 0 before.
+    #[must_use]
+    pub fn end(&self) -> u64 {
+        self.end.unwrap_or(0)
+    }
+
     /// How much has arrived.
     #[must_use]
     pub fn arrived(&self) -> CopyTotal {
@@ -116,11 +129,11 @@ impl MapCopy {
     }
 
     /// Makes the copy complete, and checks it: whether all has come, whether the log can be read and follows the
-    /// checkpoint. Durable when this returns. Gives the position of the last record.
+    /// checkpoint. Durable when this returns.
     ///
     /// # Errors
     /// [`CopyError`]; the copy cannot be used then.
-    pub fn check(&mut self, total: CopyTotal) -> Result<u64, CopyError> {
+    pub fn check(&mut self, total: CopyTotal) -> Result<(), CopyError> {
         if self.open.is_some() || self.arrived() != total {
             return Err(invalid("", format!("{:?} was to come, and {:?} has", total, self.arrived())));
         }
@@ -154,17 +167,18 @@ impl MapCopy {
             Expectation { map: self.map.0, replay_from: replay_from.unwrap_or(1).max(1), known, is_listed: true };
         let end = recovery::read(&**disk, &log, &expected)?.cursor.position - 1;
         catalogue::write_properties(&**disk, &self.folder, self.map, &self.spec, Some(self.uid))?;
-        self.is_checked = true;
-        Ok(end)
+        self.end = Some(end);
+        Ok(())
     }
 
     /// Makes the copy a map that can be opened; durable when this returns. A map in whose place it comes must have been
     /// stopped; its folder is set aside, and its path is given.
     ///
     /// # Errors
-    /// [`CopyError`]. A map in whose place it comes is as it was then, or the next start completes it.
+    /// [`CopyError`]. A map in whose place it comes is as it was then; [`CopyError::Unfinished`]: the next start puts the
+    /// copy in its place, and the map must not be used before.
     pub fn install(mut self) -> Result<(MapId, Option<PathBuf>), CopyError> {
-        if !self.is_checked {
+        if self.end.is_none() {
             return Err(invalid("", "it was not checked"));
         }
         let store = self.store.clone();
@@ -181,9 +195,11 @@ impl MapCopy {
         disk.rename(&self.folder, &copied).map_err(store_io(&copied))?;
         self.is_installed = true;
         let maps = folders::maps_folder(&inner.directory);
-        disk.sync_folder(&maps).map_err(store_io(maps))?;
-        inner.index().purge(map.0);
-        Ok((map, put_in_place(disk, &inner.directory, map)?))
+        let placed = disk.sync_folder(&maps).map_err(store_io(maps)).and_then(|()| {
+            inner.index().purge(map.0);
+            put_in_place(disk, &inner.directory, map)
+        });
+        Ok((map, placed.map_err(CopyError::Unfinished)?))
     }
 }
 
@@ -227,7 +243,7 @@ fn put_in_place(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<Option<
     let is_there = |path: &Path| path.file_name().is_some_and(|name| names.iter().any(|known| name == known.as_str()));
     let mut aside = None;
     if is_there(&folder) {
-        let mut places = (1..).map(|number: u32| folders::with_suffix(&folder, &format!(".replaced-{number}")));
+        let mut places = (1..).map(|number| replaced_folder(directory, map, number));
         let place = places.find(|place| !is_there(place)).unwrap_or_default();
         disk.rename(&folder, &place).map_err(store_io(&folder))?;
         aside = Some(place);
@@ -236,6 +252,23 @@ fn put_in_place(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<Option<
     disk.rename(&copied, &folder).map_err(store_io(&copied))?;
     disk.sync_folder(&maps).map_err(store_io(maps))?;
     Ok(aside)
+}
+
+/// Removes the folders that copies of a map have replaced.
+pub(crate) fn remove_replaced(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
+    for number in 1_u32.. {
+        let folder = replaced_folder(directory, map, number);
+        match disk.remove_folder(&folder) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => break,
+            removed => removed.map_err(store_io(folder))?,
+        }
+    }
+    Ok(())
+}
+
+/// The folder of a map that the copy of this number has replaced.
+fn replaced_folder(directory: &Path, map: MapId, number: u32) -> PathBuf {
+    folders::with_suffix(&folders::map_folder(directory, map), &format!(".replaced-{number}"))
 }
 
 /// Before the maps are listed at a start: puts copies in their places that were complete.
