@@ -102,7 +102,7 @@ async fn a_daemon_without_the_log_takes_a_copy_of_the_map() {
 
     // While it is away, the log goes on and is shortened beyond what it has.
     let west = members.take("west");
-    assert!(west.stop_in_order().contains("the map is a copy of another daemon's"), "it has read the log");
+    assert!(west.stop_in_order().contains("a copy of another daemon's map is in place"), "it has read the log");
     learn(&members, folder, 9..17);
     until_shortened(&members).await;
     members.0.push(begin(folder, "west", &engine));
