@@ -25,6 +25,8 @@ const OPERATION: &str = "KV-Operation";
 
 /// How long the consumer of a list outlives it where its deletion is lost.
 const LIST_LINGERS: Duration = Duration::from_secs(5);
+/// Pause after a request that a consumer has ended early.
+const ASK_AGAIN: Duration = Duration::from_millis(50);
 
 /// The newest write of a key.
 pub(super) struct NewestWrite {
@@ -114,17 +116,22 @@ impl NatsEngine {
         let consumer = self.calls.context().create_consumer_on_stream(config, name.clone()).await;
         let consumer = consumer.map_err(|error| from_consumer(&error))?;
         let count = usize::try_from(consumer.cached_info().num_pending).unwrap_or(usize::MAX);
-        let patience = self.settings.request_time_out;
-        let mut found = Vec::new();
-        if count > 0 {
-            let batch = consumer.batch().max_messages(count).expires(patience).messages().await;
+        let deadline = Instant::now() + self.settings.request_time_out;
+        let (mut found, mut come) = (Vec::new(), 0);
+        while come < count {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(EngineError::Unknown(format!("{come} of {count} keys have come")));
+            }
+            let batch = consumer.batch().max_messages(count - come).expires(left).messages().await;
             let mut messages = batch.map_err(|error| from_batch(&error))?;
-            let deadline = Instant::now() + patience;
-            for _ in 0..count {
-                let next = timeout_at(deadline, messages.next()).await;
-                let Ok(Some(Ok(message))) = next else {
-                    return Err(EngineError::Unknown(format!("{} of {count} keys have come", found.len())));
+            while come < count {
+                let Ok(Some(Ok(message))) = timeout_at(deadline, messages.next()).await else {
+                    // The server of a new consumer may not listen yet, and then refuses the request at once.
+                    tokio::time::sleep(ASK_AGAIN.min(left)).await;
+                    break;
                 };
+                come += 1;
                 let revision = message.info().map_err(|error| EngineError::Refused(error.to_string()))?.stream_sequence;
                 let key = message.subject.strip_prefix(&prefix).unwrap_or_default().to_owned();
                 if !message.headers.as_ref().is_some_and(is_deletion) {

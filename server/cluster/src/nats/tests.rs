@@ -3,7 +3,11 @@
 //!
 //! Invariant: no server outlives its test, and no time is asserted.
 
-use std::{collections::BTreeMap, path::Path, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+    time::Duration,
+};
 
 use bytes::Bytes;
 use rcgen::{BasicConstraints, CertificateParams, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair, KeyUsagePurpose};
@@ -21,6 +25,8 @@ use crate::{
 
 const STREAM: &str = "tm_a";
 const PATIENCE: Duration = Duration::from_secs(20);
+/// A request that comes before the server of a new consumer listens is rare.
+const LISTS: usize = 300;
 
 /// The settings of a test, which waits longer than a daemon for a machine that is busy.
 fn patient(mut settings: NatsSettings) -> NatsSettings {
@@ -64,6 +70,28 @@ async fn three_servers_behave_as_an_engine() {
     "other".clone_into(&mut other.cluster);
     let other = connect(other).await;
     assert_eq!(other.ends("tm_large").await, Err(EngineError::Missing("stream".to_owned())));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_list_is_whole_whatever_server_makes_it() {
+    let servers = match NatsServers::start(3).await {
+        Ok(servers) => servers,
+        Err(reason) => return println!("SKIPPED: {reason}"),
+    };
+    let engine = connect(patient(servers.settings())).await;
+    engine.create_buckets(3).await.expect("buckets");
+    let mut revisions = BTreeMap::new();
+    for key in ["a", "b", "c"] {
+        revisions.insert(key, engine.set_if(Bucket::Members, key, 0, bytes("0")).await.expect("set"));
+    }
+    // A member replaces its report all the time.
+    for round in 0..LISTS {
+        let key = ["a", "b", "c"][round % 3];
+        let revision = engine.set_if(Bucket::Members, key, revisions[key], bytes("1")).await.expect("set");
+        revisions.insert(key, revision);
+        let found = engine.list(Bucket::Members).await.expect("a list");
+        assert_eq!(found.iter().map(|(key, _)| key.as_str()).collect::<BTreeSet<_>>(), ["a", "b", "c"].into());
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
