@@ -20,7 +20,8 @@ pub struct Lease {
     pub epoch: u64,
     /// Counts its renewals.
     pub counter: u64,
-    /// The daemon that is to take it, where the writer hands over.
+    /// The daemon that is to take it, where the writer hands over. While the writer still has it, this is an
+    /// announcement: the successor looks at the lease more often.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub successor: Option<String>,
 }
@@ -66,6 +67,13 @@ impl LeaseWatch {
         self.seen.as_ref().map(|(revision, lease, _)| (*revision, lease))
     }
 
+    /// Whether the writer is about to hand over to this daemon.
+    #[must_use]
+    pub fn is_announced_to(&self, member: &str) -> bool {
+        let successor = self.lease().and_then(|(_, lease)| lease.successor.as_deref());
+        successor == Some(member)
+    }
+
     /// The revision on which a daemon may take the lease: it is given back, to this daemon or to any, or nobody has
     /// renewed it for `patience`.
     #[must_use]
@@ -73,10 +81,8 @@ impl LeaseWatch {
         let (revision, lease, since) = self.seen.as_ref()?;
         let waited = now.saturating_duration_since(*since);
         let is_mine = lease.writer == member;
-        let is_free = match &lease.successor {
-            Some(successor) => successor == member,
-            None => lease.writer.is_empty() && *revision > 0,
-        };
+        let is_for_me = lease.successor.as_ref().is_none_or(|successor| successor == member);
+        let is_free = lease.writer.is_empty() && *revision > 0 && is_for_me;
         (is_mine || is_free || waited >= patience).then_some(*revision)
     }
 }
@@ -109,6 +115,9 @@ mod tests {
     async fn a_lease_that_is_handed_over_is_for_its_successor() {
         let (mut watch, patience) = (LeaseWatch::default(), Duration::from_secs(3));
         let now = Instant::now();
+        watch.look(Some(&entry(6, "a", Some("c"))), now);
+        assert_eq!(watch.may_take("c", patience, now), None, "the writer still has it");
+        assert!(watch.is_announced_to("c") && !watch.is_announced_to("b"));
         watch.look(Some(&entry(7, "", Some("c"))), now);
         assert_eq!(watch.may_take("b", patience, now), None);
         assert_eq!(watch.may_take("c", patience, now), Some(7));

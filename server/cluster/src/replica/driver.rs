@@ -11,8 +11,7 @@ use tokio::{
 };
 
 use super::{
-    compare::{CompareError, Relation},
-    events::{ReplicaEvent, ReplicaListener, ReplicaRole, ReplicaStatus},
+    events::{ReplicaEvent, ReplicaListener, ReplicaRole},
     lease_keeper::LeaseKeeper,
     settings::{Order, ReplicaSettings},
     shared_log::LogState,
@@ -175,22 +174,6 @@ impl<E: Engine> Driver<E> {
             status.trouble = trouble;
             differs
         });
-    }
-
-    /// Says whether the map needs a copy of another daemon's.
-    pub(super) fn set_needs_copy(&self, relation: &Result<Relation, CompareError>) {
-        let needs_copy = matches!(relation, Ok(Relation::Behind { .. }));
-        let set = |status: &mut ReplicaStatus| std::mem::replace(&mut status.needs_copy, needs_copy) != needs_copy;
-        let is_new = self.shared.status.send_if_modified(set) && needs_copy;
-        if is_new && matches!(relation, Ok(Relation::Behind { differs: true, .. })) {
-            metrics::counter!("tidemap_cluster_forks_total").increment(1);
-            tracing::error!(
-                map = %self.settings.key(), end = self.shared.log.end().position,
-                "FORKED: the own log of this daemon has records that the shared log does not have, and the shared log no \
-                 longer has what they follow. The folder of the map that is set aside has them: tidemap cannot take them \
-                 in"
-            );
-        }
     }
 
     /// The shared log ends there, as far as it was seen.

@@ -11,7 +11,7 @@ use tokio::{sync::oneshot, time::Instant};
 use super::{
     compare::{CompareError, LOOK_BACK, LOOK_BACK_FOLLOWING, Relation},
     driver::{Driver, Next, PROBE, READ_BYTES},
-    events::{ReplicaEvent, ReplicaRole},
+    events::{ReplicaEvent, ReplicaRole, ReplicaStatus},
     settings::Order,
 };
 use crate::{
@@ -20,7 +20,11 @@ use crate::{
 };
 
 /// How long a read waits for the next message. The lease is looked at between reads.
-const READ_PATIENCE: Duration = Duration::from_millis(250);
+pub(super) const READ_PATIENCE: Duration = Duration::from_millis(250);
+/// A follower looks at the lease so many times within the time that a lease lasts.
+pub(super) const LOOKS: u32 = 12;
+/// How often a lease is looked at that is about to be handed over to this daemon.
+const LOOK_OFTEN: Duration = Duration::from_millis(20);
 /// Pause after an error of the engine.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Candidates take a lease one after the other.
@@ -38,6 +42,22 @@ pub(super) enum StreamEnd {
 }
 
 impl<E: Engine> Driver<E> {
+    /// Says whether the map needs a copy of another daemon's.
+    fn set_needs_copy(&self, relation: &Result<Relation, CompareError>) {
+        let needs_copy = matches!(relation, Ok(Relation::Behind { .. }));
+        let set = |status: &mut ReplicaStatus| std::mem::replace(&mut status.needs_copy, needs_copy) != needs_copy;
+        let is_new = self.shared.status.send_if_modified(set) && needs_copy;
+        if is_new && matches!(relation, Ok(Relation::Behind { differs: true, .. })) {
+            metrics::counter!("tidemap_cluster_forks_total").increment(1);
+            tracing::error!(
+                map = %self.settings.key(), end = self.shared.log.end().position,
+                "FORKED: the own log of this daemon has records that the shared log does not have, and the shared log no \
+                 longer has what they follow. The folder of the map that is set aside has them: tidemap cannot take them \
+                 in"
+            );
+        }
+    }
+
     /// Compares the logs until this one is a beginning of the shared one.
     pub(super) async fn align(&mut self) -> Next {
         self.role(ReplicaRole::Starting);
@@ -107,7 +127,8 @@ impl<E: Engine> Driver<E> {
     /// Looks at the lease now and then; gives its revision when this daemon may take it.
     async fn look_at_lease(&mut self) -> Option<u64> {
         let now = Instant::now();
-        let interval = self.settings.lease / 12;
+        let is_announced = self.lease_watch.is_announced_to(&self.settings.member);
+        let interval = if is_announced { LOOK_OFTEN } else { self.settings.lease / LOOKS };
         if self.lease_looked.is_some_and(|looked| now.saturating_duration_since(looked) < interval) {
             return None;
         }
@@ -186,7 +207,9 @@ impl<E: Engine> Driver<E> {
                 return Next::TakeOver(revision);
             }
             let (stream, from) = (self.settings.stream.clone(), self.last_sequence + 1);
-            match self.engine.read_from(&stream, from, READ_BYTES, READ_PATIENCE).await {
+            let is_announced = self.lease_watch.is_announced_to(&self.settings.member);
+            let patience = if is_announced { LOOK_OFTEN } else { READ_PATIENCE };
+            match self.engine.read_from(&stream, from, READ_BYTES, patience).await {
                 Ok(messages) if !messages.is_empty() => match self.take_in(messages).await {
                     Ok(true) => {}
                     Ok(false) => {

@@ -43,6 +43,7 @@ pub(super) struct LeaseKeeper {
     shared: Arc<LogState>,
     key: String,
     member: String,
+    successor: watch::Sender<Option<String>>,
     task: JoinHandle<()>,
 }
 
@@ -63,6 +64,7 @@ impl LeaseKeeper {
         taken: Instant,
     ) -> LeaseKeeper {
         let (lost, is_lost) = watch::channel(false);
+        let (successor, mut announced) = watch::channel(None);
         let LeaseTerms { key, member, epoch, lasts } = terms;
         let revision = Arc::new(AtomicU64::new(revision));
         let known = Arc::clone(&revision);
@@ -72,10 +74,14 @@ impl LeaseKeeper {
         shared.set_current_until(Some(taken + is_current_for));
         let task = tokio::spawn(async move {
             for counter in 1.. {
-                sleep(lasts / 4).await;
+                tokio::select! {
+                    () = sleep(lasts / 4) => {}
+                    Ok(()) = announced.changed() => {}
+                }
                 let begun = Instant::now();
                 let expected = known.load(Ordering::Acquire);
-                let lease = Lease { writer: member.clone(), epoch, counter, successor: None };
+                let successor = announced.borrow_and_update().clone();
+                let lease = Lease { writer: member.clone(), epoch, counter, successor };
                 match engine.set_if(Bucket::Writers, &key, expected, lease.encode()).await {
                     Ok(revision) => {
                         known.store(revision, Ordering::Release);
@@ -96,12 +102,17 @@ impl LeaseKeeper {
             shared.set_current_until(None);
             let _ = lost.send(true);
         });
-        LeaseKeeper { is_lost, revision, epoch, shared: own_shared, key: own_key, member: own_member, task }
+        LeaseKeeper { is_lost, revision, epoch, shared: own_shared, key: own_key, member: own_member, successor, task }
     }
 
     /// The epoch that the lease claims.
     pub(super) fn epoch(&self) -> u64 {
         self.epoch
+    }
+
+    /// Says in the lease who is to have it next, while this daemon goes on writing.
+    pub(super) fn announce(&self, successor: &str) {
+        self.successor.send_replace(Some(successor.to_owned()));
     }
 
     /// Whether somebody else has the lease.

@@ -14,7 +14,7 @@ use super::{
     compare::CompareError,
     driver::{Driver, Next, PROBE},
     events::{ReplicaEvent, ReplicaRole},
-    follow::StreamEnd,
+    follow::{LOOKS, READ_PATIENCE, StreamEnd},
     lease_keeper::LeaseKeeper,
     send::Sent,
     settings::Order,
@@ -54,6 +54,7 @@ impl<E: Engine> Driver<E> {
     }
 
     async fn write_until(&mut self, keeper: &LeaseKeeper, successor: &mut Option<HandOver>) -> Next {
+        let mut leaves: Option<Instant> = None;
         loop {
             if self.is_stopping() {
                 return Next::Stop;
@@ -61,13 +62,26 @@ impl<E: Engine> Driver<E> {
             if keeper.is_lost() {
                 return Next::Follow;
             }
-            if let Some(Order::HandOver(to, done)) = self.next_order() {
-                *successor = Some((to, done));
+            match self.next_order() {
+                Some(Order::HandOver(_, done)) if successor.is_some() => drop(done.send(false)),
+                Some(Order::HandOver(to, done)) => {
+                    // Writing goes on until the successor looks at the lease often.
+                    let mut until = Instant::now();
+                    if let Some(to) = &to {
+                        keeper.announce(to);
+                        until += self.settings.lease / LOOKS + READ_PATIENCE;
+                    }
+                    leaves = Some(until);
+                    *successor = Some((to, done));
+                }
+                Some(Order::Stop) | None => {}
+            }
+            if leaves.is_some_and(|leaves| leaves <= Instant::now()) {
                 return Next::Follow;
             }
             let events = self.shared.take(self.settings.group_bytes);
             if events.is_empty() {
-                match self.wait_for_work(keeper).await {
+                match self.wait_for_work(keeper, leaves).await {
                     Some(next) => return next,
                     None => continue,
                 }
@@ -134,8 +148,9 @@ impl<E: Engine> Driver<E> {
         }
     }
 
-    /// Waits for something to do; gives what follows where this daemon stops writing.
-    async fn wait_for_work(&mut self, keeper: &LeaseKeeper) -> Option<Next> {
+    /// Waits for something to do, until it `leaves` at most; gives what follows where this daemon stops writing.
+    async fn wait_for_work(&mut self, keeper: &LeaseKeeper, leaves: Option<Instant>) -> Option<Next> {
+        let left = leaves.map(|leaves| leaves.saturating_duration_since(Instant::now()));
         tokio::select! {
             biased;
             () = self.shared.has_work.notified() => return None,
@@ -144,6 +159,7 @@ impl<E: Engine> Driver<E> {
                 return None;
             }
             () = keeper.lost() => return None,
+            () = sleep(left.unwrap_or(PROBE)), if left.is_some() => return None,
             () = sleep(PROBE) => {}
         }
         match self.probe().await {
