@@ -1,10 +1,10 @@
 //! What operators ask of a cluster: who its members are, what this daemon is to each map, and which member is to write
 //! a map.
 //!
-//! Invariant: every answer is this daemon's own. Nothing here waits for another daemon, and nothing is decided about a
-//! log: a move changes an entry of the catalogue, and the writer follows it.
+//! Invariant: every answer is this daemon's own. Nothing here waits for another daemon, except for its next report, and
+//! nothing is decided about a log: a move changes an entry of the catalogue, and the writer follows it.
 
-use std::{collections::BTreeMap, sync::PoisonError};
+use std::{collections::BTreeMap, sync::PoisonError, time::Instant};
 
 use tidemap_cluster::{
     assignment,
@@ -210,7 +210,7 @@ impl Cluster {
                 return Err(OperationError::UnknownMap(map.chars().take(80).collect()));
             };
             if let Some(member) = member {
-                check_target(&self.members()?, member, (map, entry.uid()))?;
+                self.wait_for_target(member, (map, entry.uid())).await?;
             }
             if entry.pinned.as_deref() == member {
                 return Ok(());
@@ -226,6 +226,19 @@ impl Cluster {
             }
         }
         Err(OperationError::Changed(map.to_owned()))
+    }
+
+    /// As [`check_target`]. A member that has begun to hold the map tells so with its next report.
+    async fn wait_for_target(&self, member: &str, map: (&str, Option<u64>)) -> Result<(), OperationError> {
+        let end = Instant::now() + 3 * membership::REPORT_EVERY;
+        loop {
+            match check_target(&self.members()?, member, map) {
+                Err(OperationError::DoesNotHold { .. }) if Instant::now() < end => {
+                    tokio::time::sleep(membership::REPORT_EVERY / 4).await;
+                }
+                checked => return checked,
+            }
+        }
     }
 
     /// Deletes the map of a name from the cluster, if there is one, which this daemon does not hold or cannot use; with
