@@ -70,8 +70,8 @@ pub fn candidates(members: &Members) -> Vec<Candidate> {
     members.iter().filter(usable).map(candidate).collect()
 }
 
-/// The last record of a map that the checkpoints of two members cover, of one member where a single one is to hold a map
-/// (`replicas` is 1); 0: none. A member that is gone covers nothing, and may come back without its disk.
+/// The last record of a map that the checkpoints of two members cover, of one member where a single one is to hold a
+/// map (`replicas` is 1); 0: none. A member that is gone covers nothing, and may come back without its disk.
 #[must_use]
 pub fn covered(members: &Members, uid: u64, replicas: usize) -> u64 {
     let alive = members.values().filter(|member| member.is_alive);

@@ -31,6 +31,11 @@ pub(crate) fn history_folder(directory: &Path, map: MapId) -> PathBuf {
     map_folder(directory, map).join("history")
 }
 
+/// The folder of a map that the copy of this number has replaced.
+pub(crate) fn replaced_folder(directory: &Path, map: MapId, number: u32) -> PathBuf {
+    with_suffix(&map_folder(directory, map), &format!(".replaced-{number}"))
+}
+
 /// The path of a folder with another ending; `suffix` begins with a dot.
 pub(crate) fn with_suffix(folder: &Path, suffix: &str) -> PathBuf {
     folder.with_extension(&suffix[1..])

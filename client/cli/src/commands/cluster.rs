@@ -79,8 +79,8 @@ pub(crate) enum ClusterCommand {
     /// to the map as from their producers, under their numbers, so that it has each of them once. Scans, traversals,
     /// sightings and reports of tasks cannot be sent again, and neither can what follows them in their sequences, or
     /// observations of a producer that has begun anew. Values are compared by a checksum only, where the map still has
-    /// one. With --accept-loss the forks are removed all the same; what the map lacks of them is lost. The exit status is
-    /// 2 while forks are left, and 1 if a member does not answer.
+    /// one. With --accept-loss the forks are removed all the same; what the map lacks of them is lost. The exit status
+    /// is 2 while forks are left, and 1 if a member does not answer.
     Heal(HealArgs),
 }
 

@@ -292,7 +292,7 @@ pub(crate) fn mark_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Res
 
 /// Removes the folder of a deleted map, which is no longer listed.
 pub(crate) fn remove_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
-    super::map_copy::remove_replaced(disk, directory, map)?;
+    remove_replaced(disk, directory, map)?;
     let folder = folders::with_suffix(&folders::map_folder(directory, map), DELETED_SUFFIX);
     match disk.remove_folder(&folder) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(store_io(folder)(error)),
@@ -301,4 +301,16 @@ pub(crate) fn remove_deleted(disk: &dyn Disk, directory: &Path, map: MapId) -> R
             disk.sync_folder(&maps).map_err(store_io(maps))
         }
     }
+}
+
+/// Removes the folders that copies of a map have replaced.
+fn remove_replaced(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
+    for number in 1_u32.. {
+        let folder = folders::replaced_folder(directory, map, number);
+        match disk.remove_folder(&folder) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => break,
+            removed => removed.map_err(store_io(folder))?,
+        }
+    }
+    Ok(())
 }

@@ -21,7 +21,7 @@ mod install;
 mod source;
 
 pub use install::MapCopy;
-pub(crate) use install::{complete, remove_replaced};
+pub(crate) use install::complete;
 pub use source::CopySource;
 
 /// Limit of a part, in bytes.

@@ -175,8 +175,8 @@ impl MapCopy {
     /// stopped; its folder is set aside, and its path is given.
     ///
     /// # Errors
-    /// [`CopyError`]. A map in whose place it comes is as it was then; [`CopyError::Unfinished`]: the next start puts the
-    /// copy in its place, and the map must not be used before.
+    /// [`CopyError`]. A map in whose place it comes is as it was then; [`CopyError::Unfinished`]: the next start puts
+    /// the copy in its place, and the map must not be used before.
     pub fn install(mut self) -> Result<(MapId, Option<PathBuf>), CopyError> {
         if self.end.is_none() {
             return Err(invalid("", "it was not checked"));
@@ -243,7 +243,7 @@ fn put_in_place(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<Option<
     let is_there = |path: &Path| path.file_name().is_some_and(|name| names.iter().any(|known| name == known.as_str()));
     let mut aside = None;
     if is_there(&folder) {
-        let mut places = (1..).map(|number| replaced_folder(directory, map, number));
+        let mut places = (1..).map(|number| folders::replaced_folder(directory, map, number));
         let place = places.find(|place| !is_there(place)).unwrap_or_default();
         disk.rename(&folder, &place).map_err(store_io(&folder))?;
         aside = Some(place);
@@ -252,23 +252,6 @@ fn put_in_place(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<Option<
     disk.rename(&copied, &folder).map_err(store_io(&copied))?;
     disk.sync_folder(&maps).map_err(store_io(maps))?;
     Ok(aside)
-}
-
-/// Removes the folders that copies of a map have replaced.
-pub(crate) fn remove_replaced(disk: &dyn Disk, directory: &Path, map: MapId) -> Result<(), StoreError> {
-    for number in 1_u32.. {
-        let folder = replaced_folder(directory, map, number);
-        match disk.remove_folder(&folder) {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => break,
-            removed => removed.map_err(store_io(folder))?,
-        }
-    }
-    Ok(())
-}
-
-/// The folder of a map that the copy of this number has replaced.
-fn replaced_folder(directory: &Path, map: MapId, number: u32) -> PathBuf {
-    folders::with_suffix(&folders::map_folder(directory, map), &format!(".replaced-{number}"))
 }
 
 /// Before the maps are listed at a start: puts copies in their places that were complete.
