@@ -2,7 +2,7 @@
 # deploy/setup.sh says what it installs, and is silent where nothing is missing.
 
 .DEFAULT_GOAL := help
-.PHONY: help build texts schemathesis api-page palette web web-check demo cluster-demo test wheel python docs lint sbom bench soak cluster-faults fuzz durability install deb clean
+.PHONY: help build texts schemathesis api-page palette web web-check demo cluster-demo test wheel python docs lint sbom bench cluster-bench soak cluster-faults fuzz durability install deb clean
 # The tests of `make durability`.
 HARD := test(durability) or package(tidemap-store) or test(random_operations) or test(gateway::tests::forward)
 # The recipes of this file share one cargo, and cargo has its own jobs.
@@ -123,6 +123,12 @@ bench:
 soak:
 	@$(SETUP) test
 	@$(ENV); python3 deploy/soak.py $(or $(HOURS),1) $(ROWS)
+
+## cluster-bench: measures a cluster of three engines and three daemons on this machine; FIGURES="lag moves" for some
+cluster-bench:
+	@$(SETUP) cluster
+	@$(ENV); cargo build --release --locked -p tidemapd -p tidemap
+	@$(ENV); python3 deploy/cluster_bench.py "$(BUILT)" $(FIGURES)
 
 ## cluster-faults: harms a cluster in network namespaces with CLUSTER_FAULTS faults (300); SEED=n; can be resumed; root
 cluster-faults: export CLUSTER_FAULTS ?= 300

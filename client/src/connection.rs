@@ -199,6 +199,14 @@ impl Client {
         Self::of_parts(server.clone(), endpoint.clone(), bearer.clone(), tokens.clone())
     }
 
+    /// A client of the same daemon, for one of a cluster: its replies show at least what `other` has seen of a map at
+    /// another daemon, and the other way round. It has connections of its own.
+    #[must_use]
+    pub fn with_read_tokens_of(&self, other: &Client) -> Self {
+        let Inner { server, endpoint, bearer, .. } = &*self.inner;
+        Self::of_parts(server.clone(), endpoint.clone(), bearer.clone(), other.inner.tokens.clone())
+    }
+
     fn of_parts(server: String, endpoint: Endpoint, bearer: Bearer, tokens: ReadTokens) -> Self {
         let channel = InterceptedService::new(endpoint.connect_lazy(), bearer.clone());
         let requests = TokenService::new(channel, tokens.clone());

@@ -23,6 +23,7 @@ const NOT_RUN: [&str; 23] = [
     "cluster verify",
     "cluster heal",
     "bench latency",
+    "bench lag",
     "bench predict",
     "bench overload",
     "bench search",

@@ -463,7 +463,7 @@ pub(crate) async fn run(line: CommandLine, subject: &Subject) -> anyhow::Result<
         Command::Backup(command) => backup::run(&session, &command).await,
         Command::Erase(args) => erase::run(&session, &args).await,
         Command::Cluster(command) => cluster::run(&session, &credentials, command).await,
-        Command::Bench(command) => bench::run(&session, &command).await,
+        Command::Bench(command) => bench::run(&session, &credentials, &command).await,
         // Handled above.
         #[cfg(feature = "experiment")]
         Command::Experiment(_) => Ok(ExitCode::SUCCESS),

@@ -4,6 +4,7 @@
 //! speed of the daemon's disk, because figures of two machines cannot be compared without it.
 
 mod grid;
+mod lag;
 mod landmarks;
 mod latencies;
 mod latency;
@@ -19,7 +20,7 @@ pub(crate) use self::grid::record_office;
 use std::process::{self, ExitCode};
 
 use clap::{Args, Subcommand};
-use tidemap_client::{Client, clock, maps::NewMap, updates::Job};
+use tidemap_client::{Client, clock, connection::Credentials, maps::NewMap, updates::Job};
 
 use super::{Session, job, map::with_grid};
 use crate::progress::status_line;
@@ -31,6 +32,8 @@ pub(crate) enum BenchCommand {
     Observe(observe::ObserveBenchArgs),
     /// Measures the latency until an observation is durable, at a given rate
     Latency(latency::LatencyArgs),
+    /// Measures how long another daemon of a cluster takes to show what this one has acknowledged
+    Lag(lag::LagArgs),
     /// Measures the predictions per second
     Predict(predict::PredictBenchArgs),
     /// Measures the latencies of answers and refusals when more is asked than the daemon can answer
@@ -54,12 +57,16 @@ struct DaemonProcess {
 /// Figures and their names.
 type Figures = Vec<(&'static str, Cell)>;
 
-pub(crate) async fn run(session: &Session, command: &BenchCommand) -> anyhow::Result<ExitCode> {
+pub(crate) async fn run(
+    session: &Session,
+    credentials: &Credentials,
+    command: &BenchCommand,
+) -> anyhow::Result<ExitCode> {
     let client = &session.client;
     let unique = format!("{}-{}", clock::now_nanos() / 1_000_000_000, process::id());
     let (new_map, keep) = match command {
         BenchCommand::Grid(args) => (args.new_map(format!("bench-grid-{unique}")), args.keeps()),
-        BenchCommand::Observe(args) => (args.new_map(format!("bench-{unique}")), false),
+        BenchCommand::Observe(args) => (args.new_map(format!("bench-{unique}")), args.keeps()),
         BenchCommand::Landmarks(args) => (args.new_map(format!("bench-{unique}")), false),
         _ => (NewMap { name: format!("bench-{unique}"), ..NewMap::default() }, false),
     };
@@ -70,7 +77,7 @@ pub(crate) async fn run(session: &Session, command: &BenchCommand) -> anyhow::Re
     let has_grid = new_map.grid.is_some();
     with_grid(client.create_map(new_map).await?, has_grid)?;
     let measured = tokio::select! {
-        measured = measure(client, &map, command) => measured,
+        measured = measure(client, credentials, &map, command) => measured,
         _ = tokio::signal::ctrl_c() => Err(anyhow::anyhow!("interrupted")),
     };
     let deleted = if keep { Ok(()) } else { client.delete_map(&map).await };
@@ -80,10 +87,16 @@ pub(crate) async fn run(session: &Session, command: &BenchCommand) -> anyhow::Re
     session.print(&columns, [figures.into_iter().map(|(_, cell)| cell).collect()])
 }
 
-async fn measure(client: &Client, map: &str, command: &BenchCommand) -> anyhow::Result<Figures> {
+async fn measure(
+    client: &Client,
+    credentials: &Credentials,
+    map: &str,
+    command: &BenchCommand,
+) -> anyhow::Result<Figures> {
     let mut figures = match command {
         BenchCommand::Observe(args) => observe::run(client, map, args).await?,
         BenchCommand::Latency(args) => latency::run(client, map, args).await?,
+        BenchCommand::Lag(args) => lag::run(client, &args.reader(client, credentials)?, map, args).await?,
         BenchCommand::Predict(args) => predict::run(client, map, args).await?,
         BenchCommand::Overload(args) => overload::run(client, map, args).await?,
         BenchCommand::Search(args) => search::run(client, map, args).await?,

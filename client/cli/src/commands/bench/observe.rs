@@ -40,11 +40,18 @@ pub(crate) struct ObserveBenchArgs {
     /// Models that the update selects from, as of `map create` [default: those of a new map]
     #[arg(long, value_name = "MODEL,…", value_parser = enabled_models)]
     models: Option<EnabledModels>,
+    /// Does not delete the map
+    #[arg(long)]
+    keep: bool,
     #[command(flatten)]
     process: DaemonProcess,
 }
 
 impl ObserveBenchArgs {
+    pub(super) fn keeps(&self) -> bool {
+        self.keep
+    }
+
     pub(super) fn new_map(&self, name: String) -> NewMap {
         NewMap { name, models: self.models, ..NewMap::default() }
     }
