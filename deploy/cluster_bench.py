@@ -115,6 +115,11 @@ class Bench:
                     cluster.start(host, "daemon")
             kit.wait_until("the daemons", lambda: cluster.tidemap(hosts[0], "cluster", "status")[0] == 0)
             yield cluster
+        except kit.Failed:
+            for host in hosts:
+                log = (host.folder / "daemon.log").read_text().splitlines()
+                print(f"{host.name}:", *log[-20:], sep="\n", file=sys.stderr)
+            raise
         finally:
             cluster.stop()
             shutil.rmtree(folder, ignore_errors=True)

@@ -14,7 +14,7 @@ use tidemap_tests::{
 
 /// Commands that take long, or no daemon; their definition is that of a command that is run. Those of a cluster are run
 /// where there is one, in `cluster.rs`.
-const NOT_RUN: [&str; 23] = [
+const NOT_RUN: [&str; 24] = [
     "cluster status",
     "cluster maps",
     "cluster move",
