@@ -12,7 +12,7 @@ use tokio::{
 
 use crate::{
     assignment::Candidate,
-    engine::{Bucket, Engine, EngineError},
+    engine::{Bucket, Engine, EngineError, KeyEntry},
     member::MemberReport,
 };
 
@@ -111,15 +111,36 @@ pub async fn last_report<E: Engine>(engine: &E, name: &str) -> Result<Option<Mem
     Ok(entry.and_then(|entry| MemberReport::decode(&entry.value)))
 }
 
-/// Gives the reports of all members as they were, and reports this daemon.
+/// What is found where a member reports itself.
+struct Exchange {
+    /// The reports of all members as they were before.
+    reports: Vec<(String, MemberReport)>,
+    /// Whether another daemon has reported itself under the name since the last report.
+    has_foreign: bool,
+    /// Revision of the new report.
+    revision: u64,
+}
+
+/// Gives the reports of all members as they were, and reports this daemon, whose last report has the revision `last`.
 async fn exchange<E: Engine>(
     engine: &E,
     name: &str,
     report: &MemberReport,
-) -> Result<Vec<(String, MemberReport)>, EngineError> {
+    last: Option<u64>,
+) -> Result<Exchange, EngineError> {
     let entries = engine.list(Bucket::Members).await?;
-    engine.set(Bucket::Members, name, report.encode()).await?;
-    Ok(entries.into_iter().filter_map(|(name, entry)| Some((name, MemberReport::decode(&entry.value)?))).collect())
+    let revision = engine.set(Bucket::Members, name, report.encode()).await?;
+    // A server that lags, or whose disk was set back, shows what this daemon has reported before its start: that is
+    // older.
+    let is_newer = |revision: u64| last.is_some_and(|last| revision > last);
+    let read = |(name, entry): (String, KeyEntry)| Some((name, entry.revision, MemberReport::decode(&entry.value)?));
+    let read: Vec<(String, u64, MemberReport)> = entries.into_iter().filter_map(read).collect();
+    let is_foreign = |(member, revision, found): &(String, u64, MemberReport)| {
+        member == name && found.boot != report.boot && is_newer(*revision)
+    };
+    let has_foreign = read.iter().any(is_foreign);
+    let reports = read.into_iter().map(|(name, _, report)| (name, report)).collect();
+    Ok(Exchange { reports, has_foreign, revision })
 }
 
 /// Reports this daemon and looks at the others. `report` is asked for each report; `sender` gets what is known of the
@@ -131,18 +152,16 @@ pub async fn run<E: Engine>(
     sender: watch::Sender<MembersView>,
 ) -> NameTaken {
     let mut judgement = Judgement::default();
-    let (mut foreign, mut has_reported) = (0, false);
+    let (mut foreign, mut last) = (0, None);
     for counter in 0.. {
         let own = report(counter);
-        match exchange(&engine, &name, &own).await {
-            Ok(mut reports) => {
-                let is_foreign = |(member, report): &(String, MemberReport)| *member == name && report.boot != own.boot;
-                // The first time, it is the report of this daemon before its start.
-                if has_reported && reports.iter().any(is_foreign) {
+        match exchange(&engine, &name, &own, last).await {
+            Ok(Exchange { mut reports, has_foreign, revision }) => {
+                if has_foreign {
                     foreign += 1;
                     tracing::error!(member = name, "another daemon is a member of this name");
                 }
-                has_reported = true;
+                last = Some(revision);
                 reports.retain(|(member, _)| *member != name);
                 reports.push((name.clone(), own));
                 let members = judgement.judge(reports, Instant::now());
@@ -222,6 +241,23 @@ mod tests {
         let third = start(3);
         sleep(REPORT_EVERY * 20).await;
         assert!(!third.is_finished());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn what_a_member_has_reported_before_its_start_is_not_another_daemon() {
+        let simulation = Simulation::new(1, EngineFaults::none());
+        let engine = simulation.client("a");
+        engine.create_buckets(3).await.expect("made");
+        let report = |boot| MemberReport { boot, ..MemberReport::default() };
+        let before = engine.set(Bucket::Members, "north", report(1).encode()).await.expect("set");
+        for last in [None, Some(before), Some(before + 9)] {
+            let found = exchange(&engine, "north", &report(1), last).await.expect("exchanged");
+            assert!(!found.has_foreign && found.revision > before);
+        }
+        let found = exchange(&engine, "north", &report(2), Some(before + 9)).await.expect("exchanged");
+        assert!(!found.has_foreign, "it is older");
+        let found = exchange(&engine, "north", &report(1), Some(before)).await.expect("exchanged");
+        assert!(found.has_foreign, "another one has reported since");
     }
 
     #[tokio::test(start_paused = true)]
