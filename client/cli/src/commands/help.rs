@@ -117,7 +117,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("schema", "tidemap schema map show"),
     ("bench observe", "tidemap bench observe"),
     ("bench latency", "tidemap bench latency"),
-    ("bench lag", "tidemap bench lag --reader 10.0.0.3:7443"),
+    ("bench lag", "tidemap bench lag --reader 10.0.0.3:7435"),
     ("bench predict", "tidemap bench predict"),
     ("bench overload", "tidemap bench overload --factor 3"),
     ("bench search", "tidemap bench search"),

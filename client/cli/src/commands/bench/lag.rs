@@ -42,6 +42,11 @@ impl LagArgs {
 }
 
 pub(super) async fn run(client: &Client, reader: &Client, map: &str, args: &LagArgs) -> anyhow::Result<Figures> {
+    let (writer, other) = (client.cluster_status(false).await?.member, reader.cluster_status(false).await?.member);
+    if writer == other {
+        let text = format!("--reader {} and --server are one daemon, {writer}: name another one", args.reader);
+        return Err(UsageError(text).into());
+    }
     let mut producer = Producer::open(client, ProducerOptions::new("bench-lag", "", map)).await?;
     let first = producer.send(STATE, clock::now_nanos(), 1.0).await?;
     acknowledged(&producer, first).await?;
