@@ -22,7 +22,7 @@ use crate::{
 /// How long a read waits for the next message. The lease is looked at between reads.
 pub(super) const READ_PATIENCE: Duration = Duration::from_millis(250);
 /// A follower looks at the lease so many times within the time that a lease lasts.
-pub(super) const LOOKS: u32 = 12;
+pub(super) const LOOKS_PER_LEASE: u32 = 12;
 /// How often a lease is looked at that is about to be handed over to this daemon.
 const LOOK_OFTEN: Duration = Duration::from_millis(20);
 /// Pause after an error of the engine.
@@ -51,9 +51,9 @@ impl<E: Engine> Driver<E> {
             metrics::counter!("tidemap_cluster_forks_total").increment(1);
             tracing::error!(
                 map = %self.settings.key(), end = self.shared.log.end().position,
-                "FORKED: the own log of this daemon has records that the shared log does not have, and the shared log no \
-                 longer has what they follow. The folder of the map that is set aside has them: tidemap cannot take them \
-                 in"
+                "FORKED: the own log of this daemon has records that the shared log does not have, and the shared log \
+                 no longer has what they follow. The map's old folder, which is set aside, has these records. tidemap \
+                 cannot take them in"
             );
         }
     }
@@ -128,7 +128,7 @@ impl<E: Engine> Driver<E> {
     async fn look_at_lease(&mut self) -> Option<u64> {
         let now = Instant::now();
         let is_announced = self.lease_watch.is_announced_to(&self.settings.member);
-        let interval = if is_announced { LOOK_OFTEN } else { self.settings.lease / LOOKS };
+        let interval = if is_announced { LOOK_OFTEN } else { self.settings.lease / LOOKS_PER_LEASE };
         if self.lease_looked.is_some_and(|looked| now.saturating_duration_since(looked) < interval) {
             return None;
         }

@@ -14,7 +14,7 @@ use super::{
     compare::CompareError,
     driver::{Driver, Next, PROBE},
     events::{ReplicaEvent, ReplicaRole},
-    follow::{LOOKS, READ_PATIENCE, StreamEnd},
+    follow::{LOOKS_PER_LEASE, READ_PATIENCE, StreamEnd},
     lease_keeper::LeaseKeeper,
     send::Sent,
     settings::Order,
@@ -69,7 +69,7 @@ impl<E: Engine> Driver<E> {
                     let mut until = Instant::now();
                     if let Some(to) = &to {
                         keeper.announce(to);
-                        until += self.settings.lease / LOOKS + READ_PATIENCE;
+                        until += self.settings.lease / LOOKS_PER_LEASE + READ_PATIENCE;
                     }
                     leaves = Some(until);
                     *successor = Some((to, done));
