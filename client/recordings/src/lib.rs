@@ -1,0 +1,6 @@
+//! Recordings of robots: bags of ROS 1, rosbag2, MCAP.
+//!
+//! Invariant: bytes in, values out; no file is opened here, and no ROS is needed. Reading never panics, and memory is
+//! bounded whatever the bytes say. A recording that is cut off gives what it has, and says so.
+
+pub mod recording;

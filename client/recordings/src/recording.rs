@@ -1,0 +1,125 @@
+//! What a recording is: topics, and messages with the times at which they were recorded.
+//!
+//! Invariant: a reader hands out messages one by one, in the order of the file. It holds at most one block of the file
+//! and one message in memory, each within the limits of this file, whatever a length in the file says.
+
+use std::io;
+
+/// Maximum number of bytes of a message.
+pub const MESSAGE_BYTES_MAX: usize = 32 << 20;
+/// Maximum number of bytes of a block of messages, such as a chunk of MCAP, as it is stored.
+pub const BLOCK_BYTES_MAX: usize = 32 << 20;
+/// Maximum number of bytes of a block once it is decompressed.
+pub const UNPACKED_BYTES_MAX: usize = 64 << 20;
+/// Maximum number of topics of a recording, or of its connections if one topic has several.
+pub const TOPICS_MAX: usize = 10_000;
+/// Maximum number of bytes of all definitions of a recording's messages.
+pub const DEFINITION_BYTES_MAX: usize = 16 << 20;
+
+/// How the bytes of a topic's messages are laid out.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum Encoding {
+    /// As ROS 1 lays them out.
+    Ros1,
+    /// CDR, as ROS 2 lays them out.
+    Cdr,
+    /// Another one, by the name that the recording gives it. Its messages are counted, not read.
+    Other(String),
+}
+
+/// A topic of a recording, or one of its connections if a recording lists several publishers apart.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Topic {
+    /// Name of the topic, such as `/scan`.
+    pub name: String,
+    /// Type of its messages without the folder of ROS 2, such as `sensor_msgs/LaserScan`.
+    pub type_name: String,
+    /// How the bytes of its messages are laid out.
+    pub encoding: Encoding,
+    /// Definition of its messages in the language of `.msg` files, with the definitions of the types inside behind
+    /// lines of `=`; empty if the recording has none.
+    pub definition: String,
+    /// Whether the topic is latched, or transient local: its last message holds for who comes later.
+    pub is_latched: bool,
+}
+
+/// A message of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Message<'a> {
+    /// Index of its topic among the topics that the reader has found, in the order in which it found them.
+    pub topic: usize,
+    /// When it was recorded, nanoseconds since 1970.
+    pub recorded_nanos: i64,
+    /// Its bytes.
+    pub data: &'a [u8],
+}
+
+/// Takes the messages of a recording.
+pub trait Sink {
+    /// Takes a topic; its index is the number of topics before it. Returns whether its messages are wanted: a reader
+    /// may pass over the others.
+    fn topic(&mut self, topic: &Topic) -> bool;
+
+    /// Takes a message of a wanted topic. `position`: how many bytes of the file have been read.
+    ///
+    /// # Errors
+    /// An error ends the reading, as [`RecordingError::Stopped`].
+    fn message(&mut self, message: Message<'_>, position: u64) -> Result<(), Stopped>;
+}
+
+/// Who takes the messages wants no more of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stopped;
+
+/// How a recording ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// As its format asks for.
+    Whole,
+    /// The file is cut off; everything before was read. The text says where.
+    CutOff(String),
+}
+
+/// The kinds of files of recordings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileKind {
+    /// A bag of ROS 1, format 2.0.
+    Bag,
+    /// MCAP.
+    Mcap,
+    /// SQLite, as rosbag2 writes it.
+    Sqlite,
+}
+
+/// Why a recording cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// The file is of no kind that is known. The text says what it looks like and what to do.
+    #[error("{0}")]
+    Unknown(String),
+    /// The file breaks its format; the text says where and how.
+    #[error("{0}")]
+    Broken(String),
+    /// A part of the file is longer than the limit.
+    #[error("{what} has {bytes} bytes; at most {max} are read")]
+    TooLarge {
+        /// The part, and where it is.
+        what: String,
+        /// Its length.
+        bytes: u64,
+        /// The limit.
+        max: usize,
+    },
+    /// Who takes the messages wanted no more.
+    #[error("the reading was stopped")]
+    Stopped,
+}
+
+impl From<Stopped> for RecordingError {
+    fn from(Stopped: Stopped) -> Self {
+        Self::Stopped
+    }
+}
